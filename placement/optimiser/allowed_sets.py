@@ -91,13 +91,11 @@ class Limits:
             cost = self._filled(field, size, np.float64)
             if not (np.isfinite(cost) & (cost >= 0.0)).all():
                 raise InputError(field, cost.tolist(), "euros, at least 0")
-        for field in ("is_forced", "is_forbidden", "is_forced_site"):
-            self._filled(
-                field, n_sites if field == "is_forced_site" else self.n_poses, bool
-            )
-        if self.rivals is None:
-            rivals = np.zeros((0, 2))
-        else:
+        self._filled("is_forced", self.n_poses, bool)
+        self._filled("is_forbidden", self.n_poses, bool)
+        self._filled("is_forced_site", n_sites, bool)
+        rivals = np.zeros((0, 2))
+        if self.rivals is not None:
             rivals = np.array(self.rivals)
         rivals = rivals.reshape(-1, 2).astype(np.int64)
         if len(rivals) and not (
@@ -163,8 +161,13 @@ class Limits:
 
     def of_poses(self, poses: IntArray) -> "Limits":
         """Limits on some of the poses; all forced ones must be among them."""
-        by_pose = ("site_index", "unit_cost_eur", "is_forced", "is_forbidden")
-        return replace(self, **{name: getattr(self, name)[poses] for name in by_pose})
+        return replace(
+            self,
+            site_index=self.site_index[poses],
+            unit_cost_eur=self.unit_cost_eur[poses],
+            is_forced=self.is_forced[poses],
+            is_forbidden=self.is_forbidden[poses],
+        )
 
     def __repr__(self) -> str:
         budgets = f"{self.budget_units} units, {self.budget_eur} EUR"
@@ -199,11 +202,11 @@ def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
     """Cost of many sets of poses: (n_sets, n_units) -> (n_sets,), in euros."""
     cost = limits.unit_cost_eur[sets].sum(axis=1)
     sites = np.sort(limits.site_index[sets], axis=1)
+    # A site is paid with its first unit.
     is_first = np.ones(sites.shape, dtype=bool)
     is_first[:, 1:] = sites[:, 1:] != sites[:, :-1]
-    return np.asarray(
-        cost + np.where(is_first, limits.site_cost_eur[sites], 0.0).sum(axis=1)
-    )
+    of_sites = np.where(is_first, limits.site_cost_eur[sites], 0.0).sum(axis=1)
+    return np.asarray(cost + of_sites)
 
 
 def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
@@ -221,9 +224,8 @@ def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
     allowed : (n_sets,) bool
         True for those within all limits, with all that is forced.
     """
-    if limits.budget_units is None:
-        most = np.inf
-    else:
+    most: float = np.inf
+    if limits.budget_units is not None:
         most = limits.budget_units
     sites = limits.site_index[sets]
     allowed: BoolArray = may_grow(limits, sets) & (1 <= sets.shape[1] <= most)
@@ -280,43 +282,44 @@ def fitting(limits: Limits, units: IntArray) -> BoolArray:
     at_site = np.bincount(sites[units], minlength=limits.n_sites)
     fits = (at_site < limits.site_capacity)[sites] & ~limits.is_forbidden
     fits[units] = False
+    # Rivals of sites that carry units already.
     if len(limits.rivals):
         blocked = np.zeros(limits.n_sites, dtype=bool)
         for one, other in (limits.rivals.T, limits.rivals.T[::-1]):
             blocked[other[at_site[one] > 0]] = True
         fits &= ~blocked[sites]
+    # Poses and sites that are forced, but not there yet.
     missing = limits.is_forced.copy()
     missing[units] = False
     missing_sites = limits.is_forced_site & (at_site == 0)
     missing_sites[sites[missing]] = False
     helps = missing | missing_sites[sites]
     n_missing = int(missing.sum() + missing_sites.sum())
-    if (
-        limits.budget_units is not None
-        and limits.budget_units - len(units) <= n_missing
-    ):
-        fits &= helps
+    if limits.budget_units is not None:
+        n_left = limits.budget_units - len(units)
+        if n_left <= n_missing:
+            fits &= helps
     if limits.budget_eur is not None:
+        # Money that is left, and what has to be kept back for what is missing.
         left = limits.budget_eur + COST_TOLERANCE_EUR - cost_eur(limits, units)
         to_pay = np.where(at_site > 0, 0.0, limits.site_cost_eur)
         price = limits.unit_cost_eur + to_pay[sites]
         to_open = np.unique(sites[missing & (at_site[sites] == 0)])
-        reserve = float(
-            limits.unit_cost_eur[missing].sum() + limits.site_cost_eur[to_open].sum()
-        )
+        for_poses = limits.unit_cost_eur[missing].sum()
+        reserve = float(for_poses + limits.site_cost_eur[to_open].sum())
         cheapest = np.full(limits.n_sites, np.inf)
         may = ~limits.is_forbidden
         np.minimum.at(cheapest, sites[may], limits.unit_cost_eur[may])
         at_missing = np.where(missing_sites, cheapest + limits.site_cost_eur, 0.0)
         reserve += float(at_missing.sum())
-        if reserve == np.inf:  # a site that must be used has no pose that may
+        # A site that must be used has no pose that may be.
+        if reserve == np.inf:
             return np.zeros(limits.n_poses, dtype=bool)
         # What a pose itself provides of what is missing need not be kept back for it.
         own = np.where(missing_sites[sites], at_missing[sites], 0.0)
         own = np.where(missing, limits.unit_cost_eur, own)
-        own = own + np.where(
-            missing & np.isin(sites, to_open), limits.site_cost_eur[sites], 0.0
-        )
+        opens = missing & np.isin(sites, to_open)
+        own = own + np.where(opens, limits.site_cost_eur[sites], 0.0)
         fits &= price + reserve - own <= left
     return fits
 
@@ -352,9 +355,8 @@ def build_choice(limits: Limits, n_units: int) -> Choice:
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
     cost = np.empty(0)
     if limits.budget_eur is not None:
-        spent = (
-            limits.unit_cost_eur[forced].sum() + limits.site_cost_eur[at_site > 0].sum()
-        )
+        of_units = limits.unit_cost_eur[forced].sum()
+        spent = of_units + limits.site_cost_eur[at_site > 0].sum()
         left = max(limits.budget_eur - float(spent), 0.0) + COST_TOLERANCE_EUR
         # A site is paid once: full, each of its units pays a share.
         of_site = np.where(at_site > 0, 0.0, limits.site_cost_eur)

@@ -109,12 +109,12 @@ class Root:
     choice: Choice
 
     def gains(self, price: FloatArray | None = None) -> FloatArray:
-        """Sum of the prices of what each pose covers, by default the own, (n_poses,)."""
+        """Sum of the prices of what each pose covers, by default own, (n_poses,)."""
         from .walk_kernels import weights_of
 
-        table, used, n_used = byte_table(
-            self.price if price is None else price, self.covers
-        )
+        if price is None:
+            price = self.price
+        table, used, n_used = byte_table(price, self.covers)
         gain = np.empty(len(self.covers))
         weights_of(self.covers.view(np.uint8), table, used, n_used, gain)
         return gain
@@ -133,11 +133,9 @@ def byte_table(weight: FloatArray, rows: WordArray) -> tuple[FloatArray, IntArra
     used = np.empty(8 * n_words, dtype=np.int64)
     padded = np.zeros(64 * n_words)
     padded[: len(weight)] = weight
-    return (
-        table,
-        used,
-        weigh_bytes(padded, np.full(n_words, ~np.uint64(0)), table, used),
-    )
+    every = np.full(n_words, ~np.uint64(0))
+    n_used = weigh_bytes(padded, every, table, used)
+    return table, used, n_used
 
 
 def find_root(
@@ -165,25 +163,24 @@ def find_root(
     reached = float(rows.weight[is_alone].sum())
     rows = rows.of(~is_alone)
     # To begin with, the frames that fewest poses see; what is picked counts far more.
-    seen = np.bitwise_count(reduced.columns).sum(axis=1) / (
-        1.0e3 * max(reduced.n_poses, 1)
-    )
+    n_seeing = np.bitwise_count(reduced.columns).sum(axis=1)
+    seen = n_seeing / (1.0e3 * max(reduced.n_poses, 1))
     price = constants.PRICE_START * rows.weight
     best: Root | None = None
     for number in range(constants.ASK_ROUNDS):
+        # What each row's windows are asked for now, and who covers the row then. Rows
+        # that the same poses cover are one.
         scale = max(float(seen.max(initial=0.0)), constants.TINY)
-        coverers = coverers_of(
-            reduced, rows, union, np.round(seen / scale, constants.SHARE_DIGITS)
-        )
+        rounded = np.round(seen / scale, constants.SHARE_DIGITS)
+        coverers = coverers_of(reduced, rows, union, rounded)
         index, row = distinct_rows(coverers)
         of_rows = np.zeros(len(index))
         of_price = np.zeros(len(index))
         np.add.at(of_rows, row, rows.weight)
         np.add.at(of_price, row, price)
+        covers = transposed(coverers[index], reduced.n_poses, workers=reduced.workers)
         root = Root(
-            covers=transposed(
-                coverers[index], reduced.n_poses, workers=reduced.workers
-            ),
+            covers=covers,
             weight=of_rows,
             price=of_price,
             reached=reached,
@@ -191,18 +188,19 @@ def find_root(
             share=np.zeros(reduced.n_poses),
             choice=choice,
         )
+        steps = constants.FIRST_STEPS
         if number:
             steps = constants.LATER_STEPS
-        else:
-            steps = constants.FIRST_STEPS
         root = tightened(root, reward_of(choice.n_units, 0), n_steps=steps)
-        is_settled = best is not None and root.limit > best.limit * (
-            1.0 - constants.SETTLED
-        )
+        is_settled = False
+        if best is not None:
+            is_settled = root.limit > best.limit * (1.0 - constants.SETTLED)
         if best is None or root.limit < best.limit:
             best = root
         if (is_settled and number > 2) or deadline.is_over:
             break
+        # The next round begins with the prices of this one, and asks for frames that
+        # the poses picked so far see least.
         total = np.maximum(root.weight[row], constants.TINY)
         price = root.price[row] * (rows.weight / total)
         used = np.flatnonzero(root.share > constants.SMALL_SHARE)
@@ -241,9 +239,10 @@ def coverers_of(
     chains = reduced.chains
     asked = np.empty(len(chains.window), dtype=np.int64)
     ask_for_least_seen(chains, np.unique(rows.chain), union, seen, asked)
-    is_poses = columns is None
+    workers = 1
     if columns is None:
         columns = reduced.columns
+        workers = reduced.workers
     coverers = np.empty((len(rows.chain), columns.shape[1]), dtype=np.uint64)
 
     def cover(begin: int, end: int) -> None:
@@ -251,7 +250,7 @@ def coverers_of(
             columns, chains.start, asked, rows.chain, rows.last, begin, end, coverers
         )
 
-    share_out(cover, len(rows.chain), workers=reduced.workers if is_poses else 1)
+    share_out(cover, len(rows.chain), workers=workers)
     return coverers
 
 
@@ -271,24 +270,39 @@ def reward_of(n_units: int, n_failures: int) -> FloatArray:
     cover: 1 - C(K - n, N - n) / C(K, N) where n of K units cover it and N fail.
     """
     reward: FloatArray = np.minimum(np.arange(n_units + 2.0), 1.0)
-    for n in range(1, n_failures + 1) if n_failures <= n_units else ():
-        reward[n] -= comb(n_units - n, n_failures - n) / comb(n_units, n_failures)
+    if n_failures > n_units:
+        return reward
+    n_ways = comb(n_units, n_failures)
+    for n_covering in range(1, n_failures + 1):
+        n_lost = comb(n_units - n_covering, n_failures - n_covering)
+        reward[n_covering] -= n_lost / n_ways
     return reward
 
 
 def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
-    """Better prices for a root by subgradient steps; without steps, what its prices prove."""
+    """Better prices for a root by subgradient steps.
+
+    Without steps, its prices stay, and the limit is what they prove.
+    """
     from .walk_kernels import tighten_prices
 
     choice = root.choice
     price = root.price.copy()
     share = np.zeros(len(root.covers))
     covers = root.covers.view(np.uint8)
-    s = constants
-    how = np.array([s.STEP_LENGTH, s.STEP_CUT, s.DEFLECTION, s.MEMORY, s.PATIENCE])
+    how = np.array(
+        [
+            constants.STEP_LENGTH,
+            constants.STEP_CUT,
+            constants.DEFLECTION,
+            constants.MEMORY,
+            constants.PATIENCE,
+        ]
+    )
     limit = tighten_prices(
         covers, choice, root.weight, reward, price, n_steps, how, share
     )
+    # Shares sum up to the units; rounding makes the limit a little larger.
     share *= choice.n_units / max(float(share.sum()), constants.TINY)
     limit = (root.reached + limit) * (1.0 + constants.ROUNDING)
     return replace(root, price=price, limit=limit, share=share)
@@ -311,8 +325,11 @@ def failure_limit(
         No other price is tried behind it.
     """
     limit = root.limit
+    if not n_failures:
+        return limit
     n_units = root.choice.n_units
-    for amount in constants.FAILURE_PRICES if n_failures else ():
+    # Prices of the APR of all units, which makes up for what it exceeds `least` by.
+    for amount in constants.FAILURE_PRICES:
         if deadline.is_over:
             break
         reward = reward_of(n_units, n_failures) + amount * reward_of(n_units, 0)
@@ -355,11 +372,11 @@ def relax(
         return np.inf, None
     root = polished(find_root(reduced, rows, n_units=n_units, deadline=deadline))
     limit = root.limit
-    if worth is Objective.APR:  # all poses together are a limit, too
+    if worth is Objective.APR:
+        # All poses together are a limit, too.
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
-        limit = min(
-            rounded_down(reduced, limit), float(union_apr(reduced, everything)[0])
-        )
+        of_all = float(union_apr(reduced, everything)[0])
+        limit = min(rounded_down(reduced, limit), of_all)
     return limit, root.share
 
 
@@ -392,15 +409,15 @@ def polished(root: Root) -> Root:
         return root
     reward = reward_of(n_units, 0)
     n_bits = np.bitwise_count(root.covers).sum(axis=1)
-    n_core = min(
-        constants.CORE_POSES, int(constants.CORE_BITS / max(float(n_bits.mean()), 1.0))
-    )
+    n_by_bits = int(constants.CORE_BITS / max(float(n_bits.mean()), 1.0))
+    n_core = min(constants.CORE_POSES, n_by_bits)
     of_share = np.flatnonzero(share > constants.SMALL_SHARE)
     core = np.union1d(_worthiest(root.gains(), n_core), of_share)
     for _ in range(constants.POLISH_ROUNDS):
         price, of_core = _relaxed(best, core, share[core])
         share = np.zeros(len(root.covers))
         share[core] = of_core
+        # The best point between the old prices and OSQP's.
         before = best
         for way in constants.POLISH_WAY:
             between = (1.0 - way) * before.price + way * price
@@ -409,6 +426,7 @@ def polished(root: Root) -> Root:
                 best = replace(trial, share=share)
         if best.limit > before.limit * (1.0 - constants.SETTLED):
             break
+        # Poses that gain too much, by either prices, join the core.
         for of_root in (best.price, price):
             core = np.union1d(core, _worthiest(root.gains(of_root), n_core // 4))
     return best
@@ -451,23 +469,23 @@ def _relaxed(
     n_rows = len(root.weight)
     n_core = len(core)
     scale = 1.0 / float(root.weight.max())
-    covers = sparse.csc_matrix(
-        unpack_words(root.covers[core], n_rows).T.astype(np.float64)
-    )
+    bits = unpack_words(root.covers[core], n_rows)
+    covers = sparse.csc_matrix(bits.T.astype(np.float64))
+    # Rows of the limits on x: number of units, room at each site, money.
     sites, site = np.unique(choice.site[core], return_inverse=True)
-    of_choice = [
-        np.ones((1, n_core)),
-        (np.arange(len(sites))[:, None] == site).astype(np.float64),
-    ]
+    at_site = np.arange(len(sites))[:, None] == site
+    of_choice = [np.ones((1, n_core)), at_site.astype(np.float64)]
     upper = [[choice.n_units], choice.room[sites]]
     if len(choice.cost):
         of_choice.append(choice.cost[core][None, :])
         upper.append([1.0])
     choices = sparse.csc_matrix(np.concatenate(of_choice))
+    # The variables are x, then a: what covers each row, the limits, and the bounds.
+    no_rows = sparse.csc_matrix((choices.shape[0], n_rows))
     matrix = sparse.vstack(
         [
             sparse.hstack([-covers, sparse.eye(n_rows)]),
-            sparse.hstack([choices, sparse.csc_matrix((choices.shape[0], n_rows))]),
+            sparse.hstack([choices, no_rows]),
             sparse.eye(n_core + n_rows),
         ],
         "csc",
@@ -493,6 +511,7 @@ def _relaxed(
         alpha=constants.OSQP_OVERRELAXATION,
         max_iter=constants.POLISH_STEPS,
     )
+    # It begins at the root's prices, and what the shares cover by them.
     duals = np.zeros(len(most))
     duals[:n_rows] = scale * root.price
     reached = np.minimum(np.asarray(covers @ share), 1.0)

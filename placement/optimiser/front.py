@@ -90,7 +90,7 @@ class FrontPoint:
         )
 
     def bounded(self, bounds: Mapping[str, float]) -> "FrontPoint":
-        """The same layout with bounds of some stages that hold as well, where closer."""
+        """The same layout with other bounds that hold as well, where closer."""
         return self.with_stages(
             tightened(stage, bounds.get(stage.name, stage.bound))
             for stage in self.certificate.stages
@@ -143,10 +143,9 @@ def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
     """
     check_one_of("stages", stages, get_args(StageChoice))
     if problem.goal != "best" or problem.survive:
+        option = "target"
         if problem.goal == "best":
             option = "survive"
-        else:
-            option = "target"
         refuse(option, "it with a front", "neither: a front has every APR")
 
 
@@ -173,9 +172,11 @@ def solve_point(
     starts : sequence of sequence of int
         Layouts that are tried first, rows of the table.
     """
+    if reduced is not None:
+        reduced = reduced.for_problem(problem)
     solution = solve_placement(
         problem,
-        None if reduced is None else reduced.for_problem(problem),
+        reduced,
         effort=effort,
         starts=[np.array(start, dtype=np.int64) for start in starts],
         n_stages=n_stages,
@@ -189,7 +190,10 @@ def solve_point(
 
 
 def no_worse(point: FrontPoint, fewer: FrontPoint) -> FrontPoint:
-    """A point, or with its bounds the layout of the one before, where that is better."""
+    """A point; where the layout of the one before is better, that one.
+
+    The bounds are those of the point in either case.
+    """
     if not is_better(fewer.value, point.value):
         return point
     point = replace(point, pose_index=fewer.pose_index, value=fewer.value)
@@ -245,9 +249,9 @@ def one_failed_limit(reduced: ReducedProblem) -> float:
     needed = np.flatnonzero((words & once).any(axis=1))
     if not len(needed):
         return float(union_apr(reduced, everything[None, :])[0])
-    return float(
-        union_apr(reduced, everything & ~(words[needed] & once) | reduced.base).min()
-    )
+    # What all poses but one see: without what that one alone sees.
+    others = everything & ~(words[needed] & once) | reduced.base
+    return float(union_apr(reduced, others).min())
 
 
 def tightened(stage: Stage, bound: float) -> Stage:
@@ -316,41 +320,44 @@ def pareto_front(
     limits = problem.limits
     first = max(min_units, int(limits.is_forced.sum()), 1)
     reduced = _presolved(problem, first, max_units, reduced, effort)
-    if reduced is None:
-        largest = None
-    else:
+    largest = None
+    statistics = None
+    if reduced is not None:
         largest = largest_values(reduced, stages)
+        statistics = reduced.statistics
+    optimised: tuple[Objective, ...] = VALUE_OBJECTIVES
+    if stages == "first":
+        optimised = FIRST_STAGES
     full = replace(limits, budget_units=None).max_units
     points: list[FrontPoint] = []
     refused: list[tuple[int, UnmetError]] = []
     settled = None
     for units in range(first, max_units + 1):
+        # More units cannot be better: the last point is as good, and as well proven.
         if points and (settled is not None or units > full):
-            points.append(
-                replace(points[-1], units=units)
-            )  # as good, and as well proven
+            points.append(replace(points[-1], units=units))
             continue
-        if units == max_units:
-            of_point = deadline
-        else:
+        of_point = deadline
+        if units < max_units:
             of_point = deadline.of("point of a front")
+        fewer = None
+        starts = []
         if points:
             fewer = points[-1]
-        else:
-            fewer = None
+            starts = [fewer.pose_index]
         at_point = replace(problem, limits=replace(limits, budget_units=units))
         try:
             point = solve_point(
                 at_point,
                 reduced,
                 effort=effort.until(of_point),
-                n_stages=len(FIRST_STAGES if stages == "first" else VALUE_OBJECTIVES),
-                starts=[fewer.pose_index] if fewer else [],
+                n_stages=len(optimised),
+                starts=starts,
             )
         except UnmetError as error:
             refused.append((units, error))
             continue
-        if fewer:
+        if fewer is not None:
             point = no_worse(point, fewer)
         points.append(replace(point, units=units))
         if reaches(point.value, largest) and (
@@ -359,12 +366,12 @@ def pareto_front(
             settled = units
         if on_point is not None:
             on_point(points[-1])
+    # No number of units will do: the reason is that of the last one.
     if not points:
         why = refused[-1][1]
-        if why.where == "budget":
+        option = why.where
+        if option == "budget":
             option = "max_units"
-        else:
-            option = why.where
         raise UnmetError(option, why.got, why.expected)
     if settled is None and full <= max_units and points[-1].is_proven:
         settled = max(points[0].units, full)
@@ -375,7 +382,7 @@ def pareto_front(
         stages=stages,
         settled=_first_like_last(points, settled),
         refused=tuple((units, str(error)) for units, error in refused),
-        presolve=None if reduced is None else reduced.statistics,
+        presolve=statistics,
     )
 
 
@@ -462,7 +469,7 @@ def _is_cheap(problem: PlacementProblem, point: FrontPoint) -> bool:
 
 
 def _is_free(problem: PlacementProblem) -> bool:
-    """True if every part of a layout is one, too: no wish asks for anything to be there."""
+    """True if every part of a layout is one, too: no wish asks for any unit."""
     limits = problem.limits
     return not (problem.floors or limits.is_forced.any() or limits.is_forced_site.any())
 

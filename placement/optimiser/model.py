@@ -87,9 +87,8 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
         warnings.filterwarnings("ignore", "Solution may be inaccurate")
         try:
             data, chain, inverse = problem.get_problem_data("HIGHS")
-            left_s = time_limit_s - (
-                now_s() - begun_s
-            )  # compiling takes longer than stating
+            # Compiling takes longer than stating.
+            left_s = time_limit_s - (now_s() - begun_s)
             if left_s <= 0.0:
                 return nothing
             options = {
@@ -103,10 +102,9 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
             problem.unpack_results(solution, chain, inverse)
         except cp.SolverError:  # nothing is known then, and nothing is lost
             return nothing
-    if problem.status in (
-        cp.INFEASIBLE,
-        cp.settings.INFEASIBLE_OR_UNBOUNDED,
-    ):  # all is bounded
+    # All variables are bounded: what may be unbounded is infeasible.
+    infeasible = (cp.INFEASIBLE, cp.settings.INFEASIBLE_OR_UNBOUNDED)
+    if problem.status in infeasible:
         return Answer(is_found=False, is_finished=True, bound=-np.inf)
     info = problem.solver_stats.extra_stats
     return Answer(
@@ -168,8 +166,11 @@ def limit_constraints(
     """
     import scipy.sparse as sp
 
-    of_poses = np.ones(limits.n_poses), (limits.site_index, np.arange(limits.n_poses))
-    at_site = sp.csr_array(of_poses, shape=(limits.n_sites, limits.n_poses))
+    ones = np.ones(limits.n_poses)
+    poses = np.arange(limits.n_poses)
+    at_site = sp.csr_array(
+        (ones, (limits.site_index, poses)), shape=(limits.n_sites, limits.n_poses)
+    )
     constraints = [at_site @ x <= limits.site_capacity, x.sum() >= 1.0]
     if limits.budget_units is not None:
         constraints.append(x.sum() <= limits.budget_units)
@@ -204,9 +205,11 @@ def window_constraints(
     """
     import scipy.sparse as sp
 
+    detected = sp.csr_array(reduced.detected().T).astype(np.float64)
+    needs_frames = [z <= y[frames] for frames in reduced.window_frames.T]
     return [
-        y <= sp.csr_array(reduced.detected().T).astype(np.float64) @ x,
-        *(z <= y[frames] for frames in reduced.window_frames.T),
+        y <= detected @ x,
+        *needs_frames,
         difference(reduced) @ a <= z[reduced.chains.window],
     ]
 
@@ -281,10 +284,8 @@ def requirement_constraints(
     if requirement.sums_margins:
         row = link_weights(reduced, margin_rows(reduced))
         unit = max(float(row.sum()), TOLERANCE)
-        return [
-            (row / unit) @ a
-            >= requirement.least / unit - constants.HELD_SLACK * TOLERANCE
-        ]
+        least = requirement.least / unit - constants.HELD_SLACK * TOLERANCE
+        return [(row / unit) @ a >= least]
     link = last_links(reduced, min_margin_s=requirement.min_margin_s)
     can = (link >= 0) & (weight > 0.0)
     if requirement.needs_all and weight[can].sum() >= requirement.least - TOLERANCE:
@@ -292,15 +293,11 @@ def requirement_constraints(
         return [a[np.unique(link[can])] == 1.0]
     if requirement.measure.is_mean and can.any():
         unit = float(weight.mean())
-        return [
-            (weight[can] / unit) @ a[link[can]]
-            >= requirement.least / unit - constants.HELD_SLACK
-        ]
-    expression, constraints = _tail_share(a, requirement.measure, link)
-    return [
-        *constraints,
-        expression >= requirement.least - constants.HELD_SLACK * TOLERANCE,
-    ]
+        least = requirement.least / unit - constants.HELD_SLACK
+        return [(weight[can] / unit) @ a[link[can]] >= least]
+    share, constraints = _tail_share(a, requirement.measure, link)
+    least = requirement.least - constants.HELD_SLACK * TOLERANCE
+    return [*constraints, share >= least]
 
 
 def _tail_share(
@@ -321,12 +318,11 @@ def _tail_share(
 
     can = link >= 0
     n_samples = len(measure.sample_weight)
+    # APR of each sample, as weights of a.
+    sample = measure.sample_index[can]
+    share_of_sample = measure.weight[can] / measure.sample_weight[sample]
     by_sample = sp.csr_array(
-        (
-            measure.weight[can] / measure.sample_weight[measure.sample_index[can]],
-            (measure.sample_index[can], link[can]),
-        ),
-        shape=(n_samples, a.size),
+        (share_of_sample, (sample, link[can])), shape=(n_samples, a.size)
     )
     eta = cp.Variable(bounds=[0.0, 1.0])
     d = cp.Variable(n_samples, nonneg=True)
@@ -350,10 +346,10 @@ def cut_constraints(
         return [sp.csr_array(is_counted.astype(np.float64)) @ x >= needed]
     import cvxpy as cp
 
+    # A variable for each site that counts in a cut.
     row, pose = np.nonzero(is_counted)
-    place, index = np.unique(
-        row * limits.n_sites + limits.site_index[pose], return_inverse=True
-    )  # of each cut, the sites that count
+    site_of_cut = row * limits.n_sites + limits.site_index[pose]
+    place, index = np.unique(site_of_cut, return_inverse=True)
     v = cp.Variable(len(place), bounds=[0.0, 1.0])
     at_site = sp.csr_array(
         (np.ones(len(row)), (index, pose)), shape=(len(place), x.size)
@@ -370,13 +366,11 @@ def last_links(reduced: ReducedProblem, *, min_margin_s: float = -np.inf) -> Int
 
     -1 if none does.
     """
-    in_time = (reduced.margin_s > -np.inf) & (
-        reduced.margin_s >= min_margin_s - TOLERANCE
-    )
+    margin_s = reduced.margin_s
+    in_time = (margin_s > -np.inf) & (margin_s >= min_margin_s - TOLERANCE)
     n_links = in_time.sum(axis=1)
-    return np.where(
-        n_links > 0, reduced.chains.start[reduced.run_chain] + n_links - 1, -1
-    )
+    first = reduced.chains.start[reduced.run_chain]
+    return np.where(n_links > 0, first + n_links - 1, -1)
 
 
 def link_weights(reduced: ReducedProblem, rows: Rows) -> FloatArray:
@@ -386,7 +380,8 @@ def link_weights(reduced: ReducedProblem, rows: Rows) -> FloatArray:
     with those of margins the sum of weights times margins.
     """
     weights = np.zeros(len(reduced.chains.window))
-    np.add.at(weights, reduced.chains.start[rows.chain] + rows.last - 1, rows.weight)
+    link = reduced.chains.start[rows.chain] + rows.last - 1
+    np.add.at(weights, link, rows.weight)
     return weights
 
 
@@ -433,9 +428,8 @@ def solve_window_model(
     if objective is Objective.UNITS:
         goal = -x.sum()
     elif objective is Objective.COST:
-        unit = max(
-            float(limits.unit_cost_eur.mean() + limits.site_cost_eur.mean()), TOLERANCE
-        )
+        mean_eur = limits.unit_cost_eur.mean() + limits.site_cost_eur.mean()
+        unit = max(float(mean_eur), TOLERANCE)
         goal = -((limits.unit_cost_eur / unit) @ x + (limits.site_cost_eur / unit) @ o)
         constraints.append(x <= o[limits.site_index])
     if len(reduced.chains.window):
@@ -495,6 +489,7 @@ def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
     for chain in range(reduced.n_chains):
         start = reduced.chains.start[chain]
         windows = reduced.window_frames[reduced.chain(chain)]
+        # The frame that is used longest stabs most windows to come.
         last_use = {frame: link for link, row in enumerate(windows) for frame in row}
         stabbing: set[int] = set()
         is_in = np.zeros(reduced.n_poses, dtype=bool)
@@ -510,17 +505,11 @@ def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
                 is_in[entering] = True
                 poses.append(entering)
                 links.append(np.full(len(entering), start + link))
-    if poses:
-        columns = np.concatenate(poses)
-    else:
-        columns = np.empty(0, dtype=np.int64)
-    if links:
-        rows = np.concatenate(links)
-    else:
-        rows = np.empty(0, dtype=np.int64)
-    return sp.csr_array(
-        (np.ones(len(rows)), (rows, columns)), shape=(n_links, reduced.n_poses)
-    )
+    none = np.empty(0, dtype=np.int64)
+    columns = np.concatenate([none, *poses])
+    rows = np.concatenate([none, *links])
+    ones = np.ones(len(rows))
+    return sp.csr_array((ones, (rows, columns)), shape=(n_links, reduced.n_poses))
 
 
 # ---------- cuts: failures, which no row of the model speaks of
@@ -550,11 +539,12 @@ def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
     # What all poses see, the VUT may see when all of them have failed.
     has_base = bool(reduced.base.any())
     n_units = requirement.n_failures + 1
-    return [
-        Cut(is_counted=c, n_units=n_units)
-        for c in counted
-        if not (has_base and c.all())
-    ]
+    cuts = []
+    for is_counted in counted:
+        if has_base and is_counted.all():
+            continue
+        cuts.append(Cut(is_counted=is_counted, n_units=n_units))
+    return cuts
 
 
 def violated_cuts(
@@ -564,18 +554,18 @@ def violated_cuts(
     cuts = []
     fails = _fails(reduced, requirement)
     n_units = requirement.n_failures + 1
-    is_unit = reduced.limits.failing == "unit"
-    if is_unit:
+    # What fails at once: each unit, or those at a site.
+    if reduced.limits.failing == "unit":
         at = np.arange(len(units))
     else:
         at = reduced.limits.site_index[units]
     groups = np.unique(at)
-    for left in combinations(
-        groups.tolist(), max(len(groups) - requirement.n_failures, 0)
-    ):
+    n_left = max(len(groups) - requirement.n_failures, 0)
+    for left in combinations(groups.tolist(), n_left):
         union = unions_of(reduced, units[np.isin(at, left)][None, :])[0]
         if not fails(union[None, :])[0]:
             continue
+        # Where no run may be lost, a cut for each lost run says more than one for all.
         each = [fails]
         if requirement.needs_all:
             runs = _lost_runs(reduced, union, requirement)
@@ -599,7 +589,7 @@ def _lost_runs(
 def _fails(
     reduced: ReducedProblem, requirement: Requirement, run: int | None = None
 ) -> Fails:
-    """A test of unions: do they fail a requirement, or to avoid a run as it asks?"""
+    """A test of unions that fail a requirement, or do not avoid a run as it asks."""
 
     def fails(unions: WordArray) -> BoolArray:
         margin_s = union_margins_s(reduced, unions)

@@ -156,7 +156,8 @@ class PairWalk:
             limits.site_index, self.usable, avoided, self.rows.weight
         )
         self.member, start, words = group_by_class(reduced, self.class_of)
-        self.start, self.size = start[:-1], np.diff(start)
+        self.start = start[:-1]
+        self.size = np.diff(start)
         columns = transposed(words, reduced.n_frames, workers=reduced.workers)
         self.classes = _Units(words=words, columns=columns)
         self.poses = _Units(words=reduced.words, columns=reduced.columns)
@@ -170,7 +171,7 @@ class PairWalk:
         return walk
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
-        """Ask for more from here on; nothing is asked of what is `left` when units fail."""
+        """Ask for more from here on; `left`, what failures leave, does not count."""
         self.need = max(self.need, need)
 
     @property
@@ -185,8 +186,11 @@ class PairWalk:
         order of the sets is left to chance.
         """
         is_pair = self.n_units == 2
-        look = self._beside_pose if is_pair else self._beside_class
-        left = iter(self.member.tolist() if is_pair else range(len(self.size)))
+        look = self._beside_class
+        left = iter(range(len(self.size)))
+        if is_pair:
+            look = self._beside_pose
+            left = iter(self.member.tolist())
 
         def next_task() -> Callable[[], IntArray] | None:
             one = next(left, None)
@@ -215,6 +219,8 @@ class PairWalk:
         union = self.classes.words[one]
         is_open = ~is_covered_by(self.reduced, union, self.rows)
         rows = self.rows.of(is_open)
+        # All pairs of classes from this one on for which the sites have room, and which
+        # have enough poses.
         behind = np.arange(one, len(self.size))
         place = np.column_stack(np.triu_indices(len(behind)))
         pairs = behind[place]
@@ -226,28 +232,28 @@ class PairWalk:
         fits &= (sites[:, 0] != sites[:, 1]) | (capacity[sites[:, 0]] >= 2)
         fits &= (pairs[:, 0] != pairs[:, 1]) | (self.size[pairs[:, 0]] >= 2)
         pairs = pairs[fits]
-        for n_rows in (
-            constants.HARD_ROWS,
-            len(rows.chain),
-        ):  # hard runs say most, and are few
-            pairs = self._losing_little(
-                self.classes, union, rows.of(slice(n_rows)), pairs
-            )
+        # Pairs of classes, at the hardest runs, which say most, then at all.
+        for n_rows in (constants.HARD_ROWS, len(rows.chain)):
+            some = rows.of(slice(n_rows))
+            pairs = self._losing_little(self.classes, union, some, pairs)
+        # Pairs of their poses next to the class.
         hard = rows.of(slice(constants.HARD_ROWS))
         pairs = self._losing_little(self.poses, union, hard, self._members_of(pairs))
-        members = self.member[self.start[one] : self.start[one] + self.size[one]]
+        # Sets: each pose of the class with what pairs are left next to it.
+        first = self.start[one]
+        members = self.member[first : first + self.size[one]]
         found = [np.empty((0, 3), dtype=np.int64)]
         for member in members:
             left = pairs
-            if (
-                len(left) > constants.FEW_PAIRS
-            ):  # the class is too wide: its poses see much less
+            # The class is too wide then: its poses see much less.
+            if len(left) > constants.FEW_PAIRS:
                 left = self._beside_member(int(member), left)
             sets = np.column_stack([np.full(len(left), member), left])
             # Two or three of the class itself: once, in ascending order.
             is_later = (self.class_of[sets[:, 1:]] != one) | (sets[:, 1:] > sets[:, :1])
             sets = sets[is_later.all(axis=1)]
-            found.append(self._keep(sets[may_grow(self.reduced.limits, sets)]))
+            sets = sets[may_grow(self.reduced.limits, sets)]
+            found.append(self._keep(sets))
         return np.concatenate(found)
 
     def _beside_member(self, member: int, pairs: IntArray) -> IntArray:
@@ -271,6 +277,7 @@ class PairWalk:
         """
         sizes = self.size[pairs]
         count = sizes.prod(axis=1)
+        # Of each pair of classes, so many pairs of poses: `number` counts them.
         row = np.repeat(np.arange(len(pairs)), count)
         number = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
         one, other = np.divmod(number, np.maximum(sizes[row, 1], 1))
@@ -289,8 +296,11 @@ class PairWalk:
             return pairs
         alone, part = _coverers(self.reduced, units, union, rows)
         may = coverers_of(self.reduced, rows, union, self.seen, columns=units.columns)
-        n = len(units.words)
-        alone, may, part = (transposed(one, n, workers=1) for one in (alone, may, part))
+        # Bits along the rows, a row for each unit.
+        n_units = len(units.words)
+        alone = transposed(alone, n_units, workers=1)
+        may = transposed(may, n_units, workers=1)
+        part = transposed(part, n_units, workers=1)
         table, _, _ = byte_table(rows.weight, alone)
         lost = np.empty(len(pairs))
         lost_by_pairs(alone, may, part, table, self.may_lose, pairs, lost)
@@ -319,9 +329,8 @@ def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
     alone = _coverers(reduced, units, union, rows)[0]
     share = unpack_words(alone, reduced.n_poses).mean(axis=1)
     # Two more poses are likely to lose what many poses lose.
-    order = np.argsort(
-        -rows.weight * (1.0 - share) ** constants.TOGETHER, kind="stable"
-    )
+    loss = -rows.weight * (1.0 - share) ** constants.TOGETHER
+    order = np.argsort(loss, kind="stable")
     return rows.of(order), alone[order]
 
 
@@ -335,7 +344,7 @@ def _coverers(
     from .bit_kernels import avoid_beside
 
     is_seen = unpack_words(union, reduced.n_frames)
-    shape = len(rows.chain), units.columns.shape[1]
+    shape = (len(rows.chain), units.columns.shape[1])
     alone = np.empty(shape, dtype=np.uint64)
     part = np.empty(shape, dtype=np.uint64)
     avoid_beside(
@@ -374,20 +383,23 @@ def _classes(
     bits = unpack_words(avoided, len(site_index)).T
     for site in np.unique(site_index[usable]):
         here = np.flatnonzero(usable & (site_index == site))
-        for alike in np.array_split(here, -(-len(here) // constants.MAX_LIKE_POSES)):
+        n_parts = -(-len(here) // constants.MAX_LIKE_POSES)
+        for alike in np.array_split(here, n_parts):
             of_poses = bits[alike] * np.sqrt(weight)
             number: IntArray = np.zeros(len(alike), dtype=np.int64)
             if len(alike) > constants.CLASS_POSES:
+                # Distances between all two poses: |a - b|^2 = |a|^2 + |b|^2 - 2 a b.
                 size = (of_poses**2).sum(axis=1)
                 apart = size[:, None] + size - 2.0 * of_poses @ of_poses.T
-                apart = np.sqrt(np.maximum(apart, 0.0))[np.triu_indices(len(alike), 1)]
+                upper = np.triu_indices(len(alike), 1)
+                apart = np.sqrt(np.maximum(apart, 0.0))[upper]
                 tree = linkage(apart, "ward")
-                of_tree = fcluster(
-                    tree, -(-len(alike) // constants.CLASS_POSES), "maxclust"
-                )
+                n_most = -(-len(alike) // constants.CLASS_POSES)
+                of_tree = fcluster(tree, n_most, "maxclust")
                 number = np.unique(of_tree, return_inverse=True)[1]
             class_of[alike] = n_classes + number
             n_classes += int(number.max()) + 1
+    # Number classes by their best pose.
     value = bits @ weight
     most = np.zeros(n_classes)
     np.maximum.at(most, class_of[usable], value[usable])

@@ -199,9 +199,10 @@ class ReducedProblem:
         return self.chains.window[start[chain_index] : start[chain_index + 1]]
 
     def tails(self, chain_index: int) -> tuple[IntArray, IntArray]:
-        """Frames of a chain's tails, and how many of its first windows each keeps alive."""
+        """Frames of a chain's tails, and how many first windows each keeps alive."""
         chains = self.chains
-        mine = slice(chains.tail_start[chain_index], chains.tail_start[chain_index + 1])
+        begin = chains.tail_start[chain_index]
+        mine = slice(begin, chains.tail_start[chain_index + 1])
         return chains.tail_frame[mine], chains.tail_links[mine]
 
     def detected(self) -> BoolArray:
@@ -302,7 +303,7 @@ def presolve(
 
 
 def _is_usable(limits: Limits) -> BoolArray:
-    """Poses that some layout may have, as far as each is looked at alone, (n_poses,)."""
+    """Poses that some layout may have, each looked at alone, (n_poses,)."""
     usable: BoolArray = limits.site_capacity[limits.site_index] > 0
     usable = usable & ~limits.is_forbidden
     if limits.budget_eur is not None:
@@ -351,8 +352,11 @@ def find_dominated_poses(reduced: ReducedProblem, is_left: BoolArray) -> BoolArr
     if not reduced.measure.tells_runs_apart or limits.max_units < 1:
         return dominated
     left = np.flatnonzero(is_left)
+    words = reduced.words
+    if not is_left.all():
+        words = words[left]
     dominated[left] = is_dominated(
-        reduced.words if is_left.all() else reduced.words[left],
+        words,
         limits.of_poses(left),
         max_units=limits.max_units,
         workers=reduced.workers,
@@ -428,18 +432,28 @@ def is_dominated(
     price = limits.unit_cost_eur[order]
     is_bound_site = limits.is_forced_site.copy()
     is_bound_site[limits.rivals.ravel()] = True
-    if (
-        limits.failing == "site"
-    ):  # a pose would fail together with what else stands there
+    # Elsewhere, a pose would fail together with what else stands there.
+    if limits.failing == "site":
         is_bound_site |= limits.site_capacity > 1
     elsewhere = price + limits.site_cost_eur[sites]
     elsewhere[is_bound_site[sites]] = np.inf
-    poses = words[order], sites, price, elsewhere, ~is_bound_site[sites]
-    dominated, result = np.zeros((2, len(words)), dtype=bool)
+    in_order = words[order]
+    may_move = ~is_bound_site[sites]
+    dominated = np.zeros(len(words), dtype=bool)
+    result = np.zeros(len(words), dtype=bool)
 
     def look(begin: int) -> None:
         find_dominated(
-            *poses, limits.site_capacity, max_units, begin, workers, dominated
+            in_order,
+            sites,
+            price,
+            elsewhere,
+            may_move,
+            limits.site_capacity,
+            max_units,
+            begin,
+            workers,
+            dominated,
         )
 
     with ThreadPoolExecutor(workers) as threads:
@@ -501,9 +515,8 @@ class _Windows:
         self.n_bits = n_bits
         _transpose(packed, np.arange(n_bits), used, self.columns, workers)
         # Those between frames that are used are used.
-        begin, end = (
-            np.searchsorted(used, at, side="right") for at in (self.tail_end, last)
-        )
+        begin = np.searchsorted(used, self.tail_end, side="right")
+        end = np.searchsorted(used, last, side="right")
 
         def join(one: int, other: int) -> None:
             part = slice(one, other)
@@ -514,10 +527,10 @@ class _Windows:
         if problem.fusion == "single":
             self._let_each_confirm_alone()
         self.is_base = np.zeros(len(self.columns), dtype=bool)
-        if seen_by_vut is not None:  # what the VUT sees, it sees next to every pose
-            self.is_base = _have_bits(
-                self.columns, self._mask(np.empty(0, dtype=np.int64))
-            )
+        # What the VUT sees, it sees next to every pose.
+        if seen_by_vut is not None:
+            of_vut = self._mask(np.empty(0, dtype=np.int64))
+            self.is_base = _have_bits(self.columns, of_vut)
             self.columns[self.is_base] = pack_words(np.ones(n_bits, dtype=bool))
 
     def _mask(self, poses: IntArray) -> WordArray:
@@ -528,26 +541,28 @@ class _Windows:
         return pack_words(is_in)
 
     def _let_each_confirm_alone(self) -> None:
-        """Make a window the statement that a pose alone has a live one up to its end."""
+        """Let each window state that a pose alone has a live one up to its end."""
         tail_columns = self.columns[self.n_used :]
         self.columns = np.bitwise_and.reduce(self.columns[self.frames], axis=1)
-        self.frames, self.n_used = np.arange(len(self.end))[:, None], len(self.end)
+        self.frames = np.arange(len(self.end))[:, None]
+        self.n_used = len(self.end)
         for run in np.unique(self.run):
-            windows = self.columns[slice(*np.searchsorted(self.run, [run, run + 1]))]
-            tails = tail_columns[slice(*np.searchsorted(self.tail_run, [run, run + 1]))]
+            begin, end = np.searchsorted(self.run, [run, run + 1])
+            windows = self.columns[begin:end]
+            begin, end = np.searchsorted(self.tail_run, [run, run + 1])
+            tails = tail_columns[begin:end]
             # The first windows of a run have tails, one behind the last frame of each.
-            windows[: len(tails)] &= np.bitwise_and.accumulate(tails[::-1], axis=0)[
-                ::-1
-            ]
+            from_here_on = np.bitwise_and.accumulate(tails[::-1], axis=0)[::-1]
+            windows[: len(tails)] &= from_here_on
             np.bitwise_or.accumulate(windows, axis=0, out=windows)
-        self.tail_end, self.tail_run = self.tail_end[:0], self.tail_run[:0]
+        self.tail_end = self.tail_end[:0]
+        self.tail_run = self.tail_run[:0]
 
     def sees_any(self) -> BoolArray:
         """Which poses see anything that matters, (n_poses,)."""
+        columns = self.columns
         if self.is_base.any():
-            columns = self.columns[~self.is_base]
-        else:
-            columns = self.columns
+            columns = columns[~self.is_base]
         words = np.bitwise_or.reduce(columns, axis=0)
         return unpack_words(words, self.problem.table.n_poses)
 
@@ -555,7 +570,9 @@ class _Windows:
         """The problem on some poses, all of them kept."""
         from .bit_kernels import thin_out
 
-        problem, axis = self.problem, self.problem.table.axis
+        problem = self.problem
+        axis = problem.table.axis
+        # Frames and tails that the same poses see are one.
         mask = self._mask(poses)
         if Rule.EQUAL_FRAMES in self.rules:
             first, frame = distinct_rows(self.columns, mask)
@@ -565,6 +582,7 @@ class _Windows:
         tail_frame = frame[self.n_used :]
         is_seen = _have_bits(self.columns, mask)[first]
 
+        # Windows that may be live, and tails that say something about them.
         last_lost = np.full(axis.n_runs, -1)
         alive = np.ones(len(self.end), dtype=bool)
         if Rule.UNSEEN_WINDOWS in self.rules:
@@ -584,9 +602,8 @@ class _Windows:
         begin = np.searchsorted(of_run, np.arange(len(run_index) + 1))
         sets = _as_sets(frames[windows])
         # Frames grow from run to run: so do the ends of windows.
-        n_links = (
-            np.searchsorted(end, self.tail_end[tails], side="right") - begin[of_tail]
-        )
+        n_before = np.searchsorted(end, self.tail_end[tails], side="right")
+        n_links = n_before - begin[of_tail]
         is_kept = np.ones(len(sets), dtype=bool)
         if Rule.DOMINATED_WINDOWS in self.rules:
             tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
@@ -599,27 +616,31 @@ class _Windows:
         n_links = n_links[order]
         of_tail = of_tail[order]
 
+        # Windows of the same frames are one; frames that nothing needs are left out.
         first_set, window = distinct_rows(sets.astype(np.uint64))
         is_needed = np.zeros(len(first), dtype=bool)
-        is_needed[sets] = is_needed[tail_frame] = True
+        is_needed[sets] = True
+        is_needed[tail_frame] = True
         kept = np.flatnonzero(is_needed)
         words = np.empty((len(poses), -(-len(kept) // 64)), dtype=np.uint64)
         _transpose(self.columns, first[kept], poses, words, self.workers)
+        # Windows and tails, run by run, as chains.
         begin = np.searchsorted(of_run, np.arange(len(run_index) + 1))
         tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
         tail_frame = np.searchsorted(kept, tail_frame)
-        chains, run_chain = _share_chains(
-            np.searchsorted(kept, sets[first_set]),
-            [window[slice(*place)] for place in pairwise(begin)],
-            [(tail_frame[slice(*p)], n_links[slice(*p)]) for p in pairwise(tail_begin)],
-        )
-        margin_s = np.full((len(run_index), np.diff(begin).max(initial=0) + 1), -np.inf)
-        margin_s[of_run, np.arange(len(windows)) - begin[of_run]] = self.margin_s[
-            windows
+        windows_of_runs = [window[one:end] for one, end in pairwise(begin)]
+        tails_of_runs = [
+            (tail_frame[one:end], n_links[one:end]) for one, end in pairwise(tail_begin)
         ]
-        n_whole = (
-            np.diff(axis.run_start) + 1 - problem.rule.n_confirmations
-        )  # in time or not
+        chains, run_chain = _share_chains(
+            np.searchsorted(kept, sets[first_set]), windows_of_runs, tails_of_runs
+        )
+        longest = np.diff(begin).max(initial=0)
+        margin_s = np.full((len(run_index), longest + 1), -np.inf)
+        place = np.arange(len(windows)) - begin[of_run]
+        margin_s[of_run, place] = self.margin_s[windows]
+        # Windows before presolve, in time or not.
+        n_whole = np.diff(axis.run_start) + 1 - problem.rule.n_confirmations
         return ReducedProblem(
             pose_index=poses,
             limits=problem.limits.of_poses(poses),

@@ -1,4 +1,4 @@
-"""The placement problem on a detection table, and what a set of poses is worth in it."""
+"""The placement problem on a detection table, and what a set of poses is worth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -121,10 +121,8 @@ def objectives_in_order(goal: Goal, *, survive: int) -> tuple[Objective, ...]:
     first: tuple[Objective, ...] = goals[goal]
     if survive:
         first = (*first, Objective.APR_SURVIVED)
-    return (
-        *first,
-        *(objective for objective in VALUE_OBJECTIVES if objective not in first),
-    )
+    usual = [objective for objective in VALUE_OBJECTIVES if objective not in first]
+    return (*first, *usual)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -186,9 +184,8 @@ class Measure:
         if self.is_mean:
             return np.asarray(by_sample.sum(axis=-1))
         ratio = by_sample / self.sample_weight
-        order = np.argsort(
-            ratio, axis=-1, kind="stable"
-        )  # the worst first, up to the tail
+        # The worst first, up to the tail.
+        order = np.argsort(ratio, axis=-1, kind="stable")
         ends = np.minimum(np.cumsum(self.sample_weight[order], axis=-1), self.tail)
         worst_first = np.take_along_axis(ratio, order, axis=-1)
         counted = np.diff(ends, axis=-1, prepend=0.0) * worst_first
@@ -403,7 +400,7 @@ class PlacementProblem:
         return objectives_in_order(self.goal, survive=self.survive)
 
     def detected(self, pose_index: Sequence[int]) -> BoolArray:
-        """V[c, f] of some poses, (n, n_frames), and in the last row of a VUT that sees."""
+        """V[c, f] of some poses, (n, n_frames), the last row that of a seeing VUT."""
         detected = self.table.detected(list(pose_index))
         if self.seen_by_vut is None:
             return detected
@@ -501,14 +498,13 @@ def _left_after_failures(
         else:
             key = int(site_of[pose])
         at_once.setdefault(key, []).append(pose)
-    return min(
-        float(
-            measure.of(
-                run_margins_s(problem, list(chain.from_iterable(left))) > -np.inf
-            )
-        )
-        for left in combinations(at_once.values(), max(len(at_once) - n_failures, 0))
-    )
+    n_left = max(len(at_once) - n_failures, 0)
+    smallest = np.inf
+    for groups in combinations(at_once.values(), n_left):
+        left = list(chain.from_iterable(groups))
+        is_avoided = run_margins_s(problem, left) > -np.inf
+        smallest = min(smallest, float(measure.of(is_avoided)))
+    return smallest
 
 
 def placement_value(
@@ -551,9 +547,9 @@ def is_better(value: PlacementValue, other: PlacementValue) -> bool:
     >>> is_better(value, PlacementValue(1.0, 0.5, 0.1, 0.9, 0.0))
     True
     """
-    return improves(
-        *({one: each.of(one) for one in VALUE_OBJECTIVES} for each in (value, other))
-    )
+    values = {objective: value.of(objective) for objective in VALUE_OBJECTIVES}
+    others = {objective: other.of(objective) for objective in VALUE_OBJECTIVES}
+    return improves(values, others)
 
 
 def improves(
@@ -714,12 +710,9 @@ def tails_behind(
         until_s = axis.last_brake_time_s[of_run] - rule.latency_s
         ends_too_early = until_s - time_s > memory_s
         behind.append(ends[ends_too_early])
-        last.append(
-            ends[
-                np.searchsorted(time_s, time_s[ends_too_early] + memory_s, side="right")
-                - 1
-            ]
-        )
+        lost_s = time_s[ends_too_early] + memory_s
+        n_before = np.searchsorted(time_s, lost_s, side="right")
+        last.append(ends[n_before - 1])
     return np.concatenate(behind), np.concatenate(last)
 
 
