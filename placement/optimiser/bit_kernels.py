@@ -81,6 +81,7 @@ def transpose_chosen(
     n_rows = len(chosen)
     n_bytes = rows.shape[1]
     n_words = columns.shape[1]
+    # Words of the result, some at a time; for each, the rows' bytes, eight at a time.
     for begin in range(0, n_words, _N_TOGETHER):
         n_together = min(_N_TOGETHER, n_words - begin)
         for first in range(0, n_bytes, 8):
@@ -255,6 +256,7 @@ def thin_out(
                 sets[begin + n_links[tail] - 1], tail_frame[tail]
             ):
                 n_links[tail] -= 1
+        # Windows of the run, each against those before it.
         for window in range(begin, end):
             # Windows before this one need a tail that this one neither needs nor
             # ensures.
@@ -273,6 +275,7 @@ def thin_out(
                 if is_part:
                     is_kept[window] = False
                     break
+        # How many of the kept windows need each tail.
         for tail in range(tail_start[run], tail_start[run + 1]):
             n_kept = 0
             for window in range(begin, begin + n_links[tail]):
@@ -329,10 +332,12 @@ def look_through(
         chain = order[rank]
         place = start[chain]
         end = start[chain + 1]
+        # The first tail that is not seen ends most windows: it is not live before.
         for tail in range(tail_start[chain], tail_start[chain + 1]):
             if not has_bit(union, tail_frame[tail]):
                 place += tail_links[tail]
                 break
+        # The first window whose frames are all seen.
         while place < end:
             is_seen = True
             for frame in window_frames[window[place]]:
@@ -402,10 +407,9 @@ def first_live_with_each(
         most = max(most, tail_start[chain + 1] - tail_start[chain])
     held = np.empty((most + 1, n_words), dtype=np.uint64)
     held[0] = every
-    left = np.empty(
-        n_words, dtype=np.uint64
-    )  # poses with which no window has been live so far
-    live = np.empty(n_words, dtype=np.uint64)  # those with which a window is
+    # Poses with which no window has been live so far, and with which one is.
+    left = np.empty(n_words, dtype=np.uint64)
+    live = np.empty(n_words, dtype=np.uint64)
     for chain in range(begin, end):
         tail = tail_start[chain]
         n_tails = tail_start[chain + 1] - tail_start[chain]
@@ -420,6 +424,7 @@ def first_live_with_each(
         left[:] = every
         if n_poses & 63:
             left[n_words - 1] = (np.uint64(1) << np.uint64(n_poses & 63)) - np.uint64(1)
+        # Windows of the chain: poses with which this is the first live one.
         for link in range(n_links):
             while n_tails > 0 and tail_links[tail + n_tails - 1] <= link:
                 n_tails -= 1

@@ -53,10 +53,10 @@ class SetValues:
     def best_row(self) -> int:
         """First set that no other one exceeds."""
         rows = np.arange(len(self.gains))
-        for column, tolerance in zip(
-            self.gains.T, _tolerances(self.objectives), strict=True
-        ):
-            rows = rows[column[rows] >= column[rows].max() - tolerance]
+        tolerances = _tolerances(self.objectives)
+        for column, tolerance in zip(self.gains.T, tolerances, strict=True):
+            gain = column[rows]
+            rows = rows[gain >= gain.max() - tolerance]
         return int(rows[0])
 
     def exceeds(self, other: "SetValues") -> bool:
@@ -88,7 +88,8 @@ class BestSet:
             return
         row = values.best_row()
         if self.values is None or values[row].exceeds(self.values):
-            self.units, self.values = sets[row], values[row]
+            self.units = sets[row]
+            self.values = values[row]
 
 
 class Contenders:
@@ -109,6 +110,7 @@ class Contenders:
     def add(self, sets: IntArray, values: SetValues) -> None:
         """Compare further sets, (n_sets, n_units)."""
         gains = values.gains
+        # By what is lacking, then in the first stage: only sets near the best stay.
         for column in range(2):
             if not len(gains):
                 return
@@ -144,13 +146,14 @@ class Contenders:
         limits = {}
         for column, tolerance in enumerate(_tolerances(self.objectives)):
             of_values = float(values.gains[column])
-            most = max(float(gains[:, column].max(initial=-np.inf)), of_values)
+            of_sets = float(gains[:, column].max(initial=-np.inf))
+            most = max(of_sets, of_values)
             if column > 0:
                 objective = self.objectives[column - 1]
+                limits[objective] = most
                 if objective.is_minimised:
                     limits[objective] = -most
-                else:
-                    limits[objective] = most
+            # Sets that tie in this stage, too, go on to the next one.
             gains = gains[gains[:, column] >= of_values - tolerance]
         return limits
 
@@ -180,15 +183,13 @@ def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
     first = np.empty((len(unions), reduced.n_chains), dtype=np.int64)
 
     def look(begin: int, end: int) -> None:
-        first_live_windows(
-            np.ascontiguousarray(unions[begin:end]), reduced.chains, first[begin:end]
-        )
+        some = np.ascontiguousarray(unions[begin:end])
+        first_live_windows(some, reduced.chains, first[begin:end])
 
     share_out(look, len(unions), workers=reduced.workers)
-    margin: FloatArray = reduced.margin_s[
-        np.arange(len(reduced.weight)), first[:, reduced.run_chain]
-    ]
-    return margin
+    run = np.arange(len(reduced.weight))
+    margin_s: FloatArray = reduced.margin_s[run, first[:, reduced.run_chain]]
+    return margin_s
 
 
 def union_apr(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
@@ -233,16 +234,17 @@ def left_after_failures(
     """
     limits = reduced.limits
     n_units = sets.shape[1]
+    at = None
     if limits.failing == "site":
         at = limits.site_index[sets]
-    else:
-        at = None
     smallest = np.full(len(sets), np.inf)
     for failed in combinations(range(n_units), min(n_failures, n_units)):
         if at is None:
             unions = unions_of(reduced, np.delete(sets, failed, axis=1))
         else:
-            works = ~(at[:, :, None] == at[:, None, list(failed)]).any(axis=2)
+            # Units work unless they stand at the site of one that fails.
+            of_failed = at[:, None, list(failed)]
+            works = ~(at[:, :, None] == of_failed).any(axis=2)
             unions = np.tile(reduced.base, (len(sets), 1))
             for number, units in enumerate(sets.T):
                 unions |= np.where(works[:, number, None], reduced.words[units], 0)
@@ -286,7 +288,8 @@ def costs_with_each_eur(reduced: ReducedProblem, units: IntArray) -> FloatArray:
     limits = reduced.limits
     is_new = ~np.isin(limits.site_index, limits.site_index[units])
     cost = cost_eur(limits, units) + limits.unit_cost_eur
-    return cost + np.where(is_new, limits.site_cost_eur[limits.site_index], 0.0)
+    of_site = limits.site_cost_eur[limits.site_index]
+    return cost + np.where(is_new, of_site, 0.0)
 
 
 def _values(
@@ -372,14 +375,12 @@ def shares_with_each(
     alone = union_margins_s(reduced, union)[0] > -np.inf
     is_seen = unpack_words(union[0], reduced.n_frames)
     last = reduced.last
+    # A mean over all worlds is a sum over runs: one world will do.
+    world = measure.sample_index
+    n_worlds = len(measure.sample_weight)
     if measure.is_mean:
-        world = np.zeros_like(measure.sample_index)
-    else:
-        world = measure.sample_index
-    if measure.is_mean:
+        world = np.zeros_like(world)
         n_worlds = 1
-    else:
-        n_worlds = len(measure.sample_weight)
     total = np.zeros((reduced.n_poses, n_worlds))
     fixed = (
         reduced.columns,
@@ -400,9 +401,9 @@ def shares_with_each(
             parts[begin] = np.zeros(reduced.n_poses)
             add_weights_with_each(*fixed, runs[begin:end], parts[begin])
 
-        share_out(
-            partial(add, runs=runs, parts=parts), len(runs), workers=reduced.workers
-        )
+        add_part = partial(add, runs=runs, parts=parts)
+        share_out(add_part, len(runs), workers=reduced.workers)
+        # Parts in their order: sums are the same in each run of the program.
         total[:, number] = measure.weight[is_mine & alone].sum()
         for begin in sorted(parts):
             total[:, number] += parts[begin]
@@ -432,14 +433,16 @@ def left_with_each(
     for failed in combinations(groups, n_failures):
         rest = units[~np.isin(at, failed)]
         left = shares_with_each(reduced, rest, measure)
-        if (
-            limits.failing == "site"
-        ):  # those that join a site that fails are lost with it
-            left = np.where(np.isin(limits.site_index, failed), alone(rest), left)
+        # A pose that joins a site that fails is lost with it.
+        if limits.failing == "site":
+            joins_failed = np.isin(limits.site_index, failed)
+            left = np.where(joins_failed, alone(rest), left)
         smallest = np.minimum(smallest, left)
-    if n_failures:  # the pose that has joined may be among those that fail
+    # The pose that has joined may be among those that fail.
+    if n_failures:
         for failed in combinations(groups, n_failures - 1):
-            smallest = np.minimum(smallest, alone(units[~np.isin(at, failed)]))
+            rest = units[~np.isin(at, failed)]
+            smallest = np.minimum(smallest, alone(rest))
     return smallest
 
 
@@ -459,8 +462,10 @@ def best_with_each(
     if len(poses) > FEW_PARTNERS:
         row = values_with_each(reduced, units)[poses].best_row()
         return np.append(units, poses[row])
-    sets = np.column_stack([np.tile(units, (len(poses), 1)), poses])
-    return np.asarray(sets[set_values(reduced, sets).best_row()])
+    before = np.tile(units, (len(poses), 1))
+    sets = np.column_stack([before, poses])
+    row = set_values(reduced, sets).best_row()
+    return np.asarray(sets[row])
 
 
 def _quick_stages(
@@ -490,10 +495,10 @@ def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
     """Margins of all runs for a set together with each pose, (n_poses, n_runs)."""
     from .bit_kernels import first_live_with_each
 
-    is_seen = unpack_words(unions_of(reduced, units[None, :])[0], reduced.n_frames)
-    first = np.empty(
-        (reduced.n_chains, reduced.n_poses), dtype=np.int32
-    )  # it may be large
+    union = unions_of(reduced, units[None, :])[0]
+    is_seen = unpack_words(union, reduced.n_frames)
+    # Short integers: this array may be large.
+    first = np.empty((reduced.n_chains, reduced.n_poses), dtype=np.int32)
     margin = np.empty((reduced.n_poses, len(reduced.weight)))
 
     def look(begin: int, end: int) -> None:
@@ -503,7 +508,8 @@ def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
 
     def look_up(begin: int, end: int) -> None:
         for run in range(begin, end):
-            margin[:, run] = reduced.margin_s[run][first[reduced.run_chain[run]]]
+            link = first[reduced.run_chain[run]]
+            margin[:, run] = reduced.margin_s[run][link]
 
     share_out(look, reduced.n_chains, workers=reduced.workers)
     share_out(look_up, len(reduced.weight), workers=reduced.workers)

@@ -64,9 +64,9 @@ def price_levels_eur(limits: Limits) -> FloatArray | None:
     largest = max(int(limits.site_capacity.max(initial=1)), 1)
     levels: set[int] = set()
     for n_units in range(1, most + 1):
-        for n_sites in range(
-            -(-n_units // largest), min(n_units, len(by_sites) - 1) + 1
-        ):
+        fewest = -(-n_units // largest)
+        n_most = min(n_units, len(by_sites) - 1)
+        for n_sites in range(fewest, n_most + 1):
             levels.update(a + b for a in by_units[n_units] for b in by_sites[n_sites])
             if len(levels) > _MAX_LEVELS:
                 return None
@@ -89,8 +89,12 @@ def next_level_eur(
     """
     if levels_eur is None or not np.isfinite(amount_eur):
         return amount_eur
-    from_eur = amount_eur + (COST_TOLERANCE_EUR if is_more else -COST_TOLERANCE_EUR)
-    place = np.searchsorted(levels_eur, from_eur, side="right" if is_more else "left")
+    if is_more:
+        from_eur = amount_eur + COST_TOLERANCE_EUR
+        place = np.searchsorted(levels_eur, from_eur, side="right")
+    else:
+        from_eur = amount_eur - COST_TOLERANCE_EUR
+        place = np.searchsorted(levels_eur, from_eur, side="left")
     if place < len(levels_eur):
         return float(levels_eur[place])
     return np.inf
@@ -168,13 +172,15 @@ def cost_front(
     weight = reduced.weight[reduced.weight > 0.0]
     if not len(weight):
         refuse("candidates", "poses that avoid nothing", "one that does")
+    if step_apr is None:
+        step_apr = float(weight.min())
     climb = _Climb(
         problem=problem,
         reduced=reduced,
         stages=stages,
         effort=effort,
         deadline=deadline_in(effort.time_limit_s),
-        step=float(weight.min()) if step_apr is None else step_apr,
+        step=step_apr,
         largest=largest_values(reduced, "first") or {},
         levels_eur=price_levels_eur(problem.limits),
     )
@@ -185,6 +191,7 @@ def cost_front(
         last = points[-1]
         if on_point is not None:
             on_point(last)
+        # The cheapest layout with a higher APR stays the same until one is reached.
         if higher is _UNKNOWN:
             higher = climb.higher(last)
         safer = climb.safer(last)
@@ -203,12 +210,14 @@ def cost_front(
             higher = _UNKNOWN
         points = _with_point(points, point)
     largest = largest_values(reduced, stages)
-    is_final = stages == "first" or reaches(points[-1].value, largest)
+    # Margins and cost may still grow, where they were optimised.
+    if stages == "all" and not reaches(points[-1].value, largest):
+        settled = None
     return Front(
         by="cost",
         points=tuple(points),
         stages=stages,
-        settled=settled if is_final else None,
+        settled=settled,
         refused=(),
         presolve=reduced.statistics,
     )
@@ -306,23 +315,22 @@ class _Climb:
         effort = self._effort()
         end = deadline_in(effort.time_limit_s)
         search = Search(reduced, deadline=end, is_exact=effort.is_exact)
-        search.start(
-            [] if last is None else [units_of(reduced, np.array(last.pose_index))]
-        )
+        starts = []
+        if last is not None:
+            starts = [units_of(reduced, np.array(last.pose_index))]
+        search.start(starts)
         known_eur = self._known_eur(last)
         if last is None:
             check_floors(problem, search)
         elif search.units is None or search.shortfall > 0.0:
+            least_eur = known_eur
             if search.nothing_meets_all:
                 least_eur = np.inf
-            else:
-                least_eur = known_eur
             return replace(_UNKNOWN, least_eur=least_eur)
         if search.value.cost_eur > known_eur + COST_TOLERANCE_EUR:
             bound = Stages(problem, search, effort).bound_first_cost_eur()
-            known_eur = max(
-                known_eur, next_level_eur(self.levels_eur, bound, is_more=False)
-            )
+            level_eur = next_level_eur(self.levels_eur, bound, is_more=False)
+            known_eur = max(known_eur, level_eur)
         units = search.units
         assert units is not None
         return _Step(
@@ -356,16 +364,18 @@ class _Climb:
         """
         assert step.pose_index is not None
         limits = _within(self.problem.limits, step.cost_eur)
+        asked = step.floors
+        if is_best:
+            asked = ()
+        # No stage need ask for less money: that is the last one.
+        n_stages = len(VALUE_OBJECTIVES) - 1
+        if self.stages == "first":
+            n_stages = len(FIRST_STAGES)
         point = solve_point(
-            self._asking(() if is_best else step.floors, limits=limits),
+            self._asking(asked, limits=limits),
             self.reduced,
             effort=self._effort(),
-            # No stage need ask for less money: that is the last one.
-            n_stages=(
-                len(FIRST_STAGES)
-                if self.stages == "first"
-                else len(VALUE_OBJECTIVES) - 1
-            ),
+            n_stages=n_stages,
             starts=[step.pose_index],
         )
         cost = build_stage(
@@ -377,7 +387,10 @@ class _Climb:
         self, asked: Sequence[tuple[float, int]], **changes: Any
     ) -> PlacementProblem:
         """The problem with some changes where APRs must be reached, too."""
-        floors = [Floor(name=_ASKED, share=min(s, 1.0), n_failures=n) for s, n in asked]
+        floors = [
+            Floor(name=_ASKED, share=min(share, 1.0), n_failures=n_failures)
+            for share, n_failures in asked
+        ]
         return replace(self.problem, floors=(*self.problem.floors, *floors), **changes)
 
     def _effort(self) -> Effort:
@@ -388,18 +401,15 @@ class _Climb:
 def _within(limits: Limits, cost_eur: float) -> Limits:
     """Limits with so much money; as a number of units, where that says the same."""
     price = float(limits.unit_cost_eur.max(initial=0.0))
-    if (
-        price > 0.0
-        and np.ptp(limits.unit_cost_eur) == 0.0
-        and not limits.site_cost_eur.any()
-    ):
-        affordable = int((cost_eur + COST_TOLERANCE_EUR) / price)
-        if limits.budget_units is None:
-            most = affordable
-        else:
-            most = min(affordable, limits.budget_units)
-        return replace(limits, budget_units=most, budget_eur=None)
-    return replace(limits, budget_eur=cost_eur)
+    if price <= 0.0 or limits.site_cost_eur.any():
+        return replace(limits, budget_eur=cost_eur)
+    if np.ptp(limits.unit_cost_eur) != 0.0:
+        return replace(limits, budget_eur=cost_eur)
+    # Each unit costs the same.
+    most = int((cost_eur + COST_TOLERANCE_EUR) / price)
+    if limits.budget_units is not None:
+        most = min(most, limits.budget_units)
+    return replace(limits, budget_units=most, budget_eur=None)
 
 
 def _with_point(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoint]:
@@ -411,7 +421,8 @@ def _with_point(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoin
     least_eur = new.value.cost_eur - COST_TOLERANCE_EUR
     stay = [point for point in points if point.value.cost_eur < least_eur]
     cost, *others = new.certificate.stages
-    least_eur = min(p.certificate.stages[0].bound for p in (new, *points[len(stay) :]))
+    gone = points[len(stay) :]
+    least_eur = min(point.certificate.stages[0].bound for point in (new, *gone))
     if least_eur < cost.bound:
         cost = build_stage(Objective.COST, cost.objective, least_eur, cost.seconds)
     return [*stay, new.with_stages([cost, *others])]

@@ -61,14 +61,12 @@ def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
     is_enough = reduced.objectives[0].is_minimised
     while len(units) < limits.max_units:
         fits = fitting(limits, units)
-        if (
-            is_enough
-            and len(units)
-            and set_values(reduced, units[None, :]).lacking[0] == 0.0
-        ):
-            missing = np.setdiff1d(
-                np.flatnonzero(limits.is_forced_site), limits.site_index[units]
-            )
+        is_done = False
+        if is_enough and len(units):
+            is_done = bool(set_values(reduced, units[None, :]).lacking[0] == 0.0)
+        if is_done:
+            forced_sites = np.flatnonzero(limits.is_forced_site)
+            missing = np.setdiff1d(forced_sites, limits.site_index[units])
             fits &= np.isin(limits.site_index, missing)
         free = np.flatnonzero(fits)
         if not len(free):
@@ -100,9 +98,8 @@ def improve(
     value = set_values(reduced, units[None, :])[0]
     place = 0
     while limit.exceeds(value):
-        for step in range(
-            2 * len(units)
-        ):  # to leave one out is only cheaper: tried last
+        # Another pose for each unit; then without each, which is only cheaper.
+        for step in range(2 * len(units)):
             number = (place + step) % len(units)
             if deadline.is_over:
                 return units
@@ -110,10 +107,9 @@ def improve(
                 continue
             trial = _exchanged(reduced, units, number, is_out=step >= len(units))
             if trial is None:
-                of_trial = None
-            else:
-                of_trial = set_values(reduced, trial[None, :])[0]
-            if trial is not None and of_trial is not None and of_trial.exceeds(value):
+                continue
+            of_trial = set_values(reduced, trial[None, :])[0]
+            if of_trial.exceeds(value):
                 units = trial
                 value = of_trial
                 place = number  # the next one has moved up
@@ -138,11 +134,8 @@ def _exchanged(
         return None
     free = np.flatnonzero(fitting(reduced.limits, rest))
     free = free[free != units[number]]
-    free = free[
-        are_allowed(
-            reduced.limits, np.column_stack([np.tile(rest, (len(free), 1)), free])
-        )
-    ]
+    before = np.tile(rest, (len(free), 1))
+    free = free[are_allowed(reduced.limits, np.column_stack([before, free]))]
     if len(free):
         return best_with_each(reduced, rest, free)
     return None
@@ -189,9 +182,8 @@ def search_from_many_starts(
     begin = [*starts, forced]
     weight: FloatArray | None = None
     for number in range(len(begin) + constants.N_RESTARTS):
-        if best.units is None:
-            n_units = reduced.limits.max_units
-        else:
+        n_units = reduced.limits.max_units
+        if best.units is not None:
             n_units = len(best.units)
         is_first = number < len(begin)
         if (not is_first and idle > n_units) or (number and deadline.is_over):
@@ -199,11 +191,11 @@ def search_from_many_starts(
         if not is_first and weight is None:
             if chance is None:
                 alone = shares_with_each(reduced, forced) ** 2
-                weight = (
-                    alone / max(float(alone.sum()), constants.TINY) + constants.ROUNDING
-                )
+                total = max(float(alone.sum()), constants.TINY)
+                weight = alone / total + constants.ROUNDING
             else:
                 weight = chance() + constants.ROUNDING
+        # A set to begin with, one that is drawn, or the best with some units redrawn.
         if is_first or weight is None:
             units = begin[number]
         elif number % 2 or best.units is None:
@@ -217,10 +209,11 @@ def search_from_many_starts(
         idle += 1
         if not is_allowed(reduced.limits, units):
             continue
-        if (
-            best.values is not None
-            and best.values.gains[1] >= limit.gains[1] - TOLERANCE
-        ):
+        # Where the first objective cannot get better, failures count.
+        is_full = False
+        if best.values is not None:
+            is_full = bool(best.values.gains[1] >= limit.gains[1] - TOLERANCE)
+        if is_full:
             units = _spread(reduced, units, deadline=deadline)
         units = improve(reduced, units, limit, deadline=deadline)
         before = best.units
@@ -266,10 +259,9 @@ def _spread(
         fits = np.flatnonzero(fitting(reduced.limits, rest))
         idle += 1
         if len(fits) and not is_forced[units[place]]:
-            total = (
-                shares_with_each(reduced, rest)
-                + left_with_each(reduced, rest, reduced.measure, 1)
-            )[fits]
+            share = shares_with_each(reduced, rest)
+            left = left_with_each(reduced, rest, reduced.measure, 1)
+            total = (share + left)[fits]
             best = int(total.argmax())
             trial = np.append(rest, fits[best])
             if total[best] > value + TOLERANCE and is_allowed(reduced.limits, trial):

@@ -48,7 +48,7 @@ from .bounds import Root, find_root, rounded_down, run_rows
 from .constants import NEVER, TIES_OF_TIES, TOLERANCE, Deadline, deadline_in
 from .greedy import forced_units
 from .presolve import ReducedProblem, transposed, unpack_words
-from .problem import Objective
+from .problem import Objective, Requirement
 
 if TYPE_CHECKING:
     from .walk_kernels import Classes, Walk
@@ -64,18 +64,20 @@ def can_walk(reduced: ReducedProblem) -> bool:
     must be no limit. There may be one floor, an APR of all runs without failures.
     """
     limits = reduced.limits
+    if limits.budget_eur is not None or reduced.objectives[0].is_minimised:
+        return False
+    if limits.is_forced_site.any() or len(limits.rivals):
+        return False
+    if reduced.floors and least_apr(reduced) is None:
+        return False
+    if not len(reduced.weight):
+        return False
     n_forced = int(limits.is_forced.sum())
-    return (
-        limits.budget_eur is None
-        and not (limits.is_forced_site.any() or len(limits.rivals))
-        and (not reduced.floors or least_apr(reduced) is not None)
-        and not reduced.objectives[0].is_minimised
-        and len(reduced.weight) > 0
-        and max(2, n_forced + 1)
-        <= limits.max_units
-        <= min(constants.MAX_WALK_UNITS, reduced.n_poses)
-        and not (n_forced and reduced.survive)
-    )
+    if n_forced and reduced.survive:
+        return False
+    fewest = max(2, n_forced + 1)
+    most = min(constants.MAX_WALK_UNITS, reduced.n_poses)
+    return fewest <= limits.max_units <= most
 
 
 def least_apr(reduced: ReducedProblem) -> float | None:
@@ -83,10 +85,9 @@ def least_apr(reduced: ReducedProblem) -> float | None:
     if len(reduced.floors) != 1:
         return None
     (floor,) = reduced.floors
-    is_of_all = floor.measure.is_mean and bool(
-        (floor.measure.weight == reduced.weight).all()
-    )
-    if is_of_all and not floor.n_failures:
+    if floor.n_failures or not floor.measure.is_mean:
+        return None
+    if (floor.measure.weight == reduced.weight).all():
         return floor.least
     return None
 
@@ -123,7 +124,8 @@ def best_of_few(
             if deadline.is_over:
                 return contenders, False
             part = sets[begin : begin + constants.BLOCK_SETS]
-            if is_by_apr:  # all else takes longer, and matters for few
+            # The APR first: all else takes longer, and matters for few.
+            if is_by_apr:
                 share = union_apr(reduced, unions_of(reduced, part))
                 near = float(share.max()) - TIES_OF_TIES * TOLERANCE
                 least = max(least, near)
@@ -166,11 +168,10 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
         most = max(constants.MANY_SETS, min(constants.MAX_GROWN_SETS, 100 * max_sets))
         if len(grown) * len(poses) > most:
             return None
-        # A later pose than the last one: every set comes up once.
+        # A later pose than the last one that is not forced: every set comes up once.
+        last = np.full((1, 1), -1)
         if n_units > len(forced):
             last = grown[:, -1:]
-        else:
-            last = np.full((1, 1), -1)
         row, later = np.nonzero(poses[None, :] > last)
         grown = np.column_stack([grown[row], poses[later]])
         grown = grown[may_grow(limits, grown)]
@@ -207,8 +208,10 @@ class SetWalk:
 
         self.reduced = reduced
         self.n_failures = n_failures
-        self.forced, choice = forced_units(reduced), root.choice
-        self.n_units, self.capacity = choice.n_units, choice.room
+        self.forced = forced_units(reduced)
+        choice = root.choice
+        self.n_units = choice.n_units
+        self.capacity = choice.room
         self.total = float(reduced.weight.sum())
         usable = (choice.is_open > 0) & (choice.room > 0)[choice.site]
         rows = unpack_words(root.covers, len(root.weight))
@@ -259,10 +262,13 @@ class SetWalk:
             yield self._alone()
             return
         spare: list[_Task] = []
-        nodes, paused = self._tasks(spare), list[_Task]()
+        paused: list[_Task] = []
+        nodes = self._tasks(spare)
 
         def next_task() -> "Callable[[], tuple[_Task, list[IntArray]]] | None":
-            task = paused.pop() if paused else next(nodes, None)
+            if paused:
+                return paused.pop().go_on
+            task = next(nodes, None)
             if task is None:
                 return None
             return task.go_on
@@ -270,14 +276,19 @@ class SetWalk:
         for task, found in in_threads(
             next_task, workers=self.reduced.workers, deadline=deadline
         ):
-            (spare if task.is_done else paused).append(task)
+            if task.is_done:
+                spare.append(task)
+            else:
+                paused.append(task)
             yield self._with_forced(found)
         self.is_finished = not deadline.is_over
 
     def _with_forced(self, found: list[IntArray]) -> IntArray:
         """Found sets in one array, behind the forced poses, (n_sets, n_units)."""
-        sets = np.concatenate([np.empty((0, self.n_units), dtype=np.int64), *found])
-        return np.column_stack([np.tile(self.forced, (len(sets), 1)), sets])
+        none = np.empty((0, self.n_units), dtype=np.int64)
+        sets = np.concatenate([none, *found])
+        forced = np.tile(self.forced, (len(sets), 1))
+        return np.column_stack([forced, sets])
 
     def _alone(self) -> IntArray:
         """Sets of the forced poses and one more that lose little."""
@@ -391,6 +402,7 @@ class _Task:
 
         owner = self.owner
         found: list[IntArray] = []
+        # Sets that were found before, for a while; none is left when it walks on.
         stop = deadline_in(constants.SPELL_S)
         while self.waiting and not stop.is_over:
             found += self._spell_out(self.waiting.pop())
@@ -411,16 +423,17 @@ class _Task:
         return self, found
 
     def _spell_out(self, classes: IntArray) -> list[IntArray]:
-        """Sets of poses, one of each class, that lose little: blocks of (n, n_units)."""
+        """Sets of poses, one of each class, that lose little: blocks (n, n_units)."""
         from .walk_kernels import spell_out
 
         owner = self.owner
+        words = owner.reduced.words
+        has_failures = owner.n_failures > 0
+        # Where the search stands: no member so far, and no unit is settled.
         place = np.append(np.full(len(classes), -1), 0)
         found = []
         while place[-1] >= 0:
             sets = np.empty((256, len(classes)), dtype=np.int64)
-            words = owner.reduced.words
-            has_failures = owner.n_failures > 0
             n_found = spell_out(
                 words, owner.classes, self.losses, has_failures, classes, place, sets
             )
@@ -452,24 +465,25 @@ def find_of_size(
     forced = forced_units(reduced)
     if n_units <= len(forced):
         return _first_that_will_do(reduced, forced[None, :]), True
-    floor = max(
-        reduced.floors,
-        key=lambda one: one.least / max(one.measure.limit, constants.TINY),
-    )
+
+    def hardness(floor: Requirement) -> float:
+        return floor.least / max(floor.measure.limit, constants.TINY)
+
+    # The mean over all worlds of what the hardest floor counts.
+    floor = max(reduced.floors, key=hardness)
     counted = replace(reduced, measure=replace(floor.measure, tail=1.0))
     rows = run_rows(counted)
     rows = rows.of(rows.weight > 0.0)
     root = find_root(counted, rows, n_units=n_units, deadline=deadline)
     if root.limit < floor.least - TOLERANCE:
         return None, True
-    has_failures = floor.n_failures < n_units and not len(forced)
-    walk = SetWalk(
-        counted,
-        root,
-        need=floor.least - TOLERANCE,
-        n_failures=floor.n_failures if has_failures else 0,
-        left=floor.least - TOLERANCE if has_failures else 0.0,
-    )
+    need = floor.least - TOLERANCE
+    n_failures = 0
+    left = 0.0
+    if floor.n_failures < n_units and not len(forced):
+        n_failures = floor.n_failures
+        left = need
+    walk = SetWalk(counted, root, need=need, n_failures=n_failures, left=left)
     for block in walk.blocks(deadline):
         units = _first_that_will_do(reduced, block)
         if units is not None:
@@ -486,7 +500,8 @@ def _first_that_will_do(reduced: ReducedProblem, sets: IntArray) -> IntArray | N
         part = part[are_allowed(reduced.limits, part)]
         if not len(part):
             continue
-        will_do = np.flatnonzero(set_values(reduced, part).lacking == 0.0)
+        lacking = set_values(reduced, part).lacking
+        will_do = np.flatnonzero(lacking == 0.0)
         if len(will_do):
             return np.sort(part[will_do[0]])
     return None
@@ -518,10 +533,13 @@ def widest_poses(
     n_classes = 0
     for site in np.unique(site_index[usable]):
         poses = np.flatnonzero(usable & (site_index == site))
-        poses = poses[np.argsort(-rows[poses].sum(axis=1), kind="stable")]
+        n_covered = rows[poses].sum(axis=1)
+        poses = poses[np.argsort(-n_covered, kind="stable")]
+        # Pose b is above a if all that a covers is covered by both.
         covers = rows[poses].astype(np.float32)
         above = covers @ covers.T >= covers.sum(axis=1)[:, None] - 0.5
-        first = above.argmax(axis=1)  # a wider one, or the first of those as wide
+        # A wider one, or the first of those as wide.
+        first = above.argmax(axis=1)
         is_widest = first == np.arange(len(poses))
         place = np.cumsum(is_widest) - 1
         # The first above is widest itself: what is above it would come before.
@@ -535,7 +553,8 @@ def group_by_class(reduced: ReducedProblem, class_of: IntArray) -> "Classes":
     """Poses of classes 0, 1, .., in their order; those of class -1 are left out."""
     from .walk_kernels import Classes
 
-    member = np.argsort(class_of, kind="stable")[np.count_nonzero(class_of < 0) :]
+    n_unusable = np.count_nonzero(class_of < 0)
+    member = np.argsort(class_of, kind="stable")[n_unusable:]
     size = np.bincount(class_of[member])
     words = np.zeros((len(size), reduced.words.shape[1]), dtype=np.uint64)
     np.bitwise_or.at(words, class_of[member], reduced.words[member])
@@ -593,6 +612,7 @@ def in_threads(
     waiting: set[Future[_T]] = set()
     with ThreadPoolExecutor(workers) as threads:
         while not deadline.is_over:
+            # Two tasks for each thread, so that none is idle when one ends.
             while len(waiting) < 2 * workers and (task := next_task()) is not None:
                 waiting.add(threads.submit(task))
             if not waiting:
@@ -701,21 +721,20 @@ class TieSearch:
         It takes much less to prove that nothing is better by a step, where values are
         so far apart, or by a little, than to meet all ties.
         """
-        step = (1.0 - constants.SOLVER_TOLERANCE) * self.reduced.measure.step
+        measure = self.reduced.measure
         is_near = self.ahead > 0.0
+        ahead = (1.0 - constants.SOLVER_TOLERANCE) * measure.step
         if is_near:
             ahead = self.ahead
-        else:
-            ahead = step
         if deadline.is_over:
-            return self._tied(self.reduced.measure.limit, False)
-        limit = self.reduced.measure.limit
+            return self._tied(measure.limit, False)
+        limit = measure.limit
         if self.limit is not None:
-            if self.least_apr is None:
-                need = self.best
-            else:
+            need = self.best
+            if self.least_apr is not None:
                 need = self.least_apr
             limit = min(limit, rounded_down(self.reduced, self.limit(need, deadline)))
+        # No set is better by `ahead`.
         is_proven = False
         limit = self._come_near(deadline, limit)
         if ahead > 0.0 and (not is_near or limit >= self.best + ahead):
@@ -725,14 +744,16 @@ class TieSearch:
             limit = min(limit, rounded_down(self.reduced, self.best + ahead))
             if deadline.is_over:
                 return self._tied(limit, is_proven)
+        # No set is better, and these are all that tie.
         is_finished = self._walk(deadline, 0.0, is_proven=is_proven)
         sets = None
         if is_finished and self.has_all:
-            sets = np.unique(np.sort(np.concatenate(self.tied), axis=1), axis=0)
+            tied = np.sort(np.concatenate(self.tied), axis=1)
+            sets = np.unique(tied, axis=0)
         return self._tied(limit, is_proven or is_finished, sets)
 
     def _come_near(self, deadline: Deadline, limit: float) -> float:
-        """Upper bound ever nearer to the best, until a walk for all should end in time."""
+        """Upper bound ever nearer to the best, while a walk for all may not end."""
         near = self.near
         while near > 0.0 and self.best + near < limit and not deadline.is_over:
             began_s = now_s()
@@ -767,7 +788,15 @@ class TieSearch:
 
     def _needs(self, need: float) -> tuple[float, float]:
         """Value that whole sets must reach, and value that must be left of them."""
-        return need if self.least_apr is None else self.least_apr, need
+        if self.least_apr is None:
+            return need, need
+        return self.least_apr, need
+
+    def _asked(self, ahead: float) -> float:
+        """Value that a walk asks for: better by `ahead`, or 0.0 for all that tie."""
+        if ahead:
+            return self.best + ahead
+        return self._least
 
     def _walk(
         self, deadline: Deadline, ahead: float, *, is_proven: bool = False
@@ -777,7 +806,8 @@ class TieSearch:
         With `is_proven` nothing but ties is left to be found: the walk is given up once
         they are too many.
         """
-        walk = self.walk_from(*self._needs(self.best + ahead if ahead else self._least))
+        need, left = self._needs(self._asked(ahead))
+        walk = self.walk_from(need, left)
         if not ahead:
             n_units = self.reduced.limits.max_units
             self.tied = [np.empty((0, n_units), dtype=np.int64)]
@@ -789,12 +819,10 @@ class TieSearch:
                 of_better = float(self._value_of(np.sort(better)[None, :])[0])
                 before = self.best
                 self.best = max(float(value.max()), of_better)
-                if ahead:
-                    need = self.best + ahead
-                else:
-                    need = self._least
-                walk.raise_needs(*self._needs(need))
-                if before < self._least:  # none of those before ties any more
+                need, left = self._needs(self._asked(ahead))
+                walk.raise_needs(need, left)
+                # None of those before ties any more.
+                if before < self._least:
                     self.tied = self.tied[:1]
                     self.has_all = True
             elif len(block):
@@ -806,8 +834,11 @@ class TieSearch:
             if not self.has_all:
                 if is_proven:
                     return False
+                # Ties are too many: only sets that are better are asked for.
                 step = (1.0 - constants.SOLVER_TOLERANCE) * self.reduced.measure.step
-                walk.raise_needs(*self._needs(self.best + max(step, constants.STEP_UP)))
+                better = self.best + max(step, constants.STEP_UP)
+                need, left = self._needs(better)
+                walk.raise_needs(need, left)
         return walk.is_finished
 
     def _within(self, block: IntArray) -> tuple[FloatArray, IntArray]:
@@ -844,6 +875,7 @@ def best_of_tied(
             part = part[are_allowed(reduced.limits, part)]
             if len(part):
                 contenders.add(part, set_values(reduced, part))
+        # Parts of these sets, with a unit less, that are as good in the first stages.
         fewer = sets.shape[1] - 1
         if not fewer:
             break

@@ -142,6 +142,7 @@ def weigh_bytes(
        construction of the transitive closure of a directed graph", 1970.
     """
     n_used = 0
+    # Bytes of rows, lowest first.
     for place in range(len(table)):
         counted = (rows[place >> 3] >> np.uint64(8 * (place & 7))) & np.uint64(0xFF)
         if counted == 0:
@@ -150,6 +151,7 @@ def weigh_bytes(
         n_used += 1
         of_byte = table[place]
         of_byte[0] = 0.0
+        # Values that have this bit as their highest are those before them, and the bit.
         for bit in range(8):
             is_counted = (counted >> np.uint64(bit)) & np.uint64(1)
             if is_counted:
@@ -200,6 +202,7 @@ def pick_best(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float
     site = choice.site
     room = choice.room
     for _ in range(choice.n_units):
+        # The pose that gains most of those not picked whose sites have room left.
         best = -1
         most = 0.0
         for place in range(len(gain)):
@@ -533,11 +536,12 @@ def add_gains(
     at = walk.at[0]
     is_open = walk.is_open[at.depth]
     n_used = weigh_bytes(weight, rows, walk.table, walk.used)
+    work = 64 * n_used
     for pose in range(len(gain)):
         if is_open[pose]:
             gain[pose] += weight_of(covers.rows[pose], walk.table, walk.used, n_used)
-            at.work += n_used
-    at.work += 64 * n_used
+            work += n_used
+    at.work += work
     # Rows that are set, 64 at a time.
     total = 0.0
     for word in range(len(rows)):
@@ -570,6 +574,7 @@ def drop_hopeless(
     """
     if n_more <= 0:
         return need <= 0.0
+    # The best candidates: what they gain together, and the last of them.
     most = 0.0
     least = 0.0
     for number in range(n_more):
@@ -607,6 +612,7 @@ def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
     depth = walk.at[0].depth
     covered = walk.covered[depth]
     given_up = walk.given_up[depth]
+    # Candidates as bits, to be counted by words.
     candidates = np.zeros(covers.coverers.shape[1], dtype=np.uint64)
     for pose in range(walk.is_open.shape[1]):
         if walk.is_open[depth, pose]:
@@ -614,6 +620,7 @@ def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
     hardest = -1
     fewest = len(walk.gain) + 1
     rows[:] = 0
+    # Rows that are neither covered nor given up: how many candidates cover each?
     for row in range(len(covers.weight)):
         word = row >> 6
         mask = np.uint64(1) << np.uint64(row & 63)
@@ -817,7 +824,10 @@ def can_keep(bits: WordArray, losses: Losses, with_failures: bool) -> bool:
     union = np.empty(len(base), dtype=np.uint64)
     first = np.empty(len(lost), dtype=np.int64)
     # All units together, then all but each one of them.
-    for failed in range(n_units, -1 if with_failures else n_units - 1, -1):
+    last = n_units
+    if with_failures:
+        last = 0
+    for failed in range(n_units, last - 1, -1):
         union[:] = base
         for unit in range(n_units):
             if unit != failed:
@@ -889,6 +899,7 @@ def spell_out(
     bits = np.empty((n_units, words.shape[1]), dtype=np.uint64)
     unit = place[n_units]
     n_found = 0
+    # What units see: a pose where they are settled, else all poses of the class.
     for number in range(n_units):
         is_settled = number < unit
         if is_settled:
