@@ -186,7 +186,7 @@ class PairWalk:
         order of the sets is left to chance.
         """
         is_pair = self.n_units == 2
-        look = self._beside_class
+        look: Callable[[int], IntArray] = self._beside_class
         left = iter(range(len(self.size)))
         if is_pair:
             look = self._beside_pose

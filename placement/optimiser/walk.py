@@ -836,8 +836,8 @@ class TieSearch:
                     return False
                 # Ties are too many: only sets that are better are asked for.
                 step = (1.0 - constants.SOLVER_TOLERANCE) * self.reduced.measure.step
-                better = self.best + max(step, constants.STEP_UP)
-                need, left = self._needs(better)
+                more = self.best + max(step, constants.STEP_UP)
+                need, left = self._needs(more)
                 walk.raise_needs(need, left)
         return walk.is_finished
 
