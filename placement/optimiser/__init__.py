@@ -1,12 +1,16 @@
-"""From a detection table to the best poses, proven: four rungs, each where the one before ends.
+"""From a detection table to the best poses, proven, in four rungs.
 
-``problem`` and ``allowed_sets`` say what is asked and what a set of poses is worth,
-``constants`` how hard to try, ``bitsets`` what many sets are worth. 1. ``presolve``
-drops what does not matter, ``greedy`` finds good sets. 2. ``bounds``: the Lagrangian
-bound, polished by OSQP. 3. ``walk``: all sets that may be as good; ``pairs``, where
-worlds are sampled. 4. ``model``: HiGHS. ``proof`` takes the objectives in order,
-``solve`` calls it all, ``front`` says what more units or more money buy. Modules called
-``.._kernels`` are compiled by Numba.
+``problem`` and ``allowed_sets`` say what is asked and what a set of poses is
+worth, ``constants`` how hard to try, ``bitsets`` what many sets are worth.
+
+1. ``presolve`` drops what does not matter, ``greedy`` finds good sets.
+2. ``bounds``: the Lagrangian bound, polished by OSQP.
+3. ``walk``: all sets that may be as good; ``pairs``, where worlds are sampled.
+4. ``model``: HiGHS.
+
+Each rung goes on where the one before ends. ``proof`` takes the objectives in
+order, ``solve`` calls it all, ``front`` and ``cost_front`` say what more units
+or more money buy. Modules called ``.._kernels`` are compiled by Numba.
 """
 
 from .allowed_sets import Failing as Failing

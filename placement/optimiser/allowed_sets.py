@@ -1,4 +1,7 @@
-"""Limits on what may be mounted together, whatever it detects: units, money, sites, wishes."""
+"""Limits on what may be mounted together: units, money, sites and wishes.
+
+What poses detect does not matter here.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -48,28 +51,18 @@ class Limits:
         everything that it carries.
     """
 
-    site_index: (
-        IntArray  # (n_poses,): site of each pose; one that belongs to none has its own
-    )
-    site_capacity: IntArray  # (n_sites,): units that each site can carry
-    budget_units: int | None = (
-        None  # At most so many units in all, the forced ones among them
-    )
-    budget_eur: float | None = None  # At most so much money [EUR]
+    site_index: IntArray
+    site_capacity: IntArray
+    budget_units: int | None = None
+    budget_eur: float | None = None
     # What is None below is filled in: no prices, and no such poses, sites or pairs.
-    # (n_poses,): price of each unit [EUR]
     unit_cost_eur: FloatArray = None  # type: ignore[assignment]
-    # (n_sites,): paid once if a site carries anything [EUR]
     site_cost_eur: FloatArray = None  # type: ignore[assignment]
-    # (n_poses,): poses that must, or must not, be chosen
     is_forced: BoolArray = None  # type: ignore[assignment]
     is_forbidden: BoolArray = None  # type: ignore[assignment]
-    # (n_sites,): sites that must carry at least one unit
     is_forced_site: BoolArray = None  # type: ignore[assignment]
-    # (n_pairs, 2): sites that must not both carry units, such as those too near to each
-    # other
     rivals: IntArray = None  # type: ignore[assignment]
-    failing: Failing = "unit"  # What fails at once, wherever failures are asked about
+    failing: Failing = "unit"
 
     def __post_init__(self) -> None:
         for field in ("site_index", "site_capacity"):
@@ -98,13 +91,11 @@ class Limits:
             cost = self._filled(field, size, np.float64)
             if not (np.isfinite(cost) & (cost >= 0.0)).all():
                 raise InputError(field, cost.tolist(), "euros, at least 0")
-        for field in ("is_forced", "is_forbidden", "is_forced_site"):
-            self._filled(
-                field, n_sites if field == "is_forced_site" else self.n_poses, bool
-            )
-        if self.rivals is None:
-            rivals = np.zeros((0, 2))
-        else:
+        self._filled("is_forced", self.n_poses, bool)
+        self._filled("is_forbidden", self.n_poses, bool)
+        self._filled("is_forced_site", n_sites, bool)
+        rivals = np.zeros((0, 2))
+        if self.rivals is not None:
             rivals = np.array(self.rivals)
         rivals = rivals.reshape(-1, 2).astype(np.int64)
         if len(rivals) and not (
@@ -124,7 +115,7 @@ class Limits:
             raise InputError("budget_cost", money, "euros, at least 0")
 
     def _filled(self, field: str, size: int, kind: Any) -> Any:
-        """An array of a field, zeros by default, which it becomes."""
+        """Set a field to a checked, frozen array of its values, by default zeros."""
         value = getattr(self, field)
         if value is None:
             array = np.zeros(size, dtype=kind)
@@ -170,8 +161,13 @@ class Limits:
 
     def of_poses(self, poses: IntArray) -> "Limits":
         """Limits on some of the poses; all forced ones must be among them."""
-        by_pose = ("site_index", "unit_cost_eur", "is_forced", "is_forbidden")
-        return replace(self, **{name: getattr(self, name)[poses] for name in by_pose})
+        return replace(
+            self,
+            site_index=self.site_index[poses],
+            unit_cost_eur=self.unit_cost_eur[poses],
+            is_forced=self.is_forced[poses],
+            is_forbidden=self.is_forbidden[poses],
+        )
 
     def __repr__(self) -> str:
         budgets = f"{self.budget_units} units, {self.budget_eur} EUR"
@@ -186,7 +182,7 @@ def cost_eur(limits: Limits, pose_index: Sequence[int] | IntArray) -> float:
 
 
 def whole_cents(prices_eur: FloatArray) -> IntArray | None:
-    """Prices in cents; None where some are not whole, or so high that float64 lacks cents."""
+    """Prices in cents; None where some are not whole, or too high to be exact."""
     cents = np.rint(prices_eur * CENTS)
     is_off = np.abs(cents / CENTS - prices_eur) > ROUNDING
     if is_off.any() or cents.max(initial=0.0) > _MAX_CENTS:
@@ -206,18 +202,30 @@ def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
     """Cost of many sets of poses: (n_sets, n_units) -> (n_sets,), in euros."""
     cost = limits.unit_cost_eur[sets].sum(axis=1)
     sites = np.sort(limits.site_index[sets], axis=1)
+    # A site is paid with its first unit.
     is_first = np.ones(sites.shape, dtype=bool)
     is_first[:, 1:] = sites[:, 1:] != sites[:, :-1]
-    return np.asarray(
-        cost + np.where(is_first, limits.site_cost_eur[sites], 0.0).sum(axis=1)
-    )
+    of_sites = np.where(is_first, limits.site_cost_eur[sites], 0.0).sum(axis=1)
+    return np.asarray(cost + of_sites)
 
 
 def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
-    """Which sets of distinct poses, (n_sets, n_units), at least one, are within all limits."""
-    if limits.budget_units is None:
-        most = np.inf
-    else:
+    """Which sets of distinct poses are within all limits.
+
+    Parameters
+    ----------
+    limits : Limits
+        What may be mounted together.
+    sets : (n_sets, n_units) int
+        Sets of at least one pose.
+
+    Returns
+    -------
+    allowed : (n_sets,) bool
+        True for those within all limits, with all that is forced.
+    """
+    most: float = np.inf
+    if limits.budget_units is not None:
         most = limits.budget_units
     sites = limits.site_index[sets]
     allowed: BoolArray = may_grow(limits, sets) & (1 <= sets.shape[1] <= most)
@@ -232,7 +240,10 @@ def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
 
 
 def may_grow(limits: Limits, sets: IntArray) -> BoolArray:
-    """Which sets, (n_sets, n_units), fit into sites and money, as all parts of allowed ones do."""
+    """Which sets, (n_sets, n_units), fit into sites and money.
+
+    All parts of an allowed set do: a set that does not fit need not be grown.
+    """
     sites = limits.site_index[sets]
     n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
     fits: BoolArray = (n_there <= limits.site_capacity[sites]).all(axis=1)
@@ -249,66 +260,93 @@ def is_allowed(limits: Limits, pose_index: Sequence[int] | IntArray) -> bool:
 
 
 def fitting(limits: Limits, units: IntArray) -> BoolArray:
-    """Which poses can join a set that is within the limits but for what is forced and to come.
+    """Which poses can join a set that is within the limits so far.
 
-    Room and money for what is forced are kept back. With rival sites or few places that
-    need not suffice to complete every set: check the end with :func:`is_allowed`.
+    What is forced may still be missing: room and money for it are kept back. With
+    rival sites or few places that need not suffice to complete every set: check the
+    end with :func:`is_allowed`.
+
+    Parameters
+    ----------
+    limits : Limits
+        What may be mounted together.
+    units : (n,) int
+        Poses of the set.
+
+    Returns
+    -------
+    fits : (n_poses,) bool
+        Poses that can join.
     """
     sites = limits.site_index
     at_site = np.bincount(sites[units], minlength=limits.n_sites)
     fits = (at_site < limits.site_capacity)[sites] & ~limits.is_forbidden
     fits[units] = False
+    # Rivals of sites that carry units already.
     if len(limits.rivals):
         blocked = np.zeros(limits.n_sites, dtype=bool)
         for one, other in (limits.rivals.T, limits.rivals.T[::-1]):
             blocked[other[at_site[one] > 0]] = True
         fits &= ~blocked[sites]
+    # Poses and sites that are forced, but not there yet.
     missing = limits.is_forced.copy()
     missing[units] = False
     missing_sites = limits.is_forced_site & (at_site == 0)
     missing_sites[sites[missing]] = False
     helps = missing | missing_sites[sites]
     n_missing = int(missing.sum() + missing_sites.sum())
-    if (
-        limits.budget_units is not None
-        and limits.budget_units - len(units) <= n_missing
-    ):
-        fits &= helps
+    if limits.budget_units is not None:
+        n_left = limits.budget_units - len(units)
+        if n_left <= n_missing:
+            fits &= helps
     if limits.budget_eur is not None:
+        # Money that is left, and what has to be kept back for what is missing.
         left = limits.budget_eur + COST_TOLERANCE_EUR - cost_eur(limits, units)
         to_pay = np.where(at_site > 0, 0.0, limits.site_cost_eur)
         price = limits.unit_cost_eur + to_pay[sites]
         to_open = np.unique(sites[missing & (at_site[sites] == 0)])
-        reserve = float(
-            limits.unit_cost_eur[missing].sum() + limits.site_cost_eur[to_open].sum()
-        )
+        for_poses = limits.unit_cost_eur[missing].sum()
+        reserve = float(for_poses + limits.site_cost_eur[to_open].sum())
         cheapest = np.full(limits.n_sites, np.inf)
         may = ~limits.is_forbidden
         np.minimum.at(cheapest, sites[may], limits.unit_cost_eur[may])
         at_missing = np.where(missing_sites, cheapest + limits.site_cost_eur, 0.0)
         reserve += float(at_missing.sum())
-        if reserve == np.inf:  # a site that must be used has no pose that may
+        # A site that must be used has no pose that may be.
+        if reserve == np.inf:
             return np.zeros(limits.n_poses, dtype=bool)
         # What a pose itself provides of what is missing need not be kept back for it.
         own = np.where(missing_sites[sites], at_missing[sites], 0.0)
         own = np.where(missing, limits.unit_cost_eur, own)
-        own = own + np.where(
-            missing & np.isin(sites, to_open), limits.site_cost_eur[sites], 0.0
-        )
+        opens = missing & np.isin(sites, to_open)
+        own = own + np.where(opens, limits.site_cost_eur[sites], 0.0)
         fits &= price + reserve - own <= left
     return fits
 
 
 class Choice(NamedTuple):
-    """How many poses may join those that are forced, and where: plain arrays for kernels."""
+    """How many poses may join those that are forced, and where, for kernels.
 
-    n_units: int  # at most so many
-    room: IntArray  # (n_sites,): places left at each site
-    is_open: IntArray  # (n_poses,): 1 if the pose may join
-    # (n_poses,): share of the money left that a pose takes, at least; empty if money is
-    # no limit.
+    Attributes
+    ----------
+    n_units : int
+        At most so many.
+    room : (n_sites,) int
+        Places left at each site.
+    is_open : (n_poses,) int
+        1 if the pose may join.
+    cost : (n_poses,) float
+        Share of the money left that a pose takes, at least; empty if money is no
+        limit.
+    site : (n_poses,) int
+        Site of each pose.
+    """
+
+    n_units: int
+    room: IntArray
+    is_open: IntArray
     cost: FloatArray
-    site: IntArray  # (n_poses,)
+    site: IntArray
 
 
 def build_choice(limits: Limits, n_units: int) -> Choice:
@@ -317,9 +355,8 @@ def build_choice(limits: Limits, n_units: int) -> Choice:
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
     cost = np.empty(0)
     if limits.budget_eur is not None:
-        spent = (
-            limits.unit_cost_eur[forced].sum() + limits.site_cost_eur[at_site > 0].sum()
-        )
+        of_units = limits.unit_cost_eur[forced].sum()
+        spent = of_units + limits.site_cost_eur[at_site > 0].sum()
         left = max(limits.budget_eur - float(spent), 0.0) + COST_TOLERANCE_EUR
         # A site is paid once: full, each of its units pays a share.
         of_site = np.where(at_site > 0, 0.0, limits.site_cost_eur)

@@ -1,9 +1,9 @@
-"""Numba kernels on bits: transposing them, equal and dominated rows, live windows of sets of poses.
+"""Numba kernels on bits: transposing, dominance, live windows of sets of poses.
 
-There is one layout of detections: a row of 64-bit words for each pose, bits along the
-merged frames, lowest bit first; and its transpose, a row for each frame, bits along the
-poses. All functions work on plain arrays; :mod:`placement.optimiser.presolve` says what
-they hold.
+There is one layout of detections: a row of 64-bit words for each pose, bits
+along the merged frames, lowest bit first; and its transpose, a row for each
+frame, bits along the poses. All functions work on plain arrays;
+:mod:`placement.optimiser.presolve` says what they hold.
 """
 
 import numpy as np
@@ -40,8 +40,8 @@ def lowest_bit(word: np.uint64) -> int:
 def transpose_blocks(block: WordArray) -> None:
     """Exchange rows and bits of each column, (64, n).
 
-    Blocks of 64 x 64 bits are turned by exchanging their quarters, down to single bits
-    (Warren, Hacker's Delight, 7-3).
+    Blocks of 64 x 64 bits are transposed by exchanging their quarters, down to
+    single bits (Warren, Hacker's Delight, 7-3).
     """
     width = 32
     mask = np.uint64(0x00000000FFFFFFFF)
@@ -66,13 +66,22 @@ def transpose_chosen(
 ) -> None:
     """Transpose some rows of a table, and of its columns some.
 
-    `chosen`, (n,), are rows; `place`, (8 n_bytes,), says which row of `columns`,
-    (n_left, n_words), becomes of each bit, or is negative.
+    Parameters
+    ----------
+    rows : (n_rows, n_bytes) uint8
+        The table.
+    chosen : (n,) int
+        Rows that are transposed.
+    place : (8 n_bytes,) int
+        Row of `columns` that each bit becomes; negative: it is left out.
+    columns : (n_left, n_words) uint64
+        Written: bits along the chosen rows.
     """
     block = np.empty((64, _N_TOGETHER), dtype=np.uint64)
     n_rows = len(chosen)
     n_bytes = rows.shape[1]
     n_words = columns.shape[1]
+    # Words of the result, some at a time; for each, the rows' bytes, eight at a time.
     for begin in range(0, n_words, _N_TOGETHER):
         n_together = min(_N_TOGETHER, n_words - begin)
         for first in range(0, n_bytes, 8):
@@ -113,7 +122,17 @@ def transpose_chosen(
 def join_ranges(
     rows: WordArray, begin: IntArray, end: IntArray, joined: WordArray
 ) -> None:
-    """Bits that are set in one of the rows begin .. end - 1: (n_rows, n) -> (n_ranges, n)."""
+    """Find the bits that are set in one of the rows of each range.
+
+    Parameters
+    ----------
+    rows : (n_rows, n_words) uint64
+        Rows of bits.
+    begin, end : (n_ranges,) int
+        A range has the rows begin .. end - 1.
+    joined : (n_ranges, n_words) uint64
+        Written.
+    """
     for place in range(len(begin)):
         joined[place] = 0
         for row in range(begin[place], end[place]):
@@ -134,11 +153,28 @@ def find_dominated(
     step: int,
     dominated: BoolArray,
 ) -> None:
-    """Poses whose dominators other units cannot use up.
+    """Mark poses whose dominators other units cannot use up.
 
-    Poses come in the order of dominance; every `step`-th from `begin` on is looked at.
-    A dominator costs no more: its `price` at the same site, `elsewhere` at others, if
-    the pose `may_move`.
+    Parameters
+    ----------
+    words : (n_poses, n_words) uint64
+        What each pose sees; poses come in the order of dominance.
+    site : (n_poses,) int
+        Site of each pose.
+    price : (n_poses,) float
+        Price of each: a dominator at the same site costs no more.
+    elsewhere : (n_poses,) float
+        Price of each with its site: a dominator elsewhere costs no more.
+    may_move : (n_poses,) bool
+        True if a pose at another site may take the place.
+    capacity : (n_sites,) int
+        Units that each site can carry.
+    max_units : int
+        No set has more units.
+    begin, step : int
+        Every `step`-th pose from `begin` on is looked at.
+    dominated : (n_poses,) bool
+        Written, for the poses that are looked at.
     """
     n_words = words.shape[1]
     needed = np.empty(n_words, dtype=np.int64)
@@ -193,11 +229,22 @@ def thin_out(
     n_links: IntArray,
     is_kept: BoolArray,
 ) -> None:
-    """Windows of runs that are not dominated, and how many of them need each tail.
+    """Mark windows that are not dominated, and count how many need each tail.
 
-    `sets`, (n_windows, n_frames), are the frames of windows, run by run, ascending in
-    time; `n_links` is how many windows of its run need each tail, in the end of those
-    that are kept.
+    Parameters
+    ----------
+    sets : (n_windows, n_frames) int
+        Frames of windows, run by run, ascending in time.
+    set_start : (n_runs + 1,) int
+        First window of each run.
+    tail_frame : (n_tails,) int
+        Frame of each tail.
+    tail_start : (n_runs + 1,) int
+        First tail of each run.
+    n_links : (n_tails,) int
+        How many windows of its run need each tail; in the end, of those kept.
+    is_kept : (n_windows,) bool
+        Written.
     """
     for run in range(len(set_start) - 1):
         begin = set_start[run]
@@ -209,6 +256,7 @@ def thin_out(
                 sets[begin + n_links[tail] - 1], tail_frame[tail]
             ):
                 n_links[tail] -= 1
+        # Windows of the run, each against those before it.
         for window in range(begin, end):
             # Windows before this one need a tail that this one neither needs nor
             # ensures.
@@ -227,6 +275,7 @@ def thin_out(
                 if is_part:
                     is_kept[window] = False
                     break
+        # How many of the kept windows need each tail.
         for tail in range(tail_start[run], tail_start[run + 1]):
             n_kept = 0
             for window in range(begin, begin + n_links[tail]):
@@ -259,10 +308,23 @@ def look_through(
     most_lost: float,
     first: IntArray,
 ) -> int:
-    """First live windows of chains in some order, until too much is lost: how many that took.
+    """Find first live windows until too much is lost; return how many chains it took.
 
-    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first
-    live one, or none if that is their number; it has no rows if nothing can be lost.
+    Parameters
+    ----------
+    union : (n_words,) uint64
+        Frames that are seen.
+    chains : Chains
+        Windows and tails.
+    order : (n,) int
+        Chains, in the order in which they are looked at.
+    lost : (n_chains, longest + 1) float
+        ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the
+        first live one, or none if that is their number. No rows: nothing can be.
+    most_lost : float
+        The search ends when more is lost.
+    first : (n_chains,) int
+        Written: the first live window of each chain.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
     total = 0.0
@@ -270,10 +332,12 @@ def look_through(
         chain = order[rank]
         place = start[chain]
         end = start[chain + 1]
+        # The first tail that is not seen ends most windows: it is not live before.
         for tail in range(tail_start[chain], tail_start[chain + 1]):
             if not has_bit(union, tail_frame[tail]):
                 place += tail_links[tail]
                 break
+        # The first window whose frames are all seen.
         while place < end:
             is_seen = True
             for frame in window_frames[window[place]]:
@@ -291,7 +355,17 @@ def look_through(
 
 @kernel
 def first_live_windows(unions: WordArray, chains: Chains, first: IntArray) -> None:
-    """First live window of each chain for each union of merged frames, (n_unions, n_chains)."""
+    """Find the first live window of each chain for each union of merged frames.
+
+    Parameters
+    ----------
+    unions : (n_unions, n_words) uint64
+        Frames that are seen.
+    chains : Chains
+        Windows and tails.
+    first : (n_unions, n_chains) int
+        Written; the number of windows of the chain where none is live.
+    """
     order = np.arange(len(chains.start) - 1)
     nothing = np.empty((0, 0))
     for row in range(len(unions)):
@@ -307,10 +381,20 @@ def first_live_with_each(
     end: int,
     first: NDArray[np.int32],
 ) -> None:
-    """First live window of chains begin .. end - 1 for a set with each pose: (n_chains, n_poses).
+    """Find the first live window of some chains for a set with each pose in turn.
 
-    `columns` has bits along the poses, (n_frames, n_words), `is_seen` (n_frames,) what
-    the set sees by itself.
+    Parameters
+    ----------
+    columns : (n_frames, n_words) uint64
+        Poses that see each frame.
+    is_seen : (n_frames,) bool
+        What the set sees by itself.
+    chains : Chains
+        Windows and tails.
+    begin, end : int
+        Chains begin .. end - 1 are looked at.
+    first : (n_chains, n_poses) int32
+        Written; the number of windows of the chain where none is live.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
     n_words = columns.shape[1]
@@ -323,10 +407,9 @@ def first_live_with_each(
         most = max(most, tail_start[chain + 1] - tail_start[chain])
     held = np.empty((most + 1, n_words), dtype=np.uint64)
     held[0] = every
-    left = np.empty(
-        n_words, dtype=np.uint64
-    )  # poses with which no window has been live so far
-    live = np.empty(n_words, dtype=np.uint64)  # those with which a window is
+    # Poses with which no window has been live so far, and with which one is.
+    left = np.empty(n_words, dtype=np.uint64)
+    live = np.empty(n_words, dtype=np.uint64)
     for chain in range(begin, end):
         tail = tail_start[chain]
         n_tails = tail_start[chain + 1] - tail_start[chain]
@@ -341,6 +424,7 @@ def first_live_with_each(
         left[:] = every
         if n_poses & 63:
             left[n_words - 1] = (np.uint64(1) << np.uint64(n_poses & 63)) - np.uint64(1)
+        # Windows of the chain: poses with which this is the first live one.
         for link in range(n_links):
             while n_tails > 0 and tail_links[tail + n_tails - 1] <= link:
                 n_tails -= 1
@@ -370,11 +454,24 @@ def avoid_with_each(
     avoided: WordArray,
     part: WordArray,
 ) -> None:
-    """Poses with which a set avoids a run, and that see a piece that it is missing, (n_words,).
+    """Find poses with which a set avoids a run, and those that see a missing piece.
 
-    A live window among the first `last` of the chain avoids it. `is_seen`, (n_frames,),
-    is what the set sees by itself; `part` may have no words. `space`, (2, n_words), is
-    working space.
+    Parameters
+    ----------
+    columns : (n_frames, n_words) uint64
+        Poses that see each frame.
+    is_seen : (n_frames,) bool
+        What the set sees by itself.
+    chains : Chains
+        Windows and tails.
+    chain, last : int
+        A live window among the first `last` of the chain avoids the run.
+    space : (2, n_words) uint64
+        Working space.
+    avoided : (n_words,) uint64
+        Written: poses with which the run is avoided.
+    part : (n_words,) uint64
+        Written: poses that see a frame or tail that is missing; may be empty.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
     n_words = columns.shape[1]
@@ -422,9 +519,25 @@ def add_weights_with_each(
     runs: IntArray,
     total: FloatArray,
 ) -> None:
-    """Add the weight of each of some runs to all poses with which a set avoids it, (n_poses,).
+    """Add the weight of runs to all poses with which a set avoids them.
 
-    Of run r, the first ``last[r]`` windows of chain ``run_chain[r]`` are in time.
+    Parameters
+    ----------
+    columns : (n_frames, n_words) uint64
+        Poses that see each frame.
+    is_seen : (n_frames,) bool
+        What the set sees by itself.
+    chains : Chains
+        Windows and tails.
+    run_chain, last : (n_runs,) int
+        Of run r, the first ``last[r]`` windows of chain ``run_chain[r]`` are in
+        time.
+    weight : (n_runs,) float
+        Weight of each run.
+    runs : (n,) int
+        Runs that are looked at.
+    total : (n_poses,) float
+        Added to.
     """
     n_words = columns.shape[1]
     space = np.empty((2, n_words), dtype=np.uint64)
@@ -454,7 +567,11 @@ def avoid_beside(
     alone: WordArray,
     part: WordArray,
 ) -> None:
-    """Units that avoid each row next to a set, and that see a missing piece, (n_rows, n_words)."""
+    """Find units that avoid each row next to a set, and that see a missing piece.
+
+    `alone` and `part`, (n_rows, n_words), are written as by
+    :func:`avoid_with_each`, row by row.
+    """
     space = np.empty((2, columns.shape[1]), dtype=np.uint64)
     for row in range(len(row_chain)):
         avoid_with_each(

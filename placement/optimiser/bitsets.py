@@ -17,11 +17,18 @@ from .problem import Measure, Objective, WordArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetValues:
-    """Values of sets of poses: minus what they lack to the floors, then each objective."""
+    """Values of sets of poses: minus what they lack to the floors, then objectives.
 
-    objectives: tuple[Objective, ...]  # in the order in which sets are compared
-    # (n_sets, 1 + n_objectives): the larger the better: minus what is lacking, then
-    # each objective, the minimised ones negative. One row for a single set.
+    Attributes
+    ----------
+    objectives : tuple of Objective
+        In the order in which sets are compared.
+    gains : (n_sets, 1 + n_objectives) float
+        The larger the better: minus what is lacking, then each objective, the
+        minimised ones negative. One row, (1 + n_objectives,), for a single set.
+    """
+
+    objectives: tuple[Objective, ...]
     gains: FloatArray
 
     def __len__(self) -> int:
@@ -46,14 +53,17 @@ class SetValues:
     def best_row(self) -> int:
         """First set that no other one exceeds."""
         rows = np.arange(len(self.gains))
-        for column, tolerance in zip(
-            self.gains.T, _tolerances(self.objectives), strict=True
-        ):
-            rows = rows[column[rows] >= column[rows].max() - tolerance]
+        tolerances = _tolerances(self.objectives)
+        for column, tolerance in zip(self.gains.T, tolerances, strict=True):
+            gain = column[rows]
+            rows = rows[gain >= gain.max() - tolerance]
         return int(rows[0])
 
     def exceeds(self, other: "SetValues") -> bool:
-        """True if the first difference that exceeds rounding noise favours this single set."""
+        """True if the first real difference favours this single set.
+
+        Differences within an objective's tolerance are rounding noise.
+        """
         difference = self.gains - other.gains
         differs = np.flatnonzero(np.abs(difference) > _tolerances(self.objectives))
         return bool(len(differs)) and bool(difference[differs[0]] > 0.0)
@@ -61,6 +71,7 @@ class SetValues:
 
 @lru_cache(maxsize=32)
 def _tolerances(objectives: tuple[Objective, ...]) -> FloatArray:
+    """Tolerance of what is lacking, then of each objective, (1 + n_objectives,)."""
     return np.array([TOLERANCE, *(objective.tolerance for objective in objectives)])
 
 
@@ -77,7 +88,8 @@ class BestSet:
             return
         row = values.best_row()
         if self.values is None or values[row].exceeds(self.values):
-            self.units, self.values = sets[row], values[row]
+            self.units = sets[row]
+            self.values = values[row]
 
 
 class Contenders:
@@ -98,6 +110,7 @@ class Contenders:
     def add(self, sets: IntArray, values: SetValues) -> None:
         """Compare further sets, (n_sets, n_units)."""
         gains = values.gains
+        # By what is lacking, then in the first stage: only sets near the best stay.
         for column in range(2):
             if not len(gains):
                 return
@@ -124,48 +137,59 @@ class Contenders:
         raise AssertionError("a row of none of the sets")
 
     def limits(self, values: SetValues) -> dict[Objective, float]:
-        """What no set exceeds that ties with one of some `values` in all stages before.
+        """What no set exceeds that ties with one of some `values` so far, by objective.
 
-        By objective, in its own unit.
+        An objective's limit, in its own unit, is the best among the sets that tie with
+        `values`, a single set's, in all stages before.
         """
         gains = self._all_gains()
         limits = {}
         for column, tolerance in enumerate(_tolerances(self.objectives)):
             of_values = float(values.gains[column])
-            most = max(float(gains[:, column].max(initial=-np.inf)), of_values)
+            of_sets = float(gains[:, column].max(initial=-np.inf))
+            most = max(of_sets, of_values)
             if column > 0:
                 objective = self.objectives[column - 1]
+                limits[objective] = most
                 if objective.is_minimised:
                     limits[objective] = -most
-                else:
-                    limits[objective] = most
+            # Sets that tie in this stage, too, go on to the next one.
             gains = gains[gains[:, column] >= of_values - tolerance]
         return limits
 
     def _all_gains(self) -> FloatArray:
+        """Gains of all sets that are kept, (n_sets, 1 + n_objectives)."""
         none = np.empty((0, 1 + len(self.objectives)))
         return np.concatenate([none, *self._gains])
 
 
 def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
-    """Margins of all runs given which frames are seen: (n_sets, n_words) -> (n_sets, n_runs).
+    """Margins of all runs given which frames are seen.
 
-    Minus infinity where a run is not avoided.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        Runs and windows.
+    unions : (n_sets, n_words) uint64
+        Frames that are seen, as bits.
+
+    Returns
+    -------
+    margin_s : (n_sets, n_runs) float
+        Minus infinity where a run is not avoided. [s]
     """
     from .bit_kernels import first_live_windows
 
     first = np.empty((len(unions), reduced.n_chains), dtype=np.int64)
 
     def look(begin: int, end: int) -> None:
-        first_live_windows(
-            np.ascontiguousarray(unions[begin:end]), reduced.chains, first[begin:end]
-        )
+        some = np.ascontiguousarray(unions[begin:end])
+        first_live_windows(some, reduced.chains, first[begin:end])
 
     share_out(look, len(unions), workers=reduced.workers)
-    margin: FloatArray = reduced.margin_s[
-        np.arange(len(reduced.weight)), first[:, reduced.run_chain]
-    ]
-    return margin
+    run = np.arange(len(reduced.weight))
+    margin_s: FloatArray = reduced.margin_s[run, first[:, reduced.run_chain]]
+    return margin_s
 
 
 def union_apr(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
@@ -184,24 +208,43 @@ def unions_of(reduced: ReducedProblem, sets: IntArray) -> WordArray:
 def left_after_failures(
     reduced: ReducedProblem, measure: Measure, n_failures: int, sets: IntArray
 ) -> FloatArray:
-    """APR that sets of poses keep when their worst units, or sites, fail, (n_sets,).
+    """APR that sets of poses keep when their worst units, or sites, fail.
 
-    Failing more never leaves more, so that it is enough to let the sites of any n of
-    the units fail: that is at most n sites, and any n sites that carry units are among
-    them.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem; its limits say whether units or sites fail.
+    measure : Measure
+        The APR that is asked for.
+    n_failures : int
+        So many fail, or all that there are.
+    sets : (n_sets, n_units) int
+        Poses of the reduced problem.
+
+    Returns
+    -------
+    left : (n_sets,) float
+        What is left in the worst case.
+
+    Notes
+    -----
+    Failing more never leaves more, so that it is enough to let the sites of any n
+    of the units fail: that is at most n sites, and any n sites that carry units are
+    among them.
     """
     limits = reduced.limits
     n_units = sets.shape[1]
+    at = None
     if limits.failing == "site":
         at = limits.site_index[sets]
-    else:
-        at = None
     smallest = np.full(len(sets), np.inf)
     for failed in combinations(range(n_units), min(n_failures, n_units)):
         if at is None:
             unions = unions_of(reduced, np.delete(sets, failed, axis=1))
         else:
-            works = ~(at[:, :, None] == at[:, None, list(failed)]).any(axis=2)
+            # Units work unless they stand at the site of one that fails.
+            of_failed = at[:, None, list(failed)]
+            works = ~(at[:, :, None] == of_failed).any(axis=2)
             unions = np.tile(reduced.base, (len(sets), 1))
             for number, units in enumerate(sets.T):
                 unions |= np.where(works[:, number, None], reduced.words[units], 0)
@@ -226,10 +269,10 @@ def set_values(reduced: ReducedProblem, sets: IntArray) -> SetValues:
 
 
 def values_with_each(reduced: ReducedProblem, units: IntArray) -> SetValues:
-    """Values of a set of poses together with each pose in turn: row c is that of `units` and c.
+    """Values of a set of poses together with each pose in turn.
 
-    Bits run along the poses, 64 sets to a word: far faster than :func:`set_values` of
-    these sets.
+    Row c is that of `units` and pose c. Bits run along the poses, 64 sets to a
+    word: far faster than :func:`set_values` of these sets.
     """
     return _values(
         reduced,
@@ -245,7 +288,8 @@ def costs_with_each_eur(reduced: ReducedProblem, units: IntArray) -> FloatArray:
     limits = reduced.limits
     is_new = ~np.isin(limits.site_index, limits.site_index[units])
     cost = cost_eur(limits, units) + limits.unit_cost_eur
-    return cost + np.where(is_new, limits.site_cost_eur[limits.site_index], 0.0)
+    of_site = limits.site_cost_eur[limits.site_index]
+    return cost + np.where(is_new, of_site, 0.0)
 
 
 def _values(
@@ -256,7 +300,10 @@ def _values(
     cost: FloatArray,
     left: Left,
 ) -> SetValues:
-    """Values from the margins of all runs, (n_sets, n_runs)."""
+    """Values from the margins of all runs, (n_sets, n_runs), costs and what is left.
+
+    A value is computed only if an objective asks for it.
+    """
     is_avoided = margin > -np.inf
 
     @cache
@@ -290,7 +337,10 @@ def _values(
 
 
 def _lacking(reduced: ReducedProblem, left: Left) -> FloatArray | float:
-    """Sum of what sets lack to the floors; a set that lacks anything ties with no other."""
+    """Sum of what sets lack to the floors, (n_sets,).
+
+    A set that lacks anything ties with no other: it lacks :data:`FAR_APART` more.
+    """
     lacking: FloatArray | float = 0.0
     for floor in reduced.floors:
         short = floor.least - TOLERANCE - left(floor.measure, floor.n_failures)
@@ -299,14 +349,24 @@ def _lacking(reduced: ReducedProblem, left: Left) -> FloatArray | float:
 
 
 def avoided_with_each(reduced: ReducedProblem, units: IntArray) -> BoolArray:
-    """Runs that a set of poses together with each pose in turn avoids, (n_poses, n_runs)."""
+    """Runs that a set avoids together with each pose in turn, (n_poses, n_runs)."""
     return _margins_with_each(reduced, units) > -np.inf
 
 
 def shares_with_each(
     reduced: ReducedProblem, units: IntArray, measure: Measure | None = None
 ) -> FloatArray:
-    """APR of a set together with each pose in turn, (n_poses,); by default by the own measure."""
+    """APR of a set together with each pose in turn, (n_poses,).
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    units : (n,) int
+        Poses of the set.
+    measure : Measure, optional
+        The APR that is asked for; by default the problem's own.
+    """
     from .bit_kernels import add_weights_with_each
 
     if measure is None:
@@ -315,14 +375,12 @@ def shares_with_each(
     alone = union_margins_s(reduced, union)[0] > -np.inf
     is_seen = unpack_words(union[0], reduced.n_frames)
     last = reduced.last
+    # A mean over all worlds is a sum over runs: one world will do.
+    world = measure.sample_index
+    n_worlds = len(measure.sample_weight)
     if measure.is_mean:
-        world = np.zeros_like(measure.sample_index)
-    else:
-        world = measure.sample_index
-    if measure.is_mean:
+        world = np.zeros_like(world)
         n_worlds = 1
-    else:
-        n_worlds = len(measure.sample_weight)
     total = np.zeros((reduced.n_poses, n_worlds))
     fixed = (
         reduced.columns,
@@ -343,9 +401,9 @@ def shares_with_each(
             parts[begin] = np.zeros(reduced.n_poses)
             add_weights_with_each(*fixed, runs[begin:end], parts[begin])
 
-        share_out(
-            partial(add, runs=runs, parts=parts), len(runs), workers=reduced.workers
-        )
+        add_part = partial(add, runs=runs, parts=parts)
+        share_out(add_part, len(runs), workers=reduced.workers)
+        # Parts in their order: sums are the same in each run of the program.
         total[:, number] = measure.weight[is_mine & alone].sum()
         for begin in sorted(parts):
             total[:, number] += parts[begin]
@@ -355,7 +413,10 @@ def shares_with_each(
 def left_with_each(
     reduced: ReducedProblem, units: IntArray, measure: Measure, n_failures: int
 ) -> FloatArray:
-    """APR that a set with each pose keeps when its worst units, or sites, fail, (n_poses,)."""
+    """APR that a set with each pose keeps when its worst units, or sites, fail.
+
+    The same as :func:`left_after_failures` of these sets, (n_poses,), but faster.
+    """
 
     def alone(left: IntArray) -> float:
         return float(left_after_failures(reduced, measure, 0, left[None, :])[0])
@@ -372,23 +433,26 @@ def left_with_each(
     for failed in combinations(groups, n_failures):
         rest = units[~np.isin(at, failed)]
         left = shares_with_each(reduced, rest, measure)
-        if (
-            limits.failing == "site"
-        ):  # those that join a site that fails are lost with it
-            left = np.where(np.isin(limits.site_index, failed), alone(rest), left)
+        # A pose that joins a site that fails is lost with it.
+        if limits.failing == "site":
+            joins_failed = np.isin(limits.site_index, failed)
+            left = np.where(joins_failed, alone(rest), left)
         smallest = np.minimum(smallest, left)
-    if n_failures:  # the pose that has joined may be among those that fail
+    # The pose that has joined may be among those that fail.
+    if n_failures:
         for failed in combinations(groups, n_failures - 1):
-            smallest = np.minimum(smallest, alone(units[~np.isin(at, failed)]))
+            rest = units[~np.isin(at, failed)]
+            smallest = np.minimum(smallest, alone(rest))
     return smallest
 
 
 def best_with_each(
     reduced: ReducedProblem, units: IntArray, poses: IntArray
 ) -> IntArray:
-    """The best set of `units` and one of some poses, at least one; of equal ones the first.
+    """Best set of `units` and one of some poses; of equal ones the first.
 
-    Objective by objective only the best poses are looked at further.
+    There is at least one pose. Objective by objective only the best poses are
+    looked at further. Returns the set, (n_units + 1,), the new pose last.
     """
     for find, tolerance in _quick_stages(reduced, units):
         if len(poses) <= FEW_PARTNERS:
@@ -398,14 +462,20 @@ def best_with_each(
     if len(poses) > FEW_PARTNERS:
         row = values_with_each(reduced, units)[poses].best_row()
         return np.append(units, poses[row])
-    sets = np.column_stack([np.tile(units, (len(poses), 1)), poses])
-    return np.asarray(sets[set_values(reduced, sets).best_row()])
+    before = np.tile(units, (len(poses), 1))
+    sets = np.column_stack([before, poses])
+    row = set_values(reduced, sets).best_row()
+    return np.asarray(sets[row])
 
 
 def _quick_stages(
     reduced: ReducedProblem, units: IntArray
 ) -> list[tuple[Callable[[], FloatArray], float]]:
-    """Gains of the first objectives with each pose, before margins, and what counts as equal."""
+    """How to find the gains of the first objectives with each pose, and tolerances.
+
+    These are the objectives before the first margin: their gains, (n_poses,), need
+    no margins of runs.
+    """
     left = partial(left_with_each, reduced, units)
     quick: dict[Objective, Callable[[], FloatArray]] = {
         Objective.UNITS: lambda: np.zeros(reduced.n_poses),  # all sets have as many
@@ -425,10 +495,10 @@ def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
     """Margins of all runs for a set together with each pose, (n_poses, n_runs)."""
     from .bit_kernels import first_live_with_each
 
-    is_seen = unpack_words(unions_of(reduced, units[None, :])[0], reduced.n_frames)
-    first = np.empty(
-        (reduced.n_chains, reduced.n_poses), dtype=np.int32
-    )  # it may be large
+    union = unions_of(reduced, units[None, :])[0]
+    is_seen = unpack_words(union, reduced.n_frames)
+    # Short integers: this array may be large.
+    first = np.empty((reduced.n_chains, reduced.n_poses), dtype=np.int32)
     margin = np.empty((reduced.n_poses, len(reduced.weight)))
 
     def look(begin: int, end: int) -> None:
@@ -438,7 +508,8 @@ def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
 
     def look_up(begin: int, end: int) -> None:
         for run in range(begin, end):
-            margin[:, run] = reduced.margin_s[run][first[reduced.run_chain[run]]]
+            link = first[reduced.run_chain[run]]
+            margin[:, run] = reduced.margin_s[run][link]
 
     share_out(look, reduced.n_chains, workers=reduced.workers)
     share_out(look_up, len(reduced.weight), workers=reduced.workers)

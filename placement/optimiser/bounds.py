@@ -41,10 +41,20 @@ from .problem import Objective, WordArray
 
 
 class Rows(NamedTuple):
-    """Rows of the covering problem: a window is seen among the first of a chain."""
+    """Rows of the covering problem: a window is seen among the first of a chain.
+
+    Attributes
+    ----------
+    chain : (n_rows,) int
+        Chain of each row.
+    last : (n_rows,) int
+        How many of its first windows count.
+    weight : (n_rows,) float
+        Worth of the row.
+    """
 
     chain: IntArray
-    last: IntArray  # how many of its first windows
+    last: IntArray
     weight: FloatArray
 
     def of(self, some: IntArray | BoolArray | slice) -> "Rows":
@@ -58,7 +68,11 @@ def run_rows(reduced: ReducedProblem) -> Rows:
 
 
 def margin_rows(reduced: ReducedProblem) -> Rows:
-    """Rows whose covered sum is that of weights times margins: a row for each window in time."""
+    """Rows whose covered sum is that of weights times margins.
+
+    There is a row for each window in time: it is worth what its margin exceeds the
+    next one's by, times the run's weight.
+    """
     margin = np.where(reduced.margin_s > -np.inf, reduced.margin_s, 0.0)
     step = np.maximum(margin[:, :-1] - margin[:, 1:], 0.0) * reduced.weight[:, None]
     run, link = np.nonzero(step)
@@ -67,30 +81,52 @@ def margin_rows(reduced: ReducedProblem) -> Rows:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Root:
-    """A covering problem of no lower value than the windows', and prices on its rows."""
+    """A covering problem of no lower value than the windows', and prices on its rows.
 
-    covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
-    weight: FloatArray  # (n_rows,): rows that the same poses cover are one
-    price: FloatArray  # (n_rows,)
-    reached: float  # what VUT and forced poses are worth, in none of the rows
-    limit: float  # no set is worth more
-    share: FloatArray  # (n_poses,): how often each pose was picked of late
+    Attributes
+    ----------
+    covers : (n_poses, n_row_words) uint64
+        Rows that each pose covers.
+    weight : (n_rows,) float
+        Weight of each row; rows that the same poses cover are one.
+    price : (n_rows,) float
+        Lagrangian prices.
+    reached : float
+        What VUT and forced poses are worth, in none of the rows.
+    limit : float
+        No set is worth more.
+    share : (n_poses,) float
+        How often each pose was picked of late: near a relaxed solution.
+    choice : Choice
+        Poses that may be chosen, and how many.
+    """
+
+    covers: WordArray
+    weight: FloatArray
+    price: FloatArray
+    reached: float
+    limit: float
+    share: FloatArray
     choice: Choice
 
     def gains(self, price: FloatArray | None = None) -> FloatArray:
-        """Sum of the prices of what each pose covers, by default the own, (n_poses,)."""
+        """Sum of the prices of what each pose covers, by default own, (n_poses,)."""
         from .walk_kernels import weights_of
 
-        table, used, n_used = byte_table(
-            self.price if price is None else price, self.covers
-        )
+        if price is None:
+            price = self.price
+        table, used, n_used = byte_table(price, self.covers)
         gain = np.empty(len(self.covers))
         weights_of(self.covers.view(np.uint8), table, used, n_used, gain)
         return gain
 
 
 def byte_table(weight: FloatArray, rows: WordArray) -> tuple[FloatArray, IntArray, int]:
-    """What each value of each byte of bits along rows weighs, see ``walk_kernels.weigh_bytes``."""
+    """Worth of each value of each byte of bits along rows.
+
+    Returns `table`, `used` and their number, see
+    :func:`placement.optimiser.walk_kernels.weigh_bytes`.
+    """
     from .walk_kernels import weigh_bytes
 
     n_words = rows.shape[1]
@@ -98,11 +134,9 @@ def byte_table(weight: FloatArray, rows: WordArray) -> tuple[FloatArray, IntArra
     used = np.empty(8 * n_words, dtype=np.int64)
     padded = np.zeros(64 * n_words)
     padded[: len(weight)] = weight
-    return (
-        table,
-        used,
-        weigh_bytes(padded, np.full(n_words, ~np.uint64(0)), table, used),
-    )
+    every = np.full(n_words, ~np.uint64(0))
+    n_used = weigh_bytes(padded, every, table, used)
+    return table, used, n_used
 
 
 def find_root(
@@ -110,8 +144,19 @@ def find_root(
 ) -> Root:
     """Ask for the frames, window by window, that bound sets of so many units best.
 
-    Windows are asked for what the poses picked so far see least, again and again, and
-    the best round is taken. It ends at the deadline, but completes the first round.
+    Windows are asked for what the poses picked so far see least, again and again,
+    and the best round is taken.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    rows : Rows
+        What is covered: runs, or margins.
+    n_units : int
+        Units of a set, the forced ones among them.
+    deadline : Deadline
+        When it is over, no other round begins; the first one is completed.
     """
     choice = build_choice(reduced.limits, n_units)
     union = unions_of(reduced, forced_units(reduced)[None, :])[0]
@@ -119,25 +164,24 @@ def find_root(
     reached = float(rows.weight[is_alone].sum())
     rows = rows.of(~is_alone)
     # To begin with, the frames that fewest poses see; what is picked counts far more.
-    seen = np.bitwise_count(reduced.columns).sum(axis=1) / (
-        1.0e3 * max(reduced.n_poses, 1)
-    )
+    n_seeing = np.bitwise_count(reduced.columns).sum(axis=1)
+    seen = n_seeing / (1.0e3 * max(reduced.n_poses, 1))
     price = constants.PRICE_START * rows.weight
     best: Root | None = None
     for number in range(constants.ASK_ROUNDS):
+        # What each row's windows are asked for now, and who covers the row then. Rows
+        # that the same poses cover are one.
         scale = max(float(seen.max(initial=0.0)), constants.TINY)
-        coverers = coverers_of(
-            reduced, rows, union, np.round(seen / scale, constants.SHARE_DIGITS)
-        )
+        rounded = np.round(seen / scale, constants.SHARE_DIGITS)
+        coverers = coverers_of(reduced, rows, union, rounded)
         index, row = distinct_rows(coverers)
         of_rows = np.zeros(len(index))
         of_price = np.zeros(len(index))
         np.add.at(of_rows, row, rows.weight)
         np.add.at(of_price, row, price)
+        covers = transposed(coverers[index], reduced.n_poses, workers=reduced.workers)
         root = Root(
-            covers=transposed(
-                coverers[index], reduced.n_poses, workers=reduced.workers
-            ),
+            covers=covers,
             weight=of_rows,
             price=of_price,
             reached=reached,
@@ -145,18 +189,19 @@ def find_root(
             share=np.zeros(reduced.n_poses),
             choice=choice,
         )
+        steps = constants.FIRST_STEPS
         if number:
             steps = constants.LATER_STEPS
-        else:
-            steps = constants.FIRST_STEPS
         root = tightened(root, reward_of(choice.n_units, 0), n_steps=steps)
-        is_settled = best is not None and root.limit > best.limit * (
-            1.0 - constants.SETTLED
-        )
+        is_settled = False
+        if best is not None:
+            is_settled = root.limit > best.limit * (1.0 - constants.SETTLED)
         if best is None or root.limit < best.limit:
             best = root
         if (is_settled and number > 2) or deadline.is_over:
             break
+        # The next round begins with the prices of this one, and asks for frames that
+        # the poses picked so far see least.
         total = np.maximum(root.weight[row], constants.TINY)
         price = root.price[row] * (rows.weight / total)
         used = np.flatnonzero(root.share > constants.SMALL_SHARE)
@@ -176,18 +221,29 @@ def coverers_of(
 ) -> WordArray:
     """Poses that cover each row next to a union of frames, (n_rows, n_pose_words).
 
-    What the union sees is not asked for. Of the frames and tails that are missing, each
-    window is asked for the one that is `seen`, (n_frames,), least. `columns` are those
-    of other units than the poses.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        Windows and poses.
+    rows : Rows
+        The rows.
+    union : (n_words,) uint64
+        Frames that are seen already: they are not asked for.
+    seen : (n_frames,) float
+        How much each frame is seen. Of the frames and tails that are missing, each
+        window is asked for the one that is seen least.
+    columns : (n_frames, n_words) uint64, optional
+        Bits along other units than the poses.
     """
     from .walk_kernels import ask_for_least_seen, cover_rows
 
     chains = reduced.chains
     asked = np.empty(len(chains.window), dtype=np.int64)
     ask_for_least_seen(chains, np.unique(rows.chain), union, seen, asked)
-    is_poses = columns is None
+    workers = 1
     if columns is None:
         columns = reduced.columns
+        workers = reduced.workers
     coverers = np.empty((len(rows.chain), columns.shape[1]), dtype=np.uint64)
 
     def cover(begin: int, end: int) -> None:
@@ -195,7 +251,7 @@ def coverers_of(
             columns, chains.start, asked, rows.chain, rows.last, begin, end, coverers
         )
 
-    share_out(cover, len(rows.chain), workers=reduced.workers if is_poses else 1)
+    share_out(cover, len(rows.chain), workers=workers)
     return coverers
 
 
@@ -212,27 +268,42 @@ def reward_of(n_units: int, n_failures: int) -> FloatArray:
     """Mean worth of a row by the number of units that cover it, (n_units + 2,).
 
     Of the ways in which units fail, it is the share that leaves one of those that
-    cover.
+    cover: 1 - C(K - n, N - n) / C(K, N) where n of K units cover it and N fail.
     """
     reward: FloatArray = np.minimum(np.arange(n_units + 2.0), 1.0)
-    for n in range(1, n_failures + 1) if n_failures <= n_units else ():
-        reward[n] -= comb(n_units - n, n_failures - n) / comb(n_units, n_failures)
+    if n_failures > n_units:
+        return reward
+    n_ways = comb(n_units, n_failures)
+    for n_covering in range(1, n_failures + 1):
+        n_lost = comb(n_units - n_covering, n_failures - n_covering)
+        reward[n_covering] -= n_lost / n_ways
     return reward
 
 
 def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
-    """Better prices for a root by subgradient steps; without steps, what its prices prove."""
+    """Better prices for a root by subgradient steps.
+
+    Without steps, its prices stay, and the limit is what they prove.
+    """
     from .walk_kernels import tighten_prices
 
     choice = root.choice
     price = root.price.copy()
     share = np.zeros(len(root.covers))
     covers = root.covers.view(np.uint8)
-    s = constants
-    how = np.array([s.STEP_LENGTH, s.STEP_CUT, s.DEFLECTION, s.MEMORY, s.PATIENCE])
+    how = np.array(
+        [
+            constants.STEP_LENGTH,
+            constants.STEP_CUT,
+            constants.DEFLECTION,
+            constants.MEMORY,
+            constants.PATIENCE,
+        ]
+    )
     limit = tighten_prices(
         covers, choice, root.weight, reward, price, n_steps, how, share
     )
+    # Shares sum up to the units; rounding makes the limit a little larger.
     share *= choice.n_units / max(float(share.sum()), constants.TINY)
     limit = (root.reached + limit) * (1.0 + constants.ROUNDING)
     return replace(root, price=price, limit=limit, share=share)
@@ -241,10 +312,25 @@ def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
 def failure_limit(
     root: Root, n_failures: int, least: float, *, deadline: Deadline = NEVER
 ) -> float:
-    """No set that is worth `least` keeps more when units fail, nor is worth more without."""
+    """Upper bound of what sets worth `least` keep on failure, and are worth without.
+
+    Parameters
+    ----------
+    root : Root
+        Covering problem of the runs.
+    n_failures : int
+        Units that fail.
+    least : float
+        Only sets that are worth so much without failures are bounded.
+    deadline : Deadline
+        No other price is tried behind it.
+    """
     limit = root.limit
+    if not n_failures:
+        return limit
     n_units = root.choice.n_units
-    for amount in constants.FAILURE_PRICES if n_failures else ():
+    # Prices of the APR of all units, which makes up for what it exceeds `least` by.
+    for amount in constants.FAILURE_PRICES:
         if deadline.is_over:
             break
         reward = reward_of(n_units, n_failures) + amount * reward_of(n_units, 0)
@@ -256,11 +342,25 @@ def failure_limit(
 def relax(
     reduced: ReducedProblem, worth: Objective, *, deadline: Deadline = NEVER
 ) -> tuple[float, FloatArray | None]:
-    """Upper bound of all sets within the limits, and shares of poses near a relaxed solution.
+    """Upper bound of all sets within the limits, and shares of poses.
 
-    `worth` is ``Objective.APR``, or ``Objective.MEAN_MARGIN`` for the sum of weights
-    times margins. Wishes are left out, which only makes it higher. Infinite, and no
-    shares, where it takes long.
+    Wishes are left out, which only makes the bound higher.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    worth : Objective
+        ``APR``, or ``MEAN_MARGIN`` for the sum of weights times margins.
+    deadline : Deadline
+        See :func:`find_root`.
+
+    Returns
+    -------
+    limit : float
+        No set is worth more; infinite where the problem is too large.
+    share : (n_poses,) float, optional
+        Shares of poses near a relaxed solution; None where there are none.
     """
     n_units = reduced.limits.max_units
     if not len(reduced.weight) or n_units < 1:
@@ -273,16 +373,19 @@ def relax(
         return np.inf, None
     root = polished(find_root(reduced, rows, n_units=n_units, deadline=deadline))
     limit = root.limit
-    if worth is Objective.APR:  # all poses together are a limit, too
+    if worth is Objective.APR:
+        # All poses together are a limit, too.
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
-        limit = min(
-            rounded_down(reduced, limit), float(union_apr(reduced, everything)[0])
-        )
+        of_all = float(union_apr(reduced, everything)[0])
+        limit = min(rounded_down(reduced, limit), of_all)
     return limit, root.share
 
 
 def rounded_down(reduced: ReducedProblem, limit: float) -> float:
-    """An upper bound of the APR; where all runs weigh the same, a whole number of them."""
+    """Upper bound of the APR, rounded down to a value that a set can have.
+
+    Where all weights are multiples of one step, so are all values.
+    """
     step = reduced.measure.step
     if step:
         limit = float(np.floor(limit / step + constants.SOLVER_TOLERANCE)) * step
@@ -307,15 +410,15 @@ def polished(root: Root) -> Root:
         return root
     reward = reward_of(n_units, 0)
     n_bits = np.bitwise_count(root.covers).sum(axis=1)
-    n_core = min(
-        constants.CORE_POSES, int(constants.CORE_BITS / max(float(n_bits.mean()), 1.0))
-    )
+    n_by_bits = int(constants.CORE_BITS / max(float(n_bits.mean()), 1.0))
+    n_core = min(constants.CORE_POSES, n_by_bits)
     of_share = np.flatnonzero(share > constants.SMALL_SHARE)
     core = np.union1d(_worthiest(root.gains(), n_core), of_share)
     for _ in range(constants.POLISH_ROUNDS):
         price, of_core = _relaxed(best, core, share[core])
         share = np.zeros(len(root.covers))
         share[core] = of_core
+        # The best point between the old prices and OSQP's.
         before = best
         for way in constants.POLISH_WAY:
             between = (1.0 - way) * before.price + way * price
@@ -324,23 +427,41 @@ def polished(root: Root) -> Root:
                 best = replace(trial, share=share)
         if best.limit > before.limit * (1.0 - constants.SETTLED):
             break
+        # Poses that gain too much, by either prices, join the core.
         for of_root in (best.price, price):
             core = np.union1d(core, _worthiest(root.gains(of_root), n_core // 4))
     return best
 
 
 def _worthiest(gain: FloatArray, n_poses: int) -> IntArray:
+    """The poses that gain most, ascending, (n_poses,)."""
     return np.sort(np.argsort(-gain, kind="stable")[:n_poses])
 
 
 def _relaxed(
     root: Root, core: IntArray, share: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Multipliers of rows and shares of poses, x, in the linear relaxation on some poses.
+    """Multipliers of rows and shares of poses in the relaxation on some poses.
 
     Maximise sum of w a - epsilon / 2 sum of x ** 2 such that a[r] <= sum of x over
-    poses that cover r, sum of x <= K, per site <= room, money <= what is left, 0 <= a,
-    x <= 1.
+    poses that cover r, sum of x <= K, per site <= room, money <= what is left,
+    0 <= a, x <= 1.
+
+    Parameters
+    ----------
+    root : Root
+        The covering problem, with prices to begin with.
+    core : (n_core,) int
+        Poses that are looked at.
+    share : (n_core,) float
+        Shares to begin with.
+
+    Returns
+    -------
+    price : (n_rows,) float
+        OSQP's multipliers, from 0 to the weight.
+    shares : (n_core,) float
+        x, from 0 to 1.
     """
     import osqp
     from scipy import sparse
@@ -349,23 +470,23 @@ def _relaxed(
     n_rows = len(root.weight)
     n_core = len(core)
     scale = 1.0 / float(root.weight.max())
-    covers = sparse.csc_matrix(
-        unpack_words(root.covers[core], n_rows).T.astype(np.float64)
-    )
+    bits = unpack_words(root.covers[core], n_rows)
+    covers = sparse.csc_matrix(bits.T.astype(np.float64))
+    # Rows of the limits on x: number of units, room at each site, money.
     sites, site = np.unique(choice.site[core], return_inverse=True)
-    of_choice = [
-        np.ones((1, n_core)),
-        (np.arange(len(sites))[:, None] == site).astype(np.float64),
-    ]
+    at_site = np.arange(len(sites))[:, None] == site
+    of_choice = [np.ones((1, n_core)), at_site.astype(np.float64)]
     upper = [[choice.n_units], choice.room[sites]]
     if len(choice.cost):
         of_choice.append(choice.cost[core][None, :])
         upper.append([1.0])
     choices = sparse.csc_matrix(np.concatenate(of_choice))
+    # The variables are x, then a: what covers each row, the limits, and the bounds.
+    no_rows = sparse.csc_matrix((choices.shape[0], n_rows))
     matrix = sparse.vstack(
         [
             sparse.hstack([-covers, sparse.eye(n_rows)]),
-            sparse.hstack([choices, sparse.csc_matrix((choices.shape[0], n_rows))]),
+            sparse.hstack([choices, no_rows]),
             sparse.eye(n_core + n_rows),
         ],
         "csc",
@@ -391,6 +512,7 @@ def _relaxed(
         alpha=constants.OSQP_OVERRELAXATION,
         max_iter=constants.POLISH_STEPS,
     )
+    # It begins at the root's prices, and what the shares cover by them.
     duals = np.zeros(len(most))
     duals[:n_rows] = scale * root.price
     reached = np.minimum(np.asarray(covers @ share), 1.0)

@@ -1,4 +1,7 @@
-"""Fronts over money: the best layouts for more and more of it, from the cheapest useful one."""
+"""Fronts over money: the best layouts for more and more of it.
+
+They begin with the cheapest layout that avoids anything.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -61,9 +64,9 @@ def price_levels_eur(limits: Limits) -> FloatArray | None:
     largest = max(int(limits.site_capacity.max(initial=1)), 1)
     levels: set[int] = set()
     for n_units in range(1, most + 1):
-        for n_sites in range(
-            -(-n_units // largest), min(n_units, len(by_sites) - 1) + 1
-        ):
+        fewest = -(-n_units // largest)
+        n_most = min(n_units, len(by_sites) - 1)
+        for n_sites in range(fewest, n_most + 1):
             levels.update(a + b for a in by_units[n_units] for b in by_sites[n_sites])
             if len(levels) > _MAX_LEVELS:
                 return None
@@ -73,11 +76,25 @@ def price_levels_eur(limits: Limits) -> FloatArray | None:
 def next_level_eur(
     levels_eur: FloatArray | None, amount_eur: float, *, is_more: bool
 ) -> float:
-    """The first level that is no less than an amount, or more; itself where none are known."""
+    """First level that is no less than an amount, or more; in euros.
+
+    Parameters
+    ----------
+    levels_eur : (n,) float, optional
+        Levels, ascending; None: not known, the amount itself is returned. [EUR]
+    amount_eur : float
+        The amount. [EUR]
+    is_more : bool
+        True if the level must be more than the amount.
+    """
     if levels_eur is None or not np.isfinite(amount_eur):
         return amount_eur
-    from_eur = amount_eur + (COST_TOLERANCE_EUR if is_more else -COST_TOLERANCE_EUR)
-    place = np.searchsorted(levels_eur, from_eur, side="right" if is_more else "left")
+    if is_more:
+        from_eur = amount_eur + COST_TOLERANCE_EUR
+        place = np.searchsorted(levels_eur, from_eur, side="right")
+    else:
+        from_eur = amount_eur - COST_TOLERANCE_EUR
+        place = np.searchsorted(levels_eur, from_eur, side="left")
     if place < len(levels_eur):
         return float(levels_eur[place])
     return np.inf
@@ -111,19 +128,38 @@ def cost_front(
 ) -> Front:
     """Cheapest layouts for a growing APR, and for a growing APR when one unit fails.
 
-    All limits and floors of the problem hold at every point. A point must be better
-    than the one before it by `step_apr`, by default the smallest weight of a run:
-    points that are closer are left out. `stages`, `effort` and `on_point` are those of
-    :func:`pareto_front`.
+    All limits and floors of the problem hold at every point. The first point is the
+    cheapest that avoids anything. The first stage of a certificate is the cost:
+    nothing that is better than the point before costs less.
 
-    The first point is the cheapest that avoids anything. The first stage of a
-    certificate is the cost: nothing that is better than the point before costs less.
-    Raises InputError if no layout meets the wishes or avoids anything, or more is asked
-    for than the best.
+    Parameters
+    ----------
+    problem : PlacementProblem
+        The problem; its goal must be the best layout.
+    step_apr : float, optional
+        A point must be better than the one before it by so much; by default by the
+        smallest weight of a run. Points that are closer are left out.
+    max_points : int
+        At most so many points.
+    stages, effort, on_point
+        Those of :func:`placement.optimiser.front.pareto_front`.
 
-    The epsilon-constraint method of Haimes, Lasdon and Wismer (1971), in lexicographic
-    order: the next point is the cheapest layout whose APR is higher, or that has the
-    same APR and keeps more of it when one unit fails.
+    Raises
+    ------
+    InputError
+        No layout meets the wishes or avoids anything, or more is asked for than the
+        best.
+
+    Notes
+    -----
+    The epsilon-constraint method [1]_, in lexicographic order: the next point is
+    the cheapest layout whose APR is higher, or that has the same APR and keeps more
+    of it when one unit fails.
+
+    References
+    ----------
+    .. [1] Y. Haimes, L. Lasdon, D. Wismer, "On a bicriterion formulation of the
+       problems of integrated system identification and system optimization", 1971.
     """
     check_front(problem, stages)
     if max_points < 1:
@@ -136,13 +172,15 @@ def cost_front(
     weight = reduced.weight[reduced.weight > 0.0]
     if not len(weight):
         refuse("candidates", "poses that avoid nothing", "one that does")
+    if step_apr is None:
+        step_apr = float(weight.min())
     climb = _Climb(
         problem=problem,
         reduced=reduced,
         stages=stages,
         effort=effort,
         deadline=deadline_in(effort.time_limit_s),
-        step=float(weight.min()) if step_apr is None else step_apr,
+        step=step_apr,
         largest=largest_values(reduced, "first") or {},
         levels_eur=price_levels_eur(problem.limits),
     )
@@ -153,6 +191,7 @@ def cost_front(
         last = points[-1]
         if on_point is not None:
             on_point(last)
+        # The cheapest layout with a higher APR stays the same until one is reached.
         if higher is _UNKNOWN:
             higher = climb.higher(last)
         safer = climb.safer(last)
@@ -171,12 +210,14 @@ def cost_front(
             higher = _UNKNOWN
         points = _with_point(points, point)
     largest = largest_values(reduced, stages)
-    is_final = stages == "first" or reaches(points[-1].value, largest)
+    # Margins and cost may still grow, where they were optimised.
+    if stages == "all" and not reaches(points[-1].value, largest):
+        settled = None
     return Front(
         by="cost",
         points=tuple(points),
         stages=stages,
-        settled=settled if is_final else None,
+        settled=settled,
         refused=(),
         presolve=reduced.statistics,
     )
@@ -186,7 +227,18 @@ def cost_front(
 class _Step:
     """The cheapest layout that is better in one respect, as found.
 
-    `least_eur` is proven: no such layout costs less; infinite if there is none.
+    Attributes
+    ----------
+    pose_index : tuple of int, optional
+        Rows of the detection table; None: none was found.
+    cost_eur : float
+        Its cost; infinite without a layout. [EUR]
+    least_eur : float
+        Proven: no such layout costs less; infinite if there is none. [EUR]
+    seconds : float
+        Time that it took. [s]
+    floors : tuple of (float, int)
+        What was asked for: APRs, and how many units may fail.
     """
 
     pose_index: tuple[int, ...] | None
@@ -201,7 +253,17 @@ _UNKNOWN = _Step(pose_index=None, cost_eur=np.inf, least_eur=-np.inf, seconds=0.
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Climb:
-    """Problem, time and prices that the steps of one front share."""
+    """Problem, time and prices that the steps of one front share.
+
+    Attributes
+    ----------
+    step : float
+        A point's APR must be higher than the one before by so much.
+    largest : dict
+        Values that no layout exceeds, by objective.
+    levels_eur : (n,) float, optional
+        Amounts of which every layout costs one; None: not known. [EUR]
+    """
 
     problem: PlacementProblem
     reduced: ReducedProblem
@@ -233,7 +295,7 @@ class _Climb:
         return self._cheapest([(last.value.apr + self.step, 0)], last)
 
     def safer(self, last: FrontPoint) -> _Step:
-        """The cheapest layout with the same APR that keeps more of it when one unit fails."""
+        """The cheapest layout with the same APR that keeps more of it on failure."""
         least = last.value.apr_one_failed + self.step
         if least > self.largest[Objective.APR_ONE_FAILED] + TOLERANCE:
             return replace(_UNKNOWN, least_eur=np.inf)
@@ -242,30 +304,33 @@ class _Climb:
     def _cheapest(
         self, asked: Sequence[tuple[float, int]], last: FrontPoint | None
     ) -> _Step:
-        """The cheapest layout that reaches APRs: pairs of a share and how many units may fail."""
+        """The cheapest layout that reaches some APRs.
+
+        `asked` are pairs of a share and how many units may fail; `last` is the point
+        before, None for the first one.
+        """
         began_s = now_s()
         problem = self._asking(asked, goal="cheapest")
         reduced = self.reduced.for_problem(problem)
         effort = self._effort()
         end = deadline_in(effort.time_limit_s)
         search = Search(reduced, deadline=end, is_exact=effort.is_exact)
-        search.start(
-            [] if last is None else [units_of(reduced, np.array(last.pose_index))]
-        )
+        starts = []
+        if last is not None:
+            starts = [units_of(reduced, np.array(last.pose_index))]
+        search.start(starts)
         known_eur = self._known_eur(last)
         if last is None:
             check_floors(problem, search)
         elif search.units is None or search.shortfall > 0.0:
+            least_eur = known_eur
             if search.nothing_meets_all:
                 least_eur = np.inf
-            else:
-                least_eur = known_eur
             return replace(_UNKNOWN, least_eur=least_eur)
         if search.value.cost_eur > known_eur + COST_TOLERANCE_EUR:
             bound = Stages(problem, search, effort).bound_first_cost_eur()
-            known_eur = max(
-                known_eur, next_level_eur(self.levels_eur, bound, is_more=False)
-            )
+            level_eur = next_level_eur(self.levels_eur, bound, is_more=False)
+            known_eur = max(known_eur, level_eur)
         units = search.units
         assert units is not None
         return _Step(
@@ -299,16 +364,18 @@ class _Climb:
         """
         assert step.pose_index is not None
         limits = _within(self.problem.limits, step.cost_eur)
+        asked = step.floors
+        if is_best:
+            asked = ()
+        # No stage need ask for less money: that is the last one.
+        n_stages = len(VALUE_OBJECTIVES) - 1
+        if self.stages == "first":
+            n_stages = len(FIRST_STAGES)
         point = solve_point(
-            self._asking(() if is_best else step.floors, limits=limits),
+            self._asking(asked, limits=limits),
             self.reduced,
             effort=self._effort(),
-            # No stage need ask for less money: that is the last one.
-            n_stages=(
-                len(FIRST_STAGES)
-                if self.stages == "first"
-                else len(VALUE_OBJECTIVES) - 1
-            ),
+            n_stages=n_stages,
             starts=[step.pose_index],
         )
         cost = build_stage(
@@ -320,40 +387,42 @@ class _Climb:
         self, asked: Sequence[tuple[float, int]], **changes: Any
     ) -> PlacementProblem:
         """The problem with some changes where APRs must be reached, too."""
-        floors = [Floor(name=_ASKED, share=min(s, 1.0), n_failures=n) for s, n in asked]
+        floors = [
+            Floor(name=_ASKED, share=min(share, 1.0), n_failures=n_failures)
+            for share, n_failures in asked
+        ]
         return replace(self.problem, floors=(*self.problem.floors, *floors), **changes)
 
     def _effort(self) -> Effort:
+        """Effort for one point, out of what is left for all."""
         return self.effort.until(self.deadline.of("point of a front"))
 
 
 def _within(limits: Limits, cost_eur: float) -> Limits:
     """Limits with so much money; as a number of units, where that says the same."""
     price = float(limits.unit_cost_eur.max(initial=0.0))
-    if (
-        price > 0.0
-        and np.ptp(limits.unit_cost_eur) == 0.0
-        and not limits.site_cost_eur.any()
-    ):
-        affordable = int((cost_eur + COST_TOLERANCE_EUR) / price)
-        if limits.budget_units is None:
-            most = affordable
-        else:
-            most = min(affordable, limits.budget_units)
-        return replace(limits, budget_units=most, budget_eur=None)
-    return replace(limits, budget_eur=cost_eur)
+    if price <= 0.0 or limits.site_cost_eur.any():
+        return replace(limits, budget_eur=cost_eur)
+    if np.ptp(limits.unit_cost_eur) != 0.0:
+        return replace(limits, budget_eur=cost_eur)
+    # Each unit costs the same.
+    most = int((cost_eur + COST_TOLERANCE_EUR) / price)
+    if limits.budget_units is not None:
+        most = min(most, limits.budget_units)
+    return replace(limits, budget_units=most, budget_eur=None)
 
 
 def _with_point(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoint]:
-    """Points that cost less than a new one, which is better than all of them, and the new one.
+    """Points that cost less than a new one, which is better than all, and that one.
 
-    What is better than the last that stays may be worse than one that goes, and cost as
-    little.
+    What is better than the last that stays may be worse than one that goes, and
+    cost as little: the lowest bound of all holds.
     """
     least_eur = new.value.cost_eur - COST_TOLERANCE_EUR
     stay = [point for point in points if point.value.cost_eur < least_eur]
     cost, *others = new.certificate.stages
-    least_eur = min(p.certificate.stages[0].bound for p in (new, *points[len(stay) :]))
+    gone = points[len(stay) :]
+    least_eur = min(point.certificate.stages[0].bound for point in (new, *gone))
     if least_eur < cost.bound:
         cost = build_stage(Objective.COST, cost.objective, least_eur, cost.seconds)
     return [*stay, new.with_stages([cost, *others])]

@@ -41,12 +41,24 @@ FIRST_STAGES = (Objective.APR, Objective.APR_ONE_FAILED)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrontPoint:
-    """The best layout for so many units or so much money."""
+    """The best layout for so many units or so much money.
 
-    units: int  # by units: those that were allowed, though the layout may have fewer
-    pose_index: tuple[int, ...]  # rows of the detection table, ascending
-    value: PlacementValue  # what the layout is worth
-    certificate: Certificate  # a stage for every objective that was optimised, in order
+    Attributes
+    ----------
+    units : int
+        On a front by units, those that were allowed: the layout may have fewer.
+    pose_index : tuple of int
+        Rows of the detection table, ascending.
+    value : PlacementValue
+        What the layout is worth.
+    certificate : Certificate
+        A stage for every objective that was optimised, in order.
+    """
+
+    units: int
+    pose_index: tuple[int, ...]
+    value: PlacementValue
+    certificate: Certificate
 
     @property
     def seconds(self) -> float:
@@ -78,7 +90,7 @@ class FrontPoint:
         )
 
     def bounded(self, bounds: Mapping[str, float]) -> "FrontPoint":
-        """The same layout with bounds of some stages that hold as well, where those are closer."""
+        """The same layout with other bounds that hold as well, where closer."""
         return self.with_stages(
             tightened(stage, bounds.get(stage.name, stage.bound))
             for stage in self.certificate.stages
@@ -108,20 +120,12 @@ class Front:
         What dropped out before, once for all points; None if each was solved by itself.
     """
 
-    by: Literal["units", "cost"]  # what the points are allowed more and more of
-    points: tuple[
-        FrontPoint, ...
-    ]  # ascending, at least one; by cost where something grows
-    stages: StageChoice  # what was optimised: APR and APR when one unit fails, or all
-    # It is proven that from so many units, or euros, on nothing grows that was
-    # optimised, not even beyond the last point; None if that is not known.
+    by: Literal["units", "cost"]
+    points: tuple[FrontPoint, ...]
+    stages: StageChoice
     settled: float | None
-    refused: tuple[
-        tuple[int, str], ...
-    ]  # numbers of units that cannot meet the wishes, and why
-    presolve: (
-        PresolveStatistics | None
-    )  # once for all points; None if each was solved by itself
+    refused: tuple[tuple[int, str], ...]
+    presolve: PresolveStatistics | None
 
     @property
     def is_proven(self) -> bool:
@@ -133,13 +137,15 @@ OnPoint = Callable[[FrontPoint], None]
 
 
 def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
-    """Raise InputError if a target, or failures to survive, are asked for, or stages unknown."""
+    """Raise InputError if a front cannot be asked for in this way.
+
+    A target or failures to survive are asked for, or `stages` are unknown.
+    """
     check_one_of("stages", stages, get_args(StageChoice))
     if problem.goal != "best" or problem.survive:
+        option = "target"
         if problem.goal == "best":
             option = "survive"
-        else:
-            option = "target"
         refuse(option, "it with a front", "neither: a front has every APR")
 
 
@@ -151,10 +157,26 @@ def solve_point(
     n_stages: int,
     starts: Sequence[Sequence[int]] = (),
 ) -> FrontPoint:
-    """The best layout for one point; only its first stages are proven."""
+    """The best layout for one point; only its first stages are proven.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        The problem of the point.
+    reduced : ReducedProblem, optional
+        What was presolved for all points; None: it is presolved by itself.
+    effort : Effort
+        How hard to try.
+    n_stages : int
+        So many objectives are bounded.
+    starts : sequence of sequence of int
+        Layouts that are tried first, rows of the table.
+    """
+    if reduced is not None:
+        reduced = reduced.for_problem(problem)
     solution = solve_placement(
         problem,
-        None if reduced is None else reduced.for_problem(problem),
+        reduced,
         effort=effort,
         starts=[np.array(start, dtype=np.int64) for start in starts],
         n_stages=n_stages,
@@ -168,7 +190,10 @@ def solve_point(
 
 
 def no_worse(point: FrontPoint, fewer: FrontPoint) -> FrontPoint:
-    """A point, or with its bounds the layout of the one before, where that is better."""
+    """A point; where the layout of the one before is better, that one.
+
+    The bounds are those of the point in either case.
+    """
     if not is_better(fewer.value, point.value):
         return point
     point = replace(point, pose_index=fewer.pose_index, value=fewer.value)
@@ -224,9 +249,9 @@ def one_failed_limit(reduced: ReducedProblem) -> float:
     needed = np.flatnonzero((words & once).any(axis=1))
     if not len(needed):
         return float(union_apr(reduced, everything[None, :])[0])
-    return float(
-        union_apr(reduced, everything & ~(words[needed] & once) | reduced.base).min()
-    )
+    # What all poses but one see: without what that one alone sees.
+    others = everything & ~(words[needed] & once) | reduced.base
+    return float(union_apr(reduced, others).min())
 
 
 def tightened(stage: Stage, bound: float) -> Stage:
@@ -252,21 +277,41 @@ def pareto_front(
 ) -> Front:
     """Best layouts of so many units and all smaller numbers.
 
-    `reduced` is the problem presolved for no fewer units than `max_units`, where that
-    is at hand. All limits and floors hold at every point but the number of units, in
-    which existing units count. `stages` "first" optimises the APR, then the APR when
-    one unit fails; "all" margins and cost, too. The `effort` is that of all points
-    together: time that a point leaves is there for those after it. `on_point` is called
-    with every point as soon as it is solved.
+    Parameters
+    ----------
+    problem : PlacementProblem
+        All limits and floors hold at every point but the number of units, in which
+        existing units count.
+    max_units, min_units : int
+        Largest and smallest number of units.
+    stages : {"first", "all"}
+        "first" optimises the APR, then the APR when one unit fails; "all" margins
+        and cost, too.
+    effort : Effort, optional
+        That of all points together: time that a point leaves is there for those
+        after it.
+    on_point : callable, optional
+        Called with every point as soon as it is solved.
+    reduced : ReducedProblem, optional
+        The problem presolved for no fewer units than `max_units`.
 
-    There is a point for every number of units with which the wishes can be met; once
-    nothing can grow, and no more money is saved, copies. Raises InputError if the
-    wishes cannot be met with any number, or ask for more than the best.
+    Returns
+    -------
+    front : Front
+        A point for every number of units with which the wishes can be met; once
+        nothing can grow, and no more money is saved, copies.
 
-    Bounds are exchanged between points. A layout of K units is one of K + 1, too: what
-    none of K + 1 exceeds, none of K does, if both points hold the same in the stages
-    before. And what is left of K units when one fails is a layout of K - 1, which no
-    wish binds if none is there.
+    Raises
+    ------
+    InputError
+        The wishes cannot be met with any number, or ask for more than the best.
+
+    Notes
+    -----
+    Bounds are exchanged between points. A layout of K units is one of K + 1, too:
+    what none of K + 1 exceeds, none of K does, if both points hold the same in the
+    stages before. And what is left of K units when one fails is a layout of K - 1,
+    which no wish binds if none is there.
     """
     check_front(problem, stages)
     if effort is None:
@@ -275,41 +320,44 @@ def pareto_front(
     limits = problem.limits
     first = max(min_units, int(limits.is_forced.sum()), 1)
     reduced = _presolved(problem, first, max_units, reduced, effort)
-    if reduced is None:
-        largest = None
-    else:
+    largest = None
+    statistics = None
+    if reduced is not None:
         largest = largest_values(reduced, stages)
+        statistics = reduced.statistics
+    optimised: tuple[Objective, ...] = VALUE_OBJECTIVES
+    if stages == "first":
+        optimised = FIRST_STAGES
     full = replace(limits, budget_units=None).max_units
     points: list[FrontPoint] = []
     refused: list[tuple[int, UnmetError]] = []
     settled = None
     for units in range(first, max_units + 1):
+        # More units cannot be better: the last point is as good, and as well proven.
         if points and (settled is not None or units > full):
-            points.append(
-                replace(points[-1], units=units)
-            )  # as good, and as well proven
+            points.append(replace(points[-1], units=units))
             continue
-        if units == max_units:
-            of_point = deadline
-        else:
+        of_point = deadline
+        if units < max_units:
             of_point = deadline.of("point of a front")
+        fewer = None
+        starts = []
         if points:
             fewer = points[-1]
-        else:
-            fewer = None
+            starts = [fewer.pose_index]
         at_point = replace(problem, limits=replace(limits, budget_units=units))
         try:
             point = solve_point(
                 at_point,
                 reduced,
                 effort=effort.until(of_point),
-                n_stages=len(FIRST_STAGES if stages == "first" else VALUE_OBJECTIVES),
-                starts=[fewer.pose_index] if fewer else [],
+                n_stages=len(optimised),
+                starts=starts,
             )
         except UnmetError as error:
             refused.append((units, error))
             continue
-        if fewer:
+        if fewer is not None:
             point = no_worse(point, fewer)
         points.append(replace(point, units=units))
         if reaches(point.value, largest) and (
@@ -318,12 +366,12 @@ def pareto_front(
             settled = units
         if on_point is not None:
             on_point(points[-1])
+    # No number of units will do: the reason is that of the last one.
     if not points:
         why = refused[-1][1]
-        if why.where == "budget":
+        option = why.where
+        if option == "budget":
             option = "max_units"
-        else:
-            option = why.where
         raise UnmetError(option, why.got, why.expected)
     if settled is None and full <= max_units and points[-1].is_proven:
         settled = max(points[0].units, full)
@@ -334,7 +382,7 @@ def pareto_front(
         stages=stages,
         settled=_first_like_last(points, settled),
         refused=tuple((units, str(error)) for units, error in refused),
-        presolve=None if reduced is None else reduced.statistics,
+        presolve=statistics,
     )
 
 
@@ -348,10 +396,11 @@ def front_below(
     on_point: OnPoint | None = None,
     reduced: ReducedProblem | None = None,
 ) -> Front:
-    """A front that ends with a known layout, which was solved for the best, and its certificate.
+    """A front that ends with a known layout and its certificate.
 
-    It has points of fewer units, if any meet the wishes, then the one given. The other
-    arguments and errors are those of :func:`pareto_front`; all stages are optimised.
+    It has points of fewer units, if any meet the wishes, then the one given, which
+    was solved for the best. The other arguments and errors are those of
+    :func:`pareto_front`; all stages are optimised.
     """
     check_front(problem, "all")
     most = problem.limits.budget_units or len(pose_index)
@@ -393,9 +442,10 @@ def _presolved(
     reduced: ReducedProblem | None,
     effort: Effort,
 ) -> ReducedProblem | None:
-    """The problem presolved once for all points; None where it is so large that each is by itself.
+    """The problem presolved once for all points; None where it is too large.
 
-    Poses that are dominated while many units are chosen are dominated while fewer are.
+    Where it is so large, each point is presolved by itself. Poses that are
+    dominated while many units are chosen are dominated while fewer are.
     """
     if not 1 <= min_units <= max_units:
         raise InputError(
@@ -419,7 +469,7 @@ def _is_cheap(problem: PlacementProblem, point: FrontPoint) -> bool:
 
 
 def _is_free(problem: PlacementProblem) -> bool:
-    """True if every part of a layout is one, too: no wish asks for anything to be there."""
+    """True if every part of a layout is one, too: no wish asks for any unit."""
     limits = problem.limits
     return not (problem.floors or limits.is_forced.any() or limits.is_forced_site.any())
 

@@ -1,8 +1,9 @@
-"""First rung: layouts found quickly, without proof. Greedy choice, then exchanges from many starts.
+"""First rung: layouts found quickly, without proof.
 
-With fusion "any" no guarantee of quality holds: three units may be needed to complete
-one window. Exchanges replace one unit by another, or leave one out, until that does not
-help; then others are thrown out and drawn again.
+Greedy choice, then exchanges from many starts. With fusion "any" no guarantee
+of quality holds: three units may be needed to complete one window. Exchanges
+replace one unit by another, or leave one out, until that does not help; then
+others are thrown out and drawn again.
 """
 
 from collections.abc import Callable, Iterable
@@ -60,14 +61,12 @@ def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
     is_enough = reduced.objectives[0].is_minimised
     while len(units) < limits.max_units:
         fits = fitting(limits, units)
-        if (
-            is_enough
-            and len(units)
-            and set_values(reduced, units[None, :]).lacking[0] == 0.0
-        ):
-            missing = np.setdiff1d(
-                np.flatnonzero(limits.is_forced_site), limits.site_index[units]
-            )
+        is_done = False
+        if is_enough and len(units):
+            is_done = bool(set_values(reduced, units[None, :]).lacking[0] == 0.0)
+        if is_done:
+            forced_sites = np.flatnonzero(limits.is_forced_site)
+            missing = np.setdiff1d(forced_sites, limits.site_index[units])
             fits &= np.isin(limits.site_index, missing)
         free = np.flatnonzero(fits)
         if not len(free):
@@ -83,17 +82,24 @@ def improve(
     *,
     deadline: Deadline = NEVER,
 ) -> IntArray:
-    """Exchange one unit for another, or leave one out, as long as that makes the set better.
+    """Exchange one unit for another, or leave one out, while the set gets better.
 
-    No set is better than `limit`: the search ends at a set that is as good, or at the
-    deadline.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    units : (n,) int
+        An allowed set.
+    limit : SetValues
+        No set is better: the search ends at a set that is as good.
+    deadline : Deadline
+        It ends here, too.
     """
     value = set_values(reduced, units[None, :])[0]
     place = 0
     while limit.exceeds(value):
-        for step in range(
-            2 * len(units)
-        ):  # to leave one out is only cheaper: tried last
+        # Another pose for each unit; then without each, which is only cheaper.
+        for step in range(2 * len(units)):
             number = (place + step) % len(units)
             if deadline.is_over:
                 return units
@@ -101,10 +107,9 @@ def improve(
                 continue
             trial = _exchanged(reduced, units, number, is_out=step >= len(units))
             if trial is None:
-                of_trial = None
-            else:
-                of_trial = set_values(reduced, trial[None, :])[0]
-            if trial is not None and of_trial is not None and of_trial.exceeds(value):
+                continue
+            of_trial = set_values(reduced, trial[None, :])[0]
+            if of_trial.exceeds(value):
                 units = trial
                 value = of_trial
                 place = number  # the next one has moved up
@@ -117,7 +122,11 @@ def improve(
 def _exchanged(
     reduced: ReducedProblem, units: IntArray, number: int, *, is_out: bool
 ) -> IntArray | None:
-    """The best allowed set with another pose for one unit, or without it; None if there is none."""
+    """Best allowed set with another pose for one unit, or without it.
+
+    `number` is the unit's place in `units`; with `is_out` it is left out. None if
+    there is no such set.
+    """
     rest = np.delete(units, number)
     if is_out:
         if is_allowed(reduced.limits, rest):
@@ -125,11 +134,8 @@ def _exchanged(
         return None
     free = np.flatnonzero(fitting(reduced.limits, rest))
     free = free[free != units[number]]
-    free = free[
-        are_allowed(
-            reduced.limits, np.column_stack([np.tile(rest, (len(free), 1)), free])
-        )
-    ]
+    before = np.tile(rest, (len(free), 1))
+    free = free[are_allowed(reduced.limits, np.column_stack([before, free]))]
     if len(free):
         return best_with_each(reduced, rest, free)
     return None
@@ -143,13 +149,31 @@ def search_from_many_starts(
     chance: Callable[[], FloatArray] | None = None,
     deadline: Deadline = NEVER,
 ) -> IntArray | None:
-    """Best of local optima: of `starts`, of the greedy set, and of sets that are drawn.
+    """Best of local optima: of `starts`, of the greedy set, and of sets drawn.
 
-    Poses are drawn by `chance`, (n_poses,), such as their shares in a relaxed solution;
-    by default by the square of what each reaches alone. It ends at a set as good as
-    `limit`, after one more than units in a row that brought nothing, or at the
-    deadline, but completes the first start. None if no set within the limits was found;
-    the result may lack something to the floors.
+    It ends at a set as good as `limit`, after one more than units in a row that
+    brought nothing, or at the deadline, but completes the first start.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    limit : SetValues
+        Upper bound of all sets.
+    starts : iterable of (n,) int
+        Sets that are tried first.
+    chance : callable, optional
+        Gives the weights, (n_poses,), by which poses are drawn, such as their
+        shares in a relaxed solution; by default the square of what each reaches
+        alone. It is called only if something is drawn.
+    deadline : Deadline
+        When to end.
+
+    Returns
+    -------
+    units : (n,) int, optional
+        None if no set within the limits was found; it may lack something to the
+        floors.
     """
     rng = np.random.default_rng(constants.SEED)
     forced = forced_units(reduced)
@@ -158,9 +182,8 @@ def search_from_many_starts(
     begin = [*starts, forced]
     weight: FloatArray | None = None
     for number in range(len(begin) + constants.N_RESTARTS):
-        if best.units is None:
-            n_units = reduced.limits.max_units
-        else:
+        n_units = reduced.limits.max_units
+        if best.units is not None:
             n_units = len(best.units)
         is_first = number < len(begin)
         if (not is_first and idle > n_units) or (number and deadline.is_over):
@@ -168,11 +191,11 @@ def search_from_many_starts(
         if not is_first and weight is None:
             if chance is None:
                 alone = shares_with_each(reduced, forced) ** 2
-                weight = (
-                    alone / max(float(alone.sum()), constants.TINY) + constants.ROUNDING
-                )
+                total = max(float(alone.sum()), constants.TINY)
+                weight = alone / total + constants.ROUNDING
             else:
                 weight = chance() + constants.ROUNDING
+        # A set to begin with, one that is drawn, or the best with some units redrawn.
         if is_first or weight is None:
             units = begin[number]
         elif number % 2 or best.units is None:
@@ -186,10 +209,11 @@ def search_from_many_starts(
         idle += 1
         if not is_allowed(reduced.limits, units):
             continue
-        if (
-            best.values is not None
-            and best.values.gains[1] >= limit.gains[1] - TOLERANCE
-        ):
+        # Where the first objective cannot get better, failures count.
+        is_full = False
+        if best.values is not None:
+            is_full = bool(best.values.gains[1] >= limit.gains[1] - TOLERANCE)
+        if is_full:
             units = _spread(reduced, units, deadline=deadline)
         units = improve(reduced, units, limit, deadline=deadline)
         before = best.units
@@ -221,10 +245,10 @@ def _drawn(
 def _spread(
     reduced: ReducedProblem, units: IntArray, *, deadline: Deadline
 ) -> IntArray:
-    """Exchange units while the APR and what is left of it after a failure grow together.
+    """Exchange units while the APR and what is left of it on failure grow together.
 
-    Where many sets have the best APR, the way to those that lose little leads through
-    others.
+    Where many sets have the best APR, the way to those that lose little leads
+    through others.
     """
     value = -np.inf
     idle = 0
@@ -235,10 +259,9 @@ def _spread(
         fits = np.flatnonzero(fitting(reduced.limits, rest))
         idle += 1
         if len(fits) and not is_forced[units[place]]:
-            total = (
-                shares_with_each(reduced, rest)
-                + left_with_each(reduced, rest, reduced.measure, 1)
-            )[fits]
+            share = shares_with_each(reduced, rest)
+            left = left_with_each(reduced, rest, reduced.measure, 1)
+            total = (share + left)[fits]
             best = int(total.argmax())
             trial = np.append(rest, fits[best])
             if total[best] > value + TOLERANCE and is_allowed(reduced.limits, trial):

@@ -1,10 +1,17 @@
-"""Fourth rung: the placement model, one function per family of constraints, solved by HiGHS.
+"""Fourth rung: the placement model, solved by HiGHS.
 
-x_c = 1: pose c is chosen. y_f: frame f, or tail, is seen. z_w: window w is seen as a
-whole. a_k: one of the windows of a chain up to its k-th link is live; run r is avoided
-if a of its last link in time is 1. Only x has to be whole: given x, every y, z and a is
-bounded from above by zeros and ones alone, and from below by nothing but what must be
-avoided: their largest values are zeros and ones.
+One function states one family of constraints. The variables are
+
+* x_c = 1: pose c is chosen;
+* o_s = 1: site s carries a unit;
+* y_f: frame f, or tail, is seen;
+* z_w: window w is seen as a whole;
+* a_k: one of the windows of a chain up to its k-th link is live; run r is
+  avoided if a of its last link in time is 1.
+
+Only x has to be whole: given x, every y, z and a is bounded from above by zeros
+and ones alone, and from below by nothing but what must be avoided: their
+largest values are zeros and ones.
 """
 
 from __future__ import annotations
@@ -37,12 +44,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """Answer of a solver to a problem that is maximised."""
+    """Answer of a solver to a problem that is maximised.
 
-    is_found: bool  # whether the variables hold a feasible point
-    # whether that is best, or there is none, not just the best within the time
+    Attributes
+    ----------
+    is_found : bool
+        True if the variables hold a feasible point.
+    is_finished : bool
+        True if that is best, or there is none, not just the best within the time.
+    bound : float
+        Of all feasible points; minus infinity: there is none, plus infinity:
+        nothing is known.
+    """
+
+    is_found: bool
     is_finished: bool
-    # of all feasible points; minus infinity: none, plus infinity: nothing is known
     bound: float
 
 
@@ -56,9 +72,16 @@ def solver_text() -> Phrase:
 
 
 def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) -> Answer:
-    """Maximise in bounded variables by HiGHS, as far as the time goes or down to a relative gap.
+    """Maximise in bounded variables by HiGHS, as far as the time goes.
 
-    The time is that of compiling the problem for the solver, too.
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+        What is maximised. Its variables get the values that were found.
+    time_limit_s : float
+        Time to compile the problem for the solver and to solve it. [s]
+    gap : float
+        Relative gap at which the solver stops.
     """
     import cvxpy as cp
 
@@ -69,9 +92,8 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
         warnings.filterwarnings("ignore", "Solution may be inaccurate")
         try:
             data, chain, inverse = problem.get_problem_data("HIGHS")
-            left_s = time_limit_s - (
-                now_s() - begun_s
-            )  # compiling takes longer than stating
+            # Compiling takes longer than stating.
+            left_s = time_limit_s - (now_s() - begun_s)
             if left_s <= 0.0:
                 return nothing
             options = {
@@ -85,10 +107,9 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
             problem.unpack_results(solution, chain, inverse)
         except cp.SolverError:  # nothing is known then, and nothing is lost
             return nothing
-    if problem.status in (
-        cp.INFEASIBLE,
-        cp.settings.INFEASIBLE_OR_UNBOUNDED,
-    ):  # all is bounded
+    # All variables are bounded: what may be unbounded is infeasible.
+    infeasible = (cp.INFEASIBLE, cp.settings.INFEASIBLE_OR_UNBOUNDED)
+    if problem.status in infeasible:
         return Answer(is_found=False, is_finished=True, bound=-np.inf)
     info = problem.solver_stats.extra_stats
     return Answer(
@@ -100,18 +121,32 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cut:
-    """At least so many of some poses must be chosen, or poses at so many sites."""
+    """At least so many of some poses must be chosen, or poses at so many sites.
 
-    is_counted: BoolArray  # (n_poses,): which poses count
-    n_units: int  # how many of them, or of their sites where sites fail, are needed
+    Attributes
+    ----------
+    is_counted : (n_poses,) bool
+        Poses that count.
+    n_units : int
+        How many of them, or of their sites where sites fail, are needed.
+    """
+
+    is_counted: BoolArray
+    n_units: int
 
 
 class MilpResult(NamedTuple):
-    """Answer of the solver to a placement model, as :class:`Answer`, in the objective's unit."""
+    """Answer of the solver to a placement model, in the objective's unit.
 
-    units: (
-        IntArray | None
-    )  # (n,): poses of the reduced problem; None if no feasible set was found
+    Attributes
+    ----------
+    units : (n,) int, optional
+        Poses of the reduced problem; None if no feasible set was found.
+    bound, is_finished
+        Those of :class:`Answer`.
+    """
+
+    units: IntArray | None
     bound: float
     is_finished: bool
 
@@ -119,16 +154,28 @@ class MilpResult(NamedTuple):
 def limit_constraints(
     x: cp.Variable, o: cp.Variable, limits: Limits
 ) -> list[cp.Constraint]:
-    """Limits: units, money, capacity, what is forced or too near; o_s = 1 if site s carries any.
+    """Limits: units, money, capacity, what is forced or too near.
 
-    1 <= sum x <= K; unit costs @ x + site costs @ o <= budget; sum of the x of a site
-    <= its capacity; x_c <= o_s; x_c = 1 for forced poses; sum of the x of a forced site
-    >= 1; o_s + o_t <= 1 for rivals.
+    1 <= sum x <= K; unit costs @ x + site costs @ o <= budget; sum of the x of a
+    site <= its capacity; x_c <= o_s; x_c = 1 for forced poses; sum of the x of a
+    forced site >= 1; o_s + o_t <= 1 for rivals.
+
+    Parameters
+    ----------
+    x : cvxpy.Variable, (n_poses,)
+        Poses that are chosen.
+    o : cvxpy.Variable, (n_sites,)
+        Sites that carry any.
+    limits : Limits
+        What may be mounted together.
     """
     import scipy.sparse as sp
 
-    of_poses = np.ones(limits.n_poses), (limits.site_index, np.arange(limits.n_poses))
-    at_site = sp.csr_array(of_poses, shape=(limits.n_sites, limits.n_poses))
+    ones = np.ones(limits.n_poses)
+    poses = np.arange(limits.n_poses)
+    at_site = sp.csr_array(
+        (ones, (limits.site_index, poses)), shape=(limits.n_sites, limits.n_poses)
+    )
     constraints = [at_site @ x <= limits.site_capacity, x.sum() >= 1.0]
     if limits.budget_units is not None:
         constraints.append(x.sum() <= limits.budget_units)
@@ -163,9 +210,11 @@ def window_constraints(
     """
     import scipy.sparse as sp
 
+    detected = sp.csr_array(reduced.detected().T).astype(np.float64)
+    needs_frames = [z <= y[frames] for frames in reduced.window_frames.T]
     return [
-        y <= sp.csr_array(reduced.detected().T).astype(np.float64) @ x,
-        *(z <= y[frames] for frames in reduced.window_frames.T),
+        y <= detected @ x,
+        *needs_frames,
         difference(reduced) @ a <= z[reduced.chains.window],
     ]
 
@@ -193,12 +242,13 @@ def tail_constraints(
 def stabbing_constraints(
     x: cp.Variable, a: cp.Variable, reduced: ReducedProblem
 ) -> list[cp.Constraint]:
-    """Stabbing: a_k <= sum of x over the poses that see one of the frames that stab all windows.
+    """Stabbing: a_k <= sum of x over the poses that see one of some frames.
 
+    These frames *stab* the windows up to link k: each window has one of them.
     Implied for whole x, but far stronger than the rows above for fractional x: with
-    windows of one frame this is the MCLP's own row. The sum grows along the chain, so
-    that it is written link by link with a variable u_k of its own. Each phase stabs the
-    first window at another frame.
+    windows of one frame this is the MCLP's own row. The sum grows along the chain,
+    so that it is written link by link with a variable u_k of its own. Each phase
+    stabs the first window at another frame.
     """
     import cvxpy as cp
 
@@ -224,15 +274,23 @@ def difference(reduced: ReducedProblem) -> sp.csr_array:
 def requirement_constraints(
     a: cp.Variable, reduced: ReducedProblem, requirement: Requirement
 ) -> list[cp.Constraint]:
-    """Requirements, as far as they can be stated in a: failures are left to cuts."""
+    """Requirements, as far as they can be stated in a: failures are left to cuts.
+
+    Parameters
+    ----------
+    a : cvxpy.Variable, (n_links,)
+        Links up to which a window is live.
+    reduced : ReducedProblem
+        Runs and chains.
+    requirement : Requirement
+        What must be reached.
+    """
     weight = requirement.measure.weight
     if requirement.sums_margins:
         row = link_weights(reduced, margin_rows(reduced))
         unit = max(float(row.sum()), TOLERANCE)
-        return [
-            (row / unit) @ a
-            >= requirement.least / unit - constants.HELD_SLACK * TOLERANCE
-        ]
+        least = requirement.least / unit - constants.HELD_SLACK * TOLERANCE
+        return [(row / unit) @ a >= least]
     link = last_links(reduced, min_margin_s=requirement.min_margin_s)
     can = (link >= 0) & (weight > 0.0)
     if requirement.needs_all and weight[can].sum() >= requirement.least - TOLERANCE:
@@ -240,35 +298,36 @@ def requirement_constraints(
         return [a[np.unique(link[can])] == 1.0]
     if requirement.measure.is_mean and can.any():
         unit = float(weight.mean())
-        return [
-            (weight[can] / unit) @ a[link[can]]
-            >= requirement.least / unit - constants.HELD_SLACK
-        ]
-    expression, constraints = _tail_share(a, requirement.measure, link)
-    return [
-        *constraints,
-        expression >= requirement.least - constants.HELD_SLACK * TOLERANCE,
-    ]
+        least = requirement.least / unit - constants.HELD_SLACK
+        return [(weight[can] / unit) @ a[link[can]] >= least]
+    share, constraints = _tail_share(a, requirement.measure, link)
+    least = requirement.least - constants.HELD_SLACK * TOLERANCE
+    return [*constraints, share >= least]
 
 
 def _tail_share(
     a: cp.Variable, measure: Measure, link: IntArray
 ) -> tuple[cp.Expression, list[cp.Constraint]]:
-    """Mean over the worst share of samples (Rockafellar and Uryasev 2000), to be maximised.
+    """Mean over the worst share of samples, to be maximised, and its constraints.
 
-    The largest eta - sum of p_s d_s / tail with d_s >= eta - APR_s, d_s >= 0.
+    The largest eta - sum of p_s d_s / tail with d_s >= eta - APR_s, d_s >= 0 [1]_.
+    `link`, (n_runs,), is the last link of each run, -1 if nothing avoids it.
+
+    References
+    ----------
+    .. [1] R. T. Rockafellar, S. Uryasev, "Optimization of conditional
+       value-at-risk", 2000.
     """
     import cvxpy as cp
     import scipy.sparse as sp
 
     can = link >= 0
     n_samples = len(measure.sample_weight)
+    # APR of each sample, as weights of a.
+    sample = measure.sample_index[can]
+    share_of_sample = measure.weight[can] / measure.sample_weight[sample]
     by_sample = sp.csr_array(
-        (
-            measure.weight[can] / measure.sample_weight[measure.sample_index[can]],
-            (measure.sample_index[can], link[can]),
-        ),
-        shape=(n_samples, a.size),
+        (share_of_sample, (sample, link[can])), shape=(n_samples, a.size)
     )
     eta = cp.Variable(bounds=[0.0, 1.0])
     d = cp.Variable(n_samples, nonneg=True)
@@ -292,10 +351,10 @@ def cut_constraints(
         return [sp.csr_array(is_counted.astype(np.float64)) @ x >= needed]
     import cvxpy as cp
 
+    # A variable for each site that counts in a cut.
     row, pose = np.nonzero(is_counted)
-    place, index = np.unique(
-        row * limits.n_sites + limits.site_index[pose], return_inverse=True
-    )  # of each cut, the sites that count
+    site_of_cut = row * limits.n_sites + limits.site_index[pose]
+    place, index = np.unique(site_of_cut, return_inverse=True)
     v = cp.Variable(len(place), bounds=[0.0, 1.0])
     at_site = sp.csr_array(
         (np.ones(len(row)), (index, pose)), shape=(len(place), x.size)
@@ -308,14 +367,15 @@ def cut_constraints(
 
 
 def last_links(reduced: ReducedProblem, *, min_margin_s: float = -np.inf) -> IntArray:
-    """Last link of every run's chain that leaves at least a margin, (n_runs,); -1 if none does."""
-    in_time = (reduced.margin_s > -np.inf) & (
-        reduced.margin_s >= min_margin_s - TOLERANCE
-    )
+    """Last link of every run's chain that leaves at least a margin, (n_runs,).
+
+    -1 if none does.
+    """
+    margin_s = reduced.margin_s
+    in_time = (margin_s > -np.inf) & (margin_s >= min_margin_s - TOLERANCE)
     n_links = in_time.sum(axis=1)
-    return np.where(
-        n_links > 0, reduced.chains.start[reduced.run_chain] + n_links - 1, -1
-    )
+    first = reduced.chains.start[reduced.run_chain]
+    return np.where(n_links > 0, first + n_links - 1, -1)
 
 
 def link_weights(reduced: ReducedProblem, rows: Rows) -> FloatArray:
@@ -325,7 +385,8 @@ def link_weights(reduced: ReducedProblem, rows: Rows) -> FloatArray:
     with those of margins the sum of weights times margins.
     """
     weights = np.zeros(len(reduced.chains.window))
-    np.add.at(weights, reduced.chains.start[rows.chain] + rows.last - 1, rows.weight)
+    link = reduced.chains.start[rows.chain] + rows.last - 1
+    np.add.at(weights, link, rows.weight)
     return weights
 
 
@@ -337,12 +398,28 @@ def solve_window_model(
     cuts: Sequence[Cut] = (),
     time_limit_s: float,
 ) -> MilpResult:
-    """Best set of poses by one objective: UNITS, COST, APR or MEAN_MARGIN; None: any set.
+    """Best set of poses by one objective, as far as the time goes.
 
-    For ``Objective.MEAN_MARGIN`` the sum of weights times margins is maximised: at a
-    given APR that is the same. What must hold after failures is left to cuts. The bound
-    is in the objective's own unit. Where stating the model and compiling it, which
-    takes longer, would take half of the time, nothing is found.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    objective : Objective, optional
+        UNITS, COST, APR or MEAN_MARGIN; None: any set that meets the requirements.
+        For ``MEAN_MARGIN`` the sum of weights times margins is maximised: at a
+        given APR that is the same.
+    requirements : sequence of Requirement
+        What must be reached, but for failures.
+    cuts : sequence of Cut
+        What must hold after failures.
+    time_limit_s : float
+        Where stating the model and compiling it, which takes longer, would take
+        half of it, nothing is found. [s]
+
+    Returns
+    -------
+    result : MilpResult
+        The set, and a bound in the objective's own unit.
     """
     import cvxpy as cp
 
@@ -356,9 +433,8 @@ def solve_window_model(
     if objective is Objective.UNITS:
         goal = -x.sum()
     elif objective is Objective.COST:
-        unit = max(
-            float(limits.unit_cost_eur.mean() + limits.site_cost_eur.mean()), TOLERANCE
-        )
+        mean_eur = limits.unit_cost_eur.mean() + limits.site_cost_eur.mean()
+        unit = max(float(mean_eur), TOLERANCE)
         goal = -((limits.unit_cost_eur / unit) @ x + (limits.site_cost_eur / unit) @ o)
         constraints.append(x <= o[limits.site_index])
     if len(reduced.chains.window):
@@ -404,7 +480,11 @@ def solve_window_model(
 
 
 def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
-    """Which poses see, at a link for the first time in its chain, a stabbing frame."""
+    """Poses that see a stabbing frame at a link, for the first time in its chain.
+
+    Returns a sparse (n_links, n_poses) array of ones. In `phase`, 0 .. n_frames of
+    a window - 1, the first window of a chain is stabbed at another frame.
+    """
     import scipy.sparse as sp
 
     detected = reduced.detected()
@@ -414,6 +494,7 @@ def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
     for chain in range(reduced.n_chains):
         start = reduced.chains.start[chain]
         windows = reduced.window_frames[reduced.chain(chain)]
+        # The frame that is used longest stabs most windows to come.
         last_use = {frame: link for link, row in enumerate(windows) for frame in row}
         stabbing: set[int] = set()
         is_in = np.zeros(reduced.n_poses, dtype=bool)
@@ -429,17 +510,11 @@ def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
                 is_in[entering] = True
                 poses.append(entering)
                 links.append(np.full(len(entering), start + link))
-    if poses:
-        columns = np.concatenate(poses)
-    else:
-        columns = np.empty(0, dtype=np.int64)
-    if links:
-        rows = np.concatenate(links)
-    else:
-        rows = np.empty(0, dtype=np.int64)
-    return sp.csr_array(
-        (np.ones(len(rows)), (rows, columns)), shape=(n_links, reduced.n_poses)
-    )
+    none = np.empty(0, dtype=np.int64)
+    columns = np.concatenate([none, *poses])
+    rows = np.concatenate([none, *links])
+    ones = np.ones(len(rows))
+    return sp.csr_array((ones, (rows, columns)), shape=(n_links, reduced.n_poses))
 
 
 # ---------- cuts: failures, which no row of the model speaks of
@@ -447,10 +522,10 @@ Fails = Callable[[WordArray], BoolArray]
 
 
 def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
-    """Cuts that hold from the start: enough must see stabbing frames and tails of every run.
+    """Cuts that hold from the start: of every run, enough units must see enough.
 
-    Only where no run may be lost with any unit. Tails count that all windows of a run
-    need.
+    They must see stabbing frames, and tails that all windows of the run need. Such
+    cuts are known only where no run may be lost whichever units fail.
     """
     if not (requirement.needs_all and requirement.n_failures):
         return []
@@ -469,32 +544,33 @@ def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
     # What all poses see, the VUT may see when all of them have failed.
     has_base = bool(reduced.base.any())
     n_units = requirement.n_failures + 1
-    return [
-        Cut(is_counted=c, n_units=n_units)
-        for c in counted
-        if not (has_base and c.all())
-    ]
+    cuts = []
+    for is_counted in counted:
+        if has_base and is_counted.all():
+            continue
+        cuts.append(Cut(is_counted=is_counted, n_units=n_units))
+    return cuts
 
 
 def violated_cuts(
     reduced: ReducedProblem, units: IntArray, requirement: Requirement
 ) -> list[Cut]:
-    """Cuts that a set of poses violates; none if and only if it meets a requirement."""
+    """Cuts that a set of poses, (n,), violates; none only if it meets a requirement."""
     cuts = []
     fails = _fails(reduced, requirement)
     n_units = requirement.n_failures + 1
-    is_unit = reduced.limits.failing == "unit"
-    if is_unit:
+    # What fails at once: each unit, or those at a site.
+    if reduced.limits.failing == "unit":
         at = np.arange(len(units))
     else:
         at = reduced.limits.site_index[units]
     groups = np.unique(at)
-    for left in combinations(
-        groups.tolist(), max(len(groups) - requirement.n_failures, 0)
-    ):
+    n_left = max(len(groups) - requirement.n_failures, 0)
+    for left in combinations(groups.tolist(), n_left):
         union = unions_of(reduced, units[np.isin(at, left)][None, :])[0]
         if not fails(union[None, :])[0]:
             continue
+        # Where no run may be lost, a cut for each lost run says more than one for all.
         each = [fails]
         if requirement.needs_all:
             runs = _lost_runs(reduced, union, requirement)
@@ -518,7 +594,7 @@ def _lost_runs(
 def _fails(
     reduced: ReducedProblem, requirement: Requirement, run: int | None = None
 ) -> Fails:
-    """Tells which unions do not meet a requirement, or avoid a run as it asks."""
+    """A test of unions that fail a requirement, or do not avoid a run as it asks."""
 
     def fails(unions: WordArray) -> BoolArray:
         margin_s = union_margins_s(reduced, unions)
@@ -532,7 +608,10 @@ def _fails(
 def _cut(
     reduced: ReducedProblem, union: WordArray, fails: Fails, *, n_units: int
 ) -> Cut:
-    """Cut from a set that fails, enlarged until every further pose would end that."""
+    """Cut from a set that fails, enlarged until every further pose would end that.
+
+    `union`, (n_words,), is what the set sees.
+    """
     words = reduced.words
     waiting = np.flatnonzero((words & ~union).any(axis=1))
     while len(waiting) > 0:

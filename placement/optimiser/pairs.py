@@ -1,19 +1,19 @@
-"""Third rung where worlds are sampled: sets of two or three units, a class of poses and a pair.
+"""Third rung for sampled worlds: sets of a class of poses and a pair.
 
-Where detections are drawn, hardly any run is out of reach of a pose; what a window is
-asked for says more when another unit is known, since what that one sees is not asked
-for any more. So poses of a site that avoid much the same runs are a *class*, as good as
-all of them together. Classes are gone through, each with those behind it:
+Sets have two or three units. Where detections are drawn, hardly any run is out
+of reach of a pose; what a window is asked for says more when another unit is
+known, since what that one sees is not asked for any more. So poses of a site
+that avoid much the same runs are a *class*, as good as all of them together.
+Classes are gone through, each with those behind it:
 
-* Of the pieces, frames and tails, that are missing in a window, one unit of the pair
-  sees the one
-  that fewest see; and one sees all that are missing in some window, or both see some.
-  Both are bits along the runs: most pairs of classes lose too much by them, then most
-  pairs of poses, at the hardest runs.
+* Of the pieces, frames and tails, that are missing in a window, one unit of the
+  pair sees the one that fewest see; and one sees all that are missing in some
+  window, or both see some. Both are bits along the runs: most pairs of classes
+  lose too much by them, then most pairs of poses, at the hardest runs.
 * Sets of what remains are valued on the windows.
 
-A walk that ends has met every set that reaches the need. The mean over the worst worlds
-is no higher than that over all, which bounds it.
+A walk that ends has met every set that reaches the need. The mean over the
+worst worlds is no higher than that over all, which bounds it.
 """
 
 from collections.abc import Callable, Iterator
@@ -54,10 +54,22 @@ def walk_by_pairs(
     deadline: Deadline,
     on_better: Callable[[IntArray], IntArray],
 ) -> Tied:
-    """All sets as good as the best, by their mean over all worlds, as far as the time goes.
+    """All sets as good as the best, by their mean over all worlds.
 
-    Where it does not go so far, an upper bound: ever nearer ones are proven first.
-    Where only the worst worlds count, no more than an upper bound: that of the mean.
+    Where the time is too short, an upper bound: ever nearer ones are proven first.
+    Where only the worst worlds count, no more than an upper bound: that of the
+    mean.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        A problem of which :func:`goes_by_pairs` is true.
+    units : (n_units,) int
+        The best set so far.
+    deadline : Deadline
+        When to end.
+    on_better : callable
+        Takes better sets and returns what they were improved to.
     """
     if reduced.measure.is_mean:
         walk = PairWalk(reduced, need=0.0)
@@ -84,16 +96,38 @@ def walk_by_pairs(
 
 
 class _Units(NamedTuple):
-    """Poses, or classes of poses."""
+    """Poses, or classes of poses.
 
-    words: WordArray  # (n, n_frame_words): what each sees, as bits along the frames
-    columns: WordArray  # (n_frames, n_words): the same as bits along the units
+    Attributes
+    ----------
+    words : (n, n_frame_words) uint64
+        What each sees, as bits along the frames.
+    columns : (n_frames, n_words) uint64
+        The same as bits along the units.
+    """
+
+    words: WordArray
+    columns: WordArray
 
 
 class PairWalk:
-    """A walk through all sets of two or three units whose mean over all worlds reaches `need`.
+    """A walk through all sets of two or three units that reach `need`.
 
-    Sites' capacities hold; other limits do not count.
+    The need is a mean over all worlds. Sites' capacities hold; other limits do not
+    count.
+
+    Attributes
+    ----------
+    is_finished : bool
+        True once all sets were gone through.
+    rows : Rows
+        Runs with weight, the hardest first.
+    classes, poses : _Units
+        What classes of poses, and poses, see.
+    class_of : (n_poses,) int
+        Class of each pose; -1: not usable.
+    member, start, size : (n,), (n_classes,), (n_classes,) int
+        Poses, class after class; the first and the number of each class.
     """
 
     def __init__(self, reduced: ReducedProblem, *, need: float) -> None:
@@ -122,7 +156,8 @@ class PairWalk:
             limits.site_index, self.usable, avoided, self.rows.weight
         )
         self.member, start, words = group_by_class(reduced, self.class_of)
-        self.start, self.size = start[:-1], np.diff(start)
+        self.start = start[:-1]
+        self.size = np.diff(start)
         columns = transposed(words, reduced.n_frames, workers=reduced.workers)
         self.classes = _Units(words=words, columns=columns)
         self.poses = _Units(words=reduced.words, columns=reduced.columns)
@@ -136,7 +171,7 @@ class PairWalk:
         return walk
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
-        """Ask for more from here on; nothing is asked of what is `left` when units fail."""
+        """Ask for more from here on; `left`, what failures leave, does not count."""
         self.need = max(self.need, need)
 
     @property
@@ -147,12 +182,15 @@ class PairWalk:
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets that reach the need, many at a time, until the deadline.
 
-        An empty block says that nothing was found for a while. The order is left to
-        chance.
+        An empty block says that nothing was found for a while. Threads take turns: the
+        order of the sets is left to chance.
         """
         is_pair = self.n_units == 2
-        look = self._beside_pose if is_pair else self._beside_class
-        left = iter(self.member.tolist() if is_pair else range(len(self.size)))
+        look: Callable[[int], IntArray] = self._beside_class
+        left = iter(range(len(self.size)))
+        if is_pair:
+            look = self._beside_pose
+            left = iter(self.member.tolist())
 
         def next_task() -> Callable[[], IntArray] | None:
             one = next(left, None)
@@ -174,10 +212,15 @@ class PairWalk:
         return sets[may_grow(self.reduced.limits, sets)]
 
     def _beside_class(self, one: int) -> IntArray:
-        """Sets of a class and two of those from it on that reach the need."""
+        """Sets of a class and two of those from it on that reach the need, (n, 3).
+
+        Pairs of classes are thinned out first, then pairs of poses, then sets.
+        """
         union = self.classes.words[one]
         is_open = ~is_covered_by(self.reduced, union, self.rows)
         rows = self.rows.of(is_open)
+        # All pairs of classes from this one on for which the sites have room, and which
+        # have enough poses.
         behind = np.arange(one, len(self.size))
         place = np.column_stack(np.triu_indices(len(behind)))
         pairs = behind[place]
@@ -189,32 +232,35 @@ class PairWalk:
         fits &= (sites[:, 0] != sites[:, 1]) | (capacity[sites[:, 0]] >= 2)
         fits &= (pairs[:, 0] != pairs[:, 1]) | (self.size[pairs[:, 0]] >= 2)
         pairs = pairs[fits]
-        for n_rows in (
-            constants.HARD_ROWS,
-            len(rows.chain),
-        ):  # hard runs say most, and are few
-            pairs = self._losing_little(
-                self.classes, union, rows.of(slice(n_rows)), pairs
-            )
+        # Pairs of classes, at the hardest runs, which say most, then at all.
+        for n_rows in (constants.HARD_ROWS, len(rows.chain)):
+            some = rows.of(slice(n_rows))
+            pairs = self._losing_little(self.classes, union, some, pairs)
+        # Pairs of their poses next to the class.
         hard = rows.of(slice(constants.HARD_ROWS))
         pairs = self._losing_little(self.poses, union, hard, self._members_of(pairs))
-        members = self.member[self.start[one] : self.start[one] + self.size[one]]
+        # Sets: each pose of the class with what pairs are left next to it.
+        first = self.start[one]
+        members = self.member[first : first + self.size[one]]
         found = [np.empty((0, 3), dtype=np.int64)]
         for member in members:
             left = pairs
-            if (
-                len(left) > constants.FEW_PAIRS
-            ):  # the class is too wide: its poses see much less
+            # The class is too wide then: its poses see much less.
+            if len(left) > constants.FEW_PAIRS:
                 left = self._beside_member(int(member), left)
             sets = np.column_stack([np.full(len(left), member), left])
             # Two or three of the class itself: once, in ascending order.
             is_later = (self.class_of[sets[:, 1:]] != one) | (sets[:, 1:] > sets[:, :1])
             sets = sets[is_later.all(axis=1)]
-            found.append(self._keep(sets[may_grow(self.reduced.limits, sets)]))
+            sets = sets[may_grow(self.reduced.limits, sets)]
+            found.append(self._keep(sets))
         return np.concatenate(found)
 
     def _beside_member(self, member: int, pairs: IntArray) -> IntArray:
-        """Pairs of poses that may lose little next to a pose: at the hardest runs, then at all."""
+        """Pairs of poses that may lose little next to a pose.
+
+        They are looked at at the hardest runs, then at all.
+        """
         union = self.poses.words[member]
         is_open = ~is_covered_by(self.reduced, union, self.rows)
         rows = self.rows.of(is_open)
@@ -225,9 +271,13 @@ class PairWalk:
         return pairs
 
     def _members_of(self, pairs: IntArray) -> IntArray:
-        """All pairs of poses, one of each class of some pairs, (n, 2); of one class, ascending."""
+        """All pairs of poses, one of each class of some pairs, (n, 2).
+
+        A pair of one class has its poses in ascending order, so that it comes once.
+        """
         sizes = self.size[pairs]
         count = sizes.prod(axis=1)
+        # Of each pair of classes, so many pairs of poses: `number` counts them.
         row = np.repeat(np.arange(len(pairs)), count)
         number = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
         one, other = np.divmod(number, np.maximum(sizes[row, 1], 1))
@@ -246,8 +296,11 @@ class PairWalk:
             return pairs
         alone, part = _coverers(self.reduced, units, union, rows)
         may = coverers_of(self.reduced, rows, union, self.seen, columns=units.columns)
-        n = len(units.words)
-        alone, may, part = (transposed(one, n, workers=1) for one in (alone, may, part))
+        # Bits along the rows, a row for each unit.
+        n_units = len(units.words)
+        alone = transposed(alone, n_units, workers=1)
+        may = transposed(may, n_units, workers=1)
+        part = transposed(part, n_units, workers=1)
         table, _, _ = byte_table(rows.weight, alone)
         lost = np.empty(len(pairs))
         lost_by_pairs(alone, may, part, table, self.may_lose, pairs, lost)
@@ -265,7 +318,10 @@ class PairWalk:
 
 
 def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
-    """Rows of all runs, those first in which sets are likely to lose most; who avoids each."""
+    """Rows of all runs, the hardest first, and the poses that avoid each.
+
+    Returns the rows and (n_rows, n_words) bits along the poses.
+    """
     rows = run_rows(reduced)
     rows = rows.of(rows.weight > 0.0)
     union = reduced.base
@@ -273,20 +329,22 @@ def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
     alone = _coverers(reduced, units, union, rows)[0]
     share = unpack_words(alone, reduced.n_poses).mean(axis=1)
     # Two more poses are likely to lose what many poses lose.
-    order = np.argsort(
-        -rows.weight * (1.0 - share) ** constants.TOGETHER, kind="stable"
-    )
+    loss = -rows.weight * (1.0 - share) ** constants.TOGETHER
+    order = np.argsort(loss, kind="stable")
     return rows.of(order), alone[order]
 
 
 def _coverers(
     reduced: ReducedProblem, units: _Units, union: WordArray, rows: Rows
 ) -> tuple[WordArray, WordArray]:
-    """Units that avoid each row next to a union, and that see a piece of it that is missing."""
+    """Units that avoid each row next to a union, and that see a missing piece.
+
+    Both are (n_rows, n_words) bits along the units.
+    """
     from .bit_kernels import avoid_beside
 
     is_seen = unpack_words(union, reduced.n_frames)
-    shape = len(rows.chain), units.columns.shape[1]
+    shape = (len(rows.chain), units.columns.shape[1])
     alone = np.empty(shape, dtype=np.uint64)
     part = np.empty(shape, dtype=np.uint64)
     avoid_beside(
@@ -298,9 +356,25 @@ def _coverers(
 def _classes(
     site_index: IntArray, usable: BoolArray, avoided: WordArray, weight: FloatArray
 ) -> IntArray:
-    """Class of each pose, the best classes first; -1: not usable (Ward 1963).
+    """Class of each pose, the best classes first; -1: not usable.
 
-    `avoided`, (n_rows, n_words), says which poses avoid each row.
+    Poses of a site that avoid much the same runs are one class: they are clustered
+    by Ward's method [1]_ on weighted bits.
+
+    Parameters
+    ----------
+    site_index : (n_poses,) int
+        Site of each pose.
+    usable : (n_poses,) bool
+        Poses that may be chosen.
+    avoided : (n_rows, n_words) uint64
+        Poses that avoid each row.
+    weight : (n_rows,) float
+        Weight of each row.
+
+    References
+    ----------
+    .. [1] J. Ward, "Hierarchical grouping to optimize an objective function", 1963.
     """
     from scipy.cluster.hierarchy import fcluster, linkage
 
@@ -309,20 +383,23 @@ def _classes(
     bits = unpack_words(avoided, len(site_index)).T
     for site in np.unique(site_index[usable]):
         here = np.flatnonzero(usable & (site_index == site))
-        for alike in np.array_split(here, -(-len(here) // constants.MAX_LIKE_POSES)):
+        n_parts = -(-len(here) // constants.MAX_LIKE_POSES)
+        for alike in np.array_split(here, n_parts):
             of_poses = bits[alike] * np.sqrt(weight)
             number: IntArray = np.zeros(len(alike), dtype=np.int64)
             if len(alike) > constants.CLASS_POSES:
+                # Distances between all two poses: |a - b|^2 = |a|^2 + |b|^2 - 2 a b.
                 size = (of_poses**2).sum(axis=1)
                 apart = size[:, None] + size - 2.0 * of_poses @ of_poses.T
-                apart = np.sqrt(np.maximum(apart, 0.0))[np.triu_indices(len(alike), 1)]
+                upper = np.triu_indices(len(alike), 1)
+                apart = np.sqrt(np.maximum(apart, 0.0))[upper]
                 tree = linkage(apart, "ward")
-                of_tree = fcluster(
-                    tree, -(-len(alike) // constants.CLASS_POSES), "maxclust"
-                )
+                n_most = -(-len(alike) // constants.CLASS_POSES)
+                of_tree = fcluster(tree, n_most, "maxclust")
                 number = np.unique(of_tree, return_inverse=True)[1]
             class_of[alike] = n_classes + number
             n_classes += int(number.max()) + 1
+    # Number classes by their best pose.
     value = bits @ weight
     most = np.zeros(n_classes)
     np.maximum.at(most, class_of[usable], value[usable])

@@ -1,15 +1,16 @@
-"""Presolve: leave out frames, windows, runs and poses that do not matter; and the way back.
+"""Presolve: leave out what does not matter, and find the way back.
 
-Both kinds of fusion become one problem here. With "any", a frame is seen if a chosen
-pose detects in it, and a window needs all its frames. With "single", the frames of the
-reduced problem are the statements "this pose alone has confirmed by then", and each
-window needs one of them.
+That is frames, windows, runs and poses. Both kinds of fusion become one problem
+here. With "any", a frame is seen if a chosen pose detects in it, and a window
+needs all its frames. With "single", the frames of the reduced problem are the
+statements "this pose alone has confirmed by then", and each window needs one of
+them.
 
-Where tracks live for a limited time, "a chosen pose detects in one of the frames in
-which the next detection must come" is a statement about one pose at a time, too, so
-that it is one more frame of the reduced problem: a *tail*. A window whose tails are all
-seen is *live*. As a later window has fewer tails, one that is not seen ends all windows
-of the run up to some number.
+Where tracks live for a limited time, "a chosen pose detects in one of the
+frames in which the next detection must come" is a statement about one pose at a
+time, too, so that it is one more frame of the reduced problem: a *tail*. A
+window whose tails are all seen is *live*. As a later window has fewer tails,
+one that is not seen ends all windows of the run up to some number.
 """
 
 from collections.abc import Set
@@ -77,29 +78,61 @@ class PresolveStatistics:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReducedProblem:
-    """A placement problem without what does not matter."""
+    """A placement problem without what does not matter.
 
-    pose_index: IntArray  # (n_poses,): rows of the detection table: the way back
-    limits: Limits  # on these poses
-    run_index: IntArray  # (n_runs,): runs of the full problem that some pose avoids
-    measure: Measure  # of these runs, as in the full problem
-    floors: tuple[Requirement, ...]  # what must be reached in any case
-    objectives: tuple[
-        Objective, ...
-    ]  # in the order in which sets of poses are compared
-    survive: int  # failed units that ``Objective.APR_SURVIVED`` is about
-    n_frames: int  # merged frames
-    # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
+    Attributes
+    ----------
+    pose_index : (n_poses,) int
+        Rows of the detection table: the way back.
+    limits : Limits
+        What may be mounted together, on these poses.
+    run_index : (n_runs,) int
+        Runs of the full problem that some pose avoids.
+    measure : Measure
+        The APR, of these runs, as in the full problem.
+    floors : tuple of Requirement
+        What must be reached in any case.
+    objectives : tuple of Objective
+        In the order in which sets of poses are compared.
+    survive : int
+        Failed units that ``Objective.APR_SURVIVED`` is about.
+    n_frames : int
+        Merged frames, tails among them.
+    words : (n_poses, n_words) uint64
+        Bits V[c, f] along the merged frames, lowest bit first.
+    columns : (n_frames, ceil(n_poses / 64)) uint64
+        The same bits along the poses.
+    base : (n_words,) uint64
+        Frames that the VUT sees, as every pose does then.
+    chains : Chains
+        Windows, and what keeps them alive.
+    workers : int
+        Threads for all that is computed with them.
+    run_chain : (n_runs,) int
+        Chain of every run.
+    margin_s : (n_runs, longest chain + 1) float
+        Margin if the first live window is the k-th of the chain; minus infinity
+        from the first one that is too late for this run. [s]
+    statistics : PresolveStatistics
+        Sizes before and after.
+    """
+
+    pose_index: IntArray
+    limits: Limits
+    run_index: IntArray
+    measure: Measure
+    floors: tuple[Requirement, ...]
+    objectives: tuple[Objective, ...]
+    survive: int
+    n_frames: int
     words: WordArray
-    columns: WordArray  # (n_frames, ceil(n_poses / 64)): the same bits along the poses
-    base: WordArray  # (n_words,): frames that the VUT sees, as every pose does then
-    chains: Chains  # of windows, and of what keeps them alive
-    workers: int  # threads for all that is computed with them
-    run_chain: IntArray  # (n_runs,): chain of every run
-    # (n_runs, longest chain + 1): margin if the first live window is the k-th of the
-    # chain; minus infinity from the first one that is too late for this run [s].
+    columns: WordArray
+    base: WordArray
+    chains: Chains
+    workers: int
+    run_chain: IntArray
     margin_s: FloatArray
-    statistics: PresolveStatistics  # sizes before and after
+    statistics: PresolveStatistics
 
     @property
     def n_poses(self) -> int:
@@ -166,9 +199,10 @@ class ReducedProblem:
         return self.chains.window[start[chain_index] : start[chain_index + 1]]
 
     def tails(self, chain_index: int) -> tuple[IntArray, IntArray]:
-        """Frames of a chain's tails, and how many of its first windows each keeps alive."""
+        """Frames of a chain's tails, and how many first windows each keeps alive."""
         chains = self.chains
-        mine = slice(chains.tail_start[chain_index], chains.tail_start[chain_index + 1])
+        begin = chains.tail_start[chain_index]
+        mine = slice(begin, chains.tail_start[chain_index + 1])
         return chains.tail_frame[mine], chains.tail_links[mine]
 
     def detected(self) -> BoolArray:
@@ -222,18 +256,27 @@ def presolve(
 ) -> ReducedProblem:
     """Reduce a placement problem without changing the best value of any stage.
 
-    Runs without weight and windows that end too late count in no value and are always
-    left out. The other `rules` are repeated until no pose drops out:
+    Runs without weight and windows that end too late count in no value and are
+    always left out. The other rules are repeated until no pose drops out:
 
-    * Unusable poses are forbidden, stand where a site has no room, or cost more than
-      the budget.
+    * Unusable poses are forbidden, stand where a site has no room, or cost more
+      than the budget.
     * Needless poses, see :func:`find_needless`; unusable ones are taken to be out.
     * Dominated poses, see :func:`find_dominated_poses`; the same.
     * Unseen windows have a frame or a tail that nobody sees: they are never live.
     * Frames that the same poses see are one frame, and so are tails.
     * A tail is needless where the next one of its run is seen by no other poses.
-    * A window is dominated if an earlier window of its run needs no other frames and
-      no tail that it does not need, too, or ensures.
+    * A window is dominated if an earlier window of its run needs no other frames
+      and no tail that it does not need, too, or ensures.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        The problem.
+    workers : int
+        Threads.
+    rules : set of Rule
+        The rules that are applied; by default all.
     """
     windows = _Windows(problem, workers, rules)
     usable = np.ones(problem.table.n_poses, dtype=bool)
@@ -260,7 +303,7 @@ def presolve(
 
 
 def _is_usable(limits: Limits) -> BoolArray:
-    """Poses that some layout may have, as far as each is looked at alone, (n_poses,)."""
+    """Poses that some layout may have, each looked at alone, (n_poses,)."""
     usable: BoolArray = limits.site_capacity[limits.site_index] > 0
     usable = usable & ~limits.is_forbidden
     if limits.budget_eur is not None:
@@ -309,8 +352,11 @@ def find_dominated_poses(reduced: ReducedProblem, is_left: BoolArray) -> BoolArr
     if not reduced.measure.tells_runs_apart or limits.max_units < 1:
         return dominated
     left = np.flatnonzero(is_left)
+    words = reduced.words
+    if not is_left.all():
+        words = words[left]
     dominated[left] = is_dominated(
-        reduced.words if is_left.all() else reduced.words[left],
+        words,
         limits.of_poses(left),
         max_units=limits.max_units,
         workers=reduced.workers,
@@ -342,32 +388,41 @@ def presolve_freely(problem: PlacementProblem) -> ReducedProblem:
 def is_dominated(
     words: WordArray, limits: Limits, *, max_units: int, workers: int = WORKERS
 ) -> BoolArray:
-    """Poses without which some best set remains, whatever the stage.
+    """Poses without which some best set remains, whatever the stage, (n_poses,).
 
-    All poses are usable, and each run more that is avoided is worth more than a tie.
+    They may be dropped all together. All poses are usable, and each run more that
+    is avoided is worth more than a tie.
 
-    `words`, (n_poses, n_words), is what each sees; no set has more than `max_units`
-    units. They may be dropped all together, (n_poses,).
+    Parameters
+    ----------
+    words : (n_poses, n_words) uint64
+        What each pose sees.
+    limits : Limits
+        What may be mounted together.
+    max_units : int
+        No set has more units: K below.
+    workers : int
+        Threads.
 
-    Pose d dominates pose c if it sees all that c sees, costs no more and is bound by
-    nothing that c is not: at the same site its price decides; elsewhere its site may
-    have to be paid, too, and neither site may have rivals, be asked for, or fail with
-    more than one unit. Among equal poses the earlier one dominates. Every stage is
-    monotone in what each unit sees: where d can take the place of c, no value gets
-    worse. So c may go if in every feasible set S with c one of its dominators is
-    outside S and finds room. Who wants to prevent that has the other K - 1 units of S
-    to
+    Notes
+    -----
+    Pose d dominates pose c if it sees all that c sees, costs no more and is bound
+    by nothing that c is not: at the same site its price decides; elsewhere its site
+    may have to be paid, too, and neither site may have rivals, be asked for, or
+    fail with more than one unit. Among equal poses the earlier one dominates. Every
+    stage is monotone in what each unit sees: where d can take the place of c, no
+    value gets worse. So c may go if in every feasible set S with c one of its
+    dominators is outside S and finds room. Who wants to prevent that has the other
+    K - 1 units of S to
 
     * fill a site, or choose all the dominators that stand there: min(capacity,
-      dominators)
-      units at least;
-    * at the site of c, which has room once c is gone: choose all dominators there, next
-      to c;
-      this fails if there are as many of them as the site's capacity.
+      dominators) units at least;
+    * at the site of c, which has room once c is gone: choose all dominators there,
+      next to c; this fails if there are as many of them as the site's capacity.
 
     If that takes more than K - 1 units, c may go. Dominators that are dropped
-    themselves count: the replacement is replaced in turn, each time by a pose earlier
-    in one fixed order (more seen, cheaper, index), which ends.
+    themselves count: the replacement is replaced in turn, each time by a pose
+    earlier in one fixed order (more seen, cheaper, index), which ends.
     """
     from .bit_kernels import find_dominated
 
@@ -377,18 +432,28 @@ def is_dominated(
     price = limits.unit_cost_eur[order]
     is_bound_site = limits.is_forced_site.copy()
     is_bound_site[limits.rivals.ravel()] = True
-    if (
-        limits.failing == "site"
-    ):  # a pose would fail together with what else stands there
+    # Elsewhere, a pose would fail together with what else stands there.
+    if limits.failing == "site":
         is_bound_site |= limits.site_capacity > 1
     elsewhere = price + limits.site_cost_eur[sites]
     elsewhere[is_bound_site[sites]] = np.inf
-    poses = words[order], sites, price, elsewhere, ~is_bound_site[sites]
-    dominated, result = np.zeros((2, len(words)), dtype=bool)
+    in_order = words[order]
+    may_move = ~is_bound_site[sites]
+    dominated = np.zeros(len(words), dtype=bool)
+    result = np.zeros(len(words), dtype=bool)
 
     def look(begin: int) -> None:
         find_dominated(
-            *poses, limits.site_capacity, max_units, begin, workers, dominated
+            in_order,
+            sites,
+            price,
+            elsewhere,
+            may_move,
+            limits.site_capacity,
+            max_units,
+            begin,
+            workers,
+            dominated,
         )
 
     with ThreadPoolExecutor(workers) as threads:
@@ -398,7 +463,25 @@ def is_dominated(
 
 
 class _Windows:
-    """Windows of a problem that end in time, and their tails, as columns over the poses."""
+    """Windows of a problem that end in time, and their tails, over the poses.
+
+    Attributes
+    ----------
+    end, run, margin_s : (n_windows,)
+        Last frame, run and margin of each window. [s]
+    frames : (n_windows, n_confirmations or 1) int
+        Rows of `columns` that each window needs.
+    tail_end, tail_run : (n_tails,) int
+        Frame behind which each tail is needed, and its run.
+    n_used : int
+        Rows of `columns` that are frames; those behind them are tails.
+    n_bits : int
+        Poses, and the VUT behind them if it sees.
+    columns : (n_used + n_tails, n_words) uint64
+        Who sees each frame, and each tail.
+    is_base : (n_used + n_tails,) bool
+        What the VUT sees.
+    """
 
     def __init__(
         self, problem: PlacementProblem, workers: int, rules: Set[Rule]
@@ -432,9 +515,8 @@ class _Windows:
         self.n_bits = n_bits
         _transpose(packed, np.arange(n_bits), used, self.columns, workers)
         # Those between frames that are used are used.
-        begin, end = (
-            np.searchsorted(used, at, side="right") for at in (self.tail_end, last)
-        )
+        begin = np.searchsorted(used, self.tail_end, side="right")
+        end = np.searchsorted(used, last, side="right")
 
         def join(one: int, other: int) -> None:
             part = slice(one, other)
@@ -445,10 +527,10 @@ class _Windows:
         if problem.fusion == "single":
             self._let_each_confirm_alone()
         self.is_base = np.zeros(len(self.columns), dtype=bool)
-        if seen_by_vut is not None:  # what the VUT sees, it sees next to every pose
-            self.is_base = _have_bits(
-                self.columns, self._mask(np.empty(0, dtype=np.int64))
-            )
+        # What the VUT sees, it sees next to every pose.
+        if seen_by_vut is not None:
+            of_vut = self._mask(np.empty(0, dtype=np.int64))
+            self.is_base = _have_bits(self.columns, of_vut)
             self.columns[self.is_base] = pack_words(np.ones(n_bits, dtype=bool))
 
     def _mask(self, poses: IntArray) -> WordArray:
@@ -459,26 +541,28 @@ class _Windows:
         return pack_words(is_in)
 
     def _let_each_confirm_alone(self) -> None:
-        """Make a window the statement that a pose alone has a live one up to its end."""
+        """Let each window state that a pose alone has a live one up to its end."""
         tail_columns = self.columns[self.n_used :]
         self.columns = np.bitwise_and.reduce(self.columns[self.frames], axis=1)
-        self.frames, self.n_used = np.arange(len(self.end))[:, None], len(self.end)
+        self.frames = np.arange(len(self.end))[:, None]
+        self.n_used = len(self.end)
         for run in np.unique(self.run):
-            windows = self.columns[slice(*np.searchsorted(self.run, [run, run + 1]))]
-            tails = tail_columns[slice(*np.searchsorted(self.tail_run, [run, run + 1]))]
+            begin, end = np.searchsorted(self.run, [run, run + 1])
+            windows = self.columns[begin:end]
+            begin, end = np.searchsorted(self.tail_run, [run, run + 1])
+            tails = tail_columns[begin:end]
             # The first windows of a run have tails, one behind the last frame of each.
-            windows[: len(tails)] &= np.bitwise_and.accumulate(tails[::-1], axis=0)[
-                ::-1
-            ]
+            from_here_on = np.bitwise_and.accumulate(tails[::-1], axis=0)[::-1]
+            windows[: len(tails)] &= from_here_on
             np.bitwise_or.accumulate(windows, axis=0, out=windows)
-        self.tail_end, self.tail_run = self.tail_end[:0], self.tail_run[:0]
+        self.tail_end = self.tail_end[:0]
+        self.tail_run = self.tail_run[:0]
 
     def sees_any(self) -> BoolArray:
         """Which poses see anything that matters, (n_poses,)."""
+        columns = self.columns
         if self.is_base.any():
-            columns = self.columns[~self.is_base]
-        else:
-            columns = self.columns
+            columns = columns[~self.is_base]
         words = np.bitwise_or.reduce(columns, axis=0)
         return unpack_words(words, self.problem.table.n_poses)
 
@@ -486,7 +570,9 @@ class _Windows:
         """The problem on some poses, all of them kept."""
         from .bit_kernels import thin_out
 
-        problem, axis = self.problem, self.problem.table.axis
+        problem = self.problem
+        axis = problem.table.axis
+        # Frames and tails that the same poses see are one.
         mask = self._mask(poses)
         if Rule.EQUAL_FRAMES in self.rules:
             first, frame = distinct_rows(self.columns, mask)
@@ -496,6 +582,7 @@ class _Windows:
         tail_frame = frame[self.n_used :]
         is_seen = _have_bits(self.columns, mask)[first]
 
+        # Windows that may be live, and tails that say something about them.
         last_lost = np.full(axis.n_runs, -1)
         alive = np.ones(len(self.end), dtype=bool)
         if Rule.UNSEEN_WINDOWS in self.rules:
@@ -515,9 +602,8 @@ class _Windows:
         begin = np.searchsorted(of_run, np.arange(len(run_index) + 1))
         sets = _as_sets(frames[windows])
         # Frames grow from run to run: so do the ends of windows.
-        n_links = (
-            np.searchsorted(end, self.tail_end[tails], side="right") - begin[of_tail]
-        )
+        n_before = np.searchsorted(end, self.tail_end[tails], side="right")
+        n_links = n_before - begin[of_tail]
         is_kept = np.ones(len(sets), dtype=bool)
         if Rule.DOMINATED_WINDOWS in self.rules:
             tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
@@ -530,27 +616,31 @@ class _Windows:
         n_links = n_links[order]
         of_tail = of_tail[order]
 
+        # Windows of the same frames are one; frames that nothing needs are left out.
         first_set, window = distinct_rows(sets.astype(np.uint64))
         is_needed = np.zeros(len(first), dtype=bool)
-        is_needed[sets] = is_needed[tail_frame] = True
+        is_needed[sets] = True
+        is_needed[tail_frame] = True
         kept = np.flatnonzero(is_needed)
         words = np.empty((len(poses), -(-len(kept) // 64)), dtype=np.uint64)
         _transpose(self.columns, first[kept], poses, words, self.workers)
+        # Windows and tails, run by run, as chains.
         begin = np.searchsorted(of_run, np.arange(len(run_index) + 1))
         tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
         tail_frame = np.searchsorted(kept, tail_frame)
-        chains, run_chain = _share_chains(
-            np.searchsorted(kept, sets[first_set]),
-            [window[slice(*place)] for place in pairwise(begin)],
-            [(tail_frame[slice(*p)], n_links[slice(*p)]) for p in pairwise(tail_begin)],
-        )
-        margin_s = np.full((len(run_index), np.diff(begin).max(initial=0) + 1), -np.inf)
-        margin_s[of_run, np.arange(len(windows)) - begin[of_run]] = self.margin_s[
-            windows
+        windows_of_runs = [window[one:end] for one, end in pairwise(begin)]
+        tails_of_runs = [
+            (tail_frame[one:end], n_links[one:end]) for one, end in pairwise(tail_begin)
         ]
-        n_whole = (
-            np.diff(axis.run_start) + 1 - problem.rule.n_confirmations
-        )  # in time or not
+        chains, run_chain = _share_chains(
+            np.searchsorted(kept, sets[first_set]), windows_of_runs, tails_of_runs
+        )
+        longest = np.diff(begin).max(initial=0)
+        margin_s = np.full((len(run_index), longest + 1), -np.inf)
+        place = np.arange(len(windows)) - begin[of_run]
+        margin_s[of_run, place] = self.margin_s[windows]
+        # Windows before presolve, in time or not.
+        n_whole = np.diff(axis.run_start) + 1 - problem.rule.n_confirmations
         return ReducedProblem(
             pose_index=poses,
             limits=problem.limits.of_poses(poses),
@@ -576,7 +666,10 @@ class _Windows:
         )
 
     def _is_needless(self, mask: WordArray) -> BoolArray:
-        """Tails that are seen whenever the next one of their run is, which ends more windows."""
+        """Tails that are seen whenever the next one of their run is, (n_tails,).
+
+        The next one ends more windows, so that these tails say nothing.
+        """
         tails = self.columns[self.n_used :]
         is_needless = np.zeros(len(self.tail_run), dtype=bool)
         is_needless[:-1] = ~_have_bits(tails[1:] & ~tails[:-1], mask)
@@ -587,7 +680,22 @@ class _Windows:
 def distinct_rows(
     rows: WordArray, mask: WordArray | None = None
 ) -> tuple[IntArray, IntArray]:
-    """First of the rows that are equal within a mask, and the number among them of each row."""
+    """First of the rows that are equal within a mask, and the number of each row.
+
+    Parameters
+    ----------
+    rows : (n_rows, n_words) uint64
+        Rows of bits.
+    mask : (n_words,) uint64, optional
+        Bits that count; by default all.
+
+    Returns
+    -------
+    first : (n_distinct,) int
+        Rows that are the first of their kind.
+    number : (n_rows,) int
+        Place in `first` of the row that each one is equal to.
+    """
     if mask is None:
         every = np.full(rows.shape[1], ~np.uint64(0))
     else:
@@ -610,7 +718,21 @@ def _transpose(
     columns: WordArray,
     workers: int,
 ) -> None:
-    """Some bits of chosen rows, bits along the rows: the first rows of `columns`, (n, n_words)."""
+    """Write some bits of chosen rows to the first rows of `columns`.
+
+    Parameters
+    ----------
+    rows : (n_rows, n_words) uint64, or (n_rows, n_bytes) uint8
+        Rows of bits, lowest bit first.
+    chosen : (n,) int
+        Rows that are transposed.
+    bits : (n_bits,) int
+        Bits that become rows of `columns`, in this order.
+    columns : (at least n_bits, n_words) uint64
+        Written: bits along the chosen rows.
+    workers : int
+        Threads.
+    """
     from .bit_kernels import transpose_chosen
 
     rows = np.ascontiguousarray(rows).view(np.uint8)
@@ -627,7 +749,7 @@ def _transpose(
 
 
 def transposed(words: WordArray, n_bits: int, *, workers: int) -> WordArray:
-    """The first bits of all rows as rows with bits along the rows, (n_bits, ceil(n_rows / 64))."""
+    """First bits of all rows as rows of their own, (n_bits, ceil(n_rows / 64))."""
     columns = np.empty((n_bits, -(-len(words) // 64)), dtype=np.uint64)
     _transpose(words, np.arange(len(words)), np.arange(n_bits), columns, workers)
     return columns
@@ -644,7 +766,10 @@ def _as_sets(frames: IntArray) -> IntArray:
 def _once_in_each_run(
     of_tail: IntArray, tail_frame: IntArray, n_links: IntArray
 ) -> IntArray:
-    """Order of tails run by run, those that more windows need first, each frame once in a run."""
+    """Order of tails run by run, those that more windows need first.
+
+    Each frame comes once in a run; tails that no window needs are left out.
+    """
     order = np.lexsort((tail_frame, -n_links, of_tail))
     order = order[n_links[order] > 0]
     key = of_tail[order] * (tail_frame.max(initial=0) + 1) + tail_frame[order]
@@ -657,7 +782,24 @@ def _share_chains(
     sequences: list[IntArray],
     tails: list[tuple[IntArray, IntArray]],
 ) -> tuple[Chains, IntArray]:
-    """Chains such that every sequence is the beginning of one with its tails; chain of each."""
+    """Chains that every sequence with its tails is the beginning of; chain of each.
+
+    Parameters
+    ----------
+    window_frames : (n_windows, n_frames) int
+        Frames of each window.
+    sequences : list of (n,) int
+        Windows of each run in the order of time.
+    tails : list of ((n,) int, (n,) int)
+        Frames of each run's tails, and how many windows need each.
+
+    Returns
+    -------
+    chains : Chains
+        As few as possible.
+    sequence_chain : (n_runs,) int
+        Chain of each run.
+    """
     keys = [
         (frames.tolist(), n_links.tolist(), row.tolist())
         for row, (frames, n_links) in zip(sequences, tails, strict=True)

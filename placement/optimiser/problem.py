@@ -1,4 +1,4 @@
-"""The placement problem on a detection table, and what a set of poses is worth in it."""
+"""The placement problem on a detection table, and what a set of poses is worth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -110,9 +110,10 @@ VALUE_OBJECTIVES = (
 
 
 def objectives_in_order(goal: Goal, *, survive: int) -> tuple[Objective, ...]:
-    """Stages of a problem: the goal, then the APR that survives failures, then the usual ones.
+    """Stages of a problem: the goal, the APR that survives failures, the usual ones.
 
-    The cost stands in it once: first where the cheapest layout is asked for, else last.
+    The cost stands in it once: first where the cheapest layout is asked for, else
+    last.
 
     >>> [str(objective) for objective in objectives_in_order("fewest", survive=1)][:3]
     ['units', 'apr_survived', 'apr']
@@ -121,29 +122,38 @@ def objectives_in_order(goal: Goal, *, survive: int) -> tuple[Objective, ...]:
     first: tuple[Objective, ...] = goals[goal]
     if survive:
         first = (*first, Objective.APR_SURVIVED)
-    return (
-        *first,
-        *(objective for objective in VALUE_OBJECTIVES if objective not in first),
-    )
+    usual = [objective for objective in VALUE_OBJECTIVES if objective not in first]
+    return (*first, *usual)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measure:
     """Accident prevention ratio of what is avoided.
 
-    With a tail, this is the conditional value at risk of Rockafellar and Uryasev
-    (2000): the mean over the worst share, in which one world may count in part.
+    With a tail, this is the conditional value at risk [1]_: the mean over the worst
+    share, in which one world may count in part.
+
+    Attributes
+    ----------
+    weight : (n_runs,) float
+        Of the runs that can be avoided; what counts weighs 1 in all.
+    sample_index : (n_runs,) int
+        Sampled world of each run; all 0 where nothing was sampled.
+    sample_weight : (n_samples,) float
+        What all runs of each world weigh together, also those that nothing avoids.
+    tail : float
+        Share of the worlds that counts, the worst ones: 1 for the mean,
+        1 / n_samples for the worst.
+
+    References
+    ----------
+    .. [1] R. T. Rockafellar, S. Uryasev, "Optimization of conditional
+       value-at-risk", 2000.
     """
 
-    # (n_runs,): of the runs that can be avoided; what counts weighs 1 in all
     weight: FloatArray
-    # (n_runs,): sampled world of each run; all 0 where nothing was sampled
     sample_index: IntArray
-    # (n_samples,): what all runs of each world weigh together, also those that nothing
-    # avoids.
     sample_weight: FloatArray
-    # Share of the worlds that counts, the worst ones: 1 for the mean, 1 / n_samples for
-    # the worst.
     tail: float = 1.0
 
     @property
@@ -167,13 +177,16 @@ class Measure:
         return by_sample
 
     def of_worlds(self, by_sample: FloatArray) -> FloatArray:
-        """Ratio from the weight of avoided runs by world, (..., n_samples) or of all, (..., 1)."""
+        """Ratio from the weight of avoided runs by world.
+
+        `by_sample` is (..., n_samples), or of all worlds together, (..., 1), for a
+        mean. Returns (...,).
+        """
         if self.is_mean:
             return np.asarray(by_sample.sum(axis=-1))
         ratio = by_sample / self.sample_weight
-        order = np.argsort(
-            ratio, axis=-1, kind="stable"
-        )  # the worst first, up to the tail
+        # The worst first, up to the tail.
+        order = np.argsort(ratio, axis=-1, kind="stable")
         ends = np.minimum(np.cumsum(self.sample_weight[order], axis=-1), self.tail)
         worst_first = np.take_along_axis(ratio, order, axis=-1)
         counted = np.diff(ends, axis=-1, prepend=0.0) * worst_first
@@ -271,13 +284,11 @@ class PlacementValue(NamedTuple):
         Units, and sites once; the less the better. [EUR]
     """
 
-    apr: float  # Accident prevention ratio, 0..1
-    apr_one_failed: float  # The same when the most painful one of the units fails
-    smallest_margin_s: float  # Of the avoided runs; 0 if there is none. [s]
-    mean_margin_s: (
-        float  # Of the avoided runs, by their weights; 0 if there is none. [s]
-    )
-    cost_eur: float  # Units, and sites once; the less the better. [EUR]
+    apr: float
+    apr_one_failed: float
+    smallest_margin_s: float
+    mean_margin_s: float
+    cost_eur: float
 
     def of(self, objective: Objective) -> float:
         """Value of one of :data:`placement.optimiser.problem.VALUE_OBJECTIVES`."""
@@ -301,12 +312,10 @@ class Floor:
         It must still be reached when any so many units fail.
     """
 
-    name: str  # Who asks for it, such as "target", for messages
-    share: float  # The ratio, 0..1
-    # (n_runs,): runs that count, such as those of a case; None: all, by the problem's
-    # own measure
+    name: str
+    share: float
     is_counted: BoolArray | None = None
-    n_failures: int = 0  # It must still be reached when any so many units fail
+    n_failures: int = 0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= 1.0:
@@ -322,22 +331,44 @@ class Floor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlacementProblem:
-    """Which poses to mount, given what each detects."""
+    """Which poses to mount, given what each detects.
 
-    table: DetectionTable  # V[c, f]
-    limits: Limits  # What may be mounted together
-    # "any": a frame counts if any unit detects; "single": one must confirm alone
+    Attributes
+    ----------
+    table : DetectionTable
+        V[c, f].
+    limits : Limits
+        What may be mounted together.
+    fusion : {"any", "single"}
+        "any": a frame counts if any unit detects; "single": one unit must confirm
+        alone.
+    rule : AebRule
+        Confirmation and latency.
+    floors : tuple of Floor
+        What must be reached in any case.
+    goal : {"best", "fewest", "cheapest"}
+        "fewest", "cheapest": of the sets that reach the floors only those with the
+        fewest units, or of the least cost, are looked at; then the best of them.
+    survive : int
+        If not 0, the APR when so many units fail is the first objective.
+    sample_index : (n_runs,) int, optional
+        Sampled world of each run.
+    tail : float
+        See :class:`Measure`: how the APR sums up the sampled worlds.
+    seen_by_vut : (n_frames,) bool, optional
+        Frames in which the VUT's own sensors detect. They are in every set, also in
+        that of no pose, and never fail. None: cars are blind.
+    """
+
+    table: DetectionTable
+    limits: Limits
     fusion: Fusion
-    rule: AebRule  # Confirmation and latency
-    floors: tuple[Floor, ...] = ()  # What must be reached in any case
-    # "fewest", "cheapest": the best of those that reach the floors with the fewest
-    # units, or money
+    rule: AebRule
+    floors: tuple[Floor, ...] = ()
     goal: Goal = "best"
-    survive: int = 0  # If not 0, the APR when so many units fail is the first objective
-    sample_index: IntArray | None = None  # (n_runs,): sampled world of each run
-    tail: float = 1.0  # See :class:`Measure`: how the APR sums up the sampled worlds
-    # (n_frames,): frames in which the VUT's own sensors detect. They are in every set,
-    # also in that of no pose, and never fail. None: cars are blind.
+    survive: int = 0
+    sample_index: IntArray | None = None
+    tail: float = 1.0
     seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:
@@ -370,7 +401,7 @@ class PlacementProblem:
         return objectives_in_order(self.goal, survive=self.survive)
 
     def detected(self, pose_index: Sequence[int]) -> BoolArray:
-        """V[c, f] of some poses, and in the last row of the VUT if it sees, (n, n_frames)."""
+        """V[c, f] of some poses, (n, n_frames), the last row that of a seeing VUT."""
         detected = self.table.detected(list(pose_index))
         if self.seen_by_vut is None:
             return detected
@@ -414,11 +445,11 @@ def floor_value(
 
 
 def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatArray:
-    """Last brake time - (confirmation + latency) of every run, (n_runs,), in seconds.
+    """Last brake time - (confirmation + latency) of every run, (n_runs,).
 
-    For the track that is alive at the last moment; minus infinity if there is none.
-    Limits do not matter. No poses at all are what the VUT detects by itself, if it
-    sees.
+    It is that of the track that is alive at the last moment; minus infinity if
+    there is none. Limits do not matter. No poses at all are what the VUT detects by
+    itself, if it sees. [s]
     """
     axis = problem.table.axis
     rule = problem.rule
@@ -442,14 +473,14 @@ def apr(problem: PlacementProblem, pose_index: Sequence[int]) -> float:
 
 
 def apr_one_failed(problem: PlacementProblem, pose_index: Sequence[int]) -> float:
-    """Smallest accident prevention ratio that is left when one of the poses fails, 0..1."""
+    """Smallest APR that is left when one of the poses fails, 0..1."""
     return apr_failed(problem, pose_index, 1)
 
 
 def apr_failed(
     problem: PlacementProblem, pose_index: Sequence[int], n_failures: int
 ) -> float:
-    """Smallest accident prevention ratio that is left when so many of the poses fail, 0..1."""
+    """Smallest APR that is left when so many of the poses fail, 0..1."""
     return _left_after_failures(problem, problem.measure(), pose_index, n_failures)
 
 
@@ -459,6 +490,7 @@ def _left_after_failures(
     pose_index: Sequence[int],
     n_failures: int,
 ) -> float:
+    """Smallest value that is left when so many units, or sites, fail."""
     site_of = problem.limits.site_index
     at_once: dict[int, list[int]] = {}
     for pose in pose_index:
@@ -467,14 +499,13 @@ def _left_after_failures(
         else:
             key = int(site_of[pose])
         at_once.setdefault(key, []).append(pose)
-    return min(
-        float(
-            measure.of(
-                run_margins_s(problem, list(chain.from_iterable(left))) > -np.inf
-            )
-        )
-        for left in combinations(at_once.values(), max(len(at_once) - n_failures, 0))
-    )
+    n_left = max(len(at_once) - n_failures, 0)
+    smallest = np.inf
+    for groups in combinations(at_once.values(), n_left):
+        left = list(chain.from_iterable(groups))
+        is_avoided = run_margins_s(problem, left) > -np.inf
+        smallest = min(smallest, float(measure.of(is_avoided)))
+    return smallest
 
 
 def placement_value(
@@ -513,12 +544,13 @@ def objective_values(
 def is_better(value: PlacementValue, other: PlacementValue) -> bool:
     """True if the first difference that exceeds rounding noise favours `value`.
 
-    >>> is_better(PlacementValue(1.0, 0.5, 0.2, 0.3, 9.0), PlacementValue(1.0, 0.5, 0.1, 0.9, 0.0))
+    >>> value = PlacementValue(1.0, 0.5, 0.2, 0.3, 9.0)
+    >>> is_better(value, PlacementValue(1.0, 0.5, 0.1, 0.9, 0.0))
     True
     """
-    return improves(
-        *({one: each.of(one) for one in VALUE_OBJECTIVES} for each in (value, other))
-    )
+    values = {objective: value.of(objective) for objective in VALUE_OBJECTIVES}
+    others = {objective: other.of(objective) for objective in VALUE_OBJECTIVES}
+    return improves(values, others)
 
 
 def improves(
@@ -538,15 +570,27 @@ def improves(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Requirement:
-    """A value that must be reached; more poses never reach less of it."""
+    """A value that must be reached; more poses never reach less of it.
 
-    measure: Measure  # what is counted, over the runs of the reduced problem
-    least: float  # in the measure's unit; times seconds where margins are summed
-    min_margin_s: float = -np.inf  # runs that are avoided with less do not count [s]
-    n_failures: int = 0  # it must still be reached when any so many units fail
-    sums_margins: bool = (
-        False  # count the weights times the margins instead of the weights
-    )
+    Attributes
+    ----------
+    measure : Measure
+        What is counted, over the runs of the reduced problem.
+    least : float
+        In the measure's unit; times seconds where margins are summed.
+    min_margin_s : float
+        Runs that are avoided with less do not count. [s]
+    n_failures : int
+        It must still be reached when any so many units fail.
+    sums_margins : bool
+        True if the weights times the margins count instead of the weights.
+    """
+
+    measure: Measure
+    least: float
+    min_margin_s: float = -np.inf
+    n_failures: int = 0
+    sums_margins: bool = False
 
     @property
     def needs_all(self) -> bool:
@@ -574,32 +618,47 @@ WordArray = NDArray[np.uint64]
 
 
 class Chains(NamedTuple):
-    """Windows of runs in the order of time, and what keeps them alive: plain arrays for kernels.
+    """Windows of runs in the order of time, and what keeps them alive, for kernels.
 
     Runs that go through the same windows, to different ends, share a chain.
+
+    Attributes
+    ----------
+    window_frames : (n_windows, n_confirmations or 1) int
+        Merged frames that each window needs, some perhaps twice.
+    window : (n_links,) int
+        The windows of all chains, chain after chain.
+    start : (n_chains + 1,) int
+        Links of chain g are ``start[g] .. start[g + 1] - 1``.
+    tail_frame : (n_tails,) int
+        Merged frames that a chain's first windows need to be live.
+    tail_links : (n_tails,) int
+        How many windows those are; falling within each chain.
+    tail_start : (n_chains + 1,) int
+        Tails of each chain.
     """
 
-    # (n_windows, n_confirmations or 1): merged frames that each window needs, some
-    # perhaps twice.
     window_frames: IntArray
-    window: IntArray  # (n_links,): the windows of all chains, chain after chain
-    start: (
-        IntArray  # (n_chains + 1,): links of chain g are start[g] .. start[g + 1] - 1
-    )
-    # (n_tails,): merged frames that a chain's first windows need to be live
+    window: IntArray
+    start: IntArray
     tail_frame: IntArray
-    tail_links: (
-        IntArray  # (n_tails,): how many windows those are; falling within each chain
-    )
-    tail_start: IntArray  # (n_chains + 1,): tails of each chain
+    tail_links: IntArray
+    tail_start: IntArray
 
 
 def timely_windows_end(
     axis: FrameAxis, rule: AebRule
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Windows of frames in a row that end in time, in runs with weight, each (n_windows,).
+    """Windows of frames in a row that end in time, in runs with weight.
 
-    Returns the last frame of each, its run, and the margin that it leaves [s].
+    Returns
+    -------
+    end : (n_windows,) int
+        Last frame of each window.
+    run : (n_windows,) int
+        Its run.
+    margin_s : (n_windows,) float
+        Margin that it leaves. [s]
     """
     run = run_of_frames(axis)
     last_brake_s = axis.last_brake_time_s[run]
@@ -615,14 +674,31 @@ def timely_windows_end(
 def tails_behind(
     axis: FrameAxis, rule: AebRule, end: IntArray, run: IntArray
 ) -> tuple[IntArray, IntArray]:
-    """Frames behind which a track is lost unless one of the next ones is detected, (n_tails,) each.
+    """Frames behind which a track is lost unless one of the next ones is detected.
 
-    `end` and `run` are those of :func:`timely_windows_end`. Returns the frames,
-    ascending, and the last frame behind each that still comes in time: the frame itself
-    if none does. A window is live if and only if, from its last frame on, a detection
-    follows each of these frames in time. (Of frames that are not detected, that asks no
-    more: what comes in time for the one before does.) Frames from which the memory
-    reaches the last moment have no tail.
+    Parameters
+    ----------
+    axis : FrameAxis
+        Runs and frames.
+    rule : AebRule
+        How long a track lives without a detection.
+    end, run : (n_windows,) int
+        Those of :func:`timely_windows_end`.
+
+    Returns
+    -------
+    behind : (n_tails,) int
+        The frames, ascending. Those from which the memory reaches the last moment
+        have no tail.
+    last : (n_tails,) int
+        The last frame behind each that still comes in time; the frame itself if
+        none does.
+
+    Notes
+    -----
+    A window is live if and only if, from its last frame on, a detection follows
+    each of these frames in time. (Of frames that are not detected, that asks no
+    more: what comes in time for the one before does.)
     """
     if rule.track_memory_s == np.inf:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
@@ -635,12 +711,9 @@ def tails_behind(
         until_s = axis.last_brake_time_s[of_run] - rule.latency_s
         ends_too_early = until_s - time_s > memory_s
         behind.append(ends[ends_too_early])
-        last.append(
-            ends[
-                np.searchsorted(time_s, time_s[ends_too_early] + memory_s, side="right")
-                - 1
-            ]
-        )
+        lost_s = time_s[ends_too_early] + memory_s
+        n_before = np.searchsorted(time_s, lost_s, side="right")
+        last.append(ends[n_before - 1])
     return np.concatenate(behind), np.concatenate(last)
 
 

@@ -38,11 +38,19 @@ class UnmetError(InputError):
 def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
     """Check limits against each other, before anything is solved.
 
-    `pose_ids` are the names of the poses in messages.
+    Parameters
+    ----------
+    limits : Limits
+        What may be mounted together.
+    pose_ids : sequence of str
+        Names of the poses in messages.
 
-    Raises UnmetError: two of them cannot both be met: forced and forbidden, a site that
-    is too small, money that does not suffice, rivals that are both forced, or no unit
-    at all.
+    Raises
+    ------
+    UnmetError
+        Two of them cannot both be met: forced and forbidden, a site that is too
+        small, money that does not suffice, rivals that are both forced, or no unit
+        at all.
     """
     forced = np.flatnonzero(limits.is_forced)
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
@@ -51,18 +59,14 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
         got = Unquoted("forced and forbidden")
         raise UnmetError(pose_ids[int(pose)], got, "one of the two at most")
     for site in np.flatnonzero(at_site > limits.site_capacity):
-        names = ", ".join(
-            pose_ids[int(pose)] for pose in forced if limits.site_index[pose] == site
-        )
+        there = forced[limits.site_index[forced] == site]
+        names = ", ".join(pose_ids[int(pose)] for pose in there)
         got = Unquoted(f"{at_site[site]} at one site ({names})")
-        most = limits.site_capacity[site]
-        raise UnmetError(
-            "forced units", got, f"at most {most}, what the site can carry"
-        )
+        expected = f"at most {limits.site_capacity[site]}, what the site can carry"
+        raise UnmetError("forced units", got, expected)
     if not usable.any():
-        raise UnmetError(
-            "candidates", Unquoted("none that may be used"), "at least one"
-        )
+        got = Unquoted("none that may be used")
+        raise UnmetError("candidates", got, "at least one")
     n_usable = np.bincount(limits.site_index[usable], minlength=limits.n_sites)
     if (limits.is_forced_site & (n_usable == 0)).any():
         got = Unquoted("a site without a pose that may be used")
@@ -84,13 +88,11 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
         price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
         needed = float(price[usable].min())
         what = "the price of the cheapest unit with its site"
-    if (
-        limits.budget_eur is not None
-        and needed > limits.budget_eur + COST_TOLERANCE_EUR
-    ):
-        raise UnmetError(
-            "budget_cost", limits.budget_eur, f"at least {needed:.2f} EUR, {what}"
-        )
+    if limits.budget_eur is None:
+        return
+    if needed > limits.budget_eur + COST_TOLERANCE_EUR:
+        expected = f"at least {needed:.2f} EUR, {what}"
+        raise UnmetError("budget_cost", limits.budget_eur, expected)
 
 
 def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
@@ -113,34 +115,36 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
 def check_floors(problem: PlacementProblem, search: Search) -> None:
     """Check that the set that was found reaches all floors.
 
-    Raises UnmetError: it does not: out of reach, and the best that can be reached, or
-    not found in time.
+    Raises
+    ------
+    UnmetError
+        It does not: out of reach, and the best that can be reached, or not found in
+        time.
     """
     if search.units is not None and search.shortfall == 0.0:
         return
     reduced = search.reduced
     if search.units is None:
+        why = "none was found"
         if search.nothing_meets_all:
             why = "no set of poses meets all of them"
-        else:
-            why = "none was found"
         raise UnmetError("limits", Unquoted(why), "limits that leave a choice")
     sets = search.units[None, :]
-    reached = [
-        float(left_after_failures(reduced, floor.measure, floor.n_failures, sets)[0])
-        for floor in reduced.floors
-    ]
-    worst = int(
-        np.argmax(
-            [f.share - share for f, share in zip(problem.floors, reached, strict=True)]
+    # The floor to which most is lacking.
+    reached = []
+    lacking = []
+    for floor, requirement in zip(problem.floors, reduced.floors, strict=True):
+        left = left_after_failures(
+            reduced, requirement.measure, requirement.n_failures, sets
         )
-    )
+        share = float(left[0])
+        reached.append(share)
+        lacking.append(floor.share - share)
+    worst = int(np.argmax(lacking))
     floor = problem.floors[worst]
     most = _rounded_down(reached[worst])
     if floor.n_failures:
         most += f" when any {floor.n_failures} fail"
-    else:
-        most += ""
     expected = f"at most {most}, what the best set found reaches"
     if not search.nothing_meets_all:
         expected = (
@@ -151,6 +155,7 @@ def check_floors(problem: PlacementProblem, search: Search) -> None:
 
 
 def _rounded_down(share: float) -> str:
+    """A share in four digits behind the point, never higher than it is."""
     return f"{np.floor(share * 1.0e4) / 1.0e4:g}"
 
 
@@ -161,25 +166,32 @@ def is_large(problem: PlacementProblem) -> bool:
 
 def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
     """Problem on some of the poses."""
-    table = problem.table
-    return replace(
-        problem,
-        table=DetectionTable(
-            pose_ids=tuple(table.pose_ids[pose] for pose in pool),
-            axis=table.axis,
-            packed=table.packed[pool],
-        ),
-        limits=problem.limits.of_poses(pool),
+    whole = problem.table
+    table = DetectionTable(
+        pose_ids=tuple(whole.pose_ids[pose] for pose in pool),
+        axis=whole.axis,
+        packed=whole.packed[pool],
     )
+    return replace(problem, table=table, limits=problem.limits.of_poses(pool))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """Chosen poses, and how good they are proven to be."""
+    """Chosen poses, and how good they are proven to be.
 
-    pose_index: tuple[int, ...]  # rows of the detection table, ascending
-    certificate: Certificate  # a stage for every objective, in order
-    presolve: PresolveStatistics  # what dropped out before
+    Attributes
+    ----------
+    pose_index : tuple of int
+        Rows of the detection table, ascending.
+    certificate : Certificate
+        A stage for every objective, in order.
+    presolve : PresolveStatistics
+        What dropped out before.
+    """
+
+    pose_index: tuple[int, ...]
+    certificate: Certificate
+    presolve: PresolveStatistics
 
 
 def solve_placement(
@@ -191,16 +203,33 @@ def solve_placement(
     n_stages: int | None = None,
     on_stage: Callable[[str], None] | None = None,
 ) -> Solution:
-    """Best poses: by APR, then APR when one unit fails, smallest margin, mean margin, cost.
+    """Best poses by the objectives in order, with a bound of each stage.
 
-    `reduced` is the presolved problem, where that is at hand; `starts` are rows of the
-    table that are tried first, (n,) each, such as a good layout for a unit less; only
-    the first `n_stages` objectives are bounded, by default all; `on_stage` is called
-    with the name of every stage when it begins. The bound of a stage is what no layout
+    By default the APR comes first, then the APR when one unit fails, the smallest
+    margin, the mean margin, the cost. The bound of a stage is what no layout
     exceeds that is as good in all stages before.
 
-    Raises InputError if nothing meets the wishes, with the one that cannot be met and
-    the best that can, or if nothing was found that does in the time given.
+    Parameters
+    ----------
+    problem : PlacementProblem
+        The problem.
+    reduced : ReducedProblem, optional
+        The presolved problem, where that is at hand.
+    effort : Effort, optional
+        How hard to try.
+    starts : sequence of (n,) int
+        Rows of the table that are tried first, such as a good layout for a unit
+        less.
+    n_stages : int, optional
+        Only so many objectives are bounded; by default all.
+    on_stage : callable, optional
+        Called with the name of every stage when it begins.
+
+    Raises
+    ------
+    InputError
+        Nothing meets the wishes: which one cannot be met, and the best that can; or
+        nothing was found that does in the time given.
     """
     if effort is None:
         effort = Effort()
@@ -212,9 +241,9 @@ def solve_placement(
         # find: there, a pose may be replaced by one at another site.
         by_unit = replace(problem, limits=replace(problem.limits, failing="unit"))
         part = effort.until(deadline.of("as if units failed"))
-        with suppress(
-            UnmetError
-        ):  # where sites fail, more is possible, or time was too short
+        # Where sites fail, more may be possible than where units do; or the time was
+        # too short.
+        with suppress(UnmetError):
             found = solve_placement(
                 by_unit,
                 effort=part,
@@ -235,14 +264,17 @@ def solve_placement(
     search = Search(reduced, deadline=deadline, is_exact=effort.is_exact)
     search.start([units_of(reduced, poses) for poses in starts])
     check_floors(problem, search)
+    # Stage after stage: the best set gets better, and its value is bounded.
     records = []
-    for objective, find_bound in Stages(problem, search, effort).plan()[:n_stages]:
+    plan = Stages(problem, search, effort).plan()
+    for objective, find_bound in plan[:n_stages]:
         if on_stage is not None:
             on_stage(objective.value)
         began_s = now_s()
         bound = find_bound()
-        records.append((objective, bound, now_s() - began_s))
-        _log.info("%s: bound %.6g after %.2f s", objective, bound, records[-1][-1])
+        seconds = now_s() - began_s
+        records.append((objective, bound, seconds))
+        _log.info("%s: bound %.6g after %.2f s", objective, bound, seconds)
     assert search.units is not None
     pose_index = to_full(reduced, search.units)
     values = objective_values(problem, pose_index)
@@ -258,7 +290,10 @@ def solve_placement(
 def sturdy_problem(
     problem: PlacementProblem, highest: Solution, give_up: float
 ) -> PlacementProblem:
-    """What is left when a unit fails comes first; so much of the highest APR may be given up."""
+    """The problem in which what is left when a unit fails comes first.
+
+    So much of the highest APR, a share, may be given up for it.
+    """
     share = max(apr(problem, highest.pose_index) - give_up, 0.0)
     floor = Floor(name="give_up", share=share)
     return replace(problem, survive=1, floors=(*problem.floors, floor))
@@ -274,16 +309,20 @@ def solve_sturdily(
 ) -> tuple[Solution, Solution | None]:
     """The layout of the highest APR; and the one that keeps most when a unit fails.
 
-    The second is that of :func:`sturdy_problem`, on what the first was presolved to. It
-    is None where nothing may be given up, for a single unit, and of a table that is too
-    large to be solved as a whole. Raises InputError as :func:`solve_placement`.
+    The second is that of :func:`sturdy_problem`, on what the first was presolved
+    to. It is None where nothing may be given up, for a single unit, and of a table
+    that is too large to be solved as a whole.
+
+    Raises
+    ------
+    InputError
+        See :func:`solve_placement`.
     """
     deadline = deadline_in(effort.time_limit_s)
     has_two = give_up > 0.0 and problem.limits.max_units > 1 and not is_large(problem)
+    first = effort
     if has_two:
         first = replace(effort, time_limit_s=effort.time_limit_s / 2.0)
-    else:
-        first = effort
     if has_two and reduced is None and problem.limits.failing == "unit":
         check_limits(problem.limits, problem.table.pose_ids)
         reduced = presolve(problem, workers=effort.workers)
@@ -291,9 +330,11 @@ def solve_sturdily(
     if not has_two or len(highest.pose_index) < 2:
         return highest, None
     asked = sturdy_problem(problem, highest, give_up)
+    if reduced is not None:
+        reduced = reduced.for_problem(asked)
     sturdy = solve_placement(
         asked,
-        None if reduced is None else reduced.for_problem(asked),
+        reduced,
         effort=effort.until(deadline),
         starts=[np.array(highest.pose_index)],
         on_stage=on_stage,
@@ -320,9 +361,9 @@ def _solve_large(
     """
     if on_stage is not None:
         on_stage("all poses")
-    every = presolve(
-        problem, workers=effort.workers, rules=ALL_RULES - {Rule.DOMINATED_POSES}
-    )
+    # A bound of all poses, and what each gains by its prices.
+    rules = ALL_RULES - {Rule.DOMINATED_POSES}
+    every = presolve(problem, workers=effort.workers, rules=rules)
     check_reach(problem, every)
     most = Search(every)
     apr = every.measure.limit
@@ -330,11 +371,11 @@ def _solve_large(
     if len(every.weight):
         end = deadline.of("relaxation")
         n_units = every.limits.max_units
-        root = polished(
-            find_root(every, run_rows(every), n_units=n_units, deadline=end)
-        )
+        root = find_root(every, run_rows(every), n_units=n_units, deadline=end)
+        root = polished(root)
         apr = min(rounded_down(every, root.limit), apr)
         gains = root.gains()
+    # A layout among the poses that gain most; among more, until there is one.
     n_pool = constants.POOL_POSES
     found = None
     while found is None:
@@ -342,7 +383,8 @@ def _solve_large(
         try:
             found = _solve_pool(problem, pool, effort, deadline, n_stages, on_stage)
         except UnmetError as error:
-            if len(pool) == every.n_poses:  # what cannot be met is left to proofs
+            # What cannot be met is left to proofs.
+            if len(pool) == every.n_poses:
                 left = effort.until(deadline)
                 whole = presolve(problem, workers=effort.workers)
                 return solve_placement(
@@ -351,11 +393,11 @@ def _solve_large(
             if deadline.is_over:
                 raise _unmet_by_pool(error, pool, every) from None
         n_pool *= constants.POOL_GROWTH
+    # The stages of the layout, with bounds of all poses.
     value = {stage.name: stage.objective for stage in found.certificate.stages}
+    avoided = 0.0
     if problem.tail == 1.0:
         avoided = value[Objective.APR]
-    else:
-        avoided = 0.0
     bounds = _loose_bounds(most, apr, avoided)
     stages = []
     for stage in found.certificate.stages:
@@ -364,6 +406,11 @@ def _solve_large(
             build_stage(objective, stage.objective, bounds[objective], stage.seconds)
         )
     n_poses = problem.table.n_poses
+    solver = (
+        f"{relaxation_text()}: relaxation of all {n_poses} poses, search among "
+        f"{len(pool)}"
+    )
+    n_left = found.presolve.n_poses[1]
     return Solution(
         pose_index=tuple(int(pool[pose]) for pose in found.pose_index),
         certificate=Certificate(
@@ -422,7 +469,10 @@ def _solve_pool(
     n_stages: int | None,
     on_stage: Callable[[str], None] | None,
 ) -> Solution:
-    """The best among some poses, by search; raises UnmetError if none of their sets will do."""
+    """The best among some poses, by search.
+
+    Raises UnmetError if none of their sets will do.
+    """
     part = of_pool(problem, pool)
     check_limits(part.limits, part.table.pose_ids)
     reduced = presolve(part, workers=effort.workers)
@@ -446,7 +496,11 @@ def _unmet_by_pool(
 
 
 def _loose_bounds(every: Search, apr: float, avoided: float) -> dict[Objective, float]:
-    """What all poses together reach, by objective; of the APR a bound is known, and what counts."""
+    """What all poses together reach, by objective.
+
+    `apr` bounds the APR; `avoided` is the APR that is reached, which bounds the
+    mean margin.
+    """
     return dict.fromkeys(Objective, apr) | {
         Objective.UNITS: 1.0,
         Objective.COST: 0.0,
@@ -473,10 +527,9 @@ def instead(
     loose = _loose_bounds(Search(reduced), reduced.measure.limit, values[Objective.APR])
     for stage in solution.certificate.stages:
         one = Objective(stage.name)
+        bound = loose[one]
         if holds:
             bound = stage.bound
-        else:
-            bound = loose[one]
         stages.append(build_stage(one, values[one], bound, stage.seconds))
         holds &= abs(values[one] - stage.objective) <= one.tolerance
     certificate = replace(solution.certificate, stages=tuple(stages))
@@ -488,13 +541,18 @@ def instead(
 def build_stage(
     objective: Objective, value: float, bound: float, seconds: float
 ) -> Stage:
-    """A stage of a certificate; a bound that is worse than the value itself is not believed."""
+    """A stage of a certificate, from a value and its bound.
+
+    A bound that is worse than the value itself is not believed.
+    """
     bound = objective.better(bound, value)
     gap = relative_gap(value, bound, tolerance=objective.tolerance)
+    if gap == 0.0:
+        bound = value
     return Stage(
         name=objective.value,
         objective=value,
-        bound=value if gap == 0.0 else bound,
+        bound=bound,
         gap=gap,
         seconds=seconds,
     )

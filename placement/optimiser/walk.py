@@ -1,22 +1,26 @@
-"""Third rung: all sets of so many units that lose little, and the best of those that tie.
+"""Third rung: all sets that lose little, and the best of those that tie.
 
-As in :mod:`placement.optimiser.bounds`, poses *cover* runs, and runs that the same
-poses cover are one row. Of the poses at a site, most cover no row that another one
-there does not cover: a *class* is a pose that is widest in this sense with those below
-it. So the walk is one through sets of classes, each as good as its widest pose:
+As in :mod:`placement.optimiser.bounds`, poses *cover* runs, and runs that the
+same poses cover are one row. Of the poses at a site, most cover no row that
+another one there does not cover: a *class* is a pose that is widest in this
+sense with those below it. So the walk is one through sets of classes, each as
+good as its widest pose:
 
-* It asks which class covers the row that fewest cover. Where hardly anything may be
-  lost, that
-  leaves few classes at every node. When they have been tried, the row is lost.
-* With m units to come, the m best classes at most cover what is not covered yet, and m
-  - N of them
-  if N units to come fail, or m - N + 1 if one of the chosen fails, which loses what it
-  covers alone. The gains are weighed by the rows' weights, and by Lagrangian prices.
+* It asks which class covers the row that fewest cover. Where hardly anything
+  may be lost, that leaves few classes at every node. When they have been tried,
+  the row is lost.
+* With m units to come, the m best classes at most cover what is not covered
+  yet, and m - N of them if N units to come fail, or m - N + 1 if one of the
+  chosen fails, which loses what it covers alone. The gains are weighed by the
+  rows' weights, and by Lagrangian prices.
 
-What remains is spelled out: sets of poses, one of each class, valued on the windows,
-where poses of a class that is not settled yet see together. A walk that ends has met
-every set. Where few tie, all are valued, and every later stage is proven at once; where
-many do, the APR that is left when units fail is asked for in the walk, too.
+What remains is spelled out: sets of poses, one of each class, valued on the
+windows, where poses of a class that is not settled yet see together. A walk
+that ends has met every set. Where few tie, all are valued, and every later
+stage is proven at once; where many do, the APR that is left when units fail is
+asked for in the walk, too.
+
+:class:`placement.optimiser.walk_kernels.Walk` draws what a node of the walk is.
 """
 
 from collections.abc import Callable, Iterator
@@ -44,7 +48,7 @@ from .bounds import Root, find_root, rounded_down, run_rows
 from .constants import NEVER, TIES_OF_TIES, TOLERANCE, Deadline, deadline_in
 from .greedy import forced_units
 from .presolve import ReducedProblem, transposed, unpack_words
-from .problem import Objective
+from .problem import Objective, Requirement
 
 if TYPE_CHECKING:
     from .walk_kernels import Classes, Walk
@@ -54,34 +58,36 @@ _T = TypeVar("_T")
 
 
 def can_walk(reduced: ReducedProblem) -> bool:
-    """True if best sets have as many units as allowed or are parts of such: no money.
+    """True if a walk through sets of the largest size can meet all best sets.
 
-    Of floors there may be one, an APR of all runs without failures.
+    A best set must have as many units as allowed, or be part of such a set: money
+    must be no limit. There may be one floor, an APR of all runs without failures.
     """
     limits = reduced.limits
+    if limits.budget_eur is not None or reduced.objectives[0].is_minimised:
+        return False
+    if limits.is_forced_site.any() or len(limits.rivals):
+        return False
+    if reduced.floors and least_apr(reduced) is None:
+        return False
+    if not len(reduced.weight):
+        return False
     n_forced = int(limits.is_forced.sum())
-    return (
-        limits.budget_eur is None
-        and not (limits.is_forced_site.any() or len(limits.rivals))
-        and (not reduced.floors or least_apr(reduced) is not None)
-        and not reduced.objectives[0].is_minimised
-        and len(reduced.weight) > 0
-        and max(2, n_forced + 1)
-        <= limits.max_units
-        <= min(constants.MAX_WALK_UNITS, reduced.n_poses)
-        and not (n_forced and reduced.survive)
-    )
+    if n_forced and reduced.survive:
+        return False
+    fewest = max(2, n_forced + 1)
+    most = min(constants.MAX_WALK_UNITS, reduced.n_poses)
+    return fewest <= limits.max_units <= most
 
 
 def least_apr(reduced: ReducedProblem) -> float | None:
-    """The APR that every set must reach, where that is the only floor."""
+    """APR that every set must reach, where that is the only floor; else None."""
     if len(reduced.floors) != 1:
         return None
     (floor,) = reduced.floors
-    is_of_all = floor.measure.is_mean and bool(
-        (floor.measure.weight == reduced.weight).all()
-    )
-    if is_of_all and not floor.n_failures:
+    if floor.n_failures or not floor.measure.is_mean:
+        return None
+    if (floor.measure.weight == reduced.weight).all():
         return floor.least
     return None
 
@@ -89,10 +95,23 @@ def least_apr(reduced: ReducedProblem) -> float | None:
 def best_of_few(
     reduced: ReducedProblem, *, max_sets: int, deadline: Deadline = NEVER
 ) -> tuple[Contenders | None, bool]:
-    """The best of all allowed sets, of any size, and what ties, where they are few.
+    """Best of all allowed sets of any size, and what ties, where they are few.
 
-    Gives up if there are more than `max_sets`, or at the deadline: the flag says
-    whether all sets were gone through. None if no set was.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem whose sets are valued.
+    max_sets : int
+        Give up if there are more allowed sets.
+    deadline : Deadline
+        Give up when it is over.
+
+    Returns
+    -------
+    contenders : Contenders or None
+        The best sets so far; None if there are too many to begin with.
+    is_complete : bool
+        True if all sets were gone through.
     """
     sizes = allowed_sets(reduced.limits, max_sets=max_sets)
     if sizes is None:
@@ -105,7 +124,8 @@ def best_of_few(
             if deadline.is_over:
                 return contenders, False
             part = sets[begin : begin + constants.BLOCK_SETS]
-            if is_by_apr:  # all else takes longer, and matters for few
+            # The APR first: all else takes longer, and matters for few.
+            if is_by_apr:
                 share = union_apr(reduced, unions_of(reduced, part))
                 near = float(share.max()) - TIES_OF_TIES * TOLERANCE
                 least = max(least, near)
@@ -116,7 +136,21 @@ def best_of_few(
 
 
 def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
-    """All sets within limits, by their size; None if more than `max_sets`, or too many to tell."""
+    """All sets within limits, by their size.
+
+    Parameters
+    ----------
+    limits : Limits
+        What may be mounted together.
+    max_sets : int
+        Give up if there are more sets.
+
+    Returns
+    -------
+    sizes : list of (n_sets, n_units) int, or None
+        Sets of poses, one array for each number of units, poses ascending. None if
+        there are more than `max_sets`, or too many to count.
+    """
     forced = np.flatnonzero(limits.is_forced)
     poses = np.flatnonzero(~limits.is_forbidden & ~limits.is_forced)
     grown = forced[None, :]
@@ -134,11 +168,10 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
         most = max(constants.MANY_SETS, min(constants.MAX_GROWN_SETS, 100 * max_sets))
         if len(grown) * len(poses) > most:
             return None
-        # A later pose than the last one: every set comes up once.
+        # A later pose than the last one that is not forced: every set comes up once.
+        last = np.full((1, 1), -1)
         if n_units > len(forced):
             last = grown[:, -1:]
-        else:
-            last = np.full((1, 1), -1)
         row, later = np.nonzero(poses[None, :] > last)
         grown = np.column_stack([grown[row], poses[later]])
         grown = grown[may_grow(limits, grown)]
@@ -146,11 +179,20 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
 
 
 class SetWalk:
-    """A walk through all sets of so many units that reach `need`, also when units fail.
+    """A walk through all sets of so many units that reach `need`, also on failure.
 
-    With failures, `left` is what must remain of any `n_failures` of them; sets are
-    checked exactly for one failure, and for more only by bounds. Forced poses are in
-    every set; sites' capacities hold; other limits do not count.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem; sites' capacities hold, other limits do not count.
+    root : Root
+        Its covering problem, with prices.
+    need : float
+        Value that whole sets must reach.
+    n_failures : int
+        Units that fail; 0 if nothing is asked of what is left.
+    left : float
+        Value that must be left when they fail.
     """
 
     def __init__(
@@ -166,8 +208,10 @@ class SetWalk:
 
         self.reduced = reduced
         self.n_failures = n_failures
-        self.forced, choice = forced_units(reduced), root.choice
-        self.n_units, self.capacity = choice.n_units, choice.room
+        self.forced = forced_units(reduced)
+        choice = root.choice
+        self.n_units = choice.n_units
+        self.capacity = choice.room
         self.total = float(reduced.weight.sum())
         usable = (choice.is_open > 0) & (choice.room > 0)[choice.site]
         rows = unpack_words(root.covers, len(root.weight))
@@ -196,7 +240,10 @@ class SetWalk:
         self.raise_needs(need, left)
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
-        """Ask for more from here on."""
+        """Ask for more from here on, of whole sets and of what is left of them.
+
+        Tasks share the array that is changed: all threads see it at once.
+        """
         self.losses.may_lose[:] = [self.total - need, self.total - left]
         self.losses.may_lose[:] += constants.ROUNDING * max(self.total, 1.0)
 
@@ -205,15 +252,23 @@ class SetWalk:
 
         An empty block says that nothing was found for a while. All threads walk, each
         behind a node near the root: the order of the sets is left to chance.
+
+        Yields
+        ------
+        sets : (n_sets, n_units) int
+            Poses of the reduced problem, the forced ones first.
         """
         if self.n_units == 1:
             yield self._alone()
             return
         spare: list[_Task] = []
-        nodes, paused = self._tasks(spare), list[_Task]()
+        paused: list[_Task] = []
+        nodes = self._tasks(spare)
 
         def next_task() -> "Callable[[], tuple[_Task, list[IntArray]]] | None":
-            task = paused.pop() if paused else next(nodes, None)
+            if paused:
+                return paused.pop().go_on
+            task = next(nodes, None)
             if task is None:
                 return None
             return task.go_on
@@ -221,24 +276,36 @@ class SetWalk:
         for task, found in in_threads(
             next_task, workers=self.reduced.workers, deadline=deadline
         ):
-            (spare if task.is_done else paused).append(task)
+            if task.is_done:
+                spare.append(task)
+            else:
+                paused.append(task)
             yield self._with_forced(found)
         self.is_finished = not deadline.is_over
 
     def _with_forced(self, found: list[IntArray]) -> IntArray:
-        sets = np.concatenate([np.empty((0, self.n_units), dtype=np.int64), *found])
-        return np.column_stack([np.tile(self.forced, (len(sets), 1)), sets])
+        """Found sets in one array, behind the forced poses, (n_sets, n_units)."""
+        none = np.empty((0, self.n_units), dtype=np.int64)
+        sets = np.concatenate([none, *found])
+        forced = np.tile(self.forced, (len(sets), 1))
+        return np.column_stack([forced, sets])
 
     def _alone(self) -> IntArray:
         """Sets of the forced poses and one more that lose little."""
+        from .walk_kernels import WHOLE
+
         share = shares_with_each(self.reduced, self.forced)
         share[~np.isin(np.arange(len(share)), self.classes.member)] = -np.inf
         self.is_finished = True
-        is_kept = self.total - share <= self.losses.may_lose[0]
+        is_kept = self.total - share <= self.losses.may_lose[WHOLE]
         return self._with_forced([np.flatnonzero(is_kept)[:, None]])
 
     def _tasks(self, spare: "list[_Task]") -> "Iterator[_Task]":
-        """The nodes near the root, one after the other; tasks that are done are taken again."""
+        """Walks behind the nodes near the root, one after the other.
+
+        A scout walks from the root and pauses at every node of some depth: a task
+        begins there. Tasks in `spare` are done; their arrays are used again.
+        """
         from .walk_kernels import AT_STOP, DONE, grow
 
         stop = max(min(constants.STOP_DEPTH, self.n_units - 2), 1)
@@ -261,15 +328,28 @@ class SetWalk:
                     task = _Task(self)
                 task.begin_at(scout.walk)
                 yield task
-                scout.walk.where[0] -= 1
-                scout.walk.where[1] = 0
+                # The scout goes back up, as if it had been behind the node itself.
+                scout.walk.at[0].depth -= 1
+                scout.walk.at[0].is_new = 0
 
 
 class _Task:
-    """A walk behind a node, and the sets of classes it is about to spell out."""
+    """A walk behind a node, and the sets of classes it is about to spell out.
+
+    Attributes
+    ----------
+    is_done : bool
+        True once all sets behind the node were walked through and spelled out.
+    is_walked : bool
+        True once the walk has ended; sets may still wait to be spelled out.
+    waiting : list of (n_units,) int
+        Sets of classes that wait.
+    out : (n, n_units) int
+        Where the kernel writes the sets of classes that it finds.
+    """
 
     def __init__(self, owner: SetWalk) -> None:
-        from .walk_kernels import Walk
+        from .walk_kernels import Walk, build_position
 
         self.owner = owner
         self.is_done = False
@@ -280,20 +360,20 @@ class _Task:
         (n_poses, n_words) = owner.covers.covers.shape
         self.out = np.empty((constants.OUT_SETS, n_units), dtype=np.int64)
         self.walk = Walk(
-            where=np.array([0, 1, 0, 0, 0]),
+            at=build_position(),
             may_lose=owner.losses.may_lose,
             chosen=np.zeros(n_units, dtype=np.int64),
-            once=np.zeros((n_units + 1, n_words), dtype=np.uint64),
-            twice=np.zeros((n_units + 1, n_words), dtype=np.uint64),
-            gone=np.zeros((n_units + 1, n_words), dtype=np.uint64),
-            lost=np.zeros(n_units + 1),
+            covered=np.zeros((n_units + 1, n_words), dtype=np.uint64),
+            covered_twice=np.zeros((n_units + 1, n_words), dtype=np.uint64),
+            given_up=np.zeros((n_units + 1, n_words), dtype=np.uint64),
+            weight_given_up=np.zeros(n_units + 1),
             is_open=np.ones((n_units + 1, n_poses), dtype=bool),
             room=np.tile(owner.capacity, (n_units + 1, 1)),
             queue=np.zeros((n_units, n_poses), dtype=np.int64),
             n_queued=np.zeros(n_units, dtype=np.int64),
             position=np.zeros(n_units, dtype=np.int64),
             gain=np.zeros(n_poses),
-            beside=np.zeros(n_poses),
+            gain_beside=np.zeros(n_poses),
             table=np.zeros((8 * n_words, 256)),
             used=np.zeros(8 * n_words, dtype=np.int64),
             best=np.zeros(n_units, dtype=np.int64),
@@ -301,12 +381,20 @@ class _Task:
 
     def begin_at(self, walk: "Walk") -> None:
         """Begin behind the node that another walk stands at."""
-        depth = int(walk.where[0])
-        self.is_done = self.is_walked = False
-        self.walk.where[:] = depth, 1, 0, 0, depth
-        self.walk.chosen[:depth] = walk.chosen[:depth]
-        for name in ("once", "twice", "gone", "lost", "is_open", "room"):
-            getattr(self.walk, name)[depth] = getattr(walk, name)[depth]
+        from .walk_kernels import build_position
+
+        mine = self.walk
+        depth = int(walk.at[0].depth)
+        self.is_done = False
+        self.is_walked = False
+        mine.at[:] = build_position(depth)
+        mine.chosen[:depth] = walk.chosen[:depth]
+        mine.covered[depth] = walk.covered[depth]
+        mine.covered_twice[depth] = walk.covered_twice[depth]
+        mine.given_up[depth] = walk.given_up[depth]
+        mine.weight_given_up[depth] = walk.weight_given_up[depth]
+        mine.is_open[depth] = walk.is_open[depth]
+        mine.room[depth] = walk.room[depth]
 
     def go_on(self) -> "tuple[_Task, list[IntArray]]":
         """Spell out for a while what was found, then walk on."""
@@ -314,11 +402,13 @@ class _Task:
 
         owner = self.owner
         found: list[IntArray] = []
+        # Sets that were found before, for a while; none is left when it walks on.
         stop = deadline_in(constants.SPELL_S)
         while self.waiting and not stop.is_over:
             found += self._spell_out(self.waiting.pop())
         if not self.waiting and not self.is_walked:
-            self.walk.where[2] = 0
+            at = self.walk.at[0]
+            at.n_found = 0
             state = grow(
                 owner.covers,
                 self.walk,
@@ -328,22 +418,22 @@ class _Task:
                 self.out,
             )
             self.is_walked = state == DONE
-            self.waiting = [
-                np.sort(classes) for classes in self.out[: self.walk.where[2]]
-            ]
+            self.waiting = [np.sort(classes) for classes in self.out[: at.n_found]]
         self.is_done = self.is_walked and not self.waiting
         return self, found
 
     def _spell_out(self, classes: IntArray) -> list[IntArray]:
+        """Sets of poses, one of each class, that lose little: blocks (n, n_units)."""
         from .walk_kernels import spell_out
 
         owner = self.owner
+        words = owner.reduced.words
+        has_failures = owner.n_failures > 0
+        # Where the search stands: no member so far, and no unit is settled.
         place = np.append(np.full(len(classes), -1), 0)
         found = []
         while place[-1] >= 0:
             sets = np.empty((256, len(classes)), dtype=np.int64)
-            words = owner.reduced.words
-            has_failures = owner.n_failures > 0
             n_found = spell_out(
                 words, owner.classes, self.losses, has_failures, classes, place, sets
             )
@@ -354,36 +444,46 @@ class _Task:
 def find_of_size(
     reduced: ReducedProblem, n_units: int, *, deadline: Deadline
 ) -> tuple[IntArray | None, bool]:
-    """A set of exactly so many units within the limits that reaches the floors, (n_units,).
+    """A set of exactly so many units within the limits that reaches the floors.
 
-    None if none was found; the flag says whether all sets were gone through. There is
-    at least one floor, and no set has fewer units than there are forced poses.
+    There is at least one floor, and no set has fewer units than there are forced
+    poses.
 
-    The walk is one for the hardest floor; what it asks for is necessary: the APR as a
-    mean over all worlds, and what is left when units fail, though sites may. What it
-    meets is looked at exactly.
+    Returns
+    -------
+    units : (n_units,) int or None
+        Poses of the reduced problem; None if none was found.
+    is_complete : bool
+        True if all sets were gone through: then None proves that there is none.
+
+    Notes
+    -----
+    The walk is one for the hardest floor; what it asks for is necessary: the APR as
+    a mean over all worlds, and what is left when units fail, though sites may. What
+    it meets is looked at exactly.
     """
     forced = forced_units(reduced)
     if n_units <= len(forced):
         return _first_that_will_do(reduced, forced[None, :]), True
-    floor = max(
-        reduced.floors,
-        key=lambda one: one.least / max(one.measure.limit, constants.TINY),
-    )
+
+    def hardness(floor: Requirement) -> float:
+        return floor.least / max(floor.measure.limit, constants.TINY)
+
+    # The mean over all worlds of what the hardest floor counts.
+    floor = max(reduced.floors, key=hardness)
     counted = replace(reduced, measure=replace(floor.measure, tail=1.0))
     rows = run_rows(counted)
     rows = rows.of(rows.weight > 0.0)
     root = find_root(counted, rows, n_units=n_units, deadline=deadline)
     if root.limit < floor.least - TOLERANCE:
         return None, True
-    has_failures = floor.n_failures < n_units and not len(forced)
-    walk = SetWalk(
-        counted,
-        root,
-        need=floor.least - TOLERANCE,
-        n_failures=floor.n_failures if has_failures else 0,
-        left=floor.least - TOLERANCE if has_failures else 0.0,
-    )
+    need = floor.least - TOLERANCE
+    n_failures = 0
+    left = 0.0
+    if floor.n_failures < n_units and not len(forced):
+        n_failures = floor.n_failures
+        left = need
+    walk = SetWalk(counted, root, need=need, n_failures=n_failures, left=left)
     for block in walk.blocks(deadline):
         units = _first_that_will_do(reduced, block)
         if units is not None:
@@ -392,7 +492,7 @@ def find_of_size(
 
 
 def _first_that_will_do(reduced: ReducedProblem, sets: IntArray) -> IntArray | None:
-    """The first of some sets, (n_sets, n_units), within the limits that reaches the floors."""
+    """First of some sets, (n_sets, n_units), that is allowed and reaches the floors."""
     if not sets.size:
         return None
     for begin in range(0, len(sets), constants.BLOCK_SETS):
@@ -400,7 +500,8 @@ def _first_that_will_do(reduced: ReducedProblem, sets: IntArray) -> IntArray | N
         part = part[are_allowed(reduced.limits, part)]
         if not len(part):
             continue
-        will_do = np.flatnonzero(set_values(reduced, part).lacking == 0.0)
+        lacking = set_values(reduced, part).lacking
+        will_do = np.flatnonzero(lacking == 0.0)
         if len(will_do):
             return np.sort(part[will_do[0]])
     return None
@@ -409,20 +510,36 @@ def _first_that_will_do(reduced: ReducedProblem, sets: IntArray) -> IntArray | N
 def widest_poses(
     rows: BoolArray, site_index: IntArray, usable: BoolArray
 ) -> tuple[IntArray, IntArray]:
-    """Poses that cover what no other one at their site covers, and the class of each pose.
+    """Poses that cover what no other one at their site covers, and all classes.
 
-    `rows`, (n_poses, n_rows), says what each covers. Classes are numbered as the widest
-    poses are; -1: not usable.
+    Parameters
+    ----------
+    rows : (n_poses, n_rows) bool
+        What each pose covers.
+    site_index : (n_poses,) int
+        Site of each pose.
+    usable : (n_poses,) bool
+        Poses that may be chosen.
+
+    Returns
+    -------
+    widest : (n_classes,) int
+        The widest pose of each class.
+    class_of : (n_poses,) int
+        Class of each pose, numbered as the widest poses are; -1: not usable.
     """
     widest = []
     class_of = np.full(len(rows), -1)
     n_classes = 0
     for site in np.unique(site_index[usable]):
         poses = np.flatnonzero(usable & (site_index == site))
-        poses = poses[np.argsort(-rows[poses].sum(axis=1), kind="stable")]
+        n_covered = rows[poses].sum(axis=1)
+        poses = poses[np.argsort(-n_covered, kind="stable")]
+        # Pose b is above a if all that a covers is covered by both.
         covers = rows[poses].astype(np.float32)
         above = covers @ covers.T >= covers.sum(axis=1)[:, None] - 0.5
-        first = above.argmax(axis=1)  # a wider one, or the first of those as wide
+        # A wider one, or the first of those as wide.
+        first = above.argmax(axis=1)
         is_widest = first == np.arange(len(poses))
         place = np.cumsum(is_widest) - 1
         # The first above is widest itself: what is above it would come before.
@@ -436,7 +553,8 @@ def group_by_class(reduced: ReducedProblem, class_of: IntArray) -> "Classes":
     """Poses of classes 0, 1, .., in their order; those of class -1 are left out."""
     from .walk_kernels import Classes
 
-    member = np.argsort(class_of, kind="stable")[np.count_nonzero(class_of < 0) :]
+    n_unusable = np.count_nonzero(class_of < 0)
+    member = np.argsort(class_of, kind="stable")[n_unusable:]
     size = np.bincount(class_of[member])
     words = np.zeros((len(size), reduced.words.shape[1]), dtype=np.uint64)
     np.bitwise_or.at(words, class_of[member], reduced.words[member])
@@ -444,7 +562,15 @@ def group_by_class(reduced: ReducedProblem, class_of: IntArray) -> "Classes":
 
 
 def lost_by_chain(reduced: ReducedProblem) -> FloatArray:
-    """Weight of runs that are lost by chain and first live window, (n_chains, longest + 1)."""
+    """Weight of runs that are lost by chain and first live window.
+
+    Returns
+    -------
+    lost : (n_chains, longest + 1) float
+        ``lost[g, k]`` is the weight of the runs of chain g that are lost if its
+        k-th window is the first live one; ``longest`` is the length of the longest
+        chain.
+    """
     longest = int(np.diff(reduced.chains.start).max(initial=0))
     lost = np.zeros((reduced.n_chains, longest + 1))
     for chain, last, weight in zip(
@@ -455,7 +581,7 @@ def lost_by_chain(reduced: ReducedProblem) -> FloatArray:
 
 
 def _hardest_first(reduced: ReducedProblem, lost: FloatArray, root: Root) -> IntArray:
-    """Chains in the order of what the worthiest poses lose in them."""
+    """Chains in the order of what the worthiest poses lose in them, (n_chains,)."""
     from .bit_kernels import first_live_windows
 
     best = np.argsort(-root.gains(), kind="stable")[:256]
@@ -471,10 +597,22 @@ def in_threads(
     workers: int,
     deadline: Deadline,
 ) -> Iterator[_T]:
-    """What tasks return, as they end, until none is left or the time is up."""
+    """What tasks return, as they end, until none is left or the time is up.
+
+    Parameters
+    ----------
+    next_task : callable
+        Gives the next task, a function without arguments; None if there is none at
+        present. More may come once a task that is under way has returned.
+    workers : int
+        Threads. Twice as many tasks wait, so that no thread does.
+    deadline : Deadline
+        No task is begun behind it.
+    """
     waiting: set[Future[_T]] = set()
     with ThreadPoolExecutor(workers) as threads:
         while not deadline.is_over:
+            # Two tasks for each thread, so that none is idle when one ends.
             while len(waiting) < 2 * workers and (task := next_task()) is not None:
                 waiting.add(threads.submit(task))
             if not waiting:
@@ -488,7 +626,13 @@ def in_threads(
 
 # ---------- sets that tie
 class SomeWalk(Protocol):
-    """A walk through all sets that meet needs, which may be raised on the way."""
+    """A walk through all sets that meet needs, which may be raised on the way.
+
+    Attributes
+    ----------
+    is_finished : bool
+        True once all sets were gone through.
+    """
 
     is_finished: bool  # whether all sets were gone through
 
@@ -500,25 +644,50 @@ class SomeWalk(Protocol):
 
 
 class Tied(NamedTuple):
-    """Sets that tie at the best value of a stage."""
+    """Sets that tie at the best value of a stage.
 
-    sets: (
-        IntArray | None
-    )  # (n, n_units): all of them; None: too many, or not all were looked at
-    value: float  # the best that was found
-    limit: float  # no set exceeds it
-    is_finished: bool  # whether the value is proven
+    Attributes
+    ----------
+    sets : (n, n_units) int, optional
+        All of them; None: too many, or not all were looked at.
+    value : float
+        The best that was found.
+    limit : float
+        No set exceeds it.
+    is_finished : bool
+        True if the value is proven.
+    """
+
+    sets: IntArray | None
+    value: float
+    limit: float
+    is_finished: bool
 
 
 class TieSearch:
-    """Looks for all sets as good as the best, by the APR when units fail, 0 for none.
+    """A search for all sets as good as the best, by the APR when units fail.
 
-    `units` is the best set so far; `walk_from` begins a walk for what whole sets must
-    reach, and what must be left of them; `limit` bounds all sets that reach so much.
-    Where `ahead` is not 0, it is first proven that no set is better by that. Where a
-    walk may not end, it is proven before that no set is better by `near`, by half of
-    it, and so on. `least_apr` is what the whole set must reach, by default what must be
-    left. `on_better` takes better sets and returns what they were improved to.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    units : (n_units,) int
+        The best set so far.
+    walk_from : callable
+        Begins a walk for what whole sets must reach, and what must be left of them.
+    limit : callable, optional
+        Upper bound of all sets that reach so much, until a deadline.
+    ahead : float
+        If not 0, it is first proven that no set is better by that.
+    near : float
+        If not 0, a walk may not end: it is proven before that no set is better by
+        that, by half of it, and so on.
+    n_failures : int
+        Units that fail; 0 for none.
+    least_apr : float, optional
+        What the whole set must reach; by default what must be left.
+    on_better : callable
+        Takes better sets and returns what they were improved to.
     """
 
     def __init__(
@@ -552,21 +721,20 @@ class TieSearch:
         It takes much less to prove that nothing is better by a step, where values are
         so far apart, or by a little, than to meet all ties.
         """
-        step = (1.0 - constants.SOLVER_TOLERANCE) * self.reduced.measure.step
+        measure = self.reduced.measure
         is_near = self.ahead > 0.0
+        ahead = (1.0 - constants.SOLVER_TOLERANCE) * measure.step
         if is_near:
             ahead = self.ahead
-        else:
-            ahead = step
         if deadline.is_over:
-            return self._tied(self.reduced.measure.limit, False)
-        limit = self.reduced.measure.limit
+            return self._tied(measure.limit, False)
+        limit = measure.limit
         if self.limit is not None:
-            if self.least_apr is None:
-                need = self.best
-            else:
+            need = self.best
+            if self.least_apr is not None:
                 need = self.least_apr
             limit = min(limit, rounded_down(self.reduced, self.limit(need, deadline)))
+        # No set is better by `ahead`.
         is_proven = False
         limit = self._come_near(deadline, limit)
         if ahead > 0.0 and (not is_near or limit >= self.best + ahead):
@@ -576,14 +744,16 @@ class TieSearch:
             limit = min(limit, rounded_down(self.reduced, self.best + ahead))
             if deadline.is_over:
                 return self._tied(limit, is_proven)
+        # No set is better, and these are all that tie.
         is_finished = self._walk(deadline, 0.0, is_proven=is_proven)
         sets = None
         if is_finished and self.has_all:
-            sets = np.unique(np.sort(np.concatenate(self.tied), axis=1), axis=0)
+            tied = np.sort(np.concatenate(self.tied), axis=1)
+            sets = np.unique(tied, axis=0)
         return self._tied(limit, is_proven or is_finished, sets)
 
     def _come_near(self, deadline: Deadline, limit: float) -> float:
-        """A limit ever nearer to the best value, until a walk for all is likely to end in time."""
+        """Upper bound ever nearer to the best, while a walk for all may not end."""
         near = self.near
         while near > 0.0 and self.best + near < limit and not deadline.is_over:
             began_s = now_s()
@@ -598,6 +768,7 @@ class TieSearch:
     def _tied(
         self, limit: float, is_proven: bool, sets: IntArray | None = None
     ) -> Tied:
+        """What was found, with a limit that is no lower than the best value."""
         if is_proven:
             limit = self.best
         else:
@@ -606,23 +777,37 @@ class TieSearch:
 
     @property
     def _least(self) -> float:
-        """The least that ties with a set which is found, itself a tie worse than the best."""
+        """Least value that ties with a set that may be a tie worse than the best."""
         return self.best - TIES_OF_TIES * TOLERANCE
 
     def _value_of(self, sets: IntArray) -> FloatArray:
+        """APR that sets keep when units fail, (n_sets,)."""
         return left_after_failures(
             self.reduced, self.reduced.measure, self.n_failures, sets
         )
 
     def _needs(self, need: float) -> tuple[float, float]:
         """Value that whole sets must reach, and value that must be left of them."""
-        return need if self.least_apr is None else self.least_apr, need
+        if self.least_apr is None:
+            return need, need
+        return self.least_apr, need
+
+    def _asked(self, ahead: float) -> float:
+        """Value that a walk asks for: better by `ahead`, or 0.0 for all that tie."""
+        if ahead:
+            return self.best + ahead
+        return self._least
 
     def _walk(
         self, deadline: Deadline, ahead: float, *, is_proven: bool = False
     ) -> bool:
-        """Take better sets, and where nothing more is asked for all that tie; whether it ended."""
-        walk = self.walk_from(*self._needs(self.best + ahead if ahead else self._least))
+        """Walk through better sets, or with `ahead` 0 all that tie; True if it ended.
+
+        With `is_proven` nothing but ties is left to be found: the walk is given up once
+        they are too many.
+        """
+        need, left = self._needs(self._asked(ahead))
+        walk = self.walk_from(need, left)
         if not ahead:
             n_units = self.reduced.limits.max_units
             self.tied = [np.empty((0, n_units), dtype=np.int64)]
@@ -634,12 +819,10 @@ class TieSearch:
                 of_better = float(self._value_of(np.sort(better)[None, :])[0])
                 before = self.best
                 self.best = max(float(value.max()), of_better)
-                if ahead:
-                    need = self.best + ahead
-                else:
-                    need = self._least
-                walk.raise_needs(*self._needs(need))
-                if before < self._least:  # none of those before ties any more
+                need, left = self._needs(self._asked(ahead))
+                walk.raise_needs(need, left)
+                # None of those before ties any more.
+                if before < self._least:
                     self.tied = self.tied[:1]
                     self.has_all = True
             elif len(block):
@@ -651,12 +834,15 @@ class TieSearch:
             if not self.has_all:
                 if is_proven:
                     return False
+                # Ties are too many: only sets that are better are asked for.
                 step = (1.0 - constants.SOLVER_TOLERANCE) * self.reduced.measure.step
-                walk.raise_needs(*self._needs(self.best + max(step, constants.STEP_UP)))
+                more = self.best + max(step, constants.STEP_UP)
+                need, left = self._needs(more)
+                walk.raise_needs(need, left)
         return walk.is_finished
 
     def _within(self, block: IntArray) -> tuple[FloatArray, IntArray]:
-        """Values of the sets of a block that reach what whole sets must."""
+        """Values, (n,), and sets of a block that reach what whole sets must."""
         if self.least_apr is not None and len(block):
             share = union_apr(self.reduced, unions_of(self.reduced, block))
             block = block[share >= self.least_apr - TOLERANCE]
@@ -668,7 +854,19 @@ def best_of_tied(
 ) -> Contenders:
     """Tied sets and their parts that tie with them, within the limits.
 
-    A part is as good in the first stages only if a whole set is.
+    Parts are looked at with one unit less each time: a part is as good in the first
+    stages only if a whole set is.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    sets : (n_sets, n_units) int
+        All sets of the largest size that tie.
+    n_failures : int
+        Units that fail in the stage in which they tie.
+    value : float
+        The best value of that stage.
     """
     contenders = Contenders(reduced.objectives)
     while len(sets) and sets.shape[1] > 0:
@@ -677,6 +875,7 @@ def best_of_tied(
             part = part[are_allowed(reduced.limits, part)]
             if len(part):
                 contenders.add(part, set_values(reduced, part))
+        # Parts of these sets, with a unit less, that are as good in the first stages.
         fewer = sets.shape[1] - 1
         if not fewer:
             break

@@ -1,6 +1,11 @@
-"""Numba kernels of the covering problem: what is asked for, prices, the walk, what it leaves."""
+"""Numba kernels of the covering problem and of the walk through its sets.
 
-from typing import NamedTuple
+In this order: what windows are asked for and which poses cover a row, prices
+that bound all sets, the walk, and what the sets that it meets lose on the
+windows. Bits along rows, poses or frames are 64-bit words, lowest bit first.
+"""
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,10 +29,20 @@ from .problem import Chains, WordArray
 def ask_for_least_seen(
     chains: Chains, some: IntArray, union: WordArray, seen: FloatArray, asked: IntArray
 ) -> None:
-    """Ask the windows of some chains for the frame, or tail, that a union lacks and is seen least.
+    """Ask each window for the frame, or tail, that a union lacks and is seen least.
 
-    `seen`, (n_frames,), is how much of each frame is seen; `asked`, (n_links,), becomes
-    the frame of each window, -1 where the union lacks nothing.
+    Parameters
+    ----------
+    chains : Chains
+        Windows and tails.
+    some : (n,) int
+        Chains that are looked at.
+    union : (n_words,) uint64
+        Frames that are seen already.
+    seen : (n_frames,) float
+        How much of each frame is seen.
+    asked : (n_links,) int
+        Written: the frame of each window, -1 where the union lacks nothing.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
     for chain in some:
@@ -50,7 +65,7 @@ def ask_for_least_seen(
 
 @kernel
 def less_seen(union: WordArray, seen: FloatArray, frame: int, least: int) -> int:
-    """A frame that a union lacks, if it is seen less than the least so far, or that one."""
+    """A frame that a union lacks and that is seen less than the least, or the least."""
     is_less = not has_bit(union, frame) and (least < 0 or seen[frame] < seen[least])
     if is_less:
         return frame
@@ -68,10 +83,22 @@ def cover_rows(
     end: int,
     coverers: WordArray,
 ) -> None:
-    """Poses that see what one of a row's windows is asked for, (n_rows, n_words).
+    """Find the poses that see what one of a row's windows is asked for.
 
-    Rows begin .. end - 1 are looked at; row r has the first ``row_last[r]`` windows of
-    chain ``row_chain[r]``. `columns`, (n_frames, n_words), has bits along the poses.
+    Parameters
+    ----------
+    columns : (n_frames, n_words) uint64
+        Poses that see each frame.
+    start : (n_chains + 1,) int
+        First link of each chain.
+    asked : (n_links,) int
+        Frame that each window is asked for; -1: every pose will do.
+    row_chain, row_last : (n_rows,) int
+        Row r has the first ``row_last[r]`` windows of chain ``row_chain[r]``.
+    begin, end : int
+        Rows begin .. end - 1 are looked at.
+    coverers : (n_rows, n_words) uint64
+        Written: poses that cover each row.
     """
     for row in range(begin, end):
         first = start[row_chain[row]]
@@ -82,10 +109,11 @@ def cover_rows(
             if frame == before:  # neighbours are often asked for the same
                 continue
             before = frame
-            for word in range(columns.shape[1]):
-                coverers[row, word] |= (
-                    columns[frame, word] if frame >= 0 else ~np.uint64(0)
-                )
+            if frame >= 0:
+                for word in range(columns.shape[1]):
+                    coverers[row, word] |= columns[frame, word]
+            else:
+                coverers[row] = ~np.uint64(0)
 
 
 # ---------- prices
@@ -93,12 +121,28 @@ def cover_rows(
 def weigh_bytes(
     weight: FloatArray, rows: WordArray, table: FloatArray, used: IntArray
 ) -> int:
-    """Weigh each value of each byte of bits along rows, (n_bytes, 256); some rows count.
+    """Weigh each value of each byte of bits along rows; return how many count.
 
-    Bytes that are worth something are written to `used`; how many they are. Sums over
-    bits become sums over bytes (Arlazarov, Dinic, Kronrod, Faradzev 1970).
+    Sums over bits become sums over bytes [1]_.
+
+    Parameters
+    ----------
+    weight : (64 n_words,) float
+        Weight of each row.
+    rows : (n_words,) uint64
+        Rows that count.
+    table : (n_bytes, 256) float
+        Written: what each value of each byte is worth.
+    used : (n_bytes,) int
+        Written: bytes that are worth something, first in it.
+
+    References
+    ----------
+    .. [1] V. Arlazarov, E. Dinic, M. Kronrod, I. Faradzev, "On economical
+       construction of the transitive closure of a directed graph", 1970.
     """
     n_used = 0
+    # Bytes of rows, lowest first.
     for place in range(len(table)):
         counted = (rows[place >> 3] >> np.uint64(8 * (place & 7))) & np.uint64(0xFF)
         if counted == 0:
@@ -107,6 +151,7 @@ def weigh_bytes(
         n_used += 1
         of_byte = table[place]
         of_byte[0] = 0.0
+        # Values that have this bit as their highest are those before them, and the bit.
         for bit in range(8):
             is_counted = (counted >> np.uint64(bit)) & np.uint64(1)
             if is_counted:
@@ -141,12 +186,23 @@ def weights_of(
 
 @kernel
 def pick_best(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float, int]:
-    """Poses that gain most and have room at their sites: their sum and number."""
+    """Pick poses that gain most and have room; return their sum and number.
+
+    Parameters
+    ----------
+    gain : (n_poses,) float
+        What each pose gains; only positive gains are picked.
+    choice : Choice
+        Number of units, and room at the sites.
+    picked : (n_units,) int
+        Written: the poses, best first.
+    """
     total = 0.0
     n_picked = 0
     site = choice.site
     room = choice.room
     for _ in range(choice.n_units):
+        # The pose that gains most of those not picked whose sites have room left.
         best = -1
         most = 0.0
         for place in range(len(gain)):
@@ -173,10 +229,11 @@ def pick_best(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float
 def pick_affordable(
     gain: FloatArray, choice: Choice, picked: IntArray
 ) -> tuple[float, int]:
-    """Upper bound of what poses gain that have room and cost no more than 1, and some of them.
+    """Upper bound of what affordable poses gain; return it and how many are picked.
 
-    Any price of money bounds it: what the best poses gain beyond their price, and the
-    price itself. The lowest bound is convex in the price; it is looked for by halving.
+    Poses must have room and cost no more than 1 together. Any price of money bounds
+    their gain: what the best poses gain beyond their price, and the price itself.
+    The lowest bound is convex in the price; it is looked for by halving.
     """
     total, n_picked = pick_best(gain, choice, picked)
     cost = choice.cost
@@ -199,7 +256,7 @@ def pick_affordable(
 def row_limit(
     reward: FloatArray, weight: float, n_units: int, price: float
 ) -> tuple[float, int]:
-    """Most that a row is worth after paying for each unit that covers it; how many do."""
+    """Most that a row is worth after paying each covering unit; how many cover it."""
     most = weight * reward[0]
     units = 0
     for number in range(1, n_units + 1):
@@ -221,12 +278,32 @@ def tighten_prices(
     timing: FloatArray,
     share: FloatArray,
 ) -> float:
-    """Lower the bound of sets of so many units by subgradient steps on the prices of rows.
+    """Lower the bound of sets by subgradient steps on the prices of rows.
 
-    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `timing` has the
-    numbers of :mod:`placement.optimiser.constants` that the first line unpacks. Returns
-    the bound; `price` becomes what proves it, and `share` how often each pose was
-    picked of late.
+    Parameters
+    ----------
+    covers : (n_poses, n_bytes) uint8
+        A bit for each row, lowest first.
+    choice : Choice
+        Poses that may be chosen, and how many.
+    weight : (n_rows,) float
+        Weight of each row.
+    reward : (n_units + 2,) float
+        Worth of a row by the number of units that cover it.
+    price : (n_rows,) float
+        Where to begin; overwritten by the prices that prove the bound.
+    n_steps : int
+        Steps; with 0 the bound that the prices prove as they are.
+    timing : (5,) float
+        Step length, cut, deflection, memory and patience, see
+        :mod:`placement.optimiser.constants`.
+    share : (n_poses,) float
+        Overwritten by how often each pose was picked of late.
+
+    Returns
+    -------
+    bound : float
+        No set of so many units is worth more.
     """
     length, cut, deflection, memory, patience = timing
     n_units = choice.n_units
@@ -304,56 +381,168 @@ AT_STOP = 3
 
 
 class Covers(NamedTuple):
-    """Covering problem of a walk: it stays as it is."""
+    """Covering problem of a walk: it stays as it is.
 
-    covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
-    coverers: WordArray  # (n_rows, n_pose_words): poses that cover each row
-    rows: ByteArray  # (n_poses, n_bytes): `covers` by bytes, lowest bits first
-    weight: FloatArray  # (n_rows,)
-    price: FloatArray  # (n_rows,): at most the weight
-    site: IntArray  # (n_poses,)
-    copies: IntArray  # (n_poses,): how often a pose may be chosen
+    Attributes
+    ----------
+    covers : (n_poses, n_row_words) uint64
+        Rows that each pose covers.
+    coverers : (n_rows, n_pose_words) uint64
+        Poses that cover each row.
+    rows : (n_poses, n_bytes) uint8
+        `covers` by bytes, lowest bits first.
+    weight : (n_rows,) float
+        Weight of each row.
+    price : (n_rows,) float
+        Lagrangian price of each row, at most the weight.
+    site : (n_poses,) int
+        Site of each pose.
+    copies : (n_poses,) int
+        How often a pose may be chosen: it stands for its class.
+    """
+
+    covers: WordArray
+    coverers: WordArray
+    rows: ByteArray
+    weight: FloatArray
+    price: FloatArray
+    site: IntArray
+    copies: IntArray
+
+
+POSITION = np.dtype(
+    (
+        np.record,
+        [
+            ("depth", np.int64),
+            ("is_new", np.int64),
+            ("n_found", np.int64),
+            ("work", np.int64),
+            ("base", np.int64),
+        ],
+    )
+)
+"""Where a walk stands: one record that its kernels change.
+
+depth
+    Units that are chosen so far: the depth of the node at hand.
+is_new
+    1 if the node at hand has not been looked at yet, else 0.
+n_found
+    Sets that were written since the walk was last told to go on.
+work
+    Bytes that the walk has looked at.
+base
+    Depth of the node behind which the walk began; it ends when it leaves it.
+"""
+
+# What sets may lose, by what is left of them.
+WHOLE = 0  # all units work
+ON_FAILURE = 1  # as many have failed as may
+
+
+def build_position(depth: int = 0) -> np.recarray[Any, Any]:
+    """Position of a walk that begins at a node of some depth: one record, (1,)."""
+    position = np.recarray(1, dtype=POSITION)
+    position[0] = (depth, 1, 0, 0, depth)
+    return position
 
 
 class Walk(NamedTuple):
-    """Where a walk stands; arrays have a place for each depth."""
+    """A walk through sets of classes, and its nodes from the root to the one at hand.
 
-    # (5,): depth; whether its node is new; sets found; bytes looked at; depth behind
-    # which the walk began.
-    where: IntArray
-    # (2,): weight of rows that all units, and all but the failed, may lose
+    A node of depth d has d chosen units, which the nodes above it queued::
+
+        depth 0   no unit             queue[0] = 4 9 7        position[0] = 2
+                                                 |
+                                      chosen[0] = 9
+                                                 |
+        depth 1   unit 9              queue[1] = 2 8          position[1] = 1
+                                                 |
+                                      chosen[1] = 2
+                                                 |
+        depth 2   units 9, 2          not looked at yet: is_new = 1
+
+    A node asks for the row that fewest of its candidates cover, its *hardest* row,
+    and queues the candidates that cover it, the best first. Each one that is tried
+    is the unit of a node below, and is no candidate any more when the walk comes
+    back: no set is met twice. When the queue is through, nothing that is left
+    covers the hardest row: the row is given up, and the node asks for the next one.
+    A node ends when what is given up weighs too much, or no candidate is left.
+
+    Row d of the arrays below is the node of depth d on the way to the one at hand.
+
+    Attributes
+    ----------
+    at : (1,) record
+        Where the walk stands, see :data:`POSITION`.
+    may_lose : (2,) float
+        Weight of rows that all units, ``WHOLE``, and all but the failed,
+        ``ON_FAILURE``, may lose.
+    chosen : (n_units,) int
+        Unit that leads from the node of each depth to the one below.
+    covered : (n_units + 1, n_row_words) uint64
+        Rows that a chosen unit covers.
+    covered_twice : (n_units + 1, n_row_words) uint64
+        Rows that two of them do: these stay covered when one fails.
+    given_up : (n_units + 1, n_row_words) uint64
+        Rows that nothing covers any more.
+    weight_given_up : (n_units + 1,) float
+        What those weigh.
+    is_open : (n_units + 1, n_poses) bool
+        Candidates.
+    room : (n_units + 1, n_sites) int
+        Units that each site can still carry.
+    queue : (n_units, n_poses) int
+        Candidates that are tried, one after the other.
+    n_queued : (n_units,) int
+        How many those are.
+    position : (n_units,) int
+        Place in the queue of the next one.
+    gain, gain_beside : (n_poses,) float
+        Working space: what each candidate gains, and next to a unit that fails.
+    table : (n_bytes, 256) float
+        Working space of :func:`weigh_bytes`.
+    used : (n_bytes,) int
+        Working space of :func:`weigh_bytes`.
+    best : (n_units,) int
+        Working space of :func:`drop_hopeless`.
+    """
+
+    at: np.recarray[Any, Any]
     may_lose: FloatArray
-    chosen: IntArray  # (n_units,)
-    once: WordArray  # (n_units + 1, n_row_words): rows that a unit covers
-    twice: WordArray  # the same, that two do
-    gone: WordArray  # the same, that nothing covers any more
-    lost: FloatArray  # (n_units + 1,): what those weigh
-    is_open: BoolArray  # (n_units + 1, n_poses): candidates
-    room: IntArray  # (n_units + 1, n_sites)
-    queue: (
-        IntArray  # (n_units, n_poses): candidates that are tried, one after the other
-    )
-    n_queued: IntArray  # (n_units,)
-    position: IntArray  # (n_units,)
-    gain: FloatArray  # (n_poses,): working space
-    beside: FloatArray  # (n_poses,): working space
-    table: FloatArray  # (n_bytes, 256): working space
-    used: IntArray  # (n_bytes,): working space
-    best: IntArray  # (n_units,): working space
+    chosen: IntArray
+    covered: WordArray
+    covered_twice: WordArray
+    given_up: WordArray
+    weight_given_up: FloatArray
+    is_open: BoolArray
+    room: IntArray
+    queue: IntArray
+    n_queued: IntArray
+    position: IntArray
+    gain: FloatArray
+    gain_beside: FloatArray
+    table: FloatArray
+    used: IntArray
+    best: IntArray
 
 
 @kernel
 def add_gains(
     covers: Covers, weight: FloatArray, rows: WordArray, walk: Walk, gain: FloatArray
 ) -> float:
-    """Add to each candidate what it covers of some rows; what they weigh."""
-    is_open = walk.is_open[walk.where[0]]
+    """Add to each candidate's gain what it covers of some rows; return their weight."""
+    at = walk.at[0]
+    is_open = walk.is_open[at.depth]
     n_used = weigh_bytes(weight, rows, walk.table, walk.used)
+    work = 64 * n_used
     for pose in range(len(gain)):
         if is_open[pose]:
             gain[pose] += weight_of(covers.rows[pose], walk.table, walk.used, n_used)
-            walk.where[3] += n_used
-    walk.where[3] += 64 * n_used
+            work += n_used
+    at.work += work
+    # Rows that are set, 64 at a time.
     total = 0.0
     for word in range(len(rows)):
         left = rows[word]
@@ -367,13 +556,25 @@ def add_gains(
 def drop_hopeless(
     gain: FloatArray, is_open: BoolArray, n_more: int, need: float, best: IntArray
 ) -> bool:
-    """Drop candidates that cannot gain enough with others; whether some are left.
+    """Drop candidates that cannot gain enough with others; True if some may do.
 
-    `n_more` candidates together have to gain `need`; with none to choose nothing is
-    dropped.
+    Parameters
+    ----------
+    gain : (n_poses,) float
+        What each candidate gains.
+    is_open : (n_poses,) bool
+        Candidates; those that cannot help are dropped.
+    n_more : int
+        So many candidates together have to gain `need`. With none to choose,
+        nothing is dropped.
+    need : float
+        What they have to gain.
+    best : (n_units,) int
+        Working space.
     """
     if n_more <= 0:
         return need <= 0.0
+    # The best candidates: what they gain together, and the last of them.
     most = 0.0
     least = 0.0
     for number in range(n_more):
@@ -403,13 +604,15 @@ def drop_hopeless(
 
 @kernel
 def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
-    """Find the rows that are not covered, those lost that nothing can cover; the hardest of them.
+    """Give up rows that nothing can cover any more; return the hardest one left.
 
-    That is the row which fewest candidates cover; -1 if all are covered.
+    The hardest row is the one which fewest candidates cover; -1 if all rows are
+    covered. `rows`, (n_row_words,), becomes the rows that are open.
     """
-    depth = walk.where[0]
-    once = walk.once[depth]
-    gone = walk.gone[depth]
+    depth = walk.at[0].depth
+    covered = walk.covered[depth]
+    given_up = walk.given_up[depth]
+    # Candidates as bits, to be counted by words.
     candidates = np.zeros(covers.coverers.shape[1], dtype=np.uint64)
     for pose in range(walk.is_open.shape[1]):
         if walk.is_open[depth, pose]:
@@ -417,17 +620,18 @@ def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
     hardest = -1
     fewest = len(walk.gain) + 1
     rows[:] = 0
+    # Rows that are neither covered nor given up: how many candidates cover each?
     for row in range(len(covers.weight)):
         word = row >> 6
         mask = np.uint64(1) << np.uint64(row & 63)
-        if (once[word] | gone[word]) & mask:
+        if (covered[word] | given_up[word]) & mask:
             continue
         n_covering = 0
         for place in range(len(candidates)):
             n_covering += count_bits(candidates[place] & covers.coverers[row, place])
         if n_covering == 0:
-            gone[word] |= mask
-            walk.lost[depth] += covers.weight[row]
+            given_up[word] |= mask
+            walk.weight_given_up[depth] += covers.weight[row]
             continue
         rows[word] |= mask
         if n_covering < fewest:
@@ -438,46 +642,51 @@ def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
 
 @kernel
 def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
-    """Bound the node at hand, drop candidates that cannot help, queue some; whether any is left.
+    """Bound the node at hand and queue candidates; True if any candidate is left.
 
-    Those queued cover the row that fewest cover, best first; then that row is lost.
+    Candidates that cannot help are dropped. Those queued cover the row that fewest
+    cover, best first; when all of them have been tried, that row is lost.
     """
-    depth = walk.where[0]
-    left = len(walk.chosen) - depth
+    depth = walk.at[0].depth
+    n_more = len(walk.chosen) - depth
+    may_lose = walk.may_lose
     is_open = walk.is_open[depth]
     gain = walk.gain
-    beside = walk.beside
-    rows = np.empty(walk.once.shape[1], dtype=np.uint64)
+    beside = walk.gain_beside
+    # What is given up already, and which row the node asks for.
+    rows = np.empty(walk.covered.shape[1], dtype=np.uint64)
     hardest = give_up_rows(covers, walk, rows)
-    walk.n_queued[depth] = walk.position[depth] = 0
-    lost = walk.lost[depth]
-    if lost > walk.may_lose[0]:
+    walk.n_queued[depth] = 0
+    walk.position[depth] = 0
+    lost = walk.weight_given_up[depth]
+    if lost > may_lose[WHOLE]:
         return False
+    # All units work: those to come must gain what may not be lost, by the prices of
+    # rows, which say more, and by their weights.
     total = 0.0
     for weight in (covers.price, covers.weight):
         gain[:] = 0.0
         total = lost + add_gains(covers, weight, rows, walk, gain)
-        if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
+        need = total - may_lose[WHOLE]
+        if not drop_hopeless(gain, is_open, n_more, need, walk.best):
             return False
     if n_failures > 0:
-        # Units fail that are still to come; or one of those chosen, and others to come.
-        need = total - walk.may_lose[1]
-        if not drop_hopeless(gain, is_open, left - n_failures, need, walk.best):
+        # The units that fail are all still to come ..
+        need = total - may_lose[ON_FAILURE]
+        if not drop_hopeless(gain, is_open, n_more - n_failures, need, walk.best):
             return False
+        # .. or one of them is chosen: the rows that it alone covers are open again.
+        n_working = n_more - n_failures + 1
         for number in range(depth):
             of_unit = covers.covers[walk.chosen[number]]
             for word in range(len(rows)):
-                rows[word] = of_unit[word] & ~walk.twice[depth, word]
+                rows[word] = of_unit[word] & ~walk.covered_twice[depth, word]
             beside[:] = gain
-            need = (
-                total
-                + add_gains(covers, covers.weight, rows, walk, beside)
-                - walk.may_lose[1]
-            )
-            if not drop_hopeless(
-                beside, is_open, left - n_failures + 1, need, walk.best
-            ):
+            of_rows = add_gains(covers, covers.weight, rows, walk, beside)
+            need = total + of_rows - may_lose[ON_FAILURE]
+            if not drop_hopeless(beside, is_open, n_working, need, walk.best):
                 return False
+    # Candidates that cover the hardest row, in the order of what they gain.
     queue = walk.queue[depth]
     n_queued = 0
     is_any = False
@@ -501,40 +710,60 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
 def grow(
     covers: Covers, walk: Walk, n_failures: int, stop: int, max_work: int, out: IntArray
 ) -> int:
-    """Go on with a walk through all sets that lose little, until `max_work` or `out` is full.
+    """Go on with a walk through all sets that lose little; return why it stopped.
 
-    Sets are written to `out`, (n, n_units). Nodes of depth `stop` are not looked into:
-    the walk pauses at each.
+    Parameters
+    ----------
+    covers : Covers
+        The covering problem.
+    walk : Walk
+        Where the walk stands; changed.
+    n_failures : int
+        Units that fail.
+    stop : int
+        Nodes of this depth are not looked into: the walk pauses at each. -1: none.
+    max_work : int
+        The walk pauses after so many bytes.
+    out : (n, n_units) int
+        Written: the sets that were found.
+
+    Returns
+    -------
+    state : int
+        DONE, PAUSED, FULL (`out` is) or AT_STOP.
     """
     n_poses = walk.is_open.shape[1]
     n_units = len(walk.chosen)
-    begun = walk.where[3]
-    base = walk.where[4]
-    while walk.where[0] >= base:
-        depth = walk.where[0]
-        if walk.where[3] - begun > max_work:
+    at = walk.at[0]
+    begun = at.work
+    base = at.base
+    while at.depth >= base:
+        depth = at.depth
+        if at.work - begun > max_work:
             return PAUSED
-        if walk.where[1] == 1:
+        if at.is_new == 1:
             if depth == stop:
                 return AT_STOP
-            walk.where[1] = 0
+            at.is_new = 0
             if not look_at_node(covers, walk, n_failures):
-                walk.where[0] -= 1
+                at.depth -= 1
                 continue
         place = walk.position[depth]
         if place == walk.n_queued[depth]:
-            walk.where[1] = 1  # none of these candidates any more
+            at.is_new = 1  # none of these candidates any more
             continue
         pose = walk.queue[depth, place]
         walk.chosen[depth] = pose
         if depth + 1 == n_units:
-            if walk.where[2] == len(out):
+            # The set is complete.
+            if at.n_found == len(out):
                 return FULL
-            out[walk.where[2]] = walk.chosen
-            walk.where[2] += 1
+            out[at.n_found] = walk.chosen
+            at.n_found += 1
             walk.position[depth] += 1
             walk.is_open[depth, pose] = False
             continue
+        # A node below, at which the pose is chosen.
         walk.position[depth] += 1
         after = depth + 1
         walk.is_open[after] = walk.is_open[depth]
@@ -548,64 +777,91 @@ def grow(
             for other in range(n_poses):
                 if covers.site[other] == here:
                     walk.is_open[after, other] = False
-        for word in range(walk.once.shape[1]):
+        for word in range(walk.covered.shape[1]):
             of_pose = covers.covers[pose, word]
-            walk.twice[after, word] = walk.twice[depth, word] | (
-                walk.once[depth, word] & of_pose
+            before = walk.covered[depth, word]
+            walk.covered_twice[after, word] = walk.covered_twice[depth, word] | (
+                before & of_pose
             )
-            walk.once[after, word] = walk.once[depth, word] | of_pose
-        walk.gone[after] = walk.gone[depth]
-        walk.lost[after] = walk.lost[depth]
-        walk.where[0] = after
-        walk.where[1] = 1
+            walk.covered[after, word] = before | of_pose
+        walk.given_up[after] = walk.given_up[depth]
+        walk.weight_given_up[after] = walk.weight_given_up[depth]
+        at.depth = after
+        at.is_new = 1
     return DONE
 
 
 class Losses(NamedTuple):
-    """What sets lose on the windows, and how much they may."""
+    """What sets lose on the windows, and how much they may.
+
+    Attributes
+    ----------
+    chains : Chains
+        Windows and tails.
+    lost : (n_chains, longest + 1) float
+        Weight that is lost in each chain by its first live window.
+    order : (n_chains,) int
+        Chains in the order in which they are looked at; those at which sets fail
+        come earlier the next time.
+    may_lose : (2,) float
+        Weight that all units may lose; and all without any one of them.
+    base : (n_words,) uint64
+        Frames that are in every set.
+    """
 
     chains: Chains
-    lost: FloatArray  # (n_chains, longest + 1): by the first live window of each chain
-    order: IntArray  # (n_chains,): chains at which sets fail come earlier the next time
-    may_lose: FloatArray  # (2,): in all; and without any one of the units
-    base: WordArray  # (n_words,): frames that are in every set
+    lost: FloatArray
+    order: IntArray
+    may_lose: FloatArray
+    base: WordArray
 
 
 @kernel
 def can_keep(bits: WordArray, losses: Losses, with_failures: bool) -> bool:
-    """True if units, (n_units, n_words), lose little, and without each if failures count."""
+    """True if units, (n_units, n_words), lose little, and without each on failure."""
     chains, lost, order, may_lose, base = losses
     n_units = len(bits)
     union = np.empty(len(base), dtype=np.uint64)
     first = np.empty(len(lost), dtype=np.int64)
     # All units together, then all but each one of them.
-    for failed in range(n_units, -1 if with_failures else n_units - 1, -1):
+    last = n_units
+    if with_failures:
+        last = 0
+    for failed in range(n_units, last - 1, -1):
         union[:] = base
         for unit in range(n_units):
             if unit != failed:
                 for word in range(len(union)):
                     union[word] |= bits[unit, word]
         if failed == n_units:
-            may = may_lose[0]
+            may = may_lose[WHOLE]
         else:
-            may = may_lose[1]
+            may = may_lose[ON_FAILURE]
         rank = look_through(union, chains, order, lost, may, first)
         if rank < len(order):
-            before = (
-                rank // 2
-            )  # nearer to the front, not all the way: some fail by chance
+            # Nearer to the front, not all the way: some fail by chance.
+            before = rank // 2
             order[rank], order[before] = order[before], order[rank]
             return False
     return True
 
 
 class Classes(NamedTuple):
-    """Poses of each class."""
+    """Poses of each class.
 
-    member: IntArray  # poses, class after class
-    # (n_classes + 1,): members of class k are start[k] .. start[k + 1] - 1
+    Attributes
+    ----------
+    member : (n,) int
+        Poses, class after class.
+    start : (n_classes + 1,) int
+        Members of class k are ``start[k] .. start[k + 1] - 1``.
+    words : (n_classes, n_words) uint64
+        Frames that the poses of each class see together.
+    """
+
+    member: IntArray
     start: IntArray
-    words: WordArray  # (n_classes, n_words): what all poses of each class see
+    words: WordArray
 
 
 @kernel
@@ -618,17 +874,32 @@ def spell_out(
     place: IntArray,
     out: IntArray,
 ) -> int:
-    """Sets of poses, one of each class in its place, that lose little; how many were written.
+    """Find sets of poses, one of each class, that lose little; return how many.
 
-    `words` are what poses see. `place`, (n_units + 1,), is where the search stands: the
-    members looked at, and the number of units that are settled, or -1 when all sets
-    were seen.
+    Parameters
+    ----------
+    words : (n_poses, n_words) uint64
+        Frames that each pose sees.
+    of_classes : Classes
+        Poses of each class.
+    losses : Losses
+        What sets may lose.
+    with_failures : bool
+        True if it counts what is left without each unit, too.
+    classes : (n_units,) int
+        One class for each unit, ascending.
+    place : (n_units + 1,) int
+        Where the search stands: the member looked at for each unit, and last the
+        number of units that are settled, or -1 when all sets were seen. Changed.
+    out : (n, n_units) int
+        Written: the sets.
     """
     member, start, class_words = of_classes
     n_units = len(classes)
     bits = np.empty((n_units, words.shape[1]), dtype=np.uint64)
     unit = place[n_units]
     n_found = 0
+    # What units see: a pose where they are settled, else all poses of the class.
     for number in range(n_units):
         is_settled = number < unit
         if is_settled:
@@ -678,12 +949,27 @@ def lost_by_pairs(
     pairs: IntArray,
     lost: FloatArray,
 ) -> None:
-    """Count what pairs of units, (n, 2), lose at least, (n,), until it is too much.
+    """Count what pairs of units lose at least, until it is too much.
 
-    Bits along the rows, (n_units, n_row_words): `alone` where a unit avoids the row
-    next to the others, `may` where it sees what is asked for, `part` where it sees a
-    piece that is missing. A pair may avoid a row only if one sees what is asked for,
-    and one avoids it or both see a part.
+    Bits are along the rows, the hardest first. A pair may avoid a row only if one
+    of the two sees what is asked for, and one avoids it or both see a part.
+
+    Parameters
+    ----------
+    alone : (n_units, n_row_words) uint64
+        Rows that each unit avoids next to the others.
+    may : (n_units, n_row_words) uint64
+        Rows of which it sees what is asked for.
+    part : (n_units, n_row_words) uint64
+        Rows of which it sees a piece that is missing.
+    table : (n_bytes, 256) float
+        What each value of each byte of rows weighs.
+    may_lose : float
+        Counting ends when a pair loses more.
+    pairs : (n, 2) int
+        Units of each pair.
+    lost : (n,) float
+        Written: what each pair loses at least.
     """
     for number in range(len(pairs)):
         one = pairs[number, 0]
@@ -711,6 +997,6 @@ def lost_by_pairs(
 def keep_sets(
     words: WordArray, sets: IntArray, losses: Losses, kept: BoolArray
 ) -> None:
-    """Which sets of poses, (n_sets, n_units), lose no more than they may, (n_sets,)."""
+    """Mark the sets of poses, (n_sets, n_units), that lose no more than they may."""
     for number in range(len(sets)):
         kept[number] = can_keep(words[sets[number]], losses, False)

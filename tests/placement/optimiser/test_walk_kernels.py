@@ -317,20 +317,20 @@ def build_walk(
     n_poses, n_words = covers.covers.shape
     bits = [np.zeros((n_units + 1, n_words), dtype=np.uint64) for _ in range(3)]
     return kernels.Walk(
-        where=np.array([0, 1, 0, 0, 0]),
+        at=kernels.build_position(),
         may_lose=np.array(may_lose),
         chosen=np.zeros(n_units, dtype=np.int64),
-        once=bits[0],
-        twice=bits[1],
-        gone=bits[2],
-        lost=np.zeros(n_units + 1),
+        covered=bits[0],
+        covered_twice=bits[1],
+        given_up=bits[2],
+        weight_given_up=np.zeros(n_units + 1),
         is_open=np.tile((room > 0)[covers.site], (n_units + 1, 1)),
         room=np.tile(room, (n_units + 1, 1)),
         queue=np.zeros((n_units, n_poses), dtype=np.int64),
         n_queued=np.zeros(n_units, dtype=np.int64),
         position=np.zeros(n_units, dtype=np.int64),
         gain=np.zeros(n_poses),
-        beside=np.zeros(n_poses),
+        gain_beside=np.zeros(n_poses),
         table=np.zeros((8 * n_words, 256)),
         used=np.zeros(8 * n_words, dtype=np.int64),
         best=np.zeros(n_units, dtype=np.int64),
@@ -356,7 +356,7 @@ def test_candidates_gain_what_they_cover_of_some_rows(seed: int) -> None:
     total = kernels.add_gains(covers, covers.weight, pack_words(rows), walk, gain)
     np.testing.assert_array_equal(gain, expected)
     assert total == covers.weight[rows].sum()
-    assert walk.where[3] > 0 or not rows.any()  # it counts its work
+    assert walk.at[0].work > 0 or not rows.any()  # it counts its work
 
 
 @given(SEEDS, st.integers(-1, 3), st.integers(0, 14))
@@ -395,7 +395,11 @@ def test_rows_without_coverers_are_lost_and_the_hardest_is_covered_by_fewest(
     covers = build_covers(rng)
     walk = build_walk(covers, 2, np.array([1, 2, 0]), [0.0, 0.0])
     once, gone = rng.random((2, len(covers.weight))) < 0.2
-    walk.once[0], walk.gone[0], walk.lost[0] = pack_words(once), pack_words(gone), 2.0
+    walk.covered[0], walk.given_up[0], walk.weight_given_up[0] = (
+        pack_words(once),
+        pack_words(gone),
+        2.0,
+    )
     rows = np.full(1, 9, dtype=np.uint64)
     hardest = kernels.give_up_rows(covers, walk, rows)
     bits = bits_by_pose(covers)
@@ -407,8 +411,8 @@ def test_rows_without_coverers_are_lost_and_the_hardest_is_covered_by_fewest(
     )
     left = ~once & ~gone
     assert bits_of(rows, len(once)) == set(np.flatnonzero(left & (count > 0)).tolist())
-    assert walk.lost[0] == 2.0 + covers.weight[left & (count == 0)].sum()
-    assert bits_of(walk.gone[0], len(once)) == set(
+    assert walk.weight_given_up[0] == 2.0 + covers.weight[left & (count == 0)].sum()
+    assert bits_of(walk.given_up[0], len(once)) == set(
         np.flatnonzero(gone | (left & (count == 0)))
     )
     if (left & (count > 0)).any():
@@ -434,9 +438,9 @@ def walked(
     found: list[tuple[int, ...]] = []
     out = np.empty((n_out, len(walk.chosen)), dtype=np.int64)
     for _ in range(10_000):
-        walk.where[2] = 0
+        walk.at[0].n_found = 0
         state = kernels.grow(covers, walk, n_failures, -1, work, out)
-        found += [tuple(sorted(row)) for row in out[: walk.where[2]].tolist()]
+        found += [tuple(sorted(row)) for row in out[: walk.at[0].n_found].tolist()]
         if state == kernels.DONE:
             return found
         assert state in (kernels.PAUSED, kernels.FULL)
@@ -507,12 +511,12 @@ def test_a_walk_stops_at_each_node_of_a_depth() -> None:
     out = np.empty((100, 3), dtype=np.int64)
     stops = set()
     while kernels.grow(covers, walk, 0, 1, 10**9, out) == kernels.AT_STOP:
-        assert walk.where[0] == 1
+        assert walk.at[0].depth == 1
         stops.add(int(walk.chosen[0]))
-        walk.where[0] -= 1
-        walk.where[1] = 0
+        walk.at[0].depth -= 1
+        walk.at[0].is_new = 0
     assert stops == set(range(6))
-    assert walk.where[2] == 0
+    assert walk.at[0].n_found == 0
 
 
 # ---------- sets of poses
