@@ -444,7 +444,7 @@ class AllSets:
         has_any = self._take_best(search.reduced, contenders)
         if is_complete and has_any:
             self.state = Comparison.COMPLETE
-            search.proofs["exhaustive enumeration"] = None
+            search.proofs[Phrase("exhaustive enumeration")] = None
 
     def add_all(self, reduced: ReducedProblem, contenders: Contenders) -> None:
         """Take over all sets that may be best, as a walk has met them."""
@@ -525,7 +525,7 @@ class Walks:
             tied = self._find_tied(n_failures)
         else:
             return False
-        search.proofs["branch and bound"] = None
+        search.proofs[Phrase("branch and bound")] = None
         self.limit[n_failures] = tied.limit
         if tied.sets is not None:
             contenders = best_of_tied(
@@ -580,7 +580,7 @@ class Walks:
         fewest = max(fewest, int(reduced.limits.is_forced.sum()))
         most = min(len(search.found) - 1, constants.MAX_WALK_UNITS)
         while fewest <= most and not deadline.is_over:
-            search.proofs["branch and bound"] = None
+            search.proofs[Phrase("branch and bound")] = None
             units, is_finished = find_of_size(reduced, fewest, deadline=deadline)
             if units is not None:
                 search.keep(units)
@@ -654,22 +654,17 @@ class Stages:
         Few sets, one unit, the walk for ever more units, the model.
         """
         search = self.search
-        reduced = search.reduced
-        if not (search.is_exact and reduced.floors and len(reduced.weight)):
-            return fewest
-        deadline = search.deadline.of("walk")
-        fewest = max(fewest, int(reduced.limits.is_forced.sum()))
-        most = min(len(self._units()) - 1, constants.MAX_WALK_UNITS)
-        while fewest <= most and not deadline.is_over:
-            search.proofs[Phrase("branch and bound")] = None
-            units, is_finished = find_of_size(reduced, fewest, deadline=deadline)
-            if units is not None:
-                search.keep(units)
-                break
-            if not is_finished:
-                break
-            fewest += 1
-        return fewest
+        bound = 1.0
+        self.all_sets.compare_few()
+        if not self.all_sets.are_known:
+            if len(search.found) > 1 and not _one_unit_does(search.reduced):
+                bound = 2.0
+            bound = float(self.walks.fewest_units(int(bound)))
+            if len(search.found) > bound:
+                of_model = search.look_for(Objective.UNITS, ())
+                bound = max(bound, np.ceil(of_model - constants.SOLVER_TOLERANCE))
+        n_units = len(search.found)
+        return self._restricted(float(n_units), bound, budget_units=n_units)
 
     def bound_first_cost_eur(self) -> float:
         """Least cost at which the floors are reached; from here on none costs more.
@@ -957,123 +952,11 @@ def _cheapest_unit_eur(limits: Limits) -> float:
     return float(price.min())
 
 
-    def _avoids_nothing(self) -> bool:
-        """True if it is proven that no layout that holds the stages before avoids anything.
-
-        Where only the worst worlds count, an APR of 0 does not say so: others may avoid
-        something.
-        """
-        reduced = self.search.reduced
-        is_none = reduced.measure.tells_runs_apart and self.apr_limit == 0.0
-        return is_none or not len(reduced.weight)
-
-    def _cheapest_unit_eur(self) -> float:
-        limits = self.search.reduced.limits
-        if not limits.n_poses:
-            return 0.0
-        return float(
-            (limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]).min()
-        )
-
-    def _one_unit_does(self) -> bool:
-        """True if a single pose reaches the floors."""
-        reduced = self.search.reduced
-        sets = np.arange(reduced.n_poses)[:, None]
-        sets = sets[are_allowed(reduced.limits, sets)]
-        return bool(len(sets)) and bool(
-            (set_values(reduced, sets).lacking == 0.0).any()
-        )
-
-    def _is_complete(self) -> bool:
-        """Go through all sets, if they are few; whether that was done."""
-        search = self.search
-        if self.is_complete is None:
-            self.is_complete = False
-            if self.effort.is_exact:
-                deadline = search.deadline.of("few sets")
-                has_money = search.reduced.limits.budget_eur is not None
-                if has_money:
-                    most = constants.MAX_SETS_OF_MONEY
-                else:
-                    most = constants.MAX_FEW_SETS
-                most = min(most, int(deadline.left_s() * constants.FEW_SETS_PER_SECOND))
-                contenders, is_complete = best_of_few(
-                    search.reduced, max_sets=most, deadline=deadline
-                )
-                has_any = contenders is not None and self._compared(
-                    search.reduced, contenders
-                )
-                self.is_complete = is_complete and has_any
-            if self.is_complete:
-                search.proofs[Phrase("exhaustive enumeration")] = None
-        return self.is_complete
-
-    def _walk(self, n_failures: int) -> bool:
-        """Walk through all sets that may be better in a stage; whether that was done.
-
-        The stage is the APR when so many units fail; the APR itself is held in a later
-        one. Where few sets are best, the best of them all is best in every stage that
-        comes.
-        """
-        search = self.search
-        reduced = search.reduced
-        n_forced = int(reduced.limits.is_forced.sum())
-        if not can_walk(reduced) or not search.is_exact or search.deadline.is_over:
-            return False
-        by_pairs = goes_by_pairs(reduced)
-        # By pairs, nothing but ties that were met tells of failures.
-        if n_failures and (by_pairs or n_forced):
-            return False
-        if by_pairs:
-            end = search.deadline.of("worlds")
-            tied = walk_by_pairs(
-                reduced, self._units(), deadline=end, on_better=self._improved
-            )
-        elif reduced.measure.is_mean:
-            tied = self._find_tied(n_failures)
-        else:
-            return False
-        search.proofs[Phrase("branch and bound")] = None
-        self.walk_limit[n_failures] = tied.limit
-        if tied.sets is not None:
-            contenders = best_of_tied(
-                reduced, tied.sets, n_failures=n_failures, value=tied.value
-            )
-            self.is_complete = self._compared(reduced, contenders)
-        return tied.is_finished
-
-    def _find_tied(self, n_failures: int) -> Tied:
-        """Ties by a walk through the covering problem; the APR itself may be held already."""
-        search = self.search
-        reduced = search.reduced
-        root = search.root
-        held = None
-        if n_failures:
-            if self.problem.survive:
-                held = least_apr(reduced)
-            else:
-                held = self._least_apr()
-
-        def walk_from(need: float, left: float) -> SetWalk:
-            return SetWalk(reduced, root, need=need, n_failures=n_failures, left=left)
-
-        return TieSearch(
-            reduced,
-            self._units(),
-            walk_from=walk_from,
-            limit=lambda least, deadline: failure_limit(
-                root, n_failures, least, deadline=deadline
-            ),
-            ahead=constants.NEAR * self._left(n_failures) if n_failures else 0.0,
-            n_failures=n_failures,
-            least_apr=held,
-            on_better=self._improved,
-        ).find(search.deadline.of("walk"))
-
-    def _improved(self, units: IntArray) -> IntArray:
-        """The best set so far after a set that may be better was improved by exchanges."""
-        search = self.search
-        search.keep(
-            improve(search.reduced, units, search.limit, deadline=search.deadline)
-        )
-        return self._units()
+def _one_unit_does(reduced: ReducedProblem) -> bool:
+    """True if a single pose reaches the floors."""
+    sets = np.arange(reduced.n_poses)[:, None]
+    sets = sets[are_allowed(reduced.limits, sets)]
+    if not len(sets):
+        return False
+    lacking = set_values(reduced, sets).lacking
+    return bool((lacking == 0.0).any())

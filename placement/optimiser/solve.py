@@ -406,23 +406,20 @@ def _solve_large(
             build_stage(objective, stage.objective, bounds[objective], stage.seconds)
         )
     n_poses = problem.table.n_poses
-    solver = (
-        f"{relaxation_text()}: relaxation of all {n_poses} poses, search among "
-        f"{len(pool)}"
+    solver = Phrase(
+        "{solver}: relaxation of all {n} poses, search among {n_pool}",
+        solver=relaxation_text(),
+        n=n_poses,
+        n_pool=len(pool),
     )
     n_left = found.presolve.n_poses[1]
     return Solution(
         pose_index=tuple(int(pool[pose]) for pose in found.pose_index),
         certificate=Certificate(
             stages=tuple(stages),
-            solver=Phrase(
-                "{solver}: relaxation of all {n} poses, search among {n_pool}",
-                solver=relaxation_text(),
-                n=n_poses,
-                n_pool=len(pool),
-            ),
+            solver=solver,
         ),
-        presolve=replace(found.presolve, n_poses=(n_poses, found.presolve.n_poses[1])),
+        presolve=replace(found.presolve, n_poses=(n_poses, n_left)),
     )
 
 
