@@ -1,4 +1,6 @@
-"""Pages in a browser, where there is one: they must neither complain nor ask for anything."""
+"""Pages in a browser, where there is one: they must neither complain nor ask for
+anything.
+"""
 
 import shlex
 import shutil

@@ -11,7 +11,9 @@ from geometry.sensors import CameraModel, picture_rays
 def pixel_rays(
     columns_px: ArrayLike, rows_px: ArrayLike, pose: Pose, camera: CameraModel
 ) -> FloatArray:
-    """Directions (n, 3) through pixels' centres, world frame; 1 along the optical axis."""
+    """Directions (n, 3) through pixels' centres, world frame; 1 along the optical
+    axis.
+    """
     columns = np.asarray(columns_px, dtype=np.float64) + 0.5
     rows = np.asarray(rows_px, dtype=np.float64) + 0.5
     if camera.is_pinhole:

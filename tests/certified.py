@@ -32,7 +32,9 @@ def document_of(problem: PlacementProblem, solution: Solution) -> Document:
 
 
 def two_of_twelve(frame_axis: FrameAxis, rule: AebRule) -> PlacementProblem:
-    """Of 12 poses on 6 sites two units for money, one that must reach a floor when one fails."""
+    """Of 12 poses on 6 sites two units for money, one that must reach a floor when one
+    fails.
+    """
     rng = np.random.default_rng(7)
     detected = rng.random((12, frame_axis.n_frames)) < 0.6
     return PlacementProblem(

@@ -1,4 +1,6 @@
-"""A street with three junctions, drawn as an OpenStreetMap file, and what is asked there."""
+"""A street with three junctions, drawn as an OpenStreetMap file, and what is asked
+there.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +20,9 @@ FEW_RUNS_OPTIONS = ("--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50")
 
 
 def write_city(folder: Path, name: str = "tiny.osm", *, east_m: float = 0.0) -> Path:
-    """Two crossings and between them a junction of three arms; lamps and houses at each."""
+    """Two crossings and between them a junction of three arms; lamps and houses at
+    each.
+    """
     osm = OsmText()
     places = [(x + east_m, y) for x, y in PLACES_M]
     nodes = [osm.node(*place) for place in places]

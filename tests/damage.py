@@ -1,4 +1,6 @@
-"""Damaged files: bytes of a sound one cut, overwritten, doubled; also inside archives."""
+"""Damaged files: bytes of a sound one cut, overwritten, doubled; also inside
+archives.
+"""
 
 import io
 import json
@@ -51,7 +53,9 @@ def damaged(draw: st.DrawFn, sound: bytes) -> bytes:
 
 
 def read_or_refuse(path: Path, data: bytes, read: Callable[[Path], Any]) -> Any:
-    """What a reader makes of bytes; None if it refuses them in one line that names the file."""
+    """What a reader makes of bytes; None if it refuses them in one line that names the
+    file.
+    """
     path.write_bytes(data)
     refused: InputError | None = None
     try:
@@ -62,7 +66,7 @@ def read_or_refuse(path: Path, data: bytes, read: Callable[[Path], Any]) -> Any:
     return None
 
 
-# ---------- many wounds in a second, the same for the same generator: for the fuzz tests
+# ---------- many wounds in a second, drawn by a generator: for the fuzz tests
 
 _WORDS = [
     *_TEXTS,
@@ -283,7 +287,9 @@ def _other_lines(rng: random.Random, data: bytes) -> bytes:
 
 
 def _other_integer(rng: random.Random, data: bytes) -> bytes:
-    """Binary data with another number of 1, 2, 4 or 8 bytes; more often near the beginning."""
+    """Binary data with another number of 1, 2, 4 or 8 bytes; more often near the
+    beginning.
+    """
     size = rng.choice([1, 2, 4, 8])
     if rng.random() < 0.4:
         reach = len(data) - size

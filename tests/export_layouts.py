@@ -55,7 +55,9 @@ def unit(index: int, name: str, kind: str = "camera") -> CandidatePose:
 
 
 def awkward_layout() -> Layout:
-    """Names that quoting must survive, two LiDARs, a latency, a turned lens, an own camera."""
+    """Names that quoting must survive, two LiDARs, a latency, a turned lens, an own
+    camera.
+    """
     units = [unit(index, name) for index, name in enumerate(AWKWARD)]
     varifocal = load_cameras()["varifocal-1080p"]
     units += [

@@ -1,4 +1,6 @@
-"""Sizes and times of exports: ``python tests/export_speeds.py`` writes results/exports.md."""
+"""Sizes and times of exports: ``python tests/export_speeds.py`` writes
+results/exports.md.
+"""
 
 import time
 from collections.abc import Callable
@@ -12,7 +14,8 @@ from placement.layout import load_carlancap_layout
 
 
 def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
-    """Format, what is written, processor seconds, and MB of many units, and of a run as MCAP.
+    """Format, what is written, processor seconds, and MB of many units, and of a run as
+    MCAP.
 
     Libraries are loaded before.
     """

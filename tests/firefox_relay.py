@@ -1,4 +1,5 @@
-"""Debian's Firefox as playwright launches it: started as an executable in the browser's place.
+"""Debian's Firefox as playwright launches it: started as an executable in the browser's
+place.
 
 Playwright drives a released Firefox by WebDriver BiDi, but asks for a command that
 extended support releases do not know yet. This relay starts Firefox, passes all

@@ -1,4 +1,6 @@
-"""Evaluations made up for the report's interactive part, and pages around its template."""
+"""Evaluations made up for the report's interactive part, and pages around its
+template.
+"""
 
 from dataclasses import replace
 
@@ -76,7 +78,9 @@ def build_evaluation(setting, layout, *, share=0.6, seed=0, with_vam=False):
 
 
 def with_evil_names(setting):
-    """The setting of a junction whose things are called what no thing should be called."""
+    """The setting of a junction whose things are called what no thing should be
+    called.
+    """
     scene = setting.scene
     things = [
         replace(thing, id=f"{EVIL} {number}")
@@ -85,10 +89,12 @@ def with_evil_names(setting):
     return replace(setting, scene=replace(scene, name=EVIL, instances=tuple(things)))
 
 
-TABLE = """<table id="sorted"><thead><tr><th scope="col">name</th><th scope="col">price (€)</th>
+TABLE = """<table id="sorted"><thead><tr><th scope="col">name</th>
+<th scope="col">price (€)</th>
 <th scope="col">to spare</th></tr></thead><tbody>
 <tr><th scope="row">unit 10</th><td>1 200 €</td><td>avoided, 0.30 s</td></tr>
-<tr><th scope="row">unit 9</th><td>\N{MINUS SIGN}5.5 €</td><td>HIT, not confirmed</td></tr>
+<tr><th scope="row">unit 9</th><td>\N{MINUS SIGN}5.5 €</td>
+<td>HIT, not confirmed</td></tr>
 <tr><th scope="row">unit 1</th><td>\N{EN DASH}</td><td>HIT, 0.20 s late</td></tr>
 <tr><th scope="row">a unit</th><td>90 €</td><td>avoided, 1.10 s</td></tr>
 </tbody></table>"""

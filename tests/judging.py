@@ -48,7 +48,9 @@ class NoJudge(Exception):
 
 
 def judge_apart(kind: str, folder: Path) -> Any:
-    """Answer of a judge of ``judging_apart.py`` in an environment that uv makes for it."""
+    """Answer of a judge of ``judging_apart.py`` in an environment that uv makes for
+    it.
+    """
     uv = shutil.which("uv")
     if uv is None:
         raise NoJudge(f"{APART[kind][0]} needs uv, which makes its environment")
@@ -79,7 +81,9 @@ def lay_all_cases() -> list[Run]:
 
 # ---------- exports
 def judge_openscenario(runs: Sequence[Run], folder: Path) -> Any:
-    """ASAM's checker on one run of every case: how many files, statuses of checks, issues."""
+    """ASAM's checker on one run of every case: how many files, statuses of checks,
+    issues.
+    """
     firsts = {run.case.name: run for run in reversed(runs)}
     roads = to_opendrive(None, load_study_scene())
     (folder / "roads.xodr").write_text(roads, encoding="utf-8")
@@ -90,7 +94,9 @@ def judge_openscenario(runs: Sequence[Run], folder: Path) -> Any:
 
 
 def judge_opendrive(folder: Path) -> Any:
-    """ASAM's checker on the study's roads, and on the same in traffic that keeps left."""
+    """ASAM's checker on the study's roads, and on the same in traffic that keeps
+    left.
+    """
     scene = load_study_scene()
     flip = np.array([1.0, -1.0])
     lanes = tuple(
@@ -106,7 +112,8 @@ def judge_opendrive(folder: Path) -> Any:
 
 
 def judge_carla(folder: Path) -> float:
-    """Largest difference of CARLA's classes of places and turns from ours, south for north.
+    """Largest difference of CARLA's classes of places and turns from ours, south for
+    north.
 
     Of the study's 12 cameras [m; parts of a unit vector]; infinite if one is missing.
     Blueprints and attributes are known to CARLA's server alone and not checked.
@@ -172,7 +179,8 @@ def _as_json(value: Any) -> Any:
 
 # ---------- runs
 def judge_impacts(runs: Sequence[Run], folder: Path, n_runs: int = 100) -> FloatArray:
-    """How far the first touch is from the impact, by CommonRoad's collision checker, (n_runs,).
+    """How far the first touch is from the impact, by CommonRoad's collision checker,
+    (n_runs,).
 
     Both rectangles in steps of 0.01 s [s]; infinite where they never touch.
     """
@@ -281,7 +289,9 @@ def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _InstanceRun:
-    """A run of ``instance.npz``: its frames before the last moment, and who detects in them."""
+    """A run of ``instance.npz``: its frames before the last moment, and who detects in
+    them.
+    """
 
     sees: BoolArray  # (n_poses, n_frames)
     time_s: FloatArray
@@ -300,13 +310,17 @@ class _InstanceRun:
         )
 
     def orders(self, rng: np.random.Generator) -> list[IntArray]:
-        """Orders in which poses join a set: few frames first, many first, and some at random."""
+        """Orders in which poses join a set: few frames first, many first, and some at
+        random.
+        """
         n_frames = self.sees.sum(axis=1)
         some = [rng.permutation(len(self.sees)) for _ in range(4)]
         return [np.argsort(n_frames), np.argsort(-n_frames), *some]
 
     def largest_without(self, seen: BoolArray, order: IntArray) -> BoolArray:
-        """Poses of a largest set that does not avoid the run, frames in `seen` given."""
+        """Poses of a largest set that does not avoid the run, frames in `seen`
+        given.
+        """
         rule = (self.time_s, self.moment_s, self.memory_s, self.n_confirmations)
         known = _join(self.sees, seen, order, *rule)
         return np.asarray(~(self.sees & ~known).any(axis=1), dtype=bool)
@@ -356,10 +370,17 @@ def _avoids(
 
 @njit  # type: ignore[untyped-decorator]
 def _join(
-    sees: BoolArray, seen: BoolArray, order: IntArray,
-    time_s: FloatArray, moment_s: float, memory_s: float, n: int,
-) -> BoolArray:  # fmt: skip
-    """Frames that are seen when poses join one after the other, unless the run is avoided then."""
+    sees: BoolArray,
+    seen: BoolArray,
+    order: IntArray,
+    time_s: FloatArray,
+    moment_s: float,
+    memory_s: float,
+    n: int,
+) -> BoolArray:
+    """Frames that are seen when poses join one after the other, unless the run is
+    avoided then.
+    """
     known = seen.copy()
     for pose in order:
         more = known | sees[pose]

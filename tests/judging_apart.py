@@ -1,4 +1,5 @@
-"""Judges that need an environment of their own: run by ``judging.py``, imports no other module.
+"""Judges that need an environment of their own: run by ``judging.py``, imports no other
+module.
 
 ``python judging_apart.py KIND FOLDER`` writes what it found as JSON. The packages that
 each kind needs contradict those of this project: they ask for an older lxml, numpy or
@@ -73,7 +74,9 @@ def judge_touches(folder: Path) -> dict[str, Any]:
 
 
 def judge_transforms(folder: Path) -> dict[str, Any]:
-    """Place [m] and axes ahead, right and up of each unit of ``layout.json`` in CARLA."""
+    """Place [m] and axes ahead, right and up of each unit of ``layout.json`` in
+    CARLA.
+    """
     import carla  # type: ignore[import-not-found]
 
     axes = {}

@@ -71,6 +71,8 @@ def build_scene(lanes, *, name="protocol", boxes=(), crosswalks_m=(), outline_m=
 
 
 def protocol_scene(**scene_fields):
-    """Euro NCAP's junction: four arms at right angles, one lane of 3.5 m per direction."""
+    """Euro NCAP's junction: four arms at right angles, one lane of 3.5 m per
+    direction.
+    """
     lanes = [lane for arm, bearing in ARMS.items() for lane in lanes_of(arm, bearing)]
     return build_scene(lanes, **scene_fields)

@@ -1,4 +1,6 @@
-"""What stands still in pictures of a scene: preparing it takes long, and tests look at few."""
+"""What stands still in pictures of a scene: preparing it takes long, and tests look at
+few.
+"""
 
 from collections.abc import Sequence
 from typing import Any

@@ -12,7 +12,9 @@ N_FRAMES = 9
 
 
 def random_chains(rng: np.random.Generator, *, n_frames: int = N_FRAMES) -> Chains:
-    """Up to four chains of up to five windows, with tails; some chains may have no windows."""
+    """Up to four chains of up to five windows, with tails; some chains may have no
+    windows.
+    """
     n_windows = int(rng.integers(1, 7))
     n_chains = int(rng.integers(1, 5))
     n_links = rng.integers(0, 6, n_chains)
@@ -52,7 +54,9 @@ def tails_of(chains: Chains, chain: int) -> list[tuple[int, int]]:
 
 
 def needed(chains: Chains, chain: int, link: int) -> tuple[set[int], set[int]]:
-    """Frames of a window of a chain, and frames of the tails without which it is not live."""
+    """Frames of a window of a chain, and frames of the tails without which it is not
+    live.
+    """
     frames = set(
         chains.window_frames[chains.window[chains.start[chain] + link]].tolist()
     )
@@ -60,7 +64,9 @@ def needed(chains: Chains, chain: int, link: int) -> tuple[set[int], set[int]]:
 
 
 def first_live(chains: Chains, chain: int, seen: Iterable[int]) -> int:
-    """First window of a chain whose frames and tails are all seen; their number if none is."""
+    """First window of a chain whose frames and tails are all seen; their number if none
+    is.
+    """
     for link in range(n_links_of(chains, chain)):
         frames, tails = needed(chains, chain, link)
         if frames | tails <= set(seen):
@@ -91,7 +97,9 @@ def whole_weights(rng: np.random.Generator, n: int) -> FloatArray:
 
 
 def random_rows(rng: np.random.Generator, chains: Chains) -> tuple[IntArray, IntArray]:
-    """Chain of some rows, and how many of its first windows count; none for an empty chain."""
+    """Chain of some rows, and how many of its first windows count; none for an empty
+    chain.
+    """
     row_chain = rng.integers(0, n_chains_of(chains), 6)
     row_chain = row_chain[[n_links_of(chains, chain) > 0 for chain in row_chain]]
     last = [int(rng.integers(1, n_links_of(chains, chain) + 1)) for chain in row_chain]

@@ -1,4 +1,6 @@
-"""A crossing drawn as lanelets: four arms, a way in and out of each, and straight through."""
+"""A crossing drawn as lanelets: four arms, a way in and out of each, and straight
+through.
+"""
 
 WIDTH_M = 3.0
 HALF_M = 8.0
@@ -14,7 +16,9 @@ def turned(
 
 
 def crossing(*, keeps_left: bool = False) -> dict[str, tuple[list, list]]:
-    """Left and right bound of each lanelet, by name: four arms, ways in, out and through."""
+    """Left and right bound of each lanelet, by name: four arms, ways in, out and
+    through.
+    """
     # a way in on the west arm lies south of the axis, or north
     if keeps_left:
         side = 1.0

@@ -27,7 +27,9 @@ def random_lens(rng, model: str) -> Lens:
 
 
 def random_camera(rng, base, model: str):
-    """A camera of a size and a kind, with a random lens, principal point, aspect and roll."""
+    """A camera of a size and a kind, with a random lens, principal point, aspect and
+    roll.
+    """
     lens = random_lens(rng, model)
     most_deg = min(
         np.degrees(2.0 * lens.widest_rad), 175.0 if model == "fisheye" else 120.0

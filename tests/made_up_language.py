@@ -1,4 +1,6 @@
-"""A language made up, and words of a text that are not in it: they were said by no message."""
+"""A language made up, and words of a text that are not in it: they were said by no
+message.
+"""
 
 import re
 
@@ -67,7 +69,9 @@ ALLOWED |= {site.id for site in load_study_scene().sites}
 
 
 def left_over(text):
-    """Words of a text that no message said; ids, codes and numbers with units are none."""
+    """Words of a text that no message said; ids, codes and numbers with units are
+    none.
+    """
     before = None
     while before != text:
         before = text

@@ -1,4 +1,5 @@
-"""Detections as numpy finds them, array by array: the oracle of the loops in ``projecting``.
+"""Detections as numpy finds them, array by array: the oracle of the loops in
+``projecting``.
 
 Nothing is left out: every point of every body is projected into every camera, whether
 or not it is in the field of view. Sums are made in the same order, so that boxes are
@@ -90,7 +91,9 @@ class NumpySensing:
 
 
 def boxes(columns, rows, hidden):
-    """Boxes around the points of each entry that are not hidden, (n, 4); zeros where all are."""
+    """Boxes around the points of each entry that are not hidden, (n, 4); zeros where
+    all are.
+    """
     found = np.empty((len(columns), 4))
     for axis, values in enumerate((columns, rows)):
         found[:, axis] = np.where(hidden, np.inf, values).min(axis=1)
@@ -104,7 +107,8 @@ def areas(boxes_px):
 
 
 def count_points(sensing, rotation, lidar):
-    """Whether a LiDAR may expect enough points on each entry, in each weather, (n_weathers, n).
+    """Whether a LiDAR may expect enough points on each entry, in each weather,
+    (n_weathers, n).
 
     Each visible point stands for the part of the surface around it: its solid angle,
     seen from the LiDAR, times the density of beams in that direction is the number of

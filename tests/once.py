@@ -1,4 +1,6 @@
-"""What takes long to make and several files of tests look at: made once, whoever asks first."""
+"""What takes long to make and several files of tests look at: made once, whoever asks
+first.
+"""
 
 import fcntl
 import os
@@ -12,7 +14,9 @@ import pytest
 def make_once(
     factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]
 ) -> Path:
-    """A folder that `make` fills, for all processes of a test run: not to be changed."""
+    """A folder that `make` fills, for all processes of a test run: not to be
+    changed.
+    """
     root = factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         root = root.parent

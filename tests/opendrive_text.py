@@ -120,7 +120,9 @@ def to_junction(side: str, junction: str) -> str:
 
 
 def crossing(*, rule: str = "RHT", half_m: float = 10.0, kind: str = "default") -> str:
-    """Two streets that cross at the origin: four roads of 50 m, straight connecting roads only."""
+    """Two streets that cross at the origin: four roads of 50 m, straight connecting
+    roads only.
+    """
     turns = {"1": 0.0, "2": 90.0, "3": 180.0, "4": 270.0}  # where the arms lie, degrees
     roads = []
     links = []

@@ -1,4 +1,5 @@
-"""What the optimiser has to find on small problems: every layout, valued in plain loops.
+"""What the optimiser has to find on small problems: every layout, valued in plain
+loops.
 
 This is the specification: nothing of ``placement.optimiser`` is imported, and a problem
 is read as plain data. Tolerances are the optimiser's promise, written down once more.
@@ -19,7 +20,9 @@ Values = dict[str, float]
 
 
 class Oracle:
-    """All layouts of a problem within limits and floors, and what each is worth, by stage."""
+    """All layouts of a problem within limits and floors, and what each is worth, by
+    stage.
+    """
 
     def __init__(self, problem: Any) -> None:
         self.problem = problem
@@ -72,7 +75,8 @@ class Oracle:
         return tuple(frame for frame in frames if self.detected[pose][frame])
 
     def _margin_s(self, run: int, seen: tuple[int, ...]) -> float:
-        """Time left when a confirmed track is alive at the last moment; minus infinity if none is.
+        """Time left when a confirmed track is alive at the last moment; minus infinity
+        if none is.
 
         `seen` are the frames that detect, ascending.
         """
@@ -150,7 +154,9 @@ class Oracle:
     def _after_failures(
         self, poses: tuple[int, ...], n_failures: int, share: Any
     ) -> float:
-        """The least that is left when any so many units, or sites with all they carry, fail."""
+        """The least that is left when any so many units, or sites with all they carry,
+        fail.
+        """
         by_unit = self.problem.limits.failing == "unit"
         parts = sorted({pose if by_unit else self.site[pose] for pose in poses})
         least = inf
@@ -240,7 +246,8 @@ class Oracle:
     def check(
         self, poses: tuple[int, ...], stages: Any, *, largest_gap: float = inf
     ) -> None:
-        """Check a layout and its stages; 0 as the `largest_gap`: all must be proven best.
+        """Check a layout and its stages; 0 as the `largest_gap`: all must be proven
+        best.
 
         A bound is what no layout exceeds that is as good in all stages before; a gap of
         0 says that the value is the best there is.
@@ -269,7 +276,8 @@ class Oracle:
             }
 
     def is_ambiguous(self, poses: tuple[int, ...]) -> bool:
-        """True if layouts differ from one by about as much as ties do, but not by rounding.
+        """True if layouts differ from one by about as much as ties do, but not by
+        rounding.
 
         Ties are not transitive then, and a stage may have a gap that nothing closes.
         """

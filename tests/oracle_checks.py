@@ -1,4 +1,6 @@
-"""Answers of every solver to random problems, checked against the enumeration of ``oracle``."""
+"""Answers of every solver to random problems, checked against the enumeration of
+``oracle``.
+"""
 
 import sys
 import warnings
@@ -17,7 +19,8 @@ from placement.optimiser import Effort, PlacementProblem, Solution, solve_placem
 
 SOLVERS = ("auto", "relax", "exact", "greedy")
 EVERY_WAY = (*SOLVERS, "models", "walk", "large")
-"""Besides the solvers, the exact one where small problems are not gone through set by set,
+"""Besides the solvers, the exact one where small problems are not gone through set by
+set,
 and the usual one where every table is too large to be solved as a whole."""
 
 
@@ -58,7 +61,9 @@ def check(problem: PlacementProblem, way: str) -> None:
 TELLS_APART = 8.0e-9
 """Runs that weigh less are avoided, or not, at the same APR as far as models tell."""
 GAP_OF_TIES = 1.0e-6
-"""Models bound a mean margin for all APRs that tie; only sets that are compared close it."""
+"""Models bound a mean margin for all APRs that tie; only sets that are compared close
+it.
+"""
 NOT_FOUND = ("none was found", "more time than the limit")
 """Refusals that say so do not claim that no layout meets the wishes."""
 
@@ -132,7 +137,9 @@ def rates(kinds: Counter[str], n_problems: int) -> str:
 
 
 def main() -> None:
-    """Problems from one number to another, 500 at a time; faults are printed as they come."""
+    """Problems from one number to another, 500 at a time; faults are printed as they
+    come.
+    """
     first, end = (int(word) for word in sys.argv[1:3])
     kinds: Counter[str] = Counter()
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:

@@ -32,7 +32,9 @@ def polygon_area(polygon):
 
 
 def overlap_area(polygon_a, polygon_b):
-    """Area that two convex polygons share: Sutherland and Hodgman's clipping, edge by edge."""
+    """Area that two convex polygons share: Sutherland and Hodgman's clipping, edge by
+    edge.
+    """
     rest = list(polygon_a)
     for (ax, ay), (bx, by) in zip(
         polygon_b, polygon_b[1:] + polygon_b[:1], strict=True
@@ -79,7 +81,9 @@ def polygon_distance(polygon_a, polygon_b):
 
 
 def simulated_contact(encounter, onset_s, *, deceleration_mps2, time_step_s=5.0e-4):
-    """Whether the bodies overlap, by stepping both forward from the onset until the VUT stands."""
+    """Whether the bodies overlap, by stepping both forward from the onset until the VUT
+    stands.
+    """
     vut = encounter.vut
     vru = encounter.vru
 
@@ -129,7 +133,8 @@ def stop_tau_s(v, a):
 
 
 def crossing_tau_s(v, a, clear_s):
-    """The same for one that has left the VUT's path `clear_s` after the unbraked impact.
+    """The same for one that has left the VUT's path `clear_s` after the unbraked
+    impact.
 
     The front covers the distance v tau to the line of impact. It may stop short, or it
     may reach the line after the VRU is gone: v t - a t^2 / 2 = v tau at t = tau +
@@ -153,7 +158,9 @@ def slab_hits(origins, vectors, low, high):
 
 
 def simulated_track_s(detected, time_s, *, until_s, memory_s, n):
-    """Frame by frame: when the track was confirmed that is alive at a time; infinite if none is."""
+    """Frame by frame: when the track was confirmed that is alive at a time; infinite if
+    none is.
+    """
     confirmed_s = math.inf
     last_s = -math.inf
     n_in_a_row = 0
@@ -207,7 +214,9 @@ def separation_m(encounter, time_s):
 
 
 def distance_to_chain_m(points_m, chain_m):
-    """Distance of points (n, 2) to the nearest side of an open chain of points, (n,)."""
+    """Distance of points (n, 2) to the nearest side of an open chain of points,
+    (n,).
+    """
     starts = chain_m[:-1]
     sides = np.diff(chain_m, axis=0)
     offset = points_m[:, None] - starts

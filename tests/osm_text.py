@@ -38,7 +38,9 @@ class OsmText:
         points: Sequence[int | tuple[float, float]],
         tags: dict[str, str] | None = None,
     ) -> int:
-        """Points are ids of nodes, or places of new ones; the last may be the first one's place."""
+        """Points are ids of nodes, or places of new ones; the last may be the first
+        one's place.
+        """
         ids: list[int] = []
         at: dict[tuple[float, float], int] = {}
         for point in points:
@@ -96,7 +98,9 @@ def crossing(
     bearings: Sequence[tuple[float, float]],
     **tags: str,
 ) -> int:
-    """Roads that all end in one node, (0, 0), and lead to unit vectors; returns the node."""
+    """Roads that all end in one node, (0, 0), and lead to unit vectors; returns the
+    node.
+    """
     middle = osm.node(0.0, 0.0)
     for index, (east, north) in enumerate(bearings):
         osm.road(

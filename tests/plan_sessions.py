@@ -18,7 +18,9 @@ from placement.question import Question
 
 
 class InThread:
-    """As :class:`experiments.planner.tasks.Worker`, on a setting that is at hand, if any."""
+    """As :class:`experiments.planner.tasks.Worker`, on a setting that is at hand, if
+    any.
+    """
 
     def __init__(self, work, setting):
         self._tasks = None

@@ -16,7 +16,9 @@ from scenarios.runs import FrameAxis
 
 @st.composite
 def problems(draw: st.DrawFn) -> PlacementProblem:
-    """Small tables, frames at 10 Hz that end at the impact, any deadlines and weights."""
+    """Small tables, frames at 10 Hz that end at the impact, any deadlines and
+    weights.
+    """
     # Sizes are Hypothesis's, what stands in the tables is random: small values of
     # everything at once, as Hypothesis likes them, leave nothing to choose.
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
@@ -203,7 +205,9 @@ def random_detections(
     n_poses: int,
     seen_by_vut: BoolArray | None,
 ) -> BoolArray:
-    """What poses detect, (n_poses, n_frames): some add nothing, others less than another."""
+    """What poses detect, (n_poses, n_frames): some add nothing, others less than
+    another.
+    """
     share = rng.choice([0.25, 0.5, 0.8, 0.95])
     detected = rng.random((n_poses, axis.n_frames)) < share
     if seen_by_vut is None:
@@ -259,7 +263,9 @@ def kinds_of(problem: PlacementProblem) -> frozenset[str]:
 
 
 def random_axis(rng: np.random.Generator) -> FrameAxis:
-    """Runs with deadlines and weights of any kind: whole, any, tiny, zero; some in levels."""
+    """Runs with deadlines and weights of any kind: whole, any, tiny, zero; some in
+    levels.
+    """
     n_runs = int(rng.integers(1, 7))
     n_frames = rng.integers(1, 10, n_runs)
     last_brake_s = rng.choice([-0.01, -0.125, -0.325, -0.5, -np.inf], n_runs)
@@ -294,7 +300,9 @@ def random_axis(rng: np.random.Generator) -> FrameAxis:
 
 
 def random_weights(rng: np.random.Generator, n_runs: int) -> FloatArray:
-    """Weights: alike, whole, any, of many magnitudes, near a tie, hardly any; some are 0."""
+    """Weights: alike, whole, any, of many magnitudes, near a tie, hardly any; some are
+    0.
+    """
     kind = rng.choice(["alike", "whole", "any", "magnitudes", "ties", "nothing"])
     is_small = rng.random(n_runs) < 0.5
     small = {"ties": rng.choice([1, 2, 3, 6], n_runs) * 0.4e-9, "nothing": 1.0e-300}

@@ -1,4 +1,5 @@
-"""Instance image and depth with one ray per pixel centre: what the evaluator is tested against.
+"""Instance image and depth with one ray per pixel centre: what the evaluator is tested
+against.
 
 It shares nothing with the evaluator's pixels but the scene, the poses and the meshes:
 rays are cast by Embree, in single precision, every body in its own frame.
@@ -168,7 +169,8 @@ def cast_crops(
     road_poses: FloatArray,
     crops_px: IntArray,
 ) -> list[FloatRays]:
-    """Depths of one solid at many road poses (n, 4), in a part of the image for each, in one go.
+    """Depths of one solid at many road poses (n, 4), in a part of the image for each,
+    in one go.
 
     `crops_px` is (n, 4): x_min, y_min, x_max, y_max. Depths are float32, row by row,
     infinite where nothing is hit beyond the camera's nearest distance [m].
@@ -194,7 +196,9 @@ def cast_crops(
 
 
 def _into_body(lens: Lens, road_poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """R_lens_body (rows @ it: into the body's frame), and where the lens is in that frame."""
+    """R_lens_body (rows @ it: into the body's frame), and where the lens is in that
+    frame.
+    """
     rotations = body_rotation(road_poses[:, 2])
     offsets = np.repeat(lens.pose.position_m[None], len(road_poses), axis=0)
     offsets -= road_poses[:, [0, 1, 3]]

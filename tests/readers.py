@@ -1,4 +1,5 @@
-"""Every reader of files that users give, with small sound files: what the fuzz tests damage.
+"""Every reader of files that users give, with small sound files: what the fuzz tests
+damage.
 
 A new reader is covered by being registered here; test_fuzz.py fails if one is not.
 """
@@ -221,7 +222,8 @@ def _city_gml() -> str:
             f"{_CORNERS[i][0] + 390_000} {_CORNERS[i][1] + 5_819_000} {_CORNERS[i][2]}"
             for i in [*face, face[0]]
         )
-        + "</gml:posList></gml:LinearRing></gml:exterior></gml:Polygon></gml:surfaceMember>"
+        + "</gml:posList></gml:LinearRing></gml:exterior></gml:Polygon>"
+        + "</gml:surfaceMember>"
         for face in _FACES
     )
     return (
@@ -554,7 +556,8 @@ def _read_trajectories(path: Path) -> Any:
 
 def _trajectories() -> Mapping[str, tuple[str, Files]]:
     rows = [
-        f"{name},{0.1 * step:.1f},{x + 0.1 * step * u},{y + 0.1 * step * v},{heading},{word}"
+        f"{name},{0.1 * step:.1f},"
+        f"{x + 0.1 * step * u},{y + 0.1 * step * v},{heading},{word}"
         for name, x, y, u, v, heading, word in (
             ("a", 0.0, 0.0, 8.0, 0.0, 0.0, "car"),
             ("b", 30.0, -6.0, 0.0, 1.4, 90.0, "pedestrian"),
@@ -736,7 +739,10 @@ def _accidents() -> Mapping[str, tuple[str, Files]]:
         "collision_index,vehicle_reference,vehicle_type,vehicle_manoeuvre,vehicle_direction_to\n"
         "1,1,9,18,1\n1,2,1,18,3\n"
     )
-    casualties = "collision_index,vehicle_reference,casualty_class,pedestrian_movement\n1,2,1,0\n"
+    casualties = (
+        "collision_index,vehicle_reference,casualty_class,pedestrian_movement\n"
+        "1,2,1,0\n"
+    )
     return {
         "unfallatlas": _one("a.csv", b"\xef\xbb\xbf" + atlas.encode()),
         "stats19": (

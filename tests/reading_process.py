@@ -1,4 +1,5 @@
-"""A process that reads files on demand, within limits of memory and time: for the fuzz tests.
+"""A process that reads files on demand, within limits of memory and time: for the fuzz
+tests.
 
 A line of JSON comes in for each file, ``{"reader": .., "path": .., "is_sound": ..}``,
 and one goes out, ``{"outcome": "read" | "refused" | "failed", "text": ..}``. Who asks

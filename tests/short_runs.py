@@ -9,7 +9,9 @@ _PER_FRAME = (
 
 
 def cut_run(run, frames, **changed):
-    """A run with these of its frames alone, a slice; other fields may be changed, too."""
+    """A run with these of its frames alone, a slice; other fields may be changed,
+    too.
+    """
     return replace(
         run, **{name: getattr(run, name)[frames] for name in _PER_FRAME}, **changed
     )

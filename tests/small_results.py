@@ -113,7 +113,9 @@ def write_small_results(
     *,
     has_report: bool = False,
 ) -> None:
-    """Choose two cameras of a coarse grid, and write everything, with or without the report."""
+    """Choose two cameras of a coarse grid, and write everything, with or without the
+    report.
+    """
 
     def write_blank_report(folder: Path, *given: object, **options: object) -> None:
         (folder / "report.html").write_text("<p>no figures</p>")

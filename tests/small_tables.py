@@ -13,13 +13,17 @@ RULE = AebRule(
     deceleration_mps2=7.72, latency_s=0.025, n_confirmations=1, frame_rate_hz=10.0
 )
 MARGIN_S = 0.065
-"""Of a run that is avoided: its only frame in time is at -0.1 s, the last moment at -0.01 s."""
+"""Of a run that is avoided: its only frame in time is at -0.1 s, the last moment at
+-0.01 s.
+"""
 
 
 def avoiding_table(
     rows: Sequence[str], ids: Sequence[str] = (), weights: Sequence[float] = ()
 ) -> DetectionTable:
-    """A table of runs with one frame that counts: "101" is a pose that avoids the outer two."""
+    """A table of runs with one frame that counts: "101" is a pose that avoids the outer
+    two.
+    """
     n_runs = len(rows[0])
     share = np.array(weights or [1.0] * n_runs)
     axis = FrameAxis(

@@ -48,7 +48,9 @@ def cameras(draw) -> CameraModel:
 
 @st.composite
 def boxes_px(draw, size_px: int = 40, margin_px: int = 0) -> np.ndarray:
-    """A box with whole coordinates, within an image or a margin beyond it; it may be empty."""
+    """A box with whole coordinates, within an image or a margin beyond it; it may be
+    empty.
+    """
     x = sorted(
         draw(
             st.lists(
@@ -95,7 +97,8 @@ def build_encounter(
     origin_m: tuple[float, float] = (0.0, 0.0),
     vut_drive_s: float = 8.0,
 ) -> Encounter:
-    """An encounter in which the VUT's front first touches the VRU at time 0, at any angle.
+    """An encounter in which the VUT's front first touches the VRU at time 0, at any
+    angle.
 
     In the VUT's frame (front at x = 0, left at +y) the VRU's rearmost corner is at x =
     0 at time 0 and at `touch` (-1 = right edge, +1 = left edge) of the VUT's half

@@ -27,7 +27,9 @@ _PARKED_SHARE = 0.7
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SyntheticSize:
-    """Poles along both sides of four arms, their poses, and runs with all frames together."""
+    """Poles along both sides of four arms, their poses, and runs with all frames
+    together.
+    """
 
     n_sites: int = 100
     heights_m: tuple[float, ...] = (5.0, 8.0)
@@ -50,7 +52,9 @@ class SyntheticSize:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SyntheticInstance:
-    """V[c, f] as packed bits, the pole of every pose, and units per pole; runs weigh alike."""
+    """V[c, f] as packed bits, the pole of every pose, and units per pole; runs weigh
+    alike.
+    """
 
     axis: FrameAxis
     packed: NDArray[np.uint8]
@@ -70,7 +74,9 @@ class SyntheticInstance:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Frames:
-    """Positions of VRU and parked van by frame, (n_frames, 2), and heights in metres; 0: none."""
+    """Positions of VRU and parked van by frame, (n_frames, 2), and heights in metres;
+    0: none.
+    """
 
     vru_m: FloatArray
     van_start_m: FloatArray
@@ -81,7 +87,9 @@ class _Frames:
 def build_synthetic_instance(
     size: SyntheticSize | None = None, *, seed: int = 0, workers: int = 1
 ) -> SyntheticInstance:
-    """An instance, made pole by pole, directly as bits; the default size takes 1.25 GB."""
+    """An instance, made pole by pole, directly as bits; the default size takes 1.25
+    GB.
+    """
     if size is None:
         size = SyntheticSize()
     axis, frames = _drive(size, np.random.default_rng([seed, 0]))
@@ -243,7 +251,9 @@ def _aimed(
 def _is_grown_over(
     azimuth_deg: FloatArray, distance_m: FloatArray, random: np.random.Generator
 ) -> BoolArray:
-    """Frames in which trees and signs hide the VRU: a few sectors, each from some distance on."""
+    """Frames in which trees and signs hide the VRU: a few sectors, each from some
+    distance on.
+    """
     hidden = np.zeros(len(azimuth_deg), dtype=bool)
     for middle_deg in random.uniform(-180.0, 180.0, size=random.integers(3, 8)):
         away_deg = np.abs(azimuth_deg - middle_deg)
@@ -254,7 +264,9 @@ def _is_grown_over(
 
 
 def _is_hidden(pole_m: FloatArray, height_m: float, frames: _Frames) -> BoolArray:
-    """Frames in which the parked van stands in the line of sight to the VRU's middle."""
+    """Frames in which the parked van stands in the line of sight to the VRU's
+    middle.
+    """
     sight = frames.vru_m - pole_m
     van = frames.van_end_m - frames.van_start_m
     to_van = frames.van_start_m - pole_m

@@ -63,7 +63,9 @@ def write_for_ever(folder: Path) -> None:
 
 
 def in_a_child(work: Callable[[], object]) -> int:
-    """Process id of a child that does some work; it leaves nothing of this process behind."""
+    """Process id of a child that does some work; it leaves nothing of this process
+    behind.
+    """
     child = os.fork()
     if child:
         return child

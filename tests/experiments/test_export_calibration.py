@@ -1,4 +1,6 @@
-"""Calibrations, read back by OpenCV and PyYAML, against geometry.sensors' own projection."""
+"""Calibrations, read back by OpenCV and PyYAML, against geometry.sensors' own
+projection.
+"""
 
 from dataclasses import replace
 
@@ -93,8 +95,11 @@ def test_the_principal_point_is_in_the_middle_of_the_image(tmp_path):
     _, (camera,) = read_opencv(to_opencv(layout), tmp_path)
     found, _ = cv2.projectPoints(
         np.array([[0.0, 10.0, 6.0], [1.0, 10.0, 6.0], [0.0, 10.0, 5.0]]),
-        camera["rvec"], camera["t"], camera["camera_matrix"], None,
-    )  # fmt: skip
+        camera["rvec"],
+        camera["t"],
+        camera["camera_matrix"],
+        None,
+    )
     middle, east, below = found[:, 0]
     np.testing.assert_allclose(middle, [959.5, 539.5])  # pixels 0 .. 1919 and 0 .. 1079
     assert east[0] > middle[0]

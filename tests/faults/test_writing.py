@@ -63,7 +63,9 @@ def start(folder) -> Iterator:
 
 
 def assert_whole(folder: Path) -> str:
-    """The table and the results are whole, and of one writing each; returns the results'."""
+    """The table and the results are whole, and of one writing each; returns the
+    results'.
+    """
     table = read_table(folder)
     assert table is not None
     assert len(set(table.packed.ravel().tolist())) == 1

@@ -1,4 +1,6 @@
-"""A whole city on a street with three junctions: choice, folder, resume, workers, bad input."""
+"""A whole city on a street with three junctions: choice, folder, resume, workers, bad
+input.
+"""
 
 import json
 import os
@@ -86,7 +88,9 @@ def read_once(path, content, *reading):
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch, with_blank_pictures):
-    """Pictures are blank, and the same map is not read again: for `tiny` all of it is done."""
+    """Pictures are blank, and the same map is not read again: for `tiny` all of it is
+    done.
+    """
     monkeypatch.setattr(job, "to_png", blank_png)
     monkeypatch.setattr(
         importing,

@@ -1,4 +1,6 @@
-"""``--sensors``: several models in one question, with their prices among the objectives."""
+"""``--sensors``: several models in one question, with their prices among the
+objectives.
+"""
 
 import json
 

@@ -1,4 +1,6 @@
-"""Which large libraries a command loads: each costs a good part of a second at every call."""
+"""Which large libraries a command loads: each costs a good part of a second at every
+call.
+"""
 
 import os
 import subprocess

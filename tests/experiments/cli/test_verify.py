@@ -1,4 +1,6 @@
-"""``place-rsus verify``: what an optimisation has written, checked without the optimiser."""
+"""``place-rsus verify``: what an optimisation has written, checked without the
+optimiser.
+"""
 
 import json
 import shutil

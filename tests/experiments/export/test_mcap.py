@@ -32,7 +32,9 @@ SCENE = load_study_scene()
 
 @pytest.fixture(scope="module")
 def watched():
-    """A run behind parked cars; the first unit sees it from the tenth frame on, no other does."""
+    """A run behind parked cars; the first unit sees it from the tenth frame on, no
+    other does.
+    """
     run = find_run("CPNCO-50/east/40", SCENE)
     units = load_carlancap_layout().units
     detected = {unit.id: np.zeros(len(run.time_s), dtype=bool) for unit in units}

@@ -1,4 +1,6 @@
-"""Placements and comparisons with cars that see, from the question to the checked folder."""
+"""Placements and comparisons with cars that see, from the question to the checked
+folder.
+"""
 
 import json
 import shutil

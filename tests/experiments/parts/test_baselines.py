@@ -1,4 +1,6 @@
-"""Random layouts and an expert's rule beside layouts found, and beside layouts compared."""
+"""Random layouts and an expert's rule beside layouts found, and beside layouts
+compared.
+"""
 
 import json
 from dataclasses import replace

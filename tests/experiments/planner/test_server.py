@@ -1,4 +1,6 @@
-"""The server without a browser: who is let in, what is answered, and that numbers agree."""
+"""The server without a browser: who is let in, what is answered, and that numbers
+agree.
+"""
 
 import asyncio
 import base64

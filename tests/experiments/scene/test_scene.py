@@ -1,4 +1,6 @@
-"""``place-rsus scene`` on small hand-made maps, and ``--scene`` with what it makes of them."""
+"""``place-rsus scene`` on small hand-made maps, and ``--scene`` with what it makes of
+them.
+"""
 
 import csv
 import io
@@ -408,10 +410,17 @@ def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
         "schema": "place-rsus/layout/1",
         "name": "mine",
         "layout": [
-            {"id": "a", "x_m": 9.0, "y_m": 9.0, "z_m": 6.0, "yaw_deg": 0.0, "pitch_deg": -20.0,
-             "camera": "carla-ncap-rgb"},
+            {
+                "id": "a",
+                "x_m": 9.0,
+                "y_m": 9.0,
+                "z_m": 6.0,
+                "yaw_deg": 0.0,
+                "pitch_deg": -20.0,
+                "camera": "carla-ncap-rgb",
+            },
         ],
-    }  # fmt: skip
+    }
     path = tmp_path / "mine.json"
     path.write_text(json.dumps(layout))
     given = ["export", "--layout", str(path), "--scene", str(out), "--format"]

@@ -1,4 +1,6 @@
-"""Every rule of presolve alone, on random problems, against the enumeration of ``oracle``."""
+"""Every rule of presolve alone, on random problems, against the enumeration of
+``oracle``.
+"""
 
 from dataclasses import replace
 from itertools import combinations
@@ -59,7 +61,9 @@ def best_by_stage(
 
 
 def check_stages(problem: PlacementProblem, reduced: ReducedProblem) -> bool:
-    """Check that the poses left reach the best value of every stage; False: no layout."""
+    """Check that the poses left reach the best value of every stage; False: no
+    layout.
+    """
     oracle = Oracle(problem)
     if not oracle.layouts:
         return False

@@ -1,4 +1,6 @@
-"""What a layout may lack of the best over all worlds: limits, and how often they hold."""
+"""What a layout may lack of the best over all worlds: limits, and how often they
+hold.
+"""
 
 from dataclasses import replace
 from itertools import combinations
@@ -36,7 +38,8 @@ def test_limits_are_those_of_the_formula():
 
 
 def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
-    """Shares of gaps, and of their upper and lower ends, that hold where the optimum is known.
+    """Shares of gaps, and of their upper and lower ends, that hold where the optimum is
+    known.
 
     Ten poses, two of which are mounted. In a world each pose sees each of twelve runs
     with a probability of its own, so that the APR of a pair over all worlds has a
@@ -266,7 +269,9 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
 
 
 def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
-    """Rounds whose layouts differ and have some APRs in fresh worlds; each takes some seconds."""
+    """Rounds whose layouts differ and have some APRs in fresh worlds; each takes some
+    seconds.
+    """
     units, rounds, clock = load_carlancap_layout().units, iter(range(len(aprs))), [0.0]
     real = place
     judge = Assembly.in_fresh_worlds

@@ -260,7 +260,9 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
 def test_a_world_beside_others_is_as_it_is_alone(
     setting, candidates, default, planner, lens
 ):
-    """What is kept of one world, for eyes that come up again, is what is found in another."""
+    """What is kept of one world, for eyes that come up again, is what is found in
+    another.
+    """
     if lens is not None:
         candidates = [
             replace(
