@@ -19,7 +19,9 @@ from placement.compute import Compute
 from placement.layout import Layout, layout_records, load_carlancap_layout
 from placement.question import Question
 
-pytestmark = pytest.mark.system
+# In a browser, which takes long. What the page is made of, quickly:
+# report/test_page.py
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 
 KINDS = ("placement", "comparison", "missed", "many")

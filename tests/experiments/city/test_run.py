@@ -138,6 +138,8 @@ def fronts_of(folder):
     return [load_front(path) for path in sorted(folder.glob("junctions/*/front.json"))]
 
 
+# Quickly: tests/placement/city/test_knapsack.py
+@pytest.mark.long
 def test_the_choice_is_the_best_of_all_points_of_three_junctions(
     tiny, city, never, no_pages
 ):
@@ -463,6 +465,8 @@ def test_weights_decide_and_what_is_not_used_is_told(
     assert lost in result.notes
 
 
+# Quickly: test_weights_decide_and_what_is_not_used_is_told
+@pytest.mark.long
 def test_scores_and_accidents_around_each_junction_make_its_front(
     tiny, tmp_path, here, no_pages
 ):
@@ -934,6 +938,8 @@ def test_the_slider_has_each_step_of_the_front_and_the_choice(tiny, city, never)
         }
 
 
+# Quickly: test_the_slider_has_each_step_of_the_front_and_the_choice
+@pytest.mark.long
 @pytest.mark.system
 def test_the_page_runs_by_itself_and_its_slider_says_who_gets_what(tiny):
     page_of = tiny / "city" / "report.html"

@@ -60,6 +60,8 @@ def vans(monkeypatch):
     )
 
 
+# Quickly: tests/placement/sampling/test_traffic.py
+@pytest.mark.long
 @pytest.mark.usefixtures("vans")
 def test_traffic_drives_by_in_sampled_worlds(run, small_study, monkeypatch, request):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)

@@ -4,6 +4,8 @@ objectives.
 
 import json
 
+import pytest
+
 from experiments.cli.answers import unit_notes
 from experiments.results.record import UnitRecord
 from placement.candidates import build_candidates, build_grid
@@ -24,6 +26,8 @@ def model_of(unit):
     return unit.get("camera") or unit["lidar"]
 
 
+# Quickly: tests/placement/optimiser/test_limits.py, with prices made up
+@pytest.mark.long
 def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(
     run, small_study, without_figures
 ):

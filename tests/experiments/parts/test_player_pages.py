@@ -19,7 +19,9 @@ from experiments.language import speaking
 from experiments.parts.player import interactive_part
 from experiments.report.page import page_environment
 
-pytestmark = pytest.mark.system
+# In a browser, which takes long. What the page is made of, quickly:
+# test_player.py
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 
 FRAME = "document.getElementById('player-frame')"

@@ -46,7 +46,9 @@ from placement.layout import Layout, load_carlancap_layout, load_layout
 from scenarios.cases import load_case_sets
 from scenarios.weights import WEIGHT_WORDS
 
-pytestmark = pytest.mark.system
+# In a browser, which takes long. What the page is made of, quickly:
+# test_server.py and test_plan.py
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 PATIENCE_MS = 120_000
 CROSSING = Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm"

@@ -589,6 +589,8 @@ def test_the_junctions_of_a_map_stand_on_a_page_with_streets_and_names(chooser):
     assert "--staggered 40 --junction" in page
 
 
+# Quickly: what the map's page is made of, above
+@pytest.mark.long
 @pytest.mark.system
 def test_a_junction_is_chosen_on_the_map_or_in_the_list(chooser):
     with start_browser() as browser, open_page(browser, chooser.as_uri()) as page:
