@@ -27,7 +27,9 @@ from scenarios.runs import FrameAxis
 TAKES_USABLE = {Rule.NEEDLESS_POSES, Rule.DOMINATED_POSES}
 """Rules that take it for granted that poses are usable."""
 N_PROBLEMS = 150
-SUBSETS = [{rule} | ({Rule.UNUSABLE_POSES} & ALL_RULES) for rule in TAKES_USABLE]
+SUBSETS = [
+    {rule} | ({Rule.UNUSABLE_POSES} & ALL_RULES) for rule in sorted(TAKES_USABLE)
+]
 ALONE = [
     *({rule} for rule in sorted(Rule) if rule not in TAKES_USABLE),
     *SUBSETS,
