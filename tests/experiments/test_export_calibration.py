@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from experiments.export.calibration import calibrations
+from experiments.export.calibration import calibrations, quaternion
 from experiments.export.opencv import to_opencv
 from experiments.export.ros import camera_names, to_ros
 from geometry.errors import InputError
@@ -240,4 +240,16 @@ def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
     assert (
         both[2]
         == "place-rsus: --calibration: got it with --layout; expected one of them\n"
+    )
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 90.0, 170.0, 190.0, 270.0])
+def test_of_the_two_quaternions_of_a_rotation_the_one_with_positive_w_is_written(
+    turn_deg,
+):
+    rotation = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
+    written = quaternion(rotation)
+    assert written[3] >= 0.0
+    np.testing.assert_allclose(
+        Rotation.from_quat(written).as_matrix(), rotation, atol=1e-12
     )
