@@ -245,6 +245,8 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
             assert found.placement.layout.units == alone.layout.units
 
 
+# Quickly: test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat
+@pytest.mark.long
 def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
     monkeypatch.setattr(certifying, "N_JUDGED", 3)
     monkeypatch.setattr(pipeline, "N_JUDGED", 3)
@@ -331,6 +333,8 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
     assert found.placement.problem.sample_index.max() + 1 == taken
 
 
+# Quickly: test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up
+@pytest.mark.long
 def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
     found = scripted(monkeypatch, [LOW, HIGH], sizes=(1, 2))
     assert (found.growth.taken, found.growth.stopped) == (2, "most")
