@@ -54,8 +54,8 @@ BLOCK = 2_000
 @pytest.mark.long
 @pytest.mark.parametrize("block", range(-(-N_PROBLEMS // BLOCK)))
 def test_thousands_of_answers_are_as_the_enumeration_says(block: int) -> None:
-    """Alone: ``PYTHONPATH=. python tests/oracle_checks.py FIRST END`` also says the
-    rates.
+    """Alone: ``PYTHONPATH=. python tests/support/oracle_checks.py FIRST END`` also says
+    the rates.
     """
     first = BLOCK * block
     parts = [range(begin, begin + 500) for begin in range(first, first + BLOCK, 500)]

@@ -1,9 +1,9 @@
 """Fuzz one reader, guided by which lines its input reaches; not part of the suite.
 
-``PYTHONPATH=tests:. uv run --with atheris==3.0.0 python tests/coverage_fuzz.py
-READER``, and options of libFuzzer such as ``-max_total_time=600``. Readers are those of
-``readers.py``; it begins with their sound files, and ends at an input that is neither
-read nor refused, which it keeps.
+``PYTHONPATH=tests/support:. uv run --with atheris==3.0.0 python
+tests/support/coverage_fuzz.py READER``, and options of libFuzzer such as
+``-max_total_time=600``. Readers are those of ``readers.py``; it begins with their sound
+files, and ends at an input that is neither read nor refused, which it keeps.
 """
 
 import contextlib

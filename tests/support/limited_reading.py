@@ -10,7 +10,7 @@ from pathlib import Path
 
 from readers import Files
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 WALL_S = 120.0  # for one file, on a machine that does other things, too
 
 
@@ -23,9 +23,12 @@ class Process:
     def ask(self, reader: str, path: Path, *, is_sound: bool = False) -> dict[str, str]:
         """What became of a file; a process that ends or waits has failed."""
         if self.running is None:
-            folders = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
+            folders = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "support")))
             self.running = subprocess.Popen(
-                [sys.executable, str(ROOT / "tests" / "reading_process.py")],
+                [
+                    sys.executable,
+                    str(ROOT / "tests" / "support" / "reading_process.py"),
+                ],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,

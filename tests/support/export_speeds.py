@@ -1,4 +1,4 @@
-"""Sizes and times of exports: ``python tests/export_speeds.py`` writes
+"""Sizes and times of exports: ``python tests/support/export_speeds.py`` writes
 results/exports.md.
 """
 
@@ -67,8 +67,8 @@ def main(path: Path = Path("results/exports.md")) -> None:
         "# Sizes and times of exports",
         "",
         (
-            "`uv run python tests/export_speeds.py` wrote this page. Libraries are"
-            " loaded before."
+            "`uv run python tests/support/export_speeds.py` wrote this page."
+            " Libraries are loaded before."
         ),
         "",
         *markdown_table(heads, measure_exports()),

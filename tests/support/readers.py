@@ -20,7 +20,7 @@ import numpy as np
 
 Files = Mapping[str, bytes]  # by name, in a folder
 
-TOML_FOLDER = Path(__file__).parents[1] / "docs" / "files"
+TOML_FOLDER = Path(__file__).parents[2] / "docs" / "files"
 
 
 @dataclass(frozen=True)
