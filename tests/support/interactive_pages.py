@@ -82,8 +82,9 @@ def with_evil_names(setting):
     called.
     """
     scene = setting.scene
+    printable = EVIL.replace("\u2028", "")  # a scene takes no other id
     things = [
-        replace(thing, id=f"{EVIL} {number}")
+        replace(thing, id=f"{printable} {number}")
         for number, thing in enumerate(scene.instances)
     ]
     return replace(setting, scene=replace(scene, name=EVIL, instances=tuple(things)))
