@@ -58,7 +58,9 @@ def pytest_collect_file():
 
 
 def pytest_collectstart(collector):
-    """Tests take the number of their examples from the profile in force when they are imported."""
+    """Tests take the number of their examples from the profile in force when they are
+    imported.
+    """
     if (
         isinstance(collector, pytest.Module)
         and settings.get_current_profile_name() != "thorough"
@@ -68,7 +70,8 @@ def pytest_collectstart(collector):
 
 
 def pytest_collection_modifyitems(items):
-    """Files that compile most come first, each what no other does, then those that need least.
+    """Files that compile most come first, each what no other does, then those that need
+    least.
 
     What one process has compiled, the others find: two that begin alike would do so
     twice.
@@ -84,7 +87,8 @@ def _turn(nodeid):
 
 
 def pytest_collection_finish():
-    """What is loaded by now stays: the garbage collector need not look at it again and again.
+    """What is loaded by now stays: the garbage collector need not look at it again and
+    again.
 
     It looks seldom at the rest, too, for figures and drawn examples are many small
     objects.

@@ -83,7 +83,9 @@ def _commands() -> Iterator[tuple[Path, str]]:
 
 
 def _parse(words: list[str]) -> None:
-    """Parse a command line with its subcommands, and run none of them; a name alone is enough."""
+    """Parse a command line with its subcommands, and run none of them; a name alone is
+    enough.
+    """
     command: click.Command = cli
     parent: click.Context | None = None
     name = "place-rsus"
@@ -119,7 +121,9 @@ def test_an_option_that_does_not_exist_does_not_parse() -> None:
 
 
 def _missing_files(text: str, page: Path) -> list[str]:
-    """Paths in a text that lead nowhere, neither from the root nor from a folder above the page."""
+    """Paths in a text that lead nowhere, neither from the root nor from a folder above
+    the page.
+    """
     folders = [
         ROOT,
         *(folder for folder in page.parents if folder.is_relative_to(ROOT)),
@@ -148,7 +152,9 @@ def _missing_modules(text: str) -> list[str]:
 
 
 def _is_named_in(place: Path, name: str) -> bool:
-    """Does a module or package have a name? Packages list theirs in ``__init__.pyi`` or ``.py``."""
+    """Does a module or package have a name? Packages list theirs in ``__init__.pyi`` or
+    ``.py``.
+    """
     if place.is_file():
         files = [place]
     else:

@@ -1,4 +1,6 @@
-"""The packages as libraries: each public name is there, and is loaded when it is first used."""
+"""The packages as libraries: each public name is there, and is loaded when it is first
+used.
+"""
 
 import importlib
 import subprocess

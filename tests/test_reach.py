@@ -1,4 +1,5 @@
-"""What the main job can load: modules that imports lead to from ``experiments.cli.place``.
+"""What the main job can load: modules that imports lead to from
+``experiments.cli.place``.
 
 Imports count wherever they stand, inside functions too: what a module could need at
 some time is what a reader of it has to know.
@@ -54,7 +55,9 @@ def imported_names(module):
 
 
 def imported_modules(module):
-    """Modules of this project that a module imports, and the packages that they are in."""
+    """Modules of this project that a module imports, and the packages that they are
+    in.
+    """
     found = set()
     for name in imported_names(module):
         parts = name.split(".")

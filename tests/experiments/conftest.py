@@ -28,7 +28,9 @@ from placement.candidates import CandidatePose
 from placement.layout import Layout
 
 FEW_WORLDS = 2
-"""That choose between the layout found and greedy choice's, and judge layouts, in place of 60."""
+"""That choose between the layout found and greedy choice's, and judge layouts, in place
+of 60.
+"""
 
 
 @pytest.fixture(scope="session")
@@ -63,7 +65,9 @@ def small_study(few_runs, with_blank_pictures, monkeypatch):
 
 @pytest.fixture(scope="session")
 def whole_placement(small_setting, tmp_path_factory):
-    """Where two units were placed, with report and figures: results, what was said and told."""
+    """Where two units were placed, with report and figures: results, what was said and
+    told.
+    """
 
     def place(folder: Path) -> None:
         with pytest.MonkeyPatch.context() as patch, chdir(folder):
@@ -123,7 +127,9 @@ def without_figures(monkeypatch):
 
 @pytest.fixture
 def with_blank_pictures():
-    """Pictures of a report are blank: drawing takes long, and tests of words need none."""
+    """Pictures of a report are blank: drawing takes long, and tests of words need
+    none.
+    """
     with blank_pictures():
         yield
 

@@ -1,4 +1,6 @@
-"""Calibrations, read back by OpenCV and PyYAML, against geometry.sensors' own projection."""
+"""Calibrations, read back by OpenCV and PyYAML, against geometry.sensors' own
+projection.
+"""
 
 from dataclasses import replace
 
@@ -11,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from experiments.export.calibration import calibrations
+from experiments.export.calibration import calibrations, quaternion
 from experiments.export.opencv import to_opencv
 from experiments.export.ros import camera_names, to_ros
 from geometry.errors import InputError
@@ -93,8 +95,11 @@ def test_the_principal_point_is_in_the_middle_of_the_image(tmp_path):
     _, (camera,) = read_opencv(to_opencv(layout), tmp_path)
     found, _ = cv2.projectPoints(
         np.array([[0.0, 10.0, 6.0], [1.0, 10.0, 6.0], [0.0, 10.0, 5.0]]),
-        camera["rvec"], camera["t"], camera["camera_matrix"], None,
-    )  # fmt: skip
+        camera["rvec"],
+        camera["t"],
+        camera["camera_matrix"],
+        None,
+    )
     middle, east, below = found[:, 0]
     np.testing.assert_allclose(middle, [959.5, 539.5])  # pixels 0 .. 1919 and 0 .. 1079
     assert east[0] > middle[0]
@@ -235,4 +240,16 @@ def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
     assert (
         both[2]
         == "place-rsus: --calibration: got it with --layout; expected one of them\n"
+    )
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 90.0, 170.0, 190.0, 270.0])
+def test_of_the_two_quaternions_of_a_rotation_the_one_with_positive_w_is_written(
+    turn_deg,
+):
+    rotation = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
+    written = quaternion(rotation)
+    assert written[3] >= 0.0
+    np.testing.assert_allclose(
+        Rotation.from_quat(written).as_matrix(), rotation, atol=1e-12
     )

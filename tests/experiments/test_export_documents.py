@@ -213,14 +213,18 @@ def test_cpm_opens_from_left_to_right_and_from_below_to_above(yaw_deg, pitch_deg
     sensor = layout.units[0].sensor
     for start, end, middle_deg, fov_deg in (
         (
-            "stationaryHorizontalOpeningAngleStart", "stationaryHorizontalOpeningAngleEnd",
-            90.0 - yaw_deg, sensor.horizontal_fov_deg,
+            "stationaryHorizontalOpeningAngleStart",
+            "stationaryHorizontalOpeningAngleEnd",
+            90.0 - yaw_deg,
+            sensor.horizontal_fov_deg,
         ),
         (
-            "verticalOpeningAngleStart", "verticalOpeningAngleEnd",
-            pitch_deg, sensor.vertical_fov_deg,
+            "verticalOpeningAngleStart",
+            "verticalOpeningAngleEnd",
+            pitch_deg,
+            sensor.vertical_fov_deg,
         ),
-    ):  # fmt: skip
+    ):
         opening = (shape[end] - shape[start]) % 3600 / 10.0
         assert opening == pytest.approx(fov_deg, abs=0.11)
         middle = shape[start] / 10.0 + 0.5 * opening

@@ -65,8 +65,10 @@ def test_parquet_reads_back_bit_by_bit(build, scene):
     assert extra == (["longitude_deg", "latitude_deg"] if scene.crs else [])
     schema = pq.read_schema(io.BytesIO(content))
     assert [str(schema.field(name).type) for name in ("id", "x_m", "pitch_deg")] == [
-        "string", "double", "double",
-    ]  # fmt: skip
+        "string",
+        "double",
+        "double",
+    ]
     if scene.crs:
         there = Transformer.from_crs("EPSG:4326", scene.crs, always_xy=True)
         x_m, y_m = there.transform(table.longitude_deg, table.latitude_deg)

@@ -1,4 +1,6 @@
-"""Every message of an answer has a German translation, with the same names in braces."""
+"""Every message of an answer has a German translation, with the same names in
+braces.
+"""
 
 import ast
 import copy
@@ -212,7 +214,9 @@ def test_an_unknown_language_has_no_catalogue():
 
 
 class Said(HTMLParser):
-    """What a page says to people: texts, names for those who do not see it, names of its runs."""
+    """What a page says to people: texts, names for those who do not see it, names of
+    its runs.
+    """
 
     def __init__(self, page):
         super().__init__()
@@ -274,7 +278,9 @@ def bracketed(monkeypatch):
 
 @pytest.fixture
 def mine(tmp_path):
-    """Files of a layout of a camera, of one with a LiDAR, too, and of a private area."""
+    """Files of a layout of a camera, of one with a LiDAR, too, and of a private
+    area.
+    """
     unit = {
         "site": "",
         "x_m": -115.0,
@@ -468,7 +474,9 @@ def test_no_word_of_the_planners_page_is_left_over():
 
 
 def test_scripts_of_the_planners_page_say_literals_and_nothing_else():
-    """Each call of tr and trn is collected; no other literal has two words of a sentence."""
+    """Each call of tr and trn is collected; no other literal has two words of a
+    sentence.
+    """
     scripts = [
         path.read_text() for path in sorted((ROOT / "planner" / "page").glob("*.js"))
     ]

@@ -1,4 +1,6 @@
-"""Whole reports in a browser: on a phone, by keyboard, to a screen reader, and on paper."""
+"""Whole reports in a browser: on a phone, by keyboard, to a screen reader, and on
+paper.
+"""
 
 import shutil
 import subprocess
@@ -17,7 +19,9 @@ from placement.compute import Compute
 from placement.layout import Layout, layout_records, load_carlancap_layout
 from placement.question import Question
 
-pytestmark = pytest.mark.system
+# In a browser, which takes long. What the page is made of, quickly:
+# report/test_page.py
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 
 KINDS = ("placement", "comparison", "missed", "many")
@@ -107,9 +111,7 @@ def test_runs_that_are_missed_are_told_where_there_are_any(browser, addresses):
             assert ("of them hit" in " ".join(texts(page, "summary"))) == is_told
 
 
-def test_on_a_phone_letters_are_large_contents_lead_everywhere_and_nothing_scrolls_sideways(
-    browser, address
-):
+def test_on_a_phone_letters_are_large_and_nothing_scrolls_sideways(browser, address):
     with open_page(browser, address, width=360, reduced_motion="reduce") as page:
         assert page.get_attribute("#contents", "open") is None
         check_letters_are_no_smaller_than_9_pixels(page)
@@ -145,7 +147,8 @@ def test_rows_are_named_in_sight_when_a_table_is_moved(browser, addresses):
                     box.scrollLeft = box.scrollWidth;
                     const head = box.querySelector('tbody th');
                     return [box.scrollLeft,
-                        head.getBoundingClientRect().left - box.getBoundingClientRect().left];
+                        head.getBoundingClientRect().left
+                        - box.getBoundingClientRect().left];
                 })"""
         )
     assert len(lefts) > 3
@@ -214,10 +217,13 @@ FAULTS = """() => {
     const faults = [];
     const all = (selector) => [...document.querySelectorAll(selector)];
     const check = (holds, what, element) => {
-        if (!holds) faults.push(`${what}: ${element ? element.outerHTML.slice(0, 120) : ''}`);
+        const shown = element ? element.outerHTML.slice(0, 120) : '';
+        if (!holds) faults.push(`${what}: ${shown}`);
     };
     const named = (element) => Boolean(
-        element.getAttribute('aria-label') || element.labels?.length || element.textContent.trim()
+        element.getAttribute('aria-label')
+        || element.labels?.length
+        || element.textContent.trim()
         || element.getAttribute('aria-labelledby'));
     check(document.documentElement.lang === 'en', 'language');
     check(document.title, 'title');
@@ -237,17 +243,20 @@ FAULTS = """() => {
     all('input, select').forEach((item) => check(
         item.getAttribute('aria-label') || item.labels.length, 'no label', item));
     all('[tabindex="0"]').forEach((item) => check(
-        item.getAttribute('aria-label') && item.getAttribute('role'), 'stop without name', item));
+        item.getAttribute('aria-label') && item.getAttribute('role'),
+        'stop without name', item));
     all('table').forEach((table) => {
         check(table.caption?.textContent.trim(), 'no caption', table);
-        table.querySelectorAll('th').forEach((head) => check(head.scope, 'no scope', head));
+        const heads = table.querySelectorAll('th');
+        heads.forEach((head) => check(head.scope, 'no scope', head));
         table.querySelectorAll('tbody tr').forEach((row) => check(
             row.cells[0].matches('th[scope=row]'), 'no head of row', row));
     });
     const ids = all('[id]').map((item) => item.id);
     check(new Set(ids).size === ids.length, 'ids repeat');
     all('[aria-labelledby]').forEach((item) => check(
-        document.getElementById(item.getAttribute('aria-labelledby')), 'label is missing', item));
+        document.getElementById(item.getAttribute('aria-labelledby')),
+        'label is missing', item));
     return faults;
 }"""
 
@@ -265,7 +274,8 @@ CONTRASTS = """() => {
         const share = level / 255;
         return share <= 0.04045 ? share / 12.92 : ((share + 0.055) / 1.055) ** 2.4;
     };
-    const luminance = ([r, g, b]) => 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+    const luminance = ([r, g, b]) =>
+        0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
     const behind = (element) => {
         for (let item = element; item; item = item.parentElement) {
             const colour = parse(getComputedStyle(item).backgroundColor);
@@ -280,10 +290,14 @@ CONTRASTS = """() => {
         found[key] = (a + 0.05) / (b + 0.05);
     };
     for (const element of document.querySelectorAll('body *:not(script):not(svg *)')) {
-        if (![...element.childNodes].some((n) => n.nodeType === 3 && n.data.trim())) continue;
+        const hasText = [...element.childNodes].some(
+            (node) => node.nodeType === 3 && node.data.trim());
+        if (!hasText) continue;
         note(parse(getComputedStyle(element).color), behind(element), element);
         const after = getComputedStyle(element, '::after');
-        if (after.content !== 'none') note(parse(after.color), behind(element), element);
+        if (after.content !== 'none') {
+            note(parse(after.color), behind(element), element);
+        }
     }
     for (const text of document.querySelectorAll('#player-heatmap svg text'))
         note(parse(getComputedStyle(text).fill), [255, 255, 255], text);

@@ -27,7 +27,9 @@ ZERO_M = 371.25
 
 
 def hillside(scene):
-    """A scene whose ground rises by 8 % to the east and 3 % to the north, 0 in the middle."""
+    """A scene whose ground rises by 8 % to the east and 3 % to the north, 0 in the
+    middle.
+    """
     east = np.arange(-227.0, -26.0, 5.0)
     north = np.arange(-100.0, 101.0, 5.0)
     height_m = 0.08 * (east[None, :] + 127.0) + 0.03 * north[:, None]

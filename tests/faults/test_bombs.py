@@ -1,4 +1,6 @@
-"""Small files that unpack to much, or claim it: refused in 10 s of processor time and 1 GiB."""
+"""Small files that unpack to much, or claim it: refused in 10 s of processor time and 1
+GiB.
+"""
 
 import io
 import json
@@ -91,7 +93,9 @@ def instance(path: Path) -> Path:
 
 
 def shifted_roofs(path: Path) -> Path:
-    """Roofs 6 km high: what a height in another unit, or a damaged scale, makes of a house."""
+    """Roofs 6 km high: what a height in another unit, or a damaged scale, makes of a
+    house.
+    """
     import laspy
 
     header = laspy.LasHeader(point_format=6, version="1.4")

@@ -1,4 +1,6 @@
-"""Inputs that once ended in a traceback, for ever, or in gigabytes: one line each, in time."""
+"""Inputs that once ended in a traceback, for ever, or in gigabytes: one line each, in
+time.
+"""
 
 import io
 import json

@@ -1,6 +1,8 @@
-"""Damaged files of every kind: each is read, or refused in one line, in little time and memory.
+"""Damaged files of every kind: each is read, or refused in one line, in little time and
+memory.
 
-In the whole suite for a few seconds, the same files every time. For as long as you like::
+In the whole suite for a few seconds, the same files every time. For as long as you
+like::
 
     pytest -n 0 tests/faults/test_fuzz.py --fuzz-seconds 600 --fuzz-seed 7
 """

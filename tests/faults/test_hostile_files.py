@@ -1,4 +1,6 @@
-"""Small files that would cost gigabytes, hang, or be refused for another reason than theirs."""
+"""Small files that would cost gigabytes, hang, or be refused for another reason than
+theirs.
+"""
 
 import dataclasses
 import json

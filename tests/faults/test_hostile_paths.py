@@ -1,4 +1,6 @@
-"""Paths that name no plain file, files that hold more than they seem, options without effect."""
+"""Paths that name no plain file, files that hold more than they seem, options without
+effect.
+"""
 
 import json
 import os
@@ -55,7 +57,9 @@ def make_link_to_device(path: Path) -> None:
 
 
 def identity(path: Path) -> tuple[int, int, int, int]:
-    """Not when it was last accessed: to read where a link leads may count as an access."""
+    """Not when it was last accessed: to read where a link leads may count as an
+    access.
+    """
     found = path.lstat()
     return found.st_ino, found.st_mode, found.st_size, found.st_mtime_ns
 

@@ -1,4 +1,5 @@
-"""Results that somebody has changed: ``verify`` finds it, or names it, and ``--deep`` finds it.
+"""Results that somebody has changed: ``verify`` finds it, or names it, and ``--deep``
+finds it.
 
 After every change the list of hashes is made anew, and with it what else the change
 would give away, so that the files agree as well as whoever changed them could make them
@@ -174,7 +175,9 @@ def both(change: Callable[[Document], object]) -> Change:
 
 
 def instance(change: Callable[[StoredProblem, int], StoredProblem]) -> Change:
-    """Another instance, with its hash and sizes in the certificate; given the first unit's row."""
+    """Another instance, with its hash and sizes in the certificate; given the first
+    unit's row.
+    """
 
     def rewrite(folder: Path) -> None:
         row = json.loads((folder / "certificate.json").read_text())["layout"][0]["row"]
@@ -187,7 +190,9 @@ def instance(change: Callable[[StoredProblem, int], StoredProblem]) -> Change:
 
 
 def mounts(**values: Callable[[Any, int], Any]) -> Change:
-    """Fields of the mounts otherwise: functions of the old value and the first unit's row."""
+    """Fields of the mounts otherwise: functions of the old value and the first unit's
+    row.
+    """
 
     def change(stored: StoredProblem, row: int) -> StoredProblem:
         assert stored.mounts is not None
@@ -851,7 +856,9 @@ def test_verify_alone_names_what_only_deep_finds(results, deep, name):
 
 
 def test_every_value_of_a_summary_is_compared_with_the_one_made_anew(written):
-    """Whatever is changed differs; times and versions do not count, what was asked is used."""
+    """Whatever is changed differs; times and versions do not count, what was asked is
+    used.
+    """
     document = json.loads((written / "summary.json").read_text())
     assert anew.differences(document, json.loads(json.dumps(document))) == []
     n_changed = 0
@@ -869,7 +876,9 @@ def test_every_value_of_a_summary_is_compared_with_the_one_made_anew(written):
 
 
 def leaves(node: Any) -> Iterator[tuple[Any, Any]]:
-    """Every value in a document that holds no others, by what holds it and its key there."""
+    """Every value in a document that holds no others, by what holds it and its key
+    there.
+    """
     if isinstance(node, dict):
         items = node.items()
     else:

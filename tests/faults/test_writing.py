@@ -37,9 +37,13 @@ def folder(tmp_path):
 @pytest.fixture
 def start(folder) -> Iterator:
     """Begins to write: the writer's process id."""
-    folders = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
+    folders = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "support")))
     maker = subprocess.Popen(
-        [sys.executable, str(ROOT / "tests" / "writing_process.py"), str(folder)],
+        [
+            sys.executable,
+            str(ROOT / "tests" / "support" / "writing_process.py"),
+            str(folder),
+        ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -63,7 +67,9 @@ def start(folder) -> Iterator:
 
 
 def assert_whole(folder: Path) -> str:
-    """The table and the results are whole, and of one writing each; returns the results'."""
+    """The table and the results are whole, and of one writing each; returns the
+    results'.
+    """
     table = read_table(folder)
     assert table is not None
     assert len(set(table.packed.ravel().tolist())) == 1

@@ -35,7 +35,9 @@ def _mesh(shape) -> trimesh.Trimesh:
 
 
 def _depth_m(shape, axis: int, *, side: int = -1, step_m: float = 0.01) -> np.ndarray:
-    """Depth of the body along a horizontal axis, by parallel rays: rows up, columns across."""
+    """Depth of the body along a horizontal axis, by parallel rays: rows up, columns
+    across.
+    """
     across = np.arange(-2.5, 2.5, step_m) + 0.5 * step_m
     up = np.arange(0.0, 2.0, step_m) + 0.5 * step_m
     origins = np.zeros((len(up), len(across), 3), dtype=np.float32)
@@ -56,7 +58,9 @@ def _silhouette_m2(shape, axis: int) -> float:
 
 
 def _assert_same_but_for_edges(depth_m, other_m):
-    """Small triangles are merged with a tolerance of 2 mm; at the outline it decides on a hit."""
+    """Small triangles are merged with a tolerance of 2 mm; at the outline it decides on
+    a hit.
+    """
     is_hit = np.isfinite(depth_m)
     is_other = np.isfinite(other_m)
     assert (is_hit != is_other).sum() < 0.02 * is_hit.sum()

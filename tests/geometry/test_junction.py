@@ -61,7 +61,7 @@ def test_lanes_are_ordered_from_the_kerb_to_the_axis_however_the_junction_lies(
             assert [lane.id[-1] for lane in ordered] == ["0", "1", "2"]
 
 
-def test_the_studys_junction_has_two_driving_lanes_each_way_and_parking_lanes_north_and_south():
+def test_the_studys_junction_has_two_lanes_each_way_and_parks_north_and_south():
     arms = build_junction(load_study_scene()).arms
     assert sorted(arms) == ["east", "north", "south", "west"]
     for name, arm in arms.items():

@@ -1,4 +1,6 @@
-"""Machine code in the user's cache, by processes of their own: what is loaded stays loaded."""
+"""Machine code in the user's cache, by processes of their own: what is loaded stays
+loaded.
+"""
 
 import json
 import os
@@ -92,7 +94,9 @@ def starter():
 
 @pytest.fixture(scope="module")
 def start(starter, tmp_path_factory):
-    """Start a program that sums, by the modules of a folder, with another one as the cache."""
+    """Start a program that sums, by the modules of a folder, with another one as the
+    cache.
+    """
     place = tmp_path_factory.mktemp("program")
     (place / "summing.py").write_text(_MODULE)
     numbers = count()
@@ -346,7 +350,8 @@ from numba.core import event
 import adding
 with event.install_recorder("numba:compile") as compiling:
     assert adding.total(1.0, 5) == 11.0
-names = [found.data["dispatcher"].__name__ for _, found in compiling.buffer if found.is_start]
+starts = [found for _, found in compiling.buffer if found.is_start]
+names = [found.data["dispatcher"].__name__ for found in starts]
 print(sorted(names), file=sys.stderr)
 """
     before = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n" + count

@@ -107,7 +107,9 @@ def test_beams_go_from_the_lowest_line_up_and_from_right_to_left():
 
 @given(lidars())
 def test_the_diagonal_cone_touches_the_field_of_view_and_holds_every_beam(lidar):
-    """It touches where x is least on the border: at a corner, or behind at the ends of a line."""
+    """It touches where x is least on the border: at a corner, or behind at the ends of
+    a line.
+    """
     half_width = math.radians(0.5 * lidar.horizontal_fov_deg)
     half_height = math.radians(0.5 * lidar.vertical_fov_deg)
     elevations = np.linspace(-half_height, half_height, 201)

@@ -18,7 +18,9 @@ BOX = trimesh.creation.box(extents=2.0 * BOX_M)
 
 @pytest.fixture(scope="module")
 def open3d():
-    """Skips where Open3D cannot load; to collect tests, which loads it not, is quick."""
+    """Skips where Open3D cannot load; to collect tests, which loads it not, is
+    quick.
+    """
     if (problem := open3d_problem()) is not None:
         pytest.skip(problem)
 

@@ -17,7 +17,9 @@ from scenarios.runs import build_runs
 
 
 def on_terrain(scene: Scene, terrain: Terrain) -> Scene:
-    """A scene whose ground is a terrain; all else is lifted as a whole, thing by thing."""
+    """A scene whose ground is a terrain; all else is lifted as a whole, thing by
+    thing.
+    """
     keeps = [
         i for i, thing in enumerate(scene.instances) if thing.class_name != "ground"
     ]

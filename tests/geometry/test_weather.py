@@ -120,7 +120,9 @@ def test_rain_takes_what_itu_r_p_1814_says(rate_mmph, db_per_km):
 
 
 def _exponent(visibility_m, wavelength_nm=905.0):
-    """From what is taken back to Kim's exponent: 3.91 or 3.00 / V (lambda / 550 nm)^-q."""
+    """From what is taken back to Kim's exponent: 3.91 or 3.00 / V (lambda / 550
+    nm)^-q.
+    """
     weather = replace(CLEAR, visibility_m=visibility_m)
     ratio = weather.lidar_extinction_per_m(wavelength_nm) / weather.extinction_per_m
     return -math.log(ratio) / math.log(wavelength_nm / 550.0)

@@ -1,4 +1,6 @@
-"""Advice against brute force on a table that is made up: every pose tried, every set priced."""
+"""Advice against brute force on a table that is made up: every pose tried, every set
+priced.
+"""
 
 from dataclasses import replace
 from itertools import combinations
@@ -114,7 +116,9 @@ def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_o
 def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candidate(
     adviser, apr_of
 ):
-    """The study's poses are among the grid's: a mounted unit may be one of them, turned or not."""
+    """The study's poses are among the grid's: a mounted unit may be one of them, turned
+    or not.
+    """
     (unit,) = find_layout("carlancap-12").units[:1]
     assert unit.id in {one.id for one in adviser._assembly.candidates}
     turned = replace(unit, pose=replace(unit.pose, yaw_deg=unit.pose.yaw_deg + 120.0))

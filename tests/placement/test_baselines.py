@@ -303,9 +303,11 @@ def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
     rows = given_.rows
     assert rows == (1, 2, 5, 7, 8)
     part = problem_of(
-        limits.of_poses(np.array(rows)), {k: seen[row] for k, row in enumerate(rows)}, frame_axis,
+        limits.of_poses(np.array(rows)),
+        {k: seen[row] for k, row in enumerate(rows)},
+        frame_axis,
         rule,
-    )  # fmt: skip
+    )
     whole = judge_proposals(problem, given_)
     of_part = judge_proposals(part, given_.among(rows))
     assert [rows[row] for row in of_part.expert] == list(whole.expert)
@@ -314,7 +316,9 @@ def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
 
 
 def test_the_studys_own_poses_may_be_what_an_expert_takes(candidates):
-    """They are candidates at the study's junction: RSU0 looks at the middle from the south-east."""
+    """They are candidates at the study's junction: RSU0 looks at the middle from the
+    south-east.
+    """
     poses = build_candidates(SCENE, extra=load_carlancap_layout().units)
     corners = drawn(poses, limits_of(poses)).corners
     assert poses[corners["south/east"]].id == "RSU0"

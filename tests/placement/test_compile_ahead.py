@@ -19,8 +19,14 @@ from placement.evaluator import pixels
 from placement.optimiser import bit_kernels, walk_kernels
 from placement.compile_ahead import compile_ahead
 
-kernels = [pixels.see, walk_kernels.grow, walk_kernels.spell_out, walk_kernels.cover_rows,
-           bit_kernels.add_weights_with_each, walk_kernels.tighten_prices]
+kernels = [
+    pixels.see,
+    walk_kernels.grow,
+    walk_kernels.spell_out,
+    walk_kernels.cover_rows,
+    bit_kernels.add_weights_with_each,
+    walk_kernels.tighten_prices,
+]
 assert not any(map(is_compiled, kernels))
 compile_ahead()
 print(sum(map(is_compiled, kernels)), "of", len(kernels))

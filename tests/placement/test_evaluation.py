@@ -162,7 +162,9 @@ def test_one_unit_fails_and_the_rest_still_has_to_confirm(
     [((None, None), 0.75), ((0.0, 0.2), 0.25), ((0.2, 0.0), 0.25), ((None, 0.5), 0.0)],
 )
 def test_the_unit_that_is_left_may_be_slow(frame_axis, rule, latencies_s, expected):
-    """Both see all. Run 0 is confirmed at 0 s, to brake by 0.05 s; run 1 at -0.2 s, by 0.1 s."""
+    """Both see all. Run 0 is confirmed at 0 s, to brake by 0.05 s; run 1 at -0.2 s, by
+    0.1 s.
+    """
     rows = ["1111111100", "1111111100"]
     assert _one_failed_of(frame_axis, rule, rows, latencies_s) == expected
 

@@ -68,7 +68,9 @@ def _evaluation(axis, vut, units, own_latencies_s=None, vam=None) -> Evaluation:
 def _apr_by_hand(
     axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.0
 ) -> float:
-    """Every window of every run, one by one: is it known, and alive, at the last moment?"""
+    """Every window of every run, one by one: is it known, and alive, at the last
+    moment?
+    """
     avoided = 0.0
     for run in range(axis.n_runs):
         frames = range(axis.run_start[run], axis.run_start[run + 1])
@@ -155,7 +157,9 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
 
 
 def test_a_curve_of_three_runs_by_hand(frame_axis):
-    """Confirmed at 0, -0.2 and never; last moments at 0.05, 0.1 and never: 50 ms and 300 ms."""
+    """Confirmed at 0, -0.2 and never; last moments at 0.05, 0.1 and never: 50 ms and
+    300 ms.
+    """
     axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
     evaluation = _evaluation(axis, np.zeros(10), [np.array([1] * 8 + [0, 0])])
     latencies_s = [0.0, 0.05, 0.06, 0.3, 0.31]
@@ -169,7 +173,9 @@ def test_a_curve_of_three_runs_by_hand(frame_axis):
 
 
 def test_a_run_may_be_avoided_with_a_longer_latency_alone():
-    """Seen from -2 to -1.6 s: with 0.5 s the track is asked for at -1 s, with none at -0.5 s."""
+    """Seen from -2 to -1.6 s: with 0.5 s the track is asked for at -1 s, with none at
+    -0.5 s.
+    """
     time_s = np.arange(-20, 1) / 10.0
     axis = FrameAxis(
         run_ids=("a", "b"),

@@ -16,9 +16,7 @@ from placement.layout import find_layout, load_layout
 from placement.question import Question
 
 CRS = "EPSG:32633"
-HEAD = "Name;Mast;Breite (°);Länge (°);Höhe [m];Azimut (°);Neigung;Kamera;Baujahr\n".replace(
-    "Kamera", "Modell"
-)
+HEAD = "Name;Mast;Breite (°);Länge (°);Höhe [m];Azimut (°);Neigung;Modell;Baujahr\n"
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +27,9 @@ def scene():
 
 @pytest.fixture(scope="module")
 def row(scene):
-    """A camera at the first site, in degrees: at 6.5 m, looking to the south-east, 20 deg down."""
+    """A camera at the first site, in degrees: at 6.5 m, looking to the south-east, 20
+    deg down.
+    """
     lon_deg, lat_deg = transform(scene.sites[0].position_m[:2], CRS, WGS84)
     degrees = f"{lat_deg:.9f};{lon_deg:.9f}".replace(".", ",")
     return f"C1;{scene.sites[0].id};{degrees};6,5;135;20;carla-ncap-rgb;2019\n"

@@ -1,4 +1,6 @@
-"""Rows of the live table are those of the detection table, whatever is turned, zoomed or raised."""
+"""Rows of the live table are those of the detection table, whatever is turned, zoomed
+or raised.
+"""
 
 from dataclasses import replace
 

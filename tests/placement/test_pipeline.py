@@ -31,7 +31,9 @@ from scenarios.weights import weight_per_run
 
 @pytest.fixture(scope="module")
 def setting(runs, rule):
-    """Two sites of the study's junction, four of its cases and approaches at two speeds."""
+    """Two sites of the study's junction, four of its cases and approaches at two
+    speeds.
+    """
     scene = load_study_scene()
     ways = ("CBNA/east", "CBNA/north", "CPNC-50/east", "CPNC-50/south")
     few = tuple(

@@ -1,4 +1,6 @@
-"""Retrofits against brute force: every way to keep, turn, take away and add, priced anew."""
+"""Retrofits against brute force: every way to keep, turn, take away and add, priced
+anew.
+"""
 
 from dataclasses import replace
 from itertools import chain, combinations, product

@@ -84,7 +84,8 @@ def test_the_setting_weighs_every_run_alike(setting):
 
 
 def test_the_published_findings_come_out(setting, layout):
-    """CarlaNCAP study, daylight: RSU2 and RSU3 reach 100 % in CPNC-50, one RSU in all three cases.
+    """CarlaNCAP study, daylight: RSU2 and RSU3 reach 100 % in CPNC-50, one RSU in all
+    three cases.
 
     The VUT alone is far from it in CPNC-50 (65.63 %): at 55 km/h it cannot brake in
     time. Ten seconds: all 104 runs, frame by frame, in full resolution.

@@ -73,7 +73,9 @@ def _looks_s(encounter, rule, step_s):
 
 
 def smallest_separation_m(encounter, onset_s, *, rule, time_step_s=0.001):
-    """Smallest separation from each onset of braking until the VUT stands, by looking often."""
+    """Smallest separation from each onset of braking until the VUT stands, by looking
+    often.
+    """
     since_onset = _looks_s(encounter, rule, time_step_s)
     return _separation_m(
         encounter, np.reshape(onset_s, (-1, 1)), since_onset, rule
@@ -99,13 +101,17 @@ def _standstill_s(v, build_up_s):
 
 
 def _stop_tau_s(v, build_up_s):
-    """Latest onset before the impact with something that stands: braking way over speed."""
+    """Latest onset before the impact with something that stands: braking way over
+    speed.
+    """
     t = _standstill_s(v, build_up_s)
     return t - _lost_m(t, build_up_s) / v
 
 
 def _crossing_tau_s(v, clear_s, build_up_s):
-    """As oracles.crossing_tau_s: stop short, or reach the line when the VRU has left."""
+    """As oracles.crossing_tau_s: stop short, or reach the line when the VRU has
+    left.
+    """
     standstill_s = _standstill_s(v, build_up_s)
     if _lost_m(standstill_s, build_up_s) <= v * clear_s:
         return _stop_tau_s(v, build_up_s)
@@ -125,7 +131,8 @@ def build_turning_encounter(
     body="adult",
     vru_speed_mps=5.0 * KMH,
 ) -> Encounter:
-    """A VUT turns, and a VRU crosses the arm into which it turns, on a line parallel to the VUT's.
+    """A VUT turns, and a VRU crosses the arm into which it turns, on a line parallel to
+    the VUT's.
 
     Unbraked they first touch at time 0, when the VRU's middle is about where the middle
     of the VUT's front comes to the line, `line_m` beside the VUT's way before the turn.
@@ -198,7 +205,9 @@ def turning_encounters(draw) -> Encounter:
 
 
 def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
-    """Whether the bodies overlap: the car is dragged and braked in steps of half a millisecond."""
+    """Whether the bodies overlap: the car is dragged and braked in steps of half a
+    millisecond.
+    """
     path = encounter.vut_motion.path
     vut = encounter.vut
     vru = encounter.vru
@@ -260,7 +269,7 @@ def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
     coordinates_m,
     coordinates_m,
 )
-def test_last_brake_time_behind_one_who_goes_ahead_is_that_to_brake_away_the_closing_speed(
+def test_last_brake_time_behind_one_ahead_is_that_to_brake_away_the_closing_speed(
     v, u, body, build_up_s, turn_deg, east_m, north_m
 ):
     encounter = build_encounter(

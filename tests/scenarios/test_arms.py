@@ -16,7 +16,9 @@ MOVEMENTS = {"left": "north", "through": "east", "right": "south"}
 
 
 def junction_with(turns=(), connections=()):
-    """Three lanes from the west, from the kerb, with their markings; two lanes elsewhere."""
+    """Three lanes from the west, from the kerb, with their markings; two lanes
+    elsewhere.
+    """
     lanes = [
         lane
         for arm in ARMS
@@ -41,7 +43,9 @@ def junction_with(turns=(), connections=()):
 
 
 def entries(junction, movement):
-    """Lanes from the west by which a movement is driven, in the order in which they are tried."""
+    """Lanes from the west by which a movement is driven, in the order in which they are
+    tried.
+    """
     found = joints(
         junction, junction.arms["west"], junction.arms[MOVEMENTS[movement]], movement
     )

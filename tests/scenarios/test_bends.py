@@ -1,4 +1,6 @@
-"""No car drives where no car can: sideways accelerations of runs, and bends of lanes."""
+"""No car drives where no car can: sideways accelerations of runs, and bends of
+lanes.
+"""
 
 import dataclasses
 
@@ -31,7 +33,9 @@ VUT = pick_actor("vut", "vut")
 
 
 def with_corner(angle_deg, *, before_m=40.0):
-    """The protocol's junction; the lane from the west has a corner some metres before its mouth."""
+    """The protocol's junction; the lane from the west has a corner some metres before
+    its mouth.
+    """
     mouth = np.array([-MOUTH_M, -0.5 * LANE_M])
     corner = mouth - [before_m, 0.0]
     begin = corner - turned([150.0, 0.0], angle_deg)

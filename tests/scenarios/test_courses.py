@@ -57,9 +57,11 @@ def test_two_bodies_on_a_circle_touch_when_their_corners_do(actors):
         return Motion(path=path, speed_mps=speed_mps, start_time_s=-3.0)
 
     encounter = Encounter(
-        vut=body, vut_motion=motion(-55.0, fast_mps), vru=body,
+        vut=body,
+        vut_motion=motion(-55.0, fast_mps),
+        vru=body,
         vru_motion=motion(-55.0 + ahead_m, slow_mps),
-    )  # fmt: skip
+    )
     corner = np.arctan2(0.5 * body.length_m, radius_m - 0.5 * body.width_m)
     contact_s = -3.0 + (ahead_m - 2.0 * corner * radius_m) / (fast_mps - slow_mps)
     assert first_contact_s(encounter) == pytest.approx(contact_s, abs=2e-3)
@@ -130,7 +132,9 @@ def test_beside_a_bend_sharper_than_asked_for_there_is_no_course():
 
 @st.composite
 def lanes(draw):
-    """Lanes that bend to and fro, as maps draw them: chords of up to 4 m, radii from 14 m."""
+    """Lanes that bend to and fro, as maps draw them: chords of up to 4 m, radii from 14
+    m.
+    """
     step_m = draw(st.floats(0.5, 4.0))
     bends = draw(st.lists(st.floats(-1.0 / 14.0, 1.0 / 14.0), min_size=1, max_size=4))
     curvature = np.repeat(bends, int(18.0 / step_m) + 2)

@@ -199,9 +199,11 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(
         # Longitudinal: the VUT's front meets its rear there; crossing: its flank.
         assert side * beyond == pytest.approx(metres, abs=0.2)
         chain = np.concatenate(
-            [build_junction(scene).arms[approach].entry_lanes[0].centreline_m,
-             arm.exit_lanes[0].centreline_m]
-        )  # fmt: skip
+            [
+                build_junction(scene).arms[approach].entry_lanes[0].centreline_m,
+                arm.exit_lanes[0].centreline_m,
+            ]
+        )
         on_map = slice(
             np.argmin(np.hypot(*(run.vut_position_m - chain[0]).T)) + 1, None
         )
@@ -217,7 +219,9 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(
 def test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line(
     vut, rule, name, metres, aside_m, turned_deg
 ):
-    """The whole of the VUT's way stays in its lane, or between the lanes; its yaw never jumps."""
+    """The whole of the VUT's way stays in its lane, or between the lanes; its yaw never
+    jumps.
+    """
     assume(abs(aside_m) + abs(turned_deg) > 1.0)
     scene, exit_lane = _scene_with_exit(aside_m, turned_deg)
     position = Position(is_behind=True, distance_m=metres)
@@ -576,7 +580,9 @@ def test_a_change_of_lanes_is_eased_only_where_it_would_be_too_fast(vut, rule):
 
 @pytest.mark.parametrize("corner_deg", [10.0, 35.0])
 def test_a_bend_of_a_lane_is_driven_no_faster_than_it_can_be(vut, rule, corner_deg):
-    """A corner is cut by half a metre, which lets 60 km/h pass up to some 14 degrees."""
+    """A corner is cut by half a metre, which lets 60 km/h pass up to some 14
+    degrees.
+    """
     scene, exit_lane = _scene_with_exit(0.0, 0.0)
     corner = exit_lane.centreline_m[0] + [3.0, 0.0]
     after = corner + turned([[0.0, 0.0], [80.0, 0.0]], corner_deg)
@@ -651,7 +657,9 @@ ACROSS_M = 12.0  # of that one
 
 
 def _followed_scene():
-    """The protocol's junction; 15 m to the west lies another one, and the road goes on."""
+    """The protocol's junction; 15 m to the west lies another one, and the road goes
+    on.
+    """
     lanes = [
         lane for arm, at in ARMS.items() if arm != "west" for lane in lanes_of(arm, at)
     ]
@@ -741,7 +749,9 @@ def test_where_the_map_ends_a_vru_sets_off_beyond_if_a_lane_is_assumed_there(vut
 
 
 def test_a_row_of_parked_cars_does_not_mind_a_bend_ahead_of_it(vut, rule):
-    """Behind the place where the VRU crosses, the lane turns as sharply as a corner of a house."""
+    """Behind the place where the VRU crosses, the lane turns as sharply as a corner of
+    a house.
+    """
     corner = np.array([[-260.0, -1.75], [-20.0, -1.75], [-20.0, 12.0], [-11.5, 12.0]])
     lane = Lane(id="west-in-0", kind="driving", width_m=LANE_M, centreline_m=corner)
     others = [

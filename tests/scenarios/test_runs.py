@@ -35,7 +35,9 @@ def _vru_in_vut_frame(encounter):
 
 
 def speeds_kmh(case, approach):
-    """Lowest from two arms, highest from two; --hypothesis-profile thorough: both from all."""
+    """Lowest from two arms, highest from two; --hypothesis-profile thorough: both from
+    all.
+    """
     low_kmh, high_kmh = case.speed_limits_kmh
     if settings.get_current_profile_name() == "thorough":
         return {low_kmh, high_kmh}
@@ -44,7 +46,9 @@ def speeds_kmh(case, approach):
 
 @pytest.fixture(scope="module")
 def all_runs(actors, rule):
-    """Every case on every approach of the study's junction, at its lowest or highest speed."""
+    """Every case on every approach of the study's junction, at its lowest or highest
+    speed.
+    """
     scene = load_study_scene()
     found = ([], [])
     for approach in ARMS:
@@ -240,7 +244,9 @@ def test_things_in_the_way_are_named(actors, rule):
 
 
 def limited(scene, limits_kmh):
-    """A scene whose lanes into the junction have speed limits, by the begin of their ids."""
+    """A scene whose lanes into the junction have speed limits, by the begin of their
+    ids.
+    """
     lanes = (
         dataclasses.replace(
             lane, speed_limit_kmh=limits_kmh.get(lane.id.partition("-in")[0])
@@ -585,7 +591,9 @@ def _delays_s(data, axis):
 
 
 def _windows(axis, run, arrival_s, n):
-    """When each window of a run is known, the time of its last frame, and that frame."""
+    """When each window of a run is known, the time of its last frame, and that
+    frame.
+    """
     time_s, known_s = (
         values[axis.frames_of(run)].tolist() for values in (axis.time_s, arrival_s)
     )
@@ -599,7 +607,9 @@ def _windows(axis, run, arrival_s, n):
 def test_the_vut_brakes_for_the_live_window_that_it_knows_first(
     rule, axis, n, memory_s, data
 ):
-    """Window by window: known by the last brake time, and no gap until the last moment."""
+    """Window by window: known by the last brake time, and no gap until the last
+    moment.
+    """
     arrival_s = axis.time_s + _delays_s(data, axis)
     rule = _rule(rule, n, memory_s)
     onsets = find_onsets(arrival_s, axis, rule=rule)
@@ -635,7 +645,9 @@ def test_the_vut_brakes_for_the_live_window_that_it_knows_first(
 
 
 def test_a_track_that_is_lost_again_sets_nothing_in_motion(rule, frame_axis):
-    """Second run, frames at -0.4 .. 0 s, seen at -0.4 and -0.3 s; last moment at -0.025 s."""
+    """Second run, frames at -0.4 .. 0 s, seen at -0.4 and -0.3 s; last moment at -0.025
+    s.
+    """
     axis = dataclasses.replace(
         frame_axis, last_brake_time_s=np.array([0.0, 0.0, -np.inf])
     )
@@ -651,7 +663,8 @@ def test_a_track_that_is_lost_again_sets_nothing_in_motion(rule, frame_axis):
 def test_messages_of_several_units_confirm_when_the_slowest_of_a_window_has_come(
     rule, frame_axis
 ):
-    """Second run, frames at -0.4 .. 0 s: the message of -0.3 s takes 0.35 s, all others 0.02 s.
+    """Second run, frames at -0.4 .. 0 s: the message of -0.3 s takes 0.35 s, all others
+    0.02 s.
 
     Windows of two frames: the first is known at 0.05 s, and so is the second; the
     third, of -0.2 and -0.1 s, at -0.08 s.

@@ -198,9 +198,12 @@ def test_commonroad(tmp_path):
 
 
 def test_commonroad_as_real_files_have_it(tmp_path):
-    """Obstacles of version 2018b, those that stand, and an initial state that is told twice."""
+    """Obstacles of version 2018b, those that stand, and an initial state that is told
+    twice.
+    """
     obstacle = "<obstacle id='8'><role>{}</role><type>bicycle</type>{}</obstacle>"
-    way = f"{state(0, 'initialState')}<trajectory>{state(0)}{state(1)}{state(2)}</trajectory>"
+    states = state(0) + state(1) + state(2)
+    way = f"{state(0, 'initialState')}<trajectory>{states}</trajectory>"
     text = obstacle.format("static", state(0, "initialState")).replace("8", "7")
     text = (
         "<commonRoad"

@@ -1,4 +1,6 @@
-"""Cases with cars and motorcyclists: the protocol's poses, closed forms, what is refused."""
+"""Cases with cars and motorcyclists: the protocol's poses, closed forms, what is
+refused.
+"""
 
 import dataclasses
 import tomllib
@@ -176,7 +178,9 @@ def test_a_vehicle_ahead_brakes_so_long_before_the_impact_as_the_protocol_says(
 def test_the_last_moment_of_a_straight_crossing_is_its_closed_form(
     golf, name, speed_kmh, vru_kmh
 ):
-    """Stop short of the other one's strip, or get there no sooner than it has left one's own."""
+    """Stop short of the other one's strip, or get there no sooner than it has left
+    one's own.
+    """
     encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
     vru = encounter.vru
     v = speed_kmh * KMH
@@ -568,7 +572,9 @@ def test_cases_that_are_left_out_count_every_pair_of_speeds():
 
 
 def test_in_all_what_2026_drives_as_2023_did_is_driven_once():
-    """Protocol 4.5.1 drives CPNA-25 at 10 to 60 km/h, CPLA-50 from 20, CBLA-50 from 25."""
+    """Protocol 4.5.1 drives CPNA-25 at 10 to 60 km/h, CPLA-50 from 20, CBLA-50 from
+    25.
+    """
     cases = {case.name: case for case in pick_cases("all", "cases")}
     assert not {
         "CPNA-2026-25",

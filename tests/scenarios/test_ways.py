@@ -1,4 +1,6 @@
-"""Cases on junctions as maps have them: lanes that bend, arms askew, cycleways, things beside."""
+"""Cases on junctions as maps have them: lanes that bend, arms askew, cycleways, things
+beside.
+"""
 
 import dataclasses
 
@@ -38,7 +40,9 @@ def vut(actors):
 
 
 def bent(lane, *, radius_m=RADIUS_M, straight_m=0.0):
-    """A lane of the western arm on a circle about a point south of the road, from the mouth on."""
+    """A lane of the western arm on a circle about a point south of the road, from the
+    mouth on.
+    """
     ahead, left = lane.centreline_m.T
     along = np.arange(0.0, 120.0, 2.0)
     curve = np.maximum(along - straight_m, 0.0) / radius_m
@@ -224,7 +228,9 @@ def test_a_turn_follows_the_junctions_own_lane_where_there_is_one(vut):
 
 
 def quarter_circle(radius_m, *, before, after, n_points=60):
-    """A lane to the left: straight on from a lane, a quarter of a circle, straight into another."""
+    """A lane to the left: straight on from a lane, a quarter of a circle, straight into
+    another.
+    """
     (x, y), (end_x, end_y) = before.centreline_m[-1], after.centreline_m[0]
     angle = np.linspace(-0.5 * np.pi, 0.0, n_points)
     middle = np.array([end_x - radius_m, y + radius_m])

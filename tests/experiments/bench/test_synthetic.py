@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from synthetic_instances import SyntheticSize, build_synthetic_instance
 
 from experiments.bench.__main__ import measure_budgets
@@ -57,6 +58,8 @@ def test_detections_follow_the_geometry() -> None:
     assert stays > 0.8
 
 
+# Quickly: tests/placement/optimiser/test_limits.py
+@pytest.mark.long
 def test_budgets_are_measured_with_tracks_that_live_on_and_that_end() -> None:
     instance = build_synthetic_instance(SIZE)
     problem = PlacementProblem(

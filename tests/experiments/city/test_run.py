@@ -1,4 +1,6 @@
-"""A whole city on a street with three junctions: choice, folder, resume, workers, bad input."""
+"""A whole city on a street with three junctions: choice, folder, resume, workers, bad
+input.
+"""
 
 import json
 import os
@@ -87,7 +89,9 @@ def read_once(path, content, *reading):
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch, with_blank_pictures):
-    """Pictures are blank, and the same map is not read again: for `tiny` all of it is done."""
+    """Pictures are blank, and the same map is not read again: for `tiny` all of it is
+    done.
+    """
     monkeypatch.setattr(job, "to_png", blank_png)
     monkeypatch.setattr(
         importing,
@@ -135,6 +139,8 @@ def fronts_of(folder):
     return [load_front(path) for path in sorted(folder.glob("junctions/*/front.json"))]
 
 
+# Quickly: tests/placement/city/test_knapsack.py
+@pytest.mark.long
 def test_the_choice_is_the_best_of_all_points_of_three_junctions(
     tiny, city, never, no_pages
 ):
@@ -472,6 +478,8 @@ def test_weights_decide_and_what_is_not_used_is_told(
     assert lost in result.notes
 
 
+# Quickly: test_weights_decide_and_what_is_not_used_is_told
+@pytest.mark.long
 def test_scores_and_accidents_around_each_junction_make_its_front(
     tiny, tmp_path, here, no_pages
 ):
@@ -943,6 +951,8 @@ def test_the_slider_has_each_step_of_the_front_and_the_choice(tiny, city, never)
         }
 
 
+# Quickly: test_the_slider_has_each_step_of_the_front_and_the_choice
+@pytest.mark.long
 @pytest.mark.system
 def test_the_page_runs_by_itself_and_its_slider_says_who_gets_what(tiny):
     page_of = tiny / "city" / "report.html"

@@ -1,4 +1,6 @@
-"""Processes that take tasks: answers, errors, deaths, memory, and who can reach them."""
+"""Processes that take tasks: answers, errors, deaths, memory, and who can reach
+them.
+"""
 
 import os
 import time

@@ -49,6 +49,8 @@ def test_a_gap_is_told_written_and_verified_and_a_smaller_one_is_not(run, tmp_pa
         assert err.startswith(f"place-rsus: {path}: {where}: got ")
 
 
+# Quickly: tests/placement/sampling/test_certify.py, and above with a number
+@pytest.mark.long
 def test_worlds_of_a_block_may_be_found_out(run, tmp_path):
     code, out, err = run(
         *ASKED, "--samples", "auto", "--out", tmp_path / "results", "--json"

@@ -442,6 +442,8 @@ def test_placement_prints_one_object_and_writes_a_report(
     assert again["evaluation"] == summary["evaluation"]
 
 
+# Quickly: tests/placement/visibility/test_build.py and optimiser/test_solve.py
+@pytest.mark.long
 def test_two_calls_give_the_same_but_for_the_time(run, small_study, without_figures):
     results = []
     for workers in (1, 2):

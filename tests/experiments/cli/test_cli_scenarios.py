@@ -82,7 +82,10 @@ def test_show_writes_a_film_strip_where_results_lie(run):
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(("case", "speed"), [("CCFtap", "10x30"), ("CMRs-50", "50")])
+@pytest.mark.parametrize(
+    ("case", "speed"),
+    [("CCFtap", "10x30"), pytest.param("CMRs-50", "50", marks=pytest.mark.long)],
+)
 def test_both_speeds_of_a_run_make_a_file_name(run, case, speed):
     arguments = (
         "scenarios",
@@ -99,6 +102,8 @@ def test_both_speeds_of_a_run_make_a_file_name(run, case, speed):
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
+# Quickly: tests/scenarios/test_positions.py
+@pytest.mark.long
 def test_a_run_away_from_the_junction_is_shown(run):
     arguments = (
         "scenarios",

@@ -1,4 +1,6 @@
-"""Ctrl-C in the real program, in one stage after the other: it ends soon, and nothing is left."""
+"""Ctrl-C in the real program, in one stage after the other: it ends soon, and nothing
+is left.
+"""
 
 import json
 import os
@@ -34,7 +36,8 @@ from pathlib import Path
 from experiments.jobs import placement
 from experiments.main import main
 
-placement.on_study_cases = lambda *given, **options: None  # as at any other junction: takes long
+# As at any other junction: it takes long.
+placement.on_study_cases = lambda *given, **options: None
 
 def processor_s(process):
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
@@ -56,13 +59,14 @@ for stage in stages:
         os.kill(child, signal.SIGINT)
         lines += told.readlines()
     _, status, used = os.wait4(child, 0)
+    kept = [path for path in Path("../cache").rglob("*") if path.is_file()]
     print(json.dumps({
         "stage": stage,
         "code": os.waitstatus_to_exitcode(status),
         "seconds": used.ru_utime + used.ru_stime - began_s,
         "last": lines[-1],
         "left": sorted(path.name for path in Path().iterdir()),
-        "kept": sorted(path.suffix for path in Path("../cache").rglob("*") if path.is_file()),
+        "kept": sorted(path.suffix for path in kept),
     }))
 """
 

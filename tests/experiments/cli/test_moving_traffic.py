@@ -1,4 +1,6 @@
-"""``--traffic``: what drives by in sampled worlds, as a user asks for it and is told of it."""
+"""``--traffic``: what drives by in sampled worlds, as a user asks for it and is told of
+it.
+"""
 
 import importlib.util
 import json
@@ -18,7 +20,9 @@ MIDDLE_M = np.array([-126.76, 1.89])  # of the study's junction
 
 @pytest.fixture
 def vans(monkeypatch):
-    """In place of SUMO: two minutes of vans, one every 4 s, west at 10 m/s beside the middle."""
+    """In place of SUMO: two minutes of vans, one every 4 s, west at 10 m/s beside the
+    middle.
+    """
     van = load_actors()["parked-van"]
     n_vans = 30
     step_s = 0.1
@@ -56,6 +60,8 @@ def vans(monkeypatch):
     )
 
 
+# Quickly: tests/placement/sampling/test_traffic.py
+@pytest.mark.long
 @pytest.mark.usefixtures("vans")
 def test_traffic_drives_by_in_sampled_worlds(run, small_study, monkeypatch, request):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)

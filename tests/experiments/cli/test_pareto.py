@@ -4,8 +4,6 @@ import csv
 import io
 import json
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -24,8 +22,6 @@ from experiments.results.drives import build_drives_record
 from placement.layout import layout_from_records
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import pareto_front, tightened
-
-HEAVY = ("numpy", "scipy", "open3d", "trimesh", "cvxpy", "matplotlib", "pandas", "rich")
 
 
 @pytest.fixture
@@ -151,15 +147,6 @@ def test_help_has_an_example_and_is_narrow(run_pareto):
     assert max(map(len, out.splitlines())) <= 80
     assert "--time-limit" in out
     assert "--survive" not in out
-
-
-def test_nothing_heavy_is_imported_before_it_is_used():
-    modules = "experiments.cli.pareto"
-    code = f"import sys, {modules}; print([m for m in {HEAVY} if m in sys.modules])"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "[]\n"
 
 
 def test_options_that_are_left_out_do_not_reach_other_commands():

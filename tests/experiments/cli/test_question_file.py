@@ -1,4 +1,6 @@
-"""``--question`` and ``--save-question``: the options of a command, from and to a file."""
+"""``--question`` and ``--save-question``: the options of a command, from and to a
+file.
+"""
 
 import json
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""Every field of a question is an option of the command line, with help that names options."""
+"""Every field of a question is an option of the command line, with help that names
+options.
+"""
 
 import re
 

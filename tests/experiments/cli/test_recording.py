@@ -31,7 +31,9 @@ KEYS = {
 
 @pytest.fixture
 def recording(tmp_path):
-    """Unit 0 detects in the first half of a drive of 20 frames, unit 1 nowhere, the car always."""
+    """Unit 0 detects in the first half of a drive of 20 frames, unit 1 nowhere, the car
+    always.
+    """
     n_frames = 20
     share = {
         "0": np.arange(n_frames) < 10,

@@ -1,6 +1,10 @@
-"""``--sensors``: several models in one question, with their prices among the objectives."""
+"""``--sensors``: several models in one question, with their prices among the
+objectives.
+"""
 
 import json
+
+import pytest
 
 from experiments.cli.answers import unit_notes
 from experiments.results.record import UnitRecord
@@ -22,6 +26,8 @@ def model_of(unit):
     return unit.get("camera") or unit["lidar"]
 
 
+# Quickly: tests/placement/optimiser/test_limits.py, with prices made up
+@pytest.mark.long
 def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(
     run, small_study, without_figures
 ):

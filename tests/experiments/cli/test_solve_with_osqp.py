@@ -67,7 +67,9 @@ def calls(monkeypatch):
     return steps
 
 
-@pytest.mark.parametrize("solver", ["relax", "auto"])
+@pytest.mark.parametrize(
+    "solver", ["relax", pytest.param("auto", marks=pytest.mark.long)]
+)
 def test_the_solve_command_bounds_the_apr_by_osqp(run, instance, calls, solver):
     code, out, err = run("solve", instance, "--solver", solver, "--json", "--quiet")
     assert (code, err) == (0, "")

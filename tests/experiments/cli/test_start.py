@@ -1,4 +1,6 @@
-"""Which large libraries a command loads: each costs a good part of a second at every call."""
+"""Which large libraries a command loads: each costs a good part of a second at every
+call.
+"""
 
 import os
 import subprocess
@@ -54,7 +56,16 @@ def _loaded_by(code: str, *arguments: str) -> set[str]:
 @pytest.mark.parametrize(
     ("commands", "may_load"),
     [
-        (("--help", "--version", "pareto --help-all"), set()),
+        (
+            (
+                "--help",
+                "--version",
+                "pareto --help-all",
+                "latency --help",
+                "verify --help",
+            ),
+            set(),
+        ),
         (("export --layout carlancap-12 --format carla",), GEOMETRY),
         *(
             pytest.param(commands, GEOMETRY | more, marks=pytest.mark.long)
@@ -78,9 +89,10 @@ def test_a_command_loads_what_it_needs_and_nothing_else(commands, may_load):
             "experiments.jobs.verify",
             {"numpy", "scipy", "shapely", "matplotlib", "pandas", "pyarrow"},
         ),
-        (
+        pytest.param(
             "experiments.scene.run, experiments.parts.sheet",
             {"numpy", "scipy", "shapely", "matplotlib"},
+            marks=pytest.mark.long,
         ),
     ],
 )

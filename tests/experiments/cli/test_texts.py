@@ -136,7 +136,9 @@ def placement_summary(n_cases, ids=("U1", "U2", "U3"), gap=0.0):
 
 
 def cells(text):
-    """What the table of ratios says: by case, its ratios from left to right, blocks joined."""
+    """What the table of ratios says: by case, its ratios from left to right, blocks
+    joined.
+    """
     found = {}
     for line in text.splitlines():
         if match := re.match(r"  (all runs|CBTAfs-\d+) +(.*%.*)$", line):

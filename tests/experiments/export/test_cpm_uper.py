@@ -203,9 +203,11 @@ def random_layout(rng):
     return Layout(name="random", units=units, scene_name=SCENE.name)
 
 
-@pytest.mark.parametrize("count", [100, pytest.param(10_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [25, pytest.param(10_000, marks=pytest.mark.long)])
 def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs, count):
-    """Places in centimetres, velocities in centimetres a second, angles in tenths of a degree."""
+    """Places in centimetres, velocities in centimetres a second, angles in tenths of a
+    degree.
+    """
     rng = np.random.default_rng(count)
     to_local = Transformer.from_crs("EPSG:4326", SCENE.crs, always_xy=True)
     moving = [(run, run.encounter.vru_motion) for run in runs]

@@ -1,5 +1,6 @@
 """MCAP recordings, read back by the reader of another package."""
 
+import importlib
 import json
 import math
 from dataclasses import replace
@@ -9,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from export_layouts import awkward_layout, large_layout
-from export_pictures import read_mcap
 from PIL import Image
 from short_runs import cut_run
 
@@ -30,9 +30,40 @@ reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
 SCENE = load_study_scene()
 
 
+def read_mcap(content):
+    """Times [s] and messages by topic, decoded by the schemas in the file.
+
+    The packages `mcap` and `protobuf` read it, neither of which wrote it.
+    """
+    descriptors = importlib.import_module("google.protobuf.descriptor_pb2")
+    pools = importlib.import_module("google.protobuf.descriptor_pool")
+    factory = importlib.import_module("google.protobuf.message_factory")
+    found = {}
+    kinds = {}
+    for schema, channel, message in reader.make_reader(
+        BytesIO(content)
+    ).iter_messages():
+        if channel.message_encoding == "json":
+            value = json.loads(message.data)
+        else:
+            if schema.id not in kinds:
+                pool = pools.DescriptorPool()
+                files = descriptors.FileDescriptorSet.FromString(schema.data).file
+                for file in files:
+                    pool.Add(file)
+                kind = pool.FindMessageTypeByName(schema.name)
+                kinds[schema.id] = factory.GetMessageClass(kind)
+            value = kinds[schema.id].FromString(message.data)
+        topic = found.setdefault(channel.topic, [])
+        topic.append((message.log_time / 1.0e9, value))
+    return found
+
+
 @pytest.fixture(scope="module")
 def watched():
-    """A run behind parked cars; the first unit sees it from the tenth frame on, no other does."""
+    """A run behind parked cars; the first unit sees it from the tenth frame on, no
+    other does.
+    """
     run = find_run("CPNCO-50/east/40", SCENE)
     units = load_carlancap_layout().units
     detected = {unit.id: np.zeros(len(run.time_s), dtype=bool) for unit in units}

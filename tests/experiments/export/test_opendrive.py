@@ -1,4 +1,6 @@
-"""Roads as OpenDRIVE: read back by our own reader, which knows nothing of the writer."""
+"""Roads as OpenDRIVE: read back by our own reader, which knows nothing of the
+writer.
+"""
 
 import re
 import shutil
@@ -110,7 +112,9 @@ def test_poles_stand_where_the_units_hang(tmp_path, scene):
 
 
 def test_a_lane_that_widens_has_no_step(tmp_path, scene):
-    """A way through begins as wide as the lane before it, and ends as wide as the one after it."""
+    """A way through begins as wide as the lane before it, and ends as wide as the one
+    after it.
+    """
     first = next(lane for lane in scene.lanes if lane.kind == "driving")
     lanes = tuple(
         replace(lane, width_m=5.0) if lane is first else lane for lane in scene.lanes
@@ -145,8 +149,10 @@ def test_netconvert_accepts_it(tmp_path, scene):
     path = written(tmp_path, scene)
     done = subprocess.run(
         [netconvert, "--opendrive-files", path, "-o", tmp_path / "net.xml"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert "Error" not in done.stderr
     assert (tmp_path / "net.xml").read_text().count("<connection ") > 0

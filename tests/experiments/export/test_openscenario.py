@@ -50,7 +50,9 @@ needs_library = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def some_runs():
-    """By case and weather: one run each, from the first approach that carries the case."""
+    """By case and weather: one run each, from the first approach that carries the
+    case.
+    """
     cases = [
         replace(load_cases()[name], vut_speeds_kmh=(speed_kmh,))
         for name, speed_kmh in CASES.items()
@@ -179,7 +181,9 @@ def schema():
     ],
 )
 def test_the_schema_accepts_every_kind_of_run(schema, some_runs, case, weather):
-    """By another library than the export asks about whole files: this one takes long per vertex."""
+    """By another library than the export asks about whole files: this one takes long
+    per vertex.
+    """
     end = cut_run(some_runs[case, weather], slice(-6, None))
     schema.validate(ET.fromstring(to_openscenario(end, road_network="Town05.xodr")))
 

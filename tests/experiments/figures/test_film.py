@@ -75,7 +75,10 @@ def test_bodies_stand_where_the_run_has_them(child, strip):
     assert vut.length_m > 4.0
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+@pytest.mark.parametrize(
+    "suffix",
+    [".png", *(pytest.param(s, marks=pytest.mark.long) for s in (".svg", ".pdf"))],
+)
 def test_stills_are_written_in_the_form_that_the_name_asks_for(child, tmp_path, suffix):
     path = tmp_path / f"film{suffix}"
     own = replace(
@@ -87,6 +90,8 @@ def test_stills_are_written_in_the_form_that_the_name_asks_for(child, tmp_path, 
     assert list(tmp_path.iterdir()) == [path]
 
 
+# Quickly: a single picture, above
+@pytest.mark.long
 def test_an_animation_has_a_picture_per_frame_and_tells_its_progress(
     tmp_path, monkeypatch
 ):

@@ -29,7 +29,9 @@ def setting():
 
 
 def is_inside(points_m, corners_m):
-    """Whether points lie in a convex counter-clockwise polygon; and how near to its edge."""
+    """Whether points lie in a convex counter-clockwise polygon; and how near to its
+    edge.
+    """
     edges = np.roll(corners_m, -1, axis=0) - corners_m
     lengths = np.hypot(*edges.T)
     edges = edges[lengths > 1e-9]

@@ -157,7 +157,9 @@ def test_the_player_gets_a_round_sign():
 def test_nothing_beside_a_ring_is_out_of_its_view(
     azimuth_deg, elevation_deg, distance_m
 ):
-    """At no azimuth, that of the seam included: what it does not detect is never to the side."""
+    """At no azimuth, that of the seam included: what it does not detect is never to the
+    side.
+    """
     azimuth = math.radians(azimuth_deg)
     elevation = math.radians(elevation_deg)
     way = [

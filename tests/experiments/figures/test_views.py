@@ -1,4 +1,6 @@
-"""Views on the ground: up to the detector's reach, cut where something hides the ground."""
+"""Views on the ground: up to the detector's reach, cut where something hides the
+ground.
+"""
 
 from dataclasses import replace
 

@@ -1,4 +1,6 @@
-"""Placements and comparisons with cars that see, from the question to the checked folder."""
+"""Placements and comparisons with cars that see, from the question to the checked
+folder.
+"""
 
 import json
 import shutil
@@ -221,7 +223,9 @@ def test_words_that_mean_nothing_are_refused(options, message):
     assert "cars" in {field.name for field in fields(Question)}
 
 
-@pytest.mark.parametrize("detector", ["geometric", "response"])
+@pytest.mark.parametrize(
+    "detector", ["geometric", pytest.param("response", marks=pytest.mark.long)]
+)
 def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
     question = Question(budget=2, cars="see", samples=2, detector=detector)
@@ -254,6 +258,8 @@ def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector
     assert seeing.sum() > by_units.sum()
 
 
+# Quickly: tests/placement/optimiser/test_cars.py
+@pytest.mark.long
 def test_a_share_of_the_cars_sees_in_sampled_worlds(small_study, tmp_path, monkeypatch):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
     problems = {

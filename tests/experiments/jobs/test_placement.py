@@ -156,7 +156,9 @@ def test_greedy_choice_is_the_answer_where_fresh_worlds_prefer_it(
     aprs = iter([[0.5, 0.6, 0.5], [0.8, 0.9, 0.9]])  # greedy choice's is ahead
 
     def other_pair(problem, reduced):
-        """Another pair: for cars that see one as good, also if one fails; else a bad one."""
+        """Another pair: for cars that see one as good, also if one fails; else a bad
+        one.
+        """
 
         def value(pair):
             return apr(problem, pair), apr_one_failed(problem, pair)

@@ -1,4 +1,6 @@
-"""What the second process loads and calls while it waits: a name that is gone ends it unseen."""
+"""What the second process loads and calls while it waits: a name that is gone ends it
+unseen.
+"""
 
 from importlib import import_module
 from importlib.util import find_spec

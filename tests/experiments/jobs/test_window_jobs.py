@@ -162,7 +162,9 @@ def test_a_file_without_a_placement_problem_is_refused_in_one_line(run, tmp_path
 
 @pytest.fixture
 def demanding(problem):
-    """A quarter of the runs at least, also when a unit fails; with two units there is more."""
+    """A quarter of the runs at least, also when a unit fails; with two units there is
+    more.
+    """
     floors = (
         Floor(name="target", share=0.2),
         Floor(

@@ -1,4 +1,6 @@
-"""What was assumed of a map: in sentences, a box of the report, lines on the terminal."""
+"""What was assumed of a map: in sentences, a box of the report, lines on the
+terminal.
+"""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,6 @@
-"""Random layouts and an expert's rule beside layouts found, and beside layouts compared."""
+"""Random layouts and an expert's rule beside layouts found, and beside layouts
+compared.
+"""
 
 import json
 from dataclasses import replace
@@ -52,6 +54,8 @@ def study_units(n_units):
     return load_carlancap_layout().units[:n_units]
 
 
+# Quickly: tests/placement/test_baselines.py
+@pytest.mark.long
 def test_a_placement_is_shown_beside_random_layouts_and_an_experts(
     small_study, tmp_path
 ):
@@ -84,6 +88,8 @@ def test_the_limits_hold_for_what_it_is_compared_with(small_study, tmp_path):
     assert np.hypot(*(places[0] - places[-1])) >= 30.0
 
 
+# Quickly: tests/placement/test_baselines.py
+@pytest.mark.long
 def test_in_sampled_worlds_they_have_intervals_too(small_study, tmp_path, monkeypatch):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
     summary = place(tmp_path / "out", samples=2)

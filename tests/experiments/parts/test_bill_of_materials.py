@@ -62,8 +62,11 @@ def test_sensors_are_counted_by_model_and_sites_are_paid_once(build, scene):
     bill = build_bill(layout, scene)
     camera, lidar = bill.sensors
     assert (camera.kind, camera.count, camera.price_eur, camera.sum_eur) == (
-        "camera", 2, 1500.0, 3000.0,
-    )  # fmt: skip
+        "camera",
+        2,
+        1500.0,
+        3000.0,
+    )
     assert (lidar.kind, lidar.count, lidar.sum_eur) == ("LiDAR", 1, 4000.0)
     assert [(site.name, site.n_units, site.sum_eur) for site in bill.sites] == [
         (scene.sites[0].id, 2, 800.0),

@@ -90,8 +90,10 @@ def test_of_any_two_layouts_the_runs_that_only_one_avoids_are_named(evaluations)
     found = find_differences(evaluations)
     found = json.loads(to_json_text(found))
     assert [(one["first"], one["second"]) for one in found] == [
-        ("a $1_", "<b>"), ("a $1_", "c"), ("<b>", "c"),
-    ]  # fmt: skip
+        ("a $1_", "<b>"),
+        ("a $1_", "c"),
+        ("<b>", "c"),
+    ]
     assert found[0]["only_first"] == ["A/north/30"]
     assert found[0]["only_second"] == ["B/north/20"]
     assert found[1]["only_first"] == ["A/north/20", "A/north/30"]

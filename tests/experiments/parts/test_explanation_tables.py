@@ -113,8 +113,15 @@ def test_units_that_something_hangs_on_are_counted():
     ]
     table = contribution_table(both, {"a": "#1"})
     assert table.rows[0] == [
-        "#1", "4", "40.0 %", "50.0 %", "0.25", "1.50", "0.30", "0.90",
-    ]  # fmt: skip
+        "#1",
+        "4",
+        "40.0 %",
+        "50.0 %",
+        "0.25",
+        "1.50",
+        "0.30",
+        "0.90",
+    ]
     assert {len(row) for row in table.rows} == {len(table.columns)}
     row = contribution_table(explained(contributions=[alone])).rows[0]
     assert row[4:8] == ["\N{EN DASH}"] * 4

@@ -87,7 +87,9 @@ def test_what_one_unit_misses_is_explained_run_by_run(small_setting, candidates)
 
 
 def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
-    """The runs of one unit, with weight and without: all lists and counts say the same."""
+    """The runs of one unit, with weight and without: all lists and counts say the
+    same.
+    """
     poses = candidates[8:9]
     everything = place(
         Assembly(setting=small_setting, candidates=poses, wishes=Wishes(budget_units=1))

@@ -29,7 +29,9 @@ def verdict(axis, onset_s):
 
 
 def marks(axes, *, is_filled):
-    """Margins in milliseconds of the marks in data coordinates, and how many lie at the edge."""
+    """Margins in milliseconds of the marks in data coordinates, and how many lie at the
+    edge.
+    """
     places = []
     n_edge = 0
     for line in axes.get_lines():

@@ -38,7 +38,9 @@ def verdict(axis, onset_s, is_avoided=None):
 
 @pytest.fixture
 def axis(frame_axis):
-    """At 36, 72 and 36 km/h, from two directions, with last moments at -0.1, -0.2 and -1 s."""
+    """At 36, 72 and 36 km/h, from two directions, with last moments at -0.1, -0.2 and
+    -1 s.
+    """
     return replace(
         frame_axis,
         approaches=("north", "<i>south</i>", "north"),
@@ -76,7 +78,9 @@ def test_metres_are_what_the_car_covers_in_the_margin(axis):
 
 
 def test_metres_are_the_way_between_two_places_of_the_run_as_it_is_driven(runs):
-    """Where the VUT of a real run is at the onset, and where at the last moment: along its path."""
+    """Where the VUT of a real run is at the onset, and where at the last moment: along
+    its path.
+    """
     for run in runs[::13]:
         motion = run.encounter.vut_motion
         last_s = run.last_brake_time_s

@@ -19,7 +19,9 @@ from experiments.language import speaking
 from experiments.parts.player import interactive_part
 from experiments.report.page import page_environment
 
-pytestmark = pytest.mark.system
+# In a browser, which takes long. What the page is made of, quickly:
+# test_player.py
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 
 FRAME = "document.getElementById('player-frame')"
@@ -111,7 +113,8 @@ def test_units_light_up_in_just_the_frames_in_which_they_detect(browser, address
             f"""() => [...Array({len(run["time"])}).keys()].map((frame) => {{
                 {FRAME}.value = frame; {FRAME}.dispatchEvent(new Event('input'));
                 return [...document.querySelectorAll('.unit')].map((unit) =>
-                    [unit.classList.contains('detects'), unit.classList.contains('confirmed')]);
+                    ['detects', 'confirmed'].map(
+                        (name) => unit.classList.contains(name)));
             }})"""
         )
         lit = np.array(shown).transpose(2, 1, 0)
@@ -200,10 +203,12 @@ def test_tables_sort_by_numbers_with_units_and_back(browser, address):
         assert page.locator("#sorted [aria-sort]").count() == 1
 
 
-GERMAN = """<table id="sorted"><thead><tr><th scope="col">Name</th><th scope="col">Preis</th>
+GERMAN = """<table id="sorted"><thead><tr><th scope="col">Name</th>
+<th scope="col">Preis</th>
 <th scope="col">Reserve</th></tr></thead><tbody>
 <tr><th scope="row">Ä</th><td>1.200,5 EUR</td><td>vermieden, 0,30 s</td></tr>
-<tr><th scope="row">B</th><td>\N{MINUS SIGN}5,5 EUR</td><td>AUFPRALL, wieder verloren</td></tr>
+<tr><th scope="row">B</th><td>\N{MINUS SIGN}5,5 EUR</td>
+<td>AUFPRALL, wieder verloren</td></tr>
 <tr><th scope="row">Z</th><td>nie</td><td>AUFPRALL, 0,20 s zu spät</td></tr>
 <tr><th scope="row">C</th><td>90 EUR</td><td>vermieden, 1,10 s</td></tr>
 </tbody></table>"""

@@ -29,7 +29,9 @@ SPEEDS_MPS = (6.0, 7.0, 8.0, 9.0, 10.0)
 
 
 def _write(folder, detected, *, vut=True):
-    """Pedestrians that cross; detected: (n_units + 1, n_drives, n_frames), the car comes last."""
+    """Pedestrians that cross; detected: (n_units + 1, n_drives, n_frames), the car
+    comes last.
+    """
     names = [str(unit) for unit in range(len(detected) - 1)] + ["car"]
     seen = {
         name: rows
@@ -63,7 +65,9 @@ def _random(seed, share):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Folder of a recording, what is detected in it, and speeds: thousands of files, made once."""
+    """Folder of a recording, what is detected in it, and speeds: thousands of files,
+    made once.
+    """
 
     @cache
     def make(seed=1, share=0.4):
@@ -93,7 +97,9 @@ def _with_own(folder, name, to):
 
 
 def _in_time(frames, speed_mps):
-    """Whether a drive is avoided, frame by frame: a = 7.72 m/s^2, 25 ms, three in a row."""
+    """Whether a drive is avoided, frame by frame: a = 7.72 m/s^2, 25 ms, three in a
+    row.
+    """
     for index, confirmed in enumerate(naive_confirmed(frames, 3)):
         if confirmed:
             return (index - N_FRAMES + 1) / 10.0 + 0.025 <= -speed_mps / (2.0 * 7.72)

@@ -15,7 +15,9 @@ MET = ("on foot", "on foot", "bicycle")
 
 @pytest.fixture
 def evaluation(frame_axis):
-    """Runs that weigh 0.5, 0.25 and 0.25; units avoid the first and the last, the VUT the last."""
+    """Runs that weigh 0.5, 0.25 and 0.25; units avoid the first and the last, the VUT
+    the last.
+    """
     axis = replace(frame_axis, weight=np.array([0.5, 0.25, 0.25]))
 
     def verdict(avoided, left_kmh):

@@ -1,4 +1,6 @@
-"""Results of every kind against their JSON schema, and that against the documentation."""
+"""Results of every kind against their JSON schema, and that against the
+documentation.
+"""
 
 import copy
 import json
@@ -63,7 +65,9 @@ def parts(node, where="$"):
 
 
 def with_first_of_each(node):
-    """A summary whose lists of objects hold the first one only: the others are alike."""
+    """A summary whose lists of objects hold the first one only: the others are
+    alike.
+    """
     if isinstance(node, dict):
         return {key: with_first_of_each(value) for key, value in node.items()}
     if isinstance(node, list) and all(isinstance(item, dict) for item in node):

@@ -1,4 +1,6 @@
-"""Sketches of cases: the car drives upwards and hits in the middle, whatever arm it comes from."""
+"""Sketches of cases: the car drives upwards and hits in the middle, whatever arm it
+comes from.
+"""
 
 import re
 

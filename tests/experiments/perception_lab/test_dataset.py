@@ -1,4 +1,6 @@
-"""The command `dataset`: what it writes, that it goes on where it stopped, and what it refuses."""
+"""The command `dataset`: what it writes, that it goes on where it stopped, and what it
+refuses.
+"""
 
 import json
 import os
@@ -83,7 +85,9 @@ def drawn_once(tmp_path_factory):
 
 @pytest.fixture
 def drawn(dataset, drawn_once):
-    """The dataset without clouds, which several tests begin with: in the folder `data`."""
+    """The dataset without clouds, which several tests begin with: in the folder
+    `data`.
+    """
     if not drawn_once.exists():
         code, _, err = dataset("--lidar", "none", out=drawn_once)
         assert code == 0, err
@@ -286,7 +290,9 @@ KINDS = {"MEET-CAR": "car", "MEET-MOTORCYCLE": "motorcycle"}
 
 
 def test_a_car_and_a_motorcyclist_are_labelled_as_such(dataset):
-    """In the study's folders once, with vehicles and without; read back, none of them is a VRU."""
+    """In the study's folders once, with vehicles and without; read back, none of them
+    is a VRU.
+    """
     asked = ("--lidar", "none", "--masks")
     assert dataset(*asked, asked=MET, out="plain")[0] == 0
     assert dataset(*asked, "--vehicles", asked=MET, out="all")[0] == 0

@@ -1,4 +1,6 @@
-"""The command `detector fit`: its three sources, what it writes, and what it refuses."""
+"""The command `detector fit`: its three sources, what it writes, and what it
+refuses.
+"""
 
 import json
 from dataclasses import replace
@@ -31,7 +33,9 @@ ASKED = (
 
 
 def _boxes(rng):
-    """Boxes (n, 4) of all heights, and whether they are found: half of them at 35 px."""
+    """Boxes (n, 4) of all heights, and whether they are found: half of them at 35
+    px.
+    """
     height = np.exp(rng.uniform(np.log(15.0), np.log(120.0), N_FRAMES))
     left = rng.uniform(0.0, 900.0, N_FRAMES)
     boxes = np.stack(
@@ -300,7 +304,9 @@ def test_contradictory_options_are_refused(run, options, line):
 
 
 class _Oracle:
-    """Reads from a picture which row it is, and finds the road user in two rows of three."""
+    """Reads from a picture which row it is, and finds the road user in two rows of
+    three.
+    """
 
     def __init__(self, boxes_px):
         self.boxes_px = boxes_px

@@ -46,7 +46,9 @@ from placement.layout import Layout, load_carlancap_layout, load_layout
 from scenarios.cases import load_case_sets
 from scenarios.weights import WEIGHT_WORDS
 
-pytestmark = pytest.mark.system
+# In a browser, which takes long. What the page is made of, quickly:
+# test_server.py and test_plan.py
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 PATIENCE_MS = 120_000
 CROSSING = Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm"
@@ -67,7 +69,9 @@ def browser(request, tmp_path_factory):
 
 @pytest.fixture
 def drawn_pictures():
-    """What a camera sees is drawn; without this it is grey, as most tests do not look at it."""
+    """What a camera sees is drawn; without this it is grey, as most tests do not look
+    at it.
+    """
 
 
 @pytest.fixture(autouse=True)
@@ -125,7 +129,9 @@ def opened(
     foreign=(),
     **options,
 ):
-    """The page; it must neither complain nor ask for anything from elsewhere but `foreign`."""
+    """The page; it must neither complain nor ask for anything from elsewhere but
+    `foreign`.
+    """
     context = browser.new_context(
         viewport={"width": width, "height": height}, **options
     )
@@ -750,7 +756,12 @@ TOUCH = """([kind, fingers]) => {
     const svg = document.querySelector("#plan svg");
     svg.setPointerCapture = () => {};
     fingers.forEach(([x, y], index) => svg.dispatchEvent(new PointerEvent(kind, {
-        pointerId: 7 + index, pointerType: "touch", clientX: x, clientY: y, bubbles: true })));
+        pointerId: 7 + index,
+        pointerType: "touch",
+        clientX: x,
+        clientY: y,
+        bubbles: true,
+    })));
 }"""
 
 
@@ -775,7 +786,8 @@ def test_the_ground_between_two_fingers_stays_and_a_wheel_goes_the_way_it_is_tur
         page.mouse.move(x, y)
         page.mouse.wheel(60, 0)
         page.wait_for_function(
-            "x => document.querySelector('[data-site=corner-ne]').getBoundingClientRect().x < x",
+            "x => document.querySelector('[data-site=corner-ne]')"
+            ".getBoundingClientRect().x < x",
             arg=x - 20,
         )
         moved = middle(site)
@@ -870,7 +882,9 @@ def chosen(page):
 
 
 def rested(page):
-    """Wait until numbers and the chosen unit's view are there: nothing in the panel moves then."""
+    """Wait until numbers and the chosen unit's view are there: nothing in the panel
+    moves then.
+    """
     told(page)
     page.get_by_text(re.compile(r"its detector reaches \d+ m")).wait_for()
 
@@ -1001,7 +1015,8 @@ def test_escape_gives_up_a_drag_of_slider_compass_and_side_view(browser, serve, 
         drag(page, (x, y), away)
         page.wait_for_function(
             """([fields, before]) => fields.some((field, index) =>
-            Math.abs(document.querySelector(field).valueAsNumber - before[index]) > 0.2)""",
+            Math.abs(document.querySelector(field).valueAsNumber - before[index])
+                > 0.2)""",
             arg=[list(fields), before],
         )
         page.keyboard.press("Escape")
@@ -1014,7 +1029,8 @@ def test_escape_gives_up_a_drag_of_slider_compass_and_side_view(browser, serve, 
 
 
 WHEEL = """([x, y, given]) => document.querySelector("#plan svg").dispatchEvent(
-    new WheelEvent("wheel", { clientX: x, clientY: y, bubbles: true, cancelable: true, ...given }))
+    new WheelEvent("wheel", {
+        clientX: x, clientY: y, bubbles: true, cancelable: true, ...given }))
 """
 
 
@@ -1027,7 +1043,9 @@ def test_a_trackpad_pans_while_notches_and_pinches_zoom_about_the_pointer(
         )
 
         def turned(*events):
-            """How far the pole below the pointer has moved, and what distances have become."""
+            """How far the pole below the pointer has moved, and what distances have
+            become.
+            """
             (x, y), (u, v) = middle(near), middle(far)
             for given in events:
                 page.evaluate(WHEEL, [x, y, given])
@@ -1327,11 +1345,18 @@ def test_the_help_says_every_handling_and_every_colour(browser, serve):
 def pixels_of(page):
     """The picture as the browser decodes it, (h, w, 3), in grey levels."""
     size, flat = page.evaluate(
-        """async () => { const image = document.getElementById("seen-image");
-        await image.decode(); const [width, height] = [image.naturalWidth, image.naturalHeight];
-        const canvas = Object.assign(document.createElement("canvas"), { width, height });
-        const context = canvas.getContext("2d"); context.drawImage(image, 0, 0);
-        return [[height, width], [...context.getImageData(0, 0, width, height).data]]; }"""
+        """async () => {
+            const image = document.getElementById("seen-image");
+            await image.decode();
+            const width = image.naturalWidth;
+            const height = image.naturalHeight;
+            const canvas = document.createElement("canvas");
+            Object.assign(canvas, { width, height });
+            const context = canvas.getContext("2d");
+            context.drawImage(image, 0, 0);
+            const levels = context.getImageData(0, 0, width, height).data;
+            return [[height, width], [...levels]];
+        }"""
     )
     return np.array(flat, dtype=float).reshape(*size, 4)[..., :3]
 
@@ -1454,7 +1479,9 @@ def test_weather_and_weights_are_controls_and_numbers_say_what_they_mean(
 
 
 def screen_of(page, scene, place_m):
-    """Where a place of the ground is on the screen, by two poles that are drawn there."""
+    """Where a place of the ground is on the screen, by two poles that are drawn
+    there.
+    """
     one, other = (
         next(s for s in scene.sites if s.id == name)
         for name in ("corner-ne", "lamp-w2")
@@ -1701,7 +1728,9 @@ def test_reading_a_map_tells_how_far_it_is_and_is_stopped(
 
 @pytest.fixture
 def tile_server():
-    """A server of tiles: each has a colour of its own; what was asked for is remembered."""
+    """A server of tiles: each has a colour of its own; what was asked for is
+    remembered.
+    """
     asked = []
 
     class Answers(BaseHTTPRequestHandler):
@@ -1816,8 +1845,11 @@ SAID = """() => {
         const { parentElement, data } = walk.currentNode;
         if (!parentElement.closest("script, style, code, noscript")) found.push(data);
     }
-    for (const name of ["title", "aria-label", "placeholder", "alt", "aria-valuetext"]) {
-        document.querySelectorAll(`[${name}]`).forEach((one) => found.push(one.getAttribute(name)));
+    const names = ["title", "aria-label", "placeholder", "alt", "aria-valuetext"];
+    for (const name of names) {
+        for (const one of document.querySelectorAll(`[${name}]`)) {
+            found.push(one.getAttribute(name));
+        }
     }
     return [...new Set(found)]; }"""
 KEYS = {*"lnop"}
@@ -1838,7 +1870,9 @@ NAMES |= {*load_case_sets(), *WEIGHT_WORDS}
 def test_no_word_of_the_page_is_left_over(
     browser, serve, garden, small_setting, tmp_path
 ):
-    """The page speaks a language made up: all that it says at any of these moments is in it."""
+    """The page speaks a language made up: all that it says at any of these moments is
+    in it.
+    """
     scene = small_setting.scene
     units = load_carlancap_layout().units[6:8]
     texts = {}

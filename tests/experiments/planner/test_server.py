@@ -1,4 +1,6 @@
-"""The server without a browser: who is let in, what is answered, and that numbers agree."""
+"""The server without a browser: who is let in, what is answered, and that numbers
+agree.
+"""
 
 import asyncio
 import base64
@@ -254,7 +256,9 @@ LENSES = {
 }
 
 
-@pytest.mark.parametrize("model", LENSES)
+@pytest.mark.parametrize(
+    "model", ["brown-conrady", pytest.param("fisheye", marks=pytest.mark.long)]
+)
 def test_a_camera_with_a_lens_is_planned_seen_and_judged(
     open_client, join, few_runs, tmp_path, monkeypatch, model
 ):
@@ -1013,6 +1017,8 @@ def test_of_pictures_that_wait_only_the_newest_is_drawn(
     assert [type(answer) for answer in answers] == [dict, Cancelled, Cancelled, dict]
 
 
+# Quickly: tests/experiments/cli/test_sheet.py, report/test_page.py
+@pytest.mark.long
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_report_and_sheet_are_those_of_the_command_line(
     open_client, few_runs, monkeypatch

@@ -1,4 +1,6 @@
-"""How sure an answer of the optimiser is, in words; and aerial images at their place."""
+"""How sure an answer of the optimiser is, in words; and aerial images at their
+place.
+"""
 
 import io
 import warnings
@@ -81,7 +83,9 @@ UTM = "EPSG:32632"
 
 
 def aerial(path, *, driver, step_m=0.25, turn_deg=0.0, **more):
-    """An image of 60 m around the junction, dark but for four coloured squares, and its grid."""
+    """An image of 60 m around the junction, dark but for four coloured squares, and its
+    grid.
+    """
     rasterio = pytest.importorskip(
         "rasterio", reason="place-rsus[terrain] is not installed"
     )

@@ -182,7 +182,9 @@ def test_ctrl_c_ends_it_at_once_while_a_thousand_units_are_counted(tmp_path):
 
 
 def look_at(address):
-    """Join as a page does, with a layout that is being evaluated, and go as a closed tab does."""
+    """Join as a page does, with a layout that is being evaluated, and go as a closed
+    tab does.
+    """
     from websockets.sync.client import connect
 
     live = address.replace("http:", "ws:") + "live"

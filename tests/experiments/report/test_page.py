@@ -371,8 +371,8 @@ def test_the_first_screen_tells_weights_once_and_no_proof_that_there_is_not(
     [
         ("geometric", False),
         ("response", True),
-        ("own.toml", True),
-        ("pole-2015+pointrcnn-2019", True),
+        pytest.param("own.toml", True, marks=pytest.mark.long),
+        pytest.param("pole-2015+pointrcnn-2019", True, marks=pytest.mark.long),
     ],
 )
 def test_a_plan_by_a_detector_that_misses_by_chance_says_so(

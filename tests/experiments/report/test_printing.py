@@ -60,6 +60,8 @@ def test_the_folder_of_results_has_nothing_but_results(run):
     assert "outside of --out" in err
 
 
+# Quickly: test_what_the_browser_prints_is_the_file
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is missing")
 def test_a_report_has_at_most_twelve_pages(run, tmp_path):

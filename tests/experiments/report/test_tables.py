@@ -18,7 +18,9 @@ NIGHT = ("day", "day", "night")
 
 
 def verdict(axis, is_avoided):
-    """What counts here is which of the runs, of weights 1/2, 1/4 and 1/4, are avoided."""
+    """What counts here is which of the runs, of weights 1/2, 1/4 and 1/4, are
+    avoided.
+    """
     return Verdict(
         detected=np.arange(axis.n_frames) < 5,
         confirmation_time_s=np.where(is_avoided, -1.0, np.inf),

@@ -56,9 +56,17 @@ def evaluation(layout, frame_axis, rule):
 def test_apr_table_agrees_with_the_evaluation(evaluation):
     table = apr_table({"mine": evaluation})
     assert list(table.columns) == [
-        "layout", "party", "case", "approach", "position", "weather", "vut_speed_kmh", "apr",
-        "n_runs", "n_avoided",
-    ]  # fmt: skip
+        "layout",
+        "party",
+        "case",
+        "approach",
+        "position",
+        "weather",
+        "vut_speed_kmh",
+        "apr",
+        "n_runs",
+        "n_avoided",
+    ]
     for party, verdict in parties(evaluation).items():
         is_wanted = (table.party == party) & (table.approach == "all")
         rows = table[is_wanted & (table.vut_speed_kmh == "all")].set_index("case")

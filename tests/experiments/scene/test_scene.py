@@ -1,4 +1,6 @@
-"""``place-rsus scene`` on small hand-made maps, and ``--scene`` with what it makes of them."""
+"""``place-rsus scene`` on small hand-made maps, and ``--scene`` with what it makes of
+them.
+"""
 
 import csv
 import io
@@ -408,10 +410,17 @@ def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
         "schema": "place-rsus/layout/1",
         "name": "mine",
         "layout": [
-            {"id": "a", "x_m": 9.0, "y_m": 9.0, "z_m": 6.0, "yaw_deg": 0.0, "pitch_deg": -20.0,
-             "camera": "carla-ncap-rgb"},
+            {
+                "id": "a",
+                "x_m": 9.0,
+                "y_m": 9.0,
+                "z_m": 6.0,
+                "yaw_deg": 0.0,
+                "pitch_deg": -20.0,
+                "camera": "carla-ncap-rgb",
+            },
         ],
-    }  # fmt: skip
+    }
     path = tmp_path / "mine.json"
     path.write_text(json.dumps(layout))
     given = ["export", "--layout", str(path), "--scene", str(out), "--format"]
@@ -580,6 +589,8 @@ def test_the_junctions_of_a_map_stand_on_a_page_with_streets_and_names(chooser):
     assert "--staggered 40 --junction" in page
 
 
+# Quickly: what the map's page is made of, above
+@pytest.mark.long
 @pytest.mark.system
 def test_a_junction_is_chosen_on_the_map_or_in_the_list(chooser):
     with start_browser() as browser, open_page(browser, chooser.as_uri()) as page:

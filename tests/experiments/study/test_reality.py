@@ -91,7 +91,9 @@ def pets(folder, rng):
 
 
 def kitti(folder, rng):
-    """Two sequences of people and cyclists, each found in seven or eight of ten frames."""
+    """Two sequences of people and cyclists, each found in seven or eight of ten
+    frames.
+    """
     data = folder / "OpenTraj" / "datasets" / "KITTI" / "data"
     for sequence in (0, 16):
         labels = []
@@ -114,8 +116,9 @@ def kitti(folder, rng):
                 else:
                     number = 3
                 if rng.random() < 0.75:
+                    where = f"{track - 3},1.6,{far}"
                     points[kind].append(
-                        f"{frame},{number},{commas},2.0,1.8,0.5,0.5,{track - 3},1.6,{far},0,0"
+                        f"{frame},{number},{commas},2.0,1.8,0.5,0.5,{where},0,0"
                     )
                 if kind == "Pedestrian" and rng.random() < 0.8:
                     pictures.append(f"{frame},{commas},0.9")
@@ -131,7 +134,9 @@ def kitti(folder, rng):
 
 
 def wildtrack(folder):
-    """Three frames of people, whose flags say whether their middle is in the picture."""
+    """Three frames of people, whose flags say whether their middle is in the
+    picture.
+    """
     from scipy.spatial.transform import Rotation
 
     data = folder / "OpenTraj" / "datasets" / "Wild-Track"
@@ -150,7 +155,8 @@ def wildtrack(folder):
         for kind, terms in (("original", "-0.05 0.01 0 0 0"), ("zero", "0 0 0 0 0")):
             path = data / "calibrations" / f"intrinsic_{kind}" / f"intr_{name}.xml"
             k = "<camera_matrix><data>900 0 960 0 900 540 0 0 1</data></camera_matrix>"
-            d = f"<distortion_coefficients><data>{terms}</data></distortion_coefficients>"
+            name_of_d = "distortion_coefficients"
+            d = f"<{name_of_d}><data>{terms}</data></{name_of_d}>"
             put(path, f"<opencv_storage>{k}{d}</opencv_storage>")
             if kind == "original":
                 cameras.append(read_opencv_camera(path, extrinsic, (1920, 1080)))

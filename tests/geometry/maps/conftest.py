@@ -8,7 +8,9 @@ _FOLDER = Path(__file__).parents[4] / "shared" / "inputs"
 
 @pytest.fixture(scope="session")
 def real_input() -> Callable[[str], Path]:
-    """Path of a file that nobody here made; the test is skipped where these are not at hand."""
+    """Path of a file that nobody here made; the test is skipped where these are not at
+    hand.
+    """
 
     def find(name: str) -> Path:
         path = _FOLDER / name

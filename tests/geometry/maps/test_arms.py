@@ -1,4 +1,6 @@
-"""Arms of junctions against the roads that a map leads to them: stubs, medians, what is missing."""
+"""Arms of junctions against the roads that a map leads to them: stubs, medians, what is
+missing.
+"""
 
 from pathlib import Path
 
@@ -19,7 +21,8 @@ def read(osm: OsmText, folder: Path) -> SourceMap:
 
 
 def dual_carriageway(stub_m: float) -> OsmText:
-    """A T junction of a street with two carriageways, cut in two at its crosswalk to the north.
+    """A T junction of a street with two carriageways, cut in two at its crosswalk to
+    the north.
 
     As at Northgate: the carriageways have two lanes north of the cut and three south of
     it.

@@ -55,7 +55,9 @@ def old_coordinates(points):
 def polygon(points, *, holes=(), write=pos_list, attributes=""):
     rings = [("exterior", points), *(("interior", hole) for hole in holes)]
     body = "".join(
-        f"<gml:{kind}><gml:LinearRing>{write([*ring, ring[0]])}</gml:LinearRing></gml:{kind}>"
+        f"<gml:{kind}><gml:LinearRing>"
+        + write([*ring, ring[0]])
+        + f"</gml:LinearRing></gml:{kind}>"
         for kind, ring in rings
     )
     return f"<gml:Polygon {attributes}>{body}</gml:Polygon>"

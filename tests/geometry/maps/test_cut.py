@@ -272,7 +272,7 @@ def test_a_lane_that_only_turns_at_another_junction_is_not_led_on():
     assert not [one for one in scene.lanes if one.kind == "connecting"]
 
 
-def test_through_junctions_lead_the_maps_own_lanes_and_through_others_the_straight_ones():
+def test_the_maps_own_lanes_lead_through_junctions_and_else_straight_ones():
     def through(name, junction, *points):
         made = lane(
             name, points[0], points[-1], start=junction, to=junction, height_m=5.0

@@ -80,7 +80,7 @@ def test_northing_comes_first_where_the_definition_says_so():
     assert np.array_equal(place.to_metres(east_north[:, ::-1], "f"), east_north)
 
 
-def test_the_other_order_is_taken_if_only_it_lies_where_the_reference_system_is_meant_for():
+def test_the_other_order_is_taken_if_only_it_lies_where_the_system_is_meant_for():
     east_north = np.array([[4_590_000.0, 5_820_000.0], [4_590_100.0, 5_820_300.0]])
     place = georeference(
         east_north, "urn:ogc:def:crs:EPSG::31468", where="f", follows_authority=True

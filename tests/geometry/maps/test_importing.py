@@ -12,7 +12,9 @@ FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 
 
 def bare_map(tmp_path: Path) -> Path:
-    """Two crossings without poles or buildings, nothing that shows the side of the road."""
+    """Two crossings without poles or buildings, nothing that shows the side of the
+    road.
+    """
     osm = OsmText()
     crossing(osm, bearings=FOUR, highway="residential")
     middle = osm.node(340.0, 0.0)

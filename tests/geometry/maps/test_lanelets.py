@@ -118,15 +118,30 @@ def test_a_crossing_becomes_a_scene(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "name", "told"),
     [
-        ("<osm version='0.6'><relation id='1'><tag k='type' v='lanelet'/></relation></osm>",
-         "a.osm", "no nodes"),
-        (lanelet2({"zebra": ([(0, 1), (9, 1)], [(0, 0), (9, 0)])}), "a.osm", "no lanelet for cars"),
-        (lanelet2({"road": ([(0, 1)], [(0, 0), (9, 0)])}), "a.osm", "no lanelet for cars"),
+        (
+            "<osm version='0.6'><relation id='1'>"
+            "<tag k='type' v='lanelet'/></relation></osm>",
+            "a.osm",
+            "no nodes",
+        ),
+        (
+            lanelet2({"zebra": ([(0, 1), (9, 1)], [(0, 0), (9, 0)])}),
+            "a.osm",
+            "no lanelet for cars",
+        ),
+        (
+            lanelet2({"road": ([(0, 1)], [(0, 0), (9, 0)])}),
+            "a.osm",
+            "no lanelet for cars",
+        ),
         ("<commonRoad/>", "a.xml", "no lanelet for cars"),
-        (commonroad({"road": ([(0, "x"), (1, "nan")], [(0, 0), (9, 0)])}), "a.xml",
-         "no lanelet for cars"),
+        (
+            commonroad({"road": ([(0, "x"), (1, "nan")], [(0, 0), (9, 0)])}),
+            "a.xml",
+            "no lanelet for cars",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_map_is_refused(
     tmp_path: Path, text: str, name: str, told: str
 ) -> None:

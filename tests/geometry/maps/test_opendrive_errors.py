@@ -1,4 +1,6 @@
-"""What is refused, in which words; and that nothing else comes out, whatever is in a file."""
+"""What is refused, in which words; and that nothing else comes out, whatever is in a
+file.
+"""
 
 import random
 import re
@@ -20,6 +22,8 @@ from opendrive_text import (
 
 from geometry.errors import InputError
 from geometry.maps.opendrive import read_opendrive
+
+NO_WIDTH = '<width sOffset="0"/>'
 
 _SHAPES = (
     geometry(length=20.0)
@@ -120,7 +124,8 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
         ),
         (
             document(road("5", length=100001.0)),
-            "made.xodr: road 5.length: got 100001.0; expected metres, > 0, at most 100000",
+            "made.xodr: road 5.length: got 100001.0; "
+            "expected metres, > 0, at most 100000",
         ),
         (
             document(road("5", rule="LEFT")),
@@ -141,15 +146,18 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
         ),
         (
             _plan(geometry(y=2e8)),
-            "made.xodr: road 5 geometry[0].y: got 200000000.0; expected at most 1e+08 m",
+            "made.xodr: road 5 geometry[0].y: got 200000000.0; "
+            "expected at most 1e+08 m",
         ),
         (
             _plan(geometry(length=-3.0)),
-            "made.xodr: road 5 geometry[0].length: got -3.0; expected metres, at least 0",
+            "made.xodr: road 5 geometry[0].length: got -3.0; "
+            "expected metres, at least 0",
         ),
         (
             _plan(geometry(length=0.0)),
-            "made.xodr: road 5 planView: got no geometry; expected pieces of a length above 0",
+            "made.xodr: road 5 planView: got no geometry; "
+            "expected pieces of a length above 0",
         ),
         (
             _plan(geometry("<circle/>")),
@@ -163,15 +171,18 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
         ),
         (
             _plan(geometry(), geometry(s=150.0)),
-            "made.xodr: road 5 geometry[1].s: got 150.0; expected 0 .. 100, the road's length",
+            "made.xodr: road 5 geometry[1].s: got 150.0; "
+            "expected 0 .. 100, the road's length",
         ),
         (
             _plan(geometry(s=20.0)),
-            "made.xodr: road 5 geometry[0].s: got 20.0; expected 0: a road begins there",
+            "made.xodr: road 5 geometry[0].s: got 20.0; "
+            "expected 0: a road begins there",
         ),
         (
             _plan(geometry("<arc/>")),
-            "made.xodr: road 5 geometry[0] arc.curvature: got nothing; expected a number",
+            "made.xodr: road 5 geometry[0] arc.curvature: got nothing; "
+            "expected a number",
         ),
         (
             _plan(geometry('<arc curvature="inf"/>')),
@@ -194,7 +205,8 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
         ),
         (
             document(road("5", sections=section(s=120.0))),
-            "made.xodr: road 5 laneSection[0].s: got 120.0; expected 0 .. 100, the road's length",
+            "made.xodr: road 5 laneSection[0].s: got 120.0; "
+            "expected 0 .. 100, the road's length",
         ),
         (
             document(road("5", sections=section(right=[lane(1)]))),
@@ -207,13 +219,14 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
             "expected positive on the left, every one once",
         ),
         (
-            document(road("5", sections=section(left=[lane(1, width='<width sOffset="0"/>')]))),
+            document(road("5", sections=section(left=[lane(1, width=NO_WIDTH)]))),
             "made.xodr: road 5 laneSection[0] left lane[0] width[0].a: got nothing; "
             "expected a number",
         ),
         (
             document(road("5", sections=section(left=[lane(1, width=90000)]))),
-            "made.xodr: road 5: edge of a lane: got 90000.0; expected at most 10000 m off",
+            "made.xodr: road 5: edge of a lane: got 90000.0; "
+            "expected at most 10000 m off",
         ),
         (
             document(road("5", objects='<object id="3" type="tree" s="5"/>')),
@@ -243,7 +256,7 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
             "made.xodr: header offset.x: got 'nan?'; expected a number",
         ),
     ],
-)  # fmt: skip
+)
 def test_each_wrong_file_is_refused_in_one_line_that_names_the_element(
     tmp_path, text, message
 ):

@@ -62,7 +62,7 @@ def test_what_a_projection_says_about_heights_is_left_out(tmp_path):
         ("somewhere", "not a coordinate reference system that pyproj knows"),
         ("+proj=tmerc " * 5000, "longer than 20000 characters"),
     ],
-)  # fmt: skip
+)
 def test_others_are_noted(tmp_path, reference, why):
     source = _read(tmp_path, reference)
     assert source.crs == ""

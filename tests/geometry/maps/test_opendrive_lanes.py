@@ -101,13 +101,12 @@ def test_types_of_lanes(tmp_path, written, kind):
 
 
 def test_linked_pieces_are_one_lane_also_under_new_numbers(tmp_path):
-    sections = (
-        section(right=[lane(-1, after=-2), lane(-2, "sidewalk", after=-3)])
-        + section(
-            s=40.0,
-            right=[lane(-1), lane(-2, before=-1), lane(-3, "sidewalk", before=-2)],
-        )
-    )  # fmt: skip
+    sections = section(
+        right=[lane(-1, after=-2), lane(-2, "sidewalk", after=-3)]
+    ) + section(
+        s=40.0,
+        right=[lane(-1), lane(-2, before=-1), lane(-3, "sidewalk", before=-2)],
+    )
     offset = cubic("laneOffset", 0.0) + cubic("laneOffset", 40.0, 3.5)
     lanes = _lanes(tmp_path, road(sections=sections, offset=offset))
     assert set(lanes) == {"1/-1", "1/-2", "1/-1/1"}

@@ -1,4 +1,6 @@
-"""Files of OpenStreetMap data: formats, damage, sizes, and maps that nobody here made."""
+"""Files of OpenStreetMap data: formats, damage, sizes, and maps that nobody here
+made.
+"""
 
 import bz2
 import gzip
@@ -354,17 +356,49 @@ def test_changed_attributes_are_read_or_refused(
 @given(
     tags=st.dictionaries(
         st.sampled_from(
-            ["lanes", "lanes:forward", "lanes:backward", "oneway", "width", "width:lanes",
-             "turn:lanes", "parking:left", "parking:both:orientation", "cycleway", "sidewalk",
-             "junction", "layer", "bridge", "lanes:both_ways", "highway", "service", "name"]
+            [
+                "lanes",
+                "lanes:forward",
+                "lanes:backward",
+                "oneway",
+                "width",
+                "width:lanes",
+                "turn:lanes",
+                "parking:left",
+                "parking:both:orientation",
+                "cycleway",
+                "sidewalk",
+                "junction",
+                "layer",
+                "bridge",
+                "lanes:both_ways",
+                "highway",
+                "service",
+                "name",
+            ]
         ),
         st.sampled_from(
-            [*_ODD, "1", "2", "3", "5", "both", "lane", "track", "roundabout", "primary_link",
-             "service", "motorway", "2.5|3", "-3", "separate"]
+            [
+                *_ODD,
+                "1",
+                "2",
+                "3",
+                "5",
+                "both",
+                "lane",
+                "track",
+                "roundabout",
+                "primary_link",
+                "service",
+                "motorway",
+                "2.5|3",
+                "-3",
+                "separate",
+            ]
         ),
     ),
     seed=st.integers(0, 10**6),
-)  # fmt: skip
+)
 def test_roads_that_lie_anyhow_are_read(
     tags: dict[str, str], seed: int, tmp_path: Path
 ) -> None:
@@ -462,11 +496,13 @@ def test_a_damaged_pbf_is_read_or_refused(
             read_openstreetmap(path)
 
 
-# ---------------------------------------------------------------- maps that nobody here made
+# ---------------------------------------------------- maps that nobody here made
 
 
 def _check(source: SourceMap) -> Counter[int]:
-    """Every junction has three arms or more, and lanes end at its outline; counts of arms."""
+    """Every junction has three arms or more, and lanes end at its outline; counts of
+    arms.
+    """
     counts: Counter[int] = Counter()
     for junction in source.junctions:
         counts[len(arm_lanes(source, junction))] += 1

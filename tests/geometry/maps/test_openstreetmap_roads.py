@@ -47,7 +47,9 @@ def check_ends(source: SourceMap) -> None:
 def one_road(
     tags: dict[str, str], folder: Path, **options: bool
 ) -> list[tuple[str, float, float]]:
-    """Kind, width and place to the left of a road that leads east; those that run west: minus."""
+    """Kind, width and place to the left of a road that leads east; those that run west:
+    minus.
+    """
     osm = OsmText()
     osm.way([(-50.0, 0.0), (50.0, 0.0)], {"highway": "residential"} | tags)
     source = read(osm, folder, **({"keeps_left": False} | options))
@@ -75,7 +77,10 @@ def one_road(
         ({"est_width": "6"}, [("driving", -3.0, 1.5), ("driving", 3.0, -1.5)]),
         ({"oneway": "yes"}, [("driving", 2.75, 0.0)]),
         ({"oneway": "-1"}, [("driving", -2.75, 0.0)]),
-        ({"oneway": "yes", "lanes": "2"}, [("driving", 2.75, 1.4), ("driving", 2.75, -1.4)]),
+        (
+            {"oneway": "yes", "lanes": "2"},
+            [("driving", 2.75, 1.4), ("driving", 2.75, -1.4)],
+        ),
         (
             {"lanes": "3", "lanes:forward": "1", "width": "9"},
             [("driving", -3.0, 3.0), ("driving", -3.0, 0.0), ("driving", 3.0, -3.0)],
@@ -93,43 +98,74 @@ def one_road(
             [("driving", 3.5, 1.2), ("driving", 2.5, -1.8)],
         ),
         (
-            {"width:lanes:forward": "3", "width:lanes:backward": "2.5|3.5", "lanes": "3",
-             "lanes:backward": "2"},
+            {
+                "width:lanes:forward": "3",
+                "width:lanes:backward": "2.5|3.5",
+                "lanes": "3",
+                "lanes:backward": "2",
+            },
             [("driving", -3.5, 2.8), ("driving", -2.5, -0.2), ("driving", 3.0, -3.0)],
         ),
         # one for both
         ({"width": "3.6"}, [("driving", -3.0, 0.3), ("driving", 3.0, -0.3)]),
-        ({"lanes": "1", "width": "4"}, [("driving", -3.4, 0.3), ("driving", 3.4, -0.3)]),
+        (
+            {"lanes": "1", "width": "4"},
+            [("driving", -3.4, 0.3), ("driving", 3.4, -0.3)],
+        ),
         ({"highway": "service"}, [("driving", -2.9, 0.3), ("driving", 2.9, -0.3)]),
         (
             {"width": "10", "parking:right": "lane", "parking:right:width": "2"},
             [("driving", -4.0, 3.0), ("driving", 4.0, -1.0), ("parking", 2.0, -4.0)],
         ),
         (
-            {"width": "6", "parking:left": "street_side",
-             "parking:left:orientation": "perpendicular"},
+            {
+                "width": "6",
+                "parking:left": "street_side",
+                "parking:left:orientation": "perpendicular",
+            },
             [("parking", -5.0, 5.5), ("driving", -3.0, 1.5), ("driving", 3.0, -1.5)],
         ),
         (
-            {"width": "10", "parking:lane:left": "parallel", "parking:lane:right": "no_parking"},
+            {
+                "width": "10",
+                "parking:lane:left": "parallel",
+                "parking:lane:right": "no_parking",
+            },
             [("parking", -2.0, 4.0), ("driving", -4.0, 1.0), ("driving", 4.0, -3.0)],
         ),
         (
-            {"width": "6", "parking:both": "lane", "parking:both:restriction": "no_stopping"},
+            {
+                "width": "6",
+                "parking:both": "lane",
+                "parking:both:restriction": "no_stopping",
+            },
             [("driving", -3.0, 1.5), ("driving", 3.0, -1.5)],
         ),
         (
             {"width": "9", "cycleway": "lane"},
-            [("cycling", -1.5, 3.8), ("driving", -3.0, 1.5), ("driving", 3.0, -1.5),
-             ("cycling", 1.5, -3.8)],
+            [
+                ("cycling", -1.5, 3.8),
+                ("driving", -3.0, 1.5),
+                ("driving", 3.0, -1.5),
+                ("cycling", 1.5, -3.8),
+            ],
         ),
         (
             {"width": "6", "cycleway:right": "track", "sidewalk": "right"},
-            [("driving", -3.0, 1.5), ("driving", 3.0, -1.5), ("cycling", 2.0, -4.0),
-             ("walking", 2.5, -6.2)],
+            [
+                ("driving", -3.0, 1.5),
+                ("driving", 3.0, -1.5),
+                ("cycling", 2.0, -4.0),
+                ("walking", 2.5, -6.2),
+            ],
         ),
         (
-            {"width": "6", "oneway": "yes", "cycleway": "opposite_lane", "cycleway:width": "1"},
+            {
+                "width": "6",
+                "oneway": "yes",
+                "cycleway": "opposite_lane",
+                "cycleway:width": "1",
+            },
             [("cycling", -1.0, 2.5), ("driving", 5.0, -0.5)],
         ),
         (
@@ -137,9 +173,12 @@ def one_road(
             {"width": "6", "oneway": "-1", "sidewalk": "left"},
             [("walking", -2.5, 4.2), ("driving", -6.0, 0.0)],
         ),
-        ({"sidewalk:both": "separate"}, [("driving", -2.75, 1.4), ("driving", 2.75, -1.4)]),
+        (
+            {"sidewalk:both": "separate"},
+            [("driving", -2.75, 1.4), ("driving", 2.75, -1.4)],
+        ),
     ],
-)  # fmt: skip
+)
 def test_tags_say_what_lies_side_by_side(
     tags: dict[str, str], expected: list[tuple[str, float, float]], tmp_path: Path
 ) -> None:

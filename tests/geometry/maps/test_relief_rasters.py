@@ -52,7 +52,9 @@ class Raster:
 
 
 def plane(n=200, step=2.0, **options):
-    """A raster around the junction: 300 m in its middle, 5 % up to the east, 2 % to the south."""
+    """A raster around the junction: 300 m in its middle, 5 % up to the east, 2 % to the
+    south.
+    """
     corner = AT_M + [-0.5 * n * step, 0.5 * n * step]
     steps = (np.arange(n) + 0.5) * step - 0.5 * n * step
     heights = 300.0 + 0.05 * steps[None, :] + 0.02 * steps[:, None]

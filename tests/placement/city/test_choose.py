@@ -67,7 +67,9 @@ def fronts(draw, n_junctions=3):
 
 
 def brute_force(options, weight, wishes):
-    """Values of the best choice of all, in the objectives' order; None: nothing is allowed."""
+    """Values of the best choice of all, in the objectives' order; None: nothing is
+    allowed.
+    """
     share = weight / weight.sum()
     starts = [*np.flatnonzero(np.diff(options.junction, prepend=-1)), len(options)]
     groups = [range(a, b) for a, b in pairwise(starts)]
@@ -158,7 +160,9 @@ def test_the_choice_is_the_best_of_all_in_every_objective(
 
 @given(fronts(), st.integers(0, 6), st.integers(0, 12))
 def test_what_the_fronts_leave_open_is_in_the_bound(found, units, halves):
-    """A layout within the junctions' bounds, which the fronts lack, does not exceed the bound."""
+    """A layout within the junctions' bounds, which the fronts lack, does not exceed the
+    bound.
+    """
     options = stack_fronts(found)
     weight = np.ones(3)
     wishes = CityWishes(budget_units=units, budget_eur=500.0 * halves)

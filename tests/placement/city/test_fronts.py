@@ -1,4 +1,6 @@
-"""Fronts of one junction against all layouts there are, with any prices and with kept units."""
+"""Fronts of one junction against all layouts there are, with any prices and with kept
+units.
+"""
 
 from dataclasses import replace
 from itertools import combinations
@@ -22,7 +24,9 @@ TOLERANCE = 1.0e-9
 
 @st.composite
 def junctions(draw):
-    """A problem whose sites are paid once, at equal or at different prices; a unit may hang."""
+    """A problem whose sites are paid once, at equal or at different prices; a unit may
+    hang.
+    """
     problem = draw(problems())
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     limits = problem.limits
@@ -105,7 +109,7 @@ def many_poses(rng):
     return PlacementProblem(table=table, limits=limits, fusion="any", rule=rule)
 
 
-def test_poses_that_see_alike_and_go_together_still_give_a_layout_for_each_number_of_sites():
+def test_poses_that_see_alike_still_give_a_layout_for_each_number_of_sites():
     problem = many_poses(np.random.default_rng(1))
     reduced = presolve(problem)
     with pytest.MonkeyPatch.context() as patch:

@@ -11,7 +11,9 @@ from placement.city.choose import Knapsack, best_prices, priced_choice, solve_kn
 
 
 def build(sizes, seed, *, n_rows=1, tightness=0.5):
-    """Groups of some sizes; the first option of each takes nothing and brings nothing."""
+    """Groups of some sizes; the first option of each takes nothing and brings
+    nothing.
+    """
     rng = np.random.default_rng(seed)
     group = np.repeat(np.arange(len(sizes)), sizes)
     profit = rng.integers(0, 1000, len(group)) / 8.0
@@ -24,7 +26,9 @@ def build(sizes, seed, *, n_rows=1, tightness=0.5):
 
 
 def best_of_all(problem):
-    """Highest sum of profits, by going through all choices; minus infinity: none is within."""
+    """Highest sum of profits, by going through all choices; minus infinity: none is
+    within.
+    """
     starts = [*problem.starts, len(problem.group)]
     groups = [range(a, b) for a, b in pairwise(starts)]
     sums = (
@@ -89,7 +93,9 @@ def test_a_limit_that_nothing_keeps_is_told():
 
 
 def test_a_limit_may_ask_for_a_least_sum():
-    """A row of negative numbers: at least 3 of the second kind, though it brings less."""
+    """A row of negative numbers: at least 3 of the second kind, though it brings
+    less.
+    """
     problem = Knapsack(
         group=np.array([0, 0, 1, 1]),
         profit=np.array([5.0, 1.0, 5.0, 1.0]),

@@ -68,7 +68,9 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
 
 @pytest.mark.parametrize("share", [0.0, 0.4])
 def test_the_share_that_lasts_for_a_track_is_found(share):
-    """Noise drawn as a sampled world draws it, of tracks that are found as often as missed."""
+    """Noise drawn as a sampled world draws it, of tracks that are found as often as
+    missed.
+    """
     rng = np.random.default_rng(2)
     sightings = drawn()
     linked = linked_noise(sightings.frame + sightings.track * (N_FRAMES + 1), 0.5, rng)

@@ -126,7 +126,9 @@ def as_end_to_end(boxes, ids, scores):
 
 
 def as_detr(boxes, ids, scores):
-    """91 classes and one for none: softmax; the logarithms of probabilities give them back."""
+    """91 classes and one for none: softmax; the logarithms of probabilities give them
+    back.
+    """
     probability = one_hot(np.add(ids, 1), scores, 92, rest=1e-9)
     probability[:, 91] = 1.0 - np.array(scores)
     boxes = f32(centred(boxes) / 64.0)
@@ -158,7 +160,9 @@ def path(tmp_path):
 
 
 def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
-    """A detector of torchvision's kind: the box around all pixels with red above a threshold."""
+    """A detector of torchvision's kind: the box around all pixels with red above a
+    threshold.
+    """
     axes = {
         "columns": (1, 2),
         "rows": (1, 3),
@@ -221,7 +225,7 @@ def test_every_export_gives_its_boxes_classes_and_scores(path, layout):
 
 
 @pytest.mark.parametrize("layout", SUPPRESSED + DENSE)
-def test_boxes_of_one_class_that_overlap_are_suppressed_where_the_export_has_not_done_it(
+def test_boxes_of_a_class_that_overlap_are_suppressed_where_the_export_did_not(
     path, layout
 ):
     near = [5.0, 9.0, 21.0, 61.0]
@@ -337,7 +341,9 @@ def test_a_fixed_input_finds_the_box_where_it_is_in_the_given_image(path):
 
 
 def save_size_teller(path, inputs):
-    """An end-to-end table of one box, whose score is the image's width in hundreds of pixels."""
+    """An end-to-end table of one box, whose score is the image's width in hundreds of
+    pixels.
+    """
     nodes = [
         helper.make_node("Shape", ["images"], ["shape"], start=3, end=4),
         helper.make_node("Cast", ["shape"], ["width"], to=TensorProto.FLOAT),
@@ -510,7 +516,7 @@ def test_a_cyclist_is_a_person_and_a_bicycle_that_overlap_or_either():
     )
 
 
-def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_neither_counts_for_the_other():
+def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_counts_for_none():
     found = image_boxes(
         ([10.0, 0.0, 20.0, 30.0], 1, 0.9),  # rides the motorcycle
         ([5.0, 15.0, 35.0, 40.0], 4, 0.7),

@@ -212,7 +212,9 @@ def test_the_same_seed_finds_the_same_boxes_and_another_others():
 @pytest.mark.parametrize("correlation", [0.0, 0.7, 1.0])
 @pytest.mark.parametrize("height_px", [20.0, 40.0, 120.0])
 def test_the_share_of_detections_is_the_probability(correlation, height_px):
-    """Of runs of five frames the first and the last: five standard deviations of a binomial."""
+    """Of runs of five frames the first and the last: five standard deviations of a
+    binomial.
+    """
     n_runs = 20_000
     detector = replace(DETECTOR, frame_correlation=correlation)
     evidence = build_evidence(
@@ -255,7 +257,9 @@ def test_frames_are_independent_without_correlation_and_alike_with_all_of_it():
 
 
 def test_rows_of_the_same_number_share_their_luck():
-    """A frame by day and at night: what is found at night is found by day, in the same place."""
+    """A frame by day and at night: what is found at night is found by day, in the same
+    place.
+    """
     index = np.tile(np.arange(3000), 2)
     contrast = np.repeat([1.0, 0.3], 3000)
     evidence = build_evidence(_box(30.0, 6000), draw_index=index, contrast=contrast)

@@ -1,4 +1,6 @@
-"""Boxes beside labels: what is found, what is a false alarm, which false tracks are confirmed."""
+"""Boxes beside labels: what is found, what is a false alarm, which false tracks are
+confirmed.
+"""
 
 import numpy as np
 import pytest

@@ -17,7 +17,9 @@ RULE = load_vam_rule()
 
 @pytest.fixture
 def walk(build_run):
-    """A run in which the VRU covers a distance per frame, straight east; 10 frames per second."""
+    """A run in which the VRU covers a distance per frame, straight east; 10 frames per
+    second.
+    """
 
     def build(steps_m, yaw_deg=None, vru="adult"):
         east_m = np.concatenate([[0.0], np.cumsum(steps_m)])
@@ -83,14 +85,18 @@ def test_setting_off_and_stopping_are_told_at_once(walk):
 
 
 def test_a_slow_change_of_speed_is_no_news_until_it_has_added_up(walk):
-    """0.1 m/s faster in every frame: more than 0.5 m/s since the last message after six."""
+    """0.1 m/s faster in every frame: more than 0.5 m/s since the last message after
+    six.
+    """
     speeds_mps = 1.0 + 0.1 * np.arange(20)
     assert _sent(walk(speeds_mps / 10.0))[:3] == [0, 6, 12]
 
 
 @pytest.mark.parametrize("start_deg", [0.0, 177.0, -178.5])
 def test_a_turn_is_told_once_it_exceeds_four_degrees(walk, start_deg):
-    """1.5 degrees per frame, over the turn of the compass too: after three frames 4.5."""
+    """1.5 degrees per frame, over the turn of the compass too: after three frames
+    4.5.
+    """
     yaw_deg = (start_deg + 1.5 * np.arange(13) + 180.0) % 360.0 - 180.0
     assert _sent(walk([0.0] * 12, yaw_deg)) == [0, 3, 6, 9, 12]
 

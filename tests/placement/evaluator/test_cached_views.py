@@ -1,4 +1,6 @@
-"""What units detect is cached for the next call: it looks at nothing again, and finds the same."""
+"""What units detect is cached for the next call: it looks at nothing again, and finds
+the same.
+"""
 
 from dataclasses import replace
 
@@ -49,7 +51,9 @@ def setting(build_scene, build_setting, runs):
 
 @pytest.fixture
 def looked(monkeypatch):
-    """What was looked from, call by call: the ids of units, and whether the VUT looked, too."""
+    """What was looked from, call by call: the ids of units, and whether the VUT looked,
+    too.
+    """
     calls = []
     look = watch_module._Watcher.look
 

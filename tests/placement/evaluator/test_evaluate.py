@@ -61,7 +61,9 @@ def build_layout(camera):
 
 @pytest.fixture
 def pretend(monkeypatch, build_layout, setting, axis):
-    """Evaluate detections given by hand, one row per unit, instead of those rendered."""
+    """Evaluate detections given by hand, one row per unit, instead of those
+    rendered.
+    """
 
     def evaluate_rows(
         *unit_rows,
@@ -199,7 +201,8 @@ def test_same_onset_is_judged_run_by_run(pretend, axis):
 
 
 def test_the_message_of_a_slow_unit_decides_when_no_other_saw_that_frame(pretend, axis):
-    """Frames 1 and 3 from a unit of 25 ms, frame 2 from one of 0.5 s: frame 2 comes last.
+    """Frames 1 and 3 from a unit of 25 ms, frame 2 from one of 0.5 s: frame 2 comes
+    last.
 
     In the second run the fast unit sees frames 3 to 5 by itself: it is through before.
     """
@@ -403,7 +406,9 @@ def test_a_lidars_table_finds_some_of_those_with_enough_points(build_layout, rea
 def test_what_is_missed_by_day_is_missed_at_night_and_in_fog(
     build_layout, build_setting, real
 ):
-    """The same frame has the same luck in every weather: only the weather makes the difference."""
+    """The same frame has the same luck in every weather: only the weather makes the
+    difference.
+    """
     setting, x_m = real
     layout = build_layout("a", x_m=x_m)
     runs = [

@@ -1,4 +1,6 @@
-"""Boxes through lenses: by brute force over every pixel, and against pinholes and the table."""
+"""Boxes through lenses: by brute force over every pixel, and against pinholes and the
+table.
+"""
 
 from dataclasses import replace
 
@@ -29,7 +31,9 @@ MOUNT = Pose(position_m=np.array([-7.0, -7.0, 6.0]), yaw_deg=45.0, pitch_deg=-30
 
 
 def made_runs(build_run, rng, n_frames=24):
-    """An adult and a cyclist who jump about, with a car that parks, one that drives and the VUT."""
+    """An adult and a cyclist who jump about, with a car that parks, one that drives and
+    the VUT.
+    """
     car = PlacedActor(
         actor=pick_actor("parked-car-small", "test"),
         pose=Pose(position_m=np.array([1.0, 1.0, 0.0]), yaw_deg=10.0),
@@ -72,7 +76,9 @@ def surroundings(scene, runs):
 
 
 def opencv_rays(camera):
-    """Rays (h, w, 2) of all pixels by OpenCV's undistortion; NaN where it finds none."""
+    """Rays (h, w, 2) of all pixels by OpenCV's undistortion; NaN where it finds
+    none.
+    """
     rows, columns = np.indices((camera.height_px, camera.width_px)) + 0.5
     fx = camera.focal_length_px
     x, y = camera.principal_point
@@ -110,7 +116,9 @@ def opencv_rays(camera):
 
 
 def depths(ways, near, corners):
-    """Depths (n,) at which rays (n, 3), one deep, first meet triangles (m, 3, 3), by Cramer."""
+    """Depths (n,) at which rays (n, 3), one deep, first meet triangles (m, 3, 3), by
+    Cramer.
+    """
     first = np.full(len(ways), np.inf)
     lengths = np.linalg.norm(ways, axis=1)[:, None]
     corners = corners[(corners[..., 2] > 0.0).any(axis=1)]

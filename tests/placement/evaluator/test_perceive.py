@@ -206,7 +206,9 @@ def test_obstruction_hides_in_its_own_run_only(build_scene, build_run, camera, b
 
 
 def test_each_frame_shows_its_own_shape(build_scene, build_run, camera):
-    """Seen from the side, the gait's own widths: the same place, one frame per shape."""
+    """Seen from the side, the gait's own widths: the same place, one frame per
+    shape.
+    """
     adult = pick_actor("adult", "test")
     run = build_run(adult, [[8.0, 0.0, 90.0]] * len(adult.shapes))
     surroundings = build_surroundings(build_scene(), [run])

@@ -93,7 +93,9 @@ def constant(name, value):
 def build_network(
     boxes, *, label=PERSON, nodes=(), shape=("batch", 3, "height", "width")
 ):
-    """Torchvision's outputs: the same boxes always, surely unless `nodes` compute the scores."""
+    """Torchvision's outputs: the same boxes always, surely unless `nodes` compute the
+    scores.
+    """
     boxes = np.float32(boxes).reshape(-1, 4)
     nodes = nodes or [constant("scores", np.full(len(boxes), 0.75, dtype=np.float32))]
     kinds = {
@@ -120,7 +122,9 @@ def build_network(
 
 
 def build_network_that_knows(picture, box):
-    """It finds its box in this picture, to the last bit of the last pixel, and in no other."""
+    """It finds its box in this picture, to the last bit of the last pixel, and in no
+    other.
+    """
     image = picture.transpose(2, 0, 1)[None].astype(np.float32) / np.float32(255.0)
     nodes = [
         constant("known", image),

@@ -45,7 +45,9 @@ TINY = CameraModel(
 
 @pytest.fixture(params=["triangles drawn", "a ray per pixel"])
 def look(request, build_run, camera, build_scene):
-    """Amodal and visible box of a VRU in one frame, by the evaluator and by its oracle."""
+    """Amodal and visible box of a VRU in one frame, by the evaluator and by its
+    oracle.
+    """
 
     def boxes(
         vru,
@@ -186,7 +188,8 @@ POINTS = hnp.arrays(
 
 
 def _drawn(corners_m, camera, window):
-    """Depths of triangles (camera frame) in a window of the image, and the box of their pixels.
+    """Depths of triangles (camera frame) in a window of the image, and the box of their
+    pixels.
 
     Each has a front on either side: of closed bodies, which are drawn, no back is seen.
     """
@@ -207,7 +210,9 @@ def _image(camera, up_m=0.0):
 
 
 def _cast(corners_m, camera, window):
-    """The same by rays in double precision, triangle by triangle [Moeller, Trumbore 1997]."""
+    """The same by rays in double precision, triangle by triangle [Moeller, Trumbore
+    1997].
+    """
     columns, rows = np.meshgrid(
         np.arange(window[0], window[2]), np.arange(window[1], window[3]), indexing="xy"
     )
@@ -246,7 +251,9 @@ def _cast(corners_m, camera, window):
     window=st.sampled_from([(0, 0, 64, 48), (10, 5, 40, 30), (63, 47, 64, 48)]),
 )
 def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
-    """Also those that reach behind the lens, and through the distance at which drawing starts."""
+    """Also those that reach behind the lens, and through the distance at which drawing
+    starts.
+    """
     depth, box = _drawn(corners_m, TINY, window)
     expected, is_sure = _cast(corners_m, TINY, window)
     assert np.allclose(depth[is_sure], expected[is_sure], rtol=1e-6)
@@ -271,7 +278,8 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
 def test_what_reaches_into_the_beam_hides_what_rays_find_hidden(
     corners_m, plate_m, yaw_deg, up_m
 ):
-    """A plate across the view, behind triangles anywhere: what the tree leaves out hides nothing.
+    """A plate across the view, behind triangles anywhere: what the tree leaves out
+    hides nothing.
 
     No height limits the beam here.
     """
@@ -312,7 +320,9 @@ def test_tree_holds_every_triangle_once_and_each_box_its_own(corners_m, n_copies
 
 
 def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
-    """A triangle at each power of two: every split in the middle takes off a single one."""
+    """A triangle at each power of two: every split in the middle takes off a single
+    one.
+    """
     corner = np.array([[0.0, 0.0, 0.0], [1e-300, 0.0, 0.0], [0.0, 1e-300, 0.0]])
     corners_m = np.array(
         [corner + [2.0**power, 0.0, 0.0] for power in range(-1000, 1000)]
@@ -375,7 +385,9 @@ def _in_camera(points_m, pose, road_pose):
 @pytest.mark.parametrize("name", ["adult", "child", "cyclist"])
 @pytest.mark.parametrize("distance_m", [1.2, 3.0, 8.0])
 def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
-    """In single precision rays along a silhouette may go either way: some in ten thousand."""
+    """In single precision rays along a silhouette may go either way: some in ten
+    thousand.
+    """
     body = build_body(pick_actor(name, "test").shapes[0])
     (mesh,) = body.meshes
     pose = Pose(position_m=np.array([0.0, 0.0, 1.4]), yaw_deg=0.0, pitch_deg=-10.0)

@@ -127,7 +127,9 @@ def test_fog_and_a_heavy_rain_take_what_is_far(sees):
 def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     build_scene, build_run, block, count, distance_m
 ):
-    """A face of 1 m by 1.8 m that is met squarely: every beam that ends inside it counts."""
+    """A face of 1 m by 1.8 m that is met squarely: every beam that ends inside it
+    counts.
+    """
     run = build_run(block, [[distance_m + 0.25, 0.0, 0.0]])
     found = count(build_surroundings(build_scene(), [run]), LOW)
     ahead, left, up = np.moveaxis(beam_directions(SURE).reshape(-1, 3), -1, 0)
@@ -169,7 +171,9 @@ def _placed(shape, position_m, yaw_deg):
 
 
 def _plain_counts(scene, runs, pose, lidar):
-    """Beams of the whole pattern that end on the VRU, with everything there in one mesh."""
+    """Beams of the whole pattern that end on the VRU, with everything there in one
+    mesh.
+    """
     beams = (
         beam_directions(lidar).reshape(-1, 3)
         @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
@@ -296,7 +300,9 @@ def test_other_frames_do_not_matter(build_scene, build_run):
 
 
 def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, block):
-    """Wherever the VUT stands and faces: ahead is seen, aside, behind and hidden is not."""
+    """Wherever the VUT stands and faces: ahead is seen, aside, behind and hidden is
+    not.
+    """
     yaw_deg = np.repeat([0.0, 77.0, -160.0], 4)
     bearing_deg = yaw_deg + np.tile([0.0, 60.0, 180.0, 5.0], 3)
     towards = np.column_stack(
@@ -367,7 +373,9 @@ def _around(build_run, name, distance_m, n_frames=20):
 def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
     build_scene, build_run, beams_on_vru, lidar, pitch_deg, distance_m
 ):
-    """Also over the seam behind, and below the LiDAR, where a VRU is at all azimuths at once."""
+    """Also over the seam behind, and below the LiDAR, where a VRU is at all azimuths at
+    once.
+    """
     scene = build_scene(((3.0, 2.0, 0.0), (6.0, 5.0, 3.0)))
     run = _around(build_run, "cyclist", distance_m, n_frames=10)
     # Looking east: the first frames are right behind.

@@ -1,4 +1,6 @@
-"""Vehicles that drive by hide road users: in the detection table and in the evaluator."""
+"""Vehicles that drive by hide road users: in the detection table and in the
+evaluator.
+"""
 
 from dataclasses import replace
 
@@ -74,7 +76,9 @@ def _seen(setting, unit):
 def test_a_bus_hides_a_pedestrian_for_a_second(
     scene, build_run, build_setting, bus, unit
 ):
-    """The shadow of a box, by similar triangles: the pedestrian stands twice as far as the bus."""
+    """The shadow of a box, by similar triangles: the pedestrian stands twice as far as
+    the bus.
+    """
     adult = pick_actor("adult", "test")
     n_frames = 31
     along_m = SPEED_MPS * (np.arange(n_frames) - 15) / 10.0

@@ -23,7 +23,9 @@ from scenarios.aeb import load_aeb_rule
 
 
 def evaluate(axis, detected, latencies_s):
-    """An evaluation of units of which nothing but the detected frames and latencies counts."""
+    """An evaluation of units of which nothing but the detected frames and latencies
+    counts.
+    """
     units = tuple(
         CandidatePose(
             id=f"U{index}",
@@ -58,7 +60,9 @@ def evaluate(axis, detected, latencies_s):
 
 
 def brute_force(axis, detected, latencies_s, rule, failed):
-    """Run by run and window by window: APR, smallest margin and avoided runs of the rest."""
+    """Run by run and window by window: APR, smallest margin and avoided runs of the
+    rest.
+    """
     n = rule.n_confirmations
     avoided = []
     weight = 0.0

@@ -1,4 +1,6 @@
-"""Why runs are not avoided: named things in tiny worlds, and everything else by brute force."""
+"""Why runs are not avoided: named things in tiny worlds, and everything else by brute
+force.
+"""
 
 import math
 from dataclasses import replace

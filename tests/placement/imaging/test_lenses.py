@@ -1,4 +1,6 @@
-"""Pictures through lenses: against a pinhole's, along the same rays; and onto stills."""
+"""Pictures through lenses: against a pinhole's, along the same rays; and onto
+stills.
+"""
 
 from dataclasses import replace
 

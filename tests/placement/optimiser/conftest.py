@@ -31,5 +31,7 @@ def _best_value(problem: PlacementProblem, poses: Iterable[int]) -> PlacementVal
 
 @pytest.fixture(scope="session")
 def best_value() -> Callable[[PlacementProblem, Iterable[int]], PlacementValue]:
-    """Brute force: best value of all feasible layouts, of any size, among some poses."""
+    """Brute force: best value of all feasible layouts, of any size, among some
+    poses.
+    """
     return _best_value

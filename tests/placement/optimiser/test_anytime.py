@@ -1,4 +1,6 @@
-"""What is answered when the time is over, and what is computed once for several answers."""
+"""What is answered when the time is over, and what is computed once for several
+answers.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -74,7 +74,9 @@ def is_used_up(
     pose: int,
     max_units: int,
 ) -> bool:
-    """True if other units can use up all dominators before a pose, or it cannot stand there."""
+    """True if other units can use up all dominators before a pose, or it cannot stand
+    there.
+    """
     if capacity[site[pose]] <= 0 or max_units <= 0:
         return False
     at_site = [0] * len(capacity)
@@ -113,7 +115,9 @@ def test_poses_are_dominated_where_others_cannot_use_up_their_dominators(
 
 
 def runs_of_windows(rng: np.random.Generator) -> tuple[IntArray, ...]:
-    """Frames of windows, run by run, and tails: a frame, and how many first windows need it."""
+    """Frames of windows, run by run, and tails: a frame, and how many first windows
+    need it.
+    """
     n_windows = rng.integers(2, 7, 2)
     sets = np.sort(rng.integers(0, 4, (n_windows.sum(), 2)), axis=1)
     tail_frame = []

@@ -1,4 +1,6 @@
-"""What the VUT sees by itself is in every set of poses: brute force over small problems."""
+"""What the VUT sees by itself is in every set of poses: brute force over small
+problems.
+"""
 
 from dataclasses import replace
 from itertools import combinations

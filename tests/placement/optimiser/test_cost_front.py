@@ -33,7 +33,9 @@ def all_values(problem: PlacementProblem) -> list[PlacementValue]:
 
 
 def steps_of(values: list[PlacementValue], step: float) -> Steps:
-    """Brute force: cost, APR and APR when one fails, from the cheapest that avoids anything."""
+    """Brute force: cost, APR and APR when one fails, from the cheapest that avoids
+    anything.
+    """
     steps: Steps = []
     while True:
         if steps:

@@ -1,4 +1,6 @@
-"""Poles that fail with all their units, beside units that fail one by one: by brute force."""
+"""Poles that fail with all their units, beside units that fail one by one: by brute
+force.
+"""
 
 from dataclasses import replace
 from itertools import combinations

@@ -1,4 +1,6 @@
-"""What may be mounted together: limits against sets one by one, and what wrong ones say."""
+"""What may be mounted together: limits against sets one by one, and what wrong ones
+say.
+"""
 
 from dataclasses import replace
 from itertools import combinations
@@ -102,7 +104,9 @@ def test_sets_are_allowed_that_break_no_limit(seed: int, size: int) -> None:
     ],
 )
 def test_each_limit_leaves_fewer_sets(wish: dict[str, Any], expected: str) -> None:
-    """Poses 0 and 1 stand at site 0, which carries one and costs 1 EUR, 2 at site 1, 3 at 2."""
+    """Poses 0 and 1 stand at site 0, which carries one and costs 1 EUR, 2 at site 1, 3
+    at 2.
+    """
     limits = Limits(
         site_index=[0, 0, 1, 2],
         site_capacity=[1, 1, 1],

@@ -1,4 +1,6 @@
-"""The accident prevention ratio of sampled worlds, requirements, and the order of values."""
+"""The accident prevention ratio of sampled worlds, requirements, and the order of
+values.
+"""
 
 from itertools import combinations
 from typing import Any

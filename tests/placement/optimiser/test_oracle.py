@@ -1,4 +1,6 @@
-"""Random problems of every kind against the enumeration of ``oracle``, by every solver."""
+"""Random problems of every kind against the enumeration of ``oracle``, by every
+solver.
+"""
 
 import os
 from collections import Counter
@@ -52,7 +54,9 @@ BLOCK = 2_000
 @pytest.mark.long
 @pytest.mark.parametrize("block", range(-(-N_PROBLEMS // BLOCK)))
 def test_thousands_of_answers_are_as_the_enumeration_says(block: int) -> None:
-    """Alone: ``PYTHONPATH=. python tests/oracle_checks.py FIRST END`` also says the rates."""
+    """Alone: ``PYTHONPATH=. python tests/support/oracle_checks.py FIRST END`` also says
+    the rates.
+    """
     first = BLOCK * block
     parts = [range(begin, begin + 500) for begin in range(first, first + BLOCK, 500)]
     kinds: Counter[str] = Counter()

@@ -64,7 +64,9 @@ def test_packing_words_loses_nothing(n_bits: int, seed: int) -> None:
 
 
 def packed_rows(rng: np.random.Generator, n_rows: int, n_bytes: int) -> ByteArray:
-    """Bits as a table has them: not to be written to, or kernels would be compiled once more."""
+    """Bits as a table has them: not to be written to, or kernels would be compiled once
+    more.
+    """
     rows = rng.integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
     rows.setflags(write=False)
     return rows

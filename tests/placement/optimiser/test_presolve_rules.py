@@ -1,4 +1,6 @@
-"""Every rule of presolve alone, on random problems, against the enumeration of ``oracle``."""
+"""Every rule of presolve alone, on random problems, against the enumeration of
+``oracle``.
+"""
 
 from dataclasses import replace
 from itertools import combinations
@@ -25,7 +27,9 @@ from scenarios.runs import FrameAxis
 TAKES_USABLE = {Rule.NEEDLESS_POSES, Rule.DOMINATED_POSES}
 """Rules that take it for granted that poses are usable."""
 N_PROBLEMS = 150
-SUBSETS = [{rule} | ({Rule.UNUSABLE_POSES} & ALL_RULES) for rule in TAKES_USABLE]
+SUBSETS = [
+    {rule} | ({Rule.UNUSABLE_POSES} & ALL_RULES) for rule in sorted(TAKES_USABLE)
+]
 ALONE = [
     *({rule} for rule in sorted(Rule) if rule not in TAKES_USABLE),
     *SUBSETS,
@@ -59,7 +63,9 @@ def best_by_stage(
 
 
 def check_stages(problem: PlacementProblem, reduced: ReducedProblem) -> bool:
-    """Check that the poses left reach the best value of every stage; False: no layout."""
+    """Check that the poses left reach the best value of every stage; False: no
+    layout.
+    """
     oracle = Oracle(problem)
     if not oracle.layouts:
         return False

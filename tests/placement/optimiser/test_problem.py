@@ -27,7 +27,9 @@ RULE = AebRule(
 def two_runs(
     rows: list[str], *, fusion: Fusion = "any", weight: FloatArray | None = None
 ) -> PlacementProblem:
-    """Six frames per run, deadlines such that the third and the fifth frame confirm last."""
+    """Six frames per run, deadlines such that the third and the fifth frame confirm
+    last.
+    """
     axis = FrameAxis(
         run_ids=("slow", "fast"),
         cases=("CPNA-50", "CPNA-50"),

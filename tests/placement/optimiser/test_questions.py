@@ -1,4 +1,6 @@
-"""Every question on small tables against brute force: floors, wishes, money, failures, samples."""
+"""Every question on small tables against brute force: floors, wishes, money, failures,
+samples.
+"""
 
 from dataclasses import replace
 from itertools import combinations

@@ -1,4 +1,6 @@
-"""What ties: bounds hold for all layouts within the tie tolerance, however small weights are."""
+"""What ties: bounds hold for all layouts within the tie tolerance, however small
+weights are.
+"""
 
 from dataclasses import replace
 from itertools import combinations

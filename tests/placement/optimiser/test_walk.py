@@ -160,7 +160,9 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(
 
 
 def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost() -> None:
-    """Better sets were met while only a step more was asked for, and not kept as ties."""
+    """Better sets were met while only a step more was asked for, and not kept as
+    ties.
+    """
     axis = FrameAxis(
         **{
             "run_ids": ("0", "1", "2"),

@@ -36,7 +36,9 @@ STEERING = np.array([0.7, 0.6, 0.7, 0.97, 6.0])
 def asked_of(
     chains: Chains, chain: int, link: int, alone: set[int], seen: FloatArray
 ) -> tuple[set[int], float]:
-    """Pieces of a window that a union lacks, and how much the least seen of them is seen."""
+    """Pieces of a window that a union lacks, and how much the least seen of them is
+    seen.
+    """
     frames, tails = needed(chains, chain, link)
     missing = (frames | tails) - alone
     return missing, min((seen[frame] for frame in missing), default=np.inf)

@@ -60,7 +60,9 @@ class Folder:
 
 @pytest.fixture
 def small() -> Folder:
-    """Two drives of a pedestrian by two units and the car; see test_evaluate.py for the numbers."""
+    """Two drives of a pedestrian by two units and the car; see test_evaluate.py for the
+    numbers.
+    """
     folder = Folder()
     number = folder.drive(
         3,

@@ -36,9 +36,10 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
     # Both pedestrians cross: c = v, so cos(angle) = u / (2 v) is about 0. Braking at
     # 7.72 m/s^2, 25 ms after the third detected frame in a row, must set in before -v /
     # 15.44:
-    #   drive 1, 10 m/s: before -0.6477 s, so the third frame may be the one at -0.7 s (onset
-    #     -0.675), not the one at -0.6 s;
-    #   drive 2, 15 m/s: before -0.9715 s: the frame at -1.0 s (onset -0.975), not that at -0.9 s.
+    #   drive 1, 10 m/s: before -0.6477 s, so the third frame may be the one at -0.7 s
+    #     (onset -0.675), not the one at -0.6 s;
+    #   drive 2, 15 m/s: before -0.9715 s: the frame at -1.0 s (onset -0.975), not that
+    #     at -0.9 s.
     # drive 1: unit 0 at -0.9 and -0.7, unit 1 at -0.8: neither alone, but together in
     # time.
     #          The car at -1.0, -0.9, -0.8: in time.

@@ -1,4 +1,6 @@
-"""Recordings in the formats of others, made up line by line; readers.py has whole ones."""
+"""Recordings in the formats of others, made up line by line; readers.py has whole
+ones.
+"""
 
 import numpy as np
 import pytest

@@ -41,7 +41,7 @@ def test_a_vru_that_stands_or_is_no_slower_than_the_vut_is_taken_as_crossing(v, 
     )
 
 
-def test_braking_sheds_the_closing_speed_behind_a_cyclist_and_all_speed_before_a_crossing_one():
+def test_braking_sheds_the_closing_speed_behind_a_cyclist_else_all_speed():
     # a = 7.72: 10 / 15.44 = 0.647668.. and (10 - 4) / 15.44 = 0.388601..
     rule = load_aeb_rule()
     times = [

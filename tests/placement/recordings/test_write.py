@@ -166,7 +166,9 @@ def test_drives_have_the_same_units_and_there_is_one(tmp_path):
 
 @pytest.fixture(scope="module")
 def simulated(runs):
-    """Three runs of the study, seen by two of its cameras and the VUT's: drives and detections."""
+    """Three runs of the study, seen by two of its cameras and the VUT's: drives and
+    detections.
+    """
     from placement.layout import load_carlancap_layout
 
     few = [

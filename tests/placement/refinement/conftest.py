@@ -48,7 +48,9 @@ def _build_scene(*sites) -> Scene:
 
 
 def _build_walk(name, vru_m, *, last_brake_time_s=-1.0, vru="adult") -> Run:
-    """Someone at the places given, (n, 2); the VUT is far away, its motion of no account."""
+    """Someone at the places given, (n, 2); the VUT is far away, its motion of no
+    account.
+    """
     vru_m = np.asarray(vru_m, dtype=float)
     n_frames = len(vru_m)
     motion = Motion(

@@ -202,7 +202,9 @@ def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
 def test_what_stands_between_two_directions_of_the_grid_is_found(
     build_meadow, build_walk, build_small_setting, narrow_camera, arc
 ):
-    """Someone 45 degrees to the left; the grid looks ahead and left, 20 degrees to each side."""
+    """Someone 45 degrees to the left; the grid looks ahead and left, 20 degrees to each
+    side.
+    """
     scene = build_meadow(("pole", 0.0, 0.0))
     setting = build_small_setting(scene, [build_walk("walk", arc(18.0, 47.0, 43.0))])
     candidates = _grid_of(scene, narrow_camera, yaw_step_deg=90.0)
@@ -224,7 +226,9 @@ def test_what_stands_between_two_directions_of_the_grid_is_found(
 def test_a_unit_is_turned_to_where_it_sees_earliest(
     build_meadow, build_walk, build_small_setting, narrow_camera, arc
 ):
-    """Steps alone: the walk comes into view from the left, 90 degrees from the middle at first."""
+    """Steps alone: the walk comes into view from the left, 90 degrees from the middle
+    at first.
+    """
     scene = build_meadow(("pole", 0.0, 0.0))
     setting = build_small_setting(scene, [build_walk("walk", arc(18.0, 90.0, 10.0))])
     candidates = _grid_of(scene, narrow_camera, yaw_step_deg=360.0)

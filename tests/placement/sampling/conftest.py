@@ -1,4 +1,6 @@
-"""Small questions: two sites of the study's junction, and a tiny junction with a queue."""
+"""Small questions: two sites of the study's junction, and a tiny junction with a
+queue.
+"""
 
 from dataclasses import replace
 
@@ -104,7 +106,9 @@ def junction_runs(actors, rule, junction_scene):
 
 @pytest.fixture(scope="session")
 def standing_still(junction_runs):
-    """The run from the west, in which the VRU only stands at a place that the test chooses."""
+    """The run from the west, in which the VRU only stands at a place that the test
+    chooses.
+    """
 
     def build(position_m, *, n_frames=12, run=None):
         if run is None:

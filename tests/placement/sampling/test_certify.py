@@ -1,4 +1,6 @@
-"""What a layout may lack of the best over all worlds: limits, and how often they hold."""
+"""What a layout may lack of the best over all worlds: limits, and how often they
+hold.
+"""
 
 from dataclasses import replace
 from itertools import combinations
@@ -36,7 +38,8 @@ def test_limits_are_those_of_the_formula():
 
 
 def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
-    """Shares of gaps, and of their upper and lower ends, that hold where the optimum is known.
+    """Shares of gaps, and of their upper and lower ends, that hold where the optimum is
+    known.
 
     Ten poses, two of which are mounted. In a world each pose sees each of twelve runs
     with a probability of its own, so that the APR of a pair over all worlds has a
@@ -242,6 +245,8 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
             assert found.placement.layout.units == alone.layout.units
 
 
+# Quickly: test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat
+@pytest.mark.long
 def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
     monkeypatch.setattr(certifying, "N_JUDGED", 3)
     monkeypatch.setattr(pipeline, "N_JUDGED", 3)
@@ -266,7 +271,9 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
 
 
 def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
-    """Rounds whose layouts differ and have some APRs in fresh worlds; each takes some seconds."""
+    """Rounds whose layouts differ and have some APRs in fresh worlds; each takes some
+    seconds.
+    """
     units, rounds, clock = load_carlancap_layout().units, iter(range(len(aprs))), [0.0]
     real = place
     judge = Assembly.in_fresh_worlds
@@ -326,6 +333,8 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
     assert found.placement.problem.sample_index.max() + 1 == taken
 
 
+# Quickly: test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up
+@pytest.mark.long
 def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
     found = scripted(monkeypatch, [LOW, HIGH], sizes=(1, 2))
     assert (found.growth.taken, found.growth.stopped) == (2, "most")

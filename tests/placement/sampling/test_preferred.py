@@ -21,7 +21,8 @@ BEHIND = [0.5, 0.6, 0.5]
 
 @pytest.fixture
 def asked(setting, candidates, monkeypatch):
-    """Builds an assembly; greedy choice takes a row, and fresh worlds say what they are told to.
+    """Builds an assembly; greedy choice takes a row, and fresh worlds say what they are
+    told to.
 
     Each pose is there twice, so that there are ties.
     """

@@ -27,7 +27,9 @@ def test_cvar_is_the_mean_of_the_worst_of_many_equal_parts(samples, a, b):
 
 @given(shares, st.floats(0.05, 1.0))
 def test_cvar_is_the_optimum_of_its_linear_programme(samples, tail):
-    """Least mean over all ways to spread a weight of 1, no sample more than 1 / (tail n)."""
+    """Least mean over all ways to spread a weight of 1, no sample more than 1 / (tail
+    n).
+    """
     n = len(samples)
     spread = linprog(
         samples,

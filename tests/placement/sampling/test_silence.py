@@ -118,7 +118,9 @@ def test_a_dirty_camera_sees_nothing_for_a_run_and_a_lidar_does_not_mind(many, p
 
 
 def test_low_sun_dazzles_those_who_look_towards_it(many, poses):
-    """Level sun: a share of the circle that follows from the angle between axis and sun."""
+    """Level sun: a share of the circle that follows from the angle between axis and
+    sun.
+    """
     sun = Blinding(low_sun_share=0.5, sun_below_deg=0.0, dazzled_within_deg=40.0)
     dazzled = ~told(many, poses, Uncertainty(blinding=sun))[:, :, 0]
     reach = np.degrees(np.arccos(np.cos(np.radians(40.0)) / np.cos(np.radians(15.0))))
@@ -252,7 +254,9 @@ def test_where_all_lasts_a_run_is_one_draw_and_more_than_the_table_is_no_error()
 
 
 def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
-    """Whatever else is drawn: with all noise of the person, what decides is the same number."""
+    """Whatever else is drawn: with all noise of the person, what decides is the same
+    number.
+    """
     response = load_planning_detector("response")
     chancy = replace(setting, detector=response, table_detector=response)
     shares = {"draws_detections": True, "person_share": 1.0}

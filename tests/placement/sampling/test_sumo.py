@@ -1,4 +1,6 @@
-"""SUMO on a scene's own lanes; skipped where it is not installed, but for what is told then."""
+"""SUMO on a scene's own lanes; skipped where it is not installed, but for what is told
+then.
+"""
 
 import importlib.util
 import subprocess
@@ -24,7 +26,9 @@ from placement.sampling.moving.sumo import (
 
 
 def _loads_sumo():
-    """Whether SUMO is installed, and finds the libraries of the system that it needs."""
+    """Whether SUMO is installed, and finds the libraries of the system that it
+    needs.
+    """
     if importlib.util.find_spec("libsumo") is None:
         return False
     return (
@@ -100,7 +104,9 @@ def test_every_arm_of_the_studys_junction_has_its_three_turns():
 
 @needs_sumo
 def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(runs):
-    """Front bumpers, which SUMO moves along its lanes, against lanes straight on from the map."""
+    """Front bumpers, which SUMO moves along its lanes, against lanes straight on from
+    the map.
+    """
     scene = load_study_scene()
     demand = load_demand()
     run = next(run for run in runs if run.id == "CBLA/east/50")
@@ -151,7 +157,9 @@ def test_the_same_seed_drives_the_same_traffic_and_another_one_another(runs):
 
 @needs_sumo
 def test_vehicles_behind_the_vut_react_to_it(runs):
-    """The VUT stands still in the lanes' middle: who comes from behind stops behind it."""
+    """The VUT stands still in the lanes' middle: who comes from behind stops behind
+    it.
+    """
     scene = load_study_scene()
     demand = load_demand()
     run = next(run for run in runs if run.id == "CBLA/east/50")
@@ -208,7 +216,9 @@ def test_a_junction_without_lights_and_with_three_arms_is_driven(actors, rule):
 
 @needs_sumo
 def test_a_pocket_for_turning_is_an_edge_of_its_own():
-    """A second lane of 30 m beside one of 80 m: two edges, the near one with two lanes."""
+    """A second lane of 30 m beside one of 80 m: two edges, the near one with two
+    lanes.
+    """
     scene = protocol_scene()
     entry = next(lane for lane in scene.lanes if lane.id == "west-in-0")
     points = entry.centreline_m
@@ -234,7 +244,9 @@ def test_a_pocket_for_turning_is_an_edge_of_its_own():
 
 @needs_sumo
 def test_lanes_through_the_junction_are_driven_where_the_map_has_them():
-    """From the west the map has one lane through: SUMO turns nobody there, but elsewhere."""
+    """From the west the map has one lane through: SUMO turns nobody there, but
+    elsewhere.
+    """
     scene = protocol_scene()
     ends = {lane.id: lane.centreline_m for lane in scene.lanes}
     through = Lane(

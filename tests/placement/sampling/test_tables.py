@@ -254,13 +254,15 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
         ("response", None),
         ("geometric", None),
         ("response", BrownConrady(k1=-0.1, p1=0.002)),
-        ("geometric", Fisheye(k1=-0.02)),
+        pytest.param("geometric", Fisheye(k1=-0.02), marks=pytest.mark.long),
     ],
 )
 def test_a_world_beside_others_is_as_it_is_alone(
     setting, candidates, default, planner, lens
 ):
-    """What is kept of one world, for eyes that come up again, is what is found in another."""
+    """What is kept of one world, for eyes that come up again, is what is found in
+    another.
+    """
     if lens is not None:
         candidates = [
             replace(

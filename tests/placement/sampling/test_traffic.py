@@ -227,7 +227,9 @@ def many_ways(actors, rule):
 
 
 def _swept(run, rule):
-    """Footprints of VUT and VRU every two centimetres, until the VUT stands if it brakes at 0."""
+    """Footprints of VUT and VRU every two centimetres, until the VUT stands if it
+    brakes at 0.
+    """
     encounter = run.encounter
     speed = encounter.vut_motion.speed_mps
     stop_s = speed / rule.deceleration_mps2

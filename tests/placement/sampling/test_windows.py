@@ -178,7 +178,9 @@ def test_who_stands_in_a_parked_car_is_found_and_who_passes_it_is_not():
 
 @pytest.fixture(autouse=True)
 def drives(monkeypatch):
-    """In place of SUMO: vans that drive west, most of them far enough from everybody."""
+    """In place of SUMO: vans that drive west, most of them far enough from
+    everybody.
+    """
     lanes = [
         (3.0 * k, straight(99.0, -99.0, 200, left_m=8.0 if k % 2 else -1.75), 180.0)
         for k in range(200)

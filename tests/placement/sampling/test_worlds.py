@@ -116,7 +116,9 @@ def test_errors_have_their_spread_and_no_bias(setting, look):
 
 
 def test_few_heights_stand_for_the_normal_distribution(setting, look):
-    """Three, whose mean, variance and fourth moment are those of the normal distribution."""
+    """Three, whose mean, variance and fourth moment are those of the normal
+    distribution.
+    """
     poses = [look(f"{i}", [float(i), 0.0, 6.0], yaw_deg=0.0) for i in range(4000)]
     (sample,) = draw_samples(
         setting, poses, _mounting(0.0, 0.0, 0.1), n_samples=1, seed=1

@@ -1,4 +1,6 @@
-"""What sets of poses are worth, told twice: by the optimiser's code and by the checker's."""
+"""What sets of poses are worth, told twice: by the optimiser's code and by the
+checker's.
+"""
 
 import ast
 import inspect

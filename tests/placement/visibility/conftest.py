@@ -46,7 +46,8 @@ def _build_scene(*boxes) -> Scene:
 def _build_run(
     vru_poses, vut_poses=None, *, vru="adult", obstruction=(), name="test", shapes=None
 ) -> Run:
-    """Frames as given (east, north, yaw); the motions of the encounter are of no account.
+    """Frames as given (east, north, yaw); the motions of the encounter are of no
+    account.
 
     Unless told otherwise the VRU runs through its shapes, one per frame.
     """

@@ -164,7 +164,9 @@ def test_the_table_is_the_same_every_time_for_a_seed(world, candidates, table):
 
 
 def _heights_px(run, vru_poses, candidate):
-    """Height of the whole body's projection, and whether all of it is in the image, per frame."""
+    """Height of the whole body's projection, and whether all of it is in the image, per
+    frame.
+    """
     heights = []
     inside = []
     for (east, north, yaw_deg), index in zip(vru_poses, run.vru_shape, strict=True):
@@ -284,7 +286,9 @@ def test_a_table_of_candidates_far_away_is_empty(world, mount):
 def test_nothing_beyond_the_largest_distance_is_high_enough(
     camera, min_height_px, yaw_deg, pitch_deg, pixel, times, direction, extent_m
 ):
-    """Two points of a body, both in the image, the nearer one just beyond the distance."""
+    """Two points of a body, both in the image, the nearer one just beyond the
+    distance.
+    """
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=min_height_px)
     limit_m = max_distance_m(camera, detector, vru_height_m=extent_m)
     pose = Pose(position_m=np.zeros(3), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
@@ -310,7 +314,9 @@ def test_nothing_beyond_the_largest_distance_is_high_enough(
 
 
 def test_the_largest_distance_is_reached_in_the_corner_of_the_image():
-    """The bound is not only safe but the least one: a short rod in the corner attains it."""
+    """The bound is not only safe but the least one: a short rod in the corner attains
+    it.
+    """
     camera = CameraModel(
         name="tall",
         width_px=1,

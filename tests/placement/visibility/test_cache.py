@@ -200,7 +200,9 @@ def test_whatever_bit_is_flipped_the_table_is_right_or_not_used(stored, caplog, 
 
 
 def _saved_again(**changes):
-    """The file saved anew by a program that knows no hash of its content, or not which."""
+    """The file saved anew by a program that knows no hash of its content, or not
+    which.
+    """
 
     def write(path):
         with np.load(path) as stored:
@@ -484,7 +486,7 @@ def test_what_a_weather_does_is_part_of_the_fingerprint(inputs, monkeypatch):
     assert _fingerprint(inputs) != before
 
 
-def test_what_it_takes_to_find_somebody_by_lidar_is_part_of_the_fingerprint_where_one_is(
+def test_what_it_takes_to_find_somebody_by_lidar_is_part_of_the_fingerprint(
     inputs, monkeypatch
 ):
     with_lidar = {**inputs, **CHANGES["a LiDAR"](inputs, {})}

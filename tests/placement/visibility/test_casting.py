@@ -79,7 +79,9 @@ def _naive_visible(caster, middle, eye, points):
 
 
 def _compare(scene, runs, eye, frames, *, library="embree"):
-    """Agreement with the naive oracle: (same, grazing) per point, over the frames asked for."""
+    """Agreement with the naive oracle: (same, grazing) per point, over the frames asked
+    for.
+    """
     world = build_world(scene, runs, n_points=N_POINTS, seed=0)
     sight = cast_sight(world, np.asarray(eye), near_m=NEAR_M, max_distance_m=FAR_M)
     rng = np.random.default_rng(5)

@@ -1,4 +1,6 @@
-"""The table through lenses: by numpy, point by point, and against the pinhole's own loops."""
+"""The table through lenses: by numpy, point by point, and against the pinhole's own
+loops.
+"""
 
 from dataclasses import replace
 

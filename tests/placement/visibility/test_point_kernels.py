@@ -31,7 +31,9 @@ DETECTORS = {
 
 @pytest.fixture(scope="module")
 def world(build_scene, build_run, actors):
-    """Road users that jump about among walls and a van, by day and in fog, the VUT near them."""
+    """Road users that jump about among walls and a van, by day and in fog, the VUT near
+    them.
+    """
     rng = np.random.default_rng(12)
     van = PlacedActor(
         actor=actors["parked-van"],

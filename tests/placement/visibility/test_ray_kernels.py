@@ -57,7 +57,9 @@ def _sight_and_rays(world, eye, **options):
 
 
 def _assert_nothing_is_missed(world, eye, monkeypatch, **options):
-    """The same is seen where every ray is cast; returns the shares of the rays that are needed."""
+    """The same is seen where every ray is cast; returns the shares of the rays that are
+    needed.
+    """
     sight, n_static, n_vut = _sight_and_rays(world, eye, **options)
     with monkeypatch.context() as patch:
         patch.setattr(
@@ -136,7 +138,9 @@ def test_from_within_the_box_of_a_parked_body_all_rays_are_cast(
 
 @given(st.integers(0, 2**32 - 1))
 def test_a_point_that_a_triangle_hides_is_never_clear(seed):
-    """Triangles of all sizes, near and far, above and below, round the eye and beside it."""
+    """Triangles of all sizes, near and far, above and below, round the eye and beside
+    it.
+    """
     rng = np.random.default_rng(seed)
     sizes = 10.0 ** rng.uniform(-2.0, 2.0, (8, 1, 1))
     triangles = rng.uniform(-20.0, 20.0, (8, 1, 3)) + sizes * rng.uniform(

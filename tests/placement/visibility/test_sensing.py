@@ -40,7 +40,9 @@ FAR_SIGHTED = GeometricDetector(min_iou=0.5, min_box_height_px=3.0, min_contrast
 
 @pytest.fixture(scope="module")
 def random_runs(build_run):
-    """An adult, a child and a cyclist that jump about among walls, with the VUT near them."""
+    """An adult, a child and a cyclist that jump about among walls, with the VUT near
+    them.
+    """
     return _jumping(build_run, 14.0)
 
 
@@ -129,7 +131,9 @@ def test_no_weather_shows_what_the_day_does_not(
 
 
 def _evidence_of_frames(scene, runs, candidate, detector):
-    """What the table and what the evaluator get to see, in the frames that the table casts."""
+    """What the table and what the evaluator get to see, in the frames that the table
+    casts.
+    """
     world = build_world(scene, runs, n_points=N_POINTS, seed=0)
     position = candidate.pose.position_m
     pose = candidate.pose
@@ -157,7 +161,9 @@ def _evidence_of_frames(scene, runs, candidate, detector):
 def test_the_response_foretold_by_points_is_that_of_pixels(
     build_scene, random_runs, mount
 ):
-    """Points are 10 cm apart, and a share of them is no share of pixels: a tenth on most frames."""
+    """Points are 10 cm apart, and a share of them is no share of pixels: a tenth on
+    most frames.
+    """
     candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
     evidence = _evidence_of_frames(
         build_scene(*WALLS), random_runs, candidate, RESPONSE
@@ -218,7 +224,9 @@ def expected_points(monkeypatch, build_scene, axis_of):
 
 @pytest.fixture
 def block_run(build_run):
-    """A block 1 m wide, 1.8 m high and 0.5 m deep whose face is at a distance, facing west."""
+    """A block 1 m wide, 1.8 m high and 0.5 m deep whose face is at a distance, facing
+    west.
+    """
 
     def build(distance_m, yaw_deg=0.0):
         mesh = trimesh.creation.box((0.5, 1.0, 1.8)).subdivide().subdivide()
@@ -281,7 +289,9 @@ def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
 def test_only_the_part_inside_the_field_of_view_counts(
     mount, block_run, expected_points
 ):
-    """The beams end 15 degrees below the axis: looking up by 15, the lower half is left out."""
+    """The beams end 15 degrees below the axis: looking up by 15, the lower half is left
+    out.
+    """
     run = block_run(8.0)
     level, raised, turned = (
         expected_points(mount("a", [0.0, 0.0, 0.9], camera=SURE, **pose), run)

@@ -21,7 +21,9 @@ def _shape(surface):
 
 
 def _distance_m(points, corners):
-    """Distance of each point to the nearest triangle: to its plane if above it, else its sides."""
+    """Distance of each point to the nearest triangle: to its plane if above it, else
+    its sides.
+    """
     a, b, c = (corners[None, :, i] for i in range(3))
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -97,7 +99,8 @@ def test_fewer_points_than_extremes_can_be_asked_for(actors):
 
 
 def test_the_parts_around_the_points_make_up_the_surface(surface):
-    """Curved parts are a little less than their area; of a closed surface they cancel out.
+    """Curved parts are a little less than their area; of a closed surface they cancel
+    out.
 
     By 4800 random samples: to within four of their standard deviations of 1.4 %.
     """

@@ -110,7 +110,9 @@ def _label(kind, *sides):
 def test_photographs_with_labels_are_shown_to_a_network(tmp_path):
     @dataclass
     class Seen:
-        """Finds the red block whole, as a person, and a box at the upper left on nothing."""
+        """Finds the red block whole, as a person, and a box at the upper left on
+        nothing.
+        """
 
         min_confidence = 0.5
 

@@ -1,4 +1,6 @@
-"""A network trained for a short time beats chance; its file says what the network says."""
+"""A network trained for a short time beats chance; its file says what the network
+says.
+"""
 
 import numpy as np
 import pytest
