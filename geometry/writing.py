@@ -109,10 +109,12 @@ def write_atomically(
 
 
 def is_about(error: OSError, *paths: Path) -> bool:
-    """True if a system's error is about some paths, what lies in them, or folders above them.
+    """True if an error of the system is about some paths.
 
-    One that names no file is taken to be, for writing to an open file names none; but
-    not one of a connection, pipe or process.
+    Counted are the paths, what lies in them, folders above them, and the temporary
+    files of :func:`write_atomically` next to them. An error that names no file counts,
+    too, for writing to an open file names none; but not one of a connection, pipe or
+    process.
     """
     if error.filename is None:
         return not isinstance(error, _OF_NO_FILE)
@@ -120,6 +122,9 @@ def is_about(error: OSError, *paths: Path) -> bool:
         return False
     named = Path(os.fsdecode(error.filename)).absolute()
     whole = [path.absolute() for path in paths]
+    if any(named.is_relative_to(path) or path.is_relative_to(named) for path in whole):
+        return True
     return any(
-        named.is_relative_to(path) or path.is_relative_to(named) for path in whole
+        named.parent == path.parent and named.name.startswith(f".{path.name}.")
+        for path in whole
     )

@@ -98,10 +98,9 @@ Examples:
 def solve(call: Call, /, *, file: Path, target: float | None, **asked: Any) -> None:
     """Solve a placement problem from a file, and prove it.
 
-    The problem (instance.npz of a result folder) is solved as it was asked. --budget,
-    --budget-cost, --target and --track-memory take the place of the file's own; all its
-    other demands hold. --target is reached with the fewest units, however many the file
-    allows.
+    The problem (instance.npz of a result folder) is solved as it was asked. A demand
+    that is given here takes the place of the file's own; all its other demands hold. A
+    target is reached with the fewest units, however many the file allows.
     """
     questions = {
         "budget_units": "--budget",

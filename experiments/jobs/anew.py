@@ -27,13 +27,13 @@ from ..language import LANGUAGES, speaking
 from ..parts.reading import read_summary
 from ..parts.result import PlacementResult, Result
 from ..progress import WRITING, StageProgress
-from ..report.page import FILE_NAME as REPORT_FILE
 from ..results.folders import LAYOUT_FILE, MARKER, RUNS_FILE, listed_files
 from ..results.record import to_plain
-from .placement import Answered, answer_placement, write_files
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from .placement import Answered
 
 Add = Callable[[str, str, str], None]
 """Takes a check: its name, what is wrong in words or nothing, what to say if all is right."""
@@ -71,6 +71,8 @@ def compare_anew(
         The folder is no placement's, does not say what was asked, names a network,
         which is a program, or the question cannot be answered here.
     """
+    from .placement import answer_placement, write_files  # load the whole main job
+
     stored = read_summary(folder / MARKER)
     asked = stored.asked
     if not isinstance(stored, PlacementResult) or asked is None:
@@ -116,7 +118,7 @@ def compare_anew(
         _compare_folders(folder, anew, add)
 
 
-def _other_layout(stored: PlacementResult, answered: Answered) -> str:
+def _other_layout(stored: PlacementResult, answered: "Answered") -> str:
     """In words that the search has found another layout this time; nothing if the same one."""
     found = answered.result
     if to_plain(found.layout) == to_plain(stored.layout):
@@ -157,6 +159,8 @@ def _difference(name: str, path: Path, anew: Path) -> tuple[str, str]:
         return _difference_of_runs(path, anew), "every run of every party"
     got = read_bytes(path, max_bytes=MAX_TEXT_BYTES)
     wanted = read_bytes(anew, max_bytes=MAX_TEXT_BYTES)
+    from ..report.page import FILE_NAME as REPORT_FILE
+
     if name == REPORT_FILE:
         return _difference_of_pages(got, wanted), "every figure, number and word"
     if path.suffix == ".png":

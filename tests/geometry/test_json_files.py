@@ -18,11 +18,10 @@ OWN_TEXT = {
     "experiments/bench/__main__.py",
     "experiments/export/uper.py",
     "experiments/planner/numbers.py",
+    "experiments/planner/page_files.py",
+    "experiments/planner/plan_files.py",
     "experiments/planner/server.py",
     "experiments/results/record.py",
-    "experiments/study/judges.py",
-    "experiments/study/judging_apart.py",
-    "experiments/study/worlds.py",
     "placement/sampling/moving/child.py",
 }
 

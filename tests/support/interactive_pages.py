@@ -87,7 +87,9 @@ def with_evil_names(setting):
         replace(thing, id=f"{printable} {number}")
         for number, thing in enumerate(scene.instances)
     ]
-    return replace(setting, scene=replace(scene, name=EVIL, instances=tuple(things)))
+    return replace(
+        setting, scene=replace(scene, name=printable, instances=tuple(things))
+    )
 
 
 TABLE = """<table id="sorted"><thead><tr><th scope="col">name</th>

@@ -1307,6 +1307,7 @@ READERS: Mapping[str, Reader] = {
         seeds=_result_folders,
         covers=(
             "experiments.parts.reading.load_result",
+            "experiments.parts.reading.read_summary",
             "experiments.results.folders.read_manifest",
             "experiments.results.folders.changed_files",
         ),

@@ -87,11 +87,11 @@ def test_what_stands_in_a_wall_is_moved_out_of_it_or_refused(
     thin = with_parts(around, things=(wall((30.0, 30.0), 0.5),))
     (place,) = find_places([(30.1, 30.0)], thin)
     assert place.position_m == pytest.approx([30.55, 30.0])
-    assert place.why == "inside wall w1: moved 0.4 m out of it"
+    assert place.why == "it stood inside wall w1: moved 0.4 m out of it"
     thick = with_parts(around, things=(wall((30.0, 30.0), 8.0),))
     (place,) = find_places([(30.0, 30.0)], thick)
     assert place.position_m is None
-    assert place.why == "inside wall w1, farther than 2 m from where it could"
+    assert place.why == "it stands inside wall w1, farther than 2 m from where it could"
 
 
 def test_a_signal_over_the_road_is_left_to_its_pole_and_others_go_to_the_kerb(

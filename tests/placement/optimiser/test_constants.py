@@ -142,6 +142,8 @@ def test_only_the_table_has_numbers_that_steer() -> None:
             "PAUSED = 1",
             "FULL = 2",
             "AT_STOP = 3",
+            "WHOLE = 0",
+            "ON_FAILURE = 1",
         ],  # names of states
         "front.py": ["FIRST_STAGES = (", "DEFAULT_MAX_UNITS = 8"],  # what is asked
         "cost_front.py": ["_MAX_LEVELS = 2", "DEFAULT_MAX_POINTS = 4"],
