@@ -26,9 +26,8 @@ LINE_EVERY_S = 30.0
 _OWN_PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 _log = logging.getLogger(__name__)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_GRACE_S = (
-    0.7  # what does not end by itself within it is ended: a second is what users wait
-)
+# what does not end by itself within it is ended: a second is what users wait
+_GRACE_S = 0.7
 
 
 _KEPT = (  # the last two are invisible, but part of how some scripts are written

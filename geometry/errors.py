@@ -8,9 +8,8 @@ from .phrases import Phrase
 
 _MAX_CHARACTERS = 200  # of a value in a message
 _MAX_NUMBER = 1.0e15  # beyond, a value is shown as text
-_MAX_WORDS = (
-    2_000  # characters of our own words, such as a list of all names that exist
-)
+# characters of our own words, such as a list of all names that exist
+_MAX_WORDS = 2_000
 
 
 class InputError(ValueError):

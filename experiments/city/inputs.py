@@ -39,23 +39,20 @@ class CityWish:
     budget_units: int | None = None  # new ones, at most
     budget_eur: float | None = None  # for these and their sites, at most
     within: Path | None = None  # areas in which junctions count
-    junctions: str = (
-        ""  # ids or names with semicolons between, or a file with one a line
-    )
+    # ids or names with semicolons between, or a file with one a line
+    junctions: str = ""
     min_arms: int = 3
     signals_only: bool = False
     # counts: geometry.maps.place_lists.read_counts; or PROXY
     weights_file: Path | None = None
     weight_column: str = ""
-    counted_years: float | None = (
-        None  # in which the accidents of `weights_file` happened
-    )
+    # in which the accidents of `weights_file` happened
+    counted_years: float | None = None
     snap_m: float = 50.0  # from a place that counts to its junction, at most
     districts: Path | None = None  # areas that each reach `min_district_apr`
     min_district_apr: float = 0.0
-    areas: Path | None = (
-        None  # with columns "weight" (a factor) or "min_apr" (of each junction)
-    )
+    # with columns "weight" (a factor) or "min_apr" (of each junction)
+    areas: Path | None = None
     near_m: float = 0.0  # a junction belongs to such an area if it is no farther away
     keep: tuple[
         Path, ...
@@ -325,9 +322,8 @@ class CityValues:
     least_apr: FloatArray  # (n,)
     districts: tuple[tuple[str, tuple[int, ...]], ...]  # names and junctions
     notes: tuple[str, ...]  # Rows and districts that were not used
-    per_year: FloatArray | None = (
-        None  # (n,): accidents, where it is known in how many years
-    )
+    # (n,): accidents, where it is known in how many years
+    per_year: FloatArray | None = None
 
     def wishes(self, wish: CityWish, solved: Sequence[int]) -> CityWishes:
         """The wishes for the junctions that have a front, by their indices."""

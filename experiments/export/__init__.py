@@ -49,9 +49,8 @@ class ExportFormat:
     has_lidars: bool = True  # LiDARs are in it, too, and not only cameras
     shows_runs: bool = False  # `write` takes a :class:`.watched.WatchedRun`, too
     options: tuple[str, ...] = ()  # names of further arguments of `write`
-    told: Callable[[bytes], str] | None = (
-        None  # a sentence about the content that was written
-    )
+    # a sentence about the content that was written
+    told: Callable[[bytes], str] | None = None
 
 
 def load_format(name: str) -> ExportFormat:

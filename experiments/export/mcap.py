@@ -34,9 +34,8 @@ _COLOURS = {
     "vru": (0.9, 0.5, 0.1, 0.9), "seen": (0.1, 0.8, 0.2, 1.0), "other": (0.6, 0.6, 0.65, 1.0),
 }  # fmt: skip
 _FRUSTUM_M = 4.0  # how far ahead its far side is drawn
-_WIDEST_DEG = (
-    150.0  # of what is drawn: the sides of wider ones would be kilometres away
-)
+# of what is drawn: the sides of wider ones would be kilometres away
+_WIDEST_DEG = 150.0
 _WIDEST_PX = 640  # of pictures
 _NANO = 1_000_000_000
 

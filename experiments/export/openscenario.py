@@ -25,9 +25,8 @@ from . import load_extra, xml_text
 
 VUT = "vut"
 VRU = "vru"
-_DECIMALS = (
-    6  # of metres, seconds, radians: what differs in the last bits gives the same file
-)
+# of metres, seconds, radians: what differs in the last bits gives the same file
+_DECIMALS = 6
 _DISTRIBUTION = "scenariogeneration"
 _SCHEMA = "OpenSCENARIO_1_3_1.xsd"
 _SPEED_DECIMALS = 3

@@ -46,9 +46,8 @@ class Label:
 
     text: str
     point_m: tuple[float, float]  # in the axes' data. [m]
-    toward_deg: float = (
-        45.0  # side that it is put on if free, counter-clockwise from east
-    )
+    # side that it is put on if free, counter-clockwise from east
+    toward_deg: float = 45.0
     gap: float = 4.0  # from the point to the text. [points]
     size: float = 8.0  # of the letters. [points]
     is_kept: bool = True  # drawn where no side is free, too

@@ -37,9 +37,8 @@ class Item:
     )
     n_units: int  # with those that are there already
     price_eur: float | None  # of one; None: unknown. [EUR]
-    price_source: str = (
-        ""  # "catalogue", "told" or "assumption"; empty: the price is unknown
-    )
+    # "catalogue", "told" or "assumption"; empty: the price is unknown
+    price_source: str = ""
     assumed: str = ""  # of a site that the map does not have where it is
 
     @property

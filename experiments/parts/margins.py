@@ -24,9 +24,8 @@ MAX_COLUMNS = 4
 """Panels that fit side by side."""
 
 _MS = 1000.0
-_LINEAR_MS = (
-    500.0  # the scale is linear up to here on both sides of zero, logarithmic beyond
-)
+# the scale is linear up to here on both sides of zero, logarithmic beyond
+_LINEAR_MS = 500.0
 _TICKS_MS = (-10_000.0, -1000.0, 0.0, 1000.0, 10_000.0)
 _LANE_IN = 0.095
 _LEAST_ROW_IN = 0.24

@@ -35,9 +35,8 @@ _MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
 _ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
 _MAX_HALF_M = 120.0  # farther things are never in the player's window
 _LEAST_HALF_M = 30.0
-_TOLERANCE_M = (
-    0.1  # corners nearer than this to the line between their neighbours drop out
-)
+# corners nearer than this to the line between their neighbours drop out
+_TOLERANCE_M = 0.1
 _LABEL_SHARE = 0.86
 
 

@@ -67,12 +67,10 @@ class DatasetWish:
     format: str = FORMATS[
         0
     ]  # "carlancap": the study's folders; "coco": pictures and ``coco.json``
-    units: str = (
-        ""  # ids with commas between, "VUT" among them; empty: all, and the VUT
-    )
-    every: int = (
-        1  # pictures of every so many frames of a run; labels and motion are of all
-    )
+    # ids with commas between, "VUT" among them; empty: all, and the VUT
+    units: str = ""
+    # pictures of every so many frames of a run; labels and motion are of all
+    every: int = 1
     lidar: str = "carla-ncap-lidar"  # model of a LiDAR next to each camera, or "none"
     # masks, depth: pictures of instances and of depths are written, too
     masks: bool = False

@@ -74,9 +74,8 @@ JSON_NAME = "fit.json"
 PNG_NAME = "calibration.png"
 
 _BLOCK = 5  # consecutive frames: enough to see what carries over, and false tracks
-_WHOLE = (
-    5  # of a network that looks at crops, every so many blocks are whole pictures, too
-)
+# of a network that looks at crops, every so many blocks are whole pictures, too
+_WHOLE = 5
 _MAX_BYTES = 2**30
 _PEDESTRIAN = VRU_CLASSES.index("pedestrian")
 _CYCLIST = VRU_CLASSES.index("cyclist")
@@ -90,9 +89,8 @@ class FitWish:
     # whose cameras, and the VUT's, show rendered pictures to the question's network
     layout: Layout | None = None
     pictures: int = 1000  # how many of these
-    recording: Path | None = (
-        None  # folder in the study's format, with labels and detections
-    )
+    # folder in the study's format, with labels and detections
+    recording: Path | None = None
     # labels, results: files of annotations and of detections, of COCO or of recordings
     labels: Path | None = None
     results: Path | None = None

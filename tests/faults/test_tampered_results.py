@@ -92,9 +92,9 @@ def deep(made_anew, monkeypatch):
         shutil.copytree(files, folder, dirs_exist_ok=True)
 
     monkeypatch.setattr(
-        anew, "answer_placement", lambda *given, **more: nullcontext(answered)
+        placement, "answer_placement", lambda *given, **more: nullcontext(answered)
     )
-    monkeypatch.setattr(anew, "write_files", write)
+    monkeypatch.setattr(placement, "write_files", write)
 
 
 def deeply_failed(folder: Path) -> list[str]:

@@ -24,9 +24,8 @@ from .network import CLASSES, Found, Recipe, VruNetwork, class_of, counted
 _PICTURE_PX = 1920 * 1080
 _HEIGHTS_PX = (10.0, 20.0, 30.0, 50.0, 80.0, 1000.0)
 _SHARES = (0.3, 0.65, 0.9, 1.01)
-_LOOSE = (
-    1.25  # boxes so much lower or higher than a group's still count as its false alarms
-)
+# boxes so much lower or higher than a group's still count as its false alarms
+_LOOSE = 1.25
 MIN_CONFIDENCE = 0.5
 """From which on boxes count."""
 

@@ -39,9 +39,8 @@ _CASES = "CPNA-75,CPFA-50,CPLA-25,CPNCO-50,CBNA,CBLA"
 _WORDS = ("adult", "child", "cyclist")
 _TRAINING = "python -m experiments.perception_lab.training"
 _LEAST_SEEN = 0.95  # share: what is hidden more is not on the page
-_LEAST_SPREAD = (
-    8.0  # of grey, 0 .. 255: at night, who stands in no light is not on the page
-)
+# of grey, 0 .. 255: at night, who stands in no light is not on the page
+_LEAST_SPREAD = 8.0
 _MOST_DARK = 100  # of these one after the other
 _TILE_PX = 240
 _CAPTION_PX = 30
