@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze, set_arrays
 from .errors import InputError, check_field, check_name, check_one_of, refuse
+from .lines import length_m
 from .notes import Note
 from .sensors import load_limits
 
@@ -260,10 +261,9 @@ class Scene:
             where = f"{self.name}: crosswalks_m[{index}]"
             got = f"{lengths_m[index]:,.0f} metres from end to end"
             refuse(where, got, f"at most {limits.crosswalk_length_m:,.0f}")
-        steps = (np.diff(lane.centreline_m, axis=0) for lane in self.lanes)
-        length_m = sum(float(np.hypot(*step.T).sum()) for step in steps)
-        if length_m > limits.lanes_length_m:
-            got = f"{length_m:,.0f} metres of them"
+        lanes_m = sum(length_m(lane.centreline_m) for lane in self.lanes)
+        if lanes_m > limits.lanes_length_m:
+            got = f"{lanes_m:,.0f} metres of them"
             refuse(f"{self.name}: lanes", got, f"at most {limits.lanes_length_m:,.0f}")
 
     def __repr__(self) -> str:
