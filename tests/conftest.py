@@ -29,12 +29,19 @@ from scenarios.cases import pick_cases
 from scenarios.published import load_placements
 from scenarios.runs import FrameAxis, build_runs
 
-# How long an example takes is no test. Other examples are drawn each time, fewer where
-# little hangs on geometry and search. Continuous integration draws more: pytest
-# --hypothesis-profile thorough
-settings.register_profile("place-rsus", deadline=None, max_examples=12)
-settings.register_profile("place-rsus-few", deadline=None, max_examples=8)
-settings.register_profile("thorough", deadline=None, max_examples=30)
+# How long an example takes is no test. The same examples are drawn each time, so that a
+# change that lands is judged by what it changes; fewer where little hangs on geometry
+# and search. Continuous integration draws more: pytest --hypothesis-profile thorough.
+# Others are drawn each time by --hypothesis-profile explore: run it after changes to
+# geometry, scenarios, or the optimiser.
+settings.register_profile(
+    "place-rsus", deadline=None, max_examples=12, derandomize=True
+)
+settings.register_profile(
+    "place-rsus-few", deadline=None, max_examples=8, derandomize=True
+)
+settings.register_profile("thorough", deadline=None, max_examples=30, derandomize=True)
+settings.register_profile("explore", deadline=None, max_examples=30)
 settings.load_profile("place-rsus")
 MANY = ("geometry", "scenarios", "optimiser")
 COMPILES = (  # optimiser, evaluator, table: hardly a kernel of one is another's
@@ -61,9 +68,9 @@ def pytest_collectstart(collector):
     """Tests take the number of their examples from the profile in force when they are
     imported.
     """
-    if (
-        isinstance(collector, pytest.Module)
-        and settings.get_current_profile_name() != "thorough"
+    if isinstance(collector, pytest.Module) and settings.get_current_profile_name() in (
+        "place-rsus",
+        "place-rsus-few",
     ):
         is_many = not set(MANY).isdisjoint(collector.nodeid.split("/"))
         settings.load_profile("place-rsus" if is_many else "place-rsus-few")
