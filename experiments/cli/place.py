@@ -116,26 +116,25 @@ def cli(
         browser = find_browser()
     asked_question = job.question
     job = job.begin()
-    from ..jobs import READY
-    from ..side_process import side_process
+    from ..jobs.search import search
+    from ..results import folders
+    from .first_answer import first_answer
 
-    asks_much = not (
-        options.is_given("cases") or question.speeds or question.approaches
+    folders.expect_results(out, job.progress, sign=sign)
+    found = search(job.question, compute=job.compute, progress=job.progress)
+    job.announce_lines(first_answer(found))
+    # Loaded only now, because the first lines do not need it: evaluator and report.
+    from ..jobs import placement
+
+    result = placement.run_placement(
+        job.question,
+        out=out,
+        command=command_line(),
+        found=found,
+        asked=asked_question,
+        sign=sign,
+        **job.means,
     )
-    with side_process(
-        asks_much and job.compute.workers > 1, **READY
-    ) as side:  # loads meanwhile
-        from ..jobs import placement
-
-        result = placement.run_placement(
-            job.question,
-            out=out,
-            command=command_line(),
-            side=side,
-            asked=asked_question,
-            sign=sign,
-            **job.means,
-        )
     from .answers import placement_parts
 
     if browser is not None and pdf is not None:

@@ -104,6 +104,11 @@ class Call:
         if not self.quiet:
             tell(f"place-rsus: {sentence}", err=True)
 
+    def announce_lines(self, lines: Sequence[str]) -> None:
+        """Tell the first lines of an answer, while the rest is being computed."""
+        if not self.quiet:
+            tell("\n".join(lines), err=True)
+
     def print(self, result: Any, text: Callable[[], str]) -> None:
         """End a command: take the bar away, print its result as JSON or as text for people."""
         from ..export.json import to_json_text

@@ -71,7 +71,9 @@ def compare_anew(
         The folder is no placement's, does not say what was asked, names a network,
         which is a program, or the question cannot be answered here.
     """
-    from .placement import answer_placement, write_files  # load the whole main job
+    # They load the whole main job.
+    from .placement import answer_placement, write_files
+    from .search import search
 
     stored = read_summary(folder / MARKER)
     asked = stored.asked
@@ -92,29 +94,26 @@ def compare_anew(
         speaking(asked.language),
     ):
         anew = Path(temporary) / "anew"
-        with answer_placement(
-            question, out=anew, compute=compute, progress=progress
-        ) as answered:
-            elsewhere = _other_layout(stored, answered)
-            if elsewhere:
-                add(f"anew: {LAYOUT_FILE}", elsewhere, "")
-                return
-            progress("compare anew", 0, 0)
-            result = replace_fields(
-                answered.result, seconds=stored.seconds, asked=asked
-            )
-            wrong = differences(to_plain(stored), to_plain(result))
-            add(f"anew: {MARKER}", told(wrong), "every number, but for times")
-            # The report shows times of stages, too: they are taken from the folder,
-            # together with numbers that are known to be right.
-            shown: Result = result if wrong else stored
-            seconds = {
-                stage: value
-                for stage, value in stored.seconds.items()
-                if stage not in _AFTERWARDS
-            }
-            anew.mkdir()
-            write_files(anew, answered, replace_fields(shown, seconds=seconds))
+        found = search(question, compute=compute, progress=progress)
+        answered = answer_placement(found)
+        elsewhere = _other_layout(stored, answered)
+        if elsewhere:
+            add(f"anew: {LAYOUT_FILE}", elsewhere, "")
+            return
+        progress("compare anew", 0, 0)
+        result = replace_fields(answered.result, seconds=stored.seconds, asked=asked)
+        wrong = differences(to_plain(stored), to_plain(result))
+        add(f"anew: {MARKER}", told(wrong), "every number, but for times")
+        # The report shows times of stages, too: they are taken from the folder,
+        # together with numbers that are known to be right.
+        shown: Result = result if wrong else stored
+        seconds = {
+            stage: value
+            for stage, value in stored.seconds.items()
+            if stage not in _AFTERWARDS
+        }
+        anew.mkdir()
+        write_files(anew, answered, replace_fields(shown, seconds=seconds))
         _compare_folders(folder, anew, add)
 
 

@@ -28,11 +28,11 @@ from ..progress import StageProgress
 from ..results import folders
 from .placement import (
     Answered,
-    begin_job,
     build_asked_record,
     judge_study_cases,
     write_results,
 )
+from .search import begin_job
 
 
 def run_evaluation(
@@ -53,24 +53,24 @@ def run_evaluation(
     """
     folders.expect_results(out, progress, sign=sign)
     scene = load_scene(question.scene)
-    with begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
-        (layout,) = _with_distinct_names([layout])
-        check_layout(layout, scene)
-        (private,) = _private_ground(question, scene, [layout])
-        (evaluation,) = evaluate_layouts([layout], job.setting, compute=compute)
-        bill = build_bill(layout, scene, site_cost_eur=question.site_cost_eur)
-        evaluations = {layout.name: evaluation}
-        result = build_evaluation_result(
-            job.setting,
-            evaluation,
-            private_ground=private,
-            sites_eur=bill.sites_eur,
-            assumed_prices=bill.assumed,
-            study_cases=None if out is None else judge_study_cases(job, evaluations),
-        )
-        answered = Answered(job=job, result=result, evaluations=evaluations, bill=bill)
-        told = build_asked_record(asked or question, compute, command)
-        written = write_results(answered, out, asked=told, sign=sign)
+    job = begin_job(question, scene, compute=compute, progress=progress)
+    (layout,) = _with_distinct_names([layout])
+    check_layout(layout, scene)
+    (private,) = _private_ground(question, scene, [layout])
+    (evaluation,) = evaluate_layouts([layout], job.setting, compute=compute)
+    bill = build_bill(layout, scene, site_cost_eur=question.site_cost_eur)
+    evaluations = {layout.name: evaluation}
+    result = build_evaluation_result(
+        job.setting,
+        evaluation,
+        private_ground=private,
+        sites_eur=bill.sites_eur,
+        assumed_prices=bill.assumed,
+        study_cases=None if out is None else judge_study_cases(job, evaluations),
+    )
+    answered = Answered(job=job, result=result, evaluations=evaluations, bill=bill)
+    told = build_asked_record(asked or question, compute, command)
+    written = write_results(answered, out, asked=told, sign=sign)
     assert isinstance(written, EvaluationResult)
     return written
 
@@ -95,47 +95,47 @@ def run_comparison(
     scene = load_scene(question.scene)
     samples = question.n_samples
     drawn = load_drawn(question, scene, n_samples=samples)
-    with begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
-        setting = job.setting
-        layouts = _with_distinct_names(layouts)
-        for layout in layouts:
-            check_layout(layout, scene)
-        private, *of_others = _private_ground(question, scene, layouts)
-        proposed = compare_layout(layouts[0], setting, compute=compute)
-        everyone = layouts
-        if proposed is not None and proposed.expert is not None:
-            everyone = _with_distinct_names([*layouts, proposed.expert])
-        judged = evaluate_layouts(everyone, setting, compute=compute)
-        names = [layout.name for layout in layouts]
-        evaluations = dict(zip([*names, EXPERT], judged, strict=False))
-        sampled = None
-        if samples:
-            sampled = build_sampled_record(
-                out_of_sample_layouts(
-                    setting, everyone, drawn, n_samples=samples, compute=compute
-                ),
-                drawn,
-                tail=1.0,
-                seed=compute.seed,
-                planned_apr={item.layout.name: headline_apr(item) for item in judged},
-            )
-        bill = build_bill(layouts[0], scene, site_cost_eur=question.site_cost_eur)
-        result = build_comparison_result(
-            setting,
-            judged[0],
-            judged[1 : len(layouts)],
-            of_others=of_others,
-            private_ground=private,
-            sites_eur=bill.sites_eur,
-            assumed_prices=bill.assumed,
-            study_cases=judge_study_cases(job, evaluations),
-            baselines=proposed
-            and build_baselines(proposed, evaluations.get(EXPERT), setting),
-            sampled=sampled,
+    job = begin_job(question, scene, compute=compute, progress=progress)
+    setting = job.setting
+    layouts = _with_distinct_names(layouts)
+    for layout in layouts:
+        check_layout(layout, scene)
+    private, *of_others = _private_ground(question, scene, layouts)
+    proposed = compare_layout(layouts[0], setting, compute=compute)
+    everyone = layouts
+    if proposed is not None and proposed.expert is not None:
+        everyone = _with_distinct_names([*layouts, proposed.expert])
+    judged = evaluate_layouts(everyone, setting, compute=compute)
+    names = [layout.name for layout in layouts]
+    evaluations = dict(zip([*names, EXPERT], judged, strict=False))
+    sampled = None
+    if samples:
+        sampled = build_sampled_record(
+            out_of_sample_layouts(
+                setting, everyone, drawn, n_samples=samples, compute=compute
+            ),
+            drawn,
+            tail=1.0,
+            seed=compute.seed,
+            planned_apr={item.layout.name: headline_apr(item) for item in judged},
         )
-        answered = Answered(job=job, result=result, evaluations=evaluations, bill=bill)
-        told = build_asked_record(asked or question, compute, command)
-        written = write_results(answered, out, asked=told, sign=sign)
+    bill = build_bill(layouts[0], scene, site_cost_eur=question.site_cost_eur)
+    result = build_comparison_result(
+        setting,
+        judged[0],
+        judged[1 : len(layouts)],
+        of_others=of_others,
+        private_ground=private,
+        sites_eur=bill.sites_eur,
+        assumed_prices=bill.assumed,
+        study_cases=judge_study_cases(job, evaluations),
+        baselines=proposed
+        and build_baselines(proposed, evaluations.get(EXPERT), setting),
+        sampled=sampled,
+    )
+    answered = Answered(job=job, result=result, evaluations=evaluations, bill=bill)
+    told = build_asked_record(asked or question, compute, command)
+    written = write_results(answered, out, asked=told, sign=sign)
     assert isinstance(written, ComparisonResult)
     return written
 

@@ -5,35 +5,30 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 from msgspec.structs import replace as replace_fields
 
 from geometry.errors import InputError
 from geometry.phrases import Phrase
-from geometry.scene import Scene
-from geometry.scene_files import load_scene
 from geometry.writing import is_about, write_atomically
 from placement.cache import cached_value
 from placement.candidates import CandidatePose
-from placement.certify import Grown, Growth, grow
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, headline_apr
-from placement.evaluator import evaluate_layouts, with_sight
+from placement.evaluator import evaluate_layouts
 from placement.layout import Layout, find_baseline, layout_records
 from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below
-from placement.pipeline import Assembly, Placement, assemble, place
-from placement.question import AUTO, Question, question_values
-from placement.refinement import Refinement, refine
+from placement.pipeline import Placement
+from placement.question import Question, question_values
 from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
 from placement.sampling.out_of_sample import (
     FreshWorlds,
     judge_layouts,
     look_at_fresh_worlds,
 )
-from placement.setting import Setting, build_setting
+from placement.setting import build_setting
 from placement.verification.certificates import build_certificate, save_certificate
 from placement.verification.instances import build_mounts
 from placement.wishes import assumed_prices
@@ -55,14 +50,14 @@ from ..parts.result import (
     build_placement_result,
 )
 from ..parts.sampled_worlds import SampledRecord, build_sampled_record
+from ..parts.study_cases import STAGE as STUDY_CASES
 from ..parts.study_cases import StudyCases, on_study_cases
-from ..parts.units import build_plans, build_private_ground_record
+from ..parts.units import build_private_ground_record
 from ..progress import WRITING, StageProgress
-from ..report.page import begin_tasks, write_report
+from ..report.page import write_report
 from ..results import folders
 from ..results.tables import apr_table, csv_text, runs_table
-from ..side_process import SideProcess, Task, side_process
-from . import READY
+from .search import Found, Job, search
 
 _log = logging.getLogger(__name__)
 
@@ -70,71 +65,7 @@ MIN_FRESH_WORLDS = 60
 """Sampled worlds that a layout is judged in, at least: with fewer, intervals say little."""
 
 
-_LARGE_RUNS = 100
-"""With fewer, it takes longer to start a second process than to answer and draw."""
 _WORLDS_TOGETHER = 10
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Job:
-    """Values that all steps of a job need."""
-
-    question: Question
-    scene: Scene
-    setting: Setting
-    compute: Compute
-    progress: StageProgress
-    side: SideProcess
-
-
-@contextmanager
-def begin_job(
-    question: Question,
-    scene: Scene,
-    *,
-    setting: Setting | None = None,
-    compute: Compute,
-    progress: StageProgress,
-    side: SideProcess | None = None,
-    out: Path | None,
-) -> Iterator[Job]:
-    """Make the setting, if not known; begin a second process unless `side` has one, if it pays."""
-    if setting is None:
-        folders.expect_results(out, progress)
-        progress(mark("setting"), 0, 0)
-        setting = build_setting(question, scene, compute=compute)
-    setting = with_sight(setting, compute=compute)
-    is_large = compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
-    if side is not None and side.exists:
-        begun = side
-    else:
-        begun = None
-    with side_process(out is not None and is_large and begun is None, **READY) as new:
-        chosen = begun or new
-        chosen.share(setting)
-        yield Job(
-            question=question,
-            scene=scene,
-            setting=setting,
-            compute=compute,
-            progress=progress,
-            side=chosen,
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Found:
-    """The layout that was asked for, and how it was found.
-
-    `on_grid` is the placement before it was refined; `poses` are the rows of its table.
-    """
-
-    plan: Assembly
-    placement: Placement
-    on_grid: Placement
-    refinement: Refinement | None
-    poses: Sequence[CandidatePose]
-    growth: Growth | None  # Where the number of worlds was to be found out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -159,7 +90,7 @@ def run_placement(
     compute: Compute,
     command: str,
     progress: StageProgress,
-    side: SideProcess | None = None,
+    found: Found | None = None,
     asked: Question | None = None,
     sign: Path | None = None,
 ) -> PlacementResult:
@@ -177,8 +108,8 @@ def run_placement(
         Command line that makes the result again, for the report.
     progress : StageProgress
         Is told the stages.
-    side : SideProcess, optional
-        A second process that was begun while this one was loading.
+    found : Found, optional
+        The layout, where it has been searched for already.
     asked : Question, optional
         As it was asked, before its map was imported; by default `question`.
     sign : Path, optional
@@ -194,121 +125,100 @@ def run_placement(
     InputError
         A wish cannot be met, or `out` cannot be written or signed.
     """
-    folders.expect_results(out, progress, sign=sign)
-    with answer_placement(
-        question, out=out, compute=compute, progress=progress, side=side
-    ) as answered:
-        result = write_results(
-            answered,
-            out,
-            asked=build_asked_record(asked or question, compute, command),
-            sign=sign,
-        )
+    if found is None:
+        folders.expect_results(out, progress, sign=sign)
+        found = search(question, compute=compute, progress=progress)
+    result = write_results(
+        answer_placement(found),
+        out,
+        asked=build_asked_record(asked or question, compute, command),
+        sign=sign,
+    )
     assert isinstance(result, PlacementResult)  # as answer_placement makes it
     return result
 
 
-@contextmanager
-def answer_placement(
-    question: Question,
-    *,
-    out: Path,
-    compute: Compute,
-    progress: StageProgress,
-    side: SideProcess | None = None,
-) -> Iterator[Answered]:
-    """Find, prove, evaluate and compare a layout; `out` is where its files will be written.
-
-    Raises InputError if a wish cannot be met.
-    """
-    scene = load_scene(question.scene)
-    if question.samples == AUTO:
-        grown = grow(question, scene=scene, compute=compute)
-    else:
-        grown = None
-    if grown:
-        question = replace(question, samples=grown.growth.taken)
-    if grown:
-        plan = grown.assembly
-    else:
-        plan = assemble(question, scene=scene, compute=compute)
-    job_of = partial(
-        begin_job, setting=plan.setting, compute=compute, progress=progress
+def answer_placement(found: Found) -> Answered:
+    """Explain, evaluate and compare a layout that was found."""
+    job = found.job
+    question = job.question
+    compute = job.compute
+    progress = job.progress
+    setting = job.setting
+    scene = job.scene
+    plan = found.plan
+    placement = found.placement
+    layout = placement.layout
+    study = find_baseline(scene)
+    proposed = compare_placement(placement, found.poses, setting, seed=compute.seed)
+    layouts = _named_layouts(placement, proposed.expert, study)
+    progress(mark("explain"), 0, 0)
+    explained = build_explained_record(placement, setting, found.poses, compute=compute)
+    front = _front_below(found)
+    by_runs = alternatives.find_other_weights(
+        found.on_grid, question, plan, compute=compute, progress=progress
     )
-    with job_of(question, scene, side=side, out=out) as job:
-        found = _find(job, plan, grown)
-        placement, layout, setting = (
-            found.placement,
-            found.placement.layout,
-            job.setting,
+    evaluations, leading = _evaluate(found, layouts)
+    study_cases = judge_study_cases(job, evaluations)
+    front_runners, mounting, recommended = alternatives.find_front_runners(
+        leading, setting, question, compute=compute, progress=progress
+    )
+    prices = plan.wishes.prices
+    bill = build_bill(
+        layout,
+        scene,
+        site_cost_eur=question.site_cost_eur,
+        kept_ids=plan.wishes.existing,
+    )
+    if prices is None:
+        assumed = bill.assumed
+    else:
+        assumed = assumed_prices(prices, scene.sites)
+    baseline = None
+    if study is not None:
+        baseline = evaluations[study.name]
+    private_ground = None
+    if plan.private_ground:
+        private_ground = build_private_ground_record(
+            layout.units, scene, plan.private_ground
         )
-        study = find_baseline(scene)
-        proposed = compare_placement(placement, found.poses, setting, seed=compute.seed)
-        layouts = _named_layouts(placement, proposed.expert, study)
-        # What depends on the layouts alone is begun, the longest first.
-        standing = alternatives.begin_standing(
-            job.side, setting, layout, question, compute
-        )
-        fresh = _begin_fresh_worlds(job, plan, [*layouts.values()])
-        progress(mark("explain"), 0, 0)
-        explained = build_explained_record(
-            placement, setting, found.poses, compute=compute
-        )
-        if study is None:
-            others = []
-        else:
-            others = [study]
-        job.side.begin("plans", build_plans, setting, {layout.name: layout}, others)
-        front = _front_below(job, found)
-        by_runs = alternatives.find_other_weights(
-            found.on_grid, question, plan, compute=compute, progress=progress
-        )
-        evaluations, leading = _evaluate(job, found, layouts)
-        study_cases = judge_study_cases(
-            job, evaluations
-        )  # while the other process goes on
-        front_runners, mounting, recommended = alternatives.find_front_runners(
-            leading, standing, setting, question, compute=compute, progress=progress
-        )
-        existing = plan.wishes.existing
-        prices = plan.wishes.prices
-        private = plan.private_ground
-        site_eur = question.site_cost_eur
-        bill = build_bill(layout, scene, site_cost_eur=site_eur, kept_ids=existing)
-        result = build_placement_result(
-            placement,
-            setting,
-            found=evaluations[layout.name],
-            greedy=evaluations[GREEDY],
-            highest=evaluations.get(HIGHEST),
-            baseline=None if study is None else evaluations[study.name],
-            compute=compute,
-            next_unit=placement.next_unit,
-            private_ground=private
-            and build_private_ground_record(layout.units, scene, private),
-            refinement=found.refinement and build_refinement_record(found.refinement),
-            sites_eur=bill.sites_eur,
-            assumed_prices=(
-                bill.assumed if prices is None else assumed_prices(prices, scene.sites)
-            ),
-            explained=explained,
-            front=front,
-            by_runs=by_runs,
-            front_runners=front_runners,
-            mounting=mounting,
-            study_cases=study_cases,
-            baselines=build_baselines(proposed, evaluations.get(EXPERT), setting),
-            sampled=_in_fresh_worlds(job, found, evaluations, fresh) if fresh else None,
-        )
-        yield Answered(
-            job=job,
-            result=result,
-            evaluations=evaluations,
-            bill=bill,
-            placement=placement,
-            candidates=found.poses,
-            recommended=recommended,
-        )
+    refinement = None
+    if found.refinement:
+        refinement = build_refinement_record(found.refinement)
+    sampled = None
+    if question.n_samples:
+        sampled = _in_fresh_worlds(found, evaluations)
+    result = build_placement_result(
+        placement,
+        setting,
+        found=evaluations[layout.name],
+        greedy=evaluations[GREEDY],
+        highest=evaluations.get(HIGHEST),
+        baseline=baseline,
+        compute=compute,
+        next_unit=placement.next_unit,
+        private_ground=private_ground,
+        refinement=refinement,
+        sites_eur=bill.sites_eur,
+        assumed_prices=assumed,
+        explained=explained,
+        front=front,
+        by_runs=by_runs,
+        front_runners=front_runners,
+        mounting=mounting,
+        study_cases=study_cases,
+        baselines=build_baselines(proposed, evaluations.get(EXPERT), setting),
+        sampled=sampled,
+    )
+    return Answered(
+        job=job,
+        result=result,
+        evaluations=evaluations,
+        bill=bill,
+        placement=placement,
+        candidates=found.poses,
+        recommended=recommended,
+    )
 
 
 def _named_layouts(
@@ -321,82 +231,18 @@ def _named_layouts(
         and placement.highest.pose_index != placement.pose_index
     ):
         layouts[HIGHEST] = placement.highest.layout
-    if expert is None:
-        layouts |= {}
-    else:
-        layouts |= {EXPERT: expert}
-    return layouts | ({} if study is None else {study.name: study})
-
-
-def _find(job: Job, plan: Assembly, grown: Grown | None) -> _Found:
-    """Solve, and refine if asked to; the optimiser leaves the second process idle."""
-    question = job.question
-    compute = job.compute
-    progress = job.progress
-
-    def report(stage: str, done: int, total: int) -> None:
-        cache = compute.cache_folder
-        if stage == "optimise" and cache is not None and any(cache.glob("table-*")):
-            progress.kept += "; the detection table is cached for the next call"
-        progress(stage, done, total)
-
-    reporting = replace(compute, progress=report)
-    if grown:
-        placement = grown.placement
-    else:  # poses that are turned yet are compared with nothing
-        placement = place(
-            replace(plan, compute=reporting), asks_worlds=not question.refine
-        )
-    refinement = None
-    if question.refine:
-        refinement = refine(
-            job.setting,
-            placement,
-            plan.candidates,
-            solver=plan.effort,
-            compute=reporting,
-        )
-    return _Found(
-        plan=plan,
-        placement=placement if refinement is None else refinement.placement,
-        on_grid=placement,
-        refinement=refinement,
-        poses=plan.candidates if refinement is None else refinement.candidates,
-        growth=grown.growth if grown else None,
-    )
-
-
-def _begin_fresh_worlds(
-    job: Job, plan: Assembly, layouts: Sequence[Layout]
-) -> list[Task[FreshWorlds]]:
-    """Look at layouts in fresh sampled worlds, if asked for, in either process."""
-    n_samples = job.question.n_samples
-    uncertainty = plan.uncertainty
-    if n_samples:
-        n_worlds = max(n_samples, MIN_FRESH_WORLDS)
-    else:
-        n_worlds = 0
-    assert uncertainty is not None  # assemble reads it with every question
-    return [
-        job.side.begin(
-            f"fresh worlds from {first}",
-            look_at_fresh_worlds,
-            job.setting,
-            layouts,
-            uncertainty,
-            n_worlds=min(_WORLDS_TOGETHER, n_worlds - first),
-            first=first,
-            fusion=job.question.fusion,
-            compute=replace(job.compute, progress=silent),
-        )
-        for first in range(0, n_worlds, _WORLDS_TOGETHER)
-    ]
+    if expert is not None:
+        layouts[EXPERT] = expert
+    if study is not None:
+        layouts[study.name] = study
+    return layouts
 
 
 def _evaluate(
-    job: Job, found: _Found, layouts: Mapping[str, Layout]
+    found: Found, layouts: Mapping[str, Layout]
 ) -> tuple[dict[str, Evaluation], list[Evaluation]]:
     """Layouts by display name, and those that lead, the one found first, by the evaluator."""
+    job = found.job
     leading = alternatives.leading_layouts(found.on_grid, found.placement)
     further = [layout for layout in leading if layout is not found.placement.greedy]
     judged = evaluate_layouts(
@@ -408,20 +254,29 @@ def _evaluate(
 
 
 def _in_fresh_worlds(
-    job: Job,
-    found: _Found,
-    evaluations: Mapping[str, Evaluation],
-    fresh: Sequence[Task[FreshWorlds]],
+    found: Found, evaluations: Mapping[str, Evaluation]
 ) -> SampledRecord:
-    """Layouts in fresh worlds: the other process begins with the first ones, this one last."""
-    looked: list[FreshWorlds] = []
-    for done, task in enumerate(reversed(fresh)):
-        job.progress(OUT_OF_SAMPLE, done, len(fresh))
-        looked.insert(0, task.result())
-    placement = found.placement
+    """Layouts by display name in sampled worlds in which none was chosen."""
+    job = found.job
+    n_worlds = max(job.question.n_samples, MIN_FRESH_WORLDS)
     uncertainty = found.plan.uncertainty
-    assert uncertainty is not None  # what the fresh worlds are drawn from
+    assert uncertainty is not None  # assemble reads it with every question
     layouts = [item.layout for item in evaluations.values()]
+    looked: list[FreshWorlds] = []
+    for first in range(0, n_worlds, _WORLDS_TOGETHER):
+        job.progress(OUT_OF_SAMPLE, first, n_worlds)
+        looked.append(
+            look_at_fresh_worlds(
+                job.setting,
+                layouts,
+                uncertainty,
+                n_worlds=min(_WORLDS_TOGETHER, n_worlds - first),
+                first=first,
+                fusion=job.question.fusion,
+                compute=replace(job.compute, progress=silent),
+            )
+        )
+    placement = found.placement
     # Over all worlds, whatever was asked for: the least cost, the worst share, what is
     # left.
     chosen_apr = apr_on_table(
@@ -441,8 +296,9 @@ def _in_fresh_worlds(
     )
 
 
-def _front_below(job: Job, found: _Found) -> FrontRecord | None:
+def _front_below(found: Found) -> FrontRecord | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
+    job = found.job
     placement = found.placement
     plan = found.plan
     progress = job.progress
@@ -479,6 +335,7 @@ def judge_study_cases(
     job: Job, evaluations: Mapping[str, Evaluation]
 ) -> StudyCases | None:
     """The layouts on the study's cases; None where these are asked about, or no arm has them."""
+    job.progress(STUDY_CASES, 0, 0)
     try:
         return on_study_cases(
             job.question,
@@ -572,8 +429,6 @@ def write_files(new: Path, answered: Answered, result: Result) -> None:
     placement = answered.placement
     asked = result.asked
     assert asked is not None  # who writes a folder says what was asked
-    # Drawn while other files are written.
-    begin_tasks(job.side, result, setting, evaluations)
     for name, text in answer_files(answered, result).items():
         write_atomically(new / name, text)
     layout = _subject(answered)
@@ -604,7 +459,6 @@ def write_files(new: Path, answered: Answered, result: Result) -> None:
         evaluations,
         command=asked.command,
         bill=answered.bill,
-        side=job.side,
     )
 
 

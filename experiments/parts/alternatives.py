@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -46,7 +45,6 @@ from ..results.numbers import (
     percent,
 )
 from ..results.record import Record, UnitRecord, build_unit_records, says
-from ..side_process import SideProcess, Task
 from .section import Section, Table, tabulate
 
 HEAVY_SHARE = 0.02
@@ -123,23 +121,6 @@ def find_other_weights(
     )
 
 
-def begin_standing(
-    side: SideProcess,
-    setting: Setting,
-    layout: Layout,
-    question: Question,
-    compute: Compute,
-) -> Task[Standing] | None:
-    """Begin to find what errors of mounting cost a layout; None where it has too many units."""
-    if len(layout.units) > MAX_UNITS:
-        return None
-    fusion = question.fusion
-    units = layout.units
-    return side.begin(
-        TOLERANCES, find_standing, setting, units, fusion=fusion, compute=compute
-    )
-
-
 def leading_layouts(on_grid: Placement, placement: Placement) -> list[Layout]:
     """Layouts that lead on the table behind the one found: the greedy one.
 
@@ -160,7 +141,6 @@ def leading_layouts(on_grid: Placement, placement: Placement) -> list[Layout]:
 
 def find_front_runners(
     evaluations: Sequence[Evaluation],
-    standing: Task[Standing] | None,
     setting: Setting,
     question: Question,
     *,
@@ -169,18 +149,21 @@ def find_front_runners(
 ) -> tuple[FrontRunners | None, Standing | None, Layout | None]:
     """Leading layouts by the evaluator, the layout found first, with what mounting errors cost it.
 
-    `standing` is that of the layout found; of others it is asked only where they are
-    its equals. The last value is the layout to recommend; None: the one found.
+    Mounting errors of the layout found are not asked for where it has too many units; those
+    of others only where they are its equals. The last value is the layout to recommend;
+    None: the one found.
     """
     runners = [
         build_front_runner(one, setting.rule, fusion=question.fusion)
         for one in evaluations
     ]
-    if standing is None:
-        first = None
-    else:
-        first = standing.result(partial(progress, TOLERANCES, 0, 0))
-    known: dict[int, Standing] = {} if first is None else {0: first}
+    first: Standing | None = None
+    known: dict[int, Standing] = {}
+    units = evaluations[0].layout.units
+    if len(units) <= MAX_UNITS:
+        progress(TOLERANCES, 0, 0)
+        first = find_standing(setting, units, fusion=question.fusion, compute=compute)
+        known[0] = first
 
     def mounted_wrongly(number: int) -> float:
         if first is None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from placement.compute import Compute
 from placement.evaluation import Evaluation
-from placement.evaluator import evaluate_layouts
+from placement.evaluator import evaluate_again
 from placement.layout import find_baseline
 from placement.question import BLIND, Question
 from placement.setting import Setting
@@ -102,8 +102,9 @@ def on_study_cases(
     study = build(study_question(question))
     if is_same_question(asked, study):
         return None
-    layouts = [item.layout for item in evaluations.values()]
-    found = evaluate_layouts(layouts, study, compute=compute.within(STAGE))
+    found = evaluate_again(
+        [*evaluations.values()], asked, study, compute=compute.within(STAGE)
+    )
     return build_study_cases(dict(zip(evaluations, found, strict=True)))
 
 

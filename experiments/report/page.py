@@ -5,12 +5,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
 
 from geometry.writing import write_atomically
 from placement.evaluation import Evaluation
+from placement.layout import Layout
 from placement.setting import Setting
 
 from ..figures.axes import unit_labels
@@ -36,7 +37,6 @@ from ..parts.result import PlacementResult, Result
 from ..parts.sampled_worlds import sampled_picture, sampled_section
 from ..parts.section import Picture, Section
 from ..parts.units import build_plans, private_ground_section, units_section
-from ..side_process import SideProcess, Task
 
 FILE_NAME = "report.html"
 # In the order of questions: what to mount, how sure that is, who remains at risk, what
@@ -100,20 +100,22 @@ def build_report(
     *,
     command: str,
     bill: BillOfMaterials | None = None,
-    side: SideProcess | None = None,
 ) -> tuple[str, dict[str, Picture]]:
     """A result as one HTML page that loads nothing, and its pictures worth a file, by name.
 
     The first evaluation is the subject. `command` makes the result again; `bill` knows
     more of the costs than the scene.
     """
-    tasks = begin_tasks(side or SideProcess(), result, setting, evaluations)
     shown, detailed = _shown(result, evaluations)
     subject = next(iter(evaluations.values()))
-    interactive = interactive_part(setting, shown)
-    for task in reversed(tasks):
-        task.take()
-    plan, *plans = tasks.plans.result()
+    others: list[Layout] = []
+    if len(detailed) == 1:
+        others = [item.layout for item in [*shown.values()][1:]]
+    front = None
+    if isinstance(result, PlacementResult):
+        front = front_section(result.front)
+    drawn = {name: item.layout for name, item in detailed.items()}
+    plan, *plans = build_plans(setting, drawn, others)
     pictures = {"plan": plan}
     bill = bill or build_bill(subject.layout, setting.scene)
     labels = unit_labels(subject.layout)
@@ -125,9 +127,9 @@ def build_report(
         ),
         added.section(result.added),
         road_users.section(result.road_users),
-        tasks.dangers.result(),
-        tasks.margins.result(),
-        tasks.front.result(),
+        dangers.section(setting, shown, fusion=result.fusion),
+        margins_section(shown),
+        front,
         study_cases.section(result.study_cases),
         failures_section(subject, setting.rule, labels),
         Section(
@@ -157,53 +159,15 @@ def build_report(
             subject,
             bill=bill,
             plan=plan,
-            views=tasks.views.result(),
+            views=camera_views(setting, subject.layout),
             warnings=answer.warnings(result),
         ),
         answer=answer.words(result),
         assumed=assumption_sentences(result),
         sections=_in_order(sections),
-        interactive=interactive,
+        interactive=interactive_part(setting, shown),
     )
     return page, pictures
-
-
-class Tasks(NamedTuple):
-    """Pictures and sections of a report that a second process may make, as they are begun."""
-
-    plans: Task[list[Picture]]
-    views: Task[list[Picture]]
-    dangers: Task[Section]
-    margins: Task[Section]
-    front: Task[Section | None]
-
-
-def begin_tasks(
-    side: SideProcess,
-    result: Result,
-    setting: Setting,
-    evaluations: Mapping[str, Evaluation],
-) -> Tasks:
-    """Begin what takes long to draw: the report that is written takes it from there."""
-    shown, detailed = _shown(result, evaluations)
-    layouts = {name: item.layout for name, item in detailed.items()}
-    if len(detailed) == 1:
-        others = [item.layout for item in [*shown.values()][1:]]
-    else:
-        others = []
-    if isinstance(result, PlacementResult):
-        front = result.front
-    else:
-        front = None
-    return Tasks(  # what takes the longest comes first
-        plans=side.begin("plans", build_plans, setting, layouts, others),
-        views=side.begin("views", camera_views, setting, next(iter(layouts.values()))),
-        dangers=side.begin(
-            "dangers", dangers.section, setting, shown, fusion=result.fusion
-        ),
-        margins=side.begin("margins", margins_section, shown),
-        front=side.begin("front", front_section, front),
-    )
 
 
 def _shown(

@@ -1,5 +1,6 @@
 """Public names of placement.evaluator; see :mod:`geometry.lazy_names`."""
 
+from .evaluate import evaluate_again as evaluate_again
 from .evaluate import evaluate_layout as evaluate_layout
 from .evaluate import evaluate_layouts as evaluate_layouts
 from .evaluate import with_sight as with_sight

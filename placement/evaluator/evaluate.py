@@ -1,7 +1,7 @@
 """From sights to verdicts: detections, messages, confirmation, braking, contact."""
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, as_completed, wait
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, freeze
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import refuse
 from geometry.image_boxes import box_height_px
 from geometry.lidar import LidarModel, load_lidar_detection
@@ -21,7 +21,7 @@ from geometry.tables import read_data
 from geometry.weather import pick_weather
 from scenarios.aeb import AebRule, find_contacts
 from scenarios.paths import MPS_PER_KMH
-from scenarios.runs import FrameAxis, Run, find_onsets
+from scenarios.runs import FrameAxis, Run, build_frame_axis, find_onsets
 from scenarios.scores import Levels
 
 from ..cache import CachedArrays
@@ -731,6 +731,109 @@ def evaluate_layouts(
             for layout in layouts
         ],
         cars=setting.cars,
+    )
+
+
+def evaluate_again(
+    evaluations: Sequence[Evaluation],
+    asked: Setting,
+    setting: Setting,
+    *,
+    compute: Compute = DEFAULT_COMPUTE,
+) -> list[Evaluation]:
+    """Evaluate layouts in another setting, without looking twice at the same frames.
+
+    Only runs that the first setting lacks are looked at; messages that were lost there
+    are lost here, too.
+
+    Parameters
+    ----------
+    evaluations : sequence of Evaluation
+        Of the layouts in `asked`.
+    asked, setting : Setting
+        The setting of these evaluations, and the other one. Scene, sensors and detector
+        are the same.
+    compute : Compute
+        Of what has to be looked at.
+
+    Returns
+    -------
+    evaluations : list of Evaluation
+        In `setting`, in the same order.
+    """
+    known = {run.id: index for index, run in enumerate(asked.runs)}
+    is_known = np.array(
+        [
+            run.id in known and _has_same_frames(run, asked.runs[known[run.id]])
+            for run in setting.runs
+        ]
+    )
+    # Rows of the frames: first those of `asked`, then those that are looked at now.
+    starts = np.empty(len(setting.runs), dtype=int)
+    for row in np.flatnonzero(is_known):
+        starts[row] = asked.axis.run_start[known[setting.runs[row].id]]
+    further: list[Evaluation] | None = None
+    if not is_known.all():
+        rest = [setting.runs[row] for row in np.flatnonzero(~is_known)]
+        axis = build_frame_axis(rest, np.full(len(rest), 1.0 / len(rest)))
+        starts[~is_known] = asked.axis.n_frames + axis.run_start[:-1]
+        further = evaluate_layouts(
+            [one.layout for one in evaluations],
+            replace(
+                setting, runs=tuple(rest), axis=axis, levels=None, seen_by_vut=None
+            ),
+            compute=compute,
+        )
+    lengths = [len(run.time_s) for run in setting.runs]
+    frames = np.concatenate(
+        [start + np.arange(n) for start, n in zip(starts, lengths, strict=True)]
+    )
+    seen = []
+    for index, one in enumerate(evaluations):
+        parts = [one]
+        if further is not None:
+            parts.append(further[index])
+        seen.append(_seen_in_frames(parts, frames, setting.rule))
+    judge = Judge(setting.runs, setting.axis, setting.rule, setting.levels)
+    return judge_layouts(judge, seen, cars=setting.cars)
+
+
+def _has_same_frames(one: Run, other: Run) -> bool:
+    """True if both bodies are at the same places at the same times."""
+    pairs = (
+        (one.time_s, other.time_s),
+        (one.vut_position_m, other.vut_position_m),
+        (one.vut_yaw_deg, other.vut_yaw_deg),
+        (one.vru_position_m, other.vru_position_m),
+        (one.vru_yaw_deg, other.vru_yaw_deg),
+    )
+    return all(np.array_equal(first, second) for first, second in pairs)
+
+
+def _seen_in_frames(
+    parts: Sequence[Evaluation], frames: IntArray, rule: AebRule
+) -> Seen:
+    """Detections of a layout's parties in `frames`, rows of all parts end to end."""
+
+    def detected(verdict_of: Callable[[Evaluation], Verdict]) -> BoolArray:
+        rows = [verdict_of(part).detected for part in parts]
+        return np.concatenate(rows)[frames]
+
+    layout = parts[0].layout
+    vam: Party | None = None
+    if "vam" in parts[0].others:
+        vam = (detected(lambda part: part.others["vam"]), rule.latency_s)
+    units = {}
+    for unit in layout.units:
+        units[unit.id] = (
+            detected(lambda part, name=unit.id: part.units[name]),
+            unit.latency(rule),
+        )
+    return Seen(
+        layout=layout,
+        units=units,
+        vut=(detected(lambda part: part.vut), rule.latency_s),
+        vam=vam,
     )
 
 

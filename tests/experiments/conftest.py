@@ -16,7 +16,7 @@ from small_results import (
     lay_runs_of,
 )
 
-from experiments import main, side_process
+from experiments import main
 from experiments.figures.views import GroundViews
 from experiments.jobs import placement
 from experiments.parts import baselines
@@ -140,12 +140,6 @@ def run(capsys, tables, tmp_path, monkeypatch):
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tables))
-    # By its words alone the command begins a second process, which knows nothing of
-    # small scenes.
-    begin = side_process.side_process
-    monkeypatch.setattr(
-        side_process, "side_process", lambda is_wanted, **ready: begin(False)
-    )
 
     def run_command(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()

@@ -11,9 +11,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +30,9 @@ from small_results import (
 from experiments.export.geojson import to_geojson
 from experiments.export.table import to_csv
 from experiments.jobs import anew, evaluation, placement
+from experiments.jobs import search as jobs_search
 from experiments.jobs.placement import answer_placement, write_files
+from experiments.jobs.search import search
 from experiments.jobs.verify import VerificationResult, run_verification
 from experiments.parts.reading import read_summary
 from experiments.progress import StageProgress
@@ -67,12 +67,9 @@ def made_anew(written, tmp_path_factory):
     """What ``--deep`` computes, and the files that it writes: once for all changes."""
     folder = tmp_path_factory.mktemp("anew") / "anew"
     stored = read_summary(written / "summary.json")
-    with (
-        small_world(build_small_setting()),
-        answer_placement(
-            ASKED, out=folder, compute=Compute(workers=2), progress=StageProgress()
-        ) as answered,
-    ):
+    with small_world(build_small_setting()):
+        found = search(ASKED, compute=Compute(workers=2), progress=StageProgress())
+        answered = answer_placement(found)
         folder.mkdir()
         seconds = {
             stage: value
@@ -91,9 +88,8 @@ def deep(made_anew, monkeypatch):
     def write(folder: Path, *given: object) -> None:
         shutil.copytree(files, folder, dirs_exist_ok=True)
 
-    monkeypatch.setattr(
-        placement, "answer_placement", lambda *given, **more: nullcontext(answered)
-    )
+    monkeypatch.setattr(jobs_search, "search", lambda *given, **more: None)
+    monkeypatch.setattr(placement, "answer_placement", lambda found: answered)
     monkeypatch.setattr(placement, "write_files", write)
 
 
@@ -995,9 +991,6 @@ def compared(tmp_path_factory):
     with small_world(build_small_setting()) as patch:
         patch.setattr(placement, "write_report", lambda *given, **options: None)
         patch.setattr(evaluation, "compare_layout", lambda *given, **options: None)
-        patch.setattr(
-            evaluation, "begin_job", partial(_begin_small_job, build_small_setting())
-        )
         evaluation.run_comparison(
             Question(),
             layouts=layouts,
@@ -1007,10 +1000,6 @@ def compared(tmp_path_factory):
             progress=StageProgress(),
         )
     return folder
-
-
-def _begin_small_job(setting: Any, *given: Any, **options: Any) -> Any:
-    return placement.begin_job(*given, setting=setting, **options)
 
 
 def test_a_comparison_is_verified_as_far_as_its_files_tell(compared, tmp_path):

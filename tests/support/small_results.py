@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.jobs import placement
+from experiments.jobs import placement, search
 from experiments.progress import StageProgress
 from geometry.actors import load_actors
 from geometry.scene import Scene
@@ -92,7 +92,7 @@ def lay_runs_of(patch: pytest.MonkeyPatch, setting: Setting) -> None:
             return replace(setting, cars=cars)
         return setting
 
-    for module in (placement, pipeline):
+    for module in (placement, search, pipeline):
         patch.setattr(module, "build_setting", build)
 
 

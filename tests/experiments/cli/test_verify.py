@@ -15,7 +15,8 @@ from osm_text import LAT_DEG, LON_DEG, OsmText
 from osm_text import crossing as crossing_streets
 from small_results import lay_runs_of
 
-from experiments.jobs import placement
+from experiments.cli import first_answer
+from experiments.jobs import placement, search
 from experiments.progress import StageProgress
 from experiments.results.record import to_plain
 from geometry.errors import InputError
@@ -259,6 +260,8 @@ def test_the_scene_is_read_as_the_job_read_it(
         raise InputError("here", "the question", "nothing more")
 
     monkeypatch.setattr("experiments.scene.run._pictures", lambda scene: {})
+    monkeypatch.setattr(search, "search", lambda *given, **more: None)
+    monkeypatch.setattr(first_answer, "first_answer", lambda found: [])
     monkeypatch.setattr(placement, "run_placement", stop)
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
     source = build(tmp_path)

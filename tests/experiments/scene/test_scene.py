@@ -488,7 +488,8 @@ def test_pictures_show_something():
 
 
 def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkeypatch):
-    from experiments.jobs import placement
+    from experiments.cli import first_answer
+    from experiments.jobs import placement, search
 
     asked = []
 
@@ -496,6 +497,8 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
         asked.append(question)
         raise InputError("here", "the question", "nothing more")
 
+    monkeypatch.setattr(search, "search", lambda *given, **more: None)
+    monkeypatch.setattr(first_answer, "first_answer", lambda found: [])
     monkeypatch.setattr(placement, "run_placement", stop)
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
     osm = OsmText()

@@ -11,7 +11,11 @@ from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.evaluator import evaluate, perceive
-from placement.evaluator.evaluate import evaluate_layout, evaluate_layouts
+from placement.evaluator.evaluate import (
+    evaluate_again,
+    evaluate_layout,
+    evaluate_layouts,
+)
 from placement.evaluator.perceive import perceive_frames
 from placement.evaluator.surroundings import VutCamera, build_surroundings
 from placement.layout import Layout
@@ -477,3 +481,51 @@ def test_wrong_axis_and_workers_are_named(build_layout, setting, study_runs):
         InputError, match="workers: got 0; expected a whole number, at least 1"
     ):
         evaluate_layout(layout, setting, compute=Compute(workers=0))
+
+
+def _same_verdicts(one, other):
+    for name in ("detected", "onset_time_s", "is_avoided", "impact_speed_kmh"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize(
+    ("n_known", "n_looks"),
+    [(2, 0), (1, 3)],  # a camera on a pole, and the two parts of the VUT's frames
+    ids=["every run was looked at", "half of the runs are new"],
+)
+def test_a_layout_is_evaluated_again_without_looking_twice(
+    setting, build_layout, monkeypatch, n_known, n_looks
+):
+    rule = replace(RULE, track_memory_s=0.3, latency_s=0.1)
+    runs = setting.runs[:2]
+    weight = np.array([0.3, 0.7])
+    other = replace(setting, runs=runs, axis=build_frame_axis(runs, weight), rule=rule)
+    layout = build_layout("unit", x_m=runs[0].vru_position_m[-1, 0] - 15.0)
+    expected = evaluate_layout(layout, other)
+    known = (setting.runs[2], *runs[:n_known])
+    asked = replace(
+        setting,
+        runs=known,
+        axis=build_frame_axis(known, np.full(len(known), 1.0 / len(known))),
+    )
+    evaluation = evaluate_layout(layout, asked)
+
+    looked_at = []
+    look = perceive.perceive_frames
+
+    def counted(surroundings, *given, **options):
+        looked_at.append(len(surroundings.draw_index))
+        return look(surroundings, *given, **options)
+
+    monkeypatch.setattr(evaluate, "_VUT_JOBS", 2)
+    monkeypatch.setattr(perceive, "perceive_frames", counted)
+    (again,) = evaluate_again([evaluation], asked, other)
+    assert len(looked_at) == n_looks
+    n_new_frames = sum(len(run.time_s) for run in runs[n_known:])
+    assert sum(looked_at) == 2 * n_new_frames
+    assert again.axis is other.axis
+    _same_verdicts(again.vut, expected.vut)
+    _same_verdicts(again.rsu_all, expected.rsu_all)
+    _same_verdicts(again.vut_and_rsus, expected.vut_and_rsus)
+    _same_verdicts(again.units["unit"], expected.units["unit"])
+    assert expected.rsu_all.detected.any()
