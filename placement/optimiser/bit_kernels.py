@@ -496,7 +496,9 @@ def avoid_with_each(
                 if has_part:
                     for word in range(n_words):
                         part[word] |= columns[frame, word]
-        live[:] = held
+        # A loop, since numba compiles a slice's copy with the text of its error.
+        for word in range(len(live)):
+            live[word] = held[word]
         for frame in window_frames[window[start[chain] + link]]:
             if not is_seen[frame]:
                 for word in range(n_words):

@@ -345,13 +345,16 @@ def tighten_prices(
         if total < best * (1.0 - 1.0e-12):
             best = total
             idle = 0
-            best_price[:] = price
+            # A loop, since numba compiles a slice's copy with the text of its error.
+            for row in range(n_rows):
+                best_price[row] = price[row]
         else:
             idle += 1
         if step == n_steps:
             break
         if idle > patience:
-            price[:] = best_price
+            for row in range(n_rows):
+                price[row] = best_price[row]
             slope[:] = 0.0
             length = length * cut
             idle = 0
@@ -369,7 +372,8 @@ def tighten_prices(
             break
         for row in range(n_rows):
             price[row] -= length * total / steepness * slope[row]
-    price[:] = best_price
+    for row in range(n_rows):
+        price[row] = best_price[row]
     return best
 
 
@@ -681,7 +685,8 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
             of_unit = covers.covers[walk.chosen[number]]
             for word in range(len(rows)):
                 rows[word] = of_unit[word] & ~walk.covered_twice[depth, word]
-            beside[:] = gain
+            for pose in range(len(gain)):
+                beside[pose] = gain[pose]
             of_rows = add_gains(covers, covers.weight, rows, walk, beside)
             need = total + of_rows - may_lose[ON_FAILURE]
             if not drop_hopeless(beside, is_open, n_working, need, walk.best):
@@ -828,7 +833,8 @@ def can_keep(bits: WordArray, losses: Losses, with_failures: bool) -> bool:
     if with_failures:
         last = 0
     for failed in range(n_units, last - 1, -1):
-        union[:] = base
+        for word in range(len(union)):
+            union[word] = base[word]
         for unit in range(n_units):
             if unit != failed:
                 for word in range(len(union)):
