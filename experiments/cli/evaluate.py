@@ -9,7 +9,7 @@ import click
 
 from ..results.numbers import grouped
 from . import options
-from .recording import evaluate_recording, recording_options
+from .recording import evaluate_recording
 from .running import Job, command_line
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ Examples:
 
 @click.command(cls=options.SectionedCommand, epilog=_EVALUATE_EXAMPLES)
 @options.layout_option
-@recording_options
+@options.recording_options
 @options.folder_option("a report")
 @options.sign_option
 @options.asking("no_look", *options.JUDGED)
