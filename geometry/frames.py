@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
+from .errors import InputError
 from .poses import Pose, wrap_deg
 
 if TYPE_CHECKING:
@@ -103,3 +104,17 @@ def to_geographic(points_m: ArrayLike, crs: str) -> FloatArray:
     transformer = Transformer.from_crs(parse_crs(crs), "EPSG:4326", always_xy=True)
     longitude_deg, latitude_deg = transformer.transform(points[:, 0], points[:, 1])
     return np.stack([longitude_deg, latitude_deg], axis=1)
+
+
+def check_crs(crs: str, where: str) -> None:
+    """Raise InputError unless pyproj takes a coordinate reference system.
+
+    An empty one is none, which is fine.
+    """
+    from pyproj.exceptions import CRSError
+
+    try:
+        if crs:
+            parse_crs(crs)
+    except CRSError:
+        raise InputError(where, crs, "one that pyproj knows, or none") from None

@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import refuse
+from geometry.frames import check_crs
 from geometry.maps.georeferences import transform
 from geometry.maps.gis_files import read_features
 from geometry.phrases import Phrase
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene, road_area
-from geometry.scene_files import check_crs
 from geometry.sensors import CameraModel, project_points
 from geometry.terrain import ground_height_m, on_ground, terrain_of
 from geometry.text_formats import load_data

@@ -18,7 +18,7 @@ from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
 from geometry.phrases import Phrase
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from scenarios.scores import AVOIDED
 
 from .cache import cached_value

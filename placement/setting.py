@@ -18,7 +18,7 @@ from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES, build_junction
 from geometry.phrases import Phrase
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.sensors import CameraModel
 from scenarios.accidents import split_source
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s

@@ -30,6 +30,7 @@ _WITH_RECORDING = frozenset(
     + ("track_memory_s",)
 )
 
+
 def evaluate_recording(job: Job, *, out: Path | None, **asked: Any) -> None:
     """Judge the units of a recording, as :func:`.recording.run_recording`, and end the command.
 

@@ -48,7 +48,7 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
     progress.start(quiet=quiet)
     if not (map_options(question) or Path(question.scene).is_file()):
         return question
-    from geometry.scene_files import has_scene
+    from geometry.scene_sources import has_scene
 
     if has_scene(Path(question.scene)) and not map_options(question):
         return question
@@ -81,7 +81,7 @@ def load_one_layout(
 
     if question is None:
         return find_layout(names[0], "--layout")
-    from geometry.scene_files import load_scene
+    from geometry.scene_sources import load_scene
 
     scene = load_scene(question.scene)
     return find_layout(names[0], "--layout", scene=scene, sensors=question.sensors)

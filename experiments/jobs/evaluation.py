@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from placement.compute import Compute
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts

@@ -13,7 +13,7 @@ from msgspec.structs import replace as replace_fields
 from geometry.errors import InputError
 from geometry.phrases import Phrase
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.writing import is_about, write_atomically
 from placement.cache import cached_value
 from placement.candidates import CandidatePose

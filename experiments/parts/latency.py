@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from msgspec.structs import asdict as fields_of
 
 from geometry.errors import InputError, Unquoted
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout
 from placement.latency import (

@@ -413,7 +413,7 @@ def render(
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
     progress("lay the run", 0, 0)
-    from geometry.scene_files import load_scene
+    from geometry.scene_sources import load_scene
     from placement.evaluator.pictures import find_frame, find_viewpoint
     from placement.evaluator.pictures import render as render_frame
     from placement.layout import check_layout

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, refuse
 from geometry.image_boxes import box_height_px, iou
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.sensors import CameraModel
 from geometry.tables import read_table
 from placement.compute import Compute

@@ -16,7 +16,8 @@ import numpy as np
 
 from geometry.errors import InputError, check_one_of, refuse
 from geometry.scene import Site
-from geometry.scene_files import has_scene, load_scene, save_scene
+from geometry.scene_files import save_scene
+from geometry.scene_sources import has_scene, load_scene
 from placement.candidates import CandidatePose, build_grid, own_models
 from placement.compute import Compute, Progress
 from placement.evaluation import Evaluation

@@ -28,14 +28,8 @@ from geometry.notes import Note
 from geometry.opening import MAX_FILE_BYTES, read_bytes
 from geometry.scene import Scene
 from geometry.scene_checks import Finding, check_scene
-from geometry.scene_files import (
-    SCENE_FILE,
-    has_scene,
-    load_scene,
-    load_scene_folder,
-    pack_scene,
-    save_scene,
-)
+from geometry.scene_files import load_scene_folder, pack_scene, save_scene
+from geometry.scene_sources import SCENE_FILE, has_scene, load_scene
 from geometry.study_scene import load_study_scene
 from geometry.writing import check_target
 from placement.question import Question, map_options

@@ -16,7 +16,8 @@ from geometry.errors import InputError
 from geometry.maps import point_clouds as voxels
 from geometry.maps.importing import read_map
 from geometry.scene import Scene
-from geometry.scene_files import SCENE_FILE, THINGS_FILE, load_scene
+from geometry.scene_files import THINGS_FILE
+from geometry.scene_sources import SCENE_FILE, load_scene
 from geometry.text_formats import load_toml
 from placement.ground import load_private_ground
 from placement.layout import load_layout

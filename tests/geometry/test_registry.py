@@ -2,7 +2,9 @@ from pathlib import Path
 
 import pytest
 
+from geometry import scene_sources
 from geometry.errors import InputError
+from geometry.maps import importing
 from geometry.registry import load_entry, pick_entry, suffix_in
 
 ENTRIES = {".json": "json:loads", ".city.json": "math:hypot"}
@@ -34,3 +36,10 @@ def test_an_unknown_name_is_refused_with_what_is_expected():
 )
 def test_the_longest_suffix_of_a_file_counts(name, suffix):
     assert suffix_in(ENTRIES, Path(name)) == suffix
+
+
+@pytest.mark.parametrize("name", [*scene_sources.READERS, *importing.READERS])
+def test_every_reader_of_scenes_and_maps_loads(name):
+    for entries in (scene_sources.READERS, importing.READERS):
+        if name in entries:
+            assert callable(load_entry(entries[name]))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from geometry.errors import InputError
 from geometry.scene import Instance, Scene
 from geometry.scene_checks import check_scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.terrain import Terrain, fit_terrain, ground_height_m, terrain_of
 from scenarios.cases import select_cases
 from scenarios.runs import build_runs

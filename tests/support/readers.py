@@ -469,7 +469,7 @@ def _scenes() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_scene(path: Path) -> Any:
-    from geometry.scene_files import load_scene
+    from geometry.scene_sources import load_scene
 
     return load_scene(path)
 
@@ -1204,7 +1204,7 @@ READERS: Mapping[str, Reader] = {
         read=_read_scene,
         seeds=_scenes,
         covers=(
-            "geometry.scene_files.load_scene",
+            "geometry.scene_sources.load_scene",
             "geometry.scene_files.load_scene_folder",
         ),
     ),
@@ -1228,7 +1228,9 @@ READERS: Mapping[str, Reader] = {
         _read_trajectories, _trajectories, ("scenarios.trajectories.read_tracks",)
     ),
     "layout lists": Reader(
-        _read_layout_list, _layout_lists, ("placement.layout.read_layout_rows",)
+        _read_layout_list,
+        _layout_lists,
+        ("placement.foreign_layouts.read_layout_rows",),
     ),
     "latency budget": Reader(
         _read_latency, _latencies, ("placement.latency.load_latency_budget",)

@@ -16,7 +16,7 @@ from geometry.image_boxes import mask_box
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.poses import Pose
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.sensors import CameraModel, project_points
 from geometry.weather import Weather, pick_weather
 from placement.detectors.evidence import VRU_CLASSES, vru_class

@@ -19,7 +19,8 @@ from experiments.jobs import placement
 from experiments.progress import StageProgress
 from experiments.results.record import to_plain
 from geometry.errors import InputError
-from geometry.scene_files import load_scene, pack_scene, save_scene
+from geometry.scene_files import pack_scene, save_scene
+from geometry.scene_sources import load_scene
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.question import Question

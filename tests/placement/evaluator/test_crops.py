@@ -9,7 +9,7 @@ from short_runs import cut_run
 
 from geometry.image_boxes import box_height_px
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from geometry.weather import pick_weather
 from placement.detectors import is_matched, load_detector, load_min_iou
 from placement.evaluator import build_surroundings, load_vut_camera
