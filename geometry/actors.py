@@ -25,6 +25,8 @@ from .text_formats import load_toml
 
 # Of a shape: distances that differ in the last bits give the same one.
 _SHAPE_DECIMALS = 6
+LOOK_AT_M = 1.0
+"""Height above the road of the middle of a road user. [m]"""
 _REMEDY = "shapes built from it: python -m geometry.body_shapes"
 
 

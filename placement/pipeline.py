@@ -29,12 +29,6 @@ from .detectors import ResponseDetector
 from .evaluator import with_sight
 from .explain.conflicts import find_refusal
 from .explain.contributions import NextUnit, find_next_unit
-from .ground import (
-    PrivateGround,
-    load_private_ground,
-    private_shares,
-    respects_private_ground,
-)
 from .layout import Certificate, Layout, check_layout, find_baseline, find_layout
 from .memory import check_memory
 from .optimiser import (
@@ -52,6 +46,12 @@ from .optimiser import (
 )
 from .optimiser.problem import Fusion, Objective, apr, objective_values
 from .optimiser.solve import instead
+from .private_ground import (
+    PrivateGround,
+    load_private_ground,
+    private_shares,
+    respects_private_ground,
+)
 from .question import BLIND, N_JUDGED, SEE, Question, read_cars
 from .sampling.out_of_sample import APART, SampledApr, out_of_sample_layouts
 from .sampling.tables import SampledTable, obtain_table, sampled_table

@@ -134,6 +134,7 @@ def export(
 
     from ..export import load_format
     from ..export.calibration import lidar_ids
+    from ..export.views import find_views
     from ..export.watched import export_layout
 
     chosen = load_format(format_name)
@@ -156,7 +157,7 @@ def export(
             drawn = compute
         else:
             drawn = None
-        asked = {"release": release, "views": views or None}
+        asked = {"release": release, "views": find_views if views else None}
         content = export_layout(
             layout,
             format_name,

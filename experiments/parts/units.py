@@ -8,8 +8,8 @@ from geometry.junction import compass_bearing_deg
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
 from placement.candidates import CandidatePose, above_ground
-from placement.ground import PrivateGround, private_shares
 from placement.layout import Layout
+from placement.private_ground import PrivateGround, private_shares
 from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels

@@ -8,8 +8,7 @@ import numpy as np
 from pyproj.exceptions import CRSError
 
 from geometry.errors import InputError, refuse
-from geometry.frames import parse_crs
-from geometry.maps.georeferences import transform
+from geometry.frames import parse_crs, transform
 from geometry.opening import reading
 from geometry.phrases import Phrase
 from geometry.scene import Scene

@@ -11,9 +11,9 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patheffects import withStroke
 
 from geometry.arrays import FloatArray
+from geometry.frames import transform
 from geometry.junction import build_junction
 from geometry.lines import points_at
-from geometry.maps.georeferences import transform
 from geometry.maps.importing import Surveyed
 from geometry.maps.source_map import SourceMap
 from geometry.poses import camera_rotation

@@ -12,8 +12,8 @@ from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted, refuse
+from geometry.frames import transform
 from geometry.junction import build_junction, street_names
-from geometry.maps.georeferences import transform
 from geometry.maps.importing import (
     ImportOptions,
     ReadingOptions,

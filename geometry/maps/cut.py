@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 
 from ..arrays import FloatArray
+from ..frames import transform
 from ..junction import (
     ASSUMED,
     CONNECTING,
@@ -32,7 +33,7 @@ from ..scene import (
 )
 from ..sensors import load_limits
 from ..terrain import GROUND, Terrain, houses_of, on_ground
-from .georeferences import LocalFrame, frame_at, transform
+from .georeferences import LocalFrame, frame_at
 from .relief import Relief, find_relief
 from .source_map import (
     MapJunction,

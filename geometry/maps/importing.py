@@ -19,6 +19,7 @@ import shapely
 from ..archives import unpacked
 from ..arrays import FloatArray
 from ..errors import InputError, check_one_of, refuse
+from ..frames import WGS84, transform
 from ..junction import build_junction
 from ..notes import Note
 from ..opening import check_file, open_file, read_text
@@ -41,7 +42,7 @@ from ..terrain import GROUND
 from ..text_formats import load_data, parse_json
 from ..xml_files import local_name, read_xml_root
 from .cut import LANES_BEYOND_M, build_scene, cut_out
-from .georeferences import WGS84, transform, why_no_plane
+from .georeferences import why_no_plane
 from .place_lists import SUFFIXES as LISTS
 from .relief import read_elevation
 from .sites import choose_sites, settle_poles

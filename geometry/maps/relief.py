@@ -10,10 +10,11 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
 from ..errors import InputError, MissingExtraError, refuse
+from ..frames import transform
 from ..notes import Note
 from ..opening import open_file, reading
 from ..terrain import Terrain, fit_terrain
-from .georeferences import LocalFrame, transform
+from .georeferences import LocalFrame
 from .source_map import MapJunction, SourceMap, Thing
 
 # Of the grid.

@@ -19,8 +19,8 @@ from geometry.scene import Scene
 from geometry.scene_files import THINGS_FILE
 from geometry.scene_sources import SCENE_FILE, load_scene
 from geometry.text_formats import load_toml
-from placement.ground import load_private_ground
 from placement.layout import load_layout
+from placement.private_ground import load_private_ground
 from placement.recordings import read_recording
 from placement.verification.certificates import load_certificate
 from placement.verification.instances import load_problem

@@ -12,7 +12,11 @@ from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
-from placement.ground import build_private_ground, load_private_ground, private_shares
+from placement.private_ground import (
+    build_private_ground,
+    load_private_ground,
+    private_shares,
+)
 
 YARD = Path(__file__).parents[2] / "docs/maps/school_yard.geojson"
 CAMERA = load_cameras()["carla-ncap-rgb-90"]

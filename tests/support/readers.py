@@ -761,7 +761,7 @@ def _accidents() -> Mapping[str, tuple[str, Files]]:
 
 def _read_private_ground(path: Path) -> Any:
     from geometry.study_scene import load_study_scene
-    from placement.ground import load_private_ground
+    from placement.private_ground import load_private_ground
 
     return load_private_ground(path, load_study_scene())
 
@@ -1255,7 +1255,9 @@ READERS: Mapping[str, Reader] = {
         _read_accidents, _accidents, ("scenarios.accidents.read_accidents",)
     ),
     "no-look areas": Reader(
-        _read_private_ground, _private_ground, ("placement.ground.load_private_ground",)
+        _read_private_ground,
+        _private_ground,
+        ("placement.private_ground.load_private_ground",),
     ),
     "recordings": Reader(
         read=_read_recording,
