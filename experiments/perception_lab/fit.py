@@ -43,7 +43,7 @@ from placement.detectors.network import (
 )
 from placement.evaluator import build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_frames
-from placement.evaluator.pictures import PictureSource
+from placement.evaluator.pictures import RenderedPictures
 from placement.evaluator.surroundings import FrameCamera
 from placement.layout import Layout, check_layout
 from placement.question import Question
@@ -265,7 +265,7 @@ def _look(
 ) -> Iterator[LabelledPicture]:
     """Pictures of blocks of consecutive frames, drawn at random, as many by each camera."""
     surroundings = build_surroundings(setting.scene, setting.runs)
-    source = PictureSource(setting.scene, setting.runs, seed=compute.seed)
+    source = RenderedPictures(setting.scene, setting.runs, seed=compute.seed)
     least_px = network.min_box_height_px
     by_crops = network.looks_at_crops
     views: list[tuple[Evidence, PictureOfFrame, Crops | None]] = []

@@ -12,7 +12,7 @@ from geometry.frames import parse_crs, transform
 from geometry.opening import reading
 from geometry.phrases import Phrase
 from geometry.scene import Scene
-from placement.imaging import to_jpeg
+from placement.evaluator.picture_sources import to_jpeg
 
 from ..language import mark
 from .background import Background, Lie, LiePoint

@@ -22,9 +22,9 @@ from placement.candidates import CandidatePose, build_grid, own_models
 from placement.compute import Compute, Progress
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout, with_sight
+from placement.evaluator.picture_sources import to_jpeg
 from placement.explain.tolerances import find_tolerances
 from placement.explain.unavoided import Look, find_reasons
-from placement.imaging import to_jpeg
 from placement.layout import Layout
 from placement.pipeline import assemble
 from placement.question import Question

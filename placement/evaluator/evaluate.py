@@ -6,7 +6,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, as_completed, wait
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from ..evaluation import Evaluation, Verdict, earliest_arrival_s
 from ..fingerprints import Fingerprints
 from ..layout import Layout
 from ..setting import Radio, Setting
+from .picture_sources import PictureSource, build_picture_source
 from .surroundings import (
     FrameCamera,
     build_surroundings,
@@ -39,9 +40,6 @@ from .surroundings import (
     load_vut_camera,
     load_vut_lidar,
 )
-
-if TYPE_CHECKING:
-    from .pictures import PictureSource
 
 # ---------- frames in which the VRU is detected, by every unit and by the VUT itself
 UnitKey = tuple[object, ...]
@@ -327,9 +325,9 @@ class _Watcher:
         heights = [box_height_px(evidence.visible_px) for evidence in looks.values()]
         least_px = max(detector.min_box_height_px, np.finfo(float).tiny)
         n_pictures = sum(int((height >= least_px).sum()) for height in heights)
-        from .pictures import PictureSource
-
-        source = PictureSource(self._setting.scene, self._setting.runs, seed=self._seed)
+        source = build_picture_source(
+            self._setting.scene, self._setting.runs, seed=self._seed
+        )
         # The VUT's pictures take longest, for nothing stands still in them: they are
         # drawn first.
         longest_first = sorted(looks.items(), key=lambda item: item[0] != VUT_KEY)
@@ -358,7 +356,7 @@ class _Watcher:
         return is_matched(found, evidence.visible_px, min_iou=load_min_iou())
 
     def _with_pictures(
-        self, evidence: Evidence, source: "PictureSource", unit: CandidatePose | None
+        self, evidence: Evidence, source: PictureSource, unit: CandidatePose | None
     ) -> Evidence:
         """Evidence with pictures for the detector, whole ones and crops."""
         camera: FrameCamera = self._mount

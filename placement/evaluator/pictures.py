@@ -1,6 +1,6 @@
 """Pictures for networks, whole ones and crops, and of one frame of a run."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
 from threading import Lock
@@ -33,6 +33,7 @@ from ..imaging.mesh import (
 from ..imaging.picture import Picture, Window
 from ..imaging.stills import draw_crop, meter, window_around
 from ..layout import Layout
+from .picture_sources import PictureOfFrame
 from .surroundings import (
     FrameCamera,
     VutCamera,
@@ -42,7 +43,6 @@ from .surroundings import (
     vut_pitch_deg,
 )
 
-PictureOfFrame = Callable[[int], Image]
 _CROP_SIDES_PX = (64, 96, 128, 160)
 # share of a crop that a road user may take up; for larger ones the scale is less
 _ROOM = 0.625
@@ -50,7 +50,7 @@ _ROOM = 0.625
 _HALO_PX = 4.0
 
 
-class PictureSource:
+class RenderedPictures:
     """Draws a frame when it is asked for.
 
     What stands still is prepared once per obstruction.
@@ -63,6 +63,8 @@ class PictureSource:
         Their frames, end to end, are asked for by number.
     seed : int
         Of sensor noise and drops.
+    workers : int
+        Threads of each picture: one where several are drawn side by side.
 
     Attributes
     ----------
@@ -70,11 +72,12 @@ class PictureSource:
         Pictures so far, and crops, those included that look like an earlier one.
     """
 
-    def __init__(self, scene: Scene, runs: Sequence[Run], *, seed: int) -> None:
+    def __init__(
+        self, scene: Scene, runs: Sequence[Run], *, seed: int, workers: int = 1
+    ) -> None:
         self._scene = scene
         self._runs = runs
-        # One worker each, since several frames are drawn side by side.
-        self._compute = Compute(seed=seed, workers=1)
+        self._compute = Compute(seed=seed, workers=workers)
         self._start = np.concatenate(
             [[0], np.cumsum([len(run.time_s) for run in runs])]
         )
@@ -250,7 +253,7 @@ class Crops:
 
     Parameters
     ----------
-    source : PictureSource
+    source : RenderedPictures
         Draws them.
     camera : VutCamera or (Pose, CameraModel)
         The camera.
@@ -259,7 +262,7 @@ class Crops:
     """
 
     def __init__(
-        self, source: PictureSource, camera: FrameCamera, boxes_px: FloatArray
+        self, source: RenderedPictures, camera: FrameCamera, boxes_px: FloatArray
     ) -> None:
         self._source = source
         self._camera = camera

@@ -7,7 +7,7 @@ or of a part; ``exposure`` adds glare and drops, and exposes.
 """
 
 from .mesh import PointCloud
-from .picture import Backdrop, Picture, build_backdrop, draw_picture, to_jpeg
+from .picture import Backdrop, Picture, build_backdrop, draw_picture
 
 __all__ = [
     "Backdrop",
@@ -15,5 +15,4 @@ __all__ = [
     "PointCloud",
     "build_backdrop",
     "draw_picture",
-    "to_jpeg",
 ]

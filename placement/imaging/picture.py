@@ -1,6 +1,5 @@
 """Pictures of a frame: colours, instances and depths, one ray per pixel."""
 
-import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -60,7 +59,6 @@ from .mesh import (
     vut_pose,
 )
 
-_JPEG_QUALITY = 85
 # How far off a surface mirrored rays start.
 _OFF_SURFACE_M = 4.0e-3
 # Surfaces that mirror a smaller share are not worth a ray.
@@ -669,15 +667,6 @@ def draw_picture(
     return Picture(
         rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh)
     )
-
-
-def to_jpeg(rgb: NDArray[np.uint8]) -> bytes:
-    """An image (h, w, 3) as the bytes of a JPEG file."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(rgb).save(buffer, format="jpeg", quality=_JPEG_QUALITY)
-    return buffer.getvalue()
 
 
 def names_of(mesh: FrameMesh) -> tuple[str, ...]:
