@@ -25,7 +25,6 @@ from .cache import cached_value
 from .candidates import CandidateGrid, CandidatePose, build_candidates, build_grid
 from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable, level_axis, level_table, mixed_table
-from .detectors import ResponseDetector
 from .evaluator import with_sight
 from .explain.conflicts import find_refusal
 from .explain.contributions import NextUnit, find_next_unit
@@ -668,7 +667,7 @@ def may_prefer(
     )
     if is_other or is_same:
         return False
-    if assembly.n_samples or isinstance(setting.table_detector, ResponseDetector):
+    if assembly.n_samples or setting.table_detector.is_drawn:
         return True
     if not setting.cars:
         return False

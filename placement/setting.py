@@ -50,12 +50,10 @@ from .compute import DEFAULT_COMPUTE, Compute
 from .detectors import (
     Detector,
     PlanningDetector,
-    ResponseDetector,
     load_detector,
     load_planning_detector,
     vru_class,
 )
-from .detectors.network import NetworkDetector
 from .latency import load_latency_budget
 from .question import Question, map_options, read_cars, read_point, split_names
 
@@ -358,11 +356,9 @@ def build_setting(
         _check_every_case(drives, scene)
     # The detector has to know the classes of road users.
     classes = {vru_class(run.encounter.vru) for run in runs}
-    if isinstance(detector, NetworkDetector):
-        detector.check_classes(sorted(classes))
-    elif isinstance(detector, ResponseDetector) and (
-        words := detector.assumed_words(classes)
-    ):
+    detector.check_classes(sorted(classes))
+    words = detector.assumed_words(classes)
+    if words:
         _log.warning("detector %s: %s", detector.name, words.removesuffix("."))
     if weights is not None:
         weight = weight_by_function(runs, weights)
@@ -450,13 +446,13 @@ def _check_every_case(drives: Drives, scene: Scene) -> None:
 
 def _table_detector(detector: Detector) -> PlanningDetector:
     """The detector of the detection table: another one stands in for a network."""
-    if not isinstance(detector, NetworkDetector):
+    if not detector.plans_with:
         return cast(PlanningDetector, detector)
     _log.warning(
         "detector %s: judged on rendered pictures, about %s each; poses are chosen by"
         " the %s detector",
         detector.name,
-        "a tenth of a second" if detector.looks_at_crops else "a second",
+        detector.seconds_per_picture,
         detector.plans_with,
     )
     planner = load_planning_detector(detector.plans_with)

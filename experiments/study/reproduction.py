@@ -25,7 +25,8 @@ from geometry.study_scene import load_study_scene
 from geometry.text_formats import load_data
 from geometry.writing import write_atomically
 from placement.compute import Compute, silent
-from placement.detectors import GeometricDetector, load_planning_detector
+from placement.detectors import load_planning_detector
+from placement.detectors.geometric import GeometricDetector
 from placement.evaluation import Evaluation, apr, detected_share
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout, load_carlancap_layout

@@ -23,7 +23,7 @@ from geometry.weather import pick_weather
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, Progress, one_blas_thread, silent
 from ..detection_table import DetectionTable, repeated_axis
-from ..detectors import ResponseDetector
+from ..detectors.response import ResponseDetector
 from ..evaluator import with_sight
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting

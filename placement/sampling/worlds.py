@@ -23,8 +23,7 @@ from scenarios.runs import Run, build_frame_axis
 
 from ..candidates import CandidatePose
 from ..compute import check_whole
-from ..detectors import ResponseDetector
-from ..detectors.built_in import LastingNoise
+from ..detectors.response import LastingNoise, ResponseDetector
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
 from .moving import TrafficCount

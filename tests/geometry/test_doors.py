@@ -87,7 +87,7 @@ EXCEPTIONS = {
     "experiments/city/pages.py": {"read_text"},
     "experiments/results/tables.py": {"read_text"},
     "geometry/body_shapes.py": {"savez_compressed"},
-    "placement/detectors/built_in.py": {"read_text"},
+    "placement/detectors/response.py": {"read_text"},
     "geometry/kernels.py": {"read_bytes", "write_bytes"},
     "placement/cache.py": {"load"},
     "placement/fingerprints.py": {"read_bytes"},

@@ -1243,7 +1243,7 @@ READERS: Mapping[str, Reader] = {
     "detector": Reader(
         _read_detector,
         _detectors,
-        ("placement.detectors.built_in.load_detector",),
+        ("placement.detectors.registry.load_detector",),
     ),
     "layout": Reader(
         _read_layout,

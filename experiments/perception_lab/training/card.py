@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from geometry.image_boxes import box_height_px
 from geometry.weather import pick_weather
 from placement.compute import Compute
-from placement.detectors import Evidence, ResponseDetector
-from placement.detectors.built_in import built_in_response
+from placement.detectors import Evidence
 from placement.detectors.evidence import Interval
 from placement.detectors.fitting import LabelledPicture, fit_response, gather_sightings
+from placement.detectors.response import ResponseDetector, built_in_response
 
 from ..fit import table_text
 from .crops import CROP_PX, WEATHERS, Crops
