@@ -36,7 +36,7 @@ from ..visibility import (
 from ..visibility.build import N_POINTS, at_each_mount
 from ..visibility.casting import SharedScene, World, build_shared_scene, build_world
 from ..visibility.sensing import build_sensing, cast_for
-from .moving import TrafficCount
+from .driving import TrafficCount
 from .uncertainty import Blinding, Uncertainty
 from .worlds import (
     RandomStreams,

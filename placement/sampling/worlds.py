@@ -26,7 +26,7 @@ from ..compute import check_whole
 from ..detectors.response import LastingNoise, ResponseDetector
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
-from .moving import TrafficCount
+from .driving import TrafficCount
 from .traffic import (
     GroupKey,
     Street,
