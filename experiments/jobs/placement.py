@@ -25,6 +25,7 @@ from placement.layout import Layout, find_baseline, layout_records
 from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Assembly, Placement, assemble, place
+from placement.proof_files import build_certificate, build_mounts, save_certificate
 from placement.question import AUTO, Question, question_values
 from placement.refinement import Refinement, refine
 from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
@@ -34,8 +35,6 @@ from placement.sampling.out_of_sample import (
     look_at_fresh_worlds,
 )
 from placement.setting import Setting, build_setting
-from placement.verification.certificates import build_certificate, save_certificate
-from placement.verification.instances import build_mounts
 from placement.wishes import assumed_prices
 
 from ..export.geojson import to_geojson

@@ -24,6 +24,7 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.pipeline import build_effort
+from placement.proof_files import build_certificate, save_certificate
 from placement.question import Question
 from placement.recordings import (
     RecordedEvaluation,
@@ -35,7 +36,6 @@ from placement.recordings import (
     take_units,
 )
 from placement.setting import build_rule
-from placement.verification.certificates import build_certificate, save_certificate
 from scenarios.aeb import AebRule
 
 from ..export.json import to_json_text

@@ -53,7 +53,7 @@ EXCEPTIONS = {
     "geometry/scene_files.py": {"ZipFile", "open"},
     "geometry/scene_sources.py": {"ZipFile"},
     "geometry/maps/point_clouds.py": {"open"},  # laspy
-    "placement/verification/instances.py": {"ZipFile", "open"},
+    "placement/proof_files.py": {"ZipFile", "open"},
     "placement/sampling/moving/sumo.py": {"load"},
     "geometry/archives.py": {"ZipFile", "open"},
     "geometry/parquet_files.py": {"ParquetFile"},

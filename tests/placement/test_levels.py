@@ -31,13 +31,10 @@ from placement.optimiser import (
 )
 from placement.optimiser.front import pareto_front
 from placement.pipeline import Assembly, assemble, place
+from placement.proof_files import build_certificate, save_certificate
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from placement.verification.certificates import (
-    build_certificate,
-    load_certificate,
-    save_certificate,
-)
+from placement.verification.certificates import load_certificate
 from placement.verification.instances import load_problem
 from placement.verification.recomputation import margins_s
 from placement.verification.verify import verify_certificate

@@ -934,7 +934,7 @@ def _certified() -> Files:
     from certified import document_of, two_of_twelve
 
     from placement.optimiser import solve_placement
-    from placement.verification.certificates import save_certificate
+    from placement.proof_files import save_certificate
     from scenarios.aeb import load_aeb_rule
     from scenarios.runs import FrameAxis
 
