@@ -20,7 +20,6 @@ from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.scene_sources import load_scene
 from geometry.sensors import CameraModel
-from scenarios.accidents import split_source
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import Case, Selection, select_cases
 from scenarios.paths import CoursePath, StraightPath, TowedPath, TurnPath
@@ -43,7 +42,13 @@ from scenarios.runs import (
     left_out_case,
 )
 from scenarios.scores import AVOIDED, Levels, build_levels
-from scenarios.weights import check_weights, default_weights, weigh, weight_by_function
+from scenarios.weights import (
+    check_weights,
+    default_weights,
+    needs_place,
+    weigh,
+    weight_by_function,
+)
 
 from .cache import cached_value
 from .compute import DEFAULT_COMPUTE, Compute
@@ -403,7 +408,7 @@ def _place_deg(question: Question, scene: Scene) -> tuple[float, float] | None:
     """
     if question.near:
         return _read_place_deg(question.near)
-    if not scene.crs or split_source(question.weights) is None:
+    if not scene.crs or not needs_place(question.weights):
         return None
     middle = scene.outline_m.mean(axis=0, keepdims=True)
     longitude, latitude = to_geographic(middle, scene.crs)[0].tolist()

@@ -24,7 +24,7 @@ from placement.private_ground import load_private_ground
 from placement.recordings import read_recording
 from placement.verification.certificates import load_certificate
 from placement.verification.instances import load_problem
-from scenarios.weights import weight_from_csv
+from scenarios.weight_tables import weight_from_csv
 
 
 def refusal(function, *arguments) -> str:

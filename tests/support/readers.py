@@ -709,7 +709,7 @@ def _small_runs() -> Any:
 
 
 def _read_weights(path: Path) -> Any:
-    from scenarios.weights import weight_from_csv
+    from scenarios.weight_tables import weight_from_csv
 
     return weight_from_csv(path, _small_runs())
 
@@ -725,7 +725,8 @@ def _weights() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_accidents(path: Path) -> Any:
-    from scenarios.accidents import STATS19, UNFALLATLAS, read_accidents
+    from scenarios.accidents import read_accidents
+    from scenarios.weights import STATS19, UNFALLATLAS
 
     return read_accidents(STATS19 if "collision" in path.name else UNFALLATLAS, path)
 
@@ -1250,7 +1251,9 @@ READERS: Mapping[str, Reader] = {
         _layouts,
         ("placement.layout.load_layout", "placement.layout.find_layout"),
     ),
-    "weights": Reader(_read_weights, _weights, ("scenarios.weights.weight_from_csv",)),
+    "weights": Reader(
+        _read_weights, _weights, ("scenarios.weight_tables.weight_from_csv",)
+    ),
     "accidents": Reader(
         _read_accidents, _accidents, ("scenarios.accidents.read_accidents",)
     ),
