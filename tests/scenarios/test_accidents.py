@@ -1,6 +1,7 @@
 import csv
 import io
 import math
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np

@@ -462,7 +462,7 @@ def test_a_function_weighs_runs(runs):
 
 @pytest.mark.parametrize("name", weights.SCHEMES)
 def test_every_scheme_of_weights_loads(name):
-    scheme = load_entry(weights.SCHEMES[name])(f"{name}:somewhere.csv")
+    scheme = load_entry(weights.SCHEMES[name])(f"{name}:collision.csv")
     assert callable(scheme.check)
     assert callable(scheme.weigh)
     assert all(isinstance(path, Path) for path in scheme.files())
