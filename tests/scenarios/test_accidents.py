@@ -423,4 +423,4 @@ def test_words_are_split_at_the_first_colon():
     assert needs_place("stats19:C:/x.csv")
     assert not needs_place("C:/x.csv")
     assert not needs_place("unfallatlas")
-    assert AccidentWeights("stats19:C:/x.csv").files()[0] == Path("C:/x.csv")
+    assert AccidentWeights("unfallatlas:C:/x.csv").files() == (Path("C:/x.csv"),)
