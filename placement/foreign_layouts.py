@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.calibrations import read_cameras
+from geometry.calibrations import calibrated_sensor, read_cameras
 from geometry.catalogue import SENSOR_KINDS, Sensor, pick_sensor, sensor_kind
 from geometry.errors import InputError, refuse
 from geometry.maps.place_lists import (
@@ -21,7 +21,6 @@ from geometry.maps.place_lists import (
     tell_unknown,
 )
 from geometry.scene import Scene
-from geometry.sensors import calibrated_sensor
 from geometry.tables import pick
 from geometry.terrain import ground_height_m
 

@@ -28,6 +28,11 @@ from .detection_table import DetectionTable, level_axis, level_table, mixed_tabl
 from .evaluator import with_sight
 from .explain.conflicts import find_refusal
 from .explain.contributions import NextUnit, find_next_unit
+from .forbidden_views import (
+    ForbiddenAreas,
+    load_forbidden_areas,
+    respects_private_ground,
+)
 from .layout import Certificate, Layout, check_layout, find_baseline, find_layout
 from .memory import check_memory
 from .optimiser import (
@@ -45,12 +50,6 @@ from .optimiser import (
 )
 from .optimiser.problem import Fusion, Objective, apr, objective_values
 from .optimiser.solve import instead
-from .private_ground import (
-    PrivateGround,
-    load_private_ground,
-    private_shares,
-    respects_private_ground,
-)
 from .question import BLIND, N_JUDGED, SEE, Question, read_cars
 from .sampling.out_of_sample import APART, SampledApr, out_of_sample_layouts
 from .sampling.tables import SampledTable, obtain_table, sampled_table
@@ -84,7 +83,7 @@ class Assembly:
         How hard the optimiser tries.
     existing : Layout, optional
         What is mounted already.
-    private_ground : PrivateGround, optional
+    private_ground : ForbiddenAreas, optional
         What cameras must not look into.
     may_look : callable, optional
         Which poses respect private ground, (n,) bool; None: all.
@@ -106,7 +105,7 @@ class Assembly:
     fusion: Fusion = "any"
     effort: Effort = field(default_factory=Effort)
     existing: Layout | None = None
-    private_ground: PrivateGround | None = None
+    private_ground: ForbiddenAreas | None = None
     may_look: Callable[[Sequence[CandidatePose]], BoolArray] | None = None
     uncertainty: Uncertainty | None = None
     n_samples: int = 0
@@ -273,7 +272,7 @@ def assemble(
     private_ground = None
     may_look = None
     if question.no_look:
-        private_ground = load_private_ground(Path(question.no_look), scene)
+        private_ground = load_forbidden_areas(Path(question.no_look), scene)
         may_look = partial(
             _respects,
             scene=scene,
@@ -363,12 +362,12 @@ def _respects(
     candidates: Sequence[CandidatePose],
     *,
     scene: Scene,
-    ground: PrivateGround,
+    ground: ForbiddenAreas,
     max_share: float,
 ) -> BoolArray:
     """True for candidates that respect private ground, (n,) bool."""
     return respects_private_ground(
-        private_shares(scene, candidates, ground), max_share=max_share
+        ground.shares(scene, candidates), max_share=max_share
     )
 
 

@@ -15,25 +15,12 @@ import shapely
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import refuse
 from geometry.frames import check_crs, transform
+from geometry.maps.gis_files import read_features
 from geometry.raycast import RayCaster, build_caster, is_in_sight
-from geometry.registry import pick_entry
 from geometry.scene import Scene
 from geometry.terrain import ground_height_m
 
 from .candidates import CandidatePose, depth_in_picture
-
-_GIS_FILES = "geometry.maps.gis_files:read_features"
-READERS = {
-    ".geojson": _GIS_FILES,
-    ".json": _GIS_FILES,
-    ".gpkg": _GIS_FILES,
-    ".shp": _GIS_FILES,
-    ".zip": _GIS_FILES,
-}
-"""Registry of the readers of areas, by the suffix of the file.
-
-Each returns :class:`geometry.maps.gis_files.Features`.
-"""
 
 # Of people who are there; the ground itself may be hidden by a hedge.
 EYE_HEIGHT_M = 1.5
@@ -71,6 +58,10 @@ class PrivateGround:
     area_m2: FloatArray
     shapes: tuple[Any, ...]
 
+    def shares(self, scene: Scene, candidates: Sequence[CandidatePose]) -> FloatArray:
+        """Share of each area that each pose sees, see :func:`private_shares`."""
+        return private_shares(scene, candidates, self)
+
 
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     """Private ground in a scene's world frame, read from a GIS file.
@@ -79,8 +70,7 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     area. Raises InputError if the file cannot be read, has no polygon, is of
     another place, or lies on earth while the scene does not.
     """
-    read = pick_entry(READERS, path.suffix.lower(), where=str(path))
-    found = read(path)
+    found = read_features(path)
     check_crs(found.crs, f"{path}: crs")
     if found.crs and not scene.crs:
         refuse(
@@ -216,24 +206,6 @@ def private_shares(
     It is (n_candidates, n_areas), 0 .. 1.
     """
     return PrivateSight(scene, ground).shares(candidates)
-
-
-def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArray:
-    """True for candidates that respect every private area.
-
-    They see at most `max_share` of it; (n_candidates,) bool. Raises InputError
-    where no candidate is left.
-    """
-    share = shares.max(axis=1)
-    kept = np.asarray(share <= max_share)
-    if not kept.any():
-        least = np.ceil(1000.0 * share.min()) / 1000.0
-        expected = (
-            f"at least {least:g}, the share that the pose with the least in its picture"
-            " sees"
-        )
-        refuse("no_look_share", f"{100.0 * max_share:.1f} %", expected)
-    return kept
 
 
 def _place(candidate: CandidatePose) -> tuple[float, ...]:

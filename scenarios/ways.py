@@ -22,10 +22,10 @@ from geometry.junction import (
     lane_line,
 )
 from geometry.lines import along_m, length_m, points_at
+from geometry.notes import Finding
 from geometry.phrases import Phrase
 from geometry.scene import Lane, Scene
 from geometry.scene import Turn as Movement
-from geometry.scene_checks import Finding
 
 from . import courses
 from .paths import MPS_PER_KMH, CoursePath, Path, StraightPath, TowedPath, TurnPath

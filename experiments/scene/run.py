@@ -24,10 +24,10 @@ from geometry.maps.importing import (
 )
 from geometry.maps.place_lists import SUFFIXES as LISTS
 from geometry.maps.source_map import SourceMap
-from geometry.notes import Note
+from geometry.notes import Finding, Note
 from geometry.opening import MAX_FILE_BYTES, read_bytes
 from geometry.scene import Scene
-from geometry.scene_checks import Finding, check_scene
+from geometry.scene_checks import check_scene
 from geometry.scene_files import load_scene_folder, pack_scene, save_scene
 from geometry.scene_sources import SCENE_FILE, has_scene, load_scene
 from geometry.study_scene import load_study_scene

@@ -114,3 +114,17 @@ def test_the_pole_that_carries_a_camera_hides_nothing():
         < private_shares(protocol_scene(boxes=[thin]), [unit(0, 0, 0.0)], ground)[0, 0]
         < 1.0
     )
+
+
+@pytest.mark.parametrize("suffix", forbidden_views.READERS)
+def test_every_reader_of_areas_loads(suffix):
+    assert load_entry(forbidden_views.READERS[suffix]) is load_private_ground
+
+
+def test_areas_of_an_unknown_kind_are_refused(tmp_path):
+    path = tmp_path / "areas.dwg"
+    with pytest.raises(InputError) as refused:
+        forbidden_views.load_forbidden_areas(path, load_study_scene())
+    assert str(refused.value) == (
+        f"{path}: got '.dwg'; expected one of .geojson, .json, .gpkg, .shp, .zip"
+    )
