@@ -11,8 +11,8 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.sensors import SEEN_RAD, CameraModel, is_shown, pixel_grid, shown_points
 
-from .pixels import Placed, Seen, Sights
-from .surroundings import Solid
+from .pixels import Image, Placed, Seen, Sights
+from .surroundings import Solid, Surroundings
 
 _MIN_DEPTH_M = 1.0e-6
 # What the VRU stands on does not occlude it. More than rays are rounded.
@@ -50,6 +50,22 @@ class _Rays(NamedTuple):
         return _Rays(
             self.columns[some], self.rows[some], self.ways[some], self.depth_m[some]
         )
+
+
+def draw_in_lens(
+    _image: Image,
+    camera: CameraModel,
+    min_height_px: float,
+    vru: Solid,
+    static: Solid,
+    surroundings: Surroundings,
+    sights: Sights,
+    seen: Seen,
+) -> None:
+    """Draw through a lens that distorts, as a :class:`.perceive.BodyDrawer`."""
+    see_through_lens(
+        camera, min_height_px, vru, static, surroundings.vehicles, sights, seen
+    )
 
 
 def see_through_lens(

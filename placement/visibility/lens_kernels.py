@@ -5,6 +5,7 @@ pinholes.
 """
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -13,9 +14,12 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.kernels import kernel
 from geometry.lenses import BrownConrady
+from geometry.poses import camera_rotation
 from geometry.sensors import SEEN_RAD, CameraModel, rolled
 
+from ..candidates import CandidatePose
 from .point_kernels import Array, BodyPoints, Found, Least, Seen
+from .sensing import MIN_DEPTH_M
 
 # Slack of a cosine.
 _SLACK = 1.0e-6
@@ -438,3 +442,23 @@ def box_through_lenses(
             found.inside_share[n_part] = share
             n_part += 1
     return n_plain, n_part
+
+
+def box_in_lenses(
+    bodies: BodyPoints,
+    eye_m: FloatArray,
+    seen: Seen,
+    units: Sequence[CandidatePose],
+    *,
+    min_height_px: float,
+    found: Found,
+) -> tuple[int, int]:
+    """Boxes of bodies in cameras whose lenses distort, as a :class:`.BoxFinder`."""
+    cameras = [one.sensor for one in units if isinstance(one.sensor, CameraModel)]
+    turns = [camera_rotation(one.pose.yaw_deg, one.pose.pitch_deg) for one in units]
+    lenses = np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)])
+    least = Least(MIN_DEPTH_M, min_height_px)
+    n_boxes: tuple[int, int] = box_through_lenses(
+        bodies, eye_m, seen, lenses, least, found
+    )
+    return n_boxes

@@ -10,7 +10,9 @@ from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
+from geometry.registry import load_entry
 from geometry.study_scene import load_study_scene
+from placement import forbidden_views
 from placement.candidates import CandidatePose
 from placement.private_ground import (
     build_private_ground,
