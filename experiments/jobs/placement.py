@@ -17,10 +17,10 @@ from geometry.scene_sources import load_scene
 from geometry.writing import is_about, write_atomically
 from placement.cache import cached_value
 from placement.candidates import CandidatePose
-from placement.certify import Grown, Growth, grow
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts, with_sight
+from placement.growth import Grown, Growth, grow
 from placement.layout import Layout, find_baseline, layout_records
 from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from geometry.arrays import FloatArray
-from placement.certify import Growth
+from placement.growth import Growth
 from placement.pipeline import FOUND
 from placement.question import N_JUDGED
 from placement.sampling.driving import TrafficCount

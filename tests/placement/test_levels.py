@@ -21,7 +21,7 @@ from placement.detection_table import level_axis, level_table, pack_table, plain
 from placement.detectors import load_detector, load_planning_detector
 from placement.evaluation import score
 from placement.evaluator import evaluate_layout
-from placement.latency import apr_by_latency
+from placement.latency_curves import apr_by_latency
 from placement.optimiser import (
     Effort,
     UnmetError,

@@ -12,8 +12,9 @@ from scipy.stats import t as student
 from geometry.errors import InputError
 from placement import certify as certifying
 from placement import pipeline
-from placement.certify import SIZES, certify, estimate_gap, grow
+from placement.certify import certify, estimate_gap
 from placement.compute import Compute
+from placement.growth import SIZES, grow
 from placement.layout import Layout, load_carlancap_layout
 from placement.pipeline import Assembly, assemble, place
 from placement.question import AUTO, Question
