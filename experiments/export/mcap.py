@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from geometry.actors import Actor
+from geometry.calibrations import CalibratedCamera
 from geometry.errors import refuse
-from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, with_width
 from geometry.terrain import on_ground

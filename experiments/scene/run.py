@@ -33,7 +33,7 @@ from geometry.scene_sources import SCENE_FILE, has_scene, load_scene
 from geometry.study_scene import load_study_scene
 from geometry.writing import check_target
 from placement.question import Question, map_options
-from scenarios.ways import find_sharp_bends
+from scenarios.bends import find_sharp_bends
 
 from ..figures.axes import to_png
 from ..language import mark

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.lenses import ground_points
+from geometry.calibrations import ground_points
 from geometry.opening import read_text
 from placement.detectors.evidence import Interval, linked_noise
 from placement.detectors.fitting import (
