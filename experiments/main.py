@@ -12,7 +12,7 @@ import click
 from .cli import options
 from .cli.commands import COMMANDS
 from .cli.place import cli
-from .cli.running import Session, command_line
+from .cli.running import ProgramSession, command_line
 from .cli.terminal import sentences
 from .progress import Interrupted, StageProgress, StderrLog, ending_on_signals, tell
 from .results.numbers import several
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         "agg"  # no window is opened, whatever a user prefers elsewhere
     )
     logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
-    progress = Session(_import_map)
+    progress = ProgramSession(_import_map)
     code = 0
     message = ""
     try:

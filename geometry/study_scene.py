@@ -41,7 +41,7 @@ class _Building(Struct, frozen=True, kw_only=True):
     height_m: _Positive
 
 
-class _Wall(Struct, frozen=True, kw_only=True):
+class _BoxWall(Struct, frozen=True, kw_only=True):
     """A straight wall between two points, in CARLA's frame."""
 
     id: Text
@@ -123,7 +123,7 @@ class _BoxScene(Struct, frozen=True, kw_only=True):
     outline_m: Points2
     ground: _Ground
     buildings: tuple[_Building, ...] = ()
-    walls: tuple[_Wall, ...] = ()
+    walls: tuple[_BoxWall, ...] = ()
     parked_rows: tuple[_NamedRow, ...] = ()
     poles: tuple[_Pole, ...] = ()
     mast_arms: tuple[_MastArm, ...] = ()

@@ -10,7 +10,7 @@ import click
 from ..results.numbers import grouped
 from . import options
 from .recording import evaluate_recording
-from .running import Job, command_line
+from .running import QuestionCall, command_line
 
 if TYPE_CHECKING:
     from placement.layout import Layout
@@ -30,7 +30,7 @@ Examples:
 @options.sign_option
 @options.asking("no_look", *options.JUDGED)
 def evaluate(
-    job: Job,
+    job: QuestionCall,
     *,
     layout_names: tuple[str, ...],
     recording: Path | None,
@@ -87,7 +87,7 @@ Examples:
 @options.sign_option
 @options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)
 def compare(
-    job: Job,
+    job: QuestionCall,
     *,
     layouts: tuple[str, ...],
     more_layouts: tuple[str, ...],

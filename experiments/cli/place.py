@@ -9,7 +9,7 @@ from geometry.registry import load_entry
 from ..language import mark
 from . import options
 from .commands import RECORDED
-from .running import Job, command_line
+from .running import QuestionCall, command_line
 
 _EXAMPLES = """\b
 Examples:
@@ -68,7 +68,7 @@ cannot be met (one line says what), 130 interrupted, 143 terminated."""
 @options.sign_option
 @options.asking(*options.PLANNED, *options.JUDGED)
 def cli(
-    job: Job,
+    job: QuestionCall,
     *,
     recording: Path | None,
     min_confidence: float,

@@ -10,7 +10,7 @@ from ..language import tr
 from ..parts import Part
 from ..results.numbers import percent
 from . import options
-from .running import Job
+from .running import QuestionCall
 from .terminal import answer_text, sentences, wide_table
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _WITH_RECORDING = frozenset(
 )
 
 
-def evaluate_recording(job: Job, *, out: Path | None, **asked: Any) -> None:
+def evaluate_recording(job: QuestionCall, *, out: Path | None, **asked: Any) -> None:
     """Judge the units of a recording, as :func:`.recording.run_recording`, and end the command.
 
     Options that say nothing next to a recording are refused, by click.UsageError.

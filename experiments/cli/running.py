@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from placement.question import Question
 
 
-class Session(StageProgress):
+class ProgramSession(StageProgress):
     """The context object of all commands: progress, and the importer of maps.
 
     It is handed in by the program, so that no command depends on all formats of maps,
@@ -52,7 +52,7 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
 
     if has_scene(Path(question.scene)) and not map_options(question):
         return question
-    assert isinstance(progress, Session)
+    assert isinstance(progress, ProgramSession)
     folder, words = progress.import_map(
         question, cache=cache_folder(), progress=progress
     )
@@ -113,13 +113,13 @@ class Call:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Job(Call):
+class QuestionCall(Call):
     """A call of a command that asks something and computes."""
 
     question: "Question"
     compute: "Compute"
 
-    def begin(self) -> "Job":
+    def begin(self) -> "QuestionCall":
         """Show what happens from here on; the job with its map imported, see :func:`begin`."""
         return replace(
             self, question=begin(self.progress, self.question, quiet=self.quiet)

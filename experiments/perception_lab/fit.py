@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from placement.evaluator.pictures import Crops, PictureOfFrame
+    from placement.evaluator.pictures import PictureOfFrame, RenderedCrops
 
 LOOK = "look"
 FIT = "fit"
@@ -268,7 +268,7 @@ def _look(
     source = RenderedPictures(setting.scene, setting.runs, seed=compute.seed)
     least_px = network.min_box_height_px
     by_crops = network.looks_at_crops
-    views: list[tuple[Evidence, PictureOfFrame, Crops | None]] = []
+    views: list[tuple[Evidence, PictureOfFrame, RenderedCrops | None]] = []
     cameras: list[FrameCamera] = [
         (unit.pose, unit.sensor)
         for unit in layout.units

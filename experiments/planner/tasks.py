@@ -222,13 +222,13 @@ class Tasks:
         LiDAR.
         """
         from placement.evaluator.pictures import find_frame, find_viewpoint, render
-        from placement.imaging import Picture
+        from placement.imaging import RenderedPicture
 
         run = self.setting.runs[self._run_index(run_id)]
         frame = find_frame(run, frame)
         viewpoint = find_viewpoint(layout, unit_id, run, frame)
         seen = render(self.setting.scene, run, frame, viewpoint, compute=self._of_units)
-        if not isinstance(seen, Picture):
+        if not isinstance(seen, RenderedPicture):
             raise InputError(
                 mark("unit"), unit_id, mark("a camera: a LiDAR takes no picture")
             )

@@ -168,7 +168,7 @@ def build_report(
     return page, pictures
 
 
-class Tasks(NamedTuple):
+class ReportTasks(NamedTuple):
     """Pictures and sections of a report that a second process may make, as they are begun."""
 
     plans: Task[list[Picture]]
@@ -183,7 +183,7 @@ def begin_tasks(
     result: Result,
     setting: Setting,
     evaluations: Mapping[str, Evaluation],
-) -> Tasks:
+) -> ReportTasks:
     """Begin what takes long to draw: the report that is written takes it from there."""
     shown, detailed = _shown(result, evaluations)
     layouts = {name: item.layout for name, item in detailed.items()}
@@ -195,7 +195,7 @@ def begin_tasks(
         front = result.front
     else:
         front = None
-    return Tasks(  # what takes the longest comes first
+    return ReportTasks(  # what takes the longest comes first
         plans=side.begin("plans", build_plans, setting, layouts, others),
         views=side.begin("views", camera_views, setting, next(iter(layouts.values()))),
         dangers=side.begin(

@@ -84,7 +84,7 @@ _Square = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Surroundings:
+class CutSurroundings:
     """Surroundings of a junction in the scene's own frame, without sites.
 
     Attributes
@@ -135,7 +135,7 @@ def cut_out(
     *,
     radius_m: float,
     ground_m: float | None = None,
-) -> Surroundings:
+) -> CutSurroundings:
     """Surroundings of a junction of the first map, with things of the others.
 
     Lanes are followed 70 m beyond `radius_m`. The ground is that of
@@ -156,7 +156,7 @@ def cut_out(
 
     Returns
     -------
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         In a frame around the junction.
 
     Raises
@@ -208,7 +208,7 @@ def cut_out(
     zero_height_m = None
     if relief.terrain is not None:
         zero_height_m = round(relief.zero_m, 3)
-    return Surroundings(
+    return CutSurroundings(
         frame=frame,
         lanes=(*lanes, *through),
         outline_m=outline,
@@ -293,7 +293,7 @@ def _moved(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRo
 
 
 def build_scene(
-    surroundings: Surroundings,
+    surroundings: CutSurroundings,
     *,
     name: str,
     source_crs: str,
@@ -306,7 +306,7 @@ def build_scene(
 
     Parameters
     ----------
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         Surroundings of the junction.
     name : str
         Name of the scene.

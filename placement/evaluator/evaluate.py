@@ -479,7 +479,7 @@ class Judge:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Seen:
+class PartyDetections:
     """Detections of each party of a layout.
 
     Attributes
@@ -501,7 +501,7 @@ class Seen:
 
 
 def judge_layouts(
-    judge: Judge, seen: Sequence[Seen], *, cars: float = 0.0
+    judge: Judge, seen: Sequence[PartyDetections], *, cars: float = 0.0
 ) -> list[Evaluation]:
     """Evaluations of layouts by what their units and the VUT detect.
 
@@ -509,7 +509,7 @@ def judge_layouts(
     ----------
     judge : Judge
         Gives the verdicts.
-    seen : sequence of Seen
+    seen : sequence of PartyDetections
         Detections of each layout.
     cars : float
         Share of VUTs that see for themselves.
@@ -720,7 +720,7 @@ def evaluate_layouts(
     return judge_layouts(
         judge,
         [
-            Seen(
+            PartyDetections(
                 layout=layout,
                 units=_arriving(layout, setting, detected, compute.seed),
                 vut=(detected[VUT_KEY], setting.rule.latency_s),

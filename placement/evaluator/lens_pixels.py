@@ -11,7 +11,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.sensors import SEEN_RAD, CameraModel, is_shown, pixel_grid, shown_points
 
-from .pixels import Image, Placed, Seen, Sights
+from .pixels import Image, Placed, SeenBoxes, Sights
 from .surroundings import Solid, Surroundings
 
 _MIN_DEPTH_M = 1.0e-6
@@ -60,7 +60,7 @@ def draw_in_lens(
     static: Solid,
     surroundings: Surroundings,
     sights: Sights,
-    seen: Seen,
+    seen: SeenBoxes,
 ) -> None:
     """Draw through a lens that distorts, as a :class:`.perceive.BodyDrawer`."""
     see_through_lens(
@@ -75,7 +75,7 @@ def see_through_lens(
     static: Solid,
     vehicles: tuple[Solid, ...],
     sights: Sights,
-    seen: Seen,
+    seen: SeenBoxes,
 ) -> None:
     """Fill boxes and shares of a VRU's body, seen through a lens that distorts.
 
@@ -95,7 +95,7 @@ def see_through_lens(
         Kinds of vehicles that move.
     sights : Sights
         Where everything is.
-    seen : Seen
+    seen : SeenBoxes
         Blank; written.
     """
     vertices = vru.meshes[0].vertices_m

@@ -27,7 +27,7 @@ from geometry.sensors import CameraModel
 from geometry.weather import Weather
 
 from ..detectors import VRU_CLASSES, Evidence, aspects_deg
-from .pixels import Image, Placed, Seen, Sights, blank_sights, see
+from .pixels import Image, Placed, SeenBoxes, Sights, blank_sights, see
 from .surroundings import (
     FrameCamera,
     Solid,
@@ -185,7 +185,7 @@ class BodyDrawer(Protocol):
         static: Solid,
         surroundings: Surroundings,
         sights: Sights,
-        seen: Seen,
+        seen: SeenBoxes,
     ) -> None:
         """Fill `seen`: boxes and shares of the body in all sights.
 
@@ -202,7 +202,7 @@ def draw_in_pinhole(
     static: Solid,
     surroundings: Surroundings,
     sights: Sights,
-    seen: Seen,
+    seen: SeenBoxes,
 ) -> None:
     """Draw without distortion, as a :class:`BodyDrawer`."""
     standing, parked = static.meshes

@@ -30,7 +30,7 @@ from ..imaging.mesh import (
     scan_mesh,
     vut_pose,
 )
-from ..imaging.picture import Picture, Window
+from ..imaging.picture import RenderedPicture, Window
 from ..imaging.stills import draw_crop, meter, window_around
 from ..layout import Layout
 from .picture_sources import PictureOfFrame
@@ -102,9 +102,9 @@ class RenderedPictures:
 
         return picture
 
-    def crops(self, camera: FrameCamera, boxes_px: FloatArray) -> "Crops":
+    def crops(self, camera: FrameCamera, boxes_px: FloatArray) -> "RenderedCrops":
         """Crops of a camera's pictures around the road user's boxes (n, 4)."""
-        return Crops(self, camera, boxes_px)
+        return RenderedCrops(self, camera, boxes_px)
 
     def _find(self, frame: int) -> tuple[Run, int]:
         """Run of a frame, and its index in the run."""
@@ -129,7 +129,7 @@ class RenderedPictures:
         self._count()
         return picture.rgb
 
-    def _draw_crop(self, frame: int, view: "_View") -> Crop:
+    def _draw_crop(self, frame: int, view: "_CropView") -> Crop:
         """Draw a crop of a frame at its own scale."""
         run, index = self._find(frame)
         small = view.small
@@ -157,7 +157,7 @@ class RenderedPictures:
             middle_px=(0.5 * view.camera.width_px, 0.5 * view.camera.height_px),
         )
 
-    def _white(self, run: Run, view: "_View") -> float | None:
+    def _white(self, run: Run, view: "_CropView") -> float | None:
         """Exposure of a fixed camera by daylight, when what moves changes little.
 
         None where lamps are on.
@@ -201,7 +201,7 @@ class RenderedPictures:
             return self._still[key]
 
 
-class _View(NamedTuple):
+class _CropView(NamedTuple):
     """How a frame is shown.
 
     Attributes
@@ -243,10 +243,10 @@ class _View(NamedTuple):
         return window_around(self.box_px / self.scale, self.small, side_px=self.side_px)
 
 
-class Crops:
+class RenderedCrops:
     """Crops of a camera's pictures around the road user.
 
-    See :class:`placement.detectors.evidence.Crops`. A road user that would fill a
+    See :class:`placement.detectors.evidence.RenderedCrops`. A road user that would fill a
     crop is drawn at a half, a third and so on of the camera's resolution. Where the
     VUT, its shadow and its mirror image lie outside a crop by daylight, the VUT is
     left out: then all frames with the same road user look the same.
@@ -292,7 +292,7 @@ class Crops:
         for frame in frames:
             yield frame, self._source._draw_crop(frame, self._view(frame))
 
-    def _view(self, frame: int) -> _View:
+    def _view(self, frame: int) -> _CropView:
         """How a frame is shown: side and scale of the crop, and if the VUT is in it."""
         run, index = self._source._find(frame)
         pose, camera = _placed(self._camera, run, index)
@@ -308,7 +308,7 @@ class Crops:
         shows_vut = is_fixed and _may_show_vut(
             run, index, pose, camera, box_px, 0.5 * side_px * scale
         )
-        return _View(pose, camera, box_px, side_px, scale, shows_vut, is_fixed)
+        return _CropView(pose, camera, box_px, side_px, scale, shows_vut, is_fixed)
 
 
 def _placed(camera: FrameCamera, run: Run, index: int) -> tuple[Pose, CameraModel]:
@@ -479,7 +479,7 @@ def find_viewpoint(
 
 def render(
     scene: Scene, run: Run, frame_index: int, viewpoint: Viewpoint, *, compute: Compute
-) -> Picture | PointCloud:
+) -> RenderedPicture | PointCloud:
     """Picture or point cloud of a frame, in the run's weather."""
     weather = pick_weather(run.weather, "weather")
     pose = viewpoint.pose

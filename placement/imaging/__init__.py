@@ -7,12 +7,12 @@ or of a part; ``exposure`` adds glare and drops, and exposes.
 """
 
 from .mesh import PointCloud
-from .picture import Backdrop, Picture, build_backdrop, draw_picture
+from .picture import Backdrop, RenderedPicture, build_backdrop, draw_picture
 
 __all__ = [
     "Backdrop",
-    "Picture",
     "PointCloud",
+    "RenderedPicture",
     "build_backdrop",
     "draw_picture",
 ]

@@ -548,7 +548,7 @@ _TILE_PX = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Picture:
+class RenderedPicture:
     """What a camera sees.
 
     Attributes
@@ -619,7 +619,7 @@ def draw_picture(
     is_smooth: bool = True,
     materials: Materials | None = None,
     compute: Compute = DEFAULT_COMPUTE,
-) -> Picture:
+) -> RenderedPicture:
     """Render one frame of a run, at the camera's resolution.
 
     Parameters
@@ -664,7 +664,7 @@ def draw_picture(
             edges = np.flatnonzero(exposure.find_edges(image.radiance))
             smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
         rgb = expose_image(shot, image.radiance, [compute.seed, frame_index], pool)
-    return Picture(
+    return RenderedPicture(
         rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh)
     )
 

@@ -29,7 +29,7 @@ from ..setting import Setting
 from .driving import TrafficCount
 from .traffic import (
     GroupKey,
-    Street,
+    StandingRoom,
     Ways,
     build_street,
     build_ways,
@@ -319,7 +319,7 @@ def _draw(
     candidates: tuple[CandidatePose, ...],
     uncertainty: Uncertainty,
     streams: RandomStreams,
-    street: Street | None,
+    street: StandingRoom | None,
     ways: dict[GroupKey, Ways],
 ) -> Sample:
     """Draw one world."""

@@ -53,7 +53,7 @@ LENS = np.dtype(
 """One camera with a lens."""
 
 
-class _Boxes(NamedTuple):
+class _LensBoxes(NamedTuple):
     """Boxes of some of a body's points: left, top, right and bottom.
 
     Attributes
@@ -220,7 +220,7 @@ def _box_points(
     is_seen: BoolArray,
     is_whole: bool,
     min_depth_m: float,
-    boxes: _Boxes,
+    boxes: _LensBoxes,
 ) -> tuple[bool, bool, bool]:
     """Compute the boxes around a body's points in one image.
 
@@ -238,7 +238,7 @@ def _box_points(
         Nothing occludes any point; `is_seen` is not read.
     min_depth_m : float
         As in :func:`_project`. [m]
-    boxes : _Boxes
+    boxes : _LensBoxes
         Written.
 
     Returns
@@ -298,7 +298,7 @@ def _is_out(lens: Any, box: FloatArray, min_height_px: float) -> bool:
 
 
 @kernel
-def _share_inside(lens: Any, is_folded: bool, boxes: _Boxes) -> float:
+def _share_inside(lens: Any, is_folded: bool, boxes: _LensBoxes) -> float:
     """Share of a body's box that is inside the image, 0 to 1.
 
     Parameters
@@ -307,7 +307,7 @@ def _share_inside(lens: Any, is_folded: bool, boxes: _Boxes) -> float:
         The camera.
     is_folded : bool
         As :func:`_box_points` returns it.
-    boxes : _Boxes
+    boxes : _LensBoxes
         As :func:`_box_points` fills them; `shown` is overwritten unless the lens
         folds.
     """
@@ -394,7 +394,7 @@ def box_through_lenses(
     """
     min_depth = least.depth
     min_height_px = least.height_px
-    boxes = _Boxes(np.empty(4), np.empty(4), np.empty(4), np.empty(4))
+    boxes = _LensBoxes(np.empty(4), np.empty(4), np.empty(4), np.empty(4))
     n_plain = 0
     n_part = 0
     # Loop over the bodies, and the cameras that may see each.

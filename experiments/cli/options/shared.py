@@ -11,7 +11,7 @@ import click
 from placement.compute import RAYS, Compute
 
 from ...language import LANGUAGES, speaking
-from ..running import Call, Job, cache_folder, check_address_space
+from ..running import Call, QuestionCall, cache_folder, check_address_space
 from .question import SEEN, question_options
 from .worded import PROGRAM, Decorator, combined, option
 
@@ -298,7 +298,7 @@ def asking(
             **values: Any,
         ) -> Any:
             progress = click.get_current_context().find_root().obj
-            job = Job(
+            job = QuestionCall(
                 progress=progress,
                 question=question,
                 compute=compute,
