@@ -1,4 +1,4 @@
-"""``place-rsus``: gathers the commands; turns errors into one line and an exit code."""
+"""``place-rsus``: knows the commands; turns errors into one line and an exit code."""
 
 import logging
 import os
@@ -8,71 +8,23 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
-from click.shell_completion import get_completion_class
 
-from .city.command import city
 from .cli import options
-from .cli.certify import certify
-from .cli.doctor import doctor
-from .cli.evaluate import compare, evaluate
-from .cli.export import export, sheet
-from .cli.latency import latency
-from .cli.pareto import pareto, retrofit
+from .cli.commands import COMMANDS
 from .cli.place import cli
-from .cli.running import Session, command_line
-from .cli.scenarios import scenarios
-from .cli.solve import solve
+from .cli.running import ProgramSession, command_line
 from .cli.terminal import sentences
-from .cli.verify import verify
-from .perception_lab.commands import dataset, detector, render
-from .planner.command import plan
 from .progress import Interrupted, StageProgress, StderrLog, ending_on_signals, tell
 from .results.numbers import several
-from .scene.command import scene
 
 if TYPE_CHECKING:
     from placement.question import Question
 
 _EXIT_BAD_INPUT = 2
 _EXIT_UNEXPECTED = 70  # EX_SOFTWARE of BSD's sysexits.h
-_SHELLS = ("bash", "zsh", "fish")
-_COMPLETE_VARIABLE = "_PLACE_RSUS_COMPLETE"
 
 
-_COMPLETION_EXAMPLES = """\b
-Examples:
-  eval "$(place-rsus completion bash)"                      in ~/.bashrc
-  eval "$(place-rsus completion zsh)"                       in ~/.zshrc
-  place-rsus completion fish > ~/.config/fish/completions/place-rsus.fish"""
-
-
-@click.command(epilog=_COMPLETION_EXAMPLES)
-@click.argument("shell", type=click.Choice(_SHELLS))
-@click.pass_context
-def completion(context: click.Context, *, shell: str) -> None:
-    """Print what makes a shell complete commands, options and their words."""
-    root = context.find_root()
-    script = get_completion_class(shell)
-    assert script is not None  # click has all three
-    click.echo(script(root.command, {}, "place-rsus", _COMPLETE_VARIABLE).source())
-
-
-for _command in (
-    *(
-        certify,
-        city,
-        compare,
-        completion,
-        dataset,
-        detector,
-        doctor,
-        evaluate,
-        export,
-        latency,
-    ),
-    *(pareto, plan, render, retrofit, scenarios, scene, sheet, solve, verify),
-):
-    cli.add_command(_command)
+cli.add_entries(COMMANDS)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -85,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         "agg"  # no window is opened, whatever a user prefers elsewhere
     )
     logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
-    progress = Session(_import_map)
+    progress = ProgramSession(_import_map)
     code = 0
     message = ""
     try:

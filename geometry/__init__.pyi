@@ -13,6 +13,6 @@ from .lidar import load_lidars as load_lidars
 from .poses import Pose as Pose
 from .scene import Scene as Scene
 from .scene import Site as Site
-from .scene_files import load_scene as load_scene
 from .scene_files import save_scene as save_scene
+from .scene_sources import load_scene as load_scene
 from .sensors import CameraModel as CameraModel

@@ -17,14 +17,16 @@ from msgspec import Struct, structs
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import BoolArray, FloatArray, IntArray, freeze, set_arrays
-from .errors import InputError, Unquoted, refuse
+from .errors import InputError, Unquoted, check_one_of, located, refuse
 from .footprints import FootprintSizes, footprint_corners
 from .poses import Pose
-from .tables import Table, Text, pick, read_tables
+from .tables import Table, Text, pick, read_tables, take_number, take_text
 from .text_formats import load_toml
 
 # Of a shape: distances that differ in the last bits give the same one.
 _SHAPE_DECIMALS = 6
+LOOK_AT_M = 1.0
+"""Height above the road of the middle of a road user. [m]"""
 _REMEDY = "shapes built from it: python -m geometry.body_shapes"
 
 
@@ -288,3 +290,29 @@ def park_row(
         )
         bumper = bumper + (actor.length_m + gap_m) * backwards
     return tuple(row)
+
+
+# ---------- bodies of vehicles in files of traffic
+_SIZES = ("length_m", "width_m", "height_m")
+
+
+def read_body(entry: Table, where: str) -> Actor:
+    """Body of a vehicle, from the catalogue or as a box.
+
+    A table has `actor`, or `name`, `length_m`, `width_m` and `height_m`. A box
+    reaches down to the road. Raises InputError for any other key, or a body of the
+    catalogue that is no vehicle.
+    """
+    known = ("actor",) if "actor" in entry else ("name", *_SIZES)
+    for key in entry:
+        check_one_of(where, key, known)
+    if "actor" in entry:
+        actor = pick_actor(take_text(entry, "actor", where), f"{where}.actor")
+        if actor.class_name != "parked vehicle":
+            raise InputError(f"{where}.actor", actor.name, "a parked vehicle")
+        return actor
+    sizes_m = {key: take_number(entry, key, where) for key in _SIZES}
+    name = take_text(entry, "name", where)
+    with located(f"{where}: "):
+        shapes = (box_shape(**sizes_m),)
+        return Actor(name=name, class_name="parked vehicle", **sizes_m, shapes=shapes)

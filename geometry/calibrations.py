@@ -6,17 +6,23 @@ and KITTI's text files.
 Where a file does not say where a camera stands, it is at the origin and looks along z.
 """
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from msgspec import Struct
+from numpy.typing import ArrayLike
 
-from .arrays import FloatArray
+from .arrays import FloatArray, set_arrays
 from .errors import InputError, Unquoted
-from .lenses import BrownConrady, CalibratedCamera, Fisheye, Lens, TsaiRadial
+from .lenses import BrownConrady, Fisheye, Lens, TsaiRadial
 from .opening import read_text
+from .poses import Pose, camera_rotation
+from .sensors import CameraModel, rolled
+from .tables import read_data
 from .xml_files import read_xml
 
 if TYPE_CHECKING:
@@ -29,6 +35,113 @@ _MOST = 1.0e9
 _Size = tuple[int, int]
 
 
+# ---------- cameras of calibrations
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CalibratedCamera:
+    """A camera as its calibration file has it.
+
+    A point p of the world is at R (p - position) in the camera's frame.
+
+    A point's column is cx + fx x, its row cy + fy y, with x and y at depth 1 as
+    the lens shows them.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Size of its pictures. [px]
+    fx_px, fy_px, cx_px, cy_px : float
+        Focal lengths and principal point. [px]
+    R_camera_world : (3, 3) float
+        Rotation from the world to the camera (x right, y down, z ahead).
+    position_m : (3,) float
+        Position of the lens, world frame. [m]
+    lens : Lens
+        How it distorts.
+    """
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    R_camera_world: FloatArray
+    position_m: FloatArray
+    lens: Lens = field(default_factory=BrownConrady)
+
+    def __post_init__(self) -> None:
+        set_arrays(self, "camera: ", R_camera_world=(3, 3), position_m=(3,))
+        for name in ("width_px", "height_px", "fx_px", "fy_px"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise InputError(f"camera: {name}", getattr(self, name), "pixels, > 0")
+        R = self.R_camera_world
+        if not (
+            np.allclose(R @ R.T, np.eye(3), atol=1.0e-3) and np.linalg.det(R) > 0.0
+        ):
+            raise InputError("camera: R_camera_world", R.tolist(), "a rotation")
+
+    @property
+    def K(self) -> FloatArray:
+        """Camera matrix with focal lengths and principal point, (3, 3).
+
+        The middle of the first pixel is (0, 0).
+        """
+        rows = [
+            [self.fx_px, 0.0, self.cx_px],
+            [0.0, self.fy_px, self.cy_px],
+            [0.0, 0.0, 1.0],
+        ]
+        return np.array(rows)
+
+    @property
+    def translation_m(self) -> FloatArray:
+        """The world's origin as the camera sees it, (3,), in metres.
+
+        It is t in x_camera = R x_world + t.
+        """
+        return self.R_camera_world @ (np.zeros(3) - self.position_m)
+
+
+def ground_points(pixels_px: ArrayLike, camera: CalibratedCamera) -> FloatArray:
+    """Points (n, 3) of the plane z = 0 at pixels; NaN above the horizon."""
+    middle = np.array([camera.cx_px, camera.cy_px])
+    focal = np.array([camera.fx_px, camera.fy_px])
+    at_depth_1 = camera.lens.undistort(
+        (np.asarray(pixels_px, dtype=np.float64) - middle) / focal
+    )
+    rays = (
+        np.column_stack([at_depth_1, np.ones(len(at_depth_1))]) @ camera.R_camera_world
+    )
+    # Rays that lead towards the plane z = 0.
+    is_below = rays[:, 2] * camera.position_m[2] < 0.0
+    far = -camera.position_m[2] / np.where(is_below, rays[:, 2], np.nan)
+    return np.asarray(camera.position_m + far[:, None] * rays)
+
+
+def project_distorted(points_m: ArrayLike, camera: CalibratedCamera) -> FloatArray:
+    """Project points (n, 3) of the world frame into the image of a calibrated camera.
+
+    As ``cv::projectPoints`` and ``cv::fisheye`` of OpenCV.
+
+    Returns
+    -------
+    projected : (n, 3) float
+        Column and row in the calibration's pixels, and depth along the optical
+        axis in metres. Column and row are NaN where the depth is not positive,
+        or where the lens shows no such point.
+    """
+    offsets = np.asarray(points_m, dtype=np.float64) - camera.position_m
+    in_camera = offsets @ camera.R_camera_world.T
+    depth = in_camera[:, 2]
+    # What is behind the camera is not shown.
+    at_depth_1 = in_camera[:, :2] / np.where(depth > 0.0, depth, np.nan)[:, None]
+    shown = camera.lens.distort(at_depth_1)
+    column = camera.cx_px + camera.fx_px * shown[:, 0]
+    row = camera.cy_px + camera.fy_px * shown[:, 1]
+    return np.stack([column, row, depth], axis=1)
+
+
+# ---------- files
 def read_cameras(
     path: Path, *, size_px: _Size | None = None
 ) -> dict[str, CalibratedCamera]:
@@ -216,6 +329,8 @@ def _stand(record: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArra
     InputError
         A number is missing, or the quaternion is not of length 1.
     """
+    from scipy.spatial.transform import Rotation
+
     transform = record.get("static_transform")
     if isinstance(transform, Mapping):
         inner = transform.get("transform")
@@ -277,6 +392,8 @@ def read_opencv_camera(
     InputError
         Numbers are missing or no camera's.
     """
+    from scipy.spatial.transform import Rotation
+
     what = "a calibration of OpenCV"
     pose = _xml_record(read_xml(extrinsic, expected=what))
     turn = _numbers(pose, "rvec", (3,), str(extrinsic))
@@ -334,6 +451,8 @@ def read_tsai(path: Path) -> CalibratedCamera:
     InputError
         Something is missing or impossible.
     """
+    from scipy.spatial.transform import Rotation
+
     root = read_xml(path, expected="a Tsai calibration")
     v: dict[str, float] = {}
     for tag, names in _TSAI.items():
@@ -364,3 +483,75 @@ def read_tsai(path: Path) -> CalibratedCamera:
     height_px = _whole(v, "height", str(path))
     size_px = (width_px, height_px)
     return _calibrated(str(path), "Intrinsic", K, size_px, R, position_m, lens)
+
+
+# ---------- sensors of calibrations, and back
+class _Assumed(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    frame_rate_hz: float
+    near_m: float
+    price_eur: float
+
+
+def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel, Pose]:
+    """Sensor and pose of a calibrated camera.
+
+    ``data/calibrated.toml`` has what the camera's file does not tell.
+
+    Raises
+    ------
+    InputError
+        Half a width from its principal point the lens shows nothing.
+    """
+    assumed = read_data(__package__, "calibrated.toml", _Assumed)
+    # Rows of the rotation are the camera's axes in the world frame.
+    right, _, ahead = camera.R_camera_world
+    yaw_rad = np.arctan2(ahead[1], ahead[0])
+    pitch_rad = np.arcsin(ahead[2].clip(-1, 1))
+    yaw_deg, pitch_deg = np.degrees([yaw_rad, pitch_rad])
+    level = camera_rotation(yaw_deg, pitch_deg)
+    half_rad = camera.lens.angle_of(0.5 * camera.width_px / camera.fx_px)
+    if not half_rad > 0.0:
+        got = Unquoted("a lens that folds the picture before its edge")
+        raise InputError(
+            f"{name}: distortion", got, "one that shows half a width from its middle"
+        )
+    model = CameraModel(
+        name=name,
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        horizontal_fov_deg=math.degrees(2.0 * half_rad),
+        lens=camera.lens,
+        principal_point=(
+            (camera.cx_px + 0.5) / camera.width_px,
+            (camera.cy_px + 0.5) / camera.height_px,
+        ),
+        pixel_aspect=camera.fy_px / camera.fx_px,
+        roll_deg=math.degrees(math.atan2(right @ level[:, 1], right @ level[:, 0])),
+        frame_rate_hz=assumed.frame_rate_hz,
+        near_m=assumed.near_m,
+        price_eur=assumed.price_eur,
+    )
+    pose = Pose(
+        position_m=camera.position_m, yaw_deg=float(yaw_deg), pitch_deg=float(pitch_deg)
+    )
+    return model, pose
+
+
+def to_calibrated(camera: CameraModel, pose: Pose) -> CalibratedCamera:
+    """A camera as calibrations have it, in pixels whose middles are whole numbers.
+
+    :func:`project_points` has the middle of the first pixel at (0.5, 0.5), so that the
+    principal point is half a pixel farther there.
+    """
+    x_px, y_px = camera.middle_px
+    return CalibratedCamera(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        fx_px=camera.focal_length_px,
+        fy_px=camera.focal_length_px * (camera.pixel_aspect or 1.0),
+        cx_px=x_px - 0.5,
+        cy_px=y_px - 0.5,
+        R_camera_world=rolled(camera_rotation(pose.yaw_deg, pose.pitch_deg), camera).T,
+        position_m=pose.position_m,
+        lens=camera.lens or BrownConrady(),
+    )

@@ -4,17 +4,20 @@ Only this file flips a sign.
 """
 
 import re
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
+from .errors import InputError, Unquoted
 from .poses import Pose, wrap_deg
 
 if TYPE_CHECKING:
-    from pyproj import CRS
+    from pyproj import CRS, Transformer
 
+WGS84 = "EPSG:4326"
 _FLIP_NORTH = np.array([1.0, -1.0, 1.0])
 _PATH = re.compile(r"(?:[=,]\s*@?|^\s*)(?:\w:)?(?:[/\\~]|\.\.?[/\\])")
 
@@ -103,3 +106,65 @@ def to_geographic(points_m: ArrayLike, crs: str) -> FloatArray:
     transformer = Transformer.from_crs(parse_crs(crs), "EPSG:4326", always_xy=True)
     longitude_deg, latitude_deg = transformer.transform(points[:, 0], points[:, 1])
     return np.stack([longitude_deg, latitude_deg], axis=1)
+
+
+def transform(points: ArrayLike, from_crs: str, to_crs: str) -> FloatArray:
+    """Points in another reference system: east or longitude first.
+
+    Parameters
+    ----------
+    points : (..., 2) float
+        In the coordinates of `from_crs`.
+    from_crs : str
+        Reference system of the points.
+    to_crs : str
+        The one to bring them into.
+
+    Returns
+    -------
+    points : (..., 2) float
+        Infinite where a point cannot be projected.
+
+    Raises
+    ------
+    InputError
+        Pyproj knows no way between the two.
+    """
+    array = np.asarray(points, dtype=np.float64)
+    x, y = _transformer(from_crs, to_crs).transform(array[..., 0], array[..., 1])
+    return np.stack([x, y], axis=-1)
+
+
+@lru_cache(maxsize=16)  # to make one takes longer than to transform most maps
+def _transformer(from_crs: str, to_crs: str) -> "Transformer":
+    """Transformer between two reference systems, made once."""
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    try:
+        return Transformer.from_crs(
+            parse_crs(from_crs),
+            parse_crs(to_crs),
+            always_xy=True,
+        )
+    except ProjError:
+        where = f"coordinates from {from_crs[:80]} to {to_crs[:80]}"
+        raise InputError(
+            where,
+            Unquoted("no way"),
+            "reference systems that pyproj knows",
+        ) from None
+
+
+def check_crs(crs: str, where: str) -> None:
+    """Raise InputError unless pyproj takes a coordinate reference system.
+
+    An empty one is none, which is fine.
+    """
+    from pyproj.exceptions import CRSError
+
+    try:
+        if crs:
+            parse_crs(crs)
+    except CRSError:
+        raise InputError(where, crs, "one that pyproj knows, or none") from None

@@ -26,7 +26,7 @@ class _Accessor(Struct, frozen=True):
     count: Annotated[int, Meta(ge=0, le=_MAX_COUNT)]
 
 
-class _View(Struct, frozen=True):
+class _BufferView(Struct, frozen=True):
     byteOffset: _Size = 0
     byteLength: _Size = 0
     byteStride: _Size = 0
@@ -43,7 +43,7 @@ class _Node(Struct, frozen=True):
 class _Gltf(Struct, frozen=True):
     accessors: tuple[_Accessor, ...] = ()
     buffers: tuple[_Data, ...] = ()
-    bufferViews: tuple[_View, ...] = ()
+    bufferViews: tuple[_BufferView, ...] = ()
     images: tuple[_Data, ...] = ()
     nodes: Annotated[tuple[_Node, ...], Meta(max_length=_MAX_NODES)] = ()
     extensionsRequired: tuple[str, ...] = ()

@@ -8,15 +8,12 @@ polynomial would fold the picture back.
 """
 
 import math
-from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import ArrayLike
 
-from .arrays import FloatArray, set_arrays
-from .errors import InputError
+from .arrays import FloatArray
 
 # Coefficients of a polynomial, the highest power first.
 Powers = tuple[float, ...]
@@ -350,108 +347,3 @@ def _first_turn(slopes: Powers) -> float:
 
 
 Lens = BrownConrady | TsaiRadial | Fisheye
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CalibratedCamera:
-    """A camera as its calibration file has it.
-
-    A point p of the world is at R (p - position) in the camera's frame.
-
-    A point's column is cx + fx x, its row cy + fy y, with x and y at depth 1 as
-    the lens shows them.
-
-    Attributes
-    ----------
-    width_px, height_px : int
-        Size of its pictures. [px]
-    fx_px, fy_px, cx_px, cy_px : float
-        Focal lengths and principal point. [px]
-    R_camera_world : (3, 3) float
-        Rotation from the world to the camera (x right, y down, z ahead).
-    position_m : (3,) float
-        Position of the lens, world frame. [m]
-    lens : Lens
-        How it distorts.
-    """
-
-    width_px: int
-    height_px: int
-    fx_px: float
-    fy_px: float
-    cx_px: float
-    cy_px: float
-    R_camera_world: FloatArray
-    position_m: FloatArray
-    lens: Lens = field(default_factory=BrownConrady)
-
-    def __post_init__(self) -> None:
-        set_arrays(self, "camera: ", R_camera_world=(3, 3), position_m=(3,))
-        for name in ("width_px", "height_px", "fx_px", "fy_px"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise InputError(f"camera: {name}", getattr(self, name), "pixels, > 0")
-        R = self.R_camera_world
-        if not (
-            np.allclose(R @ R.T, np.eye(3), atol=1.0e-3) and np.linalg.det(R) > 0.0
-        ):
-            raise InputError("camera: R_camera_world", R.tolist(), "a rotation")
-
-    @property
-    def K(self) -> FloatArray:
-        """Camera matrix with focal lengths and principal point, (3, 3).
-
-        The middle of the first pixel is (0, 0).
-        """
-        rows = [
-            [self.fx_px, 0.0, self.cx_px],
-            [0.0, self.fy_px, self.cy_px],
-            [0.0, 0.0, 1.0],
-        ]
-        return np.array(rows)
-
-    @property
-    def translation_m(self) -> FloatArray:
-        """The world's origin as the camera sees it, (3,), in metres.
-
-        It is t in x_camera = R x_world + t.
-        """
-        return self.R_camera_world @ (np.zeros(3) - self.position_m)
-
-
-def project_distorted(points_m: ArrayLike, camera: CalibratedCamera) -> FloatArray:
-    """Project points (n, 3) of the world frame into the image of a calibrated camera.
-
-    As ``cv::projectPoints`` and ``cv::fisheye`` of OpenCV.
-
-    Returns
-    -------
-    projected : (n, 3) float
-        Column and row in the calibration's pixels, and depth along the optical
-        axis in metres. Column and row are NaN where the depth is not positive,
-        or where the lens shows no such point.
-    """
-    offsets = np.asarray(points_m, dtype=np.float64) - camera.position_m
-    in_camera = offsets @ camera.R_camera_world.T
-    depth = in_camera[:, 2]
-    # What is behind the camera is not shown.
-    at_depth_1 = in_camera[:, :2] / np.where(depth > 0.0, depth, np.nan)[:, None]
-    shown = camera.lens.distort(at_depth_1)
-    column = camera.cx_px + camera.fx_px * shown[:, 0]
-    row = camera.cy_px + camera.fy_px * shown[:, 1]
-    return np.stack([column, row, depth], axis=1)
-
-
-def ground_points(pixels_px: ArrayLike, camera: CalibratedCamera) -> FloatArray:
-    """Points (n, 3) of the plane z = 0 at pixels; NaN above the horizon."""
-    middle = np.array([camera.cx_px, camera.cy_px])
-    focal = np.array([camera.fx_px, camera.fy_px])
-    at_depth_1 = camera.lens.undistort(
-        (np.asarray(pixels_px, dtype=np.float64) - middle) / focal
-    )
-    rays = (
-        np.column_stack([at_depth_1, np.ones(len(at_depth_1))]) @ camera.R_camera_world
-    )
-    # Rays that lead towards the plane z = 0.
-    is_below = rays[:, 2] * camera.position_m[2] < 0.0
-    far = -camera.position_m[2] / np.where(is_below, rays[:, 2], np.nan)
-    return np.asarray(camera.position_m + far[:, None] * rays)

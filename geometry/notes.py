@@ -62,3 +62,15 @@ def assumed_sites(notes: Sequence[Note]) -> dict[str, str]:
         for site_id in note.site_ids:
             words.setdefault(site_id, []).append(note.why)
     return {site_id: join_phrases(whys, "; ") for site_id, whys in words.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What may be wrong, and why.
+
+    An error makes results wrong; a warning may be as it is.
+    """
+
+    level: Literal["error", "warning"]
+    what: str
+    why: str

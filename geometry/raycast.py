@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import BoolArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray
 from .errors import InputError, check_one_of, refuse
 
 FloatRays = NDArray[np.float32]
@@ -293,3 +293,28 @@ def _open3d_or_reason() -> tuple[Any, str | None]:
             remedy = "pip install open3d-cpu, or open3d"
         return None, f"Open3D cannot load ({cause}); to use it: {remedy}"
     return open3d, None
+
+
+# Rays end a little before the point.
+_SHORT_OF_M = 0.05
+
+
+def is_in_sight(
+    caster: RayCaster, mount_m: ArrayLike, points_m: FloatArray, *, near_m: float
+) -> BoolArray:
+    """True for points (n, 3) that nothing hides from a mount.
+
+    It is False for points that are nearer than `near_m`. The caster has the frame
+    of the points. Things nearer than `near_m`, such as the sensor's pole, hide
+    nothing.
+    """
+    mount = np.asarray(mount_m, dtype=np.float64)
+    # Rays begin beyond `near_m` and end a little before the points.
+    ways = points_m - mount
+    lengths = np.linalg.norm(ways, axis=1)
+    is_far = lengths > near_m + _SHORT_OF_M
+    directions = ways / np.maximum(lengths, 1.0e-9)[:, None]
+    starts = mount + near_m * directions
+    vectors = directions * np.maximum(lengths - near_m - _SHORT_OF_M, 0.0)[:, None]
+    is_hidden = caster.is_blocked(starts.astype(np.float32), vectors.astype(np.float32))
+    return np.asarray(is_far & ~is_hidden)

@@ -5,9 +5,8 @@ others.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import shapely
@@ -23,6 +22,7 @@ from .junction import (
     lane_length_m,
 )
 from .lines import unit
+from .notes import Finding
 from .phrases import Phrase
 from .scene import (
     HANGING_KINDS,
@@ -51,18 +51,6 @@ _AT_KERB_M = 0.05
 _OPPOSITE = -0.8
 # Along a lane, to tell its direction.
 _BESIDE_M = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """What may be wrong, and why.
-
-    An error makes results wrong; a warning may be as it is.
-    """
-
-    level: Literal["error", "warning"]
-    what: str
-    why: str
 
 
 _error = partial(Finding, "error")

@@ -1,6 +1,4 @@
-"""Scenes from disk and to it.
-
-They are the study's junction, folders, archives, and maps on the way in.
+"""Scenes from disk and to it, as folders and archives.
 
 A scene's folder has ``scene.toml`` for people (name, coordinate reference systems,
 lanes, crosswalks, outline, sites, the list of things and what the import left out) and
@@ -23,20 +21,20 @@ from msgspec import Struct, structs
 from .archives import refuse_bomb
 from .arrays import FloatArray, Point2, Points2
 from .errors import InputError, Unquoted, refuse
-from .frames import from_gltf_points, parse_crs, to_gltf_points
+from .frames import check_crs, from_gltf_points, to_gltf_points
 from .gltf import check_gltf, mesh_resolver
 from .notes import Kind, Note
 from .opening import check_file, open_file, reading
 from .phrases import Phrase, pack_phrase, unpack_phrase
 from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
-from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
+from .scene_sources import SCENE_FILE
+from .study_scene import CrosswalkEntry, crosswalk_lines
 from .tables import Text, read_table
 from .text_formats import MAX_TOML_BYTES, load_toml
 from .writing import open_new, write_atomically
 
 FORMAT = "place-rsus scene"
 VERSION = 1
-SCENE_FILE = "scene.toml"
 THINGS_FILE = "things.glb"
 # Five million triangles.
 _MAX_BYTES = {
@@ -61,70 +59,6 @@ _SITE_FIELDS = [
     "use",
 ]
 _ROAD_FIELDS = ["name", "point_m", "direction", "lanes_in", "lanes_out"]
-
-
-def load_scene(
-    source: str | Path = "",
-    *,
-    junction: str = "",
-    at: tuple[float, float] | None = None,
-    sites: str = "auto",
-    keeps_left: bool | None = None,
-) -> Scene:
-    """Load the scene of a junction from wherever it is.
-
-    `source`: nothing or "town05" is the junction of the CarlaNCAP study; a folder
-    or .zip file that :func:`save_scene` has written; or a map with roads, such as
-    "city.osm" or "city.xodr", of which one junction is cut out. Of a map,
-    `junction` is an id, streets or "latitude,longitude", or `at` a point within 100
-    m in the map's own coordinates; by default the one with the most arms and lanes.
-    `sites`: see :class:`geometry.maps.importing.ImportOptions`. `keeps_left`: by
-    default what the map says.
-
-    Raises
-    ------
-    InputError
-        There is no scene and no map, or it cannot be read.
-
-    Examples
-    --------
-    >>> load_scene()
-    Scene('town05', 1266 triangles, 41 instances, 28 sites)
-    """
-    path = Path(source)
-    if not str(source) or (str(source) == STUDY and not path.exists()):
-        return load_study_scene()
-    if path.is_file() and not has_scene(path):
-        from .maps.importing import (
-            SUFFIXES,
-            ImportOptions,
-            ReadingOptions,
-            import_scene,
-        )
-
-        if path.name.lower().endswith(SUFFIXES):
-            reading = ReadingOptions(keeps_left=keeps_left)
-            options = ImportOptions(
-                junction=junction, at=at, sites=sites, reading=reading
-            )
-            return import_scene([path], options).scene
-    return load_scene_folder(path)
-
-
-def has_scene(path: Path) -> bool:
-    """True if a path is a folder, or the archive of a scene.
-
-    A damaged archive counts. Maps may be .zip, too.
-    """
-    if path.is_dir():
-        return True
-    if path.suffix.lower() != ".zip" or not path.exists():
-        return False
-    try:
-        with open_file(path) as file, zipfile.ZipFile(file) as packed:
-            return SCENE_FILE in packed.namelist()
-    except (OSError, zipfile.BadZipFile):
-        return True
 
 
 class _Thing(Struct, frozen=True, kw_only=True, rename={"class_name": "class"}):
@@ -216,6 +150,11 @@ def save_scene(
     text = _HEAD + tomlkit.dumps(table)
     write_atomically(folder / THINGS_FILE, _to_glb(scene))
     write_atomically(folder / SCENE_FILE, text)
+
+
+def read_saved_scene(path: Path, **_: object) -> Scene:
+    """Scene of :func:`load_scene_folder`, as a :class:`.scene_sources.SceneReader`."""
+    return load_scene_folder(path)
 
 
 def load_scene_folder(path: Path) -> Scene:
@@ -397,20 +336,6 @@ def _rounded(array: FloatArray) -> Any:
     """Nested lists of an array, rounded to a millimetre."""
     # Adding 0 turns minus zero into zero.
     return (np.round(array, _MILLIMETRES) + 0.0).tolist()
-
-
-def check_crs(crs: str, where: str) -> None:
-    """Raise InputError unless pyproj takes a coordinate reference system.
-
-    An empty one is none, which is fine.
-    """
-    from pyproj.exceptions import CRSError
-
-    try:
-        if crs:
-            parse_crs(crs)
-    except CRSError:
-        raise InputError(where, crs, "one that pyproj knows, or none") from None
 
 
 def _to_glb(scene: Scene) -> bytes:

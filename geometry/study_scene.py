@@ -22,10 +22,10 @@ from .errors import InputError
 from .frames import from_carla_points, from_carla_yaw
 from .poses import Pose, to_world
 from .scene import Body, Instance, Lane, Scene, Site, join_bodies
+from .scene_sources import STUDY
 from .tables import Text, read_table
 from .text_formats import load_toml
 
-STUDY = "town05"
 _POLE_SECTIONS = 10
 _Positive = Annotated[float, Meta(gt=0.0)]
 
@@ -41,7 +41,7 @@ class _Building(Struct, frozen=True, kw_only=True):
     height_m: _Positive
 
 
-class _Wall(Struct, frozen=True, kw_only=True):
+class _BoxWall(Struct, frozen=True, kw_only=True):
     """A straight wall between two points, in CARLA's frame."""
 
     id: Text
@@ -123,7 +123,7 @@ class _BoxScene(Struct, frozen=True, kw_only=True):
     outline_m: Points2
     ground: _Ground
     buildings: tuple[_Building, ...] = ()
-    walls: tuple[_Wall, ...] = ()
+    walls: tuple[_BoxWall, ...] = ()
     parked_rows: tuple[_NamedRow, ...] = ()
     poles: tuple[_Pole, ...] = ()
     mast_arms: tuple[_MastArm, ...] = ()
@@ -135,6 +135,11 @@ class _BoxScene(Struct, frozen=True, kw_only=True):
 def load_study_scene() -> Scene:
     """The junction of the CarlaNCAP study, from ``data/town05.toml``."""
     return load_box_scene(files(__package__) / "data" / f"{STUDY}.toml")
+
+
+def read_study_scene(_: Path, **_options: object) -> Scene:
+    """Scene of :func:`load_study_scene`, as a :class:`.scene_sources.SceneReader`."""
+    return load_study_scene()
 
 
 def load_box_scene(source: Path | Traversable) -> Scene:

@@ -26,11 +26,9 @@ GROUND = "ground"
 """Id and class of the ground of a scene."""
 HEADROOM_M = 2.0
 """People, cyclists and cars pass below what begins higher above the ground."""
-_GRID_DECIMALS = 3
+GRID_DECIMALS = 3
 # Of half a metre.
 _HALVINGS = 20
-# Along each side.
-_MAX_CELLS = 150
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -168,8 +166,8 @@ def terrain_of(scene: Scene) -> Terrain | None:
     ]
     if not nodes[:, 2].any():
         return None
-    east_m, column = np.unique(nodes[:, 0].round(_GRID_DECIMALS), return_inverse=True)
-    north_m, row = np.unique(nodes[:, 1].round(_GRID_DECIMALS), return_inverse=True)
+    east_m, column = np.unique(nodes[:, 0].round(GRID_DECIMALS), return_inverse=True)
+    north_m, row = np.unique(nodes[:, 1].round(GRID_DECIMALS), return_inverse=True)
     # Nodes of a grid, row by row from the south-west.
     order = np.lexsort((column, row))
     number = row[order] * len(east_m) + column[order]
@@ -267,54 +265,3 @@ def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, 
     return tuple(
         replace(body, pose=pose) for body, pose in zip(bodies, poses, strict=True)
     )
-
-
-def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrain:
-    """Terrain of a square around the origin from points (n, 3) of the ground.
-
-    Linear between the points, by their Delaunay triangulation; beyond them as high as
-    the nearest place between them. Lines are `step_m` apart, or farther where there
-    would be too many. In metres.
-    """
-    from scipy.interpolate import NearestNDInterpolator
-    from scipy.ndimage import distance_transform_edt
-
-    n_cells = min(int(np.ceil(2.0 * half_m / step_m)), _MAX_CELLS)
-    line = np.linspace(-half_m, half_m, n_cells + 1).round(_GRID_DECIMALS)
-    nodes = np.stack(np.meshgrid(line, line), axis=-1)
-    # One point per cell of a grid twice as fine: the mean of those in it.
-    # Averages keep the triangulation small and even.
-    cell = np.floor(points_m[:, :2] / (0.5 * step_m)).astype(np.int64)
-    _, member, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-    sums = [np.bincount(member.ravel(), column) for column in points_m.T]
-    thin: FloatArray = np.stack(sums, axis=1) / count[:, None]
-    height = _between(thin, nodes)
-    # Points on a line, or a few: the ground next to them is as high.
-    if np.isnan(height).all():
-        ways = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
-        aside = 0.5 * (line[1] - line[0]) * ways
-        height = _between((thin[:, None] + 1.5 * aside).reshape(-1, 3), nodes)
-    # And none of them in the square.
-    if np.isnan(height).all():
-        height = NearestNDInterpolator(thin[:, :2], thin[:, 2])(nodes)
-    _, nearest = distance_transform_edt(np.isnan(height), return_indices=True)
-    filled = height[tuple(nearest)]
-    return Terrain(east_m=line, north_m=line, height_m=filled.round(_GRID_DECIMALS))
-
-
-def _between(points_m: FloatArray, nodes_m: FloatArray) -> FloatArray:
-    """Heights at nodes (..., 2) between points (n, 3); NaN beyond them."""
-    from scipy.interpolate import LinearNDInterpolator
-    from scipy.spatial import QhullError
-    from threadpoolctl import threadpool_limits
-
-    try:
-        with threadpool_limits(1):
-            # Of thousands of 2 x 2 systems: other BLAS threads only spin.
-            height: FloatArray = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])(
-                nodes_m
-            )
-    except (QhullError, ValueError):
-        # Fewer than three points, or all on a line.
-        return np.full(nodes_m.shape[:-1], np.nan)
-    return height

@@ -253,7 +253,7 @@ def _most_direct(
 
 # ---------- both
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Proposals:
+class BaselineRows:
     """Rows of candidates to compare a layout with.
 
     They are chosen before anything is known of what they detect.
@@ -283,7 +283,7 @@ class Proposals:
             sorted({*chain(*self.random), *self.forced, *self.corners.values()})
         )
 
-    def among(self, rows: Sequence[int]) -> "Proposals":
+    def among(self, rows: Sequence[int]) -> "BaselineRows":
         """Proposals in terms of some of the rows, which have all that they need."""
         index = {row: number for number, row in enumerate(rows)}
         return replace(
@@ -301,7 +301,7 @@ def propose(
     *,
     n_units: int,
     rng: np.random.Generator,
-) -> Proposals:
+) -> BaselineRows:
     """Propose random layouts, and the poses of an expert's rule of thumb.
 
     Raises InputError where the scene has no junction.
@@ -309,7 +309,7 @@ def propose(
     middle = middle_m(scene)
     direct = _most_direct(limits, candidates, middle)
     forced_sites = np.flatnonzero(limits.is_forced_site).tolist()
-    return Proposals(
+    return BaselineRows(
         n_units=n_units,
         random=random_sets(limits, n_units, rng=rng),
         forced=tuple(direct[site] for site in forced_sites if site in direct),
@@ -318,7 +318,7 @@ def propose(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Baselines:
+class JudgedBaselines:
     """What there is to compare a layout with.
 
     Attributes
@@ -337,7 +337,9 @@ class Baselines:
     corners: tuple[str, ...]
 
 
-def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baselines:
+def judge_proposals(
+    problem: PlacementProblem, proposals: BaselineRows
+) -> JudgedBaselines:
     """What proposals are worth on a detection table, whose rows are theirs.
 
     The expert mounts what is forced, then a camera at each corner of the junction that
@@ -379,4 +381,4 @@ def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baseline
             mean_by_world=np.array(by_world),
         )
     corner_names = tuple(name for name in first if corners[name] in expert)
-    return Baselines(random=random, expert=expert, corners=corner_names)
+    return JudgedBaselines(random=random, expert=expert, corners=corner_names)

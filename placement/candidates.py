@@ -15,7 +15,7 @@ from geometry.errors import InputError, refuse
 from geometry.lidar import LidarModel
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
-from geometry.sensors import project_points
+from geometry.sensors import CameraModel, project_points
 from geometry.tables import pick
 from geometry.terrain import ground_height_m
 from geometry.text_formats import load_data
@@ -308,3 +308,20 @@ def _sensors(word: str) -> Sequence[Sensor]:
     if path.endswith(".toml"):
         return [pick(load_catalogue(Path(path)), name, f"sensors: {path}")]
     return [pick_sensor(word, "sensors")]
+
+
+def depth_in_picture(points_m: FloatArray, candidate: CandidatePose) -> FloatArray:
+    """Depth of points (n, 3) in a camera's picture, hidden or not.
+
+    It is infinite for points outside of the picture.
+    """
+    camera = candidate.sensor
+    if not isinstance(camera, CameraModel):
+        return np.full(len(points_m), np.inf)
+    column, row, depth = project_points(points_m, candidate.pose, camera).T
+    with np.errstate(invalid="ignore"):
+        is_inside = (
+            (column >= 0.0) & (column < camera.width_px) & (depth > camera.near_m)
+        )
+        is_inside &= (row >= 0.0) & (row < camera.height_px)
+    return np.where(is_inside, depth, np.inf)

@@ -1,8 +1,8 @@
-"""Latency budgets, and APR by the latency from frame to braking."""
+"""Latency budgets: what passes between a frame and the onset of braking, part by part."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,16 +10,12 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta, Struct
 
-from geometry.arrays import BoolArray, FloatArray
+from geometry.arrays import FloatArray
 from geometry.errors import InputError, located, refuse
 from geometry.tables import Table, Text, read_table, take_text
 from geometry.text_formats import load_data, load_toml
-from scenarios.aeb import TIME_TOLERANCE_S, AebRule
-from scenarios.runs import find_onsets
-from scenarios.weights import weight_share
 
 from .compute import check_distinct
-from .evaluation import Evaluation, earliest_arrival_s
 
 # ---------- budgets: what passes between a frame and the onset of braking, part by part
 DEFAULT_LATENCY_BUDGET = "study"
@@ -218,55 +214,3 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
     return LatencyPart(
         name=name, low_s=low_s, high_s=high_s, source=reason, is_assumption=is_ours
     )
-
-
-# ---------- APR against the total latency
-def apr_by_latency(
-    evaluation: Evaluation,
-    rule: AebRule,
-    latencies_s: Sequence[float],
-    *,
-    vut_latency_s: float | None = None,
-) -> dict[str, FloatArray]:
-    """APR of every sensing party by latency, each (n_latencies,).
-
-    Keys are "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. Detected frames
-    do not depend on the latency [s]: one evaluation is enough. A unit with a latency of
-    its own keeps it; so do the VUT's own sensors with `vut_latency_s` [s]. Of an
-    evaluation with levels it is the score by the last onset of each. Raises InputError
-    if `vut_latency_s` is negative or not finite.
-    """
-    if vut_latency_s is not None and not 0.0 <= vut_latency_s < math.inf:
-        raise InputError("vut_latency_s", vut_latency_s, "seconds, at least 0")
-    # Parties by name: what each member detects, and its own latency if it has one.
-    units = {
-        unit.id: (evaluation.units[unit.id].detected, unit.latency_s)
-        for unit in evaluation.layout.units
-    }
-    rsus = [*units.values()]
-    vut = (evaluation.vut.detected, vut_latency_s)
-    parties = {"vut": [vut], **{name: [unit] for name, unit in units.items()}}
-    parties |= {"rsu_all": rsus, "vut_and_rsus": [*rsus, vut]}
-    if "vam" in evaluation.others:
-        vam = (evaluation.others["vam"].detected, None)
-        parties |= {"vam": [vam], "all_sources": [*rsus, vut, vam]}
-    axis = evaluation.axis
-    levels = evaluation.levels
-
-    def share(party: list[tuple[BoolArray, float | None]], latency_s: float) -> float:
-        """Share of the weight that a party avoids at one latency."""
-        arrival_s = earliest_arrival_s(
-            [(seen, latency_s if own_s is None else own_s) for seen, own_s in party],
-            axis,
-        )
-        onsets = find_onsets(arrival_s, axis, rule=replace(rule, latency_s=latency_s))
-        if levels is None:
-            return weight_share(onsets.is_in_time, axis.weight)
-        counts = levels.of_onsets(onsets.onset_s, TIME_TOLERANCE_S)
-        return float(counts @ axis.weight / axis.weight.sum())
-
-    # One curve for each party.
-    return {
-        name: np.array([share(party, latency_s) for latency_s in latencies_s])
-        for name, party in parties.items()
-    }

@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import Point3
-from geometry.calibrations import read_cameras
 from geometry.catalogue import (
     SENSOR_KINDS,
     Sensor,
@@ -24,22 +23,14 @@ from geometry.catalogue import (
 )
 from geometry.errors import InputError, check_name, refuse
 from geometry.frames import from_carla_pose
-from geometry.maps.place_lists import (
-    PLACE_FIELDS,
-    known_columns,
-    read_csv_rows,
-    read_number,
-    read_position,
-    tell_unknown,
-)
 from geometry.opening import read_text
 from geometry.phrases import Phrase
 from geometry.poses import Pose
+from geometry.registry import load_entry
 from geometry.scene import Scene, containing_instance
-from geometry.sensors import CameraModel, calibrated_sensor, with_fov
+from geometry.sensors import CameraModel, with_fov
 from geometry.study_scene import load_study_scene
-from geometry.tables import Text, pick, read_table
-from geometry.terrain import ground_height_m
+from geometry.tables import Text, read_table
 from geometry.text_formats import load_data, parse_json
 
 from .candidates import CandidatePose, above_ground, own_models
@@ -54,6 +45,19 @@ RESULT_SCHEMAS = tuple(
     f"place-rsus/{kind}/2" for kind in ("placement", "evaluation", "comparison")
 )
 """Of summary.json, which has the layout in the same words."""
+
+READERS = {
+    ".csv": "placement.foreign_layouts:read_list",
+    ".xml": "placement.foreign_layouts:read_calibrations",
+    ".yaml": "placement.foreign_layouts:read_calibrations",
+    ".yml": "placement.foreign_layouts:read_calibrations",
+}
+"""Registry of the readers of layouts, by the suffix of the file; all else is JSON.
+
+Each is a :class:`LayoutReader`.
+"""
+LISTED_UNITS = "placement.foreign_layouts:records_of_list"
+"""What makes units of a layout file out of units as people write them."""
 
 RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
 """Names of the sensing parties that are no unit: no unit may be called so."""
@@ -311,6 +315,19 @@ def layout_from_records(
     return Layout(name=name, units=tuple(units))
 
 
+class LayoutReader(Protocol):
+    """What reads a layout from a file of another form."""
+
+    def __call__(
+        self, path: Path, *, scene: Scene | None, sensors: Mapping[str, Sensor]
+    ) -> Layout:
+        """Read a layout.
+
+        `scene` is where places on earth are; `sensors` are models in addition to the
+        catalogue's. Raises InputError if the file cannot be read, or needs a scene.
+        """
+
+
 def load_layout(
     path: str | Path,
     *,
@@ -322,41 +339,19 @@ def load_layout(
     JSON is an object with the key "layout", a list of units. Or from calibrations
     of real cameras, YAML or XML; see :mod:`geometry.calibrations`. In a CSV, and in
     JSON written by hand, units may lie at latitudes and longitudes and look along
-    compass bearings, see :func:`placement.layout.unit_record`: that takes the
-    `scene`. `sensors` are models in addition to the catalogue's. Raises InputError
+    compass bearings, see :func:`placement.foreign_layouts.unit_record`: that
+    takes the `scene`. `sensors` are models in addition to the catalogue's. Raises InputError
     if the file cannot be read, is of another version, or a field is wrong.
     """
     path = Path(path)
-    if path.suffix.lower() in (".yaml", ".yml", ".xml"):
-        units = []
-        for name, camera in read_cameras(path).items():
-            sensor, pose = calibrated_sensor(name, camera)
-            units.append(CandidatePose(id=name, site_id="", pose=pose, sensor=sensor))
-        return Layout(name=path.stem, units=tuple(units))
-    if path.suffix.lower() == ".csv":
-        rows = read_layout_rows(path)
-        return _from_list(path.stem, rows, str(path), scene, sensors or {})
+    suffix = path.suffix.lower()
+    if suffix in READERS:
+        read: LayoutReader = load_entry(READERS[suffix])
+        return read(path, scene=scene, sensors=sensors or {})
     text = read_text(path, "JSON")
     return read_layout(
         text, where=str(path), name=path.stem, scene=scene, sensors=sensors
     )
-
-
-def _from_list(
-    name: str,
-    rows: Sequence[tuple[str, Any]],
-    where: str,
-    scene: Scene | None,
-    sensors: Mapping[str, Sensor],
-) -> Layout:
-    """Layout from what people write, row by row with where each stands."""
-    if scene is None:
-        refuse(where, "a list of units", "a layout file of place-rsus here")
-    for here, row in rows:
-        if not isinstance(row, Mapping):
-            raise InputError(here, row, "an object with the fields of a unit")
-    records = [unit_record(row, here, scene, sensors) for here, row in rows]
-    return layout_from_records(name, records, where, sensors=sensors)
 
 
 def read_layout(
@@ -382,13 +377,11 @@ def read_layout(
     own = _read_own_sensors(document.get("sensors", {}), f"{where}: sensors")
     models = {**(sensors or {}), **own}
     called = str(document.get("name", name))
-    if scene is not None and is_list(document["layout"]):
-        rows = [
-            (f"{where}: layout[{i}]", row) for i, row in enumerate(document["layout"])
-        ]
-        layout = _from_list(called, rows, where, scene, models)
-    else:
-        layout = layout_from_records(called, document["layout"], where, sensors=models)
+    records = document["layout"]
+    if scene is not None:
+        convert = load_entry(LISTED_UNITS)
+        records = convert(records, where, scene=scene, sensors=models)
+    layout = layout_from_records(called, records, where, sensors=models)
     return replace(layout, scene_name=str(document.get("scene", "")))
 
 
@@ -507,122 +500,3 @@ def find_baseline(scene: Scene) -> Layout | None:
     if scene.name == study.scene_name:
         return study
     return None
-
-
-# ---------- lists of cameras as people have them
-_FIELDS = PLACE_FIELDS | {
-    "id": ("id", "name", "unit", "camera_id", "nr", "nummer"),
-    "site": ("site", "site_id", "pole", "pole_id", "mast"),
-    "height": (*PLACE_FIELDS["height"], "mount_height", "mounting_height"),
-    "bearing": ("bearing", "azimuth", "azimut", "heading", "compass", "richtung"),
-    "yaw": ("yaw",),
-    "tilt": ("tilt", "tilt_down", "neigung"),
-    "pitch": ("pitch",),
-    "model": ("model", "sensor", "modell", *SENSOR_KINDS),
-    "fov": ("fov",),
-    "latency": ("latency", "latency_s"),
-}
-_OF_PEOPLE = {"lat", "lon", "height", "bearing", "tilt"}
-
-
-def is_list(records: Sequence[Any]) -> bool:
-    """True if units are given as people write them, not as a layout file has them."""
-    named = [list(one) for one in records if isinstance(one, Mapping)]
-    return any(
-        _OF_PEOPLE & set(known_columns(names, "", _FIELDS).values()) for names in named
-    )
-
-
-def read_layout_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    """Rows of a CSV file with a header, each with where it stands.
-
-    A warning names columns that are not known. Raises InputError for what is no
-    CSV, or has no row.
-    """
-    rows = list(read_csv_rows(path))
-    if not rows:
-        refuse(str(path), "no units", "one per line")
-    names = list(rows[0][1])
-    tell_unknown(names, known_columns(names, str(path), _FIELDS), path)
-    return rows
-
-
-def unit_record(
-    values: Mapping[str, Any], where: str, scene: Scene, sensors: Mapping[str, Sensor]
-) -> dict[str, Any]:
-    """A unit as a layout file has it, out of what people write.
-
-    `values` are id; site (may be empty); lat and lon, or x and y in the scene's frame,
-    or neither: at the site; height above the ground, or z; bearing clockwise from
-    north, or yaw; tilt, positive down, or pitch; model. Case and units at the end of a
-    name do not matter. Raises InputError where a field is missing or not of its kind, a
-    site or a model is unknown.
-    """
-    # Columns by what they mean, whatever they are called.
-    columns = known_columns(list(values), where, _FIELDS)
-    row = {field: values[name] for name, field in columns.items()}
-    unit_id, site_id = (str(row.get(name) or "").strip() for name in ("id", "site"))
-    if not unit_id:
-        refuse(f"{where}: id", "nothing", "a name")
-    sites = {site.id: site for site in scene.sites}
-    if site_id:
-        pick(sites, site_id, f"{where}: site")
-    has_place = any(
-        row.get(name) not in (None, "") for name in ("x", "y", "lat", "lon")
-    )
-    if site_id and not has_place:
-        position = sites[site_id].position_m[:2]
-    else:
-        position = read_position(row, where, scene.crs)
-    # Heights above the ground become heights in the world frame.
-    height_m = _one_of(row, where, ("height", 1.0), ("z", 1.0))
-    if read_number(row, "height", where) is not None:
-        height_m += float(ground_height_m(scene, np.asarray(position)))
-    yaw_deg = _one_of(row, where, ("yaw", 1.0), ("bearing", -1.0))
-    if read_number(row, "yaw", where) is None:
-        # Counter-clockwise from east.
-        yaw_deg = (yaw_deg + 90.0 + 180.0) % 360.0 - 180.0
-    model = str(row.get("model") or "").strip()
-    if not model:
-        refuse(f"{where}: model", "nothing", "a model of the catalogue")
-    sensor = sensors.get(model) or pick_sensor(model, f"{where}: model")
-    # The record has the fields of a layout file.
-    record = {
-        "id": unit_id,
-        "site": site_id,
-        "x_m": float(position[0]),
-        "y_m": float(position[1]),
-        "z_m": height_m,
-        "yaw_deg": yaw_deg,
-        "pitch_deg": _one_of(row, where, ("pitch", 1.0), ("tilt", -1.0)),
-        sensor_kind(sensor): model,
-    }
-    for name, key in (("fov", "fov_deg"), ("latency", "latency_s")):
-        value = read_number(row, name, where)
-        if value is not None:
-            record[key] = value
-    return record
-
-
-def _one_of(
-    row: Mapping[str, Any],
-    where: str,
-    first: tuple[str, float],
-    other: tuple[str, float],
-) -> float:
-    """Number in one of two fields, times the field's factor.
-
-    Raises InputError unless exactly one of them is given.
-    """
-    found = [
-        (name, factor * value)
-        for name, factor in (first, other)
-        if (value := read_number(row, name, where)) is not None
-    ]
-    if len(found) != 1:
-        if found:
-            got = "both"
-        else:
-            got = "nothing"
-        refuse(f"{where}: {first[0]}", got, f"a number, or {other[0]} in its place")
-    return found[0][1] + 0.0

@@ -18,21 +18,19 @@ from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
 from geometry.phrases import Phrase
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from scenarios.scores import AVOIDED
 
 from .cache import cached_value
 from .candidates import CandidateGrid, CandidatePose, build_candidates, build_grid
 from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable, level_axis, level_table, mixed_table
-from .detectors import ResponseDetector
 from .evaluator import with_sight
 from .explain.conflicts import find_refusal
 from .explain.contributions import NextUnit, find_next_unit
-from .ground import (
-    PrivateGround,
-    load_private_ground,
-    private_shares,
+from .forbidden_views import (
+    ForbiddenAreas,
+    load_forbidden_areas,
     respects_private_ground,
 )
 from .layout import Certificate, Layout, check_layout, find_baseline, find_layout
@@ -85,7 +83,7 @@ class Assembly:
         How hard the optimiser tries.
     existing : Layout, optional
         What is mounted already.
-    private_ground : PrivateGround, optional
+    private_ground : ForbiddenAreas, optional
         What cameras must not look into.
     may_look : callable, optional
         Which poses respect private ground, (n,) bool; None: all.
@@ -107,7 +105,7 @@ class Assembly:
     fusion: Fusion = "any"
     effort: Effort = field(default_factory=Effort)
     existing: Layout | None = None
-    private_ground: PrivateGround | None = None
+    private_ground: ForbiddenAreas | None = None
     may_look: Callable[[Sequence[CandidatePose]], BoolArray] | None = None
     uncertainty: Uncertainty | None = None
     n_samples: int = 0
@@ -274,7 +272,7 @@ def assemble(
     private_ground = None
     may_look = None
     if question.no_look:
-        private_ground = load_private_ground(Path(question.no_look), scene)
+        private_ground = load_forbidden_areas(Path(question.no_look), scene)
         may_look = partial(
             _respects,
             scene=scene,
@@ -364,12 +362,12 @@ def _respects(
     candidates: Sequence[CandidatePose],
     *,
     scene: Scene,
-    ground: PrivateGround,
+    ground: ForbiddenAreas,
     max_share: float,
 ) -> BoolArray:
     """True for candidates that respect private ground, (n,) bool."""
     return respects_private_ground(
-        private_shares(scene, candidates, ground), max_share=max_share
+        ground.shares(scene, candidates), max_share=max_share
     )
 
 
@@ -668,7 +666,7 @@ def may_prefer(
     )
     if is_other or is_same:
         return False
-    if assembly.n_samples or isinstance(setting.table_detector, ResponseDetector):
+    if assembly.n_samples or setting.table_detector.is_drawn:
         return True
     if not setting.cars:
         return False

@@ -63,7 +63,7 @@ _DIGITS = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Places:
+class MovablePlaces:
     """Where poses of a grid may be moved to.
 
     Attributes
@@ -105,9 +105,9 @@ class Places:
 
 def build_places(
     scene: Scene, candidates: Sequence[CandidatePose], limits: Limits
-) -> Places:
+) -> MovablePlaces:
     """Where poses may be moved to under limits."""
-    return Places(
+    return MovablePlaces(
         scene=scene,
         candidates=tuple(candidates),
         is_free=~(limits.is_forced | limits.is_forbidden),
@@ -116,7 +116,7 @@ def build_places(
 
 
 def moved(
-    places: Places,
+    places: MovablePlaces,
     origin: int,
     *,
     height_m: float,
@@ -173,7 +173,9 @@ STEPS_DEG = (128.0, 64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0, 0.5)
 """Of yaw and pitch; and, in per cent, of the field of view of a varifocal lens."""
 
 
-def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
+def _turned(
+    unit: CandidatePose, origin: int, places: MovablePlaces
+) -> list[CandidatePose]:
     """Neighbours of a pose in yaw, pitch and zoom, each id once."""
     sensor = unit.sensor
     has_zoom = isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None
@@ -202,7 +204,9 @@ def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
 LIFTS_M = (1.0, 0.5, 0.25, 0.1)
 
 
-def _lifted(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
+def _lifted(
+    unit: CandidatePose, origin: int, places: MovablePlaces
+) -> list[CandidatePose]:
     """The same pose higher and lower on its site, each id once."""
     # Everything but the height stays.
     own = _as_it_is(unit)

@@ -652,7 +652,7 @@ class Adviser:
             refuse(where, Phrase("no unit"), Phrase("a layout to compare it with"))
         problem, poses = self._beside(units)
         standing = np.arange(len(units))
-        free = fitting(replace(problem.limits, budget_units=None), standing)
+        free = fitting(problem.limits, standing)
         here = np.array(
             [candidate.site_id == site_id for candidate in poses.candidates]
         )
@@ -713,7 +713,6 @@ class Adviser:
         """
         return replace(
             self._wishes,
-            budget_units=len(units) + 1,
             existing=tuple(unit.id for unit in units),
             forced_sites=(),
         )

@@ -18,9 +18,8 @@ from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES, build_junction
 from geometry.phrases import Phrase
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.sensors import CameraModel
-from scenarios.accidents import split_source
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import Case, Selection, select_cases
 from scenarios.paths import CoursePath, StraightPath, TowedPath, TurnPath
@@ -43,19 +42,23 @@ from scenarios.runs import (
     left_out_case,
 )
 from scenarios.scores import AVOIDED, Levels, build_levels
-from scenarios.weights import check_weights, default_weights, weigh, weight_by_function
+from scenarios.weights import (
+    check_weights,
+    default_weights,
+    needs_place,
+    weigh,
+    weight_by_function,
+)
 
 from .cache import cached_value
 from .compute import DEFAULT_COMPUTE, Compute
 from .detectors import (
     Detector,
     PlanningDetector,
-    ResponseDetector,
     load_detector,
     load_planning_detector,
     vru_class,
 )
-from .detectors.network import NetworkDetector
 from .latency import load_latency_budget
 from .question import Question, map_options, read_cars, read_point, split_names
 
@@ -358,11 +361,9 @@ def build_setting(
         _check_every_case(drives, scene)
     # The detector has to know the classes of road users.
     classes = {vru_class(run.encounter.vru) for run in runs}
-    if isinstance(detector, NetworkDetector):
-        detector.check_classes(sorted(classes))
-    elif isinstance(detector, ResponseDetector) and (
-        words := detector.assumed_words(classes)
-    ):
+    detector.check_classes(sorted(classes))
+    words = detector.assumed_words(classes)
+    if words:
         _log.warning("detector %s: %s", detector.name, words.removesuffix("."))
     if weights is not None:
         weight = weight_by_function(runs, weights)
@@ -407,7 +408,7 @@ def _place_deg(question: Question, scene: Scene) -> tuple[float, float] | None:
     """
     if question.near:
         return _read_place_deg(question.near)
-    if not scene.crs or split_source(question.weights) is None:
+    if not scene.crs or not needs_place(question.weights):
         return None
     middle = scene.outline_m.mean(axis=0, keepdims=True)
     longitude, latitude = to_geographic(middle, scene.crs)[0].tolist()
@@ -450,13 +451,13 @@ def _check_every_case(drives: Drives, scene: Scene) -> None:
 
 def _table_detector(detector: Detector) -> PlanningDetector:
     """The detector of the detection table: another one stands in for a network."""
-    if not isinstance(detector, NetworkDetector):
+    if not detector.plans_with:
         return cast(PlanningDetector, detector)
     _log.warning(
         "detector %s: judged on rendered pictures, about %s each; poses are chosen by"
         " the %s detector",
         detector.name,
-        "a tenth of a second" if detector.looks_at_crops else "a second",
+        detector.seconds_per_picture,
         detector.plans_with,
     )
     planner = load_planning_detector(detector.plans_with)

@@ -32,7 +32,7 @@ _OTHERWISE = "pole"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class PricedPart:
     """Something that a site takes.
 
     Attributes
@@ -53,14 +53,14 @@ class SitePrices:
 
     Attributes
     ----------
-    parts : dict of str to Part
+    parts : dict of str to PricedPart
         What sites may take, by name.
     kinds : dict of str to tuple of str
         Names of the parts that a site takes, by its kind; "pole" stands for all other
         kinds.
     """
 
-    parts: dict[str, Part]
+    parts: dict[str, PricedPart]
     kinds: dict[str, tuple[str, ...]]
 
     def __post_init__(self) -> None:

@@ -7,6 +7,8 @@ which says what the files' codes mean and which cases stand for which event. Wha
 be used has a reason.
 """
 
+import logging
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -23,9 +25,11 @@ from geometry.opening import read_bytes
 from geometry.tables import Text, read_data
 from geometry.text_formats import csv_rows, float_of
 
-UNFALLATLAS = "unfallatlas"
-STATS19 = "stats19"
-FORMATS = (UNFALLATLAS, STATS19)
+from .runs import Run
+from .weights import UNFALLATLAS, shares_of, weight_per_case
+
+_log = logging.getLogger(__name__)
+
 DAY = "day"
 NIGHT = "night"
 # Mean radius, IUGG.
@@ -169,14 +173,6 @@ def reasons(unused: Mapping[str, int]) -> str:
     more = [f"{sum(n for _, n in known[_MAX_REASONS:])} for other reasons"]
     told = [f"{count} {reason}" for reason, count in known[:_MAX_REASONS]]
     return ", ".join(told + more * (len(known) > _MAX_REASONS))
-
-
-def split_source(how: str) -> tuple[str, Path] | None:
-    """Format and file of words such as "unfallatlas:FILE"; None for other words."""
-    form, colon, name = how.partition(":")
-    if colon and form in FORMATS:
-        return (form, Path(name))
-    return None
 
 
 def read_accidents(form: str, path: Path) -> Accidents:
@@ -432,3 +428,114 @@ def _rows(
         yield missing | {name: cells[index] for name, index in at.items()}
     if not n_rows:
         refuse(str(path), "no rows", "a row for each accident")
+
+
+# ---------- weights by accidents around a place
+def weight_by_accidents(
+    runs: Sequence[Run],
+    accidents: Accidents,
+    *,
+    near: tuple[float, float],
+    within_m: float,
+) -> FloatArray:
+    """Weights by the accidents that happened around a place.
+
+    What is not used is logged.
+
+    Each counts the same. It is shared by the cases that stand for it
+    (``data/accidents.toml``), as :func:`weight_per_case` does: by day or by night,
+    as it happened, where both are driven, half each in twilight or where nobody
+    knows; else light does not matter, and rain and fog weigh nothing next to day or
+    night. Runs without accidents weigh nothing. `near`: latitude and longitude. The
+    weights sum to 1.
+
+    Raises
+    ------
+    InputError
+        No accident is so near, or none of them happened as anything that is
+        driven.
+    """
+    found = accidents.near(near, within_m)
+    rules = load_accident_rules()
+    weathers = {run.weather for run in runs}
+    lit = [weather for weather in (DAY, NIGHT) if weather in weathers] or sorted(
+        weathers
+    )
+    counts: Counter[tuple[tuple[str, ...], str]] = Counter()
+    unused: Counter[str] = Counter()
+    members: dict[tuple[tuple[str, ...], str], list[int]] = {}
+    for one in found:
+        cases = () if one.unused else rules.cases_of(one.road_user, one.event)
+        # Light counts only where both day and night are driven.
+        key = (cases, one.light if one.light in lit and len(lit) > 1 else "")
+        if key not in members:
+            members[key] = [
+                index
+                for index, run in enumerate(runs)
+                if any(f"{run.case.name}-".startswith(f"{one}-") for one in cases)
+                and run.weather in ([key[1]] if key[1] else lit)
+            ]
+        if members[key]:
+            counts[key] += 1
+        else:
+            what = f"{one.road_user}, {one.event}"
+            unused[one.unused or f"of which no case is driven ({what})"] += 1
+    n_used = sum(counts.values())
+    told = (
+        f"{n_used} of {len(found)} accidents of {accidents.source} within"
+        f" {within_m:g} m count"
+    )
+    if unused:
+        told += f"; not used: {reasons(unused)}"
+    if not n_used:
+        driven = ", ".join(dict.fromkeys(run.case.name for run in runs))
+        raise InputError(
+            "weights", Unquoted(told), f"accidents as these cases: {driven}"
+        )
+    _log.warning("weights: %s", told)
+    weight = np.zeros(len(runs))
+    for key, count in counts.items():
+        weight[members[key]] += count * weight_per_case(
+            [runs[index] for index in members[key]]
+        )
+    return shares_of(weight)
+
+
+class AccidentWeights:
+    """Weights by the accidents of a file; see :func:`weight_by_accidents`."""
+
+    def __init__(self, how: str) -> None:
+        form, _, name = how.partition(":")
+        self._form = form
+        self._path = Path(name)
+
+    def check(self) -> None:
+        """Read the accidents. Raises InputError if a file cannot be used."""
+        read_accidents(self._form, self._path)
+
+    def files(self) -> tuple[Path, ...]:
+        """All files that the accidents are read from."""
+        return accident_files(self._form, self._path)
+
+    def weigh(
+        self,
+        runs: Sequence[Run],
+        *,
+        near: tuple[float, float] | None,
+        within_m: float | None,
+    ) -> FloatArray:
+        """Weights of runs (n_runs,) by the accidents near a place.
+
+        Raises InputError if nobody knows the place.
+        """
+        if near is None:
+            expected = (
+                "LATITUDE,LONGITUDE: the scene does not say where on earth it lies"
+            )
+            raise InputError("near", Unquoted("nothing"), expected)
+        if within_m is None:
+            radius_m = load_accident_rules().default_within_m
+        else:
+            radius_m = within_m
+        found = read_accidents(self._form, self._path)
+        return weight_by_accidents(runs, found, near=near, within_m=radius_m)

@@ -40,7 +40,7 @@ _BARE_FILE = re.compile(r"(?<![\w/.-])[a-z]\w*\.(?:py|md)\b")
 _MODULE = re.compile(
     r"(?<![\w/.-])(?:geometry|scenarios|placement|experiments)(?:\.[A-Za-z_]\w*)+"
 )
-# `placement/latency.py` (`apr_by_latency`): a file or folder, and names of what is in
+# `placement/latency_curves.py` (`apr_by_latency`): a file or folder, and names of what is in
 # it.
 _NAMES_IN_FILE = re.compile(r"`([\w/]+(?:\.py|/))` \(((?:`\w+`(?:, )?)+)\)")
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
@@ -216,7 +216,10 @@ def _options(command: click.Command) -> Iterator[str]:
     for parameter in command.params:
         yield from (*parameter.opts, *parameter.secondary_opts)
     if isinstance(command, click.Group):
-        for inner in command.commands.values():
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            inner = command.get_command(context, name)
+            assert inner is not None
             yield from _options(inner)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from geometry.frames import to_geographic
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.layout import load_carlancap_layout

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..cli import options
-from ..cli.running import Job, command_line
+from ..cli.running import QuestionCall, command_line
 from ..cli.terminal import sentences, table
 from ..language import localized, tr
 from ..results.numbers import percent
@@ -292,7 +292,13 @@ Examples:
     has_cache=False,
 )
 def city(
-    job: Job, /, *, maps: tuple[Path, ...], out: Path, worker_memory: str, **given: Any
+    job: QuestionCall,
+    /,
+    *,
+    maps: tuple[Path, ...],
+    out: Path,
+    worker_memory: str,
+    **given: Any,
 ) -> None:
     """Choose units for the junctions of a city under one budget.
 

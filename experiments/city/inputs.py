@@ -10,8 +10,8 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted, refuse
+from geometry.frames import transform
 from geometry.maps import importing
-from geometry.maps.georeferences import transform
 from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
 from geometry.maps.source_map import SourceMap
 from geometry.opening import read_text

@@ -25,7 +25,7 @@ from ..figures.axes import (
     finish_axes,
     new_axes,
 )
-from ..figures.labels import Label, draw_labels
+from ..figures.labels import TextLabel, draw_labels
 from ..language import localized, tr, trn
 from ..parts.section import Bullets, Code, Section, build_picture
 from ..report.page import page_environment, page_template
@@ -304,7 +304,7 @@ def plot_city_map(
             color="white" if dark else "black",
         )
     names = [
-        Label(
+        TextLabel(
             text=f"{rank} {junctions[index].label}",
             point_m=(float(places[index, 0]), float(places[index, 1])),
             gap=0.6 * float(np.sqrt(size[index])),

@@ -17,8 +17,8 @@ from msgspec.structs import replace
 
 from geometry.catalogue import Sensor
 from geometry.errors import refuse
+from geometry.frames import transform
 from geometry.maps.cut import Neighbourhoods
-from geometry.maps.georeferences import transform
 from geometry.maps.importing import ImportOptions
 from geometry.maps.sites import check_sites
 from geometry.opening import read_bytes

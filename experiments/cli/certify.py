@@ -10,7 +10,7 @@ from placement.question import N_BLOCKS, N_JUDGED, N_SAMPLES
 from ..language import tr
 from ..results.numbers import joined
 from . import options
-from .running import Job, command_line
+from .running import QuestionCall, command_line
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ Examples:
 @options.folder_option("layout.json and certified.json")
 @options.sign_option
 @options.asking(*_ASKED, *_SOUGHT, *options.JUDGED, defaults={"samples": N_SAMPLES})
-def certify(job: Job, *, out: Path | None, **asked: Any) -> None:
+def certify(job: QuestionCall, *, out: Path | None, **asked: Any) -> None:
     """The best layout over all worlds that may turn out to be, with a gap that holds with 95 %.
 
     Worlds differ in mounting errors, traffic, misses and lost messages. In each of some

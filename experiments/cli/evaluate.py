@@ -9,8 +9,8 @@ import click
 
 from ..results.numbers import grouped
 from . import options
-from .recording import evaluate_recording, recording_options
-from .running import Job, command_line
+from .recording import evaluate_recording
+from .running import QuestionCall, command_line
 
 if TYPE_CHECKING:
     from placement.layout import Layout
@@ -25,12 +25,12 @@ Examples:
 
 @click.command(cls=options.SectionedCommand, epilog=_EVALUATE_EXAMPLES)
 @options.layout_option
-@recording_options
+@options.recording_options
 @options.folder_option("a report")
 @options.sign_option
 @options.asking("no_look", *options.JUDGED)
 def evaluate(
-    job: Job,
+    job: QuestionCall,
     *,
     layout_names: tuple[str, ...],
     recording: Path | None,
@@ -87,7 +87,7 @@ Examples:
 @options.sign_option
 @options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)
 def compare(
-    job: Job,
+    job: QuestionCall,
     *,
     layouts: tuple[str, ...],
     more_layouts: tuple[str, ...],

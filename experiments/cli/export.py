@@ -9,7 +9,7 @@ from ..export import FORMAT_NAMES
 from ..language import localized, tr
 from ..progress import StageProgress, tell
 from . import options
-from .running import Job, load_one_layout, write_result
+from .running import QuestionCall, load_one_layout, write_result
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
@@ -134,6 +134,7 @@ def export(
 
     from ..export import load_format
     from ..export.calibration import lidar_ids
+    from ..export.views import find_views
     from ..export.watched import export_layout
 
     chosen = load_format(format_name)
@@ -156,7 +157,7 @@ def export(
             drawn = compute
         else:
             drawn = None
-        asked = {"release": release, "views": views or None}
+        asked = {"release": release, "views": find_views if views else None}
         content = export_layout(
             layout,
             format_name,
@@ -217,7 +218,7 @@ Examples:
     help="PDF file to write.",
 )
 @options.asking(*options.JUDGED, has_cache=False)
-def sheet(job: Job, *, layout_names: tuple[str, ...], out: Path) -> None:
+def sheet(job: QuestionCall, *, layout_names: tuple[str, ...], out: Path) -> None:
     """Write a PDF for whoever mounts the units: a page each.
 
     Where, how high, where it looks in words and degrees, what it will see (rendered), a

@@ -9,7 +9,7 @@ import click
 from ..language import localized, mark, tr
 from ..results.numbers import joined, percent
 from . import options
-from .running import Job
+from .running import QuestionCall
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ Examples:
     has_cache=False,
 )
 def latency(
-    job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any
+    job: QuestionCall, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any
 ) -> None:
     """How much latency a layout bears: accidents prevented against the time to braking.
 

@@ -10,7 +10,7 @@ from ..language import mark, tr, trn
 from ..parts import Part
 from ..results.numbers import joined
 from . import options
-from .running import Job, command_line
+from .running import QuestionCall, command_line
 from .terminal import answer_text, basis, driven_lines
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ Examples:
 )
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
-def pareto(job: Job, *, out: Path | None, **asked: Any) -> None:
+def pareto(job: QuestionCall, *, out: Path | None, **asked: Any) -> None:
     """What each further unit, or more money, buys: the best layouts, each with its proof.
 
     For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share
@@ -157,7 +157,7 @@ Examples:
 @options.folder_option("retrofit.csv and retrofit.json")
 @front_options(*_ADDED)
 def retrofit(
-    job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any
+    job: QuestionCall, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any
 ) -> None:
     """What to change about units that are mounted: remove, re-aim or add one, each priced.
 

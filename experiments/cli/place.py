@@ -4,10 +4,12 @@ from pathlib import Path
 
 import click
 
+from geometry.registry import load_entry
+
 from ..language import mark
 from . import options
-from .recording import evaluate_recording, recording_options
-from .running import Job, command_line
+from .commands import RECORDED
+from .running import QuestionCall, command_line
 
 _EXAMPLES = """\b
 Examples:
@@ -62,11 +64,11 @@ cannot be met (one line says what), 130 interrupted, 143 terminated."""
     is_common=False,
     help="Print the report there, too, by chromium or Chrome.",
 )
-@recording_options
+@options.recording_options
 @options.sign_option
 @options.asking(*options.PLANNED, *options.JUDGED)
 def cli(
-    job: Job,
+    job: QuestionCall,
     *,
     recording: Path | None,
     min_confidence: float,
@@ -103,6 +105,7 @@ def cli(
     if recording is not None:
         asked = {"folder": recording, "min_confidence": min_confidence, "chooses": True}
         asked |= {"sign": sign}
+        evaluate_recording = load_entry(RECORDED)
         evaluate_recording(job, out=out if options.is_given("out") else None, **asked)
         return
     browser = None

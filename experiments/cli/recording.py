@@ -1,4 +1,4 @@
-"""``--recording``: for commands that work on recorded detections, too, and what they print."""
+"""Answers from recorded detections, for commands that are given ``--recording``."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +10,7 @@ from ..language import tr
 from ..parts import Part
 from ..results.numbers import percent
 from . import options
-from .running import Job
+from .running import QuestionCall
 from .terminal import answer_text, sentences, wide_table
 
 if TYPE_CHECKING:
@@ -30,35 +30,8 @@ _WITH_RECORDING = frozenset(
     + ("track_memory_s",)
 )
 
-recording_options = options.combined(
-    options.option(
-        "--recording",
-        type=click.Path(path_type=Path),
-        metavar="DIR",
-        section=options.SEEN,
-        is_common=False,
-        help=(
-            "Work on recorded detections in the study's folder format; --out gets"
-            " summary.json."
-        ),
-    ),
-    options.option(
-        "--min-confidence",
-        type=click.FloatRange(min=0.0, max=1.0),
-        default=0.0,
-        show_default=True,
-        metavar="SHARE",
-        section=options.SEEN,
-        is_common=False,
-        needs="recording",
-        expected="a confidence, 0 to 1",
-        help="With --recording: detections below do not count.",
-    ),
-)
-"""Options ``--recording`` and ``--min-confidence``."""
 
-
-def evaluate_recording(job: Job, *, out: Path | None, **asked: Any) -> None:
+def evaluate_recording(job: QuestionCall, *, out: Path | None, **asked: Any) -> None:
     """Judge the units of a recording, as :func:`.recording.run_recording`, and end the command.
 
     Options that say nothing next to a recording are refused, by click.UsageError.

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from placement.question import Question
 
 
-class Session(StageProgress):
+class ProgramSession(StageProgress):
     """The context object of all commands: progress, and the importer of maps.
 
     It is handed in by the program, so that no command depends on all formats of maps,
@@ -48,11 +48,11 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
     progress.start(quiet=quiet)
     if not (map_options(question) or Path(question.scene).is_file()):
         return question
-    from geometry.scene_files import has_scene
+    from geometry.scene_sources import has_scene
 
     if has_scene(Path(question.scene)) and not map_options(question):
         return question
-    assert isinstance(progress, Session)
+    assert isinstance(progress, ProgramSession)
     folder, words = progress.import_map(
         question, cache=cache_folder(), progress=progress
     )
@@ -81,7 +81,7 @@ def load_one_layout(
 
     if question is None:
         return find_layout(names[0], "--layout")
-    from geometry.scene_files import load_scene
+    from geometry.scene_sources import load_scene
 
     scene = load_scene(question.scene)
     return find_layout(names[0], "--layout", scene=scene, sensors=question.sensors)
@@ -118,13 +118,13 @@ class Call:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Job(Call):
+class QuestionCall(Call):
     """A call of a command that asks something and computes."""
 
     question: "Question"
     compute: "Compute"
 
-    def begin(self) -> "Job":
+    def begin(self) -> "QuestionCall":
         """Show what happens from here on; the job with its map imported, see :func:`begin`."""
         return replace(
             self, question=begin(self.progress, self.question, quiet=self.quiet)

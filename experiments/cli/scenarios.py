@@ -253,7 +253,7 @@ def list_scenarios(call: Call, *, question: Question) -> None:
     beyond it. With --json a list, one entry per case, approach and position, with one
     last moment per speed; null where braking cannot help.
     """
-    from geometry.scene_files import load_scene
+    from geometry.scene_sources import load_scene
     from placement.setting import drive
     from scenarios.cases import ALL_CASES
 
@@ -477,7 +477,7 @@ def export(
 def _drive_one(
     progress: StageProgress, question: Question, position: str, *, quiet: bool
 ) -> "tuple[Scene, Run]":
-    from geometry.scene_files import load_scene
+    from geometry.scene_sources import load_scene
     from placement.setting import drive_one
 
     question = begin(progress, question, quiet=quiet)

@@ -105,7 +105,7 @@ def _with_scene(asked: "Question | None", given: "Question") -> "Question":
     question = replace(asked, **{name: getattr(given, name) for name in names})
     if "scene" not in names or Path(given.scene).is_file():
         return question
-    from geometry.scene_files import has_scene
+    from geometry.scene_sources import has_scene
 
     # The junction was cut out of a map before: a scene's folder has no such options.
     if has_scene(Path(given.scene)) or not Path(given.scene).exists():

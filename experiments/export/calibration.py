@@ -5,13 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from geometry.arrays import FloatArray
+from geometry.calibrations import CalibratedCamera, to_calibrated
 from geometry.catalogue import Sensor
 from geometry.errors import refuse
-from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye
+from geometry.lenses import BrownConrady, Fisheye
 from geometry.notes import assumed_sites
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
-from geometry.sensors import CameraModel, to_calibrated
+from geometry.sensors import CameraModel
 from placement.layout import Layout
 
 

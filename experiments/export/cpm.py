@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from geometry.actors import load_actors
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import check_one_of, refuse
-from geometry.frames import parse_crs, to_carla_yaw
-from geometry.maps.georeferences import transform
+from geometry.frames import parse_crs, to_carla_yaw, transform
 from geometry.scene import Scene
 from geometry.sensors import SEEN_RAD, CameraModel
 from geometry.terrain import on_ground, terrain_of

@@ -10,7 +10,8 @@ from geometry.scene import Scene
 from placement.layout import Layout
 
 from . import ExportFormat, load_extra
-from .places import find_views, metric_points
+from .places import metric_points
+from .views import find_views
 
 _LAYERS = {"LANES": 8, "CROSSWALKS": 9, "POLES": 3, "UNITS": 5, "UNSEEN": 1}
 _VIEWS = 140

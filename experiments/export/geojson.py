@@ -9,8 +9,8 @@ from placement.layout import Layout
 from . import ExportFormat
 from .json import to_json_text
 from .places import (
-    View,
-    find_views,
+    AreaFinder,
+    SeenArea,
     longitude_latitude,
     placed_records,
     positions_m,
@@ -19,7 +19,11 @@ from .places import (
 
 
 def to_geojson(
-    layout: Layout, crs: str, scene: Scene | None = None, *, views: Sequence[View] = ()
+    layout: Layout,
+    crs: str,
+    scene: Scene | None = None,
+    *,
+    views: Sequence[SeenArea] = (),
 ) -> str:
     """Layout as GeoJSON: points in WGS 84, with the fields of the layout as properties.
 
@@ -54,13 +58,13 @@ def to_geojson(
     )
 
 
-def _write(layout: Layout, scene: Scene, *, views: bool = False) -> str:
+def _write(layout: Layout, scene: Scene, *, views: AreaFinder | None = None) -> str:
     require_crs(scene.crs, "geojson")
     place = partial(longitude_latitude, crs=scene.crs)
-    if views:
-        found = find_views(layout, scene, place)
+    if views is None:
+        found: Sequence[SeenArea] = ()
     else:
-        found = []
+        found = views(layout, scene, place)
     return to_geojson(layout, scene.crs, scene, views=found)
 
 

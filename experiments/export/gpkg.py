@@ -11,7 +11,7 @@ from placement.layout import Layout
 
 from . import ExportFormat
 from .places import (
-    find_views,
+    AreaFinder,
     longitude_latitude,
     map_points,
     placed_records,
@@ -47,13 +47,15 @@ def geopackage(
         return path.read_bytes()
 
 
-def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes:
+def to_geopackage(
+    layout: Layout, scene: Scene, *, views: AreaFinder | None = None
+) -> bytes:
     """Layout as a GeoPackage: points in the coordinates of the map that the scene was made from.
 
     A SQLite database with the layer "units": points with the height as z (that of the
     map where the ground is not flat and the map tells it, else above the road), and the
     fields of the layout; x_m and y_m among them stay in the world frame. With `views`
-    also the layer "views": see :func:`.places.find_views`. Raises InputError if the
+    also the layer "views": see :func:`.views.find_views`. Raises InputError if the
     scene has no crs, or one that pyproj does not know.
     """
     import geopandas as gpd
@@ -68,8 +70,8 @@ def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes
         z=[record.get("map_z", record["z_m"]) for record in records],
     )
     layers = [("units", "Point Z", records, points)]
-    if views:
-        found = find_views(layout, scene, partial(map_points, scene=scene))
+    if views is not None:
+        found = views(layout, scene, partial(map_points, scene=scene))
         layers.append(
             ("views", "", [one.record() for one in found], [one.area for one in found])
         )

@@ -9,7 +9,7 @@ from placement.layout import Layout
 
 from . import ExportFormat, xml_text
 from .places import (
-    find_views,
+    AreaFinder,
     longitude_latitude,
     placed_records,
     positions_m,
@@ -17,12 +17,12 @@ from .places import (
 )
 
 
-def to_kml(layout: Layout, scene: Scene, *, views: bool = False) -> str:
+def to_kml(layout: Layout, scene: Scene, *, views: AreaFinder | None = None) -> str:
     """Layout as KML: a placemark per unit, at its height above ground, with a pole below it.
 
     An XML document. Every field of the layout is in the placemark's ExtendedData; the
     placemark's camera looks from the unit's place along its optical axis. With `views`
-    also what each camera sees, see :func:`.places.find_views`, as polygons on the
+    also what each camera sees, see :func:`.views.find_views`, as polygons on the
     ground. Raises InputError if the scene has no crs, or one that pyproj does not know,
     or if a name is not printable.
 
@@ -54,7 +54,7 @@ def to_kml(layout: Layout, scene: Scene, *, views: bool = False) -> str:
             float(to_carla_yaw(unit.pose.yaw_deg) + 90.0) % 360.0
             for unit in layout.units
         ],
-        views=find_views(layout, scene, place) if views else [],
+        views=[] if views is None else views(layout, scene, place),
     )
 
 

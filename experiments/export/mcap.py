@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from geometry.actors import Actor
+from geometry.calibrations import CalibratedCamera
 from geometry.errors import refuse
-from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, with_width
 from geometry.terrain import on_ground
@@ -17,7 +17,8 @@ from geometry.weather import pick_weather
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.evaluation import earliest_arrival_s
-from placement.imaging import build_backdrop, draw_picture, to_jpeg
+from placement.evaluator.picture_sources import to_jpeg
+from placement.imaging import build_backdrop, draw_picture
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import Run, build_frame_axis, find_onsets

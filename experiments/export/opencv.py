@@ -6,7 +6,7 @@ from importlib.resources import files
 import yaml  # type: ignore[import-untyped]
 from scipy.spatial.transform import Rotation
 
-from geometry.lenses import CalibratedCamera
+from geometry.calibrations import CalibratedCamera
 from geometry.scene import Scene
 from placement.layout import Layout
 

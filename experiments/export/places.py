@@ -1,21 +1,17 @@
-"""Places of a layout's units on earth and in the map, and what its cameras see there."""
+"""Places of a layout's units on earth and in the map."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray
+from geometry.arrays import FloatArray
 from geometry.errors import InputError, refuse
-from geometry.frames import parse_crs, to_geographic
-from geometry.maps.georeferences import transform
+from geometry.frames import parse_crs, to_geographic, transform
 from geometry.notes import assumed_sites
 from geometry.scene import Scene
-from geometry.sensors import CameraModel
 from geometry.terrain import terrain_of
 from placement.candidates import above_ground
-from placement.ground import LOOK_AT_M, REACH_M, GroundSurvey
 from placement.layout import Layout, layout_records
 
 
@@ -112,71 +108,21 @@ def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
     return lon_lat_deg
 
 
-UNSEEN = "unseen"
-NOTE = (
-    f"squares of 1 m, {LOOK_AT_M:g} m above the road, up to {REACH_M:g} m from the"
-    " middle"
-)
+class SeenArea(Protocol):
+    """Area that a camera sees, or road that none sees; see :class:`.views.View`."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class View:
-    """Area that a camera sees, or road that no camera sees."""
-
-    unit: str  # its id; empty: what no camera sees
-    area: Any  # shapely's polygons without overlap, in any coordinates
-    area_m2: float
+    @property
+    def area(self) -> Any:
+        """Shapely's polygons without overlap."""
 
     def record(self) -> dict[str, Any]:
         """Fields of it in a table."""
-        return {
-            "id": f"view of {self.unit}" if self.unit else UNSEEN,
-            "unit": self.unit,
-            "area_m2": self.area_m2,
-            "note": NOTE,
-        }
 
 
-def find_views(
-    layout: Layout,
-    scene: Scene,
-    move: Callable[[FloatArray], FloatArray] = np.asarray,
-) -> list[View]:
-    """Views of a layout's cameras, in its order, then the road that none sees.
+class AreaFinder(Protocol):
+    """What finds the areas that cameras see, such as :func:`.views.find_views`."""
 
-    `move` takes points of the world frame, (n, 2), all at once to the coordinates that
-    are wanted.
-    """
-    import shapely
-
-    survey = GroundSurvey(scene)
-    missed = survey.is_road.copy()
-    masks = {}
-    for unit in layout.units:
-        if isinstance(unit.sensor, CameraModel):
-            masks[unit.id] = survey.density(unit) > 0.0
-            missed &= ~masks[unit.id]
-    masks[""] = missed
-    areas = [_outline(mask, survey.east_m, survey.north_m) for mask in masks.values()]
-    moved = shapely.transform(np.array(areas, dtype=object), move)
-    return [
-        View(unit=name, area=there, area_m2=float(area.area))
-        for name, area, there in zip(masks, areas, moved, strict=True)
-    ]
-
-
-def _outline(mask: BoolArray, east_m: FloatArray, north_m: FloatArray) -> Any:
-    """Union of the cells of a mask, (n_north, n_east)."""
-    import shapely
-
-    x_m, y_m = (
-        np.append(middles_m - 0.5 * step_m, middles_m[-1] + 0.5 * step_m)
-        for middles_m in (east_m, north_m)
-        for step_m in [middles_m[1] - middles_m[0]]
-    )
-    # Of each row its stretches: fewer boxes than cells.
-    steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    row, first = np.nonzero(steps > 0)
-    _, end = np.nonzero(steps < 0)
-    stretches = shapely.box(x_m[first], y_m[row], x_m[end], y_m[row + 1])
-    return shapely.simplify(shapely.union_all(stretches), 0.0)
+    def __call__(
+        self, layout: Layout, scene: Scene, move: Callable[[FloatArray], FloatArray]
+    ) -> Sequence[SeenArea]:
+        """Areas in the coordinates to which `move` takes points of the world frame."""

@@ -7,7 +7,7 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 
 from geometry.arrays import FloatArray
-from geometry.lenses import CalibratedCamera
+from geometry.calibrations import CalibratedCamera
 from geometry.scene import Scene
 from placement.layout import Layout
 

@@ -10,7 +10,7 @@ from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
 from geometry.junction import build_junction
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.weather import pick_weather
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.detectors import load_detector, load_planning_detector

@@ -41,7 +41,7 @@ _SAME_WAY_DEG = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Label:
+class TextLabel:
     """A text of one line next to a point."""
 
     text: str
@@ -56,7 +56,7 @@ class Label:
 
 def draw_labels(
     axes: Axes,
-    labels: Sequence[Label],
+    labels: Sequence[TextLabel],
     *,
     marks_m: FloatArray | None = None,
     mark: float = 6.0,
@@ -107,7 +107,9 @@ def draw_labels(
         write_beside(axes, literal(label.text), label.point_m, away_pt=at_pt, **style)
 
 
-def _shift(label: Label, half: FloatArray, more: float, turn_deg: float) -> FloatArray:
+def _shift(
+    label: TextLabel, half: FloatArray, more: float, turn_deg: float
+) -> FloatArray:
     """From the point to the middle of the text, in points."""
     angle = math.radians(label.toward_deg + turn_deg)
     way = np.array([math.cos(angle), math.sin(angle)])
@@ -127,14 +129,14 @@ def _overlaps(ones: FloatArray, others: FloatArray) -> FloatArray:
     return areas
 
 
-def unit_names(layout: Layout, scene: Scene) -> list[Label]:
+def unit_names(layout: Layout, scene: Scene) -> list[TextLabel]:
     """Short names of units that look one way from one pole; of many, how many are at a place."""
     if len(layout.units) > MAX_LABELLED_UNITS:
         places = Counter(
             tuple(np.round(unit.pose.position_m[:2], 1)) for unit in layout.units
         )
         return [
-            Label(
+            TextLabel(
                 text=f"{n_units}\N{MULTIPLICATION SIGN}",
                 point_m=(east_m, north_m),
                 toward_deg=90.0,
@@ -153,7 +155,7 @@ def unit_names(layout: Layout, scene: Scene) -> list[Label]:
             groups.append((unit, found := []))
         found.append(labels[unit.id])
     return [
-        Label(
+        TextLabel(
             text=(
                 tr("{units} (assumed)", units=", ".join(names))
                 if first.site_id in doubts
@@ -176,7 +178,9 @@ def looks_alike(unit: CandidatePose, other: CandidatePose) -> bool:
     return bool(apart_m < _SAME_PLACE_M and abs(turn_deg) < _SAME_WAY_DEG)
 
 
-def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[Label]:
+def arm_names(
+    scene: Scene, middle_m: FloatArray, half_size_m: float
+) -> list[TextLabel]:
     """Names of the junction's arms and their streets, next to their lanes towards the frame."""
     try:
         streets = street_names(scene)
@@ -195,7 +199,7 @@ def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[La
         way = ways[np.argmin(np.abs(away_m - _NAMES_AT * half_size_m))]
         at = middle_m + way
         labels.append(
-            Label(
+            TextLabel(
                 text=(
                     f"{streets[name]} ({tr(name)})"
                     if name in streets
@@ -210,11 +214,11 @@ def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[La
     return labels
 
 
-def position_names(runs: Sequence[Run]) -> list[Label]:
+def position_names(runs: Sequence[Run]) -> list[TextLabel]:
     """Which the places along the arms are, each once."""
     firsts = {(run.approach, run.position): run for run in reversed(runs)}
     return [
-        Label(
+        TextLabel(
             text=position.replace("-", "\N{MINUS SIGN}"),
             point_m=(
                 float(run.vru_position_m[-1][0]),

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from geometry.actors import LOOK_AT_M
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
 from geometry.lidar import LidarModel
-from geometry.raycast import build_caster
+from geometry.raycast import build_caster, is_in_sight
 from geometry.sensors import CameraModel
 from geometry.terrain import on_ground, terrain_of
 from geometry.weather import load_weathers
 from placement.candidates import CandidatePose, above_ground
 from placement.detectors import VRU_CLASSES, Evidence, vru_class
-from placement.ground import LOOK_AT_M, is_in_sight
 from placement.setting import Setting
 
 from .plan import ground_footprint, ground_rings, is_wide

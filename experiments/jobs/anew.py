@@ -19,9 +19,8 @@ from geometry.opening import MAX_TEXT_BYTES, read_bytes
 from geometry.parquet_files import open_parquet
 from geometry.text_formats import parse_json
 from placement.compute import Compute
+from placement.proof_files import CERTIFICATE_FILE, INSTANCE_FILE
 from placement.question import Question
-from placement.verification.certificates import CERTIFICATE_FILE
-from placement.verification.instances import INSTANCE_FILE
 
 from ..language import LANGUAGES, speaking
 from ..parts.reading import read_summary

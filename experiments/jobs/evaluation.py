@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from placement.compute import Compute
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts
-from placement.ground import load_private_ground
 from placement.layout import Layout, check_layout
+from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.sampling.out_of_sample import out_of_sample_layouts
 from placement.sampling.uncertainty import load_drawn

@@ -9,7 +9,7 @@ from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
 from geometry.phrases import Phrase
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from placement.compute import Compute
 from placement.optimiser import PlacementValue
 from placement.optimiser.cost_front import cost_front

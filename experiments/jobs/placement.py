@@ -21,6 +21,7 @@ from placement.layout import Layout, find_baseline, layout_records
 from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Placement
+from placement.proof_files import build_certificate, build_mounts, save_certificate
 from placement.question import Question, question_values
 from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
 from placement.sampling.out_of_sample import (
@@ -29,8 +30,6 @@ from placement.sampling.out_of_sample import (
     look_at_fresh_worlds,
 )
 from placement.setting import build_setting
-from placement.verification.certificates import build_certificate, save_certificate
-from placement.verification.instances import build_mounts
 from placement.wishes import assumed_prices
 
 from ..export.geojson import to_geojson

@@ -7,11 +7,11 @@ more than what they need.
 from dataclasses import dataclass, replace
 
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from placement.candidates import CandidatePose
-from placement.certify import Grown, Growth, grow
 from placement.compute import Compute, Progress
 from placement.evaluator import with_sight
+from placement.growth import Grown, Growth, grow
 from placement.pipeline import Assembly, Placement, assemble, place
 from placement.question import AUTO, Question
 from placement.refinement import Refinement, refine

@@ -22,7 +22,7 @@ from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted, located
 from geometry.opening import read_bytes, read_text
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.study_scene import STUDY, load_study_scene
 from geometry.tables import read_table
 from geometry.text_formats import parse_json
@@ -30,19 +30,16 @@ from placement.detection_table import plain_axis
 from placement.evaluation import mix
 from placement.layout import Layout, layout_records, load_layout
 from placement.optimiser import Failing, Objective, PlacementProblem, PresolveStatistics
-from placement.question import Question, read_question
-from placement.verification.certificates import (
+from placement.proof_files import (
     CERTIFICATE_FILE,
-    StoredCertificate,
-    cars_of,
-    load_certificate,
-)
-from placement.verification.instances import (
     INSTANCE_FILE,
     Mounts,
-    load_stored_problem,
+    cars_of,
     scene_hash,
 )
+from placement.question import Question, read_question
+from placement.verification.certificates import StoredCertificate, load_certificate
+from placement.verification.instances import load_stored_problem, misnamed_pose
 from placement.verification.recomputation import stage_values
 from placement.verification.verify import verify_certificate
 
@@ -431,8 +428,8 @@ def _check_scene(
             "scene as it stands", text if source else f"{text} with the version", ""
         )
         return None
-    astray = mounts.misnamed(
-        pose_ids, {site.id: site.position_m for site in scene.sites}
+    astray = misnamed_pose(
+        mounts, pose_ids, {site.id: site.position_m for site in scene.sites}
     )
     found.add(
         "scene as it stands",

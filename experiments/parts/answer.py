@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from geometry.junction import street_names
-from placement.detectors.built_in import is_drawn
+from placement.detectors.registry import is_drawn
 from placement.evaluation import Evaluation
 from placement.question import N_JUDGED
 from placement.setting import Setting

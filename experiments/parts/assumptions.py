@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 
 from geometry.notes import Note
 from geometry.phrases import Phrase
-from placement.detectors import ResponseDetector
 from placement.layout import Layout
 from placement.setting import Radio, Setting
 from scenarios.aeb import AebRule
@@ -132,11 +131,7 @@ def _detection_words(setting: Setting) -> str:
 def _figures(setting: Setting) -> list[Phrase]:
     """How many figures of response tables are measured; that of the table where it is another."""
     tables = {one.name: one for one in (setting.detector, setting.table_detector)}
-    return [
-        one.figures_words
-        for one in tables.values()
-        if isinstance(one, ResponseDetector)
-    ]
+    return [one.figures_words for one in tables.values() if one.figures_words]
 
 
 def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from placement import evaluation
-from placement.baselines import Proposals, RandomLayouts, judge_proposals, propose
+from placement.baselines import BaselineRows, RandomLayouts, judge_proposals, propose
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute
 from placement.layout import Layout
@@ -174,7 +174,9 @@ def compare_layout(
 
 
 def _judge(
-    problem: PlacementProblem, proposals: Proposals, candidates: Sequence[CandidatePose]
+    problem: PlacementProblem,
+    proposals: BaselineRows,
+    candidates: Sequence[CandidatePose],
 ) -> Proposed:
     """Proposals on a detection table, of which the candidates are the rows."""
     found = judge_proposals(problem, proposals)

@@ -4,20 +4,19 @@ import base64
 import math
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.errors import InputError
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, with_width
-from geometry.tables import pick
-from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, above_ground
 from placement.compute import DEFAULT_COMPUTE, Compute
-from placement.imaging import Backdrop, build_backdrop, draw_picture, to_jpeg
-from placement.imaging import Picture as FramePicture
+from placement.evaluator.picture_sources import (
+    PictureSource,
+    build_picture_source,
+    to_jpeg,
+)
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
@@ -74,38 +73,21 @@ def draw_view(
 
     The road user is nearest to where the middle of the image meets the road.
     """
-    run, frame = _nearest_frame(unit, setting)
-    return _draw(unit, setting, run, frame, compute).rgb, run, float(run.time_s[frame])
-
-
-def _draw(
-    unit: CandidatePose,
-    setting: Setting,
-    run: Run,
-    frame: int,
-    compute: Compute,
-    *,
-    is_smooth: bool = True,
-) -> FramePicture:
     assert isinstance(unit.sensor, CameraModel)
-    return draw_picture(
-        _backdrop(setting.scene, run),
-        run,
-        frame,
-        unit.pose,
-        unit.sensor,
-        weather=pick_weather(run.weather, "weather"),
-        is_smooth=is_smooth,
-        compute=compute,
+    run, frame = nearest_frame(unit, setting)
+    source = _pictures_of(
+        setting.scene, run, seed=compute.seed, workers=compute.workers
     )
+    rgb = source.pictures((unit.pose, unit.sensor))(frame)
+    return rgb, run, float(run.time_s[frame])
 
 
-@lru_cache(maxsize=2)  # while a camera is aimed the run stays the same
-def _backdrop(scene: Scene, run: Run) -> Backdrop:
-    return build_backdrop(scene, run.obstruction)
+@lru_cache(maxsize=2)  # several cameras often show the same run
+def _pictures_of(scene: Scene, run: Run, *, seed: int, workers: int) -> PictureSource:
+    return build_picture_source(scene, [run], seed=seed, workers=workers)
 
 
-def _nearest_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
+def nearest_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
     """The run, and its frame, in which a road user is nearest to a camera's aim."""
     yaw = math.radians(unit.pose.yaw_deg)
     tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
@@ -116,46 +98,3 @@ def _nearest_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
     away_m = [np.hypot(*(run.vru_position_m - aim_m).T) for run in setting.runs]
     nearest = int(np.argmin([distance_m.min() for distance_m in away_m]))
     return setting.runs[nearest], int(np.argmin(away_m[nearest]))
-
-
-def live_picture(
-    unit: CandidatePose,
-    setting: Setting,
-    *,
-    run_id: str,
-    frame: int,
-    width_px: int,
-    is_smooth: bool,
-    compute: Compute,
-) -> dict[str, Any]:
-    """What a camera sees in a frame of a run, for a page on which it is being aimed.
-
-    Without a run, it is one whose road user is near the camera's aim. While it is
-    turned, edges need not be smooth. "image" is a JPEG in base64, "box" where the road
-    user is seen: left, top, right, bottom as shares of the sides, or None. Raises
-    InputError: it is no camera, there is no such run or frame.
-    """
-    if not isinstance(unit.sensor, CameraModel):
-        raise InputError("unit", unit.id, "a camera: a LiDAR takes no picture")
-    if run_id:
-        from placement.evaluator.pictures import find_frame  # loads the compiler
-
-        run = pick({run.id: run for run in setting.runs}, run_id, "run")
-        frame = find_frame(run, frame)
-    else:
-        run, frame = _nearest_frame(unit, setting)
-    small = replace(unit, sensor=with_width(unit.sensor, width_px))
-    picture = _draw(small, setting, run, frame, compute, is_smooth=is_smooth)
-    height_px, width_px, _ = picture.rgb.shape
-    rows, columns = np.nonzero(picture.instance == picture.names.index("vru"))
-    box = None
-    if len(rows):
-        low = columns.min() / width_px, rows.min() / height_px
-        high = (columns.max() + 1) / width_px, (rows.max() + 1) / height_px
-        box = [float(edge) for edge in (*low, *high)]
-    return {
-        **{"run": run.id, "frame": frame, "timeS": float(run.time_s[frame])},
-        "image": base64.b64encode(to_jpeg(picture.rgb)).decode(),
-        "size": [width_px, height_px],
-        "box": box,
-    }

@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 from msgspec.structs import asdict as fields_of
 
-from placement.certify import GapEstimate, Growth, certify, estimate_gap, grow
+from placement.certify import GapEstimate, certify, estimate_gap
 from placement.compute import Compute
+from placement.growth import Growth, grow
 from placement.pipeline import assemble
 from placement.question import AUTO, Question
 from placement.sampling.out_of_sample import APART

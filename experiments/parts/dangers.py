@@ -281,7 +281,7 @@ def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Place:
+class ImpactPlace:
     """Where some runs end in an impact if nobody brakes.
 
     Attributes
@@ -300,7 +300,7 @@ class Place:
         return weight_share(is_avoided[self.runs], weight[self.runs])
 
 
-def find_places(setting: Setting) -> tuple[Place, ...]:
+def find_places(setting: Setting) -> tuple[ImpactPlace, ...]:
     """Places of all impacts: those at most 6 m from one another are one place.
 
     Complete linkage: no two impacts of a place are farther apart. Places are in the
@@ -314,7 +314,7 @@ def find_places(setting: Setting) -> tuple[Place, ...]:
         tree = linkage(points, "complete")
         labels = fcluster(tree, _SAME_PLACE_M, criterion="distance").astype(np.int64)
     return tuple(
-        Place(
+        ImpactPlace(
             position_m=points[labels == label].mean(axis=0),
             runs=np.flatnonzero(labels == label),
         )
@@ -327,7 +327,7 @@ def plot_dangers(
     layout: Layout,
     is_avoided: BoolArray,
     *,
-    places: Sequence[Place] | None = None,
+    places: Sequence[ImpactPlace] | None = None,
     width_in: float = WIDTH_IN,
 ) -> Axes:
     """The junction from above with the share of runs avoided at each place: the darker the fewer.
@@ -378,7 +378,7 @@ def plot_dangers(
     return axes
 
 
-def _draw_place(axes: Axes, place: Place, share: float, size: float) -> None:
+def _draw_place(axes: Axes, place: ImpactPlace, share: float, size: float) -> None:
     """Draw a mark with its number; `size` in points."""
     if not np.isfinite(share):  # runs that do not count
         return

@@ -9,16 +9,16 @@ from matplotlib.axes import Axes
 from msgspec.structs import asdict as fields_of
 
 from geometry.errors import InputError, Unquoted
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout
 from placement.latency import (
     MAX_LATENCY_S,
     LatencyBudget,
-    apr_by_latency,
     fixed_latency,
     load_latency_budget,
 )
+from placement.latency_curves import apr_by_latency
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.setting import build_setting
@@ -116,7 +116,7 @@ def run_latency(
     budget : str, optional
         See :func:`placement.latency.load_latency_budget`; by default the study's.
     vut_latency_s : float, optional
-        See :func:`placement.latency.apr_by_latency`. [s]
+        See :func:`placement.latency_curves.apr_by_latency`. [s]
     max_latency_s : float, optional
         Shown up to here; by default as far as the budget reaches, and the RSUs' APR
         falls. [s]

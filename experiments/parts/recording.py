@@ -24,6 +24,7 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.pipeline import build_effort
+from placement.proof_files import build_certificate, save_certificate
 from placement.question import Question
 from placement.recordings import (
     RecordedEvaluation,
@@ -35,7 +36,6 @@ from placement.recordings import (
     take_units,
 )
 from placement.setting import build_rule
-from placement.verification.certificates import build_certificate, save_certificate
 from scenarios.aeb import AebRule
 
 from ..export.json import to_json_text
@@ -233,9 +233,7 @@ def _build_apr(evaluation: RecordedEvaluation, rule: AebRule) -> RecordedAprReco
             all=apr(verdict, axis), by_case={**apr_by_case(verdict, axis)}
         )
 
-    problem = recorded_problem(
-        evaluation, budget_units=n_units, fusion="any", rule=rule
-    )
+    problem = recorded_problem(evaluation, fusion="any", rule=rule)
     return RecordedAprRecord(
         **_of_parties(ratios, evaluation),
         apr_without_worst_unit=apr_one_failed(problem, range(n_units)),
@@ -243,9 +241,16 @@ def _build_apr(evaluation: RecordedEvaluation, rule: AebRule) -> RecordedAprReco
 
 
 def recorded_problem(
-    evaluation: RecordedEvaluation, *, budget_units: int, fusion: Fusion, rule: AebRule
+    evaluation: RecordedEvaluation,
+    *,
+    budget_units: int | None = None,
+    fusion: Fusion,
+    rule: AebRule,
 ) -> PlacementProblem:
-    """The choice among recorded units: each alone on a site of its own."""
+    """The choice among recorded units: each alone on a site of its own.
+
+    `budget_units` are the most that may be chosen; by default all.
+    """
     n_units = len(evaluation.units)
     ones = np.ones(n_units, dtype=np.int64)
     limits = Limits(

@@ -10,7 +10,7 @@ from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
 from geometry.poses import Pose
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from placement.candidates import build_grid
 from placement.compute import Compute
 from placement.layout import Layout, check_layout

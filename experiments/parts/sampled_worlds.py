@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from geometry.arrays import FloatArray
-from placement.certify import Growth
+from placement.growth import Growth
 from placement.pipeline import FOUND
 from placement.question import N_JUDGED
-from placement.sampling.moving.trajectories import TrafficCount
+from placement.sampling.driving import TrafficCount
 from placement.sampling.out_of_sample import (
     SampledApr,
     cvar,

@@ -16,7 +16,7 @@ from geometry.frames import to_geographic
 from geometry.junction import COMPASS, compass_bearing_deg, whereabouts
 from geometry.notes import assumed_sites
 from geometry.scene import Scene, thing_footprint
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.sensors import CameraModel
 from geometry.writing import check_target, write_atomically
 from placement.candidates import CandidatePose, above_ground, is_ring, is_turn_useless

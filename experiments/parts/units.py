@@ -8,7 +8,7 @@ from geometry.junction import compass_bearing_deg
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
 from placement.candidates import CandidatePose, above_ground
-from placement.ground import PrivateGround, private_shares
+from placement.forbidden_views import ForbiddenAreas
 from placement.layout import Layout
 from placement.setting import Setting
 
@@ -179,10 +179,10 @@ class PrivateGroundRecord(Record, frozen=True, kw_only=True):
 
 
 def build_private_ground_record(
-    units: Sequence[CandidatePose], scene: Scene, ground: PrivateGround
+    units: Sequence[CandidatePose], scene: Scene, ground: ForbiddenAreas
 ) -> PrivateGroundRecord:
     """Shares of private ground that units see."""
-    shares = private_shares(scene, units, ground)
+    shares = ground.shares(scene, units)
     areas = zip(ground.names, ground.area_m2, strict=True)
     seen = zip(units, shares, strict=True)
     return PrivateGroundRecord(

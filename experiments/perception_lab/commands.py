@@ -12,7 +12,7 @@ from placement.compute import Compute
 from placement.question import question_fields
 
 from ..cli import options
-from ..cli.running import Job, command_line, load_one_layout, unwritable
+from ..cli.running import QuestionCall, command_line, load_one_layout, unwritable
 from ..cli.terminal import sentences, table
 from ..progress import StageProgress, tell
 from ..results.numbers import percent
@@ -91,7 +91,7 @@ Examples:
 )
 @options.asking(*options.PICTURED, has_cache=False)
 def dataset(
-    job: Job, /, *, layout_names: tuple[str, ...], out: Path, **wish: Any
+    job: QuestionCall, /, *, layout_names: tuple[str, ...], out: Path, **wish: Any
 ) -> None:
     """Write a dataset: what the cameras of a layout see of all runs, with labels."""
     layout = load_one_layout(layout_names)
@@ -199,7 +199,12 @@ Examples:
 @options.folder_option("response.toml, fit.json and calibration.png")
 @options.asking(*options.PICTURED, has_cache=False)
 def fit(
-    job: Job, /, *, layout_names: tuple[str, ...], out: Path | None, **wish: Any
+    job: QuestionCall,
+    /,
+    *,
+    layout_names: tuple[str, ...],
+    out: Path | None,
+    **wish: Any,
 ) -> None:
     """Fit a response table to what a detector really finds.
 
@@ -413,7 +418,7 @@ def render(
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
     progress("lay the run", 0, 0)
-    from geometry.scene_files import load_scene
+    from geometry.scene_sources import load_scene
     from placement.evaluator.pictures import find_frame, find_viewpoint
     from placement.evaluator.pictures import render as render_frame
     from placement.layout import check_layout

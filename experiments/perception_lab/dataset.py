@@ -18,13 +18,14 @@ import msgspec
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray
+from geometry.calibrations import to_calibrated
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError, refuse
 from geometry.lidar import LidarModel
 from geometry.locks import is_abandoned
 from geometry.opening import read_text
 from geometry.poses import Pose
-from geometry.sensors import CameraModel, to_calibrated
+from geometry.sensors import CameraModel
 from geometry.tables import read_table
 from geometry.terrain import on_ground
 from geometry.text_formats import parse_json

@@ -26,7 +26,7 @@ from placement.compute import Compute
 from placement.evaluator import load_vut_camera
 from placement.evaluator.evaluate import UnitKey, build_rng
 from placement.evaluator.pictures import vut_camera_pose
-from placement.imaging import Picture, PointCloud, build_backdrop, draw_picture
+from placement.imaging import PointCloud, RenderedPicture, build_backdrop, draw_picture
 from placement.imaging.materials import Materials, load_materials, vary_materials
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
@@ -119,7 +119,9 @@ def draw_task(task: DrawTask) -> int:
     return n_bytes
 
 
-def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | None]]:
+def _drawer(
+    task: DrawTask,
+) -> Callable[[Run, int], tuple[RenderedPicture, PointCloud | None]]:
     """A function that draws and scans a frame: from the VUT anew, at the roadside onto a still."""
     # loads the compiler
     from placement.imaging.stills import Still, draw_onto, draw_still, scan_onto
@@ -139,7 +141,9 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
         encounter = run.id.removesuffix(f"/{run.weather}")
         return vary_materials(load_materials(), build_rng(task.seed, "look", encounter))
 
-    def draw_at_roadside(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
+    def draw_at_roadside(
+        run: Run, frame: int
+    ) -> tuple[RenderedPicture, PointCloud | None]:
         assert pose is not None
         if task.wish.vary:
             look = run.id
@@ -160,7 +164,9 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
             return picture, None
         return picture, scan_onto(stills[look], run, frame, lidar, seed=task.seed)
 
-    def draw_from_vut(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
+    def draw_from_vut(
+        run: Run, frame: int
+    ) -> tuple[RenderedPicture, PointCloud | None]:
         at = vut_camera_pose(load_vut_camera(), run, frame)
         picture = draw_picture(
             backdrop,
@@ -186,7 +192,11 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 
 
 def _contents(
-    picture: Picture, cloud: PointCloud | None, task: DrawTask, run: Run, stem: str
+    picture: RenderedPicture,
+    cloud: PointCloud | None,
+    task: DrawTask,
+    run: Run,
+    stem: str,
 ) -> Iterator[tuple[str, Content]]:
     """Contents of the files of a frame, by kind; the picture comes last: where it is, all are."""
     if cloud is not None:
@@ -203,7 +213,9 @@ def _contents(
     yield "picture", _png(picture.rgb)
 
 
-def _with_vehicles(path: Path, picture: Picture, task: DrawTask, run: Run) -> str:
+def _with_vehicles(
+    path: Path, picture: RenderedPicture, task: DrawTask, run: Run
+) -> str:
     """Lines of a label file, and one for each vehicle of which enough is seen."""
     if path.exists():
         lines = read_text(path, "labels").splitlines()
@@ -290,7 +302,7 @@ def check_path(path: Path, sensor: Sensor) -> None:
     check_target(path)
 
 
-def save(path: Path, seen: Picture | PointCloud) -> tuple[Path, ...]:
+def save(path: Path, seen: RenderedPicture | PointCloud) -> tuple[Path, ...]:
     """Write a picture or a point cloud, each file whole or not at all; returns their paths.
 
     A cloud is ".ply", points in the LiDAR's frame with a colour for each thing, or
@@ -329,12 +341,12 @@ def cloud_bytes(cloud: PointCloud) -> bytes:
     return np.column_stack([cloud.points_m, cloud.intensity]).astype("<f4").tobytes()
 
 
-def instance_image(picture: Picture) -> NDArray[np.uint8]:
+def instance_image(picture: RenderedPicture) -> NDArray[np.uint8]:
     """A colour for each thing, (h, w, 3)."""
     return instance_colours(picture.names)[picture.instance]
 
 
-def depth_image(picture: Picture) -> NDArray[np.uint16]:
+def depth_image(picture: RenderedPicture) -> NDArray[np.uint16]:
     """Depths in centimetres, 0 where nothing is hit, (h, w)."""
     centimetres = np.where(np.isfinite(picture.depth_m), picture.depth_m * 100.0, 0.0)
     return np.clip(np.rint(centimetres), 0, _MAX_CM).astype(np.uint16)
@@ -370,7 +382,7 @@ def instance_colours(names: tuple[str, ...]) -> NDArray[np.uint8]:
     return np.rint(255.0 * np.array(colours)).astype(np.uint8)
 
 
-def vru_sentence(seen: Picture | PointCloud) -> str:
+def vru_sentence(seen: RenderedPicture | PointCloud) -> str:
     """A sentence that says if, and where, the VRU is in view."""
     is_vru = seen.instance == seen.names.index("vru")
     if isinstance(seen, PointCloud):

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, refuse
 from geometry.image_boxes import box_height_px, iou
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.sensors import CameraModel
 from geometry.tables import read_table
 from placement.compute import Compute
@@ -43,7 +43,7 @@ from placement.detectors.network import (
 )
 from placement.evaluator import build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_frames
-from placement.evaluator.pictures import PictureSource
+from placement.evaluator.pictures import RenderedPictures
 from placement.evaluator.surroundings import FrameCamera
 from placement.layout import Layout, check_layout
 from placement.question import Question
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from placement.evaluator.pictures import Crops, PictureOfFrame
+    from placement.evaluator.pictures import PictureOfFrame, RenderedCrops
 
 LOOK = "look"
 FIT = "fit"
@@ -265,10 +265,10 @@ def _look(
 ) -> Iterator[LabelledPicture]:
     """Pictures of blocks of consecutive frames, drawn at random, as many by each camera."""
     surroundings = build_surroundings(setting.scene, setting.runs)
-    source = PictureSource(setting.scene, setting.runs, seed=compute.seed)
+    source = RenderedPictures(setting.scene, setting.runs, seed=compute.seed)
     least_px = network.min_box_height_px
     by_crops = network.looks_at_crops
-    views: list[tuple[Evidence, PictureOfFrame, Crops | None]] = []
+    views: list[tuple[Evidence, PictureOfFrame, RenderedCrops | None]] = []
     cameras: list[FrameCamera] = [
         (unit.pose, unit.sensor)
         for unit in layout.units

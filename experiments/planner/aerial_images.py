@@ -8,12 +8,11 @@ import numpy as np
 from pyproj.exceptions import CRSError
 
 from geometry.errors import InputError, refuse
-from geometry.frames import parse_crs
-from geometry.maps.georeferences import transform
+from geometry.frames import parse_crs, transform
 from geometry.opening import reading
 from geometry.phrases import Phrase
 from geometry.scene import Scene
-from placement.imaging import to_jpeg
+from placement.evaluator.picture_sources import to_jpeg
 
 from ..language import mark
 from .background import Background, Lie, LiePoint

@@ -153,7 +153,7 @@ def plan(
     else:
         progress.kept = f"the plan is in {save}"
     from geometry.errors import InputError
-    from geometry.scene_files import load_scene
+    from geometry.scene_sources import load_scene
     from geometry.writing import check_target
     from placement.evaluator import with_sight
     from placement.question import read_cars
@@ -245,7 +245,7 @@ def _last_words(saved: Sequence[str], *, is_closed: bool) -> str:
 
 def _map_file(question: Question) -> "MapFile | None":
     """The map that a question's scene is cut out of, with its options; None: it names a scene."""
-    from geometry.scene_files import has_scene
+    from geometry.scene_sources import has_scene
 
     from .files import MapFile
 

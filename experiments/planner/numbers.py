@@ -18,8 +18,9 @@ from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose, is_ring
 from placement.detectors import DETECTOR_NAMES
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, run_outcomes
-from placement.ground import BANDS, PrivateGround, PrivateSight, find_ground_coverage
+from placement.ground import BANDS, find_ground_coverage
 from placement.layout import Layout
+from placement.private_ground import PrivateGround, PrivateSight
 from placement.question import BLIND, SEE, Question, question_fields, read_cars
 from placement.setting import Setting, check_question
 from scenarios.cases import load_case_sets

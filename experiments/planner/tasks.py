@@ -16,14 +16,15 @@ import numpy as np
 
 from geometry.errors import InputError, check_one_of, refuse
 from geometry.scene import Site
-from geometry.scene_files import has_scene, load_scene, save_scene
+from geometry.scene_files import save_scene
+from geometry.scene_sources import has_scene, load_scene
 from placement.candidates import CandidatePose, build_grid, own_models
 from placement.compute import Compute, Progress
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout, with_sight
+from placement.evaluator.picture_sources import to_jpeg
 from placement.explain.tolerances import find_tolerances
 from placement.explain.unavoided import Look, find_reasons
-from placement.imaging import to_jpeg
 from placement.layout import Layout
 from placement.pipeline import assemble
 from placement.question import Question
@@ -221,13 +222,13 @@ class Tasks:
         LiDAR.
         """
         from placement.evaluator.pictures import find_frame, find_viewpoint, render
-        from placement.imaging import Picture
+        from placement.imaging import RenderedPicture
 
         run = self.setting.runs[self._run_index(run_id)]
         frame = find_frame(run, frame)
         viewpoint = find_viewpoint(layout, unit_id, run, frame)
         seen = render(self.setting.scene, run, frame, viewpoint, compute=self._of_units)
-        if not isinstance(seen, Picture):
+        if not isinstance(seen, RenderedPicture):
             raise InputError(
                 mark("unit"), unit_id, mark("a camera: a LiDAR takes no picture")
             )

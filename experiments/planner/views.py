@@ -6,8 +6,8 @@ from typing import Any
 
 from placement.candidates import CandidatePose
 
-from ..parts.camera_views import live_picture
 from .browsers import Browsers
+from .camera_pictures import live_picture
 from .numbers import key_of
 from .worker import Cancelled
 from .workspace import Key, Shown
@@ -81,7 +81,7 @@ class Views:
         unit_id : str
             The camera.
         **wanted
-            Run, frame and size, as :func:`~experiments.parts.camera_views.live_picture`
+            Run, frame and size, as :func:`.camera_pictures.live_picture`
             takes them.
 
         Returns

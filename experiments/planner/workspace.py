@@ -20,8 +20,8 @@ from placement.candidates import (
     load_candidate_grid,
     own_models,
 )
-from placement.ground import PrivateGround, PrivateSight, load_private_ground
 from placement.live import LiveTable, table_verdict
+from placement.private_ground import PrivateGround, PrivateSight, load_private_ground
 from placement.question import Question
 from placement.setting import Setting
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from geometry.raycast import caster_name
 from geometry.weather import pick_weather
-from placement.detectors import GeometricDetector
+from placement.detectors.geometric import GeometricDetector
 from placement.setting import Setting
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Refusal

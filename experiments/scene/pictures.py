@@ -11,9 +11,9 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patheffects import withStroke
 
 from geometry.arrays import FloatArray
+from geometry.frames import transform
 from geometry.junction import build_junction
 from geometry.lines import points_at
-from geometry.maps.georeferences import transform
 from geometry.maps.importing import Surveyed
 from geometry.maps.source_map import SourceMap
 from geometry.poses import camera_rotation
@@ -21,7 +21,7 @@ from geometry.raycast import build_caster
 from geometry.scene import Scene, road_area
 
 from ..figures.axes import BLUE, WIDTH_IN, finish_axes, literal, new_axes, show_square
-from ..figures.labels import Label, arm_names, draw_labels
+from ..figures.labels import TextLabel, arm_names, draw_labels
 from ..figures.plan import draw_scene
 from . import CAUSES
 
@@ -71,7 +71,7 @@ def plot_scene_plan(scene: Scene) -> Axes:
     show_square(axes, middle, half)
     places = np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
     names = [
-        Label(
+        TextLabel(
             text=site.id,
             point_m=(float(site.position_m[0]), float(site.position_m[1])),
             size=5.5,

@@ -12,8 +12,8 @@ from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted, refuse
+from geometry.frames import transform
 from geometry.junction import build_junction, street_names
-from geometry.maps.georeferences import transform
 from geometry.maps.importing import (
     ImportOptions,
     ReadingOptions,
@@ -24,22 +24,16 @@ from geometry.maps.importing import (
 )
 from geometry.maps.place_lists import SUFFIXES as LISTS
 from geometry.maps.source_map import SourceMap
-from geometry.notes import Note
+from geometry.notes import Finding, Note
 from geometry.opening import MAX_FILE_BYTES, read_bytes
 from geometry.scene import Scene
-from geometry.scene_checks import Finding, check_scene
-from geometry.scene_files import (
-    SCENE_FILE,
-    has_scene,
-    load_scene,
-    load_scene_folder,
-    pack_scene,
-    save_scene,
-)
+from geometry.scene_checks import check_scene
+from geometry.scene_files import load_scene_folder, pack_scene, save_scene
+from geometry.scene_sources import SCENE_FILE, has_scene, load_scene
 from geometry.study_scene import load_study_scene
 from geometry.writing import check_target
 from placement.question import Question, map_options
-from scenarios.ways import find_sharp_bends
+from scenarios.bends import find_sharp_bends
 
 from ..figures.axes import to_png
 from ..language import mark

@@ -25,7 +25,8 @@ from geometry.study_scene import load_study_scene
 from geometry.text_formats import load_data
 from geometry.writing import write_atomically
 from placement.compute import Compute, silent
-from placement.detectors import GeometricDetector, load_planning_detector
+from placement.detectors import load_planning_detector
+from placement.detectors.geometric import GeometricDetector
 from placement.evaluation import Evaluation, apr, detected_share
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout, load_carlancap_layout
@@ -54,7 +55,7 @@ AS_STUDIED = Question(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Variant:
+class StudyVariant:
     """A setting and the study's layout in it.
 
     Attributes
@@ -72,7 +73,7 @@ class Variant:
     layout: Layout
 
 
-def build_variants() -> tuple[Variant, ...]:
+def build_variants() -> tuple[StudyVariant, ...]:
     """As it is first; then walls, parked cars, smallest box and field of view, changed."""
     base = build_setting(AS_STUDIED, load_study_scene())
     open_corner = move_walls(base.scene, -5.0)
@@ -99,7 +100,7 @@ _NARROW = "field of view 90 deg, not 110"
 
 def _with_narrow(
     settings: Mapping[str, Setting], narrow: Mapping[str, Setting]
-) -> tuple[Variant, ...]:
+) -> tuple[StudyVariant, ...]:
     """Variants with the study's cameras; then those in which they all look less wide.
 
     Theirs is the field of view of the study's text, on the VUT, too.
@@ -110,11 +111,11 @@ def _with_narrow(
     less_wide = replace(layout, units=units)
     return (
         *(
-            Variant(name=name, setting=one, layout=layout)
+            StudyVariant(name=name, setting=one, layout=layout)
             for name, one in settings.items()
         ),
         *(
-            Variant(
+            StudyVariant(
                 name=name, setting=replace(one, vut_camera=camera), layout=less_wide
             )
             for name, one in narrow.items()
@@ -172,7 +173,7 @@ FARTHEST = "met 30 m farther out on the exit arm, no buildings"
 SHORTEST = "recordings of the last 0.6 s before the impact"
 
 
-def build_additional_variants() -> tuple[Variant, ...]:
+def build_additional_variants() -> tuple[StudyVariant, ...]:
     """As it is first; some are about some of the cases only."""
     scene = load_study_scene()
     cases = {
@@ -372,7 +373,7 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
     steps = count()
     quiet = replace(compute, progress=silent)
 
-    def evaluate(variant: Variant) -> Evaluation:
+    def evaluate(variant: StudyVariant) -> Evaluation:
         compute.progress(mark("evaluate variants"), next(steps), n_steps)
         return evaluate_layout(variant.layout, variant.setting, compute=quiet)
 

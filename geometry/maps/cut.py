@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 
 from ..arrays import FloatArray
+from ..frames import transform
 from ..junction import (
     ASSUMED,
     CONNECTING,
@@ -32,7 +33,7 @@ from ..scene import (
 )
 from ..sensors import load_limits
 from ..terrain import GROUND, Terrain, houses_of, on_ground
-from .georeferences import LocalFrame, frame_at, transform
+from .georeferences import LocalFrame, frame_at
 from .relief import Relief, find_relief
 from .source_map import (
     MapJunction,
@@ -83,7 +84,7 @@ _Square = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Surroundings:
+class CutSurroundings:
     """Surroundings of a junction in the scene's own frame, without sites.
 
     Attributes
@@ -134,7 +135,7 @@ def cut_out(
     *,
     radius_m: float,
     ground_m: float | None = None,
-) -> Surroundings:
+) -> CutSurroundings:
     """Surroundings of a junction of the first map, with things of the others.
 
     Lanes are followed 70 m beyond `radius_m`. The ground is that of
@@ -155,7 +156,7 @@ def cut_out(
 
     Returns
     -------
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         In a frame around the junction.
 
     Raises
@@ -207,7 +208,7 @@ def cut_out(
     zero_height_m = None
     if relief.terrain is not None:
         zero_height_m = round(relief.zero_m, 3)
-    return Surroundings(
+    return CutSurroundings(
         frame=frame,
         lanes=(*lanes, *through),
         outline_m=outline,
@@ -292,7 +293,7 @@ def _moved(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRo
 
 
 def build_scene(
-    surroundings: Surroundings,
+    surroundings: CutSurroundings,
     *,
     name: str,
     source_crs: str,
@@ -305,7 +306,7 @@ def build_scene(
 
     Parameters
     ----------
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         Surroundings of the junction.
     name : str
         Name of the scene.

@@ -4,23 +4,21 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted, refuse
-from ..frames import parse_crs
+from ..errors import refuse
+from ..frames import WGS84, parse_crs, transform
 from ..notes import Note
 from .source_map import SourceMap
 
 if TYPE_CHECKING:
-    from pyproj import CRS, Transformer
+    from pyproj import CRS
 
 
-WGS84 = "EPSG:4326"
 # Of a degree: a centimetre.
 _DIGITS = 7
 _SPELLINGS: tuple[tuple[str, Callable[[re.Match[str]], str]], ...] = (
@@ -169,54 +167,6 @@ def local_crs(point_m: ArrayLike, crs: str, *, where: str) -> str:
         f"+proj=tmerc +lat_0={lat_deg:.{_DIGITS}f} +lon_0={lon_deg:.{_DIGITS}f} "
         "+k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
     )
-
-
-def transform(points: ArrayLike, from_crs: str, to_crs: str) -> FloatArray:
-    """Points in another reference system: east or longitude first.
-
-    Parameters
-    ----------
-    points : (..., 2) float
-        In the coordinates of `from_crs`.
-    from_crs : str
-        Reference system of the points.
-    to_crs : str
-        The one to bring them into.
-
-    Returns
-    -------
-    points : (..., 2) float
-        Infinite where a point cannot be projected.
-
-    Raises
-    ------
-    InputError
-        Pyproj knows no way between the two.
-    """
-    array = np.asarray(points, dtype=np.float64)
-    x, y = _transformer(from_crs, to_crs).transform(array[..., 0], array[..., 1])
-    return np.stack([x, y], axis=-1)
-
-
-@lru_cache(maxsize=16)  # to make one takes longer than to transform most maps
-def _transformer(from_crs: str, to_crs: str) -> "Transformer":
-    """Transformer between two reference systems, made once."""
-    from pyproj import Transformer
-    from pyproj.exceptions import ProjError
-
-    try:
-        return Transformer.from_crs(
-            parse_crs(from_crs),
-            parse_crs(to_crs),
-            always_xy=True,
-        )
-    except ProjError:
-        where = f"coordinates from {from_crs[:80]} to {to_crs[:80]}"
-        raise InputError(
-            where,
-            Unquoted("no way"),
-            "reference systems that pyproj knows",
-        ) from None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -20,11 +20,12 @@ from shapely.geometry.base import BaseGeometry
 
 from ..archives import unpacked
 from ..errors import InputError, Unquoted, check_one_of, refuse
+from ..frames import WGS84
 from ..notes import Note
 from ..opening import check_file, open_file, read_text, reading
 from ..scene import CLASS_NAMES, join
 from ..text_formats import load_data, parse_object
-from .georeferences import WGS84, Georeference, georeference
+from .georeferences import Georeference, georeference
 from .source_map import (
     UNITS_M,
     SourceMap,

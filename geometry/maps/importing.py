@@ -11,7 +11,6 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +19,13 @@ import shapely
 from ..archives import unpacked
 from ..arrays import FloatArray
 from ..errors import InputError, check_one_of, refuse
+from ..frames import WGS84, transform
 from ..junction import build_junction
 from ..notes import Note
 from ..opening import check_file, open_file, read_text
 from ..phrases import Phrase
 from ..progress import Progress, silent
+from ..registry import load_entry
 from ..scene import (
     Instance,
     Lane,
@@ -35,12 +36,13 @@ from ..scene import (
     join_bodies,
 )
 from ..scene_checks import arms_that_end
+from ..scene_sources import CLOUDS, FOOTPRINTS, MAP_SUFFIXES, MESHES, STREETS
 from ..sensors import load_limits
 from ..terrain import GROUND
 from ..text_formats import load_data, parse_json
 from ..xml_files import local_name, read_xml_root
 from .cut import LANES_BEYOND_M, build_scene, cut_out
-from .georeferences import WGS84, transform, why_no_plane
+from .georeferences import why_no_plane
 from .place_lists import SUFFIXES as LISTS
 from .relief import read_elevation
 from .sites import choose_sites, settle_poles
@@ -53,34 +55,29 @@ _BESIDE_M = 15.0
 SORTS = ("arms", "lanes", "signals", "crossings", "name")
 _LAT_LON = re.compile(r"\s*([-+]?\d{1,2}(?:\.\d+)?)\s*,\s*([-+]?\d{1,3}(?:\.\d+)?)\s*")
 _BETWEEN = re.compile(r"\s*[/&+;]\s*|\s+(?:and|und|at|x|@)\s+", re.IGNORECASE)
-_MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
-_CLOUDS = (".las", ".laz", ".pcd")
-_FOOTPRINTS = (".geojson", ".gpkg", ".shp")
-_STREETS = (".osm", ".pbf", ".osm.gz", ".osm.bz2")
-SUFFIXES = (
-    *(".xodr", *_STREETS, *_FOOTPRINTS, ".json", ".jsonl", ".gml", ".citygml", ".xml"),
-    *(*_MESHES, *_CLOUDS, ".zip"),
-)
-# By the ending of a file: module, function, and options that it asks for.
-_READERS = {
-    ".xodr": ("opendrive", "read_opendrive", ()),
-    "lanelets": ("lanelets", "read_lanelet2", ("keeps_left",)),
-    "commonroad": ("lanelets", "read_commonroad", ("keeps_left",)),
-    **dict.fromkeys(
-        _STREETS,
-        (
-            "openstreetmap",
-            "read_openstreetmap",
-            ("keeps_left", "staggered_m", "progress"),
-        ),
-    ),
-    **dict.fromkeys(
-        _FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))
-    ),
-    ".city.json": ("city_models", "read_cityjson", ()),
-    ".citygml": ("city_models", "read_citygml", ()),
-    **dict.fromkeys(_MESHES, ("mesh_files", "read_mesh", ("unit", "up", "class_name"))),
-    **dict.fromkeys(_CLOUDS, ("point_clouds", "read_point_cloud", ("class_name",))),
+# Readers of maps by the ending of a file, and the options that each asks for.
+READERS = {
+    ".xodr": "geometry.maps.opendrive:read_opendrive",
+    "lanelets": "geometry.maps.lanelets:read_lanelet2",
+    "commonroad": "geometry.maps.lanelets:read_commonroad",
+    **dict.fromkeys(STREETS, "geometry.maps.openstreetmap:read_openstreetmap"),
+    **dict.fromkeys(FOOTPRINTS, "geometry.maps.gis_files:read_footprints"),
+    ".city.json": "geometry.maps.city_models:read_cityjson",
+    ".citygml": "geometry.maps.city_models:read_citygml",
+    **dict.fromkeys(MESHES, "geometry.maps.mesh_files:read_mesh"),
+    **dict.fromkeys(CLOUDS, "geometry.maps.point_clouds:read_point_cloud"),
+}
+"""Registry of the readers of maps, by the ending of a file or the kind of its content.
+
+Each takes a path and the options of ``_ASKED``, and returns a :class:`SourceMap`.
+"""
+_ASKED = {
+    "lanelets": ("keeps_left",),
+    "commonroad": ("keeps_left",),
+    **dict.fromkeys(STREETS, ("keeps_left", "staggered_m", "progress")),
+    **dict.fromkeys(FOOTPRINTS, ("class_name", "layer")),
+    **dict.fromkeys(MESHES, ("unit", "up", "class_name")),
+    **dict.fromkeys(CLOUDS, ("class_name",)),
 }
 _ROOTS = {
     "OpenDRIVE": ".xodr",
@@ -528,7 +525,9 @@ def read_map(
         refuse(str(path), got, "a map file")
     check_file(path)
     is_packed = path.suffix.lower() == ".zip"
-    with unpacked(path, SUFFIXES[:-1]) if is_packed else nullcontext(path) as inside:
+    with (
+        unpacked(path, MAP_SUFFIXES[:-1]) if is_packed else nullcontext(path) as inside
+    ):
         source = _read(inside, options, progress)
     if options.offset_m is not None and not source.lanes:
         offset_m = np.array([*options.offset_m, 0.0])
@@ -557,7 +556,7 @@ def _read(path: Path, options: ReadingOptions, progress: Progress) -> SourceMap:
     """Read a file; heavy modules are imported only when they are needed."""
     # The ending tells the format, or else the content.
     name = path.name.lower()
-    kind = next((suffix for suffix in SUFFIXES if name.endswith(suffix)), "")
+    kind = next((suffix for suffix in MAP_SUFFIXES if name.endswith(suffix)), "")
     if kind == ".jsonl" or (kind == ".json" and _is_city_json(path)):
         kind = ".city.json"
     elif kind == ".json":
@@ -570,14 +569,11 @@ def _read(path: Path, options: ReadingOptions, progress: Progress) -> SourceMap:
         kind = _ROOTS[root]
     if kind == ".osm" and _has_lanelets(path):
         kind = "lanelets"
-    if kind not in _READERS:
-        refuse(str(path), "another kind of file", ", ".join(SUFFIXES))
+    if kind not in READERS:
+        refuse(str(path), "another kind of file", ", ".join(MAP_SUFFIXES))
     # Hand over only the options that the reader takes.
-    module, function, fields = _READERS[kind]
-    read: Callable[..., SourceMap] = getattr(
-        import_module(f"{__package__}.{module}"), function
-    )
-    given = {name: getattr(options, name, progress) for name in fields}
+    read: Callable[..., SourceMap] = load_entry(READERS[kind])
+    given = {name: getattr(options, name, progress) for name in _ASKED.get(kind, ())}
     return read(path, **given)
 
 
@@ -761,6 +757,38 @@ def import_scene(
         notes = (Note(what, why, kind="junction"), *imported.scene.notes)
         imported = replace(imported, scene=replace(imported.scene, notes=notes))
     return replace(imported, junctions=junctions)
+
+
+def load_map_scene(
+    path: Path,
+    *,
+    junction: str,
+    at: tuple[float, float] | None,
+    sites: str,
+    keeps_left: bool | None,
+) -> Scene:
+    """Scene of one junction of a map, as a :class:`geometry.scene_sources.SceneReader`.
+
+    Parameters
+    ----------
+    path : Path
+        The map.
+    junction, at, sites, keeps_left
+        As :func:`geometry.scene_sources.load_scene` takes them.
+
+    Returns
+    -------
+    scene : Scene
+        The junction with its surroundings.
+
+    Raises
+    ------
+    InputError
+        As :func:`import_scene`.
+    """
+    reading = ReadingOptions(keeps_left=keeps_left)
+    options = ImportOptions(junction=junction, at=at, sites=sites, reading=reading)
+    return import_scene([path], options).scene
 
 
 def cut_scene(

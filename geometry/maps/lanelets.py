@@ -17,12 +17,13 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, Unquoted
+from ..frames import WGS84, transform
 from ..lines import along_m, apart, length_m, points_at
 from ..notes import Note
 from ..phrases import Phrase
 from ..text_formats import float_of, load_data
 from ..xml_files import local_name, read_xml
-from .georeferences import WGS84, local_crs, transform
+from .georeferences import local_crs
 from .opendrive.junctions import (
     fit_outline,
     lanes_by_junction,

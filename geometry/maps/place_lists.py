@@ -14,10 +14,10 @@ from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
 from ..errors import InputError, check_name, refuse
-from ..frames import parse_crs
+from ..frames import WGS84, parse_crs, transform
 from ..opening import read_text
 from ..text_formats import csv_rows, float_of, load_data
-from .georeferences import WGS84, horizontal_crs, transform
+from .georeferences import horizontal_crs
 from .gis_files import Feature, Features, read_features
 
 if TYPE_CHECKING:

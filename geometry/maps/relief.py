@@ -10,10 +10,11 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
 from ..errors import InputError, MissingExtraError, refuse
+from ..frames import transform
 from ..notes import Note
 from ..opening import open_file, reading
-from ..terrain import Terrain, fit_terrain
-from .georeferences import LocalFrame, transform
+from ..terrain import GRID_DECIMALS, Terrain
+from .georeferences import LocalFrame
 from .source_map import MapJunction, SourceMap, Thing
 
 # Of the grid.
@@ -434,3 +435,59 @@ def _span(values: FloatArray, size: int) -> tuple[int, int]:
     first = int(np.floor(values.min())) - 1
     end = int(np.ceil(values.max())) + 1
     return max(first, 0), min(end, size)
+
+
+# ---------- terrain from points of the ground
+# Along each side.
+_MAX_CELLS = 150
+
+
+def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrain:
+    """Terrain of a square around the origin from points (n, 3) of the ground.
+
+    Linear between the points, by their Delaunay triangulation; beyond them as high as
+    the nearest place between them. Lines are `step_m` apart, or farther where there
+    would be too many. In metres.
+    """
+    from scipy.interpolate import NearestNDInterpolator
+    from scipy.ndimage import distance_transform_edt
+
+    n_cells = min(int(np.ceil(2.0 * half_m / step_m)), _MAX_CELLS)
+    line = np.linspace(-half_m, half_m, n_cells + 1).round(GRID_DECIMALS)
+    nodes = np.stack(np.meshgrid(line, line), axis=-1)
+    # One point per cell of a grid twice as fine: the mean of those in it.
+    # Averages keep the triangulation small and even.
+    cell = np.floor(points_m[:, :2] / (0.5 * step_m)).astype(np.int64)
+    _, member, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    sums = [np.bincount(member.ravel(), column) for column in points_m.T]
+    thin: FloatArray = np.stack(sums, axis=1) / count[:, None]
+    height = _between(thin, nodes)
+    # Points on a line, or a few: the ground next to them is as high.
+    if np.isnan(height).all():
+        ways = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
+        aside = 0.5 * (line[1] - line[0]) * ways
+        height = _between((thin[:, None] + 1.5 * aside).reshape(-1, 3), nodes)
+    # And none of them in the square.
+    if np.isnan(height).all():
+        height = NearestNDInterpolator(thin[:, :2], thin[:, 2])(nodes)
+    _, nearest = distance_transform_edt(np.isnan(height), return_indices=True)
+    filled = height[tuple(nearest)]
+    return Terrain(east_m=line, north_m=line, height_m=filled.round(GRID_DECIMALS))
+
+
+def _between(points_m: FloatArray, nodes_m: FloatArray) -> FloatArray:
+    """Heights at nodes (..., 2) between points (n, 3); NaN beyond them."""
+    from scipy.interpolate import LinearNDInterpolator
+    from scipy.spatial import QhullError
+    from threadpoolctl import threadpool_limits
+
+    try:
+        with threadpool_limits(1):
+            # Of thousands of 2 x 2 systems: other BLAS threads only spin.
+            height: FloatArray = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])(
+                nodes_m
+            )
+    except (QhullError, ValueError):
+        # Fewer than three points, or all on a line.
+        return np.full(nodes_m.shape[:-1], np.nan)
+    return height

@@ -24,7 +24,7 @@ from ..phrases import Phrase
 from ..scene import HANGING_KINDS, Lane, Site, area_of, covered_area, flat_union
 from ..terrain import HEADROOM_M, headroom_m
 from ..text_formats import float_of, load_data
-from .cut import Surroundings
+from .cut import CutSurroundings
 from .place_lists import SUFFIXES, SiteWish, read_sites
 from .source_map import (
     MIN_POLE_M,
@@ -340,7 +340,7 @@ def _is_list(where: str) -> bool:
 
 def choose_sites(
     where: str,
-    surroundings: Surroundings,
+    surroundings: CutSurroundings,
     roads: SourceMap,
     *,
     radius_m: float,
@@ -355,7 +355,7 @@ def choose_sites(
         but for low sign posts and what belongs to another junction, and masts
         along the kerbs where none of them is near the middle, see
         ``data/sites.toml``.
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         Surroundings of the junction.
     roads : SourceMap
         Map with the roads.
@@ -402,7 +402,7 @@ def choose_sites(
 
 def _settled(
     wishes: Sequence[SiteWish],
-    surroundings: Surroundings,
+    surroundings: CutSurroundings,
     notes: list[Note],
 ) -> list[SiteWish]:
     """Sites next to the road and out of walls; hanging ones stay.
@@ -413,7 +413,7 @@ def _settled(
     ----------
     wishes : sequence of SiteWish
         Sites as they were asked for.
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         Surroundings of the junction.
     notes : list of Note
         Notes on what was changed or left out; entries are added.
@@ -439,7 +439,7 @@ def _settled(
 
 def _own_poles(
     wishes: Sequence[SiteWish],
-    surroundings: Surroundings,
+    surroundings: CutSurroundings,
     notes: list[Note],
 ) -> list[SiteWish]:
     """Poles that are sites by default.
@@ -450,7 +450,7 @@ def _own_poles(
     ----------
     wishes : sequence of SiteWish
         Poles of the map.
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         Surroundings of the junction.
     notes : list of Note
         Notes on what was changed or left out; entries are added.
@@ -500,7 +500,7 @@ def _own_poles(
 
 def _masts(
     poles: Sequence[SiteWish],
-    surroundings: Surroundings,
+    surroundings: CutSurroundings,
     radius_m: float,
     notes: list[Note],
 ) -> list[SiteWish]:
@@ -510,7 +510,7 @@ def _masts(
     ----------
     poles : sequence of SiteWish
         Poles of the map.
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         Surroundings of the junction.
     radius_m : float
         Radius around the middle of the junction. [m]
@@ -538,7 +538,7 @@ def _masts(
 
 def _below_roofs(
     wishes: Sequence[SiteWish],
-    surroundings: Surroundings,
+    surroundings: CutSurroundings,
     notes: list[Note],
 ) -> list[SiteWish]:
     """Sites that carry sensors no higher than roofs above let them.
@@ -547,7 +547,7 @@ def _below_roofs(
     ----------
     wishes : sequence of SiteWish
         Sites.
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         Surroundings of the junction.
     notes : list of Note
         Notes on what was changed or left out; entries are added.
@@ -578,7 +578,7 @@ def _below_roofs(
     return kept
 
 
-def _poles(surroundings: Surroundings, notes: list[Note]) -> list[SiteWish]:
+def _poles(surroundings: CutSurroundings, notes: list[Note]) -> list[SiteWish]:
     """Poles of the map as sites; those that are too low are noted."""
     wishes = []
     for pole in surroundings.poles:
@@ -593,7 +593,7 @@ def _poles(surroundings: Surroundings, notes: list[Note]) -> list[SiteWish]:
 
 
 def _kerbs(
-    surroundings: Surroundings,
+    surroundings: CutSurroundings,
     spacing_m: float,
     radius_m: float,
 ) -> list[SiteWish]:
@@ -615,7 +615,7 @@ def _kerbs(
 
 def _listed(
     path: Path,
-    surroundings: Surroundings,
+    surroundings: CutSurroundings,
     roads: SourceMap,
     radius_m: float,
     notes: list[Note],
@@ -706,14 +706,14 @@ class Place(NamedTuple):
     why: str = ""
 
 
-def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Place]:
+def find_places(positions_m: ArrayLike, surroundings: CutSurroundings) -> list[Place]:
     """Nearest places beside the road and outside walls.
 
     Parameters
     ----------
     positions_m : (n, 2) float
         Where things would stand, in the scene's frame. [m]
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         Lanes, outline and things around the junction.
 
     Returns
@@ -793,7 +793,7 @@ def _without_gaps(area: Any) -> Any:
     return shapely.union_all(filled)
 
 
-def standing_things(surroundings: Surroundings) -> list[Thing]:
+def standing_things(surroundings: CutSurroundings) -> list[Thing]:
     """Things that stand on the ground; one can pass below the others."""
     return [
         thing
@@ -802,14 +802,16 @@ def standing_things(surroundings: Surroundings) -> list[Thing]:
     ]
 
 
-def clear_heights_m(positions_m: FloatArray, surroundings: Surroundings) -> FloatArray:
+def clear_heights_m(
+    positions_m: FloatArray, surroundings: CutSurroundings
+) -> FloatArray:
     """Height above the ground at which buildings begin over points, (n,).
 
     Parameters
     ----------
     positions_m : (n, 2) float
         Points. [m]
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         Surroundings of the junction.
 
     Returns
@@ -830,7 +832,7 @@ def clear_heights_m(positions_m: FloatArray, surroundings: Surroundings) -> Floa
     return clear
 
 
-def _headroom_m(thing: Thing, surroundings: Surroundings) -> float:
+def _headroom_m(thing: Thing, surroundings: CutSurroundings) -> float:
     """Height below a thing that is free, in metres; 0: it has no vertices."""
     if len(thing.vertices_m):
         return headroom_m(thing.vertices_m, surroundings.terrain)
@@ -860,17 +862,19 @@ def _box(thing: Thing) -> tuple[FloatArray, FloatArray]:
     return thing.vertices_m[:, :2].min(axis=0), thing.vertices_m[:, :2].max(axis=0)
 
 
-def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, ...]]:
+def settle_poles(
+    surroundings: CutSurroundings,
+) -> tuple[CutSurroundings, tuple[Note, ...]]:
     """Put the poles of a map where poles can stand.
 
     Parameters
     ----------
-    surroundings : Surroundings
+    surroundings : CutSurroundings
         Poles may lie where their signals hang.
 
     Returns
     -------
-    settled : Surroundings
+    settled : CutSurroundings
         A signal or sign over the road is left to the pole that the map has within 12 m;
         other poles on the road or inside walls are moved to the nearest place, see
         :func:`find_places`, or left out if there is none.

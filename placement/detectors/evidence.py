@@ -1,6 +1,6 @@
 """Image evidence and detections, detectors' interface, matching of boxes."""
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, NamedTuple, Protocol
@@ -12,7 +12,7 @@ from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.image_boxes import iou
 from geometry.phrases import Phrase
-from geometry.tables import take_number
+from geometry.tables import read_table, take, take_number
 from geometry.text_formats import load_data
 
 VRU_CLASSES = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
@@ -191,11 +191,14 @@ class Detections:
     confidence: FloatArray
 
 
+_FILE = "detectors.toml"
+
+
 @cache
 def load_min_iou() -> float:
     """Overlap (IoU) that a box must exceed to count, from ``data/detectors.toml``."""
-    table = load_data(__package__, "detectors.toml")
-    return take_number(table["box_rule"], "min_iou", "detectors.toml: box_rule")
+    table = detector_defaults()
+    return take_number(table["box_rule"], "min_iou", f"{_FILE}: box_rule")
 
 
 def is_matched(
@@ -367,12 +370,34 @@ class Detector(Protocol):
     def needs_pictures(self) -> bool:
         """True if it looks at images."""
 
+    @property
+    def plans_with(self) -> str:
+        """Name of the detector by which poses are chosen; empty: itself."""
+
+    @property
+    def seconds_per_picture(self) -> str:
+        """How long it looks at a picture, in words; empty: it needs none."""
+
+    @property
+    def figures_words(self) -> Phrase:
+        """How many of its figures are measured; empty where it has none."""
+
+    def check_classes(self, classes: Iterable[str]) -> None:
+        """Raise InputError where it does not know a class of ``VRU_CLASSES``."""
+
+    def assumed_words(self, classes: Collection[str]) -> Phrase:
+        """That nothing is measured of some of `classes`; empty where it is of all."""
+
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """Find VRUs; what is left to chance is drawn from `rng`."""
 
 
 class PlanningDetector(Detector, Protocol):
     """A detector whose success can be predicted without an image."""
+
+    @property
+    def is_drawn(self) -> bool:
+        """True if it finds people with a probability, not by a rule."""
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
         """Mask of rows in which a plan may count on a detection, (n,)."""
@@ -393,3 +418,19 @@ class PlanningDetector(Detector, Protocol):
 
     def fingerprint(self) -> tuple[Any, ...]:
         """Values that `is_expected` depends on."""
+
+
+# ---------- numbers of the defaults
+@cache
+def detector_defaults() -> dict[str, Any]:
+    """Document ``data/detectors.toml``."""
+    return load_data(__package__, _FILE)
+
+
+def limits_of(section: str) -> dict[str, Any]:
+    """Numbers of a section, by the detector's fields."""
+    return read_table(
+        take(detector_defaults(), section, _FILE),
+        dict[str, float],
+        f"{_FILE}: {section}",
+    )

@@ -17,8 +17,8 @@ from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
 from geometry.errors import InputError, refuse
 from geometry.image_boxes import box_height_px, iou
 
-from .built_in import ResponseDetector, built_in_response
 from .evidence import VRU_CLASSES, Evidence, Interval, load_min_iou
+from .response import ResponseDetector, built_in_response
 
 # ---------- sightings and false alarms
 # Boxes of consecutive frames that overlap by more are of one thing.

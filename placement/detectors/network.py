@@ -7,9 +7,10 @@ how all are read.
 
 import ast
 import math
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,10 @@ from .evidence import (
     Evidence,
     Image,
     LidarTable,
+    limits_of,
     load_min_iou,
 )
+from .response import load_table
 
 # ---------- outputs of exported detectors, recognised by their names, shapes and types
 Array = NDArray[Any]
@@ -805,6 +808,22 @@ class NetworkDetector:
     needs_pictures = True
 
     @property
+    def seconds_per_picture(self) -> str:
+        """How long it looks at a picture, in words."""
+        if self.looks_at_crops:
+            return "a tenth of a second"
+        return "a second"
+
+    @property
+    def figures_words(self) -> Phrase:
+        """Empty: it has no table of figures."""
+        return _NO_WORDS
+
+    def assumed_words(self, classes: Collection[str]) -> Phrase:
+        """Empty: it has no table of figures."""
+        return _NO_WORDS
+
+    @property
     def description(self) -> Phrase:
         """When it detects."""
         values = {
@@ -942,3 +961,31 @@ class NetworkDetector:
             found = self.look_at(crop)
             for row in same[first]:
                 yield row, found
+
+
+# ---------- by name or file
+_NETWORK_FILE = "vru.onnx"
+
+
+@cache
+def load_shipped_network(name: str) -> NetworkDetector:
+    """Network that is shipped, for crops. MissingExtraError: without onnxruntime."""
+    table = load_table("cnn-table")
+    with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
+        return NetworkDetector(
+            name=name,
+            model=load_onnx_model(path),
+            looks_at_crops=True,
+            plans_with=table.name,
+            alarm_words=table.alarm_words,
+            **limits_of("cnn"),
+        )
+
+
+def load_network_file(path: Path) -> NetworkDetector:
+    """Network of a user's file.
+
+    Raises InputError if the file is no detector, MissingExtraError without onnxruntime.
+    """
+    model = load_onnx_model(path)
+    return NetworkDetector(name=path.name, model=model, **limits_of("onnx"))

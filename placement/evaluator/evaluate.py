@@ -6,7 +6,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, as_completed, wait
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from ..evaluation import Evaluation, Verdict, earliest_arrival_s
 from ..fingerprints import Fingerprints
 from ..layout import Layout
 from ..setting import Radio, Setting
+from .picture_sources import PictureSource, build_picture_source
 from .surroundings import (
     FrameCamera,
     build_surroundings,
@@ -39,9 +40,6 @@ from .surroundings import (
     load_vut_camera,
     load_vut_lidar,
 )
-
-if TYPE_CHECKING:
-    from .pictures import PictureSource
 
 # ---------- frames in which the VRU is detected, by every unit and by the VUT itself
 UnitKey = tuple[object, ...]
@@ -327,9 +325,9 @@ class _Watcher:
         heights = [box_height_px(evidence.visible_px) for evidence in looks.values()]
         least_px = max(detector.min_box_height_px, np.finfo(float).tiny)
         n_pictures = sum(int((height >= least_px).sum()) for height in heights)
-        from .pictures import PictureSource
-
-        source = PictureSource(self._setting.scene, self._setting.runs, seed=self._seed)
+        source = build_picture_source(
+            self._setting.scene, self._setting.runs, seed=self._seed
+        )
         # The VUT's pictures take longest, for nothing stands still in them: they are
         # drawn first.
         longest_first = sorted(looks.items(), key=lambda item: item[0] != VUT_KEY)
@@ -358,7 +356,7 @@ class _Watcher:
         return is_matched(found, evidence.visible_px, min_iou=load_min_iou())
 
     def _with_pictures(
-        self, evidence: Evidence, source: "PictureSource", unit: CandidatePose | None
+        self, evidence: Evidence, source: PictureSource, unit: CandidatePose | None
     ) -> Evidence:
         """Evidence with pictures for the detector, whole ones and crops."""
         camera: FrameCamera = self._mount
@@ -481,7 +479,7 @@ class Judge:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Seen:
+class PartyDetections:
     """Detections of each party of a layout.
 
     Attributes
@@ -503,7 +501,7 @@ class Seen:
 
 
 def judge_layouts(
-    judge: Judge, seen: Sequence[Seen], *, cars: float = 0.0
+    judge: Judge, seen: Sequence[PartyDetections], *, cars: float = 0.0
 ) -> list[Evaluation]:
     """Evaluations of layouts by what their units and the VUT detect.
 
@@ -511,7 +509,7 @@ def judge_layouts(
     ----------
     judge : Judge
         Gives the verdicts.
-    seen : sequence of Seen
+    seen : sequence of PartyDetections
         Detections of each layout.
     cars : float
         Share of VUTs that see for themselves.
@@ -722,7 +720,7 @@ def evaluate_layouts(
     return judge_layouts(
         judge,
         [
-            Seen(
+            PartyDetections(
                 layout=layout,
                 units=_arriving(layout, setting, detected, compute.seed),
                 vut=(detected[VUT_KEY], setting.rule.latency_s),
@@ -812,7 +810,7 @@ def _has_same_frames(one: Run, other: Run) -> bool:
 
 def _seen_in_frames(
     parts: Sequence[Evaluation], frames: IntArray, rule: AebRule
-) -> Seen:
+) -> PartyDetections:
     """Detections of a layout's parties in `frames`, rows of all parts end to end."""
 
     def detected(verdict_of: Callable[[Evaluation], Verdict]) -> BoolArray:
@@ -829,7 +827,7 @@ def _seen_in_frames(
             detected(lambda part, name=unit.id: part.units[name]),
             unit.latency(rule),
         )
-    return Seen(
+    return PartyDetections(
         layout=layout,
         units=units,
         vut=(detected(lambda part: part.vut), rule.latency_s),

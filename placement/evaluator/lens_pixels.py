@@ -11,8 +11,8 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.sensors import SEEN_RAD, CameraModel, is_shown, pixel_grid, shown_points
 
-from .pixels import Placed, Seen, Sights
-from .surroundings import Solid
+from .pixels import Image, Placed, SeenBoxes, Sights
+from .surroundings import Solid, Surroundings
 
 _MIN_DEPTH_M = 1.0e-6
 # What the VRU stands on does not occlude it. More than rays are rounded.
@@ -52,6 +52,22 @@ class _Rays(NamedTuple):
         )
 
 
+def draw_in_lens(
+    _image: Image,
+    camera: CameraModel,
+    min_height_px: float,
+    vru: Solid,
+    static: Solid,
+    surroundings: Surroundings,
+    sights: Sights,
+    seen: SeenBoxes,
+) -> None:
+    """Draw through a lens that distorts, as a :class:`.perceive.BodyDrawer`."""
+    see_through_lens(
+        camera, min_height_px, vru, static, surroundings.vehicles, sights, seen
+    )
+
+
 def see_through_lens(
     camera: CameraModel,
     min_height_px: float,
@@ -59,7 +75,7 @@ def see_through_lens(
     static: Solid,
     vehicles: tuple[Solid, ...],
     sights: Sights,
-    seen: Seen,
+    seen: SeenBoxes,
 ) -> None:
     """Fill boxes and shares of a VRU's body, seen through a lens that distorts.
 
@@ -79,7 +95,7 @@ def see_through_lens(
         Kinds of vehicles that move.
     sights : Sights
         Where everything is.
-    seen : Seen
+    seen : SeenBoxes
         Blank; written.
     """
     vertices = vru.meshes[0].vertices_m

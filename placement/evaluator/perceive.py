@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain, pairwise
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -22,11 +22,12 @@ from geometry.lidar import (
     return_probability,
 )
 from geometry.poses import Pose, body_rotation, camera_rotation
+from geometry.registry import load_entry
+from geometry.sensors import CameraModel
 from geometry.weather import Weather
 
 from ..detectors import VRU_CLASSES, Evidence, aspects_deg
-from .lens_pixels import see_through_lens
-from .pixels import Image, Placed, Sights, blank_sights, see
+from .pixels import Image, Placed, SeenBoxes, Sights, blank_sights, see
 from .surroundings import (
     FrameCamera,
     Solid,
@@ -162,6 +163,62 @@ def _distances_m(pose: Pose, vru_poses: FloatArray, hull_m: FloatArray) -> Float
 
 
 # ---------- cameras
+PROJECTIONS = {
+    "pinhole": "placement.evaluator.perceive:draw_in_pinhole",
+    "lens": "placement.evaluator.lens_pixels:draw_in_lens",
+}
+"""Registry of what draws bodies into pictures, by how cameras project.
+
+Each entry is a :class:`BodyDrawer`.
+"""
+
+
+class BodyDrawer(Protocol):
+    """What draws one VRU's body in one static world, and finds its boxes."""
+
+    def __call__(
+        self,
+        image: Image,
+        camera: CameraModel,
+        min_height_px: float,
+        vru: Solid,
+        static: Solid,
+        surroundings: Surroundings,
+        sights: Sights,
+        seen: SeenBoxes,
+    ) -> None:
+        """Fill `seen`: boxes and shares of the body in all sights.
+
+        Where the VRU's part of the image is lower than `min_height_px`, boxes stay
+        zeros.
+        """
+
+
+def draw_in_pinhole(
+    image: Image,
+    _camera: CameraModel,
+    min_height_px: float,
+    vru: Solid,
+    static: Solid,
+    surroundings: Surroundings,
+    sights: Sights,
+    seen: SeenBoxes,
+) -> None:
+    """Draw without distortion, as a :class:`BodyDrawer`."""
+    standing, parked = static.meshes
+    see(
+        image,
+        min_height_px,
+        vru.meshes[0].skin,
+        vru.hull_m,
+        standing.tree,
+        parked.tree,
+        surroundings.vehicle_trees,
+        sights,
+        seen,
+    )
+
+
 def perceive_frames(
     surroundings: Surroundings, by: FrameCamera, *, min_height_px: float = 0.0
 ) -> Evidence:
@@ -209,6 +266,10 @@ def perceive_frames(
         near_m=camera.near_m,
         up_m=float(pose.position_m[2]),
     )
+    if camera.is_pinhole:
+        draw: BodyDrawer = load_entry(PROJECTIONS["pinhole"])
+    else:
+        draw = load_entry(PROJECTIONS["lens"])
     # Draw all sights with the same bodies at once.
     distance_m = np.empty(n_frames)
     for sights, static_index, vru_index in _same_bodies(surroundings, station):
@@ -224,29 +285,16 @@ def perceive_frames(
             vehicle_kind=vehicle_kind[driving],
             vehicle_start=vehicle_start[frames.start : frames.stop + 1] - driving.start,
         )
-        if camera.is_pinhole:
-            standing, parked = static_solid.meshes
-            see(
-                image,
-                min_height_px,
-                body.meshes[0].skin,
-                body.hull_m,
-                standing.tree,
-                parked.tree,
-                surroundings.vehicle_trees,
-                placed,
-                seen.take(sights, frames),
-            )
-        else:
-            see_through_lens(
-                camera,
-                min_height_px,
-                body,
-                static_solid,
-                surroundings.vehicles,
-                placed,
-                seen.take(sights, frames),
-            )
+        draw(
+            image,
+            camera,
+            min_height_px,
+            body,
+            static_solid,
+            surroundings,
+            placed,
+            seen.take(sights, frames),
+        )
         of_kind = order[frames]
         distance_m[of_kind] = _distances_m(
             pose, station.vru_poses[of_kind], body.hull_m

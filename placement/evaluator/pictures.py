@@ -1,6 +1,6 @@
 """Pictures for networks, whole ones and crops, and of one frame of a run."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
 from threading import Lock
@@ -30,9 +30,10 @@ from ..imaging.mesh import (
     scan_mesh,
     vut_pose,
 )
-from ..imaging.picture import Picture, Window
+from ..imaging.picture import RenderedPicture, Window
 from ..imaging.stills import draw_crop, meter, window_around
 from ..layout import Layout
+from .picture_sources import PictureOfFrame
 from .surroundings import (
     FrameCamera,
     VutCamera,
@@ -42,7 +43,6 @@ from .surroundings import (
     vut_pitch_deg,
 )
 
-PictureOfFrame = Callable[[int], Image]
 _CROP_SIDES_PX = (64, 96, 128, 160)
 # share of a crop that a road user may take up; for larger ones the scale is less
 _ROOM = 0.625
@@ -50,7 +50,7 @@ _ROOM = 0.625
 _HALO_PX = 4.0
 
 
-class PictureSource:
+class RenderedPictures:
     """Draws a frame when it is asked for.
 
     What stands still is prepared once per obstruction.
@@ -63,6 +63,8 @@ class PictureSource:
         Their frames, end to end, are asked for by number.
     seed : int
         Of sensor noise and drops.
+    workers : int
+        Threads of each picture: one where several are drawn side by side.
 
     Attributes
     ----------
@@ -70,11 +72,12 @@ class PictureSource:
         Pictures so far, and crops, those included that look like an earlier one.
     """
 
-    def __init__(self, scene: Scene, runs: Sequence[Run], *, seed: int) -> None:
+    def __init__(
+        self, scene: Scene, runs: Sequence[Run], *, seed: int, workers: int = 1
+    ) -> None:
         self._scene = scene
         self._runs = runs
-        # One worker each, since several frames are drawn side by side.
-        self._compute = Compute(seed=seed, workers=1)
+        self._compute = Compute(seed=seed, workers=workers)
         self._start = np.concatenate(
             [[0], np.cumsum([len(run.time_s) for run in runs])]
         )
@@ -99,9 +102,9 @@ class PictureSource:
 
         return picture
 
-    def crops(self, camera: FrameCamera, boxes_px: FloatArray) -> "Crops":
+    def crops(self, camera: FrameCamera, boxes_px: FloatArray) -> "RenderedCrops":
         """Crops of a camera's pictures around the road user's boxes (n, 4)."""
-        return Crops(self, camera, boxes_px)
+        return RenderedCrops(self, camera, boxes_px)
 
     def _find(self, frame: int) -> tuple[Run, int]:
         """Run of a frame, and its index in the run."""
@@ -126,7 +129,7 @@ class PictureSource:
         self._count()
         return picture.rgb
 
-    def _draw_crop(self, frame: int, view: "_View") -> Crop:
+    def _draw_crop(self, frame: int, view: "_CropView") -> Crop:
         """Draw a crop of a frame at its own scale."""
         run, index = self._find(frame)
         small = view.small
@@ -154,7 +157,7 @@ class PictureSource:
             middle_px=(0.5 * view.camera.width_px, 0.5 * view.camera.height_px),
         )
 
-    def _white(self, run: Run, view: "_View") -> float | None:
+    def _white(self, run: Run, view: "_CropView") -> float | None:
         """Exposure of a fixed camera by daylight, when what moves changes little.
 
         None where lamps are on.
@@ -198,7 +201,7 @@ class PictureSource:
             return self._still[key]
 
 
-class _View(NamedTuple):
+class _CropView(NamedTuple):
     """How a frame is shown.
 
     Attributes
@@ -240,17 +243,17 @@ class _View(NamedTuple):
         return window_around(self.box_px / self.scale, self.small, side_px=self.side_px)
 
 
-class Crops:
+class RenderedCrops:
     """Crops of a camera's pictures around the road user.
 
-    See :class:`placement.detectors.evidence.Crops`. A road user that would fill a
+    See :class:`placement.detectors.evidence.RenderedCrops`. A road user that would fill a
     crop is drawn at a half, a third and so on of the camera's resolution. Where the
     VUT, its shadow and its mirror image lie outside a crop by daylight, the VUT is
     left out: then all frames with the same road user look the same.
 
     Parameters
     ----------
-    source : PictureSource
+    source : RenderedPictures
         Draws them.
     camera : VutCamera or (Pose, CameraModel)
         The camera.
@@ -259,7 +262,7 @@ class Crops:
     """
 
     def __init__(
-        self, source: PictureSource, camera: FrameCamera, boxes_px: FloatArray
+        self, source: RenderedPictures, camera: FrameCamera, boxes_px: FloatArray
     ) -> None:
         self._source = source
         self._camera = camera
@@ -289,7 +292,7 @@ class Crops:
         for frame in frames:
             yield frame, self._source._draw_crop(frame, self._view(frame))
 
-    def _view(self, frame: int) -> _View:
+    def _view(self, frame: int) -> _CropView:
         """How a frame is shown: side and scale of the crop, and if the VUT is in it."""
         run, index = self._source._find(frame)
         pose, camera = _placed(self._camera, run, index)
@@ -305,7 +308,7 @@ class Crops:
         shows_vut = is_fixed and _may_show_vut(
             run, index, pose, camera, box_px, 0.5 * side_px * scale
         )
-        return _View(pose, camera, box_px, side_px, scale, shows_vut, is_fixed)
+        return _CropView(pose, camera, box_px, side_px, scale, shows_vut, is_fixed)
 
 
 def _placed(camera: FrameCamera, run: Run, index: int) -> tuple[Pose, CameraModel]:
@@ -476,7 +479,7 @@ def find_viewpoint(
 
 def render(
     scene: Scene, run: Run, frame_index: int, viewpoint: Viewpoint, *, compute: Compute
-) -> Picture | PointCloud:
+) -> RenderedPicture | PointCloud:
     """Picture or point cloud of a frame, in the run's weather."""
     weather = pick_weather(run.weather, "weather")
     pose = viewpoint.pose

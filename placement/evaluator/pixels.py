@@ -179,7 +179,7 @@ class Sights(NamedTuple):
     vehicle_start: IntArray
 
 
-class Seen(NamedTuple):
+class SeenBoxes(NamedTuple):
     """Boxes in pixels, zeros where there is none, and shares.
 
     Attributes
@@ -205,19 +205,19 @@ class Seen(NamedTuple):
     frame_visible_px: FloatArray
     frame_visible_share: FloatArray
 
-    def take(self, sights: slice, frames: slice) -> "Seen":
+    def take(self, sights: slice, frames: slice) -> "SeenBoxes":
         """Views of the arrays for ranges of sights and frames."""
         of_sights = [part[sights] for part in self[:4]]
         of_frames = [part[frames] for part in self[4:]]
-        return Seen(*of_sights, *of_frames)
+        return SeenBoxes(*of_sights, *of_frames)
 
 
-def blank_sights(n_sights: int, n_frames: int) -> Seen:
+def blank_sights(n_sights: int, n_frames: int) -> SeenBoxes:
     """Boxes and shares before anything is drawn.
 
     Boxes are zeros, `inside_share` is 0, the other shares are 1.
     """
-    return Seen(
+    return SeenBoxes(
         np.zeros((n_sights, 4)),
         np.zeros(n_sights),
         np.zeros((n_sights, 4)),
@@ -1012,7 +1012,7 @@ def _see_past_vehicles(
     body: tuple[FloatArray, IntArray],
     vehicles: Vehicles,
     sights: Sights,
-    seen: Seen,
+    seen: SeenBoxes,
     sight: int,
     box: Window,
     depths: tuple[float, float, float],
@@ -1032,7 +1032,7 @@ def _see_past_vehicles(
         All kinds of vehicles.
     sights : Sights
         Where everything is.
-    seen : Seen
+    seen : SeenBoxes
         Its frames are written.
     sight : int
         The sight.
@@ -1095,7 +1095,7 @@ def see(
     parked: Tree,
     vehicles: Vehicles,
     sights: Sights,
-    seen: Seen,
+    seen: SeenBoxes,
 ) -> None:
     """Fill boxes and shares of one VRU's body in one static world.
 
@@ -1115,7 +1115,7 @@ def see(
         All kinds of vehicles that move.
     sights : Sights
         Where everything is.
-    seen : Seen
+    seen : SeenBoxes
         Blank; written.
     """
     vertices_m = skin.vertices_m

@@ -41,7 +41,7 @@ _POSE_DECIMALS = 6
 
 # ---------- triangles
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Mesh:
+class BodyMesh:
     """Triangles and their vertices.
 
     Tree and skin are built when they are first asked for: LiDARs do without.
@@ -105,14 +105,14 @@ class Solid:
 
     Attributes
     ----------
-    meshes : tuple of Mesh
+    meshes : tuple of BodyMesh
         One of a road user; of the static world, what always stands there and what is
         parked in a run. A mesh may belong to several solids.
     hull_m : (n, 3) float
         Vertices of the convex hull; none for the static world. [m]
     """
 
-    meshes: tuple[Mesh, ...]
+    meshes: tuple[BodyMesh, ...]
     hull_m: FloatArray
     _lock: RLock = field(default_factory=RLock, repr=False)
 
@@ -153,14 +153,14 @@ def build_body(shape: Shape) -> Solid:
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(shape.vertices_m).vertices
-    mesh = Mesh(
+    mesh = BodyMesh(
         vertices_m=np.array(shape.vertices_m),
         triangles=shape.triangles.astype(np.int64),
     )
     return Solid(meshes=(mesh,), hull_m=shape.vertices_m[hull])
 
 
-def build_scene_mesh(scene: Scene, *, middle_m: FloatArray) -> Mesh:
+def build_scene_mesh(scene: Scene, *, middle_m: FloatArray) -> BodyMesh:
     r"""Triangles of the scene, with the origin near the VRUs.
 
     Coordinates are small then, where rays are cast in single precision: the road
@@ -173,20 +173,20 @@ def build_scene_mesh(scene: Scene, *, middle_m: FloatArray) -> Mesh:
     middle_m : (2,) float
         New origin, world frame. [m]
     """
-    return Mesh(
+    return BodyMesh(
         vertices_m=scene.vertices_m - [*middle_m, 0.0],
         triangles=np.asarray(scene.triangles, dtype=np.int64),
     )
 
 
 def build_static(
-    standing: Mesh, obstruction: Sequence[PlacedActor], *, middle_m: FloatArray
+    standing: BodyMesh, obstruction: Sequence[PlacedActor], *, middle_m: FloatArray
 ) -> Solid:
     """Everything that stands still in a run.
 
     Parameters
     ----------
-    standing : Mesh
+    standing : BodyMesh
         The scene, with its origin at `middle_m`.
     obstruction : sequence of PlacedActor
         Parked bodies.
@@ -200,7 +200,7 @@ def build_static(
 @lru_cache(maxsize=8)
 def _build_parked(
     obstruction: tuple[PlacedActor, ...], middle_m: tuple[float, float]
-) -> Mesh:
+) -> BodyMesh:
     """Mesh of parked bodies, relative to an origin.
 
     Cached: layouts that are judged one after the other meet the same ones.
@@ -212,7 +212,7 @@ def _build_parked(
         for one, at in placed
     ]
     vertices, triangles = join([nothing, *bodies])
-    return Mesh(vertices_m=vertices, triangles=triangles.astype(np.int64))
+    return BodyMesh(vertices_m=vertices, triangles=triangles.astype(np.int64))
 
 
 # ---------- surroundings of runs

@@ -21,7 +21,7 @@ from ..candidates import CandidatePose
 from ..optimiser import Limits, PlacementProblem, is_feasible
 from ..optimiser.problem import Goal
 from ..wishes import Wishes, build_limits
-from .feasible_sets import Answer, Oracle
+from .feasible_sets import Feasibility, Oracle
 
 # ---------- demands
 Kind = Literal[
@@ -37,7 +37,7 @@ Kind = Literal[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Demand:
+class DroppableWish:
     """One of the pieces: it can be dropped, or relaxed, without the others.
 
     Attributes
@@ -141,7 +141,7 @@ class Wish:
 
 def _list_demands(
     problem: PlacementProblem, separation: Separation | None
-) -> tuple[Demand, ...]:
+) -> tuple[DroppableWish, ...]:
     """All demands that bind something."""
     limits = problem.limits
     if separation is None:
@@ -159,13 +159,13 @@ def _list_demands(
         "forbidden": bool(limits.is_forbidden.any()),
     }
     demands = [
-        Demand(kind="floor", floor=index) for index in range(len(problem.floors))
+        DroppableWish(kind="floor", floor=index) for index in range(len(problem.floors))
     ]
     if any(floor.n_failures for floor in problem.floors):
-        demands.append(Demand(kind="survive"))
+        demands.append(DroppableWish(kind="survive"))
     return (
         *demands,
-        *(Demand(kind=kind) for kind, is_asked in is_there.items() if is_asked),
+        *(DroppableWish(kind=kind) for kind, is_asked in is_there.items() if is_asked),
     )
 
 
@@ -200,7 +200,7 @@ class Relaxation:
 
     Attributes
     ----------
-    demand : Demand
+    demand : DroppableWish
         The demand that gives way.
     value : float
         What can be had in place of its number: units, euros, share, failed units, units
@@ -216,7 +216,7 @@ class Relaxation:
         A set of poses that does.
     """
 
-    demand: Demand
+    demand: DroppableWish
     value: float = np.nan
     given_up: tuple[int, ...] = ()
     suffices: bool = False
@@ -321,7 +321,7 @@ def find_relaxation(
     return trial.fewest(_items(demand, limits), oracle.find(without))
 
 
-def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
+def _items(demand: DroppableWish, limits: Limits) -> list[tuple[int, ...]]:
     """Entries of a demand, in groups that belong together.
 
     All forbidden poses of a site are one group.
@@ -337,7 +337,7 @@ def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
 class _Trial:
     """Relaxations of one demand that are tried one after the other."""
 
-    demand: Demand
+    demand: DroppableWish
     problem: PlacementProblem
     oracle: Oracle
     separation: Separation | None
@@ -366,7 +366,7 @@ class _Trial:
         return replace(best, is_least=is_proven)
 
     def fewest(
-        self, items: Sequence[tuple[int, ...]], without: Answer
+        self, items: Sequence[tuple[int, ...]], without: Feasibility
     ) -> Relaxation | None:
         """The fewest items that have to go.
 
@@ -445,14 +445,14 @@ class Conflict:
 
     Attributes
     ----------
-    demands : tuple of Demand
+    demands : tuple of DroppableWish
         In the order of ``Wish.demands``.
     relaxations : tuple of Relaxation
         For each demand the least by which it has to give way, where that was
         found.
     """
 
-    demands: tuple[Demand, ...]
+    demands: tuple[DroppableWish, ...]
     relaxations: tuple[Relaxation, ...]
 
 
@@ -472,9 +472,9 @@ def find_conflicts(
         return ()
     wish = Wish(problem, separation)
     oracle = Oracle(problem, end_s=now_s() + time_limit_s)
-    asked: dict[frozenset[int], Answer] = {}
+    asked: dict[frozenset[int], Feasibility] = {}
 
-    def ask(active: frozenset[int]) -> Answer:
+    def ask(active: frozenset[int]) -> Feasibility:
         if active not in asked:
             asked[active] = oracle.find(wish.part(active))
         return asked[active]
@@ -498,12 +498,12 @@ def find_conflicts(
     )
 
 
-def _is_refused(answer: Answer) -> bool:
+def _is_refused(answer: Feasibility) -> bool:
     return answer.pose_index is None and answer.is_proven
 
 
 def _smallest_conflict(
-    wish: Wish, demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]
+    wish: Wish, demands: frozenset[int], ask: Callable[[frozenset[int]], Feasibility]
 ) -> frozenset[int]:
     """A smallest conflict among demands that cannot all be met.
 
@@ -527,7 +527,7 @@ def _smallest_conflict(
 
 
 def _thinned(
-    demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]
+    demands: frozenset[int], ask: Callable[[frozenset[int]], Feasibility]
 ) -> frozenset[int]:
     """A conflict without the demands that are known to be needless."""
     for demand in sorted(demands):
@@ -540,7 +540,7 @@ def _relaxations(
     wish: Wish,
     oracle: Oracle,
     conflict: frozenset[int],
-    ask: Callable[[frozenset[int]], Answer],
+    ask: Callable[[frozenset[int]], Feasibility],
 ) -> tuple[Relaxation, ...]:
     """Relaxations of the demands of a conflict, as far as found."""
     found = []
@@ -661,7 +661,7 @@ class _Words:
             return ways
         return f"one of them to give way: {ways}"
 
-    def _demand(self, demand: Demand) -> str:
+    def _demand(self, demand: DroppableWish) -> str:
         """A demand as the question states it, in words."""
         limits = self.problem.limits
         kind = demand.kind

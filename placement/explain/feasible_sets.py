@@ -63,7 +63,7 @@ _SHARE_OF_TIME = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
+class Feasibility:
     """The answer to whether a wish can be met.
 
     Attributes
@@ -81,7 +81,7 @@ class Answer:
     value: float = np.nan
 
 
-_NONE = Answer(pose_index=None, is_proven=True)
+_NONE = Feasibility(pose_index=None, is_proven=True)
 
 
 class Oracle:
@@ -99,7 +99,7 @@ class Oracle:
         """Time left, in seconds."""
         return self.end_s - now_s()
 
-    def find(self, problem: PlacementProblem) -> Answer:
+    def find(self, problem: PlacementProblem) -> Feasibility:
         """A set that meets limits and floors."""
         if self._is_refused_at_once(problem):
             return _NONE
@@ -108,21 +108,21 @@ class Oracle:
         # Greedy choice first; the search only where it fails.
         quick = choose_greedily(shared)
         if meets(shared, quick):
-            return Answer(pose_index=to_full(shared, quick), is_proven=True)
+            return Feasibility(pose_index=to_full(shared, quick), is_proven=True)
         # What comes after limits and floors is worth no exchange.
         reduced = replace(self._presolve(problem), objectives=(Objective.UNITS,))
         found = self._search(reduced)
-        if isinstance(found, Answer):
+        if isinstance(found, Feasibility):
             return found
         return _answer(found, is_proven=True)
 
-    def least(self, problem: PlacementProblem, goal: Goal) -> Answer:
+    def least(self, problem: PlacementProblem, goal: Goal) -> Feasibility:
         """The fewest units, or the least cost, that meet limits and floors."""
         problem = replace(problem, goal=goal, survive=0)
         if self._is_refused_at_once(problem):
             return _NONE
         found = self._search(self._presolve(problem))
-        if isinstance(found, Answer):
+        if isinstance(found, Feasibility):
             return found
         (objective, find_bound), *_ = Stages(problem, found, Effort()).plan()
         # Proven if the bound of the first stage is reached.
@@ -138,7 +138,7 @@ class Oracle:
 
     def most(
         self, problem: PlacementProblem, measure: Measure, n_failures: int
-    ) -> Answer:
+    ) -> Feasibility:
         """The highest ratio left when units fail, within limits and floors.
 
         Those units fail whose loss costs most. `measure` is that of all runs; the
@@ -157,7 +157,7 @@ class Oracle:
             measure=measure, least=measure.limit, n_failures=n_failures
         )
         found = self._search(replace(reduced, measure=measure), everything)
-        if isinstance(found, Answer):
+        if isinstance(found, Feasibility):
             return found
         stages = Stages(problem, found, Effort())
         if n_failures:
@@ -196,7 +196,7 @@ class Oracle:
 
     def _search(
         self, reduced: ReducedProblem, aim: Requirement | None = None
-    ) -> Search | Answer:
+    ) -> Search | Feasibility:
         """Search for a set within limits and floors.
 
         Where there is none, the answer says so. It begins with a set found quickly,
@@ -224,11 +224,11 @@ class Oracle:
             bound = search.look_for(None, ())
         if has_set():
             return search
-        return Answer(pose_index=None, is_proven=bound == -np.inf)
+        return Feasibility(pose_index=None, is_proven=bound == -np.inf)
 
 
-def _answer(search: Search, *, is_proven: bool, value: float = np.nan) -> Answer:
+def _answer(search: Search, *, is_proven: bool, value: float = np.nan) -> Feasibility:
     """The best set of a search as an answer."""
     assert search.units is not None
     poses = to_full(search.reduced, search.units)
-    return Answer(pose_index=poses, is_proven=is_proven, value=value)
+    return Feasibility(pose_index=poses, is_proven=is_proven, value=value)

@@ -7,13 +7,12 @@ or of a part; ``exposure`` adds glare and drops, and exposes.
 """
 
 from .mesh import PointCloud
-from .picture import Backdrop, Picture, build_backdrop, draw_picture, to_jpeg
+from .picture import Backdrop, RenderedPicture, build_backdrop, draw_picture
 
 __all__ = [
     "Backdrop",
-    "Picture",
     "PointCloud",
+    "RenderedPicture",
     "build_backdrop",
     "draw_picture",
-    "to_jpeg",
 ]

@@ -18,7 +18,7 @@ from geometry.lines import along_m
 from geometry.raycast import FloatRays
 from geometry.scene import Lane, Scene
 
-from .mesh import Thing, build_scene_mesh
+from .mesh import PictureThing, build_scene_mesh
 
 # ---------- lanes and markings
 # How far beyond a lane's edge its neighbour is looked for.
@@ -321,7 +321,7 @@ class GroundMap:
 
 
 def build_ground_map(
-    scene: Scene, parked: Sequence[Thing], marks: Mapping[str, float]
+    scene: Scene, parked: Sequence[PictureThing], marks: Mapping[str, float]
 ) -> GroundMap:
     """Draw the map of a scene, as large as its lanes and outline.
 
@@ -329,7 +329,7 @@ def build_ground_map(
     ----------
     scene : Scene
         Its things take light from the sky.
-    parked : sequence of Thing
+    parked : sequence of PictureThing
         Parked vehicles, which take light, too.
     marks : mapping of str to float
         ``[markings]`` of ``data/materials.toml``.
@@ -345,7 +345,9 @@ def build_ground_map(
     )
 
 
-def _shade(origin_m: FloatArray, layers: FloatRays, things: Sequence[Thing]) -> None:
+def _shade(
+    origin_m: FloatArray, layers: FloatRays, things: Sequence[PictureThing]
+) -> None:
     """Reduce the light from the sky around things, in the layers of a map."""
     for thing in things:
         if thing.class_name in _SHADERS:
@@ -411,14 +413,14 @@ def _scene_layers(
     return low, layers
 
 
-def sky_left(distance_m: FloatArray, thing: Thing) -> FloatRays:
+def sky_left(distance_m: FloatArray, thing: PictureThing) -> FloatRays:
     """Share of the sky's light that a thing leaves to the ground around it.
 
     Parameters
     ----------
     distance_m : (...) float
         From the edge of the thing's footprint, negative below it. [m]
-    thing : Thing
+    thing : PictureThing
         Its size counts.
 
     Returns

@@ -15,7 +15,7 @@ from geometry.tables import read_table
 from geometry.text_formats import load_data
 
 from .ground import PAINT, ROAD, SKY, GroundMap, grain_at, soft_noise_at
-from .mesh import Index, Thing
+from .mesh import Index, PictureThing
 
 _WHERE = "materials.toml"
 
@@ -168,7 +168,7 @@ class Things:
     mean_albedo: FloatRays
 
 
-def build_things(things: tuple[Thing, ...], materials: Materials) -> Things:
+def build_things(things: tuple[PictureThing, ...], materials: Materials) -> Things:
     """Lay things out as arrays; parked vehicles take the paints in turn."""
     yaw = np.radians([thing.pose.yaw_deg for thing in things])
     colours = np.stack(
@@ -186,7 +186,7 @@ def build_things(things: tuple[Thing, ...], materials: Materials) -> Things:
     )
 
 
-def _axles(thing: Thing) -> tuple[float, float]:
+def _axles(thing: PictureThing) -> tuple[float, float]:
     """Front and rear axle of a thing, ahead of its middle, in metres.
 
     Of things without a wheelbase each is 0.3 of the length from the middle.
@@ -199,7 +199,7 @@ def _axles(thing: Thing) -> tuple[float, float]:
     return 0.3 * length_m, -0.3 * length_m
 
 
-def _colours(number: int, thing: Thing, materials: Materials) -> FloatRays:
+def _colours(number: int, thing: PictureThing, materials: Materials) -> FloatRays:
     """Albedo of top and legs of a thing, (2, 3); twice the same if it has one colour.
 
     Parameters

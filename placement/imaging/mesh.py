@@ -40,7 +40,7 @@ _CREASE_COS = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Thing:
+class PictureThing:
     """One thing in a picture.
 
     Attributes
@@ -78,7 +78,7 @@ class Mesh:
         Into `things`.
     normals : (m, 3, 3) float32
         Unit normals at the corners of each triangle; equal where shaded flat.
-    things : tuple of Thing
+    things : tuple of PictureThing
         All things.
     """
 
@@ -86,7 +86,7 @@ class Mesh:
     triangles: Index
     triangle_thing: Index
     normals: FloatRays
-    things: tuple[Thing, ...]
+    things: tuple[PictureThing, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,7 +105,7 @@ class FrameMesh:
         As in :class:`Mesh`.
     triangle_thing : (m,) int32
         Into `things`.
-    things : tuple of Thing
+    things : tuple of PictureThing
         All things.
     caster : RayCaster
         For rays against the triangles.
@@ -115,7 +115,7 @@ class FrameMesh:
     corners_m: FloatRays
     normals: FloatRays
     triangle_thing: Index
-    things: tuple[Thing, ...]
+    things: tuple[PictureThing, ...]
     caster: RayCaster
 
 
@@ -316,7 +316,7 @@ def _road_pose(run: Run, position_m: FloatArray, yaw_deg: float) -> Pose:
     return Pose(position_m=on_ground(position_m, run.terrain), yaw_deg=float(yaw_deg))
 
 
-def _scene_thing(scene: Scene, index: int) -> Thing:
+def _scene_thing(scene: Scene, index: int) -> PictureThing:
     """An instance of the scene as a thing, in the smallest rectangle around it."""
     instance = scene.instances[index]
     used = np.unique(scene.triangles[scene.triangle_instance == index])
@@ -327,7 +327,7 @@ def _scene_thing(scene: Scene, index: int) -> Thing:
     middle, yaw_rad, length_m, width_m = _smallest_rectangle(points[:, :2])
     low = points[:, 2].min()
     high = points[:, 2].max()
-    return Thing(
+    return PictureThing(
         name=instance.id,
         class_name=instance.class_name,
         pose=Pose(
@@ -392,7 +392,7 @@ def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:
         triangle_thing=np.zeros(len(shape.triangles), dtype=np.int32),
         normals=normals @ R_world_body.T,
         things=(
-            Thing(
+            PictureThing(
                 name=name,
                 class_name=actor.class_name,
                 pose=pose,

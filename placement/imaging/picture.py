@@ -1,6 +1,5 @@
 """Pictures of a frame: colours, instances and depths, one ray per pixel."""
 
-import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -60,7 +59,6 @@ from .mesh import (
     vut_pose,
 )
 
-_JPEG_QUALITY = 85
 # How far off a surface mirrored rays start.
 _OFF_SURFACE_M = 4.0e-3
 # Surfaces that mirror a smaller share are not worth a ray.
@@ -550,7 +548,7 @@ _TILE_PX = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Picture:
+class RenderedPicture:
     """What a camera sees.
 
     Attributes
@@ -621,7 +619,7 @@ def draw_picture(
     is_smooth: bool = True,
     materials: Materials | None = None,
     compute: Compute = DEFAULT_COMPUTE,
-) -> Picture:
+) -> RenderedPicture:
     """Render one frame of a run, at the camera's resolution.
 
     Parameters
@@ -666,18 +664,9 @@ def draw_picture(
             edges = np.flatnonzero(exposure.find_edges(image.radiance))
             smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
         rgb = expose_image(shot, image.radiance, [compute.seed, frame_index], pool)
-    return Picture(
+    return RenderedPicture(
         rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh)
     )
-
-
-def to_jpeg(rgb: NDArray[np.uint8]) -> bytes:
-    """An image (h, w, 3) as the bytes of a JPEG file."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(rgb).save(buffer, format="jpeg", quality=_JPEG_QUALITY)
-    return buffer.getvalue()
 
 
 def names_of(mesh: FrameMesh) -> tuple[str, ...]:

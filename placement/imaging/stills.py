@@ -41,7 +41,7 @@ from .mesh import (
 from .picture import (
     Backdrop,
     Each,
-    Picture,
+    RenderedPicture,
     Shades,
     Shot,
     Surfaces,
@@ -194,7 +194,7 @@ def scan_onto(
 
 def draw_onto(
     still: Still, run: Run, frame_index: int, *, compute: Compute = DEFAULT_COMPUTE
-) -> Picture:
+) -> RenderedPicture:
     """Draw what moves in a frame of a run onto a still.
 
     Where headlights shine on an edge of what stands still, their light is that on the
@@ -212,7 +212,7 @@ def draw_onto(
     with start_pool(compute) as pool:
         shot, image, smooth = _add_moving(still, run, frame_index, pool.map)
         rgb = expose_image(shot, smooth, [compute.seed, frame_index], pool)
-    return Picture(
+    return RenderedPicture(
         rgb=rgb,
         instance=image.instance,
         depth_m=image.depth_m,
@@ -669,7 +669,7 @@ def draw_crop(
     materials: Materials | None = None,
     white_cd_m2: float | None = None,
     seed: int = 0,
-) -> Picture:
+) -> RenderedPicture:
     """Render a part of one frame of a run.
 
     Parameters
@@ -699,7 +699,7 @@ def draw_crop(
 
     Returns
     -------
-    picture : Picture
+    picture : RenderedPicture
         Of the window's size.
     """
     still = move_origin(still, pose.position_m)
@@ -730,7 +730,7 @@ def _expose(
     window: Window,
     white_cd_m2: float | None,
     seeds: list[int],
-) -> Picture:
+) -> RenderedPicture:
     """A picture of a window: glare, rain, exposure and noise.
 
     Parameters
@@ -753,7 +753,7 @@ def _expose(
         white = _meter(shot)
     else:
         white = white_cd_m2
-    return Picture(
+    return RenderedPicture(
         rgb=develop(radiance, white, load_imager(), rng),
         instance=image.instance,
         depth_m=image.depth_m,

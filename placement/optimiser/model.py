@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
+class SolverAnswer:
     """Answer of a solver to a problem that is maximised.
 
     Attributes
@@ -71,7 +71,9 @@ def solver_text() -> Phrase:
     )
 
 
-def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) -> Answer:
+def run_solver(
+    problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0
+) -> SolverAnswer:
     """Maximise in bounded variables by HiGHS, as far as the time goes.
 
     Parameters
@@ -85,7 +87,7 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
     """
     import cvxpy as cp
 
-    nothing = Answer(is_found=False, is_finished=False, bound=np.inf)
+    nothing = SolverAnswer(is_found=False, is_finished=False, bound=np.inf)
     begun_s = now_s()
     with warnings.catch_warnings():
         # cvxpy calls a solution inaccurate when the time was up.
@@ -110,9 +112,9 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
     # All variables are bounded: what may be unbounded is infeasible.
     infeasible = (cp.INFEASIBLE, cp.settings.INFEASIBLE_OR_UNBOUNDED)
     if problem.status in infeasible:
-        return Answer(is_found=False, is_finished=True, bound=-np.inf)
+        return SolverAnswer(is_found=False, is_finished=True, bound=-np.inf)
     info = problem.solver_stats.extra_stats
-    return Answer(
+    return SolverAnswer(
         is_found=info.primal_solution_status == 2,  # kSolutionStatusFeasible
         is_finished=problem.status == cp.OPTIMAL,
         bound=-info.mip_dual_bound,  # cvxpy minimises the negative
@@ -143,7 +145,7 @@ class MilpResult(NamedTuple):
     units : (n,) int, optional
         Poses of the reduced problem; None if no feasible set was found.
     bound, is_finished
-        Those of :class:`Answer`.
+        Those of :class:`SolverAnswer`.
     """
 
     units: IntArray | None

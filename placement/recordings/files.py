@@ -177,7 +177,7 @@ class Detection(NamedTuple):
     line_number: int
 
 
-class World(NamedTuple):
+class RecordedWorld(NamedTuple):
     """How the bodies move in a frame.
 
     Attributes
@@ -319,7 +319,7 @@ def read_detections(path: Path, form: RecordingFormat) -> tuple[list[Detection],
     ], n_repeated
 
 
-def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
+def read_world(path: Path, form: RecordingFormat) -> tuple[RecordedWorld, int]:
     """Distance and speeds of a frame, and how often they repeat.
 
     The file is ``WorldData/SCENARIO_FRAME.txt``. The generator ends the line
@@ -336,7 +336,7 @@ def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
             f"{' '.join(form.world_fields)}, once or repeated exactly",
         )
     distance, vut_speed, vru_speed = fields
-    world = World(
+    world = RecordedWorld(
         distance_m=parse_number(distance, f"{path}:1: dist", least=0.0),
         vut_speed_mps=parse_number(vut_speed, f"{path}:1: car_speed"),
         vru_speed_mps=parse_number(vru_speed, f"{path}:1: vru_speed", least=0.0),

@@ -23,8 +23,8 @@ from .files import (
     Detection,
     FrameKey,
     Label,
+    RecordedWorld,
     RecordingFormat,
-    World,
     entries_of,
     load_format,
     read_detections,
@@ -112,7 +112,7 @@ class Drive:
 
 
 def cut_drives(
-    world: Mapping[FrameKey, World], form: RecordingFormat
+    world: Mapping[FrameKey, RecordedWorld], form: RecordingFormat
 ) -> tuple[list[Drive], Counter[str]]:
     """Cut the frames of a recording into drives, and count the others by reason.
 
@@ -152,7 +152,9 @@ def with_class(drive: Drive, votes: Counter[str]) -> Drive:
 
 
 def _between_resets(
-    frames: list[FrameKey], world: Mapping[FrameKey, World], form: RecordingFormat
+    frames: list[FrameKey],
+    world: Mapping[FrameKey, RecordedWorld],
+    form: RecordingFormat,
 ) -> Iterator[tuple[list[FrameKey], bool]]:
     """Parts of a sequence of frames, and whether another part comes before."""
     distance, numbers = _laid_out(frames, world)
@@ -169,7 +171,7 @@ def _between_resets(
 
 def _drive(
     frames: list[FrameKey],
-    world: Mapping[FrameKey, World],
+    world: Mapping[FrameKey, RecordedWorld],
     form: RecordingFormat,
     *,
     is_after_reset: bool,
@@ -228,7 +230,7 @@ def _drive(
 
 
 def _laid_out(
-    frames: list[FrameKey], world: Mapping[FrameKey, World]
+    frames: list[FrameKey], world: Mapping[FrameKey, RecordedWorld]
 ) -> tuple[FloatArray, IntArray]:
     """Distances and numbers of frames."""
     distance = np.array([world[key].distance_m for key in frames])

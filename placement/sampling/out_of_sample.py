@@ -21,7 +21,7 @@ from ..evaluation import earliest_arrival_s
 from ..layout import Layout
 from ..setting import Setting
 from ..visibility.casting import SharedScene
-from .moving import NO_TRAFFIC, TrafficCount
+from .driving import NO_TRAFFIC, TrafficCount
 from .tables import build_sample_tables, seen_by_vut, share_scene, tell_traffic
 from .uncertainty import Uncertainty
 from .worlds import draw_samples, pose_key

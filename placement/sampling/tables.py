@@ -23,7 +23,7 @@ from geometry.weather import pick_weather
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, Progress, one_blas_thread, silent
 from ..detection_table import DetectionTable, repeated_axis
-from ..detectors import ResponseDetector
+from ..detectors.response import ResponseDetector
 from ..evaluator import with_sight
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
@@ -36,7 +36,7 @@ from ..visibility import (
 from ..visibility.build import N_POINTS, at_each_mount
 from ..visibility.casting import SharedScene, World, build_shared_scene, build_world
 from ..visibility.sensing import build_sensing, cast_for
-from .moving import TrafficCount
+from .driving import TrafficCount
 from .uncertainty import Blinding, Uncertainty
 from .worlds import (
     RandomStreams,

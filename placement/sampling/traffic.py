@@ -235,7 +235,7 @@ class Kerbside:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Street:
+class StandingRoom:
     """Where in a scene vehicles may stand.
 
     Attributes
@@ -299,7 +299,7 @@ class Street:
         return not self.solid.is_blocked(starts.astype(np.float32), vectors).any()
 
 
-def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
+def build_street(scene: Scene, traffic: StandingTraffic) -> StandingRoom:
     """Find where in a scene vehicles may stand.
 
     Raises InputError where there is no junction.
@@ -328,7 +328,7 @@ def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
         i for i, thing in enumerate(scene.instances) if thing.class_name != "ground"
     ]
     triangles = np.asarray(scene.triangles)[np.isin(scene.triangle_instance, solid)]
-    return Street(
+    return StandingRoom(
         traffic=traffic,
         parking=tuple(parking),
         entries=tuple(entries),

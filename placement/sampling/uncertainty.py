@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
-from geometry.actors import Actor
+from geometry.actors import Actor, read_body
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, check_one_of, located, refuse
 from geometry.scene import Scene
@@ -23,7 +23,7 @@ from scenarios.cases import load_cases
 from ..compute import check_whole
 from ..latency import LatencyBudget, load_latency_budget
 from ..question import Question
-from .moving import MovingTraffic, load_traffic, read_body
+from .driving import MovingTraffic, load_traffic
 
 _T = TypeVar("_T")
 

@@ -23,14 +23,13 @@ from scenarios.runs import Run, build_frame_axis
 
 from ..candidates import CandidatePose
 from ..compute import check_whole
-from ..detectors import ResponseDetector
-from ..detectors.built_in import LastingNoise
+from ..detectors.response import LastingNoise, ResponseDetector
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
-from .moving import TrafficCount
+from .driving import TrafficCount
 from .traffic import (
     GroupKey,
-    Street,
+    StandingRoom,
     Ways,
     build_street,
     build_ways,
@@ -320,7 +319,7 @@ def _draw(
     candidates: tuple[CandidatePose, ...],
     uncertainty: Uncertainty,
     streams: RandomStreams,
-    street: Street | None,
+    street: StandingRoom | None,
     ways: dict[GroupKey, Ways],
 ) -> Sample:
     """Draw one world."""

@@ -21,8 +21,9 @@ from msgspec.structs import asdict
 from ..candidates import CandidatePose
 from ..layout import Stage
 from ..optimiser.problem import Objective
-from .certificates import StoredCertificate, instance_of, model_of, words_of
-from .instances import Mounts, problem_hash
+from ..proof_files import Mounts, instance_of, model_of, problem_hash, words_of
+from .certificates import StoredCertificate
+from .instances import misnamed_pose, mount_differences
 from .recomputation import (
     EPSILON,
     all_sets,
@@ -338,7 +339,7 @@ def _mount_checks(
         return []
     table = problem.table
     limits = problem.limits
-    misnamed = mounts.misnamed(table.pose_ids)
+    misnamed = misnamed_pose(mounts, table.pose_ids)
     # Poses of one site of the problem share a site of the scene.
     of_index: dict[int, str] = {}
     torn = [
@@ -369,7 +370,7 @@ def _mount_checks(
             )
             for unit, row in zip(units, stored.pose_index, strict=False)
             if row < table.n_poses
-            for wrong in ["; ".join(mounts.differences(row, unit))]
+            for wrong in ["; ".join(mount_differences(mounts, row, unit))]
         ),
     ]
 

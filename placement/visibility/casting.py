@@ -670,8 +670,8 @@ def _hidden_by_scene(
     from .ray_kernels import (
         N_AROUND,
         N_UP,
+        BodyViews,
         Rays,
-        Views,
         fill_rays,
         find_unclear_points,
         mark_nearest,
@@ -692,7 +692,7 @@ def _hidden_by_scene(
         mark_nearest(
             nearest, shared.triangles_m, eye_m, near_m, far_m, *world.height_limits_m
         )
-        views = Views(places.axes_m, places.middle_m, places.radius_m)
+        views = BodyViews(places.axes_m, places.middle_m, places.radius_m)
         find_unclear_points(nearest, views, eye_m, index, unclear)
         room = (np.count_nonzero(unclear), 3)
         starts = np.empty(room, np.float32)
@@ -738,14 +738,14 @@ def _find_between(
     row, body : (n_pairs,) int
         The body may occlude points of the view of the row.
     """
-    from .ray_kernels import Occluders, Views, find_bodies_between
+    from .ray_kernels import BodyViews, Occluders, find_bodies_between
 
     if not len(bodies.kind):
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     boxes = np.array([_box_m(actor.shapes[0]) for actor in bodies.actors])[bodies.kind]
     pairs = np.empty((int(np.diff(bodies.first)[group].sum()), 2), dtype=np.int32)
     seen = world.views
-    views = Views(seen.axes_m, seen.middle_m, seen.radius_m)
+    views = BodyViews(seen.axes_m, seen.middle_m, seen.radius_m)
     occluders = Occluders(
         members=bodies.members,
         first=bodies.first,

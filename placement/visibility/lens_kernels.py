@@ -5,6 +5,7 @@ pinholes.
 """
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -13,9 +14,12 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.kernels import kernel
 from geometry.lenses import BrownConrady
+from geometry.poses import camera_rotation
 from geometry.sensors import SEEN_RAD, CameraModel, rolled
 
+from ..candidates import CandidatePose
 from .point_kernels import Array, BodyPoints, Found, Least, Seen
+from .sensing import MIN_DEPTH_M
 
 # Slack of a cosine.
 _SLACK = 1.0e-6
@@ -49,7 +53,7 @@ LENS = np.dtype(
 """One camera with a lens."""
 
 
-class _Boxes(NamedTuple):
+class _LensBoxes(NamedTuple):
     """Boxes of some of a body's points: left, top, right and bottom.
 
     Attributes
@@ -216,7 +220,7 @@ def _box_points(
     is_seen: BoolArray,
     is_whole: bool,
     min_depth_m: float,
-    boxes: _Boxes,
+    boxes: _LensBoxes,
 ) -> tuple[bool, bool, bool]:
     """Compute the boxes around a body's points in one image.
 
@@ -234,7 +238,7 @@ def _box_points(
         Nothing occludes any point; `is_seen` is not read.
     min_depth_m : float
         As in :func:`_project`. [m]
-    boxes : _Boxes
+    boxes : _LensBoxes
         Written.
 
     Returns
@@ -294,7 +298,7 @@ def _is_out(lens: Any, box: FloatArray, min_height_px: float) -> bool:
 
 
 @kernel
-def _share_inside(lens: Any, is_folded: bool, boxes: _Boxes) -> float:
+def _share_inside(lens: Any, is_folded: bool, boxes: _LensBoxes) -> float:
     """Share of a body's box that is inside the image, 0 to 1.
 
     Parameters
@@ -303,7 +307,7 @@ def _share_inside(lens: Any, is_folded: bool, boxes: _Boxes) -> float:
         The camera.
     is_folded : bool
         As :func:`_box_points` returns it.
-    boxes : _Boxes
+    boxes : _LensBoxes
         As :func:`_box_points` fills them; `shown` is overwritten unless the lens
         folds.
     """
@@ -390,7 +394,7 @@ def box_through_lenses(
     """
     min_depth = least.depth
     min_height_px = least.height_px
-    boxes = _Boxes(np.empty(4), np.empty(4), np.empty(4), np.empty(4))
+    boxes = _LensBoxes(np.empty(4), np.empty(4), np.empty(4), np.empty(4))
     n_plain = 0
     n_part = 0
     # Loop over the bodies, and the cameras that may see each.
@@ -438,3 +442,23 @@ def box_through_lenses(
             found.inside_share[n_part] = share
             n_part += 1
     return n_plain, n_part
+
+
+def box_in_lenses(
+    bodies: BodyPoints,
+    eye_m: FloatArray,
+    seen: Seen,
+    units: Sequence[CandidatePose],
+    *,
+    min_height_px: float,
+    found: Found,
+) -> tuple[int, int]:
+    """Boxes of bodies in cameras whose lenses distort, as a :class:`.BoxFinder`."""
+    cameras = [one.sensor for one in units if isinstance(one.sensor, CameraModel)]
+    turns = [camera_rotation(one.pose.yaw_deg, one.pose.pitch_deg) for one in units]
+    lenses = np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)])
+    least = Least(MIN_DEPTH_M, min_height_px)
+    n_boxes: tuple[int, int] = box_through_lenses(
+        bodies, eye_m, seen, lenses, least, found
+    )
+    return n_boxes

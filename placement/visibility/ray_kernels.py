@@ -35,7 +35,7 @@ _MOST_CUTS = 64
 _BLOCK = 8
 
 
-class Views(NamedTuple):
+class BodyViews(NamedTuple):
     """Bodies to be looked at; one view is one body at one place.
 
     Attributes
@@ -442,7 +442,7 @@ def _is_clear(
 @kernel
 def find_unclear_points(
     nearest: Array,
-    views: Views,
+    views: BodyViews,
     eye: FloatArray,
     view_index: IntArray,
     unclear: BoolArray,
@@ -453,7 +453,7 @@ def find_unclear_points(
     ----------
     nearest : (n_up, n_around) float32
         Cells filled by :func:`mark_nearest`. [m]
-    views : Views
+    views : BodyViews
         All bodies.
     eye : (3,) float
         Where they are seen from; the same as for `nearest`. [m]
@@ -621,7 +621,7 @@ def fill_rays(
 
 @kernel
 def find_bodies_between(
-    views: Views,
+    views: BodyViews,
     eye: FloatArray,
     view_index: IntArray,
     group_index: IntArray,
@@ -632,7 +632,7 @@ def find_bodies_between(
 
     Parameters
     ----------
-    views : Views
+    views : BodyViews
         All bodies to be looked at.
     eye : (3,) float
         Where they are seen from. [m]

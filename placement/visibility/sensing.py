@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +18,18 @@ from geometry.lidar import (
     return_probability,
 )
 from geometry.poses import body_rotation, camera_rotation
+from geometry.registry import load_entry
 from geometry.sensors import CameraModel, sharpest_px_per_rad
 
 from ..candidates import CandidatePose
 from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vru_class
 from .casting import Sight, World, cast_sight
 
+if TYPE_CHECKING:
+    from .point_kernels import BodyPoints, Found, Seen
+
 # Points next to or behind the lens are projected far outside the image.
-_MIN_DEPTH_M = 0.01
+MIN_DEPTH_M = 0.01
 # Slack of a cosine, so that nobody at the edge is left out.
 _SLACK = 1.0e-6
 # Slack of a sphere around a body.
@@ -35,6 +40,36 @@ _FORESEEN_RAD = 0.06
 _WIDEST_RAD = 1.5
 # Pairs of sensors and entries that are looked at together.
 _PAIRS = 1 << 21
+
+
+PROJECTIONS = {
+    "pinhole": "placement.visibility.sensing:box_in_pinholes",
+    "lens": "placement.visibility.lens_kernels:box_in_lenses",
+}
+"""Registry of what finds boxes of bodies in pictures, by how cameras project.
+
+Each entry is a :class:`BoxFinder`.
+"""
+
+
+class BoxFinder(Protocol):
+    """What finds the boxes of bodies in the pictures of cameras at one mount."""
+
+    def __call__(
+        self,
+        bodies: "BodyPoints",
+        eye_m: FloatArray,
+        seen: "Seen",
+        units: Sequence[CandidatePose],
+        *,
+        min_height_px: float,
+        found: "Found",
+    ) -> tuple[int, int]:
+        """Fill `found`; returns how many bodies are whole inside an image, and others.
+
+        `eye_m` (3,) is the mount. Pairs whose visible box is lower than `min_height_px`
+        are left out.
+        """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -508,7 +543,7 @@ def _box(
     views = sensing.world.views
     sight = sensing.sight
     chosen = [candidates[row] for row in rows.tolist()]
-    from .point_kernels import BodyPoints, Cameras, Found, Least, Seen, box_bodies
+    from .point_kernels import BodyPoints, Found, Seen
 
     n = len(chosen) * len(sight.view_index)
     found = Found(
@@ -520,24 +555,15 @@ def _box(
     )
     seen = Seen(sight.view_index, sight.is_visible, sight.is_whole)
     bodies = BodyPoints(views.axes_m, views.hull_m, views.middle_m, views.radius_m)
-    min_height_px = sensing.detector.min_box_height_px
     if through_lenses:
-        from .lens_kernels import box_through_lenses, pack_lens
-
-        cameras = [one.sensor for one in chosen if isinstance(one.sensor, CameraModel)]
-        turns = [
-            camera_rotation(one.pose.yaw_deg, one.pose.pitch_deg) for one in chosen
-        ]
-        lenses = np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)])
-        least = Least(_MIN_DEPTH_M, min_height_px)
-        n_plain, n_part = box_through_lenses(
-            bodies, sensing.eye_m, seen, lenses, least, found
-        )
+        projection = "lens"
     else:
-        pinholes = Cameras(_lenses(chosen), len(chosen))
-        least = Least(np.float32(_MIN_DEPTH_M), min_height_px)
-        eye = sensing.eye_m.astype(np.float32)
-        n_plain, n_part = box_bodies(bodies, eye, seen, pinholes, least, found)
+        projection = "pinhole"
+    box: BoxFinder = load_entry(PROJECTIONS[projection])
+    min_height_px = sensing.detector.min_box_height_px
+    n_plain, n_part = box(
+        bodies, sensing.eye_m, seen, chosen, min_height_px=min_height_px, found=found
+    )
     # Copies: what was set aside for the most that there could be is given back.
     return _Boxes(
         plain=_with_rows(found.plain[:n_plain], rows),
@@ -547,6 +573,25 @@ def _box(
         amodal_px=found.part_px[:n_part, 4:].astype(np.float64),
         inside_share=found.inside_share[:n_part].copy(),
     )
+
+
+def box_in_pinholes(
+    bodies: "BodyPoints",
+    eye_m: FloatArray,
+    seen: "Seen",
+    units: Sequence[CandidatePose],
+    *,
+    min_height_px: float,
+    found: "Found",
+) -> tuple[int, int]:
+    """Boxes of bodies in cameras without distortion, as a :class:`BoxFinder`."""
+    from .point_kernels import Cameras, Least, box_bodies
+
+    pinholes = Cameras(_lenses(units), len(units))
+    least = Least(np.float32(MIN_DEPTH_M), min_height_px)
+    eye = eye_m.astype(np.float32)
+    n_boxes: tuple[int, int] = box_bodies(bodies, eye, seen, pinholes, least, found)
+    return n_boxes
 
 
 def _with_rows(pairs: IntArray, rows: IntArray) -> IntArray:

@@ -53,9 +53,10 @@ from geometry.junction import ARM_NAMES
 from geometry.phrases import Phrase, join_phrases
 from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
-from placement.detectors import ResponseDetector, load_detector
-from placement.detectors.built_in import DETECTOR_NAMES, LIDAR_NAMES
+from placement.detectors import load_detector
 from placement.detectors.evidence import VRU_CLASSES
+from placement.detectors.registry import DETECTOR_NAMES, LIDAR_NAMES
+from placement.detectors.response import ResponseDetector
 from placement.explain.alternatives import ByRuns
 from placement.optimiser.problem import Objective
 from placement.setting import Radio

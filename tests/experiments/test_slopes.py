@@ -17,7 +17,8 @@ from experiments.export.places import placed_records
 from experiments.parts.units import unit_table
 from geometry.errors import InputError
 from geometry.poses import Pose
-from geometry.scene_files import load_scene, save_scene
+from geometry.scene_files import save_scene
+from geometry.scene_sources import load_scene
 from geometry.study_scene import load_study_scene
 from geometry.terrain import GROUND, Terrain, terrain_of
 from placement.candidates import above_ground

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from limited_reading import Process
 
-from geometry.scene_files import SCENE_FILE, THINGS_FILE
+from geometry.scene_files import THINGS_FILE
+from geometry.scene_sources import SCENE_FILE
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="limits of memory are Linux's"

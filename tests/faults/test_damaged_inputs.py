@@ -16,14 +16,15 @@ from geometry.errors import InputError
 from geometry.maps import point_clouds as voxels
 from geometry.maps.importing import read_map
 from geometry.scene import Scene
-from geometry.scene_files import SCENE_FILE, THINGS_FILE, load_scene
+from geometry.scene_files import THINGS_FILE
+from geometry.scene_sources import SCENE_FILE, load_scene
 from geometry.text_formats import load_toml
-from placement.ground import load_private_ground
 from placement.layout import load_layout
+from placement.private_ground import load_private_ground
 from placement.recordings import read_recording
 from placement.verification.certificates import load_certificate
 from placement.verification.instances import load_problem
-from scenarios.weights import weight_from_csv
+from scenarios.weight_tables import weight_from_csv
 
 
 def refusal(function, *arguments) -> str:

@@ -22,7 +22,8 @@ from geometry.maps.mesh_files import read_mesh
 from geometry.maps.place_lists import read_sites
 from geometry.maps.point_clouds import open_points
 from geometry.maps.source_map import MapJunction, MapLane
-from geometry.scene_files import SCENE_FILE, THINGS_FILE, load_scene_folder, save_scene
+from geometry.scene_files import THINGS_FILE, load_scene_folder, save_scene
+from geometry.scene_sources import SCENE_FILE
 from geometry.study_scene import load_study_scene
 
 HOSTILE = Path(__file__).parents[3] / "shared" / "inputs" / "trials4" / "hostile"

@@ -42,13 +42,9 @@ from geometry.scene_files import save_scene
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.layout import load_layout
+from placement.proof_files import instance_of, save_problem
 from placement.question import Question
-from placement.verification.certificates import instance_of
-from placement.verification.instances import (
-    StoredProblem,
-    load_stored_problem,
-    save_problem,
-)
+from placement.verification.instances import StoredProblem, load_stored_problem
 
 ASKED = Question(budget=2, give_up=0.0, time_limit_s=60.0)
 Change = Callable[[Path], None]

@@ -13,16 +13,10 @@ from strategies import numbers, poses
 from experiments.export.calibration import calibrations
 from experiments.export.opencv import opencv_text
 from experiments.export.ros import ros_text
-from geometry.calibrations import read_cameras
+from geometry.calibrations import CalibratedCamera, project_distorted, read_cameras
 from geometry.catalogue import load_cameras, own_sensor_record, read_sensor
 from geometry.errors import InputError
-from geometry.lenses import (
-    BrownConrady,
-    CalibratedCamera,
-    Fisheye,
-    TsaiRadial,
-    project_distorted,
-)
+from geometry.lenses import BrownConrady, Fisheye, TsaiRadial
 from geometry.poses import Pose, camera_rotation
 from geometry.sensors import project_points
 from placement.layout import layout_from_records, layout_records, load_layout

@@ -7,16 +7,10 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from strategies import cameras, numbers, poses
 
+from geometry.calibrations import CalibratedCamera, ground_points, project_distorted
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError
-from geometry.lenses import (
-    BrownConrady,
-    CalibratedCamera,
-    Fisheye,
-    TsaiRadial,
-    ground_points,
-    project_distorted,
-)
+from geometry.lenses import BrownConrady, Fisheye, TsaiRadial
 from geometry.poses import camera_rotation
 from geometry.sensors import (
     is_shown,

@@ -12,15 +12,9 @@ from geometry.junction import build_junction
 from geometry.notes import Note
 from geometry.phrases import Phrase
 from geometry.scene import LeadingRoad
-from geometry.scene_files import (
-    SCENE_FILE,
-    THINGS_FILE,
-    load_scene,
-    load_scene_folder,
-    load_study_scene,
-    pack_scene,
-    save_scene,
-)
+from geometry.scene_files import THINGS_FILE, load_scene_folder, pack_scene, save_scene
+from geometry.scene_sources import SCENE_FILE, load_scene
+from geometry.study_scene import load_study_scene
 
 NOTES = (
     Note(what="way 1", why='too "short"'),

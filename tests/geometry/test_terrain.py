@@ -8,10 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
+from geometry.maps.relief import fit_terrain
 from geometry.scene import Instance, Scene
 from geometry.scene_checks import check_scene
-from geometry.scene_files import load_scene
-from geometry.terrain import Terrain, fit_terrain, ground_height_m, terrain_of
+from geometry.scene_sources import load_scene
+from geometry.terrain import Terrain, ground_height_m, terrain_of
 from scenarios.cases import select_cases
 from scenarios.runs import build_runs
 

@@ -13,7 +13,7 @@ from geometry.junction import build_junction, mirrored
 from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.baselines import (
-    Proposals,
+    BaselineRows,
     RandomLayouts,
     find_corners,
     judge_proposals,
@@ -210,7 +210,7 @@ def problem_of(limits, seen, frame_axis, rule):
 
 def proposals(**changes):
     corners = {"a": 0, "b": 1, "c": 2, "d": 3}
-    plain = Proposals(n_units=2, random=((0, 1),), forced=(), corners=corners)
+    plain = BaselineRows(n_units=2, random=((0, 1),), forced=(), corners=corners)
     return replace(plain, **changes)
 
 
@@ -283,7 +283,7 @@ def test_the_expert_is_within_all_limits(problem, seed):
         if site in sites
     )
     corners = {f"corner {row}": row for row in rows}
-    given_ = Proposals(n_units=3, random=(), forced=forced, corners=corners)
+    given_ = BaselineRows(n_units=3, random=(), forced=forced, corners=corners)
     found = judge_proposals(problem, given_)
     assert found.random is None
     if found.expert:
@@ -297,7 +297,7 @@ def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
     limits = Limits(site_index=np.arange(9), site_capacity=[1] * 9, budget_units=3)
     seen = {pose: np.flatnonzero(rng.random(3) < 0.4) for pose in range(9)}
     problem = problem_of(limits, seen, frame_axis, rule)
-    given_ = Proposals(
+    given_ = BaselineRows(
         n_units=3, random=((1, 5, 7), (2, 5, 8)), forced=(), corners={"a": 7, "b": 1}
     )
     rows = given_.rows

@@ -10,9 +10,15 @@ from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
+from geometry.registry import load_entry
 from geometry.study_scene import load_study_scene
+from placement import forbidden_views
 from placement.candidates import CandidatePose
-from placement.ground import build_private_ground, load_private_ground, private_shares
+from placement.private_ground import (
+    build_private_ground,
+    load_private_ground,
+    private_shares,
+)
 
 YARD = Path(__file__).parents[2] / "docs/maps/school_yard.geojson"
 CAMERA = load_cameras()["carla-ncap-rgb-90"]
@@ -109,4 +115,18 @@ def test_the_pole_that_carries_a_camera_hides_nothing():
         0.5
         < private_shares(protocol_scene(boxes=[thin]), [unit(0, 0, 0.0)], ground)[0, 0]
         < 1.0
+    )
+
+
+@pytest.mark.parametrize("suffix", forbidden_views.READERS)
+def test_every_reader_of_areas_loads(suffix):
+    assert load_entry(forbidden_views.READERS[suffix]) is load_private_ground
+
+
+def test_areas_of_an_unknown_kind_are_refused(tmp_path):
+    path = tmp_path / "areas.dwg"
+    with pytest.raises(InputError) as refused:
+        forbidden_views.load_forbidden_areas(path, load_study_scene())
+    assert str(refused.value) == (
+        f"{path}: got '.dwg'; expected one of .geojson, .json, .gpkg, .shp, .zip"
     )

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from junctions import protocol_scene
 
+from geometry.actors import LOOK_AT_M
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.ground import BANDS, LOOK_AT_M, find_ground_coverage
+from placement.ground import BANDS, find_ground_coverage
 
 CAMERA = load_cameras()["carla-ncap-rgb-90"]
 

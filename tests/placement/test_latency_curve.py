@@ -15,7 +15,7 @@ from geometry.errors import InputError
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, earliest_arrival_s
-from placement.latency import apr_by_latency
+from placement.latency_curves import apr_by_latency
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis, find_onsets

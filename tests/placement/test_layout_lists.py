@@ -10,7 +10,7 @@ from small_results import assemble_without_runs
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
-from geometry.maps.georeferences import WGS84, transform
+from geometry.frames import WGS84, transform
 from geometry.study_scene import load_study_scene
 from placement.layout import find_layout, load_layout
 from placement.question import Question

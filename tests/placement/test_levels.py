@@ -21,7 +21,7 @@ from placement.detection_table import level_axis, level_table, pack_table, plain
 from placement.detectors import load_detector, load_planning_detector
 from placement.evaluation import score
 from placement.evaluator import evaluate_layout
-from placement.latency import apr_by_latency
+from placement.latency_curves import apr_by_latency
 from placement.optimiser import (
     Effort,
     UnmetError,
@@ -31,13 +31,10 @@ from placement.optimiser import (
 )
 from placement.optimiser.front import pareto_front
 from placement.pipeline import Assembly, assemble, place
+from placement.proof_files import build_certificate, save_certificate
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from placement.verification.certificates import (
-    build_certificate,
-    load_certificate,
-    save_certificate,
-)
+from placement.verification.certificates import load_certificate
 from placement.verification.instances import load_problem
 from placement.verification.recomputation import margins_s
 from placement.verification.verify import verify_certificate

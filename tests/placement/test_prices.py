@@ -5,7 +5,7 @@ import pytest
 
 from geometry.errors import InputError
 from geometry.scene import Site
-from placement.wishes import Part, SitePrices, assumed_prices, load_prices
+from placement.wishes import PricedPart, SitePrices, assumed_prices, load_prices
 
 
 def site(kind: str, cost_eur: float = 0.0) -> Site:
@@ -61,6 +61,6 @@ def test_parts_that_are_not_in_the_table_are_refused():
         InputError, match=r"prices.toml: kinds: got \['lift'\]; expected parts of"
     ):
         SitePrices(
-            parts={"mounting": Part(eur=1.0, source="")},
+            parts={"mounting": PricedPart(eur=1.0, source="")},
             kinds={"pole": ("mounting", "lift")},
         )

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from geometry.errors import InputError
-from scenarios.accidents import load_accident_rules, read_accidents, split_source
+from scenarios.accidents import AccidentWeights, load_accident_rules, read_accidents
 from scenarios.cases import load_cases
-from scenarios.weights import check_weights, weigh
+from scenarios.weights import check_weights, needs_place, weigh
 
 HERE = (52.5200, 13.4050)
 METRES_PER_DEGREE = 6_371_008.8 * math.pi / 180.0
@@ -420,6 +420,7 @@ def test_the_table_names_cases_that_there_are_and_every_event_that_is_read():
 
 
 def test_words_are_split_at_the_first_colon():
-    assert split_source("stats19:C:/x.csv") == ("stats19", Path("C:/x.csv"))
-    assert split_source("C:/x.csv") is None
-    assert split_source("unfallatlas") is None
+    assert needs_place("stats19:C:/x.csv")
+    assert not needs_place("C:/x.csv")
+    assert not needs_place("unfallatlas")
+    assert AccidentWeights("unfallatlas:C:/x.csv").files() == (Path("C:/x.csv"),)

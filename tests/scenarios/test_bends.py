@@ -23,11 +23,11 @@ from geometry.actors import pick_actor
 from geometry.scene import Lane
 from placement.question import Question
 from placement.setting import build_rule
+from scenarios.bends import find_sharp_bends
 from scenarios.cases import load_cases
 from scenarios.courses import follow_gently, follow_lane
 from scenarios.runs import build_runs
 from scenarios.staging import lateral_mps2, load_way_rules
-from scenarios.ways import find_sharp_bends
 
 VUT = pick_actor("vut", "vut")
 

@@ -1,4 +1,5 @@
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,12 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError, MissingExtraError
-from scenarios import weights
+from geometry.registry import load_entry
+from scenarios import weight_tables, weights
 from scenarios.cases import select_cases
 from scenarios.runs import Refusal
+from scenarios.weight_tables import load_crash_types
 from scenarios.weights import (
     default_weights,
-    load_crash_types,
     weigh,
     weight_per_case,
     weight_per_run,
@@ -332,7 +334,7 @@ def test_points_are_those_of_the_package_shared_by_the_runs_of_a_case_and_weathe
 
 
 def test_every_score_of_the_mapping_is_one_of_the_package(scores):
-    points = weights.load_points()
+    points = weight_tables.load_points()
     assert set(points.values()) <= set(scores.values())
     frontal = [name for name in scores if "SfS" not in name and "ELK" not in name]
     left_out = {
@@ -384,7 +386,7 @@ def test_a_missing_package_names_the_extra(monkeypatch):
     monkeypatch.setitem(
         sys.modules, "euroncap_rating_2026.crash_avoidance.data_model", None
     )
-    weights.load_points.cache_clear()
+    weight_tables.load_points.cache_clear()
     with pytest.raises(MissingExtraError, match=r"pip install place-rsus\[rating\]"):
         weigh(DRIVEN, "euroncap-rating-2026")
 
@@ -456,3 +458,11 @@ def test_a_function_weighs_runs(runs):
         InputError, match="weights: got 0 for all runs; expected one weight more"
     ):
         weights.weight_by_function(runs, lambda run: 0.0)
+
+
+@pytest.mark.parametrize("name", weights.SCHEMES)
+def test_every_scheme_of_weights_loads(name):
+    scheme = load_entry(weights.SCHEMES[name])(f"{name}:collision.csv")
+    assert callable(scheme.check)
+    assert callable(scheme.weigh)
+    assert all(isinstance(path, Path) for path in scheme.files())

@@ -12,7 +12,7 @@ from placement.optimiser import (
     PlacementProblem,
     Solution,
 )
-from placement.verification.certificates import build_certificate
+from placement.proof_files import build_certificate
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 

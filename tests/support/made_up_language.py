@@ -7,7 +7,7 @@ import re
 from experiments.language import Messages
 from geometry.catalogue import load_cameras, load_lidars
 from geometry.study_scene import load_study_scene
-from placement.detectors.built_in import DETECTOR_NAMES
+from placement.detectors.registry import DETECTOR_NAMES
 from scenarios.cases import load_cases
 
 

@@ -24,8 +24,7 @@ from experiments.report.page import page_environment
 from experiments.scene import pictures
 from geometry.poses import Pose
 from geometry.sensors import CameraModel
-from placement.imaging import Picture as RenderedPicture
-from scenarios.runs import Run
+from placement.evaluator.picture_sources import PictureOfFrame
 
 
 def blank_png(drawn: Axes | Figure) -> bytes:
@@ -51,22 +50,14 @@ def _texts(artist: Artist) -> list[Text]:
     return list(artist.get_texts() if isinstance(artist, Legend) else artist.texts)
 
 
-def blank_view(
-    _backdrop: object,
-    _run: Run,
-    frame: int,
-    _pose: Pose,
-    camera: CameraModel,
-    **_options: object,
-) -> RenderedPicture:
-    """What a camera sees, of one grey that is told by the frame."""
-    shape = (camera.height_px, camera.width_px)
-    return RenderedPicture(
-        rgb=np.full((*shape, 3), frame % 256, dtype=np.uint8),
-        instance=np.full(shape, -1),
-        depth_m=np.full(shape, np.inf),
-        names=("vru",),
-    )
+class BlankSource:
+    """A picture source whose images are of one grey that is told by the frame."""
+
+    def pictures(self, camera: tuple[Pose, CameraModel]) -> PictureOfFrame:
+        """Function from a frame to an image as large as the camera's."""
+        _, model = camera
+        shape = (model.height_px, model.width_px, 3)
+        return lambda frame: np.full(shape, frame % 256, dtype=np.uint8)
 
 
 @contextmanager
@@ -80,8 +71,7 @@ def blank_pictures() -> Iterator[None]:
         patch.setattr(section, "to_png", blank_png)
         for module in (dangers, pictures, plan):
             patch.setattr(module, "draw_scene", lambda axes, scene: None)
-        patch.setattr(camera_views, "_backdrop", lambda scene, run: None)
-        patch.setattr(camera_views, "draw_picture", blank_view)
+        patch.setattr(camera_views, "_pictures_of", lambda *_, **__: BlankSource())
         yield
 
 

@@ -469,7 +469,7 @@ def _scenes() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_scene(path: Path) -> Any:
-    from geometry.scene_files import load_scene
+    from geometry.scene_sources import load_scene
 
     return load_scene(path)
 
@@ -709,7 +709,7 @@ def _small_runs() -> Any:
 
 
 def _read_weights(path: Path) -> Any:
-    from scenarios.weights import weight_from_csv
+    from scenarios.weight_tables import weight_from_csv
 
     return weight_from_csv(path, _small_runs())
 
@@ -725,7 +725,8 @@ def _weights() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_accidents(path: Path) -> Any:
-    from scenarios.accidents import STATS19, UNFALLATLAS, read_accidents
+    from scenarios.accidents import read_accidents
+    from scenarios.weights import STATS19, UNFALLATLAS
 
     return read_accidents(STATS19 if "collision" in path.name else UNFALLATLAS, path)
 
@@ -761,7 +762,7 @@ def _accidents() -> Mapping[str, tuple[str, Files]]:
 
 def _read_private_ground(path: Path) -> Any:
     from geometry.study_scene import load_study_scene
-    from placement.ground import load_private_ground
+    from placement.private_ground import load_private_ground
 
     return load_private_ground(path, load_study_scene())
 
@@ -934,7 +935,7 @@ def _certified() -> Files:
     from certified import document_of, two_of_twelve
 
     from placement.optimiser import solve_placement
-    from placement.verification.certificates import save_certificate
+    from placement.proof_files import save_certificate
     from scenarios.aeb import load_aeb_rule
     from scenarios.runs import FrameAxis
 
@@ -1204,7 +1205,7 @@ READERS: Mapping[str, Reader] = {
         read=_read_scene,
         seeds=_scenes,
         covers=(
-            "geometry.scene_files.load_scene",
+            "geometry.scene_sources.load_scene",
             "geometry.scene_files.load_scene_folder",
         ),
     ),
@@ -1228,7 +1229,9 @@ READERS: Mapping[str, Reader] = {
         _read_trajectories, _trajectories, ("scenarios.trajectories.read_tracks",)
     ),
     "layout lists": Reader(
-        _read_layout_list, _layout_lists, ("placement.layout.read_layout_rows",)
+        _read_layout_list,
+        _layout_lists,
+        ("placement.foreign_layouts.read_layout_rows",),
     ),
     "latency budget": Reader(
         _read_latency, _latencies, ("placement.latency.load_latency_budget",)
@@ -1241,19 +1244,23 @@ READERS: Mapping[str, Reader] = {
     "detector": Reader(
         _read_detector,
         _detectors,
-        ("placement.detectors.built_in.load_detector",),
+        ("placement.detectors.registry.load_detector",),
     ),
     "layout": Reader(
         _read_layout,
         _layouts,
         ("placement.layout.load_layout", "placement.layout.find_layout"),
     ),
-    "weights": Reader(_read_weights, _weights, ("scenarios.weights.weight_from_csv",)),
+    "weights": Reader(
+        _read_weights, _weights, ("scenarios.weight_tables.weight_from_csv",)
+    ),
     "accidents": Reader(
         _read_accidents, _accidents, ("scenarios.accidents.read_accidents",)
     ),
     "no-look areas": Reader(
-        _read_private_ground, _private_ground, ("placement.ground.load_private_ground",)
+        _read_private_ground,
+        _private_ground,
+        ("placement.private_ground.load_private_ground",),
     ),
     "recordings": Reader(
         read=_read_recording,

@@ -56,6 +56,7 @@ from .shared import (
     language_option,
     layout_option,
     quiet_option,
+    recording_options,
     sign_option,
 )
 from .worded import PROGRAM, Decorator, combined, is_given, option, option_name
@@ -94,6 +95,7 @@ __all__ = [
     "option_of",
     "question_options",
     "quiet_option",
+    "recording_options",
     "scene_option",
     "sign_option",
     "with_option_names",

@@ -1,11 +1,14 @@
 """Commands whose help lists options in sections, the common ones alone unless asked."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import click
 
+from geometry.registry import load_entry
+
+from ..commands import CommandEntry
 from .question import SECTIONS
 from .worded import PROGRAM, WordedOption, option_name
 
@@ -33,7 +36,39 @@ class SectionedCommand(click.Command):
 
 
 class SectionedGroup(SectionedCommand, click.Group):
-    """A group with options of its own, listed in sections, and commands."""
+    """A group with options of its own, listed in sections, and commands.
+
+    Commands of a registry are loaded when they run; the help of the group loads none.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._entries: dict[str, CommandEntry] = {}
+
+    def add_entries(self, entries: Mapping[str, CommandEntry]) -> None:
+        """Add commands by their names in a registry."""
+        self._entries |= entries
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of all commands, loaded or not, in alphabetical order."""
+        return sorted({*self._entries, *super().list_commands(ctx)})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Load a command; None where there is none of that name."""
+        entry = self._entries.get(cmd_name)
+        if entry is not None and cmd_name not in self.commands:
+            self.add_command(load_entry(entry.place), cmd_name)
+        return super().get_command(ctx, cmd_name)
+
+    def format_commands(
+        self, ctx: click.Context, formatter: click.HelpFormatter
+    ) -> None:
+        """Write a line for each command, of its registry where it has one."""
+        shown = {
+            name: click.Command(name, help=entry.line)
+            for name, entry in self._entries.items()
+        }
+        click.Group(commands={**shown, **self.commands}).format_commands(ctx, formatter)
 
     def format_options(
         self, ctx: click.Context, formatter: click.HelpFormatter
@@ -111,7 +146,8 @@ def with_option_names(message: str, group: click.Group) -> str:
     message : str
         What the library says.
     group : click.Group
-        Has the options; those of its commands count where it has none of that name.
+        Has the options; those of its commands, as far as they are loaded, count where
+        it has none of that name.
 
     Returns
     -------

@@ -11,8 +11,8 @@ import click
 from placement.compute import RAYS, Compute
 
 from ...language import LANGUAGES, speaking
-from ..running import Call, Job, cache_folder, check_address_space
-from .question import question_options
+from ..running import Call, QuestionCall, cache_folder, check_address_space
+from .question import SEEN, question_options
 from .worded import PROGRAM, Decorator, combined, option
 
 # ---------- what is printed
@@ -180,6 +180,34 @@ sign_option = option(
 """Option ``--sign`` of all commands that write a folder of results."""
 
 
+recording_options = combined(
+    option(
+        "--recording",
+        type=click.Path(path_type=Path),
+        metavar="DIR",
+        section=SEEN,
+        is_common=False,
+        help=(
+            "Work on recorded detections in the study's folder format; --out gets"
+            " summary.json."
+        ),
+    ),
+    option(
+        "--min-confidence",
+        type=click.FloatRange(min=0.0, max=1.0),
+        default=0.0,
+        show_default=True,
+        metavar="SHARE",
+        section=SEEN,
+        is_common=False,
+        needs="recording",
+        expected="a confidence, 0 to 1",
+        help="With --recording: detections below do not count.",
+    ),
+)
+"""Options ``--recording`` and ``--min-confidence``."""
+
+
 # ---------- several of them, as one value
 
 
@@ -270,7 +298,7 @@ def asking(
             **values: Any,
         ) -> Any:
             progress = click.get_current_context().find_root().obj
-            job = Job(
+            job = QuestionCall(
                 progress=progress,
                 question=question,
                 compute=compute,

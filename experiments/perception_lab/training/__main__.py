@@ -14,7 +14,14 @@ from geometry.errors import InputError
 from placement.compute import Compute
 
 from .card import card_text, fit_table
-from .crops import Crops, draw_crops, join_crops, load_crops, load_junction, save_crops
+from .crops import (
+    LabelledCrops,
+    draw_crops,
+    join_crops,
+    load_crops,
+    load_junction,
+    save_crops,
+)
 from .network import Recipe, VruNetwork, export_onnx, find_boxes, train
 
 _EXPORT_PX = 160
@@ -107,7 +114,7 @@ def main(
     click.echo(text)
 
 
-def _crops(name: str, folder: Path, *, n: int, seed: int) -> Crops:
+def _crops(name: str, folder: Path, *, n: int, seed: int) -> LabelledCrops:
     """Crops of a junction, drawn once."""
     path = folder / f"{Path(name).stem}-{seed}.npz"
     if not path.exists():

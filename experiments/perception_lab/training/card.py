@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from geometry.image_boxes import box_height_px
 from geometry.weather import pick_weather
 from placement.compute import Compute
-from placement.detectors import Evidence, ResponseDetector
-from placement.detectors.built_in import built_in_response
+from placement.detectors import Evidence
 from placement.detectors.evidence import Interval
 from placement.detectors.fitting import LabelledPicture, fit_response, gather_sightings
+from placement.detectors.response import ResponseDetector, built_in_response
 
 from ..fit import table_text
-from .crops import CROP_PX, WEATHERS, Crops
+from .crops import CROP_PX, WEATHERS, LabelledCrops
 from .metrics import Scored, average_precision, log_average_miss_rate, match_boxes
 from .network import CLASSES, Found, Recipe, VruNetwork, class_of, counted
 
@@ -32,8 +32,8 @@ MIN_CONFIDENCE = 0.5
 
 def card_text(
     network: VruNetwork,
-    learnt: Crops,
-    crops: Crops,
+    learnt: LabelledCrops,
+    crops: LabelledCrops,
     found: Found,
     *,
     held_out: Sequence[str],
@@ -67,7 +67,7 @@ def card_text(
 
 
 def _groups(
-    crops: Crops,
+    crops: LabelledCrops,
 ) -> Iterator[tuple[str, NDArray[np.bool_], tuple[float, float]]]:
     """Name, crops (n,), and heights of each group."""
     anything = (0.0, np.inf)
@@ -88,7 +88,9 @@ def _groups(
         yield name, crops.weather == number, anything
 
 
-def _row(name: str, crops: Crops, scored: Scored, keep: NDArray[np.bool_]) -> str:
+def _row(
+    name: str, crops: LabelledCrops, scored: Scored, keep: NDArray[np.bool_]
+) -> str:
     if not scored.n_labels:
         return ""
     share = (
@@ -106,7 +108,7 @@ def _row(name: str, crops: Crops, scored: Scored, keep: NDArray[np.bool_]) -> st
     return f"| {name} | {scored.n_labels} | {' | '.join(figures)} |"
 
 
-def _assumed(crops: Crops, keep: NDArray[np.bool_]) -> float:
+def _assumed(crops: LabelledCrops, keep: NDArray[np.bool_]) -> float:
     """Mean probability of the response model at full contrast, from the side."""
     n = int(keep.sum())
     evidence = Evidence(
@@ -121,7 +123,7 @@ def _assumed(crops: Crops, keep: NDArray[np.bool_]) -> float:
 
 
 def _score(
-    crops: Crops,
+    crops: LabelledCrops,
     found: Found,
     keep: NDArray[np.bool_],
     heights_px: tuple[float, float] = (0.0, np.inf),
@@ -163,7 +165,7 @@ _UNKNOWN = ("aspect", "frame_correlation")
 
 
 def fit_table(
-    crops: Crops, found: Found, *, source: str, command: str, compute: Compute
+    crops: LabelledCrops, found: Found, *, source: str, command: str, compute: Compute
 ) -> str:
     """Response table as TOML, for ``--detector FILE``; each crop is a track of its own.
 
@@ -188,7 +190,7 @@ def fit_table(
 
 
 def _picture(
-    crops: Crops, row: int, by_class: list[tuple[np.ndarray, np.ndarray]]
+    crops: LabelledCrops, row: int, by_class: list[tuple[np.ndarray, np.ndarray]]
 ) -> LabelledPicture:
     """A crop, its label if it is large enough, and the boxes that count for it."""
     kind = int(crops.vru_class[row])

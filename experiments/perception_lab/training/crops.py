@@ -16,7 +16,7 @@ from geometry.image_boxes import mask_box
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.poses import Pose
 from geometry.scene import Scene
-from geometry.scene_files import load_scene
+from geometry.scene_sources import load_scene
 from geometry.sensors import CameraModel, project_points
 from geometry.weather import Weather, pick_weather
 from placement.detectors.evidence import VRU_CLASSES, vru_class
@@ -25,7 +25,7 @@ from placement.evaluator.pictures import vut_camera_pose
 from placement.imaging import Backdrop, build_backdrop
 from placement.imaging.materials import load_materials, vary_materials
 from placement.imaging.mesh import FrameMesh, build_moving_meshes, place_mesh
-from placement.imaging.picture import Picture, Window
+from placement.imaging.picture import RenderedPicture, Window
 from placement.imaging.stills import draw_crop, silhouette
 from placement.question import Question
 from placement.setting import Setting, build_setting
@@ -67,7 +67,7 @@ class Framing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Crops:
+class LabelledCrops:
     """Crops with at most one road user each, arrays with a row for each."""
 
     rgb: NDArray[np.uint8]  # (n, CROP_PX, CROP_PX, 3)
@@ -85,12 +85,14 @@ class Crops:
         return len(self.rgb)
 
 
-def draw_crops(scene: Scene, n_crops: int, *, seed: int) -> Crops:
+def draw_crops(scene: Scene, n_crops: int, *, seed: int) -> LabelledCrops:
     """Draw crops at a junction; half of them with varied colours, a fourth of them empty."""
     setting = build_setting(Question(cases=_CASES), scene)
     looks = look_around(setting, Framing(), np.random.default_rng(seed))
     found = list(islice(looks, n_crops))
-    return Crops(**{name: np.stack([row[name] for row in found]) for name in found[0]})
+    return LabelledCrops(
+        **{name: np.stack([row[name] for row in found]) for name in found[0]}
+    )
 
 
 def load_junction(name: str) -> Scene:
@@ -100,21 +102,26 @@ def load_junction(name: str) -> Scene:
     return import_scene([Path(name)], ImportOptions()).scene
 
 
-def join_crops(parts: Sequence[Crops]) -> Crops:
+def join_crops(parts: Sequence[LabelledCrops]) -> LabelledCrops:
     """Crops of several drawings in one."""
-    of = {name: [getattr(part, name) for part in parts] for name in Crops.__slots__}
-    return Crops(**{name: np.concatenate(values) for name, values in of.items()})
+    of = {
+        name: [getattr(part, name) for part in parts]
+        for name in LabelledCrops.__slots__
+    }
+    return LabelledCrops(
+        **{name: np.concatenate(values) for name, values in of.items()}
+    )
 
 
-def save_crops(path: Path, crops: Crops) -> None:
+def save_crops(path: Path, crops: LabelledCrops) -> None:
     """Write crops as ``.npz``."""
-    np.savez(path, **{name: getattr(crops, name) for name in Crops.__slots__})
+    np.savez(path, **{name: getattr(crops, name) for name in LabelledCrops.__slots__})
 
 
-def load_crops(path: Path) -> Crops:
+def load_crops(path: Path) -> LabelledCrops:
     """Read crops written by :func:`save_crops`."""
     with np.load(path) as stored:
-        return Crops(**{name: stored[name] for name in Crops.__slots__})
+        return LabelledCrops(**{name: stored[name] for name in LabelledCrops.__slots__})
 
 
 Backdrops = dict[tuple[object, ...], tuple[Backdrop, FrameMesh]]
@@ -128,7 +135,7 @@ def look_around(
     *,
     backdrops: Backdrops | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Rows of :class:`Crops` by one camera after another, without end.
+    """Rows of :class:`LabelledCrops` by one camera after another, without end.
 
     `backdrops` may be shared with others: what is missing is added. Raises InputError:
     the junction carries no case, or none with such road users.
@@ -292,7 +299,7 @@ def _pick_window(
 
 
 def _label(
-    picture: Picture, run: Run, n_whole: int, height_px: float
+    picture: RenderedPicture, run: Run, n_whole: int, height_px: float
 ) -> dict[str, Any]:
     """Labels of a crop in which the whole road user would cover `n_whole` pixels."""
     is_vru = picture.instance == len(picture.names) - 1

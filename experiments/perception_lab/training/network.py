@@ -30,7 +30,7 @@ from torch.optim.swa_utils import AveragedModel
 from geometry.image_boxes import box_height_px
 from placement.detectors.network import suppress
 
-from .crops import CROP_PX, Crops
+from .crops import CROP_PX, LabelledCrops
 
 CLASSES = ("pedestrian", "cyclist")
 STRIDE_PX = 8
@@ -250,7 +250,7 @@ class Recipe:
 
 
 def train(
-    crops: Crops,
+    crops: LabelledCrops,
     recipe: Recipe,
     *,
     tell: Callable[[int, float, VruNetwork], None] = lambda done, loss, network: None,
@@ -260,7 +260,7 @@ def train(
 
     Parameters
     ----------
-    crops : Crops or callable
+    crops : LabelledCrops or callable
         What it learns from; a callable is asked before each round.
     recipe : Recipe
         How.
@@ -358,18 +358,18 @@ def _keep(checkpoint: Path | None, parts: dict[str, Any], rounds: int) -> None:
     new.replace(checkpoint)
 
 
-def class_of(crops: Crops) -> NDArray[np.int64]:
+def class_of(crops: LabelledCrops) -> NDArray[np.int64]:
     """Index into ``CLASSES`` (n,); a child is a pedestrian; -1 where there is nobody."""
     return np.where(crops.vru_class < 0, -1, (crops.vru_class == 2).astype(np.int64))
 
 
-def counted(crops: Crops) -> NDArray[np.bool_]:
+def counted(crops: LabelledCrops) -> NDArray[np.bool_]:
     """Crops whose road user counts, (n,): at least 0.3 of it is seen, at least 10 px high."""
     is_high: NDArray[np.bool_] = box_height_px(crops.box_px) >= _LEAST_PX
     return is_high & (crops.vru_class >= 0) & (crops.visible_share >= _LEAST_SHARE)
 
 
-def _stands_out(crops: Crops) -> NDArray[np.bool_]:
+def _stands_out(crops: LabelledCrops) -> NDArray[np.bool_]:
     """Crops whose road user is more than noise in the dark, (n,)."""
     stands = np.zeros(len(crops), dtype=bool)
     for row in np.flatnonzero(crops.vru_class >= 0).tolist():
@@ -385,7 +385,7 @@ def _stands_out(crops: Crops) -> NDArray[np.bool_]:
 
 
 def _batch(
-    crops: Crops,
+    crops: LabelledCrops,
     labels: tuple[NDArray[np.int64], NDArray[np.bool_]],
     part: NDArray[np.int64],
     rng: np.random.Generator,
@@ -437,7 +437,7 @@ def _other_colours(
 
 
 @torch.no_grad()
-def find_boxes(network: VruNetwork, crops: Crops) -> Found:
+def find_boxes(network: VruNetwork, crops: LabelledCrops) -> Found:
     """Boxes and confidence of each crop, by class, overlapping ones suppressed."""
     found: Found = []
     for part in np.array_split(

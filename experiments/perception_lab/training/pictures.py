@@ -28,8 +28,8 @@ from .crops import (
     TRAINED,
     WEATHERS,
     Backdrops,
-    Crops,
     Framing,
+    LabelledCrops,
     load_crops,
     load_junction,
     look_around,
@@ -122,7 +122,7 @@ def stored_looks(folder: Path, *, seed: int) -> Looks:
 
 
 def _stored(
-    parts: Mapping[str, Crops],
+    parts: Mapping[str, LabelledCrops],
     kind: int,
     weather: int,
     rng: np.random.Generator,
@@ -145,7 +145,10 @@ def _stored(
         row = int(rows[name][turn // len(names) % len(rows[name])])
         yield (
             name,
-            {field: getattr(parts[name], field)[row] for field in Crops.__slots__},
+            {
+                field: getattr(parts[name], field)[row]
+                for field in LabelledCrops.__slots__
+            },
         )
 
 

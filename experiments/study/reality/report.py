@@ -13,7 +13,6 @@ from shapely import Polygon, union_all
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray
 from geometry.lidar import load_lidar_detection
-from placement.detectors.built_in import built_in_response
 from placement.detectors.evidence import Interval
 from placement.detectors.fitting import (
     ResponseFit,
@@ -21,6 +20,7 @@ from placement.detectors.fitting import (
     fit_response,
     share_by_track,
 )
+from placement.detectors.response import built_in_response
 
 from ...figures.axes import BLUE, GREY, WIDTH_IN, finish_axes, new_figure
 from ...perception_lab.fit import draw_intervals, table_text

@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.lenses import ground_points
+from geometry.calibrations import ground_points
 from geometry.opening import read_text
-from placement.detectors import ResponseDetector
-from placement.detectors.built_in import built_in_response
 from placement.detectors.evidence import Interval, linked_noise
 from placement.detectors.fitting import (
     FalseAlarms,
@@ -24,6 +22,7 @@ from placement.detectors.fitting import (
     gather_sightings,
     share_by_track,
 )
+from placement.detectors.response import ResponseDetector, built_in_response
 from placement.recordings.formats import RecordedBoxes, read_boxes
 from placement.recordings.pairs import PairedBoxes, frames_to_confirm, pair_boxes
 

@@ -44,7 +44,7 @@ _MIN_AREA_M2 = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JunctionRecord:
+class OpendriveJunction:
     """Junction as the file has it.
 
     Attributes
@@ -72,7 +72,7 @@ def read_junction_records(
     root: Element,
     where: str,
     omissions: Omissions,
-) -> dict[str, JunctionRecord]:
+) -> dict[str, OpendriveJunction]:
     """Junctions of a document, by id; those without surface are noted.
 
     Parameters
@@ -86,7 +86,7 @@ def read_junction_records(
 
     Returns
     -------
-    records : dict of str to JunctionRecord
+    records : dict of str to OpendriveJunction
         In the order of the file.
 
     Raises
@@ -94,7 +94,7 @@ def read_junction_records(
     InputError
         An id is missing or comes twice.
     """
-    found: dict[str, JunctionRecord] = {}
+    found: dict[str, OpendriveJunction] = {}
     without_surface = load_facts()["without_surface"]
     for element, here in numbered(root, "junction", where):
         junction_id = take_id(element, here)
@@ -108,7 +108,7 @@ def read_junction_records(
             connection.get("incomingRoad", "")
             for connection in element.iter("connection")
         ]
-        found[junction_id] = JunctionRecord(
+        found[junction_id] = OpendriveJunction(
             id=junction_id,
             name=element.get("name", "").strip(),
             has_surface=kind not in without_surface,
@@ -120,7 +120,7 @@ def read_junction_records(
 
 def find_road_ends(
     roads: Mapping[str, Road],
-    junctions: Mapping[str, JunctionRecord],
+    junctions: Mapping[str, OpendriveJunction],
     omissions: Omissions,
 ) -> dict[str, RoadEnds]:
     """Junctions at both ends of the roads outside junctions, by road.
@@ -132,7 +132,7 @@ def find_road_ends(
     ----------
     roads : Mapping[str, Road]
         Roads of the file, by id.
-    junctions : Mapping[str, JunctionRecord]
+    junctions : Mapping[str, OpendriveJunction]
         Junctions of the file, by id.
     omissions : Omissions
         Record of what is left out, and why; entries are added.
@@ -266,7 +266,7 @@ def _leading_road(
 
 # ---------- outlines
 def build_junctions(
-    records: Mapping[str, JunctionRecord],
+    records: Mapping[str, OpendriveJunction],
     roads: Mapping[str, Road],
     sampled: Mapping[str, Sequence[SampledSection]],
     lanes: Sequence[MapLane],
@@ -282,7 +282,7 @@ def build_junctions(
 
     Parameters
     ----------
-    records : Mapping[str, JunctionRecord]
+    records : Mapping[str, OpendriveJunction]
         Junctions of the file, by id.
     roads : Mapping[str, Road]
         Roads of the file, by id.

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from ...arrays import FloatArray
 from ...errors import InputError, refuse
 from ..source_map import POLE_KINDS, MapLane, Omissions, Pole, Thing, has_word, words_of
-from .junctions import JunctionRecord
+from .junctions import OpendriveJunction
 from .lanes import SampledSection, lane_kind
 from .object_shapes import (
     Outline,
@@ -236,14 +236,14 @@ def _corners(
 
 
 def cross_paths(
-    records: Mapping[str, JunctionRecord],
+    records: Mapping[str, OpendriveJunction],
     roads: Mapping[str, Road],
 ) -> Iterator[FloatArray]:
     """Lines of the paths on which pedestrians cross junctions.
 
     Parameters
     ----------
-    records : Mapping[str, JunctionRecord]
+    records : Mapping[str, OpendriveJunction]
         Junctions of the file, by id.
     roads : Mapping[str, Road]
         Roads of the file, by id.
@@ -398,7 +398,7 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
 
 # ---------- all objects
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundObjects:
     """Objects along the roads.
 
     Attributes
@@ -419,7 +419,7 @@ class Found:
     spaces: dict[str, list[Space]] = field(default_factory=dict)
 
 
-def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
+def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> FoundObjects:
     """Objects of all roads; what is left out is noted.
 
     Parameters
@@ -431,7 +431,7 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
 
     Returns
     -------
-    found : Found
+    found : FoundObjects
         In the coordinates of the map.
 
     Raises
@@ -440,7 +440,7 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
         A number is missing or not finite, or there are too many objects or
         corners.
     """
-    found = Found()
+    found = FoundObjects()
     n_places = 0
     n_vertices = 0
     n_counted = 0
@@ -518,7 +518,9 @@ def _taken_objects(
             omissions.add(f"objects ({said[:40]})", one.name, why)
 
 
-def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> bool:
+def _take(
+    kind: str, one: RoadElement, spot: Spot, name: str, found: FoundObjects
+) -> bool:
     """Add an object at one of its places; False: it has no size.
 
     Parameters
@@ -531,7 +533,7 @@ def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> b
         Place of the object.
     name : str
         Id of the thing, unique in the map.
-    found : Found
+    found : FoundObjects
         Objects found so far; extended.
 
     Returns

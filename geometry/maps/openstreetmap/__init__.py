@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 
 from ...arrays import FloatArray, float_array
 from ...errors import InputError, MissingExtraError, Unquoted, refuse
+from ...frames import WGS84, transform
 from ...notes import Note
 from ...phrases import Phrase
 from ...progress import Progress, counted, silent
 from ...writing import write_atomically
-from ..georeferences import WGS84, local_crs, transform
+from ..georeferences import local_crs
 from ..source_map import SourceMap, parse_length_m
 from .elements import DEFAULTS, Elements, Way, read_elements
 from .junctions import find_junctions

@@ -362,7 +362,7 @@ def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
 
 # ---------- areas
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Area:
+class MappedArea:
     """Area with its courtyards.
 
     Attributes
@@ -380,7 +380,7 @@ class Area:
     polygon: Polygon
 
 
-def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
+def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[MappedArea]:
     """Closed ways and rings of multipolygons that have one of some tags.
 
     Broken outlines are noted.
@@ -394,7 +394,7 @@ def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
 
     Yields
     ------
-    area : Area
+    area : MappedArea
         First those of relations, then those of ways.
     """
     by_id = {way.id: way for way in elements.ways}
@@ -425,7 +425,7 @@ def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
         if not way.is_closed or (way.rows < 0).any():
             elements.omissions.add("outlines", f"way {way.id}", _BROKEN)
         else:
-            yield Area(
+            yield MappedArea(
                 id=f"w{way.id}",
                 tags=way.tags,
                 polygon=Polygon(elements.positions_m[way.rows]),
@@ -437,7 +437,7 @@ def _multipolygon(
     relation: Relation,
     tags: Tags,
     by_id: Mapping[int, Way],
-) -> Iterator[Area]:
+) -> Iterator[MappedArea]:
     """Areas of a multipolygon, one for each outer ring.
 
     Parameters
@@ -453,7 +453,7 @@ def _multipolygon(
 
     Yields
     ------
-    area : Area
+    area : MappedArea
         With the inner rings that lie in it as holes.
     """
     rings: dict[bool, list[FloatArray]] = {}
@@ -477,7 +477,7 @@ def _multipolygon(
                 holes[int(inside[0])].append(ring)
     for number, ring in enumerate(rings[False]):
         name = numbered(f"r{relation.id}", number)
-        yield Area(id=name, tags=tags, polygon=Polygon(ring, holes[number]))
+        yield MappedArea(id=name, tags=tags, polygon=Polygon(ring, holes[number]))
 
 
 def numbered(name: str, number: int, between: str = ".") -> str:

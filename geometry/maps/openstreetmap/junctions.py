@@ -48,7 +48,7 @@ _AHEAD_M = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Arm:
+class StreetArm:
     """Street that leaves a junction.
 
     Attributes
@@ -87,7 +87,9 @@ class Arm:
         return 0.5 * self.street.section_at(self.mouth_m).width_m
 
 
-def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
+def place_mouths(
+    arms: Sequence[StreetArm], inside: Sequence[Street]
+) -> list[StreetArm]:
     """Arms of a junction with the distance at which their lanes begin.
 
     They begin a corner beyond the point where their carriageways have left
@@ -96,14 +98,14 @@ def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
 
     Parameters
     ----------
-    arms : sequence of Arm
+    arms : sequence of StreetArm
         Arms of one junction.
     inside : sequence of Street
         Streets between nodes of the junction.
 
     Returns
     -------
-    placed : list of Arm
+    placed : list of StreetArm
         The same arms, in order.
     """
     limits = DEFAULTS["junction"]
@@ -147,12 +149,12 @@ def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
     return aligned
 
 
-def group_arms(arms: Sequence[Arm]) -> list[list[int]]:
+def group_arms(arms: Sequence[StreetArm]) -> list[list[int]]:
     """Groups of streets that lead the same way side by side: one arm each.
 
     Parameters
     ----------
-    arms : sequence of Arm
+    arms : sequence of StreetArm
         Arms of one junction.
 
     Returns
@@ -525,7 +527,7 @@ def _arms_by_cluster(
     streets: Sequence[Street],
     clusters: Clusters,
     known: _Placed,
-) -> tuple[dict[int, list[Arm]], dict[int, list[Street]]]:
+) -> tuple[dict[int, list[StreetArm]], dict[int, list[Street]]]:
     """Arms of each junction and streets inside it, by its number.
 
     Parameters
@@ -540,13 +542,13 @@ def _arms_by_cluster(
 
     Returns
     -------
-    arms : dict of int to list of Arm
+    arms : dict of int to list of StreetArm
         Streets that leave the junction.
     inside : dict of int to list of Street
         Streets that lead back to it.
     """
     limit_m = DEFAULTS["junction"]["max_size_m"]
-    arms: dict[int, list[Arm]] = {number: [] for number in clusters.members}
+    arms: dict[int, list[StreetArm]] = {number: [] for number in clusters.members}
     inside: dict[int, list[Street]] = defaultdict(list)
     for index, street in enumerate(streets):
         begin = clusters.of_row.get(int(street.rows[0]))
@@ -557,9 +559,11 @@ def _arms_by_cluster(
             inside[begin].append(street)
             continue
         if begin is not None:
-            arms[begin].append(Arm(street=street, index=index, is_begin=True))
+            arms[begin].append(StreetArm(street=street, index=index, is_begin=True))
         if end is not None:
-            arms[end].append(Arm(street=street.reversed(), index=index, is_begin=False))
+            arms[end].append(
+                StreetArm(street=street.reversed(), index=index, is_begin=False)
+            )
     for number, here in arms.items():
         # Most junctions stay as they are from round to round.
         meeting = [*(arm.street for arm in here), *inside[number]]
@@ -579,7 +583,7 @@ def _arms_by_cluster(
 def _take_in_forks(
     network: Network,
     clusters: Clusters,
-    arms: Mapping[int, Sequence[Arm]],
+    arms: Mapping[int, Sequence[StreetArm]],
 ) -> bool:
     """Join forks next to a junction to it; True if there were any.
 
@@ -619,23 +623,23 @@ def _take_in_forks(
 
 def _take_stubs(
     network: Network,
-    arms: dict[int, list[Arm]],
+    arms: dict[int, list[StreetArm]],
     inside: dict[int, list[Street]],
-) -> list[Arm]:
+) -> list[StreetArm]:
     """Move dead ends next to a junction from its arms into it.
 
     Parameters
     ----------
     network : Network
         Roads for cars.
-    arms : dict[int, list[Arm]]
+    arms : dict[int, list[StreetArm]]
         Arms by junction; changed in place.
     inside : dict[int, list[Street]]
         Streets inside each junction; changed in place.
 
     Returns
     -------
-    stubs : list of Arm
+    stubs : list of StreetArm
         What was moved.
     """
     stubs = []
@@ -652,7 +656,7 @@ def _take_stubs(
 
 def _drop_small(
     clusters: Clusters,
-    arms: Mapping[int, Sequence[Arm]],
+    arms: Mapping[int, Sequence[StreetArm]],
     elements: Elements,
 ) -> bool:
     """Drop meetings of roads that are no junctions; True if there were any.
@@ -661,7 +665,7 @@ def _drop_small(
     ----------
     clusters : Clusters
         Nodes of junctions; changed in place.
-    arms : Mapping[int, Sequence[Arm]]
+    arms : Mapping[int, Sequence[StreetArm]]
         Arms by junction.
     elements : Elements
         Elements of the file.
@@ -693,7 +697,7 @@ def _reaches(
     network: Network,
     streets: Sequence[Street],
     clusters: Clusters,
-    arms: Mapping[int, Sequence[Arm]],
+    arms: Mapping[int, Sequence[StreetArm]],
     ids: Mapping[int, str],
 ) -> dict[int, Reach]:
     """The part of each street that has lanes, by the street's index.
@@ -706,7 +710,7 @@ def _reaches(
         All streets.
     clusters : Clusters
         Nodes of junctions; changed in place.
-    arms : Mapping[int, Sequence[Arm]]
+    arms : Mapping[int, Sequence[StreetArm]]
         Arms by junction.
     ids : Mapping[int, str]
         Ids of junctions, by their numbers.
@@ -781,7 +785,7 @@ def _road_beside_m(network: Network, street: Street, at: int) -> float:
 
 
 def _outline(
-    arms: Sequence[Arm],
+    arms: Sequence[StreetArm],
     inside: Sequence[Street],
     points_m: FloatArray,
 ) -> FloatArray:
@@ -789,7 +793,7 @@ def _outline(
 
     Parameters
     ----------
-    arms : sequence of Arm
+    arms : sequence of StreetArm
         Arms of one junction.
     inside : sequence of Street
         Streets inside the junction.
@@ -819,7 +823,7 @@ def _outline(
     return np.asarray(shapely.simplify(polygon.exterior, 0.02).coords)[:-1]
 
 
-def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
+def _name(arms: Sequence[StreetArm], inside: Sequence[Street]) -> str:
     """Names of the streets that meet, the busiest first."""
     ranks: dict[str, int] = {}
     edges = [arm.street.parts[0][0] for arm in arms]

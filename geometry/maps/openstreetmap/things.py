@@ -28,8 +28,8 @@ from ..source_map import (
 from .elements import (
     DEFAULTS,
     WORDS,
-    Area,
     Elements,
+    MappedArea,
     Relation,
     TagNote,
     Tags,
@@ -714,7 +714,7 @@ def find_buildings(network: Network) -> Iterator[Thing]:
             yield from _solid(piece, passages, omissions)
 
 
-def _element(area: Area) -> str:
+def _element(area: MappedArea) -> str:
     """Kind and id of the element of an area, for notes: "way 5"."""
     kind = "way"
     if area.id.startswith("r"):
@@ -723,7 +723,7 @@ def _element(area: Area) -> str:
     return f"{kind} {number}"
 
 
-def _stands(area: Area, omissions: Omissions) -> bool:
+def _stands(area: MappedArea, omissions: Omissions) -> bool:
     """True if a building exists, above the ground, and can be seen."""
     tags = area.tags
     kinds = [tags[key] for key in ("building", "building:part") if key in tags]
@@ -739,16 +739,16 @@ def _stands(area: Area, omissions: Omissions) -> bool:
 
 
 def _without_parts(
-    outlines: Sequence[Area],
-    parts: Sequence[Area],
+    outlines: Sequence[MappedArea],
+    parts: Sequence[MappedArea],
 ) -> list[list[Polygon] | None]:
     """The rest of each outline that no building part covers.
 
     Parameters
     ----------
-    outlines : sequence of Area
+    outlines : sequence of MappedArea
         Buildings.
-    parts : sequence of Area
+    parts : sequence of MappedArea
         Building parts, each belonging to the outline in which it lies.
 
     Returns
@@ -777,18 +777,22 @@ def _without_parts(
     return rests
 
 
-def _pieces(area: Area, shapes: Sequence[Polygon], name: str) -> Iterator[Area]:
+def _pieces(
+    area: MappedArea, shapes: Sequence[Polygon], name: str
+) -> Iterator[MappedArea]:
     """Areas with the shapes that are left of one area."""
     for number, shape in enumerate(shapes):
         yield replace(area, id=numbered(name, number, " "), polygon=shape)
 
 
-def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[Thing]:
+def _solid(
+    area: MappedArea, passages: "_Passages", omissions: Omissions
+) -> Iterator[Thing]:
     """Solids of a building: around a passage through it, and above that.
 
     Parameters
     ----------
-    area : Area
+    area : MappedArea
         The building.
     passages : '_Passages'
         Ways that lead through buildings.
@@ -819,12 +823,12 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
         yield from _prism(piece, (clear_m, *span[1:]), omissions)
 
 
-def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
+def _prism(area: MappedArea, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
     """Prism over an area; an outline without area is noted.
 
     Parameters
     ----------
-    area : Area
+    area : MappedArea
         Footprint.
     span : '_Span'
         Bottom and top, and whether they are assumed. [m]
@@ -852,12 +856,12 @@ def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
 
 
 # ---------- heights
-def _span(area: Area, omissions: Omissions) -> _Span | None:
+def _span(area: MappedArea, omissions: Omissions) -> _Span | None:
     """Bottom and top of a building, and whether they are assumed.
 
     Parameters
     ----------
-    area : Area
+    area : MappedArea
         The building.
     omissions : Omissions
         Record of what is left out, and why; entries are added.
@@ -929,14 +933,14 @@ def _clear_height_m(kind: str, tags: Tags) -> float:
     return clear_m * max(level(tags), int(is_on_stilts))
 
 
-def _top_m(area: Area, omissions: Omissions) -> float | None:
+def _top_m(area: MappedArea, omissions: Omissions) -> float | None:
     """Height of a roof in metres; None: the tags give none.
 
     A height counts first, then storeys and the height of the roof.
 
     Parameters
     ----------
-    area : Area
+    area : MappedArea
         The building.
     omissions : Omissions
         Record of what is left out, and why; entries are added.
@@ -1021,12 +1025,12 @@ class _Passages:
         tagged_m = parse_length_m(tags.get("maxheight", ""))
         self._ways.append((strip, tagged_m or clear_m, _leads_through(tags)))
 
-    def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
+    def through(self, area: MappedArea) -> tuple[BaseGeometry | None, float]:
         """Area of the ways that lead through a building, and their clear height.
 
         Parameters
         ----------
-        area : Area
+        area : MappedArea
             The building.
 
         Returns

@@ -11,9 +11,9 @@ from xml.sax.saxutils import quoteattr
 
 from msgspec import Meta, Struct
 
-from geometry.actors import Actor, box_shape, pick_actor
-from geometry.errors import InputError, check_one_of, located, refuse
-from geometry.tables import Table, Text, read_table, take_list, take_number, take_text
+from geometry.actors import Actor, read_body
+from geometry.errors import InputError, check_one_of, refuse
+from geometry.tables import Table, Text, read_table, take_list
 from geometry.text_formats import load_data, load_toml
 
 from ...compute import check_distinct
@@ -181,32 +181,6 @@ def _read_kind(entry: Table, where: str) -> DrivingKind:
     check_one_of(f"{where}.sumo_class", kind.sumo_class, SUMO_CLASSES)
     actor = read_body({k: v for k, v in entry.items() if k not in _KIND_KEYS}, where)
     return DrivingKind(actor=actor, sumo_class=kind.sumo_class, share=kind.share)
-
-
-# ---------- bodies of vehicles in files of traffic
-_SIZES = ("length_m", "width_m", "height_m")
-
-
-def read_body(entry: Table, where: str) -> Actor:
-    """Body of a vehicle, from the catalogue or as a box.
-
-    A table has `actor`, or `name`, `length_m`, `width_m` and `height_m`. A box
-    reaches down to the road. Raises InputError for any other key, or a body of the
-    catalogue that is no vehicle.
-    """
-    known = ("actor",) if "actor" in entry else ("name", *_SIZES)
-    for key in entry:
-        check_one_of(where, key, known)
-    if "actor" in entry:
-        actor = pick_actor(take_text(entry, "actor", where), f"{where}.actor")
-        if actor.class_name != "parked vehicle":
-            raise InputError(f"{where}.actor", actor.name, "a parked vehicle")
-        return actor
-    sizes_m = {key: take_number(entry, key, where) for key in _SIZES}
-    name = take_text(entry, "name", where)
-    with located(f"{where}: "):
-        shapes = (box_shape(**sizes_m),)
-        return Actor(name=name, class_name="parked vehicle", **sizes_m, shapes=shapes)
 
 
 # ---------- SUMO's routes

@@ -27,7 +27,7 @@ import numpy as np
 
 from geometry.actors import Actor, MovingActor
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, MissingExtraError, refuse
+from geometry.errors import MissingExtraError, refuse
 from geometry.junction import Arm, Junction, build_junction, lane_length_m
 from geometry.lines import along_m, points_at
 from geometry.opening import open_file, read_text
@@ -35,10 +35,10 @@ from geometry.scene import Lane, Scene
 from geometry.writing import write_new
 from scenarios.runs import Run
 
+from ..driving import TrafficCount
 from .demand import Demand, load_demand, write_routes
 from .trajectories import (
     REACH_M,
-    TrafficCount,
     Trajectories,
     build_trajectories,
     cut_window,
@@ -562,11 +562,10 @@ def _run_program(
 
 
 # ---------- vehicles that drive by in sampled worlds
-SUMO = "sumo"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MovingTraffic:
+class SumoTraffic:
     """Where vehicles that drive by come from.
 
     Attributes
@@ -691,26 +690,28 @@ def _driving_by(
     return bodies, len(near) - len(bodies)
 
 
-def load_traffic(source: str, scene: Scene) -> MovingTraffic:
-    """Vehicles that drive by, as a question names them.
+def load_default_traffic(_source: str, scene: Scene) -> SumoTraffic:
+    """Vehicles of the default demand. MissingExtraError without SUMO."""
+    return _traffic_of(load_demand(), scene)
 
-    The name is "sumo", or a .toml file of demand for it. Raises InputError if it is
-    not what it should be; MissingExtraError without SUMO.
+
+def load_traffic_of_file(source: str, scene: Scene) -> SumoTraffic:
+    """Vehicles of a .toml file of demand.
+
+    Raises InputError if the file is not what it should be; MissingExtraError without
+    SUMO.
     """
-    path = Path(source)
-    if source != SUMO and path.suffix.lower() != ".toml":
-        raise InputError("traffic", source, f"{SUMO}, or a .toml file of demand for it")
-    if source == SUMO:
-        demand = load_demand()
-    else:
-        demand = load_demand(path)
+    return _traffic_of(load_demand(Path(source)), scene)
+
+
+def _traffic_of(demand: Demand, scene: Scene) -> SumoTraffic:
     if importlib.util.find_spec("libsumo") is None:
         raise missing_sumo()
     network = build_network(
         scene, speed_limit_mps=demand.speed_limit_mps, approach_m=demand.approach_m
     )
     middle: FloatArray = scene.outline_m.mean(axis=0)
-    return MovingTraffic(
+    return SumoTraffic(
         name=f"SUMO, demand {demand.name}",
         middle_m=middle,
         demand=demand,

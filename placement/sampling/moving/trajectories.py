@@ -1,16 +1,14 @@
 """Trajectories of vehicles, and the windows that runs cut of them."""
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated
 
 import numpy as np
 
 from geometry.actors import Actor, MovingActor, PlacedActor, footprint_sizes
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.footprints import gaps_between
-from geometry.tables import says
 from scenarios.runs import Run
 
 # A vehicle that is away for longer than so many steps has left and come back.
@@ -155,38 +153,6 @@ def build_trajectories(
 REACH_M = 100.0
 # Bodies nearer than this stand in one another.
 _TOGETHER_M = 1.0e-3
-
-
-@dataclass(frozen=True, slots=True)
-class TrafficCount:
-    """Vehicles that drive by, in all runs together."""
-
-    n_runs: Annotated[int, says("Number of runs.")] = 0
-    n_vehicles: Annotated[
-        int, says("Near the junction, those left out among them.")
-    ] = 0
-    n_left_out: Annotated[
-        int, says("Of these: they would have come into the way of VUT or VRU.")
-    ] = 0
-    n_departed: Annotated[int, says("By SUMO: entered the network.")] = 0
-    n_waiting: Annotated[int, says("By SUMO: found no room to.")] = 0
-
-    def __add__(self, other: "TrafficCount") -> "TrafficCount":
-        return TrafficCount(*map(sum, zip(astuple(self), astuple(other), strict=True)))
-
-    def __str__(self) -> str:
-        text = (
-            f"{self.n_left_out} of {self.n_vehicles} vehicles in {self.n_runs} runs"
-            " left out: they would have been in the way"
-        )
-        if self.n_waiting:
-            n_wanted = self.n_departed + self.n_waiting
-            text += f"; SUMO found no room for {self.n_waiting} of {n_wanted} vehicles"
-        return text
-
-
-# Nobody drives by.
-NO_TRAFFIC = TrafficCount()
 
 
 def cut_window(

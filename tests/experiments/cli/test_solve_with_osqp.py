@@ -8,7 +8,7 @@ import pytest
 from synthetic_instances import SyntheticSize, build_synthetic_instance
 
 from placement.optimiser import Limits, PlacementProblem
-from placement.verification.instances import save_problem
+from placement.proof_files import save_problem
 from scenarios.aeb import AebRule
 
 SIZE = SyntheticSize(

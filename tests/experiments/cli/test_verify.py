@@ -20,16 +20,13 @@ from experiments.jobs import placement, search
 from experiments.progress import StageProgress
 from experiments.results.record import to_plain
 from geometry.errors import InputError
-from geometry.scene_files import load_scene, pack_scene, save_scene
+from geometry.scene_files import pack_scene, save_scene
+from geometry.scene_sources import load_scene
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
+from placement.proof_files import save_problem, scene_hash
 from placement.question import Question
-from placement.verification.instances import (
-    load_problem,
-    load_stored_problem,
-    save_problem,
-    scene_hash,
-)
+from placement.verification.instances import load_problem, load_stored_problem
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from export_layouts import level_layout, map_scene, placeless_scene
 
 from experiments.export import load_format
 from experiments.export.dxf import to_dxf
-from experiments.export.places import UNSEEN, find_views
+from experiments.export.views import UNSEEN, find_views
 from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout
 
@@ -55,7 +55,7 @@ def test_what_no_camera_sees_is_road_outside_of_all_views(views):
 @pytest.mark.parametrize("name", ["geojson", "gpkg", "kml"])
 def test_other_programs_read_the_same_areas(name, views, tmp_path):
     path = tmp_path / f"views.{name}"
-    content = load_format(name).write(TWO, SCENE, views=True)
+    content = load_format(name).write(TWO, SCENE, views=find_views)
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     if name == "gpkg":
         table = gpd.read_file(path, layer="views")

@@ -6,7 +6,7 @@ import pytest
 
 from placement.detection_table import pack_table
 from placement.optimiser import Floor, Limits, PlacementProblem, apr
-from placement.verification.instances import save_problem
+from placement.proof_files import save_problem
 from scenarios.aeb import AebRule
 
 

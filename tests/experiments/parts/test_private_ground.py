@@ -14,12 +14,9 @@ from experiments.parts.units import (
 from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene
-from placement.ground import (
-    load_private_ground,
-    private_shares,
-    respects_private_ground,
-)
+from placement.forbidden_views import respects_private_ground
 from placement.layout import load_carlancap_layout
+from placement.private_ground import load_private_ground, private_shares
 from placement.question import Question
 
 

@@ -24,7 +24,7 @@ from experiments.results.numbers import percent
 from experiments.results.record import to_plain
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.certify import Growth, Round
+from placement.growth import Growth, Round
 from placement.latency import load_latency_budget
 from placement.layout import Layout
 from placement.sampling.out_of_sample import SampledApr

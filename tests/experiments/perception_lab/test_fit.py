@@ -354,7 +354,7 @@ def test_a_network_is_shown_the_frames_that_its_labels_are_of(tmp_path, monkeypa
                 [[[view, row // 256, row % 256]]], dtype=np.uint8
             )
 
-    monkeypatch.setattr(job, "PictureSource", Numbered)
+    monkeypatch.setattr(job, "RenderedPictures", Numbered)
     network = NetworkDetector(
         name="net", model=_Oracle(boxes_px), min_box_height_px=12.0, min_confidence=0.5
     )
@@ -377,7 +377,7 @@ def test_a_network_is_shown_the_frames_that_its_labels_are_of(tmp_path, monkeypa
 def test_a_network_that_finds_nothing_is_told_in_a_line(run, tmp_path, monkeypatch):
     monkeypatch.setattr(job, "load_detector", lambda *a, **k: network)
     monkeypatch.setattr(
-        job.PictureSource,
+        job.RenderedPictures,
         "_draw",
         lambda self, *a, **k: np.zeros((36, 64, 3), dtype=np.uint8),
     )
@@ -423,7 +423,7 @@ def test_a_network_for_crops_is_shown_crops_and_now_and_then_whole_pictures(
 
     whole_picture = np.zeros((270, 480, 3), dtype=np.uint8)
     monkeypatch.setattr(
-        job.PictureSource, "pictures", lambda *_: lambda row: whole_picture
+        job.RenderedPictures, "pictures", lambda *_: lambda row: whole_picture
     )
     study = load_carlancap_layout()
     camera = replace(study.units[2].sensor, width_px=480, height_px=270)

@@ -47,8 +47,8 @@ from geometry.scene_files import save_scene
 from geometry.sensors import project_points
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
-from placement.ground import load_private_ground
 from placement.layout import load_carlancap_layout, load_layout
+from placement.private_ground import load_private_ground
 from placement.question import Question
 from scenarios.runs import build_frame_axis
 from scenarios.weights import weight_per_run

@@ -12,7 +12,7 @@ from PIL import Image
 
 from experiments.planner.tasks import Tasks, Work, _proof
 from geometry.errors import InputError
-from geometry.maps.georeferences import transform
+from geometry.frames import transform
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.layout import Certificate, Stage

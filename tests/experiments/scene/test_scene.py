@@ -183,7 +183,7 @@ def test_sites_are_poles_kerbs_or_a_list(scene_command, city, tmp_path):
     assert 3.0 < nearest < 12.0
     lamp = sites()[0]
     scene = load_scene_folder(tmp_path / "s")
-    from geometry.maps.georeferences import transform
+    from geometry.frames import transform
 
     lon, lat = transform([lamp["x_m"], lamp["y_m"]], scene.crs, "EPSG:4326")
     listed = tmp_path / "poles.csv"

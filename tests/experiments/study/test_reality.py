@@ -15,9 +15,9 @@ from experiments.study.reality.projection import (
     pets_tracks,
     tilted,
 )
-from geometry.calibrations import read_opencv_camera, read_tsai
+from geometry.calibrations import project_distorted, read_opencv_camera, read_tsai
 from geometry.image_boxes import box_height_px
-from geometry.lenses import TsaiRadial, project_distorted
+from geometry.lenses import TsaiRadial
 from geometry.sensors import project_points
 from geometry.text_formats import load_toml
 from placement.detectors import load_detector

@@ -10,7 +10,7 @@ from experiments.study.reproduction import (
     BEHIND,
     FARTHEST,
     TURNING,
-    Variant,
+    StudyVariant,
     build_additional_variants,
     build_variants,
     load_published,
@@ -37,7 +37,7 @@ def small():
         axis = build_frame_axis(runs, weight_per_run(runs))
         setting = replace(variant.setting, runs=runs, axis=axis)
         variants.append(
-            Variant(name=variant.name, setting=setting, layout=variant.layout)
+            StudyVariant(name=variant.name, setting=setting, layout=variant.layout)
         )
     return tuple(variants)
 

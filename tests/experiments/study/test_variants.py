@@ -3,7 +3,7 @@ import pytest
 
 from experiments.study.reproduction import OWN_CASES, build_variants, move_walls
 from geometry.study_scene import load_study_scene
-from placement.detectors import GeometricDetector
+from placement.detectors.geometric import GeometricDetector
 
 
 @pytest.fixture(scope="module")

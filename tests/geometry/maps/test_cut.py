@@ -7,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
+from geometry.frames import transform
 from geometry.junction import Line, build_junction
 from geometry.maps.cut import build_scene, cut_out
-from geometry.maps.georeferences import frame_at, transform
+from geometry.maps.georeferences import frame_at
 from geometry.maps.source_map import (
     MapJunction,
     MapLane,

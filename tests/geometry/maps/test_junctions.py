@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geometry.errors import InputError
-from geometry.maps.georeferences import WGS84, transform
+from geometry.frames import WGS84, transform
 from geometry.maps.importing import (
     ReadingOptions,
     choose_junction,

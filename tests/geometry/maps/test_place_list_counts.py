@@ -7,7 +7,7 @@ import pytest
 from osm_text import LAT_DEG, LON_DEG
 
 from geometry.errors import InputError
-from geometry.maps.georeferences import transform
+from geometry.frames import transform
 from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
 
 CRS = "EPSG:25833"

@@ -10,8 +10,8 @@ import pytest
 import rasterio
 
 from geometry.errors import InputError, MissingExtraError
+from geometry.frames import transform
 from geometry.maps import relief
-from geometry.maps.georeferences import transform
 from geometry.maps.relief import read_elevation
 
 UTM = "EPSG:32633"

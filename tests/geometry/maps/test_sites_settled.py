@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from osm_text import OsmText, crossing
 
-from geometry.maps.cut import Surroundings, cut_out
+from geometry.maps.cut import CutSurroundings, cut_out
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.maps.openstreetmap import read_openstreetmap
 from geometry.maps.sites import choose_sites, find_places, settle_poles
@@ -22,7 +22,7 @@ FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 
 
 @pytest.fixture(scope="module")
-def around(tmp_path_factory: pytest.TempPathFactory) -> Surroundings:
+def around(tmp_path_factory: pytest.TempPathFactory) -> CutSurroundings:
     osm = OsmText()
     crossing(osm, bearings=FOUR, lanes="4", highway="secondary")
     source = read_openstreetmap(
@@ -39,7 +39,7 @@ def around(tmp_path_factory: pytest.TempPathFactory) -> Surroundings:
     )
 )
 def test_no_place_lies_on_a_lane_and_none_moves_without_need(
-    around: Surroundings, points: list[tuple[float, float]]
+    around: CutSurroundings, points: list[tuple[float, float]]
 ) -> None:
     road = covered_area(around.outline_m, around.lanes)
     for point, place in zip(points, find_places(points, around), strict=True):
@@ -75,14 +75,14 @@ def wall(position: tuple[float, float], size_m: float) -> Thing:
     )
 
 
-def with_parts(around: Surroundings, **parts: object) -> Surroundings:
+def with_parts(around: CutSurroundings, **parts: object) -> CutSurroundings:
     from dataclasses import replace
 
     return replace(around, **parts)  # type: ignore[arg-type]
 
 
 def test_what_stands_in_a_wall_is_moved_out_of_it_or_refused(
-    around: Surroundings,
+    around: CutSurroundings,
 ) -> None:
     thin = with_parts(around, things=(wall((30.0, 30.0), 0.5),))
     (place,) = find_places([(30.1, 30.0)], thin)
@@ -95,7 +95,7 @@ def test_what_stands_in_a_wall_is_moved_out_of_it_or_refused(
 
 
 def test_a_signal_over_the_road_is_left_to_its_pole_and_others_go_to_the_kerb(
-    around: Surroundings,
+    around: CutSurroundings,
 ) -> None:
     poles = (
         Pole(id="mast", kind="pole", position_m=np.array([16.0, 16.0, 0.0])),
@@ -139,7 +139,7 @@ def lamps(*positions: tuple[float, float], **about: Any) -> tuple[Pole, ...]:
     )
 
 
-def chosen(around: Surroundings, where: str = "auto") -> tuple[dict[str, Site], str]:
+def chosen(around: CutSurroundings, where: str = "auto") -> tuple[dict[str, Site], str]:
     sites, told = choose_sites(
         where, around, SourceMap(name="map", crs=""), radius_m=60.0
     )
@@ -148,7 +148,9 @@ def chosen(around: Surroundings, where: str = "auto") -> tuple[dict[str, Site], 
     )
 
 
-def test_masts_are_added_where_no_pole_is_near_the_middle(around: Surroundings) -> None:
+def test_masts_are_added_where_no_pole_is_near_the_middle(
+    around: CutSurroundings,
+) -> None:
     near = with_parts(around, poles=lamps((17.0, 17.0), (40.0, 17.0)))
     sites, told = chosen(near)
     assert (set(sites), told) == ({"p0", "p1"}, "")
@@ -163,7 +165,7 @@ def test_masts_are_added_where_no_pole_is_near_the_middle(around: Surroundings) 
 
 
 def test_poles_of_another_junction_are_no_sites_by_default(
-    around: Surroundings,
+    around: CutSurroundings,
 ) -> None:
     square = np.array([[-8.0, -8.0], [8.0, -8.0], [8.0, 8.0], [-8.0, 8.0]])
     poles = lamps((17.0, 17.0), (30.0, 17.0), (45.0, 17.0))
@@ -178,7 +180,7 @@ def test_poles_of_another_junction_are_no_sites_by_default(
     assert set(chosen(other, "map")[0]) == {"p0", "p1", "p2"}
 
 
-def test_low_sign_posts_are_no_sites_by_default(around: Surroundings) -> None:
+def test_low_sign_posts_are_no_sites_by_default(around: CutSurroundings) -> None:
     lamp = lamps((17.0, 17.0))
     signs = (
         *lamps((17.0, -17.0), id="unknown", kind="sign"),
@@ -212,7 +214,7 @@ def test_other_junctions_are_known_to_what_is_cut_out(tmp_path: Path) -> None:
     ("bottom_m", "heights_m"), [(4.5, [4.0, 4.2]), (20.0, [4.0, 8.0]), (2.5, None)]
 )
 def test_sites_stand_below_roofs_but_not_inside_houses(
-    around: Surroundings, bottom_m: float, heights_m: list[float] | None
+    around: CutSurroundings, bottom_m: float, heights_m: list[float] | None
 ) -> None:
     def house(name: str, position: tuple[float, float], bottom_m: float) -> Thing:
         body = wall(position, 8.0)
@@ -239,7 +241,7 @@ def test_sites_stand_below_roofs_but_not_inside_houses(
 
 
 def test_a_check_finds_every_site_on_the_road(
-    around: Surroundings, tmp_path: Path
+    around: CutSurroundings, tmp_path: Path
 ) -> None:
     from dataclasses import replace
 

@@ -10,7 +10,7 @@ from geometry.junction import CONNECTING, build_junction
 from geometry.maps.cut import build_scene, cut_out
 from geometry.maps.importing import survey_junctions
 from geometry.maps.opendrive import read_opendrive
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.question import Question
 from placement.setting import build_rule
 from scenarios.cases import load_cases

@@ -12,13 +12,13 @@ from geometry.image_boxes import iou
 from geometry.weather import CONTRAST_AT_VISIBILITY
 from placement.detectors import (
     Detections,
-    GeometricDetector,
     aspects_deg,
     is_matched,
     load_min_iou,
     load_planning_detector,
     vru_class,
 )
+from placement.detectors.geometric import GeometricDetector
 
 
 def _detected(detector, visible_px, amodal_px=None, **looks):

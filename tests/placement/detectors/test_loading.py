@@ -9,12 +9,12 @@ from geometry.text_formats import load_toml
 from placement.detectors import (
     DETECTOR_NAMES,
     VRU_CLASSES,
-    GeometricDetector,
-    ResponseDetector,
     load_detector,
     load_planning_detector,
 )
 from placement.detectors.evidence import Evidence, Interval
+from placement.detectors.geometric import GeometricDetector
+from placement.detectors.response import ResponseDetector
 
 OURS = (files("placement.detectors") / "data" / "detectors.toml").read_text(
     encoding="utf-8"

@@ -9,12 +9,8 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from geometry.image_boxes import iou
-from placement.detectors import (
-    VRU_CLASSES,
-    ResponseDetector,
-    is_matched,
-    load_planning_detector,
-)
+from placement.detectors import VRU_CLASSES, is_matched, load_planning_detector
+from placement.detectors.response import ResponseDetector
 
 DETECTOR = load_planning_detector("response")
 assert isinstance(DETECTOR, ResponseDetector)

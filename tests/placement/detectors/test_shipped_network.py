@@ -11,9 +11,9 @@ from met_cases import MET_CASES
 from geometry.errors import InputError, MissingExtraError
 from placement.detectors import (
     Evidence,
-    built_in,
     load_detector,
     load_planning_detector,
+    network,
 )
 from placement.detectors.evidence import Crop
 from placement.question import Question
@@ -22,9 +22,9 @@ from placement.setting import build_setting
 
 @pytest.fixture(autouse=True)
 def _anew():
-    built_in._load_shipped_network.cache_clear()
+    network.load_shipped_network.cache_clear()
     yield
-    built_in._load_shipped_network.cache_clear()
+    network.load_shipped_network.cache_clear()
 
 
 def test_it_is_small_and_has_a_card():

@@ -16,7 +16,7 @@ from geometry.actors import (
 from geometry.scene import Instance, Scene
 from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
-from placement.detectors import GeometricDetector
+from placement.detectors.geometric import GeometricDetector
 from placement.setting import Setting
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import load_cases, select_cases

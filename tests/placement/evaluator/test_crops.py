@@ -9,12 +9,12 @@ from short_runs import cut_run
 
 from geometry.image_boxes import box_height_px
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from geometry.weather import pick_weather
 from placement.detectors import is_matched, load_detector, load_min_iou
 from placement.evaluator import build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_frames
-from placement.evaluator.pictures import PictureSource
+from placement.evaluator.pictures import RenderedPictures
 from placement.imaging.picture import Window
 from placement.imaging.stills import window_around
 
@@ -50,7 +50,7 @@ def seen(scene, camera):
     """Crops, pictures and evidence of frames from the roadside or from the VUT."""
 
     def look(runs, *, from_vut=False, camera=camera):
-        source = PictureSource(scene, runs, seed=3)
+        source = RenderedPictures(scene, runs, seed=3)
         surroundings = build_surroundings(scene, runs)
         if from_vut:
             mount = replace(load_vut_camera(), camera=camera)

@@ -15,7 +15,7 @@ from geometry.lenses import BrownConrady, Fisheye, TsaiRadial
 from geometry.poses import Pose, camera_rotation
 from geometry.sensors import SEEN_RAD, is_shown, project_points
 from placement.candidates import CandidatePose, is_in_view
-from placement.detectors import GeometricDetector
+from placement.detectors.geometric import GeometricDetector
 from placement.evaluator.perceive import perceive_frames
 from placement.evaluator.surroundings import build_surroundings
 from placement.visibility.build import N_POINTS

@@ -14,7 +14,7 @@ from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.evaluator.evaluate import evaluate_layout
 from placement.evaluator.perceive import perceive_frames
-from placement.evaluator.pictures import PictureSource, vut_camera_pose
+from placement.evaluator.pictures import RenderedPictures, vut_camera_pose
 from placement.evaluator.surroundings import build_surroundings, load_vut_camera
 from placement.imaging import build_backdrop, draw_picture
 from placement.layout import Layout
@@ -210,7 +210,7 @@ def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(
 ):
     first, second = last_frames(PEDESTRIAN, CYCLIST)
     second = replace(second, weather="night", obstruction=())
-    source = PictureSource(scene, [first, second], seed=5)
+    source = RenderedPictures(scene, [first, second], seed=5)
     mount = replace(load_vut_camera(), camera=tiny)
     for index, run, frame in (
         (N_FRAMES - 1, first, N_FRAMES - 1),
@@ -229,7 +229,7 @@ def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(
 def test_each_run_is_drawn_behind_its_own_obstruction(last_frames, scene, tiny):
     (hidden,) = last_frames(PEDESTRIAN, n_frames=1)
     free = replace(hidden, obstruction=())
-    picture = PictureSource(scene, [hidden, free, hidden], seed=0).pictures(
+    picture = RenderedPictures(scene, [hidden, free, hidden], seed=0).pictures(
         (POSE, tiny)
     )
     assert np.array_equal(picture(1), render(scene, free, 0, POSE, tiny))

@@ -22,7 +22,7 @@ from placement.evaluator.pixels import (
     hide,
 )
 from placement.evaluator.surroundings import (
-    Mesh,
+    BodyMesh,
     build_body,
     build_scene_mesh,
     build_static,
@@ -199,7 +199,7 @@ def _drawn(corners_m, camera, window):
     triangles = np.concatenate([triangles, triangles[:, ::-1]])
     depth = np.full((window[3] - window[1], window[2] - window[0]), np.inf)
     draw(image, points, triangles, window, depth.reshape(-1))
-    skin = Mesh(vertices_m=points, triangles=triangles).skin
+    skin = BodyMesh(vertices_m=points, triangles=triangles).skin
     return depth, find_box(image, skin.vertices_m, skin, window)
 
 
@@ -332,7 +332,7 @@ def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
 
 
 def test_tree_of_nothing_hides_nothing():
-    empty = Mesh(
+    empty = BodyMesh(
         vertices_m=np.empty((0, 3)), triangles=np.empty((0, 3), dtype=np.int64)
     ).tree
     placed = _place(LEVEL, np.zeros((1, 4)), np.zeros(1))

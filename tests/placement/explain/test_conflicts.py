@@ -10,7 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems, questions
 
-from placement.explain.conflicts import Demand, Separation, Wish, find_conflicts, relax
+from placement.explain.conflicts import (
+    DroppableWish,
+    Separation,
+    Wish,
+    find_conflicts,
+    relax,
+)
 from placement.optimiser import (
     PlacementProblem,
     cost_eur,
@@ -64,7 +70,7 @@ def sets_of(n: int) -> list[Poses]:
 def meets(
     problem: PlacementProblem,
     separation: Separation | None,
-    demand: Demand,
+    demand: DroppableWish,
     poses: Poses,
     *,
     survives: bool,
@@ -101,7 +107,9 @@ def meets(
 
 
 def met_together(
-    problem: PlacementProblem, separation: Separation | None, demands: Iterable[Demand]
+    problem: PlacementProblem,
+    separation: Separation | None,
+    demands: Iterable[DroppableWish],
 ) -> list[Poses]:
     """All sets of poses that meet some demands, and have what is there already."""
     demands = list(demands)

@@ -16,7 +16,7 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.constants import Deadline
-from placement.optimiser.model import Answer, MilpResult, run_solver
+from placement.optimiser.model import MilpResult, SolverAnswer, run_solver
 from placement.optimiser.problem import Objective
 from placement.optimiser.proof import Search
 
@@ -90,7 +90,7 @@ def test_highs_is_not_asked_where_compiling_took_all_the_time(
     handed = compile_for_s(80.0, clock, monkeypatch)
     answer = run_solver(knapsack(), time_limit_s=LIMIT_S)
     assert handed == []
-    assert answer == Answer(is_found=False, is_finished=False, bound=np.inf)
+    assert answer == SolverAnswer(is_found=False, is_finished=False, bound=np.inf)
 
 
 def test_no_model_is_begun_that_takes_longer_to_state_than_the_time_left(

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.recordings.evaluate import is_same_direction
-from placement.recordings.files import FrameKey, World, load_format
+from placement.recordings.files import FrameKey, RecordedWorld, load_format
 from placement.recordings.read import (
     MISFITS,
     NO_APPROACH,
@@ -22,7 +22,7 @@ FORM = load_format()
 
 def _world(*parts, scenario=0, first=0):
     """Frames from (distances, VUT speed, VRU speed), numbered on."""
-    rows = [World(d, v, u) for distances, v, u in parts for d in distances]
+    rows = [RecordedWorld(d, v, u) for distances, v, u in parts for d in distances]
     return {FrameKey(scenario, first + index): row for index, row in enumerate(rows)}
 
 
@@ -135,7 +135,7 @@ def test_all_runs_of_the_study_in_one_numbering_are_found_again_with_their_direc
         numbers.append(len(world))
         speeds = run.encounter.vut_motion.speed_mps, run.encounter.vru_motion.speed_mps
         for distance_m in [*distance, *[distance[0]] * 30]:
-            world[FrameKey(0, len(world))] = World(float(distance_m), *speeds)
+            world[FrameKey(0, len(world))] = RecordedWorld(float(distance_m), *speeds)
     drives, left_out = cut_drives(world, FORM)
     assert [drive.first_number for drive in drives] == numbers
     assert [drive.n_frames for drive in drives] == [len(run.time_s) for run in runs]
@@ -167,7 +167,7 @@ def test_every_frame_is_in_one_drive_or_left_out(rows, gaps):
     number = 0
     for index, (distance, vut_speed, scenario) in enumerate(rows):
         number += 1 + (gaps >> index & 1)
-        world[FrameKey(scenario, number)] = World(distance, vut_speed, 1.5)
+        world[FrameKey(scenario, number)] = RecordedWorld(distance, vut_speed, 1.5)
     drives, left_out = cut_drives(world, FORM)
     inside = [key for drive in drives for key in drive.frames if key in world]
     assert len(set(inside)) == len(inside)

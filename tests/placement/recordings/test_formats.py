@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 from readers import READERS
 
-from geometry.calibrations import read_kitti_camera, read_opencv_camera, read_tsai
+from geometry.calibrations import (
+    project_distorted,
+    read_kitti_camera,
+    read_opencv_camera,
+    read_tsai,
+)
 from geometry.errors import InputError
-from geometry.lenses import project_distorted
 from placement.recordings import find_format, read_recording
 from placement.recordings.formats import IGNORE, read_boxes, read_wildtrack
 

@@ -6,7 +6,7 @@ from geometry.errors import InputError
 from placement.recordings.files import (
     Detection,
     Label,
-    World,
+    RecordedWorld,
     load_format,
     read_detections,
     read_labels,
@@ -81,7 +81,7 @@ def test_detections_keep_their_unit_and_line(tmp_path):
 def test_world_data_may_stand_there_several_times(tmp_path, text, n_repeated):
     path = tmp_path / "3_0.txt"
     path.write_text(text)
-    assert read_world(path, FORM) == (World(12.5, 5.5, 1.25), n_repeated)
+    assert read_world(path, FORM) == (RecordedWorld(12.5, 5.5, 1.25), n_repeated)
 
 
 @pytest.mark.parametrize(

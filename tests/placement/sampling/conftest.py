@@ -13,7 +13,8 @@ from geometry.poses import Pose
 from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
-from placement.detectors import GeometricDetector, load_detector, load_planning_detector
+from placement.detectors import load_detector, load_planning_detector
+from placement.detectors.geometric import GeometricDetector
 from placement.sampling.uncertainty import load_uncertainty
 from placement.setting import Setting
 from scenarios.cases import load_cases

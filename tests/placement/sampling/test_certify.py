@@ -10,10 +10,11 @@ import pytest
 from scipy.stats import t as student
 
 from geometry.errors import InputError
-from placement import certify as certifying
+from placement import growth as growing
 from placement import pipeline
-from placement.certify import SIZES, certify, estimate_gap, grow
+from placement.certify import certify, estimate_gap
 from placement.compute import Compute
+from placement.growth import SIZES, grow
 from placement.layout import Layout, load_carlancap_layout
 from placement.pipeline import Assembly, assemble, place
 from placement.question import AUTO, Question
@@ -213,7 +214,7 @@ SMALL = Question(
 
 
 def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
-    monkeypatch.setattr(certifying, "N_JUDGED", 6)
+    monkeypatch.setattr(growing, "N_JUDGED", 6)
     monkeypatch.setattr(pipeline, "N_JUDGED", 6)
     compute = Compute(workers=2, seed=3)
     found = grow(SMALL, compute=compute)
@@ -248,9 +249,9 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
 # Quickly: test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat
 @pytest.mark.long
 def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
-    monkeypatch.setattr(certifying, "N_JUDGED", 3)
+    monkeypatch.setattr(growing, "N_JUDGED", 3)
     monkeypatch.setattr(pipeline, "N_JUDGED", 3)
-    monkeypatch.setattr(certifying, "SIZES", (1, 2))
+    monkeypatch.setattr(growing, "SIZES", (1, 2))
     real = place
     chosen = []
 
@@ -260,7 +261,7 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
         chosen.append(pipeline.pick_layout(plan.candidates, [0, 7], "found"))
         return replace(found, layout=chosen[-1], preferred=None)
 
-    monkeypatch.setattr(certifying, "place", placed)
+    monkeypatch.setattr(growing, "place", placed)
     question = replace(SMALL, within="", heights="6.5", yaw_step_deg=120.0)
     growth = grow(question, compute=Compute(workers=2, seed=3)).growth
     first, second = chosen
@@ -292,10 +293,10 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
         (one,) = judge(self, layouts, **how | {"n_worlds": 4})
         return [replace(one, apr_by_sample=aprs[units.index(one.layout.units[0])])]
 
-    monkeypatch.setattr(certifying, "SIZES", sizes)
-    monkeypatch.setattr(certifying, "place", placed)
+    monkeypatch.setattr(growing, "SIZES", sizes)
+    monkeypatch.setattr(growing, "place", placed)
     monkeypatch.setattr(Assembly, "in_fresh_worlds", judged)
-    monkeypatch.setattr(certifying, "now_s", lambda: clock[0])
+    monkeypatch.setattr(growing, "now_s", lambda: clock[0])
     return grow(SMALL, compute=Compute(workers=2, seed=3))
 
 
@@ -360,9 +361,9 @@ def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone():
 
 def test_a_certificate_shares_no_world_with_how_many_are_enough(assembly, monkeypatch):
     seen = []
-    monkeypatch.setattr(certifying, "N_JUDGED", 2)
+    monkeypatch.setattr(growing, "N_JUDGED", 2)
     monkeypatch.setattr(
-        certifying,
+        growing,
         "place",
         lambda plan, **_: seen.append(plan.first_sample) or place(plan),
     )

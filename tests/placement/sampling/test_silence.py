@@ -8,7 +8,7 @@ from geometry.catalogue import load_lidars
 from geometry.errors import InputError
 from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
-from placement.detectors.built_in import LastingNoise
+from placement.detectors.response import LastingNoise
 from placement.evaluator.surroundings import draw_index
 from placement.sampling.detection_kernels import draw_frames, lose_frames, random_bits
 from placement.sampling.tables import blinded_frames, silence

@@ -16,13 +16,9 @@ from junctions import protocol_scene
 from geometry.errors import MissingExtraError
 from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
+from placement.sampling.driving import load_traffic
 from placement.sampling.moving.demand import load_demand
-from placement.sampling.moving.sumo import (
-    build_network,
-    load_traffic,
-    missing_sumo,
-    simulate_windows,
-)
+from placement.sampling.moving.sumo import build_network, missing_sumo, simulate_windows
 
 
 def _loads_sumo():

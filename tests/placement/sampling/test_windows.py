@@ -10,9 +10,9 @@ from short_runs import cut_run
 from geometry.actors import MovingActor, PlacedActor, load_actors
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.poses import Pose
-from placement.sampling.moving import MovingTraffic, sumo
+from placement.sampling.moving import sumo
 from placement.sampling.moving.demand import load_demand
-from placement.sampling.moving.sumo import SimulatedWindows
+from placement.sampling.moving.sumo import SimulatedWindows, SumoTraffic
 from placement.sampling.moving.trajectories import (
     Trajectories,
     cut_window,
@@ -201,7 +201,7 @@ def drives(monkeypatch):
 
 @pytest.fixture(scope="module")
 def recorded():
-    return MovingTraffic(
+    return SumoTraffic(
         name="vans",
         middle_m=protocol_scene().outline_m.mean(axis=0),
         demand=load_demand(),

@@ -10,12 +10,8 @@ from certified import Document, document_of, two_of_twelve
 from geometry.errors import InputError
 from placement.layout import Certificate
 from placement.optimiser import PlacementProblem, solve_placement
-from placement.verification.certificates import (
-    CERTIFICATE_FILE,
-    load_certificate,
-    save_certificate,
-)
-from placement.verification.instances import INSTANCE_FILE
+from placement.proof_files import CERTIFICATE_FILE, INSTANCE_FILE, save_certificate
+from placement.verification.certificates import load_certificate
 from placement.verification.recomputation import stage_names
 
 

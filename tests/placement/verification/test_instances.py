@@ -13,11 +13,8 @@ from problems import questions
 from geometry.errors import InputError
 from placement.detection_table import DetectionTable
 from placement.optimiser import Floor, Limits, PlacementProblem
-from placement.verification.instances import (
-    load_problem,
-    problem_hash,
-    save_problem,
-)
+from placement.proof_files import problem_hash, save_problem
+from placement.verification.instances import load_problem
 from scenarios.aeb import AebRule
 
 SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])

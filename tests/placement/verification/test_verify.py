@@ -22,13 +22,10 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.problem import Objective
+from placement.proof_files import CERTIFICATE_FILE, INSTANCE_FILE, save_certificate
 from placement.verification import verify as verify_module
-from placement.verification.certificates import (
-    CERTIFICATE_FILE,
-    load_certificate,
-    save_certificate,
-)
-from placement.verification.instances import INSTANCE_FILE, load_problem
+from placement.verification.certificates import load_certificate
+from placement.verification.instances import load_problem
 from placement.verification.recomputation import stage_names, stage_values
 from placement.verification.verify import Verification, verify_certificate
 

@@ -12,7 +12,8 @@ from geometry.sensors import CameraModel, project_points
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, build_candidates
 from placement.compute import Compute
-from placement.detectors import GeometricDetector, load_planning_detector
+from placement.detectors import load_planning_detector
+from placement.detectors.geometric import GeometricDetector
 from placement.evaluator.perceive import perceive_frames
 from placement.evaluator.surroundings import build_surroundings
 from placement.visibility import build as build_module

@@ -13,7 +13,8 @@ from geometry.weather import load_weathers
 from placement import cache
 from placement.cache import content_hash
 from placement.detection_table import pack_table
-from placement.detectors import GeometricDetector, load_planning_detector
+from placement.detectors import load_planning_detector
+from placement.detectors.geometric import GeometricDetector
 from placement.packing import from_bytes, to_bytes
 from placement.visibility import build as build_module
 from placement.visibility import (

@@ -14,7 +14,8 @@ from geometry.image_boxes import box_height_px
 from geometry.lenses import BrownConrady, TsaiRadial
 from geometry.poses import Pose, camera_rotation
 from geometry.sensors import is_shown, shown_points
-from placement.detectors import GeometricDetector, load_planning_detector
+from placement.detectors import load_planning_detector
+from placement.detectors.geometric import GeometricDetector
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.sensing import build_sensing, cast_for

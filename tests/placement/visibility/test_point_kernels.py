@@ -10,7 +10,8 @@ from geometry.actors import PlacedActor
 from geometry.image_boxes import box_height_px
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
-from placement.detectors import GeometricDetector, load_planning_detector
+from placement.detectors import load_planning_detector
+from placement.detectors.geometric import GeometricDetector
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.sensing import build_sensing, cast_for

@@ -16,8 +16,8 @@ from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.ray_kernels import (
     N_AROUND,
     N_UP,
+    BodyViews,
     Rays,
-    Views,
     find_unclear_points,
     mark_nearest,
 )
@@ -160,7 +160,7 @@ def test_a_point_that_a_triangle_hides_is_never_clear(seed):
     radius = np.linalg.norm(axes - middle[:, :, None], axis=1).max(axis=1)
     unclear = np.zeros((10, 80), dtype=bool)
     find_unclear_points(
-        nearest, Views(axes, middle, radius), eye, np.arange(10), unclear
+        nearest, BodyViews(axes, middle, radius), eye, np.arange(10), unclear
     )
     asked = np.ones((10, 80), dtype=bool)
     starts, vectors = (np.empty((800, 3), np.float32) for _ in range(2))
@@ -190,7 +190,7 @@ def test_where_nothing_is_nearer_nothing_is_asked():
     axes = points.astype(np.float32)[:, :, None].copy()
     unclear = np.zeros((6, 1), dtype=bool)
     find_unclear_points(
-        nearest, Views(axes, points, np.zeros(6)), eye, np.arange(6), unclear
+        nearest, BodyViews(axes, points, np.zeros(6)), eye, np.arange(6), unclear
     )
     assert unclear[:, 0].tolist() == [False, True, False, False, False, True]
     # Of all directions it fills the share of a cone of 5.7 degrees, and little more.

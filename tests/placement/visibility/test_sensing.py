@@ -12,12 +12,8 @@ from geometry.lidar import (
     load_lidar_detection,
     load_lidars,
 )
-from placement.detectors import (
-    VRU_CLASSES,
-    GeometricDetector,
-    load_detector,
-    load_planning_detector,
-)
+from placement.detectors import VRU_CLASSES, load_detector, load_planning_detector
+from placement.detectors.geometric import GeometricDetector
 from placement.evaluator import perceive
 from placement.evaluator.perceive import perceive_frames, scan_frames
 from placement.evaluator.surroundings import build_surroundings

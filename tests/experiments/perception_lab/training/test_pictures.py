@@ -10,8 +10,8 @@ from PIL import Image
 from experiments.perception_lab.training import pictures
 from experiments.perception_lab.training.crops import (
     CROP_PX,
-    Crops,
     Framing,
+    LabelledCrops,
     look_around,
     save_crops,
 )
@@ -58,7 +58,7 @@ def test_road_users_that_no_case_has_are_refused(setting):
 def test_forty_kept_crops_are_on_a_page(tmp_path):
     rng = np.random.default_rng(0)
     n = 90
-    crops = Crops(
+    crops = LabelledCrops(
         rgb=rng.integers(0, 255, (n, CROP_PX, CROP_PX, 3)).astype(np.uint8),
         box_px=np.tile([10.0, 10.0, 40.0, 90.0], (n, 1)),
         height_px=np.full(n, 80.0),

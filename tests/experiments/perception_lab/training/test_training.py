@@ -7,7 +7,7 @@ import pytest
 
 from experiments.perception_lab.training.crops import (
     CROP_PX,
-    Crops,
+    LabelledCrops,
     load_crops,
     save_crops,
 )
@@ -33,7 +33,7 @@ def _toys(n_crops, seed):
         boxes[row] = (left, top, left + width, top + height)
         classes[row] = 0
     heights = boxes[:, 3] - boxes[:, 1]
-    return Crops(
+    return LabelledCrops(
         rgb=rgb.clip(0, 255).astype(np.uint8),
         box_px=boxes,
         height_px=heights,
@@ -111,5 +111,5 @@ def test_crops_are_kept(tmp_path):
     crops = _toys(5, 1)
     save_crops(tmp_path / "crops.npz", crops)
     read = load_crops(tmp_path / "crops.npz")
-    for name in Crops.__slots__:
+    for name in LabelledCrops.__slots__:
         assert np.array_equal(getattr(read, name), getattr(crops, name))

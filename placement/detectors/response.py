@@ -1,131 +1,34 @@
-"""Detectors by boxes alone and by probability, and any detector by its name or file."""
+"""A detector that finds people with a probability, and its tables."""
 
 import re
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
 from functools import cache
-from importlib.resources import as_file, files
+from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, set_arrays
-from geometry.errors import InputError, check_field, check_one_of, refuse
+from geometry.errors import InputError, check_one_of, refuse
 from geometry.image_boxes import box_height_px, iou
 from geometry.phrases import Phrase, join_phrases
-from geometry.tables import Table, read_table, take, take_list, take_number
+from geometry.tables import Table, read_table, take_list, take_number
 from geometry.text_formats import load_data, load_toml
 
 from .evidence import (
     VRU_CLASSES,
     Detections,
-    Detector,
     Evidence,
     Interval,
     LidarTable,
-    PlanningDetector,
+    detector_defaults,
     linked_noise,
     load_min_iou,
 )
 
-
-# ---------- by boxes alone
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GeometricDetector:
-    """Detects by boxes alone: the same evidence always gives the same answer.
-
-    Attributes
-    ----------
-    min_iou : float
-        The box of the visible part must overlap that of the whole VRU (amodal) by more
-        than this.
-    min_box_height_px : float
-        Least height of the visible box. [px]
-    min_contrast : float
-        Least contrast of the VRU.
-    name : str
-        In reports.
-    lidar : LidarTable, optional
-        What LiDARs find.
-
-    Raises
-    ------
-    InputError
-        A limit is out of range.
-    """
-
-    min_iou: float
-    min_box_height_px: float
-    min_contrast: float = 0.0
-    name: str = "geometric"
-    lidar: LidarTable | None = None
-
-    needs_pictures = False
-
-    def __post_init__(self) -> None:
-        for field, is_valid, expected in (
-            ("min_iou", 0.0 <= self.min_iou < 1.0, "0 <= IoU < 1"),
-            (
-                "min_box_height_px",
-                0.0 <= self.min_box_height_px < np.inf,
-                "pixels, at least 0",
-            ),
-            ("min_contrast", 0.0 <= self.min_contrast <= 1.0, "0 .. 1"),
-        ):
-            check_field(self, "detector", field, is_valid, expected)
-
-    @property
-    def description(self) -> Phrase:
-        """When it detects."""
-        words = Phrase(
-            "A road user counts as detected in a frame if the box around its "
-            "visible part overlaps the box around all of it by more than {iou:g} "
-            "(intersection over union), is at least {height:g} pixels high, and "
-            "light and air leave it a contrast of at least {contrast:g} %.",
-            iou=self.min_iou,
-            height=self.min_box_height_px,
-            contrast=100.0 * self.min_contrast,
-        )
-        if self.lidar is None:
-            return words
-        return join_phrases([words, self.lidar.description], " ")
-
-    def is_expected(self, evidence: Evidence) -> BoolArray:
-        """Mask of rows that it detects, (n,)."""
-        return (
-            (iou(evidence.visible_px, evidence.amodal_px) > self.min_iou)
-            & (box_height_px(evidence.visible_px) >= self.min_box_height_px)
-            & (evidence.contrast >= self.min_contrast)
-        )
-
-    def least_height_px(self, evidence: Evidence) -> FloatArray:
-        """Least height where the contrast is enough, infinite elsewhere, (n,)."""
-        is_clear = np.broadcast_to(
-            evidence.contrast >= self.min_contrast, len(evidence)
-        )
-        return np.where(is_clear, self.min_box_height_px, np.inf)
-
-    def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
-        """Visible boxes of the rows that it detects; `rng` is not used."""
-        rows = np.flatnonzero(self.is_expected(evidence))
-        return Detections(
-            row_index=rows,
-            boxes_px=evidence.visible_px[rows],
-            confidence=np.ones(len(rows)),
-        )
-
-    def fingerprint(self) -> tuple[object, ...]:
-        """Values that it depends on."""
-        numbers = (self.min_iou, self.min_box_height_px, self.min_contrast)
-        # Nothing is added without a table for LiDARs, so that cached tables stay valid.
-        if self.lidar:
-            return ("geometric", *numbers, self.lidar)
-        return ("geometric", *numbers)
-
-
-# ---------- by probability
 _POSITIVES = (
     "height_half_px",
     "height_steepness",
@@ -253,6 +156,9 @@ class ResponseDetector:
     lidar: LidarTable | None = None
 
     needs_pictures = False
+    plans_with = ""
+    seconds_per_picture = ""
+    is_drawn = True
 
     @property
     def description(self) -> Phrase:
@@ -364,6 +270,9 @@ class ResponseDetector:
             value = getattr(self, field)
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(field, value, "a number, > 0")
+
+    def check_classes(self, classes: Iterable[str]) -> None:
+        """Accept all classes: it has a factor for each."""
 
     def probability(self, evidence: Evidence) -> FloatArray:
         """Probability of a correct detection, (n,); 0 where nothing is seen."""
@@ -510,12 +419,8 @@ def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:
     return boxes_px + off
 
 
-# ---------- by name or file
-DETECTOR_NAMES = ("geometric", "response", "pole-2015", "car-2019", "cnn-table", "cnn")
-"""Of cameras; ``LIDAR_NAMES`` may follow any of them, or a file, behind a plus sign."""
-LIDAR_NAMES = ("pointrcnn-2019",)
+# ---------- tables
 _FILE = "detectors.toml"
-_NETWORK_FILE = "vru.onnx"
 # Tables fitted to what a detector found: on rendered pictures, and on real recordings.
 _TABLE_FILES = {
     "response": _FILE,
@@ -525,69 +430,16 @@ _TABLE_FILES = {
 }
 
 
-def load_detector(name: str = "geometric", *, where: str = "detector") -> Detector:
-    """Load a detector by name or file.
+def load_response_file(path: Path) -> ResponseDetector:
+    """Response table of a user's TOML file.
 
-    Parameters
-    ----------
-    name : str
-        One of ``DETECTOR_NAMES``; a ``.toml`` file with a table ``[response]`` as in
-        ``data/detectors.toml``; or an ``.onnx`` file. One of ``LIDAR_NAMES`` behind a
-        plus sign says what LiDARs find; alone, cameras go by the first of
-        ``DETECTOR_NAMES``.
-    where : str
-        Names the option in messages.
-
-    Raises
-    ------
-    InputError
-        The name is unknown, or the file cannot be used.
-    MissingExtraError
-        "cnn" or an ONNX file without onnxruntime.
+    Raises InputError if it cannot be read, or a figure is missing or out of range.
     """
-    cameras, _, lidars = name.rpartition("+")
-    if lidars in LIDAR_NAMES:
-        found = load_detector(cameras or DETECTOR_NAMES[0], where=where)
-        # Detectors of cameras are dataclasses, which the protocol does not say.
-        named = cast(Any, found)
-        both: Detector = replace(
-            named, name=f"{found.name}+{lidars}", lidar=_load_lidar_table(lidars)
-        )
-        return both
-    if name == "cnn":
-        return _load_shipped_network()
-    if name in DETECTOR_NAMES:
-        return load_planning_detector(name)
-    path = Path(name)
-    if path.suffix == ".toml":
-        return _read_response(path, load_toml(path), name=path.name)
-    if path.suffix == ".onnx":
-        return _load_network(path.name, path, "onnx")
-    known = ", ".join((*DETECTOR_NAMES, *LIDAR_NAMES))
-    raise InputError(
-        where, name, f"{known}, a .toml file with a response table, or an .onnx file"
-    )
-
-
-def is_drawn(name: str) -> bool:
-    """True if a detector finds people with a probability, not by a rule.
-
-    Parameters
-    ----------
-    name : str
-        As :func:`load_detector` takes it.
-
-    Examples
-    --------
-    >>> is_drawn("response"), is_drawn("geometric+pointrcnn-2019"), is_drawn("cnn")
-    (True, True, False)
-    """
-    last = name.rpartition("+")[2]
-    return last in LIDAR_NAMES or last in _TABLE_FILES or last.endswith(".toml")
+    return _read_response(path, load_toml(path), name=path.name)
 
 
 @cache
-def _load_lidar_table(name: str) -> LidarTable:
+def load_lidar_table(name: str) -> LidarTable:
     """Built-in table of what LiDARs find."""
     document = load_data(__package__, f"{name}.toml")
     of_class = [document[document["stands_for"].get(one, one)] for one in VRU_CLASSES]
@@ -600,55 +452,16 @@ def _load_lidar_table(name: str) -> LidarTable:
     )
 
 
-@cache
-def _load_shipped_network() -> Detector:
-    """Network that is shipped, for crops."""
-    words = _load_table("cnn-table").alarm_words
-    how = {"looks_at_crops": True, "plans_with": "cnn-table", "alarm_words": words}
-    with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
-        return _load_network("cnn", path, "cnn", **how)
-
-
-def _load_network(name: str, path: Path, section: str, **how: Any) -> Detector:
-    """Network from a file, with the limits of a section of the defaults."""
-    from .network import NetworkDetector, load_onnx_model
-
-    return NetworkDetector(
-        name=name, model=load_onnx_model(path), **_limits(section), **how
-    )
-
-
 def built_in_response() -> ResponseDetector:
     """Built-in table "response"."""
-    return _load_table("response")
+    return load_table("response")
 
 
 @cache
-def _load_table(name: str) -> ResponseDetector:
+def load_table(name: str) -> ResponseDetector:
     """Built-in response table of a name."""
     source = files(__package__) / "data" / _TABLE_FILES[name]
     return _read_response(source, load_toml(source), name=name)
-
-
-@cache
-def load_planning_detector(name: str = "geometric") -> PlanningDetector:
-    """Built-in detector of any name but "cnn"."""
-    if name in _TABLE_FILES:
-        return _load_table(name)
-    return GeometricDetector(min_iou=load_min_iou(), **_limits(name))
-
-
-@cache
-def _defaults() -> dict[str, Any]:
-    """Document ``data/detectors.toml``."""
-    return load_data(__package__, _FILE)
-
-
-def _limits(section: str) -> dict[str, Any]:
-    """Numbers of a section, by the detector's fields."""
-    return read_table(
-        take(_defaults(), section, _FILE), dict[str, float], f"{_FILE}: {section}"
-    )
 
 
 def _read_response(
@@ -708,7 +521,7 @@ def _read_classes(table: Table) -> tuple[dict[str, float], tuple[str, ...]]:
     A file need not know the classes that the built-in table assumes: there it has
     the same factor.
     """
-    given = _defaults()["response"]
+    given = detector_defaults()["response"]
     named = _read_names(table, "assumed", VRU_CLASSES) or ()
     missing = [name for name in given["assumed"] if name not in table]
     whole = {**{name: given[name] for name in missing}, **table}

@@ -1,0 +1,45 @@
+from pathlib import Path
+
+import pytest
+
+from geometry import scene_sources
+from geometry.errors import InputError
+from geometry.maps import importing
+from geometry.registry import load_entry, pick_entry, suffix_in
+
+ENTRIES = {".json": "json:loads", ".city.json": "math:hypot"}
+
+
+def test_an_entry_is_the_attribute_of_its_module():
+    assert load_entry("math:hypot")(3.0, 4.0) == 5.0
+
+
+def test_an_unknown_name_is_refused_with_the_known_ones():
+    with pytest.raises(InputError) as refused:
+        pick_entry({"length": "math:hypot", "size": "os:fstat"}, "width", where="m")
+    assert str(refused.value) == "m: got 'width'; expected one of length, size"
+
+
+def test_an_unknown_name_is_refused_with_what_is_expected():
+    with pytest.raises(InputError, match="m: got 'width'; expected a known measure"):
+        pick_entry({}, "width", where="m", expected="a known measure")
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix"),
+    [
+        ("a.json", ".json"),
+        ("a.city.json", ".city.json"),
+        ("A.City.JSON", ".city.json"),
+        ("a.toml", None),
+    ],
+)
+def test_the_longest_suffix_of_a_file_counts(name, suffix):
+    assert suffix_in(ENTRIES, Path(name)) == suffix
+
+
+@pytest.mark.parametrize("name", [*scene_sources.READERS, *importing.READERS])
+def test_every_reader_of_scenes_and_maps_loads(name):
+    for entries in (scene_sources.READERS, importing.READERS):
+        if name in entries:
+            assert callable(load_entry(entries[name]))
