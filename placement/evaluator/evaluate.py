@@ -1,7 +1,7 @@
 """From sights to verdicts: detections, messages, confirmation, braking, contact."""
 
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, as_completed, wait
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
@@ -813,25 +813,21 @@ def _seen_in_frames(
 ) -> PartyDetections:
     """Detections of a layout's parties in `frames`, rows of all parts end to end."""
 
-    def detected(verdict_of: Callable[[Evaluation], Verdict]) -> BoolArray:
-        rows = [verdict_of(part).detected for part in parts]
-        return np.concatenate(rows)[frames]
+    def detected(verdicts: Sequence[Verdict]) -> BoolArray:
+        return np.concatenate([verdict.detected for verdict in verdicts])[frames]
 
     layout = parts[0].layout
     vam: Party | None = None
     if "vam" in parts[0].others:
-        vam = (detected(lambda part: part.others["vam"]), rule.latency_s)
+        known = detected([part.others["vam"] for part in parts])
+        vam = (known, rule.latency_s)
     units = {}
     for unit in layout.units:
-        units[unit.id] = (
-            detected(lambda part, name=unit.id: part.units[name]),
-            unit.latency(rule),
-        )
+        by_unit = detected([part.units[unit.id] for part in parts])
+        units[unit.id] = (by_unit, unit.latency(rule))
+    by_vut = detected([part.vut for part in parts])
     return PartyDetections(
-        layout=layout,
-        units=units,
-        vut=(detected(lambda part: part.vut), rule.latency_s),
-        vam=vam,
+        layout=layout, units=units, vut=(by_vut, rule.latency_s), vam=vam
     )
 
 
