@@ -32,9 +32,9 @@ def to_parquet(layout: Layout, scene: Scene) -> bytes:
     return file.getvalue()
 
 
-CSV = ExportFormat(write=to_csv, content="a row per unit; spreadsheets, pandas")
+CSV = ExportFormat(
+    write=to_csv,
+)
 PARQUET = ExportFormat(
     write=to_parquet,
-    content="the same table, typed; pandas, Arrow, DuckDB",
-    is_binary=True,
 )
