@@ -20,6 +20,7 @@ from .arrays import BoolArray, FloatArray, IntArray, freeze, set_arrays
 from .errors import InputError, Unquoted, check_one_of, located, refuse
 from .footprints import FootprintSizes, footprint_corners
 from .poses import Pose
+from .solids import box_mesh
 from .tables import Table, Text, pick, read_tables, take_number, take_text
 from .text_formats import load_toml
 
@@ -54,11 +55,10 @@ class Shape:
 
 def box_shape(length_m: float, width_m: float, height_m: float) -> Shape:
     """A box that stands on the ground, its middle above the origin."""
-    import trimesh
-
-    box = trimesh.creation.box(extents=(length_m, width_m, height_m))
+    corners, triangles = box_mesh((length_m, width_m, height_m))
     return Shape(
-        vertices_m=box.vertices + [0.0, 0.0, 0.5 * height_m], triangles=box.faces
+        vertices_m=corners + [0.0, 0.0, 0.5 * height_m],
+        triangles=triangles.astype(np.int32),
     )
 
 

@@ -23,10 +23,11 @@ from .frames import from_carla_points, from_carla_yaw
 from .poses import Pose, to_world
 from .scene import Body, Instance, Lane, Scene, Site, join_bodies
 from .scene_sources import STUDY
+from .solids import box_mesh, cylinder_mesh
 from .tables import Text, read_table
 from .text_formats import load_toml
 
-_POLE_SECTIONS = 10
+_POLE_SIDES = 10
 _Positive = Annotated[float, Meta(gt=0.0)]
 
 
@@ -244,18 +245,12 @@ def _box(
     instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: list[float]
 ) -> Body:
     """A box that stands on the plane z = 0."""
-    import trimesh
-
-    box = trimesh.creation.box(extents=size_m)
+    corners, triangles = box_mesh(size_m)
     pose = Pose(position_m=np.append(middle_m, 0.5 * size_m[2]), yaw_deg=yaw_deg)
-    return instance, to_world(box.vertices, pose), box.faces
+    return instance, to_world(corners, pose), triangles
 
 
 def _cylinder(instance: Instance, ends_m: list[FloatArray], radius_m: float) -> Body:
     """A cylinder between two points."""
-    import trimesh
-
-    pole = trimesh.creation.cylinder(
-        radius=radius_m, segment=ends_m, sections=_POLE_SECTIONS
-    )
-    return instance, np.asarray(pole.vertices), pole.faces
+    corners, triangles = cylinder_mesh(ends_m, radius_m=radius_m, n_sides=_POLE_SIDES)
+    return instance, corners, triangles

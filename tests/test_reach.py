@@ -13,9 +13,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 START = "experiments.cli.place"
-MOST_MODULES = 213
-MOST_TOKENS = 412_700
-"""Of today, so that it grows no further; 150 modules and 310,000 tokens are to be reached."""
+MOST_MODULES = 180
+MOST_TOKENS = 310_000
+"""Of today, so that it grows no further; 150 modules are to be reached."""
 NO_TOKENS = {
     tokenize.COMMENT,
     tokenize.NL,

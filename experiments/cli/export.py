@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..export import FORMAT_NAMES
+from ..export import FORMAT_NAMES, FORMATS
 from ..language import localized, tr
 from ..progress import StageProgress, tell
 from . import options
@@ -33,15 +33,12 @@ Examples:
 
 
 class _ExportCommand(click.Command):
-    """Adds the formats to its help: their modules are loaded only if somebody asks for it."""
+    """Adds the formats to its help."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        from ..export import load_format
-
-        formats = [(name, load_format(name)) for name in FORMAT_NAMES]
         lines = [
             f"  {name:<10} {item.content}{'; needs --out' if item.is_binary else ''}"
-            for name, item in formats
+            for name, item in FORMATS.items()
         ]
         head = "\b\nFormats, and who reads them:\n" + "\n".join(lines) + "\n"
         self.epilog, rest = head + (self.epilog or ""), self.epilog
@@ -138,7 +135,7 @@ def export(
     from ..export.watched import export_layout
 
     chosen = load_format(format_name)
-    if out is None and chosen.is_binary:
+    if out is None and FORMATS[format_name].is_binary:
         raise click.UsageError(
             f"--out: got nothing; expected a file: {format_name} is no text"
         )

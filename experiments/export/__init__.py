@@ -1,40 +1,101 @@
 """Layouts in the formats of other programs: one module per format, named after it; some share one.
 
-To add one, write a module that has a ``FORMAT``, an :class:`ExportFormat`, and list its
-name here.
+To add one, write a module that has a ``FORMAT``, an :class:`ExportFormat`, and list it in
+``FORMATS``.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from importlib import import_module
 from typing import Any
 
 from geometry.errors import MissingExtraError
+from geometry.registry import load_entry
 
-FORMAT_NAMES = (
-    "json",
-    "csv",
-    "parquet",
-    "geojson",
-    "gpkg",
-    "kml",
-    "dxf",
-    "carla",
-    "opencv",
-    "ros",
-    "cpm",
-    "cpm-uper",
-    "mcap",
-    "opendrive",
-)
-"""In the order of the help."""
 
-_SHARED = {
-    "csv": ("table", "CSV"),
-    "parquet": ("table", "PARQUET"),
-    "cpm-uper": ("uper", "FORMAT"),
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FormatEntry:
+    """A format that is loaded when somebody asks for it.
+
+    Attributes
+    ----------
+    place : str
+        "package.module:attribute" of its :class:`ExportFormat`.
+    content : str
+        What the file holds, and who reads it, in a few words.
+    is_binary : bool
+        It is not text and needs a file.
+    """
+
+    place: str
+    content: str
+    is_binary: bool = False
+
+
+FORMATS = {
+    "json": FormatEntry(
+        place="experiments.export.json:FORMAT",
+        content="the layout file itself; place-rsus --layout",
+    ),
+    "csv": FormatEntry(
+        place="experiments.export.table:CSV",
+        content="a row per unit; spreadsheets, pandas",
+    ),
+    "parquet": FormatEntry(
+        place="experiments.export.table:PARQUET",
+        content="the same table, typed; pandas, Arrow, DuckDB",
+        is_binary=True,
+    ),
+    "geojson": FormatEntry(
+        place="experiments.export.geojson:FORMAT",
+        content="points in WGS 84; QGIS, geopandas, web maps",
+    ),
+    "gpkg": FormatEntry(
+        place="experiments.export.gpkg:FORMAT",
+        content="points in the map's own coordinates; QGIS, ArcGIS",
+        is_binary=True,
+    ),
+    "kml": FormatEntry(
+        place="experiments.export.kml:FORMAT",
+        content="placemarks above ground; Google Earth",
+    ),
+    "dxf": FormatEntry(
+        place="experiments.export.dxf:FORMAT",
+        content="poles, units, views as layers; CAD programs; extra: dxf",
+    ),
+    "carla": FormatEntry(
+        place="experiments.export.carla:FORMAT",
+        content="spawn transforms in CARLA's frame; its Python API",
+    ),
+    "opencv": FormatEntry(
+        place="experiments.export.opencv:FORMAT",
+        content="K, R, t of cameras, YAML; cv::FileStorage",
+    ),
+    "ros": FormatEntry(
+        place="experiments.export.ros:FORMAT",
+        content="CameraInfo and transform per camera, YAML; camera_info_manager",
+    ),
+    "cpm": FormatEntry(
+        place="experiments.export.cpm:FORMAT",
+        content="messages of each site, ETSI TS 103 324 as JSON; V2X stacks",
+    ),
+    "cpm-uper": FormatEntry(
+        place="experiments.export.uper:FORMAT",
+        content="the same messages as bytes (UPER); extra: v2x",
+        is_binary=True,
+    ),
+    "mcap": FormatEntry(
+        place="experiments.export.mcap:FORMAT",
+        content="scene, bodies, detections; Foxglove; extra: mcap",
+        is_binary=True,
+    ),
+    "opendrive": FormatEntry(
+        place="experiments.export.opendrive:FORMAT",
+        content="the scene's roads, OpenDRIVE 1.7; the layout's poles beside them",
+    ),
 }
+"""Registry of the formats, in the order of the help."""
+FORMAT_NAMES = tuple(FORMATS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,8 +105,6 @@ class ExportFormat:
     write: Callable[
         ..., str | bytes
     ]  # a layout and its scene to the content of the file
-    content: str  # what the file holds, and who reads it, in a few words
-    is_binary: bool = False  # it is not text and needs a file
     has_lidars: bool = True  # LiDARs are in it, too, and not only cameras
     shows_runs: bool = False  # `write` takes a :class:`.watched.WatchedRun`, too
     options: tuple[str, ...] = ()  # names of further arguments of `write`
@@ -55,8 +114,7 @@ class ExportFormat:
 
 def load_format(name: str) -> ExportFormat:
     """A format by its name, one of ``FORMAT_NAMES``."""
-    module, attribute = _SHARED.get(name, (name, "FORMAT"))
-    found: ExportFormat = getattr(import_module(f".{module}", __name__), attribute)
+    found: ExportFormat = load_entry(FORMATS[name].place)
     return found
 
 
@@ -66,26 +124,3 @@ def load_extra(module: str, needs: str, extra: str) -> Any:
         return import_module(module)
     except ImportError:
         raise MissingExtraError(f"{needs}: pip install place-rsus[{extra}]") from None
-
-
-@cache
-def _templates() -> Any:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    loader = PackageLoader(__name__, "")
-    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
-
-
-def xml_text(template: str, *, namespace: str = "", **values: Any) -> str:
-    """XML document of a template of this folder, indented; texts in it are escaped."""
-    import xml.etree.ElementTree as ET
-
-    root = ET.fromstring(_templates().get_template(template).render(values))
-    for element in root.iter():
-        if not len(element) and not (element.text or "").strip():
-            element.text = None  # blanks of the template, where nothing was filled in
-    if namespace:
-        root.set("xmlns", namespace)
-    ET.indent(root)
-    text = ET.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'

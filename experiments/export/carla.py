@@ -95,5 +95,5 @@ def _carla_record(unit: CandidatePose, scene: Scene | None) -> dict[str, object]
 
 
 FORMAT = ExportFormat(
-    write=to_carla, content="spawn transforms in CARLA's frame; its Python API"
+    write=to_carla,
 )

@@ -378,7 +378,6 @@ def _tenths(value: float) -> int:
 
 FORMAT = ExportFormat(
     write=to_cpm,
-    content="messages of each site, ETSI TS 103 324 as JSON; V2X stacks",
     shows_runs=True,
     options=("release",),
 )

@@ -78,5 +78,5 @@ def to_dxf(layout: Layout, scene: Scene) -> str:
 
 
 FORMAT = ExportFormat(
-    write=to_dxf, content="poles, units, views as layers; CAD programs; extra: dxf"
+    write=to_dxf,
 )

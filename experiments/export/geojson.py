@@ -70,6 +70,5 @@ def _write(layout: Layout, scene: Scene, *, views: AreaFinder | None = None) -> 
 
 FORMAT = ExportFormat(
     write=_write,
-    content="points in WGS 84; QGIS, geopandas, web maps",
     options=("views",),
 )

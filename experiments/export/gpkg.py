@@ -80,7 +80,5 @@ def to_geopackage(
 
 FORMAT = ExportFormat(
     write=to_geopackage,
-    content="points in the map's own coordinates; QGIS, ArcGIS",
-    is_binary=True,
     options=("views",),
 )

@@ -47,5 +47,4 @@ def to_json(layout: Layout, scene: Scene | None = None) -> str:
 
 FORMAT = ExportFormat(
     write=to_json,
-    content="the layout file itself; place-rsus --layout",
 )

@@ -7,7 +7,7 @@ from geometry.frames import to_carla_yaw
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from . import ExportFormat, xml_text
+from . import ExportFormat
 from .places import (
     AreaFinder,
     longitude_latitude,
@@ -15,6 +15,7 @@ from .places import (
     positions_m,
     require_crs,
 )
+from .xml import xml_text
 
 
 def to_kml(layout: Layout, scene: Scene, *, views: AreaFinder | None = None) -> str:
@@ -60,6 +61,5 @@ def to_kml(layout: Layout, scene: Scene, *, views: AreaFinder | None = None) -> 
 
 FORMAT = ExportFormat(
     write=to_kml,
-    content="placemarks above ground; Google Earth",
     options=("views",),
 )

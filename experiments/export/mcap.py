@@ -332,8 +332,6 @@ def _box(
 
 FORMAT = ExportFormat(
     write=to_mcap,
-    content="scene, bodies, detections; Foxglove; extra: mcap",
-    is_binary=True,
     shows_runs=True,
     options=("pictures",),
 )

@@ -67,6 +67,5 @@ def _yaml(value: str | list[float]) -> str:
 
 FORMAT = ExportFormat(
     write=to_opencv,
-    content="K, R, t of cameras, YAML; cv::FileStorage",
     has_lidars=False,
 )

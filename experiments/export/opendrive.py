@@ -22,7 +22,8 @@ from geometry.terrain import on_ground, terrain_of
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
-from . import ExportFormat, xml_text
+from . import ExportFormat
+from .xml import xml_text
 
 _TYPES = {
     "driving": "driving",
@@ -275,5 +276,4 @@ def _beside(
 
 FORMAT = ExportFormat(
     write=to_opendrive,
-    content="the scene's roads, OpenDRIVE 1.7; the layout's poles beside them",
 )

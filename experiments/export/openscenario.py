@@ -21,7 +21,8 @@ from geometry.text_formats import load_data
 from geometry.weather import pick_weather
 from scenarios.runs import Run
 
-from . import load_extra, xml_text
+from . import load_extra
+from .xml import xml_text
 
 VUT = "vut"
 VRU = "vru"

@@ -101,6 +101,5 @@ def _matrix_record(matrix: FloatArray) -> dict[str, object]:
 
 FORMAT = ExportFormat(
     write=to_ros,
-    content="CameraInfo and transform per camera, YAML; camera_info_manager",
     has_lidars=False,
 )

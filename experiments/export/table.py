@@ -5,16 +5,14 @@ import io
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from ..results.tables import csv_text
+from ..results.tables import records_csv
 from . import ExportFormat
 from .places import longitude_latitude, placed_records, positions_m
 
 
 def to_csv(layout: Layout, scene: Scene | None = None) -> str:
     """Layout as CSV: one row per unit, in full precision; see :func:`placed_records`."""
-    import pandas as pd  # takes longer to load than all other formats
-
-    return csv_text(pd.DataFrame(placed_records(layout, scene)))
+    return records_csv(placed_records(layout, scene))
 
 
 def to_parquet(layout: Layout, scene: Scene) -> bytes:
@@ -32,9 +30,9 @@ def to_parquet(layout: Layout, scene: Scene) -> bytes:
     return file.getvalue()
 
 
-CSV = ExportFormat(write=to_csv, content="a row per unit; spreadsheets, pandas")
+CSV = ExportFormat(
+    write=to_csv,
+)
 PARQUET = ExportFormat(
     write=to_parquet,
-    content="the same table, typed; pandas, Arrow, DuckDB",
-    is_binary=True,
 )

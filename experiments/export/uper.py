@@ -145,8 +145,6 @@ def to_cpm_uper(
 
 FORMAT = ExportFormat(
     write=to_cpm_uper,
-    content="the same messages as bytes (UPER); extra: v2x",
-    is_binary=True,
     shows_runs=True,
     options=("release",),
     told=tell_load,

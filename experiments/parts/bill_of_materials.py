@@ -11,7 +11,7 @@ from placement.wishes import assumed_prices, load_prices
 
 from ..language import localized, mark, tr, trn
 from ..results.numbers import grouped, joined
-from ..results.tables import csv_text
+from ..results.tables import records_csv
 from .section import Block, Bullets, Section, Table
 
 UNKNOWN = mark("unknown")
@@ -168,9 +168,8 @@ def _site_items(
 
 def bill_of_materials_csv(bill: BillOfMaterials) -> str:
     """The bill as CSV, a row per item; what is unknown is empty, and there is no row of sums."""
-    import pandas as pd
-
     heads = ["part", "name", "kind", "units", "to_buy", "price_eur", "sum_eur"]
+    heads += ["price_source", "assumed"]
     rows = []
     for item in (*bill.sensors, *bill.sites):
         amounts = [
@@ -179,7 +178,8 @@ def bill_of_materials_csv(bill: BillOfMaterials) -> str:
         counts = [item.n_units, item.count]
         source = [item.price_source, item.assumed]
         rows.append([item.part, item.name, item.kind, *counts, *amounts, *source])
-    return csv_text(pd.DataFrame(rows, columns=[*heads, "price_source", "assumed"]))
+    records = [dict(zip(heads, row, strict=True)) for row in rows]
+    return records_csv(records, heads)
 
 
 def bill_sentences(bill: BillOfMaterials) -> list[str]:

@@ -1,5 +1,7 @@
 """Tables of verdicts, for other programs: ratios by group, and every run's outcome."""
 
+import csv
+import io
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources.abc import Traversable
@@ -229,6 +231,25 @@ def csv_text(table: "pd.DataFrame") -> str:
     """A table as CSV, every text in it safe to open in a spreadsheet."""
     text: str = table.map(safe_cell).to_csv(index=False, lineterminator="\n")
     return text
+
+
+def records_csv(
+    records: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()
+) -> str:
+    """Records as the CSV that :func:`csv_text` writes of their table, without pandas.
+
+    `columns` come first, those that further records have follow. A field that a record
+    does not have, or that is None, is empty. Numbers are Python's own.
+    """
+    heads = dict.fromkeys(columns)
+    for record in records:
+        heads |= dict.fromkeys(record)
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(heads)
+    for record in records:
+        writer.writerow([safe_cell(record.get(head)) for head in heads])
+    return buffer.getvalue()
 
 
 def safe_cell(cell: Any) -> Any:
