@@ -15,14 +15,11 @@ from geometry.errors import MissingExtraError
 FORMAT_NAMES = (
     "json",
     "csv",
-    "parquet",
     "geojson",
     "gpkg",
     "kml",
     "dxf",
     "carla",
-    "opencv",
-    "ros",
     "cpm",
     "cpm-uper",
     "mcap",
@@ -31,8 +28,7 @@ FORMAT_NAMES = (
 """In the order of the help."""
 
 _SHARED = {
-    "csv": ("table", "CSV"),
-    "parquet": ("table", "PARQUET"),
+    "csv": ("table", "FORMAT"),
     "cpm-uper": ("uper", "FORMAT"),
 }
 
@@ -46,9 +42,8 @@ class ExportFormat:
     ]  # a layout and its scene to the content of the file
     content: str  # what the file holds, and who reads it, in a few words
     is_binary: bool = False  # it is not text and needs a file
-    has_lidars: bool = True  # LiDARs are in it, too, and not only cameras
     shows_runs: bool = False  # `write` takes a :class:`.watched.WatchedRun`, too
-    options: tuple[str, ...] = ()  # names of further arguments of `write`
+    has_pictures: bool = False  # `write` takes `pictures`, what to draw them with
     # a sentence about the content that was written
     told: Callable[[bytes], str] | None = None
 

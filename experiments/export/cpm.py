@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from geometry.actors import load_actors
 from geometry.arrays import FloatArray, IntArray
-from geometry.errors import check_one_of, refuse
+from geometry.errors import refuse
 from geometry.frames import parse_crs, to_carla_yaw
 from geometry.maps.georeferences import transform
 from geometry.scene import Scene
@@ -26,8 +26,7 @@ from .json import to_json_text
 from .places import longitude_latitude, require_crs
 from .watched import WatchedRun
 
-RELEASES = ("2.1.1", "2.4.1")
-"""Versions of the dictionary, ETSI TS 102 894-2, the usual one first."""
+STANDARD = "ETSI TS 103 324 V2.1.1 with ETSI TS 102 894-2 V2.1.1"
 _VERSION = 2
 _CPM = 14  # ItsPduHeader
 _PER_DEGREE = 1.0e7  # Latitude, Longitude
@@ -52,11 +51,11 @@ _CLASS_UNKNOWN = 101  # confidences
 _ALTITUDES = -100_000, 800_000  # the first and the last stand for all beyond
 _SLACK = 1.0e-6  # of a unit: what rounding may add before it counts as the next one
 _STEP_S = 1.0e-3  # half of that over which a velocity is taken
-# by road user: kind, its profile as 2.1.1 names it, and as 2.4.1 counts it
+# by road user: kind and profile
 _VRU_CLASSES = {
-    "on foot": ("pedestrian", "ordinary-pedestrian", 1),
-    "bicycle": ("bicyclistAndLightVruVehicle", "bicyclist", 1),
-    "motorcycle": ("motorcyclist", "motorcycle", 2),
+    "on foot": ("pedestrian", "ordinary-pedestrian"),
+    "bicycle": ("bicyclistAndLightVruVehicle", "bicyclist"),
+    "motorcycle": ("motorcyclist", "motorcycle"),
 }
 _PASSENGER_CAR = 5  # TrafficParticipantType
 
@@ -76,25 +75,20 @@ def to_cpm(
     layout: Layout,
     scene: Scene,
     watched: WatchedRun | None = None,
-    *,
-    release: str = RELEASES[0],
 ) -> str:
     """Layout as collective perception messages, a station (RSU) per site, as JSON.
 
     {"standard", "stations": [{"site", "units", "messages"}]}: see
     :func:`build_stations`.
     """
-    standard = f"ETSI TS 103 324 V2.1.1 with ETSI TS 102 894-2 V{release}"
-    stations = build_stations(layout, scene, watched, release=release)
-    return to_json_text({"standard": standard, "stations": stations})
+    stations = build_stations(layout, scene, watched)
+    return to_json_text({"standard": STANDARD, "stations": stations})
 
 
 def build_stations(
     layout: Layout,
     scene: Scene,
     watched: WatchedRun | None = None,
-    *,
-    release: str = RELEASES[0],
 ) -> list[Station]:
     """Stations of a layout, and what they send.
 
@@ -102,8 +96,8 @@ def build_stations(
     microdegrees; on the road in the middle of the station's units; its altitude [0.01
     m] where the map counts heights from the ellipsoid), the RSU's container and that of
     its sensors. Their regions are radial shapes: reference point east, north, up of the
-    reference position [0.01 m], range [0.1 m], horizontal opening - V2.1.1: clockwise
-    from north, V2.4.1: counter-clockwise from east - and vertical opening upwards from
+    reference position [0.01 m], range [0.1 m], horizontal opening (clockwise
+    from north) and vertical opening upwards from
     the horizon [0.1 degrees].
 
     With a run a message for each frame in which a unit detects the road user, and each
@@ -112,7 +106,7 @@ def build_stations(
     Position of the middle of its box [0.01 m] and velocity [0.01 m/s] are the run's
     own, so their confidence is unavailable. Raises InputError if the scene has no crs;
     a site carries more than 128 units, or units too far apart, or the run leaves the
-    standard's range; the release is unknown.
+    standard's range.
 
     Notes
     -----
@@ -130,7 +124,6 @@ def build_stations(
        RadialShape, CartesianPosition3d, Wgs84AngleValue, CartesianAngleValue.
     """
     require_crs(scene.crs, "cpm")
-    check_one_of("release", release, RELEASES)
     stations: dict[tuple[str, str], list[CandidatePose]] = {}
     for unit in layout.units:
         if unit.site_id:
@@ -163,7 +156,7 @@ def build_stations(
                     _MONOVIDEO if isinstance(unit.sensor, CameraModel) else _LIDAR
                 ),
                 "perceptionRegionShape": {
-                    "radial": _radial_shape(unit, road_m, adult_px_m, where, release)
+                    "radial": _radial_shape(unit, road_m, adult_px_m, where)
                 },
                 "shadowingApplies": True,
             }
@@ -178,7 +171,7 @@ def build_stations(
             for time_ms, containers in (
                 [(0, [sensors])]
                 if watched is None
-                else _sent(watched, units, sensors, road_m, where, release)
+                else _sent(watched, units, sensors, road_m, where)
             )
         ]
         names = tuple(unit.id for unit in units)
@@ -234,7 +227,6 @@ def _sent(
     sensors: dict[str, Any],
     origin_m: FloatArray,
     where: str,
-    release: str,
 ) -> Iterator[tuple[int, list[dict[str, Any]]]]:
     """Reference times of a station's messages, and containers beside the RSU's own."""
     time_s = watched.run.time_s
@@ -248,7 +240,7 @@ def _sent(
             told_s = time_s[frame]
         if detected[:, frame].any():
             seeing = np.flatnonzero(detected[:, frame]).tolist()
-            described = _object(watched.run, frame, origin_m, where, release)
+            described = _object(watched.run, frame, origin_m, where)
             described |= {
                 "measurementDeltaTime": -round(1000.0 * latency_s),
                 "sensorIdList": seeing,
@@ -259,9 +251,7 @@ def _sent(
             yield round(1000.0 * (time_s[frame] - time_s[0] + latency_s)), containers
 
 
-def _object(
-    run: Run, frame: int, origin_m: FloatArray, where: str, release: str
-) -> dict[str, Any]:
+def _object(run: Run, frame: int, origin_m: FloatArray, where: str) -> dict[str, Any]:
     """Whoever the VUT meets in a frame, east, north and up of the reference position."""
     motion = run.encounter.vru_motion
     body = run.encounter.vru
@@ -276,8 +266,8 @@ def _object(
         refuse(where, got, f"at most {_MAX_COORDINATE / 100.0:g} m")
     kind: dict[str, Any] = {"vehicleSubClass": _PASSENGER_CAR}
     if run.road_user in _VRU_CLASSES:
-        name, *profiles = _VRU_CLASSES[run.road_user]
-        kind = {"vruSubClass": {name: profiles[RELEASES.index(release)]}}
+        name, profile = _VRU_CLASSES[run.road_user]
+        kind = {"vruSubClass": {name: profile}}
     return {
         "objectId": 0,
         "position": {
@@ -316,7 +306,6 @@ def _radial_shape(
     origin_m: FloatArray,
     adult_px_m: float,
     where: str,
-    release: str,
 ) -> dict[str, object]:
     offset = _count_up(unit.pose.position_m - origin_m, 100.0)
     if np.abs(offset).max() > _MAX_OFFSET:
@@ -335,10 +324,7 @@ def _radial_shape(
         half_deg = min(half_deg, math.degrees(SEEN_RAD))
     half_vertical_deg = 0.5 * sensor.vertical_fov_deg
     lowest_deg = highest_deg = unit.pose.pitch_deg
-    is_old = release == RELEASES[0]  # V2.2.1 turned the angles' zero and sense
-    middle_deg = unit.pose.yaw_deg
-    if is_old:
-        middle_deg = float(to_carla_yaw(middle_deg)) + 90.0
+    middle_deg = float(to_carla_yaw(unit.pose.yaw_deg)) + 90.0
     start = _tenths(middle_deg - half_deg) % _TURN
     end = _tenths(middle_deg + half_deg) % _TURN
     if is_ring(unit.sensor):
@@ -350,18 +336,14 @@ def _radial_shape(
     # What looks straight down sees beyond it, but there is no steeper direction.
     low_deg = max(lowest_deg - half_vertical_deg, -90.0)
     high_deg = min(highest_deg + half_vertical_deg, 90.0)
-    if is_old:
-        horizontal = "stationaryHorizontalOpeningAngle"
-    else:
-        horizontal = "horizontalOpeningAngle"
     return {
         "shapeReferencePoint": {
             f"{axis}Coordinate": int(value)
             for axis, value in zip("xyz", offset, strict=True)
         },
         "range": min(_tenths(range_m), _MAX_RANGE),
-        f"{horizontal}Start": start,
-        f"{horizontal}End": end,
+        "stationaryHorizontalOpeningAngleStart": start,
+        "stationaryHorizontalOpeningAngleEnd": end,
         "verticalOpeningAngleStart": _tenths(low_deg) % _TURN,
         "verticalOpeningAngleEnd": _tenths(high_deg) % _TURN,
     }
@@ -381,5 +363,4 @@ FORMAT = ExportFormat(
     write=to_cpm,
     content="messages of each site, ETSI TS 103 324 as JSON; V2X stacks",
     shows_runs=True,
-    options=("release",),
 )

@@ -1,7 +1,6 @@
 """Layouts as GeoPackage."""
 
 from collections.abc import Iterable
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -11,7 +10,6 @@ from placement.layout import Layout
 
 from . import ExportFormat
 from .places import (
-    find_views,
     longitude_latitude,
     map_points,
     placed_records,
@@ -47,14 +45,13 @@ def geopackage(
         return path.read_bytes()
 
 
-def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes:
+def to_geopackage(layout: Layout, scene: Scene) -> bytes:
     """Layout as a GeoPackage: points in the coordinates of the map that the scene was made from.
 
     A SQLite database with the layer "units": points with the height as z (that of the
     map where the ground is not flat and the map tells it, else above the road), and the
-    fields of the layout; x_m and y_m among them stay in the world frame. With `views`
-    also the layer "views": see :func:`.places.find_views`. Raises InputError if the
-    scene has no crs, or one that pyproj does not know.
+    fields of the layout; x_m and y_m among them stay in the world frame. Raises
+    InputError if the scene has no crs, or one that pyproj does not know.
     """
     import geopandas as gpd
 
@@ -68,11 +65,6 @@ def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes
         z=[record.get("map_z", record["z_m"]) for record in records],
     )
     layers = [("units", "Point Z", records, points)]
-    if views:
-        found = find_views(layout, scene, partial(map_points, scene=scene))
-        layers.append(
-            ("views", "", [one.record() for one in found], [one.area for one in found])
-        )
     return geopackage(layers, scene.source_crs or scene.crs)
 
 
@@ -80,5 +72,4 @@ FORMAT = ExportFormat(
     write=to_geopackage,
     content="points in the map's own coordinates; QGIS, ArcGIS",
     is_binary=True,
-    options=("views",),
 )

@@ -334,5 +334,5 @@ FORMAT = ExportFormat(
     content="scene, bodies, detections; Foxglove; extra: mcap",
     is_binary=True,
     shows_runs=True,
-    options=("pictures",),
+    has_pictures=True,
 )

@@ -15,7 +15,7 @@ from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.terrain import terrain_of
 from placement.candidates import above_ground
-from placement.ground import LOOK_AT_M, REACH_M, GroundSurvey
+from placement.ground import GroundSurvey
 from placement.layout import Layout, layout_records
 
 
@@ -112,29 +112,12 @@ def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
     return lon_lat_deg
 
 
-UNSEEN = "unseen"
-NOTE = (
-    f"squares of 1 m, {LOOK_AT_M:g} m above the road, up to {REACH_M:g} m from the"
-    " middle"
-)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
     """Area that a camera sees, or road that no camera sees."""
 
     unit: str  # its id; empty: what no camera sees
     area: Any  # shapely's polygons without overlap, in any coordinates
-    area_m2: float
-
-    def record(self) -> dict[str, Any]:
-        """Fields of it in a table."""
-        return {
-            "id": f"view of {self.unit}" if self.unit else UNSEEN,
-            "unit": self.unit,
-            "area_m2": self.area_m2,
-            "note": NOTE,
-        }
 
 
 def find_views(
@@ -159,10 +142,7 @@ def find_views(
     masks[""] = missed
     areas = [_outline(mask, survey.east_m, survey.north_m) for mask in masks.values()]
     moved = shapely.transform(np.array(areas, dtype=object), move)
-    return [
-        View(unit=name, area=there, area_m2=float(area.area))
-        for name, area, there in zip(masks, areas, moved, strict=True)
-    ]
+    return [View(unit=name, area=area) for name, area in zip(masks, moved, strict=True)]
 
 
 def _outline(mask: BoolArray, east_m: FloatArray, north_m: FloatArray) -> Any:

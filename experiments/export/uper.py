@@ -10,7 +10,7 @@ from geometry.scene import Scene
 from placement.layout import Layout
 
 from . import ExportFormat, load_extra
-from .cpm import RELEASES, build_stations
+from .cpm import build_stations
 from .watched import WatchedRun
 
 _MESSAGE = "CollectivePerceptionMessage"
@@ -24,27 +24,24 @@ _CHANNEL_MBPS = 6.0  # ITS-G5's default data rate: ETSI EN 302 663
 
 
 @cache
-def _codecs(release: str) -> tuple[Any, Any]:
-    """UPER's and JSON's rules of ``data/v2x.asn``, with the lines of a release."""
+def _codecs() -> tuple[Any, Any]:
+    """UPER's and JSON's rules of ``data/v2x.asn``."""
     asn1tools = load_extra("asn1tools", "messages as bytes need asn1tools", "v2x")
-    others = tuple(f"-- {other}" for other in RELEASES if other != release)
     text = (files("experiments") / "data" / "v2x.asn").read_text(encoding="utf-8")
-    lines = "\n".join(line for line in text.splitlines() if not line.endswith(others))
-    return asn1tools.compile_string(lines, "uper"), asn1tools.compile_string(
-        lines, "jer"
-    )
+    uper = asn1tools.compile_string(text, "uper")
+    return uper, asn1tools.compile_string(text, "jer")
 
 
-def to_bytes(name: str, value: object, release: str) -> bytes:
+def to_bytes(name: str, value: object) -> bytes:
     """Bytes of a value of a type of ``data/v2x.asn``, given as JSON writes it."""
-    uper, jer = _codecs(release)
+    uper, jer = _codecs()
     content: bytes = uper.encode(name, jer.decode(name, json.dumps(value).encode()))
     return content
 
 
-def from_bytes(name: str, content: bytes, release: str) -> Any:
+def from_bytes(name: str, content: bytes) -> Any:
     """Value of bytes, the inverse of :func:`to_bytes`."""
-    uper, jer = _codecs(release)
+    uper, jer = _codecs()
     return json.loads(jer.encode(name, uper.decode(name, content)))
 
 
@@ -97,26 +94,26 @@ def tell_load(content: bytes) -> str:
     )
 
 
-def encode(message: dict[str, Any], release: str = RELEASES[0]) -> bytes:
+def encode(message: dict[str, Any]) -> bytes:
     """Bytes of a message of :func:`.cpm.build_stations`, unsigned, without headers of the net."""
     payload = message["payload"]
     containers = []
     for container in payload["cpmContainers"]:
         data = to_bytes(
-            CONTAINERS[container["containerId"]], container["containerData"], release
+            CONTAINERS[container["containerId"]], container["containerData"]
         )
         containers.append(container | {"containerData": data.hex()})
     whole = message | {"payload": payload | {"cpmContainers": containers}}
-    return to_bytes(_MESSAGE, whole, release)
+    return to_bytes(_MESSAGE, whole)
 
 
-def decode(content: bytes, release: str = RELEASES[0]) -> dict[str, Any]:
+def decode(content: bytes) -> dict[str, Any]:
     """Message of bytes, the inverse of :func:`encode`."""
-    message: dict[str, Any] = from_bytes(_MESSAGE, content, release)
+    message: dict[str, Any] = from_bytes(_MESSAGE, content)
     for container in message["payload"]["cpmContainers"]:
         data = bytes.fromhex(container["containerData"])
         container["containerData"] = from_bytes(
-            CONTAINERS[container["containerId"]], data, release
+            CONTAINERS[container["containerId"]], data
         )
     return message
 
@@ -125,8 +122,6 @@ def to_cpm_uper(
     layout: Layout,
     scene: Scene,
     watched: WatchedRun | None = None,
-    *,
-    release: str = RELEASES[0],
 ) -> bytes:
     """Layout's messages by time, as records: see :func:`to_records`.
 
@@ -136,9 +131,9 @@ def to_cpm_uper(
     return to_records(
         (
             message["payload"]["managementContainer"]["referenceTime"],
-            encode(message, release),
+            encode(message),
         )
-        for station in build_stations(layout, scene, watched, release=release)
+        for station in build_stations(layout, scene, watched)
         for message in station.messages
     )
 
@@ -148,6 +143,5 @@ FORMAT = ExportFormat(
     content="the same messages as bytes (UPER); extra: v2x",
     is_binary=True,
     shows_runs=True,
-    options=("release",),
     told=tell_load,
 )
