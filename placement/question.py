@@ -93,7 +93,6 @@ class Question:
     weights: str = ""
     near: str = ""
     accidents_within_m: float | None = None
-    score: Literal["avoided", "rating-2026"] = "avoided"
     fusion: Literal["any", "single"] = "any"
     detector: str = "geometric"
     vut_sensors: str = "camera"

@@ -42,7 +42,6 @@ from scenarios.runs import (
     build_runs,
     left_out_case,
 )
-from scenarios.scores import AVOIDED, Levels, build_levels
 from scenarios.weights import check_weights, default_weights, weigh, weight_by_function
 
 from .cache import cached_value
@@ -113,8 +112,6 @@ class Setting:
         What the VUT itself looks with.
     vut_camera : CameraModel, optional
         In place of the study's.
-    levels : Levels, optional
-        What runs count by the speed at contact; None: if avoided.
     cars : float
         Share of the VUTs whose own sensors are one more unit in every run. 0 ..
         1.
@@ -133,7 +130,6 @@ class Setting:
     radio: Radio = field(default_factory=Radio)
     vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]
     vut_camera: CameraModel | None = None
-    levels: Levels | None = None
     cars: float = 0.0
     seen_by_vut: BoolArray | None = None
 
@@ -374,17 +370,6 @@ def build_setting(
             near=_place_deg(question, scene),
             within_m=question.accidents_within_m,
         )
-    # With a score, runs count by the speed at contact.
-    levels = None
-    if question.score != AVOIDED:
-        levels = cached_value(
-            compute.cache_folder,
-            "levels",
-            partial(build_levels, runs, question.score, rule),
-            kind=Levels | None,
-            made_from=(runs, question.score, rule),
-            packages=("geometry", "scenarios"),
-        )
     return Setting(
         scene=scene,
         runs=runs,
@@ -395,7 +380,6 @@ def build_setting(
         refusals=(*drives.refused, *drives.left_out),
         radio=Radio(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
         vut_sensors=vut_sensors,
-        levels=levels,
         cars=cars,
     )
 

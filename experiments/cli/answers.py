@@ -11,7 +11,6 @@ from geometry.junction import compass_bearing_deg
 from placement.candidates import load_candidate_grid
 from placement.explain.agreement import Disagreement
 from placement.explain.unavoided import Unavoided
-from scenarios.scores import AVOIDED
 
 from ..language import localized, mark, tr, trn
 from ..parts import (
@@ -72,7 +71,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         parties[name] = result.baseline.evaluation.judged
     if result.baselines.expert is not None:
         parties[tr("expert rule, fused")] = result.baselines.expert.score
-    further = explanation.next_unit_sentence(result.next_unit, proof.measure_of(result))
+    further = explanation.next_unit_sentence(result.next_unit)
     best = tr(
         "Best {n} of {poses} poses on {runs} runs (fusion {fusion}{cars}):",
         n=len(result.layout),
@@ -237,7 +236,7 @@ def _besides(result: PlacementResult | ComparisonResult) -> list[Part]:
 
 
 def _impacts(result: Result, others: Mapping[str, Compared]) -> Part:
-    """What is left of the impacts, and with a score what the runs count."""
+    """What is left of the impacts."""
     parties = {
         result.name: result.evaluation.judged,
         **{tr(name): other.evaluation.judged for name, other in others.items()},
@@ -247,24 +246,11 @@ def _impacts(result: Result, others: Mapping[str, Compared]) -> Part:
         f"{name} {number(party.mean_impact_speed_kmh, 1)}"
         for name, party in parties.items()
     )
-    words = [
-        tr(
-            "Mean speed of the VUT at contact, avoided runs as 0: {speeds} km/h.",
-            speeds=left,
-        )
-    ]
-    if result.score != AVOIDED:
-        scores = ", ".join(
-            f"{name} {percent(party.score)}" for name, party in parties.items()
-        )
-        words.append(
-            tr(
-                "Score ({score}) by the evaluator: {scores}.",
-                score=result.score,
-                scores=scores,
-            )
-        )
-    return Part(words=words, is_short=result.score != AVOIDED)
+    words = tr(
+        "Mean speed of the VUT at contact, avoided runs as 0: {speeds} km/h.",
+        speeds=left,
+    )
+    return Part(words=[words])
 
 
 def _said(*sentences: str) -> Part:

@@ -32,7 +32,6 @@ from placement.question import Question
 from placement.setting import Setting
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
-from scenarios.scores import AVOIDED
 
 from ..language import mark, tr, trn
 from ..progress import StageProgress
@@ -114,7 +113,7 @@ def find_other_weights(
 ) -> ByRuns | None:
     """The layout that is best if all runs count the same; None if weights were asked for."""
     progress(STAGE, 0, 0)
-    if question.weights not in ("", "case") or question.score != AVOIDED:
+    if question.weights not in ("", "case"):
         return None
     chosen = placement.pose_index
     cache = compute.cache_folder
@@ -144,7 +143,7 @@ def leading_layouts(on_grid: Placement, placement: Placement) -> list[Layout]:
     """Layouts that lead on the table behind the one found: the greedy one.
 
     None where something else than the highest APR was asked for, or the evaluator's is
-    another measure: of sampled worlds, of a score. `on_grid` is the placement before it
+    another measure: of sampled worlds. `on_grid` is the placement before it
     was refined.
     """
     problem = placement.problem

@@ -160,7 +160,7 @@ def words(result: Result) -> list[str]:
     """What the first screen leaves to say, and no section says in so few words."""
     sentences: Sequence[str] = ()
     if isinstance(result, PlacementResult):
-        further = next_unit_sentence(result.next_unit, proof.measure_of(result))
+        further = next_unit_sentence(result.next_unit)
         sentences = (further, proof.words(result))
     elif isinstance(result, ComparisonResult):
         sentences = comparison.words(result.name, result.compared)

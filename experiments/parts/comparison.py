@@ -14,7 +14,6 @@ from placement.evaluation import (
     apr_one_failed,
     headline_apr,
     mean_impact_speed_kmh,
-    score,
 )
 from scenarios.aeb import AebRule
 
@@ -138,10 +137,9 @@ def side_by_side_table(
     rule: AebRule,
     baselines: Baselines | None = None,
 ) -> Table:
-    """A row per layout, of the VUT alone, and of random layouts; a column of a score, if any."""
+    """A row per layout, of the VUT alone, and of random layouts."""
     subject = next(iter(evaluations.values()))
     axis = subject.axis
-    levels = subject.levels
 
     def of_verdict(verdict: Verdict, share: float) -> tuple[list[str], list[str]]:
         """Cells before and behind that of a failure."""
@@ -151,8 +149,6 @@ def side_by_side_table(
             number(float(spare_s.min()) if len(spare_s) else None),
             number(mean_impact_speed_kmh(verdict, axis), 1),
         ]
-        if levels is not None:
-            behind.append(percent(score(verdict, axis, levels)))
         return [percent(share), avoided], behind
 
     rows = []
@@ -178,18 +174,10 @@ def side_by_side_table(
         random = None
     else:
         random = baselines.random
-    if random is not None:  # what is known is the APR on the table alone, or the score
+    if random is not None:  # what is known is the APR on the table alone
         mean = percent(random.mean)
         head = tr("random: mean of {n}, on the detection table", n=random.layouts)
-        if levels is None:
-            shares = [mean, *[NOTHING] * 4]
-        else:
-            shares = [*[NOTHING] * 5, mean]
-        rows.append([head, str(random.units), NOTHING, *shares])
-    if levels is None:
-        of_score = []
-    else:
-        of_score = [tr("score ({score})", score=levels.score)]
+        rows.append([head, str(random.units), NOTHING, mean, *[NOTHING] * 4])
     columns = [
         tr("layout"),
         tr("units"),
@@ -199,7 +187,6 @@ def side_by_side_table(
         tr("APR if the most needed unit fails"),
         tr("smallest time to spare (s)"),
         tr("mean speed at contact (km/h)"),
-        *of_score,
     ]
     return Table(
         caption=tr(
@@ -274,7 +261,7 @@ def section(
     sentences = baseline_words(baselines, n_units=n_units)
     blocks: list[Block] = [
         side_by_side_table(evaluations, rule, baselines),
-        _meaning(evaluations),
+        _meaning(),
         *([Bullets(sentences)] if sentences else []),
         Subheading(tr("Which runs differ")),
         (
@@ -301,20 +288,10 @@ def section(
     return Section("comparison", tr("Side by side"), blocks)
 
 
-def _meaning(evaluations: Mapping[str, Evaluation]) -> str:
-    """How speeds at contact, and the score, are to be read."""
-    text = tr(
+def _meaning() -> str:
+    """How speeds at contact are to be read."""
+    return tr(
         "Mean speed at contact: of the VUT when it touches the road user "
         "although it brakes from the confirmation on, over all runs by "
         "weight; a run that is avoided counts as 0."
-    )
-    levels = next(iter(evaluations.values())).levels
-    if levels is None:
-        return text
-    return tr(
-        "{speed} Score ({score}): a run that is avoided counts in full, a "
-        "slow impact in part, by Euro NCAP's bands of the speed at "
-        "contact; it is what the layout was chosen for.",
-        speed=text,
-        score=levels.score,
     )

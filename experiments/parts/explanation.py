@@ -9,7 +9,7 @@ import msgspec
 
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
-from placement.detection_table import run_of_level
+from placement.detection_table import plain_run
 from placement.explain.contributions import NextUnit, find_contributions
 from placement.explain.unavoided import Cause, Reason, Unavoided, find_unavoided
 from placement.optimiser.problem import Objective
@@ -100,7 +100,7 @@ def build_explained_record(
                 unit=names[table.pose_ids[part.pose_index]],
                 only_runs=tuple(
                     dict.fromkeys(
-                        run_of_level(table.axis.run_ids[run]) for run in part.only_runs
+                        plain_run(table.axis.run_ids[run]) for run in part.only_runs
                     )
                 ),
                 marginal_apr=part.marginal_apr,
@@ -548,8 +548,8 @@ def _from_to(objective: Objective, before: float, after: float) -> str:
     return tr("{first} to {last}", first=one, last=other)
 
 
-def next_unit_sentence(unit: NextUnit | None, measure: str) -> str:
-    """Gain of one more unit, of an "APR" or a "score"; empty where none fits."""
+def next_unit_sentence(unit: NextUnit | None) -> str:
+    """Gain of one more unit; empty where none fits."""
     if unit is None:
         return ""
     if unit.gain < 0.5e-9:  # what rounding leaves
@@ -557,9 +557,9 @@ def next_unit_sentence(unit: NextUnit | None, measure: str) -> str:
             "One more unit among the candidates would avoid nothing more (on "
             "the detection table, by greedy choice)"
         )
-    values = {"points": points(unit.gain), "measure": measure, "apr": percent(unit.apr)}
+    values = {"points": points(unit.gain), "apr": percent(unit.apr)}
     return tr(
-        "One more unit would add {points} of {measure}: {apr} with {pose} "
+        "One more unit would add {points} of APR: {apr} with {pose} "
         "(on the detection table, by greedy choice)",
         pose=unit.pose,
         **values,

@@ -20,7 +20,6 @@ from placement.explain.tolerances import Standing
 from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting
-from scenarios.scores import AVOIDED
 
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.record import (
@@ -90,15 +89,6 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
         ),
     ]
     runs: Annotated[int, says("Runs that every layout was evaluated on.", ge=1)]
-    score: Annotated[
-        Literal["avoided", "rating-2026"],
-        says(
-            "What a run counts that is not avoided: nothing, or by the speed that is"
-            " left at contact. Then what a placement has on the detection table as APR"
-            " - apr, bound, stages, contributions, front, random layouts - is this"
-            " score."
-        ),
-    ] = "avoided"
     apr: Annotated[
         Share | None, says("Of a placement on the table, else by the evaluator.")
     ]
@@ -286,7 +276,6 @@ def build_answer(
         "cost_eur": price_eur(evaluation),
         "fusion": "any",
         "runs": evaluation.axis.n_runs,
-        "score": AVOIDED if setting.levels is None else setting.levels.score,
         "apr": evaluated.judged.all,
         "assumptions": assumptions(setting.scene.notes),
         "evaluation": evaluated,

@@ -24,7 +24,6 @@ from placement.evaluation import (
     apr_one_site_failed,
     mean_impact_speed_kmh,
     mix,
-    score,
     units_by_site,
 )
 from placement.layout import Certificate, Layout, layout_records
@@ -202,7 +201,6 @@ class PartyAprRecord(Record, frozen=True, kw_only=True):
             " recordings."
         ),
     ] = None
-    score: Annotated[Share | None, says("Only with --score rating-2026.")] = None
 
 
 class EvaluationRecord(Record, frozen=True, kw_only=True):
@@ -277,11 +275,6 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
             by_case={**apr_by_case(verdict, axis)},
             by_position={**apr_by_position(verdict, axis)},
             mean_impact_speed_kmh=mean_impact_speed_kmh(verdict, axis),
-            score=(
-                None
-                if evaluation.levels is None
-                else score(verdict, axis, evaluation.levels)
-            ),
         )
 
     blind = ratios(evaluation.rsu_all)

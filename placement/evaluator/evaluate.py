@@ -22,7 +22,6 @@ from geometry.weather import pick_weather
 from scenarios.aeb import AebRule, find_contacts
 from scenarios.paths import MPS_PER_KMH
 from scenarios.runs import FrameAxis, Run, find_onsets
-from scenarios.scores import Levels
 
 from ..cache import CachedArrays
 from ..candidates import CandidatePose
@@ -384,7 +383,7 @@ def _join(parts: Sequence[Evidence]) -> Evidence:
 
 
 # ---------- verdicts: confirmation, braking, contact
-_Contact = tuple[float, float, float]
+_Contact = tuple[float, float]
 Party = tuple[BoolArray, float]
 """Detected frames that reach the VUT, (n_frames,), and the time until it knows. [s]"""
 
@@ -402,8 +401,6 @@ class Judge:
         Their frames.
     rule : AebRule
         Confirmation, latency and braking.
-    levels : Levels, optional
-        Passed on to the evaluations.
     """
 
     def __init__(
@@ -411,10 +408,8 @@ class Judge:
         runs: Sequence[Run],
         axis: FrameAxis,
         rule: AebRule,
-        levels: Levels | None = None,
     ) -> None:
         self.axis = axis
-        self.levels = levels
         self._runs = runs
         self._rule = rule
         # By encounter, which runs that differ by weather alone share, then by onset.
@@ -442,15 +437,14 @@ class Judge:
                 onset_time_s=each.onset_s,
                 is_avoided=np.isinf(time_s),
                 impact_speed_kmh=speed_mps / MPS_PER_KMH,
-                closing_speed_kmh=closing_mps / MPS_PER_KMH,
             )
-            for arrival, each, (time_s, speed_mps, closing_mps) in zip(
+            for arrival, each, (time_s, speed_mps) in zip(
                 arrivals, onsets, contacts, strict=True
             )
         ]
 
     def _find_contacts(self, onset_s: FloatArray) -> FloatArray:
-        """Time, speed and closing speed at contact after onsets of braking.
+        """Time and speed at contact after onsets of braking.
 
         Parameters
         ----------
@@ -459,22 +453,17 @@ class Judge:
 
         Returns
         -------
-        contacts : (n, 3, n_runs) float
-            The time is infinite where there is no contact. [s], [m/s], [m/s]
+        contacts : (n, 2, n_runs) float
+            The time is infinite where there is no contact. [s], [m/s]
         """
-        contacts = np.empty((len(onset_s), 3, len(self._runs)))
+        contacts = np.empty((len(onset_s), 2, len(self._runs)))
         for index, run in enumerate(self._runs):
             asked = onset_s[:, index].tolist()
             known = self._contacts[id(run.encounter)]
             new = [each for each in dict.fromkeys(asked) if each not in known]
             if new:
                 found = find_contacts(run.encounter, new, self._rule)
-                rows = zip(
-                    found.time_s.tolist(),
-                    found.speed_mps.tolist(),
-                    found.closing_mps.tolist(),
-                    strict=True,
-                )
+                rows = zip(found.time_s.tolist(), found.speed_mps.tolist(), strict=True)
                 known.update(zip(new, rows, strict=True))
             contacts[:, :, index] = [known[each] for each in asked]
         return contacts
@@ -548,7 +537,6 @@ def judge_layouts(
                 others={
                     name: found[name,] for name in ("vam", "all_sources") if one.vam
                 },
-                levels=judge.levels,
                 cars=cars,
             )
         )
@@ -714,7 +702,7 @@ def evaluate_layouts(
     units = {unit_key(unit): unit for layout in layouts for unit in layout.units}
     with one_blas_thread():
         detected = watch(setting, units, compute=compute)
-    judge = Judge(runs, axis, setting.rule, setting.levels)
+    judge = Judge(runs, axis, setting.rule)
     vam = None
     if setting.radio.vam_rate > 0.0:
         rng = build_rng(compute.seed, "vam")

@@ -20,7 +20,7 @@ from geometry.tables import Text, read_table, take_text
 from geometry.text_formats import load_data, parse_json
 from geometry.writing import write_atomically
 
-from ..detection_table import has_levels, seeing_share
+from ..detection_table import seeing_share
 from ..layout import Certificate, Stage
 from ..optimiser import PlacementProblem, PresolveStatistics
 from .instances import (
@@ -240,9 +240,6 @@ def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]
     if not is_never_lost(problem.rule):
         avoided += words["avoided"]["and_alive"]
     told = {"fusion": words["fusion"][problem.fusion], "avoided": avoided}
-    # Parts of the model that not every problem has.
-    if has_levels(problem.table.axis):
-        told["levels"] = words["parts"]["levels"]
     if problem.seen_by_vut is not None:
         told["cars"] = words["parts"]["cars"]
     return told | {name: formulas[name] for name in stages}

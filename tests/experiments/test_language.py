@@ -319,10 +319,7 @@ def mine(tmp_path):
         "--budget 2 --cars 0.5 --give-up 0.01 --vam-rate 0.5 --verbose",
         "--budget 2 --samples 4 --cars blind",
         "--budget 2 --cars see --fusion single --detector response --verbose",
-        (
-            "--target 0.5 --least cost --site-cost 100 --cars blind --score rating-2026"
-            " --verbose"
-        ),
+        ("--target 0.5 --least cost --site-cost 100 --cars blind --verbose"),
         "evaluate --layout MINE-1 --cars blind --verbose",
         "evaluate --layout MINE-2 --no-look GARDEN-1 --verbose",
         "compare MINE-2 MINE-1 --samples 4 --verbose",

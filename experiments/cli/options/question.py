@@ -439,12 +439,6 @@ QUESTION_OPTIONS: dict[str, partial[Decorator]] = {
         section=DRIVEN,
         is_common=False,
     ),
-    "score": _field_option(
-        "score",
-        "--score",
-        section=DRIVEN,
-        is_common=False,
-    ),
     # ---------- What is seen, told and braked
     "fusion": _field_option(
         "fusion",
@@ -565,7 +559,6 @@ _JUDGING = (
     "weights",
     "near",
     "accidents_within_m",
-    "score",
     "vut_sensors",
     "cars",
     "packet_loss",
