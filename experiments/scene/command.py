@@ -224,7 +224,7 @@ def import_(
     Roads come from OpenDRIVE (.xodr), OpenStreetMap (.osm, .osm.pbf), Lanelet2 (.osm)
     or CommonRoad (.xml); buildings and other things from these, GeoJSON, GeoPackage,
     Shapefile, CityJSON, CityGML, meshes (glTF, OBJ, PLY, STL) and point clouds (LAS,
-    LAZ, PCD). Where several junctions are in the map and none is named, the one with
+    LAZ). Where several junctions are in the map and none is named, the one with
     the most arms is taken; `scene show FILE` lists them.
     """
     call.start()

@@ -268,17 +268,6 @@ def _points(suffix: str) -> bytes:
     rng = np.random.default_rng(1)
     ground = np.column_stack([rng.uniform(-8, 8, (600, 2)), np.zeros(600)])
     points = np.concatenate([solid.sample(2000, seed=1), ground])
-    if suffix == "pcd":
-        head = (
-            "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1"
-            f" 1\nWIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS"
-            f" {len(points)}\n"
-        )
-        return f"{head}DATA binary\n".encode() + points.astype("<f4").tobytes()
-    if suffix == "ascii.pcd":
-        text = _points("pcd")[:1000].split(b"DATA")[0].decode()
-        lines = "".join(f"{x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in points)
-        return f"{text}DATA ascii\n{lines}".encode()
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = [0.001] * 3, [390_000.0, 5_819_000.0, 35.0]
     las = laspy.LasData(header)
@@ -316,11 +305,7 @@ def _things() -> Mapping[str, tuple[str, Files]]:
             suffix: (f"a.{suffix}", _mesh(suffix))
             for suffix in ("glb", "gltf", "obj", "ply", "stl", "off")
         },
-        **{
-            suffix: _one(f"a.{suffix}", _points(suffix))
-            for suffix in ("las", "laz", "pcd")
-        },
-        "pcd ascii": _one("a.pcd", _points("ascii.pcd")),
+        **{suffix: _one(f"a.{suffix}", _points(suffix)) for suffix in ("las", "laz")},
     }
 
 
