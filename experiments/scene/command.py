@@ -23,11 +23,6 @@ if TYPE_CHECKING:
 _MAX_LISTED = 20
 
 
-def _offset(text: str) -> tuple[float, float]:
-    """Two numbers of ``--offset``, metres."""
-    return read_point(text, "--offset")
-
-
 def _at(text: str) -> tuple[float, float]:
     """Two numbers of ``--at``, in the coordinates of the file."""
     return read_point(text, "--at")
@@ -43,7 +38,7 @@ def reading_options(
         from geometry.maps.importing import ReadingOptions
 
         side = values.pop("driving_side")
-        names = ("unit", "up", "class_name", "crs", "layer", "offset_m", "staggered_m")
+        names = ("unit", "up", "class_name", "staggered_m")
         reading = ReadingOptions(
             keeps_left=None if side == "map" else side == "left",
             **{name: values.pop(name) for name in names},
@@ -79,20 +74,6 @@ def reading_options(
             help="On which traffic keeps; map: as it says or shows.",
         ),
         options.option(
-            "--crs",
-            default="",
-            metavar="CRS",
-            is_common=False,
-            help="Of files that do not say: EPSG:25832.",
-        ),
-        options.option(
-            "--layer",
-            default="",
-            metavar="NAME",
-            is_common=False,
-            help="Of a GeoPackage.",
-        ),
-        options.option(
             "--staggered",
             "staggered_m",
             type=click.FloatRange(min=0.0, max=60.0),
@@ -104,18 +85,6 @@ def reading_options(
                 "Two side roads that meet a road of OpenStreetMap from either side, "
                 "no farther apart, are one junction. All roads that meet within 25 m "
                 "are."
-            ),
-        ),
-        options.option(
-            "--offset",
-            "offset_m",
-            type=_offset,
-            metavar="X,Y",
-            is_common=False,
-            expected="two numbers: X,Y",
-            help=(
-                "Metres by which buildings, meshes and clouds are moved, into the "
-                "coordinates of the map with the roads."
             ),
         ),
     )
@@ -162,15 +131,6 @@ Examples:
     ),
 )
 @options.option(
-    "--radius",
-    "radius_m",
-    type=click.FloatRange(min=0.0, min_open=True),
-    default=80.0,
-    metavar="METRES",
-    expected="metres, more than 0",
-    help="Of what is kept around the junction.",
-)
-@options.option(
     "--sites",
     default="auto",
     metavar="WHERE",
@@ -179,12 +139,6 @@ Examples:
         "CSV or GeoJSON file; auto: map, but for low sign posts and poles of other "
         "junctions, and kerb:15 where none is within 25 m."
     ),
-)
-@options.option(
-    "--ground",
-    "ground_m",
-    type=float,
-    help="Height of the road in city models and meshes.",
 )
 @options.option(
     "--terrain",

@@ -4,8 +4,6 @@ damage.
 A new reader is covered by being registered here; test_fuzz.py fails if one is not.
 """
 
-import bz2
-import gzip
 import io
 import json
 import tempfile
@@ -202,19 +200,6 @@ def _city_json() -> dict[str, Any]:
     }
 
 
-def _city_json_lines() -> str:
-    whole = _city_json()
-    objects = whole["CityObjects"]
-    feature = {
-        "type": "CityJSONFeature",
-        "id": "a",
-        "CityObjects": {"a": objects["a"], "b": objects["b"]},
-        "vertices": _CORNERS,
-    }
-    head = whole | {"CityObjects": {}, "vertices": []}
-    return json.dumps(head) + "\n" + json.dumps(feature) + "\n"
-
-
 def _city_gml() -> str:
     rings = "".join(
         "<gml:surfaceMember><gml:Polygon><gml:exterior><gml:LinearRing><gml:posList>"
@@ -282,8 +267,6 @@ def _streets() -> Mapping[str, tuple[str, Files]]:
     text = _osm().encode()
     return {
         "osm": _one("a.osm", text),
-        "osm.gz": _one("a.osm.gz", gzip.compress(text)),
-        "osm.bz2": _one("a.osm.bz2", bz2.compress(text)),
         "pbf": _one("a.osm.pbf", _pbf()),
         "opendrive": _one("a.xodr", _xodr()),
         "lanelet2": _one("a.osm", lanelet2(crossing())),
@@ -299,11 +282,10 @@ def _things() -> Mapping[str, tuple[str, Files]]:
         "shapefile": ("a.shp", shapes),
         "shapefile.zip": _one("a.zip", _zipped(shapes)),
         "cityjson": _one("a.city.json", json.dumps(_city_json())),
-        "cityjson lines": _one("a.city.jsonl", _city_json_lines()),
         "citygml": _one("a.gml", _city_gml()),
         **{
             suffix: (f"a.{suffix}", _mesh(suffix))
-            for suffix in ("glb", "gltf", "obj", "ply", "stl", "off")
+            for suffix in ("glb", "gltf", "obj", "ply", "stl")
         },
         **{suffix: _one(f"a.{suffix}", _points(suffix)) for suffix in ("las", "laz")},
     }

@@ -213,7 +213,7 @@ def test_buildings_come_from_another_file(scene_command, roads, tmp_path):
     import trimesh
 
     box = trimesh.creation.box([10.0, 10.0, 8.0])
-    box.apply_translation([0.0, 0.0, 4.0])
+    box.apply_translation([25.0, 25.0, 4.0])
     (tmp_path / "house.stl").write_bytes(box.export(file_type="stl"))
     files = [str(roads), str(tmp_path / "house.stl")]
     out = tmp_path / "scene"
@@ -227,8 +227,6 @@ def test_buildings_come_from_another_file(scene_command, roads, tmp_path):
         "m",
         "--up",
         "z",
-        "--offset",
-        "25,25",
         "-o",
         str(out),
         "--json",

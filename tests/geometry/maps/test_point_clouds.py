@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from geometry.maps import point_clouds
-from geometry.maps.importing import ReadingOptions, read_map
 from geometry.maps.point_clouds import read_point_cloud
 from geometry.maps.source_map import volume_m3
 from geometry.raycast import build_caster
@@ -159,16 +158,6 @@ def test_classes_that_hide_nothing_are_left_out_and_counted(tmp_path):
 def test_the_class_of_points_without_one_is_the_callers(tmp_path):
     path = write_las(tmp_path, [house(), ground()], (1, 1))
     assert read_point_cloud(path, class_name="wall").things[0].class_name == "wall"
-
-
-def test_a_shift_moves_the_ground_with_all_that_stands_on_it(tmp_path):
-    path = write_las(tmp_path, [house(4000), ground(4000)], (6, 2))
-    shift_m = (100.0, -50.0)
-    plain, moved = (read_map(path, ReadingOptions(offset_m=m)) for m in (None, shift_m))
-    assert len(plain.ground_m)
-    assert np.array_equal(moved.ground_m, plain.ground_m + [*shift_m, 0.0])
-    (before,), (after,) = plain.things, moved.things
-    assert np.array_equal(after.vertices_m, before.vertices_m + [*shift_m, 0.0])
 
 
 def test_coordinates_in_degrees_become_metres(tmp_path):
