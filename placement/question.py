@@ -88,8 +88,6 @@ class Question:
     speeds: str = ""
     approaches: str = ""
     weather: str = "day"
-    force: bool = False
-    strict: bool = False
     weights: str = ""
     near: str = ""
     accidents_within_m: float | None = None

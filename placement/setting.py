@@ -209,7 +209,6 @@ def _select(question: Question) -> Selection:
     return select_cases(
         question.cases,
         speeds=question.speeds or None,
-        force=question.force,
         case_range=question.case_range,
         protect=question.protect,
     )
@@ -249,8 +248,6 @@ def drive(
     drive a speed.
     """
     selection = _select(question)
-    for beyond in selection.beyond:
-        _log.warning("%s km/h are not speeds of the protocol", beyond)
     positions = (
         (position,) if position else pick_positions(question.along_arms, question.cases)
     )
@@ -307,7 +304,7 @@ def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
     where = "position"
     place = read_position(position, where)
     # Cases that are bound to the junction are driven at 0 only.
-    for case in select_cases(question.cases, force=True).cases:
+    for case in select_cases(question.cases).cases:
         if is_bound(case) and place != AT_ZERO:
             raise InputError(
                 where, position, f"0: {case.name} is bound to the junction"
@@ -338,8 +335,7 @@ def build_setting(
     along the arms; `scene` is in place of the junction that it names, `weights` in
     place of its word on weights: only proportions matter. `compute` has the cache of
     the runs, of which there is one at least. Raises InputError: as :func:`drive`; no
-    approach carries any of the cases, or with `strict` one of them; the weights do not
-    fit the runs.
+    approach carries any of the cases; the weights do not fit the runs.
     """
     question = question or Question()
     scene = scene or load_scene(question.scene, **map_options(question))
@@ -350,7 +346,7 @@ def build_setting(
     cars = read_cars(question.cars)
     drives = drive(question, scene, cache_folder=compute.cache_folder)
     runs = drives.runs
-    if question.strict or not runs:
+    if not runs:
         _check_every_case(drives, scene)
     # The detector has to know the classes of road users.
     classes = {vru_class(run.encounter.vru) for run in runs}

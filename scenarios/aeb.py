@@ -170,7 +170,6 @@ _CLOSER = np.linspace(-1.0, 1.0, 65)
 _FIRST_LOOKS = 32
 _CONTACT_PARTS = 17
 _CONTACT_ROUNDS = 2
-_SHORT_S = 1.0e-4
 
 
 def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:

@@ -65,7 +65,7 @@ _WRITTEN = (
 def _commands() -> Iterator[tuple[Path, str]]:
     for page in PAGES:
         fence = ""
-        text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+        text = _text_of(page).replace("\\\n", " ")
         for line in text.splitlines():
             if line.startswith("```"):
                 if fence:
@@ -163,13 +163,9 @@ def _is_named_in(place: Path, name: str) -> bool:
 
 
 def _text_of(file: Path) -> str:
-    return file.read_text(encoding="utf-8")
-
-
-def _text_of_today(page: Path) -> str:
-    """Text of a page; of the changelog only what is new and still there."""
-    text = _text_of(page)
-    if page.name != "CHANGELOG.md":
+    """Text of a file; of the changelog only what is new and still there."""
+    text = file.read_text(encoding="utf-8")
+    if file.name != "CHANGELOG.md":
         return text
     return text.split("\n## ")[1].split("### Removed")[0]
 
@@ -234,7 +230,7 @@ def test_options_named_in_pages_exist() -> None:
         f"{_page_id(page)}: {option}"
         for page in [*PAGES, *RESULT_PAGES]
         for line in re.sub(
-            r"```.*?```", "", _text_of_today(page), flags=re.DOTALL
+            r"```.*?```", "", _text_of(page), flags=re.DOTALL
         ).splitlines()
         for words in re.findall(r"`([^`]+)`", line)
         if not re.search(r"\b(?:uv|pytest|python) ", words)

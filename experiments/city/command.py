@@ -31,7 +31,6 @@ _DRIVEN = tuple(
         "vut_sensors",
         "packet_loss",
         "vam_rate",
-        "strict",
     )
 )
 _MAX_LISTED = 12

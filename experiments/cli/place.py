@@ -4,7 +4,6 @@ from pathlib import Path
 
 import click
 
-from ..language import mark
 from . import options
 from .recording import evaluate_recording, recording_options
 from .running import Job, command_line
@@ -55,13 +54,6 @@ cannot be met (one line says what), 130 interrupted, 143 terminated."""
         " replaced."
     ),
 )
-@options.option(
-    "--pdf",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    is_common=False,
-    help="Print the report there, too, by chromium or Chrome.",
-)
 @recording_options
 @options.sign_option
 @options.asking(*options.PLANNED, *options.JUDGED)
@@ -71,7 +63,6 @@ def cli(
     recording: Path | None,
     min_confidence: float,
     out: Path,
-    pdf: Path | None,
     sign: Path | None,
 ) -> None:
     """Where to mount roadside cameras so that pedestrians and cyclists are not hit.
@@ -105,15 +96,6 @@ def cli(
         asked |= {"sign": sign}
         evaluate_recording(job, out=out if options.is_given("out") else None, **asked)
         return
-    browser = None
-    if pdf is not None:
-        if out.resolve() in pdf.resolve().parents:
-            raise click.UsageError(
-                f"--pdf: got {pdf}; expected a file outside of --out"
-            )
-        from ..report.printing import find_browser
-
-        browser = find_browser()
     asked_question = job.question
     job = job.begin()
     from ..jobs import READY
@@ -138,14 +120,4 @@ def cli(
         )
     from .answers import placement_parts
 
-    if browser is not None and pdf is not None:
-        from ..report.printing import print_page
-
-        job.progress(mark("print"), 0, 0)
-        try:
-            print_page(browser, out / "report.html", pdf)
-        except OSError as error:
-            raise click.UsageError(
-                f"--pdf: got {pdf}: {error.strerror or error}"
-            ) from None
     job.print_answer(result, lambda: placement_parts(result, out))

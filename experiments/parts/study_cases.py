@@ -59,8 +59,6 @@ def study_question(question: Question) -> Question:
         weights="",
         near="",
         accidents_within_m=None,
-        force=False,
-        strict=False,
         track_memory_s=math.inf,
     )
 
@@ -93,9 +91,7 @@ def on_study_cases(
     InputError
         No arm of the junction carries any of the study's cases.
     """
-    given = {
-        case.name for case in select_cases(question.cases, force=question.force).cases
-    }
+    given = {case.name for case in select_cases(question.cases).cases}
     has_cases = {case.name for case in select_cases("study").cases} <= given
     if find_baseline(asked.scene) is None or not has_cases:
         return None

@@ -30,7 +30,6 @@ from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import explanation_sections
 from ..parts.first_screen import build_first_screen
 from ..parts.front import front_section
-from ..parts.margins import margins_section
 from ..parts.player import interactive_part
 from ..parts.result import PlacementResult, Result
 from ..parts.sampled_worlds import sampled_picture, sampled_section
@@ -47,7 +46,7 @@ _IN_SIGHT = (
 )
 _FOLDED = (
     *("why", "models", "study-cases", "missed", "added"),
-    *("road-users", "alone", "margins", "assumptions", "cases", "runs", "again"),
+    *("road-users", "alone", "assumptions", "cases", "runs", "again"),
 )
 
 
@@ -126,7 +125,6 @@ def build_report(
         added.section(result.added),
         road_users.section(result.road_users),
         tasks.dangers.result(),
-        tasks.margins.result(),
         tasks.front.result(),
         study_cases.section(result.study_cases),
         failures_section(subject, setting.rule, labels),
@@ -174,7 +172,6 @@ class Tasks(NamedTuple):
     plans: Task[list[Picture]]
     views: Task[list[Picture]]
     dangers: Task[Section]
-    margins: Task[Section]
     front: Task[Section | None]
 
 
@@ -201,7 +198,6 @@ def begin_tasks(
         dangers=side.begin(
             "dangers", dangers.section, setting, shown, fusion=result.fusion
         ),
-        margins=side.begin("margins", margins_section, shown),
         front=side.begin("front", front_section, front),
     )
 

@@ -403,19 +403,6 @@ QUESTION_OPTIONS: dict[str, partial[Decorator]] = {
         metavar="WEATHER",
         section=DRIVEN,
     ),
-    "force": _field_option(
-        "force",
-        "--force/--no-force",
-        needs="speeds",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    "strict": _field_option(
-        "strict",
-        "--strict/--no-strict",
-        section=DRIVEN,
-        is_common=False,
-    ),
     "weights": _field_option(
         "weights",
         "--weights",
