@@ -62,6 +62,14 @@ _WRITTEN = (
 )
 
 
+def _text_of(file: Path) -> str:
+    """Text of a file; of the changelog only what is new and still there."""
+    text = file.read_text(encoding="utf-8")
+    if file.name != "CHANGELOG.md":
+        return text
+    return text.split("\n## ")[1].split("### Removed")[0]
+
+
 def _commands() -> Iterator[tuple[Path, str]]:
     for page in PAGES:
         fence = ""
@@ -160,14 +168,6 @@ def _is_named_in(place: Path, name: str) -> bool:
     else:
         files = place.glob("__init__.py*")
     return any(re.search(rf"\b{name}\b", _text_of(file)) for file in files)
-
-
-def _text_of(file: Path) -> str:
-    """Text of a file; of the changelog only what is new and still there."""
-    text = file.read_text(encoding="utf-8")
-    if file.name != "CHANGELOG.md":
-        return text
-    return text.split("\n## ")[1].split("### Removed")[0]
 
 
 def _page_id(page: Path) -> str:
