@@ -1,4 +1,6 @@
-"""The language of answers: terminal, report, page and sheet say each sentence through here.
+"""The language of answers.
+
+Terminal, report, page and sheet say each sentence through here.
 
 A sentence stands in the code in English, whole, with names in braces for what is put
 in: it is the key under which catalogues (``languages/de/*.po``, gettext's format) have
@@ -109,7 +111,10 @@ def set_language(code: str) -> None:
 
 @contextmanager
 def speaking(code: str, messages: Messages | None = None) -> Iterator[None]:
-    """Speak a language for a block; with `messages` from another catalogue (tests)."""
+    """Speak a language for a block.
+
+    With `messages` from another catalogue (tests).
+    """
     before = _Current.code, _Current.messages
     set_language(code)
     _Current.messages = messages or _Current.messages
@@ -176,7 +181,10 @@ def words_of(messages: Iterable[tuple[str, str]]) -> dict[str, str]:
 
 
 def mark(message: str) -> str:
-    """A message that is translated where it is used, by ``tr(MESSAGE)``: for constants."""
+    """A message that is translated where it is used, by ``tr(MESSAGE)``.
+
+    For constants.
+    """
     return message
 
 

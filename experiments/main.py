@@ -76,7 +76,9 @@ for _command in (
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line; every problem that the user can mend is one line and exit code 2.
+    """Run the command line.
+
+    Every problem that the user can mend is one line and exit code 2.
 
     What nobody foresaw is one line, too, with exit code 70: it names a file with the
     whole text.
@@ -137,7 +139,10 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _import_map(question: "Question", **options: Any) -> tuple[str, str]:
-    """Import a junction of a map into the cache: the folder, and what was imported in words."""
+    """Import a junction of a map into the cache.
+
+    The folder, and what was imported in words.
+    """
     from .scene.run import import_into_cache
 
     folder, found = import_into_cache(question, **options)
@@ -157,7 +162,10 @@ def _import_map(question: "Question", **options: Any) -> tuple[str, str]:
 
 
 def _unexpected(error: Exception, progress: StageProgress) -> str:
-    """Message of an error that is ours, not the user's; its text is saved in a file."""
+    """Message of an error that is ours, not the user's.
+
+    Its text is saved in a file.
+    """
     import platform  # these are hardly ever needed
     import tempfile
     import traceback

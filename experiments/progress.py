@@ -36,7 +36,9 @@ _KEPT = (  # the last two are invisible, but part of how some scripts are writte
 
 
 def printable(text: str) -> str:
-    r"""Text for a terminal: what it would obey or hide is spelled, as JSON spells it.
+    r"""Text for a terminal.
+
+    What it would obey or hide is spelled, as JSON spells it.
 
     Names come from maps and scenes of anybody: escape sequences, C1 codes, marks that
     turn the direction of writing.
@@ -70,7 +72,10 @@ def write_out(content: str | bytes) -> None:
 
 
 class Interrupted(BaseException):
-    """Ctrl-C, or another wish that the program end; no error, so that nothing catches it."""
+    """Ctrl-C, or another wish that the program end.
+
+    No error, so that nothing catches it.
+    """
 
     def __init__(self, signum: int) -> None:
         self.signum = signum
@@ -142,7 +147,10 @@ class StageProgress:
             logging.getLogger(name).setLevel(logging.INFO)
 
     def start(self, *, quiet: bool) -> None:
-        """Begin to show the stages; with `quiet` nothing but errors is told, also no warning."""
+        """Begin to show the stages.
+
+        With `quiet` nothing but errors is told, also no warning.
+        """
         if quiet and self.is_verbose:
             raise click.UsageError("--quiet, --verbose: got both; expected one of them")
         if quiet:
@@ -252,7 +260,10 @@ def ending_on_signals(progress: StageProgress) -> Iterator[None]:
 
 
 def follow_parent() -> None:
-    """In a process of workers: leave Ctrl-C to the parent, and end when it does, however."""
+    """In a process of workers.
+
+    Leave Ctrl-C to the parent, and end when it does, however.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:

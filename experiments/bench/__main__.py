@@ -1,4 +1,6 @@
-"""Speed as ratios to named references, measured in one run: ``python -m experiments.bench``.
+"""Speed as ratios to named references, measured in one run.
+
+``python -m experiments.bench``.
 
 Absolute times depend on the machine and its load; the ratios depend on them little,
 because both sides are measured in turn. Each part runs in a process of its own, and is
@@ -191,7 +193,10 @@ def measure_casting() -> Figures:
 def _record(
     world: World, setting: Setting, mounts: Sequence[CandidatePose], calls: list[Calls]
 ) -> list[tuple[FloatArray, Any, Any]]:
-    """Cast from all mounts with recorders; meshes of the world with those that were asked."""
+    """Cast from all mounts with recorders.
+
+    Meshes of the world with those that were asked.
+    """
     scene = _recorder(world.shared.caster, calls)
     parked = [_recorder(caster, calls) for caster in world.standing.casters]
     bodies = [_recorder(body, calls) for body in world.shared.bodies]
@@ -348,7 +353,10 @@ def measure_single(budget: int) -> Figures:
 
 
 def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
-    """Maximal covering by SciPy's HiGHS without any presolve of ours; returns the APR."""
+    """Maximal covering by SciPy's HiGHS without any presolve of ours.
+
+    Returns the APR.
+    """
     n_poses, n_runs = covers.shape
     weight = problem.table.axis.weight
     chosen = np.concatenate([np.ones(n_poses), np.zeros(n_runs)])

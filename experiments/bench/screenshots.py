@@ -1,4 +1,6 @@
-"""Pictures of pages as browsers show them: ``python -m experiments.bench.screenshots``.
+"""Pictures of pages as browsers show them.
+
+``python -m experiments.bench.screenshots``.
 
 ``plan`` photographs the planner's page, ``junctions MAP`` the map on which its junction
 is chosen, ``report REPORT.html`` a report.
@@ -59,7 +61,10 @@ def _browser() -> Iterator[Any]:
 def _serve(
     setting: Setting, question: Question, variant: Variant, folder: Path, **given: Any
 ) -> Iterator[str]:
-    """Serve the page of a plan from a folder for the session's files; gives its address."""
+    """Serve the page of a plan from a folder for the session's files.
+
+    Gives its address.
+    """
     from ..planner.server import RunningServer
 
     work = Work(question=question, scratch=folder, compute=Compute())
@@ -195,7 +200,10 @@ def report(page: Path, out: Path) -> None:
 
 
 def _photograph_dialogs(page: Any, stem: Path) -> None:
-    """A ruler and the chosen camera turned on the compass; a lost run; a camera's picture of it."""
+    """A ruler and the chosen camera turned on the compass.
+
+    A lost run; a camera's picture of it.
+    """
     poles = [
         page.locator(f'[data-site="corner-{name}"]').bounding_box()
         for name in ("ne", "sw")

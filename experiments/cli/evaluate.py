@@ -128,7 +128,10 @@ def compare(
 
 
 def _by_folder(layouts: Sequence["Layout"], files: Sequence[str]) -> list["Layout"]:
-    """Layouts; where the same name stands in other folders, by these: "best-3 of latest"."""
+    """Layouts; where the same name stands in other folders, by these.
+
+    "best-3 of latest".
+    """
     folders = [Path(file).resolve().parent.name for file in files]
     homes = grouped(
         (one.name, folder) for one, folder in zip(layouts, folders, strict=True)

@@ -31,7 +31,10 @@ Examples:
 
 
 class _ExportCommand(click.Command):
-    """Adds the formats to its help: their modules are loaded only if somebody asks for it."""
+    """Adds the formats to its help.
+
+    Their modules are loaded only if somebody asks for it.
+    """
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         from ..export import load_format

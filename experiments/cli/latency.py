@@ -63,7 +63,9 @@ Examples:
 def latency(
     job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any
 ) -> None:
-    """How much latency a layout bears: accidents prevented against the time to braking.
+    """How much latency a layout bears.
+
+    Accidents prevented against the time to braking.
 
     The layout is evaluated once. From the frame that confirms to the onset of braking
     it takes as long as the budget says: exposure, detector, the wait for the next

@@ -73,7 +73,9 @@ Examples:
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
 def pareto(job: Job, *, out: Path | None, **asked: Any) -> None:
-    """What each further unit, or more money, buys: the best layouts, each with its proof.
+    """What each further unit, or more money, buys.
+
+    The best layouts, each with its proof.
 
     For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share
     of accidents prevented (APR), and the highest that is left when any one unit fails.
@@ -159,7 +161,9 @@ Examples:
 def retrofit(
     job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any
 ) -> None:
-    """What to change about units that are mounted: remove, re-aim or add one, each priced.
+    """What to change about units that are mounted.
+
+    Remove, re-aim or add one, each priced.
 
     A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost,
     the best re-aims and additions together for the money, too.

@@ -77,7 +77,10 @@ def evaluate_recording(job: Job, *, out: Path | None, **asked: Any) -> None:
 
 
 def recording_text(summary: "RecordedResult", out: Path | None) -> str:
-    """The result of a recording for a terminal: the units that were chosen, if any, and all."""
+    """The result of a recording for a terminal.
+
+    The units that were chosen, if any, and all.
+    """
     from ..parts.proof import stage_conditions, stage_table
     from ..parts.recording import ALL_UNITS
 

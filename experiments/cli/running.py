@@ -1,4 +1,7 @@
-"""How a command begins and ends: what it needs to know, what it prints. Imports nothing heavy."""
+"""How a command begins and ends.
+
+What it needs to know, what it prints. Imports nothing heavy.
+"""
 
 import os
 import shlex
@@ -66,7 +69,9 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
 def load_one_layout(
     names: Sequence[str], question: "Question | None" = None
 ) -> "Layout":
-    """The layout of ``--layout``, given once, else click.UsageError; InputError: there is none.
+    """The layout of ``--layout``, given once, else click.UsageError.
+
+    InputError: there is none.
 
     With a question, a list of units with places on earth may stand in its place: CSV,
     or JSON.
@@ -120,7 +125,10 @@ class Job(Call):
     compute: "Compute"
 
     def begin(self) -> "Job":
-        """Show what happens from here on; the job with its map imported, see :func:`begin`."""
+        """Show what happens from here on.
+
+        The job with its map imported, see :func:`begin`.
+        """
         return replace(
             self, question=begin(self.progress, self.question, quiet=self.quiet)
         )
@@ -173,7 +181,10 @@ def check_address_space() -> None:
 
 
 def write_result(out: Path | None, content: str | bytes) -> None:
-    """Write a content to a file, or to stdout. Raises click.UsageError: it cannot be written."""
+    """Write a content to a file, or to stdout.
+
+    Raises click.UsageError: it cannot be written.
+    """
     if out is None:
         write_out(content)
         return

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 
 class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
-    """A case from an approach at a position along the arms: what ``--json`` prints a list of.
+    """A case from an approach at a position along the arms.
+
+    What ``--json`` prints a list of.
 
     One last brake time per speed, relative to the impact, None where braking cannot
     help: the earliest where whoever is met has several speeds. The reason says what is
@@ -48,7 +50,10 @@ class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def list_rows(drives: "Drives") -> list[DrivenRow]:
-    """One row per case, approach and position; with what is driven and what is refused."""
+    """One row per case, approach and position.
+
+    With what is driven and what is refused.
+    """
     from scenarios.positions import sort_positions
 
     refusals = (*drives.refused, *drives.left_out)
@@ -164,7 +169,10 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
 
 
 def _who_meets_whom(rows: Sequence[DrivenRow]) -> list[str]:
-    """What happens in each case: those that differ in the impact point share a sentence."""
+    """What happens in each case.
+
+    Those that differ in the impact point share a sentence.
+    """
     speeds = grouped(
         (entry.case, speed) for entry in rows for speed in entry.vru_speeds_kmh
     )
@@ -245,7 +253,9 @@ Examples:
 )
 @options.calling
 def list_scenarios(call: Call, *, question: Question) -> None:
-    """Cases by approach and place: speeds, runs, the last moment to brake, and why not.
+    """Cases by approach and place.
+
+    Speeds, runs, the last moment to brake, and why not.
 
     The last moment is the time at which braking must have begun, relative to the
     impact: -1.2 is 1.2 seconds before it. Places lie along the arms, in metres: -15 is
@@ -307,7 +317,10 @@ def show(
     out: Path | None,
     quiet: bool,
 ) -> None:
-    """Draw a run from above: bodies, paths, obstruction, what the VUT has in sight."""
+    """Draw a run from above.
+
+    Bodies, paths, obstruction, what the VUT has in sight.
+    """
     from ..export.mcap import mcap_of_run
     from ..figures.film import save_film
 

@@ -1,4 +1,6 @@
-"""Layouts in the formats of other programs: one module per format, named after it; some share one.
+"""Layouts in the formats of other programs.
+
+One module per format, named after it; some share one.
 
 To add one, write a module that has a ``FORMAT``, an :class:`ExportFormat`, and list its
 name here.
@@ -56,7 +58,10 @@ def load_format(name: str) -> ExportFormat:
 
 
 def load_extra(module: str, needs: str, extra: str) -> Any:
-    """An optional library's module. MissingExtraError says what `needs` which package."""
+    """An optional library's module.
+
+    MissingExtraError says what `needs` which package.
+    """
     try:
         return import_module(module)
     except ImportError:
@@ -72,7 +77,10 @@ def _templates() -> Any:
 
 
 def xml_text(template: str, *, namespace: str = "", **values: Any) -> str:
-    """XML document of a template of this folder, indented; texts in it are escaped."""
+    """XML document of a template of this folder, indented.
+
+    Texts in it are escaped.
+    """
     import xml.etree.ElementTree as ET
 
     root = ET.fromstring(_templates().get_template(template).render(values))

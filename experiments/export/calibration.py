@@ -1,4 +1,7 @@
-"""Cameras of a layout as the field of computer vision writes them down: K, R, t."""
+"""Cameras of a layout as the field of computer vision writes them down.
+
+K, R, t.
+"""
 
 from collections.abc import Sequence
 
@@ -49,7 +52,10 @@ def calibrations(layout: Layout, format_name: str) -> dict[str, CalibratedCamera
 
 
 def refuse_lenses(layout: Layout, format_name: str) -> None:
-    """Raise InputError if a camera of a layout is no pinhole: the format has no other."""
+    """Raise InputError if a camera of a layout is no pinhole.
+
+    The format has no other.
+    """
     for unit in layout.units:
         if isinstance(unit.sensor, CameraModel) and not unit.sensor.is_pinhole:
             got = f"{unit.id}, whose lens, principal point or roll it cannot carry"

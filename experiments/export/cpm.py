@@ -1,4 +1,7 @@
-"""Layouts as collective perception messages (CPM): sensors, and what they detect in a run."""
+"""Layouts as collective perception messages (CPM).
+
+Sensors, and what they detect in a run.
+"""
 
 import math
 from collections.abc import Iterator
@@ -350,12 +353,18 @@ def _radial_shape(
 
 
 def _count_up(values: ArrayLike, per_one: float) -> IntArray:
-    """Values in parts, `per_one` of them each, as ETSI counts: n is (n - 1, n] of them."""
+    """Values in parts, `per_one` of them each, as ETSI counts.
+
+    N is (n - 1, n] of them.
+    """
     return np.ceil(per_one * np.asarray(values) - _SLACK).astype(np.int64)
 
 
 def _tenths(value: float) -> int:
-    """Tenths as the standard counts them: n is more than n - 1 and at most n of them."""
+    """Tenths as the standard counts them.
+
+    N is more than n - 1 and at most n of them.
+    """
     return int(_count_up(value, 10.0))
 
 

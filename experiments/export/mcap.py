@@ -169,7 +169,10 @@ def _units(m: Any, units: Sequence[CandidatePose]) -> Iterator[Any]:
 
 
 def _corners(camera: CameraModel) -> list[list[float]]:
-    """Corners of a pinhole's picture; of the angles that a lens shows across and up."""
+    """Corners of a pinhole's picture.
+
+    Of the angles that a lens shows across and up.
+    """
     half = 0.5 * np.array([camera.width_px, camera.height_px])
     x_m, y_m = _FRUSTUM_M * half / camera.focal_length_px
     if not camera.is_pinhole:

@@ -179,7 +179,10 @@ def _assumed(junction: Junction) -> Iterator[Lane]:
 
 
 def _end_at(roads: Sequence[_Road], point_m: FloatArray, end: int) -> _Road | None:
-    """The road that ends (-1) or begins (0) nearest to a point; None where none does."""
+    """The road that ends (-1) or begins (0) nearest to a point.
+
+    None where none does.
+    """
     gaps_m = [float(np.hypot(*(road.points_m[end] - point_m))) for road in roads]
     if gaps_m:
         nearest = int(np.argmin(gaps_m))
@@ -252,7 +255,9 @@ def _poles(
 def _beside(
     road: _Road, starts_m: FloatArray, place_m: tuple[float, float]
 ) -> tuple[float, float, float, float]:
-    """How far a place lies beyond a road's ends, and from its line; its s, and its t to the left.
+    """How far a place lies beyond a road's ends, and from its line.
+
+    Its s, and its t to the left.
 
     `starts_m`, (n,), has the s of each of its points.
     Nothing but a place beside the line, not beyond its ends, can be told by s and t.

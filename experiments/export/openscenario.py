@@ -109,7 +109,9 @@ def _radians(angle_deg: float) -> float:
 
 
 def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str:
-    """Run as an OpenSCENARIO 1.3 file: nobody brakes; it ends at the impact, or `after_s` later.
+    """Run as an OpenSCENARIO 1.3 file.
+
+    Nobody brakes; it ends at the impact, or `after_s` later.
 
     XML. Scenario time 0 is the run's first frame. The entities "vut" and "vru" follow
     the run's frames; "obstruction-1" .. stand. The header's properties say what the run

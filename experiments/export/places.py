@@ -92,7 +92,9 @@ def require_crs(crs: str, format_name: str) -> None:
 
 
 def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
-    """Points of the world frame, (n, 2) or (n, 3), in WGS 84: longitude, latitude, (n, 2) degrees.
+    """Points of the world frame, (n, 2) or (n, 3), in WGS 84.
+
+    Longitude, latitude, (n, 2) degrees.
 
     Raises InputError if pyproj does not know `crs`, or they lie outside of where it is
     defined.

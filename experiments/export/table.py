@@ -9,7 +9,10 @@ from .places import placed_records
 
 
 def to_csv(layout: Layout, scene: Scene | None = None) -> str:
-    """Layout as CSV: one row per unit, in full precision; see :func:`placed_records`."""
+    """Layout as CSV: one row per unit, in full precision.
+
+    See :func:`placed_records`.
+    """
     import pandas as pd  # takes longer to load than all other formats
 
     return csv_text(pd.DataFrame(placed_records(layout, scene)))

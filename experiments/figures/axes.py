@@ -1,4 +1,7 @@
-"""Figures in one style: sizes, colours, axes, labels, PNG files; without pyplot's global state."""
+"""Figures in one style.
+
+Sizes, colours, axes, labels, PNG files; without pyplot's global state.
+"""
 
 import warnings
 from collections.abc import Iterator
@@ -42,7 +45,10 @@ _MAX_LABEL_LENGTH = 8
 def new_figure(
     width_in: float, height_in: float, *, dpi: float | None = None
 ) -> Figure:
-    """An empty figure, drawn by Agg, in inches; a narrow one has as many pixels as a usual one."""
+    """An empty figure, drawn by Agg, in inches.
+
+    A narrow one has as many pixels as a usual one.
+    """
     if dpi is None:
         if width_in == NARROW_IN:
             dpi = WIDTH_IN * _DPI / width_in
@@ -117,7 +123,10 @@ def drawing_any_name() -> Iterator[None]:
 
 
 def to_png(drawn: Axes | Figure) -> bytes:
-    """A figure, or the one that some axes are in, as a PNG file; equal ones give equal bytes."""
+    """A figure, or the one that some axes are in, as a PNG file.
+
+    Equal ones give equal bytes.
+    """
     figure = root_figure(drawn)
     if language() != "en":
         _localize_ticks(figure)
@@ -146,7 +155,10 @@ def _localize_ticks(figure: Figure) -> None:
 
 
 def literal(name: str) -> str:
-    """A name for matplotlib to draw letter by letter: no mathematics, and never left out."""
+    """A name for matplotlib to draw letter by letter.
+
+    No mathematics, and never left out.
+    """
     escaped = name.replace("$", r"\$")
     if escaped.startswith("_"):
         return f" {escaped}"
@@ -154,7 +166,10 @@ def literal(name: str) -> str:
 
 
 def unit_labels(layout: Layout) -> dict[str, str]:
-    """Short labels of a layout's units by id: the ids if all are short, else "#1", "#2" .."""
+    """Short labels of a layout's units by id.
+
+    The ids if all are short, else "#1", "#2" ..
+    """
     ids = [unit.id for unit in layout.units]
     if all(len(unit_id) <= _MAX_LABEL_LENGTH for unit_id in ids):
         return {unit_id: unit_id for unit_id in ids}

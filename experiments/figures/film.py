@@ -257,7 +257,10 @@ class _Stage:
         self._point_at_vut(axes, frame)
 
     def _draw_sight(self, axes: Axes, frame: int) -> float:
-        """Draw what the VUT looks at; returns the share of the VRU that it has in sight."""
+        """Draw what the VUT looks at.
+
+        Returns the share of the VRU that it has in sight.
+        """
         run, yaw_deg = self.run, float(self.run.vut_yaw_deg[frame])
         where = on_ground(run.vut_position_m[frame], run.terrain)
         pose = Pose(position_m=where, yaw_deg=yaw_deg)

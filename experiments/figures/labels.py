@@ -1,4 +1,7 @@
-"""Labels that do not lie on one another: each is put on a free side of its point."""
+"""Labels that do not lie on one another.
+
+Each is put on a free side of its point.
+"""
 
 import math
 from collections import Counter
@@ -128,7 +131,10 @@ def _overlaps(ones: FloatArray, others: FloatArray) -> FloatArray:
 
 
 def unit_names(layout: Layout, scene: Scene) -> list[Label]:
-    """Short names of units that look one way from one pole; of many, how many are at a place."""
+    """Short names of units that look one way from one pole.
+
+    Of many, how many are at a place.
+    """
     if len(layout.units) > MAX_LABELLED_UNITS:
         places = Counter(
             tuple(np.round(unit.pose.position_m[:2], 1)) for unit in layout.units

@@ -91,7 +91,10 @@ _MARGIN_M = 5.0
 
 
 def draw_scene(axes: Axes, scene: Scene) -> None:
-    """Draw lanes, crosswalks, sites and things; what comes later goes on top up to zorder 6.5."""
+    """Draw lanes, crosswalks, sites and things.
+
+    What comes later goes on top up to zorder 6.5.
+    """
     axes.set_facecolor("#f4f2ee")
     for lane in scene.lanes:
         if lane.kind == "parking":
@@ -127,7 +130,10 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
 
 
 def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
-    """Draw bodies that belong to single cases: what they cover, and each once its outline."""
+    """Draw bodies that belong to single cases.
+
+    What they cover, and each once its outline.
+    """
     corners = [one.footprint_m for one in {body.key: body for body in bodies}.values()]
     if not corners:
         return
@@ -233,7 +239,9 @@ def plot_plan(
     width_in: float = WIDTH_IN,
     axes: Axes | None = None,
 ) -> Axes:
-    """Plan of the junction with a layout: where its units are and what ground they look at.
+    """Plan of the junction with a layout.
+
+    Where its units are and what ground they look at.
 
     Parameters
     ----------
@@ -369,7 +377,10 @@ def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) ->
 
 
 def _camera_marker(unit: CandidatePose, rank: int = 0) -> Style:
-    """A dart that points where the camera looks, the next ones before it; a disc: all round."""
+    """A dart that points where the camera looks, the next ones before it.
+
+    A disc: all round.
+    """
     if is_ring(unit.sensor):
         return {**_ROUND_MARKER, "markersize": 10.0}
     yaw = math.radians(unit.pose.yaw_deg)
@@ -476,21 +487,30 @@ def _plan_legend(
 
 
 def compass_word(unit: CandidatePose) -> str:
-    """Point of the compass to which a unit looks; "all round" of one that looks to none."""
+    """Point of the compass to which a unit looks.
+
+    "all round" of one that looks to none.
+    """
     if is_ring(unit.sensor):
         return tr("all round")
     return tr(COMPASS[round(unit.pose.yaw_deg / 45.0) % 8])
 
 
 def looking_words(unit: CandidatePose) -> str:
-    """Direction of a unit's view, for a sentence: "looking to the east" or "scanning all round"."""
+    """Direction of a unit's view, for a sentence.
+
+    "looking to the east" or "scanning all round".
+    """
     if is_ring(unit.sensor):
         return tr("scanning all round")
     return tr("looking to the {compass}", compass=compass_word(unit))
 
 
 def is_wide(unit: CandidatePose) -> bool:
-    """True for a LiDAR that opens half a turn or more: no picture plane holds its view."""
+    """True for a LiDAR that opens half a turn or more.
+
+    No picture plane holds its view.
+    """
     return (
         isinstance(unit.sensor, LidarModel) and unit.sensor.horizontal_fov_deg >= 180.0
     )
@@ -534,7 +554,10 @@ def blind_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
 
 
 def ring_path(*outlines_m: FloatArray) -> Path:
-    """Open outlines, (n, 2), as one shape: the inside of the second is a hole in the first."""
+    """Open outlines, (n, 2), as one shape.
+
+    The inside of the second is a hole in the first.
+    """
     rings = [
         Path(np.vstack([corners, corners[:1]])[:: -1 if index else 1], closed=True)
         for index, corners in enumerate(outlines_m)

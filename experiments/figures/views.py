@@ -1,4 +1,7 @@
-"""Ground on which a sensor can detect a road user: up to its detector's reach, and up to walls."""
+"""Ground on which a sensor can detect a road user.
+
+Up to its detector's reach, and up to walls.
+"""
 
 import threading
 from collections import OrderedDict
@@ -34,7 +37,10 @@ _MAX_MOUNTS = 256
 
 
 class GroundViews:
-    """Views in one setting; rays are cast once per mount position. For several threads."""
+    """Views in one setting.
+
+    Rays are cast once per mount position. For several threads.
+    """
 
     def __init__(self, setting: Setting) -> None:
         self._setting = setting
@@ -74,7 +80,9 @@ class GroundViews:
         return float(depth_m[is_high].max(initial=0.0))
 
     def shape(self, unit: CandidatePose) -> Any:
-        """Ground in a unit's view as a shapely shape, maybe in parts or empty. World frame, metres.
+        """Ground in a unit's view as a shapely shape, maybe in parts or empty.
+
+        World frame, metres.
 
         What its image shows of the ground within its reach, without what the scene
         occludes one metre above it. Shadows of poles, narrower than two degrees, are

@@ -1,4 +1,7 @@
-"""Fronts that are asked for by themselves: what each further unit, or more money, buys."""
+"""Fronts that are asked for by themselves.
+
+What each further unit, or more money, buys.
+"""
 
 from dataclasses import replace
 from functools import partial
@@ -67,7 +70,9 @@ def run_pareto(
     command: str,
     progress: StageProgress,
 ) -> FrontResult:
-    """Find what each further unit, or more money, buys; write it to `out` if asked to.
+    """Find what each further unit, or more money, buys.
+
+    Write it to `out` if asked to.
 
     Parameters
     ----------

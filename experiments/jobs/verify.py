@@ -97,7 +97,10 @@ class CheckRecord(Record, frozen=True, kw_only=True):
 
 
 class VerifiedStageRecord(Record, frozen=True, kw_only=True):
-    """A stage of a certificate; the last three are UNSET where its proof was not looked at."""
+    """A stage of a certificate.
+
+    The last three are UNSET where its proof was not looked at.
+    """
 
     name: str
     objective: float
@@ -131,19 +134,27 @@ class FolderChecks:
     is_deep: bool = False  # the result is made anew afterwards, and every file compared
 
     def leave(self, what: str, *, deep: bool = False) -> None:
-        """Something that is not checked here; not said where ``--deep`` is on and checks it."""
+        """Something that is not checked here.
+
+        Not said where ``--deep`` is on and checks it.
+        """
         if not (deep and self.is_deep):
             self.not_checked.append(what)
 
     def add(self, name: str, wrong: str, right: str) -> None:
-        """A check: what is wrong in words, or nothing; and what to say if all is right."""
+        """A check: what is wrong in words, or nothing.
+
+        And what to say if all is right.
+        """
         self.checks.append(
             CheckRecord(name=name, passed=not wrong, detail=wrong or right)
         )
 
 
 def asked_question(folder: Path) -> Question | None:
-    """The question that a result answers; None where its summary does not say, or is none.
+    """The question that a result answers.
+
+    None where its summary does not say, or is none.
 
     Raises InputError: the question in ``summary.json`` cannot be one.
     """
@@ -164,7 +175,9 @@ def run_verification(
     key: Path | None = None,
     progress: StageProgress,
 ) -> VerificationResult:
-    """Check a result folder: certificate, instance and layout, and every other file.
+    """Check a result folder.
+
+    Certificate, instance and layout, and every other file.
 
     Parameters
     ----------
@@ -300,7 +313,10 @@ def _leave_maker(key: Path | None, found: FolderChecks) -> None:
 
 
 def _check_without_proof(folder: Path) -> Callable[[Path, FolderChecks], None] | None:
-    """How a folder is checked that has no certificate; None if it should have one."""
+    """How a folder is checked that has no certificate.
+
+    None if it should have one.
+    """
     if (folder / certified.JSON_NAME).exists():
         return _check_certified
     if not (folder / MARKER).is_file():
@@ -314,7 +330,10 @@ def _check_without_proof(folder: Path) -> Callable[[Path, FolderChecks], None] |
 
 
 def _check_evaluated(folder: Path, found: FolderChecks) -> None:
-    """A folder of ``evaluate`` or ``compare``: ratios from the runs, and the layout's files."""
+    """A folder of ``evaluate`` or ``compare``.
+
+    Ratios from the runs, and the layout's files.
+    """
     names = _check_manifest(folder, found)
     result = load_result(folder)
     _check_ratios(result, found)
@@ -329,13 +348,19 @@ def _check_evaluated(folder: Path, found: FolderChecks) -> None:
 
 
 def _check_recorded(folder: Path, found: FolderChecks) -> None:
-    """A folder of a recording whose units were judged: there is nothing but a summary."""
+    """A folder of a recording whose units were judged.
+
+    There is nothing but a summary.
+    """
     _check_manifest(folder, found)
     found.leave(f"what {MARKER} says: the recording is not at hand")
 
 
 def _check_certified(folder: Path, found: FolderChecks) -> None:
-    """A folder of ``certify``: its numbers anew from bounds and APRs, and its layout's sites."""
+    """A folder of ``certify``.
+
+    Its numbers anew from bounds and APRs, and its layout's sites.
+    """
     path = folder / certified.JSON_NAME
     stored = read_table(_load_object(path), certified.CertifiedResult, str(path))
     layout = load_layout(folder / LAYOUT_FILE)
@@ -391,7 +416,10 @@ def _check_scene(
     pose_ids: tuple[str, ...],
     found: FolderChecks,
 ) -> Scene | None:
-    """Compare the scene that is said with the one at hand; returns it if it is the same one."""
+    """Compare the scene that is said with the one at hand.
+
+    Returns it if it is the same one.
+    """
     if mounts is None:
         if layout is not None:
             found.leave(
@@ -479,7 +507,10 @@ def _check_files(
 
 
 def _check_manifest(folder: Path, found: FolderChecks) -> set[str]:
-    """Every file against its hash; returns the names of the files that are there."""
+    """Every file against its hash.
+
+    Returns the names of the files that are there.
+    """
     listed = read_manifest(folder)
     changes = changed_files(folder)
     if not changes:
@@ -714,7 +745,10 @@ class _Outcomes:
         )
 
     def in_group(self, group: Sequence[str]) -> tuple[float | None, int, int]:
-        """Ratio, runs and avoided ones of a group of words; no ratio without weight."""
+        """Ratio, runs and avoided ones of a group of words.
+
+        No ratio without weight.
+        """
         mask = np.ones(len(self.weight), dtype=bool)
         for words, word in zip(self.words, group, strict=True):
             if word != ALL:
@@ -735,7 +769,10 @@ def _check_exports(
     names: set[str],
     found: FolderChecks,
 ) -> set[str]:
-    """Other files with the layout say what ``layout.json`` says; returns those compared."""
+    """Other files with the layout say what ``layout.json`` says.
+
+    Returns those compared.
+    """
     if scene is None:
         expected = {}
     else:
@@ -756,7 +793,10 @@ def _check_exports(
 
 
 def _csv_difference(text: str, layout: Layout) -> str:
-    """Differences of a table of units from a layout; places in a map are not compared."""
+    """Differences of a table of units from a layout.
+
+    Places in a map are not compared.
+    """
     rows = list(csv.DictReader(io.StringIO(text)))
     records = layout_records(layout)
     if len(rows) != len(records):

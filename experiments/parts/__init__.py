@@ -1,4 +1,6 @@
-"""Parts of an answer, one file each: its value, its words, its table, its figure.
+"""Parts of an answer, one file each.
+
+Its value, its words, its table, its figure.
 
 A part looks like this; each has of it what it needs:
 

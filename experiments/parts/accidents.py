@@ -1,4 +1,7 @@
-"""Accidents prevented: APR of every party and unit, what is driven, and how every run ends."""
+"""Accidents prevented.
+
+APR of every party and unit, what is driven, and how every run ends.
+"""
 
 import math
 from collections import Counter
@@ -49,7 +52,10 @@ def count_sensors(layout: Layout) -> str:
 def accidents_section(
     evaluations: Mapping[str, Evaluation], *, is_optimised: bool
 ) -> Section:
-    """The accident prevention ratio of every sensing party; the first evaluation is the subject."""
+    """The accident prevention ratio of every sensing party.
+
+    The first evaluation is the subject.
+    """
     axis = next(iter(evaluations.values())).axis
     meaning = tr(
         "The accident prevention ratio (APR) is the share of the runs in "
@@ -81,7 +87,9 @@ def accidents_section(
 
 
 def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
-    """APR of every sensing party; evaluations on the same runs, the first one is the subject.
+    """APR of every sensing party.
+
+    Evaluations on the same runs, the first one is the subject.
 
     A row for all runs, each case, and each weather where there are several. A column
     per layout, for the car alone and with each layout; and where road users announce
@@ -202,7 +210,10 @@ def _cases(axis: FrameAxis) -> str:
 
 
 def several_weathers(axis: FrameAxis) -> list[RunGroup]:
-    """The weathers in the order in which they first appear; none where all runs have the same."""
+    """The weathers in the order in which they first appear.
+
+    None where all runs have the same.
+    """
     weathers = groups_by(axis, "weather")
     if len(weathers) > 1:
         return weathers
@@ -266,7 +277,10 @@ def case_title(case: Case) -> str:
 
 
 def sketch_case(run: Run) -> Sketch:
-    """A sketch of the case of a run; the car drives upwards, and hits in the middle."""
+    """A sketch of the case of a run.
+
+    The car drives upwards, and hits in the middle.
+    """
     is_near = [
         (abs(places - run.vut_position_m[-1]).max(axis=1) <= SKETCHED_M)
         for places in (run.vut_position_m, run.vru_position_m)
@@ -318,7 +332,10 @@ def _bodies(run: Run) -> list[FloatArray]:
 def _path(
     places: Sequence[Sequence[float]] | FloatArray, *, is_closed: bool = False
 ) -> str:
-    """Data of an SVG path through places (n, 2), whole numbers; equal ones in a row once."""
+    """Data of an SVG path through places (n, 2), whole numbers.
+
+    Equal ones in a row once.
+    """
     points = dict.fromkeys(f"{round(x)} {round(y)}" for x, y in np.asarray(places))
     return "M" + "L".join(points) + ("Z" if is_closed else "")
 
@@ -335,7 +352,9 @@ def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
 
 
 def case_table(setting: Setting) -> Table:
-    """The cases that are driven: what, how fast, from where, how late braking may begin.
+    """The cases that are driven.
+
+    What, how fast, from where, how late braking may begin.
 
     A case's share of the weight is told where not every run counts the same.
     """
@@ -434,7 +453,9 @@ def runs_by_case(setting: Setting) -> dict[str, list[int]]:
 
 
 def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
-    """A row per run, those with the least time to spare first: hits come before the rest.
+    """A row per run, those with the least time to spare first.
+
+    Hits come before the rest.
 
     Evaluations by display name, on the same runs; the first one is the subject. Weather
     and weight have a column where they differ.

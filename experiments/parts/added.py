@@ -1,4 +1,7 @@
-"""What units add to cars: the VUT by itself, with the units, the difference, and unit by unit."""
+"""What units add to cars.
+
+The VUT by itself, with the units, the difference, and unit by unit.
+"""
 
 from typing import Annotated
 
@@ -159,7 +162,10 @@ def words(record: Added | None) -> list[str]:
 
 
 def section(record: Added | None) -> Section | None:
-    """What the units add, one after the other; None where that is not known, or they are many."""
+    """What the units add, one after the other.
+
+    None where that is not known, or they are many.
+    """
     if record is None or not record.units:
         return None
     of_units = Table(

@@ -1,4 +1,7 @@
-"""Doubts about a placement: heavy runs, other priorities, the evaluator, mounting, failures."""
+"""Doubts about a placement.
+
+Heavy runs, other priorities, the evaluator, mounting, failures.
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -93,7 +96,10 @@ class FrontRunners(Record, frozen=True, kw_only=True):
 
 
 def find_heavy_runs(axis: FrameAxis) -> tuple[HeavyRun, ...]:
-    """Runs that count more than others and more than 2 %, to a tenth; the heaviest first."""
+    """Runs that count more than others and more than 2 %, to a tenth.
+
+    The heaviest first.
+    """
     share = axis.weight / axis.weight.sum()
     is_heavy = (np.round(share, 3) > HEAVY_SHARE) & (np.ptp(share) > 1.0e-9)
     rows = np.flatnonzero(is_heavy)
@@ -111,7 +117,10 @@ def find_other_weights(
     compute: Compute,
     progress: StageProgress,
 ) -> ByRuns | None:
-    """The layout that is best if all runs count the same; None if weights were asked for."""
+    """The layout that is best if all runs count the same.
+
+    None if weights were asked for.
+    """
     progress(STAGE, 0, 0)
     if question.weights not in ("", "case"):
         return None
@@ -129,7 +138,10 @@ def begin_standing(
     question: Question,
     compute: Compute,
 ) -> Task[Standing] | None:
-    """Begin to find what errors of mounting cost a layout; None where it has too many units."""
+    """Begin to find what errors of mounting cost a layout.
+
+    None where it has too many units.
+    """
     if len(layout.units) > MAX_UNITS:
         return None
     fusion = question.fusion
@@ -280,7 +292,10 @@ def doubt_sentences(
     *,
     n_runs: int,
 ) -> list[str]:
-    """Sentences about what would change the answer; nothing where nobody looked."""
+    """Sentences about what would change the answer.
+
+    Nothing where nobody looked.
+    """
     return [
         *([_heavy(heavy_runs)] if heavy_runs else []),
         *([_by_runs(by_runs, n_runs)] if by_runs else []),
@@ -388,7 +403,10 @@ def _mounting(found: Standing) -> str:
 
 
 def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
-    """APR that remains if one unit, two, or a pole fail; `labels` are names by id."""
+    """APR that remains if one unit, two, or a pole fail.
+
+    `labels` are names by id.
+    """
     whole = failures.none_failed
     n_units = len(failures.one_failed)
     if n_units == 1:
@@ -490,7 +508,10 @@ def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
 
 
 class _FailureWords(NamedTuple):
-    """What a table of failures says: `worst` is its caption where it has only the worst."""
+    """What a table of failures says.
+
+    `worst` is its caption where it has only the worst.
+    """
 
     caption: str
     worst: str

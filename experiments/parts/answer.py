@@ -1,4 +1,7 @@
-"""The answer of a placement, an evaluation or a comparison: its title, and its few sentences."""
+"""The answer of a placement, an evaluation or a comparison.
+
+Its title, and its few sentences.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -44,7 +47,9 @@ def title(
 
 
 def lead(result: Result) -> str:
-    """The first sentence of an answer, without codes: what units prevent, and what cars do alone.
+    """The first sentence of an answer, without codes.
+
+    What units prevent, and what cars do alone.
 
     With fusion "single" runs are counted: a unit has to confirm by itself.
     """
@@ -176,7 +181,10 @@ def words(result: Result) -> list[str]:
 
 
 def warnings(result: Result) -> list[str]:
-    """What must not be overlooked: runs that were not driven, options that did nothing, doubts."""
+    """What must not be overlooked.
+
+    Runs that were not driven, options that did nothing, doubts.
+    """
     return [
         *result.driven[:1],
         *result.without_effect,
@@ -240,7 +248,10 @@ def doubts(result: Result) -> list[str]:
 
 
 def private_ground(result: Result) -> list[str]:
-    """Private ground that units see; of each layout where several are compared."""
+    """Private ground that units see.
+
+    Of each layout where several are compared.
+    """
     if result.private_ground is None:
         return []
     if isinstance(result, ComparisonResult):
@@ -258,7 +269,10 @@ def private_ground(result: Result) -> list[str]:
 
 
 def refinement(result: Result) -> list[str]:
-    """Gains of refinement between the poses of the grid; nothing where not asked for."""
+    """Gains of refinement between the poses of the grid.
+
+    Nothing where not asked for.
+    """
     if isinstance(result, PlacementResult):
         refined = result.refinement
     else:

@@ -1,4 +1,7 @@
-"""How a result was computed, and how to make it again: the last words of the report."""
+"""How a result was computed, and how to make it again.
+
+The last words of the report.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,7 +24,10 @@ _MAX_NAMES = 3
 
 
 def assumption_sentences(result: Result) -> list[str]:
-    """What the map leaves open, the most important first; sites alike share a sentence."""
+    """What the map leaves open, the most important first.
+
+    Sites alike share a sentence.
+    """
     groups = grouped(
         ((one.kind, _but_for_numbers(one.why)) if one.site_ids else index, one)
         for index, one in enumerate(result.assumptions)
@@ -130,7 +136,10 @@ def _detection_words(setting: Setting) -> str:
 
 
 def _figures(setting: Setting) -> list[Phrase]:
-    """How many figures of response tables are measured; that of the table where it is another."""
+    """How many figures of response tables are measured.
+
+    That of the table where it is another.
+    """
     tables = {one.name: one for one in (setting.detector, setting.table_detector)}
     return [
         one.figures_words

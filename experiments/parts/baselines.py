@@ -1,4 +1,7 @@
-"""Layouts to compare with that need no optimiser: random ones, and an expert's rule of thumb."""
+"""Layouts to compare with that need no optimiser.
+
+Random ones, and an expert's rule of thumb.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

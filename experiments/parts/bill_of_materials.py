@@ -167,7 +167,10 @@ def _site_items(
 
 
 def bill_of_materials_csv(bill: BillOfMaterials) -> str:
-    """The bill as CSV, a row per item; what is unknown is empty, and there is no row of sums."""
+    """The bill as CSV, a row per item.
+
+    What is unknown is empty, and there is no row of sums.
+    """
     import pandas as pd
 
     heads = ["part", "name", "kind", "units", "to_buy", "price_eur", "sum_eur"]

@@ -1,4 +1,7 @@
-"""What each camera will see: a picture, rendered as a road user comes to the middle of it."""
+"""What each camera will see.
+
+A picture, rendered as a road user comes to the middle of it.
+"""
 
 import base64
 import math

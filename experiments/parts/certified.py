@@ -1,4 +1,7 @@
-"""A layout for the mean over worlds, and what it may lack of the best: value, words, table."""
+"""A layout for the mean over worlds, and what it may lack of the best.
+
+Value, words, table.
+"""
 
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -81,7 +84,10 @@ def run_certify(
     progress: StageProgress,
     sign: Path | None = None,
 ) -> CertifiedResult:
-    """Find a layout for the mean over worlds and its gap; InputError as `certify`, or of `out`."""
+    """Find a layout for the mean over worlds and its gap.
+
+    InputError as `certify`, or of `out`.
+    """
     expect_files(out, progress, sign=sign)
     growth = None
     if (

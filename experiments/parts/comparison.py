@@ -1,4 +1,7 @@
-"""Layouts side by side: their worth, the runs on which they differ, how sure the difference is."""
+"""Layouts side by side.
+
+Their worth, the runs on which they differ, how sure the difference is.
+"""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -99,7 +102,10 @@ class Difference(Record, frozen=True, kw_only=True):
 
 
 def find_differences(evaluations: Mapping[str, Evaluation]) -> tuple[Difference, ...]:
-    """Which runs only one of two layouts avoids, for any two; evaluations by display name."""
+    """Which runs only one of two layouts avoids, for any two.
+
+    Evaluations by display name.
+    """
     return tuple(
         Difference(
             first=first,
@@ -199,7 +205,10 @@ def side_by_side_table(
 
 
 def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
-    """The runs themselves: a row for each layout that avoids any that another does not."""
+    """The runs themselves.
+
+    A row for each layout that avoids any that another does not.
+    """
     rows = []
     for pair in differences:
         rows.append((pair.first, pair.second, pair.only_first))
@@ -212,7 +221,10 @@ def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
 
 
 def significance_table(sampled: SampledRecord) -> Table:
-    """Every pair of layouts in the same sampled worlds: the one that avoids more comes first."""
+    """Every pair of layouts in the same sampled worlds.
+
+    The one that avoids more comes first.
+    """
     return tabulate(
         tr("Differences of the APR in the same {n} sampled worlds", n=sampled.samples),
         map(_better_first, sampled.pairs),
@@ -252,7 +264,10 @@ def section(
     baselines: Baselines | None = None,
     sampled: SampledRecord | None = None,
 ) -> Section | None:
-    """Layouts by display name side by side, the subject first; None where it stands alone."""
+    """Layouts by display name side by side, the subject first.
+
+    None where it stands alone.
+    """
     if len(evaluations) < 2:
         return None
     n_units = len(next(iter(evaluations.values())).layout.units)

@@ -1,4 +1,7 @@
-"""Where it is still dangerous: runs that nobody avoids, by case and place, and their map."""
+"""Where it is still dangerous.
+
+Runs that nobody avoids, by case and place, and their map.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -85,7 +88,10 @@ def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
 
 
 def build_dangers(is_avoided: BoolArray, axis: FrameAxis) -> Dangers:
-    """Runs that are not avoided, counted by case and position; weights do not matter."""
+    """Runs that are not avoided, counted by case and position.
+
+    Weights do not matter.
+    """
     positions = groups_by(axis, "position")
     return Dangers(
         not_avoided=int((~is_avoided).sum()),
@@ -108,7 +114,10 @@ def _groups(
 
 
 def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
-    """How many runs are not avoided, and which; `cars` is the share of cars that see."""
+    """How many runs are not avoided, and which.
+
+    `cars` is the share of cars that see.
+    """
     is_of_blind = 0.0 < cars < 1.0
     n_left = dangers.not_avoided
     if not n_left:
@@ -153,7 +162,10 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
 
 
 def position_words(name: str) -> str:
-    """A position along the arms in words: "15 m before the junction" and the like."""
+    """A position along the arms in words.
+
+    "15 m before the junction" and the like.
+    """
     position = read_position(name, "position")
     if position == AT_ZERO:
         return tr("at the junction")
@@ -330,7 +342,9 @@ def plot_dangers(
     places: Sequence[Place] | None = None,
     width_in: float = WIDTH_IN,
 ) -> Axes:
-    """The junction from above with the share of runs avoided at each place: the darker the fewer.
+    """The junction from above with the share of runs avoided at each place.
+
+    The darker the fewer.
 
     In metres, north up; the numbers are per cent. Units are triangles that point where
     they look. A place where all runs are avoided is a small white square without a

@@ -1,4 +1,7 @@
-"""Why these poses, what they miss, and what refinement changed: sentences, tables, sections."""
+"""Why these poses, what they miss, and what refinement changed.
+
+Sentences, tables, sections.
+"""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -261,7 +264,10 @@ def outcome_words(outcome: str) -> str:
 def contribution_table(
     explained: ExplainedRecord, labels: Mapping[str, str] | None = None
 ) -> Table:
-    """Contributions, a row for each unit; `labels` are short names of the units, by id."""
+    """Contributions, a row for each unit.
+
+    `labels` are short names of the units, by id.
+    """
     names = labels or {}
     rows = []
     for part in explained.contributions:
@@ -291,7 +297,10 @@ def contribution_table(
 
 
 def missed_table(explained: ExplainedRecord) -> Table:
-    """Runs that are not avoided, why, and what would save them: a row each, to unfold."""
+    """Runs that are not avoided, why, and what would save them.
+
+    A row each, to unfold.
+    """
     n_runs = len(explained.not_avoided)
     return tabulate(
         tr("Runs that are not avoided, on the detection table"),
@@ -343,7 +352,10 @@ def _rescue(entry: Unavoided) -> str:
 def explanation_sections(
     explained: ExplainedRecord | None, labels: Mapping[str, str]
 ) -> list[Section]:
-    """Why these poses, and what they miss; none without an optimiser. `labels` of units by id."""
+    """Why these poses, and what they miss.
+
+    None without an optimiser. `labels` of units by id.
+    """
     if not explained:
         return []
     why = [tr("Each unit is taken away in turn, on the detection table.")]

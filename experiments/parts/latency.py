@@ -1,4 +1,7 @@
-"""APR against latency: a layout is evaluated once, its APR found for every latency."""
+"""APR against latency.
+
+A layout is evaluated once, its APR found for every latency.
+"""
 
 import math
 from collections.abc import Mapping
@@ -73,7 +76,10 @@ class PartyLatency(Record, frozen=True, kw_only=True):
     apr: tuple[float, ...]
 
     def longest_s(self, latencies_s: tuple[float, ...], level: float) -> float:
-        """Longest latency shown with an APR of at least `level`: -inf: none, inf: every one."""
+        """Longest latency shown with an APR of at least `level`.
+
+        -inf: none, inf: every one.
+        """
         holds = np.array(self.apr) >= level - _SAME_SHARE
         return (-math.inf, *latencies_s[:-1], math.inf)[
             int(np.argmin(np.append(holds, False)))
@@ -81,7 +87,10 @@ class PartyLatency(Record, frozen=True, kw_only=True):
 
 
 class LatencyResult(DrivesRecord, frozen=True, kw_only=True):
-    """A layout's APR against latency, by sensing party: what ``--json`` prints."""
+    """A layout's APR against latency, by sensing party.
+
+    What ``--json`` prints.
+    """
 
     name: str
     layout: tuple[UnitRecord, ...]
@@ -105,7 +114,9 @@ def run_latency(
     compute: Compute,
     progress: StageProgress,
 ) -> LatencyResult:
-    """APR of every sensing party against latency; table and figure to `out` if asked to.
+    """APR of every sensing party against latency.
+
+    Table and figure to `out` if asked to.
 
     Parameters
     ----------
@@ -206,7 +217,10 @@ def plot_latency(
     parties: Mapping[str, PartyLatency],
     budget: LatencyBudget,
 ) -> Axes:
-    """APR of the sensing parties in milliseconds, the budget's range shaded; in a new figure."""
+    """APR of the sensing parties in milliseconds, the budget's range shaded.
+
+    In a new figure.
+    """
     axes = new_axes(WIDTH_IN, 3.9)
     shown_ms = [1000.0 * latency_s for latency_s in latencies_s]
     for name, party in parties.items():

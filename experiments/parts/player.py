@@ -219,7 +219,10 @@ def centimetres(values_m: ArrayLike) -> Any:
 
 
 def _milliseconds(values_s: ArrayLike) -> Any:
-    """Whole milliseconds; None in place of an infinity (of single values only)."""
+    """Whole milliseconds.
+
+    None in place of an infinity (of single values only).
+    """
     values = np.asarray(values_s, dtype=np.float64)
     if values.ndim == 0 and not np.isfinite(values):
         return None

@@ -143,7 +143,10 @@ def section(result: PlacementResult) -> Section:
 
 
 def conditions(result: PlacementResult) -> list[str]:
-    """What the table's rows after the first open one depend on, in a sentence; or none."""
+    """What the table's rows after the first open one depend on, in a sentence.
+
+    Or none.
+    """
     return _conditions(_stages(result))
 
 
@@ -153,7 +156,10 @@ def table(result: PlacementResult) -> Table:
 
 
 def _stages(result: PlacementResult) -> list[tuple[str, StageRecord]]:
-    """Objectives by name: first the highest APR of any choice, where some may be given up."""
+    """Objectives by name.
+
+    First the highest APR of any choice, where some may be given up.
+    """
     found = [(_label(stage.name, result), stage) for stage in result.stages]
     if result.highest is None:
         return found
@@ -167,7 +173,10 @@ def stage_table(stages: Sequence[StageRecord]) -> Table:
 
 
 def stage_conditions(stages: Sequence[StageRecord]) -> list[str]:
-    """What the rows of :func:`stage_table` after the first open one depend on; or nothing."""
+    """What the rows of :func:`stage_table` after the first open one depend on.
+
+    Or nothing.
+    """
     return _conditions(_labelled(stages))
 
 
@@ -197,7 +206,10 @@ def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
 
 
 def _n_certain(stages: Sequence[tuple[str, StageRecord]]) -> int:
-    """Stages up to the first open one: the bounds of those after it depend on what that holds."""
+    """Stages up to the first open one.
+
+    The bounds of those after it depend on what that holds.
+    """
     is_open = [stage.gap != 0.0 for _, stage in stages]
     if True in is_open:
         return is_open.index(True) + 1
@@ -233,7 +245,10 @@ _OF_POLES = {
 
 
 def _stage_row(stage: StageRecord, *, is_certain: bool) -> list[str]:
-    """Value, bound, gap and seconds; of what is not certain, only whether it is proven."""
+    """Value, bound, gap and seconds.
+
+    Of what is not certain, only whether it is proven.
+    """
 
     def shown(value: float | None) -> str:
         if value is None or not math.isfinite(value):

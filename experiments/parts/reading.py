@@ -1,4 +1,6 @@
-"""A folder of results read back: summary, layout, and the tables of runs and of ratios.
+"""A folder of results read back.
+
+Summary, layout, and the tables of runs and of ratios.
 
 Files are checked to be whole, of this version, and to belong together.
 """
@@ -136,7 +138,10 @@ def read_summary(path: Path) -> Result:
 
 
 def check_schema(summary: Mapping[str, object], where: str) -> str:
-    """Kind and version of a summary, known to be one of today's; else InputError names those."""
+    """Kind and version of a summary, known to be one of today's.
+
+    Else InputError names those.
+    """
     schema = summary.get("schema", Unquoted("nothing"))
     if schema not in KINDS:
         if str(schema).startswith(_OLDER):

@@ -1,4 +1,7 @@
-"""Recordings in place of simulated runs: judge their units, or choose the best of them."""
+"""Recordings in place of simulated runs.
+
+Judge their units, or choose the best of them.
+"""
 
 import math
 from collections.abc import Callable, Iterable
@@ -213,7 +216,10 @@ def _units(folder_names: Iterable[str]) -> tuple[RecordedUnitRecord, ...]:
 def _of_parties(
     measure: Callable[[Verdict], _T], found: RecordedEvaluation
 ) -> dict[str, Any]:
-    """A measure of each party, by its name; None where the vehicle's detections are unknown."""
+    """A measure of each party, by its name.
+
+    None where the vehicle's detections are unknown.
+    """
     return {
         "vut": None if found.vut is None else measure(found.vut),
         "rsu_all": measure(found.rsu_all),
@@ -265,7 +271,9 @@ def run_recording(
     progress: StageProgress,
     sign: Path | None = None,
 ) -> RecordedResult:
-    """Judge the units of a recording, or choose the best and prove it; written if asked to.
+    """Judge the units of a recording, or choose the best and prove it.
+
+    Written if asked to.
 
     Of the question only how the VUT confirms and brakes counts, and with `chooses`
     budget, fusion and how hard to try; detections below `min_confidence` do not. Raises

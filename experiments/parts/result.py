@@ -1,4 +1,7 @@
-"""The three results that ``summary.json`` may hold: a placement, an evaluation, a comparison."""
+"""The three results that ``summary.json`` may hold.
+
+A placement, an evaluation, a comparison.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace

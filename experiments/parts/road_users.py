@@ -55,7 +55,10 @@ class RoadUserGroups(Record, frozen=True, kw_only=True):
 def build_road_users(
     setting: Setting, evaluations: Mapping[str, Evaluation]
 ) -> RoadUserGroups:
-    """Runs by the road user that is met; evaluations by display name, the subject first."""
+    """Runs by the road user that is met.
+
+    Evaluations by display name, the subject first.
+    """
     first = next(iter(evaluations.values()))
     verdicts = {
         name: (item.rsu_all, item.vut_and_rsus) for name, item in evaluations.items()
@@ -96,7 +99,10 @@ def build_road_users(
 
 
 def words(record: RoadUserGroups) -> list[str]:
-    """Whose runs count, in one sentence; none where all meet the same and nobody is left out."""
+    """Whose runs count, in one sentence.
+
+    None where all meet the same and nobody is left out.
+    """
     if len(record.groups) < 2 and not record.unprotected:
         return []
     counted = ", ".join(

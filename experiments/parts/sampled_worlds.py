@@ -207,7 +207,9 @@ def build_sampled_record(
     chosen_in: int | None = None,
     growth: Growth | None = None,
 ) -> SampledRecord:
-    """Layouts in the same sampled worlds: the first one is the subject, the others baselines.
+    """Layouts in the same sampled worlds.
+
+    The first one is the subject, the others baselines.
 
     `tail` is the worst share of the worlds that is summed up. By name of the layout,
     `planned_apr` is the APR with nothing uncertain, and `chosen_apr` that in the
@@ -263,7 +265,10 @@ def build_sampled_record(
 
 
 def growth_sentences(growth: Growth | None) -> list[str]:
-    """Sentence on how many worlds a layout was chosen in, and why not in more; no full stop."""
+    """Sentence on how many worlds a layout was chosen in, and why not in more.
+
+    No full stop.
+    """
     if growth is None:
         return []
     last = growth.rounds[-1]
@@ -338,7 +343,10 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
 def build_pair_record(
     first: SampledApr, second: SampledApr, tails: FloatArray | None = None
 ) -> SampledPairRecord:
-    """Two layouts in the same worlds; `tails` are differences of cvar in resampled worlds."""
+    """Two layouts in the same worlds.
+
+    `tails` are differences of cvar in resampled worlds.
+    """
     gain = first.apr_by_sample - second.apr_by_sample
     if tails is None:
         low, high = (None, None)
@@ -357,7 +365,10 @@ def build_pair_record(
 
 
 def _least_sure(item: SampledApr) -> tuple[LeastSureRunRecord, ...]:
-    """Runs that are avoided in the fewest worlds, if not in all; those that count."""
+    """Runs that are avoided in the fewest worlds, if not in all.
+
+    Those that count.
+    """
     share = item.avoided_share
     order = np.argsort(share, kind="stable")
     order = order[(share[order] < 1.0) & (item.axis.weight[order] > 0.0)]
@@ -654,7 +665,10 @@ def is_open(difference: SampledPairRecord) -> bool:
 
 
 def table(found: SampledRecord) -> Table:
-    """APR of each layout: as planned, its mean with the interval, and in bad worlds."""
+    """APR of each layout.
+
+    As planned, its mean with the interval, and in bad worlds.
+    """
     tail = tr("worst {tail:g} %", tail=100.0 * found.tail)
     columns: dict[str, Callable[[SampledLayoutRecord], str]] = {
         tr("layout"): lambda one: shortened(one.name, _MAX_NAME_LENGTH),
@@ -701,7 +715,10 @@ def sampled_section(found: SampledRecord, picture: Picture) -> Section:
 
 
 def plot_sampled_apr(found: SampledRecord) -> Axes:
-    """A row per layout: its mean with the 95 % interval; thin line: from worst to best world."""
+    """A row per layout: its mean with the 95 % interval.
+
+    Thin line: from worst to best world.
+    """
     layouts = found.layouts
     axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(layouts))
     for row, layout in enumerate(layouts):

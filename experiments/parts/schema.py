@@ -1,4 +1,7 @@
-"""The JSON schema of results, made from their types: ``python -m experiments.parts.schema``."""
+"""The JSON schema of results, made from their types.
+
+``python -m experiments.parts.schema``.
+"""
 
 import inspect
 import json
@@ -32,7 +35,10 @@ _ATTRIBUTE = re.compile(r"^(\w+(?:, \w+)*) : .*\n((?:    .*\n?|\n)+)", re.M)
 
 
 def build_schema() -> dict[str, Any]:
-    """Schema of ``summary.json``: types, limits and descriptions of the fields of all results."""
+    """Schema of ``summary.json``.
+
+    Types, limits and descriptions of the fields of all results.
+    """
     kinds = [*KINDS.values()]
     _, parts = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
     types = {kind.__name__: kind for kind in _kinds_in(kinds)}

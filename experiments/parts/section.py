@@ -1,4 +1,7 @@
-"""Sections of the report: a heading, and below it text, tables and figures."""
+"""Sections of the report.
+
+A heading, and below it text, tables and figures.
+"""
 
 import base64
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -48,7 +51,9 @@ def tabulate(
     columns: Mapping[str, Callable[[_T], object]],
     **more: Any,
 ) -> Table:
-    """A table with a row per item: each column has a head, and what it says of an item.
+    """A table with a row per item.
+
+    Each column has a head, and what it says of an item.
 
     `more` are further fields of the table by name.
     """
@@ -91,7 +96,10 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """Blocks in a box of a style of ``report.css``, such as "beside": side by side."""
+    """Blocks in a box of a style of ``report.css``, such as "beside".
+
+    Side by side.
+    """
 
     kind: ClassVar[str] = "box"
     style: str
@@ -131,7 +139,10 @@ Block = str | Table | Bullets | Subheading | Filled | Code | Box | Picture | Ske
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A section of the report; its id is what links and the list of contents refer to."""
+    """A section of the report.
+
+    Its id is what links and the list of contents refer to.
+    """
 
     id: str
     title: str
@@ -147,7 +158,10 @@ def build_picture(
     alt: str,
     narrow: Figure | Axes | None = None,
 ) -> Picture:
-    """A figure with its words; equal ones give equal pictures. `narrow` is drawn for a phone."""
+    """A figure with its words.
+
+    Equal ones give equal pictures. `narrow` is drawn for a phone.
+    """
     figure = root_figure(drawn)
     png = with_palette(to_png(figure))
     width_px, height_px = Image.open(BytesIO(png)).size

@@ -57,7 +57,9 @@ def mounting_sheet(
     *,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> bytes:
-    """A PDF with a page for each unit: where, how high, where it looks, what it will see.
+    """A PDF with a page for each unit.
+
+    Where, how high, where it looks, what it will see.
 
     Parameters
     ----------
@@ -345,7 +347,10 @@ def run_sheet(
     compute: Compute,
     progress: StageProgress,
 ) -> SheetResult:
-    """Write the mounting sheet; InputError if a unit is inside something, or `out` not writable."""
+    """Write the mounting sheet.
+
+    InputError if a unit is inside something, or `out` not writable.
+    """
     if out.is_dir():
         raise InputError("--out", Unquoted(f"{out}, a folder"), "a PDF file to write")
     check_target(out)

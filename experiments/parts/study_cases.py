@@ -71,7 +71,9 @@ def on_study_cases(
     build: Callable[[Question], Setting],
     compute: Compute,
 ) -> StudyCases | None:
-    """What layouts prevent in the study's cases; None where these are what was asked about.
+    """What layouts prevent in the study's cases.
+
+    None where these are what was asked about.
 
     Parameters
     ----------
@@ -117,7 +119,10 @@ def is_same_question(one: Setting, other: Setting) -> bool:
 
 
 def section(record: StudyCases | None) -> Section | None:
-    """The layouts on the study's cases; None where these are what was asked about."""
+    """The layouts on the study's cases.
+
+    None where these are what was asked about.
+    """
     if record is None:
         return None
     return Section(
@@ -136,7 +141,10 @@ def section(record: StudyCases | None) -> Section | None:
 
 
 def table(record: StudyCases) -> Table:
-    """APR of each layout and of the car by itself: a row for all runs, and for each case."""
+    """APR of each layout and of the car by itself.
+
+    A row for all runs, and for each case.
+    """
     cases = list(record.parties[0].by_case)
     return Table(
         caption=trn(

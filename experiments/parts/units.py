@@ -1,4 +1,7 @@
-"""The units of layouts: tables of where they are, plans, and the private ground that they see."""
+"""The units of layouts.
+
+Tables of where they are, plans, and the private ground that they see.
+"""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -217,7 +220,10 @@ def private_ground_sentence(found: PrivateGroundRecord) -> str:
 def private_ground_section(
     found: PrivateGroundRecord | None, labels: Mapping[str, str]
 ) -> Section | None:
-    """What units see of private ground, the most seen first; `labels` are their names by id."""
+    """What units see of private ground, the most seen first.
+
+    `labels` are their names by id.
+    """
     if not found:
         return None
     units = found.units

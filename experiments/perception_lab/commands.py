@@ -1,4 +1,7 @@
-"""Commands of the perception lab: ``place-rsus dataset``, ``detector`` and ``render``."""
+"""Commands of the perception lab.
+
+``place-rsus dataset``, ``detector`` and ``render``.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -125,7 +128,10 @@ def _dataset_text(summary: "DatasetSummary", form: str) -> str:
 
 @click.group()
 def detector() -> None:
-    """Response tables of detectors: what a detector finds, by height, cover, class and light."""
+    """Response tables of detectors.
+
+    What a detector finds, by height, cover, class and light.
+    """
 
 
 _FIT_EXAMPLES = """\b

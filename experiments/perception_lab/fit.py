@@ -108,7 +108,10 @@ class _Source:
 
 
 class FitResult(Record, frozen=True, kw_only=True):
-    """Fitted table, recall by group, false alarms: ``fit.json``, and what ``--json`` prints."""
+    """Fitted table, recall by group, false alarms.
+
+    ``fit.json``, and what ``--json`` prints.
+    """
 
     name: str  # of the table
     source: str  # what was looked at, in words
@@ -139,7 +142,9 @@ def run_detector_fit(
     compute: Compute,
     progress: StageProgress,
 ) -> FitResult:
-    """Fit a response table to what a detector finds; table, figure and numbers to `out`.
+    """Fit a response table to what a detector finds.
+
+    Table, figure and numbers to `out`.
 
     Parameters
     ----------
@@ -346,7 +351,10 @@ def _share_out(n_wanted: int, n_there: Sequence[int]) -> list[int]:
 
 
 def _row(values: FloatArray, row: int, n_labels: int) -> FloatArray:
-    """Value of a row of evidence, which may have one for all; nothing if there is no label."""
+    """Value of a row of evidence, which may have one for all.
+
+    Nothing if there is no label.
+    """
     return np.atleast_1d(values)[[row if len(np.atleast_1d(values)) > 1 else 0]][
         :n_labels
     ]
@@ -578,7 +586,10 @@ def table_text(
     unknown: Sequence[str],
     false_tracks_per_hour: Interval | None,
 ) -> str:
-    """The table as TOML, for ``--detector FILE``; each figure with its 95 % interval."""
+    """The table as TOML, for ``--detector FILE``.
+
+    Each figure with its 95 % interval.
+    """
     table = fit.detector
     intervals = fit.intervals
     figures = sorted(key for what in unknown for key in _KEYS_OF.get(what, ()))
@@ -669,7 +680,10 @@ def plot_calibration(result: FitResult) -> "Figure":
 def draw_intervals(
     axes: "Axes", places: ArrayLike, intervals: Sequence[Interval], **look: Any
 ) -> Any:
-    """Dots with bars from the lower to the upper end of their intervals; matplotlib's handle."""
+    """Dots with bars from the lower to the upper end of their intervals.
+
+    Matplotlib's handle.
+    """
     value = np.array([one.value for one in intervals])
     bars = [
         value - [one.low for one in intervals],

@@ -72,7 +72,10 @@ def page_environment() -> Environment:
 
 @cache
 def page_template() -> Template:
-    """The template of all pages: title, answer, sections, details; and what can be played."""
+    """The template of all pages.
+
+    Title, answer, sections, details; and what can be played.
+    """
     return page_environment().get_template("report.html.j2")
 
 
@@ -181,7 +184,10 @@ def begin_tasks(
     setting: Setting,
     evaluations: Mapping[str, Evaluation],
 ) -> Tasks:
-    """Begin what takes long to draw: the report that is written takes it from there."""
+    """Begin what takes long to draw.
+
+    The report that is written takes it from there.
+    """
     shown, detailed = _shown(result, evaluations)
     layouts = {name: item.layout for name, item in detailed.items()}
     if len(detailed) == 1:
@@ -205,7 +211,10 @@ def begin_tasks(
 def _shown(
     result: Result, evaluations: Mapping[str, Evaluation]
 ) -> tuple[dict[str, Evaluation], dict[str, Evaluation]]:
-    """Those that are more than a row of a table or a bar; of these, the ones in detail."""
+    """Those that are more than a row of a table or a bar.
+
+    Of these, the ones in detail.
+    """
     rows_alone = (GREEDY, EXPERT, HIGHEST)
     shown = {name: item for name, item in evaluations.items() if name not in rows_alone}
     is_comparison = not isinstance(result, PlacementResult) and len(evaluations) > 1
@@ -213,7 +222,10 @@ def _shown(
 
 
 def _in_order(sections: Sequence[Section | None]) -> list[Section]:
-    """Those that there are: first those in sight, then those of which the title alone is."""
+    """Those that there are.
+
+    First those in sight, then those of which the title alone is.
+    """
     found = {section.id: section for section in sections if section is not None}
     return [
         *(found[name] for name in _IN_SIGHT if name in found),

@@ -1,4 +1,7 @@
-"""The basis of a result: cases, weathers, perception, refused runs, versions of programs."""
+"""The basis of a result.
+
+Cases, weathers, perception, refused runs, versions of programs.
+"""
 
 import platform
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,7 +40,10 @@ class RefusalRecord(Record, frozen=True, kw_only=True):
 
 
 class DrivesRecord(Record, frozen=True, kw_only=True):
-    """Runs that were driven, and how they were perceived: fields of every result."""
+    """Runs that were driven, and how they were perceived.
+
+    Fields of every result.
+    """
 
     cases: Annotated[tuple[str, ...], says("Names of the cases that were driven.")]
     weathers: Annotated[tuple[str, ...], says("Weathers that were driven in.")]
@@ -119,7 +125,10 @@ def _without_effect(setting: Setting) -> Iterator[str]:
 
 
 def describe_driven(setting: Setting) -> list[str]:
-    """What is missing of the possible runs, and why: a line per reason, if anything is."""
+    """What is missing of the possible runs, and why.
+
+    A line per reason, if anything is.
+    """
     limits = [*describe_limits(setting), *describe_left_out(setting)]
     if not lacking_room(setting):
         return limits
@@ -143,7 +152,10 @@ def describe_driven(setting: Setting) -> list[str]:
 
 
 def describe_limits(setting: Setting) -> list[str]:
-    """How many runs the map's speed limits leave out, and which limits; nothing where none is."""
+    """How many runs the map's speed limits leave out, and which limits.
+
+    Nothing where none is.
+    """
     found = [one for one in setting.refusals if one.limit_kmh is not None]
     if not found:
         return []
@@ -165,7 +177,10 @@ def describe_limits(setting: Setting) -> list[str]:
 
 
 def lacking_room(setting: Setting) -> list[Refusal]:
-    """Refusals for want of roads or room; speed limits, and whom cases meet, are other reasons."""
+    """Refusals for want of roads or room.
+
+    Speed limits, and whom cases meet, are other reasons.
+    """
     return [
         one
         for one in setting.refusals
@@ -212,7 +227,10 @@ def _n_weathers(setting: Setting) -> int:
 
 
 def _gaps(setting: Setting) -> Iterator[str]:
-    """Cases that are not driven at all or not from everywhere: the widest gaps first."""
+    """Cases that are not driven at all or not from everywhere.
+
+    The widest gaps first.
+    """
     driven = dict.fromkeys((run.case.name, run.approach) for run in setting.runs)
     for_speed = {run.case.name for run in setting.runs}
     refused = {(one.case.name, one.approach): one for one in lacking_room(setting)}

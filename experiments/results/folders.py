@@ -1,4 +1,6 @@
-"""A folder of results: written as a whole or not at all, and replaced only if nobody changed it.
+"""A folder of results.
+
+Written as a whole or not at all, and replaced only if nobody changed it.
 
 ``SHA256SUMS`` in the folder lists its files with their hashes, so that ``sha256sum -c
 SHA256SUMS`` checks it anywhere. A folder is replaced only if it holds the listed files,
@@ -60,7 +62,9 @@ def _manifest_of(contents: Mapping[str, str | bytes]) -> str:
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
-    """Hashes by file name, as ``SHA256SUMS`` lists them; nothing where there is no such file.
+    """Hashes by file name, as ``SHA256SUMS`` lists them.
+
+    Nothing where there is no such file.
 
     Raises
     ------
@@ -89,7 +93,9 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def changed_files(folder: Path) -> dict[str, str]:
-    """What is not as ``SHA256SUMS`` lists it: "missing", "changed" or "not listed", by file name.
+    """What is not as ``SHA256SUMS`` lists it.
+
+    "missing", "changed" or "not listed", by file name.
 
     Raises
     ------
@@ -114,7 +120,10 @@ def sha256(path: Path) -> str:
 
 
 def listed_files(folder: Path) -> dict[str, Path]:
-    """Files in a folder and those below it, by relative name; empty folders count as well."""
+    """Files in a folder and those below it, by relative name.
+
+    Empty folders count as well.
+    """
     not_listed = {MANIFEST, SIGNATURE, *_OF_FILE_MANAGERS}
     return {
         path.relative_to(folder).as_posix(): path
@@ -128,7 +137,9 @@ def _is_filled_folder(path: Path) -> bool:
 
 
 def check_result_folder(folder: Path) -> None:
-    """Check, before anything is computed, that a result folder can be written; changes nothing.
+    """Check, before anything is computed, that a result folder can be written.
+
+    Changes nothing.
 
     Parameters
     ----------
@@ -154,7 +165,10 @@ def check_result_folder(folder: Path) -> None:
 
 
 def _try_to_write(folder: Path, existing: Path) -> None:
-    """Make a folder, and remove it: root may write anywhere, so nothing else is an honest test."""
+    """Make a folder, and remove it.
+
+    Root may write anywhere, so nothing else is an honest test.
+    """
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
     try:
@@ -270,7 +284,10 @@ def _put_in_place(temporary: Path, folder: Path, real: Path) -> None:
 
 
 def _exchange(first: Path, second: Path) -> bool:
-    """Exchange the names of two folders in one step; False where the system cannot."""
+    """Exchange the names of two folders in one step.
+
+    False where the system cannot.
+    """
     if sys.platform == "win32":
         return False
     libc = ctypes.CDLL(None, use_errno=True)
@@ -301,7 +318,10 @@ def _free_name(folder: Path, word: str) -> Path:
 
 
 def remove_abandoned(parent: Path) -> None:
-    """Remove the temporary folders that a killed run left; never those of one that is alive."""
+    """Remove the temporary folders that a killed run left.
+
+    Never those of one that is alive.
+    """
     if not parent.is_dir():
         return
     for path in parent.glob(f"{_PREFIX}*"):
@@ -341,13 +361,19 @@ def _reason(error: Exception) -> str:
 
 
 def check_folder(folder: Path) -> None:
-    """Find out before anything is computed whether a folder can be written; else InputError."""
+    """Find out before anything is computed whether a folder can be written.
+
+    Else InputError.
+    """
     _check_name(folder)
     _try_to_write(folder, folder)
 
 
 def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
-    """Write files by name, each whole or not at all; InputError if the folder is not writable."""
+    """Write files by name, each whole or not at all.
+
+    InputError if the folder is not writable.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, content in contents.items():
@@ -381,7 +407,9 @@ def save_files(
     has_manifest: bool = False,
     sign: Path | None = None,
 ) -> _R:
-    """The result with its "seconds"; `files` of it are added to `out`, if asked to.
+    """The result with its "seconds".
+
+    `files` of it are added to `out`, if asked to.
 
     With a manifest they are listed in ``SHA256SUMS``, which the key `sign` signs.
     """

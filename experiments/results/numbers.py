@@ -15,7 +15,9 @@ NOTHING = "\N{EN DASH}"
 
 
 def percent(share: float | None) -> str:
-    """A share of 1 in print, with one digit: what is not quite all or none is never shown as it.
+    """A share of 1 in print, with one digit.
+
+    What is not quite all or none is never shown as it.
 
     None and NaN (no run counts) are shown as a dash.
 
@@ -63,7 +65,10 @@ def points(share: float) -> str:
 
 
 def in_points(share: float | None) -> str:
-    """A difference of shares of 1 as a number of points, for tables; a dash where there is none."""
+    """A difference of shares of 1 as a number of points, for tables.
+
+    A dash where there is none.
+    """
     return number(100.0 * or_nan(share), 1)
 
 

@@ -57,7 +57,9 @@ StageValues = Annotated[
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A part of a result. Each field says what it is; fields that are UNSET are not written.
+    """A part of a result.
+
+    Each field says what it is; fields that are UNSET are not written.
 
     Attributes
     ----------
@@ -71,7 +73,10 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 def to_plain(value: object) -> Any:
-    """Values and records as JSON has them; numbers that JSON lacks (NaN, infinite) are None."""
+    """Values and records as JSON has them.
+
+    Numbers that JSON lacks (NaN, infinite) are None.
+    """
     return msgspec.json.decode(msgspec.json.encode(value, enc_hook=_plain_value))
 
 
@@ -86,7 +91,10 @@ def _plain_value(value: object) -> object:
 
 
 class UnitRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
-    """A mounted sensor, as in layout.json. World frame: x east, y north, z up, 0 on the road."""
+    """A mounted sensor, as in layout.json.
+
+    World frame: x east, y north, z up, 0 on the road.
+    """
 
     schema_rules: ClassVar[dict[str, object]] = {
         "oneOf": [{"required": ["camera"]}, {"required": ["lidar"]}]
@@ -127,7 +135,10 @@ class UnitRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class StageRecord(Record, frozen=True, kw_only=True):
-    """An objective on the detection table; they are optimised in order, each holding the last."""
+    """An objective on the detection table.
+
+    They are optimised in order, each holding the last.
+    """
 
     name: Annotated[StageName, says("Which objective.")]
     objective: Annotated[
@@ -145,7 +156,10 @@ class StageRecord(Record, frozen=True, kw_only=True):
 def build_unit_records(
     layout: Layout, scene: Scene | None = None
 ) -> tuple[UnitRecord, ...]:
-    """The units of a layout; with a scene also what people call where they are."""
+    """The units of a layout.
+
+    With a scene also what people call where they are.
+    """
     records = tuple(UnitRecord(**unit) for unit in layout_records(layout))
     if scene is None:
         return records
@@ -244,7 +258,10 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
 
 
 def mixed(blind: Any, seeing: Any, cars: float) -> Any:
-    """A record whose numbers are weighted by the share of cars that see; counts as for most."""
+    """A record whose numbers are weighted by the share of cars that see.
+
+    Counts as for most.
+    """
     if cars in (0.0, 1.0):
         if cars:
             return seeing

@@ -28,7 +28,10 @@ _PRIVATE = "-----BEGIN"
 
 
 def check_signing_key(key: Path) -> None:
-    """Try a key before anything is computed. Raises InputError as :func:`sign`."""
+    """Try a key before anything is computed.
+
+    Raises InputError as :func:`sign`.
+    """
     sign(b"", key)
 
 

@@ -1,4 +1,7 @@
-"""Tables of verdicts, for other programs: ratios by group, and every run's outcome."""
+"""Tables of verdicts, for other programs.
+
+Ratios by group, and every run's outcome.
+"""
 
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
@@ -35,7 +38,10 @@ _BEGINNINGS = (*"=+-@", "\t", "\r", "\n")
 
 
 def parties(evaluation: Evaluation) -> dict[str, Verdict]:
-    """Every sensing party of an evaluation: "vut", each unit's id, "rsu_all" and so on."""
+    """Every sensing party of an evaluation.
+
+    "vut", each unit's id, "rsu_all" and so on.
+    """
     return {
         "vut": evaluation.vut,
         **evaluation.units,
@@ -190,7 +196,10 @@ def _missing(times_s: FloatArray) -> FloatArray:
 
 
 def groups_by(axis: FrameAxis, what: GroupedBy) -> list[RunGroup]:
-    """A group per case, direction or weather as they appear; per position or speed, ascending."""
+    """A group per case, direction or weather as they appear.
+
+    Per position or speed, ascending.
+    """
     speeds = [f"{speed:g}" for speed in axis.vut_speed_kmh]
     ascending = [f"{speed:g}" for speed in np.unique(axis.vut_speed_kmh)]
     words, order = {
@@ -210,7 +219,10 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list
 
 
 def page_of(template: Traversable, **values: Any) -> str:
-    """A text of a Jinja template; its filter `table` makes Markdown of rows, with their heads."""
+    """A text of a Jinja template.
+
+    Its filter `table` makes Markdown of rows, with their heads.
+    """
     from jinja2 import Environment, StrictUndefined
 
     page = Environment(
@@ -255,7 +267,10 @@ def plain_cell(cell: Any) -> Any:
 
 
 def _is_like_formula(cell: Any) -> bool:
-    """A text begins as formulas do; also one that has such an apostrophe already."""
+    """A text begins as formulas do.
+
+    Also one that has such an apostrophe already.
+    """
     if not isinstance(cell, str) or len(cell) == 1:
         return False
     first = unicodedata.normalize(

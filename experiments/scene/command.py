@@ -31,7 +31,10 @@ def _at(text: str) -> tuple[float, float]:
 def reading_options(
     command: Callable[..., Any], *, staggered_m: float = 0.0
 ) -> Callable[..., Any]:
-    """Add the options about facts that files do not state; the command gets one `reading`."""
+    """Add the options about facts that files do not state.
+
+    The command gets one `reading`.
+    """
 
     @wraps(command)
     def with_reading(*args: Any, **values: Any) -> Any:
@@ -226,7 +229,10 @@ def show(
     out: Path | None,
     sort: str,
 ) -> None:
-    """Show a scene or a map: arms, lanes, sites, things, and what was left out and why."""
+    """Show a scene or a map.
+
+    Arms, lanes, sites, things, and what was left out and why.
+    """
     call.start()
     from . import run
 
@@ -246,7 +252,10 @@ Exit codes: 0 no errors (there may be warnings), 1 errors, 2 the input is wrong.
 @click.argument("path", metavar="[SCENE]", default="")
 @options.calling
 def check(call: Call, *, path: str) -> None:
-    """Look for what may be wrong: holes, floating or overlapping buildings, sites inside walls."""
+    """Look for what may be wrong.
+
+    Holes, floating or overlapping buildings, sites inside walls.
+    """
     call.start()
     from . import run
 

@@ -55,7 +55,10 @@ HALO = withStroke(linewidth=2.5, foreground="white")
 
 
 def plot_scene_plan(scene: Scene) -> Axes:
-    """Plan of a scene, north up: a square of 90 m to 180 m with all things and sites."""
+    """Plan of a scene, north up.
+
+    A square of 90 m to 180 m with all things and sites.
+    """
     junction = build_junction(scene)
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     half = _half_size_m(scene, middle)
@@ -89,7 +92,10 @@ def plot_scene_plan(scene: Scene) -> Axes:
 
 
 def plot_scene_view(scene: Scene) -> Axes:
-    """View of a scene from a height in the south-west: ray-cast, shaded by the sun's direction."""
+    """View of a scene from a height in the south-west.
+
+    Ray-cast, shaded by the sun's direction.
+    """
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     picture = _cast_view(
         scene, middle, distance_m=2.6 * min(_half_size_m(scene, middle), 70.0)
@@ -252,7 +258,10 @@ def _template(name: str) -> Any:
 
 
 def junction_chooser(shown: dict[str, Any]) -> str:
-    """A :func:`junction_map` as HTML, for ``junction_map.js``; texts in it are escaped."""
+    """A :func:`junction_map` as HTML, for ``junction_map.js``.
+
+    Texts in it are escaped.
+    """
     return str(_template("junction_map.html.j2").module.chooser(shown, CAUSES))
 
 

@@ -67,7 +67,9 @@ class ArmRecord(Record, frozen=True, kw_only=True):
 
 
 class JunctionRecord(Record, frozen=True, kw_only=True):
-    """A junction; x_m and y_m are in the map's system: in degrees where that has degrees.
+    """A junction; x_m and y_m are in the map's system.
+
+    In degrees where that has degrees.
 
     Signals are poles with traffic lights; they and crossings lie within 15 m of the
     outline.
@@ -98,7 +100,10 @@ class SiteRecord(Record, frozen=True, kw_only=True):
 
 
 class SceneResult(Record, frozen=True, kw_only=True):
-    """Contents of a scene or a map; fields of a scene alone, or an import alone, may be UNSET."""
+    """Contents of a scene or a map.
+
+    Fields of a scene alone, or an import alone, may be UNSET.
+    """
 
     name: str
     junctions: tuple[JunctionRecord, ...]

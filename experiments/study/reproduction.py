@@ -1,4 +1,6 @@
-"""The CarlaNCAP study's figures and ours: ``python -m experiments.study.reproduction``.
+"""The CarlaNCAP study's figures and ours.
+
+``python -m experiments.study.reproduction``.
 
 Ours are those of its own setting, and of variants of it: one thing of ours, or that the
 study leaves open, is changed.
@@ -100,7 +102,9 @@ _NARROW = "field of view 90 deg, not 110"
 def _with_narrow(
     settings: Mapping[str, Setting], narrow: Mapping[str, Setting]
 ) -> tuple[Variant, ...]:
-    """Variants with the study's cameras; then those in which they all look less wide.
+    """Variants with the study's cameras.
+
+    Then those in which they all look less wide.
 
     Theirs is the field of view of the study's text, on the VUT, too.
     """
@@ -263,7 +267,10 @@ def _without(scene: Scene, classes: Sequence[str]) -> Scene:
 
 
 def _shorten(setting: Setting, last_s: float) -> Setting:
-    """Recordings that begin so long before the impact, if they began earlier. [s]."""
+    """Recordings that begin so long before the impact, if they began earlier.
+
+    [s].
+    """
     names = ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
     runs = []
     for run in setting.runs:
@@ -316,7 +323,9 @@ class PublishedFigure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class AdditionalFigure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A figure of the study's additional cases, another recording; nothing was fitted to it.
+    """A figure of the study's additional cases, another recording.
+
+    Nothing was fitted to it.
 
     Attributes
     ----------
@@ -429,7 +438,10 @@ def _published(found: Sequence[_Figures]) -> dict[str, Any]:
 
 
 def _additional(by_variant: Mapping[str, _Figures]) -> dict[str, Any]:
-    """The additional cases by variant; explanations of the differences, and what is excluded."""
+    """The additional cases by variant.
+
+    Explanations of the differences, and what is excluded.
+    """
     figures = load_published().additional
     published = {(figure.quantity, figure.case): figure.published for figure in figures}
     cases = list(dict.fromkeys(figure.case for figure in figures))
@@ -595,7 +607,10 @@ def _who_sees(evaluation: Evaluation, run_index: int) -> str:
 @click.option("--workers", type=int, default=2, show_default=True, help="Threads.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def main(out: Path, workers: int, quiet: bool) -> None:
-    """Write reproduction.md: the study's figures, ours, and what ours depend on."""
+    """Write reproduction.md.
+
+    The study's figures, ours, and what ours depend on.
+    """
     progress = StageProgress()
     progress.start(quiet=quiet)
     try:

@@ -165,7 +165,9 @@ _UNKNOWN = ("aspect", "frame_correlation")
 def fit_table(
     crops: Crops, found: Found, *, source: str, command: str, compute: Compute
 ) -> str:
-    """Response table as TOML, for ``--detector FILE``; each crop is a track of its own.
+    """Response table as TOML, for ``--detector FILE``.
+
+    Each crop is a track of its own.
 
     `found` has boxes and confidence of each crop, by class; `source` and `command` say
     what the crops are of, and how this was called.

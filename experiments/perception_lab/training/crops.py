@@ -86,7 +86,10 @@ class Crops:
 
 
 def draw_crops(scene: Scene, n_crops: int, *, seed: int) -> Crops:
-    """Draw crops at a junction; half of them with varied colours, a fourth of them empty."""
+    """Draw crops at a junction.
+
+    Half of them with varied colours, a fourth of them empty.
+    """
     setting = build_setting(Question(cases=_CASES), scene)
     looks = look_around(setting, Framing(), np.random.default_rng(seed))
     found = list(islice(looks, n_crops))

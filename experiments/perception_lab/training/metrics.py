@@ -1,4 +1,7 @@
-"""How well boxes with confidence match labels: average precision, miss rate, recall by group."""
+"""How well boxes with confidence match labels.
+
+Average precision, miss rate, recall by group.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

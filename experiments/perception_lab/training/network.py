@@ -1,4 +1,6 @@
-"""A small network that finds pedestrians and cyclists: layers, losses, training, export.
+"""A small network that finds pedestrians and cyclists.
+
+Layers, losses, training, export.
 
 Without anchors: one picture cell of 8 x 8 pixels says, for each of two classes, how
 sure it is that a road user's middle lies near, and how far away the four sides of its
@@ -65,7 +67,10 @@ class _Block(nn.Module):
 
 
 class VruNetwork(nn.Module):
-    """From images (b, 3, h, w), 0 .. 1, sides multiples of 16, to class logits and distances."""
+    """From images (b, 3, h, w), 0 .
+
+    1, sides multiples of 16, to class logits and distances.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -97,7 +102,10 @@ class VruNetwork(nn.Module):
 
 
 class ExportedNetwork(nn.Module):
-    """The network as it is shipped: rows of middle, size and a score per class, (1, 6, n)."""
+    """The network as it is shipped.
+
+    Rows of middle, size and a score per class, (1, 6, n).
+    """
 
     def __init__(self, network: VruNetwork) -> None:
         super().__init__()
@@ -234,7 +242,10 @@ Found = list[list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """How a network is trained; the same recipe and crops give the same network on a machine."""
+    """How a network is trained.
+
+    The same recipe and crops give the same network on a machine.
+    """
 
     steps: int  # batches shown
     seed: int
@@ -359,12 +370,18 @@ def _keep(checkpoint: Path | None, parts: dict[str, Any], rounds: int) -> None:
 
 
 def class_of(crops: Crops) -> NDArray[np.int64]:
-    """Index into ``CLASSES`` (n,); a child is a pedestrian; -1 where there is nobody."""
+    """Index into ``CLASSES`` (n,).
+
+    A child is a pedestrian; -1 where there is nobody.
+    """
     return np.where(crops.vru_class < 0, -1, (crops.vru_class == 2).astype(np.int64))
 
 
 def counted(crops: Crops) -> NDArray[np.bool_]:
-    """Crops whose road user counts, (n,): at least 0.3 of it is seen, at least 10 px high."""
+    """Crops whose road user counts, (n,).
+
+    At least 0.3 of it is seen, at least 10 px high.
+    """
     is_high: NDArray[np.bool_] = box_height_px(crops.box_px) >= _LEAST_PX
     return is_high & (crops.vru_class >= 0) & (crops.visible_share >= _LEAST_SHARE)
 

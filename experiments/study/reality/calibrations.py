@@ -66,7 +66,9 @@ def _calibrated(
 
 
 def _numbers(record: Mapping[str, Any], key: str, count: int, where: str) -> FloatArray:
-    """Numbers (count,) of a field: a text, words, or a map with words as "data".
+    """Numbers (count,) of a field.
+
+    A text, words, or a map with words as "data".
 
     Raises
     ------
@@ -150,7 +152,9 @@ _TSAI = {
 
 
 def read_tsai(path: Path) -> CalibratedCamera:
-    """A camera of Tsai's calibration in XML; lengths in the file are millimetres.
+    """A camera of Tsai's calibration in XML.
+
+    Lengths in the file are millimetres.
 
     Raises
     ------

@@ -38,7 +38,10 @@ _WILDTRACK_VIEWS = (
 
 @cache
 def _hulls() -> tuple[FloatArray, ...]:
-    """Corners of the body's convex hull in each phase of its gait: they make its box."""
+    """Corners of the body's convex hull in each phase of its gait.
+
+    They make its box.
+    """
     from scipy.spatial import ConvexHull
 
     shapes = (shape.vertices_m for shape in pick_actor(BODY, "body").shapes)
@@ -51,7 +54,10 @@ Projection = Callable[[FloatArray], FloatArray]
 def body_boxes(
     foot_m: FloatArray, heading_deg: FloatArray, phase: IntArray, project: Projection
 ) -> FloatArray:
-    """Boxes (n, 4) around bodies that stand at `foot_m` (n, 3), in pixels; not clipped."""
+    """Boxes (n, 4) around bodies that stand at `foot_m` (n, 3), in pixels.
+
+    Not clipped.
+    """
     boxes = np.empty((len(foot_m), 4))
     hulls = _hulls()
     for number, hull in enumerate(hulls):
@@ -247,7 +253,10 @@ class ViewFlags:
 
 
 def measure_flags(folder: Path) -> tuple[ViewFlags, ...]:
-    """Flags of WILDTRACK's views against this: the body's middle is in the picture."""
+    """Flags of WILDTRACK's views against this.
+
+    The body's middle is in the picture.
+    """
     data = folder / "OpenTraj" / "datasets" / "Wild-Track"
     views = read_wildtrack(data / "annotations_positions")
     middle = np.array([0.0, 0.0, 0.5 * pick_actor(BODY, "body").height_m])

@@ -1,4 +1,7 @@
-"""What recordings measured, in words and tables: ``reality.md``, and the tables fitted."""
+"""What recordings measured, in words and tables.
+
+``reality.md``, and the tables fitted.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -67,7 +70,10 @@ _UNKNOWN = ("contrast", "aspect")
 
 @dataclass(frozen=True)
 class Measured:
-    """All that is measured, by what was recorded; the figures of a recording follow from it."""
+    """All that is measured, by what was recorded.
+
+    The figures of a recording follow from it.
+    """
 
     heights: Heights
     labels: FloatArray  # labelled over predicted heights of pedestrians
@@ -459,7 +465,10 @@ def _short(words: str) -> str:
 
 
 def plot_confirmations(held: Mapping[str, HeldOut]) -> "Figure":
-    """Share of starts confirmed within so many frames: real, by the fit, by "response"."""
+    """Share of starts confirmed within so many frames.
+
+    Real, by the fit, by "response".
+    """
     figure = new_figure(WIDTH_IN, 2.8)
     for axes, (title, one) in zip(
         figure.subplots(1, len(held)), held.items(), strict=True

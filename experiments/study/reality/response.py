@@ -1,4 +1,7 @@
-"""What real detectors found: recall, its correlation in time, boxes, and frames to confirmation."""
+"""What real detectors found.
+
+Recall, its correlation in time, boxes, and frames to confirmation.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -88,7 +91,9 @@ def watch_pets(folder: Path) -> Watched:
 
 
 def watch_kitti(folder: Path, *, name: str, class_name: str) -> Watched:
-    """RRC or PointRCNN on KITTI's even sequences; halves by sequence and by people.
+    """RRC or PointRCNN on KITTI's even sequences.
+
+    Halves by sequence and by people.
 
     Nearly all boxes are those of sequence 16: it is a half of its own.
     """
@@ -190,7 +195,10 @@ class Recall:
 def recalls(
     watched: Watched, values: FloatArray, edges: Sequence[float], unit: str
 ) -> list[Recall]:
-    """Recall between edges of some quantity (n,); groups without rows are left out."""
+    """Recall between edges of some quantity (n,).
+
+    Groups without rows are left out.
+    """
     groups = []
     for low, high in pairwise(edges):
         rows = np.flatnonzero((values >= low) & (values < high))
@@ -318,14 +326,20 @@ def _draw(held: Sightings, probability: FloatArray, correlation: float) -> BoolA
 
 
 def _confirmed(held: Sightings, found: BoolArray) -> FloatArray:
-    """Share of starts that are confirmed within 1, 2, .. frames, over all draws (n_draws, n)."""
+    """Share of starts that are confirmed within 1, 2, .
+
+    Frames, over all draws (n_draws, n).
+    """
     waits = np.concatenate([_waits(held, one) for one in found])
     within = np.searchsorted(np.sort(waits[waits > 0]), _WITHIN, side="right")
     return within / len(waits)
 
 
 def confirmed_at_once(watched: Watched) -> Recall:
-    """Share of starts whose first three frames confirm; the prediction is drawn by "response"."""
+    """Share of starts whose first three frames confirm.
+
+    The prediction is drawn by "response".
+    """
     table = built_in_response()
     sightings = watched.sightings
     waits = _waits(sightings, sightings.is_found)
@@ -354,6 +368,9 @@ def first_confirmed(sightings: Sightings) -> tuple[int, int]:
 
 
 def fit_table(watched: Watched) -> ResponseFit:
-    """The table fitted to all frames; its correlation is that at the tables' frame rate."""
+    """The table fitted to all frames.
+
+    Its correlation is that at the tables' frame rate.
+    """
     fit = fit_response(watched.sightings, name=watched.name)
     return at_frame_rate(fit, from_hz=watched.frame_rate_hz, to_hz=TABLE_HZ)
