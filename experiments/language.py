@@ -40,7 +40,7 @@ class _GermanNumbers(string.Formatter):
 
 
 class Messages:
-    """A catalogue of messages, and of those that have a form for one and one for many.
+    """A catalogue of messages, and of those with a plural form.
 
     `found` has their translations by the English text, of two forms by the first; a
     message that it does not have stays English.
@@ -125,7 +125,9 @@ def speaking(code: str, messages: Messages | None = None) -> Iterator[None]:
 
 
 def tr(message: str, /, **values: Any) -> str:
-    """A message in the language that is spoken, with values in place of the names in braces.
+    """A message in the language that is spoken, with its values filled in.
+
+    They take the places of the names in braces.
 
     Numbers among the values are written as the language does, "{share:.1f}" as 0.5 or
     0,5. A phrase brings its own values; phrases among the values are translated too. A
@@ -167,7 +169,9 @@ def trn(one: str, many: str, n: int, /, **values: Any) -> str:
 
 
 def words_of(messages: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """What scripts say: translations of messages by themselves, for one and many where both are.
+    """Translations of what scripts say, by message.
+
+    For one and for many where both are.
 
     Each message is a pair of its form for one, empty where it has no other, and that
     for many.
@@ -189,7 +193,7 @@ def mark(message: str) -> str:
 
 
 def localized(number: str) -> str:
-    """A number that has been written as English does, as the language that is spoken does."""
+    """A number written in English, as the language that is spoken does."""
     if _Current.code == "en":
         return number
     return number.translate(_SWAPPED)

@@ -1,4 +1,4 @@
-"""``place-rsus``: gathers the commands; turns errors into one line and an exit code."""
+"""``place-rsus``: all commands, and errors as a line and an exit code."""
 
 import logging
 import os

@@ -1,4 +1,4 @@
-"""Progress on stderr, and an orderly end when the user or the system asks for one."""
+"""Progress on stderr, and an orderly end when one is asked for."""
 
 import json
 import logging
@@ -141,7 +141,7 @@ class StageProgress:
             )
 
     def tell_more(self) -> None:
-        """Also tell sizes, bounds, files that are read, and the seconds of each stage."""
+        """Also tell sizes, bounds, files that are read, and seconds of stages."""
         self.is_verbose = True
         for name in _OWN_PACKAGES:
             logging.getLogger(name).setLevel(logging.INFO)
@@ -224,7 +224,9 @@ class StderrLog(logging.StreamHandler[Any]):
 
 @contextmanager
 def ending_on_signals(progress: StageProgress) -> Iterator[None]:
-    """Raise :class:`Interrupted` on Ctrl-C and SIGTERM, and end what does not listen.
+    """Raise :class:`Interrupted` on Ctrl-C and SIGTERM.
+
+    What does not listen is ended.
 
     A solver, a kernel or a worker thread can go on for long before Python raises
     anything. Unless files are being written, the process is then ended from a thread of
@@ -277,7 +279,9 @@ def _end_with(parent: Any) -> NoReturn:
 
 @contextmanager
 def signals_held() -> Iterator[list[int]]:
-    """Hold Ctrl-C and SIGTERM back while a few quick steps are done that belong together.
+    """Hold Ctrl-C and SIGTERM back during a few quick steps.
+
+    They belong together.
 
     Yields the signals that came meanwhile; the first of those left in it is delivered
     in the end.

@@ -69,7 +69,10 @@ _BUDGET_TIME_S = 20.0
 
 
 def seconds_of(*works: Callable[[], object], repeats: int = _REPEATS) -> FloatArray:
-    """Seconds (n_works, n_repeats) of works in turn, after a run of each that does not count."""
+    """Seconds (n_works, n_repeats) of works in turn.
+
+    Each runs once before, which does not count.
+    """
     seconds = np.zeros((len(works), repeats + 1))
     for repeat in range(repeats + 1):
         for row, work in enumerate(works):
@@ -106,7 +109,10 @@ def _candidates() -> tuple[CandidatePose, ...]:
 def bare_embree(
     vertices_m: FloatArray, triangles: Any, rays: Sequence[Rays]
 ) -> Callable[[], object]:
-    """The library's own query of all rays in one call, with everything prepared that can be."""
+    """The library's own query of all rays in one call.
+
+    Everything that can be is prepared before.
+    """
     origins, vectors = (np.concatenate(part) for part in zip(*rays, strict=True))
     vertices = np.ascontiguousarray(vertices_m, dtype=np.float32)
     if caster_name() == "open3d":
@@ -277,7 +283,10 @@ def _table(
 
 
 def measure_evaluation() -> Figures:
-    """The default runs from as many poses as found, greedy and the study's layout have, and VUT."""
+    """The default runs, seen from as many poses as three layouts and the VUT.
+
+    The layouts are the one found, the greedy one and the study's.
+    """
     setting = _setting()
     others = build_candidates(setting.scene, load_candidate_grid(), extra=())
     units = (*load_carlancap_layout().units, *others[:: -(-len(others) // _N_OTHERS)])
@@ -313,7 +322,10 @@ def measure_optimiser(budget: int) -> Figures:
 def measure_budgets(
     problem: PlacementProblem, *, units: Sequence[int] = (2, 3, 4, 5)
 ) -> Figures:
-    """Presolve and all stages for growing budgets, with tracks that live on and that end."""
+    """Presolve and all stages for growing budgets.
+
+    Once with tracks that live on, once with tracks that end.
+    """
     figures: Figures = {}
     for memory_s in _TRACK_MEMORIES_S:
         rule = replace(problem.rule, track_memory_s=memory_s)
@@ -333,7 +345,10 @@ def measure_budgets(
 
 
 def measure_single(budget: int) -> Figures:
-    """All stages where each unit confirms alone, against maximal covering by HiGHS alone."""
+    """All stages where each unit confirms alone.
+
+    Compared with maximal covering by HiGHS alone.
+    """
     single = _problem(budget, fusion="single")
     # A[c, r]: pose c avoids run r by itself.
     poses = range(single.table.n_poses)
@@ -412,7 +427,10 @@ PARTS: dict[str, Callable[[int], Figures]] = {
 
 
 def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
-    """Figures of a part, measured in a process of its own, which ends when its time is up."""
+    """Figures of a part, measured in a process of its own.
+
+    The process ends when its time is up.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "figures.json"
         words = ["--parts", name, "--budget", str(budget), "--out", str(path)]

@@ -105,7 +105,7 @@ def main() -> None:
     show_default=True,
 )
 def plan(out: Path) -> None:
-    """Photograph the page with two of the study's cameras, its dialogs, and private ground."""
+    """Photograph the page with two cameras, its dialogs and private ground."""
     out.mkdir(parents=True, exist_ok=True)
     two = Variant(name="two cameras", units=load_carlancap_layout().units[:2])
     with tempfile.TemporaryDirectory() as folder, _browser() as browser:

@@ -1,4 +1,4 @@
-"""``place-rsus doctor``: what is installed, what is missing, what that costs."""
+"""``place-rsus doctor``: what is installed, and what is missing."""
 
 import os
 import platform

@@ -38,7 +38,7 @@ def evaluate(
     out: Path | None,
     sign: Path | None,
 ) -> None:
-    """Evaluate a layout by full perception and emergency braking, or recorded detections."""
+    """Evaluate a layout by perception and braking, or recorded detections."""
     if recording is not None:
         asked = {"folder": recording, "min_confidence": min_confidence, "sign": sign}
         evaluate_recording(job, out=out, **asked)

@@ -31,7 +31,10 @@ _ASKED = options.fields_in(
 
 
 def front_options(*asked: str) -> options.Decorator:
-    """Options of commands that look for several layouts, each with its own time."""
+    """Options of commands that look for several layouts.
+
+    Each layout has a time limit of its own.
+    """
     return options.asking(
         *asked, *_SOUGHT, *options.JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S}
     )
@@ -120,7 +123,7 @@ def _with_head(
     out: Path | None,
     files: Sequence[str],
 ) -> str:
-    """An answer with what is driven before it, and the files that were written behind it."""
+    """An answer between what is driven and the files that were written."""
     if out is not None:
         words = tr("Written to {out}: {files}.", out=out, files=joined(files))
         parts.append(Part(words=[words]))

@@ -1,4 +1,4 @@
-"""``place-rsus``: the best layout, proven, evaluated, compared with the study's, reported."""
+"""``place-rsus``: the best layout, its proof, evaluation and report."""
 
 from pathlib import Path
 
@@ -65,7 +65,7 @@ def cli(
     out: Path,
     sign: Path | None,
 ) -> None:
-    """Where to mount roadside cameras so that pedestrians and cyclists are not hit.
+    """Where to mount cameras so that pedestrians and cyclists are not hit.
 
     Finds the best layout for the junction of the CarlaNCAP study, proves that it is,
     evaluates it by full perception and emergency braking, compares it with the study's

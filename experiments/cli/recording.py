@@ -1,4 +1,4 @@
-"""``--recording``: for commands that work on recorded detections, too, and what they print."""
+"""``--recording``: options and output of work on recorded detections."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -59,7 +59,9 @@ recording_options = options.combined(
 
 
 def evaluate_recording(job: Job, *, out: Path | None, **asked: Any) -> None:
-    """Judge the units of a recording, as :func:`.recording.run_recording`, and end the command.
+    """Judge the units of a recording, and end the command.
+
+    See :func:`.recording.run_recording`.
 
     Options that say nothing next to a recording are refused, by click.UsageError.
     """
@@ -115,7 +117,10 @@ def recording_text(summary: "RecordedResult", out: Path | None) -> str:
 def _parties_text(
     evaluation: "RecordedAprRecord", shares: "DetectedShareRecord", cases: Sequence[str]
 ) -> list[str]:
-    """A row per party; APR over all drives, share of frames, and APR by case as columns."""
+    """A row per party.
+
+    Columns: APR over all drives, share of frames, and APR by case.
+    """
     from ..parts.recording import ALL_UNITS
 
     parties = [

@@ -110,7 +110,10 @@ class Call:
             tell(f"place-rsus: {sentence}", err=True)
 
     def print(self, result: Any, text: Callable[[], str]) -> None:
-        """End a command: take the bar away, print its result as JSON or as text for people."""
+        """Take the progress bar away and print a command's result.
+
+        As JSON, or as text for people.
+        """
         from ..export.json import to_json_text
 
         self.progress.stop()
@@ -167,7 +170,10 @@ def cache_folder() -> Path:
 
 
 def check_address_space() -> None:
-    """Refuse, by click.UsageError, a limit of address space in which libraries end by a fault."""
+    """Refuse a limit of address space in which libraries crash.
+
+    Raises click.UsageError.
+    """
     try:
         import resource
     except ImportError:  # Windows

@@ -1,4 +1,4 @@
-"""``place-rsus scenarios``: look at what is driven, without placing anything."""
+"""``place-rsus scenarios``: what is driven, without placing anything."""
 
 import math
 from collections.abc import Sequence
@@ -110,7 +110,7 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
 
 
 def scenario_table(rows: Sequence[DrivenRow]) -> str:
-    """The rows as a table, then who meets the VUT, where, and what is not driven, and why."""
+    """The rows as a table, then who is met where, and what is not driven."""
     from scenarios.cases import load_unlaid_cases
 
     unlaid = [entry for entry in rows if entry.case in load_unlaid_cases()]

@@ -121,13 +121,19 @@ def basis(result: Any) -> dict[str, Any]:
 def driven_lines(
     driven: Sequence[str], without_effect: Sequence[str] = ()
 ) -> list[str]:
-    """How many possible runs are driven, reasons of most others, and what changes nothing."""
+    """How many possible runs are driven, and why most others are not.
+
+    Also what was asked for and changes nothing.
+    """
     reasons = sentences(*first_reasons(driven), indent=2, hanging=2)
     return [*sentences(*driven[:1]), *reasons, *sentences(*without_effect)]
 
 
 def first_reasons(driven: Sequence[str]) -> list[str]:
-    """Reasons why most of the other possible runs are not driven, and how many are not printed."""
+    """Reasons why most of the other possible runs are not driven.
+
+    The last one says how many reasons are not printed.
+    """
     n_left = len(driven) - 1 - _MOST_REASONS
     if n_left > 0:
         more = [

@@ -17,7 +17,7 @@ from placement.layout import Layout
 
 
 def lens_coefficients(name: str, camera: CalibratedCamera) -> tuple[bool, FloatArray]:
-    """Whether the lens is a fisheye, and its coefficients as OpenCV orders them, (1, n).
+    """True for a fisheye, and the coefficients (1, n) in OpenCV's order.
 
     Raises InputError for Tsai's, which neither of OpenCV's models is.
     """

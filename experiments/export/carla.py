@@ -42,7 +42,10 @@ def to_carla(layout: Layout, scene: Scene | None = None) -> str:
 
 
 def carla_points(points_m: FloatArray, scene: Scene | None) -> FloatArray:
-    """Points of the world frame, (n, 3), in CARLA's, whose zero is that of the scene's map."""
+    """Points (n, 3) of the world frame in CARLA's.
+
+    Its zero is that of the scene's map.
+    """
     moved_m = np.array(points_m)
     if scene is not None:
         moved_m[:, :2] = metric_points(moved_m[:, :2], scene)

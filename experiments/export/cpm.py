@@ -79,7 +79,7 @@ def to_cpm(
     scene: Scene,
     watched: WatchedRun | None = None,
 ) -> str:
-    """Layout as collective perception messages, a station (RSU) per site, as JSON.
+    """Layout as collective perception messages (JSON), a station per site.
 
     {"standard", "stations": [{"site", "units", "messages"}]}: see
     :func:`build_stations`.
@@ -231,7 +231,10 @@ def _sent(
     origin_m: FloatArray,
     where: str,
 ) -> Iterator[tuple[int, list[dict[str, Any]]]]:
-    """Reference times of a station's messages, and containers beside the RSU's own."""
+    """Reference times of a station's messages, and their containers.
+
+    The RSU's own container is not among them.
+    """
     time_s = watched.run.time_s
     latency_s = max(unit.latency(watched.rule) for unit in units)
     detected = np.array([watched.detected[unit.id] for unit in units])
@@ -255,7 +258,10 @@ def _sent(
 
 
 def _object(run: Run, frame: int, origin_m: FloatArray, where: str) -> dict[str, Any]:
-    """Whoever the VUT meets in a frame, east, north and up of the reference position."""
+    """Container of the road user whom the VUT meets, in one frame.
+
+    Positions are east, north and up of the reference position.
+    """
     motion = run.encounter.vru_motion
     body = run.encounter.vru
     around_s = run.time_s[frame] + np.array([-_STEP_S, _STEP_S])
@@ -291,7 +297,10 @@ def _object(run: Run, frame: int, origin_m: FloatArray, where: str) -> dict[str,
 
 
 def _altitude_cm_at(scene: Scene, height_m: float) -> int:
-    """Height above the ellipsoid of what is some metres above the scene's zero."""
+    """Height above the ellipsoid, of a height above the scene's zero.
+
+    In centimetres, as the standard counts it.
+    """
     if scene.source_crs:
         crs = parse_crs(scene.source_crs)
     else:

@@ -21,7 +21,9 @@ _ARROW_M = 4.0
 
 
 def to_dxf(layout: Layout, scene: Scene) -> str:
-    """Layout as a DXF drawing in metres, in the coordinates of the scene's map if these are metres.
+    """Layout as a DXF drawing in metres.
+
+    In the coordinates of the scene's map if these are metres.
 
     Layers: LANES and CROSSWALKS (lines), POLES (circles: all sites, with their ids),
     UNITS (arrows along the view at the height of the unit, with their ids), VIEWS

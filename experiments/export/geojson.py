@@ -9,7 +9,7 @@ from .places import longitude_latitude, placed_records, positions_m, require_crs
 
 
 def to_geojson(layout: Layout, crs: str, scene: Scene | None = None) -> str:
-    """Layout as GeoJSON: points in WGS 84, with the fields of the layout as properties.
+    """Layout as GeoJSON: points in WGS 84 with the layout's fields.
 
     A FeatureCollection. Coordinates are longitude, latitude [deg] and the height [m]:
     that of the map where the ground is not flat and the map tells it, else above the

@@ -10,7 +10,9 @@ from .places import longitude_latitude, placed_records, positions_m, require_crs
 
 
 def to_kml(layout: Layout, scene: Scene) -> str:
-    """Layout as KML: a placemark per unit, at its height above ground, with a pole below it.
+    """Layout as KML: a placemark per unit, with a pole below it.
+
+    It is at the unit's height above the ground.
 
     An XML document. Every field of the layout is in the placemark's ExtendedData; the
     placemark's camera looks from the unit's place along its optical axis. Raises

@@ -1,4 +1,4 @@
-"""Layouts, and runs as they see them, as MCAP recordings in Foxglove's schemas."""
+"""Layouts and runs as MCAP recordings in Foxglove's schemas."""
 
 import io
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""A scene's roads as ASAM OpenDRIVE, with the poles of a layout as objects beside them."""
+"""A scene's roads, and a layout's poles, as ASAM OpenDRIVE."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -49,7 +49,9 @@ class _Road:
     width_m: tuple[float, float]  # at both ends
 
     def pieces(self) -> Iterator[tuple[float, FloatArray, FloatArray]]:
-        """Of each piece its length, and its coefficients along and across its first tangent.
+        """Length of each piece, and its coefficients.
+
+        The coefficients are those along and across its first tangent.
 
         They are cubics of a parameter from 0 to 1: Hermite's, through both ends along
         their tangents, so that the line has no corners.
@@ -86,7 +88,7 @@ class _Road:
 
 
 def to_opendrive(layout: Layout | None, scene: Scene) -> str:
-    """The scene's roads as an OpenDRIVE 1.7 file, in the world frame of the scene.
+    """The scene's roads as OpenDRIVE 1.7, in the scene's world frame.
 
     Each lane is a road of its own that ends at the junction, each lane through it a
     connecting one; where the map has none, those are assumed that lead from each lane
@@ -156,7 +158,10 @@ def _road(road_id: str, lane: Lane) -> _Road:
 
 
 def _assumed(junction: Junction) -> Iterator[Lane]:
-    """From each lane into the junction one lane to each other arm, counted from the kerb."""
+    """Pairs of lanes: each one in, and one out by each other arm.
+
+    Lanes are counted from the kerb.
+    """
     for before, after in product(junction.arms.values(), repeat=2):
         if before is after or not after.exit_lanes:
             continue
@@ -194,7 +199,10 @@ def _end_at(roads: Sequence[_Road], point_m: FloatArray, end: int) -> _Road | No
 
 
 def _fitted(road: _Road, before: _Road, after: _Road) -> _Road:
-    """A way that leaves one road and enters another without a corner, a gap, or a jump in width."""
+    """A smooth way from one road into another.
+
+    It has no corner, no gap and no jump in width.
+    """
     points_m = road.points_m.copy()
     tangent = road.tangent.copy()
     points_m[[0, -1]] = before.points_m[-1], after.points_m[0]
@@ -204,7 +212,10 @@ def _fitted(road: _Road, before: _Road, after: _Road) -> _Road:
 
 
 def _line(road: _Road, scene: Scene) -> dict[str, Any]:
-    """A road's reference line and its heights, piece by piece, and the width of its lane."""
+    """A road's reference line, its heights, and the width of its lane.
+
+    All of them piece by piece.
+    """
     pieces = list(road.pieces())
     starts_m = np.cumsum([0.0, *(piece[0] for piece in pieces)])
     headings_rad = [math.atan2(ahead[1], ahead[0]) for ahead in road.tangent]

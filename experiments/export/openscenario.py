@@ -81,7 +81,7 @@ def _axles_m(actor: Actor) -> tuple[float, float]:
 
 
 def reference_ahead_m(actor: Actor) -> float:
-    """Distance of a body's point of reference ahead of the middle of its box, in metres.
+    """Distance of a body's reference point ahead of its middle, in metres.
 
     The rear axle of cars, motorcycles and bicycles; 0, the middle, of pedestrians and
     walls. Raises InputError if ``data/openscenario.toml`` does not know it, or a car
@@ -93,7 +93,7 @@ def reference_ahead_m(actor: Actor) -> float:
 
 
 def _described(name: str, actor: Actor) -> tuple[str, Actor, Table, Table]:
-    """An entity's name, its body, what the table says of that, and where its axles are."""
+    """An entity's name, body, entry in the table, and axles."""
     body = {"note": "", **_body(actor)}
     axles = {"middle_m": round(-reference_ahead_m(actor), _DECIMALS) + 0.0}
     if body["entity"] == "Vehicle":
@@ -187,7 +187,9 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
 
 
 def validate_openscenario(text: str) -> None:
-    """Check a file against the schema of OpenSCENARIO 1.3.1, which comes with scenariogeneration.
+    """Check a file against the schema of OpenSCENARIO 1.3.1.
+
+    The schema comes with scenariogeneration.
 
     Raises InputError where it is not XML, or the schema rejects it; or
     MissingExtraError.
@@ -221,7 +223,10 @@ def _schema() -> Any:
 
 
 def _build_track(name: str, run: Run, after_s: float) -> dict[str, Any]:
-    """An entity's way from the first frame (time 0) on, and the speed with which it leaves it."""
+    """An entity's way from the first frame on, and its speed at the end.
+
+    The first frame is time 0.
+    """
     # Names of entities are those of the run's fields.
     actor = getattr(run.encounter, name)
     motion = getattr(run.encounter, f"{name}_motion")
@@ -260,7 +265,10 @@ def _build_track(name: str, run: Run, after_s: float) -> dict[str, Any]:
 def _places(
     actor: Actor, position_m: FloatArray, yaw_deg: ArrayLike, terrain: Terrain | None
 ) -> list[_Place]:
-    """From middles of the footprint (n, 2) to the standard's reference points on the ground."""
+    """The standard's reference points, of middles of a footprint (n, 2).
+
+    They are on the ground.
+    """
     yaw_rad = np.radians(yaw_deg)
     ahead = np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1)
     points_m = on_ground(position_m + reference_ahead_m(actor) * ahead, terrain)

@@ -1,4 +1,4 @@
-"""Places of a layout's units on earth and in the map, and what its cameras see there."""
+"""Places of a layout's units on earth and in the map, and their views."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ def positions_m(layout: Layout) -> FloatArray:
 
 
 def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
-    """Units as records, with their place in the map that a scene was made from.
+    """Units as records, with their place in the scene's map.
 
     As :func:`placement.layout.layout_records`; in addition map_x, map_y (longitude and
     latitude where the map has degrees) and map_crs, which is empty if the map does not
@@ -68,14 +68,17 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
 
 
 def map_points(points_m: FloatArray, scene: Scene) -> FloatArray:
-    """Points of the world frame, (n, 2), in the map's ``source_crs``, or else ``crs``."""
+    """Points (n, 2) of the world frame in the map's coordinates.
+
+    Those are ``source_crs``, or else ``crs``.
+    """
     if not scene.source_crs:
         return points_m
     return transform(points_m, scene.crs, scene.source_crs)
 
 
 def metric_points(points_m: FloatArray, scene: Scene) -> FloatArray:
-    """Points of the world frame, (n, 2), in the map's coordinates, where these are in metres."""
+    """Points (n, 2) of the world frame in the map's metres, if it has any."""
     if not scene.crs:
         return points_m + scene.source_origin_m
     if scene.source_crs and parse_crs(scene.source_crs).is_geographic:

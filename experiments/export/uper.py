@@ -1,4 +1,4 @@
-"""Messages of V2X stations as bytes (UPER), as records of a file, and their load of a channel."""
+"""Messages of V2X stations as bytes (UPER), and their channel load."""
 
 import json
 from collections.abc import Iterable
@@ -72,7 +72,7 @@ def split(content: bytes) -> list[tuple[int, bytes]]:
 
 
 def tell_load(content: bytes) -> str:
-    """Sizes of messages, and how much of a channel each station takes on average."""
+    """Sizes of messages, and each station's mean share of a channel."""
     sizes: dict[bytes, list[int]] = {}
     messages = split(content)
     for _, data in messages:
@@ -95,7 +95,10 @@ def tell_load(content: bytes) -> str:
 
 
 def encode(message: dict[str, Any]) -> bytes:
-    """Bytes of a message of :func:`.cpm.build_stations`, unsigned, without headers of the net."""
+    """Bytes of a message of :func:`.cpm.build_stations`.
+
+    Unsigned, and without headers of the network.
+    """
     payload = message["payload"]
     containers = []
     for container in payload["cpmContainers"]:

@@ -73,7 +73,10 @@ def finish_axes(
     grid: str | None = None,
     hidden: tuple[str, ...] = ("top", "right"),
 ) -> None:
-    """Labels of the axes, tick labels, a light grid along ``x``, ``y`` or ``both``, no frame."""
+    """Set labels, ticks and a light grid of axes, without a frame.
+
+    `grid` is ``x``, ``y`` or ``both``.
+    """
     if x is not None:
         axes.set_xlabel(x, fontsize=size)
     if y is not None:
@@ -116,7 +119,7 @@ def root_figure(drawn: Axes | Figure) -> Figure:
 
 @contextmanager
 def drawing_any_name() -> Iterator[None]:
-    """A name in a script that the font lacks is drawn as boxes, without a warning on stderr."""
+    """Draw letters that the font lacks as boxes, without a warning."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
@@ -177,7 +180,10 @@ def unit_labels(layout: Layout) -> dict[str, str]:
 
 
 def describe_run(axis: FrameAxis, run_index: int) -> str:
-    """A run in words: case, approach, position unless 0, speed, and the weather unless day."""
+    """A run in words: case, approach and speed.
+
+    Also the position unless it is 0, and the weather unless it is day.
+    """
     weather = axis.weathers[run_index]
     position = axis.positions[run_index]
     where = tr(axis.approaches[run_index])

@@ -1,4 +1,7 @@
-"""A run from above: film strip or animation, with what the VUT has in sight of the VRU."""
+"""A run from above, as a film strip or an animation.
+
+It shows what the VUT has in sight of the VRU.
+"""
 
 from functools import partial
 from io import BytesIO
@@ -92,7 +95,9 @@ def plot_film(scene: Scene, run: Run) -> list[Axes]:
 def save_film(
     path: Path, scene: Scene, run: Run, *, progress: Progress = silent
 ) -> None:
-    """Write a run as a film strip or, to a ``.gif``, as an animation in real time.
+    """Write a run as a film strip, or as an animation to a ``.gif``.
+
+    The animation runs in real time.
 
     Parameters
     ----------
@@ -184,7 +189,10 @@ def _first_s(run: Run) -> float:
 
 
 def _instants(run: Run) -> list[int]:
-    """Frames of a strip: three, the last one that still helps, one after it, the impact."""
+    """Frames of a strip, from the first to the impact.
+
+    Three frames, the last one that still helps, one after it, and the impact.
+    """
     final = len(run.time_s) - 1
     first = int(np.searchsorted(run.time_s, _first_s(run) - 1e-9))
     usable = np.flatnonzero(run.time_s <= run.last_brake_time_s)
@@ -315,7 +323,10 @@ def _draw_body(
 
 
 def _window(run: Run, frames: list[int]) -> tuple[FloatArray, float]:
-    """Middle and half the size of a square around the VRU's way, the impact and the braking VUT."""
+    """Middle and half size of the square that a film shows.
+
+    It holds the VRU's way, the impact and the braking VUT.
+    """
     shown = [run.vru_position_m[frames], run.vut_position_m[-1:]]
     shown += [body.pose.position_m[None, :2] for body in run.obstruction[:2]]
     if np.isfinite(run.last_brake_time_s):

@@ -64,7 +64,9 @@ def draw_labels(
     marks_m: FloatArray | None = None,
     mark: float = 6.0,
 ) -> None:
-    """Write labels, the first ones first, each where it hides no other and no mark.
+    """Write labels where they hide neither one another nor a mark.
+
+    The first ones choose first.
 
     The axes have their final limits and are as long in east as in north; labels beyond
     are left out. `marks_m` are the middles of marks, (n, 2) [m], half of whose size is
@@ -121,7 +123,10 @@ def _shift(label: Label, half: FloatArray, more: float, turn_deg: float) -> Floa
 
 
 def _overlaps(ones: FloatArray, others: FloatArray) -> FloatArray:
-    """Areas that rectangles (n, 4) and (m, 4), lower and upper corners, have in common (n, m)."""
+    """Areas (n, m) that rectangles (n, 4) and (m, 4) have in common.
+
+    A rectangle is its lower and its upper corner.
+    """
     ones = ones[:, None]
     sides = np.minimum(ones[..., 2:], others[:, 2:]) - np.maximum(
         ones[..., :2], others[:, :2]
@@ -183,7 +188,10 @@ def looks_alike(unit: CandidatePose, other: CandidatePose) -> bool:
 
 
 def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[Label]:
-    """Names of the junction's arms and their streets, next to their lanes towards the frame."""
+    """Names of the junction's arms and streets, next to their lanes.
+
+    They stand towards the frame.
+    """
     try:
         streets = street_names(scene)
         arms = build_junction(scene).arms

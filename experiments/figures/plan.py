@@ -216,7 +216,10 @@ def ground_footprint(
 
 
 def _lens_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
-    """Ground between the nearest and the farthest point that a lens shows, bearing by bearing."""
+    """Ground that a lens shows, from the nearest to the farthest point.
+
+    Found bearing by bearing.
+    """
     away_m = np.arange(0.25, max_range_m + 0.25, 0.25)
     bearing = np.radians(unit.pose.yaw_deg + np.arange(-180.0, 180.0))
     ways = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
@@ -313,7 +316,10 @@ def plot_plan(
 
 
 def _clip(corners: FloatArray, inside: FloatArray) -> FloatArray:
-    """Part of a convex polygon where `inside`, a linear function at its corners, is positive."""
+    """Part of a convex polygon where `inside` is positive.
+
+    `inside` has the values of a linear function at the corners.
+    """
     kept: list[FloatArray] = []
     for index in range(len(corners)):
         here = inside[index - 1]
@@ -519,7 +525,9 @@ def is_wide(unit: CandidatePose) -> bool:
 def ground_rings(
     unit: CandidatePose, *, max_range_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Outlines of the road plane that a wide LiDAR's beams meet, if nothing stood on it.
+    """Outlines of the road that a wide LiDAR's beams meet.
+
+    As if nothing stood on it.
 
     Where the ground that it meets ends and begins, each (n, 2), counter-clockwise
     around the foot; empty where there is none. To the sides where no ground is met the

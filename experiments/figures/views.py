@@ -48,7 +48,9 @@ class GroundViews:
         self._lock = threading.Lock()
 
     def reach_m(self, sensor: Sensor) -> float:
-        """Distance up to which a sensor detects the tallest road user, if nothing occludes it.
+        """Distance up to which a sensor detects the tallest road user.
+
+        If nothing occludes them.
 
         Of a camera, depth along its axis: where the box is as high as the planning
         detector asks for at the contrast of the clearest weather that is driven. At
@@ -174,7 +176,10 @@ class GroundViews:
 
 
 def _mount_key(unit: CandidatePose) -> tuple[float, ...]:
-    """Equal for units that look from the same place, with any setting of the same lens."""
+    """Key of a view: equal for units that look from the same place.
+
+    They may have any setting of the same lens.
+    """
     return (*unit.pose.position_m.tolist(), unit.sensor.near_m)
 
 

@@ -1,4 +1,4 @@
-"""Jobs: everything a command needs to be done, from its question to its result."""
+"""Jobs: all that a command does, from its question to its result."""
 
 from typing import Any
 

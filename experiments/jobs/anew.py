@@ -1,4 +1,4 @@
-"""A result made anew from what was asked, and compared with a folder file by file.
+"""A result made anew, and compared with a folder file by file.
 
 Everything is computed again without any cache: the detection table, the search, the
 evaluator's pictures and verdicts, the comparisons, the bill. The report is then drawn
@@ -52,7 +52,7 @@ _PICTURE = re.compile(r"data:[a-z/+]+;base64,[A-Za-z0-9+/=]*")
 def compare_anew(
     folder: Path, question: Question, add: Add, progress: StageProgress
 ) -> None:
-    """Make a placement anew and compare every file of its folder with what is written then.
+    """Make a placement anew and compare every file of its folder.
 
     Parameters
     ----------

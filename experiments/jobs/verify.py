@@ -479,7 +479,7 @@ def _check_files(
     scene: Scene | None,
     found: FolderChecks,
 ) -> None:
-    """Compare all files of a folder, as far as there is something to compare them with.
+    """Compare all files of a folder with what they must agree with.
 
     A recording has no layout; the scene is None unless it is known to be the one.
     Raises InputError if ``SHA256SUMS`` is no such list, or a file cannot be read.
@@ -660,7 +660,10 @@ def _check_runs(
 
 
 def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
-    """Ratios in ``apr.csv`` and in the summary follow from the outcomes of the runs."""
+    """Check that ratios follow from the outcomes of the runs.
+
+    Those in ``apr.csv`` and in the summary.
+    """
     outcomes = {
         key: _Outcomes.of(table)
         for key, table in result.runs.groupby(["layout", "party"], sort=False)
@@ -703,7 +706,10 @@ def _wrong_ratios(
     outcomes: Mapping[Any, "_Outcomes"],
     cars: float,
 ) -> Iterator[str]:
-    """Ratios of a layout's parties in a summary that do not follow from the runs, in words."""
+    """Ratios in a summary that do not follow from the runs, in words.
+
+    Those of a layout's parties.
+    """
     together = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources", _HEADLINE)
     known = {key: evaluation[key] for key in together if evaluation.get(key)}
     for party, ratios in (known | evaluation["units"]).items():

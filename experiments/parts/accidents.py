@@ -115,7 +115,10 @@ _APR_BY: dict[GroupedBy, str] = {
 
 
 def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
-    """APR of these parties by speed, direction and position, where there are several."""
+    """APR of the parties by speed, direction and position.
+
+    Only what there are several of.
+    """
     axis = next(iter(evaluations.values())).axis
     by: tuple[GroupedBy, ...] = ("speed", "direction", "position")
     tables = []
@@ -168,7 +171,9 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
 
 
 def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
-    """APR of each unit of a layout by itself, with the rows of :func:`apr_table`.
+    """APR of each unit of a layout by itself.
+
+    It has the rows of :func:`apr_table`.
 
     The last row: in what share of the frames the unit detects. Of more than
     ``MAX_UNIT_COLUMNS`` units each is a row instead, the best first; a long table is to
@@ -221,7 +226,7 @@ def several_weathers(axis: FrameAxis) -> list[RunGroup]:
 
 
 def _groups(axis: FrameAxis) -> list[RunGroup]:
-    """All runs, those of each case, and those of each weather where there are several."""
+    """Groups of runs: all, by case, and by weather if there are several."""
     every = (tr("all runs"), np.ones(axis.n_runs, dtype=bool))
     weathers = [
         (tr("weather: {weather}", weather=tr(name)), mask)
@@ -420,7 +425,10 @@ def case_table(setting: Setting) -> Table:
 
 
 def _steps(values: Sequence[float]) -> str:
-    """Ascending values: as a range where the steps between them are equal, else each."""
+    """Ascending values in words.
+
+    As a range where the steps between them are equal, else each.
+    """
     steps = np.diff(values)
     if len(values) > 2 and np.allclose(steps, steps[0]):
         low, high, step = (
@@ -447,7 +455,7 @@ def describe_hopeless(setting: Setting) -> list[str]:
 
 
 def runs_by_case(setting: Setting) -> dict[str, list[int]]:
-    """Indices of the runs of each case, in the order in which the cases first appear."""
+    """Indices of the runs of each case, cases as they first appear."""
     masks = groups_by(setting.axis, "case")
     return {name: np.flatnonzero(mask).tolist() for name, mask in masks}
 
@@ -508,7 +516,7 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
 
 
 def outcome(words: str, margin_s: float) -> str:
-    """How a run ends, with the time to spare or the time by which braking comes too late."""
+    """How a run ends, with the time to spare or too late."""
     if words == "avoided":
         return tr("avoided, {time} s", time=number(margin_s))
     if words == "lost again":

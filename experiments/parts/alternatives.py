@@ -178,7 +178,9 @@ def find_front_runners(
     compute: Compute,
     progress: StageProgress,
 ) -> tuple[FrontRunners | None, Standing | None, Layout | None]:
-    """Leading layouts by the evaluator, the layout found first, with what mounting errors cost it.
+    """Leading layouts by the evaluator, the layout found first.
+
+    Also what mounting errors cost that one.
 
     `standing` is that of the layout found; of others it is asked only where they are
     its equals. The last value is the layout to recommend; None: the one found.
@@ -543,7 +545,10 @@ def failure_table(
     *,
     of: Literal["unit", "pair", "pole"],
 ) -> Table:
-    """A row per failure of a unit, of two, or of a pole, the worst first, ``MAX_ROWS`` at most."""
+    """A row per failure of a unit, of two, or of a pole, the worst first.
+
+    At most ``MAX_ROWS``.
+    """
     words = _FAILURES[of]
     caption = tr(words.caption)
     head = tr(words.head)

@@ -29,7 +29,7 @@ from .units import private_ground_sentence
 def title(
     result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]
 ) -> str:
-    """Heading: the question that a placement, an evaluation or a comparison answers."""
+    """Heading: the question that a result answers."""
     named = " / ".join(street_names(setting.scene).values())
     streets = dict.fromkeys(filter(None, named.split(" / ")))
     place = " / ".join(streets) or setting.scene.name
@@ -137,7 +137,10 @@ def _best(result: PlacementResult) -> str:
 
 
 def is_proven(result: PlacementResult) -> bool:
-    """True if the first objective is, and the highest share that might be given up of."""
+    """True if all that the answer begins with is proven.
+
+    That is the first objective, and the highest APR of which some may be given up.
+    """
     first = [result.stages[0], *(result.highest.stages[:1] if result.highest else ())]
     return all(stage.gap == 0.0 for stage in first)
 
@@ -162,7 +165,10 @@ def _spelled(count: int) -> str:
 
 
 def words(result: Result) -> list[str]:
-    """What the first screen leaves to say, and no section says in so few words."""
+    """What the first screen leaves to say.
+
+    No section says it in so few words.
+    """
     sentences: Sequence[str] = ()
     if isinstance(result, PlacementResult):
         further = next_unit_sentence(result.next_unit)
@@ -194,7 +200,10 @@ def warnings(result: Result) -> list[str]:
 
 
 def planned_only(result: Result) -> list[str]:
-    """Warning that a layout was chosen as planned, where a detector finds people by chance."""
+    """Warning that a layout was chosen as planned, without chance.
+
+    Where a detector finds people by chance.
+    """
     if (
         not isinstance(result, PlacementResult)
         or result.sampled
@@ -223,7 +232,7 @@ def planned_only(result: Result) -> list[str]:
 
 
 def preferred(result: Result) -> list[str]:
-    """Other layouts that the evaluator or fresh sampled worlds prefer to the one found."""
+    """Other layouts that the evaluator or fresh worlds prefer."""
     found = []
     if isinstance(result, PlacementResult):
         is_proven = any(

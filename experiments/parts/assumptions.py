@@ -47,7 +47,10 @@ def _but_for_numbers(why: str) -> str:
 
 
 def _together(group: Sequence[Note]) -> str:
-    """One sentence; of several with other numbers, these are the lowest and the highest."""
+    """One sentence out of several that differ in their numbers.
+
+    The numbers become the lowest and the highest.
+    """
     first = group[0]
     if len(group) == 1:
         return tr("{what}: {why}.", what=tr(first.what), why=tr(first.why))
@@ -130,7 +133,7 @@ def again_section(result: Result, command: str) -> Section:
 
 
 def _detection_words(setting: Setting) -> str:
-    """When the detector detects, and how many figures of its response tables are measured."""
+    """When the detector detects, and how much of its tables is measured."""
     words = [setting.detector.description, *_figures(setting)]
     return " ".join(tr(sentence) for sentence in words)
 
@@ -149,7 +152,10 @@ def _figures(setting: Setting) -> list[Phrase]:
 
 
 def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
-    """The rule's latency, then the units that have another of their own, equal ones together."""
+    """The rule's latency, then units with a latency of their own.
+
+    Equal ones are told together.
+    """
     own = []
     for name, layout in layouts.items():
         unit_ids = grouped((unit.latency(rule), unit.id) for unit in layout.units)

@@ -1,4 +1,7 @@
-"""Bill of materials: sensors by model, sites, what they cost as far as it is known."""
+"""Bill of materials: sensors, sites, and what they cost.
+
+As far as it is known.
+"""
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass

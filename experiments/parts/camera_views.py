@@ -73,7 +73,9 @@ def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
 def draw_view(
     unit: CandidatePose, setting: Setting, *, compute: Compute = DEFAULT_COMPUTE
 ) -> tuple[NDArray[np.uint8], Run, float]:
-    """Image (h, w, 3) of a camera, the run that it shows, and its time in s (impact: 0).
+    """Image (h, w, 3) of a camera, the run that it shows, and its time.
+
+    In seconds; the impact is at 0.
 
     The road user is nearest to where the middle of the image meets the road.
     """
@@ -109,7 +111,7 @@ def _backdrop(scene: Scene, run: Run) -> Backdrop:
 
 
 def _nearest_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
-    """The run, and its frame, in which a road user is nearest to a camera's aim."""
+    """Run and frame in which a road user is nearest to a camera's aim."""
     yaw = math.radians(unit.pose.yaw_deg)
     tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
     reach_m = above_ground(unit, setting.scene).pose.position_m[2] / math.tan(tilt)
@@ -131,7 +133,7 @@ def live_picture(
     is_smooth: bool,
     compute: Compute,
 ) -> dict[str, Any]:
-    """What a camera sees in a frame of a run, for a page on which it is being aimed.
+    """What a camera sees in a frame of a run, for the planner's page.
 
     Without a run, it is one whose road user is near the camera's aim. While it is
     turned, edges need not be smooth. "image" is a JPEG in base64, "box" where the road

@@ -124,7 +124,10 @@ def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
 
 
 def words(name: str, compared: Sequence[Compared]) -> list[str]:
-    """How many runs the first layout avoids and each other one does not, and the other way."""
+    """Numbers of runs that only one of two layouts avoids.
+
+    The first layout against each other one.
+    """
     return [
         tr(
             "{name} avoids {gained} that {other} does not, and {other} avoids "

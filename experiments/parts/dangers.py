@@ -72,7 +72,7 @@ class Dangers(Record, frozen=True, kw_only=True):
 
 
 def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
-    """Runs that the units of a layout avoid, (n_runs,) bool, as they were chosen to.
+    """Runs (n_runs,) that the units avoid, as they were chosen to.
 
     With fusion "single" some unit has to confirm by itself; else any may detect in each
     frame. The VUT is one of them where every VUT sees.
@@ -181,7 +181,10 @@ def position_words(name: str) -> str:
 def _most_left(
     groups: Sequence[DangerGroup], words_of: Callable[[str], str], others: str
 ) -> str:
-    """The groups with the largest share that is left, and how many are left in all others."""
+    """The groups with the largest share that is left.
+
+    Then how many runs are left in all others.
+    """
     left = [group for group in groups if group.not_avoided]
     words = [
         tr(
@@ -266,7 +269,7 @@ def section(
 
 
 def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
-    """Share of the runs that a layout avoids, by position along the arms and approach of the car.
+    """Share of the runs that a layout avoids, by position and approach.
 
     A row for each position as the car passes them, with how many of its runs are
     avoided.

@@ -58,7 +58,10 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
 
 
 class ExplainedRecord(Record, frozen=True, kw_only=True):
-    """Why these units, and what they miss, on the detection table, without runs of weight 0."""
+    """Why these units, and what they miss, on the detection table.
+
+    Runs of weight 0 do not count.
+    """
 
     contributions: Annotated[tuple[ContributionRecord, ...], says("One for each unit.")]
     not_avoided: Annotated[
@@ -121,7 +124,10 @@ def build_explained_record(
 
 
 def contribution_sentences(explained: ExplainedRecord) -> list[str]:
-    """Sentences on the units that something depends on, and on what is counted."""
+    """Sentences on the units that something depends on.
+
+    And on what is counted.
+    """
     sentences = _dependence(explained)
     saved = [part.only_runs for part in explained.contributions]
     if any("#" in run for runs in saved for run in runs):
@@ -171,7 +177,7 @@ def _dependence(explained: ExplainedRecord) -> list[str]:
 
 
 def missed_sentences(explained: ExplainedRecord) -> list[str]:
-    """Sentences on the runs that are not avoided, and what is most often in the way."""
+    """Sentences on the runs that are not avoided, and on what hides them."""
     missed = explained.not_avoided
     n_without = explained.runs_without_weight
     counts = Counter(entry.outcome for entry in missed)
@@ -204,7 +210,7 @@ def missed_sentences(explained: ExplainedRecord) -> list[str]:
 
 
 def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
-    """Why runs are missed most often, and how many of them a further unit would save."""
+    """Why runs are missed most often, and what a further unit would save."""
     sentences = []
     causes = Counter(cause(entry.reasons[0]) for entry in missed if entry.reasons)
     if causes:

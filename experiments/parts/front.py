@@ -180,7 +180,10 @@ def _proof(point: FrontPointRecord) -> str:
 
 
 def words(front: FrontRecord) -> list[str]:
-    """What is proven of a front, from where on nothing grows, and which sizes cannot be."""
+    """What is proven of a front, and where it ends.
+
+    Where nothing grows any more, and which sizes cannot be.
+    """
     n_points = len(front.points)
     n_proven = sum(point.is_proven for point in front.points)
     is_all = front.optimised == "all"

@@ -68,7 +68,7 @@ _STYLES: Mapping[str, Style] = {
 
 
 class PartyLatency(Record, frozen=True, kw_only=True):
-    """A party's APR at the least, mean and most of the budget, and at every latency shown."""
+    """A party's APR by latency, and at the budget's least, mean and most."""
 
     at_best: float
     at_mean: float

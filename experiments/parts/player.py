@@ -1,4 +1,7 @@
-"""The player: runs as its script reads them, in whole centimetres and milliseconds, packed bits."""
+"""The player's data: runs as its script reads them.
+
+In whole centimetres and milliseconds, and packed bits.
+"""
 
 import base64
 import json
@@ -119,7 +122,9 @@ def to_base64(array: NDArray[Any]) -> str:
 
 
 def pack_bits(bits: ArrayLike) -> str:
-    """Rows of bits, each padded to whole bytes, the first bit highest, in base64.
+    """Rows of bits in base64.
+
+    Each is padded to whole bytes, the first bit the highest.
 
     `bits` is (n_rows, n); :func:`unpack_bits` and the player's script give it back.
     """
@@ -165,7 +170,9 @@ def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]
 def run_record(
     run: Run, index: int, evaluations: Mapping[str, Evaluation]
 ) -> dict[str, Any]:
-    """A run, at its `index` among those evaluated, with what every party detects.
+    """A run with what every party detects.
+
+    `index` is its place among those evaluated.
 
     Times in milliseconds (None: never), positions in centimetres, headings in tenths of
     a degree. "bits": see :func:`pack_bits`, a row per party.
@@ -330,7 +337,10 @@ def _areas(lanes: Iterable[Lane], kind: str) -> Any:
 
 
 def svg_path(shape: Any) -> str:
-    """Closed rings of all polygons of a shapely shape in metres, as an SVG path in centimetres."""
+    """All polygons of a shapely shape as an SVG path of closed rings.
+
+    The shape is in metres, the path in centimetres.
+    """
     import shapely
 
     parts = shapely.get_parts(shapely.get_parts(shape).tolist())

@@ -1,4 +1,4 @@
-"""The proof of a placement, and how far detection table and evaluator agree about it."""
+"""The proof of a placement, and how far table and evaluator agree."""
 
 import math
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ def words(result: PlacementResult) -> str:
 
 
 def _within(first: StageRecord) -> str:
-    """How little was needed for what was asked, where that is the first objective."""
+    """How little was needed, where that is the first objective."""
     if first.name not in ("units", "cost_eur"):
         return ""
     found = first.objective

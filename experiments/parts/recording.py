@@ -68,7 +68,10 @@ class RecordedUnitRecord(Record, frozen=True, kw_only=True):
 
 
 class RecordedAprRecord(Record, frozen=True, kw_only=True):
-    """APR of each party; None where the recording has no vehicle's own detections."""
+    """APR of each party of a recording.
+
+    None where the recording has no detections of the vehicle itself.
+    """
 
     vut: PartyAprRecord | None
     rsu_all: PartyAprRecord
@@ -93,7 +96,7 @@ class DetectedShareRecord(Record, frozen=True, kw_only=True):
 
 
 class RecordedDriveRecord(Record, frozen=True, kw_only=True):
-    """A drive of the recording, and whether all units together avoid its accident."""
+    """A drive of the recording, and whether the units avoid its accident."""
 
     run: str
     case: str

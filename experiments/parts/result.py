@@ -51,7 +51,7 @@ from .units import PrivateGroundRecord
 
 
 class AskedRecord(Record, frozen=True, kw_only=True):
-    """What was asked: enough for `place-rsus verify --deep` to make the result anew."""
+    """What was asked: enough for `verify --deep` to make the result anew."""
 
     command: Annotated[str, says("The command line, as a shell takes it.")]
     question: Annotated[
@@ -141,7 +141,10 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
 
 
 class HighestRecord(Record, frozen=True, kw_only=True):
-    """The layout of the highest APR, where some of it might be given up to bear a failure."""
+    """The layout of the highest APR, where some of it might be given up.
+
+    That is to bear a failure.
+    """
 
     given_up: Annotated[float, says("APR that might be given up, 0..1.")]
     stages: Annotated[tuple[StageRecord, ...], says("The proof of the highest APR.")]
@@ -305,7 +308,10 @@ def build_placement_result(
     compute: Compute = DEFAULT_COMPUTE,
     **parts: Any,
 ) -> PlacementResult:
-    """A placement by the optimiser and by the evaluator, with further `parts` by name."""
+    """A placement by the optimiser and by the evaluator.
+
+    `parts` are further parts of it, by name.
+    """
     certificate = placement.certificate
     problem = placement.problem
     limits = problem.limits
@@ -376,7 +382,10 @@ def build_placement_result(
 
 
 def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> BoolArray:
-    """Runs, (n_runs,) bool, on which table and evaluator disagree under the placement's fusion."""
+    """Runs (n_runs,) on which table and evaluator disagree.
+
+    Under the placement's fusion.
+    """
     on_table = np.isfinite(run_margins_s(placement.nominal, placement.nominal_index))
     disagrees: BoolArray = on_table != avoided_runs(
         evaluation, placement.problem.fusion

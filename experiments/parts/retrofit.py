@@ -65,7 +65,7 @@ class ActionRecord(Record, frozen=True, kw_only=True):
 
 
 class ChangeRecord(LayoutValueRecord, frozen=True, kw_only=True):
-    """A change, its price, its gains and losses, and what is mounted afterwards and its value."""
+    """A change, its price, its gains and losses, and the layout afterwards."""
 
     actions: tuple[ActionRecord, ...]
     price_eur: float

@@ -18,7 +18,10 @@ from .section import Block, Section, Table, tabulate
 
 
 class RoadUserScore(Record, frozen=True, kw_only=True):
-    """A sensing party on the runs in which one group of road users is met, by the evaluator."""
+    """A sensing party on the runs that meet one group of road users.
+
+    By the evaluator.
+    """
 
     name: Annotated[str, says('Of the layout, or "VUT alone".')]
     runs_avoided: Annotated[int, says("How many runs.")]
@@ -147,7 +150,10 @@ def table(record: RoadUserGroups) -> Table:
 
 
 def section(record: RoadUserGroups | None) -> Section | None:
-    """Whose runs count; None where all runs meet the same and nobody is left out."""
+    """Whose runs count.
+
+    None where all runs meet the same and nobody is left out.
+    """
     if record is None or not words(record):
         return None
     blocks: list[Block] = [*words(record)]

@@ -151,7 +151,10 @@ class SampledLayoutRecord(EstimateRecord, frozen=True, kw_only=True):
 
 
 class SampledPairRecord(EstimateRecord, frozen=True, kw_only=True):
-    """Any two layouts: the first one's APR less the second one's, world by world."""
+    """Differences of APR of any two layouts, world by world.
+
+    The first one's less the second one's.
+    """
 
     first: Annotated[str, says("Name of the one layout.")]
     second: Annotated[str, says("Name of the other one.")]
@@ -462,7 +465,7 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
 def preferred_sentences(
     preferred: SampledPairRecord | None, chosen_in: int | None
 ) -> list[str]:
-    """Sentence on greedy choice's layout where fresh worlds took it, not the one found."""
+    """Sentence on greedy choice's layout where fresh worlds took it."""
     if preferred is None or preferred.second != FOUND:
         return []
     points, low, high = map(_points, (preferred.mean, preferred.low, preferred.high))
@@ -490,7 +493,10 @@ def preferred_sentences(
 
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:
-    """Sentence on a layout with no more units that fresh worlds surely prefer, if there is one."""
+    """Sentence on a layout that fresh worlds surely prefer, if any.
+
+    It has no more units than the one found.
+    """
     subject, *others = found.layouts
     of_tail = found.tail < 1.0  # what was asked for
     ahead = [

@@ -59,7 +59,7 @@ def schema_text() -> str:
 
 
 def _kinds_in(kinds: Iterable[Any]) -> Iterator[type]:
-    """Records and dataclasses that types are made of, with those of their fields."""
+    """Records and dataclasses of types, with those of their fields."""
     seen: set[type] = set()
 
     def walk(kind: Any) -> Iterator[type]:
@@ -80,7 +80,10 @@ def _kinds_in(kinds: Iterable[Any]) -> Iterator[type]:
 
 
 def _described(part: dict[str, Any], kind: type) -> dict[str, Any]:
-    """Schema of a kind of value with its own rules, and with what its fields say of themselves."""
+    """Schema of a kind of value, with what its fields say of themselves.
+
+    It has rules of its own.
+    """
     properties = dict(part["properties"])
     said = _attributes(kind)
     for field in msgspec.inspect.type_info(kind).fields:  # type: ignore[attr-defined]
@@ -106,7 +109,10 @@ def _described(part: dict[str, Any], kind: type) -> dict[str, Any]:
 
 
 def _attributes(kind: type) -> dict[str, str]:
-    """Descriptions of fields in the numpydoc section of a dataclass that has no others."""
+    """Descriptions of a dataclass's fields in its docstring.
+
+    For those that have no others; the section is numpydoc's.
+    """
     text = (inspect.getdoc(kind) or "").partition("Attributes\n----------\n")[2]
     found = {}
     for names, words in _ATTRIBUTE.findall(text):
@@ -127,7 +133,11 @@ def _def_name(kind: str) -> str:
 
 
 def _tidy(node: Any) -> Any:
-    """References by the names of parts, descriptions on one line, one allowed value as "const"."""
+    """Schema in its final form.
+
+    References by the names of parts, descriptions on one line, one allowed value as
+    "const".
+    """
     if isinstance(node, list):
         return [_tidy(item) for item in node]
     if not isinstance(node, dict):

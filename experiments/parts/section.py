@@ -177,7 +177,9 @@ def build_picture(
 
 
 def with_palette(png: bytes) -> bytes:
-    """A PNG file with at most 256 colours where that spares much and is not seen.
+    """A PNG file, with at most 256 colours where that is not seen.
+
+    Only where it spares much.
 
     It is the same file where that is small, would not become smaller, or would look
     different.

@@ -1,4 +1,4 @@
-"""``place-rsus sheet``: find the tolerances of mounting, then draw a page for each unit."""
+"""``place-rsus sheet``: tolerances of mounting, and a page per unit."""
 
 import io
 import math
@@ -246,7 +246,7 @@ def _tolerance_text(tolerance: Tolerance) -> str:
 
 
 def _landmarks(unit: CandidatePose, scene: Scene) -> list[str]:
-    """The nearest things that can be seen from the mount, with distance and bearing."""
+    """The nearest things seen from the mount, with distance and bearing."""
     import shapely
     import shapely.ops
 

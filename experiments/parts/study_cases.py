@@ -106,7 +106,10 @@ def on_study_cases(
 
 
 def is_same_question(one: Setting, other: Setting) -> bool:
-    """Two settings have the same runs, in any order, with the same weights, and the same rule."""
+    """True if two settings have the same runs, weights and rule.
+
+    The runs may be in any order.
+    """
     runs, others = (
         dict(zip(axis.run_ids, axis.weight, strict=True))
         for axis in (one.axis, other.axis)

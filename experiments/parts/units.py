@@ -35,7 +35,10 @@ MAX_AREAS = 60
 def units_section(
     layouts: Mapping[str, Layout], plans: Sequence[Picture], scene: Scene
 ) -> Section:
-    """Places and directions of the units of layouts, by display name, with a plan of each."""
+    """Places and directions of units, with a plan of each layout.
+
+    Layouts are given by display name.
+    """
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
     heights = tr(
         "East, north and height are metres in the junction's own "

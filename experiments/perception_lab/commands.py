@@ -91,7 +91,7 @@ Examples:
 def dataset(
     job: Job, /, *, layout_names: tuple[str, ...], out: Path, **wish: Any
 ) -> None:
-    """Write a dataset: what the cameras of a layout see of all runs, with labels."""
+    """Write a dataset: what cameras see of all runs, with labels."""
     layout = load_one_layout(layout_names)
     job.start()
     from .dataset import run_dataset

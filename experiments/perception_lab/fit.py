@@ -1,4 +1,4 @@
-"""``place-rsus detector fit``: a response table from what a detector really finds.
+"""``place-rsus detector fit``: a response table from real detections.
 
 Sources: a network that looks at rendered pictures, a recording in the study's format,
 and files of labels and results, of COCO or of recordings in the formats of others. Each
@@ -268,7 +268,10 @@ def _look(
     compute: Compute,
     progress: StageProgress,
 ) -> Iterator[LabelledPicture]:
-    """Pictures of blocks of consecutive frames, drawn at random, as many by each camera."""
+    """Pictures of blocks of consecutive frames, drawn at random.
+
+    As many by each camera.
+    """
     surroundings = build_surroundings(setting.scene, setting.runs)
     source = PictureSource(setting.scene, setting.runs, seed=compute.seed)
     least_px = network.min_box_height_px
@@ -363,7 +366,10 @@ def _row(values: FloatArray, row: int, n_labels: int) -> FloatArray:
 def _pick_frames(
     setting: Setting, evidence: Evidence, n_wanted: int, rng: np.random.Generator
 ) -> list[tuple[int, int, int]]:
-    """Run, frame and row of blocks of frames that begin where the road user is large enough."""
+    """Run, frame and row of blocks of consecutive frames.
+
+    They begin where the road user is large enough.
+    """
     chosen: dict[int, tuple[int, int, int]] = {}
     for row in rng.permutation(
         np.flatnonzero(box_height_px(evidence.visible_px) > 0.0)
@@ -633,7 +639,9 @@ def table_text(
 
 
 def plot_calibration(result: FitResult) -> "Figure":
-    """Share found against predicted probability, and by height in the image, with 95 % intervals.
+    """Share found, by predicted probability and by height in the image.
+
+    With 95 % intervals.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""The report: one self-contained HTML page with the answer, its proof, figures, and every run."""
+"""The report: one HTML page with the answer, its proof and every run.
+
+It loads nothing from elsewhere.
+"""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -86,7 +89,10 @@ def write_report(
     evaluations: Mapping[str, Evaluation],
     **options: Any,
 ) -> Path:
-    """Write the page of :func:`build_report`, with plan and APR in sampled worlds as PNG files."""
+    """Write the page of :func:`build_report` and its PNG files.
+
+    Those are the plan and the APR in sampled worlds.
+    """
     page, pictures = build_report(result, setting, evaluations, **options)
     for name, picture in pictures.items():
         write_atomically(folder / f"{name}.png", base64.b64decode(picture.image))
@@ -104,7 +110,9 @@ def build_report(
     bill: BillOfMaterials | None = None,
     side: SideProcess | None = None,
 ) -> tuple[str, dict[str, Picture]]:
-    """A result as one HTML page that loads nothing, and its pictures worth a file, by name.
+    """A result as one HTML page, and its pictures worth a file, by name.
+
+    The page loads nothing.
 
     The first evaluation is the subject. `command` makes the result again; `bill` knows
     more of the costs than the scene.
@@ -170,7 +178,7 @@ def build_report(
 
 
 class Tasks(NamedTuple):
-    """Pictures and sections of a report that a second process may make, as they are begun."""
+    """Pictures and sections that a second process may make, as begun."""
 
     plans: Task[list[Picture]]
     views: Task[list[Picture]]

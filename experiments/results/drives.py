@@ -76,7 +76,10 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
 
 
 def build_drives_record(setting: Setting) -> DrivesRecord:
-    """Cases and weathers, each once in the order of the runs, perception, and refusals."""
+    """Cases, weathers, perception and refusals of a setting.
+
+    Cases and weathers are there once, in the order of the runs.
+    """
     return DrivesRecord(
         cases=tuple(dict.fromkeys(setting.axis.cases)),
         weathers=tuple(dict.fromkeys(setting.axis.weathers)),
@@ -189,7 +192,7 @@ def lacking_room(setting: Setting) -> list[Refusal]:
 
 
 def describe_left_out(setting: Setting) -> Iterator[str]:
-    """Cases that meet somebody who is not protected, and cases that are laid nowhere."""
+    """Cases that meet somebody unprotected, and cases laid nowhere."""
     names = unprotected_cases(setting)
     if names:
         yield trn(
@@ -211,7 +214,7 @@ def describe_left_out(setting: Setting) -> Iterator[str]:
 
 
 def unprotected_cases(setting: Setting) -> list[str]:
-    """Names of the cases that are left out since whoever is met is not to be protected."""
+    """Names of cases left out since whoever is met is not protected."""
     found = [one.case.name for one in setting.refusals if one.left_out == "unprotected"]
     return list(dict.fromkeys(found))
 
@@ -263,7 +266,10 @@ def _gaps(setting: Setting) -> Iterator[str]:
 
 
 def _reasons(setting: Setting) -> Iterator[str]:
-    """A line per reason: those of most possible runs first, last what is not possible."""
+    """A line per reason, those of most possible runs first.
+
+    What is not possible comes last.
+    """
     groups = grouped((one.reason, one) for one in lacking_room(setting))
 
     def count(group: Sequence[Refusal]) -> int:

@@ -50,7 +50,10 @@ def write_manifest(folder: Path) -> None:
 
 
 def _manifest_of(contents: Mapping[str, str | bytes]) -> str:
-    """List of files that are not written yet, as :func:`write_manifest` writes it."""
+    """List of files that are not written yet, as a manifest has it.
+
+    See :func:`write_manifest`.
+    """
     lines = []
     for name, content in sorted(contents.items()):
         if isinstance(content, str):
@@ -180,7 +183,9 @@ def _try_to_write(folder: Path, existing: Path) -> None:
 
 @contextmanager
 def new_result_folder(folder: Path, *, sign: Path | None = None) -> Iterator[Path]:
-    """Fill a temporary folder, then put it in the place of `folder`, which may be a link.
+    """Fill a temporary folder, then put it in the place of `folder`.
+
+    `folder` may be a link.
 
     `sign` is the key that signs the list of its files, see :mod:`.signatures`. If the
     block raises, `folder` stays as it was; what was written is kept next to it if
@@ -258,7 +263,10 @@ def _check_existing(folder: Path, real: Path) -> None:
 
 
 def _put_in_place(temporary: Path, folder: Path, real: Path) -> None:
-    """Put a filled folder where it belongs, in one step, and remove what stood there."""
+    """Put a filled folder in its place in one step.
+
+    What stood there is removed.
+    """
     with signals_held() as held:
         if not real.exists():
             temporary.rename(real)
@@ -332,7 +340,9 @@ def remove_abandoned(parent: Path) -> None:
 def expect_results(
     out: Path | None, progress: StageProgress, *, sign: Path | None = None
 ) -> None:
-    """Check a folder before a job that replaces it by :func:`new_result_folder`, if asked to.
+    """Check a folder before a job that replaces it, if asked to.
+
+    The job uses :func:`new_result_folder`.
 
     Raises InputError: it cannot be written, or the key `sign` cannot sign it.
     """
@@ -385,7 +395,9 @@ def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
 def expect_files(
     out: Path | None, progress: StageProgress, *, sign: Path | None = None
 ) -> None:
-    """Check a folder before a job whose result :func:`save_files` puts there, if asked to.
+    """Check a folder before a job that writes files there, if asked to.
+
+    The job uses :func:`save_files`.
 
     Raises InputError: it cannot be written, or the key `sign` cannot sign its files.
     """

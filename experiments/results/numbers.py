@@ -1,4 +1,7 @@
-"""Numbers and counts as results print them, on a terminal and in the report alike."""
+"""Numbers and counts as results print them.
+
+On a terminal and in the report alike.
+"""
 
 import math
 from collections.abc import Hashable, Iterable, Sequence
@@ -160,7 +163,9 @@ def first_of(words: Sequence[str], most: int) -> str:
 
 
 def layout_words(name: str) -> str:
-    """A layout's name for people, with the name of its file behind it where that is a code.
+    """A layout's name for people.
+
+    The name of its file stands behind it where that is a code.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Records: frozen values of which results are made, with their JSON and the schema of it."""
+"""Records: frozen values of results, with their JSON and its schema."""
 
 from collections.abc import Mapping
 from dataclasses import asdict

@@ -1,4 +1,6 @@
-"""Signatures of result folders, made and checked by ``ssh-keygen``, which OpenSSH brings.
+"""Signatures of result folders, made and checked by ``ssh-keygen``.
+
+OpenSSH brings it.
 
 ``SHA256SUMS`` is what is signed: it names every other file with its hash. The signature
 lies next to it, as OpenSSH writes it, so that ``ssh-keygen -Y verify -n place-rsus``
@@ -102,7 +104,7 @@ def signature_fault(folder: Path, manifest: Path, key: Path) -> str:
 
 
 def _allowed_signers(key: Path, where: str) -> str:
-    """The public keys of a file, as ``ssh-keygen -Y verify`` reads whom it trusts."""
+    """Public keys of a file, in the form of ``ssh-keygen -Y verify``."""
     expected = "a file with public keys, such as id_ed25519.pub"
     text = read_text(key, expected)
     if _PRIVATE in text:

@@ -72,7 +72,9 @@ def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
 
 
 def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
-    """Accident prevention ratios of every party, by case, approach, position, weather and speed.
+    """Accident prevention ratios of every party by groups of runs.
+
+    By case, approach, position, weather and speed.
 
     Parameters
     ----------
@@ -244,7 +246,9 @@ def csv_text(table: "pd.DataFrame") -> str:
 
 
 def safe_cell(cell: Any) -> Any:
-    """A cell as it is, or behind an apostrophe if a spreadsheet would take it for a formula.
+    """A cell that no spreadsheet takes for a formula.
+
+    Behind an apostrophe if it would be taken for one, else as it is.
 
     Examples
     --------

@@ -188,7 +188,9 @@ def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> Floa
 def build_street_map(
     maps: Sequence[SourceMap], places_m: FloatArray
 ) -> tuple[dict[str, Any], Callable[[FloatArray], FloatArray]]:
-    """Driving lanes of maps as an SVG path, with room for places (n, 2) of the first map's system.
+    """Driving lanes of maps as an SVG path.
+
+    With room for places (n, 2) in the first map's system.
 
     And the function that takes points (..., 2 or 3) of that system to metres to the
     right and down from the map's upper left corner.
@@ -223,7 +225,9 @@ def build_street_map(
 def junction_map(
     maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]
 ) -> dict[str, Any]:
-    """The junctions of the first map to choose from, on its streets with their names, as JSON.
+    """The junctions of the first map to choose from, as JSON.
+
+    On its streets with their names.
 
     Each has the cause for which it cannot be used, a key of ``CAUSES``, or none.
     """
@@ -284,7 +288,10 @@ def junctions_page(
 def new_map_axes(
     maps: Sequence[SourceMap], places_m: FloatArray, *, width_in: float = WIDTH_IN
 ) -> Axes:
-    """Axes with streets and buildings of maps around places (n, 2) in the first map's system."""
+    """Axes with streets and buildings of maps around places.
+
+    Places (n, 2) are in the first map's system.
+    """
     low = places_m.min(axis=0)
     high = places_m.max(axis=0)
     half = 0.5 * np.maximum(high - low, _LEAST_M) * (1.0 + 2.0 * _BEYOND) + 60.0
@@ -307,7 +314,7 @@ def _in_system(points: FloatArray, source: SourceMap, crs: str) -> FloatArray:
 
 
 def _driving_lines(source: SourceMap, crs: str) -> list[FloatArray]:
-    """Centrelines (n, 2) of the driving lanes of a map in the system of another one."""
+    """Centrelines (n, 2) of driving lanes in another map's system."""
     lanes = (lane for lane in source.lanes if lane.kind == "driving")
     return [_in_system(lane.centreline_m, source, crs) for lane in lanes]
 

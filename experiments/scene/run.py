@@ -1,4 +1,4 @@
-"""``place-rsus scene``: import scenes, show them, check them; and what there is to say of them."""
+"""``place-rsus scene``: import, show and check scenes."""
 
 import hashlib
 import shlex
@@ -285,7 +285,10 @@ def run_import(
 
 
 def _check_target(out: Path, *, is_zip: bool) -> None:
-    """Refuse, before anything is computed, a target that cannot be written or is not ours."""
+    """Refuse a target that cannot be written or is not ours.
+
+    Before anything is computed.
+    """
     if is_zip:
         if out.is_dir():
             refuse("--out", f"{out}, a folder", "a file to write")
@@ -327,7 +330,10 @@ def _fetch(bbox: str, path: Path) -> Path:
 def import_into_cache(
     question: Question, *, cache: Path, progress: StageProgress
 ) -> tuple[str, SceneResult]:
-    """Folder and summary of a map's junction, imported below `cache` unless it was before."""
+    """Folder and summary of a map's junction.
+
+    It is imported below `cache` unless it was before.
+    """
     path = Path(question.scene)
     options = map_options(question)
     if not question.scene or not path.is_file() or has_scene(path):

@@ -75,7 +75,10 @@ class Variant:
 
 
 def build_variants() -> tuple[Variant, ...]:
-    """As it is first; then walls, parked cars, smallest box and field of view, changed."""
+    """Variants of the reconstruction, the first one as it is.
+
+    Then changed walls, parked cars, smallest boxes and fields of view.
+    """
     base = build_setting(AS_STUDIED, load_study_scene())
     open_corner = move_walls(base.scene, -5.0)
     settings = {
@@ -127,7 +130,10 @@ def _with_narrow(
 
 
 def move_walls(scene: Scene, by_m: float) -> Scene:
-    """Every wall moved towards the middle of a junction, by metres along both roads."""
+    """Every wall moved towards the middle of a junction.
+
+    By metres along both roads.
+    """
     vertices = scene.vertices_m.copy()
     middle = scene.outline_m.mean(axis=0)
     for index, instance in enumerate(scene.instances):
@@ -244,7 +250,7 @@ def _lay(
 
 
 def _farther(case: Case, away_m: float) -> Case:
-    """A turning case whose VRU crosses the exit arm so much farther from the junction. [m]."""
+    """A turning case whose VRU crosses farther from the junction, by metres."""
     assert case.vru_line is not None
     left_m = case.vru_line.left_m + away_m
     return replace(case, vru_line=replace(case.vru_line, outside_kerb_m=left_m))
@@ -355,7 +361,10 @@ def load_published() -> Published:
 
 
 def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
-    """Figures that the study publishes or leaves open, as shares of 1, by quantity and case."""
+    """Figures that the study publishes or leaves open.
+
+    As shares of 1, by quantity and case.
+    """
     axis = evaluation.axis
     parties = {
         "the VUT": evaluation.vut,
@@ -374,7 +383,10 @@ def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
 
 
 def write_reproduction(folder: Path, *, compute: Compute) -> None:
-    """Evaluate all variants and weathers, and write ``reproduction.md`` with its heatmaps."""
+    """Evaluate all variants and weathers, and write ``reproduction.md``.
+
+    With its heatmaps.
+    """
     variants = build_variants()
     additional = build_additional_variants()
     n_steps = len(variants) + len(DETECTORS) + len(additional)
@@ -569,7 +581,10 @@ def _weather_rows(by_weather: dict[str, Evaluation]) -> list[tuple[str, ...]]:
 
 
 def _who_sees(evaluation: Evaluation, run_index: int) -> str:
-    """RSUs that detect in nearly all frames of a run, and in some before its last moment."""
+    """RSUs that detect in nearly all frames of a run.
+
+    And in some before its last moment.
+    """
     axis = evaluation.axis
     frames = axis.frames_of(run_index)
     in_time = axis.time_s[frames] <= axis.last_brake_time_s[run_index]

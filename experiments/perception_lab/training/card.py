@@ -1,4 +1,7 @@
-"""Model card and response table of a network, by what it finds in crops of junctions held out."""
+"""Model card and response table of a network.
+
+By what it finds in crops of junctions held out.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -40,7 +43,10 @@ def card_text(
     names: Sequence[str],
     recipe: Recipe,
 ) -> str:
-    """The card of a network as Markdown, by what it `found` in crops of junctions held out."""
+    """The card of a network as Markdown.
+
+    By what it `found` in crops of junctions held out.
+    """
     everything = _score(crops, found, np.ones(len(crops), dtype=bool))
     alarms = ~everything.is_true & (everything.confidence >= MIN_CONFIDENCE)
     rows = [
@@ -126,7 +132,10 @@ def _score(
     keep: NDArray[np.bool_],
     heights_px: tuple[float, float] = (0.0, np.inf),
 ) -> Scored:
-    """How boxes match the labels of crops in `keep` (n,), both classes together."""
+    """How boxes match the labels of crops, both classes together.
+
+    Of the crops in `keep` (n,).
+    """
     low = heights_px[0] / _LOOSE
     high = heights_px[1] * _LOOSE
     counts = keep & counted(crops)
@@ -192,7 +201,7 @@ def fit_table(
 def _picture(
     crops: Crops, row: int, by_class: list[tuple[np.ndarray, np.ndarray]]
 ) -> LabelledPicture:
-    """A crop, its label if it is large enough, and the boxes that count for it."""
+    """A crop, its label if large enough, and the boxes that count for it."""
     kind = int(crops.vru_class[row])
     box = crops.box_px[row]
     n_labels = int(kind >= 0 and box[3] - box[1] >= _LEAST_PX)

@@ -1,4 +1,7 @@
-"""Labelled crops of pictures, drawn at the junctions of many maps, to train and test a detector."""
+"""Labelled crops of pictures, to train and test a detector.
+
+They are drawn at the junctions of many maps.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -235,7 +238,10 @@ def _aim(
     height_px: tuple[float, float],
     rng: np.random.Generator,
 ) -> tuple[Pose, CameraModel] | None:
-    """A camera that shows a road user at a height drawn at random, anywhere in its image."""
+    """A camera that shows a road user at a height drawn at random.
+
+    Anywhere in its image.
+    """
     middle = body_m.mean(axis=0)
     away = middle - at_m
     distance = float(np.linalg.norm(away))
@@ -276,7 +282,7 @@ def _pick_window(
     is_empty: bool,
     rng: np.random.Generator,
 ) -> Window | None:
-    """A crop with the road user's middle anywhere in it, or without the road user."""
+    """A crop with the road user's middle in it, or without one."""
     size = np.array(crop_px)
     for _ in range(_TRIES):
         if is_empty:
@@ -297,7 +303,7 @@ def _pick_window(
 def _label(
     picture: Picture, run: Run, n_whole: int, height_px: float
 ) -> dict[str, Any]:
-    """Labels of a crop in which the whole road user would cover `n_whole` pixels."""
+    """Labels of a crop in which a whole road user has `n_whole` pixels."""
     is_vru = picture.instance == len(picture.names) - 1
     n_seen = int(is_vru.sum())
     is_seen = n_seen > 0

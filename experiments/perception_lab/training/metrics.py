@@ -17,7 +17,7 @@ _MISS_RATES_AT = np.logspace(-2.0, 0.0, 9)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scored:
-    """All boxes of one class, in descending order of confidence, and what they are."""
+    """Boxes of one class in descending confidence, and what they are."""
 
     confidence: FloatArray  # (n,)
     is_true: BoolArray  # (n,): first to overlap a label; others are false alarms
@@ -34,7 +34,7 @@ def match_boxes(
     min_iou: float,
     n_pictures: float,
 ) -> Scored:
-    """Match the boxes of each image (n, 4) with its labels (m, 4), the surest first.
+    """Match boxes (n, 4) of each image with labels (m, 4), the surest first.
 
     Labels that do not count (`counts` (m,)) are neither found nor missed, and boxes on
     them are no false alarms. Matching follows PASCAL VOC: a second box on a label is a
@@ -86,7 +86,9 @@ def average_precision(scored: Scored) -> float:
 
 
 def log_average_miss_rate(scored: Scored) -> float:
-    """Geometric mean of the miss rates at nine numbers of false alarms per picture, 0.01 to 1.
+    """Geometric mean of miss rates at nine rates of false alarms.
+
+    The rates are 0.01 to 1 per picture.
 
     References
     ----------

@@ -90,7 +90,7 @@ class VruNetwork(nn.Module):
         )
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits (b, 2, h / 8, w / 8) and distances to the sides (b, 4, ..) in pixels."""
+        """Logits (b, 2, h / 8, w / 8) and distances to sides (b, 4, ..) in px."""
         features = images
         levels = []
         for stage in self.stages:
@@ -132,7 +132,10 @@ def cell_middles(
 
 
 def to_boxes(sides: Tensor) -> Tensor:
-    """Corners (b, 4, h, w) of distances to the left, upper, right and lower side."""
+    """Corners (b, 4, h, w) of distances to the four sides.
+
+    Left, upper, right and lower.
+    """
     across, down = cell_middles(sides.shape[2], sides.shape[3], sides.device)
     left, top, right, bottom = sides.unbind(dim=1)
     return torch.stack(
@@ -143,7 +146,9 @@ def to_boxes(sides: Tensor) -> Tensor:
 def loss(
     logits: Tensor, sides: Tensor, boxes: Tensor, classes: Tensor, counts: Tensor
 ) -> Tensor:
-    """Focal loss of the classes, and that of the overlap of boxes in positive cells.
+    """Focal loss of the classes, and loss of the boxes' overlap.
+
+    The latter in positive cells.
 
     Parameters
     ----------
@@ -204,7 +209,10 @@ def _generalised_iou(first: Tensor, second: Tensor) -> Tensor:
 
 
 def export_onnx(network: VruNetwork, path: Path, *, side_px: int) -> None:
-    """Write the network for images of any size whose sides are multiples of 16 pixels."""
+    """Write the network for images of any size.
+
+    The sides are multiples of 16 pixels.
+    """
     import onnx
 
     whole = ExportedNetwork(network).eval()
@@ -407,7 +415,10 @@ def _batch(
     part: NDArray[np.int64],
     rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Images with other light, noise and sharpness, half of them mirrored, and their labels."""
+    """Images with other light, noise and sharpness, and their labels.
+
+    Half of them are mirrored.
+    """
     images = crops.rgb[part].astype(np.float32) / np.float32(255.0)
     boxes = crops.box_px[part].astype(np.float32)
     n = len(part)
@@ -438,7 +449,10 @@ def _batch(
 def _other_colours(
     images: NDArray[np.float32], rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Images (n, h, w, 3) with another saturation, contrast, tint and lightness each."""
+    """Images (n, h, w, 3), each with other colours and lightness.
+
+    Saturation, contrast and tint are drawn.
+    """
 
     def draw(low: float, high: float, n_channels: int = 1) -> NDArray[np.float32]:
         return rng.uniform(low, high, (len(images), 1, n_channels)).astype(np.float32)
@@ -455,7 +469,7 @@ def _other_colours(
 
 @torch.no_grad()
 def find_boxes(network: VruNetwork, crops: Crops) -> Found:
-    """Boxes and confidence of each crop, by class, overlapping ones suppressed."""
+    """Boxes and confidence of each crop by class, without overlapping ones."""
     found: Found = []
     for part in np.array_split(
         np.arange(len(crops)), math.ceil(len(crops) / _MOST_AT_ONCE)

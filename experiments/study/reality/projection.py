@@ -1,4 +1,4 @@
-"""Boxes of real people against those that this project's camera and body predict."""
+"""Boxes of real people against those predicted by camera and body."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -82,7 +82,10 @@ class Heights:
 
 
 def measure_pets_heights(folder: Path) -> Heights:
-    """Drawn over predicted heights of PETS' boxes that lie wholly in the picture."""
+    """Drawn over predicted heights of PETS' boxes.
+
+    Of those that lie wholly in the picture.
+    """
     drawn, camera = pets_tracks(folder)
     height = camera.height_px
     width = camera.width_px
@@ -124,7 +127,10 @@ def bottoms(boxes_px: FloatArray) -> FloatArray:
 def _gait(
     drawn: RecordedBoxes, camera: CalibratedCamera
 ) -> tuple[FloatArray, IntArray]:
-    """Heading of each box's body, by its way over some frames, and the phase of its gait."""
+    """Heading of each box's body, and the phase of its gait.
+
+    By its way over some frames.
+    """
     ground = ground_points(bottoms(drawn.box_px), camera)[:, :2]
     heading = np.zeros(len(drawn))
     walked = np.zeros(len(drawn))
@@ -143,7 +149,10 @@ def _gait(
 def _ratios(
     drawn: RecordedBoxes, camera: CalibratedCamera, heading: FloatArray, phase: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Feet (n, 3) of bodies whose boxes end where the drawn ones do, and ratios of heights."""
+    """Feet (n, 3) of bodies, and ratios of heights.
+
+    The bodies' boxes end where the drawn ones do.
+    """
     wanted = ground_points(bottoms(drawn.box_px), camera)
     foot = wanted.copy()
     for _ in range(2):
@@ -156,7 +165,9 @@ def _ratios(
 def _best_tilt(
     drawn: RecordedBoxes, camera: CalibratedCamera, heading: FloatArray, phase: IntArray
 ) -> Interval:
-    """Tilt that makes the heights of bodies at the drawn feet agree best, (+: down).
+    """Tilt at which heights of bodies at the drawn feet agree best.
+
+    Positive: down.
 
     The height of all is free: least squares of the logarithms of drawn over predicted
     heights around their mean. 95 % by tracks drawn with repetition.
@@ -188,7 +199,7 @@ def tilted(camera: CalibratedCamera, tilt_deg: float) -> CalibratedCamera:
 
 
 def nearest_pinhole(camera: CalibratedCamera) -> tuple[CameraModel, Pose]:
-    """The ideal camera of this project that looks where the middle of a real picture is.
+    """Ideal camera that looks where the middle of a real picture is.
 
     Square pixels as wide as the real ones, no distortion, no roll.
     """
@@ -218,7 +229,10 @@ _R_CAMERA_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def measure_kitti_heights(folder: Path, sequences: tuple[int, ...]) -> FloatArray:
-    """Labelled over predicted heights (n,) of pedestrians that no edge of the picture cuts off."""
+    """Labelled over predicted heights (n,) of pedestrians.
+
+    Of those that no edge of the picture cuts off.
+    """
     data = folder / "OpenTraj" / "datasets" / "KITTI" / "data"
     width, height = _KITTI_SIZE
     ratios = []

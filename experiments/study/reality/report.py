@@ -331,7 +331,9 @@ _HDL_POINTS_PER_S = 1.3e6
 
 @cache
 def lidar_reach_m() -> float:
-    """Distance up to which KITTI's LiDAR returns as many points as this project's rule asks for.
+    """Distance up to which KITTI's LiDAR returns enough points.
+
+    As many as this project's rule asks for.
 
     If every pulse comes back: outline of the body from ahead and from the side, times
     pulses per solid angle. [m]
@@ -348,7 +350,10 @@ def lidar_reach_m() -> float:
 
 
 def tables(m: Measured) -> dict[str, str]:
-    """Response tables of cameras, and the LiDAR's recalls, as TOML by the names of their files."""
+    """Response tables of cameras, and the LiDAR's recalls, as TOML.
+
+    By the names of their files.
+    """
     written = {}
     for one in (m.pole, m.car):
         head = f"{one.detector}, {one.year}, on {one.recording} ({one.source}), "
@@ -418,7 +423,9 @@ def plot_heights(heights: Heights) -> "Figure":
 
 
 def plot_recall(panels: Mapping[str, Mapping[str, Sequence[Recall]]]) -> "Figure":
-    """Recall with 95 % intervals, and what the table "response" predicts, panel by panel.
+    """Recall with 95 % intervals, and what "response" predicts.
+
+    Panel by panel.
 
     A panel has groups by what was watched.
     """

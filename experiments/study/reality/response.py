@@ -168,7 +168,7 @@ _KITTI = {
 def _gather(
     paired: PairedBoxes, *, frame_rate_hz: float
 ) -> tuple[Sightings, FalseAlarms, IntArray]:
-    """Sightings by track and frame, false alarms, and how the rows were put in order."""
+    """Sightings by track and frame, false alarms, and the rows' order."""
     sightings, alarms = gather_sightings(
         paired.pictures, n_confirmations=N_CONFIRMATIONS, frame_rate_hz=frame_rate_hz
     )
@@ -223,7 +223,10 @@ def recall_of(sightings: Sightings, words: str) -> Recall:
 
 
 def phi(sightings: Sightings) -> Interval:
-    """Correlation of found or not between consecutive frames, 95 % by tracks drawn anew."""
+    """Correlation of detection between consecutive frames.
+
+    With a 95 % interval, by tracks drawn anew.
+    """
     same = np.diff(sightings.track) == 0
     is_next = np.flatnonzero(same & (np.diff(sightings.frame) == 1))
     a = sightings.is_found[is_next]
@@ -250,7 +253,10 @@ def _phi(sums: FloatArray) -> FloatArray:
 
 
 def side_errors(sightings: Sightings) -> tuple[float, float]:
-    """Standard deviation of found boxes' left and right, and upper and lower sides, as shares."""
+    """Standard deviations of the sides of found boxes, as shares.
+
+    Of left and right, and of upper and lower sides.
+    """
     error = sightings.box_error[sightings.is_found]
     spread = error.std(axis=0)
     return float(spread[[0, 2]].mean()), float(spread[[1, 3]].mean())
@@ -275,7 +281,7 @@ _WITHIN = np.arange(1, 101)
 
 
 def hold_out(watched: Watched, divided_by: str, *, fit_first: bool) -> HeldOut:
-    """Fit a table to one half, and predict the other half's frames to confirmation.
+    """Fit a table to one half, and predict confirmation in the other.
 
     They count from every frame of a track on; a track that ends before counts as never.
     """
