@@ -1,4 +1,6 @@
-"""A second process for tasks that do not depend on one another: matplotlib knows no threads.
+"""A second process for tasks that do not depend on one another.
+
+Matplotlib knows no threads.
 
 And processes that share many tasks of one kind, such as junctions of a city or
 pictures.
@@ -137,7 +139,10 @@ def _make(
 
 
 def _get_ready(modules: Sequence[str], prepare: str) -> None:
-    """Load modules while there is time, and call a function: its module and name, with a colon."""
+    """Load modules while there is time, and call a function.
+
+    Its module and name, with a colon.
+    """
     for name in modules:
         import_module(name)
     module, _, function = prepare.partition(":")
@@ -149,7 +154,10 @@ def _get_ready(modules: Sequence[str], prepare: str) -> None:
 def side_process(
     is_wanted: bool, *, modules: Sequence[str] = (), prepare: str = ""
 ) -> Iterator[SideProcess]:
-    """A second process for the block, if wanted; idle, it loads modules and calls "module:f"."""
+    """A second process for the block, if wanted.
+
+    Idle, it loads modules and calls "module:f".
+    """
     if not is_wanted:
         yield SideProcess()
         return
@@ -191,7 +199,9 @@ class _Worker:
 
 
 class LocalWorkers:
-    """Up to `n` processes on this machine, each ended if it takes more memory than `max_bytes`.
+    """Up to `n` processes on this machine.
+
+    Each is ended if it takes more memory than `max_bytes`.
 
     They are reached through pipes that nobody else can open. Memory is watched where
     the system has ``/proc``.
@@ -228,7 +238,10 @@ class LocalWorkers:
         return future
 
     def wait(self, timeout_s: float) -> None:
-        """Wait for answers, no longer than a time; end processes with too much memory."""
+        """Wait for answers, no longer than a time.
+
+        End processes with too much memory.
+        """
         busy = {one.pipe: one for one in self._workers if one.future is not None}
         for pipe in wait_for_pipes([*busy], timeout_s):
             self._take(busy[pipe])  # type: ignore[index]
@@ -308,7 +321,9 @@ def run_tasks(
     *,
     failed: Callable[[_In, BaseException], _T] | None = None,
 ) -> Iterator[tuple[_In, _T]]:
-    """Run a function for tasks on workers: each with its answer, in the order in which they end.
+    """Run a function for tasks on workers.
+
+    Each with its answer, in the order in which they end.
 
     A task that raises, or whose worker dies, is tried three times in all; then `failed`
     answers, by default by raising the error, WorkerDiedError if it died.
@@ -337,7 +352,10 @@ def run_tasks(
 def in_processes(
     function: Callable[[_In], _T], tasks: Iterable[_In], *, n: int
 ) -> Iterator[tuple[_In, _T]]:
-    """Tasks with the answers of a function as they come: by processes, or here if `n` is 1."""
+    """Tasks with the answers of a function as they come.
+
+    By processes, or here if `n` is 1.
+    """
     if n <= 1:
         for task in tasks:
             yield task, function(task)

@@ -326,7 +326,7 @@ def is_lane_width(width_m: float) -> bool:
 
 
 def _check_near(points_m: FloatArray, where: str) -> None:
-    """Raise InputError if a coordinate of points (.., d) is beyond what a scene may reach."""
+    """Raise InputError if points (.., d) lie beyond what a scene may reach."""
     most_m = load_limits().coordinate_m
     is_far = (np.abs(points_m) > most_m).any(axis=-1)
     if is_far.any():

@@ -134,7 +134,7 @@ class _Thing(Struct, frozen=True, kw_only=True, rename={"class_name": "class"}):
 
 
 class _SavedNote(Struct, frozen=True, kw_only=True):
-    """A note, and as far as its texts have fields the phrases that they were made of."""
+    """A note, with the phrases that its texts were made of, if any."""
 
     what: Text
     why: Text
@@ -282,7 +282,7 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _note_entry(note: Note) -> dict[str, Any]:
-    """A note as ``scene.toml`` has it: English, and beside it the phrases to be translated."""
+    """A note as ``scene.toml`` has it: English, and phrases to translate."""
     entry: dict[str, Any] = {"what": str(note.what), "why": str(note.why)}
     if note.kind != "left out":
         entry["kind"] = note.kind

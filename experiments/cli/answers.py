@@ -109,7 +109,10 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
 
 
 def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
-    """One layout: its units and the APR of each; of many units, those of the highest APR."""
+    """One layout: its units and the APR of each.
+
+    Of many units, those of the highest APR.
+    """
     evaluation = result.evaluation
     alone = list(evaluation.units.items())
     if len(alone) > _MAX_UNITS:
@@ -259,7 +262,10 @@ def _said(*sentences: str) -> Part:
 
 
 def _head(result: Result) -> list[Part]:
-    """The head: runs that are not avoided, better layouts, what was left out or assumed."""
+    """The head: runs not avoided, better layouts, what was assumed.
+
+    Also what was left out.
+    """
     groups = result.road_users
     return [
         _said(
@@ -427,7 +433,10 @@ def _cost(result: Result) -> str:
 
 
 def _summary_table(result: Result, others: Mapping[str, Compared]) -> Table:
-    """A row per sensing party: APR, when the most needed unit fails, and on the study's cases."""
+    """A row per sensing party.
+
+    APR, when the most needed unit fails, and on the study's cases.
+    """
     parties = () if result.study_cases is None else result.study_cases.parties
     study = {party.name: percent(party.all) for party in parties}
     evaluation = result.evaluation
@@ -518,7 +527,10 @@ def _announced(evaluation: EvaluationRecord) -> dict[str, PartyAprRecord]:
 
 
 def _apr_table(parties: Mapping[str, _Apr]) -> Table:
-    """APR by case and by position along the arms: a row for each, a column per party."""
+    """APR by case and by position along the arms.
+
+    A row for each, a column per party.
+    """
     all_of = list(parties.values())
     first = all_of[0]
     if len(first.by_position) > 1:
@@ -579,7 +591,10 @@ _MAX_MISSED = 8
 
 
 def explanation_parts(explained: explanation.ExplainedRecord) -> list[Part]:
-    """What each unit is there for, and what is missed: runs alike together, but for numbers."""
+    """What each unit is there for, and what is missed.
+
+    Runs alike together, but for numbers.
+    """
     groups = _alike(explained.not_avoided)
     n_left = sum(map(len, groups[_MAX_MISSED:]))
     return [
@@ -599,7 +614,10 @@ def explanation_parts(explained: explanation.ExplainedRecord) -> list[Part]:
 
 
 def _alike(missed: Sequence[Unavoided]) -> list[list[Unavoided]]:
-    """Runs that have the same said of them, but for numbers; the largest group first."""
+    """Runs that have the same said of them, but for numbers.
+
+    The largest group first.
+    """
     groups = grouped((tuple(_said_of(entry).values()), entry) for entry in missed)
     return sorted(groups.values(), key=len, reverse=True)
 

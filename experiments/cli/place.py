@@ -34,8 +34,8 @@ Examples:
   place-rsus doctor                                what is installed here
   place-rsus export --layout results/latest/layout.json --format carla
 
-Exit codes: 0 done, 1 `verify`, `scene check` or `doctor` found a fault, 2 the input is wrong or
-cannot be met (one line says what), 130 interrupted, 143 terminated."""
+Exit codes: 0 done, 1 `verify`, `scene check` or `doctor` found a fault, 2 the input is
+wrong or cannot be met (one line says what), 130 interrupted, 143 terminated."""
 
 
 @click.group(

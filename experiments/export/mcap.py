@@ -28,11 +28,17 @@ from .watched import WatchedRun
 
 WORLD = "map"  # frame, as REP 105 calls it
 _COLOURS = {
-    "ground": (0.45, 0.45, 0.45, 1.0), "building": (0.75, 0.7, 0.62, 1.0),
-    "wall": (0.7, 0.7, 0.7, 1.0), "vegetation": (0.3, 0.55, 0.3, 1.0),
-    "pole": (0.3, 0.3, 0.3, 1.0), "unit": (0.1, 0.4, 0.9, 1.0), "vut": (0.2, 0.3, 0.8, 0.9),
-    "vru": (0.9, 0.5, 0.1, 0.9), "seen": (0.1, 0.8, 0.2, 1.0), "other": (0.6, 0.6, 0.65, 1.0),
-}  # fmt: skip
+    "ground": (0.45, 0.45, 0.45, 1.0),
+    "building": (0.75, 0.7, 0.62, 1.0),
+    "wall": (0.7, 0.7, 0.7, 1.0),
+    "vegetation": (0.3, 0.55, 0.3, 1.0),
+    "pole": (0.3, 0.3, 0.3, 1.0),
+    "unit": (0.1, 0.4, 0.9, 1.0),
+    "vut": (0.2, 0.3, 0.8, 0.9),
+    "vru": (0.9, 0.5, 0.1, 0.9),
+    "seen": (0.1, 0.8, 0.2, 1.0),
+    "other": (0.6, 0.6, 0.65, 1.0),
+}
 _FRUSTUM_M = 4.0  # how far ahead its far side is drawn
 # of what is drawn: the sides of wider ones would be kilometres away
 _WIDEST_DEG = 150.0

@@ -15,8 +15,10 @@ from .watched import WatchedRun
 
 _MESSAGE = "CollectivePerceptionMessage"
 CONTAINERS = {
-    2: "OriginatingRsuContainer", 3: "SensorInformationContainer", 5: "PerceivedObjectContainer"
-}  # fmt: skip
+    2: "OriginatingRsuContainer",
+    3: "SensorInformationContainer",
+    5: "PerceivedObjectContainer",
+}
 _TIME_BYTES = 8
 _SIZE_BYTES = 4
 _STATION = slice(2, 6)  # bytes of a message: behind protocol version and message id

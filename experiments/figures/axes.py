@@ -36,7 +36,7 @@ NARROW_IN = 4.0
 """Width of figures whose letters can be read on a phone without moving the figure."""
 
 Style = dict[str, Any]
-"""Properties of a matplotlib artist by their names: what its method takes as keywords."""
+"""Properties of a matplotlib artist by name, as its method takes them."""
 
 _DPI = 160
 _MAX_LABEL_LENGTH = 8

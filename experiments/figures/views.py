@@ -25,7 +25,7 @@ from placement.setting import Setting
 from .plan import ground_footprint, ground_rings, is_wide
 
 MAX_RANGE_M = 150.0
-"""Views are drawn up to here: nothing that is driven starts farther from a junction's poles."""
+"""Views are drawn up to here: no run starts farther from a junction's poles."""
 
 _N_BEARINGS = 360
 _FINE_M = 1.0

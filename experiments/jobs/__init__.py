@@ -14,5 +14,6 @@ READY: dict[str, Any] = {
     ),
     "prepare": "placement.compile_ahead:compile_ahead",
 }
-"""What a second process loads while it has nothing to do, as its tasks will need it, and a function
-that compiles what the first process will need, where nothing was compiled yet."""
+"""What a second process loads while it has nothing to do, as its tasks will need it.
+
+"prepare" compiles what the first process will need, where nothing was compiled yet."""

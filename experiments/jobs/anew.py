@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from .placement import Answered
 
 Add = Callable[[str, str, str], None]
-"""Takes a check: its name, what is wrong in words or nothing, what to say if all is right."""
+"""Takes a check: its name, what is wrong or nothing, what to say if all is right."""
 
 _TOLERANCE = 1.0e-9
 _SECONDS = "seconds"  # keys of times: no two calls take as long

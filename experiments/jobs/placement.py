@@ -67,7 +67,7 @@ from . import READY
 _log = logging.getLogger(__name__)
 
 MIN_FRESH_WORLDS = 60
-"""Sampled worlds that a layout is judged in, at least: with fewer, intervals say little."""
+"""Least number of worlds to judge a layout in: with fewer, intervals say little."""
 
 
 _LARGE_RUNS = 100
@@ -98,7 +98,10 @@ def begin_job(
     side: SideProcess | None = None,
     out: Path | None,
 ) -> Iterator[Job]:
-    """Make the setting, if not known; begin a second process unless `side` has one, if it pays."""
+    """Make the setting, if not known.
+
+    Begin a second process unless `side` has one, if it pays.
+    """
     if setting is None:
         folders.expect_results(out, progress)
         progress(mark("setting"), 0, 0)
@@ -217,7 +220,9 @@ def answer_placement(
     progress: StageProgress,
     side: SideProcess | None = None,
 ) -> Iterator[Answered]:
-    """Find, prove, evaluate and compare a layout; `out` is where its files will be written.
+    """Find, prove, evaluate and compare a layout.
+
+    `out` is where its files will be written.
 
     Raises InputError if a wish cannot be met.
     """
@@ -396,7 +401,10 @@ def _begin_fresh_worlds(
 def _evaluate(
     job: Job, found: _Found, layouts: Mapping[str, Layout]
 ) -> tuple[dict[str, Evaluation], list[Evaluation]]:
-    """Layouts by display name, and those that lead, the one found first, by the evaluator."""
+    """Layouts by display name, and those that lead, by the evaluator.
+
+    The one found comes first.
+    """
     leading = alternatives.leading_layouts(found.on_grid, found.placement)
     further = [layout for layout in leading if layout is not found.placement.greedy]
     judged = evaluate_layouts(
@@ -413,7 +421,10 @@ def _in_fresh_worlds(
     evaluations: Mapping[str, Evaluation],
     fresh: Sequence[Task[FreshWorlds]],
 ) -> SampledRecord:
-    """Layouts in fresh worlds: the other process begins with the first ones, this one last."""
+    """Layouts in fresh worlds.
+
+    The other process begins with the first ones, this one last.
+    """
     looked: list[FreshWorlds] = []
     for done, task in enumerate(reversed(fresh)):
         job.progress(OUT_OF_SAMPLE, done, len(fresh))
@@ -442,7 +453,10 @@ def _in_fresh_worlds(
 
 
 def _front_below(job: Job, found: _Found) -> FrontRecord | None:
-    """The best layout of each smaller size, too; None where the best was not what was asked."""
+    """The best layout of each smaller size, too.
+
+    None where the best was not what was asked.
+    """
     placement = found.placement
     plan = found.plan
     progress = job.progress
@@ -478,7 +492,10 @@ def _front_below(job: Job, found: _Found) -> FrontRecord | None:
 def judge_study_cases(
     job: Job, evaluations: Mapping[str, Evaluation]
 ) -> StudyCases | None:
-    """The layouts on the study's cases; None where these are asked about, or no arm has them."""
+    """The layouts on the study's cases.
+
+    None where these are asked about, or no arm has them.
+    """
     try:
         return on_study_cases(
             job.question,
@@ -495,7 +512,10 @@ def judge_study_cases(
 def build_asked_record(
     question: Question, compute: Compute, command: str
 ) -> AskedRecord:
-    """What was asked, as ``summary.json`` keeps it; the language is the one that is spoken."""
+    """What was asked, as ``summary.json`` keeps it.
+
+    The language is the one that is spoken.
+    """
     return AskedRecord(
         command=command,
         question=question_values(question),
@@ -512,7 +532,9 @@ def write_results(
     asked: AskedRecord,
     sign: Path | None = None,
 ) -> Result:
-    """The result with its "seconds", all stages but the writing; in a folder, if asked for.
+    """The result with its "seconds", all stages but the writing.
+
+    In a folder, if asked for.
 
     `folder` is replaced as a whole, or left as it was; the key `sign` signs it. Raises
     InputError if something cannot be written: it names the folder where the answer is
@@ -610,7 +632,7 @@ def write_files(new: Path, answered: Answered, result: Result) -> None:
 
 @contextmanager
 def _saved_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
-    """Keep the answer among the system's temporary files if its folder cannot take even that."""
+    """Keep the answer in a temporary file if its folder cannot take it."""
     try:
         yield
     except OSError as error:

@@ -118,7 +118,10 @@ def draw_task(task: DrawTask) -> int:
 
 
 def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | None]]:
-    """A function that draws and scans a frame: from the VUT anew, at the roadside onto a still."""
+    """A function that draws and scans a frame.
+
+    From the VUT anew, at the roadside onto a still.
+    """
     # loads the compiler
     from placement.imaging.stills import Still, draw_onto, draw_still, scan_onto
 
@@ -186,7 +189,10 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 def _contents(
     picture: Picture, cloud: PointCloud | None, task: DrawTask, run: Run, stem: str
 ) -> Iterator[tuple[str, Content]]:
-    """Contents of the files of a frame, by kind; the picture comes last: where it is, all are."""
+    """Contents of the files of a frame, by kind.
+
+    The picture comes last: where it is, all are.
+    """
     if cloud is not None:
         yield "cloud", cloud_bytes(cloud)
     if task.wish.masks:
@@ -250,7 +256,10 @@ def _png(pixels: NDArray[Any]) -> Content:
 
 
 def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress) -> int:
-    """Draw all tasks by processes; those of ones that die are drawn again. Bytes written."""
+    """Draw all tasks by processes.
+
+    Those of ones that die are drawn again. Bytes written.
+    """
     n_all = sum(len(task.frames) for task in tasks)
     n_drawn = 0
     n_bytes = 0

@@ -305,7 +305,8 @@ def describe_places(positions: Mapping[str, Sequence[str]]) -> str:
     --------
     >>> describe_places({"east": ["0"], "north": ["0", "0"]})
     'east and north'
-    >>> describe_places({"east": ["-30", "-45"], "north": ["-30", "-45"], "west": ["+45"]})
+    >>> both = ["-30", "-45"]
+    >>> describe_places({"east": both, "north": both, "west": ["+45"]})
     'east and north (at -30, -45) and west (at +45)'
     """
     arms: dict[str, list[str]] = {}

@@ -47,8 +47,8 @@ StageName = Literal[
     "smallest_margin_s",
     "mean_margin_s",
 ]
-"""Objectives: number of units; cost in EUR; APR that is left when any units fail; APR; APR if the
-most needed unit fails; smallest and mean time to spare in seconds."""
+"""Objectives, in order: number of units; cost in EUR; APR that is left when any units
+fail; APR; APR if the most needed unit fails; smallest and mean time to spare in s."""
 StageValues = Annotated[
     dict[StageName, float],
     Meta(extra_json_schema={"propertyNames": {"enum": list(get_args(StageName))}}),

@@ -19,7 +19,7 @@ from geometry.writing import write_atomically
 
 SIGNATURE = "SHA256SUMS.sig"
 NAMESPACE = "place-rsus"
-"""OpenSSH binds a signature to a purpose: one made for this is none for mail or for commits."""
+"""Purpose that OpenSSH binds a signature to: it is none for mail or commits."""
 
 _PROGRAM = "ssh-keygen"
 _LIMIT_S = 120.0  # keys in hardware wait until somebody touches them

@@ -54,7 +54,7 @@ JUNCTIONS_PAGE = "junctions.html"
 _STUDY = "town05"
 _DIGITS = 3  # a millimetre
 IMPORT_VERSION = 2
-"""Counts up when the same map gives another scene; older ones in the cache are not taken."""
+"""Counts up when the same map gives another scene: older ones are not taken."""
 
 
 class ArmRecord(Record, frozen=True, kw_only=True):

@@ -552,8 +552,8 @@ def _said(skipped: Sequence[Note]) -> str:
 def read_citygml(path: Path) -> SourceMap:
     """Read a CityGML file.
 
-    Types and levels of detail: see :func:`geometry.maps.city_models.read_cityjson`, which
-    reads the same model in its other encoding. Of one level of detail a solid counts
+    :func:`read_cityjson` says which types and levels of detail count: it reads the same
+    model in its other encoding. Of one level of detail a solid counts
     more than surfaces; references to polygons of the same file are followed, others are
     not. Heights are absolute. Raises InputError if the file cannot be read, is no
     CityGML, or has nothing solid.

@@ -551,7 +551,7 @@ def _lanes(
 
 
 def _odd_lanes(roads: SourceMap, junction: MapJunction) -> list[Note]:
-    """A note of how many of a junction's lanes are left out for their widths, if any."""
+    """A note of how many lanes are left out for their widths, if any."""
     own = [
         lane
         for lane in (*roads.lanes, *roads.connections)

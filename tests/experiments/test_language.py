@@ -493,7 +493,10 @@ def test_scripts_of_the_planners_page_say_literals_and_nothing_else():
 
 
 def words_of(node):
-    """A text in code that no message says, with 1 in place of each value; None: it is none."""
+    """A text in code that no message says, with 1 in place of each value.
+
+    None: it is none.
+    """
     if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Unquoted":
         node = node.args[0]
     if isinstance(node, ast.JoinedStr):
