@@ -18,7 +18,7 @@ from ..figures.axes import root_figure, to_png
 
 _T = TypeVar("_T")
 MAX_TRUE_COLOUR_BYTES = 300_000
-"""PNG files of up to so many bytes keep all colours: a palette would save too little."""
+"""PNG files of up to so many bytes keep all colours: a palette would save little."""
 _N_COLOURS = 256
 _LARGEST_ERROR = 32.0
 _LARGEST_MEAN_ERROR = 1.5  # of 255, of any one channel: not seen by eye
