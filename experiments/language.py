@@ -79,7 +79,8 @@ def _catalogue(code: str) -> Messages:
         if path.name.endswith(".po"):
             with path.open("rb") as file:
                 for entry in read_po(file):
-                    if not entry.id:  # the head of the file
+                    # The head of the file.
+                    if not entry.id:
                         continue
                     if isinstance(entry.id, str):
                         key = entry.id

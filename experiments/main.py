@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from placement.question import Question
 
 _EXIT_BAD_INPUT = 2
-_EXIT_UNEXPECTED = 70  # EX_SOFTWARE of BSD's sysexits.h
+# EX_SOFTWARE of BSD's sysexits.h.
+_EXIT_UNEXPECTED = 70
 _SHELLS = ("bash", "zsh", "fish")
 _COMPLETE_VARIABLE = "_PLACE_RSUS_COMPLETE"
 
@@ -53,7 +54,8 @@ def completion(context: click.Context, *, shell: str) -> None:
     """Print what makes a shell complete commands, options and their words."""
     root = context.find_root()
     script = get_completion_class(shell)
-    assert script is not None  # click has all three
+    # Click has all three.
+    assert script is not None
     click.echo(script(root.command, {}, "place-rsus", _COMPLETE_VARIABLE).source())
 
 
@@ -84,7 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     whole text.
     """
     os.environ["MPLBACKEND"] = (
-        "agg"  # no window is opened, whatever a user prefers elsewhere
+        # No window is opened, whatever a user prefers elsewhere.
+        "agg"
     )
     logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
     progress = Session(_import_map)
@@ -108,7 +111,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         text = " ".join(error.format_message().split())
         code = _EXIT_BAD_INPUT
         message = f"place-rsus: {text}"
-    except OSError as error:  # such as a disk that is full
+    except OSError as error:
+        # Such as a disk that is full.
         if error.filename:
             where = f"{error.filename}: "
         else:
@@ -117,9 +121,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         code = _EXIT_BAD_INPUT
         message = f"place-rsus: {where}{error.strerror or error}{notes}"
     except Exception as error:
-        if (
-            progress.signum
-        ):  # libraries make errors of their own of what ends their loading
+        # Libraries make errors of their own of what ends their loading.
+        if progress.signum:
             code = 128 + progress.signum
             message = progress.interruption()
         elif _is_out_of_memory(error):
@@ -166,7 +169,8 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
 
     Its text is saved in a file.
     """
-    import platform  # these are hardly ever needed
+    # These are hardly ever needed.
+    import platform
     import tempfile
     import traceback
     from importlib.metadata import version
@@ -194,7 +198,8 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
         ) as file:
             file.write(report)
         message += f". Please report it, with {file.name}"
-    except OSError:  # the disk is full, perhaps: then the text goes to the terminal
+    except OSError:
+        # The disk is full, perhaps: then the text goes to the terminal.
         message += f". Please report it:\n{report}"
     if progress.shows_tracebacks:
         return f"{message}\n{text}"

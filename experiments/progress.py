@@ -30,9 +30,8 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _GRACE_S = 0.7
 
 
-_KEPT = (  # the last two are invisible, but part of how some scripts are written
-    "\n\u200c\u200d"
-)
+# The last two are invisible, but part of how some scripts are written.
+_KEPT = "\n\u200c\u200d"
 
 
 def printable(text: str) -> str:
@@ -54,7 +53,8 @@ def printable(text: str) -> str:
 
 
 def _spelled(character: str) -> str:
-    is_ascii = character.isascii()  # JSON leaves DEL as it is
+    # JSON leaves DEL as it is.
+    is_ascii = character.isascii()
     if is_ascii:
         return f"\\u{ord(character):04x}"
     return json.dumps(character)[1:-1]
@@ -103,15 +103,19 @@ class StageProgress:
     """
 
     def __init__(self) -> None:
-        self.stage = mark("start")  # that runs, or ran last
-        self.seconds: dict[str, float] = {}  # of each finished stage
-        self.kept = "nothing was written"  # what is on disk if the program ends now
+        # That runs, or ran last.
+        self.stage = mark("start")
+        # Of each finished stage.
+        self.seconds: dict[str, float] = {}
+        # What is on disk if the program ends now.
+        self.kept = "nothing was written"
         self._began_s = self._line_s = time.perf_counter()
         self._prints_lines = False
         self._bar: Any = None
         self.is_verbose = False
         self.shows_tracebacks = False
-        self.signum = 0  # the signal that came
+        # The signal that came.
+        self.signum = 0
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show a stage; a new name ends the one before."""
@@ -121,7 +125,8 @@ class StageProgress:
             if self._prints_lines:
                 tell(f"{tr(stage)} ...", err=True)
                 self._line_s = time.perf_counter()
-            if self._bar is not None:  # time left is of this stage, not of those before
+            # Time left is of this stage, not of those before.
+            if self._bar is not None:
                 self._bar.reset(self._task)
         if (
             self._prints_lines
@@ -238,7 +243,8 @@ def ending_on_signals(progress: StageProgress) -> Iterator[None]:
     is_over = threading.Event()
 
     def interrupt(signum: int, frame: FrameType | None) -> NoReturn:
-        for each in _SIGNALS:  # one is enough: tidying up is not to be interrupted
+        # One is enough: tidying up is not to be interrupted.
+        for each in _SIGNALS:
             signal.signal(each, lambda signum, frame: None)
         progress.signum = signum
         raise Interrupted(signum)
@@ -256,7 +262,8 @@ def ending_on_signals(progress: StageProgress) -> Iterator[None]:
         signal.set_wakeup_fd(wakeup_before)
         for each, handler in before.items():
             signal.signal(each, handler)
-        os.close(write_end)  # the watch reads the end
+        # The watch reads the end.
+        os.close(write_end)
         watch.join()
         os.close(read_end)
 

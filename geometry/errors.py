@@ -6,8 +6,10 @@ from typing import NoReturn
 
 from .phrases import Phrase
 
-_MAX_CHARACTERS = 200  # of a value in a message
-_MAX_NUMBER = 1.0e15  # beyond, a value is shown as text
+# Of a value in a message.
+_MAX_CHARACTERS = 200
+# Beyond, a value is shown as text.
+_MAX_NUMBER = 1.0e15
 # characters of our own words, such as a list of all names that exist
 _MAX_WORDS = 2_000
 
@@ -144,9 +146,8 @@ def _one_line(text: str, max_characters: int = 2 * _MAX_CHARACTERS) -> str:
 
     A phrase that is short and printable, as all but odd ones are, stays one.
     """
-    if (
-        len(text) > max_characters
-    ):  # both ends tell something: a file's folder and its name
+    # Both ends tell something: a file's folder and its name.
+    if len(text) > max_characters:
         half = max_characters // 2
         text = f"{text[:half]}..{text[-half:]}"
     if text.isprintable():

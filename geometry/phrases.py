@@ -5,7 +5,8 @@ import string
 from collections.abc import Callable, Sequence
 from typing import Any, Self
 
-_SPEC = re.compile(r",?(\.\d)?[fg]?")  # such as ",.0f"
+# Such as ",.0f".
+_SPEC = re.compile(r",?(\.\d)?[fg]?")
 
 
 class Phrase(str):

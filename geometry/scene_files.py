@@ -447,7 +447,8 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
         refuse(shown, "nothing there", "the meshes of the scene")
     check_file(path, max_bytes=_MAX_BYTES[THINGS_FILE])
     try:
-        check_gltf(path)  # a header that claims more would be given memory
+        # A header that claims more would be given memory.
+        check_gltf(path)
         resolver = mesh_resolver(path, where=shown)
         options = {"resolver": resolver, "skip_materials": True, "process": False}
         with open_file(path) as file:

@@ -158,8 +158,10 @@ class Certificate:
         Name and version.
     """
 
-    stages: tuple[Stage, ...]  #: in order
-    solver: Phrase  #: name and version
+    # : in order.
+    stages: tuple[Stage, ...]
+    # : name and version.
+    solver: Phrase
 
     @property
     def is_proven(self) -> bool:

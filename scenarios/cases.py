@@ -206,8 +206,10 @@ class Case:
     """
 
     name: str
-    title: Phrase  #: What happens, in words.
-    source: str  #: "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
+    # : What happens, in words.
+    title: Phrase
+    # : "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
+    source: str
     # : "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid`
     # says why.
     kind: str

@@ -58,12 +58,16 @@ Calls = list[tuple[Callable[..., object], Any]]
 
 _REPEATS = 5
 _WORKERS = os.cpu_count() or 1
-_OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 runs
-_INSIDE = "PLACE_RSUS_BENCH_PART"  # set in the processes that measure
+# The study's: rays are measured on their 104 runs.
+_OWN_CASES = "CPNC-50,CBNA,CBLA"
+# Set in the processes that measure.
+_INSIDE = "PLACE_RSUS_BENCH_PART"
 _N_MOUNTS = 24
 _MAX_DISTANCE_M = 60.0
-_EVERY_MOUNT = 4  # of which the table's verdicts are counted
-_N_OTHERS = 6  # cameras, with the study's twelve
+# Of which the table's verdicts are counted.
+_EVERY_MOUNT = 4
+# Cameras, with the study's twelve.
+_N_OTHERS = 6
 _TRACK_MEMORIES_S = (np.inf, 1.0)
 _BUDGET_TIME_S = 20.0
 
@@ -361,7 +365,8 @@ def measure_single(budget: int) -> Figures:
     def direct() -> None:
         best["HiGHS"] = _solve_mclp(covers, single)
 
-    found = ratio(ours, direct, repeats=1)  # HiGHS takes minutes
+    # HiGHS takes minutes.
+    found = ratio(ours, direct, repeats=1)
     if not np.isclose(best["ours"], best["HiGHS"], atol=1e-6):
         raise RuntimeError(f"optima differ: {best}")
     return {"optimiser: all stages, single / bare HiGHS, APR only": found}
@@ -445,7 +450,8 @@ def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
         except subprocess.TimeoutExpired:
             return {f"{name}: ended after so many seconds, not finished": limit_s}
         finally:
-            if process.poll() is None:  # with all that it has started
+            # With all that it has started.
+            if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
         if code:
@@ -498,7 +504,8 @@ def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
         for figure, value in figures[name].items():
             shown = f"{value:.3g}" if isinstance(value, float) else value
             click.echo(f"{figure:<72} {shown}")
-        if out is not None:  # after each part, in case a later one is interrupted
+        # After each part, in case a later one is interrupted.
+        if out is not None:
             ordered = {
                 "machine": machine,
                 **{n: figures[n] for n in PARTS if n in figures},

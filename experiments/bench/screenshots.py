@@ -176,9 +176,8 @@ def report(page: Path, out: Path) -> None:
         for name, (width_px, height_px) in _REPORT_SIZES_PX.items():
             shown = browser.new_page(viewport={"width": width_px, "height": height_px})
             shown.goto(page.resolve().as_uri())
-            if (
-                shown.get_attribute("html", "lang") != "en"
-            ):  # parts have their English names
+            # Parts have their English names.
+            if shown.get_attribute("html", "lang") != "en":
                 _save(
                     shown,
                     out
@@ -214,7 +213,8 @@ def _photograph_dialogs(page: Any, stem: Path) -> None:
     page.locator("#compass").drag_to(
         page.locator("#compass"),
         source_position={"x": 62, "y": 30},
-        target_position={"x": 90, "y": 40},  # away from the junction: runs are lost
+        # Away from the junction: runs are lost.
+        target_position={"x": 90, "y": 40},
     )
     page.wait_for_selector("#source.evaluator")
     page.wait_for_selector("p:has(> #apr:not(.old)) + #source.evaluator")

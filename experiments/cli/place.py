@@ -104,9 +104,8 @@ def cli(
     asks_much = not (
         options.is_given("cases") or question.speeds or question.approaches
     )
-    with side_process(
-        asks_much and job.compute.workers > 1, **READY
-    ) as side:  # loads meanwhile
+    # Loads meanwhile.
+    with side_process(asks_much and job.compute.workers > 1, **READY) as side:
         from ..jobs import placement
 
         result = placement.run_placement(

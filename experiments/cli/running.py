@@ -176,7 +176,8 @@ def check_address_space() -> None:
     """
     try:
         import resource
-    except ImportError:  # Windows
+    except ImportError:
+        # Windows.
         return
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < _LEAST_BYTES:

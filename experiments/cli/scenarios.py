@@ -136,7 +136,8 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
             ]
         )
     for row, (before, after) in enumerate(pairwise(groups), start=1):
-        if before[0] == after[0]:  # each is named once
+        # Each is named once.
+        if before[0] == after[0]:
             cells[row][0] = ""
     if has_positions:
         places = ["places"]

@@ -64,7 +64,8 @@ def answer_text(parts: Iterable[Part], *, is_verbose: bool) -> str:
     for part in parts:
         if part and (is_verbose or part.is_short):
             is_plain = not (part.title or part.table)
-            is_note = is_plain and not part.words  # it belongs to what stands above
+            # It belongs to what stands above.
+            is_note = is_plain and not part.words
             if is_note or (is_plain and was_plain) or not lines:
                 lines += []
             else:

@@ -152,7 +152,8 @@ def verification_text(summary: "VerificationResult") -> str:
 def _left_out(summary: "VerificationResult") -> str:
     """What was not checked, for the last line."""
     left = []
-    if not summary.stages:  # there is no placement to make anew
+    # There is no placement to make anew.
+    if not summary.stages:
         left.append("what is listed above")
     elif not summary.is_deep:
         left.append("verdicts, bill, report (--deep)")

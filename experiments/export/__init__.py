@@ -39,13 +39,16 @@ _SHARED = {
 class ExportFormat:
     """A format: how a layout is written, and what a user should know about it."""
 
-    write: Callable[
-        ..., str | bytes
-    ]  # a layout and its scene to the content of the file
-    content: str  # what the file holds, and who reads it, in a few words
-    is_binary: bool = False  # it is not text and needs a file
-    shows_runs: bool = False  # `write` takes a :class:`.watched.WatchedRun`, too
-    has_pictures: bool = False  # `write` takes `pictures`, what to draw them with
+    # A layout and its scene to the content of the file.
+    write: Callable[..., str | bytes]
+    # What the file holds, and who reads it, in a few words.
+    content: str
+    # It is not text and needs a file.
+    is_binary: bool = False
+    # `write` takes a :class:`.watched.WatchedRun`, too.
+    shows_runs: bool = False
+    # `write` takes `pictures`, what to draw them with.
+    has_pictures: bool = False
     # a sentence about the content that was written
     told: Callable[[bytes], str] | None = None
 
@@ -86,7 +89,8 @@ def xml_text(template: str, *, namespace: str = "", **values: Any) -> str:
     root = ET.fromstring(_templates().get_template(template).render(values))
     for element in root.iter():
         if not len(element) and not (element.text or "").strip():
-            element.text = None  # blanks of the template, where nothing was filled in
+            # Blanks of the template, where nothing was filled in.
+            element.text = None
     if namespace:
         root.set("xmlns", namespace)
     ET.indent(root)

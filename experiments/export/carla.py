@@ -51,7 +51,8 @@ def carla_points(points_m: FloatArray, scene: Scene | None) -> FloatArray:
         moved_m[:, :2] = metric_points(moved_m[:, :2], scene)
         if terrain_of(scene) is not None:
             moved_m[:, 2] += scene.zero_height_m or 0.0
-    return to_carla_points(moved_m) + 0.0  # adding zero turns -0.0 into 0.0
+    # Adding zero turns -0.0 into 0.0.
+    return to_carla_points(moved_m) + 0.0
 
 
 def camera_attributes(sensor: CameraModel) -> dict[str, str]:

@@ -30,48 +30,67 @@ from .places import longitude_latitude, require_crs
 from .watched import WatchedRun
 
 STANDARD = "ETSI TS 103 324 V2.1.1 with ETSI TS 102 894-2 V2.1.1"
+# Fields and limits bear the names of their ASN.1 types.
 _VERSION = 2
-_CPM = 14  # ItsPduHeader
-_PER_DEGREE = 1.0e7  # Latitude, Longitude
+# ItsPduHeader.
+_CPM = 14
+# Latitude, Longitude.
+_PER_DEGREE = 1.0e7
+# CpmContainerId.
 _RSU_CONTAINER = 2
 _SENSOR_CONTAINER = 3
-_OBJECT_CONTAINER = 5  # CpmContainerId
+_OBJECT_CONTAINER = 5
+# SensorType.
 _LIDAR = 2
-_MONOVIDEO = 3  # SensorType
-_MAX_SENSORS = 128  # SensorInformationContainer
-_SENSORS_EVERY_S = 1.0  # T_AddSensorInformation
-_MAX_RANGE = 4093  # StandardLength12b, in 0.1 m
-_MAX_OFFSET = 32766  # CartesianCoordinate, in 0.01 m
+_MONOVIDEO = 3
+# SensorInformationContainer.
+_MAX_SENSORS = 128
+# T_AddSensorInformation.
+_SENSORS_EVERY_S = 1.0
+# StandardLength12b, in 0.1 m.
+_MAX_RANGE = 4093
+# CartesianCoordinate, in 0.01 m.
+_MAX_OFFSET = 32766
+# CartesianCoordinateLarge.
 _MAX_COORDINATE = 131070
-_MAX_VELOCITY = 16381  # CartesianCoordinateLarge, VelocityComponentValue
-_TURN = 3600  # a full turn in 0.1 degrees: a value that is not used
+# VelocityComponentValue.
+_MAX_VELOCITY = 16381
+# A full turn in 0.1 degrees: a value that is not used.
+_TURN = 3600
+# What is not known has a value of its own in each type.
 _SEMI_AXIS_UNKNOWN = 4095
 _HEADING_UNKNOWN = 3601
 _ALTITUDE_UNKNOWN = 800001
+# Confidences.
 _COORDINATE_UNKNOWN = 4096
 _SPEED_UNKNOWN = 127
-_CLASS_UNKNOWN = 101  # confidences
-_ALTITUDES = -100_000, 800_000  # the first and the last stand for all beyond
-_SLACK = 1.0e-6  # of a unit: what rounding may add before it counts as the next one
-_STEP_S = 1.0e-3  # half of that over which a velocity is taken
+_CLASS_UNKNOWN = 101
+# The first and the last stand for all beyond.
+_ALTITUDES = -100_000, 800_000
+# Of a unit: what rounding may add before it counts as the next one.
+_SLACK = 1.0e-6
+# Half of that over which a velocity is taken.
+_STEP_S = 1.0e-3
 # by road user: kind and profile
 _VRU_CLASSES = {
     "on foot": ("pedestrian", "ordinary-pedestrian"),
     "bicycle": ("bicyclistAndLightVruVehicle", "bicyclist"),
     "motorcycle": ("motorcyclist", "motorcycle"),
 }
-_PASSENGER_CAR = 5  # TrafficParticipantType
+# TrafficParticipantType.
+_PASSENGER_CAR = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Station:
     """Messages of the units of a site."""
 
-    site: str  # empty: a unit without a site
-    units: tuple[str, ...]  # a sensor's id is its place here
-    messages: tuple[
-        dict[str, Any], ...
-    ]  # CollectivePerceptionMessage each, as JSON writes it
+    # Empty: a unit without a site.
+    site: str
+    # A sensor's id is its place here.
+    units: tuple[str, ...]
+    # CollectivePerceptionMessage each, as JSON writes it.
+    messages: tuple[dict[str, Any], ...]
 
 
 def to_cpm(

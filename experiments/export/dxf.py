@@ -14,7 +14,8 @@ from .places import find_views, metric_points
 
 _LAYERS = {"LANES": 8, "CROSSWALKS": 9, "POLES": 3, "UNITS": 5, "UNSEEN": 1}
 _VIEWS = 140
-_METRES = 6  # $INSUNITS
+# $INSUNITS.
+_METRES = 6
 _TEXT_M = 0.6
 _POLE_M = 0.3
 _ARROW_M = 4.0

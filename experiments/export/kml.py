@@ -32,9 +32,8 @@ def to_kml(layout: Layout, scene: Scene) -> str:
         *(field for record in records for field in record.items()),
     ]
     for name, value in texts:
-        if (
-            isinstance(value, str) and not value.isprintable()
-        ):  # XML has no words for most others
+        # XML has no words for most others.
+        if isinstance(value, str) and not value.isprintable():
             raise InputError(f"kml: {name}", value, "printable text")
     return xml_text(
         "kml.xml.j2",

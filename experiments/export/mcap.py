@@ -26,7 +26,8 @@ from . import ExportFormat, load_extra
 from .calibration import calibrations, lens_coefficients, plain, sensor_quaternion
 from .watched import WatchedRun
 
-WORLD = "map"  # frame, as REP 105 calls it
+# Frame, as REP 105 calls it.
+WORLD = "map"
 _COLOURS = {
     "ground": (0.45, 0.45, 0.45, 1.0),
     "building": (0.75, 0.7, 0.62, 1.0),
@@ -39,10 +40,12 @@ _COLOURS = {
     "seen": (0.1, 0.8, 0.2, 1.0),
     "other": (0.6, 0.6, 0.65, 1.0),
 }
-_FRUSTUM_M = 4.0  # how far ahead its far side is drawn
+# How far ahead its far side is drawn.
+_FRUSTUM_M = 4.0
 # of what is drawn: the sides of wider ones would be kilometres away
 _WIDEST_DEG = 150.0
-_WIDEST_PX = 640  # of pictures
+# Of pictures.
+_WIDEST_PX = 640
 _NANO = 1_000_000_000
 
 

@@ -31,8 +31,10 @@ _TYPES = {
     "cycling": "biking",
     "walking": "sidewalk",
 }
-_MOUTH_M = 10.0  # of a lane, of which its direction is taken
-_SAME_M = 0.5  # between the ends of lanes that lead into each other
+# Of a lane, of which its direction is taken.
+_MOUTH_M = 10.0
+# Between the ends of lanes that lead into each other.
+_SAME_M = 0.5
 _SAME_SLOPE = 1.0e-9
 _DIGITS = 6
 _LENGTH_NODES = np.polynomial.legendre.leggauss(8)
@@ -44,9 +46,12 @@ class _Road:
 
     id: str
     lane: Lane
-    points_m: FloatArray  # (n, 2)
-    tangent: FloatArray  # (n, 2), unit vectors
-    width_m: tuple[float, float]  # at both ends
+    # (n, 2).
+    points_m: FloatArray
+    # (n, 2), unit vectors.
+    tangent: FloatArray
+    # At both ends.
+    width_m: tuple[float, float]
 
     def pieces(self) -> Iterator[tuple[float, FloatArray, FloatArray]]:
         """Length of each piece, and its coefficients.
@@ -117,9 +122,8 @@ def to_opendrive(layout: Layout | None, scene: Scene) -> str:
             continue
         before = _end_at(outside, road.points_m[0], -1)
         after = _end_at(outside, road.points_m[-1], 0)
-        if (
-            before is None or after is None
-        ):  # through another junction: it leads nowhere here
+        # Through another junction: it leads nowhere here.
+        if before is None or after is None:
             del roads[road.id]
             continue
         ways[road.id] = before.id, after.id
@@ -148,7 +152,8 @@ def _road(road_id: str, lane: Lane) -> _Road:
     steps /= np.hypot(*steps.T)[:, None]
     tangent = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]])
     length = np.hypot(*tangent.T)
-    follows = np.concatenate([steps, steps[-1:]])  # where a line turns back
+    # Where a line turns back.
+    follows = np.concatenate([steps, steps[-1:]])
     tangent = np.where(length[:, None] > 1e-6, tangent, follows)
     tangent /= np.hypot(*tangent.T)[:, None]
     widths_m = lane.width_m, lane.width_m
@@ -173,7 +178,8 @@ def _assumed(junction: Junction) -> Iterator[Lane]:
             ]
             try:
                 line_m = curve_between(*ends)
-            except ValueError:  # too sharp a turn
+            except ValueError:
+                # Too sharp a turn.
                 continue
             yield Lane(
                 id=f"{lane.id} to {leaving.id}",

@@ -32,7 +32,8 @@ _SCHEMA = "OpenSCENARIO_1_3_1.xsd"
 _SPEED_DECIMALS = 3
 _SPEED_STEP_S = 1.0e-6
 _TURN_DEG = 0.1
-_TURN_STEP_S = 0.02  # between two frames: from which turn on, and how often
+# Between two frames: from which turn on, and how often.
+_TURN_STEP_S = 0.02
 _EPSILON_S = 1.0e-6
 _Place = tuple[float, float, float, float]
 """East, north, up [m] and heading [rad] of a point of reference."""
@@ -68,7 +69,8 @@ def _body(actor: Actor) -> Table:
 def _axles_m(actor: Actor) -> tuple[float, float]:
     """Front and rear axle of a vehicle, ahead of the middle of its box."""
     body = _body(actor)
-    if "wheelbase_m" in body:  # of a bicycle
+    # Of a bicycle.
+    if "wheelbase_m" in body:
         return (
             body["front_axle_ahead_m"],
             body["front_axle_ahead_m"] - body["wheelbase_m"],
@@ -130,7 +132,8 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
     ----------
     .. [1] ASAM OpenSCENARIO XML 1.3.1, "Coordinate systems" and class reference.
     """
-    load_xosc()  # brings the schema
+    # Brings the schema.
+    load_xosc()
     if not road_network:
         raise InputError("road_network", road_network, "the name of an OpenDRIVE file")
     met = run.encounter
@@ -147,6 +150,7 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
     if is_avoidable:
         last_s = float(run.last_brake_time_s - run.time_s[0])
         times_s["last_brake_time_s"] = round(last_s, _DECIMALS) + 0.0
+    # Clockwise from north.
     text = xml_text(
         "openscenario.xml.j2",
         run=run,
@@ -166,9 +170,7 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
         bodies=described,
         sky=sky,
         light=light,
-        azimuth_rad=_radians(
-            (90.0 - light.sun_yaw_deg) % 360.0
-        ),  # clockwise from north
+        azimuth_rad=_radians((90.0 - light.sun_yaw_deg) % 360.0),
         elevation_rad=_radians(light.sun_elevation_deg),
         tracks=[_build_track(name, run, after_s) for name in (VUT, VRU)],
         standing=[
@@ -253,7 +255,8 @@ def _build_track(name: str, run: Run, after_s: float) -> dict[str, Any]:
     position_m = np.concatenate([position_m, more_m])[order]
     yaw_deg = np.concatenate([yaw_deg, more_deg])[order]
     way_m = np.diff(motion.distance_m(first_s + np.array([0.0, _SPEED_STEP_S])))[0]
-    yaw_deg = np.unwrap(yaw_deg, period=360.0)  # without jumps by full turns
+    # Without jumps by full turns.
+    yaw_deg = np.unwrap(yaw_deg, period=360.0)
     return {
         "name": name,
         "times_s": ((time_s - first_s).round(_DECIMALS) + 0.0).tolist(),

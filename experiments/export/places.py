@@ -121,8 +121,10 @@ def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
 class View:
     """Area that a camera sees, or road that no camera sees."""
 
-    unit: str  # its id; empty: what no camera sees
-    area: Any  # shapely's polygons without overlap, in any coordinates
+    # Its id; empty: what no camera sees.
+    unit: str
+    # Shapely's polygons without overlap, in any coordinates.
+    area: Any
 
 
 def find_views(

@@ -13,7 +13,8 @@ def to_csv(layout: Layout, scene: Scene | None = None) -> str:
 
     See :func:`placed_records`.
     """
-    import pandas as pd  # takes longer to load than all other formats
+    # Takes longer to load than all other formats.
+    import pandas as pd
 
     return csv_text(pd.DataFrame(placed_records(layout, scene)))
 

@@ -78,7 +78,8 @@ class WatchedRun:
     # by unit's id (n_frames,): frames in which the evaluator's detector finds the road
     # user
     detected: Mapping[str, BoolArray]
-    rule: AebRule  # from detected frames to braking
+    # From detected frames to braking.
+    rule: AebRule
 
 
 def watch_run(

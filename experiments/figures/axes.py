@@ -140,7 +140,8 @@ def to_png(drawn: Axes | Figure) -> bytes:
         if engine is not None:
             engine.execute(figure)
             figure.set_layout_engine("none")
-        canvas: Any = FigureCanvasAgg(figure)  # print_png has no types
+        # print_png has no types.
+        canvas: Any = FigureCanvasAgg(figure)
         canvas.print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
 

@@ -126,7 +126,8 @@ def save_film(
             metadata = {}
         with drawing_any_name():
             figure = plot_film(scene, run)[0].get_figure(root=True)
-            assert figure is not None  # it was made for these axes
+            # It was made for these axes.
+            assert figure is not None
             figure.savefig(buffer, format=suffix[1:], metadata=metadata)
         data = buffer.getvalue()
     else:
@@ -151,10 +152,11 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
         return []
 
     animation = FuncAnimation(figure, draw, frames=frames, init_func=list)
+    # The library writes to names only.
     with (
         TemporaryDirectory() as folder,
         drawing_any_name(),
-    ):  # the library writes to names only
+    ):
         name = Path(folder) / "film.gif"
         rate_hz = round(1.0 / float(np.diff(run.time_s[-2:])[0]))
         tell = partial(progress, "draw")

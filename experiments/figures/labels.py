@@ -29,14 +29,18 @@ from .axes import Style, literal, root_figure, unit_labels, write_beside
 HALO = withStroke(linewidth=3.0, foreground="white")
 _POINTS_PER_INCH = 72.0
 _LETTER = 0.64
-_LINE = 1.3  # width and height of a letter, in font sizes
-_APART = 1.5  # points around a label
+# Width and height of a letter, in font sizes.
+_LINE = 1.3
+# Points around a label.
+_APART = 1.5
 _TURNS_DEG = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 _MORE_POINTS = (0.0, 7.0, 15.0, 26.0)
 MAX_LABELLED_UNITS = 40
 """Of more units, the plan tells how many there are at each place."""
-_NAMES_AT = 0.8  # of the way to the frame
-_NEAR_ITS_MOUTH = 0.77  # cosine of the angle to the mouth, seen from the middle
+# Of the way to the frame.
+_NAMES_AT = 0.8
+# Cosine of the angle to the mouth, seen from the middle.
+_NEAR_ITS_MOUTH = 0.77
 ARROW_POINTS = 13.0
 """From a pole to the tip of its unit's arrow."""
 _SAME_PLACE_M = 1.0
@@ -48,12 +52,16 @@ class Label:
     """A text of one line next to a point."""
 
     text: str
-    point_m: tuple[float, float]  # in the axes' data. [m]
+    # In the axes' data. [m]
+    point_m: tuple[float, float]
     # side that it is put on if free, counter-clockwise from east
     toward_deg: float = 45.0
-    gap: float = 4.0  # from the point to the text. [points]
-    size: float = 8.0  # of the letters. [points]
-    is_kept: bool = True  # drawn where no side is free, too
+    # From the point to the text. [points]
+    gap: float = 4.0
+    # Of the letters. [points]
+    size: float = 8.0
+    # Drawn where no side is free, too.
+    is_kept: bool = True
     style: Style | None = None
 
 
@@ -98,7 +106,8 @@ def draw_labels(
             for more in _MORE_POINTS
             for way in _TURNS_DEG
         ]
-        middles = np.clip(point + shifts, half, most)  # moved into the frame
+        # Moved into the frame.
+        middles = np.clip(point + shifts, half, most)
         boxes = np.hstack([middles - half, middles + half])
         hidden = _overlaps(np.reshape(taken, (-1, 4)), boxes).sum(axis=0)
         best = int(np.argmin(hidden))
@@ -195,7 +204,8 @@ def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[La
     try:
         streets = street_names(scene)
         arms = build_junction(scene).arms
-    except InputError:  # no lane ends at the junction
+    except InputError:
+        # No lane ends at the junction.
         return []
     labels = []
     for name, arm in arms.items():
@@ -204,7 +214,8 @@ def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[La
         ways = points - middle_m
         ahead = arm_mouth(arm) - middle_m
         along = ways @ ahead / np.maximum(np.hypot(*ways.T) * np.hypot(*ahead), 1e-9)
-        ways = ways[along >= min(_NEAR_ITS_MOUTH, along.max())]  # of an arm that bends
+        # Of an arm that bends.
+        ways = ways[along >= min(_NEAR_ITS_MOUTH, along.max())]
         away_m = np.abs(ways).max(axis=1)
         way = ways[np.argmin(np.abs(away_m - _NAMES_AT * half_size_m))]
         at = middle_m + way

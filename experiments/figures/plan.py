@@ -64,8 +64,10 @@ ASSUMED_STYLE: Style = SITE_STYLE | {"marker": "D", "markeredgecolor": VERMILION
 """Of sites that the map does not have, or not there."""
 _LINE_STYLES = ("-", "--", "-.", ":")
 _LEGEND_ROW_IN = 0.17
-_MAX_NAME = 38  # letters that the legend has room for
-_PATHS: dict[str, tuple[str, Any, float]] = {  # name, dashes, width
+# Letters that the legend has room for.
+_MAX_NAME = 38
+# Name, dashes, width.
+_PATHS: dict[str, tuple[str, Any, float]] = {
     "vut": (mark("car under test (VUT)"), "-", 1.3),
     "pedestrian": (mark("pedestrian, to the collision point"), (0, (1.2, 1.2)), 1.8),
     "cyclist": (mark("cyclist, to the collision point"), (0, (5.0, 2.0)), 1.2),
@@ -83,7 +85,8 @@ _IMPACT_STYLE: Style = _CROSS | {"markersize": 4.5, "linestyle": "none"}
 _ROUND_MARKER: Style = {"marker": "o", "linestyle": "none"}
 # Looking east; the last point closes the outline.
 _DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0]])
-_DART_POINTS = 5.5  # half its length
+# Half its length.
+_DART_POINTS = 5.5
 _N_BEARINGS = 180
 _STEP_M = 0.1
 _HALF_SIZE_M = 45.0
@@ -277,7 +280,8 @@ def plot_plan(
     if axes is None:
         n_rows = -(-len(entries) // n_columns)
         axes = new_axes(width_in, width_in + 0.05 + _LEGEND_ROW_IN * n_rows)
-        axes.set_anchor("N")  # what is left over is below the legend
+        # What is left over is below the legend.
+        axes.set_anchor("N")
     scene, outline = setting.scene, setting.scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     feet = np.array([unit.pose.position_m[:2] for unit in layout.units])
@@ -338,7 +342,8 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     firsts = {
         (run.case.name, run.approach, run.position): run for run in reversed(runs)
     }
-    gap = np.full((1, 2), np.nan)  # lines with gaps are drawn in one go
+    # Lines with gaps are drawn in one go.
+    gap = np.full((1, 2), np.nan)
     ways: dict[str, list[FloatArray]] = {name: [gap] for name in _PATHS}
     for run in firsts.values():
         vru = run.case.vru.class_name

@@ -30,9 +30,11 @@ MAX_RANGE_M = 150.0
 _N_BEARINGS = 360
 _FINE_M = 1.0
 _FINE_UP_TO_M = 50.0
-_COARSE_M = 2.0  # between the places that are asked of
+# Between the places that are asked of.
+_COARSE_M = 2.0
 _HAIR_M = 0.05
-_STEP_M = 0.5  # of the reach
+# Of the reach.
+_STEP_M = 0.5
 _MAX_MOUNTS = 256
 
 
@@ -147,7 +149,8 @@ class GroundViews:
         places = ground_m + [0.0, 0.0, LOOK_AT_M] - self._origin_m
         is_open = is_in_sight(self._caster, eye, places, near_m=unit.sensor.near_m)
         is_open = is_open.reshape(_N_BEARINGS, -1)
-        is_open[:, 0] = True  # rays do not begin nearer
+        # Rays do not begin nearer.
+        is_open[:, 0] = True
         is_open |= np.roll(is_open, 1, axis=0) & np.roll(is_open, -1, axis=0)
         change = np.diff(np.pad(is_open.astype(np.int8), ((0, 0), (1, 1))), axis=1)
         row, first = np.nonzero(change == 1)
@@ -165,10 +168,11 @@ class GroundViews:
         is_inner = first == 0
         star = shapely.Polygon(eye_m[:2] + corners[is_inner, 1:3].reshape(-1, 2))
         joined = shapely.union_all([star, *sectors[~is_inner]])
+        # Or rounding would leave gaps between sectors.
         for width_m in (
             _HAIR_M,
             -_HAIR_M,
-        ):  # or rounding would leave gaps between sectors
+        ):
             joined = shapely.buffer(
                 joined, width_m, join_style="mitre", mitre_limit=1.5
             )

@@ -6,7 +6,8 @@ READY: dict[str, Any] = {
     "modules": (
         "experiments.report.page",
         "placement.explain.tolerances",
-        "placement.visibility.point_kernels",  # the compiler
+        # The compiler.
+        "placement.visibility.point_kernels",
         "placement.visibility.ray_kernels",
         "scipy.integrate",
         "scipy.optimize",

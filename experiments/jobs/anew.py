@@ -39,13 +39,16 @@ Add = Callable[[str, str, str], None]
 """Takes a check: its name, what is wrong or nothing, what to say if all is right."""
 
 _TOLERANCE = 1.0e-9
-_SECONDS = "seconds"  # keys of times: no two calls take as long
+# Keys of times: no two calls take as long.
+_SECONDS = "seconds"
 _VERSIONS = "versions"
+# Times that are not known yet when the report is written.
 _AFTERWARDS = (
     WRITING,
     "total",
-)  # times that are not known yet when the report is written
-_MOST_TOLD = 3  # differences of a file
+)
+# Differences of a file.
+_MOST_TOLD = 3
 _PICTURE = re.compile(r"data:[a-z/+]+;base64,[A-Za-z0-9+/=]*")
 
 
@@ -71,7 +74,8 @@ def compare_anew(
         The folder is no placement's, does not say what was asked, names a network,
         which is a program, or the question cannot be answered here.
     """
-    from .placement import answer_placement, write_files  # load the whole main job
+    # Load the whole main job.
+    from .placement import answer_placement, write_files
 
     stored = read_summary(folder / MARKER)
     asked = stored.asked

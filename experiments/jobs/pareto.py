@@ -126,7 +126,8 @@ def run_pareto(
     find = cost_front
     if by == "units":
         most = problem.limits.budget_units
-        assert most is not None  # that was asked for
+        # That was asked for.
+        assert most is not None
         find = partial(pareto_front, max_units=most, min_units=max(n_kept, 1))
     stages: StageChoice = "all" if all_stages else "first"
     front = find(problem, stages=stages, effort=plan.effort, on_point=tell)

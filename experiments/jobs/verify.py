@@ -120,8 +120,10 @@ class VerificationResult(Record, frozen=True, kw_only=True):
     stages: tuple[VerifiedStageRecord, ...]
     solver: str
     not_checked: tuple[str, ...]
-    is_deep: bool  # the result was made anew, and every file compared
-    is_signed: bool  # by the key that was given
+    # The result was made anew, and every file compared.
+    is_deep: bool
+    # By the key that was given.
+    is_signed: bool
     seconds: dict[str, float]
 
 
@@ -131,7 +133,8 @@ class FolderChecks:
 
     checks: list[CheckRecord] = field(default_factory=list)
     not_checked: list[str] = field(default_factory=list)
-    is_deep: bool = False  # the result is made anew afterwards, and every file compared
+    # The result is made anew afterwards, and every file compared.
+    is_deep: bool = False
 
     def leave(self, what: str, *, deep: bool = False) -> None:
         """Something that is not checked here.
@@ -576,7 +579,8 @@ def _check_summary(
     # What a summary tells of units beyond the layout file, such as where they are in
     # words.
     keys = [set(unit) for unit in stored.units]
-    told = {"cars": 0.0} | dict(summary)  # older summaries are of blind cars
+    # Older summaries are of blind cars.
+    told = {"cars": 0.0} | dict(summary)
     if isinstance(told.get("layout"), list) and len(told["layout"]) == len(keys):
         told["layout"] = [
             (
@@ -736,7 +740,8 @@ def _wrong_ratios(
 class _Outcomes:
     """Runs of one party of one layout."""
 
-    words: tuple[Any, ...]  # by GROUP_COLUMNS: arrays of texts
+    # By GROUP_COLUMNS: arrays of texts.
+    words: tuple[Any, ...]
     weight: Any
     is_avoided: BoolArray
 

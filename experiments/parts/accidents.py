@@ -28,7 +28,8 @@ from .section import Block, Box, Bullets, Section, Sketch, Subheading, Table
 
 MAX_UNIT_COLUMNS = 24
 """Of more units, each is a row of the table of units by themselves."""
-_MAX_FLAT_ROWS = 40  # a longer table is to unfold
+# A longer table is to unfold.
+_MAX_FLAT_ROWS = 40
 
 
 def is_weighted(axis: FrameAxis) -> bool:
@@ -193,7 +194,8 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
         caption = tr("APR of each unit of {name} by itself, best first", name=name)
         columns = [tr("unit"), *(row[0] for row in rows)]
         of_units = zip(units, zip(*(row[1:] for row in rows), strict=True), strict=True)
-        best_first = sorted(  # stable: as in the layout where two are alike
+        # Stable: as in the layout where two are alike.
+        best_first = sorted(
             of_units,
             key=lambda pair: (apr(pair[0][1], axis), detected_share(pair[0][1], axis)),
             reverse=True,
@@ -271,9 +273,12 @@ def cases_section(setting: Setting) -> Section:
     return Section("cases", tr("What is driven"), blocks)
 
 
-SKETCHED_M = 16.0  # half the side of the ground that a sketch shows
-_PER_M = 10  # units of the drawing
-_USER_M = 0.6  # radius of the mark of who is met
+# Half the side of the ground that a sketch shows.
+SKETCHED_M = 16.0
+# Units of the drawing.
+_PER_M = 10
+# Radius of the mark of who is met.
+_USER_M = 0.6
 
 
 def case_title(case: Case) -> str:

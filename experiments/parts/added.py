@@ -126,7 +126,8 @@ def _one_by_one(
         else:
             with_each = [in_time(np.minimum(own_s, arrivals_s[unit])) for unit in left]
         shares = [weight_share(each, axis.weight) for each in with_each]
-        place = int(np.argmax(shares))  # of equal ones the first
+        # Of equal ones the first.
+        place = int(np.argmax(shares))
         apr = shares[place]
         unit = left.pop(place)
         found.append(AddedUnit(unit=names[unit], apr=apr, gain=apr - before))

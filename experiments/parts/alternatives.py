@@ -433,7 +433,8 @@ def _if_one_fails(failures: Failures, labels: Mapping[str, str]) -> str:
     n_harmless = sum(not item.lost_run_ids for item in failures.one_failed)
     if n_harmless == n_units:
         least_s = min(item.smallest_margin_s for item in failures.one_failed)
-        if math.isnan(least_s):  # there is no such run
+        # There is no such run.
+        if math.isnan(least_s):
             return tr(
                 "Whichever one fails, the others avoid every run that all avoid"
                 " together."

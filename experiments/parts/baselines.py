@@ -125,10 +125,14 @@ class Baselines(Record, frozen=True, kw_only=True):
 class Proposed:
     """Random layouts and an expert's on the detection table."""
 
-    random: RandomLayouts | None  # None: no random layout is within the limits
-    expert: Layout | None  # None: the rule of thumb is not
-    corners: tuple[str, ...]  # at which it has a camera, in the order of choice
-    expert_on_table: float  # its APR
+    # None: no random layout is within the limits.
+    random: RandomLayouts | None
+    # None: the rule of thumb is not.
+    expert: Layout | None
+    # At which it has a camera, in the order of choice.
+    corners: tuple[str, ...]
+    # Its APR.
+    expert_on_table: float
 
 
 def compare_placement(

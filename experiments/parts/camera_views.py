@@ -32,7 +32,8 @@ from .section import Picture
 
 _WIDTH_IN = 3.2
 _WIDTH_PX = 512
-_MOST_CAMERAS = 4  # of more, none is drawn: a first screen has no room for them
+# Of more, none is drawn: a first screen has no room for them.
+_MOST_CAMERAS = 4
 
 
 def camera_views(setting: Setting, layout: Layout) -> list[Picture]:
@@ -105,7 +106,8 @@ def _draw(
     )
 
 
-@lru_cache(maxsize=2)  # while a camera is aimed the run stays the same
+# While a camera is aimed the run stays the same.
+@lru_cache(maxsize=2)
 def _backdrop(scene: Scene, run: Run) -> Backdrop:
     return build_backdrop(scene, run.obstruction)
 
@@ -143,7 +145,8 @@ def live_picture(
     if not isinstance(unit.sensor, CameraModel):
         raise InputError("unit", unit.id, "a camera: a LiDAR takes no picture")
     if run_id:
-        from placement.evaluator.pictures import find_frame  # loads the compiler
+        # Loads the compiler.
+        from placement.evaluator.pictures import find_frame
 
         run = pick({run.id: run for run in setting.runs}, run_id, "run")
         frame = find_frame(run, frame)

@@ -90,9 +90,8 @@ def run_certify(
     """
     expect_files(out, progress, sign=sign)
     growth = None
-    if (
-        question.samples == AUTO
-    ):  # in worlds that neither a bound nor the layout is judged in
+    # In worlds that neither a bound nor the layout is judged in.
+    if question.samples == AUTO:
         growth = grow(question, first=APART, compute=compute).growth
         question = replace(question, samples=growth.taken)
     plan = assemble(question, compute=compute)

@@ -183,7 +183,8 @@ def side_by_side_table(
         random = None
     else:
         random = baselines.random
-    if random is not None:  # what is known is the APR on the table alone
+    # What is known is the APR on the table alone.
+    if random is not None:
         mean = percent(random.mean)
         head = tr("random: mean of {n}, on the detection table", n=random.layouts)
         rows.append([head, str(random.units), NOTHING, mean, *[NOTHING] * 4])

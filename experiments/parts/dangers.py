@@ -39,8 +39,10 @@ from .section import Block, Box, Section, Table, build_picture
 _MAX_GROUPS = 3
 SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
 """Of shares that are avoided: the more accidents are left, the darker."""
-_DARK_BELOW = 0.34  # from there white and black letters stand out alike
-_SAME_PLACE_M = 6.0  # across: less than from one lane to the oncoming one
+# From there white and black letters stand out alike.
+_DARK_BELOW = 0.34
+# Across: less than from one lane to the oncoming one.
+_SAME_PLACE_M = 6.0
 _BORDER_M = 8.0
 _MIN_HALF_SIZE_M = 30.0
 _RED: Style = {
@@ -307,8 +309,10 @@ class Place:
         Indices of the runs.
     """
 
-    position_m: FloatArray  # (2,): middle of the road users then. World frame. [m]
-    runs: IntArray  # (n,): indices of the runs
+    # (2,): middle of the road users then. World frame. [m]
+    position_m: FloatArray
+    # (n,): indices of the runs.
+    runs: IntArray
 
     def share_avoided(self, is_avoided: BoolArray, weight: FloatArray) -> float:
         """Share of these runs that is avoided, by weight; NaN if none has any."""
@@ -397,7 +401,8 @@ def plot_dangers(
 
 def _draw_place(axes: Axes, place: Place, share: float, size: float) -> None:
     """Draw a mark with its number; `size` in points."""
-    if not np.isfinite(share):  # runs that do not count
+    # Runs that do not count.
+    if not np.isfinite(share):
         return
     mark: Style = {
         "markeredgecolor": "black",
@@ -405,12 +410,14 @@ def _draw_place(axes: Axes, place: Place, share: float, size: float) -> None:
         "linestyle": "none",
     }
     mark |= {"markerfacecolor": SHADES(share), "gid": "place"}
-    if share > 1.0 - 1.0e-9:  # small circles are sites
+    # Small circles are sites.
+    if share > 1.0 - 1.0e-9:
         axes.plot(
             *place.position_m, marker="s", markersize=0.27 * size, zorder=7.0, **mark
         )
         return
-    on_top = 8.0 - 0.5 * share  # the most dangerous
+    # The most dangerous.
+    on_top = 8.0 - 0.5 * share
     axes.plot(*place.position_m, marker="o", markersize=size, zorder=on_top, **mark)
     # What is not quite none is never shown as it.
     if share < 1.0e-9:

@@ -34,7 +34,8 @@ from ..results.record import (
 from .section import Block, Section, Table, tabulate
 
 _MAX_REASONS = 2
-_MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
+# Rows of a table that is unfolded from the start.
+_MAX_UNFOLDED = 12
 _MAX_DIGITS = 6
 
 
@@ -217,7 +218,8 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
         words, n_runs = causes.most_common(1)[0]
         if len(missed) == 1:
             sentences.append(tr("The main cause: {cause}.", cause=words))
-        elif len(causes) == 1 or n_runs > 1:  # else each run has a cause of its own
+        elif len(causes) == 1 or n_runs > 1:
+            # Else each run has a cause of its own.
             most = mark("The most frequent cause: {cause}, in {runs}.")
             sentences.append(tr(most, cause=words, runs=count_runs(n_runs)))
     n_saved = sum(entry.rescue is not None for entry in missed)
@@ -570,7 +572,8 @@ def next_unit_sentence(unit: NextUnit | None) -> str:
     """Gain of one more unit; empty where none fits."""
     if unit is None:
         return ""
-    if unit.gain < 0.5e-9:  # what rounding leaves
+    # What rounding leaves.
+    if unit.gain < 0.5e-9:
         return tr(
             "One more unit among the candidates would avoid nothing more (on "
             "the detection table, by greedy choice)"

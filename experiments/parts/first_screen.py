@@ -46,12 +46,15 @@ class FirstScreen:
     """
 
     sentence: str
-    warnings: tuple[str, ...]  # what must not be overlooked
-    units: tuple[str, ...]  # what is mounted where, if they are few
+    # What must not be overlooked.
+    warnings: tuple[str, ...]
+    # What is mounted where, if they are few.
+    units: tuple[str, ...]
     cards: tuple[Card, ...]
     dangers: tuple[str, ...]
     plan: Picture
-    views: tuple[Picture, ...]  # of each camera, if they are few
+    # Of each camera, if they are few.
+    views: tuple[Picture, ...]
 
 
 def build_first_screen(

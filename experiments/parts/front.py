@@ -398,7 +398,8 @@ def _draw(
         mark: Style = {"marker": style["marker"], "linestyle": "none"}
         if by_units:
             axes.plot(x, values, zorder=2 + order, **line)
-        else:  # the last layout is the best for more money, too
+        else:
+            # The last layout is the best for more money, too.
             steps: Style = line | {"drawstyle": "steps-post"}
             axes.plot(
                 np.append(x, end),

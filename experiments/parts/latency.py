@@ -48,7 +48,8 @@ PNG_NAME = "latency.png"
 APR_LEVELS = (1.0, 0.95, 0.9)
 STEP_S = 0.005
 _LEAST_SHOWN_S = 0.5
-_SAME_SHARE = 1.0e-12  # ratios of rounded sums
+# Ratios of rounded sums.
+_SAME_SHARE = 1.0e-12
 # Told apart by dashes and width as well as by colour.
 _STYLES: Mapping[str, Style] = {
     "rsu_all": {"label": mark("all RSUs"), "color": BLUE, "linestyle": "-", "lw": 3.0},

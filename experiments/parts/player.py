@@ -34,9 +34,11 @@ DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
 SHOWN_ABOVE = mark("shown above")
 NOT_AVOIDED = mark("not avoided")
 AVOIDED = mark("avoided")
-_MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
+# Of records: some four hundred runs of a dozen units.
+_MAX_BYTES = 1_500_000
 _ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
-_MAX_HALF_M = 120.0  # farther things are never in the player's window
+# Farther things are never in the player's window.
+_MAX_HALF_M = 120.0
 _LEAST_HALF_M = 30.0
 # corners nearer than this to the line between their neighbours drop out
 _TOLERANCE_M = 0.1
@@ -111,7 +113,8 @@ def to_script_json(value: Any) -> str:
     '{"a":"\\u003c/script\\u003e"}'
     """
     text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    for sign, escaped in _ESCAPES.items():  # in JSON these stand in texts only
+    # In JSON these stand in texts only.
+    for sign, escaped in _ESCAPES.items():
         text = text.replace(sign, escaped)
     return text
 
@@ -183,7 +186,8 @@ def run_record(
     vut = run.encounter.vut
     vru = run.encounter.vru
     motion = run.encounter.vut_motion
-    last_place: list[int] | None = None  # no braking helps
+    # No braking helps.
+    last_place: list[int] | None = None
     if np.isfinite(run.last_brake_time_s):
         (place,) = motion.path.at(motion.distance_m([run.last_brake_time_s]))[0]
         last_place = centimetres(place)

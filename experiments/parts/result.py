@@ -335,7 +335,8 @@ def build_placement_result(
         others = {baseline.layout.name: baseline}
     answer = build_answer(setting, found, others) | {
         "fusion": problem.fusion,
-        "apr": round(value.apr, 12),  # without what summing up many weights leaves over
+        # Without what summing up many weights leaves over.
+        "apr": round(value.apr, 12),
         "dangers": build_dangers(avoided_runs(found, problem.fusion), found.axis),
         "added": build_added(setting, found, fusion=problem.fusion),
     }

@@ -44,7 +44,8 @@ from .section import Picture, Section, Table, build_picture, tabulate
 _MAX_LEAST_SURE_RUNS = 5
 # worlds that a tail must have: with fewer, choosing for the mean has better tails
 _LEAST_WORST = 8
-_SAME_APR = 1.0e-9  # shares of summed weights carry rounding noise
+# Shares of summed weights carry rounding noise.
+_SAME_APR = 1.0e-9
 _AS_THEY_ARE = (
     *(
         "packet_loss",
@@ -498,7 +499,8 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
     It has no more units than the one found.
     """
     subject, *others = found.layouts
-    of_tail = found.tail < 1.0  # what was asked for
+    # What was asked for.
+    of_tail = found.tail < 1.0
     ahead = [
         (or_nan(gain.mean), gain, other)
         for gain, other in zip(found.gains, others, strict=True)
@@ -687,7 +689,8 @@ def table(found: SampledRecord) -> Table:
         ),
         tr("worst"): lambda one: percent(one.worst),
     }
-    if found.tail == 1.0:  # the mean of all is there already
+    # The mean of all is there already.
+    if found.tail == 1.0:
         del columns[tail]
     return tabulate(
         tr("APR in sampled worlds"), found.layouts, columns, numeric=range(1, 6)

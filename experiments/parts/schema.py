@@ -149,7 +149,8 @@ def _tidy(node: Any) -> Any:
         elif key == "description" and isinstance(value, str):
             tidy[key] = " ".join(inspect.cleandoc(value).split())
         elif key == "title" and isinstance(value, str) and value.isidentifier():
-            continue  # the name of a class
+            # The name of a class.
+            continue
         elif key == "minimum":
             # Annotations that are equal are one for Python, whether they say 0 or 0.0.
             if value == int(value):

@@ -21,7 +21,8 @@ MAX_TRUE_COLOUR_BYTES = 300_000
 """PNG files of up to so many bytes keep all colours: a palette would save little."""
 _N_COLOURS = 256
 _LARGEST_ERROR = 32.0
-_LARGEST_MEAN_ERROR = 1.5  # of 255, of any one channel: not seen by eye
+# Of 255, of any one channel: not seen by eye.
+_LARGEST_MEAN_ERROR = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,9 +41,11 @@ class Table:
     caption: str
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
-    numeric: Collection[int] = ()  # columns that are numbers
+    # Columns that are numbers.
+    numeric: Collection[int] = ()
     summary: str = ""
-    is_open: bool = False  # unfolded from the start
+    # Unfolded from the start.
+    is_open: bool = False
 
 
 def tabulate(
@@ -113,13 +116,17 @@ class Picture:
     kind: ClassVar[str] = "picture"
     title: str
     caption: str
-    alt: str  # for those who do not see it
-    image: str  # base64
+    # For those who do not see it.
+    alt: str
+    # Base64.
+    image: str
     width_px: int
     height_px: int
-    width_in: float  # at which letters of 8 pt are that high
+    # At which letters of 8 pt are that high.
+    width_in: float
     format: Literal["png", "jpeg"] = "png"
-    narrow: "Picture | None" = None  # the same for a phone
+    # The same for a phone.
+    narrow: "Picture | None" = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,8 +136,10 @@ class Sketch:
     kind: ClassVar[str] = "sketch"
     title: str
     code: str
-    half: int  # half the side of the square that is drawn
-    paths: Sequence[tuple[str, str]]  # class of ``report.css``, and data of an SVG path
+    # Half the side of the square that is drawn.
+    half: int
+    # Class of ``report.css``, and data of an SVG path.
+    paths: Sequence[tuple[str, str]]
 
 
 Block = str | Table | Bullets | Subheading | Filled | Code | Box | Picture | Sketch
@@ -147,7 +156,8 @@ class Section:
     id: str
     title: str
     blocks: Sequence[Block]
-    is_folded: bool = False  # its title alone is in sight
+    # Its title alone is in sight.
+    is_folded: bool = False
 
 
 def build_picture(

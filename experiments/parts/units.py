@@ -24,9 +24,12 @@ from .section import Block, Box, Picture, Section, Table, build_picture
 
 _PLAN_RANGE_M = 35.0
 _MAX_UNITS_IN_WORDS = 40
-_MAX_NARROW_UNITS = 6  # labels of more would lie on one another
-_MAX_FLAT_ROWS = 24  # a longer table is to unfold
-_MAX_NAMED = 6  # pairs of unit and area in a sentence
+# Labels of more would lie on one another.
+_MAX_NARROW_UNITS = 6
+# A longer table is to unfold.
+_MAX_FLAT_ROWS = 24
+# Pairs of unit and area in a sentence.
+_MAX_NAMED = 6
 MAX_UNITS = 12
 MAX_AREAS = 60
 """Columns and rows of the table: beyond, only what is seen the most."""

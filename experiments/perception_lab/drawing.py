@@ -40,9 +40,12 @@ MASKS = "instances"
 DEPTHS = "depth"
 """Folders of the pictures other than those in colour."""
 
-_VEHICLE = "car"  # the study's actor type
-_MOVING = re.compile(r"vut|(parked|driving)-\d+")  # what a run brings along
-_LEAST_VEHICLE_PX = 20  # pixels; of less a vehicle has no label
+# The study's actor type.
+_VEHICLE = "car"
+# What a run brings along.
+_MOVING = re.compile(r"vut|(parked|driving)-\d+")
+# Pixels; of less a vehicle has no label.
+_LEAST_VEHICLE_PX = 20
 
 Content = str | bytes | Callable[[BinaryIO], object]
 
@@ -53,8 +56,10 @@ class Viewer:
 
     folder: str
     id: str
-    key: UnitKey  # with which the evaluator seeds its random numbers
-    pose: Pose | None  # None: on the VUT
+    # With which the evaluator seeds its random numbers.
+    key: UnitKey
+    # None: on the VUT.
+    pose: Pose | None
     camera: CameraModel
 
 
@@ -62,19 +67,21 @@ class Viewer:
 class DatasetWish:
     """Contents of a dataset besides the labels of all frames."""
 
-    format: str = FORMATS[
-        0
-    ]  # "carlancap": the study's folders; "coco": pictures and ``coco.json``
+    # "carlancap": the study's folders; "coco": pictures and ``coco.json``.
+    format: str = FORMATS[0]
     # ids with commas between, "VUT" among them; empty: all, and the VUT
     units: str = ""
     # pictures of every so many frames of a run; labels and motion are of all
     every: int = 1
-    lidar: str = "carla-ncap-lidar"  # model of a LiDAR next to each camera, or "none"
+    # Model of a LiDAR next to each camera, or "none".
+    lidar: str = "carla-ncap-lidar"
     # masks, depth: pictures of instances and of depths are written, too
     masks: bool = False
     depth: bool = False
-    vehicles: bool = False  # vehicles get labels, too, in frames with pictures
-    vary: bool = False  # clothes, paints and facades are drawn at random for each run
+    # Vehicles get labels, too, in frames with pictures.
+    vehicles: bool = False
+    # Clothes, paints and facades are drawn at random for each run.
+    vary: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,9 +91,8 @@ class DrawTask:
     out: Path
     scene: Scene
     runs: tuple[Run, ...]
-    frames: tuple[
-        tuple[int, int, str], ...
-    ]  # index of the run, frame, name of the files
+    # Index of the run, frame, name of the files.
+    frames: tuple[tuple[int, int, str], ...]
     viewer: Viewer
     lidar: LidarModel | None
     wish: DatasetWish
@@ -131,7 +137,8 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
     compute = Compute(seed=task.seed, workers=1)
     weather = pick_weather(first.weather, "weather")
     backdrop = build_backdrop(task.scene, first.obstruction)
-    stills: dict[str, Still] = {}  # the last one
+    # The last one.
+    stills: dict[str, Still] = {}
 
     def materials(run: Run) -> Materials | None:
         """One and the same for all cameras and weathers."""
@@ -216,7 +223,8 @@ def _with_vehicles(path: Path, picture: Picture, task: DrawTask, run: Run) -> st
     lines = [line for line in lines if not line.startswith(f"{_VEHICLE} ")]
     known = {one.id for one in task.scene.instances if "vehicle" in one.class_name}
     if task.wish.format == FORMATS[0] and run.encounter.vru.class_name == _VEHICLE:
-        known.add("vru")  # whose line was taken away with the others'
+        # Whose line was taken away with the others'.
+        known.add("vru")
     camera = task.viewer.camera
     for index in np.unique(picture.instance[picture.instance >= 0]).tolist():
         name = picture.names[index]
@@ -276,7 +284,8 @@ def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress)
     return n_bytes
 
 
-_MAX_CM = 65535  # what 16 bits hold
+# What 16 bits hold.
+_MAX_CM = 65535
 
 
 def cloud_bytes(cloud: PointCloud) -> bytes:

@@ -73,7 +73,8 @@ TABLE_NAME = "response.toml"
 JSON_NAME = "fit.json"
 PNG_NAME = "calibration.png"
 
-_BLOCK = 5  # consecutive frames: enough to see what carries over, and false tracks
+# Consecutive frames: enough to see what carries over, and false tracks.
+_BLOCK = 5
 # of a network that looks at crops, every so many blocks are whole pictures, too
 _WHOLE = 5
 _MAX_BYTES = 2**30
@@ -88,14 +89,17 @@ class FitWish:
 
     # whose cameras, and the VUT's, show rendered pictures to the question's network
     layout: Layout | None = None
-    pictures: int = 1000  # how many of these
+    # How many of these.
+    pictures: int = 1000
     # folder in the study's format, with labels and detections
     recording: Path | None = None
     # labels, results: files of annotations and of detections, of COCO or of recordings
     labels: Path | None = None
     results: Path | None = None
-    frame_rate_hz: float | None = None  # of recordings; by default that of runs
-    min_confidence: float = 0.5  # boxes below do not count
+    # Of recordings; by default that of runs.
+    frame_rate_hz: float | None = None
+    # Boxes below do not count.
+    min_confidence: float = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,14 +117,18 @@ class FitResult(Record, frozen=True, kw_only=True):
     ``fit.json``, and what ``--json`` prints.
     """
 
-    name: str  # of the table
-    source: str  # what was looked at, in words
-    frames: int  # with a road user
-    found: int  # of these, those in which it was found
-    tracks: int  # cameras and runs that the frames are of
-    unknown: tuple[
-        str, ...
-    ]  # what the source does not say, and is as in the built-in table
+    # Of the table.
+    name: str
+    # What was looked at, in words.
+    source: str
+    # With a road user.
+    frames: int
+    # Of these, those in which it was found.
+    found: int
+    # Cameras and runs that the frames are of.
+    tracks: int
+    # What the source does not say, and is as in the built-in table.
+    unknown: tuple[str, ...]
     table: Mapping[str, Interval]
     groups: Mapping[str, tuple[Group, ...]]
     calibration: tuple[Group, ...]

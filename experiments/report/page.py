@@ -206,7 +206,8 @@ def begin_tasks(
         front = result.front
     else:
         front = None
-    return Tasks(  # what takes the longest comes first
+    # What takes the longest comes first.
+    return Tasks(
         plans=side.begin("plans", build_plans, setting, layouts, others),
         views=side.begin("views", camera_views, setting, next(iter(layouts.values()))),
         dangers=side.begin(

@@ -21,9 +21,11 @@ from .record import Record, Share, says
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
 _RAY_PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "embree": ("embreex",)}
-_FARTHEST_M = 300.0  # from there no camera of the catalogue sees a road user 40 px high
+# From there no camera of the catalogue sees a road user 40 px high.
+_FARTHEST_M = 300.0
 _AS_THEY_ARE = ("approach", "position", "reason", "is_possible")
-_MOST_GAPS = 6  # that the first sentence names
+# That the first sentence names.
+_MOST_GAPS = 6
 
 
 class RefusalRecord(Record, frozen=True, kw_only=True):
@@ -252,7 +254,8 @@ def _gaps(setting: Setting) -> Iterator[str]:
         yield tr("nothing from the {arms}", arms=joined(map(tr, silent)))
     kinds = {run.case.name: run.case.vru.class_name for run in setting.runs}
     met = {(kinds[name], arm) for name, arm in driven}
-    told = grouped(  # of a kind, or of a case; name; arms
+    # Of a kind, or of a case; name; arms.
+    told = grouped(
         ((False, name) if (kinds[name], arm) in met else (True, kinds[name]), tr(arm))
         for name, arm in left
         if arm not in silent

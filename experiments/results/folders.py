@@ -34,13 +34,15 @@ _R = TypeVar("_R", bound=msgspec.Struct)
 
 MARKER = "summary.json"
 LAYOUT_FILE = "layout.json"
-RECOMMENDED_FILE = "recommended.json"  # where the evaluator prefers another layout
+# Where the evaluator prefers another layout.
+RECOMMENDED_FILE = "recommended.json"
 RUNS_FILE = "runs.parquet"
 APR_FILE = "apr.csv"
 MANIFEST = "SHA256SUMS"
 
 _PREFIX = ".place-rsus."
-_OF_FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # they come by themselves
+# They come by themselves.
+_OF_FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}
 
 
 def write_manifest(folder: Path) -> None:
@@ -160,7 +162,8 @@ def check_result_folder(folder: Path) -> None:
         real.stat()
     except FileNotFoundError:
         pass
-    except (OSError, RuntimeError) as error:  # a circle of links is a RuntimeError
+    except (OSError, RuntimeError) as error:
+        # A circle of links is a RuntimeError.
         raise unwritable(folder, error) from None
     else:
         _check_existing(folder, real)
@@ -271,7 +274,8 @@ def _put_in_place(temporary: Path, folder: Path, real: Path) -> None:
         if not real.exists():
             temporary.rename(real)
         else:
-            _check_existing(folder, real)  # files may have come, or changed, meanwhile
+            # Files may have come, or changed, meanwhile.
+            _check_existing(folder, real)
             for path in [
                 path for path in real.rglob("*") if path.name in _OF_FILE_MANAGERS
             ]:
@@ -279,16 +283,16 @@ def _put_in_place(temporary: Path, folder: Path, real: Path) -> None:
             replaced = temporary
             if not _exchange(temporary, real):
                 replaced = _free_name(real, "earlier")
-                real.rename(
-                    replaced
-                )  # in sight: the program may be killed before the next line
+                # In sight: the program may be killed before the next line.
+                real.rename(replaced)
                 try:
                     temporary.rename(real)
                 except OSError:
                     replaced.rename(real)
                     raise
             shutil.rmtree(replaced, ignore_errors=True)
-        held.clear()  # too late: all is there
+        # Too late: all is there.
+        held.clear()
 
 
 def _exchange(first: Path, second: Path) -> bool:
@@ -300,12 +304,16 @@ def _exchange(first: Path, second: Path) -> bool:
         return False
     libc = ctypes.CDLL(None, use_errno=True)
     names = os.fsencode(first), os.fsencode(second)
-    if hasattr(libc, "renameat2"):  # Linux
+    # Linux.
+    if hasattr(libc, "renameat2"):
         at_cwd = -100
-        swap = 2  # AT_FDCWD and RENAME_EXCHANGE of <fcntl.h> and <linux/fs.h>
+        # AT_FDCWD and RENAME_EXCHANGE of <fcntl.h> and <linux/fs.h>.
+        swap = 2
         failed = libc.renameat2(at_cwd, names[0], at_cwd, names[1], swap)
-    elif hasattr(libc, "renamex_np"):  # macOS
-        swap = 2  # RENAME_SWAP of <sys/stdio.h>
+    elif hasattr(libc, "renamex_np"):
+        # RENAME_SWAP of <sys/stdio.h>.
+        # macOS.
+        swap = 2
         failed = libc.renamex_np(names[0], names[1], swap)
     else:
         return False
@@ -317,7 +325,8 @@ def _exchange(first: Path, second: Path) -> bool:
 
 def _free_name(folder: Path, word: str) -> Path:
     """A free name next to a folder: ``latest.unfinished``."""
-    stem = folder.name[:200]  # names have 255 bytes at most
+    # Names have 255 bytes at most.
+    stem = folder.name[:200]
     names = [
         f"{stem}.{word}",
         *(f"{stem}.{word}-{number}" for number in range(2, 1000)),
@@ -434,7 +443,8 @@ def save_files(
             contents[MANIFEST] = _manifest_of(contents)
         write_files(out, contents)
         if has_manifest:
-            (out / SIGNATURE).unlink(missing_ok=True)  # it was of earlier files
+            # It was of earlier files.
+            (out / SIGNATURE).unlink(missing_ok=True)
         if sign is not None:
             write_signature(out, out / MANIFEST, sign)
         progress.kept = f"the results are in {out}"

@@ -67,9 +67,8 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         What the JSON schema says of the keys beside their types, such as "oneOf".
     """
 
-    schema_rules: ClassVar[
-        dict[str, object]
-    ] = {}  # of the JSON schema, about several keys
+    # Of the JSON schema, about several keys.
+    schema_rules: ClassVar[dict[str, object]] = {}
 
 
 def to_plain(value: object) -> Any:

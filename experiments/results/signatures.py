@@ -22,10 +22,13 @@ NAMESPACE = "place-rsus"
 """Purpose that OpenSSH binds a signature to: it is none for mail or commits."""
 
 _PROGRAM = "ssh-keygen"
-_LIMIT_S = 120.0  # keys in hardware wait until somebody touches them
+# Keys in hardware wait until somebody touches them.
+_LIMIT_S = 120.0
 _MAX_KEY_BYTES = 1_000_000
-_SIGNER = "signer"  # the name under which the one trusted key is listed
-_KEY_KINDS = ("ssh-", "ecdsa-", "sk-")  # how the lines of public keys begin
+# The name under which the one trusted key is listed.
+_SIGNER = "signer"
+# How the lines of public keys begin.
+_KEY_KINDS = ("ssh-", "ecdsa-", "sk-")
 _PRIVATE = "-----BEGIN"
 
 
@@ -98,7 +101,8 @@ def signature_fault(folder: Path, manifest: Path, key: Path) -> str:
         done = _run(arguments, content, where)
     if done.returncode == 0:
         return ""
-    if not done.stderr.strip():  # the signature holds, but it is another key's
+    # The signature holds, but it is another key's.
+    if not done.stderr.strip():
         return f"it is not signed by {key.name}"
     return f"it is not signed by {key.name}: {_reason(done)}"
 
@@ -142,7 +146,8 @@ def _run(
             capture_output=True,
             check=False,
             timeout=_LIMIT_S,
-            start_new_session=True,  # without a terminal
+            # Without a terminal.
+            start_new_session=True,
             env=os.environ | quiet,
         )
     except subprocess.TimeoutExpired:

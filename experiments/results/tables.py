@@ -277,9 +277,8 @@ def _is_like_formula(cell: Any) -> bool:
     """
     if not isinstance(cell, str) or len(cell) == 1:
         return False
-    first = unicodedata.normalize(
-        "NFKC", cell.lstrip("'")[:1]
-    )  # also as wide as in Japanese
+    # Also as wide as in Japanese.
+    first = unicodedata.normalize("NFKC", cell.lstrip("'")[:1])
     if not first.startswith(_BEGINNINGS):
         return False
     try:

@@ -42,15 +42,19 @@ _HEIGHT_PX = 800
 _VIEW_DEG = 42.0
 _PITCH_DEG = -50.0
 _YAW_DEG = 60.0
-_MAX_TRIANGLES = 400_000  # of buildings; more are not drawn
+# Of buildings; more are not drawn.
+_MAX_TRIANGLES = 400_000
 _ROADS = "#b8b8b8"
 _BUILDINGS = "#e9e9e9"
-_BEYOND = 0.08  # of the span of the junctions, around them
+# Of the span of the junctions, around them.
+_BEYOND = 0.08
 _LEAST_M = 120.0
 _NAMED_M = 45.0
-_NAMED_AGAIN_M = 250.0  # a street's name from a junction; and again
+# A street's name from a junction; and again.
+_NAMED_AGAIN_M = 250.0
 _FINEST_M = 0.5
-_MOST_STEPS = 8000  # of streets drawn in SVG: metres, and parts of its width
+# Of streets drawn in SVG: metres, and parts of its width.
+_MOST_STEPS = 8000
 HALO = withStroke(linewidth=2.5, foreground="white")
 
 
@@ -138,7 +142,8 @@ def _draw_direction(axes: Axes, points_m: FloatArray, *, is_in: bool) -> None:
 
 def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> FloatArray:
     """Colours of every pixel, (height, width, 3), 0 .. 1."""
-    rotation = camera_rotation(_YAW_DEG, _PITCH_DEG)  # camera: x right, y down, z ahead
+    # Camera: x right, y down, z ahead.
+    rotation = camera_rotation(_YAW_DEG, _PITCH_DEG)
     position = -distance_m * rotation[:, 2]
     focal = 0.5 * _WIDTH_PX / np.tan(np.radians(0.5 * _VIEW_DEG))
     u, v = np.meshgrid(np.arange(_WIDTH_PX) + 0.5, np.arange(_HEIGHT_PX) + 0.5)

@@ -52,7 +52,8 @@ PLAN_NAME = "plan.png"
 VIEW_NAME = "view.png"
 JUNCTIONS_PAGE = "junctions.html"
 _STUDY = "town05"
-_DIGITS = 3  # a millimetre
+# A millimetre.
+_DIGITS = 3
 IMPORT_VERSION = 2
 """Counts up when the same map gives another scene: older ones are not taken."""
 
@@ -278,7 +279,8 @@ def run_import(
                 path.name: read_bytes(path) for path in sorted(folder.iterdir())
             }
             contents |= _pictures(scene)
-            contents[SCENE_FILE] = contents.pop(SCENE_FILE)  # last: where it is, all is
+            # Last: where it is, all is.
+            contents[SCENE_FILE] = contents.pop(SCENE_FILE)
             write_files(out, contents)
     progress.kept = f"the scene is in {out}"
     return replace(result, written=str(out), seconds=progress.finish())
@@ -352,7 +354,8 @@ def import_into_cache(
         try:
             return str(folder), build_scene_result(load_scene_folder(folder))
         except InputError:
-            pass  # damaged: import it again
+            # Damaged: import it again.
+            pass
     folder.mkdir(parents=True, exist_ok=True)
     return str(folder), run_import(
         [question.scene], wanted, bbox="", out=folder, progress=progress

@@ -296,11 +296,12 @@ def _of_runs(setting: Setting, runs: Sequence[Run]) -> Setting:
 
 # ---------- the study's figures beside ours
 CASES = tuple(OWN_CASES.split(","))
+# The runs that the study draws.
 HEATMAP_SPEEDS_KMH = {
     "CPNC-50": 55,
     "CBNA": 60,
     "CBLA": 50,
-}  # the runs that the study draws
+}
 WEATHERS = ("day", "night", "rain", "fog")
 DETECTORS = ("geometric", "response")
 _NEARLY_ALL = 0.9

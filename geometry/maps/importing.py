@@ -424,7 +424,8 @@ def _survey(
     )
     try:
         arms = build_junction(scene).arms
-    except InputError:  # no lane ends at the outline
+    except InputError:
+        # No lane ends at the outline.
         arms = {}
     # Class of the road, and the number of lanes, of each arm.
     classes = {lane.id: lane.road_class for lane in lanes}
@@ -766,7 +767,8 @@ def cut_scene(
             middle_m=middle_m,
             half_m=half_m,
         )
-        maps = [roads, terrain, *maps[1:]]  # before others: its heights count
+        # Before others: its heights count.
+        maps = [roads, terrain, *maps[1:]]
     progress(Phrase("cut the junction out"), 0, 0)
     surroundings = cut_out(maps, junction, radius_m=radius_m)
     progress(Phrase("find sites"), 0, 0)

@@ -152,7 +152,8 @@ def _las_reader(path: Path) -> Any:
         reader = laspy.open(open_file(path), laz_backend=laspy.LazBackend.Lazrs)
     except OSError:
         raise
-    except Exception as error:  # laspy raises whatever a damaged header makes it
+    except Exception as error:
+        # Laspy raises whatever a damaged header makes it.
         raise InputError(where, Unquoted(_one_line(error)), "a LAS file") from None
     scales = np.array([reader.header.scales, reader.header.offsets], dtype=np.float64)
     if not np.isfinite(scales).all() or (scales[0] == 0.0).any():
@@ -320,9 +321,8 @@ def _chunks(reader: Any, where: str) -> Iterator[Points]:
             yield xyz, np.asarray(points.classification, dtype=np.uint8)
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
-    except (
-        BaseException
-    ) as error:  # laspy raises anything, lazrs even others than Exception
+    # Laspy raises anything, lazrs even others than Exception.
+    except BaseException as error:
         raise InputError(
             where,
             Unquoted(_one_line(error)),

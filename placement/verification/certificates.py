@@ -135,6 +135,7 @@ def build_certificate(
     `units` are as the layout's file has them, and `pose_index` their rows of the table.
     `versions` says which programs the numbers depend on, `mounts` what the poses are.
     """
+    # JSON has no infinity.
     return {
         "schema": SCHEMA,
         "instance": instance_of(problem, mounts),
@@ -150,9 +151,7 @@ def build_certificate(
         "stages": [
             {
                 **asdict(stage),
-                "gap": (
-                    stage.gap if math.isfinite(stage.gap) else None
-                ),  # JSON has no infinity
+                "gap": (stage.gap if math.isfinite(stage.gap) else None),
                 "is_proven": bool(stage.gap == 0.0),
             }
             for stage in certificate.stages

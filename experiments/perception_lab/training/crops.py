@@ -43,9 +43,12 @@ WEATHERS = ("day", "night", "rain")
 
 _WEATHER_SHARES = (0.5, 0.25, 0.25)
 _FOV_DEG = (18.0, 110.0)
-_MOUNT_M = (3.5, 8.0)  # above the ground of a site
-_HIDDEN_KEPT = 0.3  # of crops in which it is hidden
-_PER_POSE = 6  # crops by a camera before another one looks
+# Above the ground of a site.
+_MOUNT_M = (3.5, 8.0)
+# Of crops in which it is hidden.
+_HIDDEN_KEPT = 0.3
+# Crops by a camera before another one looks.
+_PER_POSE = 6
 _SIZE_PX = (1920, 1080)
 _TRIES = 30
 TRAINED = ("pedestrian", "child", "cyclist")
@@ -56,33 +59,41 @@ TRAINED = ("pedestrian", "child", "cyclist")
 class Framing:
     """Contents of crops: those to train with, by default."""
 
+    # Of road users, even on a logarithmic scale.
     height_px: tuple[float, float] = (
         11.0,
         125.0,
-    )  # of road users, even on a logarithmic scale
-    crop_px: tuple[int, int] = (CROP_PX, CROP_PX)  # width, height
+    )
+    # Width, height.
+    crop_px: tuple[int, int] = (CROP_PX, CROP_PX)
     # Crops that are not around the road user; in others it may be hidden.
     empty_share: float = 0.12
-    vut_share: float = 0.2  # crops from the VUT's camera
+    # Crops from the VUT's camera.
+    vut_share: float = 0.2
     kinds: tuple[str, ...] = TRAINED
     weathers: tuple[str, ...] = WEATHERS
-    varied: float = 0.7  # share of crops with other clothes, paints and facades
+    # Share of crops with other clothes, paints and facades.
+    varied: float = 0.7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Crops:
     """Crops with at most one road user each, arrays with a row for each."""
 
-    rgb: NDArray[np.uint8]  # (n, CROP_PX, CROP_PX, 3)
+    # (n, CROP_PX, CROP_PX, 3).
+    rgb: NDArray[np.uint8]
     # (n, 4): of the visible part, inside the crop; zeros where there is none
     box_px: FloatArray
     # (n,): of the whole road user, hidden parts too; 0 where there is none
     height_px: FloatArray
     visible_share: (
-        FloatArray  # (n,): of the pixels that the whole road user covers in the crop
+        # (n,): of the pixels that the whole road user covers in the crop.
+        FloatArray
     )
-    vru_class: IntArray  # (n,), into ``VRU_CLASSES``; -1 where there is none
-    weather: IntArray  # (n,), 0 day, 1 night, 2 rain
+    # (n,), into ``VRU_CLASSES``; -1 where there is none.
+    vru_class: IntArray
+    # (n,), 0 day, 1 night, 2 rain.
+    weather: IntArray
 
     def __len__(self) -> int:
         return len(self.rgb)

@@ -19,10 +19,14 @@ _MISS_RATES_AT = np.logspace(-2.0, 0.0, 9)
 class Scored:
     """Boxes of one class in descending confidence, and what they are."""
 
-    confidence: FloatArray  # (n,)
-    is_true: BoolArray  # (n,): first to overlap a label; others are false alarms
-    n_labels: int  # labels that count
-    n_pictures: float  # whole pictures' worth of pixels
+    # (n,).
+    confidence: FloatArray
+    # (n,): first to overlap a label; others are false alarms.
+    is_true: BoolArray
+    # Labels that count.
+    n_labels: int
+    # Whole pictures' worth of pixels.
+    n_pictures: float
 
 
 def match_boxes(

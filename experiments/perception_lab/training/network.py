@@ -36,13 +36,18 @@ from .crops import CROP_PX, Crops
 
 CLASSES = ("pedestrian", "cyclist")
 STRIDE_PX = 8
-_WIDTHS = (16, 24, 48, 80)  # channels at 1/2, 1/4, 1/8 and 1/16 of the size
+# Channels at 1/2, 1/4, 1/8 and 1/16 of the size.
+_WIDTHS = (16, 24, 48, 80)
 _BLOCKS = (0, 1, 2, 3)
-_PRIOR = 0.01  # of a road user in a cell, before training
+# Of a road user in a cell, before training.
+_PRIOR = 0.01
 _ALPHA = 0.25
-_GAMMA = 2.0  # of the focal loss, as published
-_RADIUS = 1.25  # cells around a middle that are positive
-_UNIT_PX = 16.0  # distances are learnt in units of so many pixels
+# Of the focal loss, as published.
+_GAMMA = 2.0
+# Cells around a middle that are positive.
+_RADIUS = 1.25
+# Distances are learnt in units of so many pixels.
+_UNIT_PX = 16.0
 
 
 def _conv(n_in: int, n_out: int, *, stride: int = 1) -> nn.Sequential:
@@ -232,17 +237,20 @@ def export_onnx(network: VruNetwork, path: Path, *, side_px: int) -> None:
     onnx.save(model, str(path))
 
 
-_RATE = 3.0e-3  # highest rate of learning
+# Highest rate of learning.
+_RATE = 3.0e-3
 _DECAY = 1.0e-2
-_MEMORY = 0.998  # of the running mean of weights, which is exported
+# Of the running mean of weights, which is exported.
+_MEMORY = 0.998
 _LEAST_SHARE = 0.3
-_LEAST_PX = 10.0  # what is hidden more, or is lower, neither counts nor harms
-_LEAST_SPREAD = 3.0  # of grey, 0 .. 255: what stands out less cannot be learnt
+# What is hidden more, or is lower, neither counts nor harms.
+_LEAST_PX = 10.0
+# Of grey, 0 .. 255: what stands out less cannot be learnt.
+_LEAST_SPREAD = 3.0
 _MIN_CONFIDENCE = 0.02
 _MOST_AT_ONCE = 128
-_GRAIN = np.random.default_rng(0).standard_normal(
-    2**21, dtype=np.float32
-)  # noise of sensors
+# Noise of sensors.
+_GRAIN = np.random.default_rng(0).standard_normal(2**21, dtype=np.float32)
 
 Found = list[list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
 """By crop and class: boxes (n, 4) and their confidence (n,)."""
@@ -255,11 +263,14 @@ class Recipe:
     The same recipe and crops give the same network on a machine.
     """
 
-    steps: int  # batches shown
+    # Batches shown.
+    steps: int
     seed: int
     batch: int = 64
-    round_steps: int = 250  # after so many the state is saved, and reported
-    bfloat16: bool = False  # multiply in 16 bits: twice as fast on processors that can
+    # After so many the state is saved, and reported.
+    round_steps: int = 250
+    # Multiply in 16 bits: twice as fast on processors that can.
+    bfloat16: bool = False
     device: str = "cpu"
 
     @property
@@ -439,7 +450,8 @@ def _batch(
     np.clip(images, 0.0, 1.0, out=images)
     classes, counts = labels
     return (
-        torch.from_numpy(images).permute(0, 3, 1, 2),  # channels last
+        # Channels last.
+        torch.from_numpy(images).permute(0, 3, 1, 2),
         torch.from_numpy(boxes),
         torch.from_numpy(classes[part]),
         torch.from_numpy(counts[part]),

@@ -19,10 +19,12 @@ from placement.recordings.formats import RecordedBoxes, read_boxes, read_wildtra
 from .calibrations import read_kitti_camera, read_opencv_camera, read_tsai
 
 BODY = "adult"
-WALKED_FRAMES = 4  # before and after, over which a heading is measured
+# Before and after, over which a heading is measured.
+WALKED_FRAMES = 4
 TILTS_DEG = np.linspace(-2.0, 2.0, 41)
 _DRAWS = 400
-_INSIDE_PX = 2.0  # a box that comes nearer to the picture's edge may be cut off
+# A box that comes nearer to the picture's edge may be cut off.
+_INSIDE_PX = 2.0
 _KITTI_SIZE = (1242, 375)
 _WILDTRACK_SIZE = (1920, 1080)
 _WILDTRACK_VIEWS = (
@@ -73,12 +75,17 @@ def body_boxes(
 class Heights:
     """Drawn over predicted heights of a recording's boxes."""
 
-    distance_m: FloatArray  # (n,): on the ground
+    # (n,): on the ground.
+    distance_m: FloatArray
     track: IntArray
-    ratio: FloatArray  # (n,): by the calibrated camera
-    pinhole_ratio: FloatArray  # (n,): by this project's pinhole at the same pose
-    tilt_deg: Interval  # that fits best, relative to the calibration
-    seen_from_m: float  # height of the camera
+    # (n,): by the calibrated camera.
+    ratio: FloatArray
+    # (n,): by this project's pinhole at the same pose.
+    pinhole_ratio: FloatArray
+    # That fits best, relative to the calibration.
+    tilt_deg: Interval
+    # Height of the camera.
+    seen_from_m: float
 
 
 def measure_pets_heights(folder: Path) -> Heights:
@@ -177,7 +184,8 @@ def _best_tilt(
     for tilt in TILTS_DEG:
         log = np.log(_ratios(drawn, tilted(camera, float(tilt)), heading, phase)[1])
         moments.append([np.bincount(which, weights=log**power) for power in (0, 1, 2)])
-    sums = np.array(moments)  # (n_tilts, 3, n_tracks)
+    # (n_tilts, 3, n_tracks).
+    sums = np.array(moments)
     n_tracks = sums.shape[2]
     rng = np.random.default_rng(0)
     counts = rng.multinomial(n_tracks, np.full(n_tracks, 1.0 / n_tracks), size=_DRAWS)
@@ -261,9 +269,12 @@ class ViewFlags:
 
     view: str
     people: int
-    in_view: float  # share, as annotated
-    agreed: float  # with the lens as calibrated
-    agreed_pinhole: float  # without its distortion
+    # Share, as annotated.
+    in_view: float
+    # With the lens as calibrated.
+    agreed: float
+    # Without its distortion.
+    agreed_pinhole: float
 
 
 def measure_flags(folder: Path) -> tuple[ViewFlags, ...]:

@@ -76,11 +76,13 @@ class Measured:
     """
 
     heights: Heights
-    labels: FloatArray  # labelled over predicted heights of pedestrians
+    # Labelled over predicted heights of pedestrians.
+    labels: FloatArray
     flags: tuple[ViewFlags, ...]
     pole: Watched
     car: Watched
-    lidar: Watched  # pedestrians
+    # Pedestrians.
+    lidar: Watched
     lidar_cyclists: Watched
 
     @property
@@ -281,7 +283,8 @@ def text(m: Measured) -> str:
     )
 
 
-_LIMIT = 0.05  # of calibration errors, as asked for
+# Of calibration errors, as asked for.
+_LIMIT = 0.05
 
 
 def _held_out_rows(m: Measured) -> list[list[str]]:
@@ -381,8 +384,10 @@ def _three(figure: Interval) -> list[float]:
     return [float(f"{value:.3g}") for value in (figure.value, figure.low, figure.high)]
 
 
-_BAND_M = 2.0  # of the distance
-_LEAST = 30  # boxes in a band
+# Of the distance.
+_BAND_M = 2.0
+# Boxes in a band.
+_LEAST = 30
 _MAX_FRAMES = 30
 _SMALL = 7.5
 _STYLES = {
@@ -434,7 +439,8 @@ def plot_recall(panels: Mapping[str, Mapping[str, Sequence[Recall]]]) -> "Figure
     for axes, (title, watched) in zip(
         figure.subplots(1, len(panels)), panels.items(), strict=True
     ):
-        names = [one.words for one in max(watched.values(), key=len)]  # in order
+        # In order.
+        names = [one.words for one in max(watched.values(), key=len)]
         names += [one.words for groups in watched.values() for one in groups]
         names = list(dict.fromkeys(names))
         for place, (name, groups) in enumerate(watched.items()):

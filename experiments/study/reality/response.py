@@ -33,13 +33,18 @@ from placement.recordings.pairs import PairedBoxes, frames_to_confirm, pair_boxe
 from .projection import bottoms, pets_tracks
 
 N_CONFIRMATIONS = 3
-TABLE_HZ = 10.0  # frame rate that tables' correlations hold for
-KITTI_SEQUENCES = tuple(range(0, 21, 2))  # the odd ones judge the finished model
+# Frame rate that tables' correlations hold for.
+TABLE_HZ = 10.0
+# The odd ones judge the finished model.
+KITTI_SEQUENCES = tuple(range(0, 21, 2))
 HEIGHT_EDGES_PX = (0.0, 25.0, 40.0, 60.0, 80.0, 100.0, np.inf)
-SHARE_EDGES = (0.0, 0.01, 0.10, 0.35, 0.80, np.inf)  # hidden
+# Hidden.
+SHARE_EDGES = (0.0, 0.01, 0.10, 0.35, 0.80, np.inf)
 DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, np.inf)
-_DRAWS = 100  # of held-out frames by the table
-_TRACKS = 1000  # numbers kept free for those of a sequence
+# Of held-out frames by the table.
+_DRAWS = 100
+# Numbers kept free for those of a sequence.
+_TRACKS = 1000
 _SPREAD = (0.025, 0.975)
 
 
@@ -47,17 +52,22 @@ _SPREAD = (0.025, 0.975)
 class Watched:
     """A detector on a recording, and how its frames fall into halves."""
 
-    name: str  # of the table
+    # Of the table.
+    name: str
     recording: str
     detector: str
     year: int
     source: str
     frame_rate_hz: float
-    sightings: Sightings  # in the order of tracks and frames
-    distance_m: FloatArray  # (n,): from the sensor, on the ground
-    hidden_level: IntArray  # (n,): KITTI's; -1: the share hidden is that of boxes
+    # In the order of tracks and frames.
+    sightings: Sightings
+    # (n,): from the sensor, on the ground.
+    distance_m: FloatArray
+    # (n,): KITTI's; -1: the share hidden is that of boxes.
+    hidden_level: IntArray
     alarms: FalseAlarms
-    halves: Mapping[str, BoolArray]  # by what divides: rows of the first half
+    # By what divides: rows of the first half.
+    halves: Mapping[str, BoolArray]
 
 
 def watch_pets(folder: Path) -> Watched:
@@ -184,7 +194,8 @@ class Recall:
     frames: int
     tracks: int
     measured: Interval
-    predicted: float  # mean probability of the built-in table "response"
+    # Mean probability of the built-in table "response".
+    predicted: float
 
     @property
     def is_off(self) -> bool:
@@ -233,9 +244,8 @@ def phi(sightings: Sightings) -> Interval:
     b = sightings.is_found[is_next + 1]
     _, which = np.unique(sightings.track[is_next], return_inverse=True)
     weights = (np.ones(len(a)), a, b, a & b)
-    sums = np.array(
-        [np.bincount(which, weights=one) for one in weights]
-    )  # (4, n_tracks)
+    # (4, n_tracks).
+    sums = np.array([np.bincount(which, weights=one) for one in weights])
     n_tracks = sums.shape[1]
     counts = np.random.default_rng(0).multinomial(
         n_tracks, np.full(n_tracks, 1.0 / n_tracks), size=1000
@@ -267,14 +277,20 @@ class HeldOut:
     """A table fitted to one half of the frames, judged by the other one."""
 
     words: str
-    frames: int  # held out
+    # Held out.
+    frames: int
     tracks: int
-    error: float  # calibration error of recall
-    chance_error: float  # 97.5 % of the errors that a true table would have by chance
-    distance: float  # Kolmogorov-Smirnov, of frames to confirmation
-    real: FloatArray  # share of starts confirmed within 1, 2, .. frames
+    # Calibration error of recall.
+    error: float
+    # 97.5 % of the errors that a true table would have by chance.
+    chance_error: float
+    # Kolmogorov-Smirnov, of frames to confirmation.
+    distance: float
+    # Share of starts confirmed within 1, 2, .. frames.
+    real: FloatArray
     predicted: FloatArray
-    by_response: FloatArray  # the same by the built-in table "response"
+    # The same by the built-in table "response".
+    by_response: FloatArray
 
 
 _WITHIN = np.arange(1, 101)

@@ -576,7 +576,8 @@ def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> b
                 turn_rad=turn_rad,
                 where=one.where,
             )
-    except InputError:  # its outline surrounds nothing
+    except InputError:
+        # Its outline surrounds nothing.
         return False
     if body is None:
         return False
