@@ -24,7 +24,7 @@ from .cli.scenarios import scenarios
 from .cli.solve import solve
 from .cli.terminal import sentences
 from .cli.verify import verify
-from .perception_lab.commands import dataset, detector
+from .perception_lab.commands import dataset, detector, render
 from .planner.command import plan
 from .progress import Interrupted, StageProgress, StderrLog, ending_on_signals, tell
 from .results.numbers import several
@@ -72,7 +72,7 @@ for _command in (
         export,
         latency,
     ),
-    *(pareto, plan, retrofit, scenarios, scene, sheet, solve, verify),
+    *(pareto, plan, render, retrofit, scenarios, scene, sheet, solve, verify),
 ):
     cli.add_command(_command)
 

@@ -12,14 +12,16 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
+from geometry.image_boxes import mask_box
 from geometry.lidar import LidarModel
 from geometry.opening import read_text
 from geometry.poses import Pose
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
-from geometry.writing import write_atomically
+from geometry.writing import check_target, write_atomically
 from placement.compute import Compute
 from placement.evaluator import load_vut_camera
 from placement.evaluator.evaluate import UnitKey, build_rng
@@ -284,8 +286,60 @@ def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress)
     return n_bytes
 
 
+COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
+CLOUD_SUFFIXES = (".ply", ".bin")
+_JPEG_QUALITY = 85
 # What 16 bits hold.
 _MAX_CM = 65535
+
+
+def suffixes_of(sensor: Sensor) -> tuple[str, ...]:
+    """Endings of files that show what a sensor sees, the usual one first."""
+    if isinstance(sensor, LidarModel):
+        return CLOUD_SUFFIXES
+    return COLOUR_SUFFIXES
+
+
+def check_path(path: Path, sensor: Sensor) -> None:
+    """Refuse a file name that ends in none of :func:`suffixes_of`, or is no regular file's."""
+    known = suffixes_of(sensor)
+    if path.suffix.lower() not in known:
+        raise InputError("--out", str(path), "a name that ends in " + ", ".join(known))
+    check_target(path)
+
+
+def save(path: Path, seen: Picture | PointCloud) -> tuple[Path, ...]:
+    """Write a picture or a point cloud, each file whole or not at all; returns their paths.
+
+    A cloud is ".ply", points in the LiDAR's frame with a colour for each thing, or
+    ".bin", float32 x, y, z, intensity, as the study releases them. A picture's colours
+    are ".png", or ".jpg" for a smaller file; "..-instances.png" has a colour for each
+    thing; "..-depth.png" has 16 bits, centimetres, 0 where nothing is hit.
+    """
+    if isinstance(seen, PointCloud):
+        import trimesh
+
+        content = cloud_bytes(seen)
+        if path.suffix.lower() != ".bin":
+            colours = instance_colours(seen.names)[seen.instance]
+            content = trimesh.PointCloud(seen.points_m, colours).export(file_type="ply")
+        write_atomically(path, content)
+        return (path,)
+    form: dict[str, Any] = {"format": "PNG"}
+    if path.suffix.lower() != ".png":
+        form = {"format": "JPEG", "quality": _JPEG_QUALITY}
+    images = {
+        path: _image(seen.rgb, **form),
+        path.with_name(f"{path.stem}-instances.png"): _image(
+            instance_image(seen), format="PNG"
+        ),
+        path.with_name(f"{path.stem}-depth.png"): _image(
+            depth_image(seen), format="PNG"
+        ),
+    }
+    for file, image in images.items():
+        write_atomically(file, image)
+    return tuple(images)
 
 
 def cloud_bytes(cloud: PointCloud) -> bytes:
@@ -332,3 +386,18 @@ def instance_colours(names: tuple[str, ...]) -> NDArray[np.uint8]:
             colours.append(colorsys.hls_to_rgb(index * golden % 1.0, lightness, 0.6))
     colours.append((0.0, 0.0, 0.0))
     return np.rint(255.0 * np.array(colours)).astype(np.uint8)
+
+
+def vru_sentence(seen: Picture | PointCloud) -> str:
+    """A sentence that says if, and where, the VRU is in view."""
+    is_vru = seen.instance == seen.names.index("vru")
+    if isinstance(seen, PointCloud):
+        return f"VRU: {int(is_vru.sum())} of {len(is_vru)} points."
+    box = mask_box(is_vru)
+    if not box.any():
+        return "VRU: not in view."
+    x_min, y_min, x_max, y_max = box.astype(int).tolist()
+    return (
+        f"VRU: in view, visible box x {x_min} to {x_max}, y {y_min} to {y_max} px "
+        f"({x_max - x_min} x {y_max - y_min})."
+    )
