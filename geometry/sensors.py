@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 from numpy.typing import ArrayLike
 
 from .arrays import BoolArray, FloatArray, freeze
-from .errors import InputError, check_field, refuse
+from .errors import InputError, Unquoted, check_field, refuse
 from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial
 from .phrases import Phrase
 from .poses import Pose, camera_rotation
@@ -239,6 +239,57 @@ def with_width(camera: CameraModel, width_px: int) -> CameraModel:
     """A camera that sees the same with so many columns, and rows to match."""
     height_px = round(camera.height_px * width_px / camera.width_px)
     return replace(camera, width_px=width_px, height_px=height_px)
+
+
+class _Assumed(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    frame_rate_hz: float
+    near_m: float
+    price_eur: float
+
+
+def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel, Pose]:
+    """Sensor and pose of a calibrated camera.
+
+    ``data/calibrated.toml`` has what the camera's file does not tell.
+
+    Raises
+    ------
+    InputError
+        Half a width from its principal point the lens shows nothing.
+    """
+    assumed = read_data(__package__, "calibrated.toml", _Assumed)
+    # Rows of the rotation are the camera's axes in the world frame.
+    right, _, ahead = camera.R_camera_world
+    yaw_rad = np.arctan2(ahead[1], ahead[0])
+    pitch_rad = np.arcsin(ahead[2].clip(-1, 1))
+    yaw_deg, pitch_deg = np.degrees([yaw_rad, pitch_rad])
+    level = camera_rotation(yaw_deg, pitch_deg)
+    half_rad = camera.lens.angle_of(0.5 * camera.width_px / camera.fx_px)
+    if not half_rad > 0.0:
+        got = Unquoted("a lens that folds the picture before its edge")
+        raise InputError(
+            f"{name}: distortion", got, "one that shows half a width from its middle"
+        )
+    model = CameraModel(
+        name=name,
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        horizontal_fov_deg=math.degrees(2.0 * half_rad),
+        lens=camera.lens,
+        principal_point=(
+            (camera.cx_px + 0.5) / camera.width_px,
+            (camera.cy_px + 0.5) / camera.height_px,
+        ),
+        pixel_aspect=camera.fy_px / camera.fx_px,
+        roll_deg=math.degrees(math.atan2(right @ level[:, 1], right @ level[:, 0])),
+        frame_rate_hz=assumed.frame_rate_hz,
+        near_m=assumed.near_m,
+        price_eur=assumed.price_eur,
+    )
+    pose = Pose(
+        position_m=camera.position_m, yaw_deg=float(yaw_deg), pitch_deg=float(pitch_deg)
+    )
+    return model, pose
 
 
 def to_calibrated(camera: CameraModel, pose: Pose) -> CalibratedCamera:

@@ -12,6 +12,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import Point3
+from geometry.calibrations import read_cameras
 from geometry.catalogue import (
     SENSOR_KINDS,
     Sensor,
@@ -35,7 +36,7 @@ from geometry.opening import read_text
 from geometry.phrases import Phrase
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
-from geometry.sensors import CameraModel, with_fov
+from geometry.sensors import CameraModel, calibrated_sensor, with_fov
 from geometry.study_scene import load_study_scene
 from geometry.tables import Text, pick, read_table
 from geometry.terrain import ground_height_m
@@ -320,13 +321,20 @@ def load_layout(
 ) -> Layout:
     """Load a layout from JSON or CSV.
 
-    JSON is an object with the key "layout", a list of units. In a CSV, and in JSON
-    written by hand, units may lie at latitudes and longitudes and look along compass
-    bearings, see :func:`placement.layout.unit_record`: that takes the `scene`.
-    `sensors` are models in addition to the catalogue's. Raises InputError if the file
-    cannot be read, is of another version, or a field is wrong.
+    JSON is an object with the key "layout", a list of units. Or from calibrations
+    of real cameras, YAML or XML; see :mod:`geometry.calibrations`. In a CSV, and in
+    JSON written by hand, units may lie at latitudes and longitudes and look along
+    compass bearings, see :func:`placement.layout.unit_record`: that takes the
+    `scene`. `sensors` are models in addition to the catalogue's. Raises InputError
+    if the file cannot be read, is of another version, or a field is wrong.
     """
     path = Path(path)
+    if path.suffix.lower() in (".yaml", ".yml", ".xml"):
+        units = []
+        for name, camera in read_cameras(path).items():
+            sensor, pose = calibrated_sensor(name, camera)
+            units.append(CandidatePose(id=name, site_id="", pose=pose, sensor=sensor))
+        return Layout(name=path.stem, units=tuple(units))
     if path.suffix.lower() == ".csv":
         rows = read_layout_rows(path)
         return _from_list(path.stem, rows, str(path), scene, sensors or {})

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from ..parts.sheet import SheetResult
 
 
-_NOTE = """geojson, gpkg, kml and cpm need a scene that lies somewhere on earth.
+_NOTE = """opencv and ros leave LiDARs out; geojson, gpkg, kml and cpm need a scene
+that lies somewhere on earth.
 
 """
 
@@ -26,6 +27,7 @@ Examples:
   place-rsus export --layout carlancap-12 --format carla
   place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
   place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg
+  place-rsus export --calibration tsai.xml --format ros
   place-rsus export --run CPNC-50/east/40 --layout a.json \\
       --format cpm-uper --out cpm.bin"""
 
@@ -56,6 +58,24 @@ class _ExportCommand(click.Command):
 )
 @options.layout_option
 @options.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help=(
+        "Real cameras with their lenses, in place of a layout: of OpenCV, ROS, KITTI or"
+        " Tsai."
+    ),
+)
+@options.option(
+    "--size",
+    type=click.IntRange(min=1),
+    nargs=2,
+    metavar="WIDTH HEIGHT",
+    needs="calibration",
+    expected="two numbers of pixels, at least 1",
+    help="With --calibration: of pictures, where the file does not tell.",
+)
+@options.option(
     "--format",
     "format_name",
     type=click.Choice(FORMAT_NAMES),
@@ -74,6 +94,16 @@ class _ExportCommand(click.Command):
     ),
 )
 @options.option(
+    "--release",
+    metavar="V",
+    help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.",
+)
+@options.option(
+    "--views",
+    is_flag=True,
+    help="geojson, gpkg, kml: what each camera sees, as polygons.",
+)
+@options.option(
     "--pictures",
     is_flag=True,
     needs="run_id",
@@ -90,9 +120,13 @@ def export(
     progress: StageProgress,
     *,
     layout_names: tuple[str, ...],
+    calibration: Path | None,
+    size: tuple[int, int] | None,
     format_name: str,
     scene: str,
     run_id: str,
+    release: str | None,
+    views: bool,
     pictures: bool,
     out: Path | None,
     quiet: bool,
@@ -102,6 +136,7 @@ def export(
     from placement.compute import Compute
 
     from ..export import load_format
+    from ..export.calibration import lidar_ids
     from ..export.watched import export_layout
 
     chosen = load_format(format_name)
@@ -109,14 +144,38 @@ def export(
         raise click.UsageError(
             f"--out: got nothing; expected a file: {format_name} is no text"
         )
-    content = export_layout(
-        load_one_layout(layout_names),
-        format_name,
-        scene_path=scene,
-        run_id=run_id,
-        compute=Compute(progress=progress),
-        draws_pictures=pictures,
-    )
+    missing: list[str] = []
+    if calibration is not None and layout_names:
+        raise click.UsageError(
+            "--calibration: got it with --layout; expected one of them"
+        )
+    content: str | bytes
+    if calibration is not None:
+        content = _convert(calibration, format_name, size)
+    else:
+        layout = load_one_layout(layout_names)
+        compute = Compute(progress=progress)
+        if pictures:
+            drawn = compute
+        else:
+            drawn = None
+        asked = {"release": release, "views": views or None}
+        content = export_layout(
+            layout,
+            format_name,
+            scene_path=scene,
+            run_id=run_id,
+            compute=compute,
+            options={
+                k: v for k, v in {**asked, "pictures": drawn}.items() if v is not None
+            },
+        )
+        if chosen.has_lidars:
+            missing = []
+        else:
+            missing = lidar_ids(layout)
+    if missing and not quiet:
+        tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     write_result(out, content)
     if (
         out is not None
@@ -125,6 +184,22 @@ def export(
         and not quiet
     ):
         tell(chosen.told(content), err=True)
+
+
+def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> str:
+    """Cameras of a calibration in another format."""
+    from geometry.calibrations import read_cameras
+
+    from ..export.opencv import opencv_text
+    from ..export.ros import ros_text
+
+    if format_name not in ("opencv", "ros"):
+        got = f"got {format_name} beside --calibration; expected opencv or ros"
+        raise click.UsageError(f"--format: {got}")
+    found = read_cameras(path, size_px=size_px or None)
+    if format_name == "opencv":
+        return opencv_text(found, path.stem)
+    return ros_text(found)
 
 
 # ---------- for whoever mounts the units

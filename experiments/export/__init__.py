@@ -1,6 +1,4 @@
-"""Layouts in the formats of other programs.
-
-One module per format, named after it; some share one.
+"""Layouts in the formats of other programs: one module per format, named after it; some share one.
 
 To add one, write a module that has a ``FORMAT``, an :class:`ExportFormat`, and list its
 name here.
@@ -17,11 +15,14 @@ from geometry.errors import MissingExtraError
 FORMAT_NAMES = (
     "json",
     "csv",
+    "parquet",
     "geojson",
     "gpkg",
     "kml",
     "dxf",
     "carla",
+    "opencv",
+    "ros",
     "cpm",
     "cpm-uper",
     "mcap",
@@ -30,7 +31,8 @@ FORMAT_NAMES = (
 """In the order of the help."""
 
 _SHARED = {
-    "csv": ("table", "FORMAT"),
+    "csv": ("table", "CSV"),
+    "parquet": ("table", "PARQUET"),
     "cpm-uper": ("uper", "FORMAT"),
 }
 
@@ -39,16 +41,14 @@ _SHARED = {
 class ExportFormat:
     """A format: how a layout is written, and what a user should know about it."""
 
-    # A layout and its scene to the content of the file.
-    write: Callable[..., str | bytes]
-    # What the file holds, and who reads it, in a few words.
-    content: str
-    # It is not text and needs a file.
-    is_binary: bool = False
-    # `write` takes a :class:`.watched.WatchedRun`, too.
-    shows_runs: bool = False
-    # `write` takes `pictures`, what to draw them with.
-    has_pictures: bool = False
+    write: Callable[
+        ..., str | bytes
+    ]  # a layout and its scene to the content of the file
+    content: str  # what the file holds, and who reads it, in a few words
+    is_binary: bool = False  # it is not text and needs a file
+    has_lidars: bool = True  # LiDARs are in it, too, and not only cameras
+    shows_runs: bool = False  # `write` takes a :class:`.watched.WatchedRun`, too
+    options: tuple[str, ...] = ()  # names of further arguments of `write`
     # a sentence about the content that was written
     told: Callable[[bytes], str] | None = None
 
@@ -61,10 +61,7 @@ def load_format(name: str) -> ExportFormat:
 
 
 def load_extra(module: str, needs: str, extra: str) -> Any:
-    """An optional library's module.
-
-    MissingExtraError says what `needs` which package.
-    """
+    """An optional library's module. MissingExtraError says what `needs` which package."""
     try:
         return import_module(module)
     except ImportError:
@@ -80,17 +77,13 @@ def _templates() -> Any:
 
 
 def xml_text(template: str, *, namespace: str = "", **values: Any) -> str:
-    """XML document of a template of this folder, indented.
-
-    Texts in it are escaped.
-    """
+    """XML document of a template of this folder, indented; texts in it are escaped."""
     import xml.etree.ElementTree as ET
 
     root = ET.fromstring(_templates().get_template(template).render(values))
     for element in root.iter():
         if not len(element) and not (element.text or "").strip():
-            # Blanks of the template, where nothing was filled in.
-            element.text = None
+            element.text = None  # blanks of the template, where nothing was filled in
     if namespace:
         root.set("xmlns", namespace)
     ET.indent(root)

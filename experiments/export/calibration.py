@@ -11,7 +11,9 @@ from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
 from geometry.errors import refuse
 from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye
+from geometry.notes import assumed_sites
 from geometry.poses import Pose, body_rotation
+from geometry.scene import Scene
 from geometry.sensors import CameraModel, to_calibrated
 from placement.layout import Layout
 
@@ -51,6 +53,30 @@ def calibrations(layout: Layout, format_name: str) -> dict[str, CalibratedCamera
     return found
 
 
+def lidar_ids(layout: Layout) -> list[str]:
+    """Units that are no cameras."""
+    return [
+        unit.id for unit in layout.units if not isinstance(unit.sensor, CameraModel)
+    ]
+
+
+def comments(layout: Layout, scene: Scene | None) -> str:
+    """Comment lines of YAML: units that are no cameras, and those at sites that are assumed."""
+    named = ", ".join(lidar_ids(layout))
+    if scene is None:
+        doubts = {}
+    else:
+        doubts = assumed_sites(scene.notes)
+    if named:
+        left_out = f"# Left out, for they are no cameras: {named}\n"
+    else:
+        left_out = ""
+    assumed = (unit for unit in layout.units if unit.site_id in doubts)
+    return left_out + "".join(
+        f"# {unit.id}: assumed: {doubts[unit.site_id]}\n" for unit in assumed
+    )
+
+
 def refuse_lenses(layout: Layout, format_name: str) -> None:
     """Raise InputError if a camera of a layout is no pinhole.
 
@@ -59,7 +85,7 @@ def refuse_lenses(layout: Layout, format_name: str) -> None:
     for unit in layout.units:
         if isinstance(unit.sensor, CameraModel) and not unit.sensor.is_pinhole:
             got = f"{unit.id}, whose lens, principal point or roll it cannot carry"
-            refuse(format_name, got, "ideal pinholes")
+            refuse(format_name, got, "ideal pinholes; opencv and ros have lenses")
 
 
 def sensor_quaternion(pose: Pose, sensor: Sensor) -> list[float]:

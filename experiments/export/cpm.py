@@ -1,7 +1,4 @@
-"""Layouts as collective perception messages (CPM).
-
-Sensors, and what they detect in a run.
-"""
+"""Layouts as collective perception messages (CPM): sensors, and what they detect in a run."""
 
 import math
 from collections.abc import Iterator
@@ -13,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from geometry.actors import load_actors
 from geometry.arrays import FloatArray, IntArray
-from geometry.errors import refuse
+from geometry.errors import check_one_of, refuse
 from geometry.frames import parse_crs, to_carla_yaw
 from geometry.maps.georeferences import transform
 from geometry.scene import Scene
@@ -29,88 +26,75 @@ from .json import to_json_text
 from .places import longitude_latitude, require_crs
 from .watched import WatchedRun
 
-STANDARD = "ETSI TS 103 324 V2.1.1 with ETSI TS 102 894-2 V2.1.1"
-# Fields and limits bear the names of their ASN.1 types.
+RELEASES = ("2.1.1", "2.4.1")
+"""Versions of the dictionary, ETSI TS 102 894-2, the usual one first."""
 _VERSION = 2
-# ItsPduHeader.
-_CPM = 14
-# Latitude, Longitude.
-_PER_DEGREE = 1.0e7
-# CpmContainerId.
+_CPM = 14  # ItsPduHeader
+_PER_DEGREE = 1.0e7  # Latitude, Longitude
 _RSU_CONTAINER = 2
 _SENSOR_CONTAINER = 3
-_OBJECT_CONTAINER = 5
-# SensorType.
+_OBJECT_CONTAINER = 5  # CpmContainerId
 _LIDAR = 2
-_MONOVIDEO = 3
-# SensorInformationContainer.
-_MAX_SENSORS = 128
-# T_AddSensorInformation.
-_SENSORS_EVERY_S = 1.0
-# StandardLength12b, in 0.1 m.
-_MAX_RANGE = 4093
-# CartesianCoordinate, in 0.01 m.
-_MAX_OFFSET = 32766
-# CartesianCoordinateLarge.
+_MONOVIDEO = 3  # SensorType
+_MAX_SENSORS = 128  # SensorInformationContainer
+_SENSORS_EVERY_S = 1.0  # T_AddSensorInformation
+_MAX_RANGE = 4093  # StandardLength12b, in 0.1 m
+_MAX_OFFSET = 32766  # CartesianCoordinate, in 0.01 m
 _MAX_COORDINATE = 131070
-# VelocityComponentValue.
-_MAX_VELOCITY = 16381
-# A full turn in 0.1 degrees: a value that is not used.
-_TURN = 3600
-# What is not known has a value of its own in each type.
+_MAX_VELOCITY = 16381  # CartesianCoordinateLarge, VelocityComponentValue
+_TURN = 3600  # a full turn in 0.1 degrees: a value that is not used
 _SEMI_AXIS_UNKNOWN = 4095
 _HEADING_UNKNOWN = 3601
 _ALTITUDE_UNKNOWN = 800001
-# Confidences.
 _COORDINATE_UNKNOWN = 4096
 _SPEED_UNKNOWN = 127
-_CLASS_UNKNOWN = 101
-# The first and the last stand for all beyond.
-_ALTITUDES = -100_000, 800_000
-# Of a unit: what rounding may add before it counts as the next one.
-_SLACK = 1.0e-6
-# Half of that over which a velocity is taken.
-_STEP_S = 1.0e-3
-# by road user: kind and profile
+_CLASS_UNKNOWN = 101  # confidences
+_ALTITUDES = -100_000, 800_000  # the first and the last stand for all beyond
+_SLACK = 1.0e-6  # of a unit: what rounding may add before it counts as the next one
+_STEP_S = 1.0e-3  # half of that over which a velocity is taken
+# by road user: kind, its profile as 2.1.1 names it, and as 2.4.1 counts it
 _VRU_CLASSES = {
-    "on foot": ("pedestrian", "ordinary-pedestrian"),
-    "bicycle": ("bicyclistAndLightVruVehicle", "bicyclist"),
-    "motorcycle": ("motorcyclist", "motorcycle"),
+    "on foot": ("pedestrian", "ordinary-pedestrian", 1),
+    "bicycle": ("bicyclistAndLightVruVehicle", "bicyclist", 1),
+    "motorcycle": ("motorcyclist", "motorcycle", 2),
 }
-# TrafficParticipantType.
-_PASSENGER_CAR = 5
+_PASSENGER_CAR = 5  # TrafficParticipantType
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Station:
     """Messages of the units of a site."""
 
-    # Empty: a unit without a site.
-    site: str
-    # A sensor's id is its place here.
-    units: tuple[str, ...]
-    # CollectivePerceptionMessage each, as JSON writes it.
-    messages: tuple[dict[str, Any], ...]
+    site: str  # empty: a unit without a site
+    units: tuple[str, ...]  # a sensor's id is its place here
+    messages: tuple[
+        dict[str, Any], ...
+    ]  # CollectivePerceptionMessage each, as JSON writes it
 
 
 def to_cpm(
     layout: Layout,
     scene: Scene,
     watched: WatchedRun | None = None,
+    *,
+    release: str = RELEASES[0],
 ) -> str:
-    """Layout as collective perception messages (JSON), a station per site.
+    """Layout as collective perception messages, a station (RSU) per site, as JSON.
 
     {"standard", "stations": [{"site", "units", "messages"}]}: see
     :func:`build_stations`.
     """
-    stations = build_stations(layout, scene, watched)
-    return to_json_text({"standard": STANDARD, "stations": stations})
+    standard = f"ETSI TS 103 324 V2.1.1 with ETSI TS 102 894-2 V{release}"
+    stations = build_stations(layout, scene, watched, release=release)
+    return to_json_text({"standard": standard, "stations": stations})
 
 
 def build_stations(
     layout: Layout,
     scene: Scene,
     watched: WatchedRun | None = None,
+    *,
+    release: str = RELEASES[0],
 ) -> list[Station]:
     """Stations of a layout, and what they send.
 
@@ -118,8 +102,8 @@ def build_stations(
     microdegrees; on the road in the middle of the station's units; its altitude [0.01
     m] where the map counts heights from the ellipsoid), the RSU's container and that of
     its sensors. Their regions are radial shapes: reference point east, north, up of the
-    reference position [0.01 m], range [0.1 m], horizontal opening (clockwise
-    from north) and vertical opening upwards from
+    reference position [0.01 m], range [0.1 m], horizontal opening - V2.1.1: clockwise
+    from north, V2.4.1: counter-clockwise from east - and vertical opening upwards from
     the horizon [0.1 degrees].
 
     With a run a message for each frame in which a unit detects the road user, and each
@@ -128,7 +112,7 @@ def build_stations(
     Position of the middle of its box [0.01 m] and velocity [0.01 m/s] are the run's
     own, so their confidence is unavailable. Raises InputError if the scene has no crs;
     a site carries more than 128 units, or units too far apart, or the run leaves the
-    standard's range.
+    standard's range; the release is unknown.
 
     Notes
     -----
@@ -146,6 +130,7 @@ def build_stations(
        RadialShape, CartesianPosition3d, Wgs84AngleValue, CartesianAngleValue.
     """
     require_crs(scene.crs, "cpm")
+    check_one_of("release", release, RELEASES)
     stations: dict[tuple[str, str], list[CandidatePose]] = {}
     for unit in layout.units:
         if unit.site_id:
@@ -178,7 +163,7 @@ def build_stations(
                     _MONOVIDEO if isinstance(unit.sensor, CameraModel) else _LIDAR
                 ),
                 "perceptionRegionShape": {
-                    "radial": _radial_shape(unit, road_m, adult_px_m, where)
+                    "radial": _radial_shape(unit, road_m, adult_px_m, where, release)
                 },
                 "shadowingApplies": True,
             }
@@ -193,7 +178,7 @@ def build_stations(
             for time_ms, containers in (
                 [(0, [sensors])]
                 if watched is None
-                else _sent(watched, units, sensors, road_m, where)
+                else _sent(watched, units, sensors, road_m, where, release)
             )
         ]
         names = tuple(unit.id for unit in units)
@@ -249,11 +234,9 @@ def _sent(
     sensors: dict[str, Any],
     origin_m: FloatArray,
     where: str,
+    release: str,
 ) -> Iterator[tuple[int, list[dict[str, Any]]]]:
-    """Reference times of a station's messages, and their containers.
-
-    The RSU's own container is not among them.
-    """
+    """Reference times of a station's messages, and containers beside the RSU's own."""
     time_s = watched.run.time_s
     latency_s = max(unit.latency(watched.rule) for unit in units)
     detected = np.array([watched.detected[unit.id] for unit in units])
@@ -265,7 +248,7 @@ def _sent(
             told_s = time_s[frame]
         if detected[:, frame].any():
             seeing = np.flatnonzero(detected[:, frame]).tolist()
-            described = _object(watched.run, frame, origin_m, where)
+            described = _object(watched.run, frame, origin_m, where, release)
             described |= {
                 "measurementDeltaTime": -round(1000.0 * latency_s),
                 "sensorIdList": seeing,
@@ -276,11 +259,10 @@ def _sent(
             yield round(1000.0 * (time_s[frame] - time_s[0] + latency_s)), containers
 
 
-def _object(run: Run, frame: int, origin_m: FloatArray, where: str) -> dict[str, Any]:
-    """Container of the road user whom the VUT meets, in one frame.
-
-    Positions are east, north and up of the reference position.
-    """
+def _object(
+    run: Run, frame: int, origin_m: FloatArray, where: str, release: str
+) -> dict[str, Any]:
+    """Whoever the VUT meets in a frame, east, north and up of the reference position."""
     motion = run.encounter.vru_motion
     body = run.encounter.vru
     around_s = run.time_s[frame] + np.array([-_STEP_S, _STEP_S])
@@ -294,8 +276,8 @@ def _object(run: Run, frame: int, origin_m: FloatArray, where: str) -> dict[str,
         refuse(where, got, f"at most {_MAX_COORDINATE / 100.0:g} m")
     kind: dict[str, Any] = {"vehicleSubClass": _PASSENGER_CAR}
     if run.road_user in _VRU_CLASSES:
-        name, profile = _VRU_CLASSES[run.road_user]
-        kind = {"vruSubClass": {name: profile}}
+        name, *profiles = _VRU_CLASSES[run.road_user]
+        kind = {"vruSubClass": {name: profiles[RELEASES.index(release)]}}
     return {
         "objectId": 0,
         "position": {
@@ -316,10 +298,7 @@ def _object(run: Run, frame: int, origin_m: FloatArray, where: str) -> dict[str,
 
 
 def _altitude_cm_at(scene: Scene, height_m: float) -> int:
-    """Height above the ellipsoid, of a height above the scene's zero.
-
-    In centimetres, as the standard counts it.
-    """
+    """Height above the ellipsoid of what is some metres above the scene's zero."""
     if scene.source_crs:
         crs = parse_crs(scene.source_crs)
     else:
@@ -337,6 +316,7 @@ def _radial_shape(
     origin_m: FloatArray,
     adult_px_m: float,
     where: str,
+    release: str,
 ) -> dict[str, object]:
     offset = _count_up(unit.pose.position_m - origin_m, 100.0)
     if np.abs(offset).max() > _MAX_OFFSET:
@@ -355,7 +335,10 @@ def _radial_shape(
         half_deg = min(half_deg, math.degrees(SEEN_RAD))
     half_vertical_deg = 0.5 * sensor.vertical_fov_deg
     lowest_deg = highest_deg = unit.pose.pitch_deg
-    middle_deg = float(to_carla_yaw(unit.pose.yaw_deg)) + 90.0
+    is_old = release == RELEASES[0]  # V2.2.1 turned the angles' zero and sense
+    middle_deg = unit.pose.yaw_deg
+    if is_old:
+        middle_deg = float(to_carla_yaw(middle_deg)) + 90.0
     start = _tenths(middle_deg - half_deg) % _TURN
     end = _tenths(middle_deg + half_deg) % _TURN
     if is_ring(unit.sensor):
@@ -367,32 +350,30 @@ def _radial_shape(
     # What looks straight down sees beyond it, but there is no steeper direction.
     low_deg = max(lowest_deg - half_vertical_deg, -90.0)
     high_deg = min(highest_deg + half_vertical_deg, 90.0)
+    if is_old:
+        horizontal = "stationaryHorizontalOpeningAngle"
+    else:
+        horizontal = "horizontalOpeningAngle"
     return {
         "shapeReferencePoint": {
             f"{axis}Coordinate": int(value)
             for axis, value in zip("xyz", offset, strict=True)
         },
         "range": min(_tenths(range_m), _MAX_RANGE),
-        "stationaryHorizontalOpeningAngleStart": start,
-        "stationaryHorizontalOpeningAngleEnd": end,
+        f"{horizontal}Start": start,
+        f"{horizontal}End": end,
         "verticalOpeningAngleStart": _tenths(low_deg) % _TURN,
         "verticalOpeningAngleEnd": _tenths(high_deg) % _TURN,
     }
 
 
 def _count_up(values: ArrayLike, per_one: float) -> IntArray:
-    """Values in parts, `per_one` of them each, as ETSI counts.
-
-    N is (n - 1, n] of them.
-    """
+    """Values in parts, `per_one` of them each, as ETSI counts: n is (n - 1, n] of them."""
     return np.ceil(per_one * np.asarray(values) - _SLACK).astype(np.int64)
 
 
 def _tenths(value: float) -> int:
-    """Tenths as the standard counts them.
-
-    N is more than n - 1 and at most n of them.
-    """
+    """Tenths as the standard counts them: n is more than n - 1 and at most n of them."""
     return int(_count_up(value, 10.0))
 
 
@@ -400,4 +381,5 @@ FORMAT = ExportFormat(
     write=to_cpm,
     content="messages of each site, ETSI TS 103 324 as JSON; V2X stacks",
     shows_runs=True,
+    options=("release",),
 )

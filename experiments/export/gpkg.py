@@ -1,6 +1,7 @@
 """Layouts as GeoPackage."""
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -10,6 +11,7 @@ from placement.layout import Layout
 
 from . import ExportFormat
 from .places import (
+    find_views,
     longitude_latitude,
     map_points,
     placed_records,
@@ -21,9 +23,7 @@ from .places import (
 def geopackage(
     layers: Iterable[tuple[str, str, list[dict[str, Any]], Any]], crs: str
 ) -> bytes:
-    """Layers of one database.
-
-    Name, kind of geometry (empty: areas), records and their places.
+    """Layers of one database: name, kind of geometry (empty: areas), records and their places.
 
     References
     ----------
@@ -32,8 +32,7 @@ def geopackage(
     import geopandas as gpd
     import pyogrio
 
-    # Layers can be added to files alone.
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as folder:  # layers can be added to files alone
         path = Path(folder) / "layers.gpkg"
         for name, kind, records, shapes in layers:
             pyogrio.write_dataframe(
@@ -48,21 +47,19 @@ def geopackage(
         return path.read_bytes()
 
 
-def to_geopackage(layout: Layout, scene: Scene) -> bytes:
-    """Layout as a GeoPackage.
-
-    Points in the coordinates of the map that the scene was made from.
+def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes:
+    """Layout as a GeoPackage: points in the coordinates of the map that the scene was made from.
 
     A SQLite database with the layer "units": points with the height as z (that of the
     map where the ground is not flat and the map tells it, else above the road), and the
-    fields of the layout; x_m and y_m among them stay in the world frame. Raises
-    InputError if the scene has no crs, or one that pyproj does not know.
+    fields of the layout; x_m and y_m among them stay in the world frame. With `views`
+    also the layer "views": see :func:`.places.find_views`. Raises InputError if the
+    scene has no crs, or one that pyproj does not know.
     """
     import geopandas as gpd
 
     require_crs(scene.crs, "gpkg")
-    # Refuses what lies nowhere.
-    longitude_latitude(positions_m(layout), scene.crs)
+    longitude_latitude(positions_m(layout), scene.crs)  # refuses what lies nowhere
     position = map_points(positions_m(layout)[:, :2], scene)
     records = placed_records(layout, scene)
     points = gpd.points_from_xy(
@@ -71,6 +68,11 @@ def to_geopackage(layout: Layout, scene: Scene) -> bytes:
         z=[record.get("map_z", record["z_m"]) for record in records],
     )
     layers = [("units", "Point Z", records, points)]
+    if views:
+        found = find_views(layout, scene, partial(map_points, scene=scene))
+        layers.append(
+            ("views", "", [one.record() for one in found], [one.area for one in found])
+        )
     return geopackage(layers, scene.source_crs or scene.crs)
 
 
@@ -78,4 +80,5 @@ FORMAT = ExportFormat(
     write=to_geopackage,
     content="points in the map's own coordinates; QGIS, ArcGIS",
     is_binary=True,
+    options=("views",),
 )

@@ -1,23 +1,30 @@
 """Layouts for Google Earth and other globes: KML."""
 
+from functools import partial
+
 from geometry.errors import InputError
 from geometry.frames import to_carla_yaw
 from geometry.scene import Scene
 from placement.layout import Layout
 
 from . import ExportFormat, xml_text
-from .places import longitude_latitude, placed_records, positions_m, require_crs
+from .places import (
+    find_views,
+    longitude_latitude,
+    placed_records,
+    positions_m,
+    require_crs,
+)
 
 
-def to_kml(layout: Layout, scene: Scene) -> str:
-    """Layout as KML: a placemark per unit, with a pole below it.
-
-    It is at the unit's height above the ground.
+def to_kml(layout: Layout, scene: Scene, *, views: bool = False) -> str:
+    """Layout as KML: a placemark per unit, at its height above ground, with a pole below it.
 
     An XML document. Every field of the layout is in the placemark's ExtendedData; the
-    placemark's camera looks from the unit's place along its optical axis. Raises
-    InputError if the scene has no crs, or one that pyproj does not know, or if a name
-    is not printable.
+    placemark's camera looks from the unit's place along its optical axis. With `views`
+    also what each camera sees, see :func:`.places.find_views`, as polygons on the
+    ground. Raises InputError if the scene has no crs, or one that pyproj does not know,
+    or if a name is not printable.
 
     References
     ----------
@@ -32,9 +39,11 @@ def to_kml(layout: Layout, scene: Scene) -> str:
         *(field for record in records for field in record.items()),
     ]
     for name, value in texts:
-        # XML has no words for most others.
-        if isinstance(value, str) and not value.isprintable():
+        if (
+            isinstance(value, str) and not value.isprintable()
+        ):  # XML has no words for most others
             raise InputError(f"kml: {name}", value, "printable text")
+    place = partial(longitude_latitude, crs=scene.crs)
     return xml_text(
         "kml.xml.j2",
         namespace="http://www.opengis.net/kml/2.2",
@@ -45,10 +54,12 @@ def to_kml(layout: Layout, scene: Scene) -> str:
             float(to_carla_yaw(unit.pose.yaw_deg) + 90.0) % 360.0
             for unit in layout.units
         ],
+        views=find_views(layout, scene, place) if views else [],
     )
 
 
 FORMAT = ExportFormat(
     write=to_kml,
     content="placemarks above ground; Google Earth",
+    options=("views",),
 )

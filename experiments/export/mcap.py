@@ -346,5 +346,5 @@ FORMAT = ExportFormat(
     content="scene, bodies, detections; Foxglove; extra: mcap",
     is_binary=True,
     shows_runs=True,
-    has_pictures=True,
+    options=("pictures",),
 )

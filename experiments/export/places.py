@@ -1,4 +1,4 @@
-"""Places of a layout's units on earth and in the map, and their views."""
+"""Places of a layout's units on earth and in the map, and what its cameras see there."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.terrain import terrain_of
 from placement.candidates import above_ground
-from placement.ground import GroundSurvey
+from placement.ground import LOOK_AT_M, REACH_M, GroundSurvey
 from placement.layout import Layout, layout_records
 
 
@@ -25,7 +25,7 @@ def positions_m(layout: Layout) -> FloatArray:
 
 
 def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
-    """Units as records, with their place in the scene's map.
+    """Units as records, with their place in the map that a scene was made from.
 
     As :func:`placement.layout.layout_records`; in addition map_x, map_y (longitude and
     latitude where the map has degrees) and map_crs, which is empty if the map does not
@@ -68,17 +68,14 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
 
 
 def map_points(points_m: FloatArray, scene: Scene) -> FloatArray:
-    """Points (n, 2) of the world frame in the map's coordinates.
-
-    Those are ``source_crs``, or else ``crs``.
-    """
+    """Points of the world frame, (n, 2), in the map's ``source_crs``, or else ``crs``."""
     if not scene.source_crs:
         return points_m
     return transform(points_m, scene.crs, scene.source_crs)
 
 
 def metric_points(points_m: FloatArray, scene: Scene) -> FloatArray:
-    """Points (n, 2) of the world frame in the map's metres, if it has any."""
+    """Points of the world frame, (n, 2), in the map's coordinates, where these are in metres."""
     if not scene.crs:
         return points_m + scene.source_origin_m
     if scene.source_crs and parse_crs(scene.source_crs).is_geographic:
@@ -95,9 +92,7 @@ def require_crs(crs: str, format_name: str) -> None:
 
 
 def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
-    """Points of the world frame, (n, 2) or (n, 3), in WGS 84.
-
-    Longitude, latitude, (n, 2) degrees.
+    """Points of the world frame, (n, 2) or (n, 3), in WGS 84: longitude, latitude, (n, 2) degrees.
 
     Raises InputError if pyproj does not know `crs`, or they lie outside of where it is
     defined.
@@ -117,14 +112,29 @@ def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
     return lon_lat_deg
 
 
+UNSEEN = "unseen"
+NOTE = (
+    f"squares of 1 m, {LOOK_AT_M:g} m above the road, up to {REACH_M:g} m from the"
+    " middle"
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
     """Area that a camera sees, or road that no camera sees."""
 
-    # Its id; empty: what no camera sees.
-    unit: str
-    # Shapely's polygons without overlap, in any coordinates.
-    area: Any
+    unit: str  # its id; empty: what no camera sees
+    area: Any  # shapely's polygons without overlap, in any coordinates
+    area_m2: float
+
+    def record(self) -> dict[str, Any]:
+        """Fields of it in a table."""
+        return {
+            "id": f"view of {self.unit}" if self.unit else UNSEEN,
+            "unit": self.unit,
+            "area_m2": self.area_m2,
+            "note": NOTE,
+        }
 
 
 def find_views(
@@ -149,7 +159,10 @@ def find_views(
     masks[""] = missed
     areas = [_outline(mask, survey.east_m, survey.north_m) for mask in masks.values()]
     moved = shapely.transform(np.array(areas, dtype=object), move)
-    return [View(unit=name, area=area) for name, area in zip(masks, moved, strict=True)]
+    return [
+        View(unit=name, area=there, area_m2=float(area.area))
+        for name, area, there in zip(masks, areas, moved, strict=True)
+    ]
 
 
 def _outline(mask: BoolArray, east_m: FloatArray, north_m: FloatArray) -> Any:

@@ -1,11 +1,13 @@
-"""Layouts as tables: CSV."""
+"""Layouts as tables: CSV, and Apache Parquet."""
+
+import io
 
 from geometry.scene import Scene
 from placement.layout import Layout
 
 from ..results.tables import csv_text
 from . import ExportFormat
-from .places import placed_records
+from .places import longitude_latitude, placed_records, positions_m
 
 
 def to_csv(layout: Layout, scene: Scene | None = None) -> str:
@@ -19,4 +21,24 @@ def to_csv(layout: Layout, scene: Scene | None = None) -> str:
     return csv_text(pd.DataFrame(placed_records(layout, scene)))
 
 
-FORMAT = ExportFormat(write=to_csv, content="a row per unit; spreadsheets, pandas")
+def to_parquet(layout: Layout, scene: Scene) -> bytes:
+    """Layout as Apache Parquet: as CSV, and with a crs longitude_deg and latitude_deg."""
+    import pandas as pd
+
+    table = pd.DataFrame(placed_records(layout, scene))
+    if scene.crs:
+        lon_lat_deg = longitude_latitude(positions_m(layout), scene.crs)
+        table = table.assign(
+            longitude_deg=lon_lat_deg[:, 0], latitude_deg=lon_lat_deg[:, 1]
+        )
+    file = io.BytesIO()
+    table.to_parquet(file, index=False)
+    return file.getvalue()
+
+
+CSV = ExportFormat(write=to_csv, content="a row per unit; spreadsheets, pandas")
+PARQUET = ExportFormat(
+    write=to_parquet,
+    content="the same table, typed; pandas, Arrow, DuckDB",
+    is_binary=True,
+)

@@ -1,4 +1,4 @@
-"""Messages of V2X stations as bytes (UPER), and their channel load."""
+"""Messages of V2X stations as bytes (UPER), as records of a file, and their load of a channel."""
 
 import json
 from collections.abc import Iterable
@@ -10,42 +10,41 @@ from geometry.scene import Scene
 from placement.layout import Layout
 
 from . import ExportFormat, load_extra
-from .cpm import build_stations
+from .cpm import RELEASES, build_stations
 from .watched import WatchedRun
 
 _MESSAGE = "CollectivePerceptionMessage"
 CONTAINERS = {
-    2: "OriginatingRsuContainer",
-    3: "SensorInformationContainer",
-    5: "PerceivedObjectContainer",
-}
+    2: "OriginatingRsuContainer", 3: "SensorInformationContainer", 5: "PerceivedObjectContainer"
+}  # fmt: skip
 _TIME_BYTES = 8
 _SIZE_BYTES = 4
-# Bytes of a message: behind protocol version and message id.
-_STATION = slice(2, 6)
-# ITS-G5's default data rate: ETSI EN 302 663.
-_CHANNEL_MBPS = 6.0
+_STATION = slice(2, 6)  # bytes of a message: behind protocol version and message id
+_CHANNEL_MBPS = 6.0  # ITS-G5's default data rate: ETSI EN 302 663
 
 
 @cache
-def _codecs() -> tuple[Any, Any]:
-    """UPER's and JSON's rules of ``data/v2x.asn``."""
+def _codecs(release: str) -> tuple[Any, Any]:
+    """UPER's and JSON's rules of ``data/v2x.asn``, with the lines of a release."""
     asn1tools = load_extra("asn1tools", "messages as bytes need asn1tools", "v2x")
+    others = tuple(f"-- {other}" for other in RELEASES if other != release)
     text = (files("experiments") / "data" / "v2x.asn").read_text(encoding="utf-8")
-    uper = asn1tools.compile_string(text, "uper")
-    return uper, asn1tools.compile_string(text, "jer")
+    lines = "\n".join(line for line in text.splitlines() if not line.endswith(others))
+    return asn1tools.compile_string(lines, "uper"), asn1tools.compile_string(
+        lines, "jer"
+    )
 
 
-def to_bytes(name: str, value: object) -> bytes:
+def to_bytes(name: str, value: object, release: str) -> bytes:
     """Bytes of a value of a type of ``data/v2x.asn``, given as JSON writes it."""
-    uper, jer = _codecs()
+    uper, jer = _codecs(release)
     content: bytes = uper.encode(name, jer.decode(name, json.dumps(value).encode()))
     return content
 
 
-def from_bytes(name: str, content: bytes) -> Any:
+def from_bytes(name: str, content: bytes, release: str) -> Any:
     """Value of bytes, the inverse of :func:`to_bytes`."""
-    uper, jer = _codecs()
+    uper, jer = _codecs(release)
     return json.loads(jer.encode(name, uper.decode(name, content)))
 
 
@@ -76,7 +75,7 @@ def split(content: bytes) -> list[tuple[int, bytes]]:
 
 
 def tell_load(content: bytes) -> str:
-    """Sizes of messages, and each station's mean share of a channel."""
+    """Sizes of messages, and how much of a channel each station takes on average."""
     sizes: dict[bytes, list[int]] = {}
     messages = split(content)
     for _, data in messages:
@@ -98,29 +97,26 @@ def tell_load(content: bytes) -> str:
     )
 
 
-def encode(message: dict[str, Any]) -> bytes:
-    """Bytes of a message of :func:`.cpm.build_stations`.
-
-    Unsigned, and without headers of the network.
-    """
+def encode(message: dict[str, Any], release: str = RELEASES[0]) -> bytes:
+    """Bytes of a message of :func:`.cpm.build_stations`, unsigned, without headers of the net."""
     payload = message["payload"]
     containers = []
     for container in payload["cpmContainers"]:
         data = to_bytes(
-            CONTAINERS[container["containerId"]], container["containerData"]
+            CONTAINERS[container["containerId"]], container["containerData"], release
         )
         containers.append(container | {"containerData": data.hex()})
     whole = message | {"payload": payload | {"cpmContainers": containers}}
-    return to_bytes(_MESSAGE, whole)
+    return to_bytes(_MESSAGE, whole, release)
 
 
-def decode(content: bytes) -> dict[str, Any]:
+def decode(content: bytes, release: str = RELEASES[0]) -> dict[str, Any]:
     """Message of bytes, the inverse of :func:`encode`."""
-    message: dict[str, Any] = from_bytes(_MESSAGE, content)
+    message: dict[str, Any] = from_bytes(_MESSAGE, content, release)
     for container in message["payload"]["cpmContainers"]:
         data = bytes.fromhex(container["containerData"])
         container["containerData"] = from_bytes(
-            CONTAINERS[container["containerId"]], data
+            CONTAINERS[container["containerId"]], data, release
         )
     return message
 
@@ -129,6 +125,8 @@ def to_cpm_uper(
     layout: Layout,
     scene: Scene,
     watched: WatchedRun | None = None,
+    *,
+    release: str = RELEASES[0],
 ) -> bytes:
     """Layout's messages by time, as records: see :func:`to_records`.
 
@@ -138,9 +136,9 @@ def to_cpm_uper(
     return to_records(
         (
             message["payload"]["managementContainer"]["referenceTime"],
-            encode(message),
+            encode(message, release),
         )
-        for station in build_stations(layout, scene, watched)
+        for station in build_stations(layout, scene, watched, release=release)
         for message in station.messages
     )
 
@@ -150,5 +148,6 @@ FORMAT = ExportFormat(
     content="the same messages as bytes (UPER); extra: v2x",
     is_binary=True,
     shows_runs=True,
+    options=("release",),
     told=tell_load,
 )

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from geometry.arrays import BoolArray
-from geometry.errors import InputError, refuse
+from geometry.errors import InputError, Unquoted
 from geometry.junction import build_junction
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
@@ -115,26 +116,32 @@ def export_layout(
     scene_path: str = "",
     run_id: str = "",
     compute: Compute = DEFAULT_COMPUTE,
-    draws_pictures: bool = False,
+    options: Mapping[str, Any] | None = None,
 ) -> str | bytes:
     """Content of a layout's file for another program.
 
-    `format_name` is one of ``FORMAT_NAMES``. `scene_path`: folder or .zip file of the
-    layout's scene; empty: the study's junction. `run_id`: a run to show as the units
-    see it; empty: none. `draws_pictures`: what each camera sees of it is drawn, too.
-    Raises InputError: the layout does not fit the scene, or the format needs a place on
-    earth, shows no runs, or has no pictures.
+    `format_name` is one of ``FORMAT_NAMES``, `options` are its own. `scene_path`:
+    folder or .zip file of the layout's scene; empty: the study's junction. `run_id`: a
+    run to show as the units see it; empty: none. Raises InputError: the layout does not
+    fit the scene, or the format needs a place on earth, shows no runs, or lacks an
+    option.
     """
     chosen = load_format(format_name)
     if run_id and not chosen.shows_runs:
         raise InputError("--run", run_id, f"none: {format_name} shows no runs")
-    if draws_pictures and not chosen.has_pictures:
-        refuse("--pictures", "it", f"none: {format_name} has no pictures")
+    given = options or {}
+    for name, value in given.items():
+        if name not in chosen.options:
+            if isinstance(value, str | float):
+                got = value
+            else:
+                got = Unquoted("it")
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(option, got, f"none: {format_name} has no such option")
     scene = load_scene(scene_path)
     check_layout(layout, scene)
     if not run_id:
-        return chosen.write(layout, scene)
-    watched = watch_run(layout, scene, run_id, compute=compute)
-    if draws_pictures:
-        return chosen.write(layout, scene, watched, pictures=compute)
-    return chosen.write(layout, scene, watched)
+        return chosen.write(layout, scene, **given)
+    return chosen.write(
+        layout, scene, watch_run(layout, scene, run_id, compute=compute), **given
+    )

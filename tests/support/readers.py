@@ -851,18 +851,32 @@ _EXTRINSIC = (
 )
 
 
+_MATRIX = (
+    "camera_matrix: {tag}{rows: 3, cols: 3, data: [900, 0, 640, 0, 880, 360, 0, 0, 1]}"
+)
+_ROS = (
+    "image_width: 1280\nimage_height: 720\ncamera_name: a\n"
+    + _MATRIX.replace("{tag}", "")
+    + "\ndistortion_model: equidistant\ndistortion_coefficients: {data: [0.1, 0, 0,"
+    " 0.01]}\nstatic_transform:\n  transform:\n    translation: {x: 1, y: 2, z: 6}\n "
+    "   rotation: {x: 0, y: 0.6, z: 0, w: 0.8}\n"
+)
+_FILE_STORAGE = (
+    '%YAML:1.0\n---\ncameras:\n  - id: "a"\n    image_width: 1280\n    image_height:'
+    " 720\n    "
+    + _MATRIX.replace("{tag}", "!!opencv-matrix ")
+    + "\n    distortion_coefficients: !!opencv-matrix {data: [0.1, 0, 0, 0, 0]}\n"
+    "    R: !!opencv-matrix {data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}\n"
+    "    t: !!opencv-matrix {data: [0, 0, 6]}\n"
+)
+
+
 def _read_calibration(path: Path) -> Any:
-    from experiments.study.reality.calibrations import (
-        read_kitti_camera,
-        read_opencv_camera,
-        read_tsai,
-    )
+    from geometry.calibrations import read_cameras, read_opencv_camera
 
     if path.name == "intrinsic.xml":
-        return read_opencv_camera(path, path.with_name("extrinsic.xml"), (1242, 375))
-    if path.suffix == ".xml":
-        return read_tsai(path)
-    return read_kitti_camera(path, (1242, 375))
+        read_opencv_camera(path, path.with_name("extrinsic.xml"), (1242, 375))
+    return read_cameras(path, size_px=(1242, 375))
 
 
 def _calibrations() -> Mapping[str, tuple[str, Files]]:
@@ -873,6 +887,8 @@ def _calibrations() -> Mapping[str, tuple[str, Files]]:
         "kitti": _one(
             "calib.txt", "P0: 1\nP2: 721.5 0 609.5 44.8 0 721.5 172.8 0.2 0 0 1 0.003\n"
         ),
+        "ros": _one("ros.yaml", _ROS),
+        "filestorage": _one("cameras.yaml", _FILE_STORAGE),
     }
 
 
@@ -1231,9 +1247,10 @@ READERS: Mapping[str, Reader] = {
         read=_read_calibration,
         seeds=_calibrations,
         covers=(
-            "experiments.study.reality.calibrations.read_tsai",
-            "experiments.study.reality.calibrations.read_kitti_camera",
-            "experiments.study.reality.calibrations.read_opencv_camera",
+            "geometry.calibrations.read_cameras",
+            "geometry.calibrations.read_tsai",
+            "geometry.calibrations.read_kitti_camera",
+            "geometry.calibrations.read_opencv_camera",
         ),
         share=2,
     ),

@@ -9,14 +9,13 @@ import numpy as np
 
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray, IntArray
+from geometry.calibrations import read_kitti_camera, read_opencv_camera, read_tsai
 from geometry.image_boxes import box_height_px
 from geometry.lenses import CalibratedCamera, ground_points, project_distorted
 from geometry.poses import Pose, body_rotation
 from geometry.sensors import CameraModel, project_points
 from placement.detectors.evidence import Interval
 from placement.recordings.formats import RecordedBoxes, read_boxes, read_wildtrack
-
-from .calibrations import read_kitti_camera, read_opencv_camera, read_tsai
 
 BODY = "adult"
 # Before and after, over which a heading is measured.

@@ -181,15 +181,15 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         (
             "export --layout carlancap-12",
             (
-                "Missing option '--format'. Choose from: json, csv, geojson,"
-                " gpkg, kml, dxf, carla, cpm, cpm-uper, mcap, opendrive"
+                "Missing option '--format'. Choose from: json, csv, parquet, geojson,"
+                " gpkg, kml, dxf, carla, opencv, ros, cpm, cpm-uper, mcap, opendrive"
             ),
         ),
         (
             "export --layout carlancap-12 --format xml",
             (
-                "--format: got 'xml'; expected one of json, csv, geojson,"
-                " gpkg, kml, dxf, carla, cpm, cpm-uper, mcap, opendrive"
+                "--format: got 'xml'; expected one of json, csv, parquet, geojson,"
+                " gpkg, kml, dxf, carla, opencv, ros, cpm, cpm-uper, mcap, opendrive"
             ),
         ),
         (

@@ -10,7 +10,9 @@ from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout
 
 
-@pytest.mark.parametrize("name", ["json", "csv", "geojson", "kml", "carla"])
+@pytest.mark.parametrize(
+    "name", ["json", "csv", "geojson", "kml", "carla", "ros", "opencv"]
+)
 def test_assumed_sites_are_told_in_the_file(name):
     layout = load_carlancap_layout()
     study = load_study_scene()

@@ -9,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from experiments.export.cpm import build_stations, to_cpm
+from experiments.export.cpm import RELEASES, build_stations, to_cpm
 from experiments.export.uper import decode, encode, split, tell_load, to_cpm_uper
 from experiments.export.watched import WatchedRun, find_run, watch_run
 from geometry.catalogue import load_cameras
+from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
@@ -25,10 +26,16 @@ pytest.importorskip("asn1tools", reason="the extra v2x is not installed")
 SCENE = load_study_scene()
 # Of test_a_message_by_hand. asn1tools 0.169.0 with ETSI's modules decodes them to the
 # same.
-GOLDEN = (
-    "020e0000000000000000000296cdbc0380743007ffffff08eddd0f8880"
-    "80109002001a7c0004000412c097df511361489040"
-)
+GOLDEN = {
+    "2.1.1": (
+        "020e0000000000000000000296cdbc0380743007ffffff08eddd0f8880"
+        "80109002001a7c0004000412c097df511361489040"
+    ),
+    "2.4.1": (
+        "020e0000000000000000000296cdbc0380743007ffffff08eddd0f8880"
+        "80109002001a7c0004000412c0978af2d561489040"
+    ),
+}
 
 
 def seen_in(run, seed, share=0.5):
@@ -52,17 +59,18 @@ def runs():
     yaw_deg=st.floats(-180.0, 180.0),
     pitch_deg=st.floats(-90.0, 45.0),
     kind=st.sampled_from(["camera", "lidar"]),
+    release=st.sampled_from(RELEASES),
     run_index=st.integers(0, 3),
     seed=st.integers(0, 1000),
 )
 def test_messages_are_read_back_from_their_bytes(
-    runs, yaw_deg, pitch_deg, kind, run_index, seed
+    runs, yaw_deg, pitch_deg, kind, release, run_index, seed
 ):
     layout = level_layout(yaw_deg, pitch_deg, kind=kind)
     watched = seen_in(runs[run_index], seed, share=0.2)
-    (station,) = build_stations(layout, SCENE, watched)
-    content = split(to_cpm_uper(layout, SCENE, watched))
-    assert [decode(data) for _, data in content] == list(station.messages)
+    (station,) = build_stations(layout, SCENE, watched, release=release)
+    content = split(to_cpm_uper(layout, SCENE, watched, release=release))
+    assert [decode(data, release) for _, data in content] == list(station.messages)
 
 
 def test_objects_are_where_the_run_has_them(runs):
@@ -110,9 +118,25 @@ def test_objects_are_where_the_run_has_them(runs):
         assert np.diff(sensors).min() >= 1000 - 1
 
 
-def test_a_message_by_hand():
-    (station,) = build_stations(level_layout(90.0, -10.0), SCENE)
-    assert encode(station.messages[0]).hex() == GOLDEN
+@pytest.mark.parametrize("release", RELEASES)
+def test_a_message_by_hand(release):
+    (station,) = build_stations(level_layout(90.0, -10.0), SCENE, release=release)
+    assert encode(station.messages[0], release).hex() == GOLDEN[release]
+
+
+def test_both_releases_open_to_the_same_side():
+    """V2.1.1 counts clockwise from north, V2.4.1 counter-clockwise from east."""
+    shapes = []
+    for release in RELEASES:
+        (station,) = build_stations(level_layout(30.0), SCENE, release=release)
+        sensors = station.messages[0]["payload"]["cpmContainers"][1]["containerData"]
+        shapes.append(sensors[0]["perceptionRegionShape"]["radial"])
+    old, new = shapes
+    assert (
+        old["stationaryHorizontalOpeningAngleStart"]
+        == 900 - new["horizontalOpeningAngleEnd"]
+    )
+    assert new["horizontalOpeningAngleStart"] == (300 - 550) % 3600
 
 
 def test_the_load_of_the_channel_is_that_of_the_bytes(runs):
@@ -149,6 +173,13 @@ def test_what_units_detect_in_a_run_is_the_evaluators():
     )
 
 
+def test_an_unknown_release_is_refused():
+    with pytest.raises(
+        InputError, match=r"^release: got '3'; expected one of 2.1.1, 2.4.1$"
+    ):
+        to_cpm(level_layout(0.0), SCENE, release="3")
+
+
 def random_layout(rng):
     """One to four units at a site, within some metres, of all kinds."""
     kinds = [*load_cameras().values(), *load_lidars().values()]
@@ -182,6 +213,7 @@ def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs, count):
     moving = [(run, run.encounter.vru_motion) for run in runs]
     for _ in range(count):
         layout = random_layout(rng)
+        release = RELEASES[rng.integers(2)]
         run, motion = moving[rng.integers(len(moving))]
         frame = rng.integers(len(run.time_s))
         detected = {
@@ -189,8 +221,8 @@ def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs, count):
         }
         detected[layout.units[-1].id][frame] = True
         watched = WatchedRun(run=run, detected=detected, rule=load_aeb_rule())
-        (station,) = build_stations(layout, SCENE, watched)
-        found = [decode(encode(one)) for one in station.messages]
+        (station,) = build_stations(layout, SCENE, watched, release=release)
+        found = [decode(encode(one, release), release) for one in station.messages]
         assert found == list(station.messages)
         (message,) = [
             one

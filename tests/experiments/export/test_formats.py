@@ -148,7 +148,7 @@ def test_carla_has_no_minus_zero(layout):
 
 
 def test_every_format_is_text_of_the_whole_layout(layout):
-    for name in ("json", "csv", "geojson", "kml", "carla", "cpm"):
+    for name in ("json", "csv", "geojson", "kml", "carla", "opencv", "ros", "cpm"):
         text = load_format(name).write(layout, load_study_scene())
         assert all(unit.id in text for unit in layout.units)
         assert text.endswith("\n")

@@ -5,6 +5,7 @@ import pytest
 
 from experiments.export.calibration import calibrations
 from experiments.export.carla import to_carla
+from experiments.export.opencv import to_opencv
 from geometry.catalogue import read_sensor
 from geometry.errors import InputError
 from geometry.lenses import BrownConrady
@@ -42,9 +43,14 @@ def test_carla_refuses_a_lens_in_one_line(lens):
         to_carla(layout)
 
 
+def test_tsais_lens_is_refused_by_opencv():
+    with pytest.raises(InputError, match="north: lens: got Tsai's radial term"):
+        to_opencv(layout_with(lens={"model": "tsai", "kappa": 0.1}))
+
+
 def test_a_calibration_has_principal_point_aspect_and_roll():
     layout = layout_with(principal_point=[0.55, 0.45], pixel_aspect=1.02, roll_deg=90.0)
-    (found,) = calibrations(layout, "mcap").values()
+    (found,) = calibrations(layout, "opencv").values()
     focal = 960.0
     expected = [
         [focal, 0, 0.55 * 1920 - 0.5],
@@ -54,7 +60,7 @@ def test_a_calibration_has_principal_point_aspect_and_roll():
     assert pytest.approx(np.array(expected)) == found.K
     assert found.lens == BrownConrady()
     # Turned clockwise by a right angle, its right is what was down.
-    (level,) = calibrations(layout_with(), "mcap").values()
+    (level,) = calibrations(layout_with(), "opencv").values()
     assert found.R_camera_world[0] == pytest.approx(level.R_camera_world[1])
     assert found.R_camera_world[1] == pytest.approx(-level.R_camera_world[0])
     assert level.K[0, 2] == 959.5

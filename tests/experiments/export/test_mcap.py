@@ -235,4 +235,4 @@ def test_pictures_of_other_formats_are_refused(run):
     )
     code, _, err = run(*asked, "--pictures")
     assert code == 2
-    assert "--pictures: got it; expected none: cpm has no pictures" in err
+    assert "--pictures: got it; expected none: cpm has no such option" in err

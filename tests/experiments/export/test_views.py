@@ -4,6 +4,7 @@ import io
 import json
 from dataclasses import replace
 
+import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
@@ -11,7 +12,7 @@ from export_layouts import level_layout, map_scene, placeless_scene
 
 from experiments.export import load_format
 from experiments.export.dxf import to_dxf
-from experiments.export.places import find_views
+from experiments.export.places import UNSEEN, find_views
 from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout
 
@@ -49,6 +50,25 @@ def test_what_no_camera_sees_is_road_outside_of_all_views(views):
     )
     assert len(nobody) == 1  # LiDARs take no pictures: all of the road is unseen
     assert nobody[0].area.area > unseen.area.area
+
+
+@pytest.mark.parametrize("name", ["geojson", "gpkg", "kml"])
+def test_other_programs_read_the_same_areas(name, views, tmp_path):
+    path = tmp_path / f"views.{name}"
+    content = load_format(name).write(TWO, SCENE, views=True)
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    if name == "gpkg":
+        table = gpd.read_file(path, layer="views")
+    else:
+        table = gpd.read_file(path)
+    areas = table[table.geom_type.isin(["Polygon", "MultiPolygon"])].to_crs(SCENE.crs)
+    assert len(areas) == len(views)
+    np.testing.assert_allclose(
+        areas.area, [view.area.area for view in views], rtol=1e-5, atol=1e-3
+    )
+    names = areas["Name" if name == "kml" else "id"].tolist()
+    assert names == [*(f"view of {unit.id}" for unit in TWO.units), UNSEEN]
+    assert sum(table.geom_type == "Point") == (0 if name == "gpkg" else len(TWO.units))
 
 
 ezdxf = pytest.importorskip("ezdxf", reason="the extra dxf is not installed")

@@ -9,13 +9,13 @@ from scipy.special import ndtr
 
 from experiments.study.reality import __main__ as command
 from experiments.study.reality import report, response
-from experiments.study.reality.calibrations import read_opencv_camera, read_tsai
 from experiments.study.reality.projection import (
     body_boxes,
     nearest_pinhole,
     pets_tracks,
     tilted,
 )
+from geometry.calibrations import read_opencv_camera, read_tsai
 from geometry.image_boxes import box_height_px
 from geometry.lenses import TsaiRadial, project_distorted
 from geometry.sensors import project_points

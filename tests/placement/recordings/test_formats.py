@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 from readers import READERS
 
-from experiments.study.reality.calibrations import (
-    read_kitti_camera,
-    read_opencv_camera,
-    read_tsai,
-)
+from geometry.calibrations import read_kitti_camera, read_opencv_camera, read_tsai
 from geometry.errors import InputError
 from geometry.lenses import project_distorted
 from placement.recordings import find_format, read_recording
@@ -256,7 +252,7 @@ def test_calibrations_that_are_cut_off_or_impossible_are_told(tmp_path):
     assert (read(tabs).fx_px, read(tabs).cy_px) == (700.0, 170.0)
     assert (
         refused(read, path, "P2: 1 2\n")
-        == "F:1: P2: got ['1', '2']; expected 12 finite numbers"
+        == "F:1: P2: got 2 of another kind or size; expected 12 finite numbers"
     )
 
 
