@@ -1,4 +1,6 @@
-"""The programs around the library: command line, the study's setting, figures, reports, benchmarks.
+"""The programs around the library.
+
+Command line, the study's setting, figures, reports, benchmarks.
 
 Nothing imports this package. ``cli`` parses and prints, ``jobs`` does what each command
 asks.

@@ -1,4 +1,6 @@
-"""The language of answers: terminal, report, page and sheet say each sentence through here.
+"""The language of answers.
+
+Terminal, report, page and sheet say each sentence through here.
 
 A sentence stands in the code in English, whole, with names in braces for what is put
 in: it is the key under which catalogues (``languages/de/*.po``, gettext's format) have
@@ -38,7 +40,7 @@ class _GermanNumbers(string.Formatter):
 
 
 class Messages:
-    """A catalogue of messages, and of those that have a form for one and one for many.
+    """A catalogue of messages, and of those with a plural form.
 
     `found` has their translations by the English text, of two forms by the first; a
     message that it does not have stays English.
@@ -77,7 +79,8 @@ def _catalogue(code: str) -> Messages:
         if path.name.endswith(".po"):
             with path.open("rb") as file:
                 for entry in read_po(file):
-                    if not entry.id:  # the head of the file
+                    # The head of the file.
+                    if not entry.id:
                         continue
                     if isinstance(entry.id, str):
                         key = entry.id
@@ -109,7 +112,10 @@ def set_language(code: str) -> None:
 
 @contextmanager
 def speaking(code: str, messages: Messages | None = None) -> Iterator[None]:
-    """Speak a language for a block; with `messages` from another catalogue (tests)."""
+    """Speak a language for a block.
+
+    With `messages` from another catalogue (tests).
+    """
     before = _Current.code, _Current.messages
     set_language(code)
     _Current.messages = messages or _Current.messages
@@ -120,7 +126,9 @@ def speaking(code: str, messages: Messages | None = None) -> Iterator[None]:
 
 
 def tr(message: str, /, **values: Any) -> str:
-    """A message in the language that is spoken, with values in place of the names in braces.
+    """A message in the language that is spoken, with its values filled in.
+
+    They take the places of the names in braces.
 
     Numbers among the values are written as the language does, "{share:.1f}" as 0.5 or
     0,5. A phrase brings its own values; phrases among the values are translated too. A
@@ -162,7 +170,9 @@ def trn(one: str, many: str, n: int, /, **values: Any) -> str:
 
 
 def words_of(messages: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """What scripts say: translations of messages by themselves, for one and many where both are.
+    """Translations of what scripts say, by message.
+
+    For one and for many where both are.
 
     Each message is a pair of its form for one, empty where it has no other, and that
     for many.
@@ -176,12 +186,15 @@ def words_of(messages: Iterable[tuple[str, str]]) -> dict[str, str]:
 
 
 def mark(message: str) -> str:
-    """A message that is translated where it is used, by ``tr(MESSAGE)``: for constants."""
+    """A message that is translated where it is used, by ``tr(MESSAGE)``.
+
+    For constants.
+    """
     return message
 
 
 def localized(number: str) -> str:
-    """A number that has been written as English does, as the language that is spoken does."""
+    """A number written in English, as the language that is spoken does."""
     if _Current.code == "en":
         return number
     return number.translate(_SWAPPED)

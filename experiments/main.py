@@ -28,13 +28,16 @@ cli.add_entries(COMMANDS)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line; every problem that the user can mend is one line and exit code 2.
+    """Run the command line.
+
+    Every problem that the user can mend is one line and exit code 2.
 
     What nobody foresaw is one line, too, with exit code 70: it names a file with the
     whole text.
     """
     os.environ["MPLBACKEND"] = (
-        "agg"  # no window is opened, whatever a user prefers elsewhere
+        # No window is opened, whatever a user prefers elsewhere.
+        "agg"
     )
     logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
     progress = ProgramSession(_import_map)
@@ -58,7 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         text = " ".join(error.format_message().split())
         code = _EXIT_BAD_INPUT
         message = f"place-rsus: {text}"
-    except OSError as error:  # such as a disk that is full
+    except OSError as error:
+        # Such as a disk that is full.
         if error.filename:
             where = f"{error.filename}: "
         else:
@@ -67,9 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         code = _EXIT_BAD_INPUT
         message = f"place-rsus: {where}{error.strerror or error}{notes}"
     except Exception as error:
-        if (
-            progress.signum
-        ):  # libraries make errors of their own of what ends their loading
+        # Libraries make errors of their own of what ends their loading.
+        if progress.signum:
             code = 128 + progress.signum
             message = progress.interruption()
         elif _is_out_of_memory(error):
@@ -89,7 +92,10 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _import_map(question: "Question", **options: Any) -> tuple[str, str]:
-    """Import a junction of a map into the cache: the folder, and what was imported in words."""
+    """Import a junction of a map into the cache.
+
+    The folder, and what was imported in words.
+    """
     from .scene.run import import_into_cache
 
     folder, found = import_into_cache(question, **options)
@@ -109,8 +115,12 @@ def _import_map(question: "Question", **options: Any) -> tuple[str, str]:
 
 
 def _unexpected(error: Exception, progress: StageProgress) -> str:
-    """Message of an error that is ours, not the user's; its text is saved in a file."""
-    import platform  # these are hardly ever needed
+    """Message of an error that is ours, not the user's.
+
+    Its text is saved in a file.
+    """
+    # These are hardly ever needed.
+    import platform
     import tempfile
     import traceback
     from importlib.metadata import version
@@ -138,7 +148,8 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
         ) as file:
             file.write(report)
         message += f". Please report it, with {file.name}"
-    except OSError:  # the disk is full, perhaps: then the text goes to the terminal
+    except OSError:
+        # The disk is full, perhaps: then the text goes to the terminal.
         message += f". Please report it:\n{report}"
     if progress.shows_tracebacks:
         return f"{message}\n{text}"

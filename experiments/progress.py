@@ -1,4 +1,4 @@
-"""Progress on stderr, and an orderly end when the user or the system asks for one."""
+"""Progress on stderr, and an orderly end when one is asked for."""
 
 import json
 import logging
@@ -30,13 +30,14 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _GRACE_S = 0.7
 
 
-_KEPT = (  # the last two are invisible, but part of how some scripts are written
-    "\n\u200c\u200d"
-)
+# The last two are invisible, but part of how some scripts are written.
+_KEPT = "\n\u200c\u200d"
 
 
 def printable(text: str) -> str:
-    r"""Text for a terminal: what it would obey or hide is spelled, as JSON spells it.
+    r"""Text for a terminal.
+
+    What it would obey or hide is spelled, as JSON spells it.
 
     Names come from maps and scenes of anybody: escape sequences, C1 codes, marks that
     turn the direction of writing.
@@ -52,7 +53,8 @@ def printable(text: str) -> str:
 
 
 def _spelled(character: str) -> str:
-    is_ascii = character.isascii()  # JSON leaves DEL as it is
+    # JSON leaves DEL as it is.
+    is_ascii = character.isascii()
     if is_ascii:
         return f"\\u{ord(character):04x}"
     return json.dumps(character)[1:-1]
@@ -70,7 +72,10 @@ def write_out(content: str | bytes) -> None:
 
 
 class Interrupted(BaseException):
-    """Ctrl-C, or another wish that the program end; no error, so that nothing catches it."""
+    """Ctrl-C, or another wish that the program end.
+
+    No error, so that nothing catches it.
+    """
 
     def __init__(self, signum: int) -> None:
         self.signum = signum
@@ -98,15 +103,19 @@ class StageProgress:
     """
 
     def __init__(self) -> None:
-        self.stage = mark("start")  # that runs, or ran last
-        self.seconds: dict[str, float] = {}  # of each finished stage
-        self.kept = "nothing was written"  # what is on disk if the program ends now
+        # That runs, or ran last.
+        self.stage = mark("start")
+        # Of each finished stage.
+        self.seconds: dict[str, float] = {}
+        # What is on disk if the program ends now.
+        self.kept = "nothing was written"
         self._began_s = self._line_s = time.perf_counter()
         self._prints_lines = False
         self._bar: Any = None
         self.is_verbose = False
         self.shows_tracebacks = False
-        self.signum = 0  # the signal that came
+        # The signal that came.
+        self.signum = 0
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show a stage; a new name ends the one before."""
@@ -116,7 +125,8 @@ class StageProgress:
             if self._prints_lines:
                 tell(f"{tr(stage)} ...", err=True)
                 self._line_s = time.perf_counter()
-            if self._bar is not None:  # time left is of this stage, not of those before
+            # Time left is of this stage, not of those before.
+            if self._bar is not None:
                 self._bar.reset(self._task)
         if (
             self._prints_lines
@@ -136,13 +146,16 @@ class StageProgress:
             )
 
     def tell_more(self) -> None:
-        """Also tell sizes, bounds, files that are read, and the seconds of each stage."""
+        """Also tell sizes, bounds, files that are read, and seconds of stages."""
         self.is_verbose = True
         for name in _OWN_PACKAGES:
             logging.getLogger(name).setLevel(logging.INFO)
 
     def start(self, *, quiet: bool) -> None:
-        """Begin to show the stages; with `quiet` nothing but errors is told, also no warning."""
+        """Begin to show the stages.
+
+        With `quiet` nothing but errors is told, also no warning.
+        """
         if quiet and self.is_verbose:
             raise click.UsageError("--quiet, --verbose: got both; expected one of them")
         if quiet:
@@ -216,7 +229,9 @@ class StderrLog(logging.StreamHandler[Any]):
 
 @contextmanager
 def ending_on_signals(progress: StageProgress) -> Iterator[None]:
-    """Raise :class:`Interrupted` on Ctrl-C and SIGTERM, and end what does not listen.
+    """Raise :class:`Interrupted` on Ctrl-C and SIGTERM.
+
+    What does not listen is ended.
 
     A solver, a kernel or a worker thread can go on for long before Python raises
     anything. Unless files are being written, the process is then ended from a thread of
@@ -228,7 +243,8 @@ def ending_on_signals(progress: StageProgress) -> Iterator[None]:
     is_over = threading.Event()
 
     def interrupt(signum: int, frame: FrameType | None) -> NoReturn:
-        for each in _SIGNALS:  # one is enough: tidying up is not to be interrupted
+        # One is enough: tidying up is not to be interrupted.
+        for each in _SIGNALS:
             signal.signal(each, lambda signum, frame: None)
         progress.signum = signum
         raise Interrupted(signum)
@@ -246,13 +262,17 @@ def ending_on_signals(progress: StageProgress) -> Iterator[None]:
         signal.set_wakeup_fd(wakeup_before)
         for each, handler in before.items():
             signal.signal(each, handler)
-        os.close(write_end)  # the watch reads the end
+        # The watch reads the end.
+        os.close(write_end)
         watch.join()
         os.close(read_end)
 
 
 def follow_parent() -> None:
-    """In a process of workers: leave Ctrl-C to the parent, and end when it does, however."""
+    """In a process of workers.
+
+    Leave Ctrl-C to the parent, and end when it does, however.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -266,7 +286,9 @@ def _end_with(parent: Any) -> NoReturn:
 
 @contextmanager
 def signals_held() -> Iterator[list[int]]:
-    """Hold Ctrl-C and SIGTERM back while a few quick steps are done that belong together.
+    """Hold Ctrl-C and SIGTERM back during a few quick steps.
+
+    They belong together.
 
     Yields the signals that came meanwhile; the first of those left in it is delivered
     in the end.

@@ -1,4 +1,7 @@
-"""Processes that share many tasks of one kind, such as junctions of a city or pictures."""
+"""Processes that share many tasks of one kind.
+
+Such as junctions of a city or pictures.
+"""
 
 import logging
 import math
@@ -41,7 +44,9 @@ class _Worker:
 
 
 class LocalWorkers:
-    """Up to `n` processes on this machine, each ended if it takes more memory than `max_bytes`.
+    """Up to `n` processes on this machine.
+
+    Each is ended if it takes more memory than `max_bytes`.
 
     They are reached through pipes that nobody else can open. Memory is watched where
     the system has ``/proc``.
@@ -78,7 +83,10 @@ class LocalWorkers:
         return future
 
     def wait(self, timeout_s: float) -> None:
-        """Wait for answers, no longer than a time; end processes with too much memory."""
+        """Wait for answers, no longer than a time.
+
+        End processes with too much memory.
+        """
         busy = {one.pipe: one for one in self._workers if one.future is not None}
         for pipe in wait_for_pipes([*busy], timeout_s):
             self._take(busy[pipe])  # type: ignore[index]
@@ -158,7 +166,9 @@ def run_tasks(
     *,
     failed: Callable[[_In, BaseException], _T] | None = None,
 ) -> Iterator[tuple[_In, _T]]:
-    """Run a function for tasks on workers: each with its answer, in the order in which they end.
+    """Run a function for tasks on workers.
+
+    Each with its answer, in the order in which they end.
 
     A task that raises, or whose worker dies, is tried three times in all; then `failed`
     answers, by default by raising the error, WorkerDiedError if it died.
@@ -187,7 +197,10 @@ def run_tasks(
 def in_processes(
     function: Callable[[_In], _T], tasks: Iterable[_In], *, n: int
 ) -> Iterator[tuple[_In, _T]]:
-    """Tasks with the answers of a function as they come: by processes, or here if `n` is 1."""
+    """Tasks with the answers of a function as they come.
+
+    By processes, or here if `n` is 1.
+    """
     if n <= 1:
         for task in tasks:
             yield task, function(task)

@@ -1,4 +1,7 @@
-"""``place-rsus`` as the shell starts it: Ctrl-C ends it quietly while modules are still loaded."""
+"""``place-rsus`` as the shell starts it.
+
+Ctrl-C ends it quietly while modules are still loaded.
+"""
 
 import os
 import signal

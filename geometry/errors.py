@@ -6,8 +6,10 @@ from typing import NoReturn
 
 from .phrases import Phrase
 
-_MAX_CHARACTERS = 200  # of a value in a message
-_MAX_NUMBER = 1.0e15  # beyond, a value is shown as text
+# Of a value in a message.
+_MAX_CHARACTERS = 200
+# Beyond, a value is shown as text.
+_MAX_NUMBER = 1.0e15
 # characters of our own words, such as a list of all names that exist
 _MAX_WORDS = 2_000
 
@@ -79,7 +81,9 @@ def check_name(name: str, where: str) -> None:
 
 
 def clean_name(name: str) -> str:
-    """A name of a map, which its user cannot change, without characters that nobody sees.
+    """A map's name, without characters that nobody sees.
+
+    Its user cannot change it.
 
     Spaces of other kinds become plain ones; see :func:`check_name` for the names of
     users.
@@ -112,7 +116,10 @@ class MissingExtraError(RuntimeError):
 
 
 def _shown(got: object) -> object:
-    """What a message shows of a value: words in one line, a number itself, else as in Python."""
+    """What a message shows of a value.
+
+    Words in one line, a number itself, else as in Python.
+    """
     if isinstance(got, Phrase | Unquoted):
         return _one_line(got)
     if type(got) in (int, float) and -_MAX_NUMBER < got < _MAX_NUMBER:  # type: ignore[operator]
@@ -133,13 +140,14 @@ def _shorten(got: object) -> str:
 
 
 def _one_line(text: str, max_characters: int = 2 * _MAX_CHARACTERS) -> str:
-    """Text that may hold anything, such as a file's own names, as part of one readable line.
+    """Text that may hold anything, as part of one readable line.
+
+    Such as a file's own names.
 
     A phrase that is short and printable, as all but odd ones are, stays one.
     """
-    if (
-        len(text) > max_characters
-    ):  # both ends tell something: a file's folder and its name
+    # Both ends tell something: a file's folder and its name.
+    if len(text) > max_characters:
         half = max_characters // 2
         text = f"{text[:half]}..{text[-half:]}"
     if text.isprintable():

@@ -716,7 +716,9 @@ def street_names(scene: Scene) -> dict[str, str]:
 
 
 def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[Phrase]:
-    """Places (n, 2) at a junction in words: "north-west corner, Mill Lane and High Street".
+    """Places (n, 2) at a junction in words.
+
+    Such as "north-west corner, Mill Lane and High Street".
 
     Within 15 m of the junction's outline a corner, with the streets of the arms on
     either side; farther out the nearest arm, with its street. Empty where the scene has

@@ -1,11 +1,12 @@
-"""Sentences that keep what they were made of, so that they can be said in another language."""
+"""Sentences that keep what they were made of, to be translated."""
 
 import re
 import string
 from collections.abc import Callable, Sequence
 from typing import Any, Self
 
-_SPEC = re.compile(r",?(\.\d)?[fg]?")  # such as ",.0f"
+# Such as ",.0f".
+_SPEC = re.compile(r",?(\.\d)?[fg]?")
 
 
 class Phrase(str):
@@ -28,7 +29,8 @@ class Phrase(str):
     Examples
     --------
     >>> thing = Phrase("parked car")
-    >>> why = Phrase("{thing} stands in the way for {length_m:.1f} m", thing=thing, length_m=4)
+    >>> template = "{thing} stands in the way for {length_m:.1f} m"
+    >>> why = Phrase(template, thing=thing, length_m=4)
     >>> why
     'parked car stands in the way for 4.0 m'
     >>> why.fields["thing"].template
@@ -54,7 +56,10 @@ class Phrase(str):
         return _build_phrase, (self.template, self.fields)
 
     def map(self, change: Callable[[str], str]) -> "Phrase":
-        """The phrase with each template, also of phrases within, changed by a function."""
+        """The phrase with each template changed by a function.
+
+        Also those of phrases within.
+        """
         fields = {
             name: value.map(change) if isinstance(value, Phrase) else value
             for name, value in self.fields.items()
@@ -74,7 +79,7 @@ def join_phrases(texts: Sequence[str], separator: str) -> Phrase:
 
 
 def pack_phrase(text: str) -> Any:
-    """A text as files have it: plain, or a list of a phrase's template and packed fields."""
+    """A text as files have it: plain, or a phrase's template and fields."""
     if not isinstance(text, Phrase):
         return text
     if not text.fields:

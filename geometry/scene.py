@@ -298,8 +298,10 @@ class Lane:
 
     id: str
     kind: Annotated[str, Meta(min_length=1)]
-    width_m: Annotated[float, Meta(gt=0.0)]  # full width, see :func:`is_lane_width`
-    centreline_m: Points2  # (n, 2); in driving direction. World frame.
+    # Full width, see :func:`is_lane_width`.
+    width_m: Annotated[float, Meta(gt=0.0)]
+    # (n, 2); in driving direction. World frame.
+    centreline_m: Points2
     # where it leads into the junction; None: unknown, or there is none
     speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
     turns: tuple[Turn, ...] = ()
@@ -326,11 +328,12 @@ def is_lane_width(width_m: float) -> bool:
 
 
 def _check_near(points_m: FloatArray, where: str) -> None:
-    """Raise InputError if a coordinate of points (.., d) is beyond what a scene may reach."""
+    """Raise InputError if points (.., d) lie beyond what a scene may reach."""
     most_m = load_limits().coordinate_m
     is_far = (np.abs(points_m) > most_m).any(axis=-1)
     if is_far.any():
-        first = np.argwhere(is_far)[0].tolist()  # [] if it is but one point
+        # [] if it is but one point.
+        first = np.argwhere(is_far)[0].tolist()
         place = "".join(f"[{index}]" for index in first)
         got = points_m[tuple(first)].tolist()
         raise InputError(

@@ -68,7 +68,7 @@ class _Thing(Struct, frozen=True, kw_only=True, rename={"class_name": "class"}):
 
 
 class _SavedNote(Struct, frozen=True, kw_only=True):
-    """A note, and as far as its texts have fields the phrases that they were made of."""
+    """A note, with the phrases that its texts were made of, if any."""
 
     what: Text
     why: Text
@@ -221,7 +221,7 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _note_entry(note: Note) -> dict[str, Any]:
-    """A note as ``scene.toml`` has it: English, and beside it the phrases to be translated."""
+    """A note as ``scene.toml`` has it: English, and phrases to translate."""
     entry: dict[str, Any] = {"what": str(note.what), "why": str(note.why)}
     if note.kind != "left out":
         entry["kind"] = note.kind
@@ -372,7 +372,8 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
         refuse(shown, "nothing there", "the meshes of the scene")
     check_file(path, max_bytes=_MAX_BYTES[THINGS_FILE])
     try:
-        check_gltf(path)  # a header that claims more would be given memory
+        # A header that claims more would be given memory.
+        check_gltf(path)
         resolver = mesh_resolver(path, where=shown)
         options = {"resolver": resolver, "skip_materials": True, "process": False}
         with open_file(path) as file:

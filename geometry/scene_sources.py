@@ -17,12 +17,12 @@ STUDY = "town05"
 SCENE_FILE = "scene.toml"
 
 _MAP_READER = "geometry.maps.importing:load_map_scene"
-STREETS = (".osm", ".pbf", ".osm.gz", ".osm.bz2")
+STREETS = (".osm", ".pbf")
 FOOTPRINTS = (".geojson", ".gpkg", ".shp")
-MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
-CLOUDS = (".las", ".laz", ".pcd")
+MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+CLOUDS = (".las", ".laz")
 MAP_SUFFIXES = (
-    *(".xodr", *STREETS, *FOOTPRINTS, ".json", ".jsonl", ".gml", ".citygml", ".xml"),
+    *(".xodr", *STREETS, *FOOTPRINTS, ".json", ".gml", ".citygml", ".xml"),
     *(*MESHES, *CLOUDS, ".zip"),
 )
 READERS = {

@@ -118,7 +118,8 @@ def is_about(error: OSError, *paths: Path) -> bool:
     """
     if error.filename is None:
         return not isinstance(error, _OF_NO_FILE)
-    if isinstance(error.filename, int):  # an open file's number
+    # An open file's number.
+    if isinstance(error.filename, int):
         return False
     named = Path(os.fsdecode(error.filename)).absolute()
     whole = [path.absolute() for path in paths]

@@ -1,4 +1,7 @@
-"""The public names of placement, each once: read by type checkers, and when a name is used."""
+"""The public names of placement, each once.
+
+Type checkers read this file, and so does the package when a name is used.
+"""
 
 from .candidates import CandidateGrid as CandidateGrid
 from .candidates import CandidatePose as CandidatePose

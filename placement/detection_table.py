@@ -1,9 +1,6 @@
 """Detection table: which candidate pose detects the VRU in which frame.
 
-V[c, f] is stored as bits. With a score, the table has levels of it. With a
-score, every level of a run is a run of its own with a later deadline and a part
-of the weight, so that to the optimiser, its proofs and their checker it is one
-run more.
+V[c, f] is stored as bits.
 """
 
 from collections.abc import Sequence
@@ -15,10 +12,7 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import refuse
-from scenarios.aeb import AebRule
-from scenarios.confirmation import is_in_time
 from scenarios.runs import FrameAxis
-from scenarios.scores import Levels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -76,22 +70,10 @@ def pack_table(
     )
 
 
-# ---------- levels of a score as runs
+# ---------- runs by their frames
 # Unpacked at a time.
 _ROWS = 256
-_BELOW = "<"
 _BLIND = " (blind)"
-# From one frame after the last moment to the next, in the clock of a level.
-_AT_ONCE_S = 1.0e-12
-
-
-def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> DetectionTable:
-    """Table with a run for every level of a score.
-
-    See :func:`level_axis`; `table` has the plain runs.
-    """
-    axis, frames = level_axis(table.axis, levels, rule)
-    return _of_frames(table, axis, frames)
 
 
 def _of_frames(
@@ -118,81 +100,6 @@ def _of_runs(axis: FrameAxis, rows: Sequence[int], **changes: Any) -> FrameAxis:
     return replace(
         axis, vut_speed_kmh=axis.vut_speed_kmh[list(rows)], **(words | changes)
     )
-
-
-def level_axis(
-    axis: FrameAxis, levels: Levels, rule: AebRule
-) -> tuple[FrameAxis, IntArray]:
-    """Axis with a run for every level of a score, and its frames.
-
-    The second value says which frames of `axis` these are. A level is reached if
-    the run is avoided, or if the VUT brakes for a track confirmed after the last
-    moment, but before the level's deadline; such a track is not lost any more. So a
-    level's clock stands still from the last moment on, all but for a picosecond a
-    frame, and ends at its deadline: what is in time or alive there is so by the
-    deadline. Margins are those to the last moment, 0 for what is confirmed after
-    it.
-
-    Ids of levels that are not for avoiding end in "<10" and so on: the speed at contact
-    that they stay below, in km/h. Weights are those of the runs times the gain.
-    """
-    # Columns of the new axis, level by level.
-    ids = []
-    starts = [0]
-    frames = []
-    times = []
-    deadlines = []
-    # Each level takes the frames of its run that are in time for it.
-    for run, below_kmh, deadline_s in zip(
-        levels.run_index.tolist(),
-        levels.below_kmh.tolist(),
-        levels.deadline_s.tolist(),
-        strict=True,
-    ):
-        where = axis.frames_of(run)
-        time_s = axis.time_s[where]
-        last_s = float(axis.last_brake_time_s[run])
-        name = axis.run_ids[run]
-        if below_kmh > 0.0:
-            name += f"{_BELOW}{below_kmh:g}"
-            n_frames = int(
-                is_in_time(time_s, deadline_s, latency_s=rule.latency_s).sum()
-            )
-            if n_frames:
-                time_s, last_s = _at_once(time_s[:n_frames], last_s, deadline_s, rule)
-            else:
-                # Nobody is in time.
-                last_s = -np.inf
-        ids.append(name)
-        frames.append(np.arange(where.start, where.start + len(time_s)))
-        times.append(time_s)
-        starts.append(starts[-1] + len(time_s))
-        deadlines.append(last_s)
-    index = levels.run_index.tolist()
-    levelled = _of_runs(
-        axis,
-        index,
-        run_ids=tuple(ids),
-        weight=axis.weight[index] * levels.gain,
-        last_brake_time_s=np.array(deadlines),
-        run_start=np.array(starts),
-        time_s=np.concatenate(times),
-    )
-    return levelled, np.concatenate(frames)
-
-
-def run_of_level(level_id: str) -> str:
-    """Id of the run that a level belongs to; a run's own id.
-
-    The same for a run that is driven by a VUT that does not see, see
-    :func:`mixed_table`.
-    """
-    return level_id.removesuffix(_BLIND).partition(_BELOW)[0]
-
-
-def has_levels(axis: FrameAxis) -> bool:
-    """True if some runs are levels."""
-    return any(_BELOW in name for name in axis.run_ids)
 
 
 def repeated_axis(
@@ -251,16 +158,21 @@ def seeing_share(axis: FrameAxis) -> float:
     return round(1.0 - float(axis.weight[is_blind].sum() / axis.weight.sum()), 9)
 
 
-def plain_axis(axis: FrameAxis) -> FrameAxis:
-    """Axis with the first level of each run, and the weight of them all.
+def plain_run(run_id: str) -> str:
+    """Id of a run, whichever VUT drives it: see :func:`mixed_table`."""
+    return run_id.removesuffix(_BLIND)
 
-    An axis without levels is returned as it is.
+
+def plain_axis(axis: FrameAxis) -> FrameAxis:
+    """Axis with each run once, and the weight of both.
+
+    An axis without runs that are there twice is returned as it is.
     """
-    names = [run_of_level(name) for name in axis.run_ids]
+    names = [plain_run(name) for name in axis.run_ids]
     _, first, run = np.unique(names, return_index=True, return_inverse=True)
     if len(first) == axis.n_runs:
         return axis
-    # Rows of the first level of each run, in the order of the axis.
+    # Rows where each run is for the first time, in the order of the axis.
     rows = np.sort(first)
     frames = [axis.frames_of(row) for row in rows.tolist()]
 
@@ -273,25 +185,3 @@ def plain_axis(axis: FrameAxis) -> FrameAxis:
         run_start=np.cumsum([0, *(part.stop - part.start for part in frames)]),
         time_s=np.concatenate([axis.time_s[part] for part in frames]),
     )
-
-
-def _at_once(
-    time_s: FloatArray, last_s: float, deadline_s: float, rule: AebRule
-) -> tuple[FloatArray, float]:
-    """Frame times in a level's clock, and its last brake time there.
-
-    Only frames that are in time for the level are left.
-    """
-    # Frames before the last moment keep their times.
-    n_before = int(is_in_time(time_s, last_s, latency_s=rule.latency_s).sum())
-    # Frames after it follow one another by a picosecond.
-    after = _AT_ONCE_S * np.arange(1, len(time_s) - n_before + 1)
-    # No moment comes before.
-    if last_s == -np.inf:
-        last_s = deadline_s
-        after -= after[-1]
-    moment_s = last_s - rule.latency_s
-    if n_before:
-        moment_s = max(moment_s, float(time_s[n_before - 1]))
-    times = np.concatenate([time_s[:n_before], moment_s + after])
-    return times, last_s

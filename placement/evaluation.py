@@ -11,7 +11,6 @@ from geometry.arrays import BoolArray, FloatArray, freeze
 from scenarios.aeb import AebRule
 from scenarios.positions import sort_positions
 from scenarios.runs import FrameAxis, find_onsets
-from scenarios.scores import Levels
 from scenarios.weights import weight_share
 
 from .layout import Layout
@@ -41,8 +40,6 @@ class Verdict:
         The VUT's speed when the bodies touch although it brakes then; 0 where
         they do not, its full speed where it never brakes. None: by the table or
         a recording alone. [km/h]
-    closing_speed_kmh : (n_runs,) float, optional
-        The same less what the road user does along the VUT's heading. [km/h]
     """
 
     detected: BoolArray
@@ -50,7 +47,6 @@ class Verdict:
     onset_time_s: FloatArray
     is_avoided: BoolArray
     impact_speed_kmh: FloatArray | None = None
-    closing_speed_kmh: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for name in (each.name for each in fields(self)):
@@ -79,8 +75,6 @@ class Evaluation:
     others : mapping of str to Verdict
         Further parties, where asked for: "vam", VRUs that announce themselves;
         "all_sources", they with the VUT and all units.
-    levels : Levels, optional
-        What runs count by the speed at contact; None: if avoided.
     cars : float
         Share of the VUTs that see, see :attr:`headline`. 0 .. 1.
     """
@@ -92,7 +86,6 @@ class Evaluation:
     rsu_all: Verdict
     vut_and_rsus: Verdict
     others: Mapping[str, Verdict] = field(default_factory=dict)
-    levels: Levels | None = None
     cars: float = 0.0
 
     @property
@@ -204,19 +197,6 @@ def mean_impact_speed_kmh(
     if verdict.impact_speed_kmh is None or not weight.any():
         return math.nan
     return math.fsum(weight * verdict.impact_speed_kmh) / math.fsum(weight)
-
-
-def score(verdict: Verdict, axis: FrameAxis, levels: Levels | None) -> float:
-    """Weight of runs by the speeds at contact / weight of all, 0 .. 1.
-
-    Without levels it is the APR. NaN if the verdict knows no speeds.
-    """
-    if levels is None:
-        return apr(verdict, axis)
-    if verdict.closing_speed_kmh is None:
-        return math.nan
-    counts = levels.of_speeds(verdict.closing_speed_kmh, verdict.is_avoided)
-    return math.fsum(axis.weight * counts) / math.fsum(axis.weight)
 
 
 def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:

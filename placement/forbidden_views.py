@@ -1,4 +1,7 @@
-"""Registry of the areas that cameras must not look into, and which poses respect them."""
+"""Registry of the areas that cameras must not look into.
+
+And which poses respect them.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

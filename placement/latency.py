@@ -1,4 +1,7 @@
-"""Latency budgets: what passes between a frame and the onset of braking, part by part."""
+"""Latency budgets: what passes between a frame and the onset of braking.
+
+Part by part.
+"""
 
 import math
 from collections.abc import Mapping

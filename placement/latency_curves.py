@@ -8,7 +8,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
-from scenarios.aeb import TIME_TOLERANCE_S, AebRule
+from scenarios.aeb import AebRule
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
@@ -26,9 +26,8 @@ def apr_by_latency(
 
     Keys are "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. Detected frames
     do not depend on the latency [s]: one evaluation is enough. A unit with a latency of
-    its own keeps it; so do the VUT's own sensors with `vut_latency_s` [s]. Of an
-    evaluation with levels it is the score by the last onset of each. Raises InputError
-    if `vut_latency_s` is negative or not finite.
+    its own keeps it; so do the VUT's own sensors with `vut_latency_s` [s]. Raises
+    InputError if `vut_latency_s` is negative or not finite.
     """
     if vut_latency_s is not None and not 0.0 <= vut_latency_s < math.inf:
         raise InputError("vut_latency_s", vut_latency_s, "seconds, at least 0")
@@ -45,7 +44,6 @@ def apr_by_latency(
         vam = (evaluation.others["vam"].detected, None)
         parties |= {"vam": [vam], "all_sources": [*rsus, vut, vam]}
     axis = evaluation.axis
-    levels = evaluation.levels
 
     def share(party: list[tuple[BoolArray, float | None]], latency_s: float) -> float:
         """Share of the weight that a party avoids at one latency."""
@@ -54,10 +52,7 @@ def apr_by_latency(
             axis,
         )
         onsets = find_onsets(arrival_s, axis, rule=replace(rule, latency_s=latency_s))
-        if levels is None:
-            return weight_share(onsets.is_in_time, axis.weight)
-        counts = levels.of_onsets(onsets.onset_s, TIME_TOLERANCE_S)
-        return float(counts @ axis.weight / axis.weight.sum())
+        return weight_share(onsets.is_in_time, axis.weight)
 
     # One curve for each party.
     return {

@@ -163,8 +163,10 @@ class Certificate:
         Name and version.
     """
 
-    stages: tuple[Stage, ...]  #: in order
-    solver: Phrase  #: name and version
+    # : in order.
+    stages: tuple[Stage, ...]
+    # : name and version.
+    solver: Phrase
 
     @property
     def is_proven(self) -> bool:
@@ -340,8 +342,9 @@ def load_layout(
     of real cameras, YAML or XML; see :mod:`geometry.calibrations`. In a CSV, and in
     JSON written by hand, units may lie at latitudes and longitudes and look along
     compass bearings, see :func:`placement.foreign_layouts.unit_record`: that
-    takes the `scene`. `sensors` are models in addition to the catalogue's. Raises InputError
-    if the file cannot be read, is of another version, or a field is wrong.
+    takes the `scene`. `sensors` are models in addition to the catalogue's.
+    Raises InputError if the file cannot be read, is of another version, or a field is
+    wrong.
     """
     path = Path(path)
     suffix = path.suffix.lower()

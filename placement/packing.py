@@ -16,9 +16,12 @@ import numpy as np
 
 from geometry.phrases import Phrase, pack_phrase, unpack_phrase
 
-_PLACE = 1  # code of an extension type: number of a part in the list, big-endian
-_PHRASE = 2  # code of another: template and fields of a phrase
-_ARRAY = ""  # stands in place of a class's name
+# Code of an extension type: number of a part in the list, big-endian.
+_PLACE = 1
+# Code of another: template and fields of a phrase.
+_PHRASE = 2
+# Stands in place of a class's name.
+_ARRAY = ""
 _PLAIN = (bool, int, float, str, NoneType)
 
 

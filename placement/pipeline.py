@@ -19,12 +19,11 @@ from geometry.errors import InputError, Unquoted
 from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.scene_sources import load_scene
-from scenarios.scores import AVOIDED
 
 from .cache import cached_value
 from .candidates import CandidateGrid, CandidatePose, build_candidates, build_grid
 from .compute import DEFAULT_COMPUTE, Compute
-from .detection_table import DetectionTable, level_axis, level_table, mixed_table
+from .detection_table import DetectionTable, mixed_table
 from .evaluator import with_sight
 from .explain.conflicts import find_refusal
 from .explain.contributions import NextUnit, find_next_unit
@@ -168,8 +167,7 @@ class Assembly:
     def problem(self) -> PlacementProblem:
         """The optimiser's problem.
 
-        With a score, its runs are the levels of the setting's; with a share of cars
-        that see, each is there twice, see
+        With a share of cars that see, each run is there twice, see
         :func:`placement.detection_table.mixed_table`.
         """
         # Start from the table of the plain runs, in one world or in many.
@@ -183,11 +181,6 @@ class Assembly:
         if self._sampled is not None:
             seen = self._sampled.seen_by_vut
             sample_index = self._sampled.sample_index
-        # With a score, each run becomes its levels.
-        if setting.levels is not None:
-            table = level_table(table, setting.levels, setting.rule)
-            if seen is not None:
-                seen = seen[level_axis(setting.axis, setting.levels, setting.rule)[1]]
         # With a share of cars that see, each run is there twice.
         if seen is not None and setting.cars < 1.0:
             table = mixed_table(table, setting.cars)
@@ -315,12 +308,6 @@ def _check_together(question: Question) -> None:
             raise InputError("refine", got, "one of them: poses stay as they are")
     if question.refine and 0.0 < read_cars(question.cars) < 1.0:
         raise InputError("cars", question.cars, f"{BLIND} or {SEE} beside `refine`")
-    if question.score != AVOIDED:
-        for field_name in ("samples", "refine"):
-            if getattr(question, field_name):
-                raise InputError(
-                    "score", question.score, f"{AVOIDED} beside `{field_name}`"
-                )
     if question.no_look_share and not question.no_look:
         raise InputError("no_look_share", question.no_look_share, "`no_look` beside it")
 
@@ -437,8 +424,8 @@ class Placement:
         Rows of the table that make `layout`.
     nominal : PlacementProblem
         The layout alone in the world as planned, its runs as they are:
-        `problem` itself unless worlds were sampled, runs have levels of a
-        score, or a share of the cars sees: then with cars that do not.
+        `problem` itself unless worlds were sampled, or a share of the cars sees:
+        then with cars that do not.
     nominal_index : tuple of int
         Rows of its table that make `layout`.
     seconds : mapping of str to float
@@ -660,7 +647,7 @@ def may_prefer(
     setting = assembly.setting
     # Anything but the highest APR is left as it was asked for.
     is_other = wishes.target is not None or wishes.survive > 0 or wishes.tail < 1.0
-    is_other |= wishes.min_case_apr > 0.0 or setting.levels is not None
+    is_other |= wishes.min_case_apr > 0.0
     is_same = set(greedy) == set(solution.pose_index) or len(greedy) > len(
         solution.pose_index
     )
@@ -715,9 +702,9 @@ def _nominal(
     assembly: Assembly, problem: PlacementProblem, pose_index: tuple[int, ...]
 ) -> tuple[PlacementProblem, tuple[int, ...]]:
     """The problem without chance, and the rows of a layout in it."""
-    # The plan: no levels, no share of cars, no sampled worlds.
+    # The plan: no share of cars, no sampled worlds.
     cars = assembly.setting.cars
-    plain = replace(assembly.setting, levels=None, cars=float(cars == 1.0))
+    plain = replace(assembly.setting, cars=float(cars == 1.0))
     if problem.sample_index is not None:
         units = [assembly.candidates[index] for index in pose_index]
         compute = replace(assembly.compute.within("greedy"), cache_folder=None)
@@ -725,7 +712,7 @@ def _nominal(
             setting=plain, candidates=units, fusion=assembly.fusion, compute=compute
         )
         return alone.problem, tuple(range(len(units)))
-    if assembly.setting.levels is not None or 0.0 < cars < 1.0:
+    if 0.0 < cars < 1.0:
         return (
             replace(assembly, setting=plain, known_table=assembly.table).problem,
             pose_index,

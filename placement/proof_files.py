@@ -30,7 +30,7 @@ from scenarios.aeb import AebRule
 from scenarios.positions import AT_ZERO
 
 from .candidates import CandidatePose
-from .detection_table import DetectionTable, has_levels, seeing_share
+from .detection_table import DetectionTable, seeing_share
 from .layout import Certificate
 from .optimiser import PlacementProblem, PresolveStatistics
 
@@ -447,8 +447,6 @@ def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]
         avoided += words["avoided"]["and_alive"]
     told = {"fusion": words["fusion"][problem.fusion], "avoided": avoided}
     # Parts of the model that not every problem has.
-    if has_levels(problem.table.axis):
-        told["levels"] = words["parts"]["levels"]
     if problem.seen_by_vut is not None:
         told["cars"] = words["parts"]["cars"]
     return told | {name: formulas[name] for name in stages}

@@ -88,12 +88,9 @@ class Question:
     speeds: str = ""
     approaches: str = ""
     weather: str = "day"
-    force: bool = False
-    strict: bool = False
     weights: str = ""
     near: str = ""
     accidents_within_m: float | None = None
-    score: Literal["avoided", "rating-2026"] = "avoided"
     fusion: Literal["any", "single"] = "any"
     detector: str = "geometric"
     vut_sensors: str = "camera"

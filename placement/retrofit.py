@@ -18,7 +18,7 @@ from geometry.text_formats import load_data
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
 from .compute import check_distinct
-from .detection_table import DetectionTable, run_of_level
+from .detection_table import DetectionTable, plain_run
 from .layout import Certificate, Layout
 from .live import LiveTable
 from .optimiser import (
@@ -392,8 +392,8 @@ def _change(
         price_eur=price_eur,
         pose_index=tuple(sorted(after)),
         value=placement_value(problem, after),
-        gained=tuple(dict.fromkeys(map(run_of_level, run_ids[now & ~was].tolist()))),
-        lost=tuple(dict.fromkeys(map(run_of_level, run_ids[was & ~now].tolist()))),
+        gained=tuple(dict.fromkeys(map(plain_run, run_ids[now & ~was].tolist()))),
+        lost=tuple(dict.fromkeys(map(plain_run, run_ids[was & ~now].tolist()))),
         n_compared=n_compared,
     )
 

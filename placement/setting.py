@@ -41,7 +41,6 @@ from scenarios.runs import (
     build_runs,
     left_out_case,
 )
-from scenarios.scores import AVOIDED, Levels, build_levels
 from scenarios.weights import (
     check_weights,
     default_weights,
@@ -116,8 +115,6 @@ class Setting:
         What the VUT itself looks with.
     vut_camera : CameraModel, optional
         In place of the study's.
-    levels : Levels, optional
-        What runs count by the speed at contact; None: if avoided.
     cars : float
         Share of the VUTs whose own sensors are one more unit in every run. 0 ..
         1.
@@ -136,7 +133,6 @@ class Setting:
     radio: Radio = field(default_factory=Radio)
     vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]
     vut_camera: CameraModel | None = None
-    levels: Levels | None = None
     cars: float = 0.0
     seen_by_vut: BoolArray | None = None
 
@@ -216,7 +212,6 @@ def _select(question: Question) -> Selection:
     return select_cases(
         question.cases,
         speeds=question.speeds or None,
-        force=question.force,
         case_range=question.case_range,
         protect=question.protect,
     )
@@ -256,8 +251,6 @@ def drive(
     drive a speed.
     """
     selection = _select(question)
-    for beyond in selection.beyond:
-        _log.warning("%s km/h are not speeds of the protocol", beyond)
     positions = (
         (position,) if position else pick_positions(question.along_arms, question.cases)
     )
@@ -314,7 +307,7 @@ def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
     where = "position"
     place = read_position(position, where)
     # Cases that are bound to the junction are driven at 0 only.
-    for case in select_cases(question.cases, force=True).cases:
+    for case in select_cases(question.cases).cases:
         if is_bound(case) and place != AT_ZERO:
             raise InputError(
                 where, position, f"0: {case.name} is bound to the junction"
@@ -345,8 +338,7 @@ def build_setting(
     along the arms; `scene` is in place of the junction that it names, `weights` in
     place of its word on weights: only proportions matter. `compute` has the cache of
     the runs, of which there is one at least. Raises InputError: as :func:`drive`; no
-    approach carries any of the cases, or with `strict` one of them; the weights do not
-    fit the runs.
+    approach carries any of the cases; the weights do not fit the runs.
     """
     question = question or Question()
     scene = scene or load_scene(question.scene, **map_options(question))
@@ -357,7 +349,7 @@ def build_setting(
     cars = read_cars(question.cars)
     drives = drive(question, scene, cache_folder=compute.cache_folder)
     runs = drives.runs
-    if question.strict or not runs:
+    if not runs:
         _check_every_case(drives, scene)
     # The detector has to know the classes of road users.
     classes = {vru_class(run.encounter.vru) for run in runs}
@@ -375,17 +367,6 @@ def build_setting(
             near=_place_deg(question, scene),
             within_m=question.accidents_within_m,
         )
-    # With a score, runs count by the speed at contact.
-    levels = None
-    if question.score != AVOIDED:
-        levels = cached_value(
-            compute.cache_folder,
-            "levels",
-            partial(build_levels, runs, question.score, rule),
-            kind=Levels | None,
-            made_from=(runs, question.score, rule),
-            packages=("geometry", "scenarios"),
-        )
     return Setting(
         scene=scene,
         runs=runs,
@@ -396,7 +377,6 @@ def build_setting(
         refusals=(*drives.refused, *drives.left_out),
         radio=Radio(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
         vut_sensors=vut_sensors,
-        levels=levels,
         cars=cars,
     )
 

@@ -4,7 +4,6 @@ How the VUT brakes, when braking is too late, and what it leaves of the speed.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 
@@ -171,7 +170,6 @@ _CLOSER = np.linspace(-1.0, 1.0, 65)
 _FIRST_LOOKS = 32
 _CONTACT_PARTS = 17
 _CONTACT_ROUNDS = 2
-_SHORT_S = 1.0e-4
 
 
 def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
@@ -269,14 +267,10 @@ class Contacts:
         the footprints never touch. [s]
     speed_mps : (...,) float
         Speed of the VUT then; 0 where they never touch. [m/s]
-    closing_mps : (...,) float
-        The same less what the target does along the VUT's heading, at least 0:
-        Euro NCAP's relative impact speed. [m/s]
     """
 
     time_s: FloatArray
     speed_mps: FloatArray
-    closing_mps: FloatArray
 
 
 def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Contacts:
@@ -311,120 +305,7 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
     speed[is_asked] = np.where(np.isfinite(look_s) & sets_off, left, 0.0)
     with np.errstate(invalid="ignore"):
         time_s[is_asked] = np.where(np.isfinite(look_s), asked + look_s, np.inf)
-    touched = np.isfinite(time_s)
-    closing = speed.copy()
-    closing[touched] -= _target_ahead_mps(
-        encounter, onset[touched], time_s[touched], rule
-    )
-    return Contacts(
-        time_s=time_s, speed_mps=speed, closing_mps=np.maximum(closing, 0.0)
-    )
-
-
-def _target_ahead_mps(
-    encounter: Encounter, onset_s: FloatArray, time_s: FloatArray, rule: AebRule
-) -> FloatArray:
-    """Speed of the target along the heading that the braking VUT has, (n,)."""
-    vut = encounter.vut_motion
-    target = encounter.vru_motion
-    begun = np.minimum(onset_s, time_s)
-    braked_m = braking_distance_m(time_s - begun, speed_mps=vut.speed_mps, rule=rule)
-    driven = vut.distance_m(begun) + braked_m
-    # By the speed along its path: what stands in a table of points is a little longer
-    # or shorter.
-    speed = target.distance_m(time_s + _SHORT_S) - target.distance_m(time_s - _SHORT_S)
-    turned = target.path.at(target.distance_m(time_s))[1] - vut.path.at(driven)[1]
-    return np.asarray(speed / (2.0 * _SHORT_S) * np.cos(np.radians(turned)))
-
-
-# From one onset to the next in the search for the last one of a speed.
-_LEVEL_STEP_S = 0.025
-_LEVELS_TOGETHER = 16
-_QUARTERS = (0.25, 0.5, 0.75)
-_SAME_MPS = 1.0e-6
-_BESIDE = 1.0 / 64.0
-
-
-def last_onsets_s(
-    encounter: Encounter,
-    rule: AebRule,
-    *,
-    below_mps: Sequence[float],
-    avoids_until_s: float,
-) -> FloatArray:
-    """Latest onsets up to which the closing speed stays below each limit.
-
-    An onset and all earlier ones leave less than the limit.
-
-    `below_mps`: limits of :attr:`Contacts.closing_mps`. `avoids_until_s`: last brake
-    time. Returns (n_limits,): not before `avoids_until_s`, and 10 microseconds later it
-    is too late; 0 where the impact without braking is slower, minus infinity if braking
-    at the VUT's start leaves too much. Swept in steps of 25 ms: an earlier onset that
-    leaves more for less than that is overlooked.
-    """
-    begin_s = max(avoids_until_s, encounter.vut_motion.start_time_s)
-    # A limit itself is too fast.
-    below = np.asarray(below_mps, dtype=np.float64) - _SAME_MPS
-    n_steps = max(int(-begin_s / _LEVEL_STEP_S) + 1, 1)
-    grid = np.linspace(begin_s, 0.0, n_steps + 1)
-    left = np.full(n_steps + 1, np.inf)
-    for first in range(0, n_steps + 1, _LEVELS_TOGETHER):
-        part = slice(first, first + _LEVELS_TOGETHER)
-        left[part] = find_contacts(encounter, grid[part], rule).closing_mps
-        if left[part].max() >= below.max(initial=0.0):
-            break
-    # The first onset of the grid that leaves too much, by limit.
-    too_fast = left >= below[:, None]
-    at = too_fast.argmax(axis=1)
-    if avoids_until_s > -np.inf:
-        never = begin_s
-    else:
-        never = -np.inf
-    last = np.where(too_fast.any(axis=1), never, 0.0)
-    inner = at > 0
-    at = at[inner]
-    between = (grid[at - 1], grid[at], left[at - 1], left[at])
-    last[inner] = _narrowed_s(encounter, rule, below[inner], *between)
-    # What leaves less than a limit leaves less than a higher one.
-    order = np.argsort(below)
-    last[order] = np.maximum.accumulate(last[order])
-    return last
-
-
-def _narrowed_s(
-    encounter: Encounter,
-    rule: AebRule,
-    below: FloatArray,
-    safe_s: FloatArray,
-    late_s: FloatArray,
-    safe_mps: FloatArray,
-    late_mps: FloatArray,
-) -> FloatArray:
-    """Last onsets between two, in s, (n,).
-
-    All arrays are (n,). The first onset leaves less than a speed, the second
-    does not.
-
-    Where braking in full decides alone, the square of the speed is linear in the onset.
-    """
-    while (late_s - safe_s).max(initial=0.0) > _ONSET_TOLERANCE_S:
-        share = (below**2 - safe_mps**2) / (late_mps**2 - safe_mps**2)
-        shares = np.stack([share - _BESIDE, share + _BESIDE], axis=1)
-        shares = np.concatenate(
-            [shares, np.broadcast_to(_QUARTERS, (len(share), 3))], axis=1
-        )
-        shares = np.sort(np.clip(shares, 0.0, 1.0), axis=1)
-        points = safe_s[:, None] + shares * (late_s - safe_s)[:, None]
-        inside = find_contacts(encounter, points, rule).closing_mps
-        points = np.column_stack([safe_s, points, late_s])
-        speeds = np.column_stack([safe_mps, inside, late_mps])
-        row = np.arange(len(below))
-        first = (speeds >= below[:, None]).argmax(axis=1)
-        safe_s = points[row, first - 1]
-        late_s = points[row, first]
-        safe_mps = speeds[row, first - 1]
-        late_mps = speeds[row, first]
-    return safe_s
+    return Contacts(time_s=time_s, speed_mps=speed)
 
 
 def _contact_looks(

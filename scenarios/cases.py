@@ -206,8 +206,10 @@ class Case:
     """
 
     name: str
-    title: Phrase  #: What happens, in words.
-    source: str  #: "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
+    # : What happens, in words.
+    title: Phrase
+    # : "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
+    source: str
     # : "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid`
     # says why.
     kind: str
@@ -858,15 +860,12 @@ class Selection:
     left_out : tuple of Case
         Cases none of whose speeds were asked for; with the speeds that they
         have.
-    beyond : tuple of str
-        "case: speeds" outside of what the protocol drives, which were forced.
     unprotected : tuple of Case
         Cases that meet somebody who is not to be protected.
     """
 
     cases: tuple[Case, ...]
     left_out: tuple[Case, ...]
-    beyond: tuple[str, ...]
     unprotected: tuple[Case, ...] = ()
 
 
@@ -874,7 +873,6 @@ def select_cases(
     cases: str,
     *,
     speeds: str | None = None,
-    force: bool = False,
     case_range: Range = "standard",
     protect: str = "all",
 ) -> Selection:
@@ -882,9 +880,8 @@ def select_cases(
 
     `cases` and `case_range` are as for :func:`pick_cases`; `speeds` are km/h with
     commas between, or ranges: "20-40" is every speed of the case in it; "30x50" are
-    those of the VUT and of whoever it meets; "all" or None: every one. `force`
-    drives speeds that the protocol does not. `protect` is "vru" or "all", see
-    ``PROTECTED``.
+    those of the VUT and of whoever it meets; "all" or None: every one. `protect` is
+    "vru" or "all", see ``PROTECTED``.
 
     Raises
     ------
@@ -908,28 +905,22 @@ def select_cases(
         )
     laid = [case for case in picked if not case.not_laid]
     if speeds is None or speeds.strip() == ALL_SPEEDS or not laid:
-        return Selection(cases=picked, left_out=(), beyond=(), unprotected=unprotected)
+        return Selection(cases=picked, left_out=(), unprotected=unprotected)
     singles, ranges, pair_words = _read_speeds(speeds)
-    if not force:
-        for speed in singles:
-            if not any(_is_within(speed, case) for case in laid):
-                raise InputError("speeds", Unquoted(f"{speed:g}"), _limits(laid))
-        for vut, vru in pair_words:
-            if not any(
-                vru in case.vru_speeds_kmh(vut)
-                for case in laid
-                if _is_within(vut, case)
-            ):
-                expected = (
-                    f"speeds that go together in a case; the VUT's: {_limits(laid)}"
-                )
-                raise InputError("speeds", Unquoted(f"{vut:g}x{vru:g}"), expected)
+    for speed in singles:
+        if not any(_is_within(speed, case) for case in laid):
+            raise InputError("speeds", Unquoted(f"{speed:g}"), _limits(laid))
+    for vut, vru in pair_words:
+        if not any(
+            vru in case.vru_speeds_kmh(vut) for case in laid if _is_within(vut, case)
+        ):
+            expected = f"speeds that go together in a case; the VUT's: {_limits(laid)}"
+            raise InputError("speeds", Unquoted(f"{vut:g}x{vru:g}"), expected)
     # Each case with the speeds asked for that it has.
     kept = []
     left_out = []
-    beyond = []
     for case in laid:
-        driven = {speed for speed in singles if force or _is_within(speed, case)}
+        driven = {speed for speed in singles if _is_within(speed, case)}
         usual = case.vut_speeds_kmh
         driven |= {
             speed for speed in usual for low, high in ranges if low <= speed <= high
@@ -937,18 +928,13 @@ def select_cases(
         pairs = [
             (vut, vru)
             for vut, vru in pair_words
-            if (case.pairs_kmh and force) or vru in case.vru_speeds_kmh(vut)
-            if force or _is_within(vut, case)
+            if vru in case.vru_speeds_kmh(vut)
+            if _is_within(vut, case)
         ]
         if pairs and case.pairs_kmh:
             pairs += [(vut, vru) for vut in driven for vru in case.vru_speeds_kmh(vut)]
             case = replace(case, pairs_kmh=tuple(sorted(set(pairs))))
         driven |= {vut for vut, _ in pairs}
-        outside = sorted(speed for speed in driven if not _is_within(speed, case))
-        if outside:
-            beyond.append(
-                f"{case.name}: " + ", ".join(f"{speed:g}" for speed in outside)
-            )
         if driven:
             kept.append(replace(case, vut_speeds_kmh=tuple(sorted(driven))))
         else:
@@ -958,7 +944,6 @@ def select_cases(
     return Selection(
         cases=(*kept, *(case for case in picked if case.not_laid)),
         left_out=tuple(left_out),
-        beyond=tuple(beyond),
         unprotected=unprotected,
     )
 
@@ -1012,4 +997,4 @@ def _limits(cases: Sequence[Case]) -> str:
     """Range of speeds of some cases, in words."""
     low = min(case.speed_limits_kmh[0] for case in cases)
     high = max(case.speed_limits_kmh[1] for case in cases)
-    return f"{low:g} to {high:g} km/h as the protocol drives these cases, or `force`"
+    return f"{low:g} to {high:g} km/h as the protocol drives these cases"

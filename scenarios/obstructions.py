@@ -318,7 +318,10 @@ def _is_free(solid: _Solid, segments_m: FloatArray) -> bool:
 
 
 def _first_met(solid: _Solid, segments_m: FloatArray) -> Phrase | None:
-    """Thing that segments end in or cross, one of those met first; None: all are free."""
+    """Thing that segments end in or cross, one of those met first.
+
+    None: all are free.
+    """
     rays = solid.rays(segments_m)
     if not solid.caster.is_blocked(*rays).any():
         return None

@@ -403,7 +403,8 @@ class Refusal:
     case: Case
     approach: str
     speeds_kmh: tuple[float, ...]
-    reason: Phrase  #: Why, in words.
+    # : Why, in words.
+    reason: Phrase
     # : The junction has the roads that the case needs, and it has the speeds asked for:
     # what is : missing is room.
     is_possible: bool = True

@@ -29,7 +29,8 @@ from . import courses
 from .paths import CoursePath, Path, StraightPath, TowedPath, TurnPath
 from .staging import DO_NOT_MEET, CannotCarryError, NoRoadError, load_way_rules
 
-STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
+# Of a lane next to the junction, which gives its direction.
+STRAIGHT_M = 50.0
 _MAX_STEPS = 60
 _MEETS_M = 1.0e-3
 # In lanes that are narrower than the VUT, by the map.
@@ -335,7 +336,8 @@ _LEADS = {
     "right": Phrase("to the right"),
     "through": Phrase("straight on"),
 }
-_SAME_POINT_M = 0.5  # as geometry.junction joins lanes
+# As geometry.junction joins lanes.
+_SAME_POINT_M = 0.5
 
 # Into the junction, through it, out of it.
 Joint = tuple[Lane, Lane | None, Lane]

@@ -107,11 +107,12 @@ def weigh(
     :func:`scenarios.weights.weight_per_case`; "fhwa-crash-types": by accident
     statistics, see :func:`scenarios.weight_tables.weight_by_crash_types`;
     "euroncap-rating-2026": by its points, see
-    :func:`scenarios.weight_tables.weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by
-    the accidents around a place, see :func:`scenarios.accidents.weight_by_accidents`;
-    else a CSV file, see :func:`scenarios.weight_tables.weight_from_csv`. `refused`: what was
-    asked for next to the runs, and could not be laid: "case" alone looks at it. `near`:
-    latitude and longitude of the place [deg]. `within_m`: how far from there accidents
+    :func:`scenarios.weight_tables.weight_by_rating`; "unfallatlas:FILE",
+    "stats19:FILE": by the accidents around a place, see
+    :func:`scenarios.accidents.weight_by_accidents`; else a CSV file, see
+    :func:`scenarios.weight_tables.weight_from_csv`. `refused`: what was asked for next
+    to the runs, and could not be laid: "case" alone looks at it. `near`: latitude and
+    longitude of the place [deg]. `within_m`: how far from there accidents
     count [m]; default: that of ``data/accidents.toml``.
 
     Raises

@@ -40,8 +40,8 @@ _BARE_FILE = re.compile(r"(?<![\w/.-])[a-z]\w*\.(?:py|md)\b")
 _MODULE = re.compile(
     r"(?<![\w/.-])(?:geometry|scenarios|placement|experiments)(?:\.[A-Za-z_]\w*)+"
 )
-# `placement/latency_curves.py` (`apr_by_latency`): a file or folder, and names of what is in
-# it.
+# `placement/latency_curves.py` (`apr_by_latency`): a file or folder, and names of
+# what is in it.
 _NAMES_IN_FILE = re.compile(r"`([\w/]+(?:\.py|/))` \(((?:`\w+`(?:, )?)+)\)")
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 # SUMO's, and the benchmark's.
@@ -62,10 +62,18 @@ _WRITTEN = (
 )
 
 
+def _text_of(file: Path) -> str:
+    """Text of a file; of the changelog only what is new and still there."""
+    text = file.read_text(encoding="utf-8")
+    if file.name != "CHANGELOG.md":
+        return text
+    return text.split("\n## ")[1].split("### Removed")[0]
+
+
 def _commands() -> Iterator[tuple[Path, str]]:
     for page in PAGES:
         fence = ""
-        text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+        text = _text_of(page).replace("\\\n", " ")
         for line in text.splitlines():
             if line.startswith("```"):
                 if fence:
@@ -160,10 +168,6 @@ def _is_named_in(place: Path, name: str) -> bool:
     else:
         files = place.glob("__init__.py*")
     return any(re.search(rf"\b{name}\b", _text_of(file)) for file in files)
-
-
-def _text_of(file: Path) -> str:
-    return file.read_text(encoding="utf-8")
 
 
 def _page_id(page: Path) -> str:
@@ -315,5 +319,5 @@ def test_version_is_one_in_all_places() -> None:
     version = project["version"]
     assert f"\nversion: {version}\n" in _text_of(ROOT / "CITATION.cff")
     assert f"version {version}, " in _text_of(ROOT / "README.md").replace("\n", " ")
-    assert f"\n## {version}\n" in _text_of(ROOT / "CHANGELOG.md")
+    assert f"\n## {version}\n" in (ROOT / "CHANGELOG.md").read_text()
     assert f"\nplace-rsus {version}, Python " in _text_of(DOCS / "how_to/rays.md")

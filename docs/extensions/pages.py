@@ -1,4 +1,4 @@
-"""What the pages need beside Sphinx's own extensions: formulas, references, figures of examples.
+"""Sphinx extension of the pages: formulas, references, figures.
 
 *Formulas* are MathML, which browsers draw by themselves: no script, no font, no
 network. Sphinx's own ways are MathJax, which pages fetch from the web, and pictures,
@@ -133,7 +133,9 @@ def _load(path: str) -> Any:
 def scrape(
     block: tuple[Any, ...], values: Mapping[str, Any], config: Mapping[str, Any]
 ) -> str:
-    """Save the figure that is the value of a block's last line; the rst that shows it, or "".
+    """Save the figure that is the value of a block's last line.
+
+    Returns the rst that shows it, or "".
 
     `block`: kind, text and line. `values`: ``___`` is the value of the last line.
     """

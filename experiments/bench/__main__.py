@@ -1,4 +1,6 @@
-"""Speed as ratios to named references, measured in one run: ``python -m experiments.bench``.
+"""Speed as ratios to named references, measured in one run.
+
+``python -m experiments.bench``.
 
 Absolute times depend on the machine and its load; the ratios depend on them little,
 because both sides are measured in turn. Each part runs in a process of its own, and is
@@ -56,18 +58,25 @@ Calls = list[tuple[Callable[..., object], Any]]
 
 _REPEATS = 5
 _WORKERS = os.cpu_count() or 1
-_OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 runs
-_INSIDE = "PLACE_RSUS_BENCH_PART"  # set in the processes that measure
+# The study's: rays are measured on their 104 runs.
+_OWN_CASES = "CPNC-50,CBNA,CBLA"
+# Set in the processes that measure.
+_INSIDE = "PLACE_RSUS_BENCH_PART"
 _N_MOUNTS = 24
 _MAX_DISTANCE_M = 60.0
-_EVERY_MOUNT = 4  # of which the table's verdicts are counted
-_N_OTHERS = 6  # cameras, with the study's twelve
+# Of which the table's verdicts are counted.
+_EVERY_MOUNT = 4
+# Cameras, with the study's twelve.
+_N_OTHERS = 6
 _TRACK_MEMORIES_S = (np.inf, 1.0)
 _BUDGET_TIME_S = 20.0
 
 
 def seconds_of(*works: Callable[[], object], repeats: int = _REPEATS) -> FloatArray:
-    """Seconds (n_works, n_repeats) of works in turn, after a run of each that does not count."""
+    """Seconds (n_works, n_repeats) of works in turn.
+
+    Each runs once before, which does not count.
+    """
     seconds = np.zeros((len(works), repeats + 1))
     for repeat in range(repeats + 1):
         for row, work in enumerate(works):
@@ -104,7 +113,10 @@ def _candidates() -> tuple[CandidatePose, ...]:
 def bare_embree(
     vertices_m: FloatArray, triangles: Any, rays: Sequence[Rays]
 ) -> Callable[[], object]:
-    """The library's own query of all rays in one call, with everything prepared that can be."""
+    """The library's own query of all rays in one call.
+
+    Everything that can be is prepared before.
+    """
     origins, vectors = (np.concatenate(part) for part in zip(*rays, strict=True))
     vertices = np.ascontiguousarray(vertices_m, dtype=np.float32)
     if caster_name() == "open3d":
@@ -191,7 +203,10 @@ def measure_casting() -> Figures:
 def _record(
     world: World, setting: Setting, mounts: Sequence[CandidatePose], calls: list[Calls]
 ) -> list[tuple[FloatArray, Any, Any]]:
-    """Cast from all mounts with recorders; meshes of the world with those that were asked."""
+    """Cast from all mounts with recorders.
+
+    Meshes of the world with those that were asked.
+    """
     scene = _recorder(world.shared.caster, calls)
     parked = [_recorder(caster, calls) for caster in world.standing.casters]
     bodies = [_recorder(body, calls) for body in world.shared.bodies]
@@ -272,7 +287,10 @@ def _table(
 
 
 def measure_evaluation() -> Figures:
-    """The default runs from as many poses as found, greedy and the study's layout have, and VUT."""
+    """The default runs, seen from as many poses as three layouts and the VUT.
+
+    The layouts are the one found, the greedy one and the study's.
+    """
     setting = _setting()
     others = build_candidates(setting.scene, load_candidate_grid(), extra=())
     units = (*load_carlancap_layout().units, *others[:: -(-len(others) // _N_OTHERS)])
@@ -308,7 +326,10 @@ def measure_optimiser(budget: int) -> Figures:
 def measure_budgets(
     problem: PlacementProblem, *, units: Sequence[int] = (2, 3, 4, 5)
 ) -> Figures:
-    """Presolve and all stages for growing budgets, with tracks that live on and that end."""
+    """Presolve and all stages for growing budgets.
+
+    Once with tracks that live on, once with tracks that end.
+    """
     figures: Figures = {}
     for memory_s in _TRACK_MEMORIES_S:
         rule = replace(problem.rule, track_memory_s=memory_s)
@@ -328,7 +349,10 @@ def measure_budgets(
 
 
 def measure_single(budget: int) -> Figures:
-    """All stages where each unit confirms alone, against maximal covering by HiGHS alone."""
+    """All stages where each unit confirms alone.
+
+    Compared with maximal covering by HiGHS alone.
+    """
     single = _problem(budget, fusion="single")
     # A[c, r]: pose c avoids run r by itself.
     poses = range(single.table.n_poses)
@@ -341,14 +365,18 @@ def measure_single(budget: int) -> Figures:
     def direct() -> None:
         best["HiGHS"] = _solve_mclp(covers, single)
 
-    found = ratio(ours, direct, repeats=1)  # HiGHS takes minutes
+    # HiGHS takes minutes.
+    found = ratio(ours, direct, repeats=1)
     if not np.isclose(best["ours"], best["HiGHS"], atol=1e-6):
         raise RuntimeError(f"optima differ: {best}")
     return {"optimiser: all stages, single / bare HiGHS, APR only": found}
 
 
 def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
-    """Maximal covering by SciPy's HiGHS without any presolve of ours; returns the APR."""
+    """Maximal covering by SciPy's HiGHS without any presolve of ours.
+
+    Returns the APR.
+    """
     n_poses, n_runs = covers.shape
     weight = problem.table.axis.weight
     chosen = np.concatenate([np.ones(n_poses), np.zeros(n_runs)])
@@ -404,7 +432,10 @@ PARTS: dict[str, Callable[[int], Figures]] = {
 
 
 def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
-    """Figures of a part, measured in a process of its own, which ends when its time is up."""
+    """Figures of a part, measured in a process of its own.
+
+    The process ends when its time is up.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "figures.json"
         words = ["--parts", name, "--budget", str(budget), "--out", str(path)]
@@ -419,7 +450,8 @@ def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
         except subprocess.TimeoutExpired:
             return {f"{name}: ended after so many seconds, not finished": limit_s}
         finally:
-            if process.poll() is None:  # with all that it has started
+            # With all that it has started.
+            if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
         if code:
@@ -472,7 +504,8 @@ def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
         for figure, value in figures[name].items():
             shown = f"{value:.3g}" if isinstance(value, float) else value
             click.echo(f"{figure:<72} {shown}")
-        if out is not None:  # after each part, in case a later one is interrupted
+        # After each part, in case a later one is interrupted.
+        if out is not None:
             ordered = {
                 "machine": machine,
                 **{n: figures[n] for n in PARTS if n in figures},

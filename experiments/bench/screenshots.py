@@ -1,4 +1,6 @@
-"""Pictures of pages as browsers show them: ``python -m experiments.bench.screenshots``.
+"""Pictures of pages as browsers show them.
+
+``python -m experiments.bench.screenshots``.
 
 ``plan`` photographs the planner's page, ``junctions MAP`` the map on which its junction
 is chosen, ``report REPORT.html`` a report.
@@ -59,7 +61,10 @@ def _browser() -> Iterator[Any]:
 def _serve(
     setting: Setting, question: Question, variant: Variant, folder: Path, **given: Any
 ) -> Iterator[str]:
-    """Serve the page of a plan from a folder for the session's files; gives its address."""
+    """Serve the page of a plan from a folder for the session's files.
+
+    Gives its address.
+    """
     from ..planner.server import RunningServer
 
     work = Work(question=question, scratch=folder, compute=Compute())
@@ -100,7 +105,7 @@ def main() -> None:
     show_default=True,
 )
 def plan(out: Path) -> None:
-    """Photograph the page with two of the study's cameras, its dialogs, and private ground."""
+    """Photograph the page with two cameras, its dialogs and private ground."""
     out.mkdir(parents=True, exist_ok=True)
     two = Variant(name="two cameras", units=load_carlancap_layout().units[:2])
     with tempfile.TemporaryDirectory() as folder, _browser() as browser:
@@ -171,9 +176,8 @@ def report(page: Path, out: Path) -> None:
         for name, (width_px, height_px) in _REPORT_SIZES_PX.items():
             shown = browser.new_page(viewport={"width": width_px, "height": height_px})
             shown.goto(page.resolve().as_uri())
-            if (
-                shown.get_attribute("html", "lang") != "en"
-            ):  # parts have their English names
+            # Parts have their English names.
+            if shown.get_attribute("html", "lang") != "en":
                 _save(
                     shown,
                     out
@@ -195,7 +199,10 @@ def report(page: Path, out: Path) -> None:
 
 
 def _photograph_dialogs(page: Any, stem: Path) -> None:
-    """A ruler and the chosen camera turned on the compass; a lost run; a camera's picture of it."""
+    """A ruler and the chosen camera turned on the compass.
+
+    A lost run; a camera's picture of it.
+    """
     poles = [
         page.locator(f'[data-site="corner-{name}"]').bounding_box()
         for name in ("ne", "sw")
@@ -206,7 +213,8 @@ def _photograph_dialogs(page: Any, stem: Path) -> None:
     page.locator("#compass").drag_to(
         page.locator("#compass"),
         source_position={"x": 62, "y": 30},
-        target_position={"x": 90, "y": 40},  # away from the junction: runs are lost
+        # Away from the junction: runs are lost.
+        target_position={"x": 90, "y": 40},
     )
     page.wait_for_selector("#source.evaluator")
     page.wait_for_selector("p:has(> #apr:not(.old)) + #source.evaluator")

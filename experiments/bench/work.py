@@ -248,7 +248,10 @@ def count_in_new_process(question: str) -> dict[str, int]:
     help="Write the counts of all questions to this file, as the limits of the test.",
 )
 def main(question: str | None, out: Path | None) -> None:
-    """Count what the main job does: for one question, or compare all with the limits."""
+    """Count what the main job does.
+
+    For one question, or compare all with the limits.
+    """
     if question is not None:
         print(json.dumps(count_work(QUESTIONS[question]), indent=2))
         return

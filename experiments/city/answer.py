@@ -102,7 +102,10 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
 
 
 def load_front(path: Path) -> CityFrontRecord | None:
-    """Read ``front.json``; None if there is none, or it is damaged: then it is made anew."""
+    """Read ``front.json``.
+
+    None if there is none, or it is damaged: then it is made anew.
+    """
     return _load(path, CityFrontRecord)
 
 
@@ -120,7 +123,10 @@ def _load(path: Path, kind: type[_T]) -> _T | None:
 
 
 def fronts_table(records: Iterable[CityFrontRecord]) -> bytes:
-    """All fronts as Parquet: a row for each point, and one for each junction that has none."""
+    """All fronts as Parquet.
+
+    A row for each point, and one for each junction that has none.
+    """
     import pandas as pd
 
     values = list(Point.__dataclass_fields__)
@@ -304,7 +310,7 @@ class CityResult(Record, frozen=True, kw_only=True):
         return self.stages[0].gap == 0.0
 
     def of_all(self, name: str) -> float:
-        """A share that each junction has, such as its APR, as that of all of them, by weight."""
+        """A share that each junction has, such as its APR, of all by weight."""
         return sum(one.weight * float(getattr(one, name)) for one in self.junctions)
 
     @property
@@ -421,7 +427,10 @@ def _steps(
 def _accidents(
     values: CityValues, junctions: Sequence[CityJunctionRecord], years: int | None
 ) -> dict[str, float]:
-    """Accidents in a year, and those prevented: in a year, and in the years asked about."""
+    """Accidents in a year, and those prevented.
+
+    In a year, and in the years asked about.
+    """
     if values.per_year is None:
         return {}
     prevented = values.per_year * [one.apr - one.apr_before for one in junctions]
@@ -445,7 +454,9 @@ def _junctions(
     *,
     got: Mapping[int, tuple[int, int]],
 ) -> Iterator[CityJunctionRecord]:
-    """All junctions; those with a front with the point that was chosen: its number and year.
+    """All junctions; those with a front with the point that was chosen.
+
+    Its number and year.
 
     Layouts are read from the folder.
     """
@@ -485,7 +496,10 @@ def _junctions(
 def _solved(
     city: City, records: Sequence[CityFrontRecord], values: CityValues
 ) -> list[int]:
-    """Indices of the junctions that have a front; InputError if none has, or none with a weight."""
+    """Indices of the junctions that have a front.
+
+    InputError if none has, or none with a weight.
+    """
     solved = [index for index, record in enumerate(records) if not record.reason]
     if not solved:
         # One that another try could mend says what to change.
@@ -540,6 +554,6 @@ def _templates() -> Any:
 
 
 def says(macro: str, *values: object) -> tuple[str, ...]:
-    """Sentences of a macro of ``sentences.txt.j2``, as the language that is spoken has them."""
+    """Sentences of a macro of ``sentences.txt.j2`` in the spoken language."""
     lines = str(getattr(_templates(), macro)(*values)).splitlines()
     return tuple(line for line in map(str.strip, lines) if line)

@@ -31,7 +31,6 @@ _DRIVEN = tuple(
         "vut_sensors",
         "packet_loss",
         "vam_rate",
-        "strict",
     )
 )
 _MAX_LISTED = 12
@@ -340,7 +339,10 @@ def _of(kind: Any, given: dict[str, Any]) -> dict[str, Any]:
 
 
 def city_text(result: "CityResult", out: Path) -> str:
-    """A city's answer for the terminal: sentences, units by junction, junctions not done."""
+    """A city's answer for the terminal.
+
+    Sentences, units by junction, junctions not done.
+    """
     served = sorted(
         (one for one in result.junctions if one.units), key=lambda one: -one.gain
     )

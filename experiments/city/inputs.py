@@ -1,4 +1,7 @@
-"""Inputs of a city question: maps, junctions, weights, areas, and units mounted already."""
+"""Inputs of a city question.
+
+Maps, junctions, weights, areas, and units mounted already.
+"""
 
 import hashlib
 import re
@@ -24,17 +27,17 @@ from ..results.folders import LAYOUT_FILE, sha256
 from ..results.record import Record
 
 JUNCTIONS = "junctions"
-"""Folder of the junctions in that of a city, and the layer of them in its GeoPackage."""
+"""Folder of a city's junctions, and their layer in its GeoPackage."""
 
 PROXY = Path("proxy")
-"""In place of a file of counts: an estimate by class and lanes of the roads, and signals."""
+"""In place of a file of counts: an estimate by roads, lanes and signals."""
 
 _SAME_M = 15.0  # two junctions of different maps that are one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CityWish:
-    """Budget of a city, the junctions that count and how much, and what has to be reached."""
+    """Budget of a city, weights of junctions, and what has to be reached."""
 
     budget_units: int | None = None  # new ones, at most
     budget_eur: float | None = None  # for these and their sites, at most
@@ -149,7 +152,9 @@ class CityJunction:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class City:
-    """Maps with and without roads, their files, and the junctions that count, the largest first.
+    """Maps with and without roads, their files, and the junctions that count.
+
+    The largest junction comes first.
 
     `n_all` counts all junctions of the maps; `bounds` are their west, south, east and
     north, in the coordinates of the first map's file; `notes` say what was left out.
@@ -232,7 +237,10 @@ def load_city(
 
 
 def _folder_name(map_name: str, junction_id: str) -> str:
-    """A name for a folder; ids that had to be changed, or are long, have a hash behind them."""
+    """A name for a folder.
+
+    Ids that had to be changed, or are long, have a hash behind them.
+    """
     if map_name:
         name = f"{Path(map_name).stem}-{junction_id}"
     else:
@@ -315,7 +323,7 @@ def _named(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityValues:
-    """Weight of each junction, the source of the weights in words, and what has to be reached."""
+    """Weights of junctions, their source, and what has to be reached."""
 
     weight: FloatArray  # (n,): not all 0; 0: nothing is asked
     source: str
@@ -423,7 +431,9 @@ def load_values(city: City, wish: CityWish) -> CityValues:
 
 
 def estimated_accidents(surveyed: importing.Surveyed) -> float:
-    """Accidents at a junction in a year by its roads and signals, to compare it with others.
+    """Accidents at a junction in a year, by its roads and signals.
+
+    To compare it with others.
 
     Formula, coefficients and traffic by class:
     ``experiments/data/junction_accidents.toml``.

@@ -68,7 +68,10 @@ def render_city_report(
     poles: Sequence[Mapping[str, Any]],
     paged: Container[str],
 ) -> str:
-    """The city's report as one HTML page; it links the pages of the folders that have one."""
+    """The city's report as one HTML page.
+
+    It links the pages of the folders that have one.
+    """
     by_cost = result.by == "cost"
     if by_cost:
         budget = result.budget_eur
@@ -112,7 +115,9 @@ def render_city_report(
 def build_sums(
     maps: Sequence[SourceMap], positions_m: Sequence[FloatArray], result: CityResult
 ) -> dict[str, Any]:
-    """What each sum of money or number of sensors buys, for a slider beside a map of streets.
+    """What each sum of money or number of sensors buys.
+
+    For a slider beside a map of streets.
 
     ``stops`` are the steps of the city's front and the choice itself: what each says,
     and what it changes at junctions, by their index, against the stop before. ``spots``
@@ -403,7 +408,10 @@ def plot_city_front(result: CityResult) -> Axes:
 
 
 def plot_junction_front(front: JunctionFront, *, chosen: int) -> Axes:
-    """APR against money at one junction: points with their units, bounds, the one chosen."""
+    """APR against money at one junction.
+
+    Points with their units, bounds, the one chosen.
+    """
     axes = new_axes(WIDTH_IN, 2.8)
     cost = [point.cost_eur for point in front.points]
     apr_percent = [100.0 * point.apr for point in front.points]

@@ -1,4 +1,6 @@
-"""``place-rsus city``: fronts of many junctions, the choice among them, and a folder with all.
+"""``place-rsus city``: fronts of many junctions, and the choice.
+
+A folder has all of it.
 
 The folder has a folder for each junction with its scene and front, written as soon as
 that is known; started again, only what is missing, or whose inputs have changed, is
@@ -77,7 +79,7 @@ QUESTION = "question.toml"
 JUNCTION_TABLE = "junctions.csv"
 POLE_TABLE = "poles.csv"
 CITY_VERSION = 3
-"""Counts up when the same inputs give another front: older ones in a folder are made anew."""
+"""Counts up when the same inputs give another front: older ones are made anew."""
 
 SOLVE = "junctions"
 """The stage in which fronts are found."""
@@ -183,7 +185,10 @@ def run_city(
 
 
 def _begin(out: Path, city: inputs.City) -> CityManifest:
-    """The folder's manifest, new or as it is; InputError if the folder is of something else."""
+    """The folder's manifest, new or as it is.
+
+    InputError if the folder is of something else.
+    """
     new = CityManifest(maps=city.records, crs=city.crs, bounds=city.bounds)
     path = out / MANIFEST
     if not path.exists():
@@ -345,7 +350,10 @@ class ServedTask:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Served:
-    """A junction's rows of the city's tables; items are (part, name, count, sum_eur)."""
+    """A junction's rows of the city's tables.
+
+    Items are (part, name, count, sum_eur).
+    """
 
     items: tuple[tuple[str, str, int, float | None], ...]
     units: tuple[dict[str, Any], ...]
@@ -353,7 +361,10 @@ class Served:
 
 
 def write_served(task: ServedTask) -> Served:
-    """Write layout, question and page of a junction if they are new; returns its rows."""
+    """Write layout, question and page of a junction if they are new.
+
+    Returns its rows.
+    """
     one = task.one
     question = task.question
     folder = task.out / one.folder
@@ -578,7 +589,9 @@ def _to_geopackage(
     *,
     crs: str,
 ) -> bytes:
-    """Layers "units" (points with height), "poles" and "junctions" in the coordinates of the map.
+    """Layers "units", "poles" and "junctions" in the map's coordinates.
+
+    Units are points with height.
 
     Units and poles may be of maps with other reference systems.
     """
@@ -626,7 +639,10 @@ def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> bytes:
 def _junction_rows(
     result: CityResult, records: Sequence[CityFrontRecord]
 ) -> Iterator[dict[str, Any]]:
-    """A row for each junction: what it gets, how large its question was, and what that took."""
+    """A row for each junction.
+
+    What it gets, how large its question was, and what that took.
+    """
     for one, record in zip(result.junctions, records, strict=True):
         yield {
             **{name: getattr(one, name) for name in _GOT},

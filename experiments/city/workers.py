@@ -44,7 +44,10 @@ class JunctionAnswer(NamedTuple):
 
 
 def run_junction(task: JunctionTask) -> JunctionAnswer:
-    """Cut a junction out and find its front; what cannot be done is a record with its reason."""
+    """Cut a junction out and find its front.
+
+    What cannot be done is a record with its reason.
+    """
     notes: tuple[str, ...] = ()
     files: dict[str, bytes] = {}
     try:
@@ -100,7 +103,10 @@ def _record(task: JunctionTask, **found: Any) -> CityFrontRecord:
 
 
 def check_memory(text: str) -> int:
-    """The memory of a worker, in bytes; InputError if that is no amount, or too little."""
+    """The memory of a worker, in bytes.
+
+    InputError if that is no amount, or too little.
+    """
     amount = r"(\d+\.?\d*|\.\d+) *(?:(?:([kmgt])(i?))?b)?"  # such as 1.5GiB, or bytes
     size = 0.0
     if found := re.fullmatch(amount, text.strip().lower(), re.ASCII):
@@ -116,7 +122,10 @@ def check_memory(text: str) -> int:
 def run_junctions(
     workers: LocalWorkers, tasks: Iterable[JunctionTask]
 ) -> Iterator[tuple[JunctionTask, JunctionAnswer]]:
-    """Run tasks on workers, in the order in which they end; a record tells of one that fails."""
+    """Run tasks on workers, in the order in which they end.
+
+    A record tells of one that fails.
+    """
     return run_tasks(workers, run_junction, tasks, failed=_unsolved)
 
 

@@ -1,1 +1,4 @@
-"""The command line: one file for each command, which reads its options, runs the job and prints."""
+"""The command line, a file for each command.
+
+It reads the options, runs the job and prints.
+"""

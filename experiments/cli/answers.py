@@ -11,7 +11,6 @@ from geometry.junction import compass_bearing_deg
 from placement.candidates import load_candidate_grid
 from placement.explain.agreement import Disagreement
 from placement.explain.unavoided import Unavoided
-from scenarios.scores import AVOIDED
 
 from ..language import localized, mark, tr, trn
 from ..parts import (
@@ -72,7 +71,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         parties[name] = result.baseline.evaluation.judged
     if result.baselines.expert is not None:
         parties[tr("expert rule, fused")] = result.baselines.expert.score
-    further = explanation.next_unit_sentence(result.next_unit, proof.measure_of(result))
+    further = explanation.next_unit_sentence(result.next_unit)
     best = tr(
         "Best {n} of {poses} poses on {runs} runs (fusion {fusion}{cars}):",
         n=len(result.layout),
@@ -110,7 +109,10 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
 
 
 def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
-    """One layout: its units and the APR of each; of many units, those of the highest APR."""
+    """One layout: its units and the APR of each.
+
+    Of many units, those of the highest APR.
+    """
     evaluation = result.evaluation
     alone = list(evaluation.units.items())
     if len(alone) > _MAX_UNITS:
@@ -237,7 +239,7 @@ def _besides(result: PlacementResult | ComparisonResult) -> list[Part]:
 
 
 def _impacts(result: Result, others: Mapping[str, Compared]) -> Part:
-    """What is left of the impacts, and with a score what the runs count."""
+    """What is left of the impacts."""
     parties = {
         result.name: result.evaluation.judged,
         **{tr(name): other.evaluation.judged for name, other in others.items()},
@@ -247,24 +249,11 @@ def _impacts(result: Result, others: Mapping[str, Compared]) -> Part:
         f"{name} {number(party.mean_impact_speed_kmh, 1)}"
         for name, party in parties.items()
     )
-    words = [
-        tr(
-            "Mean speed of the VUT at contact, avoided runs as 0: {speeds} km/h.",
-            speeds=left,
-        )
-    ]
-    if result.score != AVOIDED:
-        scores = ", ".join(
-            f"{name} {percent(party.score)}" for name, party in parties.items()
-        )
-        words.append(
-            tr(
-                "Score ({score}) by the evaluator: {scores}.",
-                score=result.score,
-                scores=scores,
-            )
-        )
-    return Part(words=words, is_short=result.score != AVOIDED)
+    words = tr(
+        "Mean speed of the VUT at contact, avoided runs as 0: {speeds} km/h.",
+        speeds=left,
+    )
+    return Part(words=[words])
 
 
 def _said(*sentences: str) -> Part:
@@ -273,7 +262,10 @@ def _said(*sentences: str) -> Part:
 
 
 def _head(result: Result) -> list[Part]:
-    """The head: runs that are not avoided, better layouts, what was left out or assumed."""
+    """The head: runs not avoided, better layouts, what was assumed.
+
+    Also what was left out.
+    """
     groups = result.road_users
     return [
         _said(
@@ -441,7 +433,10 @@ def _cost(result: Result) -> str:
 
 
 def _summary_table(result: Result, others: Mapping[str, Compared]) -> Table:
-    """A row per sensing party: APR, when the most needed unit fails, and on the study's cases."""
+    """A row per sensing party.
+
+    APR, when the most needed unit fails, and on the study's cases.
+    """
     parties = () if result.study_cases is None else result.study_cases.parties
     study = {party.name: percent(party.all) for party in parties}
     evaluation = result.evaluation
@@ -532,7 +527,10 @@ def _announced(evaluation: EvaluationRecord) -> dict[str, PartyAprRecord]:
 
 
 def _apr_table(parties: Mapping[str, _Apr]) -> Table:
-    """APR by case and by position along the arms: a row for each, a column per party."""
+    """APR by case and by position along the arms.
+
+    A row for each, a column per party.
+    """
     all_of = list(parties.values())
     first = all_of[0]
     if len(first.by_position) > 1:
@@ -593,7 +591,10 @@ _MAX_MISSED = 8
 
 
 def explanation_parts(explained: explanation.ExplainedRecord) -> list[Part]:
-    """What each unit is there for, and what is missed: runs alike together, but for numbers."""
+    """What each unit is there for, and what is missed.
+
+    Runs alike together, but for numbers.
+    """
     groups = _alike(explained.not_avoided)
     n_left = sum(map(len, groups[_MAX_MISSED:]))
     return [
@@ -613,7 +614,10 @@ def explanation_parts(explained: explanation.ExplainedRecord) -> list[Part]:
 
 
 def _alike(missed: Sequence[Unavoided]) -> list[list[Unavoided]]:
-    """Runs that have the same said of them, but for numbers; the largest group first."""
+    """Runs that have the same said of them, but for numbers.
+
+    The largest group first.
+    """
     groups = grouped((tuple(_said_of(entry).values()), entry) for entry in missed)
     return sorted(groups.values(), key=len, reverse=True)
 

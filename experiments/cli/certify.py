@@ -1,4 +1,4 @@
-"""``place-rsus certify``: a layout for the mean over worlds, and what it may lack of the best."""
+"""``place-rsus certify``: a layout over worlds, and what it may lack."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,7 +62,7 @@ Examples:
 @options.sign_option
 @options.asking(*_ASKED, *_SOUGHT, *options.JUDGED, defaults={"samples": N_SAMPLES})
 def certify(job: QuestionCall, *, out: Path | None, **asked: Any) -> None:
-    """The best layout over all worlds that may turn out to be, with a gap that holds with 95 %.
+    """The best layout over all worlds that may be, with a gap of 95 %.
 
     Worlds differ in mounting errors, traffic, misses and lost messages. In each of some
     blocks of worlds the best layout is found, and a bound is proven. The mean of the

@@ -1,4 +1,4 @@
-"""``place-rsus doctor``: what is installed, what is missing, what that costs."""
+"""``place-rsus doctor``: what is installed, and what is missing."""
 
 import os
 import platform
@@ -19,7 +19,9 @@ _EXIT_FAILED = 1
 
 
 def examine(cache_folder: Path) -> dict[str, Any]:
-    """The installation, and the folder of detection tables: content of ``--json``.
+    """The installation, and the folder of detection tables.
+
+    Content of ``--json``.
 
     Well: everything that is not an extra is there, and the cache can be written.
     """

@@ -38,7 +38,7 @@ def evaluate(
     out: Path | None,
     sign: Path | None,
 ) -> None:
-    """Evaluate a layout by full perception and emergency braking, or recorded detections."""
+    """Evaluate a layout by perception and braking, or recorded detections."""
     if recording is not None:
         asked = {"folder": recording, "min_confidence": min_confidence, "sign": sign}
         evaluate_recording(job, out=out, **asked)
@@ -128,7 +128,10 @@ def compare(
 
 
 def _by_folder(layouts: Sequence["Layout"], files: Sequence[str]) -> list["Layout"]:
-    """Layouts; where the same name stands in other folders, by these: "best-3 of latest"."""
+    """Layouts; where the same name stands in other folders, by these.
+
+    "best-3 of latest".
+    """
     folders = [Path(file).resolve().parent.name for file in files]
     homes = grouped(
         (one.name, folder) for one, folder in zip(layouts, folders, strict=True)

@@ -1,11 +1,10 @@
-"""The first lines of an answer: layout, APR and proof, before the evaluator judges them."""
+"""First lines of an answer: layout, APR and proof, not yet judged."""
 
 from geometry.junction import compass_bearing_deg
 from geometry.scene import Scene
 from placement.candidates import CandidatePose, above_ground
 from placement.optimiser.problem import Objective, apr
 from placement.pipeline import Placement
-from scenarios.scores import AVOIDED
 
 from ..jobs.search import Found
 from ..language import tr, trn
@@ -20,36 +19,30 @@ def first_answer(found: Found) -> list[str]:
     scene = found.job.scene
     placement = found.placement
     return [
-        _found_sentence(placement, found.job.question.score),
+        _found_sentence(placement),
         *(_unit_line(unit, scene) for unit in placement.layout.units),
         tr("The evaluator judges this layout next."),
     ]
 
 
-def _found_sentence(placement: Placement, score: str) -> str:
+def _found_sentence(placement: Placement) -> str:
     n_units = len(placement.layout.units)
-    measure = tr("score")
-    if score == AVOIDED:
-        measure = tr("APR")
-    values = {
-        "measure": measure,
-        "share": percent(apr(placement.problem, placement.pose_index)),
-    }
+    share = percent(apr(placement.problem, placement.pose_index))
     if placement.is_proven:
         found = trn(
-            "Found and proven on the detection table: {n} unit, {measure} {share}",
-            "Found and proven on the detection table: {n} units, {measure} {share}",
+            "Found and proven on the detection table: {n} unit, APR {share}",
+            "Found and proven on the detection table: {n} units, APR {share}",
             n_units,
-            **values,
+            share=share,
         )
     else:
         found = trn(
-            "Best found in the time given, not proven: {n} unit, {measure} {share} on"
+            "Best found in the time given, not proven: {n} unit, APR {share} on"
             " the detection table",
-            "Best found in the time given, not proven: {n} units, {measure} {share} on"
+            "Best found in the time given, not proven: {n} units, APR {share} on"
             " the detection table",
             n_units,
-            **values,
+            share=share,
         )
     left = {stage.name: stage.objective for stage in placement.certificate.stages}
     one_failed = left.get(Objective.APR_ONE_FAILED)

@@ -1,4 +1,4 @@
-"""``place-rsus latency``: what a layout prevents, however long it takes from sight to braking."""
+"""``place-rsus latency``: what a layout prevents at each latency."""
 
 import math
 from pathlib import Path
@@ -63,7 +63,9 @@ Examples:
 def latency(
     job: QuestionCall, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any
 ) -> None:
-    """How much latency a layout bears: accidents prevented against the time to braking.
+    """How much latency a layout bears.
+
+    Accidents prevented against the time to braking.
 
     The layout is evaluated once. From the frame that confirms to the onset of braking
     it takes as long as the budget says: exposure, detector, the wait for the next
@@ -87,7 +89,7 @@ _SHOWN_S = (0.0, 0.025, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 
 
 def latency_text(summary: "LatencyResult", out: Path | None) -> str:
-    """APR at some latencies, the latencies that leave some APR, and what the budget does."""
+    """APR by latency, latencies that leave some APR, and the budget's effect."""
     from ..parts.latency import APR_LEVELS, STEP_S
 
     parties = summary.parties

@@ -31,7 +31,10 @@ _ASKED = options.fields_in(
 
 
 def front_options(*asked: str) -> options.Decorator:
-    """Options of commands that look for several layouts, each with its own time."""
+    """Options of commands that look for several layouts.
+
+    Each layout has a time limit of its own.
+    """
     return options.asking(
         *asked, *_SOUGHT, *options.JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S}
     )
@@ -73,7 +76,9 @@ Examples:
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
 def pareto(job: QuestionCall, *, out: Path | None, **asked: Any) -> None:
-    """What each further unit, or more money, buys: the best layouts, each with its proof.
+    """What each further unit, or more money, buys.
+
+    The best layouts, each with its proof.
 
     For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share
     of accidents prevented (APR), and the highest that is left when any one unit fails.
@@ -118,7 +123,7 @@ def _with_head(
     out: Path | None,
     files: Sequence[str],
 ) -> str:
-    """An answer with what is driven before it, and the files that were written behind it."""
+    """An answer between what is driven and the files that were written."""
     if out is not None:
         words = tr("Written to {out}: {files}.", out=out, files=joined(files))
         parts.append(Part(words=[words]))
@@ -159,7 +164,9 @@ Examples:
 def retrofit(
     job: QuestionCall, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any
 ) -> None:
-    """What to change about units that are mounted: remove, re-aim or add one, each priced.
+    """What to change about units that are mounted.
+
+    Remove, re-aim or add one, each priced.
 
     A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost,
     the best re-aims and additions together for the money, too.

@@ -1,4 +1,4 @@
-"""``place-rsus``: the best layout, proven, evaluated, compared with the study's, reported."""
+"""``place-rsus``: the best layout, its proof, evaluation and report."""
 
 from pathlib import Path
 
@@ -6,7 +6,6 @@ import click
 
 from geometry.registry import load_entry
 
-from ..language import mark
 from . import options
 from .commands import RECORDED
 from .running import QuestionCall, command_line
@@ -37,8 +36,8 @@ Examples:
   place-rsus doctor                                what is installed here
   place-rsus export --layout results/latest/layout.json --format carla
 
-Exit codes: 0 done, 1 `verify`, `scene check` or `doctor` found a fault, 2 the input is wrong or
-cannot be met (one line says what), 130 interrupted, 143 terminated."""
+Exit codes: 0 done, 1 `verify`, `scene check` or `doctor` found a fault, 2 the input is
+wrong or cannot be met (one line says what), 130 interrupted, 143 terminated."""
 
 
 @click.group(
@@ -57,13 +56,6 @@ cannot be met (one line says what), 130 interrupted, 143 terminated."""
         " replaced."
     ),
 )
-@options.option(
-    "--pdf",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    is_common=False,
-    help="Print the report there, too, by chromium or Chrome.",
-)
 @options.recording_options
 @options.sign_option
 @options.asking(*options.PLANNED, *options.JUDGED)
@@ -73,10 +65,9 @@ def cli(
     recording: Path | None,
     min_confidence: float,
     out: Path,
-    pdf: Path | None,
     sign: Path | None,
 ) -> None:
-    """Where to mount roadside cameras so that pedestrians and cyclists are not hit.
+    """Where to mount cameras so that pedestrians and cyclists are not hit.
 
     Finds the best layout for the junction of the CarlaNCAP study, proves that it is,
     evaluates it by full perception and emergency braking, compares it with the study's
@@ -108,15 +99,6 @@ def cli(
         evaluate_recording = load_entry(RECORDED)
         evaluate_recording(job, out=out if options.is_given("out") else None, **asked)
         return
-    browser = None
-    if pdf is not None:
-        if out.resolve() in pdf.resolve().parents:
-            raise click.UsageError(
-                f"--pdf: got {pdf}; expected a file outside of --out"
-            )
-        from ..report.printing import find_browser
-
-        browser = find_browser()
     asked_question = job.question
     job = job.begin()
     from ..jobs.search import search
@@ -140,14 +122,4 @@ def cli(
     )
     from .answers import placement_parts
 
-    if browser is not None and pdf is not None:
-        from ..report.printing import print_page
-
-        job.progress(mark("print"), 0, 0)
-        try:
-            print_page(browser, out / "report.html", pdf)
-        except OSError as error:
-            raise click.UsageError(
-                f"--pdf: got {pdf}: {error.strerror or error}"
-            ) from None
     job.print_answer(result, lambda: placement_parts(result, out))

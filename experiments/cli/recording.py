@@ -32,7 +32,9 @@ _WITH_RECORDING = frozenset(
 
 
 def evaluate_recording(job: QuestionCall, *, out: Path | None, **asked: Any) -> None:
-    """Judge the units of a recording, as :func:`.recording.run_recording`, and end the command.
+    """Judge the units of a recording, and end the command.
+
+    See :func:`.recording.run_recording`.
 
     Options that say nothing next to a recording are refused, by click.UsageError.
     """
@@ -50,7 +52,10 @@ def evaluate_recording(job: QuestionCall, *, out: Path | None, **asked: Any) -> 
 
 
 def recording_text(summary: "RecordedResult", out: Path | None) -> str:
-    """The result of a recording for a terminal: the units that were chosen, if any, and all."""
+    """The result of a recording for a terminal.
+
+    The units that were chosen, if any, and all.
+    """
     from ..parts.proof import stage_conditions, stage_table
     from ..parts.recording import ALL_UNITS
 
@@ -85,7 +90,10 @@ def recording_text(summary: "RecordedResult", out: Path | None) -> str:
 def _parties_text(
     evaluation: "RecordedAprRecord", shares: "DetectedShareRecord", cases: Sequence[str]
 ) -> list[str]:
-    """A row per party; APR over all drives, share of frames, and APR by case as columns."""
+    """A row per party.
+
+    Columns: APR over all drives, share of frames, and APR by case.
+    """
     from ..parts.recording import ALL_UNITS
 
     parties = [

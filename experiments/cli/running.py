@@ -1,4 +1,7 @@
-"""How a command begins and ends: what it needs to know, what it prints. Imports nothing heavy."""
+"""How a command begins and ends.
+
+What it needs to know, what it prints. Imports nothing heavy.
+"""
 
 import os
 import shlex
@@ -66,7 +69,9 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
 def load_one_layout(
     names: Sequence[str], question: "Question | None" = None
 ) -> "Layout":
-    """The layout of ``--layout``, given once, else click.UsageError; InputError: there is none.
+    """The layout of ``--layout``, given once, else click.UsageError.
+
+    InputError: there is none.
 
     With a question, a list of units with places on earth may stand in its place: CSV,
     or JSON.
@@ -110,7 +115,10 @@ class Call:
             tell("\n".join(lines), err=True)
 
     def print(self, result: Any, text: Callable[[], str]) -> None:
-        """End a command: take the bar away, print its result as JSON or as text for people."""
+        """Take the progress bar away and print a command's result.
+
+        As JSON, or as text for people.
+        """
         from ..export.json import to_json_text
 
         self.progress.stop()
@@ -125,7 +133,10 @@ class QuestionCall(Call):
     compute: "Compute"
 
     def begin(self) -> "QuestionCall":
-        """Show what happens from here on; the job with its map imported, see :func:`begin`."""
+        """Show what happens from here on.
+
+        The job with its map imported, see :func:`begin`.
+        """
         return replace(
             self, question=begin(self.progress, self.question, quiet=self.quiet)
         )
@@ -164,10 +175,14 @@ def cache_folder() -> Path:
 
 
 def check_address_space() -> None:
-    """Refuse, by click.UsageError, a limit of address space in which libraries end by a fault."""
+    """Refuse a limit of address space in which libraries crash.
+
+    Raises click.UsageError.
+    """
     try:
         import resource
-    except ImportError:  # Windows
+    except ImportError:
+        # Windows.
         return
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < _LEAST_BYTES:
@@ -178,7 +193,10 @@ def check_address_space() -> None:
 
 
 def write_result(out: Path | None, content: str | bytes) -> None:
-    """Write a content to a file, or to stdout. Raises click.UsageError: it cannot be written."""
+    """Write a content to a file, or to stdout.
+
+    Raises click.UsageError: it cannot be written.
+    """
     if out is None:
         write_out(content)
         return

@@ -1,4 +1,4 @@
-"""``place-rsus scenarios``: look at what is driven, without placing anything."""
+"""``place-rsus scenarios``: what is driven, without placing anything."""
 
 import math
 from collections.abc import Sequence
@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 
 class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
-    """A case from an approach at a position along the arms: what ``--json`` prints a list of.
+    """A case from an approach at a position along the arms.
+
+    What ``--json`` prints a list of.
 
     One last brake time per speed, relative to the impact, None where braking cannot
     help: the earliest where whoever is met has several speeds. The reason says what is
@@ -48,7 +50,10 @@ class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def list_rows(drives: "Drives") -> list[DrivenRow]:
-    """One row per case, approach and position; with what is driven and what is refused."""
+    """One row per case, approach and position.
+
+    With what is driven and what is refused.
+    """
     from scenarios.positions import sort_positions
 
     refusals = (*drives.refused, *drives.left_out)
@@ -105,7 +110,7 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
 
 
 def scenario_table(rows: Sequence[DrivenRow]) -> str:
-    """The rows as a table, then who meets the VUT, where, and what is not driven, and why."""
+    """The rows as a table, then who is met where, and what is not driven."""
     from scenarios.cases import load_unlaid_cases
 
     unlaid = [entry for entry in rows if entry.case in load_unlaid_cases()]
@@ -131,7 +136,8 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
             ]
         )
     for row, (before, after) in enumerate(pairwise(groups), start=1):
-        if before[0] == after[0]:  # each is named once
+        # Each is named once.
+        if before[0] == after[0]:
             cells[row][0] = ""
     if has_positions:
         places = ["places"]
@@ -164,7 +170,10 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
 
 
 def _who_meets_whom(rows: Sequence[DrivenRow]) -> list[str]:
-    """What happens in each case: those that differ in the impact point share a sentence."""
+    """What happens in each case.
+
+    Those that differ in the impact point share a sentence.
+    """
     speeds = grouped(
         (entry.case, speed) for entry in rows for speed in entry.vru_speeds_kmh
     )
@@ -245,7 +254,9 @@ Examples:
 )
 @options.calling
 def list_scenarios(call: Call, *, question: Question) -> None:
-    """Cases by approach and place: speeds, runs, the last moment to brake, and why not.
+    """Cases by approach and place.
+
+    Speeds, runs, the last moment to brake, and why not.
 
     The last moment is the time at which braking must have begun, relative to the
     impact: -1.2 is 1.2 seconds before it. Places lie along the arms, in metres: -15 is
@@ -307,7 +318,10 @@ def show(
     out: Path | None,
     quiet: bool,
 ) -> None:
-    """Draw a run from above: bodies, paths, obstruction, what the VUT has in sight."""
+    """Draw a run from above.
+
+    Bodies, paths, obstruction, what the VUT has in sight.
+    """
     from ..export.mcap import mcap_of_run
     from ..figures.film import save_film
 

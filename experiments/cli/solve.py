@@ -1,4 +1,4 @@
-"""``place-rsus solve``: a placement problem from a file, solved and proven."""
+"""``place-rsus solve``: a placement problem from a file."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,7 @@
-"""Text for a terminal: tables and sentences, without colours. Rich is loaded when it is needed."""
+"""Text for a terminal.
+
+Tables and sentences, without colours. Rich is loaded when it is needed.
+"""
 
 import re
 import textwrap
@@ -48,7 +51,10 @@ def sentences(
 
 
 def answer_text(parts: Iterable[Part], *, is_verbose: bool) -> str:
-    """An answer on a screen of 100 columns; with `is_verbose` all of it, 80 columns wide."""
+    """An answer on a screen of 100 columns.
+
+    With `is_verbose` all of it, 80 columns wide.
+    """
     if is_verbose:
         width = WIDTH
     else:
@@ -58,7 +64,8 @@ def answer_text(parts: Iterable[Part], *, is_verbose: bool) -> str:
     for part in parts:
         if part and (is_verbose or part.is_short):
             is_plain = not (part.title or part.table)
-            is_note = is_plain and not part.words  # it belongs to what stands above
+            # It belongs to what stands above.
+            is_note = is_plain and not part.words
             if is_note or (is_plain and was_plain) or not lines:
                 lines += []
             else:
@@ -115,13 +122,19 @@ def basis(result: Any) -> dict[str, Any]:
 def driven_lines(
     driven: Sequence[str], without_effect: Sequence[str] = ()
 ) -> list[str]:
-    """How many possible runs are driven, reasons of most others, and what changes nothing."""
+    """How many possible runs are driven, and why most others are not.
+
+    Also what was asked for and changes nothing.
+    """
     reasons = sentences(*first_reasons(driven), indent=2, hanging=2)
     return [*sentences(*driven[:1]), *reasons, *sentences(*without_effect)]
 
 
 def first_reasons(driven: Sequence[str]) -> list[str]:
-    """Reasons why most of the other possible runs are not driven, and how many are not printed."""
+    """Reasons why most of the other possible runs are not driven.
+
+    The last one says how many reasons are not printed.
+    """
     n_left = len(driven) - 1 - _MOST_REASONS
     if n_left > 0:
         more = [
@@ -182,7 +195,10 @@ def listing(
     *,
     width: int = WIDTH,
 ) -> list[str]:
-    """A table without cuts: a long id has its own line, and `below` stand texts under the rows."""
+    """A table without cuts.
+
+    A long id has its own line, and `below` stand texts under the rows.
+    """
     longest, *widths = (
         max(map(len, cells)) for cells in zip(heads, *rows, strict=True)
     )
@@ -212,7 +228,9 @@ def wide_table(
     *,
     width: int = WIDTH,
 ) -> list[str]:
-    """Lines of a table with many columns: as many side by side as fit, the others below.
+    """Lines of a table with many columns.
+
+    As many side by side as fit, the others below.
 
     Each block repeats the first column, with `head` and `rows`. A head of several words
     stands on several lines.
@@ -238,7 +256,10 @@ def wide_table(
 def _in_blocks(
     columns: Mapping[str, Sequence[str]], first: int, widest: int, most: int
 ) -> list[dict[str, int]]:
-    """Widths of columns that fit side by side, by block; heads are at most so wide, words 20."""
+    """Widths of columns that fit side by side, by block.
+
+    Heads are at most so wide, words 20.
+    """
     blocks: list[dict[str, int]] = []
     left = 0
     for head, cells in columns.items():

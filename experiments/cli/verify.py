@@ -1,4 +1,4 @@
-"""``place-rsus verify``: check a result without the optimiser, or make it anew."""
+"""``place-rsus verify``: check a result, or make it anew."""
 
 import sys
 from dataclasses import replace
@@ -98,7 +98,7 @@ def verify(
 
 
 def _with_scene(asked: "Question | None", given: "Question") -> "Question":
-    """What was asked, with the scene and the map's options of the command line in their places."""
+    """What was asked, with scene and map options of the command line."""
     if asked is None:
         return given
     names = [name for name in options.OF_SCENE if options.is_given(name)]
@@ -152,7 +152,8 @@ def verification_text(summary: "VerificationResult") -> str:
 def _left_out(summary: "VerificationResult") -> str:
     """What was not checked, for the last line."""
     left = []
-    if not summary.stages:  # there is no placement to make anew
+    # There is no placement to make anew.
+    if not summary.stages:
         left.append("what is listed above")
     elif not summary.is_deep:
         left.append("verdicts, bill, report (--deep)")

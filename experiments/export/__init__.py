@@ -1,7 +1,9 @@
-"""Layouts in the formats of other programs: one module per format, named after it; some share one.
+"""Layouts in the formats of other programs.
 
-To add one, write a module that has a ``FORMAT``, an :class:`ExportFormat`, and list it in
-``FORMATS``.
+One module per format, named after it; some share one.
+
+To add one, write a module that has a ``FORMAT``, an :class:`ExportFormat`, and
+list it in ``FORMATS``.
 """
 
 from collections.abc import Callable
@@ -119,7 +121,10 @@ def load_format(name: str) -> ExportFormat:
 
 
 def load_extra(module: str, needs: str, extra: str) -> Any:
-    """An optional library's module. MissingExtraError says what `needs` which package."""
+    """An optional library's module.
+
+    MissingExtraError says what `needs` which package.
+    """
     try:
         return import_module(module)
     except ImportError:

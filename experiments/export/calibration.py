@@ -1,4 +1,7 @@
-"""Cameras of a layout as the field of computer vision writes them down: K, R, t."""
+"""Cameras of a layout as the field of computer vision writes them down.
+
+K, R, t.
+"""
 
 from collections.abc import Sequence
 
@@ -17,7 +20,7 @@ from placement.layout import Layout
 
 
 def lens_coefficients(name: str, camera: CalibratedCamera) -> tuple[bool, FloatArray]:
-    """Whether the lens is a fisheye, and its coefficients as OpenCV orders them, (1, n).
+    """True for a fisheye, and the coefficients (1, n) in OpenCV's order.
 
     Raises InputError for Tsai's, which neither of OpenCV's models is.
     """
@@ -59,7 +62,10 @@ def lidar_ids(layout: Layout) -> list[str]:
 
 
 def comments(layout: Layout, scene: Scene | None) -> str:
-    """Comment lines of YAML: units that are no cameras, and those at sites that are assumed."""
+    """Comment lines of YAML.
+
+    Units that are no cameras, and those at sites that are assumed.
+    """
     named = ", ".join(lidar_ids(layout))
     if scene is None:
         doubts = {}
@@ -76,7 +82,10 @@ def comments(layout: Layout, scene: Scene | None) -> str:
 
 
 def refuse_lenses(layout: Layout, format_name: str) -> None:
-    """Raise InputError if a camera of a layout is no pinhole: the format has no other."""
+    """Raise InputError if a camera of a layout is no pinhole.
+
+    The format has no other.
+    """
     for unit in layout.units:
         if isinstance(unit.sensor, CameraModel) and not unit.sensor.is_pinhole:
             got = f"{unit.id}, whose lens, principal point or roll it cannot carry"

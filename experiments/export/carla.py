@@ -42,13 +42,17 @@ def to_carla(layout: Layout, scene: Scene | None = None) -> str:
 
 
 def carla_points(points_m: FloatArray, scene: Scene | None) -> FloatArray:
-    """Points of the world frame, (n, 3), in CARLA's, whose zero is that of the scene's map."""
+    """Points (n, 3) of the world frame in CARLA's.
+
+    Its zero is that of the scene's map.
+    """
     moved_m = np.array(points_m)
     if scene is not None:
         moved_m[:, :2] = metric_points(moved_m[:, :2], scene)
         if terrain_of(scene) is not None:
             moved_m[:, 2] += scene.zero_height_m or 0.0
-    return to_carla_points(moved_m) + 0.0  # adding zero turns -0.0 into 0.0
+    # Adding zero turns -0.0 into 0.0.
+    return to_carla_points(moved_m) + 0.0
 
 
 def camera_attributes(sensor: CameraModel) -> dict[str, str]:

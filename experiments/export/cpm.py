@@ -1,4 +1,7 @@
-"""Layouts as collective perception messages (CPM): sensors, and what they detect in a run."""
+"""Layouts as collective perception messages (CPM).
+
+Sensors, and what they detect in a run.
+"""
 
 import math
 from collections.abc import Iterator
@@ -261,7 +264,10 @@ def _sent(
 def _object(
     run: Run, frame: int, origin_m: FloatArray, where: str, release: str
 ) -> dict[str, Any]:
-    """Whoever the VUT meets in a frame, east, north and up of the reference position."""
+    """Whoever the VUT meets in a frame, east.
+
+    North and up of the reference position.
+    """
     motion = run.encounter.vru_motion
     body = run.encounter.vru
     around_s = run.time_s[frame] + np.array([-_STEP_S, _STEP_S])
@@ -367,12 +373,18 @@ def _radial_shape(
 
 
 def _count_up(values: ArrayLike, per_one: float) -> IntArray:
-    """Values in parts, `per_one` of them each, as ETSI counts: n is (n - 1, n] of them."""
+    """Values in parts, `per_one` of them each, as ETSI counts.
+
+    N is (n - 1, n] of them.
+    """
     return np.ceil(per_one * np.asarray(values) - _SLACK).astype(np.int64)
 
 
 def _tenths(value: float) -> int:
-    """Tenths as the standard counts them: n is more than n - 1 and at most n of them."""
+    """Tenths as the standard counts them.
+
+    N is more than n - 1 and at most n of them.
+    """
     return int(_count_up(value, 10.0))
 
 

@@ -15,14 +15,17 @@ from .views import find_views
 
 _LAYERS = {"LANES": 8, "CROSSWALKS": 9, "POLES": 3, "UNITS": 5, "UNSEEN": 1}
 _VIEWS = 140
-_METRES = 6  # $INSUNITS
+# $INSUNITS.
+_METRES = 6
 _TEXT_M = 0.6
 _POLE_M = 0.3
 _ARROW_M = 4.0
 
 
 def to_dxf(layout: Layout, scene: Scene) -> str:
-    """Layout as a DXF drawing in metres, in the coordinates of the scene's map if these are metres.
+    """Layout as a DXF drawing in metres.
+
+    In the coordinates of the scene's map if these are metres.
 
     Layers: LANES and CROSSWALKS (lines), POLES (circles: all sites, with their ids),
     UNITS (arrows along the view at the height of the unit, with their ids), VIEWS

@@ -23,7 +23,9 @@ from .places import (
 def geopackage(
     layers: Iterable[tuple[str, str, list[dict[str, Any]], Any]], crs: str
 ) -> bytes:
-    """Layers of one database: name, kind of geometry (empty: areas), records and their places.
+    """Layers of one database: name, kind of geometry (empty.
+
+    Areas), records and their places.
 
     References
     ----------
@@ -50,7 +52,9 @@ def geopackage(
 def to_geopackage(
     layout: Layout, scene: Scene, *, views: AreaFinder | None = None
 ) -> bytes:
-    """Layout as a GeoPackage: points in the coordinates of the map that the scene was made from.
+    """Layout as a GeoPackage.
+
+    Points in the coordinates of the map that the scene was made from.
 
     A SQLite database with the layer "units": points with the height as z (that of the
     map where the ground is not flat and the map tells it, else above the road), and the

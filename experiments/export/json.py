@@ -1,4 +1,7 @@
-"""Layouts as the JSON file that place-rsus reads; and JSON of plain values."""
+"""Layouts as the JSON file that place-rsus reads.
+
+And JSON of plain values.
+"""
 
 import json
 
@@ -12,7 +15,9 @@ from . import ExportFormat
 
 
 def to_json_text(document: object) -> str:
-    r"""JSON of values and records; numbers that JSON lacks (NaN, infinite) become null.
+    r"""JSON of values and records.
+
+    Numbers that JSON lacks (NaN, infinite) become null.
 
     Examples
     --------
@@ -24,7 +29,10 @@ def to_json_text(document: object) -> str:
 
 
 def to_json(layout: Layout, scene: Scene | None = None) -> str:
-    """Layout as the JSON file that ``--layout`` reads; with a scene, what is assumed of sites."""
+    """Layout as the JSON file that ``--layout`` reads.
+
+    With a scene, what is assumed of sites.
+    """
     if scene is None:
         doubts = {}
     else:

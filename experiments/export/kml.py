@@ -19,7 +19,9 @@ from .xml import xml_text
 
 
 def to_kml(layout: Layout, scene: Scene, *, views: AreaFinder | None = None) -> str:
-    """Layout as KML: a placemark per unit, at its height above ground, with a pole below it.
+    """Layout as KML: a placemark per unit, at its height above ground.
+
+    With a pole below it.
 
     An XML document. Every field of the layout is in the placemark's ExtendedData; the
     placemark's camera looks from the unit's place along its optical axis. With `views`

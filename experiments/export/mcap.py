@@ -1,4 +1,4 @@
-"""Layouts, and runs as they see them, as MCAP recordings in Foxglove's schemas."""
+"""Layouts and runs as MCAP recordings in Foxglove's schemas."""
 
 import io
 from collections.abc import Iterator, Sequence
@@ -27,17 +27,26 @@ from . import ExportFormat, load_extra
 from .calibration import calibrations, lens_coefficients, plain, sensor_quaternion
 from .watched import WatchedRun
 
-WORLD = "map"  # frame, as REP 105 calls it
+# Frame, as REP 105 calls it.
+WORLD = "map"
 _COLOURS = {
-    "ground": (0.45, 0.45, 0.45, 1.0), "building": (0.75, 0.7, 0.62, 1.0),
-    "wall": (0.7, 0.7, 0.7, 1.0), "vegetation": (0.3, 0.55, 0.3, 1.0),
-    "pole": (0.3, 0.3, 0.3, 1.0), "unit": (0.1, 0.4, 0.9, 1.0), "vut": (0.2, 0.3, 0.8, 0.9),
-    "vru": (0.9, 0.5, 0.1, 0.9), "seen": (0.1, 0.8, 0.2, 1.0), "other": (0.6, 0.6, 0.65, 1.0),
-}  # fmt: skip
-_FRUSTUM_M = 4.0  # how far ahead its far side is drawn
+    "ground": (0.45, 0.45, 0.45, 1.0),
+    "building": (0.75, 0.7, 0.62, 1.0),
+    "wall": (0.7, 0.7, 0.7, 1.0),
+    "vegetation": (0.3, 0.55, 0.3, 1.0),
+    "pole": (0.3, 0.3, 0.3, 1.0),
+    "unit": (0.1, 0.4, 0.9, 1.0),
+    "vut": (0.2, 0.3, 0.8, 0.9),
+    "vru": (0.9, 0.5, 0.1, 0.9),
+    "seen": (0.1, 0.8, 0.2, 1.0),
+    "other": (0.6, 0.6, 0.65, 1.0),
+}
+# How far ahead its far side is drawn.
+_FRUSTUM_M = 4.0
 # of what is drawn: the sides of wider ones would be kilometres away
 _WIDEST_DEG = 150.0
-_WIDEST_PX = 640  # of pictures
+# Of pictures.
+_WIDEST_PX = 640
 _NANO = 1_000_000_000
 
 
@@ -170,7 +179,10 @@ def _units(m: Any, units: Sequence[CandidatePose]) -> Iterator[Any]:
 
 
 def _corners(camera: CameraModel) -> list[list[float]]:
-    """Corners of a pinhole's picture; of the angles that a lens shows across and up."""
+    """Corners of a pinhole's picture.
+
+    Of the angles that a lens shows across and up.
+    """
     half = 0.5 * np.array([camera.width_px, camera.height_px])
     x_m, y_m = _FRUSTUM_M * half / camera.focal_length_px
     if not camera.is_pinhole:

@@ -16,7 +16,9 @@ from .calibration import calibrations, comments, lens_coefficients, plain
 
 
 def to_opencv(layout: Layout, scene: Scene | None = None) -> str:
-    """Layout as YAML for ``cv::FileStorage``; comments name LiDARs left out and assumed sites.
+    """Layout as YAML for ``cv::FileStorage``.
+
+    Comments name LiDARs left out and assumed sites.
 
     A sequence "cameras", one map per unit - names of units are free, those of nodes are
     not - with id, image_width, image_height, camera_matrix, distortion_coefficients
@@ -33,7 +35,10 @@ def to_opencv(layout: Layout, scene: Scene | None = None) -> str:
 def opencv_text(
     cameras: Mapping[str, CalibratedCamera], name: str, comment: str = ""
 ) -> str:
-    """Calibrations as such a file; fisheyes have `distortion_model` "fisheye", and k1 to k4."""
+    """Calibrations as such a file.
+
+    Fisheyes have `distortion_model` "fisheye", and k1 to k4.
+    """
     records = [
         (
             *(one, camera, *lens_coefficients(one, camera)),
@@ -55,7 +60,10 @@ def opencv_text(
 
 
 def _yaml(value: str | list[float]) -> str:
-    """Text in double quotes, the only ones that FileStorage reads whole, or numbers on a line."""
+    """Text in double quotes, the only ones that FileStorage reads whole.
+
+    Or numbers on a line.
+    """
     style = (
         {"default_style": '"'}
         if isinstance(value, str)

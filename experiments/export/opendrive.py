@@ -1,4 +1,4 @@
-"""A scene's roads as ASAM OpenDRIVE, with the poles of a layout as objects beside them."""
+"""A scene's roads, and a layout's poles, as ASAM OpenDRIVE."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -32,8 +32,10 @@ _TYPES = {
     "cycling": "biking",
     "walking": "sidewalk",
 }
-_MOUTH_M = 10.0  # of a lane, of which its direction is taken
-_SAME_M = 0.5  # between the ends of lanes that lead into each other
+# Of a lane, of which its direction is taken.
+_MOUTH_M = 10.0
+# Between the ends of lanes that lead into each other.
+_SAME_M = 0.5
 _SAME_SLOPE = 1.0e-9
 _DIGITS = 6
 _LENGTH_NODES = np.polynomial.legendre.leggauss(8)
@@ -45,12 +47,17 @@ class _Road:
 
     id: str
     lane: Lane
-    points_m: FloatArray  # (n, 2)
-    tangent: FloatArray  # (n, 2), unit vectors
-    width_m: tuple[float, float]  # at both ends
+    # (n, 2).
+    points_m: FloatArray
+    # (n, 2), unit vectors.
+    tangent: FloatArray
+    # At both ends.
+    width_m: tuple[float, float]
 
     def pieces(self) -> Iterator[tuple[float, FloatArray, FloatArray]]:
-        """Of each piece its length, and its coefficients along and across its first tangent.
+        """Length of each piece, and its coefficients.
+
+        The coefficients are those along and across its first tangent.
 
         They are cubics of a parameter from 0 to 1: Hermite's, through both ends along
         their tangents, so that the line has no corners.
@@ -87,7 +94,7 @@ class _Road:
 
 
 def to_opendrive(layout: Layout | None, scene: Scene) -> str:
-    """The scene's roads as an OpenDRIVE 1.7 file, in the world frame of the scene.
+    """The scene's roads as OpenDRIVE 1.7, in the scene's world frame.
 
     Each lane is a road of its own that ends at the junction, each lane through it a
     connecting one; where the map has none, those are assumed that lead from each lane
@@ -116,9 +123,8 @@ def to_opendrive(layout: Layout | None, scene: Scene) -> str:
             continue
         before = _end_at(outside, road.points_m[0], -1)
         after = _end_at(outside, road.points_m[-1], 0)
-        if (
-            before is None or after is None
-        ):  # through another junction: it leads nowhere here
+        # Through another junction: it leads nowhere here.
+        if before is None or after is None:
             del roads[road.id]
             continue
         ways[road.id] = before.id, after.id
@@ -147,7 +153,8 @@ def _road(road_id: str, lane: Lane) -> _Road:
     steps /= np.hypot(*steps.T)[:, None]
     tangent = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]])
     length = np.hypot(*tangent.T)
-    follows = np.concatenate([steps, steps[-1:]])  # where a line turns back
+    # Where a line turns back.
+    follows = np.concatenate([steps, steps[-1:]])
     tangent = np.where(length[:, None] > 1e-6, tangent, follows)
     tangent /= np.hypot(*tangent.T)[:, None]
     widths_m = lane.width_m, lane.width_m
@@ -157,7 +164,10 @@ def _road(road_id: str, lane: Lane) -> _Road:
 
 
 def _assumed(junction: Junction) -> Iterator[Lane]:
-    """From each lane into the junction one lane to each other arm, counted from the kerb."""
+    """Pairs of lanes: each one in, and one out by each other arm.
+
+    Lanes are counted from the kerb.
+    """
     for before, after in product(junction.arms.values(), repeat=2):
         if before is after or not after.exit_lanes:
             continue
@@ -169,7 +179,8 @@ def _assumed(junction: Junction) -> Iterator[Lane]:
             ]
             try:
                 line_m = curve_between(*ends)
-            except ValueError:  # too sharp a turn
+            except ValueError:
+                # Too sharp a turn.
                 continue
             yield Lane(
                 id=f"{lane.id} to {leaving.id}",
@@ -180,7 +191,10 @@ def _assumed(junction: Junction) -> Iterator[Lane]:
 
 
 def _end_at(roads: Sequence[_Road], point_m: FloatArray, end: int) -> _Road | None:
-    """The road that ends (-1) or begins (0) nearest to a point; None where none does."""
+    """The road that ends (-1) or begins (0) nearest to a point.
+
+    None where none does.
+    """
     gaps_m = [float(np.hypot(*(road.points_m[end] - point_m))) for road in roads]
     if gaps_m:
         nearest = int(np.argmin(gaps_m))
@@ -192,7 +206,10 @@ def _end_at(roads: Sequence[_Road], point_m: FloatArray, end: int) -> _Road | No
 
 
 def _fitted(road: _Road, before: _Road, after: _Road) -> _Road:
-    """A way that leaves one road and enters another without a corner, a gap, or a jump in width."""
+    """A smooth way from one road into another.
+
+    It has no corner, no gap and no jump in width.
+    """
     points_m = road.points_m.copy()
     tangent = road.tangent.copy()
     points_m[[0, -1]] = before.points_m[-1], after.points_m[0]
@@ -202,7 +219,10 @@ def _fitted(road: _Road, before: _Road, after: _Road) -> _Road:
 
 
 def _line(road: _Road, scene: Scene) -> dict[str, Any]:
-    """A road's reference line and its heights, piece by piece, and the width of its lane."""
+    """A road's reference line, its heights, and the width of its lane.
+
+    All of them piece by piece.
+    """
     pieces = list(road.pieces())
     starts_m = np.cumsum([0.0, *(piece[0] for piece in pieces)])
     headings_rad = [math.atan2(ahead[1], ahead[0]) for ahead in road.tangent]
@@ -253,7 +273,9 @@ def _poles(
 def _beside(
     road: _Road, starts_m: FloatArray, place_m: tuple[float, float]
 ) -> tuple[float, float, float, float]:
-    """How far a place lies beyond a road's ends, and from its line; its s, and its t to the left.
+    """How far a place lies beyond a road's ends, and from its line.
+
+    Its s, and its t to the left.
 
     `starts_m`, (n,), has the s of each of its points.
     Nothing but a place beside the line, not beyond its ends, can be told by s and t.

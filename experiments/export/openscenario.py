@@ -33,7 +33,8 @@ _SCHEMA = "OpenSCENARIO_1_3_1.xsd"
 _SPEED_DECIMALS = 3
 _SPEED_STEP_S = 1.0e-6
 _TURN_DEG = 0.1
-_TURN_STEP_S = 0.02  # between two frames: from which turn on, and how often
+# Between two frames: from which turn on, and how often.
+_TURN_STEP_S = 0.02
 _EPSILON_S = 1.0e-6
 _Place = tuple[float, float, float, float]
 """East, north, up [m] and heading [rad] of a point of reference."""
@@ -69,7 +70,8 @@ def _body(actor: Actor) -> Table:
 def _axles_m(actor: Actor) -> tuple[float, float]:
     """Front and rear axle of a vehicle, ahead of the middle of its box."""
     body = _body(actor)
-    if "wheelbase_m" in body:  # of a bicycle
+    # Of a bicycle.
+    if "wheelbase_m" in body:
         return (
             body["front_axle_ahead_m"],
             body["front_axle_ahead_m"] - body["wheelbase_m"],
@@ -82,7 +84,7 @@ def _axles_m(actor: Actor) -> tuple[float, float]:
 
 
 def reference_ahead_m(actor: Actor) -> float:
-    """Distance of a body's point of reference ahead of the middle of its box, in metres.
+    """Distance of a body's reference point ahead of its middle, in metres.
 
     The rear axle of cars, motorcycles and bicycles; 0, the middle, of pedestrians and
     walls. Raises InputError if ``data/openscenario.toml`` does not know it, or a car
@@ -94,7 +96,7 @@ def reference_ahead_m(actor: Actor) -> float:
 
 
 def _described(name: str, actor: Actor) -> tuple[str, Actor, Table, Table]:
-    """An entity's name, its body, what the table says of that, and where its axles are."""
+    """An entity's name, body, entry in the table, and axles."""
     body = {"note": "", **_body(actor)}
     axles = {"middle_m": round(-reference_ahead_m(actor), _DECIMALS) + 0.0}
     if body["entity"] == "Vehicle":
@@ -110,7 +112,9 @@ def _radians(angle_deg: float) -> float:
 
 
 def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str:
-    """Run as an OpenSCENARIO 1.3 file: nobody brakes; it ends at the impact, or `after_s` later.
+    """Run as an OpenSCENARIO 1.3 file.
+
+    Nobody brakes; it ends at the impact, or `after_s` later.
 
     XML. Scenario time 0 is the run's first frame. The entities "vut" and "vru" follow
     the run's frames; "obstruction-1" .. stand. The header's properties say what the run
@@ -129,7 +133,8 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
     ----------
     .. [1] ASAM OpenSCENARIO XML 1.3.1, "Coordinate systems" and class reference.
     """
-    load_xosc()  # brings the schema
+    # Brings the schema.
+    load_xosc()
     if not road_network:
         raise InputError("road_network", road_network, "the name of an OpenDRIVE file")
     met = run.encounter
@@ -146,6 +151,7 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
     if is_avoidable:
         last_s = float(run.last_brake_time_s - run.time_s[0])
         times_s["last_brake_time_s"] = round(last_s, _DECIMALS) + 0.0
+    # Clockwise from north.
     text = xml_text(
         "openscenario.xml.j2",
         run=run,
@@ -165,9 +171,7 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
         bodies=described,
         sky=sky,
         light=light,
-        azimuth_rad=_radians(
-            (90.0 - light.sun_yaw_deg) % 360.0
-        ),  # clockwise from north
+        azimuth_rad=_radians((90.0 - light.sun_yaw_deg) % 360.0),
         elevation_rad=_radians(light.sun_elevation_deg),
         tracks=[_build_track(name, run, after_s) for name in (VUT, VRU)],
         standing=[
@@ -186,7 +190,9 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
 
 
 def validate_openscenario(text: str) -> None:
-    """Check a file against the schema of OpenSCENARIO 1.3.1, which comes with scenariogeneration.
+    """Check a file against the schema of OpenSCENARIO 1.3.1.
+
+    The schema comes with scenariogeneration.
 
     Raises InputError where it is not XML, or the schema rejects it; or
     MissingExtraError.
@@ -220,7 +226,10 @@ def _schema() -> Any:
 
 
 def _build_track(name: str, run: Run, after_s: float) -> dict[str, Any]:
-    """An entity's way from the first frame (time 0) on, and the speed with which it leaves it."""
+    """An entity's way from the first frame on, and its speed at the end.
+
+    The first frame is time 0.
+    """
     # Names of entities are those of the run's fields.
     actor = getattr(run.encounter, name)
     motion = getattr(run.encounter, f"{name}_motion")
@@ -247,7 +256,8 @@ def _build_track(name: str, run: Run, after_s: float) -> dict[str, Any]:
     position_m = np.concatenate([position_m, more_m])[order]
     yaw_deg = np.concatenate([yaw_deg, more_deg])[order]
     way_m = np.diff(motion.distance_m(first_s + np.array([0.0, _SPEED_STEP_S])))[0]
-    yaw_deg = np.unwrap(yaw_deg, period=360.0)  # without jumps by full turns
+    # Without jumps by full turns.
+    yaw_deg = np.unwrap(yaw_deg, period=360.0)
     return {
         "name": name,
         "times_s": ((time_s - first_s).round(_DECIMALS) + 0.0).tolist(),
@@ -259,7 +269,10 @@ def _build_track(name: str, run: Run, after_s: float) -> dict[str, Any]:
 def _places(
     actor: Actor, position_m: FloatArray, yaw_deg: ArrayLike, terrain: Terrain | None
 ) -> list[_Place]:
-    """From middles of the footprint (n, 2) to the standard's reference points on the ground."""
+    """The standard's reference points, of middles of a footprint (n, 2).
+
+    They are on the ground.
+    """
     yaw_rad = np.radians(yaw_deg)
     ahead = np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1)
     points_m = on_ground(position_m + reference_ahead_m(actor) * ahead, terrain)

@@ -64,14 +64,20 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
 
 
 def map_points(points_m: FloatArray, scene: Scene) -> FloatArray:
-    """Points of the world frame, (n, 2), in the map's ``source_crs``, or else ``crs``."""
+    """Points of the world frame, (n, 2), in the map's ``source_crs``.
+
+    Or else ``crs``.
+    """
     if not scene.source_crs:
         return points_m
     return transform(points_m, scene.crs, scene.source_crs)
 
 
 def metric_points(points_m: FloatArray, scene: Scene) -> FloatArray:
-    """Points of the world frame, (n, 2), in the map's coordinates, where these are in metres."""
+    """Points of the world frame, (n, 2), in the map's coordinates.
+
+    Where these are in metres.
+    """
     if not scene.crs:
         return points_m + scene.source_origin_m
     if scene.source_crs and parse_crs(scene.source_crs).is_geographic:
@@ -88,7 +94,9 @@ def require_crs(crs: str, format_name: str) -> None:
 
 
 def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
-    """Points of the world frame, (n, 2) or (n, 3), in WGS 84: longitude, latitude, (n, 2) degrees.
+    """Points of the world frame, (n, 2) or (n, 3), in WGS 84.
+
+    Longitude, latitude, (n, 2) degrees.
 
     Raises InputError if pyproj does not know `crs`, or they lie outside of where it is
     defined.

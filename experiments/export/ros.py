@@ -19,7 +19,9 @@ WORLD_FRAME = "map"
 
 
 def to_ros(layout: Layout, scene: Scene | None = None) -> str:
-    """Layout as YAML: one document per camera; comments name LiDARs left out and assumed sites.
+    """Layout as YAML: one document per camera.
+
+    Comments name LiDARs left out and assumed sites.
 
     A document has the fields that ``camera_calibration_parsers`` reads - it takes the
     first document of a file -, the unit's id, and under static_transform what
@@ -54,7 +56,10 @@ def ros_text(cameras: Mapping[str, CalibratedCamera], comment: str = "") -> str:
 
 
 def camera_names(units: Iterable[str]) -> list[str]:
-    """Names that ROS allows, each once: letters, digits, underscores, a letter first."""
+    """Names that ROS allows, each once.
+
+    Letters, digits, underscores, a letter first.
+    """
     names: list[str] = []
     for unit in units:
         word = re.sub(r"[^A-Za-z0-9]+", "_", unit).strip("_").lower()

@@ -11,12 +11,18 @@ from .places import longitude_latitude, placed_records, positions_m
 
 
 def to_csv(layout: Layout, scene: Scene | None = None) -> str:
-    """Layout as CSV: one row per unit, in full precision; see :func:`placed_records`."""
+    """Layout as CSV: one row per unit, in full precision.
+
+    See :func:`placed_records`.
+    """
     return records_csv(placed_records(layout, scene))
 
 
 def to_parquet(layout: Layout, scene: Scene) -> bytes:
-    """Layout as Apache Parquet: as CSV, and with a crs longitude_deg and latitude_deg."""
+    """Layout as Apache Parquet.
+
+    As CSV, and with a crs longitude_deg and latitude_deg.
+    """
     import pandas as pd
 
     table = pd.DataFrame(placed_records(layout, scene))

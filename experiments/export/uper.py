@@ -1,4 +1,7 @@
-"""Messages of V2X stations as bytes (UPER), as records of a file, and their load of a channel."""
+"""Messages of V2X stations as bytes (UPER), as records of a file.
+
+And their load of a channel.
+"""
 
 import json
 from collections.abc import Iterable
@@ -15,8 +18,10 @@ from .watched import WatchedRun
 
 _MESSAGE = "CollectivePerceptionMessage"
 CONTAINERS = {
-    2: "OriginatingRsuContainer", 3: "SensorInformationContainer", 5: "PerceivedObjectContainer"
-}  # fmt: skip
+    2: "OriginatingRsuContainer",
+    3: "SensorInformationContainer",
+    5: "PerceivedObjectContainer",
+}
 _TIME_BYTES = 8
 _SIZE_BYTES = 4
 _STATION = slice(2, 6)  # bytes of a message: behind protocol version and message id
@@ -98,7 +103,10 @@ def tell_load(content: bytes) -> str:
 
 
 def encode(message: dict[str, Any], release: str = RELEASES[0]) -> bytes:
-    """Bytes of a message of :func:`.cpm.build_stations`, unsigned, without headers of the net."""
+    """Bytes of a message of :func:`.cpm.build_stations`, unsigned.
+
+    Without headers of the net.
+    """
     payload = message["payload"]
     containers = []
     for container in payload["cpmContainers"]:

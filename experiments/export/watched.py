@@ -1,4 +1,4 @@
-"""Layouts as files of other programs, and runs with the frames in which each unit detects."""
+"""Layouts as files of other programs, and runs as the units see them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -79,13 +79,17 @@ class WatchedRun:
     # by unit's id (n_frames,): frames in which the evaluator's detector finds the road
     # user
     detected: Mapping[str, BoolArray]
-    rule: AebRule  # from detected frames to braking
+    # From detected frames to braking.
+    rule: AebRule
 
 
 def watch_run(
     layout: Layout, scene: Scene, run_id: str, *, compute: Compute = DEFAULT_COMPUTE
 ) -> WatchedRun:
-    """Run that an id names, or InputError, watched by a layout with the default detector."""
+    """Run that an id names, watched by a layout.
+
+    The detector is the default one. Raises InputError if there is no such run.
+    """
     from placement.evaluator.evaluate import unit_key, watch
 
     run = find_run(run_id, scene)

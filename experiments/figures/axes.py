@@ -1,4 +1,7 @@
-"""Figures in one style: sizes, colours, axes, labels, PNG files; without pyplot's global state."""
+"""Figures in one style.
+
+Sizes, colours, axes, labels, PNG files; without pyplot's global state.
+"""
 
 import warnings
 from collections.abc import Iterator
@@ -27,14 +30,13 @@ VERMILION = "#D55E00"
 PINK = "#CC79A7"
 GREY = "#999999"
 
-PALETTE = (BLUE, VERMILION, GREEN, ORANGE, PINK, SKY)
 UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
 WIDTH_IN = 6.8
 NARROW_IN = 4.0
 """Width of figures whose letters can be read on a phone without moving the figure."""
 
 Style = dict[str, Any]
-"""Properties of a matplotlib artist by their names: what its method takes as keywords."""
+"""Properties of a matplotlib artist by name, as its method takes them."""
 
 _DPI = 160
 _MAX_LABEL_LENGTH = 8
@@ -43,7 +45,10 @@ _MAX_LABEL_LENGTH = 8
 def new_figure(
     width_in: float, height_in: float, *, dpi: float | None = None
 ) -> Figure:
-    """An empty figure, drawn by Agg, in inches; a narrow one has as many pixels as a usual one."""
+    """An empty figure, drawn by Agg, in inches.
+
+    A narrow one has as many pixels as a usual one.
+    """
     if dpi is None:
         if width_in == NARROW_IN:
             dpi = WIDTH_IN * _DPI / width_in
@@ -68,7 +73,10 @@ def finish_axes(
     grid: str | None = None,
     hidden: tuple[str, ...] = ("top", "right"),
 ) -> None:
-    """Labels of the axes, tick labels, a light grid along ``x``, ``y`` or ``both``, no frame."""
+    """Set labels, ticks and a light grid of axes, without a frame.
+
+    `grid` is ``x``, ``y`` or ``both``.
+    """
     if x is not None:
         axes.set_xlabel(x, fontsize=size)
     if y is not None:
@@ -111,14 +119,17 @@ def root_figure(drawn: Axes | Figure) -> Figure:
 
 @contextmanager
 def drawing_any_name() -> Iterator[None]:
-    """A name in a script that the font lacks is drawn as boxes, without a warning on stderr."""
+    """Draw letters that the font lacks as boxes, without a warning."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
 
 
 def to_png(drawn: Axes | Figure) -> bytes:
-    """A figure, or the one that some axes are in, as a PNG file; equal ones give equal bytes."""
+    """A figure, or the one that some axes are in, as a PNG file.
+
+    Equal ones give equal bytes.
+    """
     figure = root_figure(drawn)
     if language() != "en":
         _localize_ticks(figure)
@@ -129,7 +140,8 @@ def to_png(drawn: Axes | Figure) -> bytes:
         if engine is not None:
             engine.execute(figure)
             figure.set_layout_engine("none")
-        canvas: Any = FigureCanvasAgg(figure)  # print_png has no types
+        # print_png has no types.
+        canvas: Any = FigureCanvasAgg(figure)
         canvas.print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
 
@@ -147,7 +159,10 @@ def _localize_ticks(figure: Figure) -> None:
 
 
 def literal(name: str) -> str:
-    """A name for matplotlib to draw letter by letter: no mathematics, and never left out."""
+    """A name for matplotlib to draw letter by letter.
+
+    No mathematics, and never left out.
+    """
     escaped = name.replace("$", r"\$")
     if escaped.startswith("_"):
         return f" {escaped}"
@@ -155,7 +170,10 @@ def literal(name: str) -> str:
 
 
 def unit_labels(layout: Layout) -> dict[str, str]:
-    """Short labels of a layout's units by id: the ids if all are short, else "#1", "#2" .."""
+    """Short labels of a layout's units by id.
+
+    The ids if all are short, else "#1", "#2" ..
+    """
     ids = [unit.id for unit in layout.units]
     if all(len(unit_id) <= _MAX_LABEL_LENGTH for unit_id in ids):
         return {unit_id: unit_id for unit_id in ids}
@@ -163,7 +181,10 @@ def unit_labels(layout: Layout) -> dict[str, str]:
 
 
 def describe_run(axis: FrameAxis, run_index: int) -> str:
-    """A run in words: case, approach, position unless 0, speed, and the weather unless day."""
+    """A run in words: case, approach and speed.
+
+    Also the position unless it is 0, and the weather unless it is day.
+    """
     weather = axis.weathers[run_index]
     position = axis.positions[run_index]
     where = tr(axis.approaches[run_index])

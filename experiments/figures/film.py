@@ -1,4 +1,7 @@
-"""A run from above: film strip or animation, with what the VUT has in sight of the VRU."""
+"""A run from above, as a film strip or an animation.
+
+It shows what the VUT has in sight of the VRU.
+"""
 
 from functools import partial
 from io import BytesIO
@@ -92,7 +95,9 @@ def plot_film(scene: Scene, run: Run) -> list[Axes]:
 def save_film(
     path: Path, scene: Scene, run: Run, *, progress: Progress = silent
 ) -> None:
-    """Write a run as a film strip or, to a ``.gif``, as an animation in real time.
+    """Write a run as a film strip, or as an animation to a ``.gif``.
+
+    The animation runs in real time.
 
     Parameters
     ----------
@@ -121,7 +126,8 @@ def save_film(
             metadata = {}
         with drawing_any_name():
             figure = plot_film(scene, run)[0].get_figure(root=True)
-            assert figure is not None  # it was made for these axes
+            # It was made for these axes.
+            assert figure is not None
             figure.savefig(buffer, format=suffix[1:], metadata=metadata)
         data = buffer.getvalue()
     else:
@@ -146,10 +152,11 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
         return []
 
     animation = FuncAnimation(figure, draw, frames=frames, init_func=list)
+    # The library writes to names only.
     with (
         TemporaryDirectory() as folder,
         drawing_any_name(),
-    ):  # the library writes to names only
+    ):
         name = Path(folder) / "film.gif"
         rate_hz = round(1.0 / float(np.diff(run.time_s[-2:])[0]))
         tell = partial(progress, "draw")
@@ -184,7 +191,10 @@ def _first_s(run: Run) -> float:
 
 
 def _instants(run: Run) -> list[int]:
-    """Frames of a strip: three, the last one that still helps, one after it, the impact."""
+    """Frames of a strip, from the first to the impact.
+
+    Three frames, the last one that still helps, one after it, and the impact.
+    """
     final = len(run.time_s) - 1
     first = int(np.searchsorted(run.time_s, _first_s(run) - 1e-9))
     usable = np.flatnonzero(run.time_s <= run.last_brake_time_s)
@@ -257,7 +267,10 @@ class _Stage:
         self._point_at_vut(axes, frame)
 
     def _draw_sight(self, axes: Axes, frame: int) -> float:
-        """Draw what the VUT looks at; returns the share of the VRU that it has in sight."""
+        """Draw what the VUT looks at.
+
+        Returns the share of the VRU that it has in sight.
+        """
         run, yaw_deg = self.run, float(self.run.vut_yaw_deg[frame])
         where = on_ground(run.vut_position_m[frame], run.terrain)
         pose = Pose(position_m=where, yaw_deg=yaw_deg)
@@ -312,7 +325,10 @@ def _draw_body(
 
 
 def _window(run: Run, frames: list[int]) -> tuple[FloatArray, float]:
-    """Middle and half the size of a square around the VRU's way, the impact and the braking VUT."""
+    """Middle and half size of the square that a film shows.
+
+    It holds the VRU's way, the impact and the braking VUT.
+    """
     shown = [run.vru_position_m[frames], run.vut_position_m[-1:]]
     shown += [body.pose.position_m[None, :2] for body in run.obstruction[:2]]
     if np.isfinite(run.last_brake_time_s):

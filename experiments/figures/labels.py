@@ -1,4 +1,7 @@
-"""Labels that do not lie on one another: each is put on a free side of its point."""
+"""Labels that do not lie on one another.
+
+Each is put on a free side of its point.
+"""
 
 import math
 from collections import Counter
@@ -26,14 +29,18 @@ from .axes import Style, literal, root_figure, unit_labels, write_beside
 HALO = withStroke(linewidth=3.0, foreground="white")
 _POINTS_PER_INCH = 72.0
 _LETTER = 0.64
-_LINE = 1.3  # width and height of a letter, in font sizes
-_APART = 1.5  # points around a label
+# Width and height of a letter, in font sizes.
+_LINE = 1.3
+# Points around a label.
+_APART = 1.5
 _TURNS_DEG = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 _MORE_POINTS = (0.0, 7.0, 15.0, 26.0)
 MAX_LABELLED_UNITS = 40
 """Of more units, the plan tells how many there are at each place."""
-_NAMES_AT = 0.8  # of the way to the frame
-_NEAR_ITS_MOUTH = 0.77  # cosine of the angle to the mouth, seen from the middle
+# Of the way to the frame.
+_NAMES_AT = 0.8
+# Cosine of the angle to the mouth, seen from the middle.
+_NEAR_ITS_MOUTH = 0.77
 ARROW_POINTS = 13.0
 """From a pole to the tip of its unit's arrow."""
 _SAME_PLACE_M = 1.0
@@ -45,12 +52,16 @@ class TextLabel:
     """A text of one line next to a point."""
 
     text: str
-    point_m: tuple[float, float]  # in the axes' data. [m]
+    # In the axes' data. [m]
+    point_m: tuple[float, float]
     # side that it is put on if free, counter-clockwise from east
     toward_deg: float = 45.0
-    gap: float = 4.0  # from the point to the text. [points]
-    size: float = 8.0  # of the letters. [points]
-    is_kept: bool = True  # drawn where no side is free, too
+    # From the point to the text. [points]
+    gap: float = 4.0
+    # Of the letters. [points]
+    size: float = 8.0
+    # Drawn where no side is free, too.
+    is_kept: bool = True
     style: Style | None = None
 
 
@@ -61,7 +72,9 @@ def draw_labels(
     marks_m: FloatArray | None = None,
     mark: float = 6.0,
 ) -> None:
-    """Write labels, the first ones first, each where it hides no other and no mark.
+    """Write labels where they hide neither one another nor a mark.
+
+    The first ones choose first.
 
     The axes have their final limits and are as long in east as in north; labels beyond
     are left out. `marks_m` are the middles of marks, (n, 2) [m], half of whose size is
@@ -93,7 +106,8 @@ def draw_labels(
             for more in _MORE_POINTS
             for way in _TURNS_DEG
         ]
-        middles = np.clip(point + shifts, half, most)  # moved into the frame
+        # Moved into the frame.
+        middles = np.clip(point + shifts, half, most)
         boxes = np.hstack([middles - half, middles + half])
         hidden = _overlaps(np.reshape(taken, (-1, 4)), boxes).sum(axis=0)
         best = int(np.argmin(hidden))
@@ -120,7 +134,10 @@ def _shift(
 
 
 def _overlaps(ones: FloatArray, others: FloatArray) -> FloatArray:
-    """Areas that rectangles (n, 4) and (m, 4), lower and upper corners, have in common (n, m)."""
+    """Areas (n, m) that rectangles (n, 4) and (m, 4) have in common.
+
+    A rectangle is its lower and its upper corner.
+    """
     ones = ones[:, None]
     sides = np.minimum(ones[..., 2:], others[:, 2:]) - np.maximum(
         ones[..., :2], others[:, :2]
@@ -130,7 +147,10 @@ def _overlaps(ones: FloatArray, others: FloatArray) -> FloatArray:
 
 
 def unit_names(layout: Layout, scene: Scene) -> list[TextLabel]:
-    """Short names of units that look one way from one pole; of many, how many are at a place."""
+    """Short names of units that look one way from one pole.
+
+    Of many, how many are at a place.
+    """
     if len(layout.units) > MAX_LABELLED_UNITS:
         places = Counter(
             tuple(np.round(unit.pose.position_m[:2], 1)) for unit in layout.units
@@ -181,11 +201,15 @@ def looks_alike(unit: CandidatePose, other: CandidatePose) -> bool:
 def arm_names(
     scene: Scene, middle_m: FloatArray, half_size_m: float
 ) -> list[TextLabel]:
-    """Names of the junction's arms and their streets, next to their lanes towards the frame."""
+    """Names of the junction's arms and streets, next to their lanes.
+
+    They stand towards the frame.
+    """
     try:
         streets = street_names(scene)
         arms = build_junction(scene).arms
-    except InputError:  # no lane ends at the junction
+    except InputError:
+        # No lane ends at the junction.
         return []
     labels = []
     for name, arm in arms.items():
@@ -194,7 +218,8 @@ def arm_names(
         ways = points - middle_m
         ahead = arm_mouth(arm) - middle_m
         along = ways @ ahead / np.maximum(np.hypot(*ways.T) * np.hypot(*ahead), 1e-9)
-        ways = ways[along >= min(_NEAR_ITS_MOUTH, along.max())]  # of an arm that bends
+        # Of an arm that bends.
+        ways = ways[along >= min(_NEAR_ITS_MOUTH, along.max())]
         away_m = np.abs(ways).max(axis=1)
         way = ways[np.argmin(np.abs(away_m - _NAMES_AT * half_size_m))]
         at = middle_m + way

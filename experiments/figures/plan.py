@@ -64,8 +64,10 @@ ASSUMED_STYLE: Style = SITE_STYLE | {"marker": "D", "markeredgecolor": VERMILION
 """Of sites that the map does not have, or not there."""
 _LINE_STYLES = ("-", "--", "-.", ":")
 _LEGEND_ROW_IN = 0.17
-_MAX_NAME = 38  # letters that the legend has room for
-_PATHS: dict[str, tuple[str, Any, float]] = {  # name, dashes, width
+# Letters that the legend has room for.
+_MAX_NAME = 38
+# Name, dashes, width.
+_PATHS: dict[str, tuple[str, Any, float]] = {
     "vut": (mark("car under test (VUT)"), "-", 1.3),
     "pedestrian": (mark("pedestrian, to the collision point"), (0, (1.2, 1.2)), 1.8),
     "cyclist": (mark("cyclist, to the collision point"), (0, (5.0, 2.0)), 1.2),
@@ -83,7 +85,8 @@ _IMPACT_STYLE: Style = _CROSS | {"markersize": 4.5, "linestyle": "none"}
 _ROUND_MARKER: Style = {"marker": "o", "linestyle": "none"}
 # Looking east; the last point closes the outline.
 _DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0]])
-_DART_POINTS = 5.5  # half its length
+# Half its length.
+_DART_POINTS = 5.5
 _N_BEARINGS = 180
 _STEP_M = 0.1
 _HALF_SIZE_M = 45.0
@@ -91,7 +94,10 @@ _MARGIN_M = 5.0
 
 
 def draw_scene(axes: Axes, scene: Scene) -> None:
-    """Draw lanes, crosswalks, sites and things; what comes later goes on top up to zorder 6.5."""
+    """Draw lanes, crosswalks, sites and things.
+
+    What comes later goes on top up to zorder 6.5.
+    """
     axes.set_facecolor("#f4f2ee")
     for lane in scene.lanes:
         if lane.kind == "parking":
@@ -127,7 +133,10 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
 
 
 def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
-    """Draw bodies that belong to single cases: what they cover, and each once its outline."""
+    """Draw bodies that belong to single cases.
+
+    What they cover, and each once its outline.
+    """
     corners = [one.footprint_m for one in {body.key: body for body in bodies}.values()]
     if not corners:
         return
@@ -210,7 +219,10 @@ def ground_footprint(
 
 
 def _lens_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
-    """Ground between the nearest and the farthest point that a lens shows, bearing by bearing."""
+    """Ground that a lens shows, from the nearest to the farthest point.
+
+    Found bearing by bearing.
+    """
     away_m = np.arange(0.25, max_range_m + 0.25, 0.25)
     bearing = np.radians(unit.pose.yaw_deg + np.arange(-180.0, 180.0))
     ways = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
@@ -233,7 +245,9 @@ def plot_plan(
     width_in: float = WIDTH_IN,
     axes: Axes | None = None,
 ) -> Axes:
-    """Plan of the junction with a layout: where its units are and what ground they look at.
+    """Plan of the junction with a layout.
+
+    Where its units are and what ground they look at.
 
     Parameters
     ----------
@@ -266,7 +280,8 @@ def plot_plan(
     if axes is None:
         n_rows = -(-len(entries) // n_columns)
         axes = new_axes(width_in, width_in + 0.05 + _LEGEND_ROW_IN * n_rows)
-        axes.set_anchor("N")  # what is left over is below the legend
+        # What is left over is below the legend.
+        axes.set_anchor("N")
     scene, outline = setting.scene, setting.scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     feet = np.array([unit.pose.position_m[:2] for unit in layout.units])
@@ -305,7 +320,10 @@ def plot_plan(
 
 
 def _clip(corners: FloatArray, inside: FloatArray) -> FloatArray:
-    """Part of a convex polygon where `inside`, a linear function at its corners, is positive."""
+    """Part of a convex polygon where `inside` is positive.
+
+    `inside` has the values of a linear function at the corners.
+    """
     kept: list[FloatArray] = []
     for index in range(len(corners)):
         here = inside[index - 1]
@@ -324,7 +342,8 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     firsts = {
         (run.case.name, run.approach, run.position): run for run in reversed(runs)
     }
-    gap = np.full((1, 2), np.nan)  # lines with gaps are drawn in one go
+    # Lines with gaps are drawn in one go.
+    gap = np.full((1, 2), np.nan)
     ways: dict[str, list[FloatArray]] = {name: [gap] for name in _PATHS}
     for run in firsts.values():
         vru = run.case.vru.class_name
@@ -369,7 +388,10 @@ def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) ->
 
 
 def _camera_marker(unit: CandidatePose, rank: int = 0) -> Style:
-    """A dart that points where the camera looks, the next ones before it; a disc: all round."""
+    """A dart that points where the camera looks, the next ones before it.
+
+    A disc: all round.
+    """
     if is_ring(unit.sensor):
         return {**_ROUND_MARKER, "markersize": 10.0}
     yaw = math.radians(unit.pose.yaw_deg)
@@ -476,21 +498,30 @@ def _plan_legend(
 
 
 def compass_word(unit: CandidatePose) -> str:
-    """Point of the compass to which a unit looks; "all round" of one that looks to none."""
+    """Point of the compass to which a unit looks.
+
+    "all round" of one that looks to none.
+    """
     if is_ring(unit.sensor):
         return tr("all round")
     return tr(COMPASS[round(unit.pose.yaw_deg / 45.0) % 8])
 
 
 def looking_words(unit: CandidatePose) -> str:
-    """Direction of a unit's view, for a sentence: "looking to the east" or "scanning all round"."""
+    """Direction of a unit's view, for a sentence.
+
+    "looking to the east" or "scanning all round".
+    """
     if is_ring(unit.sensor):
         return tr("scanning all round")
     return tr("looking to the {compass}", compass=compass_word(unit))
 
 
 def is_wide(unit: CandidatePose) -> bool:
-    """True for a LiDAR that opens half a turn or more: no picture plane holds its view."""
+    """True for a LiDAR that opens half a turn or more.
+
+    No picture plane holds its view.
+    """
     return (
         isinstance(unit.sensor, LidarModel) and unit.sensor.horizontal_fov_deg >= 180.0
     )
@@ -499,7 +530,9 @@ def is_wide(unit: CandidatePose) -> bool:
 def ground_rings(
     unit: CandidatePose, *, max_range_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Outlines of the road plane that a wide LiDAR's beams meet, if nothing stood on it.
+    """Outlines of the road that a wide LiDAR's beams meet.
+
+    As if nothing stood on it.
 
     Where the ground that it meets ends and begins, each (n, 2), counter-clockwise
     around the foot; empty where there is none. To the sides where no ground is met the
@@ -534,7 +567,10 @@ def blind_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
 
 
 def ring_path(*outlines_m: FloatArray) -> Path:
-    """Open outlines, (n, 2), as one shape: the inside of the second is a hole in the first."""
+    """Open outlines, (n, 2), as one shape.
+
+    The inside of the second is a hole in the first.
+    """
     rings = [
         Path(np.vstack([corners, corners[:1]])[:: -1 if index else 1], closed=True)
         for index, corners in enumerate(outlines_m)

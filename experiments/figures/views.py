@@ -1,4 +1,7 @@
-"""Ground on which a sensor can detect a road user: up to its detector's reach, and up to walls."""
+"""Ground on which a sensor can detect a road user.
+
+Up to its detector's reach, and up to walls.
+"""
 
 import threading
 from collections import OrderedDict
@@ -22,19 +25,24 @@ from placement.setting import Setting
 from .plan import ground_footprint, ground_rings, is_wide
 
 MAX_RANGE_M = 150.0
-"""Views are drawn up to here: nothing that is driven starts farther from a junction's poles."""
+"""Views are drawn up to here: no run starts farther from a junction's poles."""
 
 _N_BEARINGS = 360
 _FINE_M = 1.0
 _FINE_UP_TO_M = 50.0
-_COARSE_M = 2.0  # between the places that are asked of
+# Between the places that are asked of.
+_COARSE_M = 2.0
 _HAIR_M = 0.05
-_STEP_M = 0.5  # of the reach
+# Of the reach.
+_STEP_M = 0.5
 _MAX_MOUNTS = 256
 
 
 class GroundViews:
-    """Views in one setting; rays are cast once per mount position. For several threads."""
+    """Views in one setting.
+
+    Rays are cast once per mount position. For several threads.
+    """
 
     def __init__(self, setting: Setting) -> None:
         self._setting = setting
@@ -42,7 +50,9 @@ class GroundViews:
         self._lock = threading.Lock()
 
     def reach_m(self, sensor: Sensor) -> float:
-        """Distance up to which a sensor detects the tallest road user, if nothing occludes it.
+        """Distance up to which a sensor detects the tallest road user.
+
+        If nothing occludes them.
 
         Of a camera, depth along its axis: where the box is as high as the planning
         detector asks for at the contrast of the clearest weather that is driven. At
@@ -74,7 +84,9 @@ class GroundViews:
         return float(depth_m[is_high].max(initial=0.0))
 
     def shape(self, unit: CandidatePose) -> Any:
-        """Ground in a unit's view as a shapely shape, maybe in parts or empty. World frame, metres.
+        """Ground in a unit's view as a shapely shape, maybe in parts or empty.
+
+        World frame, metres.
 
         What its image shows of the ground within its reach, without what the scene
         occludes one metre above it. Shadows of poles, narrower than two degrees, are
@@ -137,7 +149,8 @@ class GroundViews:
         places = ground_m + [0.0, 0.0, LOOK_AT_M] - self._origin_m
         is_open = is_in_sight(self._caster, eye, places, near_m=unit.sensor.near_m)
         is_open = is_open.reshape(_N_BEARINGS, -1)
-        is_open[:, 0] = True  # rays do not begin nearer
+        # Rays do not begin nearer.
+        is_open[:, 0] = True
         is_open |= np.roll(is_open, 1, axis=0) & np.roll(is_open, -1, axis=0)
         change = np.diff(np.pad(is_open.astype(np.int8), ((0, 0), (1, 1))), axis=1)
         row, first = np.nonzero(change == 1)
@@ -155,10 +168,11 @@ class GroundViews:
         is_inner = first == 0
         star = shapely.Polygon(eye_m[:2] + corners[is_inner, 1:3].reshape(-1, 2))
         joined = shapely.union_all([star, *sectors[~is_inner]])
+        # Or rounding would leave gaps between sectors.
         for width_m in (
             _HAIR_M,
             -_HAIR_M,
-        ):  # or rounding would leave gaps between sectors
+        ):
             joined = shapely.buffer(
                 joined, width_m, join_style="mitre", mitre_limit=1.5
             )
@@ -166,7 +180,10 @@ class GroundViews:
 
 
 def _mount_key(unit: CandidatePose) -> tuple[float, ...]:
-    """Equal for units that look from the same place, with any setting of the same lens."""
+    """Key of a view: equal for units that look from the same place.
+
+    They may have any setting of the same lens.
+    """
     return (*unit.pose.position_m.tolist(), unit.sensor.near_m)
 
 

@@ -1,4 +1,4 @@
-"""A result made anew from what was asked, and compared with a folder file by file.
+"""A result made anew, and compared with a folder file by file.
 
 Everything is computed again without any cache: the detection table, the search, the
 evaluator's pictures and verdicts, the comparisons, the bill. The report is then drawn
@@ -35,23 +35,26 @@ if TYPE_CHECKING:
     from .placement import Answered
 
 Add = Callable[[str, str, str], None]
-"""Takes a check: its name, what is wrong in words or nothing, what to say if all is right."""
+"""Takes a check: its name, what is wrong or nothing, what to say if all is right."""
 
 _TOLERANCE = 1.0e-9
-_SECONDS = "seconds"  # keys of times: no two calls take as long
+# Keys of times: no two calls take as long.
+_SECONDS = "seconds"
 _VERSIONS = "versions"
+# Times that are not known yet when the report is written.
 _AFTERWARDS = (
     WRITING,
     "total",
-)  # times that are not known yet when the report is written
-_MOST_TOLD = 3  # differences of a file
+)
+# Differences of a file.
+_MOST_TOLD = 3
 _PICTURE = re.compile(r"data:[a-z/+]+;base64,[A-Za-z0-9+/=]*")
 
 
 def compare_anew(
     folder: Path, question: Question, add: Add, progress: StageProgress
 ) -> None:
-    """Make a placement anew and compare every file of its folder with what is written then.
+    """Make a placement anew and compare every file of its folder.
 
     Parameters
     ----------
@@ -117,7 +120,10 @@ def compare_anew(
 
 
 def _other_layout(stored: PlacementResult, answered: "Answered") -> str:
-    """In words that the search has found another layout this time; nothing if the same one."""
+    """In words that the search has found another layout this time.
+
+    Nothing if the same one.
+    """
     found = answered.result
     if to_plain(found.layout) == to_plain(stored.layout):
         return ""
@@ -145,7 +151,10 @@ def _compare_folders(folder: Path, anew: Path, add: Add) -> None:
 
 
 def _difference(name: str, path: Path, anew: Path) -> tuple[str, str]:
-    """What differs in a file, in words, or nothing; and what to say if nothing does."""
+    """What differs in a file, in words, or nothing.
+
+    And what to say if nothing does.
+    """
     if name == CERTIFICATE_FILE:
         wrong = differences(_json_of(path), _json_of(anew))
         return told(wrong), "every number, but for times"
@@ -178,7 +187,10 @@ def _json_of(path: Path) -> Any:
 
 
 def _difference_of_runs(path: Path, anew: Path) -> str:
-    """The first column of the table of runs that differs, in words; or nothing."""
+    """The first column of the table of runs that differs, in words.
+
+    Or nothing.
+    """
     tables = []
     for one in (path, anew):
         with open_parquet(
@@ -205,7 +217,10 @@ def _is_same_column(got: "pd.Series[Any]", wanted: "pd.Series[Any]") -> bool:
 
 
 def _difference_of_pages(got: bytes, wanted: bytes) -> str:
-    """Words and numbers first: where these are right, a picture is what differs."""
+    """Words and numbers first.
+
+    Where these are right, a picture is what differs.
+    """
     if got == wanted:
         return ""
     page = got.decode("utf-8", "replace")
@@ -218,7 +233,10 @@ def _difference_of_pages(got: bytes, wanted: bytes) -> str:
 
 
 def _difference_of_texts(got: bytes, wanted: bytes) -> str:
-    """The first line in which texts differ, numbers by more than rounding; or nothing."""
+    """The first line in which texts differ, numbers by more than rounding.
+
+    Or nothing.
+    """
     if got == wanted:
         return ""
     lines = got.decode("utf-8", "replace").split("\n")
@@ -294,7 +312,10 @@ def told(places: Sequence[str]) -> str:
 
 
 def agree(got: object, expected: object) -> bool:
-    """Two plain values are equal; numbers up to rounding, an infinite one is None."""
+    """Two plain values are equal.
+
+    Numbers up to rounding, an infinite one is None.
+    """
     if isinstance(expected, Mapping):
         is_alike = isinstance(got, Mapping) and got.keys() == expected.keys()
         return is_alike and all(agree(got[key], expected[key]) for key in expected)  # type: ignore[index]

@@ -1,4 +1,7 @@
-"""Evaluations and comparisons of layouts that are given: from a question to a result."""
+"""Evaluations and comparisons of layouts that are given.
+
+From a question to a result.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -46,7 +49,9 @@ def run_evaluation(
     asked: Question | None = None,
     sign: Path | None = None,
 ) -> EvaluationResult:
-    """Evaluate a layout, report if asked to; InputError if it cannot be mounted or written.
+    """Evaluate a layout, report if asked to.
+
+    InputError if it cannot be mounted or written.
 
     `asked` is the question before its map was imported, `sign` the key that signs the
     folder.
@@ -86,7 +91,9 @@ def run_comparison(
     asked: Question | None = None,
     sign: Path | None = None,
 ) -> ComparisonResult:
-    """Compare two layouts or more on the same runs; write a report if asked to.
+    """Compare two layouts or more on the same runs.
+
+    Write a report if asked to.
 
     With samples also in so many sampled worlds. `asked`, `sign` and errors are as those
     of :func:`run_evaluation`.
@@ -143,7 +150,10 @@ def run_comparison(
 def build_evaluation_result(
     setting: Setting, evaluation: Evaluation, **parts: Any
 ) -> EvaluationResult:
-    """One layout by the evaluator, with further `parts` by name; "seconds" is empty."""
+    """One layout by the evaluator, with further `parts` by name.
+
+    "seconds" is empty.
+    """
     return EvaluationResult(**build_answer(setting, evaluation, {}), **parts)
 
 
@@ -155,7 +165,10 @@ def build_comparison_result(
     of_others: Sequence[PrivateGroundRecord | None] = (),
     **parts: Any,
 ) -> ComparisonResult:
-    """A layout against others on the same runs; `of_others` is what these see of private ground."""
+    """A layout against others on the same runs.
+
+    `of_others` is what these see of private ground.
+    """
     compared = tuple(
         build_compared(subject, other, setting.rule, private)
         for other, private in zip(
@@ -176,7 +189,10 @@ def build_comparison_result(
 def _private_ground(
     question: Question, scene: Scene, layouts: Sequence[Layout]
 ) -> list[PrivateGroundRecord | None]:
-    """What each layout sees of the private ground of the question; None where it names none."""
+    """What each layout sees of the private ground of the question.
+
+    None where it names none.
+    """
     if not question.no_look:
         return [None] * len(layouts)
     private = load_private_ground(Path(question.no_look), scene)

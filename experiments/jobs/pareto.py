@@ -1,4 +1,7 @@
-"""Fronts that are asked for by themselves: what each further unit, or more money, buys."""
+"""Fronts that are asked for by themselves.
+
+What each further unit, or more money, buys.
+"""
 
 from dataclasses import replace
 from functools import partial
@@ -67,7 +70,9 @@ def run_pareto(
     command: str,
     progress: StageProgress,
 ) -> FrontResult:
-    """Find what each further unit, or more money, buys; write it to `out` if asked to.
+    """Find what each further unit, or more money, buys.
+
+    Write it to `out` if asked to.
 
     Parameters
     ----------
@@ -121,7 +126,8 @@ def run_pareto(
     find = cost_front
     if by == "units":
         most = problem.limits.budget_units
-        assert most is not None  # that was asked for
+        # That was asked for.
+        assert most is not None
         find = partial(pareto_front, max_units=most, min_units=max(n_kept, 1))
     stages: StageChoice = "all" if all_stages else "first"
     front = find(problem, stages=stages, effort=plan.effort, on_point=tell)

@@ -61,7 +61,7 @@ from .search import Found, Job, search
 _log = logging.getLogger(__name__)
 
 MIN_FRESH_WORLDS = 60
-"""Sampled worlds that a layout is judged in, at least: with fewer, intervals say little."""
+"""Least number of worlds to judge a layout in: with fewer, intervals say little."""
 
 
 _WORLDS_TOGETHER = 10
@@ -240,7 +240,10 @@ def _named_layouts(
 def _evaluate(
     found: Found, layouts: Mapping[str, Layout]
 ) -> tuple[dict[str, Evaluation], list[Evaluation]]:
-    """Layouts by display name, and those that lead, the one found first, by the evaluator."""
+    """Layouts by display name, and those that lead, by the evaluator.
+
+    The one found comes first.
+    """
     job = found.job
     leading = alternatives.leading_layouts(found.on_grid, found.placement)
     further = [layout for layout in leading if layout is not found.placement.greedy]
@@ -296,7 +299,10 @@ def _in_fresh_worlds(
 
 
 def _front_below(found: Found) -> FrontRecord | None:
-    """The best layout of each smaller size, too; None where the best was not what was asked."""
+    """The best layout of each smaller size, too.
+
+    None where the best was not what was asked.
+    """
     job = found.job
     placement = found.placement
     plan = found.plan
@@ -333,7 +339,10 @@ def _front_below(found: Found) -> FrontRecord | None:
 def judge_study_cases(
     job: Job, evaluations: Mapping[str, Evaluation]
 ) -> StudyCases | None:
-    """The layouts on the study's cases; None where these are asked about, or no arm has them."""
+    """The layouts on the study's cases.
+
+    None where these are asked about, or no arm has them.
+    """
     job.progress(STUDY_CASES, 0, 0)
     try:
         return on_study_cases(
@@ -351,7 +360,10 @@ def judge_study_cases(
 def build_asked_record(
     question: Question, compute: Compute, command: str
 ) -> AskedRecord:
-    """What was asked, as ``summary.json`` keeps it; the language is the one that is spoken."""
+    """What was asked, as ``summary.json`` keeps it.
+
+    The language is the one that is spoken.
+    """
     return AskedRecord(
         command=command,
         question=question_values(question),
@@ -368,7 +380,9 @@ def write_results(
     asked: AskedRecord,
     sign: Path | None = None,
 ) -> Result:
-    """The result with its "seconds", all stages but the writing; in a folder, if asked for.
+    """The result with its "seconds", all stages but the writing.
+
+    In a folder, if asked for.
 
     `folder` is replaced as a whole, or left as it was; the key `sign` signs it. Raises
     InputError if something cannot be written: it names the folder where the answer is
@@ -463,7 +477,7 @@ def write_files(new: Path, answered: Answered, result: Result) -> None:
 
 @contextmanager
 def _saved_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
-    """Keep the answer among the system's temporary files if its folder cannot take even that."""
+    """Keep the answer in a temporary file if its folder cannot take it."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""``place-rsus solve``: read a problem, solve it, prove the answer, tell what was found."""
+"""``place-rsus solve``: read a problem, solve and prove it."""
 
 import time
 from dataclasses import replace
@@ -68,7 +68,7 @@ def run_solve(
     gap: float,
     progress: StageProgress,
 ) -> PlacementSolution:
-    """Read a placement problem, ``instance.npz`` of a result folder, and solve it.
+    """Read a placement problem, such as ``instance.npz``, and solve it.
 
     Budget, target (infinity: all that can be avoided) or memory of tracks are in place
     of the file's own; all its other demands hold. Raises InputError if the file is
@@ -127,7 +127,7 @@ def _asked(
     budget_cost: float | None,
     target: float | None,
 ) -> PlacementProblem:
-    """The problem with the command line's budget or target in place of its own.
+    """The problem with the budget or target of the command line.
 
     All else stays as the file asks it, but the number of units, where a target is
     reached with the fewest of them.

@@ -23,7 +23,8 @@ from geometry.errors import InputError, Unquoted, located
 from geometry.opening import read_bytes, read_text
 from geometry.scene import Scene
 from geometry.scene_sources import load_scene
-from geometry.study_scene import STUDY, load_study_scene
+from geometry.scene_sources import STUDY
+from geometry.study_scene import load_study_scene
 from geometry.tables import read_table
 from geometry.text_formats import parse_json
 from placement.detection_table import plain_axis
@@ -94,7 +95,10 @@ class CheckRecord(Record, frozen=True, kw_only=True):
 
 
 class VerifiedStageRecord(Record, frozen=True, kw_only=True):
-    """A stage of a certificate; the last three are UNSET where its proof was not looked at."""
+    """A stage of a certificate.
+
+    The last three are UNSET where its proof was not looked at.
+    """
 
     name: str
     objective: float
@@ -114,8 +118,10 @@ class VerificationResult(Record, frozen=True, kw_only=True):
     stages: tuple[VerifiedStageRecord, ...]
     solver: str
     not_checked: tuple[str, ...]
-    is_deep: bool  # the result was made anew, and every file compared
-    is_signed: bool  # by the key that was given
+    # The result was made anew, and every file compared.
+    is_deep: bool
+    # By the key that was given.
+    is_signed: bool
     seconds: dict[str, float]
 
 
@@ -125,22 +131,31 @@ class FolderChecks:
 
     checks: list[CheckRecord] = field(default_factory=list)
     not_checked: list[str] = field(default_factory=list)
-    is_deep: bool = False  # the result is made anew afterwards, and every file compared
+    # The result is made anew afterwards, and every file compared.
+    is_deep: bool = False
 
     def leave(self, what: str, *, deep: bool = False) -> None:
-        """Something that is not checked here; not said where ``--deep`` is on and checks it."""
+        """Something that is not checked here.
+
+        Not said where ``--deep`` is on and checks it.
+        """
         if not (deep and self.is_deep):
             self.not_checked.append(what)
 
     def add(self, name: str, wrong: str, right: str) -> None:
-        """A check: what is wrong in words, or nothing; and what to say if all is right."""
+        """A check: what is wrong in words, or nothing.
+
+        And what to say if all is right.
+        """
         self.checks.append(
             CheckRecord(name=name, passed=not wrong, detail=wrong or right)
         )
 
 
 def asked_question(folder: Path) -> Question | None:
-    """The question that a result answers; None where its summary does not say, or is none.
+    """The question that a result answers.
+
+    None where its summary does not say, or is none.
 
     Raises InputError: the question in ``summary.json`` cannot be one.
     """
@@ -161,7 +176,9 @@ def run_verification(
     key: Path | None = None,
     progress: StageProgress,
 ) -> VerificationResult:
-    """Check a result folder: certificate, instance and layout, and every other file.
+    """Check a result folder.
+
+    Certificate, instance and layout, and every other file.
 
     Parameters
     ----------
@@ -297,7 +314,10 @@ def _leave_maker(key: Path | None, found: FolderChecks) -> None:
 
 
 def _check_without_proof(folder: Path) -> Callable[[Path, FolderChecks], None] | None:
-    """How a folder is checked that has no certificate; None if it should have one."""
+    """How a folder is checked that has no certificate.
+
+    None if it should have one.
+    """
     if (folder / certified.JSON_NAME).exists():
         return _check_certified
     if not (folder / MARKER).is_file():
@@ -311,7 +331,10 @@ def _check_without_proof(folder: Path) -> Callable[[Path, FolderChecks], None] |
 
 
 def _check_evaluated(folder: Path, found: FolderChecks) -> None:
-    """A folder of ``evaluate`` or ``compare``: ratios from the runs, and the layout's files."""
+    """A folder of ``evaluate`` or ``compare``.
+
+    Ratios from the runs, and the layout's files.
+    """
     names = _check_manifest(folder, found)
     result = load_result(folder)
     _check_ratios(result, found)
@@ -326,13 +349,19 @@ def _check_evaluated(folder: Path, found: FolderChecks) -> None:
 
 
 def _check_recorded(folder: Path, found: FolderChecks) -> None:
-    """A folder of a recording whose units were judged: there is nothing but a summary."""
+    """A folder of a recording whose units were judged.
+
+    There is nothing but a summary.
+    """
     _check_manifest(folder, found)
     found.leave(f"what {MARKER} says: the recording is not at hand")
 
 
 def _check_certified(folder: Path, found: FolderChecks) -> None:
-    """A folder of ``certify``: its numbers anew from bounds and APRs, and its layout's sites."""
+    """A folder of ``certify``.
+
+    Its numbers anew from bounds and APRs, and its layout's sites.
+    """
     path = folder / certified.JSON_NAME
     stored = read_table(_load_object(path), certified.CertifiedResult, str(path))
     layout = load_layout(folder / LAYOUT_FILE)
@@ -388,7 +417,10 @@ def _check_scene(
     pose_ids: tuple[str, ...],
     found: FolderChecks,
 ) -> Scene | None:
-    """Compare the scene that is said with the one at hand; returns it if it is the same one."""
+    """Compare the scene that is said with the one at hand.
+
+    Returns it if it is the same one.
+    """
     if mounts is None:
         if layout is not None:
             found.leave(
@@ -448,7 +480,7 @@ def _check_files(
     scene: Scene | None,
     found: FolderChecks,
 ) -> None:
-    """Compare all files of a folder, as far as there is something to compare them with.
+    """Compare all files of a folder with what they must agree with.
 
     A recording has no layout; the scene is None unless it is known to be the one.
     Raises InputError if ``SHA256SUMS`` is no such list, or a file cannot be read.
@@ -476,7 +508,10 @@ def _check_files(
 
 
 def _check_manifest(folder: Path, found: FolderChecks) -> set[str]:
-    """Every file against its hash; returns the names of the files that are there."""
+    """Every file against its hash.
+
+    Returns the names of the files that are there.
+    """
     listed = read_manifest(folder)
     changes = changed_files(folder)
     if not changes:
@@ -542,7 +577,8 @@ def _check_summary(
     # What a summary tells of units beyond the layout file, such as where they are in
     # words.
     keys = [set(unit) for unit in stored.units]
-    told = {"cars": 0.0} | dict(summary)  # older summaries are of blind cars
+    # Older summaries are of blind cars.
+    told = {"cars": 0.0} | dict(summary)
     if isinstance(told.get("layout"), list) and len(told["layout"]) == len(keys):
         told["layout"] = [
             (
@@ -626,7 +662,10 @@ def _check_runs(
 
 
 def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
-    """Ratios in ``apr.csv`` and in the summary follow from the outcomes of the runs."""
+    """Check that ratios follow from the outcomes of the runs.
+
+    Those in ``apr.csv`` and in the summary.
+    """
     outcomes = {
         key: _Outcomes.of(table)
         for key, table in result.runs.groupby(["layout", "party"], sort=False)
@@ -669,7 +708,10 @@ def _wrong_ratios(
     outcomes: Mapping[Any, "_Outcomes"],
     cars: float,
 ) -> Iterator[str]:
-    """Ratios of a layout's parties in a summary that do not follow from the runs, in words."""
+    """Ratios in a summary that do not follow from the runs, in words.
+
+    Those of a layout's parties.
+    """
     together = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources", _HEADLINE)
     known = {key: evaluation[key] for key in together if evaluation.get(key)}
     for party, ratios in (known | evaluation["units"]).items():
@@ -696,7 +738,8 @@ def _wrong_ratios(
 class _Outcomes:
     """Runs of one party of one layout."""
 
-    words: tuple[Any, ...]  # by GROUP_COLUMNS: arrays of texts
+    # By GROUP_COLUMNS: arrays of texts.
+    words: tuple[Any, ...]
     weight: Any
     is_avoided: BoolArray
 
@@ -711,7 +754,10 @@ class _Outcomes:
         )
 
     def in_group(self, group: Sequence[str]) -> tuple[float | None, int, int]:
-        """Ratio, runs and avoided ones of a group of words; no ratio without weight."""
+        """Ratio, runs and avoided ones of a group of words.
+
+        No ratio without weight.
+        """
         mask = np.ones(len(self.weight), dtype=bool)
         for words, word in zip(self.words, group, strict=True):
             if word != ALL:
@@ -732,7 +778,10 @@ def _check_exports(
     names: set[str],
     found: FolderChecks,
 ) -> set[str]:
-    """Other files with the layout say what ``layout.json`` says; returns those compared."""
+    """Other files with the layout say what ``layout.json`` says.
+
+    Returns those compared.
+    """
     if scene is None:
         expected = {}
     else:
@@ -753,7 +802,10 @@ def _check_exports(
 
 
 def _csv_difference(text: str, layout: Layout) -> str:
-    """Differences of a table of units from a layout; places in a map are not compared."""
+    """Differences of a table of units from a layout.
+
+    Places in a map are not compared.
+    """
     rows = list(csv.DictReader(io.StringIO(text)))
     records = layout_records(layout)
     if len(rows) != len(records):

@@ -1,4 +1,6 @@
-"""Parts of an answer, one file each: its value, its words, its table, its figure.
+"""Parts of an answer, one file each.
+
+Its value, its words, its table, its figure.
 
 A part looks like this; each has of it what it needs:
 
@@ -33,11 +35,15 @@ class Part:
     else columns that do not fit stand in a further table below.
     """
 
-    title: str = ""  # empty: none, and the sentences begin on the left
-    words: Sequence[str] = ()  # a paragraph each
+    # Empty: none, and the sentences begin on the left.
+    title: str = ""
+    # A paragraph each.
+    words: Sequence[str] = ()
     table: "Table | None" = None
-    notes: Sequence[str] = ()  # sentences below the table
-    is_short: bool = False  # printed without ``--verbose``, too
+    # Sentences below the table.
+    notes: Sequence[str] = ()
+    # Printed without ``--verbose``, too.
+    is_short: bool = False
 
     def __bool__(self) -> bool:
         """There is something to print."""

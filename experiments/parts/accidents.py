@@ -1,4 +1,7 @@
-"""Accidents prevented: APR of every party and unit, what is driven, and how every run ends."""
+"""Accidents prevented.
+
+APR of every party and unit, what is driven, and how every run ends.
+"""
 
 import math
 from collections import Counter
@@ -25,7 +28,8 @@ from .section import Block, Box, Bullets, Section, Sketch, Subheading, Table
 
 MAX_UNIT_COLUMNS = 24
 """Of more units, each is a row of the table of units by themselves."""
-_MAX_FLAT_ROWS = 40  # a longer table is to unfold
+# A longer table is to unfold.
+_MAX_FLAT_ROWS = 40
 
 
 def is_weighted(axis: FrameAxis) -> bool:
@@ -49,7 +53,10 @@ def count_sensors(layout: Layout) -> str:
 def accidents_section(
     evaluations: Mapping[str, Evaluation], *, is_optimised: bool
 ) -> Section:
-    """The accident prevention ratio of every sensing party; the first evaluation is the subject."""
+    """The accident prevention ratio of every sensing party.
+
+    The first evaluation is the subject.
+    """
     axis = next(iter(evaluations.values())).axis
     meaning = tr(
         "The accident prevention ratio (APR) is the share of the runs in "
@@ -81,7 +88,9 @@ def accidents_section(
 
 
 def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
-    """APR of every sensing party; evaluations on the same runs, the first one is the subject.
+    """APR of every sensing party.
+
+    Evaluations on the same runs, the first one is the subject.
 
     A row for all runs, each case, and each weather where there are several. A column
     per layout, for the car alone and with each layout; and where road users announce
@@ -107,7 +116,10 @@ _APR_BY: dict[GroupedBy, str] = {
 
 
 def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
-    """APR of these parties by speed, direction and position, where there are several."""
+    """APR of the parties by speed, direction and position.
+
+    Only what there are several of.
+    """
     axis = next(iter(evaluations.values())).axis
     by: tuple[GroupedBy, ...] = ("speed", "direction", "position")
     tables = []
@@ -160,7 +172,9 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
 
 
 def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
-    """APR of each unit of a layout by itself, with the rows of :func:`apr_table`.
+    """APR of each unit of a layout by itself.
+
+    It has the rows of :func:`apr_table`.
 
     The last row: in what share of the frames the unit detects. Of more than
     ``MAX_UNIT_COLUMNS`` units each is a row instead, the best first; a long table is to
@@ -180,7 +194,8 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
         caption = tr("APR of each unit of {name} by itself, best first", name=name)
         columns = [tr("unit"), *(row[0] for row in rows)]
         of_units = zip(units, zip(*(row[1:] for row in rows), strict=True), strict=True)
-        best_first = sorted(  # stable: as in the layout where two are alike
+        # Stable: as in the layout where two are alike.
+        best_first = sorted(
             of_units,
             key=lambda pair: (apr(pair[0][1], axis), detected_share(pair[0][1], axis)),
             reverse=True,
@@ -202,7 +217,10 @@ def _cases(axis: FrameAxis) -> str:
 
 
 def several_weathers(axis: FrameAxis) -> list[RunGroup]:
-    """The weathers in the order in which they first appear; none where all runs have the same."""
+    """The weathers in the order in which they first appear.
+
+    None where all runs have the same.
+    """
     weathers = groups_by(axis, "weather")
     if len(weathers) > 1:
         return weathers
@@ -210,7 +228,7 @@ def several_weathers(axis: FrameAxis) -> list[RunGroup]:
 
 
 def _groups(axis: FrameAxis) -> list[RunGroup]:
-    """All runs, those of each case, and those of each weather where there are several."""
+    """Groups of runs: all, by case, and by weather if there are several."""
     every = (tr("all runs"), np.ones(axis.n_runs, dtype=bool))
     weathers = [
         (tr("weather: {weather}", weather=tr(name)), mask)
@@ -255,9 +273,12 @@ def cases_section(setting: Setting) -> Section:
     return Section("cases", tr("What is driven"), blocks)
 
 
-SKETCHED_M = 16.0  # half the side of the ground that a sketch shows
-_PER_M = 10  # units of the drawing
-_USER_M = 0.6  # radius of the mark of who is met
+# Half the side of the ground that a sketch shows.
+SKETCHED_M = 16.0
+# Units of the drawing.
+_PER_M = 10
+# Radius of the mark of who is met.
+_USER_M = 0.6
 
 
 def case_title(case: Case) -> str:
@@ -266,7 +287,10 @@ def case_title(case: Case) -> str:
 
 
 def sketch_case(run: Run) -> Sketch:
-    """A sketch of the case of a run; the car drives upwards, and hits in the middle."""
+    """A sketch of the case of a run.
+
+    The car drives upwards, and hits in the middle.
+    """
     is_near = [
         (abs(places - run.vut_position_m[-1]).max(axis=1) <= SKETCHED_M)
         for places in (run.vut_position_m, run.vru_position_m)
@@ -318,7 +342,10 @@ def _bodies(run: Run) -> list[FloatArray]:
 def _path(
     places: Sequence[Sequence[float]] | FloatArray, *, is_closed: bool = False
 ) -> str:
-    """Data of an SVG path through places (n, 2), whole numbers; equal ones in a row once."""
+    """Data of an SVG path through places (n, 2), whole numbers.
+
+    Equal ones in a row once.
+    """
     points = dict.fromkeys(f"{round(x)} {round(y)}" for x, y in np.asarray(places))
     return "M" + "L".join(points) + ("Z" if is_closed else "")
 
@@ -335,7 +362,9 @@ def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
 
 
 def case_table(setting: Setting) -> Table:
-    """The cases that are driven: what, how fast, from where, how late braking may begin.
+    """The cases that are driven.
+
+    What, how fast, from where, how late braking may begin.
 
     A case's share of the weight is told where not every run counts the same.
     """
@@ -401,7 +430,10 @@ def case_table(setting: Setting) -> Table:
 
 
 def _steps(values: Sequence[float]) -> str:
-    """Ascending values: as a range where the steps between them are equal, else each."""
+    """Ascending values in words.
+
+    As a range where the steps between them are equal, else each.
+    """
     steps = np.diff(values)
     if len(values) > 2 and np.allclose(steps, steps[0]):
         low, high, step = (
@@ -428,13 +460,15 @@ def describe_hopeless(setting: Setting) -> list[str]:
 
 
 def runs_by_case(setting: Setting) -> dict[str, list[int]]:
-    """Indices of the runs of each case, in the order in which the cases first appear."""
+    """Indices of the runs of each case, cases as they first appear."""
     masks = groups_by(setting.axis, "case")
     return {name: np.flatnonzero(mask).tolist() for name, mask in masks}
 
 
 def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
-    """A row per run, those with the least time to spare first: hits come before the rest.
+    """A row per run, those with the least time to spare first.
+
+    Hits come before the rest.
 
     Evaluations by display name, on the same runs; the first one is the subject. Weather
     and weight have a column where they differ.
@@ -487,7 +521,7 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
 
 
 def outcome(words: str, margin_s: float) -> str:
-    """How a run ends, with the time to spare or the time by which braking comes too late."""
+    """How a run ends, with the time to spare or too late."""
     if words == "avoided":
         return tr("avoided, {time} s", time=number(margin_s))
     if words == "lost again":

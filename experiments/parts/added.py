@@ -1,4 +1,7 @@
-"""What units add to cars: the VUT by itself, with the units, the difference, and unit by unit."""
+"""What units add to cars.
+
+The VUT by itself, with the units, the difference, and unit by unit.
+"""
 
 from typing import Annotated
 
@@ -123,7 +126,8 @@ def _one_by_one(
         else:
             with_each = [in_time(np.minimum(own_s, arrivals_s[unit])) for unit in left]
         shares = [weight_share(each, axis.weight) for each in with_each]
-        place = int(np.argmax(shares))  # of equal ones the first
+        # Of equal ones the first.
+        place = int(np.argmax(shares))
         apr = shares[place]
         unit = left.pop(place)
         found.append(AddedUnit(unit=names[unit], apr=apr, gain=apr - before))
@@ -159,7 +163,10 @@ def words(record: Added | None) -> list[str]:
 
 
 def section(record: Added | None) -> Section | None:
-    """What the units add, one after the other; None where that is not known, or they are many."""
+    """What the units add, one after the other.
+
+    None where that is not known, or they are many.
+    """
     if record is None or not record.units:
         return None
     of_units = Table(

@@ -1,4 +1,7 @@
-"""Doubts about a placement: heavy runs, other priorities, the evaluator, mounting, failures."""
+"""Doubts about a placement.
+
+Heavy runs, other priorities, the evaluator, mounting, failures.
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +34,6 @@ from placement.question import Question
 from placement.setting import Setting
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
-from scenarios.scores import AVOIDED
 
 from ..language import mark, tr, trn
 from ..progress import StageProgress
@@ -92,7 +94,10 @@ class FrontRunners(Record, frozen=True, kw_only=True):
 
 
 def find_heavy_runs(axis: FrameAxis) -> tuple[HeavyRun, ...]:
-    """Runs that count more than others and more than 2 %, to a tenth; the heaviest first."""
+    """Runs that count more than others and more than 2 %, to a tenth.
+
+    The heaviest first.
+    """
     share = axis.weight / axis.weight.sum()
     is_heavy = (np.round(share, 3) > HEAVY_SHARE) & (np.ptp(share) > 1.0e-9)
     rows = np.flatnonzero(is_heavy)
@@ -110,9 +115,12 @@ def find_other_weights(
     compute: Compute,
     progress: StageProgress,
 ) -> ByRuns | None:
-    """The layout that is best if all runs count the same; None if weights were asked for."""
+    """The layout that is best if all runs count the same.
+
+    None if weights were asked for.
+    """
     progress(STAGE, 0, 0)
-    if question.weights not in ("", "case") or question.score != AVOIDED:
+    if question.weights not in ("", "case"):
         return None
     chosen = placement.pose_index
     cache = compute.cache_folder
@@ -125,7 +133,7 @@ def leading_layouts(on_grid: Placement, placement: Placement) -> list[Layout]:
     """Layouts that lead on the table behind the one found: the greedy one.
 
     None where something else than the highest APR was asked for, or the evaluator's is
-    another measure: of sampled worlds, of a score. `on_grid` is the placement before it
+    another measure: of sampled worlds. `on_grid` is the placement before it
     was refined.
     """
     problem = placement.problem
@@ -147,10 +155,12 @@ def find_front_runners(
     compute: Compute,
     progress: StageProgress,
 ) -> tuple[FrontRunners | None, Standing | None, Layout | None]:
-    """Leading layouts by the evaluator, the layout found first, with what mounting errors cost it.
+    """Leading layouts by the evaluator, the layout found first.
 
-    Mounting errors of the layout found are not asked for where it has too many units; those
-    of others only where they are its equals. The last value is the layout to recommend;
+    Also what mounting errors cost that one.
+
+    Mounting errors of the layout found are not asked for where it has too many units;
+    those of others only where they are its equals. The last value is the layout to recommend;
     None: the one found.
     """
     runners = [
@@ -264,7 +274,10 @@ def doubt_sentences(
     *,
     n_runs: int,
 ) -> list[str]:
-    """Sentences about what would change the answer; nothing where nobody looked."""
+    """Sentences about what would change the answer.
+
+    Nothing where nobody looked.
+    """
     return [
         *([_heavy(heavy_runs)] if heavy_runs else []),
         *([_by_runs(by_runs, n_runs)] if by_runs else []),
@@ -372,7 +385,10 @@ def _mounting(found: Standing) -> str:
 
 
 def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
-    """APR that remains if one unit, two, or a pole fail; `labels` are names by id."""
+    """APR that remains if one unit, two, or a pole fail.
+
+    `labels` are names by id.
+    """
     whole = failures.none_failed
     n_units = len(failures.one_failed)
     if n_units == 1:
@@ -397,7 +413,8 @@ def _if_one_fails(failures: Failures, labels: Mapping[str, str]) -> str:
     n_harmless = sum(not item.lost_run_ids for item in failures.one_failed)
     if n_harmless == n_units:
         least_s = min(item.smallest_margin_s for item in failures.one_failed)
-        if math.isnan(least_s):  # there is no such run
+        # There is no such run.
+        if math.isnan(least_s):
             return tr(
                 "Whichever one fails, the others avoid every run that all avoid"
                 " together."
@@ -474,7 +491,10 @@ def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
 
 
 class _FailureWords(NamedTuple):
-    """What a table of failures says: `worst` is its caption where it has only the worst."""
+    """What a table of failures says.
+
+    `worst` is its caption where it has only the worst.
+    """
 
     caption: str
     worst: str
@@ -506,7 +526,10 @@ def failure_table(
     *,
     of: Literal["unit", "pair", "pole"],
 ) -> Table:
-    """A row per failure of a unit, of two, or of a pole, the worst first, ``MAX_ROWS`` at most."""
+    """A row per failure of a unit, of two, or of a pole, the worst first.
+
+    At most ``MAX_ROWS``.
+    """
     words = _FAILURES[of]
     caption = tr(words.caption)
     head = tr(words.head)

@@ -1,4 +1,7 @@
-"""The answer of a placement, an evaluation or a comparison: its title, and its few sentences."""
+"""The answer of a placement, an evaluation or a comparison.
+
+Its title, and its few sentences.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -26,7 +29,7 @@ from .units import private_ground_sentence
 def title(
     result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]
 ) -> str:
-    """Heading: the question that a placement, an evaluation or a comparison answers."""
+    """Heading: the question that a result answers."""
     named = " / ".join(street_names(setting.scene).values())
     streets = dict.fromkeys(filter(None, named.split(" / ")))
     place = " / ".join(streets) or setting.scene.name
@@ -44,7 +47,9 @@ def title(
 
 
 def lead(result: Result) -> str:
-    """The first sentence of an answer, without codes: what units prevent, and what cars do alone.
+    """The first sentence of an answer, without codes.
+
+    What units prevent, and what cars do alone.
 
     With fusion "single" runs are counted: a unit has to confirm by itself.
     """
@@ -132,7 +137,10 @@ def _best(result: PlacementResult) -> str:
 
 
 def is_proven(result: PlacementResult) -> bool:
-    """True if the first objective is, and the highest share that might be given up of."""
+    """True if all that the answer begins with is proven.
+
+    That is the first objective, and the highest APR of which some may be given up.
+    """
     first = [result.stages[0], *(result.highest.stages[:1] if result.highest else ())]
     return all(stage.gap == 0.0 for stage in first)
 
@@ -157,10 +165,13 @@ def _spelled(count: int) -> str:
 
 
 def words(result: Result) -> list[str]:
-    """What the first screen leaves to say, and no section says in so few words."""
+    """What the first screen leaves to say.
+
+    No section says it in so few words.
+    """
     sentences: Sequence[str] = ()
     if isinstance(result, PlacementResult):
-        further = next_unit_sentence(result.next_unit, proof.measure_of(result))
+        further = next_unit_sentence(result.next_unit)
         sentences = (further, proof.words(result))
     elif isinstance(result, ComparisonResult):
         sentences = comparison.words(result.name, result.compared)
@@ -176,7 +187,10 @@ def words(result: Result) -> list[str]:
 
 
 def warnings(result: Result) -> list[str]:
-    """What must not be overlooked: runs that were not driven, options that did nothing, doubts."""
+    """What must not be overlooked.
+
+    Runs that were not driven, options that did nothing, doubts.
+    """
     return [
         *result.driven[:1],
         *result.without_effect,
@@ -186,7 +200,10 @@ def warnings(result: Result) -> list[str]:
 
 
 def planned_only(result: Result) -> list[str]:
-    """Warning that a layout was chosen as planned, where a detector finds people by chance."""
+    """Warning that a layout was chosen as planned, without chance.
+
+    Where a detector finds people by chance.
+    """
     if (
         not isinstance(result, PlacementResult)
         or result.sampled
@@ -215,7 +232,7 @@ def planned_only(result: Result) -> list[str]:
 
 
 def preferred(result: Result) -> list[str]:
-    """Other layouts that the evaluator or fresh sampled worlds prefer to the one found."""
+    """Other layouts that the evaluator or fresh worlds prefer."""
     found = []
     if isinstance(result, PlacementResult):
         is_proven = any(
@@ -240,7 +257,10 @@ def doubts(result: Result) -> list[str]:
 
 
 def private_ground(result: Result) -> list[str]:
-    """Private ground that units see; of each layout where several are compared."""
+    """Private ground that units see.
+
+    Of each layout where several are compared.
+    """
     if result.private_ground is None:
         return []
     if isinstance(result, ComparisonResult):
@@ -258,7 +278,10 @@ def private_ground(result: Result) -> list[str]:
 
 
 def refinement(result: Result) -> list[str]:
-    """Gains of refinement between the poses of the grid; nothing where not asked for."""
+    """Gains of refinement between the poses of the grid.
+
+    Nothing where not asked for.
+    """
     if isinstance(result, PlacementResult):
         refined = result.refinement
     else:

@@ -1,4 +1,7 @@
-"""How a result was computed, and how to make it again: the last words of the report."""
+"""How a result was computed, and how to make it again.
+
+The last words of the report.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -20,7 +23,10 @@ _MAX_NAMES = 3
 
 
 def assumption_sentences(result: Result) -> list[str]:
-    """What the map leaves open, the most important first; sites alike share a sentence."""
+    """What the map leaves open, the most important first.
+
+    Sites alike share a sentence.
+    """
     groups = grouped(
         ((one.kind, _but_for_numbers(one.why)) if one.site_ids else index, one)
         for index, one in enumerate(result.assumptions)
@@ -40,7 +46,10 @@ def _but_for_numbers(why: str) -> str:
 
 
 def _together(group: Sequence[Note]) -> str:
-    """One sentence; of several with other numbers, these are the lowest and the highest."""
+    """One sentence out of several that differ in their numbers.
+
+    The numbers become the lowest and the highest.
+    """
     first = group[0]
     if len(group) == 1:
         return tr("{what}: {why}.", what=tr(first.what), why=tr(first.why))
@@ -123,19 +132,25 @@ def again_section(result: Result, command: str) -> Section:
 
 
 def _detection_words(setting: Setting) -> str:
-    """When the detector detects, and how many figures of its response tables are measured."""
+    """When the detector detects, and how much of its tables is measured."""
     words = [setting.detector.description, *_figures(setting)]
     return " ".join(tr(sentence) for sentence in words)
 
 
 def _figures(setting: Setting) -> list[Phrase]:
-    """How many figures of response tables are measured; that of the table where it is another."""
+    """How many figures of response tables are measured.
+
+    That of the table where it is another.
+    """
     tables = {one.name: one for one in (setting.detector, setting.table_detector)}
     return [one.figures_words for one in tables.values() if one.figures_words]
 
 
 def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
-    """The rule's latency, then the units that have another of their own, equal ones together."""
+    """The rule's latency, then units with a latency of their own.
+
+    Equal ones are told together.
+    """
     own = []
     for name, layout in layouts.items():
         unit_ids = grouped((unit.latency(rule), unit.id) for unit in layout.units)

@@ -1,4 +1,7 @@
-"""Layouts to compare with that need no optimiser: random ones, and an expert's rule of thumb."""
+"""Layouts to compare with that need no optimiser.
+
+Random ones, and an expert's rule of thumb.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -65,7 +68,7 @@ def build_score(
 
 
 class RandomInWorlds(Record, frozen=True, kw_only=True):
-    """Mean of random layouts over the sampled worlds that the layout found was chosen in."""
+    """Mean of random layouts in the worlds that the layout was chosen in."""
 
     worlds: Annotated[int, says("How many.")]
     mean: _OverWorlds
@@ -74,7 +77,10 @@ class RandomInWorlds(Record, frozen=True, kw_only=True):
 
 
 class RandomBaseline(Record, frozen=True, kw_only=True):
-    """Layouts of candidate poses drawn at random within the limits, on the detection table."""
+    """Layouts of candidate poses drawn at random within the limits.
+
+    By the detection table.
+    """
 
     layouts: Annotated[int, says("How many were drawn.")]
     units: Annotated[int, says("Of each.")]
@@ -119,10 +125,14 @@ class Baselines(Record, frozen=True, kw_only=True):
 class Proposed:
     """Random layouts and an expert's on the detection table."""
 
-    random: RandomLayouts | None  # None: no random layout is within the limits
-    expert: Layout | None  # None: the rule of thumb is not
-    corners: tuple[str, ...]  # at which it has a camera, in the order of choice
-    expert_on_table: float  # its APR
+    # None: no random layout is within the limits.
+    random: RandomLayouts | None
+    # None: the rule of thumb is not.
+    expert: Layout | None
+    # At which it has a camera, in the order of choice.
+    corners: tuple[str, ...]
+    # Its APR.
+    expert_on_table: float
 
 
 def compare_placement(
@@ -132,7 +142,10 @@ def compare_placement(
     *,
     seed: int,
 ) -> Proposed:
-    """Baselines of as many units as a layout found, within its limits, on its detection table."""
+    """Baselines of as many units as a layout found.
+
+    Within its limits, on its detection table.
+    """
     problem = placement.problem
     n_units = len(placement.pose_index)
     rng = np.random.default_rng(seed)
@@ -144,7 +157,9 @@ def compare_placement(
 def compare_layout(
     layout: Layout, setting: Setting, *, compute: Compute
 ) -> Proposed | None:
-    """Baselines of as many units as a given layout, of its sensors, within what the sites carry.
+    """Baselines of as many units as a given layout has, of its sensors.
+
+    Within what the sites carry.
 
     None where they cannot carry as many. The detection table has the poses drawn alone.
     """
@@ -235,7 +250,7 @@ def _random(layouts: RandomLayouts) -> RandomBaseline:
 
 
 def words(found: Baselines | None, *, n_units: int) -> list[str]:
-    """How random layouts and the expert's are made, and what no table has of them."""
+    """How random layouts and the expert's are made, for a report."""
     if found is None:
         return []
     sentences = []

@@ -1,4 +1,7 @@
-"""Bill of materials: sensors by model, sites, what they cost as far as it is known."""
+"""Bill of materials: sensors, sites, and what they cost.
+
+As far as it is known.
+"""
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -29,17 +32,24 @@ _SOURCES = {
 class Item:
     """One line of the bill."""
 
-    part: str  # "sensor" or "site"
-    name: str  # the sensor's model, or the site's id
-    kind: str  # "camera", "LiDAR", "lamp post" and so on
+    # "sensor" or "site".
+    part: str
+    # The sensor's model, or the site's id.
+    name: str
+    # "camera", "LiDAR", "lamp post" and so on.
+    kind: str
     count: (
-        int  # sensors to buy; of a site: 1 to be made ready, 0 if it has units already
+        # Sensors to buy; of a site: 1 to be made ready, 0 if it has units already.
+        int
     )
-    n_units: int  # with those that are there already
-    price_eur: float | None  # of one; None: unknown. [EUR]
+    # With those that are there already.
+    n_units: int
+    # Of one; None: unknown. [EUR]
+    price_eur: float | None
     # "catalogue", "told" or "assumption"; empty: the price is unknown
     price_source: str = ""
-    assumed: str = ""  # of a site that the map does not have where it is
+    # Of a site that the map does not have where it is.
+    assumed: str = ""
 
     @property
     def sum_eur(self) -> float | None:
@@ -65,9 +75,12 @@ class BillOfMaterials:
         What is assumed of sites without a price, in sentences.
     """
 
-    sensors: tuple[Item, ...]  # one per model
-    sites: tuple[Item, ...]  # that are used, in the layout's order
-    assumed: tuple[str, ...] = ()  # of sites without a price, in sentences
+    # One per model.
+    sensors: tuple[Item, ...]
+    # That are used, in the layout's order.
+    sites: tuple[Item, ...]
+    # Of sites without a price, in sentences.
+    assumed: tuple[str, ...] = ()
 
     @property
     def sites_eur(self) -> float | None:
@@ -136,9 +149,8 @@ def _site_items(
             kind = UNKNOWN
             price_eur = site_cost_eur
             source = ""
-            count = len(unit_ids) - len(
-                kept
-            )  # nobody knows which of them share a mount
+            # Nobody knows which of them share a mount.
+            count = len(unit_ids) - len(kept)
         else:
             site = sites[site_id]
             name = site_id
@@ -167,7 +179,10 @@ def _site_items(
 
 
 def bill_of_materials_csv(bill: BillOfMaterials) -> str:
-    """The bill as CSV, a row per item; what is unknown is empty, and there is no row of sums."""
+    """The bill as CSV, a row per item.
+
+    What is unknown is empty, and there is no row of sums.
+    """
     heads = ["part", "name", "kind", "units", "to_buy", "price_eur", "sum_eur"]
     heads += ["price_source", "assumed"]
     rows = []
@@ -237,7 +252,8 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
         tr("price of one (EUR)"),
         tr("sum (EUR)"),
     ]
-    if n_to_buy == n_units:  # nothing exists already
+    # Nothing exists already.
+    if n_to_buy == n_units:
         columns = [*columns[:3], *columns[4:]]
         rows = [[*row[:3], *row[4:]] for row in rows]
     of_sites = []
@@ -288,6 +304,7 @@ def bill_section(bill: BillOfMaterials) -> Section:
         "with its housing; what comes with this program are orders of "
         "magnitude. “Unknown” is not zero. Not in the bill:"
     )
+    # Assumed costs are with poles.
     blocks: list[Block] = [
         " ".join([*bill_sentences(bill), *map(tr, bill.assumed)]),
         *bill_tables(bill),
@@ -315,7 +332,7 @@ def bill_section(bill: BillOfMaterials) -> Section:
                 ),
                 tr("value added tax"),
             ][bool(bill.assumed) :]
-        ),  # assumed costs are with poles
+        ),
     ]
     return Section("bill", tr("Bill of materials"), blocks)
 

@@ -1,4 +1,7 @@
-"""What each camera will see: a picture, rendered as a road user comes to the middle of it."""
+"""What each camera will see.
+
+A picture, rendered as a road user comes to the middle of it.
+"""
 
 import base64
 import math
@@ -28,7 +31,8 @@ from .section import Picture
 
 _WIDTH_IN = 3.2
 _WIDTH_PX = 512
-_MOST_CAMERAS = 4  # of more, none is drawn: a first screen has no room for them
+# Of more, none is drawn: a first screen has no room for them.
+_MOST_CAMERAS = 4
 
 
 def camera_views(setting: Setting, layout: Layout) -> list[Picture]:
@@ -69,7 +73,9 @@ def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
 def draw_view(
     unit: CandidatePose, setting: Setting, *, compute: Compute = DEFAULT_COMPUTE
 ) -> tuple[NDArray[np.uint8], Run, float]:
-    """Image (h, w, 3) of a camera, the run that it shows, and its time in s (impact: 0).
+    """Image (h, w, 3) of a camera, the run that it shows, and its time.
+
+    In seconds; the impact is at 0.
 
     The road user is nearest to where the middle of the image meets the road.
     """
@@ -88,7 +94,7 @@ def _pictures_of(scene: Scene, run: Run, *, seed: int, workers: int) -> PictureS
 
 
 def nearest_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
-    """The run, and its frame, in which a road user is nearest to a camera's aim."""
+    """Run and frame in which a road user is nearest to a camera's aim."""
     yaw = math.radians(unit.pose.yaw_deg)
     tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
     reach_m = above_ground(unit, setting.scene).pose.position_m[2] / math.tan(tilt)

@@ -1,4 +1,7 @@
-"""A layout for the mean over worlds, and what it may lack of the best: value, words, table."""
+"""A layout for the mean over worlds, and what it may lack of the best.
+
+Value, words, table.
+"""
 
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -42,7 +45,7 @@ class PoolRecord(EstimateRecord, frozen=True, kw_only=True):
 
 
 class CertifiedResult(DrivesRecord, frozen=True, kw_only=True):
-    """The best of the layouts found in blocks of worlds, and what it may lack of the best."""
+    """The best layout found in blocks of worlds, and what it may lack."""
 
     command: Annotated[str, says("That made it.")]
     candidates: Annotated[int, says("Number of poses to choose from.")]
@@ -82,12 +85,14 @@ def run_certify(
     progress: StageProgress,
     sign: Path | None = None,
 ) -> CertifiedResult:
-    """Find a layout for the mean over worlds and its gap; InputError as `certify`, or of `out`."""
+    """Find a layout for the mean over worlds and its gap.
+
+    InputError as `certify`, or of `out`.
+    """
     expect_files(out, progress, sign=sign)
     growth = None
-    if (
-        question.samples == AUTO
-    ):  # in worlds that neither a bound nor the layout is judged in
+    # In worlds that neither a bound nor the layout is judged in.
+    if question.samples == AUTO:
         growth = grow(question, first=APART, compute=compute).growth
         question = replace(question, samples=growth.taken)
     plan = assemble(question, compute=compute)
@@ -141,7 +146,10 @@ def _numbers(gap: GapEstimate) -> dict[str, Any]:
 
 
 def recompute(stored: CertifiedResult) -> list[str]:
-    """What is wrong with the numbers, each computed anew from bounds and APRs by world."""
+    """What is wrong with the numbers, in words.
+
+    Each is computed anew from bounds and APRs by world.
+    """
     again = estimate_gap([block.bound for block in stored.blocks], stored.apr_by_world)
     wrong = [
         f"{name}: {getattr(stored, name):.6g}, recomputed {value:.6g}"
@@ -160,7 +168,7 @@ def recompute(stored: CertifiedResult) -> list[str]:
 
 
 def words(result: CertifiedResult) -> list[str]:
-    """What the layout prevents, and what it may lack, the most important first."""
+    """What the layout prevents and may lack, the most important first."""
     n_judged = len(result.apr_by_world)
     n_blocks = len(result.blocks)
     loose = sum(block.bound > block.apr + _SMALL for block in result.blocks)

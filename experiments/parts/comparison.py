@@ -1,4 +1,7 @@
-"""Layouts side by side: their worth, the runs on which they differ, how sure the difference is."""
+"""Layouts side by side.
+
+Their worth, the runs on which they differ, how sure the difference is.
+"""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -14,7 +17,6 @@ from placement.evaluation import (
     apr_one_failed,
     headline_apr,
     mean_impact_speed_kmh,
-    score,
 )
 from scenarios.aeb import AebRule
 
@@ -100,7 +102,10 @@ class Difference(Record, frozen=True, kw_only=True):
 
 
 def find_differences(evaluations: Mapping[str, Evaluation]) -> tuple[Difference, ...]:
-    """Which runs only one of two layouts avoids, for any two; evaluations by display name."""
+    """Which runs only one of two layouts avoids, for any two.
+
+    Evaluations by display name.
+    """
     return tuple(
         Difference(
             first=first,
@@ -119,7 +124,10 @@ def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
 
 
 def words(name: str, compared: Sequence[Compared]) -> list[str]:
-    """How many runs the first layout avoids and each other one does not, and the other way."""
+    """Numbers of runs that only one of two layouts avoids.
+
+    The first layout against each other one.
+    """
     return [
         tr(
             "{name} avoids {gained} that {other} does not, and {other} avoids "
@@ -138,10 +146,9 @@ def side_by_side_table(
     rule: AebRule,
     baselines: Baselines | None = None,
 ) -> Table:
-    """A row per layout, of the VUT alone, and of random layouts; a column of a score, if any."""
+    """A row per layout, of the VUT alone, and of random layouts."""
     subject = next(iter(evaluations.values()))
     axis = subject.axis
-    levels = subject.levels
 
     def of_verdict(verdict: Verdict, share: float) -> tuple[list[str], list[str]]:
         """Cells before and behind that of a failure."""
@@ -151,8 +158,6 @@ def side_by_side_table(
             number(float(spare_s.min()) if len(spare_s) else None),
             number(mean_impact_speed_kmh(verdict, axis), 1),
         ]
-        if levels is not None:
-            behind.append(percent(score(verdict, axis, levels)))
         return [percent(share), avoided], behind
 
     rows = []
@@ -178,18 +183,11 @@ def side_by_side_table(
         random = None
     else:
         random = baselines.random
-    if random is not None:  # what is known is the APR on the table alone, or the score
+    # What is known is the APR on the table alone.
+    if random is not None:
         mean = percent(random.mean)
         head = tr("random: mean of {n}, on the detection table", n=random.layouts)
-        if levels is None:
-            shares = [mean, *[NOTHING] * 4]
-        else:
-            shares = [*[NOTHING] * 5, mean]
-        rows.append([head, str(random.units), NOTHING, *shares])
-    if levels is None:
-        of_score = []
-    else:
-        of_score = [tr("score ({score})", score=levels.score)]
+        rows.append([head, str(random.units), NOTHING, mean, *[NOTHING] * 4])
     columns = [
         tr("layout"),
         tr("units"),
@@ -199,7 +197,6 @@ def side_by_side_table(
         tr("APR if the most needed unit fails"),
         tr("smallest time to spare (s)"),
         tr("mean speed at contact (km/h)"),
-        *of_score,
     ]
     return Table(
         caption=tr(
@@ -212,7 +209,10 @@ def side_by_side_table(
 
 
 def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
-    """The runs themselves: a row for each layout that avoids any that another does not."""
+    """The runs themselves.
+
+    A row for each layout that avoids any that another does not.
+    """
     rows = []
     for pair in differences:
         rows.append((pair.first, pair.second, pair.only_first))
@@ -225,7 +225,10 @@ def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
 
 
 def significance_table(sampled: SampledRecord) -> Table:
-    """Every pair of layouts in the same sampled worlds: the one that avoids more comes first."""
+    """Every pair of layouts in the same sampled worlds.
+
+    The one that avoids more comes first.
+    """
     return tabulate(
         tr("Differences of the APR in the same {n} sampled worlds", n=sampled.samples),
         map(_better_first, sampled.pairs),
@@ -265,7 +268,10 @@ def section(
     baselines: Baselines | None = None,
     sampled: SampledRecord | None = None,
 ) -> Section | None:
-    """Layouts by display name side by side, the subject first; None where it stands alone."""
+    """Layouts by display name side by side, the subject first.
+
+    None where it stands alone.
+    """
     if len(evaluations) < 2:
         return None
     n_units = len(next(iter(evaluations.values())).layout.units)
@@ -274,7 +280,7 @@ def section(
     sentences = baseline_words(baselines, n_units=n_units)
     blocks: list[Block] = [
         side_by_side_table(evaluations, rule, baselines),
-        _meaning(evaluations),
+        _meaning(),
         *([Bullets(sentences)] if sentences else []),
         Subheading(tr("Which runs differ")),
         (
@@ -301,20 +307,10 @@ def section(
     return Section("comparison", tr("Side by side"), blocks)
 
 
-def _meaning(evaluations: Mapping[str, Evaluation]) -> str:
-    """How speeds at contact, and the score, are to be read."""
-    text = tr(
+def _meaning() -> str:
+    """How speeds at contact are to be read."""
+    return tr(
         "Mean speed at contact: of the VUT when it touches the road user "
         "although it brakes from the confirmation on, over all runs by "
         "weight; a run that is avoided counts as 0."
-    )
-    levels = next(iter(evaluations.values())).levels
-    if levels is None:
-        return text
-    return tr(
-        "{speed} Score ({score}): a run that is avoided counts in full, a "
-        "slow impact in part, by Euro NCAP's bands of the speed at "
-        "contact; it is what the layout was chosen for.",
-        speed=text,
-        score=levels.score,
     )

@@ -1,4 +1,7 @@
-"""Where it is still dangerous: runs that nobody avoids, by case and place, and their map."""
+"""Where it is still dangerous.
+
+Runs that nobody avoids, by case and place, and their map.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -36,8 +39,10 @@ from .section import Block, Box, Section, Table, build_picture
 _MAX_GROUPS = 3
 SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
 """Of shares that are avoided: the more accidents are left, the darker."""
-_DARK_BELOW = 0.34  # from there white and black letters stand out alike
-_SAME_PLACE_M = 6.0  # across: less than from one lane to the oncoming one
+# From there white and black letters stand out alike.
+_DARK_BELOW = 0.34
+# Across: less than from one lane to the oncoming one.
+_SAME_PLACE_M = 6.0
 _BORDER_M = 8.0
 _MIN_HALF_SIZE_M = 30.0
 _RED: Style = {
@@ -69,7 +74,7 @@ class Dangers(Record, frozen=True, kw_only=True):
 
 
 def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
-    """Runs that the units of a layout avoid, (n_runs,) bool, as they were chosen to.
+    """Runs (n_runs,) that the units avoid, as they were chosen to.
 
     With fusion "single" some unit has to confirm by itself; else any may detect in each
     frame. The VUT is one of them where every VUT sees.
@@ -85,7 +90,10 @@ def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
 
 
 def build_dangers(is_avoided: BoolArray, axis: FrameAxis) -> Dangers:
-    """Runs that are not avoided, counted by case and position; weights do not matter."""
+    """Runs that are not avoided, counted by case and position.
+
+    Weights do not matter.
+    """
     positions = groups_by(axis, "position")
     return Dangers(
         not_avoided=int((~is_avoided).sum()),
@@ -108,7 +116,10 @@ def _groups(
 
 
 def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
-    """How many runs are not avoided, and which; `cars` is the share of cars that see."""
+    """How many runs are not avoided, and which.
+
+    `cars` is the share of cars that see.
+    """
     is_of_blind = 0.0 < cars < 1.0
     n_left = dangers.not_avoided
     if not n_left:
@@ -153,7 +164,10 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
 
 
 def position_words(name: str) -> str:
-    """A position along the arms in words: "15 m before the junction" and the like."""
+    """A position along the arms in words.
+
+    "15 m before the junction" and the like.
+    """
     position = read_position(name, "position")
     if position == AT_ZERO:
         return tr("at the junction")
@@ -169,7 +183,10 @@ def position_words(name: str) -> str:
 def _most_left(
     groups: Sequence[DangerGroup], words_of: Callable[[str], str], others: str
 ) -> str:
-    """The groups with the largest share that is left, and how many are left in all others."""
+    """The groups with the largest share that is left.
+
+    Then how many runs are left in all others.
+    """
     left = [group for group in groups if group.not_avoided]
     words = [
         tr(
@@ -254,7 +271,7 @@ def section(
 
 
 def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
-    """Share of the runs that a layout avoids, by position along the arms and approach of the car.
+    """Share of the runs that a layout avoids, by position and approach.
 
     A row for each position as the car passes them, with how many of its runs are
     avoided.
@@ -292,8 +309,10 @@ class ImpactPlace:
         Indices of the runs.
     """
 
-    position_m: FloatArray  # (2,): middle of the road users then. World frame. [m]
-    runs: IntArray  # (n,): indices of the runs
+    # (2,): middle of the road users then. World frame. [m]
+    position_m: FloatArray
+    # (n,): indices of the runs.
+    runs: IntArray
 
     def share_avoided(self, is_avoided: BoolArray, weight: FloatArray) -> float:
         """Share of these runs that is avoided, by weight; NaN if none has any."""
@@ -330,7 +349,9 @@ def plot_dangers(
     places: Sequence[ImpactPlace] | None = None,
     width_in: float = WIDTH_IN,
 ) -> Axes:
-    """The junction from above with the share of runs avoided at each place: the darker the fewer.
+    """The junction from above with the share of runs avoided at each place.
+
+    The darker the fewer.
 
     In metres, north up; the numbers are per cent. Units are triangles that point where
     they look. A place where all runs are avoided is a small white square without a
@@ -380,7 +401,8 @@ def plot_dangers(
 
 def _draw_place(axes: Axes, place: ImpactPlace, share: float, size: float) -> None:
     """Draw a mark with its number; `size` in points."""
-    if not np.isfinite(share):  # runs that do not count
+    # Runs that do not count.
+    if not np.isfinite(share):
         return
     mark: Style = {
         "markeredgecolor": "black",
@@ -388,12 +410,14 @@ def _draw_place(axes: Axes, place: ImpactPlace, share: float, size: float) -> No
         "linestyle": "none",
     }
     mark |= {"markerfacecolor": SHADES(share), "gid": "place"}
-    if share > 1.0 - 1.0e-9:  # small circles are sites
+    # Small circles are sites.
+    if share > 1.0 - 1.0e-9:
         axes.plot(
             *place.position_m, marker="s", markersize=0.27 * size, zorder=7.0, **mark
         )
         return
-    on_top = 8.0 - 0.5 * share  # the most dangerous
+    # The most dangerous.
+    on_top = 8.0 - 0.5 * share
     axes.plot(*place.position_m, marker="o", markersize=size, zorder=on_top, **mark)
     # What is not quite none is never shown as it.
     if share < 1.0e-9:

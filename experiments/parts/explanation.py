@@ -1,4 +1,7 @@
-"""Why these poses, what they miss, and what refinement changed: sentences, tables, sections."""
+"""Why these poses, what they miss, and what refinement changed.
+
+Sentences, tables, sections.
+"""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -9,7 +12,7 @@ import msgspec
 
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
-from placement.detection_table import run_of_level
+from placement.detection_table import plain_run
 from placement.explain.contributions import NextUnit, find_contributions
 from placement.explain.unavoided import Cause, Reason, Unavoided, find_unavoided
 from placement.optimiser.problem import Objective
@@ -31,7 +34,8 @@ from ..results.record import (
 from .section import Block, Section, Table, tabulate
 
 _MAX_REASONS = 2
-_MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
+# Rows of a table that is unfolded from the start.
+_MAX_UNFOLDED = 12
 _MAX_DIGITS = 6
 
 
@@ -55,7 +59,10 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
 
 
 class ExplainedRecord(Record, frozen=True, kw_only=True):
-    """Why these units, and what they miss, on the detection table, without runs of weight 0."""
+    """Why these units, and what they miss, on the detection table.
+
+    Runs of weight 0 do not count.
+    """
 
     contributions: Annotated[tuple[ContributionRecord, ...], says("One for each unit.")]
     not_avoided: Annotated[
@@ -100,7 +107,7 @@ def build_explained_record(
                 unit=names[table.pose_ids[part.pose_index]],
                 only_runs=tuple(
                     dict.fromkeys(
-                        run_of_level(table.axis.run_ids[run]) for run in part.only_runs
+                        plain_run(table.axis.run_ids[run]) for run in part.only_runs
                     )
                 ),
                 marginal_apr=part.marginal_apr,
@@ -118,7 +125,10 @@ def build_explained_record(
 
 
 def contribution_sentences(explained: ExplainedRecord) -> list[str]:
-    """Sentences on the units that something depends on, and on what is counted."""
+    """Sentences on the units that something depends on.
+
+    And on what is counted.
+    """
     sentences = _dependence(explained)
     saved = [part.only_runs for part in explained.contributions]
     if any("#" in run for runs in saved for run in runs):
@@ -168,7 +178,7 @@ def _dependence(explained: ExplainedRecord) -> list[str]:
 
 
 def missed_sentences(explained: ExplainedRecord) -> list[str]:
-    """Sentences on the runs that are not avoided, and what is most often in the way."""
+    """Sentences on the runs that are not avoided, and on what hides them."""
     missed = explained.not_avoided
     n_without = explained.runs_without_weight
     counts = Counter(entry.outcome for entry in missed)
@@ -201,14 +211,15 @@ def missed_sentences(explained: ExplainedRecord) -> list[str]:
 
 
 def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
-    """Why runs are missed most often, and how many of them a further unit would save."""
+    """Why runs are missed most often, and what a further unit would save."""
     sentences = []
     causes = Counter(cause(entry.reasons[0]) for entry in missed if entry.reasons)
     if causes:
         words, n_runs = causes.most_common(1)[0]
         if len(missed) == 1:
             sentences.append(tr("The main cause: {cause}.", cause=words))
-        elif len(causes) == 1 or n_runs > 1:  # else each run has a cause of its own
+        elif len(causes) == 1 or n_runs > 1:
+            # Else each run has a cause of its own.
             most = mark("The most frequent cause: {cause}, in {runs}.")
             sentences.append(tr(most, cause=words, runs=count_runs(n_runs)))
     n_saved = sum(entry.rescue is not None for entry in missed)
@@ -261,7 +272,10 @@ def outcome_words(outcome: str) -> str:
 def contribution_table(
     explained: ExplainedRecord, labels: Mapping[str, str] | None = None
 ) -> Table:
-    """Contributions, a row for each unit; `labels` are short names of the units, by id."""
+    """Contributions, a row for each unit.
+
+    `labels` are short names of the units, by id.
+    """
     names = labels or {}
     rows = []
     for part in explained.contributions:
@@ -291,7 +305,10 @@ def contribution_table(
 
 
 def missed_table(explained: ExplainedRecord) -> Table:
-    """Runs that are not avoided, why, and what would save them: a row each, to unfold."""
+    """Runs that are not avoided, why, and what would save them.
+
+    A row each, to unfold.
+    """
     n_runs = len(explained.not_avoided)
     return tabulate(
         tr("Runs that are not avoided, on the detection table"),
@@ -343,7 +360,10 @@ def _rescue(entry: Unavoided) -> str:
 def explanation_sections(
     explained: ExplainedRecord | None, labels: Mapping[str, str]
 ) -> list[Section]:
-    """Why these poses, and what they miss; none without an optimiser. `labels` of units by id."""
+    """Why these poses, and what they miss.
+
+    None without an optimiser. `labels` of units by id.
+    """
     if not explained:
         return []
     why = [tr("Each unit is taken away in turn, on the detection table.")]
@@ -548,18 +568,19 @@ def _from_to(objective: Objective, before: float, after: float) -> str:
     return tr("{first} to {last}", first=one, last=other)
 
 
-def next_unit_sentence(unit: NextUnit | None, measure: str) -> str:
-    """Gain of one more unit, of an "APR" or a "score"; empty where none fits."""
+def next_unit_sentence(unit: NextUnit | None) -> str:
+    """Gain of one more unit; empty where none fits."""
     if unit is None:
         return ""
-    if unit.gain < 0.5e-9:  # what rounding leaves
+    # What rounding leaves.
+    if unit.gain < 0.5e-9:
         return tr(
             "One more unit among the candidates would avoid nothing more (on "
             "the detection table, by greedy choice)"
         )
-    values = {"points": points(unit.gain), "measure": measure, "apr": percent(unit.apr)}
+    values = {"points": points(unit.gain), "apr": percent(unit.apr)}
     return tr(
-        "One more unit would add {points} of {measure}: {apr} with {pose} "
+        "One more unit would add {points} of APR: {apr} with {pose} "
         "(on the detection table, by greedy choice)",
         pose=unit.pose,
         **values,

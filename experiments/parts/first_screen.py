@@ -1,4 +1,7 @@
-"""The first screen of a report: one sentence, four figures, and where it is still dangerous."""
+"""The first screen of a report.
+
+One sentence, four figures, and where it is still dangerous.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,15 +40,21 @@ class Card(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FirstScreen:
-    """What somebody reads who reads nothing else: without codes, and without abbreviations."""
+    """What somebody reads who reads nothing else.
+
+    Without codes, and without abbreviations.
+    """
 
     sentence: str
-    warnings: tuple[str, ...]  # what must not be overlooked
-    units: tuple[str, ...]  # what is mounted where, if they are few
+    # What must not be overlooked.
+    warnings: tuple[str, ...]
+    # What is mounted where, if they are few.
+    units: tuple[str, ...]
     cards: tuple[Card, ...]
     dangers: tuple[str, ...]
     plan: Picture
-    views: tuple[Picture, ...]  # of each camera, if they are few
+    # Of each camera, if they are few.
+    views: tuple[Picture, ...]
 
 
 def build_first_screen(
@@ -58,7 +67,10 @@ def build_first_screen(
     views: Sequence[Picture] = (),
     warnings: Sequence[str] = (),
 ) -> FirstScreen:
-    """The first screen of a result; `warnings` stand between its sentence and its figures."""
+    """The first screen of a result.
+
+    `warnings` stand between its sentence and its figures.
+    """
     avoided = avoided_runs(subject, result.fusion)
     first = (_prevented(subject, avoided), _if_one_fails(result, subject))
     return FirstScreen(

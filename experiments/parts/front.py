@@ -107,7 +107,10 @@ def stage_of(point: FrontPointRecord, name: str) -> StageRecord | None:
 
 
 def table(front: FrontRecord) -> Table:
-    """A row for each point: units, its gain, values of the layout, whether more is ruled out."""
+    """A row for each point.
+
+    Units, its gain, values of the layout, whether more is ruled out.
+    """
     if front.optimised == "all":
         optimised = [*_HEADS]
     else:
@@ -177,7 +180,10 @@ def _proof(point: FrontPointRecord) -> str:
 
 
 def words(front: FrontRecord) -> list[str]:
-    """What is proven of a front, from where on nothing grows, and which sizes cannot be."""
+    """What is proven of a front, and where it ends.
+
+    Where nothing grows any more, and which sizes cannot be.
+    """
     n_points = len(front.points)
     n_proven = sum(point.is_proven for point in front.points)
     is_all = front.optimised == "all"
@@ -278,7 +284,10 @@ def describe_front(
     *,
     n_kept: int = 0,
 ) -> FrontRecord:
-    """A front with the units of every point; `n_kept` exist. `candidates` are the table's rows."""
+    """A front with the units of every point.
+
+    `n_kept` exist. `candidates` are the table's rows.
+    """
 
     def record(point: FrontPoint) -> FrontPointRecord:
         layout = pick_layout(candidates, point.pose_index, f"front-{point.units}")
@@ -312,7 +321,9 @@ def describe_front(
 
 
 def plot_front(front: FrontRecord) -> Axes:
-    """APR and APR when one unit fails against units or euros; times to spare where optimised.
+    """APR and APR when one unit fails against units or euros.
+
+    Times to spare where optimised.
 
     The axes are those of the shares; the times have axes below. Filled markers are
     layouts found. Open ones are bounds that no layout exceeds, where they are higher; a
@@ -387,7 +398,8 @@ def _draw(
         mark: Style = {"marker": style["marker"], "linestyle": "none"}
         if by_units:
             axes.plot(x, values, zorder=2 + order, **line)
-        else:  # the last layout is the best for more money, too
+        else:
+            # The last layout is the best for more money, too.
             steps: Style = line | {"drawstyle": "steps-post"}
             axes.plot(
                 np.append(x, end),

@@ -1,4 +1,7 @@
-"""APR against latency: a layout is evaluated once, its APR found for every latency."""
+"""APR against latency.
+
+A layout is evaluated once, its APR found for every latency.
+"""
 
 import math
 from collections.abc import Mapping
@@ -45,7 +48,8 @@ PNG_NAME = "latency.png"
 APR_LEVELS = (1.0, 0.95, 0.9)
 STEP_S = 0.005
 _LEAST_SHOWN_S = 0.5
-_SAME_SHARE = 1.0e-12  # ratios of rounded sums
+# Ratios of rounded sums.
+_SAME_SHARE = 1.0e-12
 # Told apart by dashes and width as well as by colour.
 _STYLES: Mapping[str, Style] = {
     "rsu_all": {"label": mark("all RSUs"), "color": BLUE, "linestyle": "-", "lw": 3.0},
@@ -65,7 +69,7 @@ _STYLES: Mapping[str, Style] = {
 
 
 class PartyLatency(Record, frozen=True, kw_only=True):
-    """A party's APR at the least, mean and most of the budget, and at every latency shown."""
+    """A party's APR by latency, and at the budget's least, mean and most."""
 
     at_best: float
     at_mean: float
@@ -73,7 +77,10 @@ class PartyLatency(Record, frozen=True, kw_only=True):
     apr: tuple[float, ...]
 
     def longest_s(self, latencies_s: tuple[float, ...], level: float) -> float:
-        """Longest latency shown with an APR of at least `level`: -inf: none, inf: every one."""
+        """Longest latency shown with an APR of at least `level`.
+
+        -inf: none, inf: every one.
+        """
         holds = np.array(self.apr) >= level - _SAME_SHARE
         return (-math.inf, *latencies_s[:-1], math.inf)[
             int(np.argmin(np.append(holds, False)))
@@ -81,7 +88,10 @@ class PartyLatency(Record, frozen=True, kw_only=True):
 
 
 class LatencyResult(DrivesRecord, frozen=True, kw_only=True):
-    """A layout's APR against latency, by sensing party: what ``--json`` prints."""
+    """A layout's APR against latency, by sensing party.
+
+    What ``--json`` prints.
+    """
 
     name: str
     layout: tuple[UnitRecord, ...]
@@ -105,7 +115,9 @@ def run_latency(
     compute: Compute,
     progress: StageProgress,
 ) -> LatencyResult:
-    """APR of every sensing party against latency; table and figure to `out` if asked to.
+    """APR of every sensing party against latency.
+
+    Table and figure to `out` if asked to.
 
     Parameters
     ----------
@@ -206,7 +218,10 @@ def plot_latency(
     parties: Mapping[str, PartyLatency],
     budget: LatencyBudget,
 ) -> Axes:
-    """APR of the sensing parties in milliseconds, the budget's range shaded; in a new figure."""
+    """APR of the sensing parties in milliseconds, the budget's range shaded.
+
+    In a new figure.
+    """
     axes = new_axes(WIDTH_IN, 3.9)
     shown_ms = [1000.0 * latency_s for latency_s in latencies_s]
     for name, party in parties.items():

@@ -1,4 +1,7 @@
-"""The player: runs as its script reads them, in whole centimetres and milliseconds, packed bits."""
+"""The player's data: runs as its script reads them.
+
+In whole centimetres and milliseconds, and packed bits.
+"""
 
 import base64
 import json
@@ -31,9 +34,11 @@ DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
 SHOWN_ABOVE = mark("shown above")
 NOT_AVOIDED = mark("not avoided")
 AVOIDED = mark("avoided")
-_MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
+# Of records: some four hundred runs of a dozen units.
+_MAX_BYTES = 1_500_000
 _ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
-_MAX_HALF_M = 120.0  # farther things are never in the player's window
+# Farther things are never in the player's window.
+_MAX_HALF_M = 120.0
 _LEAST_HALF_M = 30.0
 # corners nearer than this to the line between their neighbours drop out
 _TOLERANCE_M = 0.1
@@ -108,7 +113,8 @@ def to_script_json(value: Any) -> str:
     '{"a":"\\u003c/script\\u003e"}'
     """
     text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    for sign, escaped in _ESCAPES.items():  # in JSON these stand in texts only
+    # In JSON these stand in texts only.
+    for sign, escaped in _ESCAPES.items():
         text = text.replace(sign, escaped)
     return text
 
@@ -119,7 +125,9 @@ def to_base64(array: NDArray[Any]) -> str:
 
 
 def pack_bits(bits: ArrayLike) -> str:
-    """Rows of bits, each padded to whole bytes, the first bit highest, in base64.
+    """Rows of bits in base64.
+
+    Each is padded to whole bytes, the first bit the highest.
 
     `bits` is (n_rows, n); :func:`unpack_bits` and the player's script give it back.
     """
@@ -165,7 +173,9 @@ def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]
 def run_record(
     run: Run, index: int, evaluations: Mapping[str, Evaluation]
 ) -> dict[str, Any]:
-    """A run, at its `index` among those evaluated, with what every party detects.
+    """A run with what every party detects.
+
+    `index` is its place among those evaluated.
 
     Times in milliseconds (None: never), positions in centimetres, headings in tenths of
     a degree. "bits": see :func:`pack_bits`, a row per party.
@@ -176,7 +186,8 @@ def run_record(
     vut = run.encounter.vut
     vru = run.encounter.vru
     motion = run.encounter.vut_motion
-    last_place: list[int] | None = None  # no braking helps
+    # No braking helps.
+    last_place: list[int] | None = None
     if np.isfinite(run.last_brake_time_s):
         (place,) = motion.path.at(motion.distance_m([run.last_brake_time_s]))[0]
         last_place = centimetres(place)
@@ -219,7 +230,10 @@ def centimetres(values_m: ArrayLike) -> Any:
 
 
 def _milliseconds(values_s: ArrayLike) -> Any:
-    """Whole milliseconds; None in place of an infinity (of single values only)."""
+    """Whole milliseconds.
+
+    None in place of an infinity (of single values only).
+    """
     values = np.asarray(values_s, dtype=np.float64)
     if values.ndim == 0 and not np.isfinite(values):
         return None
@@ -327,7 +341,10 @@ def _areas(lanes: Iterable[Lane], kind: str) -> Any:
 
 
 def svg_path(shape: Any) -> str:
-    """Closed rings of all polygons of a shapely shape in metres, as an SVG path in centimetres."""
+    """All polygons of a shapely shape as an SVG path of closed rings.
+
+    The shape is in metres, the path in centimetres.
+    """
     import shapely
 
     parts = shapely.get_parts(shapely.get_parts(shape).tolist())

@@ -1,11 +1,10 @@
-"""The proof of a placement, and how far detection table and evaluator agree about it."""
+"""The proof of a placement, and how far table and evaluator agree."""
 
 import math
 from collections.abc import Sequence
 
 from placement.optimiser.problem import Objective
 from placement.pipeline import FOUND
-from scenarios.scores import AVOIDED
 
 from ..language import localized, mark, tr
 from ..results.numbers import NOTHING, number, or_nan, percent, points
@@ -22,17 +21,10 @@ def words(result: PlacementResult) -> str:
     of_apr = next(stage for stage in stages if stage.name == "apr")
     within = _within(stages[0])
     values = {"within": f" {within}" if within else "", "n": result.candidates}
-    is_apr = result.score == AVOIDED
-    if of_apr.gap == 0.0 and is_apr:
-        return tr(
-            "Proven on the detection table:{within} no choice among {n} "
-            "candidate poses has a higher APR",
-            **values,
-        )
     if of_apr.gap == 0.0:
         return tr(
             "Proven on the detection table:{within} no choice among {n} "
-            "candidate poses has a higher score",
+            "candidate poses has a higher APR",
             **values,
         )
     values["bound"] = percent(of_apr.bound)
@@ -43,23 +35,16 @@ def words(result: PlacementResult) -> str:
             "poses can exceed an APR of {bound}",
             **values,
         )
-    if is_apr:
-        return tr(
-            "The best choice among {n} candidate poses found in the time "
-            "given:{within} on the detection table, no other can exceed an "
-            "APR of {bound}",
-            **values,
-        )
     return tr(
         "The best choice among {n} candidate poses found in the time "
-        "given:{within} on the detection table, no other can exceed a "
-        "score of {bound}",
+        "given:{within} on the detection table, no other can exceed an "
+        "APR of {bound}",
         **values,
     )
 
 
 def _within(first: StageRecord) -> str:
-    """How little was needed for what was asked, where that is the first objective."""
+    """How little was needed, where that is the first objective."""
     if first.name not in ("units", "cost_eur"):
         return ""
     found = first.objective
@@ -92,7 +77,6 @@ def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
     kept = result.stages[0]
     values: dict[str, object] = {
         "n": result.candidates,
-        "measure": measure_of(result),
         "most": percent(most.objective),
         "bound": percent(most.bound),
         "given_up": points(highest.given_up),
@@ -104,13 +88,13 @@ def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
     else:
         begin = tr("Found in the time given:")
     first = tr(
-        "a choice among {n} candidate poses has an {measure} of {most}, and none"
+        "a choice among {n} candidate poses has an APR of {most}, and none"
         " exceeds {bound}",
         **values,
     )
     if most.gap == 0.0:
         first = tr(
-            "no choice among {n} candidate poses has a higher {measure} than {most}",
+            "no choice among {n} candidate poses has a higher APR than {most}",
             **values,
         )
     is_kept = kept.gap == 0.0
@@ -141,13 +125,6 @@ def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
     return f"{begin} {first}; {then}"
 
 
-def measure_of(result: PlacementResult) -> str:
-    """What is optimised: the APR, or the score that was asked for."""
-    if result.score == AVOIDED:
-        return tr("APR")
-    return tr("score")
-
-
 def section(result: PlacementResult) -> Section:
     """The optimiser's objectives with their proof."""
     is_open = [label for label, stage in _stages(result) if stage.gap != 0.0]
@@ -166,7 +143,10 @@ def section(result: PlacementResult) -> Section:
 
 
 def conditions(result: PlacementResult) -> list[str]:
-    """What the table's rows after the first open one depend on, in a sentence; or none."""
+    """What the table's rows after the first open one depend on, in a sentence.
+
+    Or none.
+    """
     return _conditions(_stages(result))
 
 
@@ -176,11 +156,14 @@ def table(result: PlacementResult) -> Table:
 
 
 def _stages(result: PlacementResult) -> list[tuple[str, StageRecord]]:
-    """Objectives by name: first the highest APR of any choice, where some may be given up."""
+    """Objectives by name.
+
+    First the highest APR of any choice, where some may be given up.
+    """
     found = [(_label(stage.name, result), stage) for stage in result.stages]
     if result.highest is None:
         return found
-    highest = tr("highest {measure} of any choice", measure=measure_of(result))
+    highest = tr("highest APR of any choice")
     return [(highest, result.highest.stages[0]), *found]
 
 
@@ -190,7 +173,10 @@ def stage_table(stages: Sequence[StageRecord]) -> Table:
 
 
 def stage_conditions(stages: Sequence[StageRecord]) -> list[str]:
-    """What the rows of :func:`stage_table` after the first open one depend on; or nothing."""
+    """What the rows of :func:`stage_table` after the first open one depend on.
+
+    Or nothing.
+    """
     return _conditions(_labelled(stages))
 
 
@@ -220,7 +206,10 @@ def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
 
 
 def _n_certain(stages: Sequence[tuple[str, StageRecord]]) -> int:
-    """Stages up to the first open one: the bounds of those after it depend on what that holds."""
+    """Stages up to the first open one.
+
+    The bounds of those after it depend on what that holds.
+    """
     is_open = [stage.gap != 0.0 for _, stage in stages]
     if True in is_open:
         return is_open.index(True) + 1
@@ -242,38 +231,24 @@ def _conditions(stages: Sequence[tuple[str, StageRecord]]) -> list[str]:
 
 
 def _label(name: str, result: PlacementResult) -> str:
-    """Name of an objective; what fails is a pole where that was asked, a score is named so."""
-    is_apr = result.score == AVOIDED
-    is_of_poles = result.failing == "site"
-    labels: dict[str, str] = {}
-    if is_apr and is_of_poles:
-        labels = _OF_POLES
-    elif is_of_poles:
-        labels = _SCORES_OF_POLES
-    elif not is_apr:
-        labels = _SCORES
-    return tr(labels.get(name, Objective(name).label))
+    """Name of an objective; what fails is a pole where that was asked."""
+    if result.failing == "site":
+        return tr(_OF_POLES.get(name, Objective(name).label))
+    return tr(Objective(name).label)
 
 
 _OF_POLES = {
     "apr_survived": mark("APR if the most needed poles fail"),
     "apr_one_failed": mark("APR if the most needed pole fails"),
 }
-_SCORES = {
-    "apr": mark("score"),
-    "apr_survived": mark("score if the most needed units fail"),
-    "apr_one_failed": mark("score if the most needed unit fails"),
-}
-_SCORES_OF_POLES = {
-    "apr": mark("score"),
-    "apr_survived": mark("score if the most needed poles fail"),
-    "apr_one_failed": mark("score if the most needed pole fails"),
-}
-"""Names of objectives where a score is asked for, poles fail, or both."""
+"""Names of objectives where poles fail."""
 
 
 def _stage_row(stage: StageRecord, *, is_certain: bool) -> list[str]:
-    """Value, bound, gap and seconds; of what is not certain, only whether it is proven."""
+    """Value, bound, gap and seconds.
+
+    Of what is not certain, only whether it is proven.
+    """
 
     def shown(value: float | None) -> str:
         if value is None or not math.isfinite(value):

@@ -1,4 +1,6 @@
-"""A folder of results read back: summary, layout, and the tables of runs and of ratios.
+"""A folder of results read back.
+
+Summary, layout, and the tables of runs and of ratios.
 
 Files are checked to be whole, of this version, and to belong together.
 """
@@ -41,7 +43,8 @@ _APR_COLUMNS = {
     **dict.fromkeys(
         ("layout", "party", "case", "approach", "position", "weather"), "text"
     ),
-    "vut_speed_kmh": "text",  # a speed, or "all"
+    # A speed, or "all".
+    "vut_speed_kmh": "text",
     **dict.fromkeys(("apr", "n_runs", "n_avoided"), "numbers"),
 }
 _OLDER = "place-rsus/result/"
@@ -70,9 +73,12 @@ class StoredResult:
 
     folder: Path
     summary: Result
-    layout: Layout  # found or evaluated; of a comparison the first one
-    runs: pd.DataFrame  # a row per layout, sensing party and run
-    apr: pd.DataFrame  # a row per layout, sensing party and group of runs
+    # Found or evaluated; of a comparison the first one.
+    layout: Layout
+    # A row per layout, sensing party and run.
+    runs: pd.DataFrame
+    # A row per layout, sensing party and group of runs.
+    apr: pd.DataFrame
 
     def __repr__(self) -> str:
         return (
@@ -136,7 +142,10 @@ def read_summary(path: Path) -> Result:
 
 
 def check_schema(summary: Mapping[str, object], where: str) -> str:
-    """Kind and version of a summary, known to be one of today's; else InputError names those."""
+    """Kind and version of a summary, known to be one of today's.
+
+    Else InputError names those.
+    """
     schema = summary.get("schema", Unquoted("nothing"))
     if schema not in KINDS:
         if str(schema).startswith(_OLDER):
@@ -186,7 +195,8 @@ def _load_apr(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
             keep_default_na=False,
             na_values={"apr": [""]},
         )
-    except ValueError as error:  # no table, no UTF-8
+    except ValueError as error:
+        # No table, no UTF-8.
         raise InputError(str(path), Unquoted(_first_line(error)), _A_WHOLE) from None
     _check_columns(apr, _APR_COLUMNS, path)
     apr[text] = apr[text].map(plain_cell)

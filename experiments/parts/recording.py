@@ -1,4 +1,7 @@
-"""Recordings in place of simulated runs: judge their units, or choose the best of them."""
+"""Recordings in place of simulated runs.
+
+Judge their units, or choose the best of them.
+"""
 
 import math
 from collections.abc import Callable, Iterable
@@ -65,7 +68,10 @@ class RecordedUnitRecord(Record, frozen=True, kw_only=True):
 
 
 class RecordedAprRecord(Record, frozen=True, kw_only=True):
-    """APR of each party; None where the recording has no vehicle's own detections."""
+    """APR of each party of a recording.
+
+    None where the recording has no detections of the vehicle itself.
+    """
 
     vut: PartyAprRecord | None
     rsu_all: PartyAprRecord
@@ -90,7 +96,7 @@ class DetectedShareRecord(Record, frozen=True, kw_only=True):
 
 
 class RecordedDriveRecord(Record, frozen=True, kw_only=True):
-    """A drive of the recording, and whether all units together avoid its accident."""
+    """A drive of the recording, and whether the units avoid its accident."""
 
     run: str
     case: str
@@ -213,7 +219,10 @@ def _units(folder_names: Iterable[str]) -> tuple[RecordedUnitRecord, ...]:
 def _of_parties(
     measure: Callable[[Verdict], _T], found: RecordedEvaluation
 ) -> dict[str, Any]:
-    """A measure of each party, by its name; None where the vehicle's detections are unknown."""
+    """A measure of each party, by its name.
+
+    None where the vehicle's detections are unknown.
+    """
     return {
         "vut": None if found.vut is None else measure(found.vut),
         "rsu_all": measure(found.rsu_all),
@@ -270,7 +279,9 @@ def run_recording(
     progress: StageProgress,
     sign: Path | None = None,
 ) -> RecordedResult:
-    """Judge the units of a recording, or choose the best and prove it; written if asked to.
+    """Judge the units of a recording, or choose the best and prove it.
+
+    Written if asked to.
 
     Of the question only how the VUT confirms and brakes counts, and with `chooses`
     budget, fusion and how hard to try; detections below `min_confidence` do not. Raises

@@ -1,4 +1,7 @@
-"""The three results that ``summary.json`` may hold: a placement, an evaluation, a comparison."""
+"""The three results that ``summary.json`` may hold.
+
+A placement, an evaluation, a comparison.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -20,7 +23,6 @@ from placement.explain.tolerances import Standing
 from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting
-from scenarios.scores import AVOIDED
 
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.record import (
@@ -49,7 +51,7 @@ from .units import PrivateGroundRecord
 
 
 class AskedRecord(Record, frozen=True, kw_only=True):
-    """What was asked: enough for `place-rsus verify --deep` to make the result anew."""
+    """What was asked: enough for `verify --deep` to make the result anew."""
 
     command: Annotated[str, says("The command line, as a shell takes it.")]
     question: Annotated[
@@ -90,15 +92,6 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
         ),
     ]
     runs: Annotated[int, says("Runs that every layout was evaluated on.", ge=1)]
-    score: Annotated[
-        Literal["avoided", "rating-2026"],
-        says(
-            "What a run counts that is not avoided: nothing, or by the speed that is"
-            " left at contact. Then what a placement has on the detection table as APR"
-            " - apr, bound, stages, contributions, front, random layouts - is this"
-            " score."
-        ),
-    ] = "avoided"
     apr: Annotated[
         Share | None, says("Of a placement on the table, else by the evaluator.")
     ]
@@ -148,7 +141,10 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
 
 
 class HighestRecord(Record, frozen=True, kw_only=True):
-    """The layout of the highest APR, where some of it might be given up to bear a failure."""
+    """The layout of the highest APR, where some of it might be given up.
+
+    That is to bear a failure.
+    """
 
     given_up: Annotated[float, says("APR that might be given up, 0..1.")]
     stages: Annotated[tuple[StageRecord, ...], says("The proof of the highest APR.")]
@@ -286,7 +282,6 @@ def build_answer(
         "cost_eur": price_eur(evaluation),
         "fusion": "any",
         "runs": evaluation.axis.n_runs,
-        "score": AVOIDED if setting.levels is None else setting.levels.score,
         "apr": evaluated.judged.all,
         "assumptions": assumptions(setting.scene.notes),
         "evaluation": evaluated,
@@ -313,7 +308,10 @@ def build_placement_result(
     compute: Compute = DEFAULT_COMPUTE,
     **parts: Any,
 ) -> PlacementResult:
-    """A placement by the optimiser and by the evaluator, with further `parts` by name."""
+    """A placement by the optimiser and by the evaluator.
+
+    `parts` are further parts of it, by name.
+    """
     certificate = placement.certificate
     problem = placement.problem
     limits = problem.limits
@@ -337,7 +335,8 @@ def build_placement_result(
         others = {baseline.layout.name: baseline}
     answer = build_answer(setting, found, others) | {
         "fusion": problem.fusion,
-        "apr": round(value.apr, 12),  # without what summing up many weights leaves over
+        # Without what summing up many weights leaves over.
+        "apr": round(value.apr, 12),
         "dangers": build_dangers(avoided_runs(found, problem.fusion), found.axis),
         "added": build_added(setting, found, fusion=problem.fusion),
     }
@@ -384,7 +383,10 @@ def build_placement_result(
 
 
 def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> BoolArray:
-    """Runs, (n_runs,) bool, on which table and evaluator disagree under the placement's fusion."""
+    """Runs (n_runs,) on which table and evaluator disagree.
+
+    Under the placement's fusion.
+    """
     on_table = np.isfinite(run_margins_s(placement.nominal, placement.nominal_index))
     disagrees: BoolArray = on_table != avoided_runs(
         evaluation, placement.problem.fusion

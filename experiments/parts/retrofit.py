@@ -1,4 +1,7 @@
-"""Retrofit of mounted units: the best change of every kind, with its price and effect."""
+"""Retrofit of mounted units.
+
+The best change of every kind, with its price and effect.
+"""
 
 import textwrap
 from dataclasses import replace
@@ -62,7 +65,7 @@ class ActionRecord(Record, frozen=True, kw_only=True):
 
 
 class ChangeRecord(LayoutValueRecord, frozen=True, kw_only=True):
-    """A change, its price, its gains and losses, and what is mounted afterwards and its value."""
+    """A change, its price, its gains and losses, and the layout afterwards."""
 
     actions: tuple[ActionRecord, ...]
     price_eur: float
@@ -77,7 +80,10 @@ class ChangeRecord(LayoutValueRecord, frozen=True, kw_only=True):
 
 
 class RetrofitResult(DrivesRecord, frozen=True, kw_only=True):
-    """Possible changes of a layout: ``retrofit.json``, and what ``--json`` prints."""
+    """Possible changes of a layout.
+
+    ``retrofit.json``, and what ``--json`` prints.
+    """
 
     name: str
     layout: tuple[UnitRecord, ...]
@@ -379,7 +385,10 @@ def _change_record(
 
 
 def _names(change: Change, poses: RetrofitPoses) -> dict[int, str]:
-    """Names of the poses that come, by row: re-aimed units keep theirs, new ones are numbered."""
+    """Names of the poses that come, by row.
+
+    Re-aimed units keep theirs, new ones are numbered.
+    """
     taken = {candidate.id for candidate in poses.candidates[: poses.n_units]}
     free = (name for number in count(1) if (name := f"N{number}") not in taken)
     old = {row: int(poses.unit_index[row]) for row in change.added}

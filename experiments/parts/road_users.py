@@ -18,7 +18,10 @@ from .section import Block, Section, Table, tabulate
 
 
 class RoadUserScore(Record, frozen=True, kw_only=True):
-    """A sensing party on the runs in which one group of road users is met, by the evaluator."""
+    """A sensing party on the runs that meet one group of road users.
+
+    By the evaluator.
+    """
 
     name: Annotated[str, says('Of the layout, or "VUT alone".')]
     runs_avoided: Annotated[int, says("How many runs.")]
@@ -55,7 +58,10 @@ class RoadUserGroups(Record, frozen=True, kw_only=True):
 def build_road_users(
     setting: Setting, evaluations: Mapping[str, Evaluation]
 ) -> RoadUserGroups:
-    """Runs by the road user that is met; evaluations by display name, the subject first."""
+    """Runs by the road user that is met.
+
+    Evaluations by display name, the subject first.
+    """
     first = next(iter(evaluations.values()))
     verdicts = {
         name: (item.rsu_all, item.vut_and_rsus) for name, item in evaluations.items()
@@ -96,7 +102,10 @@ def build_road_users(
 
 
 def words(record: RoadUserGroups) -> list[str]:
-    """Whose runs count, in one sentence; none where all meet the same and nobody is left out."""
+    """Whose runs count, in one sentence.
+
+    None where all meet the same and nobody is left out.
+    """
     if len(record.groups) < 2 and not record.unprotected:
         return []
     counted = ", ".join(
@@ -141,7 +150,10 @@ def table(record: RoadUserGroups) -> Table:
 
 
 def section(record: RoadUserGroups | None) -> Section | None:
-    """Whose runs count; None where all runs meet the same and nobody is left out."""
+    """Whose runs count.
+
+    None where all runs meet the same and nobody is left out.
+    """
     if record is None or not words(record):
         return None
     blocks: list[Block] = [*words(record)]

@@ -44,7 +44,8 @@ from .section import Picture, Section, Table, build_picture, tabulate
 _MAX_LEAST_SURE_RUNS = 5
 # worlds that a tail must have: with fewer, choosing for the mean has better tails
 _LEAST_WORST = 8
-_SAME_APR = 1.0e-9  # shares of summed weights carry rounding noise
+# Shares of summed weights carry rounding noise.
+_SAME_APR = 1.0e-9
 _AS_THEY_ARE = (
     *(
         "packet_loss",
@@ -151,7 +152,10 @@ class SampledLayoutRecord(EstimateRecord, frozen=True, kw_only=True):
 
 
 class SampledPairRecord(EstimateRecord, frozen=True, kw_only=True):
-    """Any two layouts: the first one's APR less the second one's, world by world."""
+    """Differences of APR of any two layouts, world by world.
+
+    The first one's less the second one's.
+    """
 
     first: Annotated[str, says("Name of the one layout.")]
     second: Annotated[str, says("Name of the other one.")]
@@ -207,7 +211,9 @@ def build_sampled_record(
     chosen_in: int | None = None,
     growth: Growth | None = None,
 ) -> SampledRecord:
-    """Layouts in the same sampled worlds: the first one is the subject, the others baselines.
+    """Layouts in the same sampled worlds.
+
+    The first one is the subject, the others baselines.
 
     `tail` is the worst share of the worlds that is summed up. By name of the layout,
     `planned_apr` is the APR with nothing uncertain, and `chosen_apr` that in the
@@ -263,7 +269,10 @@ def build_sampled_record(
 
 
 def growth_sentences(growth: Growth | None) -> list[str]:
-    """Sentence on how many worlds a layout was chosen in, and why not in more; no full stop."""
+    """Sentence on how many worlds a layout was chosen in, and why not in more.
+
+    No full stop.
+    """
     if growth is None:
         return []
     last = growth.rounds[-1]
@@ -338,7 +347,10 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
 def build_pair_record(
     first: SampledApr, second: SampledApr, tails: FloatArray | None = None
 ) -> SampledPairRecord:
-    """Two layouts in the same worlds; `tails` are differences of cvar in resampled worlds."""
+    """Two layouts in the same worlds.
+
+    `tails` are differences of cvar in resampled worlds.
+    """
     gain = first.apr_by_sample - second.apr_by_sample
     if tails is None:
         low, high = (None, None)
@@ -357,7 +369,10 @@ def build_pair_record(
 
 
 def _least_sure(item: SampledApr) -> tuple[LeastSureRunRecord, ...]:
-    """Runs that are avoided in the fewest worlds, if not in all; those that count."""
+    """Runs that are avoided in the fewest worlds, if not in all.
+
+    Those that count.
+    """
     share = item.avoided_share
     order = np.argsort(share, kind="stable")
     order = order[(share[order] < 1.0) & (item.axis.weight[order] > 0.0)]
@@ -451,7 +466,7 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
 def preferred_sentences(
     preferred: SampledPairRecord | None, chosen_in: int | None
 ) -> list[str]:
-    """Sentence on greedy choice's layout where fresh worlds took it, not the one found."""
+    """Sentence on greedy choice's layout where fresh worlds took it."""
     if preferred is None or preferred.second != FOUND:
         return []
     points, low, high = map(_points, (preferred.mean, preferred.low, preferred.high))
@@ -479,9 +494,13 @@ def preferred_sentences(
 
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:
-    """Sentence on a layout with no more units that fresh worlds surely prefer, if there is one."""
+    """Sentence on a layout that fresh worlds surely prefer, if any.
+
+    It has no more units than the one found.
+    """
     subject, *others = found.layouts
-    of_tail = found.tail < 1.0  # what was asked for
+    # What was asked for.
+    of_tail = found.tail < 1.0
     ahead = [
         (or_nan(gain.mean), gain, other)
         for gain, other in zip(found.gains, others, strict=True)
@@ -654,7 +673,10 @@ def is_open(difference: SampledPairRecord) -> bool:
 
 
 def table(found: SampledRecord) -> Table:
-    """APR of each layout: as planned, its mean with the interval, and in bad worlds."""
+    """APR of each layout.
+
+    As planned, its mean with the interval, and in bad worlds.
+    """
     tail = tr("worst {tail:g} %", tail=100.0 * found.tail)
     columns: dict[str, Callable[[SampledLayoutRecord], str]] = {
         tr("layout"): lambda one: shortened(one.name, _MAX_NAME_LENGTH),
@@ -667,7 +689,8 @@ def table(found: SampledRecord) -> Table:
         ),
         tr("worst"): lambda one: percent(one.worst),
     }
-    if found.tail == 1.0:  # the mean of all is there already
+    # The mean of all is there already.
+    if found.tail == 1.0:
         del columns[tail]
     return tabulate(
         tr("APR in sampled worlds"), found.layouts, columns, numeric=range(1, 6)
@@ -701,7 +724,10 @@ def sampled_section(found: SampledRecord, picture: Picture) -> Section:
 
 
 def plot_sampled_apr(found: SampledRecord) -> Axes:
-    """A row per layout: its mean with the 95 % interval; thin line: from worst to best world."""
+    """A row per layout: its mean with the 95 % interval.
+
+    Thin line: from worst to best world.
+    """
     layouts = found.layouts
     axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(layouts))
     for row, layout in enumerate(layouts):

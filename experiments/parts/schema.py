@@ -1,4 +1,7 @@
-"""The JSON schema of results, made from their types: ``python -m experiments.parts.schema``."""
+"""The JSON schema of results, made from their types.
+
+``python -m experiments.parts.schema``.
+"""
 
 import inspect
 import json
@@ -32,7 +35,10 @@ _ATTRIBUTE = re.compile(r"^(\w+(?:, \w+)*) : .*\n((?:    .*\n?|\n)+)", re.M)
 
 
 def build_schema() -> dict[str, Any]:
-    """Schema of ``summary.json``: types, limits and descriptions of the fields of all results."""
+    """Schema of ``summary.json``.
+
+    Types, limits and descriptions of the fields of all results.
+    """
     kinds = [*KINDS.values()]
     _, parts = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
     types = {kind.__name__: kind for kind in _kinds_in(kinds)}
@@ -53,7 +59,7 @@ def schema_text() -> str:
 
 
 def _kinds_in(kinds: Iterable[Any]) -> Iterator[type]:
-    """Records and dataclasses that types are made of, with those of their fields."""
+    """Records and dataclasses of types, with those of their fields."""
     seen: set[type] = set()
 
     def walk(kind: Any) -> Iterator[type]:
@@ -74,7 +80,10 @@ def _kinds_in(kinds: Iterable[Any]) -> Iterator[type]:
 
 
 def _described(part: dict[str, Any], kind: type) -> dict[str, Any]:
-    """Schema of a kind of value with its own rules, and with what its fields say of themselves."""
+    """Schema of a kind of value, with what its fields say of themselves.
+
+    It has rules of its own.
+    """
     properties = dict(part["properties"])
     said = _attributes(kind)
     for field in msgspec.inspect.type_info(kind).fields:  # type: ignore[attr-defined]
@@ -100,7 +109,10 @@ def _described(part: dict[str, Any], kind: type) -> dict[str, Any]:
 
 
 def _attributes(kind: type) -> dict[str, str]:
-    """Descriptions of fields in the numpydoc section of a dataclass that has no others."""
+    """Descriptions of a dataclass's fields in its docstring.
+
+    For those that have no others; the section is numpydoc's.
+    """
     text = (inspect.getdoc(kind) or "").partition("Attributes\n----------\n")[2]
     found = {}
     for names, words in _ATTRIBUTE.findall(text):
@@ -121,7 +133,11 @@ def _def_name(kind: str) -> str:
 
 
 def _tidy(node: Any) -> Any:
-    """References by the names of parts, descriptions on one line, one allowed value as "const"."""
+    """Schema in its final form.
+
+    References by the names of parts, descriptions on one line, one allowed value as
+    "const".
+    """
     if isinstance(node, list):
         return [_tidy(item) for item in node]
     if not isinstance(node, dict):
@@ -133,7 +149,8 @@ def _tidy(node: Any) -> Any:
         elif key == "description" and isinstance(value, str):
             tidy[key] = " ".join(inspect.cleandoc(value).split())
         elif key == "title" and isinstance(value, str) and value.isidentifier():
-            continue  # the name of a class
+            # The name of a class.
+            continue
         elif key == "minimum":
             # Annotations that are equal are one for Python, whether they say 0 or 0.0.
             if value == int(value):

@@ -1,4 +1,7 @@
-"""Sections of the report: a heading, and below it text, tables and figures."""
+"""Sections of the report.
+
+A heading, and below it text, tables and figures.
+"""
 
 import base64
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -15,10 +18,11 @@ from ..figures.axes import root_figure, to_png
 
 _T = TypeVar("_T")
 MAX_TRUE_COLOUR_BYTES = 300_000
-"""PNG files above are drawn with a palette: looking for one takes longer than it spares bytes."""
+"""PNG files of up to so many bytes keep all colours: a palette would save little."""
 _N_COLOURS = 256
 _LARGEST_ERROR = 32.0
-_LARGEST_MEAN_ERROR = 1.5  # of 255, of any one channel: not seen by eye
+# Of 255, of any one channel: not seen by eye.
+_LARGEST_MEAN_ERROR = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,9 +41,11 @@ class Table:
     caption: str
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
-    numeric: Collection[int] = ()  # columns that are numbers
+    # Columns that are numbers.
+    numeric: Collection[int] = ()
     summary: str = ""
-    is_open: bool = False  # unfolded from the start
+    # Unfolded from the start.
+    is_open: bool = False
 
 
 def tabulate(
@@ -48,7 +54,9 @@ def tabulate(
     columns: Mapping[str, Callable[[_T], object]],
     **more: Any,
 ) -> Table:
-    """A table with a row per item: each column has a head, and what it says of an item.
+    """A table with a row per item.
+
+    Each column has a head, and what it says of an item.
 
     `more` are further fields of the table by name.
     """
@@ -91,7 +99,10 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """Blocks in a box of a style of ``report.css``, such as "beside": side by side."""
+    """Blocks in a box of a style of ``report.css``, such as "beside".
+
+    Side by side.
+    """
 
     kind: ClassVar[str] = "box"
     style: str
@@ -105,13 +116,17 @@ class Picture:
     kind: ClassVar[str] = "picture"
     title: str
     caption: str
-    alt: str  # for those who do not see it
-    image: str  # base64
+    # For those who do not see it.
+    alt: str
+    # Base64.
+    image: str
     width_px: int
     height_px: int
-    width_in: float  # at which letters of 8 pt are that high
+    # At which letters of 8 pt are that high.
+    width_in: float
     format: Literal["png", "jpeg"] = "png"
-    narrow: "Picture | None" = None  # the same for a phone
+    # The same for a phone.
+    narrow: "Picture | None" = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,8 +136,10 @@ class Sketch:
     kind: ClassVar[str] = "sketch"
     title: str
     code: str
-    half: int  # half the side of the square that is drawn
-    paths: Sequence[tuple[str, str]]  # class of ``report.css``, and data of an SVG path
+    # Half the side of the square that is drawn.
+    half: int
+    # Class of ``report.css``, and data of an SVG path.
+    paths: Sequence[tuple[str, str]]
 
 
 Block = str | Table | Bullets | Subheading | Filled | Code | Box | Picture | Sketch
@@ -131,12 +148,16 @@ Block = str | Table | Bullets | Subheading | Filled | Code | Box | Picture | Ske
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A section of the report; its id is what links and the list of contents refer to."""
+    """A section of the report.
+
+    Its id is what links and the list of contents refer to.
+    """
 
     id: str
     title: str
     blocks: Sequence[Block]
-    is_folded: bool = False  # its title alone is in sight
+    # Its title alone is in sight.
+    is_folded: bool = False
 
 
 def build_picture(
@@ -147,7 +168,10 @@ def build_picture(
     alt: str,
     narrow: Figure | Axes | None = None,
 ) -> Picture:
-    """A figure with its words; equal ones give equal pictures. `narrow` is drawn for a phone."""
+    """A figure with its words.
+
+    Equal ones give equal pictures. `narrow` is drawn for a phone.
+    """
     figure = root_figure(drawn)
     png = with_palette(to_png(figure))
     width_px, height_px = Image.open(BytesIO(png)).size
@@ -163,7 +187,9 @@ def build_picture(
 
 
 def with_palette(png: bytes) -> bytes:
-    """A PNG file with at most 256 colours where that spares much and is not seen.
+    """A PNG file, with at most 256 colours where that is not seen.
+
+    Only where it spares much.
 
     It is the same file where that is small, would not become smaller, or would look
     different.

@@ -1,4 +1,4 @@
-"""``place-rsus sheet``: find the tolerances of mounting, then draw a page for each unit."""
+"""``place-rsus sheet``: tolerances of mounting, and a page per unit."""
 
 import io
 import math
@@ -57,7 +57,9 @@ def mounting_sheet(
     *,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> bytes:
-    """A PDF with a page for each unit: where, how high, where it looks, what it will see.
+    """A PDF with a page for each unit.
+
+    Where, how high, where it looks, what it will see.
 
     Parameters
     ----------
@@ -244,7 +246,7 @@ def _tolerance_text(tolerance: Tolerance) -> str:
 
 
 def _landmarks(unit: CandidatePose, scene: Scene) -> list[str]:
-    """The nearest things that can be seen from the mount, with distance and bearing."""
+    """The nearest things seen from the mount, with distance and bearing."""
     import shapely
     import shapely.ops
 
@@ -345,7 +347,10 @@ def run_sheet(
     compute: Compute,
     progress: StageProgress,
 ) -> SheetResult:
-    """Write the mounting sheet; InputError if a unit is inside something, or `out` not writable."""
+    """Write the mounting sheet.
+
+    InputError if a unit is inside something, or `out` not writable.
+    """
     if out.is_dir():
         raise InputError("--out", Unquoted(f"{out}, a folder"), "a PDF file to write")
     check_target(out)

@@ -59,8 +59,6 @@ def study_question(question: Question) -> Question:
         weights="",
         near="",
         accidents_within_m=None,
-        force=False,
-        strict=False,
         track_memory_s=math.inf,
     )
 
@@ -73,7 +71,9 @@ def on_study_cases(
     build: Callable[[Question], Setting],
     compute: Compute,
 ) -> StudyCases | None:
-    """What layouts prevent in the study's cases; None where these are what was asked about.
+    """What layouts prevent in the study's cases.
+
+    None where these are what was asked about.
 
     Parameters
     ----------
@@ -93,9 +93,7 @@ def on_study_cases(
     InputError
         No arm of the junction carries any of the study's cases.
     """
-    given = {
-        case.name for case in select_cases(question.cases, force=question.force).cases
-    }
+    given = {case.name for case in select_cases(question.cases).cases}
     has_cases = {case.name for case in select_cases("study").cases} <= given
     if find_baseline(asked.scene) is None or not has_cases:
         return None
@@ -109,7 +107,10 @@ def on_study_cases(
 
 
 def is_same_question(one: Setting, other: Setting) -> bool:
-    """Two settings have the same runs, in any order, with the same weights, and the same rule."""
+    """True if two settings have the same runs, weights and rule.
+
+    The runs may be in any order.
+    """
     runs, others = (
         dict(zip(axis.run_ids, axis.weight, strict=True))
         for axis in (one.axis, other.axis)
@@ -122,7 +123,10 @@ def is_same_question(one: Setting, other: Setting) -> bool:
 
 
 def section(record: StudyCases | None) -> Section | None:
-    """The layouts on the study's cases; None where these are what was asked about."""
+    """The layouts on the study's cases.
+
+    None where these are what was asked about.
+    """
     if record is None:
         return None
     return Section(
@@ -141,7 +145,10 @@ def section(record: StudyCases | None) -> Section | None:
 
 
 def table(record: StudyCases) -> Table:
-    """APR of each layout and of the car by itself: a row for all runs, and for each case."""
+    """APR of each layout and of the car by itself.
+
+    A row for all runs, and for each case.
+    """
     cases = list(record.parties[0].by_case)
     return Table(
         caption=trn(

@@ -1,4 +1,7 @@
-"""The units of layouts: tables of where they are, plans, and the private ground that they see."""
+"""The units of layouts.
+
+Tables of where they are, plans, and the private ground that they see.
+"""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -21,9 +24,12 @@ from .section import Block, Box, Picture, Section, Table, build_picture
 
 _PLAN_RANGE_M = 35.0
 _MAX_UNITS_IN_WORDS = 40
-_MAX_NARROW_UNITS = 6  # labels of more would lie on one another
-_MAX_FLAT_ROWS = 24  # a longer table is to unfold
-_MAX_NAMED = 6  # pairs of unit and area in a sentence
+# Labels of more would lie on one another.
+_MAX_NARROW_UNITS = 6
+# A longer table is to unfold.
+_MAX_FLAT_ROWS = 24
+# Pairs of unit and area in a sentence.
+_MAX_NAMED = 6
 MAX_UNITS = 12
 MAX_AREAS = 60
 """Columns and rows of the table: beyond, only what is seen the most."""
@@ -32,7 +38,10 @@ MAX_AREAS = 60
 def units_section(
     layouts: Mapping[str, Layout], plans: Sequence[Picture], scene: Scene
 ) -> Section:
-    """Places and directions of the units of layouts, by display name, with a plan of each."""
+    """Places and directions of units, with a plan of each layout.
+
+    Layouts are given by display name.
+    """
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
     heights = tr(
         "East, north and height are metres in the junction's own "
@@ -217,7 +226,10 @@ def private_ground_sentence(found: PrivateGroundRecord) -> str:
 def private_ground_section(
     found: PrivateGroundRecord | None, labels: Mapping[str, str]
 ) -> Section | None:
-    """What units see of private ground, the most seen first; `labels` are their names by id."""
+    """What units see of private ground, the most seen first.
+
+    `labels` are their names by id.
+    """
     if not found:
         return None
     units = found.units

@@ -1,4 +1,4 @@
-"""Perception lab: datasets of rendered pictures, fitted response tables, a trained network.
+"""Perception lab: datasets, fitted response tables, a trained network.
 
 ``commands`` has ``place-rsus dataset``, ``detector`` and ``render``; ``training`` makes
 the network that is shipped.

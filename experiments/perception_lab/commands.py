@@ -1,4 +1,7 @@
-"""Commands of the perception lab: ``place-rsus dataset``, ``detector`` and ``render``."""
+"""Commands of the perception lab.
+
+``place-rsus dataset``, ``detector`` and ``render``.
+"""
 
 import os
 from errno import ENOENT
@@ -93,7 +96,7 @@ Examples:
 def dataset(
     job: QuestionCall, /, *, layout_names: tuple[str, ...], out: Path, **wish: Any
 ) -> None:
-    """Write a dataset: what the cameras of a layout see of all runs, with labels."""
+    """Write a dataset: what cameras see of all runs, with labels."""
     layout = load_one_layout(layout_names)
     job.start()
     from .dataset import run_dataset
@@ -130,7 +133,10 @@ def _dataset_text(summary: "DatasetSummary", form: str) -> str:
 
 @click.group()
 def detector() -> None:
-    """Response tables of detectors: what a detector finds, by height, cover, class and light."""
+    """Response tables of detectors.
+
+    What a detector finds, by height, cover, class and light.
+    """
 
 
 _FIT_EXAMPLES = """\b
@@ -414,7 +420,10 @@ def render(
     quiet: bool,
     compute: Compute,
 ) -> None:
-    """Render what a camera sees in one frame (colours, instances, depths), or scan by LiDAR."""
+    """Render what a camera sees in one frame (colours, instances, depths).
+
+    Or scan by LiDAR.
+    """
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
     progress("lay the run", 0, 0)

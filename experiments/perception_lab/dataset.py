@@ -1,4 +1,6 @@
-"""A dataset for training and testing detectors: pictures, point clouds and labels of many runs.
+"""A dataset for training and testing detectors.
+
+Pictures, point clouds and labels of many runs.
 
 The text files of the folder (labels, motion, perfect detections, manifest) are written
 first, whole or not at all; pictures and clouds follow (:mod:`.drawing`). What is there
@@ -143,7 +145,9 @@ class DatasetDrive(Record, frozen=True):
 
 
 class DatasetRecord(Record, frozen=True):
-    """``dataset.json``: what a dataset holds; a folder with another one is not added to.
+    """``dataset.json``: what a dataset holds.
+
+    A folder with another one is not added to.
 
     Attributes
     ----------
@@ -376,7 +380,10 @@ def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
 
 
 def _is_begun(out: Path, record: DatasetRecord) -> bool:
-    """True if a folder holds this dataset or a part of it; InputError if it holds another one."""
+    """True if a folder holds this dataset or a part of it.
+
+    InputError if it holds another one.
+    """
     if not (out / MANIFEST).exists():
         return False
     found = load_manifest(out / MANIFEST)
@@ -443,7 +450,10 @@ def _write_texts(
 def _detected(
     setting: Setting, viewer: Viewer, evidence: Evidence, seed: int
 ) -> BoolArray:
-    """Frames in which the question's detector finds the VRU, as the evaluator has it."""
+    """Frames in which the question's detector finds the VRU.
+
+    As the evaluator has it.
+    """
     detector = setting.detector
     if detector.needs_pictures:
         raise InputError(
@@ -505,7 +515,7 @@ def _coco(
     record: DatasetRecord,
     evidence: Mapping[str, Evidence],
 ) -> dict[str, Any]:
-    """Boxes of what is visible, in the format of the COCO dataset (object detection)."""
+    """Boxes of what is visible, in the format of COCO's detection data."""
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for viewer, (index, drive) in itertools.product(viewers, enumerate(record.drives)):
@@ -564,7 +574,10 @@ def _annotation(
 
 
 def _add_vehicles(out: Path) -> None:
-    """Label vehicles in ``coco.json``, once, as the text files next to the pictures have them."""
+    """Label vehicles in ``coco.json``, once.
+
+    As the text files next to the pictures have them.
+    """
     form = load_format()
     path = out / _COCO_FILE
     coco = parse_json(read_text(path, "JSON"), str(path), "labels of pictures")

@@ -42,9 +42,12 @@ MASKS = "instances"
 DEPTHS = "depth"
 """Folders of the pictures other than those in colour."""
 
-_VEHICLE = "car"  # the study's actor type
-_MOVING = re.compile(r"vut|(parked|driving)-\d+")  # what a run brings along
-_LEAST_VEHICLE_PX = 20  # pixels; of less a vehicle has no label
+# The study's actor type.
+_VEHICLE = "car"
+# What a run brings along.
+_MOVING = re.compile(r"vut|(parked|driving)-\d+")
+# Pixels; of less a vehicle has no label.
+_LEAST_VEHICLE_PX = 20
 
 Content = str | bytes | Callable[[BinaryIO], object]
 
@@ -55,8 +58,10 @@ class Viewer:
 
     folder: str
     id: str
-    key: UnitKey  # with which the evaluator seeds its random numbers
-    pose: Pose | None  # None: on the VUT
+    # With which the evaluator seeds its random numbers.
+    key: UnitKey
+    # None: on the VUT.
+    pose: Pose | None
     camera: CameraModel
 
 
@@ -64,19 +69,21 @@ class Viewer:
 class DatasetWish:
     """Contents of a dataset besides the labels of all frames."""
 
-    format: str = FORMATS[
-        0
-    ]  # "carlancap": the study's folders; "coco": pictures and ``coco.json``
+    # "carlancap": the study's folders; "coco": pictures and ``coco.json``.
+    format: str = FORMATS[0]
     # ids with commas between, "VUT" among them; empty: all, and the VUT
     units: str = ""
     # pictures of every so many frames of a run; labels and motion are of all
     every: int = 1
-    lidar: str = "carla-ncap-lidar"  # model of a LiDAR next to each camera, or "none"
+    # Model of a LiDAR next to each camera, or "none".
+    lidar: str = "carla-ncap-lidar"
     # masks, depth: pictures of instances and of depths are written, too
     masks: bool = False
     depth: bool = False
-    vehicles: bool = False  # vehicles get labels, too, in frames with pictures
-    vary: bool = False  # clothes, paints and facades are drawn at random for each run
+    # Vehicles get labels, too, in frames with pictures.
+    vehicles: bool = False
+    # Clothes, paints and facades are drawn at random for each run.
+    vary: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,9 +93,8 @@ class DrawTask:
     out: Path
     scene: Scene
     runs: tuple[Run, ...]
-    frames: tuple[
-        tuple[int, int, str], ...
-    ]  # index of the run, frame, name of the files
+    # Index of the run, frame, name of the files.
+    frames: tuple[tuple[int, int, str], ...]
     viewer: Viewer
     lidar: LidarModel | None
     wish: DatasetWish
@@ -122,7 +128,10 @@ def draw_task(task: DrawTask) -> int:
 def _drawer(
     task: DrawTask,
 ) -> Callable[[Run, int], tuple[RenderedPicture, PointCloud | None]]:
-    """A function that draws and scans a frame: from the VUT anew, at the roadside onto a still."""
+    """A function that draws and scans a frame.
+
+    From the VUT anew, at the roadside onto a still.
+    """
     # loads the compiler
     from placement.imaging.stills import Still, draw_onto, draw_still, scan_onto
 
@@ -132,7 +141,8 @@ def _drawer(
     compute = Compute(seed=task.seed, workers=1)
     weather = pick_weather(first.weather, "weather")
     backdrop = build_backdrop(task.scene, first.obstruction)
-    stills: dict[str, Still] = {}  # the last one
+    # The last one.
+    stills: dict[str, Still] = {}
 
     def materials(run: Run) -> Materials | None:
         """One and the same for all cameras and weathers."""
@@ -198,7 +208,10 @@ def _contents(
     run: Run,
     stem: str,
 ) -> Iterator[tuple[str, Content]]:
-    """Contents of the files of a frame, by kind; the picture comes last: where it is, all are."""
+    """Contents of the files of a frame, by kind.
+
+    The picture comes last: where it is, all are.
+    """
     if cloud is not None:
         yield "cloud", cloud_bytes(cloud)
     if task.wish.masks:
@@ -224,7 +237,8 @@ def _with_vehicles(
     lines = [line for line in lines if not line.startswith(f"{_VEHICLE} ")]
     known = {one.id for one in task.scene.instances if "vehicle" in one.class_name}
     if task.wish.format == FORMATS[0] and run.encounter.vru.class_name == _VEHICLE:
-        known.add("vru")  # whose line was taken away with the others'
+        # Whose line was taken away with the others'.
+        known.add("vru")
     camera = task.viewer.camera
     for index in np.unique(picture.instance[picture.instance >= 0]).tolist():
         name = picture.names[index]
@@ -264,7 +278,10 @@ def _png(pixels: NDArray[Any]) -> Content:
 
 
 def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress) -> int:
-    """Draw all tasks by processes; those of ones that die are drawn again. Bytes written."""
+    """Draw all tasks by processes.
+
+    Those of ones that die are drawn again. Bytes written.
+    """
     n_all = sum(len(task.frames) for task in tasks)
     n_drawn = 0
     n_bytes = 0
@@ -284,7 +301,8 @@ def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress)
 COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
 CLOUD_SUFFIXES = (".ply", ".bin")
 _JPEG_QUALITY = 85
-_MAX_CM = 65535  # what 16 bits hold
+# What 16 bits hold.
+_MAX_CM = 65535
 
 
 def suffixes_of(sensor: Sensor) -> tuple[str, ...]:
@@ -295,7 +313,10 @@ def suffixes_of(sensor: Sensor) -> tuple[str, ...]:
 
 
 def check_path(path: Path, sensor: Sensor) -> None:
-    """Refuse a file name that ends in none of :func:`suffixes_of`, or is no regular file's."""
+    """Refuse a file name that ends in none of :func:`suffixes_of`.
+
+    Or is no regular file's.
+    """
     known = suffixes_of(sensor)
     if path.suffix.lower() not in known:
         raise InputError("--out", str(path), "a name that ends in " + ", ".join(known))
@@ -303,7 +324,9 @@ def check_path(path: Path, sensor: Sensor) -> None:
 
 
 def save(path: Path, seen: RenderedPicture | PointCloud) -> tuple[Path, ...]:
-    """Write a picture or a point cloud, each file whole or not at all; returns their paths.
+    """Write a picture or a point cloud, each file whole or not at all.
+
+    Returns their paths.
 
     A cloud is ".ply", points in the LiDAR's frame with a colour for each thing, or
     ".bin", float32 x, y, z, intensity, as the study releases them. A picture's colours

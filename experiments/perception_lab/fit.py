@@ -1,4 +1,4 @@
-"""``place-rsus detector fit``: a response table from what a detector really finds.
+"""``place-rsus detector fit``: a response table from real detections.
 
 Sources: a network that looks at rendered pictures, a recording in the study's format,
 and files of labels and results, of COCO or of recordings in the formats of others. Each
@@ -73,7 +73,8 @@ TABLE_NAME = "response.toml"
 JSON_NAME = "fit.json"
 PNG_NAME = "calibration.png"
 
-_BLOCK = 5  # consecutive frames: enough to see what carries over, and false tracks
+# Consecutive frames: enough to see what carries over, and false tracks.
+_BLOCK = 5
 # of a network that looks at crops, every so many blocks are whole pictures, too
 _WHOLE = 5
 _MAX_BYTES = 2**30
@@ -88,14 +89,17 @@ class FitWish:
 
     # whose cameras, and the VUT's, show rendered pictures to the question's network
     layout: Layout | None = None
-    pictures: int = 1000  # how many of these
+    # How many of these.
+    pictures: int = 1000
     # folder in the study's format, with labels and detections
     recording: Path | None = None
     # labels, results: files of annotations and of detections, of COCO or of recordings
     labels: Path | None = None
     results: Path | None = None
-    frame_rate_hz: float | None = None  # of recordings; by default that of runs
-    min_confidence: float = 0.5  # boxes below do not count
+    # Of recordings; by default that of runs.
+    frame_rate_hz: float | None = None
+    # Boxes below do not count.
+    min_confidence: float = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,16 +112,23 @@ class _Source:
 
 
 class FitResult(Record, frozen=True, kw_only=True):
-    """Fitted table, recall by group, false alarms: ``fit.json``, and what ``--json`` prints."""
+    """Fitted table, recall by group, false alarms.
 
-    name: str  # of the table
-    source: str  # what was looked at, in words
-    frames: int  # with a road user
-    found: int  # of these, those in which it was found
-    tracks: int  # cameras and runs that the frames are of
-    unknown: tuple[
-        str, ...
-    ]  # what the source does not say, and is as in the built-in table
+    ``fit.json``, and what ``--json`` prints.
+    """
+
+    # Of the table.
+    name: str
+    # What was looked at, in words.
+    source: str
+    # With a road user.
+    frames: int
+    # Of these, those in which it was found.
+    found: int
+    # Cameras and runs that the frames are of.
+    tracks: int
+    # What the source does not say, and is as in the built-in table.
+    unknown: tuple[str, ...]
     table: Mapping[str, Interval]
     groups: Mapping[str, tuple[Group, ...]]
     calibration: tuple[Group, ...]
@@ -139,7 +150,9 @@ def run_detector_fit(
     compute: Compute,
     progress: StageProgress,
 ) -> FitResult:
-    """Fit a response table to what a detector finds; table, figure and numbers to `out`.
+    """Fit a response table to what a detector finds.
+
+    Table, figure and numbers to `out`.
 
     Parameters
     ----------
@@ -263,7 +276,10 @@ def _look(
     compute: Compute,
     progress: StageProgress,
 ) -> Iterator[LabelledPicture]:
-    """Pictures of blocks of consecutive frames, drawn at random, as many by each camera."""
+    """Pictures of blocks of consecutive frames, drawn at random.
+
+    As many by each camera.
+    """
     surroundings = build_surroundings(setting.scene, setting.runs)
     source = RenderedPictures(setting.scene, setting.runs, seed=compute.seed)
     least_px = network.min_box_height_px
@@ -346,7 +362,10 @@ def _share_out(n_wanted: int, n_there: Sequence[int]) -> list[int]:
 
 
 def _row(values: FloatArray, row: int, n_labels: int) -> FloatArray:
-    """Value of a row of evidence, which may have one for all; nothing if there is no label."""
+    """Value of a row of evidence, which may have one for all.
+
+    Nothing if there is no label.
+    """
     return np.atleast_1d(values)[[row if len(np.atleast_1d(values)) > 1 else 0]][
         :n_labels
     ]
@@ -355,7 +374,10 @@ def _row(values: FloatArray, row: int, n_labels: int) -> FloatArray:
 def _pick_frames(
     setting: Setting, evidence: Evidence, n_wanted: int, rng: np.random.Generator
 ) -> list[tuple[int, int, int]]:
-    """Run, frame and row of blocks of frames that begin where the road user is large enough."""
+    """Run, frame and row of blocks of consecutive frames.
+
+    They begin where the road user is large enough.
+    """
     chosen: dict[int, tuple[int, int, int]] = {}
     for row in rng.permutation(
         np.flatnonzero(box_height_px(evidence.visible_px) > 0.0)
@@ -578,7 +600,10 @@ def table_text(
     unknown: Sequence[str],
     false_tracks_per_hour: Interval | None,
 ) -> str:
-    """The table as TOML, for ``--detector FILE``; each figure with its 95 % interval."""
+    """The table as TOML, for ``--detector FILE``.
+
+    Each figure with its 95 % interval.
+    """
     table = fit.detector
     intervals = fit.intervals
     figures = sorted(key for what in unknown for key in _KEYS_OF.get(what, ()))
@@ -622,7 +647,9 @@ def table_text(
 
 
 def plot_calibration(result: FitResult) -> "Figure":
-    """Share found against predicted probability, and by height in the image, with 95 % intervals.
+    """Share found, by predicted probability and by height in the image.
+
+    With 95 % intervals.
 
     Parameters
     ----------
@@ -669,7 +696,10 @@ def plot_calibration(result: FitResult) -> "Figure":
 def draw_intervals(
     axes: "Axes", places: ArrayLike, intervals: Sequence[Interval], **look: Any
 ) -> Any:
-    """Dots with bars from the lower to the upper end of their intervals; matplotlib's handle."""
+    """Dots with bars from the lower to the upper end of their intervals.
+
+    Matplotlib's handle.
+    """
     value = np.array([one.value for one in intervals])
     bars = [
         value - [one.low for one in intervals],

@@ -25,7 +25,6 @@ from placement.question import BLIND, SEE, Question, question_fields, read_cars
 from placement.setting import Setting, check_question
 from scenarios.cases import load_case_sets
 from scenarios.runs import WEATHERS, FrameAxis, Run
-from scenarios.scores import AVOIDED
 from scenarios.weights import WEIGHT_WORDS, default_weights
 
 from ..cli.options import JUDGED, option_of
@@ -271,10 +270,6 @@ def question_record(question: Question, begun: Question) -> dict[str, Any]:
     meaning = tr("Runs count by the weights of {name}.", name=weights)
     if weights in WEIGHT_WORDS:
         meaning = tr(_MEANINGS[weights])
-    if question.score != AVOIDED:
-        meaning += " " + tr(
-            "A run that is not avoided counts by the speed that is left."
-        )
     return {
         "now": {field.name: getattr(question, field.name) for field in names},
         "choices": {

@@ -64,7 +64,7 @@ LINGER_S = 8.0
 """After the last page was closed: it may be loaded again."""
 LINGER_LOST_S = 180.0
 """After the connection to the last page was lost: the page tries again as long as it is open."""
-_MAP_SUFFIXES = (".osm", ".osm.pbf", ".pbf", ".osm.gz", ".osm.bz2", ".xodr", ".zip")
+_MAP_SUFFIXES = (".osm", ".osm.pbf", ".pbf", ".xodr", ".zip")
 _IMAGES = "img-src 'self' data: blob:"
 _STRICT = (
     f"default-src 'none'; script-src 'self'; style-src 'self'; {_IMAGES}; connect-src"

@@ -1,1 +1,1 @@
-"""The report: a file for each section with its sentences, table and figure; one page out of all."""
+"""The report: one page out of all parts of an answer."""

@@ -1,4 +1,7 @@
-"""The report: one self-contained HTML page with the answer, its proof, figures, and every run."""
+"""The report: one HTML page with the answer, its proof and every run.
+
+It loads nothing from elsewhere.
+"""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -31,7 +34,6 @@ from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import explanation_sections
 from ..parts.first_screen import build_first_screen
 from ..parts.front import front_section
-from ..parts.margins import margins_section
 from ..parts.player import interactive_part
 from ..parts.result import PlacementResult, Result
 from ..parts.sampled_worlds import sampled_picture, sampled_section
@@ -47,7 +49,7 @@ _IN_SIGHT = (
 )
 _FOLDED = (
     *("why", "models", "study-cases", "missed", "added"),
-    *("road-users", "alone", "margins", "assumptions", "cases", "runs", "again"),
+    *("road-users", "alone", "assumptions", "cases", "runs", "again"),
 )
 
 
@@ -73,7 +75,10 @@ def page_environment() -> Environment:
 
 @cache
 def page_template() -> Template:
-    """The template of all pages: title, answer, sections, details; and what can be played."""
+    """The template of all pages.
+
+    Title, answer, sections, details; and what can be played.
+    """
     return page_environment().get_template("report.html.j2")
 
 
@@ -84,7 +89,10 @@ def write_report(
     evaluations: Mapping[str, Evaluation],
     **options: Any,
 ) -> Path:
-    """Write the page of :func:`build_report`, with plan and APR in sampled worlds as PNG files."""
+    """Write the page of :func:`build_report` and its PNG files.
+
+    Those are the plan and the APR in sampled worlds.
+    """
     page, pictures = build_report(result, setting, evaluations, **options)
     for name, picture in pictures.items():
         write_atomically(folder / f"{name}.png", base64.b64decode(picture.image))
@@ -101,7 +109,9 @@ def build_report(
     command: str,
     bill: BillOfMaterials | None = None,
 ) -> tuple[str, dict[str, Picture]]:
-    """A result as one HTML page that loads nothing, and its pictures worth a file, by name.
+    """A result as one HTML page, and its pictures worth a file, by name.
+
+    The page loads nothing.
 
     The first evaluation is the subject. `command` makes the result again; `bill` knows
     more of the costs than the scene.
@@ -128,7 +138,6 @@ def build_report(
         added.section(result.added),
         road_users.section(result.road_users),
         dangers.section(setting, shown, fusion=result.fusion),
-        margins_section(shown),
         front,
         study_cases.section(result.study_cases),
         failures_section(subject, setting.rule, labels),
@@ -173,7 +182,10 @@ def build_report(
 def _shown(
     result: Result, evaluations: Mapping[str, Evaluation]
 ) -> tuple[dict[str, Evaluation], dict[str, Evaluation]]:
-    """Those that are more than a row of a table or a bar; of these, the ones in detail."""
+    """Those that are more than a row of a table or a bar.
+
+    Of these, the ones in detail.
+    """
     rows_alone = (GREEDY, EXPERT, HIGHEST)
     shown = {name: item for name, item in evaluations.items() if name not in rows_alone}
     is_comparison = not isinstance(result, PlacementResult) and len(evaluations) > 1
@@ -181,7 +193,10 @@ def _shown(
 
 
 def _in_order(sections: Sequence[Section | None]) -> list[Section]:
-    """Those that there are: first those in sight, then those of which the title alone is."""
+    """Those that there are.
+
+    First those in sight, then those of which the title alone is.
+    """
     found = {section.id: section for section in sections if section is not None}
     return [
         *(found[name] for name in _IN_SIGHT if name in found),

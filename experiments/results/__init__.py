@@ -1,1 +1,1 @@
-"""Results of jobs as frozen values, and how they are written to a folder and read back."""
+"""Results of jobs as frozen values, written to folders and read back."""

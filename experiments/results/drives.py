@@ -1,4 +1,7 @@
-"""The basis of a result: cases, weathers, perception, refused runs, versions of programs."""
+"""The basis of a result.
+
+Cases, weathers, perception, refused runs, versions of programs.
+"""
 
 import platform
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,9 +21,11 @@ from .record import Record, Share, says
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
 _RAY_PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "embree": ("embreex",)}
-_FARTHEST_M = 300.0  # from there no camera of the catalogue sees a road user 40 px high
+# From there no camera of the catalogue sees a road user 40 px high.
+_FARTHEST_M = 300.0
 _AS_THEY_ARE = ("approach", "position", "reason", "is_possible")
-_MOST_GAPS = 6  # that the first sentence names
+# That the first sentence names.
+_MOST_GAPS = 6
 
 
 class RefusalRecord(Record, frozen=True, kw_only=True):
@@ -37,7 +42,10 @@ class RefusalRecord(Record, frozen=True, kw_only=True):
 
 
 class DrivesRecord(Record, frozen=True, kw_only=True):
-    """Runs that were driven, and how they were perceived: fields of every result."""
+    """Runs that were driven, and how they were perceived.
+
+    Fields of every result.
+    """
 
     cases: Annotated[tuple[str, ...], says("Names of the cases that were driven.")]
     weathers: Annotated[tuple[str, ...], says("Weathers that were driven in.")]
@@ -70,7 +78,10 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
 
 
 def build_drives_record(setting: Setting) -> DrivesRecord:
-    """Cases and weathers, each once in the order of the runs, perception, and refusals."""
+    """Cases, weathers, perception and refusals of a setting.
+
+    Cases and weathers are there once, in the order of the runs.
+    """
     return DrivesRecord(
         cases=tuple(dict.fromkeys(setting.axis.cases)),
         weathers=tuple(dict.fromkeys(setting.axis.weathers)),
@@ -119,7 +130,10 @@ def _without_effect(setting: Setting) -> Iterator[str]:
 
 
 def describe_driven(setting: Setting) -> list[str]:
-    """What is missing of the possible runs, and why: a line per reason, if anything is."""
+    """What is missing of the possible runs, and why.
+
+    A line per reason, if anything is.
+    """
     limits = [*describe_limits(setting), *describe_left_out(setting)]
     if not lacking_room(setting):
         return limits
@@ -143,7 +157,10 @@ def describe_driven(setting: Setting) -> list[str]:
 
 
 def describe_limits(setting: Setting) -> list[str]:
-    """How many runs the map's speed limits leave out, and which limits; nothing where none is."""
+    """How many runs the map's speed limits leave out, and which limits.
+
+    Nothing where none is.
+    """
     found = [one for one in setting.refusals if one.limit_kmh is not None]
     if not found:
         return []
@@ -165,7 +182,10 @@ def describe_limits(setting: Setting) -> list[str]:
 
 
 def lacking_room(setting: Setting) -> list[Refusal]:
-    """Refusals for want of roads or room; speed limits, and whom cases meet, are other reasons."""
+    """Refusals for want of roads or room.
+
+    Speed limits, and whom cases meet, are other reasons.
+    """
     return [
         one
         for one in setting.refusals
@@ -174,7 +194,7 @@ def lacking_room(setting: Setting) -> list[Refusal]:
 
 
 def describe_left_out(setting: Setting) -> Iterator[str]:
-    """Cases that meet somebody who is not protected, and cases that are laid nowhere."""
+    """Cases that meet somebody unprotected, and cases laid nowhere."""
     names = unprotected_cases(setting)
     if names:
         yield trn(
@@ -196,7 +216,7 @@ def describe_left_out(setting: Setting) -> Iterator[str]:
 
 
 def unprotected_cases(setting: Setting) -> list[str]:
-    """Names of the cases that are left out since whoever is met is not to be protected."""
+    """Names of cases left out since whoever is met is not protected."""
     found = [one.case.name for one in setting.refusals if one.left_out == "unprotected"]
     return list(dict.fromkeys(found))
 
@@ -212,7 +232,10 @@ def _n_weathers(setting: Setting) -> int:
 
 
 def _gaps(setting: Setting) -> Iterator[str]:
-    """Cases that are not driven at all or not from everywhere: the widest gaps first."""
+    """Cases that are not driven at all or not from everywhere.
+
+    The widest gaps first.
+    """
     driven = dict.fromkeys((run.case.name, run.approach) for run in setting.runs)
     for_speed = {run.case.name for run in setting.runs}
     refused = {(one.case.name, one.approach): one for one in lacking_room(setting)}
@@ -231,7 +254,8 @@ def _gaps(setting: Setting) -> Iterator[str]:
         yield tr("nothing from the {arms}", arms=joined(map(tr, silent)))
     kinds = {run.case.name: run.case.vru.class_name for run in setting.runs}
     met = {(kinds[name], arm) for name, arm in driven}
-    told = grouped(  # of a kind, or of a case; name; arms
+    # Of a kind, or of a case; name; arms.
+    told = grouped(
         ((False, name) if (kinds[name], arm) in met else (True, kinds[name]), tr(arm))
         for name, arm in left
         if arm not in silent
@@ -245,7 +269,10 @@ def _gaps(setting: Setting) -> Iterator[str]:
 
 
 def _reasons(setting: Setting) -> Iterator[str]:
-    """A line per reason: those of most possible runs first, last what is not possible."""
+    """A line per reason, those of most possible runs first.
+
+    What is not possible comes last.
+    """
     groups = grouped((one.reason, one) for one in lacking_room(setting))
 
     def count(group: Sequence[Refusal]) -> int:
@@ -281,7 +308,8 @@ def describe_places(positions: Mapping[str, Sequence[str]]) -> str:
     --------
     >>> describe_places({"east": ["0"], "north": ["0", "0"]})
     'east and north'
-    >>> describe_places({"east": ["-30", "-45"], "north": ["-30", "-45"], "west": ["+45"]})
+    >>> both = ["-30", "-45"]
+    >>> describe_places({"east": both, "north": both, "west": ["+45"]})
     'east and north (at -30, -45) and west (at +45)'
     """
     arms: dict[str, list[str]] = {}

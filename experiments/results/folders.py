@@ -1,4 +1,6 @@
-"""A folder of results: written as a whole or not at all, and replaced only if nobody changed it.
+"""A folder of results.
+
+Written as a whole or not at all, and replaced only if nobody changed it.
 
 ``SHA256SUMS`` in the folder lists its files with their hashes, so that ``sha256sum -c
 SHA256SUMS`` checks it anywhere. A folder is replaced only if it holds the listed files,
@@ -32,13 +34,15 @@ _R = TypeVar("_R", bound=msgspec.Struct)
 
 MARKER = "summary.json"
 LAYOUT_FILE = "layout.json"
-RECOMMENDED_FILE = "recommended.json"  # where the evaluator prefers another layout
+# Where the evaluator prefers another layout.
+RECOMMENDED_FILE = "recommended.json"
 RUNS_FILE = "runs.parquet"
 APR_FILE = "apr.csv"
 MANIFEST = "SHA256SUMS"
 
 _PREFIX = ".place-rsus."
-_OF_FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # they come by themselves
+# They come by themselves.
+_OF_FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}
 
 
 def write_manifest(folder: Path) -> None:
@@ -48,7 +52,10 @@ def write_manifest(folder: Path) -> None:
 
 
 def _manifest_of(contents: Mapping[str, str | bytes]) -> str:
-    """List of files that are not written yet, as :func:`write_manifest` writes it."""
+    """List of files that are not written yet, as a manifest has it.
+
+    See :func:`write_manifest`.
+    """
     lines = []
     for name, content in sorted(contents.items()):
         if isinstance(content, str):
@@ -60,7 +67,9 @@ def _manifest_of(contents: Mapping[str, str | bytes]) -> str:
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
-    """Hashes by file name, as ``SHA256SUMS`` lists them; nothing where there is no such file.
+    """Hashes by file name, as ``SHA256SUMS`` lists them.
+
+    Nothing where there is no such file.
 
     Raises
     ------
@@ -89,7 +98,9 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def changed_files(folder: Path) -> dict[str, str]:
-    """What is not as ``SHA256SUMS`` lists it: "missing", "changed" or "not listed", by file name.
+    """What is not as ``SHA256SUMS`` lists it.
+
+    "missing", "changed" or "not listed", by file name.
 
     Raises
     ------
@@ -114,7 +125,10 @@ def sha256(path: Path) -> str:
 
 
 def listed_files(folder: Path) -> dict[str, Path]:
-    """Files in a folder and those below it, by relative name; empty folders count as well."""
+    """Files in a folder and those below it, by relative name.
+
+    Empty folders count as well.
+    """
     not_listed = {MANIFEST, SIGNATURE, *_OF_FILE_MANAGERS}
     return {
         path.relative_to(folder).as_posix(): path
@@ -128,7 +142,9 @@ def _is_filled_folder(path: Path) -> bool:
 
 
 def check_result_folder(folder: Path) -> None:
-    """Check, before anything is computed, that a result folder can be written; changes nothing.
+    """Check, before anything is computed, that a result folder can be written.
+
+    Changes nothing.
 
     Parameters
     ----------
@@ -146,7 +162,8 @@ def check_result_folder(folder: Path) -> None:
         real.stat()
     except FileNotFoundError:
         pass
-    except (OSError, RuntimeError) as error:  # a circle of links is a RuntimeError
+    except (OSError, RuntimeError) as error:
+        # A circle of links is a RuntimeError.
         raise unwritable(folder, error) from None
     else:
         _check_existing(folder, real)
@@ -154,7 +171,10 @@ def check_result_folder(folder: Path) -> None:
 
 
 def _try_to_write(folder: Path, existing: Path) -> None:
-    """Make a folder, and remove it: root may write anywhere, so nothing else is an honest test."""
+    """Make a folder, and remove it.
+
+    Root may write anywhere, so nothing else is an honest test.
+    """
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
     try:
@@ -166,7 +186,9 @@ def _try_to_write(folder: Path, existing: Path) -> None:
 
 @contextmanager
 def new_result_folder(folder: Path, *, sign: Path | None = None) -> Iterator[Path]:
-    """Fill a temporary folder, then put it in the place of `folder`, which may be a link.
+    """Fill a temporary folder, then put it in the place of `folder`.
+
+    `folder` may be a link.
 
     `sign` is the key that signs the list of its files, see :mod:`.signatures`. If the
     block raises, `folder` stays as it was; what was written is kept next to it if
@@ -244,12 +266,16 @@ def _check_existing(folder: Path, real: Path) -> None:
 
 
 def _put_in_place(temporary: Path, folder: Path, real: Path) -> None:
-    """Put a filled folder where it belongs, in one step, and remove what stood there."""
+    """Put a filled folder in its place in one step.
+
+    What stood there is removed.
+    """
     with signals_held() as held:
         if not real.exists():
             temporary.rename(real)
         else:
-            _check_existing(folder, real)  # files may have come, or changed, meanwhile
+            # Files may have come, or changed, meanwhile.
+            _check_existing(folder, real)
             for path in [
                 path for path in real.rglob("*") if path.name in _OF_FILE_MANAGERS
             ]:
@@ -257,30 +283,37 @@ def _put_in_place(temporary: Path, folder: Path, real: Path) -> None:
             replaced = temporary
             if not _exchange(temporary, real):
                 replaced = _free_name(real, "earlier")
-                real.rename(
-                    replaced
-                )  # in sight: the program may be killed before the next line
+                # In sight: the program may be killed before the next line.
+                real.rename(replaced)
                 try:
                     temporary.rename(real)
                 except OSError:
                     replaced.rename(real)
                     raise
             shutil.rmtree(replaced, ignore_errors=True)
-        held.clear()  # too late: all is there
+        # Too late: all is there.
+        held.clear()
 
 
 def _exchange(first: Path, second: Path) -> bool:
-    """Exchange the names of two folders in one step; False where the system cannot."""
+    """Exchange the names of two folders in one step.
+
+    False where the system cannot.
+    """
     if sys.platform == "win32":
         return False
     libc = ctypes.CDLL(None, use_errno=True)
     names = os.fsencode(first), os.fsencode(second)
-    if hasattr(libc, "renameat2"):  # Linux
+    # Linux.
+    if hasattr(libc, "renameat2"):
         at_cwd = -100
-        swap = 2  # AT_FDCWD and RENAME_EXCHANGE of <fcntl.h> and <linux/fs.h>
+        # AT_FDCWD and RENAME_EXCHANGE of <fcntl.h> and <linux/fs.h>.
+        swap = 2
         failed = libc.renameat2(at_cwd, names[0], at_cwd, names[1], swap)
-    elif hasattr(libc, "renamex_np"):  # macOS
-        swap = 2  # RENAME_SWAP of <sys/stdio.h>
+    elif hasattr(libc, "renamex_np"):
+        # RENAME_SWAP of <sys/stdio.h>.
+        # macOS.
+        swap = 2
         failed = libc.renamex_np(names[0], names[1], swap)
     else:
         return False
@@ -292,7 +325,8 @@ def _exchange(first: Path, second: Path) -> bool:
 
 def _free_name(folder: Path, word: str) -> Path:
     """A free name next to a folder: ``latest.unfinished``."""
-    stem = folder.name[:200]  # names have 255 bytes at most
+    # Names have 255 bytes at most.
+    stem = folder.name[:200]
     names = [
         f"{stem}.{word}",
         *(f"{stem}.{word}-{number}" for number in range(2, 1000)),
@@ -301,7 +335,10 @@ def _free_name(folder: Path, word: str) -> Path:
 
 
 def remove_abandoned(parent: Path) -> None:
-    """Remove the temporary folders that a killed run left; never those of one that is alive."""
+    """Remove the temporary folders that a killed run left.
+
+    Never those of one that is alive.
+    """
     if not parent.is_dir():
         return
     for path in parent.glob(f"{_PREFIX}*"):
@@ -312,7 +349,9 @@ def remove_abandoned(parent: Path) -> None:
 def expect_results(
     out: Path | None, progress: StageProgress, *, sign: Path | None = None
 ) -> None:
-    """Check a folder before a job that replaces it by :func:`new_result_folder`, if asked to.
+    """Check a folder before a job that replaces it, if asked to.
+
+    The job uses :func:`new_result_folder`.
 
     Raises InputError: it cannot be written, or the key `sign` cannot sign it.
     """
@@ -341,13 +380,19 @@ def _reason(error: Exception) -> str:
 
 
 def check_folder(folder: Path) -> None:
-    """Find out before anything is computed whether a folder can be written; else InputError."""
+    """Find out before anything is computed whether a folder can be written.
+
+    Else InputError.
+    """
     _check_name(folder)
     _try_to_write(folder, folder)
 
 
 def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
-    """Write files by name, each whole or not at all; InputError if the folder is not writable."""
+    """Write files by name, each whole or not at all.
+
+    InputError if the folder is not writable.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, content in contents.items():
@@ -359,7 +404,9 @@ def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
 def expect_files(
     out: Path | None, progress: StageProgress, *, sign: Path | None = None
 ) -> None:
-    """Check a folder before a job whose result :func:`save_files` puts there, if asked to.
+    """Check a folder before a job that writes files there, if asked to.
+
+    The job uses :func:`save_files`.
 
     Raises InputError: it cannot be written, or the key `sign` cannot sign its files.
     """
@@ -381,7 +428,9 @@ def save_files(
     has_manifest: bool = False,
     sign: Path | None = None,
 ) -> _R:
-    """The result with its "seconds"; `files` of it are added to `out`, if asked to.
+    """The result with its "seconds".
+
+    `files` of it are added to `out`, if asked to.
 
     With a manifest they are listed in ``SHA256SUMS``, which the key `sign` signs.
     """
@@ -394,7 +443,8 @@ def save_files(
             contents[MANIFEST] = _manifest_of(contents)
         write_files(out, contents)
         if has_manifest:
-            (out / SIGNATURE).unlink(missing_ok=True)  # it was of earlier files
+            # It was of earlier files.
+            (out / SIGNATURE).unlink(missing_ok=True)
         if sign is not None:
             write_signature(out, out / MANIFEST, sign)
         progress.kept = f"the results are in {out}"

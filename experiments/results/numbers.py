@@ -1,4 +1,7 @@
-"""Numbers and counts as results print them, on a terminal and in the report alike."""
+"""Numbers and counts as results print them.
+
+On a terminal and in the report alike.
+"""
 
 import math
 from collections.abc import Hashable, Iterable, Sequence
@@ -15,7 +18,9 @@ NOTHING = "\N{EN DASH}"
 
 
 def percent(share: float | None) -> str:
-    """A share of 1 in print, with one digit: what is not quite all or none is never shown as it.
+    """A share of 1 in print, with one digit.
+
+    What is not quite all or none is never shown as it.
 
     None and NaN (no run counts) are shown as a dash.
 
@@ -63,7 +68,10 @@ def points(share: float) -> str:
 
 
 def in_points(share: float | None) -> str:
-    """A difference of shares of 1 as a number of points, for tables; a dash where there is none."""
+    """A difference of shares of 1 as a number of points, for tables.
+
+    A dash where there is none.
+    """
     return number(100.0 * or_nan(share), 1)
 
 
@@ -155,7 +163,9 @@ def first_of(words: Sequence[str], most: int) -> str:
 
 
 def layout_words(name: str) -> str:
-    """A layout's name for people, with the name of its file behind it where that is a code.
+    """A layout's name for people.
+
+    The name of its file stands behind it where that is a code.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Records: frozen values of which results are made, with their JSON and the schema of it."""
+"""Records: frozen values of results, with their JSON and its schema."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -24,7 +24,6 @@ from placement.evaluation import (
     apr_one_site_failed,
     mean_impact_speed_kmh,
     mix,
-    score,
     units_by_site,
 )
 from placement.layout import Certificate, Layout, layout_records
@@ -48,8 +47,8 @@ StageName = Literal[
     "smallest_margin_s",
     "mean_margin_s",
 ]
-"""Objectives: number of units; cost in EUR; APR that is left when any units fail; APR; APR if the
-most needed unit fails; smallest and mean time to spare in seconds."""
+"""Objectives, in order: number of units; cost in EUR; APR that is left when any units
+fail; APR; APR if the most needed unit fails; smallest and mean time to spare in s."""
 StageValues = Annotated[
     dict[StageName, float],
     Meta(extra_json_schema={"propertyNames": {"enum": list(get_args(StageName))}}),
@@ -58,7 +57,9 @@ StageValues = Annotated[
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A part of a result. Each field says what it is; fields that are UNSET are not written.
+    """A part of a result.
+
+    Each field says what it is; fields that are UNSET are not written.
 
     Attributes
     ----------
@@ -66,13 +67,15 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         What the JSON schema says of the keys beside their types, such as "oneOf".
     """
 
-    schema_rules: ClassVar[
-        dict[str, object]
-    ] = {}  # of the JSON schema, about several keys
+    # Of the JSON schema, about several keys.
+    schema_rules: ClassVar[dict[str, object]] = {}
 
 
 def to_plain(value: object) -> Any:
-    """Values and records as JSON has them; numbers that JSON lacks (NaN, infinite) are None."""
+    """Values and records as JSON has them.
+
+    Numbers that JSON lacks (NaN, infinite) are None.
+    """
     return msgspec.json.decode(msgspec.json.encode(value, enc_hook=_plain_value))
 
 
@@ -87,7 +90,10 @@ def _plain_value(value: object) -> object:
 
 
 class UnitRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
-    """A mounted sensor, as in layout.json. World frame: x east, y north, z up, 0 on the road."""
+    """A mounted sensor, as in layout.json.
+
+    World frame: x east, y north, z up, 0 on the road.
+    """
 
     schema_rules: ClassVar[dict[str, object]] = {
         "oneOf": [{"required": ["camera"]}, {"required": ["lidar"]}]
@@ -128,7 +134,10 @@ class UnitRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class StageRecord(Record, frozen=True, kw_only=True):
-    """An objective on the detection table; they are optimised in order, each holding the last."""
+    """An objective on the detection table.
+
+    They are optimised in order, each holding the last.
+    """
 
     name: Annotated[StageName, says("Which objective.")]
     objective: Annotated[
@@ -146,7 +155,10 @@ class StageRecord(Record, frozen=True, kw_only=True):
 def build_unit_records(
     layout: Layout, scene: Scene | None = None
 ) -> tuple[UnitRecord, ...]:
-    """The units of a layout; with a scene also what people call where they are."""
+    """The units of a layout.
+
+    With a scene also what people call where they are.
+    """
     records = tuple(UnitRecord(**unit) for unit in layout_records(layout))
     if scene is None:
         return records
@@ -202,7 +214,6 @@ class PartyAprRecord(Record, frozen=True, kw_only=True):
             " recordings."
         ),
     ] = None
-    score: Annotated[Share | None, says("Only with --score rating-2026.")] = None
 
 
 class EvaluationRecord(Record, frozen=True, kw_only=True):
@@ -246,7 +257,10 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
 
 
 def mixed(blind: Any, seeing: Any, cars: float) -> Any:
-    """A record whose numbers are weighted by the share of cars that see; counts as for most."""
+    """A record whose numbers are weighted by the share of cars that see.
+
+    Counts as for most.
+    """
     if cars in (0.0, 1.0):
         if cars:
             return seeing
@@ -277,11 +291,6 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
             by_case={**apr_by_case(verdict, axis)},
             by_position={**apr_by_position(verdict, axis)},
             mean_impact_speed_kmh=mean_impact_speed_kmh(verdict, axis),
-            score=(
-                None
-                if evaluation.levels is None
-                else score(verdict, axis, evaluation.levels)
-            ),
         )
 
     blind = ratios(evaluation.rsu_all)

@@ -1,4 +1,6 @@
-"""Signatures of result folders, made and checked by ``ssh-keygen``, which OpenSSH brings.
+"""Signatures of result folders, made and checked by ``ssh-keygen``.
+
+OpenSSH brings it.
 
 ``SHA256SUMS`` is what is signed: it names every other file with its hash. The signature
 lies next to it, as OpenSSH writes it, so that ``ssh-keygen -Y verify -n place-rsus``
@@ -17,18 +19,24 @@ from geometry.writing import write_atomically
 
 SIGNATURE = "SHA256SUMS.sig"
 NAMESPACE = "place-rsus"
-"""OpenSSH binds a signature to a purpose: one made for this is none for mail or for commits."""
+"""Purpose that OpenSSH binds a signature to: it is none for mail or commits."""
 
 _PROGRAM = "ssh-keygen"
-_LIMIT_S = 120.0  # keys in hardware wait until somebody touches them
+# Keys in hardware wait until somebody touches them.
+_LIMIT_S = 120.0
 _MAX_KEY_BYTES = 1_000_000
-_SIGNER = "signer"  # the name under which the one trusted key is listed
-_KEY_KINDS = ("ssh-", "ecdsa-", "sk-")  # how the lines of public keys begin
+# The name under which the one trusted key is listed.
+_SIGNER = "signer"
+# How the lines of public keys begin.
+_KEY_KINDS = ("ssh-", "ecdsa-", "sk-")
 _PRIVATE = "-----BEGIN"
 
 
 def check_signing_key(key: Path) -> None:
-    """Try a key before anything is computed. Raises InputError as :func:`sign`."""
+    """Try a key before anything is computed.
+
+    Raises InputError as :func:`sign`.
+    """
     sign(b"", key)
 
 
@@ -93,13 +101,14 @@ def signature_fault(folder: Path, manifest: Path, key: Path) -> str:
         done = _run(arguments, content, where)
     if done.returncode == 0:
         return ""
-    if not done.stderr.strip():  # the signature holds, but it is another key's
+    # The signature holds, but it is another key's.
+    if not done.stderr.strip():
         return f"it is not signed by {key.name}"
     return f"it is not signed by {key.name}: {_reason(done)}"
 
 
 def _allowed_signers(key: Path, where: str) -> str:
-    """The public keys of a file, as ``ssh-keygen -Y verify`` reads whom it trusts."""
+    """Public keys of a file, in the form of ``ssh-keygen -Y verify``."""
     expected = "a file with public keys, such as id_ed25519.pub"
     text = read_text(key, expected)
     if _PRIVATE in text:
@@ -137,7 +146,8 @@ def _run(
             capture_output=True,
             check=False,
             timeout=_LIMIT_S,
-            start_new_session=True,  # without a terminal
+            # Without a terminal.
+            start_new_session=True,
             env=os.environ | quiet,
         )
     except subprocess.TimeoutExpired:

@@ -1,4 +1,7 @@
-"""Tables of verdicts, for other programs: ratios by group, and every run's outcome."""
+"""Tables of verdicts, for other programs.
+
+Ratios by group, and every run's outcome.
+"""
 
 import csv
 import io
@@ -37,7 +40,10 @@ _BEGINNINGS = (*"=+-@", "\t", "\r", "\n")
 
 
 def parties(evaluation: Evaluation) -> dict[str, Verdict]:
-    """Every sensing party of an evaluation: "vut", each unit's id, "rsu_all" and so on."""
+    """Every sensing party of an evaluation.
+
+    "vut", each unit's id, "rsu_all" and so on.
+    """
     return {
         "vut": evaluation.vut,
         **evaluation.units,
@@ -68,7 +74,9 @@ def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
 
 
 def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
-    """Accident prevention ratios of every party, by case, approach, position, weather and speed.
+    """Accident prevention ratios of every party by groups of runs.
+
+    By case, approach, position, weather and speed.
 
     Parameters
     ----------
@@ -192,7 +200,10 @@ def _missing(times_s: FloatArray) -> FloatArray:
 
 
 def groups_by(axis: FrameAxis, what: GroupedBy) -> list[RunGroup]:
-    """A group per case, direction or weather as they appear; per position or speed, ascending."""
+    """A group per case, direction or weather as they appear.
+
+    Per position or speed, ascending.
+    """
     speeds = [f"{speed:g}" for speed in axis.vut_speed_kmh]
     ascending = [f"{speed:g}" for speed in np.unique(axis.vut_speed_kmh)]
     words, order = {
@@ -212,7 +223,10 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list
 
 
 def page_of(template: Traversable, **values: Any) -> str:
-    """A text of a Jinja template; its filter `table` makes Markdown of rows, with their heads."""
+    """A text of a Jinja template.
+
+    Its filter `table` makes Markdown of rows, with their heads.
+    """
     from jinja2 import Environment, StrictUndefined
 
     page = Environment(
@@ -253,7 +267,9 @@ def records_csv(
 
 
 def safe_cell(cell: Any) -> Any:
-    """A cell as it is, or behind an apostrophe if a spreadsheet would take it for a formula.
+    """A cell that no spreadsheet takes for a formula.
+
+    Behind an apostrophe if it would be taken for one, else as it is.
 
     Examples
     --------
@@ -276,12 +292,14 @@ def plain_cell(cell: Any) -> Any:
 
 
 def _is_like_formula(cell: Any) -> bool:
-    """A text begins as formulas do; also one that has such an apostrophe already."""
+    """A text begins as formulas do.
+
+    Also one that has such an apostrophe already.
+    """
     if not isinstance(cell, str) or len(cell) == 1:
         return False
-    first = unicodedata.normalize(
-        "NFKC", cell.lstrip("'")[:1]
-    )  # also as wide as in Japanese
+    # Also as wide as in Japanese.
+    first = unicodedata.normalize("NFKC", cell.lstrip("'")[:1])
     if not first.startswith(_BEGINNINGS):
         return False
     try:

@@ -1,4 +1,4 @@
-"""``place-rsus scene``: a program that makes scenes of maps, shows and checks them."""
+"""``place-rsus scene``: makes scenes of maps, shows and checks them."""
 
 from geometry.errors import InputError
 
@@ -31,5 +31,5 @@ _CAUSE_OF = {
 
 
 def cause_of(error: InputError) -> str:
-    """The kind of cause for which a junction is left out, by the field that an error names."""
+    """Why a junction is left out, by the field that an error names."""
     return _CAUSE_OF.get(error.where.rpartition(": ")[2].partition(" ")[0], "")

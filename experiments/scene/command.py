@@ -23,11 +23,6 @@ if TYPE_CHECKING:
 _MAX_LISTED = 20
 
 
-def _offset(text: str) -> tuple[float, float]:
-    """Two numbers of ``--offset``, metres."""
-    return read_point(text, "--offset")
-
-
 def _at(text: str) -> tuple[float, float]:
     """Two numbers of ``--at``, in the coordinates of the file."""
     return read_point(text, "--at")
@@ -36,14 +31,17 @@ def _at(text: str) -> tuple[float, float]:
 def reading_options(
     command: Callable[..., Any], *, staggered_m: float = 0.0
 ) -> Callable[..., Any]:
-    """Add the options about facts that files do not state; the command gets one `reading`."""
+    """Add the options about facts that files do not state.
+
+    The command gets one `reading`.
+    """
 
     @wraps(command)
     def with_reading(*args: Any, **values: Any) -> Any:
         from geometry.maps.importing import ReadingOptions
 
         side = values.pop("driving_side")
-        names = ("unit", "up", "class_name", "crs", "layer", "offset_m", "staggered_m")
+        names = ("unit", "up", "class_name", "staggered_m")
         reading = ReadingOptions(
             keeps_left=None if side == "map" else side == "left",
             **{name: values.pop(name) for name in names},
@@ -79,20 +77,6 @@ def reading_options(
             help="On which traffic keeps; map: as it says or shows.",
         ),
         options.option(
-            "--crs",
-            default="",
-            metavar="CRS",
-            is_common=False,
-            help="Of files that do not say: EPSG:25832.",
-        ),
-        options.option(
-            "--layer",
-            default="",
-            metavar="NAME",
-            is_common=False,
-            help="Of a GeoPackage.",
-        ),
-        options.option(
             "--staggered",
             "staggered_m",
             type=click.FloatRange(min=0.0, max=60.0),
@@ -104,18 +88,6 @@ def reading_options(
                 "Two side roads that meet a road of OpenStreetMap from either side, "
                 "no farther apart, are one junction. All roads that meet within 25 m "
                 "are."
-            ),
-        ),
-        options.option(
-            "--offset",
-            "offset_m",
-            type=_offset,
-            metavar="X,Y",
-            is_common=False,
-            expected="two numbers: X,Y",
-            help=(
-                "Metres by which buildings, meshes and clouds are moved, into the "
-                "coordinates of the map with the roads."
             ),
         ),
     )
@@ -162,15 +134,6 @@ Examples:
     ),
 )
 @options.option(
-    "--radius",
-    "radius_m",
-    type=click.FloatRange(min=0.0, min_open=True),
-    default=80.0,
-    metavar="METRES",
-    expected="metres, more than 0",
-    help="Of what is kept around the junction.",
-)
-@options.option(
     "--sites",
     default="auto",
     metavar="WHERE",
@@ -179,12 +142,6 @@ Examples:
         "CSV or GeoJSON file; auto: map, but for low sign posts and poles of other "
         "junctions, and kerb:15 where none is within 25 m."
     ),
-)
-@options.option(
-    "--ground",
-    "ground_m",
-    type=float,
-    help="Height of the road in city models and meshes.",
 )
 @options.option(
     "--terrain",
@@ -224,7 +181,7 @@ def import_(
     Roads come from OpenDRIVE (.xodr), OpenStreetMap (.osm, .osm.pbf), Lanelet2 (.osm)
     or CommonRoad (.xml); buildings and other things from these, GeoJSON, GeoPackage,
     Shapefile, CityJSON, CityGML, meshes (glTF, OBJ, PLY, STL) and point clouds (LAS,
-    LAZ, PCD). Where several junctions are in the map and none is named, the one with
+    LAZ). Where several junctions are in the map and none is named, the one with
     the most arms is taken; `scene show FILE` lists them.
     """
     call.start()
@@ -272,7 +229,10 @@ def show(
     out: Path | None,
     sort: str,
 ) -> None:
-    """Show a scene or a map: arms, lanes, sites, things, and what was left out and why."""
+    """Show a scene or a map.
+
+    Arms, lanes, sites, things, and what was left out and why.
+    """
     call.start()
     from . import run
 
@@ -292,7 +252,10 @@ Exit codes: 0 no errors (there may be warnings), 1 errors, 2 the input is wrong.
 @click.argument("path", metavar="[SCENE]", default="")
 @options.calling
 def check(call: Call, *, path: str) -> None:
-    """Look for what may be wrong: holes, floating or overlapping buildings, sites inside walls."""
+    """Look for what may be wrong.
+
+    Holes, floating or overlapping buildings, sites inside walls.
+    """
     call.start()
     from . import run
 

@@ -42,20 +42,27 @@ _HEIGHT_PX = 800
 _VIEW_DEG = 42.0
 _PITCH_DEG = -50.0
 _YAW_DEG = 60.0
-_MAX_TRIANGLES = 400_000  # of buildings; more are not drawn
+# Of buildings; more are not drawn.
+_MAX_TRIANGLES = 400_000
 _ROADS = "#b8b8b8"
 _BUILDINGS = "#e9e9e9"
-_BEYOND = 0.08  # of the span of the junctions, around them
+# Of the span of the junctions, around them.
+_BEYOND = 0.08
 _LEAST_M = 120.0
 _NAMED_M = 45.0
-_NAMED_AGAIN_M = 250.0  # a street's name from a junction; and again
+# A street's name from a junction; and again.
+_NAMED_AGAIN_M = 250.0
 _FINEST_M = 0.5
-_MOST_STEPS = 8000  # of streets drawn in SVG: metres, and parts of its width
+# Of streets drawn in SVG: metres, and parts of its width.
+_MOST_STEPS = 8000
 HALO = withStroke(linewidth=2.5, foreground="white")
 
 
 def plot_scene_plan(scene: Scene) -> Axes:
-    """Plan of a scene, north up: a square of 90 m to 180 m with all things and sites."""
+    """Plan of a scene, north up.
+
+    A square of 90 m to 180 m with all things and sites.
+    """
     junction = build_junction(scene)
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     half = _half_size_m(scene, middle)
@@ -89,7 +96,10 @@ def plot_scene_plan(scene: Scene) -> Axes:
 
 
 def plot_scene_view(scene: Scene) -> Axes:
-    """View of a scene from a height in the south-west: ray-cast, shaded by the sun's direction."""
+    """View of a scene from a height in the south-west.
+
+    Ray-cast, shaded by the sun's direction.
+    """
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     picture = _cast_view(
         scene, middle, distance_m=2.6 * min(_half_size_m(scene, middle), 70.0)
@@ -132,7 +142,8 @@ def _draw_direction(axes: Axes, points_m: FloatArray, *, is_in: bool) -> None:
 
 def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> FloatArray:
     """Colours of every pixel, (height, width, 3), 0 .. 1."""
-    rotation = camera_rotation(_YAW_DEG, _PITCH_DEG)  # camera: x right, y down, z ahead
+    # Camera: x right, y down, z ahead.
+    rotation = camera_rotation(_YAW_DEG, _PITCH_DEG)
     position = -distance_m * rotation[:, 2]
     focal = 0.5 * _WIDTH_PX / np.tan(np.radians(0.5 * _VIEW_DEG))
     u, v = np.meshgrid(np.arange(_WIDTH_PX) + 0.5, np.arange(_HEIGHT_PX) + 0.5)
@@ -182,7 +193,9 @@ def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> Floa
 def build_street_map(
     maps: Sequence[SourceMap], places_m: FloatArray
 ) -> tuple[dict[str, Any], Callable[[FloatArray], FloatArray]]:
-    """Driving lanes of maps as an SVG path, with room for places (n, 2) of the first map's system.
+    """Driving lanes of maps as an SVG path.
+
+    With room for places (n, 2) in the first map's system.
 
     And the function that takes points (..., 2 or 3) of that system to metres to the
     right and down from the map's upper left corner.
@@ -217,7 +230,9 @@ def build_street_map(
 def junction_map(
     maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]
 ) -> dict[str, Any]:
-    """The junctions of the first map to choose from, on its streets with their names, as JSON.
+    """The junctions of the first map to choose from, as JSON.
+
+    On its streets with their names.
 
     Each has the cause for which it cannot be used, a key of ``CAUSES``, or none.
     """
@@ -252,7 +267,10 @@ def _template(name: str) -> Any:
 
 
 def junction_chooser(shown: dict[str, Any]) -> str:
-    """A :func:`junction_map` as HTML, for ``junction_map.js``; texts in it are escaped."""
+    """A :func:`junction_map` as HTML, for ``junction_map.js``.
+
+    Texts in it are escaped.
+    """
     return str(_template("junction_map.html.j2").module.chooser(shown, CAUSES))
 
 
@@ -275,7 +293,10 @@ def junctions_page(
 def new_map_axes(
     maps: Sequence[SourceMap], places_m: FloatArray, *, width_in: float = WIDTH_IN
 ) -> Axes:
-    """Axes with streets and buildings of maps around places (n, 2) in the first map's system."""
+    """Axes with streets and buildings of maps around places.
+
+    Places (n, 2) are in the first map's system.
+    """
     low = places_m.min(axis=0)
     high = places_m.max(axis=0)
     half = 0.5 * np.maximum(high - low, _LEAST_M) * (1.0 + 2.0 * _BEYOND) + 60.0
@@ -298,7 +319,7 @@ def _in_system(points: FloatArray, source: SourceMap, crs: str) -> FloatArray:
 
 
 def _driving_lines(source: SourceMap, crs: str) -> list[FloatArray]:
-    """Centrelines (n, 2) of the driving lanes of a map in the system of another one."""
+    """Centrelines (n, 2) of driving lanes in another map's system."""
     lanes = (lane for lane in source.lanes if lane.kind == "driving")
     return [_in_system(lane.centreline_m, source, crs) for lane in lanes]
 

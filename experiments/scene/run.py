@@ -1,4 +1,4 @@
-"""``place-rsus scene``: import scenes, show them, check them; and what there is to say of them."""
+"""``place-rsus scene``: import, show and check scenes."""
 
 import hashlib
 import shlex
@@ -46,9 +46,10 @@ PLAN_NAME = "plan.png"
 VIEW_NAME = "view.png"
 JUNCTIONS_PAGE = "junctions.html"
 _STUDY = "town05"
-_DIGITS = 3  # a millimetre
+# A millimetre.
+_DIGITS = 3
 IMPORT_VERSION = 2
-"""Counts up when the same map gives another scene; older ones in the cache are not taken."""
+"""Counts up when the same map gives another scene: older ones are not taken."""
 
 
 class ArmRecord(Record, frozen=True, kw_only=True):
@@ -61,7 +62,9 @@ class ArmRecord(Record, frozen=True, kw_only=True):
 
 
 class JunctionRecord(Record, frozen=True, kw_only=True):
-    """A junction; x_m and y_m are in the map's system: in degrees where that has degrees.
+    """A junction; x_m and y_m are in the map's system.
+
+    In degrees where that has degrees.
 
     Signals are poles with traffic lights; they and crossings lie within 15 m of the
     outline.
@@ -92,7 +95,10 @@ class SiteRecord(Record, frozen=True, kw_only=True):
 
 
 class SceneResult(Record, frozen=True, kw_only=True):
-    """Contents of a scene or a map; fields of a scene alone, or an import alone, may be UNSET."""
+    """Contents of a scene or a map.
+
+    Fields of a scene alone, or an import alone, may be UNSET.
+    """
 
     name: str
     junctions: tuple[JunctionRecord, ...]
@@ -267,14 +273,18 @@ def run_import(
                 path.name: read_bytes(path) for path in sorted(folder.iterdir())
             }
             contents |= _pictures(scene)
-            contents[SCENE_FILE] = contents.pop(SCENE_FILE)  # last: where it is, all is
+            # Last: where it is, all is.
+            contents[SCENE_FILE] = contents.pop(SCENE_FILE)
             write_files(out, contents)
     progress.kept = f"the scene is in {out}"
     return replace(result, written=str(out), seconds=progress.finish())
 
 
 def _check_target(out: Path, *, is_zip: bool) -> None:
-    """Refuse, before anything is computed, a target that cannot be written or is not ours."""
+    """Refuse a target that cannot be written or is not ours.
+
+    Before anything is computed.
+    """
     if is_zip:
         if out.is_dir():
             refuse("--out", f"{out}, a folder", "a file to write")
@@ -316,7 +326,10 @@ def _fetch(bbox: str, path: Path) -> Path:
 def import_into_cache(
     question: Question, *, cache: Path, progress: StageProgress
 ) -> tuple[str, SceneResult]:
-    """Folder and summary of a map's junction, imported below `cache` unless it was before."""
+    """Folder and summary of a map's junction.
+
+    It is imported below `cache` unless it was before.
+    """
     path = Path(question.scene)
     options = map_options(question)
     if not question.scene or not path.is_file() or has_scene(path):
@@ -335,7 +348,8 @@ def import_into_cache(
         try:
             return str(folder), build_scene_result(load_scene_folder(folder))
         except InputError:
-            pass  # damaged: import it again
+            # Damaged: import it again.
+            pass
     folder.mkdir(parents=True, exist_ok=True)
     return str(folder), run_import(
         [question.scene], wanted, bbox="", out=folder, progress=progress

@@ -1,1 +1,4 @@
-"""The CarlaNCAP study: its layout of 12 cameras, its published figures, and ours beside them."""
+"""The CarlaNCAP study.
+
+Its layout of 12 cameras, its published figures, and ours beside them.
+"""

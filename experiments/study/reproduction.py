@@ -1,4 +1,6 @@
-"""The CarlaNCAP study's figures and ours: ``python -m experiments.study.reproduction``.
+"""The CarlaNCAP study's figures and ours.
+
+``python -m experiments.study.reproduction``.
 
 Ours are those of its own setting, and of variants of it: one thing of ours, or that the
 study leaves open, is changed.
@@ -74,7 +76,10 @@ class StudyVariant:
 
 
 def build_variants() -> tuple[StudyVariant, ...]:
-    """As it is first; then walls, parked cars, smallest box and field of view, changed."""
+    """Variants of the reconstruction, the first one as it is.
+
+    Then changed walls, parked cars, smallest boxes and fields of view.
+    """
     base = build_setting(AS_STUDIED, load_study_scene())
     open_corner = move_walls(base.scene, -5.0)
     settings = {
@@ -101,7 +106,9 @@ _NARROW = "field of view 90 deg, not 110"
 def _with_narrow(
     settings: Mapping[str, Setting], narrow: Mapping[str, Setting]
 ) -> tuple[StudyVariant, ...]:
-    """Variants with the study's cameras; then those in which they all look less wide.
+    """Variants with the study's cameras.
+
+    Then those in which they all look less wide.
 
     Theirs is the field of view of the study's text, on the VUT, too.
     """
@@ -124,7 +131,10 @@ def _with_narrow(
 
 
 def move_walls(scene: Scene, by_m: float) -> Scene:
-    """Every wall moved towards the middle of a junction, by metres along both roads."""
+    """Every wall moved towards the middle of a junction.
+
+    By metres along both roads.
+    """
     vertices = scene.vertices_m.copy()
     middle = scene.outline_m.mean(axis=0)
     for index, instance in enumerate(scene.instances):
@@ -241,7 +251,7 @@ def _lay(
 
 
 def _farther(case: Case, away_m: float) -> Case:
-    """A turning case whose VRU crosses the exit arm so much farther from the junction. [m]."""
+    """A turning case whose VRU crosses farther from the junction, by metres."""
     assert case.vru_line is not None
     left_m = case.vru_line.left_m + away_m
     return replace(case, vru_line=replace(case.vru_line, outside_kerb_m=left_m))
@@ -264,7 +274,10 @@ def _without(scene: Scene, classes: Sequence[str]) -> Scene:
 
 
 def _shorten(setting: Setting, last_s: float) -> Setting:
-    """Recordings that begin so long before the impact, if they began earlier. [s]."""
+    """Recordings that begin so long before the impact, if they began earlier.
+
+    [s].
+    """
     names = ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
     runs = []
     for run in setting.runs:
@@ -284,11 +297,12 @@ def _of_runs(setting: Setting, runs: Sequence[Run]) -> Setting:
 
 # ---------- the study's figures beside ours
 CASES = tuple(OWN_CASES.split(","))
+# The runs that the study draws.
 HEATMAP_SPEEDS_KMH = {
     "CPNC-50": 55,
     "CBNA": 60,
     "CBLA": 50,
-}  # the runs that the study draws
+}
 WEATHERS = ("day", "night", "rain", "fog")
 DETECTORS = ("geometric", "response")
 _NEARLY_ALL = 0.9
@@ -317,7 +331,9 @@ class PublishedFigure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class AdditionalFigure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A figure of the study's additional cases, another recording; nothing was fitted to it.
+    """A figure of the study's additional cases, another recording.
+
+    Nothing was fitted to it.
 
     Attributes
     ----------
@@ -347,7 +363,10 @@ def load_published() -> Published:
 
 
 def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
-    """Figures that the study publishes or leaves open, as shares of 1, by quantity and case."""
+    """Figures that the study publishes or leaves open.
+
+    As shares of 1, by quantity and case.
+    """
     axis = evaluation.axis
     parties = {
         "the VUT": evaluation.vut,
@@ -366,7 +385,10 @@ def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
 
 
 def write_reproduction(folder: Path, *, compute: Compute) -> None:
-    """Evaluate all variants and weathers, and write ``reproduction.md`` with its heatmaps."""
+    """Evaluate all variants and weathers, and write ``reproduction.md``.
+
+    With its heatmaps.
+    """
     variants = build_variants()
     additional = build_additional_variants()
     n_steps = len(variants) + len(DETECTORS) + len(additional)
@@ -430,7 +452,10 @@ def _published(found: Sequence[_Figures]) -> dict[str, Any]:
 
 
 def _additional(by_variant: Mapping[str, _Figures]) -> dict[str, Any]:
-    """The additional cases by variant; explanations of the differences, and what is excluded."""
+    """The additional cases by variant.
+
+    Explanations of the differences, and what is excluded.
+    """
     figures = load_published().additional
     published = {(figure.quantity, figure.case): figure.published for figure in figures}
     cases = list(dict.fromkeys(figure.case for figure in figures))
@@ -558,7 +583,10 @@ def _weather_rows(by_weather: dict[str, Evaluation]) -> list[tuple[str, ...]]:
 
 
 def _who_sees(evaluation: Evaluation, run_index: int) -> str:
-    """RSUs that detect in nearly all frames of a run, and in some before its last moment."""
+    """RSUs that detect in nearly all frames of a run.
+
+    And in some before its last moment.
+    """
     axis = evaluation.axis
     frames = axis.frames_of(run_index)
     in_time = axis.time_s[frames] <= axis.last_brake_time_s[run_index]
@@ -596,7 +624,10 @@ def _who_sees(evaluation: Evaluation, run_index: int) -> str:
 @click.option("--workers", type=int, default=2, show_default=True, help="Threads.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def main(out: Path, workers: int, quiet: bool) -> None:
-    """Write reproduction.md: the study's figures, ours, and what ours depend on."""
+    """Write reproduction.md.
+
+    The study's figures, ours, and what ours depend on.
+    """
     progress = StageProgress()
     progress.start(quiet=quiet)
     try:

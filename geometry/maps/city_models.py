@@ -121,9 +121,7 @@ def read_cityjson(path: Path) -> SourceMap:
         The file cannot be read, is no CityJSON, or has nothing solid.
     """
     where = str(path)
-    # The first document has the version, the CRS and the transform.
-    documents = list(_documents(read_text(path, "CityJSON"), where))
-    head = documents[0]
+    head = parse_object(read_text(path, "CityJSON"), where, "CityJSON")
     if head.get("type") != "CityJSON":
         raise InputError(f"{where}: type", head.get("type"), "CityJSON")
     check_one_of(f"{where}: version", head.get("version"), _VERSIONS)
@@ -133,17 +131,15 @@ def read_cityjson(path: Path) -> SourceMap:
         crs = metadata.get("referenceSystem")
     if not isinstance(crs, str):
         crs = ""
-    objects: list[CityObject] = []
     left_out: Counter[str] = Counter()
     empty: Counter[str] = Counter()
     scale, translate = _transform(head.get("transform"), where)
     templates = _Templates(head.get("geometry-templates"), where)
-    for document in documents:
-        # _city_map refuses what is not finite.
-        with np.errstate(over="ignore"):
-            corners = _vertices(document.get("vertices", []), f"{where}: vertices")
-            vertices = corners * scale + translate
-        objects += _objects(document, vertices, templates, where, left_out, empty)
+    # _city_map refuses what is not finite.
+    with np.errstate(over="ignore"):
+        corners = _vertices(head.get("vertices", []), f"{where}: vertices")
+        vertices = corners * scale + translate
+    objects = [*_objects(head, vertices, templates, where, left_out, empty)]
     skipped = counted(left_out, "no building, plant, wall or furniture")
     skipped += counted(empty, "without a surface of level of detail 0 to 3")
     # Easting comes first, whatever the reference system says.
@@ -154,21 +150,6 @@ def read_cityjson(path: Path) -> SourceMap:
         crs,
         by_axes=False,
     )
-
-
-def _documents(text: str, where: str) -> Iterator[_Table]:
-    """Documents of the file: the whole of it, or each line of a sequence."""
-    lines = [text]
-    if where.lower().endswith(".jsonl"):
-        lines = text.splitlines()
-    for number, line in enumerate(lines, start=1):
-        if line.strip():
-            here = where
-            if len(lines) > 1:
-                here = f"{where}: line {number}"
-            yield parse_object(line, here, "CityJSON")
-    if not text.strip():
-        refuse(where, "an empty file", "CityJSON")
 
 
 def _transform(table: Any, where: str) -> list[FloatArray]:
@@ -571,8 +552,8 @@ def _said(skipped: Sequence[Note]) -> str:
 def read_citygml(path: Path) -> SourceMap:
     """Read a CityGML file.
 
-    Types and levels of detail: see :func:`geometry.maps.city_models.read_cityjson`, which
-    reads the same model in its other encoding. Of one level of detail a solid counts
+    :func:`read_cityjson` says which types and levels of detail count: it reads the same
+    model in its other encoding. Of one level of detail a solid counts
     more than surfaces; references to polygons of the same file are followed, others are
     not. Heights are absolute. Raises InputError if the file cannot be read, is no
     CityGML, or has nothing solid.

@@ -134,7 +134,6 @@ def cut_out(
     junction: MapJunction,
     *,
     radius_m: float,
-    ground_m: float | None = None,
 ) -> CutSurroundings:
     """Surroundings of a junction of the first map, with things of the others.
 
@@ -149,10 +148,6 @@ def cut_out(
         A junction of the first map.
     radius_m : float
         Radius within which things and poles are kept. [m]
-    ground_m : float or None
-        Height of the road in the junction's middle in the other maps; None: 0
-        if a map counts heights above the ground, or else that of its lowest
-        thing. [m]
 
     Returns
     -------
@@ -177,11 +172,9 @@ def cut_out(
     taken = Counter([GROUND])
     # Things and poles of every map, under ids that are unique in the scene.
     for source in maps:
-        height_m = ground_m
-        if source is roads:
-            height_m = None
-            if source.heights == "absolute":
-                height_m = junction.height_m
+        height_m = None
+        if source is roads and source.heights == "absolute":
+            height_m = junction.height_m
         near = _near_things(source, frame, radius_m, skipped)
         for thing, vertices in _lowered(source, near, relief, height_m, skipped):
             thing_id = _unique(thing.id, source, taken)
@@ -559,7 +552,7 @@ def _lanes(
 
 
 def _odd_lanes(roads: SourceMap, junction: MapJunction) -> list[Note]:
-    """A note of how many of a junction's lanes are left out for their widths, if any."""
+    """A note of how many lanes are left out for their widths, if any."""
     own = [
         lane
         for lane in (*roads.lanes, *roads.connections)

@@ -107,15 +107,13 @@ class Features:
     crs: str
 
 
-def read_features(path: Path, layer: str = "") -> Features:
-    """Read one layer of a GIS file, or of a .zip with one.
+def read_features(path: Path) -> Features:
+    """Read the layer of a GIS file, or of a .zip with one.
 
     Parameters
     ----------
     path : Path
         GeoJSON, GeoPackage or Shapefile.
-    layer : str
-        Layer of a file that has several; empty: the only one.
 
     Returns
     -------
@@ -126,16 +124,16 @@ def read_features(path: Path, layer: str = "") -> Features:
     ------
     InputError
         The file cannot be read, does not have the format of its suffix, has
-        several layers and none is chosen, or has more than 200,000 features.
+        several layers, or has more than 200,000 features.
     """
     suffix = path.suffix.lower()
     if suffix == ".zip":
         with unpacked(path, SUFFIXES) as member:
-            return read_features(member, layer)
+            return read_features(member)
     if suffix in (".geojson", ".json"):
         return _read_geojson(path)
     if suffix in _MAGIC:
-        return _read_with_gdal(path, layer)
+        return _read_with_gdal(path)
     raise InputError(str(path), suffix, "one of " + ", ".join((*SUFFIXES, ".zip")))
 
 
@@ -222,15 +220,13 @@ def _geojson_crs(table: Any, where: str) -> str:
     return name
 
 
-def _read_with_gdal(path: Path, layer: str) -> Features:
+def _read_with_gdal(path: Path) -> Features:
     """Read a GeoPackage or Shapefile through GDAL.
 
     Parameters
     ----------
     path : Path
         File to read.
-    layer : str
-        Layer of a file that has several; empty: the only one.
 
     Returns
     -------
@@ -240,7 +236,7 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
     Raises
     ------
     InputError
-        The file is damaged or of another format, or the layer is not named.
+        The file is damaged or of another format, or has several layers.
     """
     import pyogrio
 
@@ -260,24 +256,14 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
             # Rings left open and the like, which GDAL mends.
             warnings.simplefilter("ignore")
             layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
-            named = "a layer"
-            if layers:
-                named = "one layer, by name: " + ", ".join(layers[:20])
-            if not layer and len(layers) != 1:
-                refuse(where, f"{len(layers)} layers", named)
-            if layer and layer not in layers:
-                raise InputError(f"{where}: layer", layer, named)
-            layer = layer or layers[0]
-            info = pyogrio.read_info(path, layer=layer)
+            if len(layers) != 1:
+                refuse(where, f"{len(layers)} layers", "a file with one")
+            info = pyogrio.read_info(path)
             if info["driver"] != _DRIVERS[path.suffix.lower()]:
                 refuse(where, f"a file for {info['driver']}", name)
             if info["geometry_type"] is None:
                 refuse(where, "a table without geometries", name)
-            table = pyogrio.read_dataframe(
-                path,
-                layer=layer,
-                max_features=MAX_FEATURES + 1,
-            )
+            table = pyogrio.read_dataframe(path, max_features=MAX_FEATURES + 1)
     _refuse_many(len(table), where)
     # Cells that have a value, row by row.
     columns = {
@@ -351,12 +337,7 @@ def _refuse_many(n_features: int, where: str) -> None:
 
 
 # ---------- footprints
-def read_footprints(
-    path: Path,
-    *,
-    class_name: str = "building",
-    layer: str = "",
-) -> SourceMap:
+def read_footprints(path: Path, *, class_name: str = "building") -> SourceMap:
     """Read footprints and raise them to solids.
 
     Heights come from columns such as ``height``, ``building:levels`` or
@@ -372,8 +353,6 @@ def read_footprints(
         Class of features that do not state theirs. Lines become walls if it is
         "wall", or if a column ``class``, ``kind``, ``type`` or ``barrier`` says
         wall, fence or hedge.
-    layer : str
-        Layer of a file that has several; empty: the only one.
 
     Returns
     -------
@@ -387,7 +366,7 @@ def read_footprints(
         finite or do not fit its reference system.
     """
     check_one_of("class_name", class_name, CLASS_NAMES)
-    table = read_features(path, layer)
+    table = read_features(path)
     where = str(path)
     if not table.features:
         refuse(where, "an empty layer", "footprints")

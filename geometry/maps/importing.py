@@ -42,7 +42,6 @@ from ..terrain import GROUND
 from ..text_formats import load_data, parse_json
 from ..xml_files import local_name, read_xml_root
 from .cut import LANES_BEYOND_M, build_scene, cut_out
-from .georeferences import why_no_plane
 from .place_lists import SUFFIXES as LISTS
 from .relief import read_elevation
 from .sites import choose_sites, settle_poles
@@ -75,7 +74,7 @@ _ASKED = {
     "lanelets": ("keeps_left",),
     "commonroad": ("keeps_left",),
     **dict.fromkeys(STREETS, ("keeps_left", "staggered_m", "progress")),
-    **dict.fromkeys(FOOTPRINTS, ("class_name", "layer")),
+    **dict.fromkeys(FOOTPRINTS, ("class_name",)),
     **dict.fromkeys(MESHES, ("unit", "up", "class_name")),
     **dict.fromkeys(CLOUDS, ("class_name",)),
 }
@@ -423,7 +422,8 @@ def _survey(
     )
     try:
         arms = build_junction(scene).arms
-    except InputError:  # no lane ends at the outline
+    except InputError:
+        # No lane ends at the outline.
         arms = {}
     # Class of the road, and the number of lanes, of each arm.
     classes = {lane.id: lane.road_class for lane in lanes}
@@ -462,14 +462,6 @@ class ReadingOptions:
     staggered_m : float
         Side roads that meet a road of OpenStreetMap from either side, no
         farther apart than this, are one junction. [m]
-    crs : str
-        Coordinate reference system of files that do not name one; empty: none.
-    layer : str
-        Layer of a GeoPackage that has several; empty: the only one.
-    offset_m : tuple[float, float] or None
-        Shift of everything without roads, which is then taken to lie in the
-        coordinates of the map with the junction, whatever reference system it
-        names. [m]
     """
 
     unit: str | None = None
@@ -477,9 +469,6 @@ class ReadingOptions:
     class_name: str = "building"
     keeps_left: bool | None = None
     staggered_m: float = 0.0
-    crs: str = ""
-    layer: str = ""
-    offset_m: tuple[float, float] | None = None
 
 
 def read_map(
@@ -511,13 +500,6 @@ def read_map(
         The file does not exist, is of no known format, or is damaged.
     """
     options = options or ReadingOptions()
-    crs = options.crs
-    if crs and why_no_plane(crs):
-        raise InputError(
-            "crs",
-            crs,
-            "one that pyproj knows, in metres, such as EPSG:25832",
-        )
     if not path.exists() or path.is_dir():
         got = "no such file"
         if path.is_dir():
@@ -528,28 +510,7 @@ def read_map(
     with (
         unpacked(path, MAP_SUFFIXES[:-1]) if is_packed else nullcontext(path) as inside
     ):
-        source = _read(inside, options, progress)
-    if options.offset_m is not None and not source.lanes:
-        offset_m = np.array([*options.offset_m, 0.0])
-        things = (
-            replace(one, vertices_m=one.vertices_m + offset_m) for one in source.things
-        )
-        poles = (
-            replace(pole, position_m=pole.position_m + offset_m)
-            for pole in source.poles
-        )
-        return replace(
-            source,
-            crs="",
-            source_crs="",
-            things=tuple(things),
-            poles=tuple(poles),
-            crosswalks_m=source.crosswalks_m + offset_m[:2],
-            ground_m=source.ground_m + offset_m,
-        )
-    if crs and not source.crs:
-        source = replace(source, crs=crs, source_crs=crs)
-    return source
+        return _read(inside, options, progress)
 
 
 def _read(path: Path, options: ReadingOptions, progress: Progress) -> SourceMap:
@@ -557,7 +518,7 @@ def _read(path: Path, options: ReadingOptions, progress: Progress) -> SourceMap:
     # The ending tells the format, or else the content.
     name = path.name.lower()
     kind = next((suffix for suffix in MAP_SUFFIXES if name.endswith(suffix)), "")
-    if kind == ".jsonl" or (kind == ".json" and _is_city_json(path)):
+    if kind == ".json" and _is_city_json(path):
         kind = ".city.json"
     elif kind == ".json":
         kind = ".geojson"
@@ -624,8 +585,6 @@ class ImportOptions:
         [m]
     sites : str
         Where sites come from, see :func:`geometry.maps.sites.choose_sites`.
-    ground_m : float or None
-        Height of the road, see :func:`geometry.maps.cut.cut_out`. [m]
     terrain : Path, optional
         Raster with the heights of the ground, see
         :func:`geometry.maps.relief.read_elevation`; by default heights are those of
@@ -640,7 +599,6 @@ class ImportOptions:
     at: tuple[float, float] | None = None
     radius_m: float = DEFAULT_RADIUS_M
     sites: str = "auto"
-    ground_m: float | None = None
     terrain: Path | None = None
     name: str = ""
     reading: ReadingOptions = field(default_factory=ReadingOptions)
@@ -823,11 +781,11 @@ def cut_scene(
     """
     roads = maps[0]
     junction = chosen.junction
-    radius_m = options.radius_m
     if not chosen.n_driven:
         where = f"{roads.name}: junction {junction.id}"
         refuse(where, "no lane that leads into it", "a junction that cars drive into")
     names = tuple(source.name for source in maps)
+    radius_m = options.radius_m
     if options.terrain is not None:
         progress(Phrase("read terrain"), 0, 0)
         half_m = radius_m + LANES_BEYOND_M
@@ -838,9 +796,10 @@ def cut_scene(
             middle_m=middle_m,
             half_m=half_m,
         )
-        maps = [roads, terrain, *maps[1:]]  # before others: its heights count
+        # Before others: its heights count.
+        maps = [roads, terrain, *maps[1:]]
     progress(Phrase("cut the junction out"), 0, 0)
-    surroundings = cut_out(maps, junction, radius_m=radius_m, ground_m=options.ground_m)
+    surroundings = cut_out(maps, junction, radius_m=radius_m)
     progress(Phrase("find sites"), 0, 0)
     surroundings, settled = settle_poles(surroundings)
     sites, site_notes = choose_sites(

@@ -24,7 +24,7 @@ from .source_map import (
     volume_m3,
 )
 
-SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
+SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254}
 UP_AXES: dict[str, list[list[int]]] = load_data("geometry.maps", "words.toml")[
     "up_axes"

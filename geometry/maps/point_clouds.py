@@ -1,10 +1,9 @@
-"""Point clouds (LAS, LAZ, PCD) as ground and as solids of voxels upon it.
+"""Point clouds (LAS, LAZ) as ground and as solids of voxels upon it.
 
 Points are read a chunk at a time. The lowest ones give the ground; those
 above it become voxels, and voxels that touch become one thing.
 """
 
-import re
 import struct
 from collections import Counter
 from collections.abc import Iterator
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 
-SUFFIXES = (".las", ".laz", ".pcd")
+SUFFIXES = (".las", ".laz")
 MAX_POINTS = 50_000_000
 CHUNK_POINTS = 1_000_000
 # LASzip's types of items in a point: their bytes; 0: as many as there are.
@@ -48,9 +47,6 @@ _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14:
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
 # Coordinates (n, 3) and LAS classes (n,), 0: none.
 Points = tuple[FloatArray, NDArray[np.uint8]]
-_MAX_HEADER_BYTES = 65_536
-# Bytes, by type.
-_PCD_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 CELL_M = 1.0
 # 4 km x 4 km.
 _MAX_CELLS = 16_000_000
@@ -118,7 +114,7 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
     Parameters
     ----------
     path : Path
-        A ``.las``, ``.laz`` or ``.pcd`` file.
+        A ``.las`` or ``.laz`` file.
 
     Yields
     ------
@@ -137,10 +133,6 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
     suffix = path.suffix.lower()
     check_one_of(where, suffix, SUFFIXES)
     with reading(path):
-        if suffix == ".pcd":
-            with open_file(path) as file:
-                yield None, _pcd_points(file, where)
-            return
         _check_header(path)
         with _las_reader(path) as reader:
             crs = None
@@ -160,7 +152,8 @@ def _las_reader(path: Path) -> Any:
         reader = laspy.open(open_file(path), laz_backend=laspy.LazBackend.Lazrs)
     except OSError:
         raise
-    except Exception as error:  # laspy raises whatever a damaged header makes it
+    except Exception as error:
+        # Laspy raises whatever a damaged header makes it.
         raise InputError(where, Unquoted(_one_line(error)), "a LAS file") from None
     scales = np.array([reader.header.scales, reader.header.offsets], dtype=np.float64)
     if not np.isfinite(scales).all() or (scales[0] == 0.0).any():
@@ -328,9 +321,8 @@ def _chunks(reader: Any, where: str) -> Iterator[Points]:
             yield xyz, np.asarray(points.classification, dtype=np.uint8)
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
-    except (
-        BaseException
-    ) as error:  # laspy raises anything, lazrs even others than Exception
+    # Laspy raises anything, lazrs even others than Exception.
+    except BaseException as error:
         raise InputError(
             where,
             Unquoted(_one_line(error)),
@@ -343,231 +335,7 @@ def _one_line(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())[:150]}"
 
 
-# ---------- PCD files
-def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
-    """Points of an open PCD file, version 0.7, all of class 0.
-
-    The data may be ascii or binary. Points without coordinates (NaN) are left
-    out.
-
-    Parameters
-    ----------
-    file : BinaryIO
-        Open file.
-    where : str
-        File and element at hand, for messages.
-
-    Yields
-    ------
-    points : Points
-        A chunk of them.
-
-    Raises
-    ------
-    InputError
-        While points are read: the file claims more than 50 million or more than
-        it contains, or is damaged.
-    """
-    header = _pcd_header(file, where)
-    names = header.get("FIELDS", [])
-    kinds = header.get("TYPE", [])
-    if not {"x", "y", "z"} <= set(names):
-        raise InputError(
-            f"{where}: FIELDS",
-            " ".join(names)[:80],
-            "x, y and z among them",
-        )
-    sizes = _integers(header, "SIZE", len(names), where)
-    has_counts = "COUNT" in header
-    counts = [1] * len(sizes)
-    if has_counts:
-        counts = _integers(header, "COUNT", len(names), where)
-    n_points = _integers(header, "POINTS", 1, where)[0]
-    if not 0 < n_points <= MAX_POINTS:
-        raise InputError(f"{where}: POINTS", n_points, f"1 to {MAX_POINTS:,}")
-    formats = []
-    for index, (name, size, count) in enumerate(zip(names, sizes, counts, strict=True)):
-        kind = ""
-        if index < len(kinds):
-            kind = kinds[index]
-        if size not in _PCD_SIZES.get(kind, ()) or not 0 < count <= 4096:
-            raise InputError(
-                f"{where}: field {name}",
-                (kind, size),
-                "a TYPE, SIZE and COUNT of PCD",
-            )
-        formats.append((f"{index}", f"<{kind.lower()}{size}", (count,)))
-    columns = [names.index(axis) for axis in "xyz"]
-    encoding = " ".join(header.get("DATA", []))
-    if encoding == "ascii":
-        first = np.cumsum([0, *counts])
-        chunks = _pcd_ascii(
-            file,
-            [int(first[column]) for column in columns],
-            n_points,
-            where,
-        )
-    elif encoding == "binary":
-        chunks = _pcd_binary(file, np.dtype(formats), columns, n_points, where)
-    else:
-        raise InputError(
-            f"{where}: DATA",
-            encoding,
-            "ascii or binary; convert it first",
-        )
-    n_found = 0
-    for xyz in chunks:
-        xyz = xyz[~np.isnan(xyz).any(axis=1)]
-        n_found += len(xyz)
-        yield xyz, np.zeros(len(xyz), dtype=np.uint8)
-    if not n_found:
-        refuse(where, "only points without coordinates", "points")
-
-
-def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
-    """Words after each keyword of a PCD header, up to DATA."""
-    header: dict[str, list[str]] = {}
-    while file.tell() < _MAX_HEADER_BYTES:
-        line = file.readline(_MAX_HEADER_BYTES)
-        words = line.decode("ascii", "replace").split()
-        if not line or (
-            not header and words and words[0] not in ("#", "VERSION", "FIELDS")
-        ):
-            if not line or not words[0].startswith("#"):
-                break
-            continue
-        if words and not words[0].startswith("#"):
-            header[words[0]] = words[1:]
-        if words and words[0] == "DATA":
-            return header
-    refuse(where, "no header with FIELDS to DATA", "a PCD file")
-
-
-def _integers(header: dict[str, list[str]], key: str, n: int, where: str) -> list[int]:
-    """Whole numbers after a keyword of a PCD header.
-
-    Parameters
-    ----------
-    header : dict[str, list[str]]
-        See :func:`_pcd_header`.
-    key : str
-        Keyword.
-    n : int
-        How many numbers there must be.
-    where : str
-        File and element at hand, for messages.
-
-    Returns
-    -------
-    numbers : list of int
-        Not negative.
-    """
-    words = header.get(key, [])
-    if len(words) != n or not all(re.fullmatch(r"[0-9]{1,18}", word) for word in words):
-        raise InputError(f"{where}: {key}", " ".join(words)[:80], f"{n} whole numbers")
-    return [int(word) for word in words]
-
-
-def _pcd_binary(
-    file: BinaryIO,
-    record: np.dtype[Any],
-    columns: list[int],
-    n_points: int,
-    where: str,
-) -> Iterator[FloatArray]:
-    """Coordinates of binary PCD data, (n, 3), a chunk at a time.
-
-    Parameters
-    ----------
-    file : BinaryIO
-        Open file.
-    record : np.dtype[Any]
-        Layout of a point.
-    columns : list of int
-        Indices of x, y and z among the fields.
-    n_points : int
-        Number of points that the header claims.
-    where : str
-        File and element at hand, for messages.
-
-    Yields
-    ------
-    points : (n, 3) float
-        Chunk of points. [m]
-
-    Raises
-    ------
-    InputError
-        The file is cut off.
-    """
-    here = file.tell()
-    n_bytes = file.seek(0, 2) - here
-    file.seek(here)
-    if n_points * record.itemsize > n_bytes:
-        got = f"a header with {n_points:,} points over {n_bytes:,} bytes: cut off"
-        refuse(where, got, f"{n_points * record.itemsize:,} bytes")
-    chunk = max(1, min(CHUNK_POINTS, 64_000_000 // record.itemsize))
-    for first in range(0, n_points, chunk):
-        n = min(chunk, n_points - first)
-        table = np.frombuffer(file.read(n * record.itemsize), dtype=record)
-        # NaNs of the signalling kind.
-        with np.errstate(invalid="ignore"):
-            xyz = [table[str(column)][:, 0].astype(np.float64) for column in columns]
-        yield np.stack(xyz, axis=1)
-
-
-def _pcd_ascii(
-    file: BinaryIO,
-    columns: list[int],
-    n_points: int,
-    where: str,
-) -> Iterator[FloatArray]:
-    """Coordinates of ascii PCD data, (n, 3), a chunk at a time.
-
-    Parameters
-    ----------
-    file : BinaryIO
-        Open file.
-    columns : list of int
-        Indices of x, y and z among the words of a line.
-    n_points : int
-        Number of points that the header claims.
-    where : str
-        File and element at hand, for messages.
-
-    Yields
-    ------
-    points : (n, 3) float
-        Chunk of points. [m]
-
-    Raises
-    ------
-    InputError
-        A line has no numbers, or the file is cut off.
-    """
-    n_found = 0
-    while lines := file.readlines(32_000_000):
-        lines = [line for line in lines if line.strip()][: n_points - n_found]
-        try:
-            rows = [line.split() for line in lines]
-            numbers = np.array(
-                [[row[column] for column in columns] for row in rows],
-                dtype=float,
-            )
-        except (ValueError, IndexError):
-            raise InputError(
-                where,
-                Unquoted("a line without x, y and z"),
-                "numbers",
-            ) from None
-        n_found += len(lines)
-        if len(lines):
-            yield numbers.reshape(-1, 3)
-    if n_found < n_points:
-        refuse(where, f"{n_found:,} of {n_points:,} points: cut off", "all of them")
-
-
-# ---------- the ground
+# ---------- ground
 class LowestPoints:
     """Lowest point of every square metre, collected a chunk at a time."""
 
@@ -702,7 +470,7 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     Parameters
     ----------
     path : Path
-        A ``.las``, ``.laz`` or ``.pcd`` file.
+        A ``.las`` or ``.laz`` file.
     class_name : str
         Class of points that do not have one in the file.
 

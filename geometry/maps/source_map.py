@@ -363,7 +363,10 @@ def unit_cylinder(n_sides: int) -> Mesh:
 
 # ---------- content of a map file
 def _clean_names(value: object, *fields: str) -> None:
-    """Replace names of a frozen value by what is seen of them: no user can mend a map's own."""
+    """Replace names of a frozen value by what is seen of them.
+
+    No user can mend a map's own names.
+    """
     for name in fields:
         object.__setattr__(value, name, clean_name(getattr(value, name)))
 

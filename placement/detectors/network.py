@@ -461,7 +461,8 @@ class _Session:
         names = [output.name for output in self.session.get_outputs()]
         try:
             values = self.session.run(names, feed)
-        except Exception as error:  # onnxruntime's own errors share no other base
+        except Exception as error:
+            # Onnxruntime's own errors share no other base.
             raise InputError(
                 str(self.path), _first_line(error), "a network that runs"
             ) from None
@@ -712,7 +713,8 @@ def _open(path: Path) -> _Session:
         session = onnxruntime.InferenceSession(
             str(path), options, providers=["CPUExecutionProvider"]
         )
-    except Exception as error:  # onnxruntime's own errors share no other base
+    except Exception as error:
+        # Onnxruntime's own errors share no other base.
         raise InputError(str(path), _first_line(error), "an ONNX file") from None
     inputs = session.get_inputs()
     images = [entry for entry in inputs if entry.name not in _SIDE_INPUTS]
@@ -800,7 +802,8 @@ class NetworkDetector:
     min_box_height_px: float
     min_confidence: float
     looks_at_crops: bool = False
-    plans_with: str = "geometric"  # the built-in detector by which poses are chosen
+    # The built-in detector by which poses are chosen.
+    plans_with: str = "geometric"
     # how often it confirms what is not there, if that was measured
     alarm_words: Phrase = _NO_WORDS
     lidar: LidarTable | None = None

@@ -186,7 +186,10 @@ class ResponseDetector:
         return join_phrases(words, " ")
 
     def assumed_words(self, classes: Collection[str] = VRU_CLASSES) -> Phrase:
-        """That nothing is measured of some of `classes`; empty where something is of all."""
+        """Says that nothing is measured of some of `classes`.
+
+        Empty where something is measured of all.
+        """
         names = [name for name in self.assumed if name in classes]
         if not names:
             return Phrase("")
@@ -235,7 +238,10 @@ class ResponseDetector:
 
     @property
     def alarm_words(self) -> Phrase:
-        """How often something is confirmed where nothing is; empty where that is unknown."""
+        """How often something is confirmed where nothing is.
+
+        Empty where that is unknown.
+        """
         rate = self.false_tracks_per_hour
         if rate is None:
             return Phrase("")

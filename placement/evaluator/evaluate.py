@@ -22,7 +22,6 @@ from geometry.weather import pick_weather
 from scenarios.aeb import AebRule, find_contacts
 from scenarios.paths import MPS_PER_KMH
 from scenarios.runs import FrameAxis, Run, build_frame_axis, find_onsets
-from scenarios.scores import Levels
 
 from ..cache import CachedArrays
 from ..candidates import CandidatePose
@@ -382,7 +381,7 @@ def _join(parts: Sequence[Evidence]) -> Evidence:
 
 
 # ---------- verdicts: confirmation, braking, contact
-_Contact = tuple[float, float, float]
+_Contact = tuple[float, float]
 Party = tuple[BoolArray, float]
 """Detected frames that reach the VUT, (n_frames,), and the time until it knows. [s]"""
 
@@ -400,8 +399,6 @@ class Judge:
         Their frames.
     rule : AebRule
         Confirmation, latency and braking.
-    levels : Levels, optional
-        Passed on to the evaluations.
     """
 
     def __init__(
@@ -409,10 +406,8 @@ class Judge:
         runs: Sequence[Run],
         axis: FrameAxis,
         rule: AebRule,
-        levels: Levels | None = None,
     ) -> None:
         self.axis = axis
-        self.levels = levels
         self._runs = runs
         self._rule = rule
         # By encounter, which runs that differ by weather alone share, then by onset.
@@ -440,15 +435,14 @@ class Judge:
                 onset_time_s=each.onset_s,
                 is_avoided=np.isinf(time_s),
                 impact_speed_kmh=speed_mps / MPS_PER_KMH,
-                closing_speed_kmh=closing_mps / MPS_PER_KMH,
             )
-            for arrival, each, (time_s, speed_mps, closing_mps) in zip(
+            for arrival, each, (time_s, speed_mps) in zip(
                 arrivals, onsets, contacts, strict=True
             )
         ]
 
     def _find_contacts(self, onset_s: FloatArray) -> FloatArray:
-        """Time, speed and closing speed at contact after onsets of braking.
+        """Time and speed at contact after onsets of braking.
 
         Parameters
         ----------
@@ -457,22 +451,17 @@ class Judge:
 
         Returns
         -------
-        contacts : (n, 3, n_runs) float
-            The time is infinite where there is no contact. [s], [m/s], [m/s]
+        contacts : (n, 2, n_runs) float
+            The time is infinite where there is no contact. [s], [m/s]
         """
-        contacts = np.empty((len(onset_s), 3, len(self._runs)))
+        contacts = np.empty((len(onset_s), 2, len(self._runs)))
         for index, run in enumerate(self._runs):
             asked = onset_s[:, index].tolist()
             known = self._contacts[id(run.encounter)]
             new = [each for each in dict.fromkeys(asked) if each not in known]
             if new:
                 found = find_contacts(run.encounter, new, self._rule)
-                rows = zip(
-                    found.time_s.tolist(),
-                    found.speed_mps.tolist(),
-                    found.closing_mps.tolist(),
-                    strict=True,
-                )
+                rows = zip(found.time_s.tolist(), found.speed_mps.tolist(), strict=True)
                 known.update(zip(new, rows, strict=True))
             contacts[:, :, index] = [known[each] for each in asked]
         return contacts
@@ -546,7 +535,6 @@ def judge_layouts(
                 others={
                     name: found[name,] for name in ("vam", "all_sources") if one.vam
                 },
-                levels=judge.levels,
                 cars=cars,
             )
         )
@@ -712,7 +700,7 @@ def evaluate_layouts(
     units = {unit_key(unit): unit for layout in layouts for unit in layout.units}
     with one_blas_thread():
         detected = watch(setting, units, compute=compute)
-    judge = Judge(runs, axis, setting.rule, setting.levels)
+    judge = Judge(runs, axis, setting.rule)
     vam = None
     if setting.radio.vam_rate > 0.0:
         rng = build_rng(compute.seed, "vam")
@@ -777,9 +765,7 @@ def evaluate_again(
         starts[~is_known] = asked.axis.n_frames + axis.run_start[:-1]
         further = evaluate_layouts(
             [one.layout for one in evaluations],
-            replace(
-                setting, runs=tuple(rest), axis=axis, levels=None, seen_by_vut=None
-            ),
+            replace(setting, runs=tuple(rest), axis=axis, seen_by_vut=None),
             compute=compute,
         )
     lengths = [len(run.time_s) for run in setting.runs]
@@ -792,7 +778,7 @@ def evaluate_again(
         if further is not None:
             parts.append(further[index])
         seen.append(_seen_in_frames(parts, frames, setting.rule))
-    judge = Judge(setting.runs, setting.axis, setting.rule, setting.levels)
+    judge = Judge(setting.runs, setting.axis, setting.rule)
     return judge_layouts(judge, seen, cars=setting.cars)
 
 

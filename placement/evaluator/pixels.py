@@ -1075,7 +1075,7 @@ def _see_past_vehicles(
             if n_pixels == 0:
                 n_pixels = _draw_all(image, body[0], body[1], box, depth_m)
             if not is_hidden:
-                # A loop, since numba compiles a slice's copy with the text of its error.
+                # A loop: numba compiles a slice's copy with the text of its error.
                 for pixel in range(len(depth_m)):
                     left_m[pixel] = depth_m[pixel]
             is_hidden = True

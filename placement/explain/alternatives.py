@@ -33,7 +33,8 @@ from ..optimiser.problem import Fusion
 from ..optimiser.solve import is_large
 
 STAGE = Phrase("other priorities")
-TIME_LIMIT_S = 10.0  # most time for each alternative: it is mentioned in passing
+# Most time for each alternative: it is mentioned in passing.
+TIME_LIMIT_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

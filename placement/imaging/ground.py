@@ -88,7 +88,8 @@ def _lane_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
                     # Drawn by the lane on the other side.
                     continue
                 dashes = _dashes(line, marks["dash_m"], marks["gap_m"])
-            else:  # oncoming: each draws its line of two
+            else:
+                # Oncoming: each draws its line of two.
                 offset_m -= side * 0.5 * marks["double_line_apart_m"]
                 dashes = _solid(line)
             yield from _strip(line, offset_m, marks["line_width_m"], dashes)

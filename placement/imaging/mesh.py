@@ -361,7 +361,8 @@ def _smallest_rectangle(points_m: FloatArray) -> tuple[FloatArray, float, float,
     """
     try:
         hull = points_m[ConvexHull(points_m).vertices]
-    except (QhullError, ValueError):  # all on a line, or a single point
+    except (QhullError, ValueError):
+        # All on a line, or a single point.
         hull = points_m
     edges = np.roll(hull, -1, axis=0) - hull
     angles = np.unique(np.arctan2(edges[:, 1], edges[:, 0]).round(9))

@@ -15,7 +15,8 @@ from geometry.errors import InputError, check_one_of, refuse
 from .constants import COST_TOLERANCE_EUR, ROUNDING
 
 CENTS = 100.0
-_MAX_CENTS = 2.0**53  # of which float64 knows each
+# Of which float64 knows each.
+_MAX_CENTS = 2.0**53
 
 Failing = Literal["unit", "site"]
 """Fails at once: a unit, or a site (a pole) with everything that it carries."""

@@ -16,7 +16,8 @@ from .problem import Chains, WordArray
 
 ByteArray = NDArray[np.uint8]
 
-_N_TOGETHER = 16  # words transposed at a time: a line of memory or two
+# Words transposed at a time: a line of memory or two.
+_N_TOGETHER = 16
 
 
 @kernel
@@ -93,7 +94,8 @@ def transpose_chosen(
                     block[bit, lane] = 0
                 for bit in range(n_in_block):
                     row = rows[chosen[64 * word + bit]]
-                    if n_there == 8:  # the compiler makes one load of these
+                    # The compiler makes one load of these.
+                    if n_there == 8:
                         value = (
                             np.uint64(row[first])
                             | np.uint64(row[first + 1]) << np.uint64(8)
@@ -184,7 +186,8 @@ def find_dominated(
         own = site[pose]
         n_blockers = 0
         n_needed = 0
-        affordable = price[pose]  # to the last digit: dominators are dominated in turn
+        # To the last digit: dominators are dominated in turn.
+        affordable = price[pose]
         at_site[:] = 0
         dominated[pose] = capacity[own] <= 0 or max_units <= 0
         # Words in which the pose sees anything.
@@ -208,7 +211,8 @@ def find_dominated(
                 word = needed[number]
                 if words[pose, word] & ~words[other, word]:
                     is_above = False
-                    before = number // 2  # where others fail, too
+                    # Where others fail, too.
+                    before = number // 2
                     needed[number] = needed[before]
                     needed[before] = word
                     break

@@ -104,7 +104,8 @@ class Contenders:
         self.objectives = objectives
         self._sets: list[IntArray] = []
         self._gains: list[FloatArray] = []
-        self._most = np.full(2, -np.inf)  # of what is lacking, and in the first stage
+        # Of what is lacking, and in the first stage.
+        self._most = np.full(2, -np.inf)
         self._slack = TIES_OF_TIES * _tolerances(objectives)
 
     def add(self, sets: IntArray, values: SetValues) -> None:
@@ -116,7 +117,8 @@ class Contenders:
                 return
             most = float(gains[:, column].max())
             if column == 0 and most > self._most[0] + self._slack[0]:
-                self._most[1] = -np.inf  # of sets that lack more
+                # Of sets that lack more.
+                self._most[1] = -np.inf
             self._most[column] = max(self._most[column], most)
             near = gains[:, column] >= self._most[column] - self._slack[column]
             sets = sets[near]
@@ -478,7 +480,8 @@ def _quick_stages(
     """
     left = partial(left_with_each, reduced, units)
     quick: dict[Objective, Callable[[], FloatArray]] = {
-        Objective.UNITS: lambda: np.zeros(reduced.n_poses),  # all sets have as many
+        # All sets have as many.
+        Objective.UNITS: lambda: np.zeros(reduced.n_poses),
         Objective.COST: lambda: -costs_with_each_eur(reduced, units),
         Objective.APR_SURVIVED: lambda: left(reduced.measure, reduced.survive),
         Objective.APR: lambda: shares_with_each(reduced, units),

@@ -60,14 +60,22 @@ STEP_UP = 2.0 * TOLERANCE
 
 # ---------- time
 TIME_SHARES = {
-    "first set": 0.1,  # searches settle early; what they miss is found by the walk
-    "few sets": 0.5,  # a tenth of that suffices for the sizes below
-    "walk": 0.6,  # what it leaves is for the relaxation and HiGHS
-    "worlds": 0.9,  # nothing else bounds drawn detections as well
-    "relaxation": 0.5,  # settles within seconds
-    "as if units failed": 0.6,  # where sites fail; in most cases that is the answer
-    "point of a front": 0.5,  # most points leave some of it to those after them
-    "model stated": 0.5,  # HiGHS is handed a model in as long again
+    # Searches settle early; what they miss is found by the walk.
+    "first set": 0.1,
+    # A tenth of that suffices for the sizes below.
+    "few sets": 0.5,
+    # What it leaves is for the relaxation and HiGHS.
+    "walk": 0.6,
+    # Nothing else bounds drawn detections as well.
+    "worlds": 0.9,
+    # Settles within seconds.
+    "relaxation": 0.5,
+    # Where sites fail; in most cases that is the answer.
+    "as if units failed": 0.6,
+    # Most points leave some of it to those after them.
+    "point of a front": 0.5,
+    # HiGHS is handed a model in as long again.
+    "model stated": 0.5,
 }
 """Share of the time left that a step may take, by step."""
 # HiGHS is given no more: eleven days
@@ -337,7 +345,8 @@ def are_sums_apart(amounts: FloatArray) -> bool:
     denominator = 1
     for amount in np.unique(amounts).tolist():
         fraction = Fraction(amount).limit_denominator(MOST_DENOMINATOR)
-        is_lost = fraction == 0 and amount != 0.0  # a weight of 1e-300 is no zero
+        # A weight of 1e-300 is no zero.
+        is_lost = fraction == 0 and amount != 0.0
         if is_lost or abs(float(fraction) - amount) > EXACT * max(1.0, amount):
             return False
         denominator = lcm(denominator, fraction.denominator)
@@ -364,7 +373,8 @@ def settle(value: float, bound: float, limit: float, *, step: float = 0.0) -> fl
     """
     error = SOLVER_TOLERANCE * max(1.0, abs(value))
     if bound < value - error:
-        return limit  # the solver errs: a set with this value is at hand
+        # The solver errs: a set with this value is at hand.
+        return limit
     if bound <= value + max(TOLERANCE, step - error):
         return value
     return min(limit, bound)

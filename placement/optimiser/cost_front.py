@@ -114,7 +114,8 @@ def _sums(prices_eur: FloatArray, most: int) -> list[set[int]] | None:
 
 
 DEFAULT_MAX_POINTS = 40
-_ASKED = "APR"  # what a point asks for, in place of a wish
+# What a point asks for, in place of a wish.
+_ASKED = "APR"
 
 
 def cost_front(
@@ -285,7 +286,8 @@ class _Climb:
             raise InputError(
                 "candidates", got, "one within the limits and the time"
             ) from None
-        assert step.pose_index is not None  # check_floors has seen to it
+        # check_floors has seen to it.
+        assert step.pose_index is not None
         return self.point(step, step.least_eur)
 
     def higher(self, last: FrontPoint) -> _Step:
@@ -349,7 +351,8 @@ class _Climb:
         """
         if last is None:
             return next_level_eur(self.levels_eur, 0.0, is_more=False)
-        if last.is_proven:  # the best at its cost
+        # The best at its cost.
+        if last.is_proven:
             return next_level_eur(self.levels_eur, last.value.cost_eur, is_more=True)
         return last.certificate.stages[0].bound
 

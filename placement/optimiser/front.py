@@ -242,7 +242,8 @@ def one_failed_limit(reduced: ReducedProblem) -> float:
     whichever c is.
     """
     words = reduced.words
-    before = np.bitwise_or.accumulate(words)  # what each pose and those before it see
+    # What each pose and those before it see.
+    before = np.bitwise_or.accumulate(words)
     everything = before[-1]
     twice = np.bitwise_or.reduce(before[:-1] & words[1:])
     once = everything & ~twice
@@ -485,7 +486,8 @@ def _exchange_bounds(
         for mine, theirs in zip(*stages, strict=True):
             bounds[mine.name] = theirs.bound
             if abs(mine.objective - theirs.objective) > TOLERANCE:
-                break  # the stages after this one hold different things
+                # The stages after this one hold different things.
+                break
         tight[index] = tight[index].bounded(bounds)
     if is_free:
         for index, (fewer, point) in enumerate(pairwise(tight), start=1):

@@ -112,7 +112,8 @@ def improve(
             if of_trial.exceeds(value):
                 units = trial
                 value = of_trial
-                place = number  # the next one has moved up
+                # The next one has moved up.
+                place = number
                 break
         else:
             break
@@ -268,6 +269,7 @@ def _spread(
                 units = trial
                 value = total[best]
                 idle = 0
-                place -= 1  # those behind have moved up
+                # Those behind have moved up.
+                place -= 1
         place = (place + 1) % len(units)
     return units

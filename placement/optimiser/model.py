@@ -107,7 +107,8 @@ def run_solver(
                 problem, data, warm_start=False, verbose=False, solver_opts=options
             )
             problem.unpack_results(solution, chain, inverse)
-        except cp.SolverError:  # nothing is known then, and nothing is lost
+        except cp.SolverError:
+            # Nothing is known then, and nothing is lost.
             return nothing
     # All variables are bounded: what may be unbounded is infeasible.
     infeasible = (cp.INFEASIBLE, cp.settings.INFEASIBLE_OR_UNBOUNDED)
@@ -115,9 +116,11 @@ def run_solver(
         return SolverAnswer(is_found=False, is_finished=True, bound=-np.inf)
     info = problem.solver_stats.extra_stats
     return SolverAnswer(
-        is_found=info.primal_solution_status == 2,  # kSolutionStatusFeasible
+        # kSolutionStatusFeasible.
+        is_found=info.primal_solution_status == 2,
         is_finished=problem.status == cp.OPTIMAL,
-        bound=-info.mip_dual_bound,  # cvxpy minimises the negative
+        # Cvxpy minimises the negative.
+        bound=-info.mip_dual_bound,
     )
 
 
@@ -184,7 +187,8 @@ def limit_constraints(
     if limits.site_cost_eur.any() or len(limits.rivals):
         constraints.append(x <= o[limits.site_index])
     if limits.budget_eur is not None:
-        unit = max(limits.budget_eur, 1.0)  # prices of the order of 1
+        # Prices of the order of 1.
+        unit = max(limits.budget_eur, 1.0)
         total = (limits.unit_cost_eur / unit) @ x + (limits.site_cost_eur / unit) @ o
         constraints.append(total <= (limits.budget_eur + COST_TOLERANCE_EUR) / unit)
     if limits.is_forced.any():

@@ -137,7 +137,8 @@ class PairWalk:
         self.need = need
         self.n_units = reduced.limits.max_units
         self.total = float(reduced.weight.sum())
-        self.is_finished = False  # whether all sets were gone through
+        # Whether all sets were gone through.
+        self.is_finished = False
         limits = reduced.limits
         self.usable = (
             ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]

@@ -736,7 +736,8 @@ def _transpose(
     from .bit_kernels import transpose_chosen
 
     rows = np.ascontiguousarray(rows).view(np.uint8)
-    rows.flags.writeable = False  # as tables are: there is one kernel for both
+    # As tables are: there is one kernel for both.
+    rows.flags.writeable = False
     place = np.full(8 * rows.shape[1], -1)
     place[bits] = np.arange(len(bits))
 

@@ -393,7 +393,8 @@ class PlacementProblem:
         for name, flag, size, noun in flags:
             if flag is not None and flag.shape != (size,):
                 refuse(name, f"shape {flag.shape}", f"a flag for each {noun}")
-        self.measure()  # checks samples and tail
+        # Checks samples and tail.
+        self.measure()
 
     @property
     def objectives(self) -> tuple[Objective, ...]:

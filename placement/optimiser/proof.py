@@ -107,17 +107,20 @@ class Search:
     ) -> None:
         self.reduced = reduced
         self.deadline = deadline
-        self.is_exact = is_exact  # whether walks and models may be used
+        # Whether walks and models may be used.
+        self.is_exact = is_exact
         self.proofs: dict[Phrase, None] = {}
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
         self.margin_limit_s: FloatArray = union_margins_s(reduced, everything)[0]
         # What is left when all units have failed.
         self.apr_of_vut = float(union_apr(reduced, reduced.base[None, :])[0])
         self.units: IntArray | None = None
-        self.nothing_meets_all = False  # proven that no set meets limits and floors
+        # Proven that no set meets limits and floors.
+        self.nothing_meets_all = False
         nothing = np.full(1 + len(reduced.objectives), -np.inf)
         self.row = SetValues(reduced.objectives, nothing)
-        self._held: dict[Objective, float] = {}  # values in stages that are settled
+        # Values in stages that are settled.
+        self._held: dict[Objective, float] = {}
         self._cuts: dict[tuple[object, ...], list[Cut]] = {}
         self._root: Root | None = None
 
@@ -143,7 +146,8 @@ class Search:
     @property
     def shortfall(self) -> float:
         """Sum of what the incumbent lacks to the floors."""
-        return float(self.row.lacking)  # infinite where there is no set
+        # Infinite where there is no set.
+        return float(self.row.lacking)
 
     @property
     def limit(self) -> SetValues:
@@ -354,7 +358,8 @@ class Search:
             if n_cells > self.deadline.left_s() * constants.CELLS_PER_SECOND:
                 break
             self.proofs[solver_text()] = None
-            if cuts is None:  # finding the first ones takes long, too
+            # Finding the first ones takes long, too.
+            if cuts is None:
                 cuts = []
                 for demand in demands:
                     cuts += self._cuts_of(problem, demand)
@@ -397,8 +402,10 @@ class Comparison(StrEnum):
     """How far the sets that may be best have been compared."""
 
     NOT_TRIED = "not tried"
-    IN_VAIN = "in vain"  # too many sets, too little time, or none that is allowed
-    COMPLETE = "complete"  # all sets that may be best, or tie with it, are known
+    # Too many sets, too little time, or none that is allowed.
+    IN_VAIN = "in vain"
+    # All sets that may be best, or tie with it, are known.
+    COMPLETE = "complete"
 
 
 class AllSets:
@@ -787,7 +794,8 @@ class Stages:
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 return before
             if search.left(n_failures) <= before + TOLERANCE:
-                return limit  # time is up
+                # Time is up.
+                return limit
         return limit
 
     # ---------- margins
@@ -840,7 +848,8 @@ class Stages:
             elif search.value.smallest_margin_s >= candidates[probe] - TOLERANCE:
                 low = n_reached()
             else:
-                break  # time is up
+                # Time is up.
+                break
             probe = (low + high) // 2
         if low < high:
             return float(candidates[high - 1])

@@ -236,7 +236,8 @@ class SetWalk:
             may_lose=np.zeros(2),
             base=unions_of(reduced, self.forced[None, :])[0],
         )
-        self.is_finished = False  # whether all sets were gone through
+        # Whether all sets were gone through.
+        self.is_finished = False
         self.raise_needs(need, left)
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
@@ -354,7 +355,8 @@ class _Task:
         self.owner = owner
         self.is_done = False
         self.is_walked = False
-        self.waiting: list[IntArray] = []  # to be spelled out
+        # To be spelled out.
+        self.waiting: list[IntArray] = []
         self.losses = owner.losses._replace(order=owner.losses.order.copy())
         n_units = owner.n_units
         (n_poses, n_words) = owner.covers.covers.shape
@@ -634,7 +636,8 @@ class SomeWalk(Protocol):
         True once all sets were gone through.
     """
 
-    is_finished: bool  # whether all sets were gone through
+    # Whether all sets were gone through.
+    is_finished: bool
 
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets, many at a time, until the deadline."""

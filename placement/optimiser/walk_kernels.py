@@ -106,7 +106,8 @@ def cover_rows(
         coverers[row] = 0
         for link in range(first, first + row_last[row]):
             frame = asked[link]
-            if frame == before:  # neighbours are often asked for the same
+            # Neighbours are often asked for the same.
+            if frame == before:
                 continue
             before = frame
             if frame >= 0:
@@ -241,7 +242,8 @@ def pick_affordable(
         return total, n_picked
     low = 0.0
     high = total
-    for _ in range(16):  # prices of money
+    # Prices of money.
+    for _ in range(16):
         middle = 0.5 * (low + high)
         of_poses, n_picked = pick_best(gain - middle * cost, choice, picked)
         total = min(total, of_poses + middle)
@@ -320,7 +322,8 @@ def tighten_prices(
     table = np.empty((covers.shape[1], 256))
     used = np.empty(covers.shape[1], dtype=np.int64)
     every = np.full(-(-covers.shape[1] // 8), ~np.uint64(0))
-    for row in range(n_rows, 64 * len(every)):  # padding behind the rows
+    # Padding behind the rows.
+    for row in range(n_rows, 64 * len(every)):
         every[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
     for step in range(n_steps + 1):
         # The bound at these prices: what rows are worth beyond them, and the best
@@ -441,8 +444,10 @@ base
 """
 
 # What sets may lose, by what is left of them.
-WHOLE = 0  # all units work
-ON_FAILURE = 1  # as many have failed as may
+# All units work.
+WHOLE = 0
+# As many have failed as may.
+ON_FAILURE = 1
 
 
 def build_position(depth: int = 0) -> np.recarray[Any, Any]:
@@ -755,7 +760,8 @@ def grow(
                 continue
         place = walk.position[depth]
         if place == walk.n_queued[depth]:
-            at.is_new = 1  # none of these candidates any more
+            # None of these candidates any more.
+            at.is_new = 1
             continue
         pose = walk.queue[depth, place]
         walk.chosen[depth] = pose

@@ -262,15 +262,14 @@ def sampled_table(
     seen_in_all = None
     if setting.cars:
         seen_in_all = np.concatenate([each for each in seen if each is not None])
+    # They sum to 1.
     return SampledTable(
         table=DetectionTable(
             pose_ids=tuple(candidate.id for candidate in candidates),
             axis=repeated_axis(
                 setting.axis,
                 [f"#{number}" for number in range(1, n_samples + 1)],
-                weight=np.tile(
-                    setting.axis.weight / n_samples, n_samples
-                ),  # they sum to 1
+                weight=np.tile(setting.axis.weight / n_samples, n_samples),
                 last_brake_time_s=np.concatenate(last_brake_s),
             ),
             packed=packed,

@@ -315,9 +315,10 @@ def load_table(
             axis=axis,
             **arrays,
         )
+    # Another number of frames, or other arrays.
     except (
         InputError,
         TypeError,
-    ) as error:  # another number of frames, or other arrays
+    ) as error:
         tell_unused(path, error, what=_WHAT)
         return None

@@ -158,7 +158,8 @@ def _hull_corners(points_m: FloatArray) -> IntArray:
 
     try:
         return ConvexHull(points_m).vertices.astype(np.int64)
-    except (QhullError, ValueError):  # fewer than four points, or a flat body
+    except (QhullError, ValueError):
+        # Fewer than four points, or a flat body.
         return np.arange(len(points_m))
 
 

@@ -320,10 +320,7 @@ def mine(tmp_path):
         "--budget 2 --cars 0.5 --give-up 0.01 --vam-rate 0.5 --verbose",
         "--budget 2 --samples 4 --cars blind",
         "--budget 2 --cars see --fusion single --detector response --verbose",
-        (
-            "--target 0.5 --least cost --site-cost 100 --cars blind --score rating-2026"
-            " --verbose"
-        ),
+        ("--target 0.5 --least cost --site-cost 100 --cars blind --verbose"),
         "evaluate --layout MINE-1 --cars blind --verbose",
         "evaluate --layout MINE-2 --no-look GARDEN-1 --verbose",
         "compare MINE-2 MINE-1 --samples 4 --verbose",
@@ -497,7 +494,10 @@ def test_scripts_of_the_planners_page_say_literals_and_nothing_else():
 
 
 def words_of(node):
-    """A text in code that no message says, with 1 in place of each value; None: it is none."""
+    """A text in code that no message says, with 1 in place of each value.
+
+    None: it is none.
+    """
     if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Unquoted":
         node = node.args[0]
     if isinstance(node, ast.JoinedStr):

@@ -185,9 +185,9 @@ def check_contents_lead_to_every_section(page):
 
 
 def test_a_link_to_a_folded_section_opens_it(browser, addresses):
-    with open_page(browser, addresses["placement"].as_uri() + "#margins") as page:
+    with open_page(browser, addresses["placement"].as_uri() + "#cases") as page:
         assert page.locator("details.part[open]").count() == 1
-        assert page.is_visible("details.part[open] #margins")
+        assert page.is_visible("details.part[open] #cases")
         assert page.locator("details.part:not([open])").count() > 4
 
 

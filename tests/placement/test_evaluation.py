@@ -18,10 +18,8 @@ from placement.evaluation import (
     apr_one_failed,
     detected_share,
     mean_impact_speed_kmh,
-    score,
 )
 from placement.layout import Layout
-from scenarios.scores import Levels
 
 
 def _verdict(is_avoided, detected=()) -> Verdict:
@@ -55,22 +53,12 @@ def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
     verdict = replace(
         _verdict([True, False, False]),
         impact_speed_kmh=np.array([0.0, 8.0, 20.0]),
-        closing_speed_kmh=np.array([0.0, 8.0, 15.0]),
     )
     assert mean_impact_speed_kmh(verdict, frame_axis) == 7.0
     assert mean_impact_speed_kmh(
         verdict, frame_axis, np.array([True, True, False])
     ) == (pytest.approx(2.0 / 0.75))
     assert math.isnan(mean_impact_speed_kmh(_verdict([True] * 3), frame_axis))
-    levels = Levels(
-        score="made up",
-        run_index=np.array([0, 1, 1, 1, 2, 2]),
-        below_kmh=np.array([0.0, 0.0, 10.0, 20.0, 0.0, 20.0]),
-        gain=np.array([1.0, 0.25, 0.25, 0.5, 0.5, 0.5]),
-        deadline_s=np.full(6, -0.1),
-    )
-    assert score(verdict, frame_axis, None) == apr(verdict, frame_axis) == 0.5
-    assert score(verdict, frame_axis, levels) == 0.5 + 0.25 * 0.75 + 0.25 * 0.5
 
 
 @given(frame_axes(), st.data())

@@ -19,7 +19,6 @@ from placement.latency_curves import apr_by_latency
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis, find_onsets
-from scenarios.scores import Levels
 from scenarios.weights import weight_share
 
 RULE = load_aeb_rule()
@@ -221,59 +220,3 @@ def test_a_latency_of_the_vut_that_cannot_be_is_told(frame_axis, latency_s):
 
 
 # ---------- with a score
-
-
-@given(
-    cases(),
-    st.integers(0, 2**32 - 1),
-    st.integers(0, 1200).map(lambda ms: ms / 1000.0 + 3.0e-5),
-    st.integers(1, 4),
-    st.sampled_from([0.1, 0.2, 0.35, math.inf]),
-)
-def test_a_score_by_latency_is_that_of_the_onsets_with_that_latency(
-    case, seed, latency_s, n_confirmations, memory_s
-):
-    axis, vut, units, own_s = case
-    rng = np.random.default_rng(seed)
-    more = rng.integers(0, 3, axis.n_runs)
-    last = axis.last_brake_time_s
-    levels = Levels(
-        score="made up",
-        run_index=np.arange(axis.n_runs).repeat(more + 1),
-        below_kmh=np.concatenate([10.0 * np.arange(n + 1) for n in more]),
-        gain=np.concatenate([np.full(n + 1, 1.0 / (n + 1)) for n in more]),
-        deadline_s=np.concatenate(
-            [
-                [at, *np.sort(rng.uniform(at, 0.1, n))]
-                for at, n in zip(last.tolist(), more.tolist(), strict=True)
-            ]
-        ),
-    )
-    memory_rule = replace(
-        RULE, n_confirmations=n_confirmations, track_memory_s=memory_s
-    )
-    evaluation = replace(_evaluation(axis, vut, units, own_s), levels=levels)
-    delays = [latency_s if value is None else value for value in own_s]
-    moments = np.concatenate([levels.deadline_s, last])
-    for each_s in (latency_s, *delays):
-        slack = np.abs(moments[:, None] - axis.time_s - each_s)
-        assume((slack > 10.0 * TOLERANCE_S).all())
-    age = np.abs(last[:, None] - axis.time_s - latency_s - memory_s)
-    assume((age > 10.0 * TOLERANCE_S).all())
-    fused = list(zip(units, delays, strict=True))
-    parties = {
-        "vut": [(vut, latency_s)],
-        "rsu_all": fused,
-        "vut_and_rsus": [*fused, (vut, latency_s)],
-    }
-    curves = apr_by_latency(evaluation, memory_rule, [latency_s])
-    for name, party in parties.items():
-        onsets = find_onsets(
-            earliest_arrival_s(
-                [(np.array(seen, dtype=bool), late) for seen, late in party], axis
-            ),
-            axis,
-            rule=replace(memory_rule, latency_s=latency_s),
-        )
-        counts = levels.of_onsets(onsets.onset_s, TOLERANCE_S)
-        assert curves[name].tolist() == [pytest.approx(counts @ axis.weight)], name

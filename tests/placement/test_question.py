@@ -34,7 +34,6 @@ OTHERS = Question(
     site_cost_eur=500.0,
     time_limit_s=5.0,
     refine=True,
-    force=True,
     weather='rain "and" fog',
     latency_s=0.1,
     n_confirmations=2,

@@ -31,9 +31,7 @@ def left_handed(scene):
 
 def drive(scene):
     # Not "all", where impact points take turns, in another order of the arms.
-    cases = select_cases(
-        "study,protocol-4.5.1,protocol-2026", speeds="20,50", force=True
-    ).cases
+    cases = select_cases("study,protocol-4.5.1,protocol-2026", speeds="20,50").cases
     return build_runs(scene, cases, vut=pick_actor("vut", "vut"), rule=load_aeb_rule())
 
 

@@ -537,8 +537,6 @@ def test_speeds_of_both_are_picked_in_pairs():
         InputError, match="speeds: got 30x55; expected speeds that go together"
     ):
         select_cases("CCCscp-far", speeds="30x55")
-    (forced,) = select_cases("CCCscp-far", speeds="30x55", force=True).cases
-    assert forced.vru_speeds_kmh(30.0) == (55.0,)
 
 
 def test_cases_that_cannot_be_laid_are_named_and_refused_with_their_reason(

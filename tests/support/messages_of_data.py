@@ -1,4 +1,7 @@
-"""Texts of data files, and names in code, that answers say as they are: keys of translations."""
+"""Texts of data files, and names in code, that answers say as they are.
+
+Keys of translations.
+"""
 
 from geometry.junction import ARM_NAMES
 from geometry.phrases import Phrase

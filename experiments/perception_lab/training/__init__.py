@@ -1,1 +1,4 @@
-"""The detector that is shipped: crops drawn at many junctions, training, and its metrics."""
+"""The detector that is shipped.
+
+Crops drawn at many junctions, training, and its metrics.
+"""

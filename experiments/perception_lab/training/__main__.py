@@ -1,4 +1,6 @@
-"""Draw crops, train, test, export the network that is shipped. Needs the group ``train``.
+"""Draw crops, train, test, export the network that is shipped.
+
+Needs the group ``train``.
 
 ``uv run --group train python -m experiments.perception_lab.training --map A.osm ..
 --out vru``; crops are stored in a folder, so that a call that was stopped goes on.
@@ -63,7 +65,10 @@ def main(
     bfloat16: bool,
     out: Path,
 ) -> None:
-    """Train the detector of pedestrians and cyclists; write vru.onnx, its card and its table."""
+    """Train the detector of pedestrians and cyclists.
+
+    Write vru.onnx, its card and its table.
+    """
     torch.set_num_threads(threads)
     folder.mkdir(parents=True, exist_ok=True)
     out.mkdir(parents=True, exist_ok=True)

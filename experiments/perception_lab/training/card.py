@@ -1,4 +1,7 @@
-"""Model card and response table of a network, by what it finds in crops of junctions held out."""
+"""Model card and response table of a network.
+
+By what it finds in crops of junctions held out.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -40,7 +43,10 @@ def card_text(
     names: Sequence[str],
     recipe: Recipe,
 ) -> str:
-    """The card of a network as Markdown, by what it `found` in crops of junctions held out."""
+    """The card of a network as Markdown.
+
+    By what it `found` in crops of junctions held out.
+    """
     everything = _score(crops, found, np.ones(len(crops), dtype=bool))
     alarms = ~everything.is_true & (everything.confidence >= MIN_CONFIDENCE)
     rows = [
@@ -128,7 +134,10 @@ def _score(
     keep: NDArray[np.bool_],
     heights_px: tuple[float, float] = (0.0, np.inf),
 ) -> Scored:
-    """How boxes match the labels of crops in `keep` (n,), both classes together."""
+    """How boxes match the labels of crops, both classes together.
+
+    Of the crops in `keep` (n,).
+    """
     low = heights_px[0] / _LOOSE
     high = heights_px[1] * _LOOSE
     counts = keep & counted(crops)
@@ -167,7 +176,9 @@ _UNKNOWN = ("aspect", "frame_correlation")
 def fit_table(
     crops: LabelledCrops, found: Found, *, source: str, command: str, compute: Compute
 ) -> str:
-    """Response table as TOML, for ``--detector FILE``; each crop is a track of its own.
+    """Response table as TOML, for ``--detector FILE``.
+
+    Each crop is a track of its own.
 
     `found` has boxes and confidence of each crop, by class; `source` and `command` say
     what the crops are of, and how this was called.
@@ -192,7 +203,7 @@ def fit_table(
 def _picture(
     crops: LabelledCrops, row: int, by_class: list[tuple[np.ndarray, np.ndarray]]
 ) -> LabelledPicture:
-    """A crop, its label if it is large enough, and the boxes that count for it."""
+    """A crop, its label if large enough, and the boxes that count for it."""
     kind = int(crops.vru_class[row])
     box = crops.box_px[row]
     n_labels = int(kind >= 0 and box[3] - box[1] >= _LEAST_PX)

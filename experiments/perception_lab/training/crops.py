@@ -1,4 +1,7 @@
-"""Labelled crops of pictures, drawn at the junctions of many maps, to train and test a detector."""
+"""Labelled crops of pictures, to train and test a detector.
+
+They are drawn at the junctions of many maps.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -40,9 +43,12 @@ WEATHERS = ("day", "night", "rain")
 
 _WEATHER_SHARES = (0.5, 0.25, 0.25)
 _FOV_DEG = (18.0, 110.0)
-_MOUNT_M = (3.5, 8.0)  # above the ground of a site
-_HIDDEN_KEPT = 0.3  # of crops in which it is hidden
-_PER_POSE = 6  # crops by a camera before another one looks
+# Above the ground of a site.
+_MOUNT_M = (3.5, 8.0)
+# Of crops in which it is hidden.
+_HIDDEN_KEPT = 0.3
+# Crops by a camera before another one looks.
+_PER_POSE = 6
 _SIZE_PX = (1920, 1080)
 _TRIES = 30
 TRAINED = ("pedestrian", "child", "cyclist")
@@ -53,40 +59,51 @@ TRAINED = ("pedestrian", "child", "cyclist")
 class Framing:
     """Contents of crops: those to train with, by default."""
 
+    # Of road users, even on a logarithmic scale.
     height_px: tuple[float, float] = (
         11.0,
         125.0,
-    )  # of road users, even on a logarithmic scale
-    crop_px: tuple[int, int] = (CROP_PX, CROP_PX)  # width, height
+    )
+    # Width, height.
+    crop_px: tuple[int, int] = (CROP_PX, CROP_PX)
     # Crops that are not around the road user; in others it may be hidden.
     empty_share: float = 0.12
-    vut_share: float = 0.2  # crops from the VUT's camera
+    # Crops from the VUT's camera.
+    vut_share: float = 0.2
     kinds: tuple[str, ...] = TRAINED
     weathers: tuple[str, ...] = WEATHERS
-    varied: float = 0.7  # share of crops with other clothes, paints and facades
+    # Share of crops with other clothes, paints and facades.
+    varied: float = 0.7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LabelledCrops:
     """Crops with at most one road user each, arrays with a row for each."""
 
-    rgb: NDArray[np.uint8]  # (n, CROP_PX, CROP_PX, 3)
+    # (n, CROP_PX, CROP_PX, 3).
+    rgb: NDArray[np.uint8]
     # (n, 4): of the visible part, inside the crop; zeros where there is none
     box_px: FloatArray
     # (n,): of the whole road user, hidden parts too; 0 where there is none
     height_px: FloatArray
     visible_share: (
-        FloatArray  # (n,): of the pixels that the whole road user covers in the crop
+        # (n,): of the pixels that the whole road user covers in the crop.
+        FloatArray
     )
-    vru_class: IntArray  # (n,), into ``VRU_CLASSES``; -1 where there is none
-    weather: IntArray  # (n,), 0 day, 1 night, 2 rain
+    # (n,), into ``VRU_CLASSES``; -1 where there is none.
+    vru_class: IntArray
+    # (n,), 0 day, 1 night, 2 rain.
+    weather: IntArray
 
     def __len__(self) -> int:
         return len(self.rgb)
 
 
 def draw_crops(scene: Scene, n_crops: int, *, seed: int) -> LabelledCrops:
-    """Draw crops at a junction; half of them with varied colours, a fourth of them empty."""
+    """Draw crops at a junction.
+
+    Half of them with varied colours, a fourth of them empty.
+    """
     setting = build_setting(Question(cases=_CASES), scene)
     looks = look_around(setting, Framing(), np.random.default_rng(seed))
     found = list(islice(looks, n_crops))
@@ -239,7 +256,10 @@ def _aim(
     height_px: tuple[float, float],
     rng: np.random.Generator,
 ) -> tuple[Pose, CameraModel] | None:
-    """A camera that shows a road user at a height drawn at random, anywhere in its image."""
+    """A camera that shows a road user at a height drawn at random.
+
+    Anywhere in its image.
+    """
     middle = body_m.mean(axis=0)
     away = middle - at_m
     distance = float(np.linalg.norm(away))
@@ -280,7 +300,7 @@ def _pick_window(
     is_empty: bool,
     rng: np.random.Generator,
 ) -> Window | None:
-    """A crop with the road user's middle anywhere in it, or without the road user."""
+    """A crop with the road user's middle in it, or without one."""
     size = np.array(crop_px)
     for _ in range(_TRIES):
         if is_empty:
@@ -301,7 +321,7 @@ def _pick_window(
 def _label(
     picture: RenderedPicture, run: Run, n_whole: int, height_px: float
 ) -> dict[str, Any]:
-    """Labels of a crop in which the whole road user would cover `n_whole` pixels."""
+    """Labels of a crop in which a whole road user has `n_whole` pixels."""
     is_vru = picture.instance == len(picture.names) - 1
     n_seen = int(is_vru.sum())
     is_seen = n_seen > 0

@@ -1,4 +1,7 @@
-"""How well boxes with confidence match labels: average precision, miss rate, recall by group."""
+"""How well boxes with confidence match labels.
+
+Average precision, miss rate, recall by group.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +17,16 @@ _MISS_RATES_AT = np.logspace(-2.0, 0.0, 9)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scored:
-    """All boxes of one class, in descending order of confidence, and what they are."""
+    """Boxes of one class in descending confidence, and what they are."""
 
-    confidence: FloatArray  # (n,)
-    is_true: BoolArray  # (n,): first to overlap a label; others are false alarms
-    n_labels: int  # labels that count
-    n_pictures: float  # whole pictures' worth of pixels
+    # (n,).
+    confidence: FloatArray
+    # (n,): first to overlap a label; others are false alarms.
+    is_true: BoolArray
+    # Labels that count.
+    n_labels: int
+    # Whole pictures' worth of pixels.
+    n_pictures: float
 
 
 def match_boxes(
@@ -31,7 +38,7 @@ def match_boxes(
     min_iou: float,
     n_pictures: float,
 ) -> Scored:
-    """Match the boxes of each image (n, 4) with its labels (m, 4), the surest first.
+    """Match boxes (n, 4) of each image with labels (m, 4), the surest first.
 
     Labels that do not count (`counts` (m,)) are neither found nor missed, and boxes on
     them are no false alarms. Matching follows PASCAL VOC: a second box on a label is a
@@ -83,7 +90,9 @@ def average_precision(scored: Scored) -> float:
 
 
 def log_average_miss_rate(scored: Scored) -> float:
-    """Geometric mean of the miss rates at nine numbers of false alarms per picture, 0.01 to 1.
+    """Geometric mean of miss rates at nine rates of false alarms.
+
+    The rates are 0.01 to 1 per picture.
 
     References
     ----------

@@ -1,4 +1,6 @@
-"""A small network that finds pedestrians and cyclists: layers, losses, training, export.
+"""A small network that finds pedestrians and cyclists.
+
+Layers, losses, training, export.
 
 Without anchors: one picture cell of 8 x 8 pixels says, for each of two classes, how
 sure it is that a road user's middle lies near, and how far away the four sides of its
@@ -34,13 +36,18 @@ from .crops import CROP_PX, LabelledCrops
 
 CLASSES = ("pedestrian", "cyclist")
 STRIDE_PX = 8
-_WIDTHS = (16, 24, 48, 80)  # channels at 1/2, 1/4, 1/8 and 1/16 of the size
+# Channels at 1/2, 1/4, 1/8 and 1/16 of the size.
+_WIDTHS = (16, 24, 48, 80)
 _BLOCKS = (0, 1, 2, 3)
-_PRIOR = 0.01  # of a road user in a cell, before training
+# Of a road user in a cell, before training.
+_PRIOR = 0.01
 _ALPHA = 0.25
-_GAMMA = 2.0  # of the focal loss, as published
-_RADIUS = 1.25  # cells around a middle that are positive
-_UNIT_PX = 16.0  # distances are learnt in units of so many pixels
+# Of the focal loss, as published.
+_GAMMA = 2.0
+# Cells around a middle that are positive.
+_RADIUS = 1.25
+# Distances are learnt in units of so many pixels.
+_UNIT_PX = 16.0
 
 
 def _conv(n_in: int, n_out: int, *, stride: int = 1) -> nn.Sequential:
@@ -65,7 +72,10 @@ class _Block(nn.Module):
 
 
 class VruNetwork(nn.Module):
-    """From images (b, 3, h, w), 0 .. 1, sides multiples of 16, to class logits and distances."""
+    """From images (b, 3, h, w), 0 .
+
+    1, sides multiples of 16, to class logits and distances.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -85,7 +95,7 @@ class VruNetwork(nn.Module):
         )
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits (b, 2, h / 8, w / 8) and distances to the sides (b, 4, ..) in pixels."""
+        """Logits (b, 2, h / 8, w / 8) and distances to sides (b, 4, ..) in px."""
         features = images
         levels = []
         for stage in self.stages:
@@ -97,7 +107,10 @@ class VruNetwork(nn.Module):
 
 
 class ExportedNetwork(nn.Module):
-    """The network as it is shipped: rows of middle, size and a score per class, (1, 6, n)."""
+    """The network as it is shipped.
+
+    Rows of middle, size and a score per class, (1, 6, n).
+    """
 
     def __init__(self, network: VruNetwork) -> None:
         super().__init__()
@@ -124,7 +137,10 @@ def cell_middles(
 
 
 def to_boxes(sides: Tensor) -> Tensor:
-    """Corners (b, 4, h, w) of distances to the left, upper, right and lower side."""
+    """Corners (b, 4, h, w) of distances to the four sides.
+
+    Left, upper, right and lower.
+    """
     across, down = cell_middles(sides.shape[2], sides.shape[3], sides.device)
     left, top, right, bottom = sides.unbind(dim=1)
     return torch.stack(
@@ -135,7 +151,9 @@ def to_boxes(sides: Tensor) -> Tensor:
 def loss(
     logits: Tensor, sides: Tensor, boxes: Tensor, classes: Tensor, counts: Tensor
 ) -> Tensor:
-    """Focal loss of the classes, and that of the overlap of boxes in positive cells.
+    """Focal loss of the classes, and loss of the boxes' overlap.
+
+    The latter in positive cells.
 
     Parameters
     ----------
@@ -196,7 +214,10 @@ def _generalised_iou(first: Tensor, second: Tensor) -> Tensor:
 
 
 def export_onnx(network: VruNetwork, path: Path, *, side_px: int) -> None:
-    """Write the network for images of any size whose sides are multiples of 16 pixels."""
+    """Write the network for images of any size.
+
+    The sides are multiples of 16 pixels.
+    """
     import onnx
 
     whole = ExportedNetwork(network).eval()
@@ -216,17 +237,20 @@ def export_onnx(network: VruNetwork, path: Path, *, side_px: int) -> None:
     onnx.save(model, str(path))
 
 
-_RATE = 3.0e-3  # highest rate of learning
+# Highest rate of learning.
+_RATE = 3.0e-3
 _DECAY = 1.0e-2
-_MEMORY = 0.998  # of the running mean of weights, which is exported
+# Of the running mean of weights, which is exported.
+_MEMORY = 0.998
 _LEAST_SHARE = 0.3
-_LEAST_PX = 10.0  # what is hidden more, or is lower, neither counts nor harms
-_LEAST_SPREAD = 3.0  # of grey, 0 .. 255: what stands out less cannot be learnt
+# What is hidden more, or is lower, neither counts nor harms.
+_LEAST_PX = 10.0
+# Of grey, 0 .. 255: what stands out less cannot be learnt.
+_LEAST_SPREAD = 3.0
 _MIN_CONFIDENCE = 0.02
 _MOST_AT_ONCE = 128
-_GRAIN = np.random.default_rng(0).standard_normal(
-    2**21, dtype=np.float32
-)  # noise of sensors
+# Noise of sensors.
+_GRAIN = np.random.default_rng(0).standard_normal(2**21, dtype=np.float32)
 
 Found = list[list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
 """By crop and class: boxes (n, 4) and their confidence (n,)."""
@@ -234,13 +258,19 @@ Found = list[list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """How a network is trained; the same recipe and crops give the same network on a machine."""
+    """How a network is trained.
 
-    steps: int  # batches shown
+    The same recipe and crops give the same network on a machine.
+    """
+
+    # Batches shown.
+    steps: int
     seed: int
     batch: int = 64
-    round_steps: int = 250  # after so many the state is saved, and reported
-    bfloat16: bool = False  # multiply in 16 bits: twice as fast on processors that can
+    # After so many the state is saved, and reported.
+    round_steps: int = 250
+    # Multiply in 16 bits: twice as fast on processors that can.
+    bfloat16: bool = False
     device: str = "cpu"
 
     @property
@@ -359,12 +389,18 @@ def _keep(checkpoint: Path | None, parts: dict[str, Any], rounds: int) -> None:
 
 
 def class_of(crops: LabelledCrops) -> NDArray[np.int64]:
-    """Index into ``CLASSES`` (n,); a child is a pedestrian; -1 where there is nobody."""
+    """Index into ``CLASSES`` (n,).
+
+    A child is a pedestrian; -1 where there is nobody.
+    """
     return np.where(crops.vru_class < 0, -1, (crops.vru_class == 2).astype(np.int64))
 
 
 def counted(crops: LabelledCrops) -> NDArray[np.bool_]:
-    """Crops whose road user counts, (n,): at least 0.3 of it is seen, at least 10 px high."""
+    """Crops whose road user counts, (n,).
+
+    At least 0.3 of it is seen, at least 10 px high.
+    """
     is_high: NDArray[np.bool_] = box_height_px(crops.box_px) >= _LEAST_PX
     return is_high & (crops.vru_class >= 0) & (crops.visible_share >= _LEAST_SHARE)
 
@@ -390,7 +426,10 @@ def _batch(
     part: NDArray[np.int64],
     rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Images with other light, noise and sharpness, half of them mirrored, and their labels."""
+    """Images with other light, noise and sharpness, and their labels.
+
+    Half of them are mirrored.
+    """
     images = crops.rgb[part].astype(np.float32) / np.float32(255.0)
     boxes = crops.box_px[part].astype(np.float32)
     n = len(part)
@@ -411,7 +450,8 @@ def _batch(
     np.clip(images, 0.0, 1.0, out=images)
     classes, counts = labels
     return (
-        torch.from_numpy(images).permute(0, 3, 1, 2),  # channels last
+        # Channels last.
+        torch.from_numpy(images).permute(0, 3, 1, 2),
         torch.from_numpy(boxes),
         torch.from_numpy(classes[part]),
         torch.from_numpy(counts[part]),
@@ -421,7 +461,10 @@ def _batch(
 def _other_colours(
     images: NDArray[np.float32], rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Images (n, h, w, 3) with another saturation, contrast, tint and lightness each."""
+    """Images (n, h, w, 3), each with other colours and lightness.
+
+    Saturation, contrast and tint are drawn.
+    """
 
     def draw(low: float, high: float, n_channels: int = 1) -> NDArray[np.float32]:
         return rng.uniform(low, high, (len(images), 1, n_channels)).astype(np.float32)
@@ -438,7 +481,7 @@ def _other_colours(
 
 @torch.no_grad()
 def find_boxes(network: VruNetwork, crops: LabelledCrops) -> Found:
-    """Boxes and confidence of each crop, by class, overlapping ones suppressed."""
+    """Boxes and confidence of each crop by class, without overlapping ones."""
     found: Found = []
     for part in np.array_split(
         np.arange(len(crops)), math.ceil(len(crops) / _MOST_AT_ONCE)

@@ -1,1 +1,1 @@
-"""Recordings of real road users against what this project predicts of them."""
+"""Recordings of road users against what this project predicts."""

@@ -1,4 +1,6 @@
-"""Real recordings against predictions: ``python -m experiments.study.reality FOLDER``.
+"""Real recordings against predictions.
+
+``python -m experiments.study.reality FOLDER``.
 
 FOLDER has the repositories' folders side by side: OpenTraj, sort, DeepFusionMOT,
 AB3DMOT. ``docs/how_to/recordings.md`` says which files are read.
@@ -24,7 +26,10 @@ from .report import measure, plot_confirmations, plot_heights, plot_recall, tabl
     "--tables", "tables_to", type=click.Path(path_type=Path), help="Write TOML here."
 )
 def main(folder: Path, out: Path, tables_to: Path | None) -> None:
-    """Write reality.md and its figures; with --tables the response tables fitted as well."""
+    """Write reality.md and its figures.
+
+    With --tables the response tables fitted as well.
+    """
     try:
         measured = measure(folder)
         for place in (out, tables_to):

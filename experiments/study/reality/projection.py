@@ -1,4 +1,4 @@
-"""Boxes of real people against those that this project's camera and body predict."""
+"""Boxes of real people against those predicted by camera and body."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,10 +24,12 @@ from placement.detectors.evidence import Interval
 from placement.recordings.formats import RecordedBoxes, read_boxes, read_wildtrack
 
 BODY = "adult"
-WALKED_FRAMES = 4  # before and after, over which a heading is measured
+# Before and after, over which a heading is measured.
+WALKED_FRAMES = 4
 TILTS_DEG = np.linspace(-2.0, 2.0, 41)
 _DRAWS = 400
-_INSIDE_PX = 2.0  # a box that comes nearer to the picture's edge may be cut off
+# A box that comes nearer to the picture's edge may be cut off.
+_INSIDE_PX = 2.0
 _KITTI_SIZE = (1242, 375)
 _WILDTRACK_SIZE = (1920, 1080)
 _WILDTRACK_VIEWS = (
@@ -43,7 +45,10 @@ _WILDTRACK_VIEWS = (
 
 @cache
 def _hulls() -> tuple[FloatArray, ...]:
-    """Corners of the body's convex hull in each phase of its gait: they make its box."""
+    """Corners of the body's convex hull in each phase of its gait.
+
+    They make its box.
+    """
     from scipy.spatial import ConvexHull
 
     shapes = (shape.vertices_m for shape in pick_actor(BODY, "body").shapes)
@@ -56,7 +61,10 @@ Projection = Callable[[FloatArray], FloatArray]
 def body_boxes(
     foot_m: FloatArray, heading_deg: FloatArray, phase: IntArray, project: Projection
 ) -> FloatArray:
-    """Boxes (n, 4) around bodies that stand at `foot_m` (n, 3), in pixels; not clipped."""
+    """Boxes (n, 4) around bodies that stand at `foot_m` (n, 3), in pixels.
+
+    Not clipped.
+    """
     boxes = np.empty((len(foot_m), 4))
     hulls = _hulls()
     for number, hull in enumerate(hulls):
@@ -72,16 +80,24 @@ def body_boxes(
 class Heights:
     """Drawn over predicted heights of a recording's boxes."""
 
-    distance_m: FloatArray  # (n,): on the ground
+    # (n,): on the ground.
+    distance_m: FloatArray
     track: IntArray
-    ratio: FloatArray  # (n,): by the calibrated camera
-    pinhole_ratio: FloatArray  # (n,): by this project's pinhole at the same pose
-    tilt_deg: Interval  # that fits best, relative to the calibration
-    seen_from_m: float  # height of the camera
+    # (n,): by the calibrated camera.
+    ratio: FloatArray
+    # (n,): by this project's pinhole at the same pose.
+    pinhole_ratio: FloatArray
+    # That fits best, relative to the calibration.
+    tilt_deg: Interval
+    # Height of the camera.
+    seen_from_m: float
 
 
 def measure_pets_heights(folder: Path) -> Heights:
-    """Drawn over predicted heights of PETS' boxes that lie wholly in the picture."""
+    """Drawn over predicted heights of PETS' boxes.
+
+    Of those that lie wholly in the picture.
+    """
     drawn, camera = pets_tracks(folder)
     height = camera.height_px
     width = camera.width_px
@@ -123,7 +139,10 @@ def bottoms(boxes_px: FloatArray) -> FloatArray:
 def _gait(
     drawn: RecordedBoxes, camera: CalibratedCamera
 ) -> tuple[FloatArray, IntArray]:
-    """Heading of each box's body, by its way over some frames, and the phase of its gait."""
+    """Heading of each box's body, and the phase of its gait.
+
+    By its way over some frames.
+    """
     ground = ground_points(bottoms(drawn.box_px), camera)[:, :2]
     heading = np.zeros(len(drawn))
     walked = np.zeros(len(drawn))
@@ -142,7 +161,10 @@ def _gait(
 def _ratios(
     drawn: RecordedBoxes, camera: CalibratedCamera, heading: FloatArray, phase: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Feet (n, 3) of bodies whose boxes end where the drawn ones do, and ratios of heights."""
+    """Feet (n, 3) of bodies, and ratios of heights.
+
+    The bodies' boxes end where the drawn ones do.
+    """
     wanted = ground_points(bottoms(drawn.box_px), camera)
     foot = wanted.copy()
     for _ in range(2):
@@ -155,7 +177,9 @@ def _ratios(
 def _best_tilt(
     drawn: RecordedBoxes, camera: CalibratedCamera, heading: FloatArray, phase: IntArray
 ) -> Interval:
-    """Tilt that makes the heights of bodies at the drawn feet agree best, (+: down).
+    """Tilt at which heights of bodies at the drawn feet agree best.
+
+    Positive: down.
 
     The height of all is free: least squares of the logarithms of drawn over predicted
     heights around their mean. 95 % by tracks drawn with repetition.
@@ -165,7 +189,8 @@ def _best_tilt(
     for tilt in TILTS_DEG:
         log = np.log(_ratios(drawn, tilted(camera, float(tilt)), heading, phase)[1])
         moments.append([np.bincount(which, weights=log**power) for power in (0, 1, 2)])
-    sums = np.array(moments)  # (n_tilts, 3, n_tracks)
+    # (n_tilts, 3, n_tracks).
+    sums = np.array(moments)
     n_tracks = sums.shape[2]
     rng = np.random.default_rng(0)
     counts = rng.multinomial(n_tracks, np.full(n_tracks, 1.0 / n_tracks), size=_DRAWS)
@@ -187,7 +212,7 @@ def tilted(camera: CalibratedCamera, tilt_deg: float) -> CalibratedCamera:
 
 
 def nearest_pinhole(camera: CalibratedCamera) -> tuple[CameraModel, Pose]:
-    """The ideal camera of this project that looks where the middle of a real picture is.
+    """Ideal camera that looks where the middle of a real picture is.
 
     Square pixels as wide as the real ones, no distortion, no roll.
     """
@@ -217,7 +242,10 @@ _R_CAMERA_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def measure_kitti_heights(folder: Path, sequences: tuple[int, ...]) -> FloatArray:
-    """Labelled over predicted heights (n,) of pedestrians that no edge of the picture cuts off."""
+    """Labelled over predicted heights (n,) of pedestrians.
+
+    Of those that no edge of the picture cuts off.
+    """
     data = folder / "OpenTraj" / "datasets" / "KITTI" / "data"
     width, height = _KITTI_SIZE
     ratios = []
@@ -246,13 +274,19 @@ class ViewFlags:
 
     view: str
     people: int
-    in_view: float  # share, as annotated
-    agreed: float  # with the lens as calibrated
-    agreed_pinhole: float  # without its distortion
+    # Share, as annotated.
+    in_view: float
+    # With the lens as calibrated.
+    agreed: float
+    # Without its distortion.
+    agreed_pinhole: float
 
 
 def measure_flags(folder: Path) -> tuple[ViewFlags, ...]:
-    """Flags of WILDTRACK's views against this: the body's middle is in the picture."""
+    """Flags of WILDTRACK's views against this.
+
+    The body's middle is in the picture.
+    """
     data = folder / "OpenTraj" / "datasets" / "Wild-Track"
     views = read_wildtrack(data / "annotations_positions")
     middle = np.array([0.0, 0.0, 0.5 * pick_actor(BODY, "body").height_m])

@@ -1,4 +1,7 @@
-"""What recordings measured, in words and tables: ``reality.md``, and the tables fitted."""
+"""What recordings measured, in words and tables.
+
+``reality.md``, and the tables fitted.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -67,14 +70,19 @@ _UNKNOWN = ("contrast", "aspect")
 
 @dataclass(frozen=True)
 class Measured:
-    """All that is measured, by what was recorded; the figures of a recording follow from it."""
+    """All that is measured, by what was recorded.
+
+    The figures of a recording follow from it.
+    """
 
     heights: Heights
-    labels: FloatArray  # labelled over predicted heights of pedestrians
+    # Labelled over predicted heights of pedestrians.
+    labels: FloatArray
     flags: tuple[ViewFlags, ...]
     pole: Watched
     car: Watched
-    lidar: Watched  # pedestrians
+    # Pedestrians.
+    lidar: Watched
     lidar_cyclists: Watched
 
     @property
@@ -275,7 +283,8 @@ def text(m: Measured) -> str:
     )
 
 
-_LIMIT = 0.05  # of calibration errors, as asked for
+# Of calibration errors, as asked for.
+_LIMIT = 0.05
 
 
 def _held_out_rows(m: Measured) -> list[list[str]]:
@@ -325,7 +334,9 @@ _HDL_POINTS_PER_S = 1.3e6
 
 @cache
 def lidar_reach_m() -> float:
-    """Distance up to which KITTI's LiDAR returns as many points as this project's rule asks for.
+    """Distance up to which KITTI's LiDAR returns enough points.
+
+    As many as this project's rule asks for.
 
     If every pulse comes back: outline of the body from ahead and from the side, times
     pulses per solid angle. [m]
@@ -342,7 +353,10 @@ def lidar_reach_m() -> float:
 
 
 def tables(m: Measured) -> dict[str, str]:
-    """Response tables of cameras, and the LiDAR's recalls, as TOML by the names of their files."""
+    """Response tables of cameras, and the LiDAR's recalls, as TOML.
+
+    By the names of their files.
+    """
     written = {}
     for one in (m.pole, m.car):
         head = f"{one.detector}, {one.year}, on {one.recording} ({one.source}), "
@@ -370,8 +384,10 @@ def _three(figure: Interval) -> list[float]:
     return [float(f"{value:.3g}") for value in (figure.value, figure.low, figure.high)]
 
 
-_BAND_M = 2.0  # of the distance
-_LEAST = 30  # boxes in a band
+# Of the distance.
+_BAND_M = 2.0
+# Boxes in a band.
+_LEAST = 30
 _MAX_FRAMES = 30
 _SMALL = 7.5
 _STYLES = {
@@ -412,7 +428,9 @@ def plot_heights(heights: Heights) -> "Figure":
 
 
 def plot_recall(panels: Mapping[str, Mapping[str, Sequence[Recall]]]) -> "Figure":
-    """Recall with 95 % intervals, and what the table "response" predicts, panel by panel.
+    """Recall with 95 % intervals, and what "response" predicts.
+
+    Panel by panel.
 
     A panel has groups by what was watched.
     """
@@ -421,7 +439,8 @@ def plot_recall(panels: Mapping[str, Mapping[str, Sequence[Recall]]]) -> "Figure
     for axes, (title, watched) in zip(
         figure.subplots(1, len(panels)), panels.items(), strict=True
     ):
-        names = [one.words for one in max(watched.values(), key=len)]  # in order
+        # In order.
+        names = [one.words for one in max(watched.values(), key=len)]
         names += [one.words for groups in watched.values() for one in groups]
         names = list(dict.fromkeys(names))
         for place, (name, groups) in enumerate(watched.items()):
@@ -459,7 +478,10 @@ def _short(words: str) -> str:
 
 
 def plot_confirmations(held: Mapping[str, HeldOut]) -> "Figure":
-    """Share of starts confirmed within so many frames: real, by the fit, by "response"."""
+    """Share of starts confirmed within so many frames.
+
+    Real, by the fit, by "response".
+    """
     figure = new_figure(WIDTH_IN, 2.8)
     for axes, (title, one) in zip(
         figure.subplots(1, len(held)), held.items(), strict=True

@@ -1,4 +1,7 @@
-"""What real detectors found: recall, its correlation in time, boxes, and frames to confirmation."""
+"""What real detectors found.
+
+Recall, its correlation in time, boxes, and frames to confirmation.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,13 +32,18 @@ from placement.recordings.pairs import PairedBoxes, frames_to_confirm, pair_boxe
 from .projection import bottoms, pets_tracks
 
 N_CONFIRMATIONS = 3
-TABLE_HZ = 10.0  # frame rate that tables' correlations hold for
-KITTI_SEQUENCES = tuple(range(0, 21, 2))  # the odd ones judge the finished model
+# Frame rate that tables' correlations hold for.
+TABLE_HZ = 10.0
+# The odd ones judge the finished model.
+KITTI_SEQUENCES = tuple(range(0, 21, 2))
 HEIGHT_EDGES_PX = (0.0, 25.0, 40.0, 60.0, 80.0, 100.0, np.inf)
-SHARE_EDGES = (0.0, 0.01, 0.10, 0.35, 0.80, np.inf)  # hidden
+# Hidden.
+SHARE_EDGES = (0.0, 0.01, 0.10, 0.35, 0.80, np.inf)
 DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, np.inf)
-_DRAWS = 100  # of held-out frames by the table
-_TRACKS = 1000  # numbers kept free for those of a sequence
+# Of held-out frames by the table.
+_DRAWS = 100
+# Numbers kept free for those of a sequence.
+_TRACKS = 1000
 _SPREAD = (0.025, 0.975)
 
 
@@ -43,17 +51,22 @@ _SPREAD = (0.025, 0.975)
 class Watched:
     """A detector on a recording, and how its frames fall into halves."""
 
-    name: str  # of the table
+    # Of the table.
+    name: str
     recording: str
     detector: str
     year: int
     source: str
     frame_rate_hz: float
-    sightings: Sightings  # in the order of tracks and frames
-    distance_m: FloatArray  # (n,): from the sensor, on the ground
-    hidden_level: IntArray  # (n,): KITTI's; -1: the share hidden is that of boxes
+    # In the order of tracks and frames.
+    sightings: Sightings
+    # (n,): from the sensor, on the ground.
+    distance_m: FloatArray
+    # (n,): KITTI's; -1: the share hidden is that of boxes.
+    hidden_level: IntArray
     alarms: FalseAlarms
-    halves: Mapping[str, BoolArray]  # by what divides: rows of the first half
+    # By what divides: rows of the first half.
+    halves: Mapping[str, BoolArray]
 
 
 def watch_pets(folder: Path) -> Watched:
@@ -87,7 +100,9 @@ def watch_pets(folder: Path) -> Watched:
 
 
 def watch_kitti(folder: Path, *, name: str, class_name: str) -> Watched:
-    """RRC or PointRCNN on KITTI's even sequences; halves by sequence and by people.
+    """RRC or PointRCNN on KITTI's even sequences.
+
+    Halves by sequence and by people.
 
     Nearly all boxes are those of sequence 16: it is a half of its own.
     """
@@ -162,7 +177,7 @@ _KITTI = {
 def _gather(
     paired: PairedBoxes, *, frame_rate_hz: float
 ) -> tuple[Sightings, FalseAlarms, IntArray]:
-    """Sightings by track and frame, false alarms, and how the rows were put in order."""
+    """Sightings by track and frame, false alarms, and the rows' order."""
     sightings, alarms = gather_sightings(
         paired.pictures, n_confirmations=N_CONFIRMATIONS, frame_rate_hz=frame_rate_hz
     )
@@ -178,7 +193,8 @@ class Recall:
     frames: int
     tracks: int
     measured: Interval
-    predicted: float  # mean probability of the built-in table "response"
+    # Mean probability of the built-in table "response".
+    predicted: float
 
     @property
     def is_off(self) -> bool:
@@ -189,7 +205,10 @@ class Recall:
 def recalls(
     watched: Watched, values: FloatArray, edges: Sequence[float], unit: str
 ) -> list[Recall]:
-    """Recall between edges of some quantity (n,); groups without rows are left out."""
+    """Recall between edges of some quantity (n,).
+
+    Groups without rows are left out.
+    """
     groups = []
     for low, high in pairwise(edges):
         rows = np.flatnonzero((values >= low) & (values < high))
@@ -214,16 +233,18 @@ def recall_of(sightings: Sightings, words: str) -> Recall:
 
 
 def phi(sightings: Sightings) -> Interval:
-    """Correlation of found or not between consecutive frames, 95 % by tracks drawn anew."""
+    """Correlation of detection between consecutive frames.
+
+    With a 95 % interval, by tracks drawn anew.
+    """
     same = np.diff(sightings.track) == 0
     is_next = np.flatnonzero(same & (np.diff(sightings.frame) == 1))
     a = sightings.is_found[is_next]
     b = sightings.is_found[is_next + 1]
     _, which = np.unique(sightings.track[is_next], return_inverse=True)
     weights = (np.ones(len(a)), a, b, a & b)
-    sums = np.array(
-        [np.bincount(which, weights=one) for one in weights]
-    )  # (4, n_tracks)
+    # (4, n_tracks).
+    sums = np.array([np.bincount(which, weights=one) for one in weights])
     n_tracks = sums.shape[1]
     counts = np.random.default_rng(0).multinomial(
         n_tracks, np.full(n_tracks, 1.0 / n_tracks), size=1000
@@ -241,7 +262,10 @@ def _phi(sums: FloatArray) -> FloatArray:
 
 
 def side_errors(sightings: Sightings) -> tuple[float, float]:
-    """Standard deviation of found boxes' left and right, and upper and lower sides, as shares."""
+    """Standard deviations of the sides of found boxes, as shares.
+
+    Of left and right, and of upper and lower sides.
+    """
     error = sightings.box_error[sightings.is_found]
     spread = error.std(axis=0)
     return float(spread[[0, 2]].mean()), float(spread[[1, 3]].mean())
@@ -252,21 +276,27 @@ class HeldOut:
     """A table fitted to one half of the frames, judged by the other one."""
 
     words: str
-    frames: int  # held out
+    # Held out.
+    frames: int
     tracks: int
-    error: float  # calibration error of recall
-    chance_error: float  # 97.5 % of the errors that a true table would have by chance
-    distance: float  # Kolmogorov-Smirnov, of frames to confirmation
-    real: FloatArray  # share of starts confirmed within 1, 2, .. frames
+    # Calibration error of recall.
+    error: float
+    # 97.5 % of the errors that a true table would have by chance.
+    chance_error: float
+    # Kolmogorov-Smirnov, of frames to confirmation.
+    distance: float
+    # Share of starts confirmed within 1, 2, .. frames.
+    real: FloatArray
     predicted: FloatArray
-    by_response: FloatArray  # the same by the built-in table "response"
+    # The same by the built-in table "response".
+    by_response: FloatArray
 
 
 _WITHIN = np.arange(1, 101)
 
 
 def hold_out(watched: Watched, divided_by: str, *, fit_first: bool) -> HeldOut:
-    """Fit a table to one half, and predict the other half's frames to confirmation.
+    """Fit a table to one half, and predict confirmation in the other.
 
     They count from every frame of a track on; a track that ends before counts as never.
     """
@@ -317,14 +347,20 @@ def _draw(held: Sightings, probability: FloatArray, correlation: float) -> BoolA
 
 
 def _confirmed(held: Sightings, found: BoolArray) -> FloatArray:
-    """Share of starts that are confirmed within 1, 2, .. frames, over all draws (n_draws, n)."""
+    """Share of starts that are confirmed within 1, 2, .
+
+    Frames, over all draws (n_draws, n).
+    """
     waits = np.concatenate([_waits(held, one) for one in found])
     within = np.searchsorted(np.sort(waits[waits > 0]), _WITHIN, side="right")
     return within / len(waits)
 
 
 def confirmed_at_once(watched: Watched) -> Recall:
-    """Share of starts whose first three frames confirm; the prediction is drawn by "response"."""
+    """Share of starts whose first three frames confirm.
+
+    The prediction is drawn by "response".
+    """
     table = built_in_response()
     sightings = watched.sightings
     waits = _waits(sightings, sightings.is_found)
@@ -353,6 +389,9 @@ def first_confirmed(sightings: Sightings) -> tuple[int, int]:
 
 
 def fit_table(watched: Watched) -> ResponseFit:
-    """The table fitted to all frames; its correlation is that at the tables' frame rate."""
+    """The table fitted to all frames.
+
+    Its correlation is that at the tables' frame rate.
+    """
     fit = fit_response(watched.sightings, name=watched.name)
     return at_frame_rate(fit, from_hz=watched.frame_rate_hz, to_hz=TABLE_HZ)

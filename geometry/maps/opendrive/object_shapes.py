@@ -76,12 +76,18 @@ class Spot:
 class Outline:
     """An outline of an object at one place."""
 
-    points_m: FloatArray  # (n, 2), open
-    road_m: FloatArray  # (n, 2), the same as s and t; in bends only near the object
-    bottom_m: FloatArray  # (n,)
-    height_m: FloatArray  # (n,), above the bottom; 0: not given
-    is_closed: bool  # it surrounds an area
-    is_outer: bool  # that area is part of the object, not cut out of it
+    # (n, 2), open.
+    points_m: FloatArray
+    # (n, 2), the same as s and t; in bends only near the object.
+    road_m: FloatArray
+    # (n,).
+    bottom_m: FloatArray
+    # (n,), above the bottom; 0: not given.
+    height_m: FloatArray
+    # It surrounds an area.
+    is_closed: bool
+    # That area is part of the object, not cut out of it.
+    is_outer: bool
 
 
 def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:

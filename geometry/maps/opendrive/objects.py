@@ -578,7 +578,8 @@ def _take(
                 turn_rad=turn_rad,
                 where=one.where,
             )
-    except InputError:  # its outline surrounds nothing
+    except InputError:
+        # Its outline surrounds nothing.
         return False
     if body is None:
         return False

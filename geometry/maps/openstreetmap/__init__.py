@@ -170,7 +170,7 @@ def read_openstreetmap(
 ) -> SourceMap:
     """Read a file of OpenStreetMap data, XML or PBF.
 
-    Suffixes are .osm, .osm.gz, .osm.bz2 and .osm.pbf. Coordinates are metres
+    Suffixes are .osm and .osm.pbf. Coordinates are metres
     around the middle of the roads, heights are above the ground.
 
     Parameters

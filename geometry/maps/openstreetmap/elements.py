@@ -1,9 +1,6 @@
 """Nodes, ways, relations, areas and tags of a file of OpenStreetMap data."""
 
-import bz2
-import gzip
 import re
-import zlib
 from array import array
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -158,18 +155,11 @@ def _file_format(path: Path) -> str:
 
     Returns
     -------
-    name : {"osm", "osm.gz", "osm.bz2", "pbf"}
-        Archives and PBF files are checked for their unpacked size.
+    name : {"osm", "pbf"}
+        PBF files are checked for their unpacked size.
     """
     with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
         begin = file.read(64)
-    for magic, unpack, name in (
-        (b"\x1f\x8b", gzip.open, "osm.gz"),
-        (b"BZh", bz2.open, "osm.bz2"),
-    ):
-        if begin.startswith(magic):
-            _check_unpacked_size(path, unpack)
-            return name
     if begin[4:15] == b"\x0a\x09OSMHeader":
         limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
         check_pbf(path, max_unpacked_bytes=limit, expected=_EXPECTED)
@@ -179,25 +169,6 @@ def _file_format(path: Path) -> str:
     ):
         return "osm"
     refuse(str(path), "something else", _EXPECTED)
-
-
-def _check_unpacked_size(path: Path, unpack: Any) -> None:
-    """Refuse a file that unpacks to too much.
-
-    This reads the file a second time, but keeps nothing of it.
-    """
-    limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
-    n_bytes = 0
-    with (
-        reading(path, f"{_EXPECTED}: a whole archive", OSError, EOFError, zlib.error),
-        open_file(path) as packed,
-        unpack(packed, "rb") as file,
-    ):
-        while chunk := file.read(1 << 20):
-            n_bytes += len(chunk)
-            if n_bytes > limit:
-                got = f"more than {limit:,} bytes when unpacked"
-                refuse(str(path), got, "fewer; cut it out first")
 
 
 def _collect(path: Path, file_format: str) -> Elements:

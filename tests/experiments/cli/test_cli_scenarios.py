@@ -316,22 +316,6 @@ def test_shows_that_cannot_be_are_one_line(run, arguments, message):
     assert refusal(result).startswith(message)
 
 
-def test_forced_speeds_are_driven_with_a_warning(run, caplog):
-    code, out, _ = run(
-        "scenarios",
-        "list",
-        "--cases",
-        "CPTAns-50",
-        "--speeds",
-        "15",
-        "--force",
-        "--json",
-    )
-    assert code == 0
-    assert [row["speeds_kmh"] for row in json.loads(out)] == [[15.0]] * 4
-    assert "15 km/h are not speeds of the protocol" in caplog.text
-
-
 # ---------- recorded encounters
 ROWS = [
     row

@@ -20,7 +20,6 @@ from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
 from placement.sampling.out_of_sample import SampledApr
 from placement.sampling.uncertainty import load_uncertainty
-from scenarios.scores import Levels
 
 NAMES = ("a $1_", "<b>", "c")
 
@@ -122,29 +121,17 @@ def test_side_by_side_every_layout_has_its_own_numbers(evaluations, rule):
     assert [row[6] for row in rows] == ["0.05", "0.05", "\N{EN DASH}"]
 
 
-def test_side_by_side_speeds_at_contact_and_the_score_have_columns(evaluations, rule):
+def test_side_by_side_speeds_at_contact_have_a_column(evaluations, rule):
     (name, one), *_ = evaluations.items()
     assert (
         side_by_side_table({name: one}, rule).columns[-1]
         == "mean speed at contact (km/h)"
     )
     left_kmh = np.array([0.0, 0.0, 8.0])
-    verdict = replace(
-        one.rsu_all, impact_speed_kmh=left_kmh, closing_speed_kmh=left_kmh
-    )
-    levels = Levels(
-        score="rating-2026",
-        run_index=np.arange(3).repeat(2),
-        below_kmh=np.tile([0.0, 10.0], 3),
-        gain=np.tile([0.25, 0.75], 3),
-        deadline_s=np.full(6, -0.1),
-    )
-    found = side_by_side_table(
-        {name: replace(one, rsu_all=verdict, levels=levels)}, rule
-    )
-    assert found.columns[-1] == "score (rating-2026)"
-    # The last run weighs a quarter and is hit below 10 km/h.
-    assert found.rows[0][-2:] == ["2.0", "93.8 %"]
+    verdict = replace(one.rsu_all, impact_speed_kmh=left_kmh)
+    found = side_by_side_table({name: replace(one, rsu_all=verdict)}, rule)
+    # The last run weighs a quarter.
+    assert found.rows[0][-1] == "2.0"
 
 
 def test_the_better_one_comes_first_in_the_table(sampled):

@@ -62,9 +62,7 @@ def test_weights_that_somebody_chose_are_meant(weights, asks, monkeypatch):
     nothing = type(
         "Nothing", (), {"problem": None, "pose_index": (), "cache_folder": None}
     )
-    question = type(
-        "Asked", (), {"weights": weights, "score": "avoided", "effort": Effort()}
-    )
+    question = type("Asked", (), {"weights": weights, "effort": Effort()})
     alternatives.find_other_weights(
         nothing, question, question, compute=nothing, progress=lambda *given: None
     )

@@ -315,7 +315,6 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
         "assumptions",
         "assumed_prices",
         "sites_eur",
-        "score",
         "asked",
     }
     for key in summary:

@@ -130,8 +130,6 @@ def test_the_study_is_asked_about_as_it_drives_and_reads():
         near="51,0",
         accidents_within_m=100.0,
         case_range="extended",
-        force=True,
-        strict=True,
         track_memory_s=1.0,
         detector="response",
         latency_s=0.2,

@@ -23,7 +23,6 @@ from placement.optimiser import Limits, PlacementProblem
 from placement.setting import Radio
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis, Refusal
-from scenarios.scores import Levels
 
 RULE = load_aeb_rule()
 N_RUNS = 49  # 49 times 1/49 is not 1 in floating point, when added one by one
@@ -95,7 +94,6 @@ def setting_of(axis, *refusals):
         cars=0.0,
         radio=Radio(packet_loss=0.25, vam_rate=0.5),
         rule=RULE,
-        levels=None,
     )
 
 
@@ -117,7 +115,6 @@ def test_all_runs_avoided_is_exactly_one_and_none_is_zero(evaluation_of):
             "by_case": {"A": ratio, "B": ratio},
             "by_position": {"0": ratio},
             "mean_impact_speed_kmh": None,
-            "score": None,
         }
         assert summary == {
             "vut": ratios,
@@ -131,24 +128,14 @@ def test_all_runs_avoided_is_exactly_one_and_none_is_zero(evaluation_of):
         }
 
 
-def test_speeds_at_contact_and_score_stand_beside_the_ratio(evaluation_of, axis):
+def test_speeds_at_contact_stand_beside_the_ratio(evaluation_of, axis):
     plain_one = evaluation_of(N_RUNS - 2)
     left_kmh = np.where(plain_one.rsu_all.is_avoided, 0.0, 20.0)
     left_kmh[-1] = 8.0
-    verdict = replace(
-        plain_one.rsu_all, impact_speed_kmh=left_kmh, closing_speed_kmh=left_kmh
-    )
-    levels = Levels(
-        score="rating-2026",
-        run_index=np.arange(N_RUNS).repeat(2),
-        below_kmh=np.tile([0.0, 10.0], N_RUNS),
-        gain=np.tile([0.25, 0.75], N_RUNS),
-        deadline_s=np.full(2 * N_RUNS, -0.1),
-    )
-    evaluation = replace(plain_one, rsu_all=verdict, levels=levels)
+    verdict = replace(plain_one.rsu_all, impact_speed_kmh=left_kmh)
+    evaluation = replace(plain_one, rsu_all=verdict)
     found = build_evaluation_record(evaluation, RULE).rsu_all
     assert found.mean_impact_speed_kmh == pytest.approx(28.0 / N_RUNS)
-    assert found.score == pytest.approx((N_RUNS - 2 + 0.75) / N_RUNS)
 
 
 def test_ratios_are_shares_of_the_runs(setting, evaluation_of):

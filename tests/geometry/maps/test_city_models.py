@@ -177,29 +177,6 @@ def test_templates_stand_where_they_are_placed(tmp_path):
     assert volume(thing) == pytest.approx(8 * 240.0)
 
 
-def test_sequences_read_as_the_file_they_came_from(tmp_path):
-    head = {
-        key: value
-        for key, value in CITY.items()
-        if key not in ("CityObjects", "vertices")
-    }
-    lines = [head | {"CityObjects": {}, "vertices": []}]
-    for name in "ab":
-        lines.append(
-            {
-                "type": "CityJSONFeature",
-                "id": name,
-                "CityObjects": {name: HOUSE},
-                "vertices": CORNERS,
-            }
-        )
-    path = tmp_path / "city.city.jsonl"
-    path.write_text("\n".join(json.dumps(line) for line in lines))
-    source = read_cityjson(path)
-    assert [thing.id for thing in source.things] == ["a", "b"]
-    assert all(volume(thing) == pytest.approx(240.0) for thing in source.things)
-
-
 def broken(**changes):
     city = copy.deepcopy(CITY)
     for key, value in changes.items():

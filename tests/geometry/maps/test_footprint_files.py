@@ -212,14 +212,11 @@ def test_the_same_id_twice_becomes_two(tmp_path):
     assert [thing.id for thing in read_footprints(path).things] == ["a", "a-2"]
 
 
-def test_layers_are_chosen_by_name(tmp_path):
+def test_a_file_with_several_layers_is_refused(tmp_path):
     write(tmp_path, {"height": [2.0]}, [HOUSE], layer="houses")
     path = write(tmp_path, {"height": [4.0]}, [YARD], layer="yards", mode="a")
-    (thing,) = read_footprints(path, layer="yards").things
-    assert top(thing) == 4.0
-    for layer in (None, "sheds"):
-        with pytest.raises(InputError, match="houses, yards"):
-            read_footprints(path, layer=layer)
+    with pytest.raises(InputError, match="got 2 layers; expected a file with one"):
+        read_footprints(path)
 
 
 @pytest.mark.filterwarnings("ignore:.crs. was not provided")

@@ -6,9 +6,7 @@ import pytest
 from geometry.errors import InputError
 from geometry.frames import WGS84, transform
 from geometry.maps.importing import (
-    ReadingOptions,
     choose_junction,
-    read_map,
     survey_junctions,
 )
 from geometry.maps.source_map import MapJunction, MapLane, SourceMap
@@ -153,9 +151,3 @@ def test_a_junction_that_no_lane_reaches_has_no_arms(source):
     lonely = MapJunction(id="lonely", name="", outline_m=SQUARE_M + 5000.0)
     found = survey_junctions(replace(source, junctions=(*source.junctions, lonely)))
     assert found[-1].arms == ()
-
-
-@pytest.mark.parametrize("crs", ["nonsense", "EPSG:4326", "EPSG:2263"])
-def test_a_crs_that_is_no_plane_in_metres_is_refused_before_reading(tmp_path, crs):
-    with pytest.raises(InputError, match="crs: got"):
-        read_map(tmp_path / "gone.osm", ReadingOptions(crs=crs))

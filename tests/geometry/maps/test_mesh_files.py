@@ -13,7 +13,7 @@ from geometry.maps import mesh_files
 from geometry.maps.mesh_files import UNITS_M, UP_AXES, read_mesh
 from geometry.maps.source_map import is_closed, volume_m3
 
-FORMATS = ["obj", "ply", "stl", "off"]
+FORMATS = ["obj", "ply", "stl"]
 
 
 def box(size, foot):
@@ -188,8 +188,6 @@ def test_sizes_of_another_unit_are_refused(tmp_path, unit, message):
         ("a.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),
         ("a.obj", "v 0 0 1e999\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "obj"),
-        ("a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "off"),
-        ("a.off", "OFF\n9999999999 1 0\n0 0 0\n", "off"),
         ("a.stl", "solid a\nendsolid a\n", "stl"),
         (
             "a.ply",

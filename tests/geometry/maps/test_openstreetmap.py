@@ -2,8 +2,6 @@
 made.
 """
 
-import bz2
-import gzip
 import re
 import struct
 import sys
@@ -74,13 +72,11 @@ def read_text(text: str | bytes, folder: Path, name: str = "map.osm") -> SourceM
 # ---------------------------------------------------------------- formats
 
 
-def test_a_packed_file_is_the_same_map(tmp_path: Path) -> None:
+def test_the_content_of_a_file_tells_its_format(tmp_path: Path) -> None:
     plain = read_text(SMALL, tmp_path)
     assert (len(plain.things), len(plain.poles), len(plain.junctions)) == (8, 3, 1)
     packed = SMALL.encode()
     for name, content in (
-        ("map.osm.gz", gzip.compress(packed)),
-        ("map.osm.bz2", bz2.compress(packed)),
         ("map", packed),  # what it is shows in the file itself
         (
             "utf16.osm",
@@ -176,23 +172,6 @@ def test_what_is_no_map_is_told_in_one_line(
     assert message in str(caught.value)
     assert str(caught.value).startswith(str(tmp_path / "map.osm"))
     assert "\n" not in str(caught.value)
-
-
-def test_damaged_archives_are_told(tmp_path: Path) -> None:
-    for content in (
-        gzip.compress(SMALL.encode())[:-20],
-        bz2.compress(SMALL.encode())[:-20],
-    ):
-        with pytest.raises(InputError, match="a whole archive"):
-            read_text(content, tmp_path)
-
-
-def test_what_grows_without_end_is_not_unpacked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(DEFAULTS["reading"], "max_unpacked_bytes", 3_000_000)
-    with pytest.raises(InputError, match="more than 3,000,000 bytes when unpacked"):
-        read_text(gzip.compress(b"<osm>" + bytes(4_000_000)), tmp_path)
 
 
 def test_too_many_elements_are_refused(

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from geometry.maps import point_clouds
-from geometry.maps.importing import ReadingOptions, read_map
-from geometry.maps.point_clouds import open_points, read_point_cloud
+from geometry.maps.point_clouds import read_point_cloud
 from geometry.maps.source_map import volume_m3
 from geometry.raycast import build_caster
 
@@ -65,25 +64,6 @@ def write_las(
     return tmp_path / name
 
 
-def write_pcd(tmp_path, points, encoding="binary", *, n_claimed=None, name="a.pcd"):
-    if n_claimed is None:
-        n = len(points)
-    else:
-        n = n_claimed
-    head = (
-        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT"
-        f" 1 1 1 1\nWIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA"
-        f" {encoding}\n"
-    )
-    if encoding == "ascii":
-        body = "".join(f"{x:.4f} {y:.4f} {z:.4f} 0\n" for x, y, z in points).encode()
-    else:
-        body = np.column_stack([points, np.zeros(len(points))]).astype("<f4").tobytes()
-    path = tmp_path / name
-    path.write_bytes(head.encode() + body)
-    return path
-
-
 def size(thing):
     return np.ptp(thing.vertices_m, axis=0)
 
@@ -122,7 +102,9 @@ def test_rays_find_no_hole_in_a_wall_and_nothing_beside_it(tmp_path):
         ]
     )
     source = read_point_cloud(
-        write_pcd(tmp_path, np.concatenate([wall, ground(beside_house=False)]))
+        write_las(
+            tmp_path, [wall, ground(beside_house=False)], (1, 1), origin=(0.0, 0.0, 0.0)
+        )
     )
     (thing,) = source.things
     x, z = (
@@ -174,42 +156,8 @@ def test_classes_that_hide_nothing_are_left_out_and_counted(tmp_path):
 
 
 def test_the_class_of_points_without_one_is_the_callers(tmp_path):
-    path = write_pcd(tmp_path, np.concatenate([house(), ground()]))
+    path = write_las(tmp_path, [house(), ground()], (1, 1))
     assert read_point_cloud(path, class_name="wall").things[0].class_name == "wall"
-
-
-@pytest.mark.parametrize("encoding", ["ascii", "binary"])
-def test_pcd_files_are_read(tmp_path, encoding):
-    points = np.concatenate([house(), ground(), [[np.nan] * 3]])
-    (thing,) = read_point_cloud(write_pcd(tmp_path, points, encoding)).things
-    assert size(thing) == pytest.approx([12.0, 8.0, 6.0], abs=0.51)
-
-
-@pytest.mark.system
-def test_pcd_files_of_open3d_are_read(tmp_path):
-    o3d = pytest.importorskip(
-        "open3d", exc_type=ImportError
-    )  # without its system libraries
-    points = np.concatenate([house(4000), ground(4000)])
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    for name, options in (
-        ("a.pcd", {}),
-        ("b.pcd", {"write_ascii": True}),
-    ):
-        o3d.io.write_point_cloud(str(tmp_path / name), cloud, **options)
-        with open_points(tmp_path / name) as (_, chunks):
-            found = np.concatenate([xyz for xyz, _ in chunks])
-        assert np.allclose(found, points, atol=1e-4)
-
-
-def test_a_shift_moves_the_ground_with_all_that_stands_on_it(tmp_path):
-    path = write_las(tmp_path, [house(4000), ground(4000)], (6, 2))
-    shift_m = (100.0, -50.0)
-    plain, moved = (read_map(path, ReadingOptions(offset_m=m)) for m in (None, shift_m))
-    assert len(plain.ground_m)
-    assert np.array_equal(moved.ground_m, plain.ground_m + [*shift_m, 0.0])
-    (before,), (after,) = plain.things, moved.things
-    assert np.array_equal(after.vertices_m, before.vertices_m + [*shift_m, 0.0])
 
 
 def test_coordinates_in_degrees_become_metres(tmp_path):
@@ -282,38 +230,6 @@ def test_packed_points_that_claim_what_cannot_be_are_refused(
         read_point_cloud(patched(path, offset, data))
 
 
-@pytest.mark.parametrize(
-    ("n_claimed", "message"), [(10**10, "POINTS"), (5000, "cut off"), (0, "POINTS")]
-)
-@pytest.mark.parametrize("encoding", ["ascii", "binary"])
-def test_pcd_headers_that_claim_too_much_are_refused(
-    tmp_path, n_claimed, message, encoding
-):
-    with pytest.raises(InputError, match=message):
-        read_point_cloud(write_pcd(tmp_path, house(100), encoding, n_claimed=n_claimed))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ((b"FIELDS x y z", b"FIELDS a b c"), "x, y and z"),
-        ((b"SIZE 4 4 4 4", b"SIZE 4 4 4"), "SIZE"),
-        ((b"SIZE 4 4 4 4", b"SIZE 4 4 4 3"), "rgb"),
-        ((b"TYPE F", b"TYPE Q"), "field x"),
-        ((b"COUNT 1 1 1 1", b"COUNT 1 1 1 999999"), "rgb"),
-        ((b"DATA binary", b"DATA nothing"), "DATA"),
-        ((b"DATA binary", b"DATA binary_compressed"), "expected ascii or binary"),
-        ((b"DATA", b"DAT"), "no header"),
-        ((b"# .PCD", b"\x00\x01"), "no header"),
-    ],
-)
-def test_broken_pcd_headers_are_refused(tmp_path, changes, message):
-    path = write_pcd(tmp_path, house(100))
-    path.write_bytes(path.read_bytes().replace(*changes))
-    with pytest.raises(InputError, match=message):
-        read_point_cloud(path)
-
-
 def test_clouds_of_nothing_but_ground_are_refused(tmp_path):
     with pytest.raises(InputError, match="only ground"):
         read_point_cloud(write_las(tmp_path, [ground()], (1,)))
@@ -321,16 +237,16 @@ def test_clouds_of_nothing_but_ground_are_refused(tmp_path):
         read_point_cloud(write_las(tmp_path, [ground(0)], ()))
 
 
-def test_degrees_and_infinite_points_are_refused(tmp_path):
+def test_degrees_are_refused(tmp_path):
     small = house(500) * 1e-4 + [13.0, 52.0, 0.0]
     with pytest.raises(InputError, match="degrees where metres"):
-        read_point_cloud(write_pcd(tmp_path, small))
-    with pytest.raises(InputError, match="finite"):
-        read_point_cloud(write_pcd(tmp_path, np.array([[np.inf, 0.0, 0.0]])))
+        read_point_cloud(
+            write_las(tmp_path, [small], (1,), crs=None, origin=(0.0, 0.0, 0.0))
+        )
 
 
 def test_unknown_options_and_endings_are_refused(tmp_path):
-    path = write_pcd(tmp_path, house(100))
+    path = write_las(tmp_path, [house(100)], (1,))
     with pytest.raises(InputError):
         read_point_cloud(path, class_name="castle")
     with pytest.raises(InputError, match="one of"):
@@ -342,22 +258,14 @@ def test_unknown_options_and_endings_are_refused(tmp_path):
 def test_too_many_voxels_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(point_clouds, "_MAX_VOXELS", 100)
     with pytest.raises(InputError, match="a larger voxel"):
-        read_point_cloud(write_pcd(tmp_path, house()))
+        read_point_cloud(write_las(tmp_path, [house()], (1,)))
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data(), name=st.sampled_from(["s.las", "s.laz", "a.pcd", "b.pcd"]))
+@given(data=st.data(), name=st.sampled_from(["s.las", "s.laz"]))
 def test_damaged_files_are_read_or_refused(tmp_path, data, name):
     path = tmp_path / name
-    if name.endswith(".pcd"):
-        write_pcd(
-            tmp_path,
-            house(60) * 0.3,
-            "ascii" if name == "a.pcd" else "binary",
-            name=name,
-        )
-    else:
-        write_las(tmp_path, [house(60) * 0.3], (1,), name=name)
+    write_las(tmp_path, [house(60) * 0.3], (1,), name=name)
     wounded = data.draw(damaged(path.read_bytes()))
     source = read_or_refuse(path, wounded, read_point_cloud)
     assert source is None or source.things

@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placement.candidates import CandidatePose
-from placement.detection_table import level_table, pack_table
-from placement.evaluation import run_outcomes, score
+from placement.detection_table import pack_table
+from placement.evaluation import apr as evaluated_apr
+from placement.evaluation import run_outcomes
 from placement.evaluator import evaluate as judge_module
 from placement.evaluator.evaluate import Judge
 from placement.optimiser import Limits, PlacementProblem, apr
 from scenarios.aeb import find_contacts, load_aeb_rule
 from scenarios.confirmation import is_in_time
 from scenarios.runs import build_frame_axis, find_onsets, live_confirmation_times_s
-from scenarios.scores import build_levels
 from scenarios.weights import weight_per_run
 
 RULE = load_aeb_rule()
@@ -30,11 +30,6 @@ def axis(study_runs):
 @pytest.fixture(scope="module")
 def judge(study_runs, axis):
     return Judge(study_runs, axis, RULE)
-
-
-@pytest.fixture(scope="module")
-def levels(study_runs):
-    return build_levels(study_runs, "rating-2026", RULE)
 
 
 def _rows(axis, seed, n_rows):
@@ -145,11 +140,9 @@ def test_as_many_frames_confirm_as_the_rule_says(study_runs, axis):
 
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), memory_s=st.sampled_from([0.3, 1.0, np.inf]))
-def test_scores_of_bodies_are_those_of_levels_on_the_table(
-    study_runs, axis, seed, memory_s, levels
-):
+def test_bodies_avoid_what_the_table_says_at_least(study_runs, axis, seed, memory_s):
     rule = replace(RULE, track_memory_s=memory_s)
-    judge = Judge(study_runs, axis, rule, levels)
+    judge = Judge(study_runs, axis, rule)
     rows = _rows(axis, seed, 2)
     verdict = judge.verdicts([[(row, rule.latency_s) for row in rows]])[0]
     v = axis.vut_speed_kmh
@@ -157,19 +150,17 @@ def test_scores_of_bodies_are_those_of_levels_on_the_table(
     assert (verdict.impact_speed_kmh <= v + 1e-9).all()
     never = np.isinf(verdict.onset_time_s)
     assert verdict.impact_speed_kmh[never] == pytest.approx(v[never])
-    table = level_table(pack_table(("a", "b"), axis, rows), levels, rule)
+    table = pack_table(("a", "b"), axis, rows)
     problem = PlacementProblem(
         table=table,
         limits=Limits(site_index=[0, 1], site_capacity=[1, 1], budget_units=2),
         fusion="any",
         rule=rule,
     )
-    by_bodies = score(verdict, axis, levels)
+    by_bodies = evaluated_apr(verdict, axis)
     # Of a run whose contact ends with a later onset and begins again, the table knows
     # less.
     assert by_bodies >= apr(problem, [0, 1]) - 1e-12
-    by_onsets = levels.of_onsets(verdict.onset_time_s, 1e-9)
-    assert by_onsets @ axis.weight == pytest.approx(apr(problem, [0, 1]), abs=1e-12)
 
 
 def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypatch):

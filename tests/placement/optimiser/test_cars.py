@@ -15,12 +15,11 @@ from small_tables import avoiding_problem
 
 from geometry.errors import InputError
 from placement.detection_table import (
-    has_levels,
     is_mixed,
     mixed_table,
     pack_table,
     plain_axis,
-    run_of_level,
+    plain_run,
     seeing_share,
 )
 from placement.optimiser import (
@@ -121,12 +120,9 @@ def test_runs_that_are_there_twice_are_told_once(frame_axis):
         ("a",), frame_axis, np.ones((1, frame_axis.n_frames), dtype=bool)
     )
     axis = mixed_table(table, 0.25).axis
-    assert (is_mixed(axis), is_mixed(frame_axis), has_levels(axis)) == (
-        True,
-        False,
-        False,
-    )
-    assert [run_of_level(name) for name in axis.run_ids] == [*frame_axis.run_ids] * 2
+    assert is_mixed(axis)
+    assert not is_mixed(frame_axis)
+    assert [plain_run(name) for name in axis.run_ids] == [*frame_axis.run_ids] * 2
     once = plain_axis(axis)
     assert once.run_ids == frame_axis.run_ids
     assert once.weight == pytest.approx(frame_axis.weight)
