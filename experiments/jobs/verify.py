@@ -22,8 +22,7 @@ from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted, located
 from geometry.opening import read_bytes, read_text
 from geometry.scene import Scene
-from geometry.scene_sources import load_scene
-from geometry.scene_sources import STUDY
+from geometry.scene_sources import STUDY, load_scene
 from geometry.study_scene import load_study_scene
 from geometry.tables import read_table
 from geometry.text_formats import parse_json

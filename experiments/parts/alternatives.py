@@ -160,8 +160,8 @@ def find_front_runners(
     Also what mounting errors cost that one.
 
     Mounting errors of the layout found are not asked for where it has too many units;
-    those of others only where they are its equals. The last value is the layout to recommend;
-    None: the one found.
+    those of others only where they are its equals. The last value is the layout to
+    recommend; None: the one found.
     """
     runners = [
         build_front_runner(one, setting.rule, fusion=question.fusion)

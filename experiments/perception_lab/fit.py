@@ -65,7 +65,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from placement.evaluator.pictures import PictureOfFrame, RenderedCrops
+    from placement.evaluator.picture_sources import PictureOfFrame
+    from placement.evaluator.pictures import RenderedCrops
 
 LOOK = "look"
 FIT = "fit"

@@ -78,7 +78,7 @@ class Knapsack:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CityChoice:
+class KnapsackChoice:
     """Options that were chosen.
 
     Attributes
@@ -101,7 +101,7 @@ def solve_knapsack(
     gap: float = 0.0,
     time_limit_s: float = 60.0,
     core_options: int = CORE_OPTIONS,
-) -> CityChoice:
+) -> KnapsackChoice:
     """Choose one option of each group.
 
     Parameters
@@ -117,7 +117,7 @@ def solve_knapsack(
 
     Returns
     -------
-    choice : CityChoice
+    choice : KnapsackChoice
         Bounds hold for all choices, whatever the core.
     """
     # A small problem is all core.
@@ -161,7 +161,7 @@ def solve_knapsack(
     return _choice(problem, incumbent, bound)
 
 
-def _choice(problem: Knapsack, chosen: IntArray | None, bound: float) -> CityChoice:
+def _choice(problem: Knapsack, chosen: IntArray | None, bound: float) -> KnapsackChoice:
     """A choice with its value; a bound within rounding is that value."""
     if chosen is None:
         objective = -np.inf
@@ -169,7 +169,7 @@ def _choice(problem: Knapsack, chosen: IntArray | None, bound: float) -> CityCho
         objective = float(problem.profit[chosen].sum())
     if chosen is not None and bound <= objective + _tiny(objective):
         bound = objective
-    return CityChoice(chosen=chosen, objective=objective, bound=bound)
+    return KnapsackChoice(chosen=chosen, objective=objective, bound=bound)
 
 
 def _tiny(amount: float) -> float:
@@ -629,7 +629,7 @@ class _Later:
             limits=np.append(whole.limits, least),
         )
 
-    def _solve(self, problem: Knapsack, gap: float = 0.0) -> CityChoice:
+    def _solve(self, problem: Knapsack, gap: float = 0.0) -> KnapsackChoice:
         time_limit_s = max(0.5 * (self.end_s - now_s()), 1.0)
         return solve_knapsack(problem, gap=gap, time_limit_s=time_limit_s)
 

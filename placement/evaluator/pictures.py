@@ -246,8 +246,8 @@ class _CropView(NamedTuple):
 class RenderedCrops:
     """Crops of a camera's pictures around the road user.
 
-    See :class:`placement.detectors.evidence.RenderedCrops`. A road user that would fill
-    a crop is drawn at a half, a third and so on of the camera's resolution. Where the
+    See :class:`placement.detectors.evidence.Crops`. A road user that would fill a
+    crop is drawn at a half, a third and so on of the camera's resolution. Where the
     VUT, its shadow and its mirror image lie outside a crop by daylight, the VUT is
     left out: then all frames with the same road user look the same.
 
