@@ -18,6 +18,7 @@ ALL_PACKAGES = (
     "scenarios",
     "placement",
 )
+_PLAIN = frozenset((str, bytes, bool, int, float, type(None)))
 _LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "highspy", "osqp")
 
 
@@ -61,6 +62,9 @@ class Fingerprints:
         elif isinstance(value, Mapping):
             for key, item in value.items():
                 digest.update(self._digest(key) + self._digest(item))
+        elif isinstance(value, tuple | list) and _are_plain(value):
+            # In one go: thousands of names and numbers, each hashed, take long.
+            digest.update(repr(value).encode())
         elif isinstance(value, tuple | list):
             for item in value:
                 digest.update(self._digest(item))
@@ -69,6 +73,11 @@ class Fingerprints:
         else:
             raise TypeError(f"a value of a kind that has no hash: {value!r}")
         return digest.digest()
+
+
+def _are_plain(values: Sequence[object]) -> bool:
+    """True if there are texts and numbers of Python alone, whose text tells all."""
+    return all(type(value) in _PLAIN for value in values)
 
 
 def hash_of_code(packages: Sequence[str] = ALL_PACKAGES) -> str:
