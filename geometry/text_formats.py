@@ -1,11 +1,9 @@
 """Read TOML, JSON and CSV into plain values, and words of them into numbers."""
 
-import csv
-import io
 import json
 import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -16,41 +14,6 @@ from .opening import read_text
 
 # Python's reader takes half a second per million.
 MAX_TOML_BYTES = 20_000_000
-
-
-def csv_rows(
-    text: str, where: str, *, separators: str = ",", noun: str = "fields"
-) -> Iterator[tuple[str, list[str]]]:
-    """Rows of CSV without empty ones: file and line, and the cells.
-
-    The header comes first. Spaces around cells are removed.
-
-    The first line says which of the separators it is.
-
-    Raises
-    ------
-    InputError
-        It is no CSV, or a row has other numbers of cells than the header;
-        `noun` is what the message calls these.
-    """
-    # The separator that the header has most of.
-    separator = max(separators, key=text.partition("\n")[0].count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
-    n_cells = 0
-    try:
-        for row in reader:
-            here = f"{where}: line {reader.line_num}"
-            cells = [cell.strip() for cell in row]
-            if not any(cells):
-                continue
-            n_cells = n_cells or len(cells)
-            if len(cells) != n_cells:
-                refuse(here, f"{len(cells)} {noun}", f"{n_cells}")
-            yield here, cells
-    except csv.Error as error:
-        raise InputError(
-            f"{where}: line {reader.line_num}", Unquoted(error), "a CSV file"
-        ) from None
 
 
 def load_toml(source: Path | Traversable) -> dict[str, Any]:

@@ -124,7 +124,7 @@ class Assembly:
         """The scene of the setting."""
         return self.setting.scene
 
-    @property
+    @cached_property
     def limits(self) -> Limits:
         """Limits on what may be mounted together; needs no table."""
         return build_limits(self.wishes, self.scene, self.candidates)
@@ -194,6 +194,7 @@ class Assembly:
             self.candidates,
             table,
             wishes=self.wishes,
+            limits=self.limits,
             fusion=self.fusion,
             sample_index=sample_index,
             seen_by_vut=seen,

@@ -350,12 +350,14 @@ def build_problem(
     table: DetectionTable,
     *,
     wishes: Wishes,
+    limits: Limits | None = None,
     fusion: Fusion = "any",
     sample_index: IntArray | None = None,
     seen_by_vut: BoolArray | None = None,
 ) -> PlacementProblem:
     """The optimiser's problem: the rows of the table are `candidates`.
 
+    `limits` are those of :func:`build_limits`, where they are known already;
     `sample_index` is the sampled world of each run, (n_runs,), `seen_by_vut` the frames
     of the table that a VUT that sees detects in, (n_frames,). Raises InputError as
     :func:`build_limits`, and where a target or floor is no share.
@@ -365,7 +367,7 @@ def build_problem(
         survive = 0
     problem = PlacementProblem(
         table=table,
-        limits=build_limits(wishes, setting.scene, candidates),
+        limits=limits or build_limits(wishes, setting.scene, candidates),
         fusion=fusion,
         rule=setting.rule,
         goal=wishes.goal,

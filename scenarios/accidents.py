@@ -20,10 +20,11 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import FloatArray, freeze
+from geometry.csv_files import csv_rows
 from geometry.errors import InputError, Unquoted, refuse
 from geometry.opening import read_bytes
 from geometry.tables import Text, read_data
-from geometry.text_formats import csv_rows, float_of
+from geometry.text_formats import float_of
 
 from .runs import Run
 from .weights import UNFALLATLAS, shares_of, weight_per_case

@@ -15,10 +15,11 @@ from msgspec import Struct
 
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray
+from geometry.csv_files import csv_rows
 from geometry.errors import InputError, Unquoted, check_one_of, refuse
 from geometry.opening import read_text
 from geometry.tables import read_data
-from geometry.text_formats import csv_rows, parse_number
+from geometry.text_formats import parse_number
 from geometry.xml_files import read_xml
 
 VEHICLE = "vehicle"

@@ -15,10 +15,11 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import FloatArray
+from geometry.csv_files import csv_rows
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
 from geometry.opening import read_text
 from geometry.tables import Text, read_data, read_table
-from geometry.text_formats import csv_rows, float_of, load_data
+from geometry.text_formats import float_of, load_data
 
 from .positions import read_position
 from .runs import Run

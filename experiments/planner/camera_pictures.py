@@ -18,6 +18,7 @@ from placement.imaging import Backdrop, build_backdrop, draw_picture
 from placement.setting import Setting
 from scenarios.runs import Run
 
+from ..language import mark
 from ..parts.camera_views import nearest_frame
 
 
@@ -39,7 +40,8 @@ def live_picture(
     InputError: it is no camera, there is no such run or frame.
     """
     if not isinstance(unit.sensor, CameraModel):
-        raise InputError("unit", unit.id, "a camera: a LiDAR takes no picture")
+        expected = mark("a camera: a LiDAR takes no picture")
+        raise InputError(mark("unit"), unit.id, expected)
     if run_id:
         from placement.evaluator.pictures import find_frame  # loads the compiler
 

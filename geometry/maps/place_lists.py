@@ -13,10 +13,11 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
+from ..csv_files import csv_rows
 from ..errors import InputError, check_name, refuse
 from ..frames import WGS84, parse_crs, transform
 from ..opening import read_text
-from ..text_formats import csv_rows, float_of, load_data
+from ..text_formats import float_of, load_data
 from .georeferences import horizontal_crs
 from .gis_files import Feature, Features, read_features
 
