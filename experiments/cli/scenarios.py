@@ -327,7 +327,7 @@ def show(
 
     scene, run = _drive_one(progress, question, position, quiet=quiet)
     path = out or Path("results", "scenarios", run.id.replace("/", "_") + ".png")
-    progress("draw", 0, 0)
+    progress(mark("draw"), 0, 0)
     try:
         if path.suffix == ".mcap":
             write_result(path, mcap_of_run(scene, run))

@@ -22,6 +22,7 @@ from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import Run, build_frame_axis, find_onsets
 
+from ..language import mark
 from . import ExportFormat, load_extra
 from .calibration import calibrations, lens_coefficients, plain, sensor_quaternion
 from .watched import WatchedRun
@@ -305,7 +306,7 @@ def _pictures(
         (unit, unit.sensor) for unit in units if isinstance(unit.sensor, CameraModel)
     ]
     for frame, to_impact_s in enumerate(run.time_s.tolist()):
-        compute.progress("draw pictures", frame, len(run.time_s))
+        compute.progress(mark("draw pictures"), frame, len(run.time_s))
         time_s = to_impact_s - float(run.time_s[0])
         for unit, camera in cameras:
             picture = draw_picture(

@@ -30,7 +30,7 @@ from placement.evaluator import build_surroundings, load_vut_camera, perceive_fr
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
-from ..language import localized, tr
+from ..language import localized, mark, tr
 from .axes import (
     BLUE,
     SKY,
@@ -159,7 +159,7 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
     ):
         name = Path(folder) / "film.gif"
         rate_hz = round(1.0 / float(np.diff(run.time_s[-2:])[0]))
-        tell = partial(progress, "draw")
+        tell = partial(progress, mark("draw"))
         animation.save(name, writer=PillowWriter(fps=rate_hz), progress_callback=tell)
         return read_bytes(name)
 

@@ -23,7 +23,7 @@ from placement.question import Question
 from placement.verification.certificates import CERTIFICATE_FILE
 from placement.verification.instances import INSTANCE_FILE
 
-from ..language import LANGUAGES, speaking
+from ..language import LANGUAGES, mark, speaking
 from ..parts.reading import read_summary
 from ..parts.result import PlacementResult, Result
 from ..progress import WRITING, StageProgress
@@ -103,7 +103,7 @@ def compare_anew(
             if elsewhere:
                 add(f"anew: {LAYOUT_FILE}", elsewhere, "")
                 return
-            progress("compare anew", 0, 0)
+            progress(mark("compare anew"), 0, 0)
             result = replace_fields(
                 answered.result, seconds=stored.seconds, asked=asked
             )
