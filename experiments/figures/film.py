@@ -43,7 +43,7 @@ from .axes import (
 )
 from .plan import PARKED_STYLE, draw_parked, draw_scene
 
-STILLS = (".png", ".svg", ".pdf")
+STILL = ".png"
 ANIMATION = ".gif"
 _DPI = 130
 _PANEL_IN = 3.4
@@ -118,21 +118,17 @@ def save_film(
     suffix = path.suffix.lower()
     if suffix == ANIMATION:
         data = _animate(scene, run, progress)
-    elif suffix in STILLS:
+    elif suffix == STILL:
         buffer = BytesIO()
-        if suffix == ".png":
-            metadata = {"Software": None}
-        else:
-            metadata = {}
         with drawing_any_name():
             figure = plot_film(scene, run)[0].get_figure(root=True)
             # It was made for these axes.
             assert figure is not None
-            figure.savefig(buffer, format=suffix[1:], metadata=metadata)
+            figure.savefig(buffer, format="png", metadata={"Software": None})
         data = buffer.getvalue()
     else:
-        expected = ", ".join((*STILLS, ANIMATION))
-        raise InputError("--out", str(path), f"a name that ends in {expected}")
+        expected = f"a name that ends in {STILL} or {ANIMATION}"
+        raise InputError("--out", str(path), expected)
     write_atomically(path, data)
 
 
