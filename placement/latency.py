@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, located, refuse
+from geometry.errors import InputError, check_name, located, refuse
 from geometry.tables import Table, Text, read_table, take_text
 from geometry.text_formats import load_data, load_toml
 
@@ -184,8 +184,7 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
     Errors name it by its name, or by its place `here` if it has none.
     """
     name = take_text(entry, "name", here)
-    if not (name.strip() and name.isprintable()):
-        raise InputError(f"{where}.name", name, "printable text")
+    check_name(name, f"{where}.name")
     where = f"{where}.{name}"
     part = read_table(entry, _PartTable, where)
     # A part has a fixed time, or a range.

@@ -1,6 +1,6 @@
 """Recorded trajectories of road users.
 
-They are read from CSV, CommonRoad XML, and SUMO's floating car data.
+They are read from CSV and SUMO's floating car data.
 """
 
 import math
@@ -137,7 +137,7 @@ def read_tracks(
 
     Those are left out that are of other classes, or seen briefly.
 
-    `path`: ``.csv``, or ``.xml`` of CommonRoad or of SUMO (floating car data). Of CSV
+    `path`: ``.csv``, or ``.xml`` of SUMO (floating car data). Of CSV
     files: `columns` gives their names by what they hold (id, time, frame, x, y,
     heading, heading_rad, class), in place of those that are recognised, `frame_rate_hz`
     is for those that count frames, and `class_name` for those without classes. Raises
@@ -152,7 +152,7 @@ def read_tracks(
     elif path.suffix.lower() == ".xml":
         samples = _xml_samples(path)
     else:
-        raise InputError(str(path), path.suffix, ".csv, or .xml of CommonRoad or SUMO")
+        raise InputError(str(path), path.suffix, ".csv, or .xml of SUMO")
     return _gather(path, samples)
 
 
@@ -315,65 +315,32 @@ _LARGEST = 1.0e9
 
 
 # ---------- XML
-_COMMONROAD_STATE = (
-    *("time/exact", "position/point/x", "position/point/y"),
-    "orientation/exact",
-)
-
-
 def _xml_samples(path: Path) -> Iterator[_Sample]:
-    """Samples of SUMO's floating car data, or of CommonRoad."""
-    root = read_xml(path, expected="CommonRoad or SUMO")
-    if root.tag == "fcd-export":
-        length_m = pick_actor("vut", "vut").length_m
-        for step in root.iter("timestep"):
-            time_s = _number(step.get("time"), f"{path}: timestep: time")
-            for thing in step:
-                place = f"{path}: timestep {time_s:g}, {thing.tag} {thing.get('id')}"
-                x, y, angle = (
-                    _number(thing.get(k), f"{place}: {k}") for k in ("x", "y", "angle")
-                )
-                # SUMO's is clockwise from north.
-                yaw = math.radians(90.0 - angle)
-                word = _sumo_class(thing.tag, thing.get("type") or "")
-                # SUMO's point of a vehicle is its front bumper; the VUT's stands there,
-                # too.
-                if word == VEHICLE:
-                    back_m = 0.5 * length_m
-                else:
-                    back_m = 0.0
-                x = x - back_m * math.cos(yaw)
-                y = y - back_m * math.sin(yaw)
-                name = f"{thing.get('id')}"
-                yield _Sample(place, name, word, time_s, x, y, math.degrees(yaw))
-    elif root.tag == "commonRoad":
-        step_s = _number(root.get("timeStepSize"), f"{path}: commonRoad: timeStepSize")
-        # Until version 2018b obstacles of all roles had one name.
-        for thing in (
-            *root.iter("dynamicObstacle"),
-            *root.iterfind("obstacle[role='dynamic']"),
-        ):
-            here = f"{path}: {thing.tag} {thing.get('id')}"
+    """Samples of SUMO's floating car data."""
+    root = read_xml(path, expected="SUMO's floating car data")
+    if root.tag != "fcd-export":
+        raise InputError(str(path), root.tag, "an element <fcd-export>")
+    length_m = pick_actor("vut", "vut").length_m
+    for step in root.iter("timestep"):
+        time_s = _number(step.get("time"), f"{path}: timestep: time")
+        for thing in step:
+            place = f"{path}: timestep {time_s:g}, {thing.tag} {thing.get('id')}"
+            x, y, angle = (
+                _number(thing.get(k), f"{place}: {k}") for k in ("x", "y", "angle")
+            )
+            # SUMO's is clockwise from north.
+            yaw = math.radians(90.0 - angle)
+            word = _sumo_class(thing.tag, thing.get("type") or "")
+            # SUMO's point of a vehicle is its front bumper; the VUT's stands there,
+            # too.
+            if word == VEHICLE:
+                back_m = 0.5 * length_m
+            else:
+                back_m = 0.0
+            x = x - back_m * math.cos(yaw)
+            y = y - back_m * math.sin(yaw)
             name = f"{thing.get('id')}"
-            word = (thing.findtext("type") or "").strip()
-            states = [
-                *thing.findall("initialState"),
-                *thing.findall("trajectory/state"),
-            ]
-            first: tuple[float, ...] = ()
-            for number, state in enumerate(states):
-                place = f"{here}, state {number}"
-                time, x, y, yaw = values = tuple(
-                    _number(state.findtext(name), f"{place}: {name.split('/')[0]}")
-                    for name in _COMMONROAD_STATE
-                )
-                if number == 1 and values == first:
-                    # some trajectories begin with the initial state, others after it
-                    continue
-                first = first or values
-                yield _Sample(place, name, word, time * step_s, x, y, math.degrees(yaw))
-    else:
-        raise InputError(str(path), root.tag, "an element <commonRoad> or <fcd-export>")
+            yield _Sample(place, name, word, time_s, x, y, math.degrees(yaw))
 
 
 def _sumo_class(tag: str, type_name: str) -> str:

@@ -294,8 +294,7 @@ def _driven_once() -> list[str]:
 _SHOW_EXAMPLES = """\b
 Examples:
   place-rsus scenarios show CPNCO-50 --approach east --speed 40
-  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif
-  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.mcap"""
+  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif"""
 
 
 @scenarios.command(epilog=_SHOW_EXAMPLES)
@@ -303,10 +302,7 @@ Examples:
 @options.option(
     "--out",
     type=click.Path(path_type=Path),
-    help=(
-        "Film strip (.png, .svg, .pdf), animation (.gif), or MCAP for Foxglove "
-        "(.mcap); default: a .png in results/scenarios."
-    ),
+    help="Film strip (.png) or animation (.gif); default: in results/scenarios.",
 )
 @options.quiet_option
 @click.pass_obj
@@ -322,19 +318,15 @@ def show(
 
     Bodies, paths, obstruction, what the VUT has in sight.
     """
-    from ..export.mcap import mcap_of_run
     from ..figures.film import save_film
 
     scene, run = _drive_one(progress, question, position, quiet=quiet)
     path = out or Path("results", "scenarios", run.id.replace("/", "_") + ".png")
-    progress("draw", 0, 0)
+    progress(mark("draw"), 0, 0)
     try:
-        if path.suffix == ".mcap":
-            write_result(path, mcap_of_run(scene, run))
-        else:
-            if out is None:
-                path.parent.mkdir(parents=True, exist_ok=True)
-            save_film(path, scene, run, progress=progress)
+        if out is None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        save_film(path, scene, run, progress=progress)
     except OSError as error:
         if not is_about(error, path):
             raise
@@ -412,8 +404,8 @@ def take_recordings(
 ) -> None:
     """Read recorded trajectories, and write those who nearly met as cases.
 
-    Files are CSV (id, time, x, y, and if wanted heading and class), CommonRoad XML, or
-    SUMO's floating car data, all of one place and clock. A pair counts if a vehicle and
+    Files are CSV (id, time, x, y, and if wanted heading and class) or SUMO's
+    floating car data, all of one place and clock. A pair counts if a vehicle and
     a vulnerable road user would touch within --ttc seconds if nobody changed speed or
     direction. It is replayed with both on their recorded ways up to that moment, and
     straight on from there at the same speeds.

@@ -20,9 +20,9 @@ from placement.evaluation import earliest_arrival_s
 from placement.evaluator.picture_sources import to_jpeg
 from placement.imaging import build_backdrop, draw_picture
 from placement.layout import Layout
-from scenarios.aeb import load_aeb_rule
 from scenarios.runs import Run, build_frame_axis, find_onsets
 
+from ..language import mark
 from . import ExportFormat, load_extra
 from .calibration import calibrations, lens_coefficients, plain, sensor_quaternion
 from .watched import WatchedRun
@@ -51,13 +51,13 @@ _NANO = 1_000_000_000
 
 
 def to_mcap(
-    layout: Layout | None,
+    layout: Layout,
     scene: Scene,
     watched: WatchedRun | None = None,
     *,
     pictures: Compute | None = None,
 ) -> bytes:
-    """Layout, if any, as an MCAP file; with a run its frames, from time 0 on.
+    """Layout as an MCAP file; with a run its frames, from time 0 on.
 
     Topics: /scene (meshes), /units (a frustum per camera, a ball per LiDAR), /tf and
     /calibration/UNIT (cameras); of a run /bodies (boxes), /detections (a line from each
@@ -69,14 +69,14 @@ def to_mcap(
     if foxglove-sdk is not installed.
     """
     if pictures is not None:
-        if watched is None or layout is None:
+        if watched is None:
             refuse("--pictures", "no run", "--run RUN, whose frames are drawn")
         layout = replace(layout, units=tuple(_reduced(unit) for unit in layout.units))
     foxglove, m, kinds = (
         load_extra(f"foxglove{part}", "mcap needs foxglove-sdk", "mcap")
         for part in ("", ".messages", ".channels")
     )
-    units = () if layout is None else layout.units
+    units = layout.units
     context = foxglove.Context()
     file = io.BytesIO()
     with foxglove.open_mcap(file, context=context):
@@ -106,9 +106,7 @@ def to_mcap(
             for unit in units
         ]
         log("/tf", m.FrameTransforms(transforms=transforms), 0.0)
-        if layout is not None and any(
-            isinstance(unit.sensor, CameraModel) for unit in units
-        ):
+        if any(isinstance(unit.sensor, CameraModel) for unit in units):
             for name, camera in calibrations(layout, "mcap").items():
                 log(f"/calibration/{name}", _calibration(m, name, camera), 0.0)
         for topic, message, time_s in (
@@ -121,11 +119,6 @@ def to_mcap(
             ):
                 log(topic, message, time_s)
     return file.getvalue()
-
-
-def mcap_of_run(scene: Scene, run: Run) -> bytes:
-    """A run that no unit watches; raises as :func:`to_mcap`."""
-    return to_mcap(None, scene, WatchedRun(run=run, detected={}, rule=load_aeb_rule()))
 
 
 def _entity(m: Any, name: str, **parts: Any) -> Any:
@@ -306,7 +299,7 @@ def _pictures(
         (unit, unit.sensor) for unit in units if isinstance(unit.sensor, CameraModel)
     ]
     for frame, to_impact_s in enumerate(run.time_s.tolist()):
-        compute.progress("draw pictures", frame, len(run.time_s))
+        compute.progress(mark("draw pictures"), frame, len(run.time_s))
         time_s = to_impact_s - float(run.time_s[0])
         for unit, camera in cameras:
             picture = draw_picture(

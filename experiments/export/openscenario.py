@@ -111,10 +111,10 @@ def _radians(angle_deg: float) -> float:
     return round(math.radians(angle_deg), _DECIMALS) + 0.0
 
 
-def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str:
+def to_openscenario(run: Run, *, road_network: str) -> str:
     """Run as an OpenSCENARIO 1.3 file.
 
-    Nobody brakes; it ends at the impact, or `after_s` later.
+    Nobody brakes; it ends at the impact.
 
     XML. Scenario time 0 is the run's first frame. The entities "vut" and "vru" follow
     the run's frames; "obstruction-1" .. stand. The header's properties say what the run
@@ -173,7 +173,7 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
         light=light,
         azimuth_rad=_radians((90.0 - light.sun_yaw_deg) % 360.0),
         elevation_rad=_radians(light.sun_elevation_deg),
-        tracks=[_build_track(name, run, after_s) for name in (VUT, VRU)],
+        tracks=[_build_track(name, run) for name in (VUT, VRU)],
         standing=[
             _places(
                 one.actor,
@@ -183,7 +183,7 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
             )[0]
             for one in run.obstruction
         ],
-        end_s=impact_s + after_s,
+        end_s=impact_s,
     )
     validate_openscenario(text)
     return text
@@ -225,7 +225,7 @@ def _schema() -> Any:
     )
 
 
-def _build_track(name: str, run: Run, after_s: float) -> dict[str, Any]:
+def _build_track(name: str, run: Run) -> dict[str, Any]:
     """An entity's way from the first frame on, and its speed at the end.
 
     The first frame is time 0.
@@ -237,7 +237,7 @@ def _build_track(name: str, run: Run, after_s: float) -> dict[str, Any]:
     yaw_deg = getattr(run, f"{name}_yaw_deg")
     first_s, last_s = run.time_s[[0, -1]]
     # Between two frames lies the impact: the last frame may be before it.
-    ends_s = [end_s for end_s in sorted({0.0, after_s}) if end_s > last_s]
+    ends_s = [0.0] if last_s < 0.0 else []
     # Simulators drive straight between vertices: more of them where the body turns.
     bounds_s = np.concatenate([run.time_s, ends_s])
     steps_deg = wrap_deg(np.diff(motion.path.at(motion.distance_m(bounds_s))[1]))

@@ -11,7 +11,6 @@ from geometry.errors import InputError, Unquoted
 from geometry.junction import build_junction
 from geometry.scene import Scene
 from geometry.scene_sources import load_scene
-from geometry.weather import pick_weather
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.detectors import load_detector, load_planning_detector
 from placement.layout import Layout, check_layout
@@ -29,7 +28,7 @@ _RUN_ID = (
 )
 
 
-def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
+def find_run(run_id: str, scene: Scene) -> Run:
     """The run that an id names.
 
     Parameters
@@ -39,8 +38,6 @@ def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
         :attr:`scenarios.runs.Run.id`.
     scene : Scene
         The junction.
-    weather : str, optional
-        In place of the id's.
 
     Returns
     -------
@@ -60,9 +57,7 @@ def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
     arms = [arm for arm in build_junction(scene).arms if place.startswith(arm)]
     approach = max(arms, key=len, default=place)
     position = place.removeprefix(approach) or AT_ZERO.name
-    if weather is not None:
-        pick_weather(weather, "weather")
-    light = weather or (parts[3] if len(parts) == 4 else WEATHERS[0])
+    light = parts[3] if len(parts) == 4 else WEATHERS[0]
     question = Question(cases=case, approaches=approach, speeds=speed, weather=light)
     try:
         return drive_one(question, scene, position=position)

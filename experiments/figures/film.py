@@ -30,7 +30,7 @@ from placement.evaluator import build_surroundings, load_vut_camera, perceive_fr
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
-from ..language import localized, tr
+from ..language import localized, mark, tr
 from .axes import (
     BLUE,
     SKY,
@@ -43,7 +43,7 @@ from .axes import (
 )
 from .plan import PARKED_STYLE, draw_parked, draw_scene
 
-STILLS = (".png", ".svg", ".pdf")
+STILL = ".png"
 ANIMATION = ".gif"
 _DPI = 130
 _PANEL_IN = 3.4
@@ -118,21 +118,17 @@ def save_film(
     suffix = path.suffix.lower()
     if suffix == ANIMATION:
         data = _animate(scene, run, progress)
-    elif suffix in STILLS:
+    elif suffix == STILL:
         buffer = BytesIO()
-        if suffix == ".png":
-            metadata = {"Software": None}
-        else:
-            metadata = {}
         with drawing_any_name():
             figure = plot_film(scene, run)[0].get_figure(root=True)
             # It was made for these axes.
             assert figure is not None
-            figure.savefig(buffer, format=suffix[1:], metadata=metadata)
+            figure.savefig(buffer, format="png", metadata={"Software": None})
         data = buffer.getvalue()
     else:
-        expected = ", ".join((*STILLS, ANIMATION))
-        raise InputError("--out", str(path), f"a name that ends in {expected}")
+        expected = f"a name that ends in {STILL} or {ANIMATION}"
+        raise InputError("--out", str(path), expected)
     write_atomically(path, data)
 
 
@@ -159,7 +155,7 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
     ):
         name = Path(folder) / "film.gif"
         rate_hz = round(1.0 / float(np.diff(run.time_s[-2:])[0]))
-        tell = partial(progress, "draw")
+        tell = partial(progress, mark("draw"))
         animation.save(name, writer=PillowWriter(fps=rate_hz), progress_callback=tell)
         return read_bytes(name)
 

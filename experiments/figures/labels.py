@@ -99,6 +99,7 @@ def draw_labels(
         point = (np.array(label.point_m) - corner) * scale
         if not ((point >= 0.0) & (point <= frame)).all():
             continue
+        # Half the sides of the text, by mean letters.
         half = 0.5 * label.size * np.array([_LETTER * len(label.text), _LINE]) + _APART
         most = np.maximum(frame - half, half)
         shifts = [
@@ -109,6 +110,7 @@ def draw_labels(
         # Moved into the frame.
         middles = np.clip(point + shifts, half, most)
         boxes = np.hstack([middles - half, middles + half])
+        # The first place that hides nothing, or else the one that hides least.
         hidden = _overlaps(np.reshape(taken, (-1, 4)), boxes).sum(axis=0)
         best = int(np.argmin(hidden))
         if hidden[best] > 0.0 and not label.is_kept:
@@ -164,6 +166,7 @@ def unit_names(layout: Layout, scene: Scene) -> list[TextLabel]:
             )
             for (east_m, north_m), n_units in places.items()
         ]
+    # Units that look alike share a label: theirs would lie on one another.
     labels = unit_labels(layout)
     doubts = assumed_sites(scene.notes)
     groups: list[tuple[CandidatePose, list[str]]] = []
@@ -193,6 +196,7 @@ def unit_names(layout: Layout, scene: Scene) -> list[TextLabel]:
 
 def looks_alike(unit: CandidatePose, other: CandidatePose) -> bool:
     """True if two units look the same way from one pole, but for 30 degrees."""
+    # Turned into -180 .. 180 degrees.
     turn_deg = (unit.pose.yaw_deg - other.pose.yaw_deg + 180.0) % 360.0 - 180.0
     apart_m = np.linalg.norm(unit.pose.position_m[:2] - other.pose.position_m[:2])
     return bool(apart_m < _SAME_PLACE_M and abs(turn_deg) < _SAME_WAY_DEG)

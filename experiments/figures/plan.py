@@ -167,6 +167,7 @@ def _ring(corners: FloatArray) -> Path:
 
 
 def _lane_polygon(lane: Lane) -> FloatArray:
+    # Half the width to the left and to the right of the centreline, there and back.
     direction = np.gradient(lane.centreline_m, axis=0)
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
     left = 0.5 * lane.width_m * np.stack([-direction[:, 1], direction[:, 0]], axis=1)
@@ -192,6 +193,7 @@ def ground_footprint(
     if isinstance(unit.sensor, CameraModel) and not unit.sensor.is_pinhole:
         return _lens_footprint(unit, max_range_m=min(max_range_m, max_depth_m))
     position = unit.pose.position_m
+    # A circle around the foot, cut by planes through the lens and the image's sides.
     angles = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
     corners = position[:2] + max_range_m * np.stack(
         [np.cos(angles), np.sin(angles)], axis=1
@@ -201,13 +203,13 @@ def ground_footprint(
             [0.5 * unit.sensor.horizontal_fov_deg, 0.5 * unit.sensor.vertical_fov_deg]
         )
     )
-    # Inward normals of the planes through the lens and the image's four sides. Camera
-    # frame.
+    # Inward normals of these planes, in the camera frame.
     across = [[side, 0.0, half_width] for side in (1.0, -1.0)]
     normals_camera = np.array(
         [*across, *([0.0, side, half_height] for side in (1.0, -1.0))]
     )
     R_world_camera = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg)
+    # The farthest depth is one more plane, across the optical axis.
     if np.isfinite(max_depth_m):
         axis = R_world_camera[:, 2]
         depth_m = (corners - position[:2]) @ axis[:2] - position[2] * axis[2]
@@ -223,12 +225,14 @@ def _lens_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
 
     Found bearing by bearing.
     """
+    # A grid of points on the road around the foot, by bearing and distance.
     away_m = np.arange(0.25, max_range_m + 0.25, 0.25)
     bearing = np.radians(unit.pose.yaw_deg + np.arange(-180.0, 180.0))
     ways = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     ground = unit.pose.position_m[:2] + away_m[None, :, None] * ways[:, None]
     points = np.concatenate([ground, np.zeros((*ground.shape[:2], 1))], axis=2)
     is_seen = is_in_view(unit, points.reshape(-1, 3)).reshape(ground.shape[:2])
+    # The outline runs along the far ends, and back along the near ones.
     rows = np.flatnonzero(is_seen.any(axis=1))
     near = is_seen.argmax(axis=1)[rows]
     far = is_seen.shape[1] - 1 - is_seen[:, ::-1].argmax(axis=1)[rows]
@@ -285,6 +289,7 @@ def plot_plan(
     scene, outline = setting.scene, setting.scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     feet = np.array([unit.pose.position_m[:2] for unit in layout.units])
+    # Large enough for every place where somebody is hit, and for all units.
     if half_size_m is None:
         places = np.concatenate(
             [[run.vru_position_m[-1] for run in setting.runs], feet]
@@ -292,6 +297,7 @@ def plot_plan(
         half_size_m = max(
             _HALF_SIZE_M, float(np.abs(places - middle).max(initial=0.0)) + _MARGIN_M
         )
+    # From below: the junction, what is driven, other layouts, and the one it is about.
     draw_scene(axes, scene)
     draw_parked(axes, [body for run in setting.runs for body in run.obstruction])
     _draw_paths(axes, setting.runs)
@@ -299,6 +305,7 @@ def plot_plan(
         axes.plot(*unit.pose.position_m[:2], zorder=7, **_camera_marker(unit), **_OTHER)
     _draw_units(axes, layout, scene, max_range_m)
     show_square(axes, middle, half_size_m)
+    # Labels come last, where they hide nothing that is drawn.
     names = [
         *labels.unit_names(layout, scene),
         *labels.arm_names(scene, middle, half_size_m),
@@ -328,6 +335,7 @@ def _clip(corners: FloatArray, inside: FloatArray) -> FloatArray:
     for index in range(len(corners)):
         here = inside[index - 1]
         there = inside[index]
+        # An edge that leads across the border gets a corner there.
         if (here > 0.0) != (there > 0.0):
             share = here / (here - there)
             kept.append(

@@ -22,7 +22,7 @@ from placement.compute import Compute
 from placement.proof_files import CERTIFICATE_FILE, INSTANCE_FILE
 from placement.question import Question
 
-from ..language import LANGUAGES, speaking
+from ..language import LANGUAGES, mark, speaking
 from ..parts.reading import read_summary
 from ..parts.result import PlacementResult, Result
 from ..progress import WRITING, StageProgress
@@ -102,7 +102,7 @@ def compare_anew(
         if elsewhere:
             add(f"anew: {LAYOUT_FILE}", elsewhere, "")
             return
-        progress("compare anew", 0, 0)
+        progress(mark("compare anew"), 0, 0)
         result = replace_fields(answered.result, seconds=stored.seconds, asked=asked)
         wrong = differences(to_plain(stored), to_plain(result))
         add(f"anew: {MARKER}", told(wrong), "every number, but for times")

@@ -21,7 +21,7 @@ from placement.optimiser import (
 from placement.optimiser.constants import SolverName
 from placement.verification.instances import load_problem
 
-from ..language import mark
+from ..language import mark, trn
 from ..progress import StageProgress
 from ..results.record import Record, StageRecord, build_stage_records
 
@@ -197,20 +197,46 @@ def _failure_words(problem: PlacementProblem, n_failures: int) -> str:
 def _limit_words(limits: Limits) -> list[str]:
     words = []
     if limits.budget_units is not None:
-        if limits.budget_units == 1:
-            noun = "unit"
-        else:
-            noun = "units"
-        words.append(f"at most {limits.budget_units} {noun}")
+        words.append(trn("at most {n} unit", "at most {n} units", limits.budget_units))
     if limits.budget_eur is not None:
         words.append(f"at most {limits.budget_eur:,.2f} EUR")
-    counts = {
-        "units that are there already": limits.is_forced.sum(),
-        "poses that may not be used": limits.is_forbidden.sum(),
-        "sites that must carry a unit": limits.is_forced_site.sum(),
-        "pairs of sites too near to each other": len(limits.rivals),
-    }
-    return words + [f"{int(count)} {noun}" for noun, count in counts.items() if count]
+    existing = int(limits.is_forced.sum())
+    if existing:
+        words.append(
+            trn(
+                "{n} unit that is there already",
+                "{n} units that are there already",
+                existing,
+            )
+        )
+    forbidden = int(limits.is_forbidden.sum())
+    if forbidden:
+        words.append(
+            trn(
+                "{n} pose that may not be used",
+                "{n} poses that may not be used",
+                forbidden,
+            )
+        )
+    forced_sites = int(limits.is_forced_site.sum())
+    if forced_sites:
+        words.append(
+            trn(
+                "{n} site that must carry a unit",
+                "{n} sites that must carry a unit",
+                forced_sites,
+            )
+        )
+    rivals = len(limits.rivals)
+    if rivals:
+        words.append(
+            trn(
+                "{n} pair of sites too near to each other",
+                "{n} pairs of sites too near to each other",
+                rivals,
+            )
+        )
+    return words
 
 
 def _replaced_words(own: PlacementProblem, asked: PlacementProblem) -> tuple[str, ...]:

@@ -257,7 +257,7 @@ def run_verification(
         units=() if layout is None else layout.units,
         on_stage=lambda stage: progress(stage, 0, 0),
     )
-    progress("compare files", 0, 0)
+    progress(mark("compare files"), 0, 0)
     found.leave(
         "whether the detection table is right: the evaluator's disagreement with it is"
         " in the report",

@@ -295,7 +295,7 @@ def run_recording(
         endless = question.track_memory_s
     rule = build_rule(replace_field(question, track_memory_s=endless))
     expect_results(out, progress, sign=sign)
-    progress("read recording", 0, 0)
+    progress(mark("read recording"), 0, 0)
     recording = read_recording(folder)
     progress(mark("evaluate"), 0, 0)
     everything = evaluate_recording(recording, rule, min_confidence=min_confidence)

@@ -414,7 +414,7 @@ def _write_texts(
     evidence = {}
     surroundings = build_surroundings(setting.scene, setting.runs)
     for n_done, viewer in enumerate(viewers):
-        progress("label", n_done, len(viewers))
+        progress(mark("label"), n_done, len(viewers))
         if viewer.pose is None:
             fixed = None
         else:
@@ -422,7 +422,7 @@ def _write_texts(
         evidence[viewer.folder] = perceive_frames(
             surroundings, fixed or load_vut_camera()
         )
-    progress("write labels", 0, 0)
+    progress(mark("write labels"), 0, 0)
     out.parent.mkdir(parents=True, exist_ok=True)
     also = {MANIFEST: msgspec.json.format(msgspec.json.encode(record)).decode() + "\n"}
     folders = [

@@ -31,10 +31,11 @@ from placement.imaging.materials import Materials, load_materials, vary_material
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
 
+from ..language import mark
 from ..progress import StageProgress
 from ..side_process import TRIES, WorkerDiedError, in_processes
 
-DRAW = "draw"
+DRAW = mark("draw")
 """The stage in which pictures are drawn."""
 
 FORMATS = ("carlancap", "coco")

@@ -293,7 +293,7 @@ def _look(
     ]
     cameras.append(load_vut_camera())
     for number, camera in enumerate(cameras):
-        progress("label", number, len(cameras))
+        progress(mark("label"), number, len(cameras))
         evidence = perceive_frames(surroundings, camera, min_height_px=least_px)
         if by_crops:
             crops = source.crops(camera, evidence.amodal_px)

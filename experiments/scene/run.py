@@ -447,7 +447,7 @@ def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
     InputError
         There is no such scene.
     """
-    progress("check", 0, 0)
+    progress(mark("check"), 0, 0)
     scene = load_scene(path)
     findings = (*check_scene(scene), *find_sharp_bends(scene))
     is_sound = all(finding.level != "error" for finding in findings)

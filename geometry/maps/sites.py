@@ -245,11 +245,14 @@ def _is_median(
     return is_median
 
 
+# Sites within this distance are one.
+_SNAP_M = 1.0
+
+
 def tidy_sites(
     sites: Sequence[SiteWish],
     *,
     things: Sequence[Thing] = (),
-    snap_m: float = 1.0,
 ) -> tuple[tuple[SiteWish, ...], tuple[Note, ...]]:
     """Sites outside buildings and apart from each other, and notes.
 
@@ -261,8 +264,6 @@ def tidy_sites(
         Sites, in any order.
     things : sequence of Thing
         Things in the same coordinates.
-    snap_m : float
-        Sites within this distance are one; 0: none are. [m]
 
     Returns
     -------
@@ -282,7 +283,7 @@ def tidy_sites(
     kept: list[int] = []
     for index in sorted(left, key=lambda index: (-sites[index].n_said, index)):
         apart_m = np.hypot(*(positions[kept] - positions[index]).T)
-        if snap_m > 0.0 and kept and apart_m.min() <= snap_m:
+        if kept and apart_m.min() <= _SNAP_M:
             beside = sites[kept[int(apart_m.argmin())]]
             reasons[index] = f"{apart_m.min():.1f} m beside {beside.id}"
         else:

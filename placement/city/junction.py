@@ -13,6 +13,7 @@ import numpy as np
 from geometry.arrays import IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
+from geometry.phrases import Phrase
 from geometry.scene import Scene
 
 from ..candidates import CandidateGrid, build_candidates, load_candidate_grid
@@ -218,14 +219,14 @@ def find_front(
     ) -> tuple[Front, SiteFront]:
         """Fronts by units and by sites of a part of the problem."""
         assert limits.budget_units is not None
-        tell("front by units")
+        tell(Phrase("front by units"))
         by_units = pareto_front(
             part,
             max_units=limits.budget_units,
             min_units=max(n_existing, 1),
             effort=effort(),
         )
-        tell("front by sites")
+        tell(Phrase("front by sites"))
         most = limits.budget_units - n_existing
         by_sites = front_by_sites(
             part, base_apr=base.apr, max_units=most, effort=effort
@@ -235,7 +236,7 @@ def find_front(
     # Layouts of a few poses first, as further points.
     few: list[tuple[int, ...]] = []
     if first is not None and 0 < len(first) < limits.n_poses:
-        begin("front of few poses")
+        begin(Phrase("front of few poses"))
         part = of_pool(problem, first)
         if (rooms_of(part.limits) > 0).any():
             _, found = find_front(part, effort=effort, begin=lambda _: None)
@@ -247,12 +248,12 @@ def find_front(
     site_eur = limits.site_cost_eur[limits.site_index]
     # Where one unit, or one site, costs more than another, money is more than numbers.
     if np.ptp(limits.unit_cost_eur[free]) or np.ptp(site_eur[free]):
-        begin("fronts of cheap sites")
+        begin(Phrase("fronts of cheap sites"))
         for _, highest_eur in reversed(tiers[:-1]):
             is_dear = (site_eur > highest_eur) & ~limits.is_forced
             cheap = replace(limits, is_forbidden=limits.is_forbidden | is_dear)
             fronts.append(fronts_of(replace(problem, limits=cheap), lambda _: None))
-        begin("front by money")
+        begin(Phrase("front by money"))
         try:
             by_cost = cost_front(problem, effort=effort())
         except InputError as error:

@@ -74,7 +74,6 @@ EXCEPTIONS = {
     "experiments/planner/tasks.py": {"ZipFile", "read_text"},
     "experiments/planner/aerial_images.py": {"open"},
     "experiments/planner/server.py": {"open", "write_text"},
-    "experiments/report/printing.py": {"read_bytes"},
     "experiments/results/signatures.py": {"read_bytes", "write_text", "write_bytes"},
     "placement/sampling/moving/child.py": {"read_text", "savez"},
     # Folders that are put in place as a whole.

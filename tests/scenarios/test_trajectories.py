@@ -173,59 +173,11 @@ def test_floating_car_data_of_sumo(tmp_path):
     assert refusal(tmp_path, lost, "a.xml") == message
 
 
-def state(number, tag="state", x="<x>1.5</x>"):
-    return (
-        f"<{tag}><position><point>{x}<y>{number}</y></point></position><orientation>"
-        f"<exact>1.5707963267948966</exact></orientation><time><exact>{number}</exact></time></{tag}>"
-    )
-
-
-def test_commonroad(tmp_path):
-    text = (
-        '<commonRoad timeStepSize="0.2"><dynamicObstacle id="8"><type>bicycle</type>'
-        f"{state(0, 'initialState')}<trajectory>{state(1)}{state(2)}</trajectory>"
-        "</dynamicObstacle></commonRoad>"
-    )
-    ((track,), _) = read(tmp_path, text, "a.xml")
-    assert (track.id, track.class_name) == ("8", "cyclist")
-    np.testing.assert_allclose(track.time_s, [0.0, 0.2, 0.4])
-    np.testing.assert_allclose(track.position_m, [[1.5, 0.0], [1.5, 1.0], [1.5, 2.0]])
-    np.testing.assert_allclose(track.yaw_deg, 90.0)
-    uncertain = text.replace(state(2), state(2, x=""))
-    assert refusal(tmp_path, uncertain, "a.xml").startswith(
-        "dynamicObstacle 8, state 2: position:"
-    )
-
-
-def test_commonroad_as_real_files_have_it(tmp_path):
-    """Obstacles of version 2018b, those that stand, and an initial state that is told
-    twice.
-    """
-    obstacle = "<obstacle id='8'><role>{}</role><type>bicycle</type>{}</obstacle>"
-    states = state(0) + state(1) + state(2)
-    way = f"{state(0, 'initialState')}<trajectory>{states}</trajectory>"
-    text = obstacle.format("static", state(0, "initialState")).replace("8", "7")
-    text = (
-        "<commonRoad"
-        f' timeStepSize="0.2">{text}{obstacle.format("dynamic", way)}</commonRoad>'
-    )
-    ((track,), n_left_out) = read(tmp_path, text, "a.xml")
-    assert (track.id, track.class_name, n_left_out) == ("8", "cyclist", 0)
-    np.testing.assert_allclose(track.position_m, [[1.5, 0.0], [1.5, 1.0], [1.5, 2.0]])
-    # At another place at the same time is still a fault of the file.
-    elsewhere = text.replace(
-        f"<trajectory>{state(0)}", f"<trajectory>{state(0, x='<x>2</x>')}"
-    )
-    expected = "obstacle 8, state 1: time: got 0 s after 0 s"
-    assert refusal(tmp_path, elsewhere, "a.xml").startswith(expected)
-
-
 def test_other_files_are_refused(tmp_path):
     assert (
-        refusal(tmp_path, "", "a.txt")
-        == "got '.txt'; expected .csv, or .xml of CommonRoad or SUMO"
+        refusal(tmp_path, "", "a.txt") == "got '.txt'; expected .csv, or .xml of SUMO"
     )
     assert (
         refusal(tmp_path, "<a/>", "a.xml")
-        == "got 'a'; expected an element <commonRoad> or <fcd-export>"
+        == "got 'a'; expected an element <fcd-export>"
     )

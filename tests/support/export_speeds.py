@@ -5,7 +5,6 @@ results/exports.md.
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from experiments.results.tables import markdown_table
@@ -20,8 +19,6 @@ def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
     Libraries are loaded before.
     """
     from experiments.export import FORMAT_NAMES, load_format
-    from experiments.export.mcap import mcap_of_run
-    from experiments.export.watched import find_run
 
     study = load_carlancap_layout()
     scene = load_study_scene()
@@ -47,17 +44,8 @@ def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
     rows = []
     for name in FORMAT_NAMES:
         chosen = load_format(name)
-        if "views" in chosen.options:
-            views = {"views": True}
-        else:
-            views = {}
-        what = f"{n_units} units" + (", with views" if views or name == "dxf" else "")
-        rows.append(row(name, what, partial(chosen.write, **views)))
-    run = find_run("CPNC-50/east/40", scene)
-    return [
-        *rows,
-        row("mcap", f"run {run.id}", lambda _, scene: mcap_of_run(scene, run)),
-    ]
+        rows.append(row(name, f"{n_units} units", chosen.write))
+    return rows
 
 
 def main(path: Path = Path("results/exports.md")) -> None:

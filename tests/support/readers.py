@@ -538,21 +538,9 @@ def _trajectories() -> Mapping[str, tuple[str, Files]]:
         ' angle="0"/></timestep>'
         for step in range(25)
     ]
-    states = [
-        f"<state><position><point><x>{step}</x><y>0</y></point></position><orientation><exact>0"
-        f"</exact></orientation><time><exact>{step}</exact></time></state>"
-        for step in range(1, 9)
-    ]
-    first = states[0].replace("state>", "initialState>").replace("<exact>1", "<exact>0")
-    road = (
-        '<commonRoad timeStepSize="0.1"><dynamicObstacle'
-        f' id="1"><type>car</type>{first}'
-        f"<trajectory>{''.join(states)}</trajectory></dynamicObstacle></commonRoad>"
-    )
     return {
         "csv": _one("a.csv", "\n".join([header, *rows])),
         "fcd": _one("a.xml", f"<fcd-export>{''.join(things)}</fcd-export>"),
-        "commonroad": _one("b.xml", road),
     }
 
 

@@ -67,12 +67,14 @@ def body_boxes(
     """
     boxes = np.empty((len(foot_m), 4))
     hulls = _hulls()
+    # Bodies in the same phase of their gait have the same hull.
     for number, hull in enumerate(hulls):
         rows = np.flatnonzero(phase % len(hulls) == number)
         points = np.einsum("nij,kj->nki", body_rotation(heading_deg[rows]), hull)
         points += foot_m[rows, None]
         pixels = project(points.reshape(-1, 3))[:, :2].reshape(len(rows), len(hull), 2)
-        boxes[rows, :2], boxes[rows, 2:] = pixels.min(axis=1), pixels.max(axis=1)
+        boxes[rows, :2] = pixels.min(axis=1)
+        boxes[rows, 2:] = pixels.max(axis=1)
     return boxes
 
 
@@ -101,6 +103,7 @@ def measure_pets_heights(folder: Path) -> Heights:
     drawn, camera = pets_tracks(folder)
     height = camera.height_px
     width = camera.width_px
+    # A box at the picture's edge may be cut off, and is no whole body then.
     box = drawn.box_px
     whole = (box[:, :2] > _INSIDE_PX).all(axis=1) & (box[:, 2] < width - _INSIDE_PX)
     drawn = drawn.take(whole & (box[:, 3] < height - _INSIDE_PX))
@@ -149,11 +152,13 @@ def _gait(
     for track in np.unique(drawn.track).tolist():
         rows = np.flatnonzero(drawn.track == track)
         rows = rows[np.argsort(drawn.frame[rows])]
+        # From some frames before to some after: single boxes tremble.
         index = np.arange(len(rows))
         after = np.minimum(index + WALKED_FRAMES, len(rows) - 1)
         before = np.maximum(index - WALKED_FRAMES, 0)
         way = ground[rows[after]] - ground[rows[before]]
         heading[rows] = np.degrees(np.arctan2(way[:, 1], way[:, 0]))
+        # The phase of the gait follows from the way walked since the track's begin.
         walked[rows] = np.cumsum(np.hypot(*way.T) / np.maximum(after - before, 1))
     return heading, pick_actor(BODY, "body").shape_index(walked)
 
@@ -165,6 +170,7 @@ def _ratios(
 
     The bodies' boxes end where the drawn ones do.
     """
+    # A box ends below the middle of the body's footprint: two corrections are enough.
     wanted = ground_points(bottoms(drawn.box_px), camera)
     foot = wanted.copy()
     for _ in range(2):
@@ -184,6 +190,7 @@ def _best_tilt(
     The height of all is free: least squares of the logarithms of drawn over predicted
     heights around their mean. 95 % by tracks drawn with repetition.
     """
+    # Sums of powers by track: a draw of tracks is a weighted sum of them.
     _, which = np.unique(drawn.track, return_inverse=True)
     moments = []
     for tilt in TILTS_DEG:

@@ -76,25 +76,6 @@ def topics(watched):
     return read_mcap(to_mcap(load_carlancap_layout(), SCENE, watched))
 
 
-def test_a_run_alone_is_shown(run):
-    arguments = (
-        "scenarios",
-        "show",
-        "CPNC-50",
-        "--approach",
-        "east",
-        "--speed",
-        "40",
-        "--quiet",
-    )
-    assert run(*arguments, "--out", "a.mcap")[0] == 0
-    with Path("a.mcap").open("rb") as file:
-        topics = {
-            channel.topic for _, channel, _ in reader.make_reader(file).iter_messages()
-        }
-    assert {"/scene", "/bodies", "/state"} <= topics
-
-
 def test_bodies_are_where_the_run_has_them(topics, watched):
     run = watched.run
     assert len(topics["/bodies"]) == len(run.time_s)
@@ -185,7 +166,6 @@ def test_a_recording_is_small(watched):
 
 
 def test_foxgloves_layout_names_topics_that_exist(topics):
-    from pathlib import Path
 
     layout = json.loads(Path("docs/files/foxglove.json").read_text(encoding="utf-8"))
     shown = set(layout["configById"]["3D!scene"]["topics"])

@@ -153,7 +153,7 @@ def test_sites_in_buildings_are_dropped_with_the_building_named():
         wish("out", 12, 5),
         wish("on", 10, 5),
     ]
-    kept, skipped = tidy_sites(sites, things=[house()], snap_m=0.0)
+    kept, skipped = tidy_sites(sites, things=[house()])
     assert [site.id for site in kept] == ["out", "on"]
     assert {skip.why for skip in skipped} == {"inside building h"}
 
@@ -171,23 +171,20 @@ def test_courtyards_walls_and_trees_are_no_buildings():
     st.lists(
         st.tuples(st.floats(0, 10), st.floats(0, 10), st.integers(0, 3)), max_size=25
     ),
-    st.floats(0.1, 3.0),
 )
-def test_what_is_kept_is_apart_and_what_is_dropped_is_near_something_kept(rows, snap_m):
+def test_what_is_kept_is_apart_and_what_is_dropped_is_near_something_kept(rows):
     said = ({}, {"cost_eur": 1.0}, {"cost_eur": 1.0, "z_m": 0.0}, {"has_power": True})
     sites = [wish(f"{i}", x, y, **said[n]) for i, (x, y, n) in enumerate(rows)]
-    kept, skipped = tidy_sites(sites, snap_m=snap_m)
+    kept, skipped = tidy_sites(sites)
     assert len(kept) + len(skipped) == len(sites)
     for index, site in enumerate(kept):
         for other in kept[index + 1 :]:
-            assert np.hypot(*(site.position_m - other.position_m)) > snap_m
+            assert np.hypot(*(site.position_m - other.position_m)) > 1.0
     by_id = {site.id: site for site in sites}
     for skip in skipped:
         gone = by_id[skip.what.removeprefix("site ")]
         better = [site for site in kept if site.n_said >= gone.n_said]
-        assert any(
-            np.hypot(*(gone.position_m - s.position_m)) <= snap_m for s in better
-        )
+        assert any(np.hypot(*(gone.position_m - s.position_m)) <= 1.0 for s in better)
 
 
 def test_no_sites_give_no_sites():
