@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from platform import node
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -31,8 +32,9 @@ from placement.imaging.materials import Materials, load_materials, vary_material
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
 
+from ..engine.start import EngineWish, start_engine
+from ..engine.tasks import TRIES, WorkerDiedError, map_tasks
 from ..progress import StageProgress
-from ..side_process import TRIES, WorkerDiedError, in_processes
 
 DRAW = "draw"
 """The stage in which pictures are drawn."""
@@ -84,7 +86,6 @@ class DrawTask:
     """Frames that one camera sees in one weather, with the same parked vehicles."""
 
     out: Path
-    scene: Scene
     runs: tuple[Run, ...]
     frames: tuple[
         tuple[int, int, str], ...
@@ -101,25 +102,32 @@ class DrawTask:
         return self.out / folder / self.viewer.folder / f"{stem}{suffix}"
 
 
-def draw_task(task: DrawTask) -> int:
+def draw_task(scene: Scene, task: DrawTask) -> int:
     """Draw what is missing of a task; the number of bytes written.
 
-    Raises OSError: something cannot be written.
+    Raises OSError: something cannot be written; InputError: the folder is not there, on
+    another machine.
     """
-    draw = _drawer(task)
+    if not task.out.is_dir():
+        got = f"{task.out}, which a worker on {node()} does not see"
+        raise InputError("--out", Unquoted(got), "a folder that all workers see")
+    draw = _drawer(scene, task)
     n_bytes = 0
     for index, frame, stem in task.frames:
         if task.path("picture", stem).exists():
             continue
         run = task.runs[index]
-        for kind, content in _contents(*draw(run, frame), task, run, stem):
+        seen = draw(run, frame)
+        for kind, content in _contents(*seen, scene, task, run, stem):
             path = task.path(kind, stem)
             write_atomically(path, content)
             n_bytes += path.stat().st_size
     return n_bytes
 
 
-def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | None]]:
+def _drawer(
+    scene: Scene, task: DrawTask
+) -> Callable[[Run, int], tuple[Picture, PointCloud | None]]:
     """A function that draws and scans a frame: from the VUT anew, at the roadside onto a still."""
     # loads the compiler
     from placement.imaging.stills import Still, draw_onto, draw_still, scan_onto
@@ -129,7 +137,7 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
     lidar = task.lidar
     compute = Compute(seed=task.seed, workers=1)
     weather = pick_weather(first.weather, "weather")
-    backdrop = build_backdrop(task.scene, first.obstruction)
+    backdrop = build_backdrop(scene, first.obstruction)
     stills: dict[str, Still] = {}  # the last one
 
     def materials(run: Run) -> Materials | None:
@@ -186,7 +194,12 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 
 
 def _contents(
-    picture: Picture, cloud: PointCloud | None, task: DrawTask, run: Run, stem: str
+    picture: Picture,
+    cloud: PointCloud | None,
+    scene: Scene,
+    task: DrawTask,
+    run: Run,
+    stem: str,
 ) -> Iterator[tuple[str, Content]]:
     """Contents of the files of a frame, by kind; the picture comes last: where it is, all are."""
     if cloud is not None:
@@ -198,19 +211,21 @@ def _contents(
     if task.wish.vehicles:
         yield (
             "vehicles",
-            _with_vehicles(task.path("vehicles", stem), picture, task, run),
+            _with_vehicles(task.path("vehicles", stem), picture, scene, task, run),
         )
     yield "picture", _png(picture.rgb)
 
 
-def _with_vehicles(path: Path, picture: Picture, task: DrawTask, run: Run) -> str:
+def _with_vehicles(
+    path: Path, picture: Picture, scene: Scene, task: DrawTask, run: Run
+) -> str:
     """Lines of a label file, and one for each vehicle of which enough is seen."""
     if path.exists():
         lines = read_text(path, "labels").splitlines()
     else:
         lines = []
     lines = [line for line in lines if not line.startswith(f"{_VEHICLE} ")]
-    known = {one.id for one in task.scene.instances if "vehicle" in one.class_name}
+    known = {one.id for one in scene.instances if "vehicle" in one.class_name}
     if task.wish.format == FORMATS[0] and run.encounter.vru.class_name == _VEHICLE:
         known.add("vru")  # whose line was taken away with the others'
     camera = task.viewer.camera
@@ -251,17 +266,26 @@ def _png(pixels: NDArray[Any]) -> Content:
     return _image(pixels, format="PNG", compress_level=1)
 
 
-def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress) -> int:
-    """Draw all tasks by processes; those of ones that die are drawn again. Bytes written."""
+def draw_all(
+    scene: Scene,
+    tasks: Sequence[DrawTask],
+    engine: EngineWish,
+    progress: StageProgress,
+    tell: Callable[[str], None],
+) -> int:
+    """Draw all tasks, wherever they run; those of workers that die again. Bytes written."""
     n_all = sum(len(task.frames) for task in tasks)
     n_drawn = 0
     n_bytes = 0
     progress(DRAW, 0, n_all)
     try:
-        for task, size in in_processes(draw_task, tasks, n=n_workers):
-            n_drawn += len(task.frames)
-            n_bytes += size
-            progress(DRAW, n_drawn, n_all)
+        with start_engine(engine, n_tasks=len(tasks), tell=tell) as started:
+            for task, size in map_tasks(
+                draw_task, tasks, engine=started, shared=(scene,)
+            ):
+                n_drawn += len(task.frames)
+                n_bytes += size
+                progress(DRAW, n_drawn, n_all)
     except WorkerDiedError:
         got = f"a process that was killed, {TRIES} times"
         expected = "enough memory for each: fewer workers"

@@ -25,17 +25,20 @@ import pandas as pd
 import pytest
 from babel.messages.pofile import read_po
 from browser_pages import open_page, start_browser
-from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, solve_here, write_city
+from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, write_city
 from once import make_once
 from osm_text import OsmText
 from partial_pages import blank_png
 
 from experiments.city import answer as city_answer
 from experiments.city import run as job
-from experiments.city import workers as city_workers
+from experiments.city import tasks as city_tasks
 from experiments.city.answer import fronts_table, load_front
 from experiments.city.command import city_text
 from experiments.city.inputs import CitySearch, CityWish, estimated_accidents
+from experiments.engine.processes import Processes
+from experiments.engine.start import EngineWish
+from experiments.engine.tasks import Engine, WorkerDiedError, map_tasks
 from experiments.language import speaking
 from experiments.progress import WRITING, StageProgress
 from experiments.results.folders import changed_files
@@ -59,8 +62,7 @@ def run(maps, out, *, question=FEW_RUNS, search=SEARCH, told=None, **wish):
         maps=[maps] if isinstance(maps, Path) else maps,
         wish=CityWish(**wish),
         search=search,
-        n_workers=1,
-        memory="1.5GiB",
+        engine=EngineWish(),
         out=out,
         seed=0,
         command="place-rsus city tiny.osm",
@@ -74,10 +76,7 @@ def tiny(tmp_path_factory):
     """The map, and the folder of a city for two units."""
 
     def make(folder):
-        path = write_city(folder)
-        with pytest.MonkeyPatch.context() as patch:
-            solve_here(patch)
-            run(path, folder / "city")
+        run(write_city(folder), folder / "city")
 
     return make_once(tmp_path_factory, "tiny-city", make)
 
@@ -112,20 +111,13 @@ def no_pages(monkeypatch):
 
 
 @pytest.fixture
-def here(monkeypatch):
-    """Solves junctions in this process."""
-    solve_here(monkeypatch)
-
-
-@pytest.fixture
 def never(monkeypatch):
     """Fails where anything is solved."""
 
-    def fail(client, tasks):
-        pytest.fail(f"{len(list(tasks))} junctions are solved")
+    def fail(task):
+        pytest.fail(f"{task.options.name} is solved")
 
-    solve_here(monkeypatch)
-    monkeypatch.setattr(job, "run_junctions", fail)
+    monkeypatch.setattr(job, "run_junction", fail)
 
 
 @pytest.fixture
@@ -219,9 +211,7 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     assert places.union_all().convex_hull.buffer(0.002).contains(units.union_all())
 
 
-def test_only_what_is_missing_or_changed_is_computed(
-    tiny, city, here, tmp_path, no_pages
-):
+def test_only_what_is_missing_or_changed_is_computed(tiny, city, tmp_path, no_pages):
     first, second, *_ = sorted(
         path.parent for path in city.glob("junctions/*/front.json")
     )
@@ -253,9 +243,7 @@ def test_another_citys_folder_and_other_things_are_refused(
         run(tiny / "tiny.osm", tmp_path / "full")
 
 
-def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(
-    tiny, here, tmp_path, city
-):
+def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, tmp_path, city):
     sites = tmp_path / "sites.csv"  # at the first junction alone
     sites.write_text("id,lat,lon\nlamp,52.50006,13.40009\n")
     result = run(
@@ -331,14 +319,14 @@ def test_each_foreseen_error_has_its_cause(tmp_path):
         osm.road([middle, osm.node(*way)], oneway="yes")
     away = osm.write(tmp_path, "away.osm")
     [task] = tasks_of(away)
-    answer = city_workers.run_junction(task)
+    answer = city_tasks.run_junction(task)
     assert (answer.record.cause, answer.record.is_final) == ("no lane", True)
     [task, *_] = tasks_of(write_city(tmp_path))
     slow = replace(task, wishes=replace(task.wishes, time_limit_s=LEAST_S))
-    answer = city_workers.run_junction(slow)
+    answer = city_tasks.run_junction(slow)
     assert (answer.record.cause, answer.record.is_final) == ("time", False)
     no_arm = replace(task, question=replace(FEW_RUNS, approaches="south-east"))
-    assert city_workers.run_junction(no_arm).record.cause == "no run"
+    assert city_tasks.run_junction(no_arm).record.cause == "no run"
 
 
 def test_the_page_and_the_terminal_speak_german(tiny, city, never):
@@ -481,7 +469,7 @@ def test_weights_decide_and_what_is_not_used_is_told(
 # Quickly: test_weights_decide_and_what_is_not_used_is_told
 @pytest.mark.long
 def test_scores_and_accidents_around_each_junction_make_its_front(
-    tiny, tmp_path, here, no_pages
+    tiny, tmp_path, no_pages
 ):
     table = tmp_path / "atlas.csv"
     head = "UTYP1;UART;IstFuss;IstRad;IstKrad;IstPKW;ULICHTVERH;XGCSWGS84;YGCSWGS84\n"
@@ -675,7 +663,7 @@ def test_seconds_are_those_of_all_stages(tiny, city, never):
     )
 
 
-def test_what_hangs_there_is_kept_and_paid(tiny, here, tmp_path, no_pages):
+def test_what_hangs_there_is_kept_and_paid(tiny, tmp_path, no_pages):
     before = json.loads((tiny / "city" / "city.json").read_text())
     served = next(one for one in before["junctions"] if one["units"])
     folder = tiny / "city" / served["folder"]
@@ -777,29 +765,24 @@ def tasks_of(path):
     return [task_of(one) for one in city.junctions]
 
 
-class Dying:
+class Dying(Engine):
     """Workers of which each dies, and how often one was asked."""
 
-    capacity = 1
     times = 0
 
-    def submit(self, function, task):
+    def submit(self, function, shared, task):
         self.times += 1
         future = Future()
-        future.set_exception(
-            city_workers.WorkerDiedError("more than 1.5 GiB of memory")
-        )
+        future.set_exception(WorkerDiedError("more than 1.5 GiB of memory"))
         return future
 
-    def wait(self, timeout_s):
-        pass
 
-
-def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(city_workers, "LocalWorkers", Dying)
+def test_a_junction_whose_worker_died_thrice_is_told(tmp_path):
     [task, *_] = tasks_of(write_city(tmp_path))
     workers = Dying()
-    [(_, answer)] = city_workers.run_junctions(workers, [task])
+    [(_, answer)] = map_tasks(
+        city_tasks.run_junction, [task], engine=workers, failed=city_tasks.unsolved
+    )
     assert workers.times == 3
     assert answer.record.id == task.chosen.junction.id
     assert (
@@ -813,23 +796,26 @@ def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
 @pytest.mark.long
 def test_a_worker_that_is_killed_loses_nothing(tiny):
     tasks = tasks_of(tiny / "tiny.osm")
-    with city_workers.LocalWorkers(2, max_bytes=3 * 2**29) as workers:
-        killer = threading.Timer(
-            1.0, lambda: os.kill(workers._workers[0].process.pid, signal.SIGKILL)
-        )
-        killer.start()
+    workers = Processes(2, max_bytes=3 * 2**29)
+    killer = threading.Timer(1.0, lambda: next(iter(workers._all)).kill())
+    killer.start()
+    try:
         answers = [
-            answer.record for _, answer in city_workers.run_junctions(workers, tasks)
+            answer.record
+            for _, answer in map_tasks(city_tasks.run_junction, tasks, engine=workers)
         ]
+    finally:
         killer.join()
-        assert [record.reason for record in answers] == [""] * 3
-        assert {record.id for record in answers} == {"n1", "n2", "n3"}
+        workers.close()
+    assert workers.n_tasks > 3  # one was handed over again
+    assert [record.reason for record in answers] == [""] * 3
+    assert {record.id for record in answers} == {"n1", "n2", "n3"}
 
 
 @pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="signals and processes as on Linux")
 def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
-    tiny, city, here, no_pages
+    tiny, city, no_pages
 ):
     import psutil
 
@@ -852,7 +838,7 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
         "--time-limit",
         f"{FEW_RUNS.time_limit_s:g}",
     )
-    limits = (*seconds, "--workers", "1", "--out", city)
+    limits = (*seconds, "--workers", "2", "--out", city)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     main = subprocess.Popen(
         [

@@ -390,12 +390,12 @@ def test_processes_draw_the_same_and_for_one_that_dies_another(
     assert _files("other") == _files(drawn)
 
 
-def _die_once(task):
+def _die_once(scene, task):
     mark = Path(os.environ["PLACE_RSUS_TEST_MARK"])
     if mark.exists():
         mark.unlink(missing_ok=True)
         os.kill(os.getpid(), signal.SIGKILL)
-    return _draw_task(task)
+    return _draw_task(scene, task)
 
 
 _draw_task = job.draw_task
