@@ -33,7 +33,7 @@ from geometry.errors import InputError, Unquoted
 from placement.fingerprints import ALL_PACKAGES, hash_of_code
 
 from ..language import tr
-from .tasks import TRIES, Engine, WorkerDiedError
+from .tasks import LEAST_BYTES, TRIES, Engine, WorkerDiedError
 
 CONNECT_S = 10.0
 """A scheduler answers within so many seconds."""
@@ -86,17 +86,9 @@ class Cluster(Engine):
         self, function: Callable[..., Any], shared: tuple[Any, ...], task: Any
     ) -> "Future[Any]":
         """Hand a task to the scheduler."""
-        sent = self._client.submit(
-            _call,
-            self.payload(function, task),
-            *map(self._share, shared),
-            key=f"{function.__name__}-{uuid4().hex}",
-            retries=TRIES - 1,
-            pure=False,
-        )
         future: Future[Any] = Future()
-        self._sent[future] = sent
-        sent.add_done_callback(partial(self._end, future))
+        arguments = (self.payload(function, task), *map(self._share, shared))
+        self._hand_over(future, function.__name__, arguments, TRIES)
         return future
 
     def watch(self) -> None:
@@ -126,19 +118,15 @@ class Cluster(Engine):
             self._client.wait_for_workers(1, timeout=self._timeout_s)
         except TimeoutError:
             raise self._no_workers() from None
-        try:
-            self._client.register_plugin(SameProgram(program()), name=_PLUGIN)
-        except InputError:
-            self.end()
-            raise
-        except Exception as error:  # whatever the Python of a worker says
-            self.end()
-            said = " ".join(f"{type(error).__name__}: {error}".split())[:160]
-            raise InputError(
-                _WHERE,
-                Unquoted(f"{self._address}, on a worker: {said}"),
-                f"workers with {program()}",
-            ) from None
+        self._check_memory()
+        programs = self._client.run(program, on_error="return")
+        for worker, theirs in programs.items():
+            if isinstance(theirs, Exception):  # whatever its Python says
+                theirs = " ".join(f"{type(theirs).__name__}: {theirs}".split())[:160]
+            if theirs != program():
+                raise _other_program(worker, theirs, program())
+        self._client.subscribe_topic(_PLUGIN, lambda event: self._tell(event[1]))
+        self._client.register_plugin(SameProgram(program()), name=_PLUGIN)
         self.watch()
 
     def end(self) -> None:
@@ -147,11 +135,6 @@ class Cluster(Engine):
             self._client.cancel([*self._sent.values()])
         with suppress(Exception):
             self._client.unregister_worker_plugin(_PLUGIN)
-
-    def least_memory_bytes(self) -> int:
-        """Memory limit of the worker that has the lowest; 0 where none has one."""
-        workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
-        return min((one["memory_limit"] for one in workers), default=0)
 
     def _share(self, value: object) -> Any:
         """A value on the workers. It is a task of its own: what is lost is sent again."""
@@ -162,24 +145,56 @@ class Cluster(Engine):
             self._shared[id(value)] = (value, future)
         return self._shared[id(value)][1]
 
-    def _end(self, future: "Future[Any]", sent: Any) -> None:
+    def _hand_over(
+        self, future: "Future[Any]", name: str, arguments: tuple[Any, ...], left: int
+    ) -> None:
+        sent = self._client.submit(
+            _call,
+            *arguments,
+            key=f"{name}-{uuid4().hex}",
+            retries=TRIES - 1,
+            pure=False,
+        )
+        self._sent[future] = sent
+        again = partial(self._hand_over, future, name, arguments, left - 1)
+        sent.add_done_callback(partial(self._end, future, again if left > 1 else None))
+
+    def _end(
+        self, future: "Future[Any]", again: Callable[[], None] | None, sent: Any
+    ) -> None:
         """Pass an answer on; called by a thread of dask."""
         try:
             theirs, is_answer, answer = sent.result()
-            _refuse_other(theirs, "a worker", program())
         except KilledWorker as error:
-            future.set_exception(WorkerDiedError(self._death(error)))
+            is_answer, answer = False, WorkerDiedError(self._death(error))
         except CancelledError:
-            future.set_exception(self._lost())
+            is_answer, answer = False, self._lost()
         except Exception as error:  # whatever it is, `map_tasks` decides
-            future.set_exception(error)
+            is_answer, answer = False, error
         else:
-            if is_answer:
-                future.set_result(answer)
-            else:
-                future.set_exception(answer)
-        finally:
-            self._sent.pop(future, None)
+            if theirs != program():
+                if again is not None:
+                    again()
+                    return
+                is_answer = False
+                answer = _other_program("a worker", theirs, program())
+        del self._sent[future]
+        if is_answer:
+            future.set_result(answer)
+        else:
+            future.set_exception(answer)
+
+    def _check_memory(self) -> None:
+        """Refuse workers that would die of their limit at the first task."""
+        workers = self._client.scheduler_info(n_workers=-1)["workers"]
+        for worker, known in workers.items():
+            limit_bytes = known["memory_limit"]  # 0: none
+            if 0 < limit_bytes < LEAST_BYTES:
+                raise InputError(
+                    _WHERE,
+                    Unquoted(f"{worker} with {limit_bytes >> 20} MiB of memory"),
+                    f"workers with at least {LEAST_BYTES >> 20} MiB each",
+                )
 
     def _death(self, error: KilledWorker) -> str:
         """Of what the worker of a task died last, if dask knows."""
@@ -296,8 +311,9 @@ def start_local(
 
 @contextmanager
 def _connected(address: str, security: Security) -> Iterator[Client]:
-    for name in ("distributed", "tornado"):  # errors are told in one line, by us
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    for name in [*logging.root.manager.loggerDict]:  # errors are told by us
+        if name.startswith(("distributed", "tornado")):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(_SETTINGS):
         try:
             client = Client(
@@ -321,8 +337,8 @@ def _served(
     client: Client, address: str, timeout_s: float, tell: Callable[[str], None]
 ) -> Iterator[Cluster]:
     cluster = Cluster(client, address, timeout_s=timeout_s, tell=tell)
-    cluster.begin()
     try:
+        cluster.begin()
         yield cluster
     finally:
         cluster.end()
@@ -341,11 +357,9 @@ def program() -> str:
     )
 
 
-def _refuse_other(theirs: str, worker: str, expected: str) -> None:
-    if theirs != expected:
-        raise InputError(
-            _WHERE, Unquoted(f"{worker} with {theirs}"), f"workers with {expected}"
-        )
+def _other_program(worker: str, theirs: str, expected: str) -> InputError:
+    got = Unquoted(f"{worker} with {theirs}")
+    return InputError(_WHERE, got, f"workers with {expected}")
 
 
 class SameProgram(WorkerPlugin):  # type: ignore[misc]
@@ -355,8 +369,11 @@ class SameProgram(WorkerPlugin):  # type: ignore[misc]
         self.expected = expected
 
     def setup(self, worker: Worker) -> None:
-        """Compare the program of a worker that is there, or joins. Raises InputError."""
-        _refuse_other(program(), worker.address, self.expected)
+        """Close a worker that has another program, before it gets a task."""
+        if program() != self.expected:
+            refused = str(_other_program(worker.address, program(), self.expected))
+            worker.log_event(_PLUGIN, refused)
+            worker.loop.add_callback(worker.close, reason=refused)
 
 
 def _call(sent: bytes, *shared: Any) -> tuple[str, bool, Any]:

@@ -14,7 +14,7 @@ from geometry.opening import read_bytes
 
 from ..progress import no_tracker_warnings
 from .processes import Processes
-from .tasks import Engine, Here
+from .tasks import LEAST_BYTES, Engine, Here
 
 LOCAL = "local"
 """In place of an address: a dask scheduler of this machine, started for the call."""
@@ -139,9 +139,11 @@ def memory_bytes(text: str) -> int:
     if found := re.fullmatch(amount, text.strip().lower(), re.ASCII):
         power = "kmgt".find(found[2] or "-") + 1
         size = float(found[1]) * (1024 if found[3] else 1000) ** power
-    if not 2**28 <= size <= 2**60:
+    if not LEAST_BYTES <= size <= 2**60:
         raise InputError(
-            "--worker-memory", text, "an amount such as 1.5GiB, at least 0.25GiB"
+            "--worker-memory",
+            text,
+            f"an amount such as 1.5GiB, at least {LEAST_BYTES >> 20}MiB",
         )
     return int(size)
 

@@ -22,6 +22,13 @@ _Answer = TypeVar("_Answer")
 TRIES = 3
 """Of a task that raises, or whose worker dies."""
 
+LEAST_BYTES = 300 * 2**20
+"""Memory that every worker needs: with less, each dies at its first task.
+
+The smallest junction (one case at one speed, coarse poses) takes 344 MiB in a process
+that also read its map, of which 90 MiB.
+"""
+
 _WATCH_S = 0.2  # engines look after their workers at least as often
 
 

@@ -37,7 +37,7 @@ from experiments.city.answer import fronts_table, load_front
 from experiments.city.command import city_text
 from experiments.city.inputs import CitySearch, CityWish, estimated_accidents
 from experiments.engine.processes import Processes
-from experiments.engine.start import EngineWish
+from experiments.engine.start import EngineWish, start_engine
 from experiments.engine.tasks import Engine, WorkerDiedError, map_tasks
 from experiments.language import speaking
 from experiments.progress import WRITING, StageProgress
@@ -54,7 +54,17 @@ SEARCH = CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 LEAST_S = 1.0e-6
 
 
-def run(maps, out, *, question=FEW_RUNS, search=SEARCH, told=None, **wish):
+def run(
+    maps,
+    out,
+    *,
+    question=FEW_RUNS,
+    search=SEARCH,
+    engine=EngineWish(),  # noqa: B008 - frozen
+    tell=lambda sentence: None,
+    told=None,
+    **wish,
+):
     if not ("budget_units" in wish or "budget_eur" in wish):
         wish = {"budget_units": 2, **wish}
     return job.run_city(
@@ -62,12 +72,12 @@ def run(maps, out, *, question=FEW_RUNS, search=SEARCH, told=None, **wish):
         maps=[maps] if isinstance(maps, Path) else maps,
         wish=CityWish(**wish),
         search=search,
-        engine=EngineWish(),
+        engine=engine,
         out=out,
         seed=0,
         command="place-rsus city tiny.osm",
         progress=StageProgress(),
-        tell=(told if told is not None else []).append,
+        tell=tell if told is None else told.append,
     )
 
 
@@ -810,6 +820,62 @@ def test_a_worker_that_is_killed_loses_nothing(tiny):
     assert workers.n_tasks > 3  # one was handed over again
     assert [record.reason for record in answers] == [""] * 3
     assert {record.id for record in answers} == {"n1", "n2", "n3"}
+
+
+def without_times(folder):
+    """Contents of a city's files, less what says when and how long, and hashes of it."""
+    found = {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+    timed = ("report.html", "city.json", "city.gpkg")
+    for name in (*timed, "SHA256SUMS", "manifest.json"):
+        del found[name]
+    table = pd.read_csv(BytesIO(found["junctions.csv"]))
+    found["junctions.csv"] = table.drop(columns=["cpu_s", "peak_memory_mib"]).to_csv()
+    for name in [name for name in found if name.endswith("front.json")]:
+        front = json.loads(found[name])
+        del front["seconds"], front["peak_memory_mib"]
+        found[name] = front
+    return found
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")  # those of dask
+def test_the_answer_is_the_same_to_the_byte_wherever_it_is_found(tiny, tmp_path):
+    pytest.importorskip("distributed")
+    from dask_cluster import dask_processes
+
+    path = tiny / "tiny.osm"
+    run(path, tmp_path / "one")
+    expected = without_times(tmp_path / "one")
+    run(path, tmp_path / "two", engine=EngineWish(workers=2))
+    assert without_times(tmp_path / "two") == expected
+    out = tmp_path / "four"
+    with dask_processes(tmp_path, n=4) as cluster:
+        _, file, _, authority, _, own = cluster.options
+        wish = EngineWish(scheduler=str(file), tls_ca=authority, tls_cert=own)
+
+        def kill_two(sentence):
+            # Workers are there: two of them die at work, and are started again.
+            if sentence.startswith("Workers: 4"):
+                for delay_s, index in ((3.0, 0), (6.0, 1)):
+                    killer = threading.Timer(delay_s, cluster.kill_a_worker, [index])
+                    killer.start()
+                    killers.append(killer)
+
+        killers = []
+        told = []
+        with start_engine(wish, n_tasks=4, tell=told.append) as started:
+            while started._client.nthreads() == {} or started.capacity < 4:
+                started._looked_s = 0.0
+                started.watch()
+        run(path, out, engine=wish, tell=kill_two)
+        assert len(killers) == 2
+        for killer in killers:
+            killer.join()
+    assert without_times(out) == expected
 
 
 @pytest.mark.long
