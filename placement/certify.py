@@ -5,6 +5,7 @@ The gap is what a layout may lack of the best one over all worlds.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
 from geometry.clock import now_s
@@ -14,7 +15,7 @@ from geometry.scene import Scene
 from geometry.tables import says
 
 from .cache import cached_value
-from .compute import DEFAULT_COMPUTE, Compute, check_whole
+from .compute import DEFAULT_COMPUTE, Compute, RunTasks, check_whole, run_here
 from .optimiser import Solution, solve_placement
 from .optimiser.greedy import solve_greedy
 from .pipeline import Assembly, Placement, assemble, pick_layout, place
@@ -138,12 +139,17 @@ class Certified:
 
 
 def certify(
-    assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_JUDGED
+    assembly: Assembly,
+    *,
+    n_blocks: int = N_BLOCKS,
+    n_judged: int = N_JUDGED,
+    run: RunTasks = run_here,
 ) -> Certified:
     """Find a layout for the mean over worlds, and limit what it lacks of the best.
 
     Each of the blocks has `assembly.n_samples` worlds, which no other block, and
-    neither of the two times `n_judged` to judge in, has. Raises InputError for blocks
+    neither of the two times `n_judged` to judge in, has. `run` says where blocks are
+    solved and worlds are looked at. Raises InputError for blocks
     of one world, fewer than two, or a question that is not for the highest mean APR
     within a budget.
     """
@@ -157,7 +163,9 @@ def certify(
     )
     # Each block is solved by itself: its bound and its layouts are independent.
     compute = assembly.compute
-    blocks = tuple(_solve_block(assembly, block, n_blocks) for block in range(n_blocks))
+    numbers = range(n_blocks)
+    solved = dict(run(_solve_block, numbers, shared=(assembly, n_blocks)))
+    blocks = tuple(solved[block] for block in numbers)
     # Equal layouts of several blocks are judged once.
     names = {
         **{one.greedy: f"greedy of block {n}" for n, one in enumerate(blocks, start=1)},
@@ -167,11 +175,12 @@ def certify(
         pick_layout(assembly.candidates, rows, name) for rows, name in names.items()
     ]
     compute.progress(Phrase("choose in fresh worlds"), 0, 0)
-    pool = assembly.in_fresh_worlds(layouts, n_worlds=n_judged, first=0)
+    judge = partial(assembly.in_fresh_worlds, n_worlds=n_judged, run=run)
+    pool = judge(layouts, first=0)
     pool = sorted(pool, key=lambda one: -one.estimate.mean)
     compute.progress(Phrase("judge in other fresh worlds"), 0, 0)
     best = [pool[0].layout]
-    (judged,) = assembly.in_fresh_worlds(best, n_worlds=n_judged, first=n_judged)
+    (judged,) = judge(best, first=n_judged)
     gap = estimate_gap([block.bound for block in blocks], judged.apr_by_sample.tolist())
     return Certified(blocks=blocks, pool=tuple(pool), judged=judged, gap=gap)
 
@@ -182,7 +191,7 @@ def _check_mean(wishes: Wishes, where: str, expected: str) -> None:
         raise InputError(where, got, expected)
 
 
-def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
+def _solve_block(assembly: Assembly, n_blocks: int, block: int) -> Block:
     """The best layout in the worlds of one block, with its bound."""
     first = block * assembly.n_samples
     compute = assembly.compute

@@ -23,7 +23,7 @@ from scenarios.scores import AVOIDED
 
 from .cache import cached_value
 from .candidates import CandidateGrid, CandidatePose, build_candidates, build_grid
-from .compute import DEFAULT_COMPUTE, Compute
+from .compute import DEFAULT_COMPUTE, Compute, RunTasks, run_here
 from .detection_table import DetectionTable, level_axis, level_table, mixed_table
 from .detectors import ResponseDetector
 from .evaluator import with_sight
@@ -216,11 +216,17 @@ class Assembly:
         return reduced
 
     def in_fresh_worlds(
-        self, layouts: Sequence[Layout], *, n_worlds: int, first: int = APART
+        self,
+        layouts: Sequence[Layout],
+        *,
+        n_worlds: int,
+        first: int = APART,
+        run: RunTasks = run_here,
     ) -> list[SampledApr]:
         """Judge layouts in the same fresh worlds, in which none was chosen.
 
-        `first` is the number of the first world.
+        `first` is the number of the first world; `run` says where worlds are looked
+        at.
         """
         # `assemble` reads it with every question.
         assert self.uncertainty is not None
@@ -232,6 +238,7 @@ class Assembly:
             first=first,
             fusion=self.fusion,
             compute=self.compute,
+            run=run,
         )
 
 

@@ -15,6 +15,7 @@ from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager, suppress
 from functools import cache, partial
 from importlib.metadata import version
+from pathlib import Path
 from platform import python_version
 from typing import Any
 from uuid import uuid4
@@ -231,9 +232,9 @@ class Cluster(Engine):
 def connect(
     address: str,
     *,
-    ca: str | None,
-    certificate: str | None,
-    key: str | None,
+    ca: Path | None,
+    certificate: Path | None,
+    key: Path | None,
     timeout_s: float,
     tell: Callable[[str], None],
 ) -> Iterator[Cluster]:
@@ -256,7 +257,7 @@ def connect(
     is_encrypted = address.startswith("tls://")
     security = Security(
         require_encryption=is_encrypted,
-        **{name: value for name, value in named.items() if value},
+        **{name: str(path) for name, path in named.items() if path},
     )
     if is_encrypted and not (security.tls_ca_file and security.tls_client_cert):
         raise InputError(

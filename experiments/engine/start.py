@@ -107,23 +107,23 @@ def start_engine(
         raise MissingExtraError(
             "--scheduler needs dask: pip install place-rsus[cluster]"
         ) from None
-    waiting = {"timeout_s": wish.scheduler_timeout, "tell": tell}
     if address == LOCAL:
         with start_local(
             max(n_workers, 1),
             max_bytes=wish.max_bytes or 0,
             has_dashboard=wish.dashboard,
-            **waiting,
+            timeout_s=wish.scheduler_timeout,
+            tell=tell,
         ) as local:
             yield local
         return
-    files = [
-        None if path is None else str(path)
-        for path in (wish.tls_ca, wish.tls_cert, wish.tls_key)
-    ]
-    ca, certificate, key = files
     with connect(
-        address, ca=ca, certificate=certificate, key=key, **waiting
+        address,
+        ca=wish.tls_ca,
+        certificate=wish.tls_cert,
+        key=wish.tls_key,
+        timeout_s=wish.scheduler_timeout,
+        tell=tell,
     ) as cluster:
         yield cluster
 
