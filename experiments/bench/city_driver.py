@@ -15,6 +15,7 @@ from functools import cache, partial
 from math import ceil, sqrt
 from pathlib import Path
 from time import perf_counter
+from unittest.mock import patch
 from xml.sax.saxutils import quoteattr
 
 import click
@@ -125,32 +126,26 @@ def measure(n_junctions: int, engine: EngineWish, folder: Path) -> dict[str, flo
         command="",
         tell=lambda sentence: None,
     )
-    solve = run.run_junction
-    run.run_junction = _record_first
-    wish = inputs.CityWish(budget_units=1)
-    run_once(
-        maps=[small],
-        wish=wish,
-        engine=EngineWish(workers=2),  # in processes: memory here is the driver's
-        out=folder / "small",
-        progress=StageProgress(),
-    )
+    with patch.object(run, "run_junction", _record_first):
+        run_once(
+            maps=[small],
+            wish=inputs.CityWish(budget_units=1),
+            engine=EngineWish(workers=2),  # in processes: memory here is the driver's
+            out=folder / "small",
+            progress=StageProgress(),
+        )
     path = folder / "grid.osm"
     write_grid(path, n_junctions)
-    run.run_junction = answer_recorded
-    progress = StageProgress()
     before_s = _own_cpu_s()
     began_s = perf_counter()
-    try:
+    with patch.object(run, "run_junction", answer_recorded):
         result = run_once(
             maps=[path],
             wish=inputs.CityWish(budget_units=n_junctions // 2),
             engine=engine,
             out=folder / "city",
-            progress=progress,
+            progress=StageProgress(),
         )
-    finally:
-        run.run_junction = solve
     return {
         "junctions": len(result.junctions),
         "cpu_s": round(_own_cpu_s() - before_s, 1),

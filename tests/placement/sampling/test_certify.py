@@ -120,9 +120,7 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
     assert found.pool[0].estimate.mean == max(one.estimate.mean for one in found.pool)
 
 
-def test_tasks_that_run_elsewhere_and_in_any_order_give_the_same(
-    assembly, monkeypatch
-):
+def test_tasks_that_run_elsewhere_and_in_any_order_give_the_same(assembly, monkeypatch):
     monkeypatch.setattr(out_of_sample, "TOGETHER", 3)
     sent = []
 
