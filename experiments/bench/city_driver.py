@@ -23,7 +23,7 @@ import msgspec
 
 from placement.question import Question
 
-from ..city import inputs, run
+from ..city import inputs, pages, run
 from ..city.tasks import JunctionAnswer, JunctionTask, run_junction
 from ..engine.start import EngineWish
 from ..progress import StageProgress, tell
@@ -113,7 +113,9 @@ def _record_first(task: JunctionTask) -> JunctionAnswer:
     return answer
 
 
-def measure(n_junctions: int, engine: EngineWish, folder: Path) -> dict[str, float]:
+def measure(
+    n_junctions: int, engine: EngineWish, folder: Path, *, n_pages: int
+) -> dict[str, float]:
     """Processor seconds and memory of a city of which every front is recorded."""
     os.environ[_ANSWER] = str(folder / "answer")
     small = folder / "small.osm"
@@ -138,7 +140,10 @@ def measure(n_junctions: int, engine: EngineWish, folder: Path) -> dict[str, flo
     write_grid(path, n_junctions)
     before_s = _own_cpu_s()
     began_s = perf_counter()
-    with patch.object(run, "run_junction", answer_recorded):
+    with (
+        patch.object(run, "run_junction", answer_recorded),
+        patch.object(pages, "MAX_ROWS", n_pages),
+    ):
         result = run_once(
             maps=[path],
             wish=inputs.CityWish(budget_units=n_junctions // 2),
@@ -167,13 +172,21 @@ def _peak_mib() -> float:
 @click.command()
 @click.option("--junctions", type=int, default=100, show_default=True)
 @click.option("--workers", type=int, default=1, show_default=True)
+@click.option(
+    "--pages",
+    "n_pages",
+    type=int,
+    default=pages.MAX_ROWS,
+    show_default=True,
+    help="At most.",
+)
 @click.option("--scheduler", default="", help='"local": by dask on this machine.')
-def main(junctions: int, workers: int, scheduler: str) -> None:
+def main(junctions: int, workers: int, n_pages: int, scheduler: str) -> None:
     """Measure a city of recorded fronts; a call each, for the peak of memory."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     wish = EngineWish(workers=workers, scheduler=scheduler, max_bytes=2**30)
     with tempfile.TemporaryDirectory() as folder:
-        figures = measure(junctions, wish, Path(folder))
+        figures = measure(junctions, wish, Path(folder), n_pages=n_pages)
     for name, value in figures.items():
         tell(f"{name}: {value:g}")
 

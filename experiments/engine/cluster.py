@@ -112,7 +112,7 @@ class Cluster(Engine):
             raise self._no_workers()
 
     def begin(self) -> None:
-        """Wait for workers, and refuse those with another program."""
+        """Wait for workers, and refuse another program, theirs or the scheduler's."""
         if not self._client.nthreads():
             self._tell_of_waiting()
         try:
@@ -120,12 +120,17 @@ class Cluster(Engine):
         except TimeoutError:
             raise self._no_workers() from None
         self._check_memory()
-        programs = self._client.run(program, on_error="return")
-        for worker, theirs in programs.items():
-            if isinstance(theirs, Exception):  # whatever its Python says
+        try:
+            of_scheduler = self._client.run_on_scheduler(program)
+        except Exception as error:  # whatever its Python says
+            of_scheduler = error
+        programs = {"a scheduler": of_scheduler}
+        programs |= self._client.run(program, on_error="return")
+        for where, theirs in programs.items():
+            if isinstance(theirs, Exception):
                 theirs = " ".join(f"{type(theirs).__name__}: {theirs}".split())[:160]
             if theirs != program():
-                raise _other_program(worker, theirs, program())
+                raise _other_program(where, theirs, program())
         self._client.subscribe_topic(_PLUGIN, lambda event: self._tell(event[1]))
         self._client.register_plugin(SameProgram(program()), name=_PLUGIN)
         self.watch()
@@ -358,9 +363,9 @@ def program() -> str:
     )
 
 
-def _other_program(worker: str, theirs: str, expected: str) -> InputError:
-    got = Unquoted(f"{worker} with {theirs}")
-    return InputError(_WHERE, got, f"workers with {expected}")
+def _other_program(where: str, theirs: str, expected: str) -> InputError:
+    got = Unquoted(f"{where} with {theirs}")
+    return InputError(_WHERE, got, f"scheduler and workers with {expected}")
 
 
 class SameProgram(WorkerPlugin):  # type: ignore[misc]

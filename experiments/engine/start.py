@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
@@ -100,6 +101,8 @@ def start_engine(
             finally:
                 processes.close()
         return
+    if wish.dashboard and find_spec("bokeh") is None:
+        raise MissingExtraError("--dashboard needs bokeh: pip install bokeh")
     address = _address_of(wish)
     try:
         from .cluster import connect, start_local

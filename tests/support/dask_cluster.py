@@ -123,7 +123,7 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 @contextmanager
 def dask_processes(
-    folder: Path, *, n: int, more: tuple = ()
+    folder: Path, *, n: int, more: tuple = (), of_scheduler: tuple = ()
 ) -> Iterator[DaskProcesses]:
     """A scheduler with `n` workers behind TLS, at 127.0.0.1."""
     authority, own = write_certificates(folder, "mine")
@@ -133,7 +133,9 @@ def dask_processes(
     options = ("--scheduler", file, "--tls-ca", authority, "--tls-cert", own)
     cluster = DaskProcesses(folder=folder, tls=tls, options=options, file=file)
     try:
-        cluster.scheduler = cluster.start("scheduler", "--port", 0, "--protocol", "tls")
+        cluster.scheduler = cluster.start(
+            "scheduler", "--port", 0, "--protocol", "tls", *of_scheduler
+        )
         until_s = time.monotonic() + STARTS_S
         while not (file.exists() and file.stat().st_size):
             assert cluster.scheduler.poll() is None, (

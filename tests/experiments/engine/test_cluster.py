@@ -155,7 +155,7 @@ def test_workers_with_another_program_are_refused_before_and_after(tmp_path):
     with dask_processes(tmp_path, n=1, more=("--preload", preload)) as cluster:
         said = (
             r"--scheduler: got tls://127\.0\.0\.1:\d+ with place-rsus 0\.0\.9 \(code"
-            r" 0123, Python 3\.11\.0\); expected workers with place-rsus "
+            r" 0123, Python 3\.11\.0\); expected scheduler and workers with place-rsus 1"
         )
         with pytest.raises(InputError, match=said), engine_of(wish_for(cluster)):
             pass
@@ -182,9 +182,18 @@ def test_an_answer_of_another_program_ends_all(engine, monkeypatch):
     monkeypatch.setattr(job, "program", lambda: "place-rsus 2 (code 0, Python 4)")
     with pytest.raises(InputError) as caught:
         answers_of(engine, tasks.square, [1])
-    assert f"a worker with {known}; expected workers with place-rsus 2" in str(
-        caught.value
-    )
+    said = f"a worker with {known}; expected scheduler and workers with place-rsus 2"
+    assert said in str(caught.value)
+
+
+def test_a_scheduler_with_another_program_or_none_is_refused(tmp_path):
+    preload = tmp_path / "other.py"
+    preload.write_text("import sys\nsys.modules['experiments.engine.cluster'] = None\n")
+    begin = ("--preload", preload)
+    with dask_processes(tmp_path, n=1, of_scheduler=begin) as cluster:
+        said = "got a scheduler with ModuleNotFoundError: import of experiments.eng"
+        with pytest.raises(InputError, match=said), engine_of(wish_for(cluster)):
+            pass
 
 
 def test_a_scheduler_that_dies_is_one_line(tmp_path, monkeypatch):

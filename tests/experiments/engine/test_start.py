@@ -80,6 +80,12 @@ def test_dask_that_is_missing_is_one_line(monkeypatch):
         start(EngineWish(scheduler="local"))
 
 
+def test_a_dashboard_without_bokeh_is_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "bokeh", None)
+    with pytest.raises(MissingExtraError, match="--dashboard needs bokeh: pip inst"):
+        start(EngineWish(scheduler="local", dashboard=True))
+
+
 def test_without_a_scheduler_dask_is_not_loaded():
     program = (
         "import sys, experiments.engine.start;"
