@@ -281,7 +281,7 @@ def run_dataset(
     n_pictures = n_each * len(viewers)
     n_missing = sum(len(task.frames) for task in tasks)
     tell(_size_sentence(n_pictures, n_missing, out, tasks, lidar))
-    n_bytes = draw_all(setting.scene, tasks, engine, progress, tell)
+    n_bytes = draw_all(setting.scene, setting.runs, tasks, engine, progress, tell)
     for left in out.rglob(".*.tmp"):  # of workers that were killed while they wrote
         if is_abandoned(left, min_age_s=0.0):
             left.unlink(missing_ok=True)
@@ -606,13 +606,9 @@ def _tasks(
         for frames in groups.values():
             for begin in range(0, len(frames), _TASK_PICTURES):
                 part = frames[begin : begin + _TASK_PICTURES]
-                used = sorted({index for index, _, _ in part})
                 yield DrawTask(
                     out=out.absolute(),
-                    runs=tuple(setting.runs[index] for index in used),
-                    frames=tuple(
-                        (used.index(index), frame, stem) for index, frame, stem in part
-                    ),
+                    frames=tuple(part),
                     viewer=viewer,
                     lidar=lidar,
                     wish=wish,

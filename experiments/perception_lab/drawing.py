@@ -86,7 +86,6 @@ class DrawTask:
     """Frames that one camera sees in one weather, with the same parked vehicles."""
 
     out: Path
-    runs: tuple[Run, ...]
     frames: tuple[
         tuple[int, int, str], ...
     ]  # index of the run, frame, name of the files
@@ -102,7 +101,7 @@ class DrawTask:
         return self.out / folder / self.viewer.folder / f"{stem}{suffix}"
 
 
-def draw_task(scene: Scene, task: DrawTask) -> int:
+def draw_task(scene: Scene, runs: Sequence[Run], task: DrawTask) -> int:
     """Draw what is missing of a task; the number of bytes written.
 
     Raises OSError: something cannot be written; InputError: the folder is not there, on
@@ -111,12 +110,12 @@ def draw_task(scene: Scene, task: DrawTask) -> int:
     if not task.out.is_dir():
         got = f"{task.out}, which a worker on {node()} does not see"
         raise InputError("--out", Unquoted(got), "a folder that all workers see")
-    draw = _drawer(scene, task)
+    draw = _drawer(scene, runs[task.frames[0][0]], task)
     n_bytes = 0
     for index, frame, stem in task.frames:
         if task.path("picture", stem).exists():
             continue
-        run = task.runs[index]
+        run = runs[index]
         seen = draw(run, frame)
         for kind, content in _contents(*seen, scene, task, run, stem):
             path = task.path(kind, stem)
@@ -126,13 +125,12 @@ def draw_task(scene: Scene, task: DrawTask) -> int:
 
 
 def _drawer(
-    scene: Scene, task: DrawTask
+    scene: Scene, first: Run, task: DrawTask
 ) -> Callable[[Run, int], tuple[Picture, PointCloud | None]]:
     """A function that draws and scans a frame: from the VUT anew, at the roadside onto a still."""
     # loads the compiler
     from placement.imaging.stills import Still, draw_onto, draw_still, scan_onto
 
-    first = task.runs[0]
     pose = task.viewer.pose
     lidar = task.lidar
     compute = Compute(seed=task.seed, workers=1)
@@ -268,6 +266,7 @@ def _png(pixels: NDArray[Any]) -> Content:
 
 def draw_all(
     scene: Scene,
+    runs: Sequence[Run],
     tasks: Sequence[DrawTask],
     engine: EngineWish,
     progress: StageProgress,
@@ -281,7 +280,7 @@ def draw_all(
     try:
         with start_engine(engine, n_tasks=len(tasks), tell=tell) as started:
             for task, size in map_tasks(
-                draw_task, tasks, engine=started, shared=(scene,)
+                draw_task, tasks, engine=started, shared=(scene, runs)
             ):
                 n_drawn += len(task.frames)
                 n_bytes += size

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from html import unescape
@@ -878,6 +879,42 @@ def test_the_answer_is_the_same_to_the_byte_wherever_it_is_found(tiny, tmp_path)
     assert without_times(out) == expected
 
 
+def start_command(path, out):
+    """The same as `run`, on the command line, by two processes."""
+    command = ("city", path, "--budget", "2", "--coarse", "--max-units", "2")
+    seconds = ("--max-junction-seconds", "3600")
+    seconds += ("--time-limit", f"{FEW_RUNS.time_limit_s:g}")
+    limits = (*seconds, "--workers", "2", "--out", out)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    return subprocess.Popen(
+        [
+            *(sys.executable, "-m", "experiments.main"),
+            *(*command, *limits, *FEW_RUNS_OPTIONS),
+        ],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+@pytest.mark.long
+def test_killed_at_ten_moments_it_goes_on_and_answers_the_same(tiny, tmp_path):
+    path = tiny / "tiny.osm"
+    run(path, tmp_path / "one")
+    rng = np.random.default_rng(49)
+    n_done = []
+    for delay_s in rng.uniform(0.5, 15.0, 10):
+        main = start_command(path, tmp_path / "killed")
+        with suppress(subprocess.TimeoutExpired):
+            main.wait(delay_s)
+        main.kill()
+        main.wait()
+        n_done.append(len([*(tmp_path / "killed").glob("junctions/*/front.json")]))
+    assert sorted(n_done) == n_done  # nothing is lost
+    run(path, tmp_path / "killed")
+    assert without_times(tmp_path / "killed") == without_times(tmp_path / "one")
+
+
 @pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="signals and processes as on Linux")
 def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
@@ -889,36 +926,7 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     before = (kept / "front.json").read_bytes()
     for folder in missing:
         shutil.rmtree(folder)
-    command = (
-        "city",
-        tiny / "tiny.osm",
-        "--budget",
-        "2",
-        "--coarse",
-        "--max-units",
-        "2",
-    )
-    seconds = (
-        "--max-junction-seconds",
-        "3600",
-        "--time-limit",
-        f"{FEW_RUNS.time_limit_s:g}",
-    )
-    limits = (*seconds, "--workers", "2", "--out", city)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    main = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "experiments.main",
-            *command,
-            *limits,
-            *FEW_RUNS_OPTIONS,
-        ],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    main = start_command(tiny / "tiny.osm", city)
     pause = threading.Event()
     children = []
     for _ in range(6000):

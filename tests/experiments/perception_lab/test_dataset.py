@@ -391,12 +391,12 @@ def test_processes_draw_the_same_and_for_one_that_dies_another(
     assert _files("other") == _files(drawn)
 
 
-def _die_once(scene, task):
+def _die_once(scene, runs, task):
     mark = Path(os.environ["PLACE_RSUS_TEST_MARK"])
     if mark.exists():
         mark.unlink(missing_ok=True)
         os.kill(os.getpid(), signal.SIGKILL)
-    return _draw_task(scene, task)
+    return _draw_task(scene, runs, task)
 
 
 _draw_task = job.draw_task
@@ -417,11 +417,11 @@ def test_workers_of_a_cluster_draw_the_same(dataset, drawn, tmp_path):
 
 # Quickly: tests/experiments/engine, and below what a worker says
 def test_a_folder_that_a_worker_does_not_see_is_one_line(tmp_path):
-    fields = dict.fromkeys(("runs", "frames", "viewer", "lidar", "wish", "seed"), ())
+    fields = dict.fromkeys(("frames", "viewer", "lidar", "wish", "seed"), ())
     task = job.DrawTask(out=tmp_path / "elsewhere", **fields)
     said = r"--out: got .*elsewhere, which a worker on .* does not see; expected a fold"
     with pytest.raises(InputError, match=said):
-        _draw_task(None, task)
+        _draw_task(None, (), task)
 
 
 @pytest.mark.long
