@@ -25,6 +25,7 @@ LINE_EVERY_S = 30.0
 
 _OWN_PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 _log = logging.getLogger(__name__)
+_NO_WARNING = "ignore:resource_tracker:UserWarning"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 # what does not end by itself within it is ended: a second is what users wait
 _GRACE_S = 0.7
@@ -266,6 +267,20 @@ def ending_on_signals(progress: StageProgress) -> Iterator[None]:
         os.close(write_end)
         watch.join()
         os.close(read_end)
+
+
+@contextmanager
+def no_tracker_warnings() -> Iterator[None]:
+    """For a block with processes: nobody warns of what they leave behind.
+
+    Where this process is ended at once (see :func:`ending_on_signals`), its resource
+    tracker would warn of what is left to clean up, and then cleans up.
+    """
+    sys.warnoptions.append(_NO_WARNING)
+    try:
+        yield
+    finally:
+        sys.warnoptions.remove(_NO_WARNING)
 
 
 def follow_parent() -> None:

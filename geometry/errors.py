@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from .phrases import Phrase
 
@@ -37,6 +37,10 @@ class InputError(ValueError):
             expected=_one_line(expected, _MAX_WORDS),
         )
         super().__init__(str(self.words))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As it was made: it comes from other processes, too."""
+        return InputError, (self.where, self.got, self.expected)
 
 
 def refuse(where: str, words: object, expected: str) -> NoReturn:

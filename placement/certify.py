@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from geometry.phrases import Phrase
 
 from .cache import cached_value
-from .compute import check_whole
+from .compute import RunTasks, check_whole, run_here
 from .growth import check_mean
 from .optimiser import Solution, solve_placement
 from .optimiser.greedy import solve_greedy
@@ -129,12 +130,17 @@ class Certified:
 
 
 def certify(
-    assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_JUDGED
+    assembly: Assembly,
+    *,
+    n_blocks: int = N_BLOCKS,
+    n_judged: int = N_JUDGED,
+    run: RunTasks = run_here,
 ) -> Certified:
     """Find a layout for the mean over worlds, and limit what it lacks of the best.
 
     Each of the blocks has `assembly.n_samples` worlds, which no other block, and
-    neither of the two times `n_judged` to judge in, has. Raises InputError for blocks
+    neither of the two times `n_judged` to judge in, has. `run` says where blocks are
+    solved and worlds are looked at. Raises InputError for blocks
     of one world, fewer than two, or a question that is not for the highest mean APR
     within a budget.
     """
@@ -148,7 +154,9 @@ def certify(
     )
     # Each block is solved by itself: its bound and its layouts are independent.
     compute = assembly.compute
-    blocks = tuple(_solve_block(assembly, block, n_blocks) for block in range(n_blocks))
+    numbers = range(n_blocks)
+    solved = dict(run(_solve_block, numbers, shared=(assembly, n_blocks)))
+    blocks = tuple(solved[block] for block in numbers)
     # Equal layouts of several blocks are judged once.
     names = {
         **{one.greedy: f"greedy of block {n}" for n, one in enumerate(blocks, start=1)},
@@ -158,16 +166,17 @@ def certify(
         pick_layout(assembly.candidates, rows, name) for rows, name in names.items()
     ]
     compute.progress(Phrase("choose in fresh worlds"), 0, 0)
-    pool = assembly.in_fresh_worlds(layouts, n_worlds=n_judged, first=0)
+    judge = partial(assembly.in_fresh_worlds, n_worlds=n_judged, run=run)
+    pool = judge(layouts, first=0)
     pool = sorted(pool, key=lambda one: -one.estimate.mean)
     compute.progress(Phrase("judge in other fresh worlds"), 0, 0)
     best = [pool[0].layout]
-    (judged,) = assembly.in_fresh_worlds(best, n_worlds=n_judged, first=n_judged)
+    (judged,) = judge(best, first=n_judged)
     gap = estimate_gap([block.bound for block in blocks], judged.apr_by_sample.tolist())
     return Certified(blocks=blocks, pool=tuple(pool), judged=judged, gap=gap)
 
 
-def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
+def _solve_block(assembly: Assembly, n_blocks: int, block: int) -> Block:
     """The best layout in the worlds of one block, with its bound."""
     first = block * assembly.n_samples
     compute = assembly.compute

@@ -2,13 +2,13 @@
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from geometry.errors import InputError, check_one_of
 from geometry.progress import Progress as Progress
@@ -119,6 +119,35 @@ class Compute:
             self.progress(stage, done, total)
 
         return replace(self, progress=report)
+
+
+_Task = TypeVar("_Task")
+_Answer = TypeVar("_Answer")
+
+
+class RunTasks(Protocol):
+    """Runs independent tasks of one kind, wherever their caller wants."""
+
+    def __call__(
+        self,
+        function: Callable[..., _Answer],
+        tasks: Iterable[_Task],
+        *,
+        shared: tuple[Any, ...],
+    ) -> Iterable[tuple[_Task, _Answer]]:
+        """Each task with `function(*shared, task)`, in any order."""
+        ...
+
+
+def run_here(
+    function: Callable[..., _Answer],
+    tasks: Iterable[_Task],
+    *,
+    shared: tuple[Any, ...],
+) -> Iterator[tuple[_Task, _Answer]]:
+    """Run tasks in this process, one after the other."""
+    for task in tasks:
+        yield task, function(*shared, task)
 
 
 DEFAULT_COMPUTE = Compute()

@@ -22,7 +22,7 @@ from geometry.scene_sources import load_scene
 
 from .cache import cached_value
 from .candidates import CandidateGrid, CandidatePose, build_candidates, build_grid
-from .compute import DEFAULT_COMPUTE, Compute
+from .compute import DEFAULT_COMPUTE, Compute, RunTasks, run_here
 from .detection_table import DetectionTable, mixed_table
 from .evaluator import with_sight
 from .explain.conflicts import find_refusal
@@ -208,11 +208,17 @@ class Assembly:
         return reduced
 
     def in_fresh_worlds(
-        self, layouts: Sequence[Layout], *, n_worlds: int, first: int = APART
+        self,
+        layouts: Sequence[Layout],
+        *,
+        n_worlds: int,
+        first: int = APART,
+        run: RunTasks = run_here,
     ) -> list[SampledApr]:
         """Judge layouts in the same fresh worlds, in which none was chosen.
 
-        `first` is the number of the first world.
+        `first` is the number of the first world; `run` says where worlds are looked
+        at.
         """
         # `assemble` reads it with every question.
         assert self.uncertainty is not None
@@ -224,6 +230,7 @@ class Assembly:
             first=first,
             fusion=self.fusion,
             compute=self.compute,
+            run=run,
         )
 
 

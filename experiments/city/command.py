@@ -45,7 +45,9 @@ Examples:
       --junction-weights accidents.csv --snap 40
   place-rsus city town.osm.pbf --budget 60 --units-per-year 20 --out city \\
       --districts districts.geojson --min-district-apr 0.3
-  place-rsus city roads.osm houses.gpkg --budget 60 --signals-only --out city"""
+  place-rsus city roads.osm houses.gpkg --budget 60 --signals-only --out city
+  place-rsus city town.osm.pbf --budget 60 --out city \\
+      --scheduler tls://10.0.0.1:8786 --tls-ca ca.pem --tls-cert me.pem"""
 
 
 @click.command(cls=options.SectionedCommand, epilog=_EXAMPLES)
@@ -278,10 +280,11 @@ Examples:
     metavar="SIZE",
     is_common=False,
     help=(
-        "Of each process on this machine; one that takes more is ended, and its "
-        "junction tried again."
+        "Of each process on this machine, where there are several; one that takes more "
+        "is ended, and its junction tried again."
     ),
 )
+@options.engine_options
 @partial(reading_options, staggered_m=_STAGGERED_M)
 @options.asking(
     *_MOUNTED,
@@ -297,6 +300,7 @@ def city(
     maps: tuple[Path, ...],
     out: Path,
     worker_memory: str,
+    engine: dict[str, Any],
     **given: Any,
 ) -> None:
     """Choose units for the junctions of a city under one budget.
@@ -312,6 +316,7 @@ def city(
             " --budget-eur"
         )
     job.start()
+    from ..engine.start import EngineWish, memory_bytes
     from .inputs import CitySearch, CityWish
     from .run import run_city
 
@@ -320,8 +325,11 @@ def city(
         maps=maps,
         wish=CityWish(**_of(CityWish, given)),
         search=CitySearch(**_of(CitySearch, given), gap=job.question.gap),
-        n_workers=job.compute.workers,
-        memory=worker_memory,
+        engine=EngineWish(
+            workers=job.compute.workers,
+            max_bytes=memory_bytes(worker_memory),
+            **engine,
+        ),
         out=out,
         seed=job.compute.seed,
         command=command_line(),

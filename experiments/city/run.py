@@ -34,6 +34,8 @@ from placement.question import Question, question_text, save_question
 from placement.setting import check_question
 from scenarios.weights import weight_files
 
+from ..engine.start import LOCAL, EngineWish, start_engine
+from ..engine.tasks import map_tasks
 from ..export.gpkg import geopackage
 from ..export.json import to_json, to_json_text
 from ..export.places import placed_records
@@ -51,7 +53,6 @@ from ..results.folders import (
 )
 from ..results.record import Record, to_plain
 from ..results.tables import csv_text
-from ..side_process import LocalWorkers, in_processes
 from . import inputs, pages
 from .answer import (
     FRONT,
@@ -71,7 +72,7 @@ from .answer import (
     load_manifest,
     load_summary,
 )
-from .workers import JunctionTask, check_memory, run_junctions
+from .tasks import JunctionTask, run_junction, unsolved
 
 REPORT = "report.html"
 GEOPACKAGE = "city.gpkg"
@@ -96,8 +97,7 @@ def run_city(
     maps: Sequence[Path],
     wish: inputs.CityWish,
     search: inputs.CitySearch,
-    n_workers: int,
-    memory: str,
+    engine: EngineWish,
     out: Path,
     seed: int,
     command: str,
@@ -107,7 +107,7 @@ def run_city(
     """Choose the units of each junction of a city, and write the answer.
 
     `question` has the runs and sensors at each junction; `maps` those with roads, and
-    others with buildings; `memory` is the most of each worker; `out` is new, empty, or
+    others with buildings; `engine` says where fronts are found; `out` is new, empty, or
     of the same city; `tell` gets the amount of work and the workers. Raises InputError:
     a file cannot be read, the maps overlap, no junction can be solved, a wish cannot be
     met, or the folder is of something else.
@@ -116,7 +116,6 @@ def run_city(
     progress.kept = f"nothing was written to {out}"
     grid = build_grid(question, is_coarse=search.is_coarse)
     check_question(question)
-    max_bytes = check_memory(memory)
     progress(mark("read maps"), 0, 0)
     city = inputs.load_city(maps, search.reading, wish)
     for source in city.roads:
@@ -141,17 +140,12 @@ def run_city(
     )
     if n_todo:
         todo = {one.scene_name: one for one in city.junctions if one.folder not in done}
-        n_processes = min(n_workers, n_todo)
-        with LocalWorkers(n_processes, max_bytes=max_bytes) as started:
-            tell(
-                tr(
-                    "Workers: {n}, of at most {memory} memory each.",
-                    n=n_processes,
-                    memory=memory,
-                )
-            )
+        with start_engine(engine, n_tasks=n_todo, tell=tell) as started:
+            tell(_workers_sentence(engine, started.capacity))
             progress(SOLVE, len(done), len(city.junctions))
-            for task, answer in run_junctions(started, map(task_of, todo.values())):
+            tasks = map(task_of, todo.values())
+            answers = map_tasks(run_junction, tasks, engine=started, failed=unsolved)
+            for task, answer in answers:
                 one = todo[task.options.name]
                 # The scene first: where a front is, the scene is whole.
                 files = {**answer.files, FRONT: _json(answer.record)}
@@ -173,7 +167,7 @@ def run_city(
             grid=grid,
             same_fronts=unchanged,
         ),
-        n_workers,
+        engine,
         progress,
     )
     progress(WRITING, 0, 0)
@@ -182,6 +176,18 @@ def run_city(
     result = write_city(out, result, city, records, served, finish=progress.finish)
     progress.kept = f"the city is in {out}"
     return result
+
+
+def _workers_sentence(engine: EngineWish, n: int) -> str:
+    if engine.scheduler not in ("", LOCAL):
+        return tr("Workers: {n}, of {scheduler}.", n=n, scheduler=engine.scheduler)
+    if n == 1 or engine.max_bytes is None:
+        return tr("Workers: {n}.", n=n)
+    return tr(
+        "Workers: {n}, of at most {memory} memory each.",
+        n=n,
+        memory=f"{engine.max_bytes / 2**30:.3g} GiB",
+    )
 
 
 def _begin(out: Path, city: inputs.City) -> CityManifest:
@@ -416,18 +422,25 @@ def write_served(task: ServedTask) -> Served:
 
 
 def _write_served(
-    tasks: Sequence[ServedTask], n_workers: int, progress: StageProgress
+    tasks: Sequence[ServedTask], engine: EngineWish, progress: StageProgress
 ) -> list[Served]:
-    """Write what junctions with units have, by several processes where many are new."""
+    """Write what junctions with units have, by several processes where many are new.
+
+    They write into the folder, which only this machine needs to see.
+    """
     progress(SERVE, 0, len(tasks))
     served = {}
-    n_processes = min(
-        n_workers, sum(task.is_new for task in tasks) // _NEW_FOR_A_PROCESS
-    )
-    for task, answer in in_processes(write_served, tasks, n=n_processes):
-        served[task.one.folder] = answer
-        progress(SERVE, len(served), len(tasks))
+    n_new = sum(task.is_new for task in tasks)
+    drawing = engine.on_this_machine().with_workers(n_new // _NEW_FOR_A_PROCESS)
+    with start_engine(drawing, n_tasks=len(tasks), tell=_nothing) as started:
+        for task, answer in map_tasks(write_served, tasks, engine=started):
+            served[task.one.folder] = answer
+            progress(SERVE, len(served), len(tasks))
     return [served[task.one.folder] for task in tasks]
+
+
+def _nothing(sentence: str) -> None:
+    """Processes of this machine have nothing to tell."""
 
 
 def _served_tasks(

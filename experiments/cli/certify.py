@@ -60,9 +60,14 @@ Examples:
 )
 @options.folder_option("layout.json and certified.json")
 @options.sign_option
+@options.engine_options
 @options.asking(*_ASKED, *_SOUGHT, *options.JUDGED, defaults={"samples": N_SAMPLES})
-def certify(job: QuestionCall, *, out: Path | None, **asked: Any) -> None:
-    """The best layout over all worlds that may be, with a gap of 95 %.
+def certify(
+    job: QuestionCall, *, out: Path | None, engine: dict[str, Any], **asked: Any
+) -> None:
+    """The best layout over all worlds that may turn out to be.
+
+    With a gap that holds with 95 %.
 
     Worlds differ in mounting errors, traffic, misses and lost messages. In each of some
     blocks of worlds the best layout is found, and a bound is proven. The mean of the
@@ -70,10 +75,17 @@ def certify(job: QuestionCall, *, out: Path | None, **asked: Any) -> None:
     is judged in worlds of its own.
     """
     job = job.begin()
+    from ..engine.start import EngineWish
     from ..parts.certified import run_certify
 
     result = run_certify(
-        job.question, out=out, command=command_line(), **asked, **job.means
+        job.question,
+        out=out,
+        engine=EngineWish(workers=job.compute.workers, **engine),
+        tell=job.announce,
+        command=command_line(),
+        **asked,
+        **job.means,
     )
     job.print(result, lambda: certified_text(result, out))
 

@@ -92,19 +92,33 @@ Examples:
     is_flag=True,
     help="Other clothes, paints and facades in each run, by seed; for training.",
 )
+@options.engine_options
 @options.asking(*options.PICTURED, has_cache=False)
 def dataset(
-    job: QuestionCall, /, *, layout_names: tuple[str, ...], out: Path, **wish: Any
+    job: QuestionCall,
+    /,
+    *,
+    layout_names: tuple[str, ...],
+    out: Path,
+    engine: dict[str, Any],
+    **wish: Any,
 ) -> None:
     """Write a dataset: what cameras see of all runs, with labels."""
     layout = load_one_layout(layout_names)
     job.start()
+    from ..engine.start import EngineWish
     from .dataset import run_dataset
     from .drawing import DatasetWish
 
     drawn = DatasetWish(**wish)
     summary = run_dataset(
-        job.question, layout=layout, wish=drawn, out=out, tell=job.announce, **job.means
+        job.question,
+        layout=layout,
+        wish=drawn,
+        out=out,
+        engine=EngineWish(workers=job.compute.workers, **engine),
+        tell=job.announce,
+        **job.means,
     )
     job.print(summary, lambda: _dataset_text(summary, drawn.format))
 

@@ -54,6 +54,7 @@ from placement.recordings.files import json_of, read_labels
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
+from ..engine.start import EngineWish
 from ..export.calibration import refuse_lenses
 from ..language import mark
 from ..progress import StageProgress
@@ -232,6 +233,7 @@ def run_dataset(
     layout: Layout,
     wish: DatasetWish,
     out: Path,
+    engine: EngineWish,
     compute: Compute,
     progress: StageProgress,
     tell: Callable[[str], None],
@@ -248,8 +250,10 @@ def run_dataset(
         What is written.
     out : Path
         Folder: new, empty, or of the same dataset.
+    engine : EngineWish
+        Where pictures are drawn; workers elsewhere see the folder, too.
     compute : Compute
-        Seed, and number of processes.
+        Seed.
     progress : StageProgress
         Is told the stages.
     tell : callable
@@ -282,7 +286,7 @@ def run_dataset(
     n_pictures = n_each * len(viewers)
     n_missing = sum(len(task.frames) for task in tasks)
     tell(_size_sentence(n_pictures, n_missing, out, tasks, lidar))
-    n_bytes = draw_all(tasks, compute.workers, progress)
+    n_bytes = draw_all(setting.scene, setting.runs, tasks, engine, progress, tell)
     for left in out.rglob(".*.tmp"):  # of workers that were killed while they wrote
         if is_abandoned(left, min_age_s=0.0):
             left.unlink(missing_ok=True)
@@ -616,14 +620,9 @@ def _tasks(
         for frames in groups.values():
             for begin in range(0, len(frames), _TASK_PICTURES):
                 part = frames[begin : begin + _TASK_PICTURES]
-                used = sorted({index for index, _, _ in part})
                 yield DrawTask(
-                    out=out,
-                    scene=setting.scene,
-                    runs=tuple(setting.runs[index] for index in used),
-                    frames=tuple(
-                        (used.index(index), frame, stem) for index, frame, stem in part
-                    ),
+                    out=out.absolute(),
+                    frames=tuple(part),
                     viewer=viewer,
                     lidar=lidar,
                     wish=wish,

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from platform import node
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -31,9 +32,10 @@ from placement.imaging.materials import Materials, load_materials, vary_material
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
 
+from ..engine.start import EngineWish, start_engine
+from ..engine.tasks import TRIES, WorkerDiedError, map_tasks
 from ..language import mark
 from ..progress import StageProgress
-from ..side_process import TRIES, WorkerDiedError, in_processes
 
 DRAW = mark("draw")
 """The stage in which pictures are drawn."""
@@ -92,8 +94,6 @@ class DrawTask:
     """Frames that one camera sees in one weather, with the same parked vehicles."""
 
     out: Path
-    scene: Scene
-    runs: tuple[Run, ...]
     # Index of the run, frame, name of the files.
     frames: tuple[tuple[int, int, str], ...]
     viewer: Viewer
@@ -108,18 +108,23 @@ class DrawTask:
         return self.out / folder / self.viewer.folder / f"{stem}{suffix}"
 
 
-def draw_task(task: DrawTask) -> int:
+def draw_task(scene: Scene, runs: Sequence[Run], task: DrawTask) -> int:
     """Draw what is missing of a task; the number of bytes written.
 
-    Raises OSError: something cannot be written.
+    Raises OSError: something cannot be written; InputError: the folder is not there, on
+    another machine.
     """
-    draw = _drawer(task)
+    if not task.out.is_dir():
+        got = f"{task.out}, which a worker on {node()} does not see"
+        raise InputError("--out", Unquoted(got), "a folder that all workers see")
+    draw = _drawer(scene, runs[task.frames[0][0]], task)
     n_bytes = 0
     for index, frame, stem in task.frames:
         if task.path("picture", stem).exists():
             continue
-        run = task.runs[index]
-        for kind, content in _contents(*draw(run, frame), task, run, stem):
+        run = runs[index]
+        seen = draw(run, frame)
+        for kind, content in _contents(*seen, scene, task, run, stem):
             path = task.path(kind, stem)
             write_atomically(path, content)
             n_bytes += path.stat().st_size
@@ -127,7 +132,7 @@ def draw_task(task: DrawTask) -> int:
 
 
 def _drawer(
-    task: DrawTask,
+    scene: Scene, first: Run, task: DrawTask
 ) -> Callable[[Run, int], tuple[RenderedPicture, PointCloud | None]]:
     """A function that draws and scans a frame.
 
@@ -136,12 +141,11 @@ def _drawer(
     # loads the compiler
     from placement.imaging.stills import Still, draw_onto, draw_still, scan_onto
 
-    first = task.runs[0]
     pose = task.viewer.pose
     lidar = task.lidar
     compute = Compute(seed=task.seed, workers=1)
     weather = pick_weather(first.weather, "weather")
-    backdrop = build_backdrop(task.scene, first.obstruction)
+    backdrop = build_backdrop(scene, first.obstruction)
     # The last one.
     stills: dict[str, Still] = {}
 
@@ -205,6 +209,7 @@ def _drawer(
 def _contents(
     picture: RenderedPicture,
     cloud: PointCloud | None,
+    scene: Scene,
     task: DrawTask,
     run: Run,
     stem: str,
@@ -222,13 +227,13 @@ def _contents(
     if task.wish.vehicles:
         yield (
             "vehicles",
-            _with_vehicles(task.path("vehicles", stem), picture, task, run),
+            _with_vehicles(task.path("vehicles", stem), picture, scene, task, run),
         )
     yield "picture", _png(picture.rgb)
 
 
 def _with_vehicles(
-    path: Path, picture: RenderedPicture, task: DrawTask, run: Run
+    path: Path, picture: RenderedPicture, scene: Scene, task: DrawTask, run: Run
 ) -> str:
     """Lines of a label file, and one for each vehicle of which enough is seen."""
     if path.exists():
@@ -236,7 +241,7 @@ def _with_vehicles(
     else:
         lines = []
     lines = [line for line in lines if not line.startswith(f"{_VEHICLE} ")]
-    known = {one.id for one in task.scene.instances if "vehicle" in one.class_name}
+    known = {one.id for one in scene.instances if "vehicle" in one.class_name}
     if task.wish.format == FORMATS[0] and run.encounter.vru.class_name == _VEHICLE:
         # Whose line was taken away with the others'.
         known.add("vru")
@@ -278,20 +283,30 @@ def _png(pixels: NDArray[Any]) -> Content:
     return _image(pixels, format="PNG", compress_level=1)
 
 
-def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress) -> int:
-    """Draw all tasks by processes.
+def draw_all(
+    scene: Scene,
+    runs: Sequence[Run],
+    tasks: Sequence[DrawTask],
+    engine: EngineWish,
+    progress: StageProgress,
+    tell: Callable[[str], None],
+) -> int:
+    """Draw all tasks, wherever they run.
 
-    Those of ones that die are drawn again. Bytes written.
+    Those of workers that die again. Bytes written.
     """
     n_all = sum(len(task.frames) for task in tasks)
     n_drawn = 0
     n_bytes = 0
     progress(DRAW, 0, n_all)
     try:
-        for task, size in in_processes(draw_task, tasks, n=n_workers):
-            n_drawn += len(task.frames)
-            n_bytes += size
-            progress(DRAW, n_drawn, n_all)
+        with start_engine(engine, n_tasks=len(tasks), tell=tell) as started:
+            for task, size in map_tasks(
+                draw_task, tasks, engine=started, shared=(scene, runs)
+            ):
+                n_drawn += len(task.frames)
+                n_bytes += size
+                progress(DRAW, n_drawn, n_all)
     except WorkerDiedError:
         got = f"a process that was killed, {TRIES} times"
         expected = "enough memory for each: fewer workers"

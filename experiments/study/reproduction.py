@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
-from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +20,7 @@ import numpy as np
 
 from geometry.actors import PlacedActor, pick_actor
 from geometry.catalogue import pick_camera
+from geometry.errors import InputError
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
 from geometry.study_scene import load_study_scene
@@ -40,10 +40,13 @@ from scenarios.positions import AT_ZERO, Position, is_bound, read_position
 from scenarios.runs import Run, build_frame_axis, build_runs
 from scenarios.weights import weight_per_run
 
+from ..cli.options import engine_options
+from ..engine.start import EngineWish, start_engine
+from ..engine.tasks import map_tasks
 from ..figures.axes import to_png
 from ..figures.evaluation import plot_heatmaps
 from ..language import mark
-from ..progress import StageProgress
+from ..progress import StageProgress, tell
 from ..results.numbers import percent
 from ..results.tables import page_of
 
@@ -362,6 +365,9 @@ def load_published() -> Published:
     return msgspec.convert(table, Published)
 
 
+_IN_THIS_PROCESS = EngineWish()
+
+
 def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
     """Figures that the study publishes or leaves open.
 
@@ -384,29 +390,42 @@ def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
     return found
 
 
-def write_reproduction(folder: Path, *, compute: Compute) -> None:
-    """Evaluate all variants and weathers, and write ``reproduction.md``.
+def write_reproduction(
+    folder: Path, *, compute: Compute, engine: EngineWish = _IN_THIS_PROCESS
+) -> None:
+    """Evaluate all variants and weathers.
 
-    With its heatmaps.
+    And write ``reproduction.md`` with its heatmaps.
+
+    With a scheduler, `engine` says where; else this process does, with its threads.
     """
     variants = build_variants()
     additional = build_additional_variants()
-    n_steps = len(variants) + len(DETECTORS) + len(additional)
-    steps = count()
-    quiet = replace(compute, progress=silent)
-
-    def evaluate(variant: StudyVariant) -> Evaluation:
-        compute.progress(mark("evaluate variants"), next(steps), n_steps)
-        return evaluate_layout(variant.layout, variant.setting, compute=quiet)
-
-    evaluations = [evaluate(variant) for variant in variants]
-    by_weather = {}
+    in_weathers = []
     for detector in DETECTORS:
         question = replace(AS_STUDIED, weather=",".join(WEATHERS), detector=detector)
         setting = build_setting(question, variants[0].setting.scene)
-        by_weather[detector] = evaluate(replace(variants[0], setting=setting))
+        in_weathers.append(replace(variants[0], setting=setting))
+    tasks = [*enumerate([*variants, *in_weathers, *additional])]
+    found_by_task = {}
+    with start_engine(engine, n_tasks=len(tasks), tell=tell) as started:
+        n_threads = compute.workers if started.is_here else 1
+        quiet = replace(compute, progress=silent, workers=n_threads)
+        answers = map_tasks(_evaluate_variant, tasks, engine=started, shared=(quiet,))
+        compute.progress(mark("evaluate variants"), 0, len(tasks))
+        for (number, _), evaluation in answers:
+            found_by_task[number] = evaluation
+            done = len(found_by_task)
+            compute.progress(mark("evaluate variants"), done, len(tasks))
+    all_found = [found_by_task[number] for number, _ in tasks]
+    n_weathers = len(variants) + len(DETECTORS)
+    evaluations = all_found[: len(variants)]
+    by_weather = dict(
+        zip(DETECTORS, all_found[len(variants) : n_weathers], strict=True)
+    )
     of_additional = {
-        variant.name: quantities(evaluate(variant)) for variant in additional
+        variant.name: quantities(evaluation)
+        for variant, evaluation in zip(additional, all_found[n_weathers:], strict=True)
     }
     base = evaluations[0]
     heatmaps = [
@@ -426,6 +445,11 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
     )
     write_atomically(folder / "reproduction_heatmaps.png", picture)
     write_atomically(folder / "reproduction.md", text)
+
+
+def _evaluate_variant(compute: Compute, task: tuple[int, StudyVariant]) -> Evaluation:
+    _, variant = task
+    return evaluate_layout(variant.layout, variant.setting, compute=compute)
 
 
 _Figures = Mapping[tuple[str, str], float]
@@ -623,7 +647,8 @@ def _who_sees(evaluation: Evaluation, run_index: int) -> str:
 )
 @click.option("--workers", type=int, default=2, show_default=True, help="Threads.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
-def main(out: Path, workers: int, quiet: bool) -> None:
+@engine_options
+def main(out: Path, workers: int, quiet: bool, engine: dict[str, Any]) -> None:
     """Write reproduction.md.
 
     The study's figures, ours, and what ours depend on.
@@ -631,7 +656,12 @@ def main(out: Path, workers: int, quiet: bool) -> None:
     progress = StageProgress()
     progress.start(quiet=quiet)
     try:
-        write_reproduction(out, compute=Compute(workers=workers, progress=progress))
+        wish = EngineWish(workers=workers if engine["scheduler"] else 1, **engine)
+        compute = Compute(workers=workers, progress=progress)
+        write_reproduction(out, compute=compute, engine=wish)
+    except InputError as error:
+        click.echo(str(error), err=True)
+        raise SystemExit(2) from None
     finally:
         progress.stop()
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +17,7 @@ from scenarios.runs import FrameAxis, find_onsets
 
 from ..cache import cached_value
 from ..candidates import CandidatePose
-from ..compute import DEFAULT_COMPUTE, Compute, silent
+from ..compute import DEFAULT_COMPUTE, Compute, RunTasks, run_here, silent
 from ..evaluation import earliest_arrival_s
 from ..layout import Layout
 from ..setting import Setting
@@ -161,6 +162,8 @@ def resampled_cvar(
 STAGE = Phrase("out of sample")
 APART = 100_000
 """First world to choose among layouts in; the answer is judged in others."""
+TOGETHER = 10
+"""Worlds that one task looks at: they share what all worlds have in common."""
 # Of a world: a draw costs a sixth of a world.
 N_DRAWS = 4
 
@@ -244,15 +247,21 @@ def out_of_sample_layouts(
     first: int = 0,
     fusion: str = "any",
     compute: Compute = DEFAULT_COMPUTE,
+    run: RunTasks = run_here,
 ) -> list[SampledApr]:
     """Evaluate layouts by detection tables in new sampled worlds.
 
     All layouts are judged in the same worlds. No draw is shared with the worlds of
     :func:`placement.sampling.tables.sampled_table`, also not for the same seed.
     What is avoided is cached, unless vehicles drive by or a network looks at
-    pictures; progress counts the worlds.
+    pictures; progress counts the worlds. `run` says where they are looked at.
     """
     look = partial(look_at_fresh_worlds, n_worlds=n_samples, first=first, fusion=fusion)
+    if run is run_here:
+        obtain = partial(look, setting, layouts, uncertainty, compute=compute)
+    else:
+        shared = (setting, uncertainty, fusion, compute)
+        obtain = partial(_look_in_parts, run, shared, layouts, first, n_samples)
     is_cached = uncertainty.moving is None and not setting.detector.needs_pictures
     folder = None
     if is_cached:
@@ -260,7 +269,7 @@ def out_of_sample_layouts(
     worlds = cached_value(
         folder,
         "fresh-worlds",
-        partial(look, setting, layouts, uncertainty, compute=compute),
+        obtain,
         kind=FreshWorlds,
         made_from=(
             *(
@@ -276,6 +285,53 @@ def out_of_sample_layouts(
         ),
     )
     return judge_layouts(setting, layouts, uncertainty, [worlds])
+
+
+def _look_in_parts(
+    run: RunTasks,
+    shared: tuple[Any, ...],
+    layouts: Sequence[Layout],
+    first: int,
+    n_worlds: int,
+) -> FreshWorlds:
+    """What layouts avoid in fresh worlds, some of which are looked at together."""
+    end = first + n_worlds
+    parts = [
+        (tuple(layouts), begin, min(TOGETHER, end - begin))
+        for begin in range(first, end, TOGETHER)
+    ]
+    numbered = {
+        begin: worlds
+        for (_, begin, _), worlds in run(_look_at_part, parts, shared=shared)
+    }
+    found = [numbered[begin] for _, begin, _ in parts]
+    driving = TrafficCount()
+    for some in found:
+        driving += some.driving
+    return FreshWorlds(
+        avoided=np.concatenate([some.avoided for some in found], axis=1),
+        driving=driving,
+        alone=np.concatenate([some.alone for some in found]),
+    )
+
+
+def _look_at_part(
+    setting: Setting,
+    uncertainty: Uncertainty,
+    fusion: str,
+    compute: Compute,
+    part: tuple[Sequence[Layout], int, int],
+) -> FreshWorlds:
+    layouts, first, n_worlds = part
+    return look_at_fresh_worlds(
+        setting,
+        layouts,
+        uncertainty,
+        n_worlds=n_worlds,
+        first=first,
+        fusion=fusion,
+        compute=compute,
+    )
 
 
 def look_at_fresh_worlds(

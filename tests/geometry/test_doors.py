@@ -90,7 +90,7 @@ EXCEPTIONS = {
     "geometry/kernels.py": {"read_bytes", "write_bytes"},
     "placement/cache.py": {"load"},
     "placement/fingerprints.py": {"read_bytes"},
-    "experiments/side_process.py": {"read_text"},
+    "experiments/engine/processes.py": {"read_text"},
     "placement/memory.py": {"read_text"},
     "experiments/planner/command.py": {"open"},  # the browser
     "experiments/planner/page_files.py": {"read_bytes", "read_text"},

@@ -2,16 +2,11 @@
 there.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
-import pytest
 from osm_text import OsmText
 
-from experiments.city import run, workers
 from placement.question import Question
 
 PLACES_M = ((0.0, 0.0), (250.0, 0.0), (500.0, 10.0))
@@ -40,19 +35,3 @@ def write_city(folder: Path, name: str = "tiny.osm", *, east_m: float = 0.0) -> 
             osm.node(x + way, y + way, highway="street_lamp")
     osm.node(places[2][0] + 8.0, places[2][1], highway="traffic_signals")
     return osm.write(folder, name)
-
-
-@contextmanager
-def _no_workers(n: int, **settings: Any) -> Iterator[None]:
-    yield None
-
-
-def _run_here(client: None, tasks: Any) -> Iterator[Any]:
-    for task in tasks:
-        yield task, workers.run_junction(task)
-
-
-def solve_here(patch: pytest.MonkeyPatch) -> None:
-    """Solve junctions in this process, in place of workers."""
-    patch.setattr(run, "LocalWorkers", _no_workers)
-    patch.setattr(run, "run_junctions", _run_here)

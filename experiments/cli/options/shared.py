@@ -141,6 +141,89 @@ _cache_option = option(
 )
 
 
+# ---------- where tasks run
+
+_ENGINE = (
+    option(
+        "--scheduler",
+        default="",
+        metavar="WHERE",
+        is_path=True,
+        section=PROGRAM,
+        is_common=False,
+        help=(
+            "Run on the workers of a dask scheduler: its address "
+            "(tls://10.0.0.1:8786), its file, or local: one of this machine, for this "
+            "call. Default: processes of this machine."
+        ),
+    ),
+    *(
+        option(
+            name,
+            type=click.Path(path_type=Path, dir_okay=False),
+            metavar="FILE",
+            needs="scheduler",
+            section=PROGRAM,
+            is_common=False,
+            help=text,
+        )
+        for name, text in (
+            ("--tls-ca", "Certificates of those that scheduler and workers come from."),
+            ("--tls-cert", "Our certificate; may hold the key, too."),
+            ("--tls-key", "Our private key."),
+        )
+    ),
+    option(
+        "--scheduler-timeout",
+        type=click.FloatRange(min=0.0, min_open=True),
+        default=60.0,
+        metavar="SECONDS",
+        needs="scheduler",
+        section=PROGRAM,
+        is_common=False,
+        expected="seconds, more than 0",
+        help="How long it may be without workers.",
+    ),
+    option(
+        "--insecure-scheduler",
+        is_flag=True,
+        needs="scheduler",
+        section=PROGRAM,
+        is_common=False,
+        help=(
+            "Take one without TLS: whoever reaches it can run programs as you, here "
+            "and on its workers."
+        ),
+    ),
+    option(
+        "--dashboard",
+        is_flag=True,
+        needs="scheduler",
+        section=PROGRAM,
+        is_common=False,
+        help=(
+            "With --scheduler local: serve dask's page about its workers to this "
+            "machine."
+        ),
+    ),
+)
+_ENGINE_NAMES = (
+    *("scheduler", "tls_ca", "tls_cert", "tls_key"),
+    *("scheduler_timeout", "insecure_scheduler", "dashboard"),
+)
+
+
+def engine_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of an existing cluster; the command gets them as one dict, `engine`."""
+
+    @wraps(command)
+    def with_engine(*args: Any, **values: Any) -> Any:
+        engine = {name: values.pop(name) for name in _ENGINE_NAMES}
+        return command(*args, engine=engine, **values)
+
+    return combined(*_ENGINE)(with_engine)
+
+
 # ---------- what is read and written
 
 layout_option = option(

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from city_maps import FEW_RUNS_OPTIONS, solve_here, write_city
+from city_maps import FEW_RUNS_OPTIONS, write_city
 from msgspec.structs import replace as replace_fields
 
 from experiments.city import run as job
@@ -16,7 +16,6 @@ from experiments.cli.terminal import table
 @pytest.fixture
 def solved_here(monkeypatch):
     """Solves junctions in this process, and draws nothing."""
-    solve_here(monkeypatch)
     monkeypatch.setattr(
         job, "write_city", lambda out, result, *args, **settings: result
     )
@@ -27,6 +26,7 @@ def test_the_first_line_says_what_matters_and_json_says_all(run, solved_here, tm
     path = write_city(tmp_path)
     out = tmp_path / "city"
     few = ("--coarse", "--max-units", 1, "--junctions", "n1;n3", *FEW_RUNS_OPTIONS)
+    few += ("--workers", 1)
     code, text, err = run("city", path, "--budget", 1, "--out", out, *few)
     assert code == 0
     assert text.startswith("1 sensor at 1 of 2 junctions for ")

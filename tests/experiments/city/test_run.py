@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from html import unescape
@@ -25,17 +26,20 @@ import pandas as pd
 import pytest
 from babel.messages.pofile import read_po
 from browser_pages import open_page, start_browser
-from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, solve_here, write_city
+from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, write_city
 from once import make_once
 from osm_text import OsmText
 from partial_pages import blank_png
 
 from experiments.city import answer as city_answer
 from experiments.city import run as job
-from experiments.city import workers as city_workers
+from experiments.city import tasks as city_tasks
 from experiments.city.answer import fronts_table, load_front
 from experiments.city.command import city_text
 from experiments.city.inputs import CitySearch, CityWish, estimated_accidents
+from experiments.engine.processes import Processes
+from experiments.engine.start import EngineWish, start_engine
+from experiments.engine.tasks import Engine, WorkerDiedError, map_tasks
 from experiments.language import speaking
 from experiments.progress import WRITING, StageProgress
 from experiments.results.folders import changed_files
@@ -51,7 +55,17 @@ SEARCH = CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 LEAST_S = 1.0e-6
 
 
-def run(maps, out, *, question=FEW_RUNS, search=SEARCH, told=None, **wish):
+def run(
+    maps,
+    out,
+    *,
+    question=FEW_RUNS,
+    search=SEARCH,
+    engine=EngineWish(),  # noqa: B008 - frozen
+    tell=lambda sentence: None,
+    told=None,
+    **wish,
+):
     if not ("budget_units" in wish or "budget_eur" in wish):
         wish = {"budget_units": 2, **wish}
     return job.run_city(
@@ -59,13 +73,12 @@ def run(maps, out, *, question=FEW_RUNS, search=SEARCH, told=None, **wish):
         maps=[maps] if isinstance(maps, Path) else maps,
         wish=CityWish(**wish),
         search=search,
-        n_workers=1,
-        memory="1.5GiB",
+        engine=engine,
         out=out,
         seed=0,
         command="place-rsus city tiny.osm",
         progress=StageProgress(),
-        tell=(told if told is not None else []).append,
+        tell=tell if told is None else told.append,
     )
 
 
@@ -74,10 +87,7 @@ def tiny(tmp_path_factory):
     """The map, and the folder of a city for two units."""
 
     def make(folder):
-        path = write_city(folder)
-        with pytest.MonkeyPatch.context() as patch:
-            solve_here(patch)
-            run(path, folder / "city")
+        run(write_city(folder), folder / "city")
 
     return make_once(tmp_path_factory, "tiny-city", make)
 
@@ -112,20 +122,13 @@ def no_pages(monkeypatch):
 
 
 @pytest.fixture
-def here(monkeypatch):
-    """Solves junctions in this process."""
-    solve_here(monkeypatch)
-
-
-@pytest.fixture
 def never(monkeypatch):
     """Fails where anything is solved."""
 
-    def fail(client, tasks):
-        pytest.fail(f"{len(list(tasks))} junctions are solved")
+    def fail(task):
+        pytest.fail(f"{task.options.name} is solved")
 
-    solve_here(monkeypatch)
-    monkeypatch.setattr(job, "run_junctions", fail)
+    monkeypatch.setattr(job, "run_junction", fail)
 
 
 @pytest.fixture
@@ -219,9 +222,7 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     assert places.union_all().convex_hull.buffer(0.002).contains(units.union_all())
 
 
-def test_only_what_is_missing_or_changed_is_computed(
-    tiny, city, here, tmp_path, no_pages
-):
+def test_only_what_is_missing_or_changed_is_computed(tiny, city, tmp_path, no_pages):
     first, second, *_ = sorted(
         path.parent for path in city.glob("junctions/*/front.json")
     )
@@ -253,9 +254,7 @@ def test_another_citys_folder_and_other_things_are_refused(
         run(tiny / "tiny.osm", tmp_path / "full")
 
 
-def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(
-    tiny, here, tmp_path, city
-):
+def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, tmp_path, city):
     sites = tmp_path / "sites.csv"  # at the first junction alone
     sites.write_text("id,lat,lon\nlamp,52.50006,13.40009\n")
     result = run(
@@ -331,14 +330,14 @@ def test_each_foreseen_error_has_its_cause(tmp_path):
         osm.road([middle, osm.node(*way)], oneway="yes")
     away = osm.write(tmp_path, "away.osm")
     [task] = tasks_of(away)
-    answer = city_workers.run_junction(task)
+    answer = city_tasks.run_junction(task)
     assert (answer.record.cause, answer.record.is_final) == ("no lane", True)
     [task, *_] = tasks_of(write_city(tmp_path))
     slow = replace(task, wishes=replace(task.wishes, time_limit_s=LEAST_S))
-    answer = city_workers.run_junction(slow)
+    answer = city_tasks.run_junction(slow)
     assert (answer.record.cause, answer.record.is_final) == ("time", False)
     no_arm = replace(task, question=replace(FEW_RUNS, approaches="south-east"))
-    assert city_workers.run_junction(no_arm).record.cause == "no run"
+    assert city_tasks.run_junction(no_arm).record.cause == "no run"
 
 
 def test_the_page_and_the_terminal_speak_german(tiny, city, never):
@@ -480,7 +479,7 @@ def test_weights_decide_and_what_is_not_used_is_told(
 
 # Quickly: test_weights_decide_and_what_is_not_used_is_told
 @pytest.mark.long
-def test_accidents_around_each_junction_make_its_front(tiny, tmp_path, here, no_pages):
+def test_accidents_around_each_junction_make_its_front(tiny, tmp_path, no_pages):
     table = tmp_path / "atlas.csv"
     head = "UTYP1;UART;IstFuss;IstRad;IstKrad;IstPKW;ULICHTVERH;XGCSWGS84;YGCSWGS84\n"
     near_all = "4;6;1;0;0;1;0;13,40370;52,5\n3;5;0;1;0;1;2;13,40370;52,5\n"
@@ -658,7 +657,7 @@ def test_seconds_are_those_of_all_stages(tiny, city, never):
     )
 
 
-def test_what_hangs_there_is_kept_and_paid(tiny, here, tmp_path, no_pages):
+def test_what_hangs_there_is_kept_and_paid(tiny, tmp_path, no_pages):
     before = json.loads((tiny / "city" / "city.json").read_text())
     served = next(one for one in before["junctions"] if one["units"])
     folder = tiny / "city" / served["folder"]
@@ -760,29 +759,24 @@ def tasks_of(path):
     return [task_of(one) for one in city.junctions]
 
 
-class Dying:
+class Dying(Engine):
     """Workers of which each dies, and how often one was asked."""
 
-    capacity = 1
     times = 0
 
-    def submit(self, function, task):
+    def submit(self, function, shared, task):
         self.times += 1
         future = Future()
-        future.set_exception(
-            city_workers.WorkerDiedError("more than 1.5 GiB of memory")
-        )
+        future.set_exception(WorkerDiedError("more than 1.5 GiB of memory"))
         return future
 
-    def wait(self, timeout_s):
-        pass
 
-
-def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(city_workers, "LocalWorkers", Dying)
+def test_a_junction_whose_worker_died_thrice_is_told(tmp_path):
     [task, *_] = tasks_of(write_city(tmp_path))
     workers = Dying()
-    [(_, answer)] = city_workers.run_junctions(workers, [task])
+    [(_, answer)] = map_tasks(
+        city_tasks.run_junction, [task], engine=workers, failed=city_tasks.unsolved
+    )
     assert workers.times == 3
     assert answer.record.id == task.chosen.junction.id
     assert (
@@ -796,23 +790,121 @@ def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
 @pytest.mark.long
 def test_a_worker_that_is_killed_loses_nothing(tiny):
     tasks = tasks_of(tiny / "tiny.osm")
-    with city_workers.LocalWorkers(2, max_bytes=3 * 2**29) as workers:
-        killer = threading.Timer(
-            1.0, lambda: os.kill(workers._workers[0].process.pid, signal.SIGKILL)
-        )
-        killer.start()
+    workers = Processes(2, max_bytes=3 * 2**29)
+    killer = threading.Timer(1.0, lambda: next(iter(workers._all)).kill())
+    killer.start()
+    try:
         answers = [
-            answer.record for _, answer in city_workers.run_junctions(workers, tasks)
+            answer.record
+            for _, answer in map_tasks(city_tasks.run_junction, tasks, engine=workers)
         ]
+    finally:
         killer.join()
-        assert [record.reason for record in answers] == [""] * 3
-        assert {record.id for record in answers} == {"n1", "n2", "n3"}
+        workers.close()
+    assert workers.n_tasks > 3  # one was handed over again
+    assert [record.reason for record in answers] == [""] * 3
+    assert {record.id for record in answers} == {"n1", "n2", "n3"}
+
+
+def without_times(folder):
+    """Contents of a city's files, less what says when and how long.
+
+    And hashes of it.
+    """
+    found = {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+    timed = ("report.html", "city.json", "city.gpkg")
+    for name in (*timed, "SHA256SUMS", "manifest.json"):
+        del found[name]
+    table = pd.read_csv(BytesIO(found["junctions.csv"]))
+    found["junctions.csv"] = table.drop(columns=["cpu_s", "peak_memory_mib"]).to_csv()
+    for name in [name for name in found if name.endswith("front.json")]:
+        front = json.loads(found[name])
+        del front["seconds"], front["peak_memory_mib"]
+        found[name] = front
+    return found
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")  # those of dask
+def test_the_answer_is_the_same_to_the_byte_wherever_it_is_found(tiny, tmp_path):
+    pytest.importorskip("distributed")
+    from dask_cluster import dask_processes
+
+    path = tiny / "tiny.osm"
+    run(path, tmp_path / "one")
+    expected = without_times(tmp_path / "one")
+    run(path, tmp_path / "two", engine=EngineWish(workers=2))
+    assert without_times(tmp_path / "two") == expected
+    out = tmp_path / "four"
+    with dask_processes(tmp_path, n=4) as cluster:
+        _, file, _, authority, _, own = cluster.options
+        wish = EngineWish(scheduler=str(file), tls_ca=authority, tls_cert=own)
+
+        def kill_two(sentence):
+            # Workers are there: two of them die at work, and are started again.
+            if sentence.startswith("Workers: 4"):
+                for delay_s, index in ((3.0, 0), (6.0, 1)):
+                    killer = threading.Timer(delay_s, cluster.kill_a_worker, [index])
+                    killer.start()
+                    killers.append(killer)
+
+        killers = []
+        told = []
+        with start_engine(wish, n_tasks=4, tell=told.append) as started:
+            while started._client.nthreads() == {} or started.capacity < 4:
+                started._looked_s = 0.0
+                started.watch()
+        run(path, out, engine=wish, tell=kill_two)
+        assert len(killers) == 2
+        for killer in killers:
+            killer.join()
+    assert without_times(out) == expected
+
+
+def start_command(path, out):
+    """The same as `run`, on the command line, by two processes."""
+    command = ("city", path, "--budget", "2", "--coarse", "--max-units", "2")
+    seconds = ("--max-junction-seconds", "3600")
+    seconds += ("--time-limit", f"{FEW_RUNS.time_limit_s:g}")
+    limits = (*seconds, "--workers", "2", "--out", out)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    return subprocess.Popen(
+        [
+            *(sys.executable, "-m", "experiments.main"),
+            *(*command, *limits, *FEW_RUNS_OPTIONS),
+        ],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+@pytest.mark.long
+def test_killed_at_ten_moments_it_goes_on_and_answers_the_same(tiny, tmp_path):
+    path = tiny / "tiny.osm"
+    run(path, tmp_path / "one")
+    rng = np.random.default_rng(49)
+    n_done = []
+    for delay_s in rng.uniform(0.5, 15.0, 10):
+        main = start_command(path, tmp_path / "killed")
+        with suppress(subprocess.TimeoutExpired):
+            main.wait(delay_s)
+        main.kill()
+        main.wait()
+        n_done.append(len([*(tmp_path / "killed").glob("junctions/*/front.json")]))
+    assert sorted(n_done) == n_done  # nothing is lost
+    run(path, tmp_path / "killed")
+    assert without_times(tmp_path / "killed") == without_times(tmp_path / "one")
 
 
 @pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="signals and processes as on Linux")
 def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
-    tiny, city, here, no_pages
+    tiny, city, no_pages
 ):
     import psutil
 
@@ -820,36 +912,7 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     before = (kept / "front.json").read_bytes()
     for folder in missing:
         shutil.rmtree(folder)
-    command = (
-        "city",
-        tiny / "tiny.osm",
-        "--budget",
-        "2",
-        "--coarse",
-        "--max-units",
-        "2",
-    )
-    seconds = (
-        "--max-junction-seconds",
-        "3600",
-        "--time-limit",
-        f"{FEW_RUNS.time_limit_s:g}",
-    )
-    limits = (*seconds, "--workers", "1", "--out", city)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    main = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "experiments.main",
-            *command,
-            *limits,
-            *FEW_RUNS_OPTIONS,
-        ],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    main = start_command(tiny / "tiny.osm", city)
     pause = threading.Event()
     children = []
     for _ in range(6000):

@@ -20,6 +20,7 @@ from PIL import Image
 
 from experiments.export.json import to_json
 from experiments.perception_lab import drawing as job
+from geometry.errors import InputError
 from geometry.sensors import CameraModel
 from placement.layout import load_carlancap_layout
 
@@ -390,15 +391,37 @@ def test_processes_draw_the_same_and_for_one_that_dies_another(
     assert _files("other") == _files(drawn)
 
 
-def _die_once(task):
+def _die_once(scene, runs, task):
     mark = Path(os.environ["PLACE_RSUS_TEST_MARK"])
     if mark.exists():
         mark.unlink(missing_ok=True)
         os.kill(os.getpid(), signal.SIGKILL)
-    return _draw_task(task)
+    return _draw_task(scene, runs, task)
 
 
 _draw_task = job.draw_task
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")  # those of dask
+def test_workers_of_a_cluster_draw_the_same(dataset, drawn, tmp_path):
+    pytest.importorskip("distributed")
+    from dask_cluster import dask_processes
+
+    (tmp_path / "dask").mkdir()
+    with dask_processes(tmp_path / "dask", n=2) as cluster:
+        code, _, err = dataset("--lidar", "none", *cluster.options, out="other")
+    assert code == 0, err
+    assert _files("other") == _files(drawn)
+
+
+# Quickly: tests/experiments/engine, and below what a worker says
+def test_a_folder_that_a_worker_does_not_see_is_one_line(tmp_path):
+    fields = dict.fromkeys(("frames", "viewer", "lidar", "wish", "seed"), ())
+    task = job.DrawTask(out=tmp_path / "elsewhere", **fields)
+    said = r"--out: got .*elsewhere, which a worker on .* does not see; expected a fold"
+    with pytest.raises(InputError, match=said):
+        _draw_task(None, (), task)
 
 
 @pytest.mark.long

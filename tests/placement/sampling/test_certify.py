@@ -2,6 +2,7 @@
 hold.
 """
 
+import pickle
 from dataclasses import replace
 from itertools import combinations
 
@@ -118,6 +119,29 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
         assert block.apr == pytest.approx(max(values))
         assert values[block.found[0]] == pytest.approx(max(values))
     assert found.pool[0].estimate.mean == max(one.estimate.mean for one in found.pool)
+
+
+def test_tasks_that_run_elsewhere_and_in_any_order_give_the_same(assembly, monkeypatch):
+    monkeypatch.setattr(out_of_sample, "TOGETHER", 3)
+    sent = []
+
+    def run_backwards(function, tasks, *, shared):
+        those = list(tasks)
+        sent.append((function.__name__, len(those)))
+        # As another process would get them
+        arguments = pickle.loads(pickle.dumps(shared))
+        for task in reversed(those):
+            yield task, function(*arguments, pickle.loads(pickle.dumps(task)))
+
+    here = certify(assembly, n_blocks=2, n_judged=4)
+    there = certify(assembly, n_blocks=2, n_judged=4, run=run_backwards)
+    assert there.blocks == here.blocks
+    assert there.gap == here.gap
+    for one, other in zip(there.pool, here.pool, strict=True):
+        assert one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
+        assert one.avoided_share.tolist() == other.avoided_share.tolist()
+    # Four worlds are two tasks.
+    assert sent == [("_solve_block", 2), ("_look_at_part", 2), ("_look_at_part", 2)]
 
 
 def _apr(part, row):

@@ -1,9 +1,7 @@
-"""Junctions of a city, each a task for a process on this machine."""
+"""Junctions of a city, each a task for whoever has the program: it reads no map."""
 
-import re
 import resource
 import tempfile
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,9 +15,9 @@ from placement.city.junction import JunctionWishes, TimeUpError, solve_junction
 from placement.compute import Compute
 from placement.question import Question
 
+from ..engine.tasks import TRIES, WorkerDiedError
 from ..results.record import build_unit_records
 from ..scene import cause_of
-from ..side_process import TRIES, LocalWorkers, WorkerDiedError, run_tasks
 from .answer import CityFrontRecord
 
 
@@ -102,34 +100,7 @@ def _record(task: JunctionTask, **found: Any) -> CityFrontRecord:
     )
 
 
-def check_memory(text: str) -> int:
-    """The memory of a worker, in bytes.
-
-    InputError if that is no amount, or too little.
-    """
-    amount = r"(\d+\.?\d*|\.\d+) *(?:(?:([kmgt])(i?))?b)?"  # such as 1.5GiB, or bytes
-    size = 0.0
-    if found := re.fullmatch(amount, text.strip().lower(), re.ASCII):
-        power = "kmgt".find(found[2] or "-") + 1
-        size = float(found[1]) * (1024 if found[3] else 1000) ** power
-    if not 2**28 <= size <= 2**60:
-        raise InputError(
-            "--worker-memory", text, "an amount such as 1.5GiB, at least 0.25GiB"
-        )
-    return int(size)
-
-
-def run_junctions(
-    workers: LocalWorkers, tasks: Iterable[JunctionTask]
-) -> Iterator[tuple[JunctionTask, JunctionAnswer]]:
-    """Run tasks on workers, in the order in which they end.
-
-    A record tells of one that fails.
-    """
-    return run_tasks(workers, run_junction, tasks, failed=_unsolved)
-
-
-def _unsolved(task: JunctionTask, error: BaseException) -> JunctionAnswer:
+def unsolved(task: JunctionTask, error: BaseException) -> JunctionAnswer:
     """Answer to a task that failed for no reason of its own, or whose worker died."""
     if isinstance(error, WorkerDiedError):
         if str(error):
@@ -139,12 +110,7 @@ def _unsolved(task: JunctionTask, error: BaseException) -> JunctionAnswer:
         remedy = "more --worker-memory, or fewer poses"
         reason = f"its worker died{of}, {TRIES} times: {remedy}"
     else:
-        # Other errors come with their kind in the text.
-        if isinstance(error, OSError):
-            kind = f"{type(error).__name__}: "
-        else:
-            kind = ""
-        text = " ".join(f"{kind}{error}".split())[:200]
+        text = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         cause = ""
         reason = f"an unexpected error, {TRIES} times: {text}"
     return JunctionAnswer(_failed(task, reason, cause=cause, is_final=False), {})
