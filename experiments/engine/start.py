@@ -65,7 +65,7 @@ class EngineWish:
             )
 
     def on_this_machine(self) -> "EngineWish":
-        """Without a scheduler: for tasks that read and write a folder of this machine."""
+        """Without a scheduler: for tasks that use a folder of this machine."""
         return EngineWish(workers=self.workers, max_bytes=self.max_bytes)
 
     def with_workers(self, n: int) -> "EngineWish":

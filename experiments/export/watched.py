@@ -11,6 +11,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.junction import build_junction
 from geometry.scene import Scene
 from geometry.scene_sources import load_scene
+from geometry.weather import pick_weather
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.detectors import load_detector, load_planning_detector
 from placement.layout import Layout, check_layout
@@ -28,7 +29,7 @@ _RUN_ID = (
 )
 
 
-def find_run(run_id: str, scene: Scene) -> Run:
+def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
     """The run that an id names.
 
     Parameters
@@ -38,6 +39,8 @@ def find_run(run_id: str, scene: Scene) -> Run:
         :attr:`scenarios.runs.Run.id`.
     scene : Scene
         The junction.
+    weather : str, optional
+        In place of the id's.
 
     Returns
     -------
@@ -57,7 +60,12 @@ def find_run(run_id: str, scene: Scene) -> Run:
     arms = [arm for arm in build_junction(scene).arms if place.startswith(arm)]
     approach = max(arms, key=len, default=place)
     position = place.removeprefix(approach) or AT_ZERO.name
-    light = parts[3] if len(parts) == 4 else WEATHERS[0]
+    light = WEATHERS[0]
+    if len(parts) == 4:
+        light = parts[3]
+    if weather is not None:
+        pick_weather(weather, "weather")
+        light = weather
     question = Question(cases=case, approaches=approach, speeds=speed, weather=light)
     try:
         return drive_one(question, scene, position=position)
