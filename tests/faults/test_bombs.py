@@ -7,8 +7,6 @@ import json
 import struct
 import sys
 import zipfile
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,16 +23,16 @@ NOISE = np.random.default_rng(1).bytes(
 
 
 @pytest.fixture(scope="module")
-def process() -> Iterator[Process]:
+def process():
     one = Process()
     yield one
     one.end()
 
 
-def zeros(n_bytes: int, head: bytes = b"") -> Callable[[zipfile.ZipFile, str], None]:
+def zeros(n_bytes, head=b""):
     """A member of an archive, written without ever being in memory."""
 
-    def write(archive: zipfile.ZipFile, name: str) -> None:
+    def write(archive, name):
         with archive.open(name, "w", force_zip64=True) as member:
             member.write(head)
             for _ in range(n_bytes >> 20):
@@ -43,9 +41,7 @@ def zeros(n_bytes: int, head: bytes = b"") -> Callable[[zipfile.ZipFile, str], N
     return write
 
 
-def pack(
-    path: Path, members: dict[str, Callable[[zipfile.ZipFile, str], None] | bytes]
-) -> Path:
+def pack(path, members):
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, content in members.items():
             if isinstance(content, bytes):
@@ -55,7 +51,7 @@ def pack(
     return path
 
 
-def glb(n_bytes: int) -> bytes:
+def glb(n_bytes):
     """The head of a mesh file with so many bytes of data."""
     text = json.dumps(
         {"asset": {"version": "2.0"}, "buffers": [{"byteLength": n_bytes}]}
@@ -70,18 +66,18 @@ def glb(n_bytes: int) -> bytes:
     return head + struct.pack("<I4s", n_bytes, b"BIN\0")
 
 
-def scene_of_toml(path: Path) -> Path:
+def scene_of_toml(path):
     table = b"a = 1\n" + b"# a line of a comment\n" * 1_000_000  # 22 MB
     return pack(path, {SCENE_FILE: table, THINGS_FILE: b"glTF", "noise": NOISE})
 
 
-def scene_of_mesh(path: Path) -> Path:
+def scene_of_mesh(path):
     n_bytes = 301 << 20
     mesh = zeros(n_bytes, glb(n_bytes))
     return pack(path, {SCENE_FILE: b"a = 1", THINGS_FILE: mesh, "noise": NOISE * 3})
 
 
-def instance(path: Path) -> Path:
+def instance(path):
     """An array of 2 GB, as its archive says; none of it is there."""
     kind = io.BytesIO()
     np.save(kind, np.array("place-rsus/placement-problem/1"))
@@ -92,7 +88,7 @@ def instance(path: Path) -> Path:
     return path
 
 
-def shifted_roofs(path: Path) -> Path:
+def shifted_roofs(path):
     """Roofs 6 km high: what a height in another unit, or a damaged scale, makes of a
     house.
     """

@@ -6,7 +6,6 @@ import io
 import json
 import os
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ from placement.verification.instances import load_problem
 from scenarios.weights import weight_from_csv
 
 
-def refusal(function, *arguments) -> str:
+def refusal(function, *arguments):
     with pytest.raises(InputError) as caught:
         function(*arguments)
     message = str(caught.value)
@@ -72,7 +71,7 @@ def test_an_origin_of_400_digits(tmp_path):
         )
 
 
-def packed(path: Path, *, encrypts: bool = False, damages: bool = False) -> Path:
+def packed(path, *, encrypts=False, damages=False):
     """A scene's archive with something wrong in it."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -208,10 +207,10 @@ def test_names_of_any_length_and_with_line_breaks_stay_one_line():
 def crash(monkeypatch, tmp_path, capsys):
     """Runs the program with a fault in it: exit code and what stands on stderr."""
 
-    def fail(*arguments: object, **values: object) -> None:
+    def fail(*arguments, **values):
         raise ZeroDivisionError("a fault of ours")
 
-    def run(*arguments: str) -> tuple[int, str]:
+    def run(*arguments):
         monkeypatch.setattr("experiments.main.cli.invoke", fail)
         monkeypatch.setenv("TMPDIR", str(tmp_path))
         monkeypatch.setattr("tempfile.tempdir", None)

@@ -12,7 +12,6 @@ import hashlib
 import random
 import sys
 import time
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -31,13 +30,13 @@ pytestmark = pytest.mark.skipif(
 
 
 @pytest.fixture(scope="module")
-def process() -> Iterator[Process]:
+def process():
     one = Process()
     yield one
     one.end()
 
 
-def complaint(answer: dict[str, str]) -> str:
+def complaint(answer):
     """What is wrong with an answer; empty: it is as it should be."""
     if answer["outcome"] == "failed":
         return answer["text"]
@@ -49,7 +48,7 @@ def complaint(answer: dict[str, str]) -> str:
 
 
 @pytest.fixture(scope="module")
-def seconds(request: pytest.FixtureRequest) -> float:
+def seconds(request):
     """How long a reader with a single share of the time is tried."""
     shares = sum(reader.share for reader in READERS.values())
     return float(request.config.getoption("--fuzz-seconds")) / shares
@@ -57,12 +56,12 @@ def seconds(request: pytest.FixtureRequest) -> float:
 
 @pytest.mark.parametrize("name", READERS)
 def test_damaged_files_are_read_or_refused(
-    name: str,
-    process: Process,
-    seconds: float,
-    request: pytest.FixtureRequest,
-    tmp_path: Path,
-) -> None:
+    name,
+    process,
+    seconds,
+    request,
+    tmp_path,
+):
     seeds = READERS[name].seeds()
     for kind, (entry, files) in seeds.items():
         answer = process.ask(name, put(tmp_path / "sound", files, entry), is_sound=True)
@@ -70,7 +69,7 @@ def test_damaged_files_are_read_or_refused(
     seed = request.config.getoption("--fuzz-seed")
     rng = random.Random(f"{seed} {name}")
     kept = Path(request.config.getoption("--fuzz-keep") or tmp_path / "kept")
-    found: dict[str, str] = {}
+    found = {}
     n_tried = 0
     end_s = time.monotonic() + seconds * READERS[name].share
     while time.monotonic() < end_s or n_tried < len(seeds):
@@ -107,8 +106,8 @@ TEXTS = (
 
 @pytest.mark.parametrize("name", [*TEXTS, "sites", "certificates"])
 def test_hypothesis_finds_no_text_that_is_neither_read_nor_refused(
-    name: str, process: Process, tmp_path: Path
-) -> None:
+    name, process, tmp_path
+):
     """Small files whose faults hypothesis makes as small as they can be."""
     seeds = READERS[name].seeds()
 
@@ -119,7 +118,7 @@ def test_hypothesis_finds_no_text_that_is_neither_read_nor_refused(
         suppress_health_check=list(HealthCheck),
         derandomize=True,
     )
-    def read(data: st.DataObject) -> None:
+    def read(data):
         entry, files = seeds[data.draw(st.sampled_from(sorted(seeds)))]
         spoilt = {entry: data.draw(damaged(files[entry]))}
         answer = process.ask(name, put(tmp_path / "input", dict(files) | spoilt, entry))
@@ -164,14 +163,14 @@ _VERBS = (
 )
 
 
-def _takes_a_path(function: ast.FunctionDef) -> bool:
+def _takes_a_path(function):
     arguments = [*function.args.args, *function.args.kwonlyargs][:1]
     return any(
         "Path" in ast.unparse(one.annotation) for one in arguments if one.annotation
     )
 
 
-def test_every_reader_is_registered() -> None:
+def test_every_reader_is_registered():
     covered = {name for reader in READERS.values() for name in reader.covers}
     found = set()
     for package in PACKAGES:
@@ -192,12 +191,12 @@ def test_every_reader_is_registered() -> None:
 
 
 @cache
-def _functions_of(path: Path) -> set[str]:
+def _functions_of(path):
     tree = ast.parse(path.read_text(encoding="utf-8"))
     return {one.name for one in tree.body if isinstance(one, ast.FunctionDef)}
 
 
-def test_every_registered_reader_exists() -> None:
+def test_every_registered_reader_exists():
     """To import all of them takes long: their files are looked into."""
     for reader in READERS.values():
         for name in reader.covers:

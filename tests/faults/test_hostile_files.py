@@ -39,7 +39,7 @@ def folder(tmp_path):
     return path
 
 
-def _change_toml(folder: Path, key: str, value: str) -> None:
+def _change_toml(folder, key, value):
     """Give the first field of a name in a scene's TOML another value."""
     path = folder / SCENE_FILE
     lines = path.read_text().splitlines()
@@ -128,7 +128,7 @@ def test_lanes_that_go_to_and_fro_without_end_are_refused():
         dataclasses.replace(scene, lanes=(lane,))
 
 
-def _add_to_glb(path: Path, fields: dict[str, object]) -> None:
+def _add_to_glb(path, fields):
     """Set fields of a binary glTF's JSON."""
     data = path.read_bytes()
     (n_bytes,) = struct.unpack_from("<I", data, 12)
@@ -272,7 +272,7 @@ def test_a_character_that_nobody_sees_in_a_scenes_ids_is_refused(folder, key):
         load_scene_folder(folder)
 
 
-def _fail_while_writing(folder: Path, error: Exception) -> None:
+def _fail_while_writing(folder, error):
     with new_result_folder(folder) as new:
         (new / MARKER).write_text("{}")
         raise error
@@ -313,7 +313,7 @@ def test_each_hostile_scene_is_answered_in_one_line(path, tmp_path):
         (copy / file.name).write_bytes(file.read_bytes())
     os.mkfifo(copy / "fifo")
 
-    def limit() -> None:
+    def limit():
         resource.setrlimit(resource.RLIMIT_AS, (_LIMIT_BYTES, _LIMIT_BYTES))
 
     done = subprocess.run(

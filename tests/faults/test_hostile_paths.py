@@ -30,33 +30,33 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def make_pipe(path: Path) -> None:
+def make_pipe(path):
     os.mkfifo(path)
 
 
-def make_socket(path: Path) -> None:
+def make_socket(path):
     with socket.socket(socket.AF_UNIX) as one:
         one.bind(str(path))
 
 
-def make_link(path: Path) -> None:
+def make_link(path):
     (path.parent / "target").write_text("theirs")
     path.symlink_to("target")
 
 
-def make_dangling(path: Path) -> None:
+def make_dangling(path):
     path.symlink_to("nowhere")
 
 
-def make_loop(path: Path) -> None:
+def make_loop(path):
     path.symlink_to(path.name)
 
 
-def make_link_to_device(path: Path) -> None:
+def make_link_to_device(path):
     path.symlink_to("/dev/full")
 
 
-def identity(path: Path) -> tuple[int, int, int, int]:
+def identity(path):
     """Not when it was last accessed: to read where a link leads may count as an
     access.
     """
@@ -232,10 +232,10 @@ def test_sensors_and_sites_have_bounds(camera):
 # ---------- the command line
 
 
-def refusal(capsys, *arguments: str) -> str:
+def refusal(capsys, *arguments):
     with pytest.raises(SystemExit) as ended:
         program.main(arguments)
-    told: str = capsys.readouterr().err
+    told = capsys.readouterr().err
     assert ended.value.code == 2, told
     return told.splitlines()[-1].removeprefix("place-rsus: ")
 
@@ -320,7 +320,7 @@ def test_an_unknown_reference_system_of_private_ground(tmp_path, capsys):
 
 
 def test_too_little_memory_is_one_line(monkeypatch, capsys):
-    def fail(*_arguments: object, **_values: object) -> None:
+    def fail(*_arguments, **_values):
         raise MemoryError
 
     monkeypatch.setattr("experiments.main.cli.invoke", fail)

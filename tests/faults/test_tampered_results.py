@@ -10,7 +10,7 @@ import base64
 import json
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -21,7 +21,6 @@ import msgspec
 import numpy as np
 import pandas as pd
 import pytest
-from _pytest.mark import ParameterSet
 from small_results import (
     build_small_baseline,
     build_small_setting,
@@ -33,7 +32,7 @@ from experiments.export.geojson import to_geojson
 from experiments.export.table import to_csv
 from experiments.jobs import anew, evaluation, placement
 from experiments.jobs.placement import answer_placement, write_files
-from experiments.jobs.verify import VerificationResult, run_verification
+from experiments.jobs.verify import run_verification
 from experiments.parts.reading import read_summary
 from experiments.progress import StageProgress
 from experiments.results.folders import MANIFEST, write_manifest
@@ -45,7 +44,6 @@ from placement.layout import load_layout
 from placement.question import Question
 from placement.verification.certificates import instance_of
 from placement.verification.instances import (
-    StoredProblem,
     load_stored_problem,
     save_problem,
 )
@@ -88,7 +86,7 @@ def deep(made_anew, monkeypatch):
     """Lets ``--deep`` find what was computed before."""
     answered, files = made_anew
 
-    def write(folder: Path, *given: object) -> None:
+    def write(folder, *given):
         shutil.copytree(files, folder, dirs_exist_ok=True)
 
     monkeypatch.setattr(
@@ -97,11 +95,11 @@ def deep(made_anew, monkeypatch):
     monkeypatch.setattr(placement, "write_files", write)
 
 
-def deeply_failed(folder: Path) -> list[str]:
+def deeply_failed(folder):
     """Names of the checks of ``--deep`` that fail."""
-    failures: list[str] = []
+    failures = []
 
-    def add(name: str, wrong: str, right: str) -> None:
+    def add(name, wrong, right):
         if wrong:
             failures.append(name)
 
@@ -114,45 +112,45 @@ def results(written, tmp_path):
     return Path(shutil.copytree(written, tmp_path / "results"))
 
 
-def verified(folder: Path, scene: str = "") -> VerificationResult:
+def verified(folder, scene=""):
     return run_verification(folder, scene=scene, progress=StageProgress())
 
 
-def verified_deeply(folder: Path) -> VerificationResult:
+def verified_deeply(folder):
     return run_verification(folder, question=ASKED, progress=StageProgress())
 
 
-def failed(found: VerificationResult) -> list[str]:
+def failed(found):
     return [check.name for check in found.checks if not check.passed]
 
 
-def edit(path: Path, change: Callable[[Document], object]) -> None:
+def edit(path, change):
     document = json.loads(path.read_text())
     change(document)
     path.write_text(json.dumps(document, indent=2))
 
 
-def layout(change: Callable[[Document], object]) -> Change:
+def layout(change):
     return lambda folder: edit(folder / "layout.json", change)
 
 
-def certificate(change: Callable[[Document], object]) -> Change:
+def certificate(change):
     return lambda folder: edit(folder / "certificate.json", change)
 
 
-def summary(change: Callable[[Document], object]) -> Change:
+def summary(change):
     return lambda folder: edit(folder / "summary.json", change)
 
 
-def unit(**values: object) -> Change:
+def unit(**values):
     """The first unit otherwise, in ``layout.json`` alone."""
     return layout(lambda d: d["layout"][0].update(values))
 
 
-def everywhere(**values: object) -> Change:
+def everywhere(**values):
     """The first unit otherwise, in every file that shows it."""
 
-    def change(folder: Path) -> None:
+    def change(folder):
         edit(folder / "layout.json", lambda d: d["layout"][0].update(values))
         edit(
             folder / "certificate.json", lambda d: d["layout"][0]["unit"].update(values)
@@ -166,20 +164,20 @@ def everywhere(**values: object) -> Change:
     return change
 
 
-def both(change: Callable[[Document], object]) -> Change:
-    def change_both(folder: Path) -> None:
+def both(change):
+    def change_both(folder):
         certificate(change)(folder)
         summary(change)(folder)
 
     return change_both
 
 
-def instance(change: Callable[[StoredProblem, int], StoredProblem]) -> Change:
+def instance(change):
     """Another instance, with its hash and sizes in the certificate; given the first
     unit's row.
     """
 
-    def rewrite(folder: Path) -> None:
+    def rewrite(folder):
         row = json.loads((folder / "certificate.json").read_text())["layout"][0]["row"]
         problem, mounts = change(load_stored_problem(folder / "instance.npz"), row)
         save_problem(folder / "instance.npz", problem, mounts)
@@ -189,12 +187,12 @@ def instance(change: Callable[[StoredProblem, int], StoredProblem]) -> Change:
     return rewrite
 
 
-def mounts(**values: Callable[[Any, int], Any]) -> Change:
+def mounts(**values):
     """Fields of the mounts otherwise: functions of the old value and the first unit's
     row.
     """
 
-    def change(stored: StoredProblem, row: int) -> StoredProblem:
+    def change(stored, row):
         assert stored.mounts is not None
         changed = {
             name: new(getattr(stored.mounts, name), row) for name, new in values.items()
@@ -204,8 +202,8 @@ def mounts(**values: Callable[[Any, int], Any]) -> Change:
     return instance(change)
 
 
-def axis(**values: Callable[[Any], Any]) -> Change:
-    def change(stored: StoredProblem, row: int) -> StoredProblem:
+def axis(**values):
+    def change(stored, row):
         table = stored.problem.table
         changed = {name: new(getattr(table.axis, name)) for name, new in values.items()}
         table = replace(table, axis=replace(table.axis, **changed))
@@ -214,8 +212,8 @@ def axis(**values: Callable[[Any], Any]) -> Change:
     return instance(change)
 
 
-def limits(**values: Callable[[Any, int], Any]) -> Change:
-    def change(stored: StoredProblem, row: int) -> StoredProblem:
+def limits(**values):
+    def change(stored, row):
         old = stored.problem.limits
         changed = {name: new(getattr(old, name), row) for name, new in values.items()}
         return stored._replace(
@@ -225,10 +223,10 @@ def limits(**values: Callable[[Any, int], Any]) -> Change:
     return instance(change)
 
 
-def at(index: int, value: object) -> Callable[[Any], Any]:
+def at(index, value):
     """A copy of an array with one value otherwise."""
 
-    def change(array: Any) -> Any:
+    def change(array):
         copy = array.copy()
         copy[index] = value
         return copy
@@ -236,20 +234,20 @@ def at(index: int, value: object) -> Callable[[Any], Any]:
     return change
 
 
-def at_row(value: object) -> Callable[[Any, int], Any]:
+def at_row(value):
     return lambda array, row: at(row, value)(array)
 
 
-def chained(*changes: Change) -> Change:
-    def change(folder: Path) -> None:
+def chained(*changes):
+    def change(folder):
         for one in changes:
             one(folder)
 
     return change
 
 
-def runs(change: Callable[[pd.DataFrame], object]) -> Change:
-    def rewrite(folder: Path) -> None:
+def runs(change):
+    def rewrite(folder):
         table = pd.read_parquet(folder / "runs.parquet")
         change(table)
         table.to_parquet(folder / "runs.parquet")
@@ -257,8 +255,8 @@ def runs(change: Callable[[pd.DataFrame], object]) -> Change:
     return rewrite
 
 
-def replaced(name: str, old: str, new: str) -> Change:
-    def change(folder: Path) -> None:
+def replaced(name, old, new):
+    def change(folder):
         text = (folder / name).read_text()
         assert old in text
         (folder / name).write_text(text.replace(old, new, 1))
@@ -266,25 +264,25 @@ def replaced(name: str, old: str, new: str) -> Change:
     return change
 
 
-def appended(name: str, text: str) -> Change:
+def appended(name, text):
     return lambda folder: (
         (folder / name).write_text((folder / name).read_text() + text) and None
     )
 
 
-def missing(name: str) -> Change:
+def missing(name):
     return lambda folder: (folder / name).unlink()
 
 
-def without_row_of(name: str) -> Change:
-    def change(folder: Path) -> None:
+def without_row_of(name):
+    def change(folder):
         lines = (folder / name).read_text().splitlines(keepends=True)
         (folder / name).write_text("".join(lines[:-1]))
 
     return change
 
 
-def row_of_equal_value(folder: Path) -> None:
+def row_of_equal_value(folder):
     """The first unit's row and name become those of another pose that detects the same.
 
     In the instance both detect the same from now on.
@@ -293,7 +291,7 @@ def row_of_equal_value(folder: Path) -> None:
     row = document["layout"][0]["row"]
     other = (row + 1) % document["instance"]["n_poses"]
 
-    def change(stored: StoredProblem, first: int) -> StoredProblem:
+    def change(stored, first):
         table = stored.problem.table
         problem = stored.problem
         packed = table.packed.copy()
@@ -307,13 +305,13 @@ def row_of_equal_value(folder: Path) -> None:
     certificate(lambda d: d["layout"][0].update(row=other, pose=name))(folder)
 
 
-def flip(array: Any, row: int = 0) -> Any:
+def flip(array, row=0):
     copy = array.copy()
     copy[0, 0] ^= np.uint8(1)
     return copy
 
 
-def another_bit(stored: StoredProblem, row: int) -> StoredProblem:
+def another_bit(stored, row):
     table = stored.problem.table
     unused = next(index for index in range(table.n_poses) if index != row)
     packed = table.packed.copy()
@@ -323,7 +321,7 @@ def another_bit(stored: StoredProblem, row: int) -> StoredProblem:
     )
 
 
-def all_of_all(folder: Path) -> None:
+def all_of_all(folder):
     """Everybody avoids every run, in all files alike: the headline says 100 %."""
     runs(lambda table: table.__setitem__("is_avoided", True))(folder)
     ratios = pd.read_csv(folder / "apr.csv", keep_default_na=False, dtype=str)
@@ -331,7 +329,7 @@ def all_of_all(folder: Path) -> None:
     ratios["n_avoided"] = ratios["n_runs"]
     ratios.to_csv(folder / "apr.csv", index=False, lineterminator="\n")
 
-    def tell(document: Document) -> None:
+    def tell(document):
         for one in (document, document["baseline"], document["greedy"]):
             for party, ratios in one["evaluation"].items():
                 for told in ratios.values() if party == "units" else [ratios]:
@@ -343,20 +341,20 @@ def all_of_all(folder: Path) -> None:
     summary(tell)(folder)
 
 
-def twice(name: str, key: str) -> Change:
+def twice(name, key):
     """A key of a JSON file stands there twice, first with another value."""
 
-    def change(folder: Path) -> None:
+    def change(folder):
         text = (folder / name).read_text()
         (folder / name).write_text(text.replace("{", '{"' + key + '": [],', 1))
 
     return change
 
 
-def flipped(name: str) -> Change:
+def flipped(name):
     """A bit in the middle of a file is another one."""
 
-    def change(folder: Path) -> None:
+    def change(folder):
         data = bytearray((folder / name).read_bytes())
         data[len(data) // 2] ^= 1
         (folder / name).write_bytes(data)
@@ -364,7 +362,7 @@ def flipped(name: str) -> Change:
     return change
 
 
-def another_picture(folder: Path) -> None:
+def another_picture(folder):
     """The first picture in the report is another one."""
     text = (folder / "report.html").read_text()
     first = re.search(r"data:image/png;base64,([A-Za-z0-9+/=]+)", text)
@@ -373,17 +371,17 @@ def another_picture(folder: Path) -> None:
     (folder / "report.html").write_text(text.replace(first[1], blank, 1))
 
 
-def highest(document: Document) -> None:
+def highest(document):
     """A highest APR that nobody found, with a proof."""
     stages = [dict(stage) for stage in document["stages"][:2]]
     document["highest"] = {"given_up": 0.01, "stages": stages, "compared": None}
 
 
-def all_of_one(folder: Path) -> None:
+def all_of_one(folder):
     """The evaluator's outcomes of a party, and every ratio that follows from them."""
     name = json.loads((folder / "summary.json").read_text())["name"]
 
-    def turn(table: pd.DataFrame) -> None:
+    def turn(table):
         table.loc[
             (table["layout"] == name) & (table["party"] == "vut"), "is_avoided"
         ] = True
@@ -395,7 +393,7 @@ def all_of_one(folder: Path) -> None:
     ratios.loc[rows, "n_avoided"] = ratios.loc[rows, "n_runs"]
     ratios.to_csv(folder / "apr.csv", index=False, lineterminator="\n")
 
-    def tell(document: Document) -> None:
+    def tell(document):
         vut = document["evaluation"]["vut"]
         vut["all"] = 1.0
         for key in ("by_case", "by_position"):
@@ -415,14 +413,14 @@ MINE = {
 }
 
 
-def own_model(**values: object) -> Change:
+def own_model(**values):
     """The layout file brings a model of its own under the name that all files have."""
     return layout(lambda d: d.update(sensors={"carla-ncap-rgb": MINE | values}))
 
 
 # What was changed; how the name of a check begins that must fail, or behind a question
 # mark words that must be among what is said not to be checked.
-FOUND: dict[str, tuple[Change, str]] = {
+FOUND = {
     # The layout alone.
     "another yaw": (unit(yaw_deg=12.0), "layout file"),
     "another pitch": (unit(pitch_deg=-21.0), "layout file"),
@@ -636,7 +634,7 @@ FOUND: dict[str, tuple[Change, str]] = {
 
 # What the files agree about, so that ``verify`` alone cannot know: how the name of a
 # check of ``--deep`` begins that must fail.
-DEEP: dict[str, tuple[Change, str]] = {
+DEEP = {
     "all runs avoided, everywhere": (all_of_all, "anew: runs.parquet"),
     "outcomes and all that follows": (all_of_one, "anew: runs.parquet"),
     "margins": (runs(lambda t: t.__setitem__("margin_s", 9.0)), "anew: runs.parquet"),
@@ -750,7 +748,7 @@ DEEP: dict[str, tuple[Change, str]] = {
 
 # What ``verify`` refuses to read at all: how its one line begins behind the name of the
 # file.
-REFUSED: dict[str, tuple[Change, str]] = {
+REFUSED = {
     "no list of hashes": (
         missing(MANIFEST),
         "got no SHA256SUMS; expected a folder of results",
@@ -875,7 +873,7 @@ def test_every_value_of_a_summary_is_compared_with_the_one_made_anew(written):
     assert n_changed > 500
 
 
-def leaves(node: Any) -> Iterator[tuple[Any, Any]]:
+def leaves(node):
     """Every value in a document that holds no others, by what holds it and its key
     there.
     """
@@ -915,7 +913,7 @@ def test_what_nobody_has_changed_is_verified(results):
     assert len(set(names)) == len(names)
 
 
-def changes() -> Iterator[ParameterSet]:
+def changes():
     """Quickly, one change for each check that finds it; the others are long."""
     told = set()
     for name, (_, expected) in FOUND.items():
@@ -960,7 +958,7 @@ def test_a_list_of_hashes_that_is_none_is_refused(results):
 
 
 def test_an_instance_of_the_first_version_says_what_it_cannot_show(results):
-    def without_mounts(stored: StoredProblem, row: int) -> StoredProblem:
+    def without_mounts(stored, row):
         return stored._replace(mounts=None)
 
     instance(without_mounts)(results)
@@ -1009,7 +1007,7 @@ def compared(tmp_path_factory):
     return folder
 
 
-def _begin_small_job(setting: Any, *given: Any, **options: Any) -> Any:
+def _begin_small_job(setting, *given, **options):
     return placement.begin_job(*given, setting=setting, **options)
 
 

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -35,7 +34,7 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def start(folder) -> Iterator:
+def start(folder):
     """Begins to write: the writer's process id."""
     folders = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "support")))
     maker = subprocess.Popen(
@@ -49,9 +48,9 @@ def start(folder) -> Iterator:
         text=True,
         env=os.environ | {"PYTHONPATH": folders, "OMP_NUM_THREADS": "1"},
     )
-    begun: list[int] = []
+    begun = []
 
-    def begin() -> int:
+    def begin():
         assert maker.stdin is not None
         assert maker.stdout is not None
         maker.stdin.write("\n")
@@ -66,7 +65,7 @@ def start(folder) -> Iterator:
     maker.communicate()
 
 
-def assert_whole(folder: Path) -> str:
+def assert_whole(folder):
     """The table and the results are whole, and of one writing each; returns the
     results'.
     """
@@ -117,7 +116,7 @@ def test_two_writers_at_once_leave_the_results_of_one(folder, start):
 
 
 @contextmanager
-def largest_file(n_bytes: int) -> Iterator[None]:
+def largest_file(n_bytes):
     """No file may become larger: for a program this looks like a disk that is full."""
     import resource
 
@@ -172,7 +171,7 @@ def test_a_full_disk_is_said_and_the_old_stays(tmp_path, caplog):
 
 
 @contextmanager
-def as_nobody() -> Iterator[None]:
+def as_nobody():
     """Without root's right to write anywhere."""
     if os.geteuid() != 0:
         yield
@@ -209,7 +208,7 @@ def test_a_folder_without_rights_is_refused_before_anything_is_computed(caplog):
 
 
 def test_a_failure_while_files_are_put_in_place_leaves_the_old(folder, monkeypatch):
-    def fail(first: Path, second: Path) -> bool:
+    def fail(first, second):
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     monkeypatch.setattr("experiments.results.folders._exchange", fail)

@@ -9,7 +9,6 @@ from geometry.study_scene import load_study_scene
 from placement import candidates as poses
 from placement import layout as layouts
 from placement.candidates import (
-    CandidatePose,
     build_candidates,
     build_grid,
     load_candidate_grid,
@@ -124,7 +123,7 @@ def test_a_grid_that_cannot_be_is_refused(options, message):
 
 def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
     def poses(sensors):
-        found: dict[str, set[tuple[float, ...]]] = {}
+        found = {}
         scene = replace(
             load_study_scene(), name="elsewhere"
         )  # where the study has no poses
@@ -149,7 +148,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
         poses("radar")
 
 
-def _place(candidate: CandidatePose) -> tuple[float, ...]:
+def _place(candidate):
     return (*candidate.pose.position_m.tolist(), candidate.pose.yaw_deg)
 
 

@@ -22,7 +22,7 @@ SECTOR = LIDARS["carla-ncap-lidar"]
 RING = LIDARS["ouster-os1-128"]
 
 
-def _scene(*height_ranges_m) -> Scene:
+def _scene(*height_ranges_m):
     return Scene(
         name="junction",
         vertices_m=np.zeros((0, 3)),
@@ -45,7 +45,7 @@ def _scene(*height_ranges_m) -> Scene:
     )
 
 
-def _grid(**changes) -> CandidateGrid:
+def _grid(**changes):
     fields = {
         "heights_m": np.array([6.0, 8.0]),
         "yaw_step_deg": 30.0,
@@ -205,7 +205,7 @@ def test_candidates_stand_above_their_site():
         assert candidate.pose.position_m[:2].tolist() == [10.0 * index, -5.0]
 
 
-def _extra(pose_id: str) -> CandidatePose:
+def _extra(pose_id):
     return CandidatePose(
         id=pose_id,
         site_id="",

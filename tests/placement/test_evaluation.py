@@ -24,7 +24,7 @@ from placement.layout import Layout
 from scenarios.scores import Levels
 
 
-def _verdict(is_avoided, detected=()) -> Verdict:
+def _verdict(is_avoided, detected=()):
     return Verdict(
         detected=np.array(detected, dtype=bool),
         confirmation_time_s=np.full(len(is_avoided), np.inf),

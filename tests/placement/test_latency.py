@@ -18,7 +18,7 @@ from placement.latency import (
 from scenarios.aeb import load_aeb_rule
 
 
-def _budget(*ranges_s) -> LatencyBudget:
+def _budget(*ranges_s):
     parts = [
         LatencyPart(name=f"part {index}", low_s=low, high_s=high, source="test")
         for index, (low, high) in enumerate(ranges_s)
@@ -27,7 +27,7 @@ def _budget(*ranges_s) -> LatencyBudget:
 
 
 @st.composite
-def budgets(draw, max_parts: int = 4) -> LatencyBudget:
+def budgets(draw, max_parts=4):
     """Fixed values, and ranges from wide to narrow."""
     lows = draw(st.lists(numbers(0.0, 0.2), min_size=1, max_size=max_parts))
     widths = st.one_of(st.just(0.0), numbers(0.001, 0.2))

@@ -26,7 +26,7 @@ RULE = load_aeb_rule()
 TOLERANCE_S = 1.0e-9
 
 
-def _verdict(detected, n_runs) -> Verdict:
+def _verdict(detected, n_runs):
     """Only the frames count."""
     return Verdict(
         detected=np.array(detected, dtype=bool),
@@ -36,7 +36,7 @@ def _verdict(detected, n_runs) -> Verdict:
     )
 
 
-def _evaluation(axis, vut, units, own_latencies_s=None, vam=None) -> Evaluation:
+def _evaluation(axis, vut, units, own_latencies_s=None, vam=None):
     own = own_latencies_s or [None] * len(units)
     pose = Pose(position_m=[0, 0, 7], yaw_deg=0.0)
     camera = load_cameras()["carla-ncap-rgb"]
@@ -65,9 +65,7 @@ def _evaluation(axis, vut, units, own_latencies_s=None, vam=None) -> Evaluation:
     )
 
 
-def _apr_by_hand(
-    axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.0
-) -> float:
+def _apr_by_hand(axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.0):
     """Every window of every run, one by one: is it known, and alive, at the last
     moment?
     """

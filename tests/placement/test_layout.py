@@ -51,7 +51,7 @@ GOOD = [
 ]
 
 
-def _message(function, *arguments) -> str:
+def _message(function, *arguments):
     with pytest.raises(InputError) as caught:
         function(*arguments)
     return str(caught.value)
@@ -64,12 +64,12 @@ def _changed(**changes):
     return records
 
 
-def _is_id(text: str) -> bool:
+def _is_id(text):
     return text != "" and text not in RESERVED_IDS
 
 
 @st.composite
-def _layouts(draw) -> Layout:
+def _layouts(draw):
     texts = st.text(max_size=8).filter(str.isprintable)
     ids = draw(st.lists(texts.filter(_is_id), min_size=1, max_size=5, unique=True))
     sensors = [*load_cameras().values(), *load_lidars().values()]

@@ -85,7 +85,7 @@ def scored(draw):
     return problem, levels, replace(problem, table=table, seen_by_vut=seen)
 
 
-def looped_score(problem, levels, chosen) -> float:
+def looped_score(problem, levels, chosen):
     """Score of a set of poses, frame by frame and run by run."""
     axis = problem.table.axis
     rule = problem.rule

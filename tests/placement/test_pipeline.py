@@ -394,7 +394,7 @@ def test_wishes_that_contradict_each_other_are_named_with_ways_out(asked):
         == "`target` 1 and `budget` 1: got demands that no layout meets together; "
         "expected one of them to give way: `target` 0 or `budget` 3"
     )
-    told: list[str] = []
+    told = []
     compute = Compute(progress=lambda *stage: told.append(stage[0]))
     with pytest.raises(InputError) as caught:
         place(

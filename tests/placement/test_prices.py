@@ -8,7 +8,7 @@ from geometry.scene import Site
 from placement.wishes import Part, SitePrices, assumed_prices, load_prices
 
 
-def site(kind: str, cost_eur: float = 0.0) -> Site:
+def site(kind, cost_eur=0.0):
     return Site(
         id=f"{kind} {cost_eur:g}",
         position_m=np.zeros(3),

@@ -19,15 +19,12 @@ from placement.candidates import CandidateGrid, CandidatePose
 from placement.layout import Layout
 from placement.optimiser import (
     Limits,
-    PlacementProblem,
-    PlacementValue,
     is_better,
     placement_value,
     run_margins_s,
 )
 from placement.optimiser.presolve import presolve_freely
 from placement.retrofit import (
-    Change,
     Labour,
     RetrofitPoses,
     best_joining,
@@ -40,7 +37,7 @@ from placement.retrofit import (
 RE_AIM_EUR = 2.0
 
 
-def labour() -> Labour:
+def labour():
     return Labour(
         people=1.0,
         wage_eur_per_h=1.0,
@@ -53,7 +50,7 @@ def labour() -> Labour:
 
 
 @st.composite
-def retrofits(draw: st.DrawFn) -> tuple[PlacementProblem, RetrofitPoses]:
+def retrofits(draw):
     """Small tables whose first poses hang, whose next ones are re-aims of those."""
     problem = draw(problems())
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
@@ -89,18 +86,16 @@ def retrofits(draw: st.DrawFn) -> tuple[PlacementProblem, RetrofitPoses]:
     return replace(problem, limits=limits), poses
 
 
-def _pose(name: str) -> CandidatePose:
+def _pose(name):
     return CandidatePose(
         id=name,
         site_id="",
         pose=Pose(position_m=np.array([0.0, 0.0, 5.0]), yaw_deg=0.0, pitch_deg=-20.0),
-        sensor=None,  # type: ignore[arg-type]  # nothing looks here
+        sensor=None,  # nothing looks here
     )
 
 
-def additions_allowed(
-    problem: PlacementProblem, poses: RetrofitPoses, new: tuple[int, ...]
-) -> bool:
+def additions_allowed(problem, poses, new):
     limits = problem.limits
     if limits.is_forbidden[list(new)].any():
         return False
@@ -112,9 +107,7 @@ def additions_allowed(
     )
 
 
-def price_of(
-    problem: PlacementProblem, poses: RetrofitPoses, new: tuple[int, ...]
-) -> float:
+def price_of(problem, poses, new):
     limits = problem.limits
     opened = {int(limits.site_index[pose]) for pose in new} - set(
         limits.site_index[: poses.n_units].tolist()
@@ -125,15 +118,13 @@ def price_of(
     )
 
 
-def subsets(items: list[int]) -> list[tuple[int, ...]]:
+def subsets(items):
     return list(
         chain.from_iterable(combinations(items, n) for n in range(len(items) + 1))
     )
 
 
-def best_of(
-    problem: PlacementProblem, options: list[tuple[tuple[int, ...], float]]
-) -> PlacementValue:
+def best_of(problem, options):
     """Best value of sets with prices, the price in place of the cost."""
     values = [
         placement_value(problem, poses)._replace(cost_eur=price)
@@ -146,9 +137,7 @@ def best_of(
     return best
 
 
-def check_change(
-    problem: PlacementProblem, poses: RetrofitPoses, change: Change
-) -> None:
+def check_change(problem, poses, change):
     """Whether a change says of itself what is true."""
     standing = set(range(poses.n_units))
     after = (standing - set(change.removed)) | set(change.added)
@@ -163,9 +152,7 @@ def check_change(
 
 
 @given(retrofit=retrofits(), budget_eur=st.sampled_from([None, 0.0, 3.0, 6.0]))
-def test_the_best_change_of_each_kind_is_that_of_brute_force(
-    retrofit: tuple[PlacementProblem, RetrofitPoses], budget_eur: float | None
-) -> None:
+def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eur):
     problem, poses = retrofit
     standing = tuple(range(poses.n_units))
     found = find_retrofit(problem, poses, labour=labour(), budget_eur=budget_eur)
@@ -231,7 +218,7 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(
     assert value_of(found.combination, found.before) == pytest.approx(best, abs=1e-8)
 
 
-def value_of(change: Change | None, before: PlacementValue) -> PlacementValue:
+def value_of(change, before):
     """Value afterwards, with the price in place of the cost."""
     if change is None:
         return before._replace(cost_eur=0.0)
@@ -240,8 +227,8 @@ def value_of(change: Change | None, before: PlacementValue) -> PlacementValue:
 
 @given(retrofit=retrofits())
 def test_combined_limits_have_a_pose_for_every_unit_and_room_for_what_is_left(
-    retrofit: tuple[PlacementProblem, RetrofitPoses],
-) -> None:
+    retrofit,
+):
     problem, poses = retrofit
     limits = combined_limits(
         problem.limits, poses, re_aim_eur=RE_AIM_EUR, budget_eur=6.0
@@ -255,7 +242,7 @@ def test_combined_limits_have_a_pose_for_every_unit_and_room_for_what_is_left(
     assert not limits.is_forbidden[poses.unit_index >= 0].any()
 
 
-def test_what_is_lost_gained_and_paid() -> None:
+def test_what_is_lost_gained_and_paid():
     # A sees runs 0 and 1, B run 1 alone; turned, B sees run 2; a new unit sees 2 and 3.
     problem = avoiding_problem(
         ["1100", "0100", "0010", "0011"], price_eur=[0.0, 0.0, 9.0, 5.0]
@@ -285,12 +272,12 @@ def test_what_is_lost_gained_and_paid() -> None:
     )
 
 
-def _layout(*units: CandidatePose) -> Layout:
+def _layout(*units):
     return Layout(name="mine", units=units)
 
 
 @pytest.fixture
-def grid(camera):  # type: ignore[no-untyped-def]
+def grid(camera):
     return CandidateGrid(
         heights_m=np.array([5.0]),
         yaw_step_deg=90.0,
@@ -301,7 +288,7 @@ def grid(camera):  # type: ignore[no-untyped-def]
 
 def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
     grid, camera
-) -> None:  # type: ignore[no-untyped-def]
+):
     position = np.array([1.0, 2.0, 7.3])
     unit = CandidatePose(
         id="A",
@@ -327,7 +314,7 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
         assert (aim.sensor, aim.site_id, aim.latency_s) == (camera, "corner", 0.2)
 
 
-def test_a_level_ring_is_not_turned(grid) -> None:  # type: ignore[no-untyped-def]
+def test_a_level_ring_is_not_turned(grid):
     """All round: a turn would change nothing, and the grid's tilts are for cameras."""
     ring = replace(_pose("A"), sensor=load_lidars()["ouster-os1-128"])
     level = replace(ring, pose=replace(ring.pose, yaw_deg=77.0, pitch_deg=0.0))
@@ -337,7 +324,7 @@ def test_a_level_ring_is_not_turned(grid) -> None:  # type: ignore[no-untyped-de
     assert [poses.candidates[row].id for row in poses.aims_of(0)] == ["A/aim/0/0"]
 
 
-def test_ids_that_clash_are_refused(grid, camera) -> None:  # type: ignore[no-untyped-def]
+def test_ids_that_clash_are_refused(grid, camera):
     unit = replace(_pose("A"), sensor=camera)
     twin = replace(unit, id="A/aim/0/-30")
     with pytest.raises(
@@ -347,9 +334,7 @@ def test_ids_that_clash_are_refused(grid, camera) -> None:  # type: ignore[no-un
 
 
 @given(problem=problems(), n_kept=st.integers(0, 3))
-def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(
-    problem: PlacementProblem, n_kept: int
-) -> None:
+def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(problem, n_kept):
     poses = range(problem.table.n_poses)
     kept = list(poses)[:n_kept]
     each = np.array(poses)[n_kept:]
@@ -364,7 +349,7 @@ def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(
     assert not any(is_better(value, best) for value in values.values())
 
 
-def test_equal_poses_are_told_apart_by_price() -> None:
+def test_equal_poses_are_told_apart_by_price():
     detected = ["1100", "0011", "0010", "0011", "0001"]
     each = np.array([1, 2, 3, 4])
     assert best_joining(presolve_freely(avoiding_problem(detected)), [0], each) == 1
@@ -372,7 +357,7 @@ def test_equal_poses_are_told_apart_by_price() -> None:
     assert best_joining(presolve_freely(priced), [0], each) == 3
 
 
-def test_a_visit_is_people_on_the_way_and_at_the_pole_and_a_lift() -> None:
+def test_a_visit_is_people_on_the_way_and_at_the_pole_and_a_lift():
     labour = Labour(
         people=2.0,
         wage_eur_per_h=50.0,
@@ -386,5 +371,5 @@ def test_a_visit_is_people_on_the_way_and_at_the_pole_and_a_lift() -> None:
     assert labour.remove_eur == 2.0 * 50.0 * 1.5 + 100.0
 
 
-def test_prices_of_ours_are_called_an_assumption() -> None:
+def test_prices_of_ours_are_called_an_assumption():
     assert "assumption" in load_labour().source

@@ -550,7 +550,7 @@ def test_a_bicycle_that_only_touches_a_person_is_not_ridden():
 def test_suppression_keeps_what_brute_force_keeps(rows, max_iou):
     boxes = np.array([box for box, _ in rows]).reshape(-1, 4)
     ids = np.array([number for _, number in rows], dtype=np.int64)
-    kept: list[int] = []
+    kept = []
     for i in range(len(rows)):
         if not any(
             ids[i] == ids[j] and iou(boxes[i], boxes[j]) > max_iou for j in kept

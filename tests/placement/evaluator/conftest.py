@@ -1,7 +1,6 @@
 """Tiny worlds: boxes for buildings, a block for the VRU, runs given frame by frame."""
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ import trimesh
 
 from geometry.actors import (
     Actor,
-    PlacedActor,
     Shape,
     pick_actor,
 )
@@ -28,7 +26,7 @@ from scenarios.weights import weight_per_run
 Box = tuple[Sequence[float], Sequence[float]]  # lowest and highest corner
 
 
-def _block(name: str, size_m: Sequence[float]) -> Actor:
+def _block(name, size_m):
     mesh = trimesh.creation.box(size_m)
     return Actor(
         name=name,
@@ -46,17 +44,17 @@ def _block(name: str, size_m: Sequence[float]) -> Actor:
 
 
 @pytest.fixture(scope="session")
-def block() -> Actor:
+def block():
     return _block("block", (0.5, 1.0, 1.8))
 
 
 @pytest.fixture(scope="session")
-def vut() -> Actor:
+def vut():
     return pick_actor("vut", "test")
 
 
 @pytest.fixture(scope="session")
-def camera() -> CameraModel:
+def camera():
     return CameraModel(
         name="small",
         width_px=320,
@@ -69,8 +67,8 @@ def camera() -> CameraModel:
 
 
 @pytest.fixture(scope="session")
-def build_scene() -> Callable[..., Scene]:
-    def build(*boxes: Box) -> Scene:
+def build_scene():
+    def build(*boxes):
         meshes = [trimesh.creation.box(bounds=np.array(box)) for box in boxes]
         # One triangle far below the road, so that there is a mesh even without boxes.
         vertices = [np.array([[0.0, 0.0, -9.0], [1.0, 0.0, -9.0], [0.0, 1.0, -9.0]])]
@@ -95,18 +93,18 @@ def build_scene() -> Callable[..., Scene]:
 
 
 @pytest.fixture(scope="session")
-def build_run(vut: Actor) -> Callable[..., Run]:
+def build_run(vut):
     """Frames as given; the VRU runs through its shapes, one per frame.
 
     The motions of the encounter are of no account.
     """
 
     def build(
-        vru: Actor,
-        vru_poses: Sequence[Sequence[float]],
-        vut_poses: Sequence[Sequence[float]] | None = None,
-        obstruction: tuple[PlacedActor, ...] = (),
-    ) -> Run:
+        vru,
+        vru_poses,
+        vut_poses=None,
+        obstruction=(),
+    ):
         vru_array = np.array(vru_poses, dtype=np.float64)
         far = np.tile([-90.0, 90.0, 0.0], (len(vru_array), 1))
         if vut_poses is None:
@@ -139,12 +137,12 @@ def build_run(vut: Actor) -> Callable[..., Run]:
 
 
 @pytest.fixture(scope="session")
-def build_setting() -> Callable[..., Setting]:
+def build_setting():
     """Runs that count alike, a detector that asks for little, no radio that fails."""
 
-    def build(scene: Scene, runs: Sequence[Run], **changes: Any) -> Setting:
+    def build(scene, runs, **changes):
         detector = GeometricDetector(min_iou=0.5, min_box_height_px=10.0)
-        given: dict[str, Any] = {
+        given = {
             "scene": scene,
             "runs": tuple(runs),
             "axis": build_frame_axis(runs, weight_per_run(runs)),
@@ -158,9 +156,9 @@ def build_setting() -> Callable[..., Setting]:
 
 
 @pytest.fixture(scope="session")
-def study_runs(vut: Actor) -> tuple[Run, ...]:
+def study_runs(vut):
     """Three runs of the study's cases from one approach each, at two speeds."""
-    runs: list[Run] = []
+    runs = []
     for name, approach in (("CPNC-50", "north"), ("CBNA", "east"), ("CBLA", "south")):
         cases = select_cases(name, speeds="30,60").cases
         some, _ = build_runs(

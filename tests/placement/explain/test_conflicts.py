@@ -1,6 +1,5 @@
 """Conflicts and relaxations of small problems against all sets of poses."""
 
-from collections.abc import Iterable
 from dataclasses import replace
 from itertools import chain, combinations
 
@@ -10,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems, questions
 
-from placement.explain.conflicts import Demand, Separation, Wish, find_conflicts, relax
+from placement.explain.conflicts import Separation, Wish, find_conflicts, relax
 from placement.optimiser import (
-    PlacementProblem,
     cost_eur,
     floor_value,
     is_feasible,
@@ -39,7 +37,7 @@ def relaxed(problem, relaxation, separation):
 
 
 @st.composite
-def wishes(draw: st.DrawFn) -> tuple[PlacementProblem, Separation | None]:
+def wishes(draw):
     """Questions, many of which cannot be met; rivals may come from a distance."""
     problem = draw(questions())
     limits = problem.limits
@@ -55,20 +53,20 @@ def wishes(draw: st.DrawFn) -> tuple[PlacementProblem, Separation | None]:
     return replace(problem, limits=one_each), separation
 
 
-def sets_of(n: int) -> list[Poses]:
+def sets_of(n):
     return list(
         chain.from_iterable(combinations(range(n), size) for size in range(1, n + 1))
     )
 
 
 def meets(
-    problem: PlacementProblem,
-    separation: Separation | None,
-    demand: Demand,
-    poses: Poses,
+    problem,
+    separation,
+    demand,
+    poses,
     *,
-    survives: bool,
-) -> bool:
+    survives,
+):
     """Whether a set of poses meets one demand."""
     limits = problem.limits
     kind = demand.kind
@@ -100,9 +98,7 @@ def meets(
     return True  # "survive" shows in the floors
 
 
-def met_together(
-    problem: PlacementProblem, separation: Separation | None, demands: Iterable[Demand]
-) -> list[Poses]:
+def met_together(problem, separation, demands):
     """All sets of poses that meet some demands, and have what is there already."""
     demands = list(demands)
     survives = any(demand.kind == "survive" for demand in demands)

@@ -9,7 +9,6 @@ from problems import problems
 from placement.detection_table import pack_table
 from placement.explain.contributions import find_contributions
 from placement.optimiser import (
-    PlacementProblem,
     apr,
     placement_value,
     run_margins_s,
@@ -18,7 +17,7 @@ from placement.optimiser import (
 PROBLEMS = problems()
 
 
-def some_poses(problem: PlacementProblem, data: st.DataObject) -> list[int]:
+def some_poses(problem, data):
     return data.draw(st.permutations(range(problem.table.n_poses)))[
         : data.draw(st.integers(1, 4))
     ]

@@ -12,7 +12,6 @@ from problems import random_problem
 from placement.optimiser import (
     Effort,
     Floor,
-    PlacementProblem,
     UnmetError,
     is_feasible,
     presolve,
@@ -20,7 +19,6 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.constants import NEVER
-from placement.optimiser.model import MilpResult
 from placement.optimiser.problem import Objective
 from placement.optimiser.walk import find_of_size
 from placement.verification.instances import load_problem
@@ -29,14 +27,14 @@ ARMS = Path(__file__).parents[4] / "shared/inputs/placement/arms-388.npz"
 TARGET = Floor(name="--target", share=0.96)
 
 
-def no_model(*_: object, **__: object) -> MilpResult:
+def no_model(*_, **__):
     """What a solver that finds out nothing says."""
     raise AssertionError("a model was handed to the solver")
 
 
-def problems_with_floors(n_problems: int) -> list[tuple[int, PlacementProblem]]:
+def problems_with_floors(n_problems):
     """Random problems with floors, by their seeds."""
-    found: list[tuple[int, PlacementProblem]] = []
+    found = []
     seed = 0
     while len(found) < n_problems:
         problem = random_problem(np.random.default_rng([46, seed]))
@@ -46,7 +44,7 @@ def problems_with_floors(n_problems: int) -> list[tuple[int, PlacementProblem]]:
     return found
 
 
-def test_all_sets_of_a_size_are_gone_through_for_one_that_reaches_the_floors() -> None:
+def test_all_sets_of_a_size_are_gone_through_for_one_that_reaches_the_floors():
     for seed, problem in problems_with_floors(60):
         reduced = presolve(problem)
         limits = problem.limits
@@ -68,8 +66,8 @@ def test_all_sets_of_a_size_are_gone_through_for_one_that_reaches_the_floors() -
 
 
 def test_the_fewest_units_are_proven_without_a_model(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr("placement.optimiser.constants.MAX_FEW_SETS", 0)
     monkeypatch.setattr("placement.optimiser.constants.MAX_SETS_OF_MONEY", 0)
     for seed, problem in problems_with_floors(40):
@@ -94,8 +92,8 @@ def test_the_fewest_units_are_proven_without_a_model(
 
 @pytest.mark.skipif(not ARMS.exists(), reason="the instance is not at hand")
 def test_three_units_are_ruled_out_on_a_junction_with_arms(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr(proof, "solve_window_model", no_model)
     problem = load_problem(ARMS)
     limits = replace(problem.limits, budget_units=None)

@@ -1,17 +1,15 @@
 """The model that HiGHS is handed, and its cuts, against all sets of small tables."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
+from all_layouts import allowed_sets, sets_of_size, sign_of
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from problems import questions
+from problems import problems, questions
 
-from geometry.arrays import FloatArray, IntArray
-from placement.optimiser import PlacementProblem, presolve
+from placement.optimiser import presolve
 from placement.optimiser.allowed_sets import are_allowed
 from placement.optimiser.bitsets import (
     left_after_failures,
@@ -21,7 +19,6 @@ from placement.optimiser.bitsets import (
 )
 from placement.optimiser.bounds import margin_rows, run_rows
 from placement.optimiser.model import (
-    Cut,
     entering_poses,
     first_cuts,
     last_links,
@@ -29,29 +26,27 @@ from placement.optimiser.model import (
     solve_window_model,
     violated_cuts,
 )
-from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.problem import Objective, Requirement
 
-ANY_PROBLEM = st.from_type(PlacementProblem)
 VALUED = (Objective.UNITS, Objective.COST, Objective.APR)
 
 
-def without_floors(problem: PlacementProblem) -> PlacementProblem:
+def without_floors(problem):
     return replace(problem, floors=(), goal="best", survive=0)
 
 
-def sets_by_size(reduced: ReducedProblem) -> Iterator[IntArray]:
+def sets_by_size(reduced):
     """Sets of each size that has any, whether they are allowed or not."""
     for size in range(1, min(4, reduced.n_poses) + 1):
-        yield np.array(list(combinations(range(reduced.n_poses), size)), dtype=np.int64)
+        yield sets_of_size(reduced.n_poses, size)
 
 
-def margins(reduced: ReducedProblem, units: IntArray) -> FloatArray:
-    found: FloatArray = union_margins_s(reduced, unions_of(reduced, units[None, :]))[0]
+def margins(reduced, units):
+    found = union_margins_s(reduced, unions_of(reduced, units[None, :]))[0]
     return found
 
 
-def live_links(reduced: ReducedProblem, units: IntArray) -> FloatArray:
+def live_links(reduced, units):
     """a of the model: whether a window of the chain up to each link is live."""
     detected = reduced.detected()
     chains = reduced.chains
@@ -68,28 +63,17 @@ def live_links(reduced: ReducedProblem, units: IntArray) -> FloatArray:
 
 
 @given(problem=questions().map(without_floors), objective=st.sampled_from(VALUED))
-def test_the_model_finds_the_best_allowed_set(
-    problem: PlacementProblem, objective: Objective
-) -> None:
+def test_the_model_finds_the_best_allowed_set(problem, objective):
     reduced = replace(presolve(problem), objectives=(objective,))
     assume(reduced.n_poses)  # else limits are refused before
     values = []
     for size in range(1, reduced.limits.max_units + 1):
-        sets = np.array(
-            list(combinations(range(reduced.n_poses), size)), dtype=np.int64
-        )
-        sets = sets.reshape(-1, size)
-        sets = sets[are_allowed(reduced.limits, sets)]
+        sets = allowed_sets(reduced, size)
         if len(sets):
             values += set_values(reduced, sets).of(objective).tolist()
-        else:
-            values += []
     found = solve_window_model(reduced, objective, time_limit_s=60.0)
     assert found.is_finished
-    if objective.is_minimised:
-        sign = -1.0
-    else:
-        sign = 1.0
+    sign = sign_of(objective)
     if not values:
         assert found.units is None
         assert found.bound == -sign * np.inf
@@ -102,8 +86,8 @@ def test_the_model_finds_the_best_allowed_set(
     assert found.bound == pytest.approx(best, rel=1e-6, abs=1e-6)
 
 
-@given(problem=ANY_PROBLEM)
-def test_the_model_finds_the_largest_sum_of_margins(problem: PlacementProblem) -> None:
+@given(problem=problems())
+def test_the_model_finds_the_largest_sum_of_margins(problem):
     reduced = presolve(problem)
     best = 0.0
     for sets in sets_by_size(reduced):
@@ -116,10 +100,10 @@ def test_the_model_finds_the_largest_sum_of_margins(problem: PlacementProblem) -
     assert found.bound == pytest.approx(best, abs=1e-6)
 
 
-@given(problem=ANY_PROBLEM, place=st.floats(0.0, 1.0))
+@given(problem=problems(), place=st.floats(0.0, 1.0))
 def test_the_model_finds_a_set_that_meets_a_requirement_where_there_is_one(
-    problem: PlacementProblem, place: float
-) -> None:
+    problem, place
+):
     reduced = presolve(problem)
     least = place * reduced.measure.limit
     requirement = Requirement(measure=reduced.measure, least=least)
@@ -143,24 +127,8 @@ def test_the_model_finds_a_set_that_meets_a_requirement_where_there_is_one(
         assert max(reached) < least
 
 
-def test_a_model_that_takes_too_long_to_state_says_nothing() -> None:
-    from small_tables import avoiding_problem
-
-    reduced = presolve(avoiding_problem(["10", "01"]))
-    for objective, bound in (
-        (Objective.APR, np.inf),
-        (Objective.COST, -np.inf),
-        (None, np.inf),
-    ):
-        assert solve_window_model(reduced, objective, time_limit_s=1e-9) == (
-            None,
-            bound,
-            False,
-        )
-
-
-@given(problem=ANY_PROBLEM)
-def test_links_weigh_what_their_rows_are_worth(problem: PlacementProblem) -> None:
+@given(problem=problems())
+def test_links_weigh_what_their_rows_are_worth(problem):
     reduced = presolve(problem)
     of_runs = link_weights(reduced, run_rows(reduced))
     of_margins = link_weights(reduced, margin_rows(reduced))
@@ -174,10 +142,8 @@ def test_links_weigh_what_their_rows_are_worth(problem: PlacementProblem) -> Non
             assert of_margins @ a == pytest.approx(total_s, abs=1e-12)
 
 
-@given(problem=ANY_PROBLEM, least_s=st.sampled_from([-np.inf, 0.05, 0.2, 9.0]))
-def test_the_last_link_leaves_the_margin_and_the_next_one_does_not(
-    problem: PlacementProblem, least_s: float
-) -> None:
+@given(problem=problems(), least_s=st.sampled_from([-np.inf, 0.05, 0.2, 9.0]))
+def test_the_last_link_leaves_the_margin_and_the_next_one_does_not(problem, least_s):
     reduced = presolve(problem)
     last = last_links(reduced, min_margin_s=least_s)
     for run, chain in enumerate(reduced.run_chain):
@@ -191,10 +157,10 @@ def test_the_last_link_leaves_the_margin_and_the_next_one_does_not(
         )
 
 
-@given(problem=ANY_PROBLEM)
+@given(problem=problems())
 def test_who_makes_a_window_live_has_seen_a_frame_that_stabs(
-    problem: PlacementProblem,
-) -> None:
+    problem,
+):
     reduced = presolve(problem)
     for phase in range(reduced.window_frames.shape[1]):
         enters = entering_poses(reduced, phase).toarray()
@@ -209,7 +175,7 @@ def test_who_makes_a_window_live_has_seen_a_frame_that_stabs(
                     assert (enters[mine].sum(axis=0) <= 1.0).all()  # once in a chain
 
 
-def holds(reduced: ReducedProblem, cut: Cut, units: IntArray) -> bool:
+def holds(reduced, cut, units):
     """True if a set has so many of the units that count, or sites with such units."""
     counted = units[cut.is_counted[units]]
     sites = reduced.limits.site_index[counted]
@@ -220,14 +186,12 @@ def holds(reduced: ReducedProblem, cut: Cut, units: IntArray) -> bool:
     return n_counted >= cut.n_units
 
 
-def drawn_requirement(
-    reduced: ReducedProblem, n_failures: int, place: float
-) -> Requirement:
+def drawn_requirement(reduced, n_failures, place):
     least = place * reduced.measure.limit
     return Requirement(measure=reduced.measure, least=least, n_failures=n_failures)
 
 
-def meets(reduced: ReducedProblem, units: IntArray, requirement: Requirement) -> bool:
+def meets(reduced, units, requirement):
     left = left_after_failures(
         reduced, requirement.measure, requirement.n_failures, units[None, :]
     )
@@ -238,11 +202,9 @@ FAILING = st.sampled_from(["unit", "site"])
 PLACES = st.sampled_from([1.0, 1.0, 0.5, 0.9])
 
 
-@given(problem=ANY_PROBLEM, n_failures=st.integers(0, 2), place=PLACES, failing=FAILING)
-def test_cuts_are_met_by_all_sets_that_keep_enough(
-    problem: PlacementProblem, n_failures: int, place: float, failing: str
-) -> None:
-    limits = replace(problem.limits, failing=failing)  # type: ignore[arg-type]
+@given(problem=problems(), n_failures=st.integers(0, 2), place=PLACES, failing=FAILING)
+def test_cuts_are_met_by_all_sets_that_keep_enough(problem, n_failures, place, failing):
+    limits = replace(problem.limits, failing=failing)
     reduced = presolve(replace(problem, limits=limits))
     if not len(reduced.weight):
         return
@@ -261,11 +223,11 @@ def test_cuts_are_met_by_all_sets_that_keep_enough(
         assert all(holds(reduced, cut, one) for one in good)
 
 
-@given(problem=ANY_PROBLEM, failing=FAILING)
+@given(problem=problems(), failing=FAILING)
 def test_a_model_with_cuts_finds_a_set_that_survives_where_there_is_one(
-    problem: PlacementProblem, failing: str
-) -> None:
-    limits = replace(problem.limits, failing=failing)  # type: ignore[arg-type]
+    problem, failing
+):
+    limits = replace(problem.limits, failing=failing)
     reduced = presolve(replace(problem, limits=limits))
     if not len(reduced.weight):
         return

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from oracle import TIE, TIE_EUR, Oracle, Values
+from oracle import TIE, TIE_EUR, Oracle
 from problems import kinds_of, random_problem
 
 from placement.detection_table import pack_table
@@ -15,7 +15,6 @@ from placement.optimiser import Limits, PlacementProblem, presolve
 from placement.optimiser.bitsets import set_values
 from placement.optimiser.presolve import (
     ALL_RULES,
-    ReducedProblem,
     Rule,
     find_needless,
     presolve_freely,
@@ -40,9 +39,7 @@ ALONE = [
 ]
 
 
-def best_by_stage(
-    oracle: Oracle, layouts: dict[tuple[int, ...], Values]
-) -> list[float]:
+def best_by_stage(oracle, layouts):
     """Best value of every stage among layouts that tie in all stages before."""
     best = []
     rivals = list(layouts.values())
@@ -62,7 +59,7 @@ def best_by_stage(
     return best
 
 
-def check_stages(problem: PlacementProblem, reduced: ReducedProblem) -> bool:
+def check_stages(problem, reduced):
     """Check that the poses left reach the best value of every stage; False: no
     layout.
     """
@@ -85,9 +82,9 @@ def check_stages(problem: PlacementProblem, reduced: ReducedProblem) -> bool:
 @pytest.mark.parametrize(
     "rules", ALONE, ids=lambda rules: " and ".join(sorted(rules)) or "none"
 )
-def test_the_rules_change_the_best_value_of_no_stage(rules: set[Rule]) -> None:
+def test_the_rules_change_the_best_value_of_no_stage(rules):
     n_met = 0
-    seen: set[str] = set()
+    seen = set()
     for number in range(N_PROBLEMS):
         problem = random_problem(np.random.default_rng([17, number]))
         reduced = presolve(problem, rules=rules)
@@ -102,8 +99,8 @@ def test_the_rules_change_the_best_value_of_no_stage(rules: set[Rule]) -> None:
     "rules", ALONE, ids=lambda rules: " and ".join(sorted(rules)) or "none"
 )
 def test_the_rules_change_the_value_of_no_layout_of_what_is_left(
-    rules: set[Rule],
-) -> None:
+    rules,
+):
     for number in range(N_PROBLEMS):
         problem = random_problem(np.random.default_rng([18, number]))
         problem = replace(problem, floors=(), goal="best")
@@ -124,7 +121,7 @@ def test_the_rules_change_the_value_of_no_layout_of_what_is_left(
                 assert got == pytest.approx(wanted, abs=TIE), (number, name)
 
 
-def tie_of_margins(price_eur: list[float]) -> PlacementProblem:
+def tie_of_margins(price_eur):
     """Two worlds, of which the worse counts, where no pose avoids anything.
 
     In the other one the car avoids a run with a large margin, and pose 0 avoids one
@@ -169,15 +166,15 @@ def tie_of_margins(price_eur: list[float]) -> PlacementProblem:
 
 @pytest.mark.parametrize("price_eur", [[1.0, 1.0], [1.0, 2.0], [2.0, 1.0]])
 def test_a_pose_that_adds_nothing_stays_where_it_has_the_largest_margin(
-    price_eur: list[float],
-) -> None:
+    price_eur,
+):
     problem = tie_of_margins(price_eur)
     reduced = presolve(problem)
     assert 1 in reduced.pose_index
     assert check_stages(problem, reduced)
 
 
-def test_the_cheapest_of_the_poses_that_add_nothing_stays() -> None:
+def test_the_cheapest_of_the_poses_that_add_nothing_stays():
     problem = random_problem(np.random.default_rng(3))
     n_poses = 4
     detected = np.zeros((n_poses, problem.table.axis.n_frames), dtype=bool)
@@ -202,7 +199,7 @@ def test_the_cheapest_of_the_poses_that_add_nothing_stays() -> None:
     assert not find_needless(presolve(asked)).any()
 
 
-def test_what_is_presolved_for_any_question_has_all_usable_poses() -> None:
+def test_what_is_presolved_for_any_question_has_all_usable_poses():
     for number in range(20):
         problem = random_problem(np.random.default_rng([19, number]))
         reduced = presolve_freely(problem)

@@ -23,7 +23,7 @@ from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
 
-def singles(weight: list[float], seen_from: list[list[int | None]]) -> PlacementProblem:
+def singles(weight, seen_from):
     """One pose is chosen, which sees run r from frame ``seen_from[pose][r]`` of 9 on.
 
     The first run, which nothing avoids, has the rest of the weight.
@@ -68,8 +68,8 @@ def singles(weight: list[float], seen_from: list[list[int | None]]) -> Placement
 
 @pytest.mark.parametrize("way", EVERY_WAY)
 def test_a_pose_is_not_dropped_for_one_that_avoids_a_run_more_at_a_tie(
-    way: str,
-) -> None:
+    way,
+):
     problem = singles([1.6e-8, 5.0e-10], [[2, 7], [2, None]])
     check(problem, way)
     if way in ("auto", "exact"):
@@ -77,12 +77,12 @@ def test_a_pose_is_not_dropped_for_one_that_avoids_a_run_more_at_a_tie(
 
 
 @pytest.mark.parametrize("way", EVERY_WAY)
-def test_the_mean_margin_is_bounded_for_layouts_that_avoid_a_tie_less(way: str) -> None:
+def test_the_mean_margin_is_bounded_for_layouts_that_avoid_a_tie_less(way):
     check(singles([1.6e-8, 9.0e-10, 1.0e-12], [[2, 6, 7], [2, None, 7]]), way)
 
 
 @pytest.mark.parametrize("way", EVERY_WAY)
-def test_ties_do_not_add_up_from_layout_to_layout(way: str) -> None:
+def test_ties_do_not_add_up_from_layout_to_layout(way):
     # Each is 0.7 of a tie worse than the one before, with a larger margin.
     weight = [1.6e-8, 7.0e-10, 7.0e-10, 7.0e-10]
     frames = [[5, 5, 5, 5], [4, 4, 4, None], [3, 3, None, None], [2, None, None, None]]
@@ -90,7 +90,7 @@ def test_ties_do_not_add_up_from_layout_to_layout(way: str) -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed: int) -> None:
+def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed):
     problem = random_problem(np.random.default_rng(seed))
     problem = replace(problem, floors=(), goal="best")
     reduced = presolve(problem)
@@ -107,9 +107,7 @@ def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed: int) -> 
 
 
 @given(st.lists(st.integers(0, 6), min_size=1, max_size=8), st.integers(0, 2**32 - 1))
-def test_contenders_limit_every_set_that_ties_in_all_stages_before(
-    steps: list[int], seed: int
-) -> None:
+def test_contenders_limit_every_set_that_ties_in_all_stages_before(steps, seed):
     rng = np.random.default_rng(seed)
     objectives = (Objective.APR, Objective.MEAN_MARGIN, Objective.COST)
     n_sets = len(steps)
@@ -141,7 +139,7 @@ def test_contenders_limit_every_set_that_ties_in_all_stages_before(
         tied &= gains[:, column] >= gains[row, column] - tolerance
 
 
-def test_ties_are_equal_where_weights_are_fractions_or_all_is_avoided() -> None:
+def test_ties_are_equal_where_weights_are_fractions_or_all_is_avoided():
     fractions = np.array([1 / 3, 1 / 6, 1 / 12, 5 / 12])
     assert build_measure(fractions).least_tied(0.5) == 0.5
     rng = np.random.default_rng(1)
@@ -157,8 +155,8 @@ def test_ties_are_equal_where_weights_are_fractions_or_all_is_avoided() -> None:
 
 @given(st.lists(st.integers(1, 200), min_size=1, max_size=12))
 def test_sums_of_fractions_are_apart_unless_their_denominator_is_large(
-    denominators: list[int],
-) -> None:
+    denominators,
+):
     weight = 1.0 / np.array(denominators)
     if are_sums_apart(weight):
         common = float(np.lcm.reduce(denominators))
@@ -169,7 +167,7 @@ def test_sums_of_fractions_are_apart_unless_their_denominator_is_large(
         assert float(np.lcm.reduce(np.array(denominators, dtype=object))) > 2.5e8
 
 
-def test_a_layout_of_the_oracle_is_ambiguous_only_near_a_tie() -> None:
+def test_a_layout_of_the_oracle_is_ambiguous_only_near_a_tie():
     near = Oracle(singles([1.6e-8, 9.0e-10], [[2, 6], [2, None]]))
     far = Oracle(singles([0.2, 0.1], [[2, 6], [2, None]]))
     assert near.is_ambiguous((0,))

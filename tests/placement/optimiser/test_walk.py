@@ -5,14 +5,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from all_layouts import allowed_sets
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import questions
+from problems import problems, questions
 
-from geometry.arrays import IntArray
 from placement.detection_table import DetectionTable
 from placement.optimiser import Limits, PlacementProblem, presolve
-from placement.optimiser.allowed_sets import are_allowed
 from placement.optimiser.bitsets import (
     left_after_failures,
     set_values,
@@ -22,7 +21,6 @@ from placement.optimiser.bitsets import (
 from placement.optimiser.bounds import failure_limit, find_root, run_rows
 from placement.optimiser.constants import NEVER, Deadline
 from placement.optimiser.greedy import improve
-from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.proof import Search
 from placement.optimiser.walk import (
     SetWalk,
@@ -34,29 +32,18 @@ from placement.optimiser.walk import (
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis
 
-ANY_PROBLEM = st.from_type(PlacementProblem)
 
-
-def all_sets(reduced: ReducedProblem, n_units: int) -> IntArray:
-    numbers = np.array(
-        list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64
-    )
-    return numbers[are_allowed(reduced.limits, numbers.reshape(-1, n_units))]
-
-
-def as_tuples(sets: IntArray) -> list[tuple[int, ...]]:
+def as_tuples(sets):
     return sorted(tuple(sorted(units)) for units in sets.tolist())
 
 
-@given(problem=ANY_PROBLEM, n_failures=st.integers(0, 2), place=st.floats(0.0, 1.0))
-def test_a_walk_meets_every_set_that_meets_its_needs(
-    problem: PlacementProblem, n_failures: int, place: float
-) -> None:
+@given(problem=problems(), n_failures=st.integers(0, 2), place=st.floats(0.0, 1.0))
+def test_a_walk_meets_every_set_that_meets_its_needs(problem, n_failures, place):
     reduced = presolve(problem)
     n_units = reduced.limits.max_units
     if n_units < 2 or not len(reduced.weight) or reduced.n_poses < n_units:
         return
-    sets = all_sets(reduced, n_units)
+    sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
@@ -81,8 +68,8 @@ def test_a_walk_meets_every_set_that_meets_its_needs(
 
 @given(problem=questions())
 def test_a_walk_with_forced_poses_meets_every_allowed_set(
-    problem: PlacementProblem,
-) -> None:
+    problem,
+):
     plain = replace(problem.limits, budget_eur=None, rivals=None, is_forced_site=None)
     reduced = presolve(
         replace(problem, limits=plain, floors=(), goal="best", survive=0, tail=1.0)
@@ -90,7 +77,7 @@ def test_a_walk_with_forced_poses_meets_every_allowed_set(
     n_units = reduced.limits.max_units
     if not can_walk(reduced):
         return
-    sets = all_sets(reduced, n_units)
+    sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
@@ -103,9 +90,7 @@ def test_a_walk_with_forced_poses_meets_every_allowed_set(
     assert as_tuples(met) == as_tuples(sets[share >= need - 1e-9])
 
 
-def tie_search(
-    reduced: ReducedProblem, units: IntArray, n_failures: int, *, ahead: float = 0.0
-) -> TieSearch:
+def tie_search(reduced, units, n_failures, *, ahead=0.0):
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
     limit = Search(reduced).limit
     return TieSearch(
@@ -124,16 +109,14 @@ def tie_search(
 
 
 @given(problem=questions(), ahead=st.sampled_from([0.0, 0.01, 0.3]))
-def test_the_best_of_the_tied_sets_is_the_best_of_all(
-    problem: PlacementProblem, ahead: float
-) -> None:
+def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
     limits = replace(problem.limits, is_forced=None)
     reduced = presolve(
         replace(problem, limits=limits, floors=(), goal="best", tail=1.0)
     )
     if not can_walk(reduced):
         return
-    sizes = [all_sets(reduced, n) for n in range(1, reduced.limits.max_units + 1)]
+    sizes = [allowed_sets(reduced, n) for n in range(1, reduced.limits.max_units + 1)]
     sizes = [sets for sets in sizes if len(sets)]
     if not sizes or sizes[-1].shape[1] < reduced.limits.max_units:
         return
@@ -159,7 +142,7 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(
     )
 
 
-def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost() -> None:
+def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost():
     """Better sets were met while only a step more was asked for, and not kept as
     ties.
     """
@@ -198,17 +181,17 @@ def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost() -> None:
         sample_index=np.array([0, 1, 1]),
     )
     check = test_the_best_of_the_tied_sets_is_the_best_of_all
-    check.hypothesis.inner_test(problem=problem, ahead=0.3)  # type: ignore[attr-defined]
+    check.hypothesis.inner_test(problem=problem, ahead=0.3)
 
 
-@given(problem=ANY_PROBLEM)
+@given(problem=problems())
 def test_a_walk_without_time_proves_nothing_but_its_limit(
-    problem: PlacementProblem,
-) -> None:
+    problem,
+):
     reduced = presolve(problem)
     if not can_walk(reduced):
         return
-    sets = all_sets(reduced, reduced.limits.max_units)
+    sets = allowed_sets(reduced, reduced.limits.max_units)
     if not len(sets):
         return
     shares = union_apr(reduced, unions_of(reduced, sets))
@@ -220,9 +203,7 @@ def test_a_walk_without_time_proves_nothing_but_its_limit(
 
 
 @given(data=st.data(), n_poses=st.integers(1, 12), n_rows=st.integers(1, 10))
-def test_every_pose_covers_no_more_than_the_widest_of_its_class(
-    data: st.DataObject, n_poses: int, n_rows: int
-) -> None:
+def test_every_pose_covers_no_more_than_the_widest_of_its_class(data, n_poses, n_rows):
     bits = data.draw(
         st.lists(st.booleans(), min_size=n_poses * n_rows, max_size=n_poses * n_rows)
     )

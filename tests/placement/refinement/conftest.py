@@ -22,7 +22,7 @@ N_FRAMES = 40
 _SIZE_M = 60.0
 
 
-def _build_scene(*sites) -> Scene:
+def _build_scene(*sites):
     """Flat ground and nothing on it; a site from each (id, east, north)."""
     corners = _SIZE_M * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     return Scene(
@@ -47,7 +47,7 @@ def _build_scene(*sites) -> Scene:
     )
 
 
-def _build_walk(name, vru_m, *, last_brake_time_s=-1.0, vru="adult") -> Run:
+def _build_walk(name, vru_m, *, last_brake_time_s=-1.0, vru="adult"):
     """Someone at the places given, (n, 2); the VUT is far away, its motion of no
     account.
     """
@@ -101,7 +101,7 @@ def build_walk():
 
 
 @pytest.fixture(scope="session")
-def narrow_camera() -> CameraModel:
+def narrow_camera():
     return CameraModel(
         name="narrow",
         width_px=640,
@@ -115,7 +115,7 @@ def narrow_camera() -> CameraModel:
 
 @pytest.fixture(scope="session")
 def build_small_setting():
-    def build(scene, walks) -> Setting:
+    def build(scene, walks):
         return Setting(
             scene=scene,
             runs=tuple(walks),
@@ -129,7 +129,7 @@ def build_small_setting():
 
 
 @pytest.fixture(scope="session")
-def meadow(build_meadow, build_walk, build_small_setting) -> Setting:
+def meadow(build_meadow, build_walk, build_small_setting):
     """Three walks that no pose of the grid below sees early."""
     scene = build_meadow(("west", 0.0, 0.0), ("east", 34.0, 4.0))
     return build_small_setting(

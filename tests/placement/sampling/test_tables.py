@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geometry.actors import Actor
 from geometry.errors import InputError
 from geometry.lenses import BrownConrady, Fisheye
 from geometry.sensors import CameraModel
@@ -288,7 +287,7 @@ def test_a_world_beside_others_is_as_it_is_alone(
 # A queue hides a VRU
 
 
-def _queue_of(actor: Actor, share: float) -> Uncertainty:
+def _queue_of(actor, share):
     kind = VehicleKind(actor=actor, parked_share=0.0, waiting_share=1.0)
     return Uncertainty(traffic=StandingTraffic(waiting_share=share, vehicles=(kind,)))
 

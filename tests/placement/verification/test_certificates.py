@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from certified import Document, document_of, two_of_twelve
+from certified import document_of, two_of_twelve
 
 from geometry.errors import InputError
 from placement.layout import Certificate
-from placement.optimiser import PlacementProblem, solve_placement
+from placement.optimiser import solve_placement
 from placement.verification.certificates import (
     CERTIFICATE_FILE,
     load_certificate,
@@ -20,12 +20,12 @@ from placement.verification.recomputation import stage_names
 
 
 @pytest.fixture
-def problem(frame_axis, rule) -> PlacementProblem:
+def problem(frame_axis, rule):
     return two_of_twelve(frame_axis, rule)
 
 
 @pytest.fixture
-def document(problem) -> Document:
+def document(problem):
     return document_of(problem, solve_placement(problem))
 
 

@@ -1,8 +1,6 @@
 """Whole problems as files, and their hash."""
 
 from dataclasses import fields, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +22,7 @@ SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixt
 
 
 @pytest.fixture
-def problem(frame_axis) -> PlacementProblem:
+def problem(frame_axis):
     """Three runs, three poses on two sites, everything that can be asked at once."""
     rng = np.random.default_rng(1)
     packed = np.packbits(rng.random((3, 10)) < 0.6, axis=1, bitorder="little")
@@ -65,7 +63,7 @@ def problem(frame_axis) -> PlacementProblem:
     )
 
 
-def assert_same(one: Any, other: Any) -> None:
+def assert_same(one, other):
     """Compare everything that two problems are made of, bit by bit."""
     assert type(one) is type(other)
     if hasattr(one, "__dataclass_fields__"):
@@ -84,9 +82,7 @@ def assert_same(one: Any, other: Any) -> None:
 
 @given(problem=questions())
 @SHARED_FOLDER
-def test_every_problem_comes_back_as_it_was(
-    problem: PlacementProblem, tmp_path: Path
-) -> None:
+def test_every_problem_comes_back_as_it_was(problem, tmp_path):
     floors = tuple(replace(floor, share=float(floor.share)) for floor in problem.floors)
     problem = replace(problem, floors=floors)
     path = tmp_path / "instance.npz"
@@ -106,16 +102,16 @@ def test_a_problem_with_every_wish_comes_back_and_makes_the_same_file(
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
 
 
-def variations(problem: PlacementProblem) -> dict[str, PlacementProblem]:
+def variations(problem):
     """The problem with one thing changed at a time."""
     limits, table, axis = problem.limits, problem.table, problem.table.axis
     packed = table.packed.copy()
     packed[1, 0] ^= 4
 
-    def limited(**values: Any) -> PlacementProblem:
+    def limited(**values):
         return replace(problem, limits=replace(limits, **values))
 
-    def on_axis(**values: Any) -> PlacementProblem:
+    def on_axis(**values):
         return replace(problem, table=replace(table, axis=replace(axis, **values)))
 
     first, second = problem.floors
@@ -248,7 +244,7 @@ def test_a_name_that_numpy_would_cut_is_refused(problem, tmp_path):
 # Bad files
 
 
-def rewrite(path: Path, problem: PlacementProblem, **changes: Any) -> None:
+def rewrite(path, problem, **changes):
     """The problem's file with some arrays replaced, added, or removed (...)."""
     save_problem(path, problem)
     with np.load(path) as archive:
@@ -425,9 +421,7 @@ def test_a_truncated_file_is_refused_wherever_it_ends(problem, tmp_path):
 
 @given(where=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
 @SHARED_FOLDER
-def test_a_damaged_byte_is_never_taken_for_data(
-    problem: PlacementProblem, tmp_path: Path, where: float, flip: int
-) -> None:
+def test_a_damaged_byte_is_never_taken_for_data(problem, tmp_path, where, flip):
     path = tmp_path / "a.npz"
     save_problem(path, problem)
     content = bytearray(path.read_bytes())

@@ -40,7 +40,7 @@ from placement.verification.recomputation import (
 )
 
 
-def sets_of(problem: PlacementProblem, size: int, limit: int = 25) -> np.ndarray:
+def sets_of(problem, size, limit=25):
     """Some sets of a size."""
     all_of_size = list(combinations(range(problem.table.n_poses), size))[:limit]
     return np.array(all_of_size, dtype=np.int64).reshape(len(all_of_size), size)
@@ -75,7 +75,7 @@ def test_the_checker_calls_nothing_of_the_optimiser():
 
 
 @given(problem=questions(), size=st.integers(0, 4))
-def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> None:
+def test_both_ways_agree_on_every_set(problem, size):
     sets = sets_of(problem, size)
     problem = replace(problem, survive=2)
     margin_s = margins_s(problem, sets)
@@ -115,7 +115,7 @@ def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> N
 
 
 @given(problem=questions())
-def test_small_blocks_change_nothing(problem: PlacementProblem) -> None:
+def test_small_blocks_change_nothing(problem):
     sets = sets_of(problem, min(2, problem.table.n_poses))
     names = stage_names(problem)
     whole = [stage_values(problem, name, sets) for name in names]
@@ -126,7 +126,7 @@ def test_small_blocks_change_nothing(problem: PlacementProblem) -> None:
 
 
 @given(problem=questions())
-def test_no_set_is_better_than_the_simple_limits(problem: PlacementProblem) -> None:
+def test_no_set_is_better_than_the_simple_limits(problem):
     limits = recomputation.simple_limits(problem, ())
     usable = recomputation.usable_poses(problem)
     for size in range(1, problem.table.n_poses + 1):
@@ -146,8 +146,8 @@ def test_no_set_is_better_than_the_simple_limits(problem: PlacementProblem) -> N
 
 @given(problem=questions())
 def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(
-    problem: PlacementProblem,
-) -> None:
+    problem,
+):
     problem = replace(problem, goal="best", floors=(), survive=0)
     best = recomputation.simple_limits(problem, ())["apr"]
     claim = Stage(name="apr", objective=best, bound=best, gap=0.0, seconds=0.0)
@@ -162,8 +162,8 @@ def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(
 
 @given(problem=questions())
 def test_neighbours_are_all_sets_that_differ_in_one_unit(
-    problem: PlacementProblem,
-) -> None:
+    problem,
+):
     rows = list(recomputation.usable_poses(problem)[:3])
     if not rows:
         return
@@ -185,7 +185,7 @@ def test_neighbours_are_all_sets_that_differ_in_one_unit(
 
 
 @given(problem=questions())
-def test_all_sets_are_all_that_may_be_allowed(problem: PlacementProblem) -> None:
+def test_all_sets_are_all_that_may_be_allowed(problem):
     found = {
         frozenset(poses)
         for sets in recomputation.all_sets(problem)

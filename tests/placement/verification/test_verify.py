@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +15,6 @@ from placement.detection_table import DetectionTable, pack_table
 from placement.layout import Certificate, Stage
 from placement.optimiser import (
     Effort,
-    PlacementProblem,
     Solution,
     solve_placement,
 )
@@ -30,14 +27,12 @@ from placement.verification.certificates import (
 )
 from placement.verification.instances import INSTANCE_FILE, load_problem
 from placement.verification.recomputation import stage_names, stage_values
-from placement.verification.verify import Verification, verify_certificate
+from placement.verification.verify import verify_certificate
 
 Change = Callable[[Document], object]
 
 
-def verify(
-    folder: Path, problem: PlacementProblem, document: Document, **options: Any
-) -> Verification:
+def verify(folder, problem, document, **options):
     """What the checker says of what was written to a folder."""
     save_certificate(folder, document, problem)
     stored = load_certificate(folder / CERTIFICATE_FILE)
@@ -49,15 +44,13 @@ def verify(
     )
 
 
-def failed(found: Verification) -> set[str]:
+def failed(found):
     return {check.name for check in found.checks if not check.passed}
 
 
 @given(problem=questions())
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_what_the_solver_proves_is_verified(
-    problem: PlacementProblem, tmp_path: Path
-) -> None:
+def test_what_the_solver_proves_is_verified(problem, tmp_path):
     try:
         solution = solve_placement(problem)
     except InputError:
@@ -71,9 +64,7 @@ def test_what_the_solver_proves_is_verified(
 
 @given(problem=questions())
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_what_greedy_search_leaves_open_is_verified_as_open(
-    problem: PlacementProblem, tmp_path: Path
-) -> None:
+def test_what_greedy_search_leaves_open_is_verified_as_open(problem, tmp_path):
     try:
         solution = solve_placement(problem, effort=Effort(solver="greedy"))
     except InputError:
@@ -86,12 +77,12 @@ def test_what_greedy_search_leaves_open_is_verified_as_open(
 
 
 @pytest.fixture
-def problem(frame_axis, rule) -> PlacementProblem:
+def problem(frame_axis, rule):
     return two_of_twelve(frame_axis, rule)
 
 
 @pytest.fixture
-def document(problem) -> Document:
+def document(problem):
     return document_of(problem, solve_placement(problem))
 
 
@@ -120,27 +111,27 @@ def test_every_check_is_made_and_every_stage_proven_again(problem, document, tmp
     assert all(proof.is_proven_again for proof in found.proofs)
 
 
-def stage(document: Document, name: str) -> Document:
+def stage(document, name):
     (found,) = (stage for stage in document["stages"] if stage["name"] == name)
     return found
 
 
-def other_row(document: Document) -> int:
+def other_row(document):
     """A pose that hangs where none of the layout does."""
     sites = {unit["row"] // 2 for unit in document["layout"]}
     return next(row for row in range(4, 12) if row // 2 not in sites)
 
 
-def swap_pose(document: Document) -> None:
+def swap_pose(document):
     document["layout"][0]["row"] = other_row(document)
 
 
-def swap_pose_and_name(document: Document) -> None:
+def swap_pose_and_name(document):
     row = other_row(document)
     document["layout"][0] |= {"row": row, "pose": "abcdefghijkl"[row]}
 
 
-def add_to_objective_and_bound(document: Document) -> None:
+def add_to_objective_and_bound(document):
     for key in ("objective", "bound"):
         stage(document, "mean_margin_s")[key] += 0.01
 

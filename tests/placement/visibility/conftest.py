@@ -19,7 +19,7 @@ from scenarios.runs import Run, build_frame_axis, build_runs
 from scenarios.weights import weight_per_run
 
 
-def _build_scene(*boxes) -> Scene:
+def _build_scene(*boxes):
     """Ground, and a box from each pair of lowest and highest corner."""
     meshes = [trimesh.creation.box(bounds=np.array(box, dtype=float)) for box in boxes]
     vertices = [np.array([[-60.0, -60, 0], [60, -60, 0], [60, 60, 0], [-60, 60, 0]])]
@@ -45,7 +45,7 @@ def _build_scene(*boxes) -> Scene:
 
 def _build_run(
     vru_poses, vut_poses=None, *, vru="adult", obstruction=(), name="test", shapes=None
-) -> Run:
+):
     """Frames as given (east, north, yaw); the motions of the encounter are of no
     account.
 
@@ -106,7 +106,7 @@ def axis_of():
 
 
 @pytest.fixture(scope="session")
-def small_camera() -> CameraModel:
+def small_camera():
     return CameraModel(
         name="small",
         width_px=640,
@@ -119,7 +119,7 @@ def small_camera() -> CameraModel:
 
 
 @pytest.fixture(scope="session")
-def study_runs(actors) -> tuple[Run, ...]:
+def study_runs(actors):
     """Three cases of the study at two speeds, the last four seconds of each."""
     cases = select_cases("CPNC-50,CBNA,CBLA", speeds="30,60").cases
     runs, _ = build_runs(

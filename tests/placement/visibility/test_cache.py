@@ -53,7 +53,7 @@ def inputs(build_scene, build_run, mount, small_camera):
     }
 
 
-def _fingerprint(inputs) -> str:
+def _fingerprint(inputs):
     given = dict(inputs)
     return table_fingerprint(
         given["scene"],
