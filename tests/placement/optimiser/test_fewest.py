@@ -90,6 +90,7 @@ def test_the_fewest_units_are_proven_without_a_model(
         assert stage.gap == 0.0, seed
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not ARMS.exists(), reason="the instance is not at hand")
 def test_three_units_are_ruled_out_on_a_junction_with_arms(
     monkeypatch,

@@ -75,7 +75,13 @@ SHARED = Path(__file__).parents[4] / "shared" / "inputs" / "placement"
 
 
 @pytest.mark.parametrize("name", ["false_margin", "false_proof", "tiny_weight"])
-@pytest.mark.parametrize("way", ["auto", "relax", "exact", "greedy", "large"])
+@pytest.mark.parametrize(
+    "way",
+    [
+        "auto",
+        *(pytest.param(way, marks=pytest.mark.long) for way in EVERY_WAY[1:]),
+    ],
+)
 def test_problems_that_were_answered_wrongly_are_answered_right(name, way):
     path = SHARED / f"{name}.npz"
     if not path.exists():
