@@ -14,7 +14,6 @@ from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.baselines import (
     Proposals,
-    RandomLayouts,
     find_corners,
     judge_proposals,
     middle_m,
@@ -84,20 +83,6 @@ def test_the_same_seed_draws_the_same_layouts_and_another_one_others(candidates)
     assert one.random == again.random
     assert len(one.random) == 100
     assert drawn(candidates, limits, seed=4).random != one.random
-
-
-def test_where_nothing_fits_nothing_is_drawn():
-    limits = Limits(site_index=[0, 0, 1], site_capacity=[1, 1], budget_units=3)
-    rng = np.random.default_rng(0)
-    assert random_sets(limits, 3, rng=rng) == ()
-    assert set(random_sets(limits, 2, rng=rng)) == {(0, 2), (1, 2)}
-
-
-def test_mean_and_ends_are_those_of_the_ratios():
-    layouts = RandomLayouts(
-        n_units=2, apr=np.linspace(0.0, 1.0, 101), mean_by_world=np.array([0.5])
-    )
-    assert (layouts.mean, layouts.low, layouts.high) == pytest.approx((0.5, 0.05, 0.95))
 
 
 # ---------- corners and the middle

@@ -115,29 +115,6 @@ def test_a_verdict_cannot_be_changed(frame_axis):
             getattr(verdict, field)[0] = 0
 
 
-def test_an_evaluation_shows_its_aprs(frame_axis):
-    unit = CandidatePose(
-        id="A",
-        site_id="",
-        pose=Pose(position_m=[0, 0, 7], yaw_deg=0.0),
-        sensor=load_cameras()["carla-ncap-rgb"],
-    )
-    blind = _verdict([False, True, False])
-    sighted = _verdict([True, True, True])
-    evaluation = Evaluation(
-        layout=Layout(name="mine", units=(unit,)),
-        axis=frame_axis,
-        vut=blind,
-        units={"A": sighted},
-        rsu_all=sighted,
-        vut_and_rsus=sighted,
-    )
-    assert (
-        repr(evaluation)
-        == "Evaluation('mine': APR 1.0000 with 1 units, 0.2500 by the VUT alone)"
-    )
-
-
 @pytest.mark.parametrize(
     ("frames_of_units", "expected"),
     [

@@ -154,22 +154,6 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
         assert curves[name].tolist() == [pytest.approx(expected)], name
 
 
-def test_a_curve_of_three_runs_by_hand(frame_axis):
-    """Confirmed at 0, -0.2 and never; last moments at 0.05, 0.1 and never: 50 ms and
-    300 ms.
-    """
-    axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
-    evaluation = _evaluation(axis, np.zeros(10), [np.array([1] * 8 + [0, 0])])
-    latencies_s = [0.0, 0.05, 0.06, 0.3, 0.31]
-    assert apr_by_latency(evaluation, RULE, latencies_s)["rsu_all"].tolist() == [
-        0.75,
-        0.75,
-        0.25,
-        0.25,
-        0.0,
-    ]
-
-
 def test_a_run_may_be_avoided_with_a_longer_latency_alone():
     """Seen from -2 to -1.6 s: with 0.5 s the track is asked for at -1 s, with none at
     -0.5 s.
@@ -192,21 +176,6 @@ def test_a_run_may_be_avoided_with_a_longer_latency_alone():
     latencies_s = [0.09, 0.1, 0.8, 0.81, 1.3, 1.31]
     found = apr_by_latency(evaluation, rule, latencies_s)["rsu_all"]
     assert found.tolist() == [0.25, 1, 1, 0.75, 0.75, 0]
-
-
-def test_a_unit_with_its_own_latency_keeps_it(frame_axis):
-    axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
-    frames = np.array([1] * 8 + [0, 0])
-    both = _evaluation(axis, frames, [frames, frames], [0.04, 0.2])
-    ends_s = [0.0, 5.0]
-    curves = apr_by_latency(both, RULE, ends_s)
-    assert curves["U0"].tolist() == [0.75, 0.75]
-    assert curves["U1"].tolist() == [0.25, 0.25]
-    assert curves["vut"].tolist() == [0.75, 0.0]
-    alone = _evaluation(axis, frames, [frames])
-    fixed = apr_by_latency(alone, RULE, ends_s, vut_latency_s=0.0)
-    assert fixed["vut"].tolist() == [0.75, 0.75]
-    assert fixed["U0"].tolist() == [0.75, 0.0]
 
 
 @pytest.mark.parametrize("latency_s", [-0.1, math.nan, math.inf])

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import numbers, points_m, poses
+from strategies import numbers, poses
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
 from geometry.sensors import CameraModel, with_fov
 from placement.candidates import CandidatePose
 from placement.layout import (
@@ -381,17 +380,6 @@ def test_a_field_error_names_the_file(tmp_path):
         _message(load_layout, path)
         == f"{path}: layout[1].x_m: got nan; expected a finite number"
     )
-
-
-@given(points_m)
-def test_a_layout_shows_its_name_and_units(point):
-    unit = CandidatePose(
-        id="A",
-        site_id="",
-        pose=Pose(position_m=point, yaw_deg=0.0),
-        sensor=load_cameras()["carla-ncap-rgb"],
-    )
-    assert repr(Layout(name="l", units=(unit,))) == "Layout('l', ['A'])"
 
 
 # Certificates

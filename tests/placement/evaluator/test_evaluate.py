@@ -17,7 +17,6 @@ from placement.evaluator.surroundings import VutCamera, build_surroundings
 from placement.layout import Layout
 from placement.setting import Radio
 from scenarios.aeb import load_aeb_rule
-from scenarios.confirmation import is_in_time
 from scenarios.runs import build_frame_axis
 
 RULE = load_aeb_rule()
@@ -183,18 +182,6 @@ def test_braking_at_the_last_moment_avoids_and_later_does_not(
     latency_s = float(axis.last_brake_time_s[0] - axis.time_s[3]) + late_s
     evaluation = pretend(row, rule=replace(RULE, latency_s=latency_s))
     assert evaluation.rsu_all.is_avoided[0] == is_avoided
-
-
-def test_same_onset_is_judged_run_by_run(pretend, axis):
-    middle_s = (axis.last_brake_time_s.min() + axis.last_brake_time_s.max()) / 2.0
-    row = axis.time_s >= middle_s - 0.2  # too late for the fast runs only
-    verdict = pretend(row).rsu_all
-    assert np.ptp(verdict.confirmation_time_s) < 1e-9
-    expected = is_in_time(
-        verdict.confirmation_time_s, axis.last_brake_time_s, latency_s=RULE.latency_s
-    )
-    assert (verdict.is_avoided == expected).all()
-    assert len(set(expected.tolist())) == 2
 
 
 # Radio
@@ -431,15 +418,6 @@ def test_what_is_missed_by_day_is_missed_at_night_and_in_fog(
             assert (by_day >= other).all()
         assert (in_rain >= at_night).all()  # 0.8 of the contrast, and 0.6
         assert by_day.sum() > in_fog.sum()
-
-
-def test_runs_of_two_frames_are_too_short_to_confirm(
-    build_layout, build_setting, build_scene, build_run, block
-):
-    run = build_run(block, [[9.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
-    evaluation = evaluate_layout(build_layout("a"), build_setting(build_scene(), [run]))
-    assert evaluation.rsu_all.detected.all()
-    assert not evaluation.vut_and_rsus.is_avoided.any()
 
 
 def test_interruption_leaves_the_other_units_unseen(monkeypatch, build_layout, setting):

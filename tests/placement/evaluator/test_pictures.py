@@ -166,12 +166,6 @@ def test_one_box_is_matched_in_the_frames_whose_visible_box_it_overlaps_by_half(
     ]
 
 
-def test_a_network_that_finds_nothing_detects_nothing(last_frames, evaluate):
-    by_rsu, by_vut = evaluate(build_network([]), last_frames(PEDESTRIAN, n_frames=3))
-    assert not by_rsu.any()
-    assert not by_vut.any()
-
-
 @pytest.mark.parametrize(
     ("name", "is_detected"), [(PEDESTRIAN, False), (CYCLIST, True)]
 )

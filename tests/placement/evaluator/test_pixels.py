@@ -6,11 +6,10 @@ from camera_rays import pixel_rays
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from ray_renderer import STATIC, VUT, build_lens, cast_crops, render_frame, render_view
+from ray_renderer import STATIC, build_lens, cast_crops, render_frame, render_view
 
-from geometry.actors import PlacedActor, Shape, pick_actor
+from geometry.actors import pick_actor
 from geometry.poses import Pose
-from geometry.raycast import build_caster
 from geometry.sensors import CameraModel
 from placement.evaluator.perceive import _place, perceive_frames
 from placement.evaluator.pixels import (
@@ -29,7 +28,6 @@ from placement.evaluator.surroundings import (
     build_surroundings,
 )
 
-HERE = np.zeros(4)
 LEVEL = Pose(position_m=np.array([0.0, 0.0, 0.9]), yaw_deg=0.0)
 ADULT = build_body(pick_actor("adult", "test").shapes[0])
 TINY = CameraModel(
@@ -112,35 +110,6 @@ def test_wall_up_to_the_optical_axis_halves_the_box(
     assert not (visible == amodal).all()
 
 
-def test_wall_behind_the_vru_hides_nothing(look, block):
-    amodal, visible = look(
-        block, [10.0, 0.0, 0.0], walls=[((10.5, -9.0, 0.0), (11.0, 9.0, 9.0))]
-    )
-    assert amodal.any()
-    assert (visible == amodal).all()
-
-
-def test_wall_before_all_of_the_vru_leaves_nothing(look, block):
-    amodal, visible = look(
-        block, [10.0, 0.0, 0.0], walls=[((5.0, -9.0, 0.0), (6.0, 9.0, 9.0))]
-    )
-    assert amodal.any()
-    assert not visible.any()
-
-
-def test_box_ends_at_the_border_of_the_image(look, camera, block):
-    left_edge = [10.0, 10.0 - 0.25, 0.0]  # the image's edge runs at 45 degrees
-    amodal, _ = look(block, left_edge)
-    assert amodal[0] == 0.0
-    assert amodal[2] < 0.1 * camera.width_px
-
-
-def test_nothing_is_drawn_behind_the_lens(look, block):
-    amodal, visible = look(block, [-5.0, 0.0, 0.0])
-    assert not amodal.any()
-    assert not visible.any()
-
-
 @pytest.mark.parametrize(("near_m", "is_drawn"), [(0.35, False), (0.2, True)])
 def test_nothing_is_drawn_nearer_than_the_nearest_distance(
     look, block, near_m, is_drawn
@@ -154,28 +123,6 @@ def test_nothing_is_drawn_nearer_than_the_nearest_distance(
     )
     amodal, _ = look(replace(block, shapes=(speck,)), [0.3, 0.0, 0.0], near_m=near_m)
     assert amodal.any() == is_drawn
-
-
-@pytest.mark.parametrize(("vut_distance_m", "is_hidden"), [(6.0, True), (16.0, False)])
-def test_vut_hides_what_is_behind_it_only(look, block, vut_distance_m, is_hidden):
-    amodal, visible = look(
-        block, [11.0, 0.0, 0.0], vut_pose=[vut_distance_m, 0.0, 90.0]
-    )
-    assert (visible[3] < amodal[3]) == is_hidden
-
-
-@pytest.mark.parametrize("side_m", [-1.0, 1.0])
-def test_parked_body_hides_what_a_box_of_the_scene_would(look, block, side_m):
-    parked = PlacedActor(
-        actor=block,
-        pose=Pose(position_m=np.array([5.0, 0.5 * side_m, 0.0]), yaw_deg=90.0),
-    )
-    low_m, high_m = sorted((0.25 * side_m, 0.75 * side_m))
-    as_box = ((4.5, low_m, 0.0), (5.5, high_m, 1.8))
-    _, behind_body = look(block, [10.0, side_m, 0.0], obstruction=(parked,))
-    amodal, behind_box = look(block, [10.0, side_m, 0.0], walls=[as_box])
-    assert (behind_body == behind_box).all()
-    assert (behind_body != amodal).any()
 
 
 # ---------- any triangles, anywhere
@@ -431,34 +378,3 @@ def test_depth_of_a_plane_is_that_of_the_pixel_rays(build_scene, camera, block):
     expected = -7.0 / rays[:, 2].reshape(view.depth_m.shape)
     assert np.allclose(view.depth_m, expected, rtol=1e-4)
     assert (view.instance == STATIC).all()
-
-
-def test_oracle_draws_the_vut_where_it_is(build_scene, camera, block, vut):
-    mesh = build_scene_mesh(build_scene(), middle_m=np.zeros(2))
-    view = render_view(
-        build_lens(LEVEL, camera),
-        static=(build_static(mesh, (), middle_m=np.zeros(2)), HERE),
-        vru=(build_body(block.shapes[0]), np.array([-11.0, 0.0, 0.0, 0.0])),
-        vut=(build_body(vut.shapes[0]), np.array([9.0, 0.0, 90.0, 0.0])),
-    )
-    rows, columns = np.nonzero(view.instance == VUT)
-    nearest_m = view.depth_m[rows, columns].min()
-    assert nearest_m == pytest.approx(9.0 - 0.5 * vut.width_m, abs=0.1)
-    width_px = columns.max() + 1 - columns.min()
-    assert width_px == pytest.approx(
-        camera.focal_length_px * vut.length_m / nearest_m, rel=0.1
-    )
-
-
-def test_a_body_has_one_mesh_and_a_caster_of_its_triangles(block):
-    (shape,) = block.shapes
-    body = build_body(Shape(vertices_m=shape.vertices_m, triangles=shape.triangles))
-    origins = np.array([[5.0, 0.1, 0.9]], dtype=np.float32)
-    ways = np.array([[-1.0, 0.0, 0.0]], dtype=np.float32)
-    expected = build_caster(shape.vertices_m, shape.triangles).first_triangle(
-        origins, ways
-    )
-    assert np.array_equal(body.caster.first_triangle(origins, ways), expected)
-    assert body.caster is body.caster
-    (index,) = expected[1]
-    assert np.abs(body.normals[index]) == pytest.approx([1.0, 0.0, 0.0])

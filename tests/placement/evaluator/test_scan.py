@@ -79,38 +79,10 @@ def sees(build_scene, build_run, block):
 # What is in the way, and what is out of sight
 
 
-def test_a_vru_ahead_is_seen_and_one_behind_a_wall_is_not(sees):
-    vru = [[12.0, 0.0, 0.0], [12.0, -9.0, 30.0], [4.0, 0.0, 0.0]]
-    assert sees(vru) == [True, True, True]
-    # The second is beside the wall, the third before it.
-    assert sees(vru, WALL) == [False, True, True]
-
-
-def test_nothing_is_seen_outside_the_field_of_view(sees):
-    """The study's LiDAR: 72 degrees wide, 30 high."""
-    angles_deg = np.array([0.0, 20.0, -30.0, 40.0, -45.0, 90.0, 180.0])
-    around = 10.0 * np.column_stack(
-        [np.cos(np.radians(angles_deg)), np.sin(np.radians(angles_deg))]
-    )
-    vru = np.column_stack([around, angles_deg])
-    assert sees(vru) == (np.abs(angles_deg) < 36.0).tolist()
-    raised = replace(LOW, pitch_deg=40.0)
-    assert not any(sees(vru, pose=raised))
-    turned = replace(LOW, yaw_deg=90.0)
-    assert sees(vru, pose=turned) == [False, False, False, False, False, True, False]
-
-
 def test_nothing_is_seen_beyond_the_range(sees):
     vru = [[19.0, 0.0, 0.0], [21.0, 0.0, 0.0]]
     assert sees(vru, lidar=replace(STUDY, range_m=20.0)) == [True, False]
     assert sees(vru) == [True, True]
-
-
-def test_the_vut_hides_what_is_behind_it_in_its_own_frames_only(sees):
-    vru = [[14.0, 0.0, 0.0]] * 4
-    vut = [[6.0, 0.0, 0.0], [6.0, 5.0, 0.0], [20.0, 0.0, 90.0], [6.0, 0.0, 45.0]]
-    low = Pose(position_m=np.array([0.0, 0.0, 0.5]), yaw_deg=0.0)
-    assert sees(vru, vut_poses=vut, pose=low) == [False, True, True, False]
 
 
 def test_fog_and_a_heavy_rain_take_what_is_far(sees):
@@ -415,18 +387,3 @@ def test_a_level_ring_sees_the_same_however_it_is_turned(
         )
         assert (one == other)[before == after].all()
     assert 0.1 < one.mean() < 0.9
-
-
-def test_a_ring_meets_what_a_sector_of_the_same_steps_meets(
-    build_scene, build_run, beams_on_vru
-):
-    surroundings = build_surroundings(
-        build_scene(WALL), [_around(build_run, "adult", 9.0, 72)]
-    )
-    ring = beams_on_vru(surroundings, OVERHEAD, RING)
-    assert (ring > 0).mean() > 0.8
-    for yaw_deg in (0.0, 150.0, -120.0):
-        sector = beams_on_vru(surroundings, replace(OVERHEAD, yaw_deg=yaw_deg), SECTOR)
-        assert (ring >= sector - 1).all()
-        assert (sector > 0).any()
-        assert (sector < ring - 5).any()

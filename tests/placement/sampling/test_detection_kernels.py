@@ -109,31 +109,12 @@ def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed)
     assert np.array_equal(drawn, expected)
 
 
-def test_noise_is_standard_normal_and_linked_within_runs_only():
-    frames = np.concatenate([start + np.arange(5) for start in range(0, 60_000, 6)])
-    noise = _noise(frames, 0.7, 0).reshape(-1, 5)
-    assert kstest(noise.ravel()[::5], "norm").pvalue > 0.001
-    assert noise.mean(axis=0) == pytest.approx(np.zeros(5), abs=0.04)
-    assert noise.std(axis=0) == pytest.approx(np.ones(5), abs=0.03)
-    apart = np.abs(np.subtract.outer(np.arange(5), np.arange(5)))
-    assert np.corrcoef(noise.T) == pytest.approx(0.7**apart, abs=0.04)
-    assert abs(np.corrcoef(noise[:-1, 4], noise[1:, 0])[0, 1]) < 0.04
-
-
 def test_equal_frames_share_their_luck_and_their_order_does_not_matter():
     frames = np.array([0, 1, 2, 10, 11, 0, 1, 2])
     noise = _noise(frames, 0.5, 1)
     assert noise[:3].tolist() == noise[5:].tolist()
     assert len(set(noise.tolist())) == 5
     assert _noise(frames[::-1], 0.5, 1)[::-1].tolist() == noise.tolist()
-
-
-def test_full_correlation_is_one_draw_per_run_and_none_is_one_per_frame():
-    frames = np.array([0, 1, 2, 10, 11])
-    fully = _noise(frames, 1.0, 2)
-    assert len(set(fully[:3])) == len(set(fully[3:])) == 1
-    assert fully[0] != fully[3]
-    assert len(set(_noise(frames, 0.0, 2).tolist())) == 5
 
 
 # Tables drawn frame by frame

@@ -26,25 +26,6 @@ def test_cvar_is_the_mean_of_the_worst_of_many_equal_parts(samples, a, b):
 
 
 @given(shares, st.floats(0.05, 1.0))
-def test_cvar_is_the_optimum_of_its_linear_programme(samples, tail):
-    """Least mean over all ways to spread a weight of 1, no sample more than 1 / (tail
-    n).
-    """
-    n = len(samples)
-    spread = linprog(
-        samples,
-        A_eq=np.ones((1, n)),
-        b_eq=[1.0],
-        bounds=(
-            [(0.0, max(1.0 / (tail * n), 1.0 / n))] * n
-            if tail * n >= 1.0
-            else [(0.0, 1.0)] * n
-        ),
-    )
-    assert cvar(samples, tail) == pytest.approx(spread.fun, abs=1e-7)
-
-
-@given(shares, st.floats(0.05, 1.0))
 def test_cvar_is_the_optimum_of_rockafellar_and_uryasevs_programme(samples, tail):
     """Maximise t - sum s / (tail n) with s >= t - apr, s >= 0; t is free."""
     n = len(samples)

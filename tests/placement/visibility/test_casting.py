@@ -355,22 +355,6 @@ def test_both_ray_libraries_see_the_same(build_scene, build_run):
     assert (first == second).mean() >= 0.999
 
 
-def test_each_frame_shows_its_own_shape(build_scene, build_run):
-    runs = [
-        build_run([[10.0, 0.0, 90.0]], shapes=index, name=f"{index}")
-        for index in (0, 2, 5)
-    ]
-    world = build_world(build_scene(), runs, n_points=N_POINTS, seed=0)
-    assert [surface.shape_index for surface in world.surfaces] == [0, 2, 5]
-    for frame, run in enumerate(runs):
-        view = world.views.view_of_frame[frame]
-        shape = _vru_shape(run, 0)
-        points = world.views.points_m[view] + world.origin_m - [10.0, 0.0, 0.0]
-        assert np.ptp(points[:, 1]) == pytest.approx(
-            np.ptp(shape.vertices_m[:, 0]), abs=1e-5
-        )
-
-
 def test_equal_obstructions_are_one_static_world(build_scene, build_run, actors):
     def park(x_m):
         pose = Pose(position_m=[x_m, 2.0, 0.0], yaw_deg=5.0)

@@ -11,10 +11,10 @@ from numpy_sensing import boxes
 
 from geometry.actors import PlacedActor
 from geometry.image_boxes import box_height_px
-from geometry.lenses import BrownConrady, TsaiRadial
+from geometry.lenses import BrownConrady
 from geometry.poses import Pose, camera_rotation
 from geometry.sensors import is_shown, shown_points
-from placement.detectors import GeometricDetector, load_planning_detector
+from placement.detectors import GeometricDetector
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.sensing import build_sensing, cast_for
@@ -115,27 +115,6 @@ def test_boxes_through_lenses_are_those_of_numpy(
         assert np.isin(sure, np.concatenate(named)).all()
         assert (high[np.concatenate(named)] > DETECTOR.min_box_height_px - 0.01).all()
     assert n_seen > 50
-
-
-@pytest.mark.parametrize("detector", ["geometric", "response"])
-def test_a_lens_that_does_next_to_nothing_detects_what_the_pinhole_does(
-    world, mount, small_camera, detector
-):
-    rng = np.random.default_rng(8)
-    fovs = [
-        replace(small_camera, horizontal_fov_deg=fov)
-        for fov in (40.0, 70.0, 110.0, 150.0)
-    ]
-    looks = looks_of(mount, rng, fovs)
-    sensing = sensing_of(world, small_camera.near_m, load_planning_detector(detector))
-    plain = sensing.detected(looks)
-    for lens in (BrownConrady(k1=1.0e-13), TsaiRadial(kappa=1.0e-13)):
-        bent = [replace(look, sensor=replace(look.sensor, lens=lens)) for look in looks]
-        assert not any(look.sensor.is_pinhole for look in bent)
-        found = sensing.detected(bent)
-        # Boxes that end within rounding of a limit aside.
-        assert (found != plain).sum() <= 2
-    assert plain.sum() > 20
 
 
 def test_a_lens_of_zeros_has_the_pinholes_bits(world, mount, small_camera):

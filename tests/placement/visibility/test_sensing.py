@@ -363,7 +363,6 @@ RING = replace(
     vertical_fov_deg=60.0,
     points_per_second=10.0 * 52 * 360,
 )
-SECTOR = replace(RING, horizontal_fov_deg=120.0, points_per_second=10.0 * 52 * 120)
 
 
 def test_a_level_ring_has_the_same_row_however_it_is_turned(
@@ -377,25 +376,6 @@ def test_a_level_ring_has_the_same_row_however_it_is_turned(
     found = table_of(build_scene(*WALLS), candidates, random_runs)
     assert (found == found[0]).all()
     assert 0.2 < found[0].mean() < 0.9
-
-
-def test_a_ring_detects_where_a_sector_of_the_same_steps_does(
-    build_scene, random_runs, mount, table_of
-):
-    candidates = [
-        mount("ring", [1.0, -2.0, 5.0], pitch_deg=0.0, camera=RING),
-        *(
-            mount(
-                f"{yaw:g}", [1.0, -2.0, 5.0], yaw_deg=yaw, pitch_deg=0.0, camera=SECTOR
-            )
-            for yaw in (0.0, 120.0, -120.0, 180.0)
-        ),
-    ]
-    ring, *sectors = table_of(build_scene(*WALLS), candidates, random_runs)
-    assert all((sector <= ring).all() for sector in sectors)
-    assert all(0 < sector.sum() < 0.7 * ring.sum() for sector in sectors)
-    # Three of them are a ring, but for who is cut in two by their edges.
-    assert np.logical_or.reduce(sectors[:3]).sum() > 0.9 * ring.sum()
 
 
 @pytest.mark.parametrize("pitch_deg", [0.0, -25.0])
