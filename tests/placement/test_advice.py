@@ -7,10 +7,10 @@ from itertools import combinations
 
 import pytest
 from small_results import build_small_grid, build_small_setting
+from tiny_worlds import unit_at
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
-from geometry.poses import Pose
 from placement import candidates as poses
 from placement.candidates import CandidatePose
 from placement.compute import Compute
@@ -45,14 +45,12 @@ def weak(setting):
     camera = load_cameras()["carla-ncap-rgb"]
 
     def unit(name, site, yaw_deg):
-        return CandidatePose(
-            id=name,
+        return unit_at(
+            name,
+            site.position_m + [0.0, 0.0, 5.3],
+            yaw_deg=yaw_deg,
+            pitch_deg=-18,
             site_id=site.id,
-            pose=Pose(
-                position_m=site.position_m + [0.0, 0.0, 5.3],
-                yaw_deg=yaw_deg,
-                pitch_deg=-18,
-            ),
             sensor=camera,
         )
 
@@ -165,12 +163,12 @@ def test_re_aiming_keeps_every_place_and_is_the_best_of_all_directions(
 
     def aims(unit):
         return [
-            CandidatePose(
-                id=unit.id,
+            unit_at(
+                unit.id,
+                unit.pose.position_m,
+                yaw_deg=yaw,
+                pitch_deg=pitch,
                 site_id=unit.site_id,
-                pose=Pose(
-                    position_m=unit.pose.position_m, yaw_deg=yaw, pitch_deg=pitch
-                ),
                 sensor=unit.sensor,
             )
             for yaw, pitch in grid.directions_deg(unit.sensor)

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
+from tiny_worlds import unit_at
 
 from geometry.junction import build_junction, mirrored
-from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.baselines import (
     Proposals,
@@ -21,7 +21,7 @@ from placement.baselines import (
     propose,
     random_sets,
 )
-from placement.candidates import CandidatePose, build_candidates
+from placement.candidates import build_candidates
 from placement.detection_table import pack_table
 from placement.layout import load_carlancap_layout
 from placement.optimiser import Limits, PlacementProblem, apr
@@ -126,13 +126,8 @@ def _both_ways():
 
 def test_off_axis_is_the_angle_to_a_point(camera):
     def pose(yaw_deg, pitch_deg):
-        return CandidatePose(
-            id="any",
-            site_id="",
-            pose=Pose(
-                position_m=[0.0, 0.0, 10.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg
-            ),
-            sensor=camera,
+        return unit_at(
+            "any", [0.0, 0.0, 10.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=camera
         )
 
     poses = [pose(0, -45), pose(0, 0), pose(180, -45), pose(90, -45), pose(30, -90)]

@@ -2,15 +2,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tiny_worlds import unit_at
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
 from geometry.scene import Scene, Site
 from placement.candidates import (
     CandidateGrid,
-    CandidatePose,
     build_candidates,
     is_turn_useless,
     load_candidate_grid,
@@ -141,20 +140,11 @@ def test_the_default_grid_hangs_rings_level():
     [
         ({"heights_m": []}, "heights_m: got none; expected at least one"),
         ({"heights_m": [5.0, 0.0]}, "heights_m: got [5.0, 0.0]; expected metres, > 0"),
-        ({"heights_m": [np.inf]}, "heights_m: got [inf]; expected finite numbers"),
         ({"heights_m": 5.0}, "heights_m: got shape (); expected shape (-1,)"),
-        ({"pitches_deg": []}, "pitches_deg: got none; expected at least one"),
         (
             {"pitches_deg": [-91.0]},
             "pitches_deg: got [-91.0]; expected -90 .. 90 degrees",
         ),
-        ({"ring_pitches_deg": []}, "ring_pitches_deg: got none; expected at least one"),
-        (
-            {"ring_pitches_deg": [100.0]},
-            "ring_pitches_deg: got [100.0]; expected -90 .. 90 degrees",
-        ),
-        ({"pitches_deg": [np.nan]}, "pitches_deg: got [nan]; expected finite numbers"),
-        ({"yaw_step_deg": 0.0}, "yaw_step_deg: got 0.0; expected 0 < degrees <= 360"),
         (
             {"yaw_step_deg": 361.0},
             "yaw_step_deg: got 361.0; expected 0 < degrees <= 360",
@@ -163,10 +153,6 @@ def test_the_default_grid_hangs_rings_level():
         (
             {"yaw_step_deg": 50.0},
             "yaw_step_deg: got 50.0; expected degrees that divide 360 evenly",
-        ),
-        (
-            {"yaw_step_deg": 51.4286},
-            "yaw_step_deg: got 51.4286; expected degrees that divide 360 evenly",
         ),
         ({"sensors": ()}, "sensors: got none; expected at least one"),
     ],
@@ -206,12 +192,7 @@ def test_candidates_stand_above_their_site():
 
 
 def _extra(pose_id):
-    return CandidatePose(
-        id=pose_id,
-        site_id="",
-        pose=Pose(position_m=[0, 0, 7], yaw_deg=0.0),
-        sensor=CAMERAS[0],
-    )
+    return unit_at(pose_id, sensor=CAMERAS[0])
 
 
 def test_poses_by_name_come_last():

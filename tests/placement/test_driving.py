@@ -118,7 +118,6 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
     monkeypatch.undo()
     asked = (
         replace(question, deceleration_mps2=6.0),
-        replace(question, along_arms="0"),
         replace(question, speeds="20"),
     )
     for other in asked:
@@ -127,7 +126,7 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
 
 
 def test_how_far_along_the_arms_is_chosen():
-    question = Question(cases="study", approaches="north", along_arms="0, 20")
+    question = Question(cases="CPNA-25", approaches="north", along_arms="0, 20")
     runs = drive(question, load_study_scene()).runs
     assert {run.position for run in runs} == {"0", "-20", "+0", "+20"}
     assert len({run.id for run in runs}) == len(runs)
@@ -220,10 +219,6 @@ def test_forced_speeds_are_warned_about(caplog):
             "approaches: got 'up'; expected one or more of east, north",
         ),
         (
-            {"weather": "snow"},
-            "weather: got 'snow'; expected one or more of day, night, rain, fog",
-        ),
-        (
             {"weather": ","},
             "weather: got ','; expected names with commas between, each once",
         ),
@@ -239,7 +234,6 @@ def test_forced_speeds_are_warned_about(caplog):
             {"along_arms": "0,15,15"},
             "along_arms: got '0,15,15'; expected every distance once",
         ),
-        ({"along_arms": ","}, "along_arms: got ''; expected metres along the arm"),
         (
             {"detector": "best"},
             (
@@ -248,20 +242,8 @@ def test_forced_speeds_are_warned_about(caplog):
             ),
         ),
         (
-            {"vut_sensors": "radar"},
-            "vut_sensors: got 'radar'; expected one or more of camera",
-        ),
-        (
             {"vut_sensors": ""},
             "vut_sensors: got ''; expected one or more of camera, lidar",
-        ),
-        (
-            {"packet_loss": 1.5},
-            "question: packet_loss: got 1.5; expected a share of lost ",
-        ),
-        (
-            {"vam_rate": -0.5},
-            "question: vam_rate: got -0.5; expected a share of equipped ",
         ),
         (
             {"speeds": "130"},
@@ -270,10 +252,6 @@ def test_forced_speeds_are_warned_about(caplog):
         (
             {"weights": "none"},
             "weights: got 'none'; expected run, case, fhwa-crash-types, ",
-        ),
-        (
-            {"deceleration_mps2": 0.0},
-            "question: deceleration_mps2: got 0.0; expected m/s^2, ",
         ),
         (
             {"deceleration_mps2": 0.5},

@@ -172,15 +172,10 @@ def test_a_file_of_ones_own_is_read(write_budget):
     ("fields", "message"),
     [
         ({"low_s": "-0.001"}, "mine.radio.low_s: got -0.001; expected 0 to 10 seconds"),
-        ({"high_s": "nan"}, "mine.parts[0].high_s: got nan; expected a finite number"),
-        ({"high_s": "inf"}, "mine.parts[0].high_s: got inf; expected a finite number"),
-        ({"high_s": "'1'"}, "mine.radio.high_s: got '1'; expected 0 to 10 seconds"),
-        ({"high_s": "25"}, "mine.radio.high_s: got 25; expected 0 to 10 seconds"),
         (
             {"low_s": "0.02"},
             "mine.radio.high_s: got 0.01; expected at least low_s, 0.02",
         ),
-        ({"high_s": ...}, "mine.radio.high_s: got nothing; expected a value"),
         (
             {"low_s": ..., "high_s": ...},
             "mine.radio: got no time; expected fixed_s, or low_s and high_s",
@@ -188,10 +183,6 @@ def test_a_file_of_ones_own_is_read(write_budget):
         (
             {"fixed_s": "0.1"},
             "mine.radio.low_s: got it beside fixed_s; expected one of them",
-        ),
-        (
-            {"low_s": ..., "high_s": ..., "fixed_s": "-1"},
-            "mine.radio.fixed_s: got -1; expected 0 to 10 seconds",
         ),
         (
             {"source": ...},
@@ -205,7 +196,6 @@ def test_a_file_of_ones_own_is_read(write_budget):
             ),
         ),
         ({"source": "3"}, "mine.radio.source: got 3; expected text"),
-        ({"source": "' '"}, "mine.radio.source: got ' '; expected text"),
         (
             {"mean_s": "0.1"},
             (
@@ -215,11 +205,7 @@ def test_a_file_of_ones_own_is_read(write_budget):
         ),
         ({"name": ...}, "mine.parts[0].name: got nothing; expected a value"),
         ({"name": '"a\\u0007"'}, "mine.name: got 'a\\x07'; expected printable text"),
-        ({"text": "[mine]\nparts = []"}, "mine.parts: got none; expected at least one"),
-        ({"text": "[mine]"}, "mine.parts: got nothing; expected a value"),
         ({"text": "[mine]\nparts = 3"}, "mine.parts: got 3; expected a list"),
-        ({"text": "[mine]\nparts = [3]"}, "mine.parts[0]: got 3; expected a table"),
-        ({"text": "mine = 3"}, "mine: got 3; expected a table"),
         (
             {"text": "[mine]\nparts = []\nmode = 'worst'"},
             "mine: got 'mode'; expected one of parts",

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import frame_axes
+from tiny_worlds import axis_of_runs
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
@@ -18,7 +19,7 @@ from placement.evaluation import Evaluation, Verdict, earliest_arrival_s
 from placement.latency import apr_by_latency
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
-from scenarios.runs import FrameAxis, find_onsets
+from scenarios.runs import find_onsets
 from scenarios.scores import Levels
 from scenarios.weights import weight_share
 
@@ -159,17 +160,7 @@ def test_a_run_may_be_avoided_with_a_longer_latency_alone():
     -0.5 s.
     """
     time_s = np.arange(-20, 1) / 10.0
-    axis = FrameAxis(
-        run_ids=("a", "b"),
-        cases=("A",) * 2,
-        approaches=("north",) * 2,
-        weathers=("day",) * 2,
-        vut_speed_kmh=np.full(2, 30.0),
-        weight=np.array([0.75, 0.25]),
-        last_brake_time_s=np.array([-0.5, -0.5]),
-        run_start=np.array([0, 21, 42]),
-        time_s=np.tile(time_s, 2),
-    )
+    axis = axis_of_runs([0, 21, 42], np.tile(time_s, 2), -0.5, weight=[0.75, 0.25])
     seen = np.concatenate([time_s < -1.55, time_s > -1.55])
     rule = replace(RULE, track_memory_s=1.0)
     evaluation = _evaluation(axis, np.zeros(42), [seen])

@@ -10,15 +10,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from oracles import simulated_track_s
 from problems import problems
+from tiny_worlds import crossing_candidates, crossing_setting
 
 from geometry.errors import InputError
-from geometry.study_scene import load_study_scene
-from placement.candidates import CandidateGrid, build_candidates
 from placement.city.fronts import value_at
 from placement.city.junction import find_front
 from placement.compute import Compute
 from placement.detection_table import level_axis, level_table, pack_table, plain_axis
-from placement.detectors import load_detector, load_planning_detector
 from placement.evaluation import score
 from placement.evaluator import evaluate_layout
 from placement.latency import apr_by_latency
@@ -32,7 +30,7 @@ from placement.optimiser import (
 from placement.optimiser.front import pareto_front
 from placement.pipeline import Assembly, assemble, place
 from placement.question import Question
-from placement.setting import Setting, build_setting
+from placement.setting import build_setting
 from placement.verification.certificates import (
     build_certificate,
     load_certificate,
@@ -42,9 +40,7 @@ from placement.verification.instances import load_problem
 from placement.verification.recomputation import margins_s
 from placement.verification.verify import verify_certificate
 from placement.wishes import Wishes, build_problem
-from scenarios.runs import build_frame_axis
 from scenarios.scores import Levels, build_levels
-from scenarios.weights import weight_per_run
 
 TOLERANCE_S = 1e-9
 
@@ -134,7 +130,7 @@ def all_sets(problem):
                 yield chosen
 
 
-@settings(max_examples=150)
+@settings(max_examples=40)
 @given(scored())
 def test_score_of_every_layout_is_that_of_plain_loops(case):
     problem, levels, by_levels = case
@@ -146,7 +142,7 @@ def test_score_of_every_layout_is_that_of_plain_loops(case):
         assert weight[margin_s > -np.inf].sum() == pytest.approx(expected, abs=1e-12)
 
 
-@settings(max_examples=60)
+@settings(max_examples=20)
 @given(scored())
 def test_the_optimiser_finds_and_proves_the_best_score_of_all_layouts(case):
     problem, levels, by_levels = case
@@ -220,7 +216,7 @@ def test_a_level_has_its_runs_name_weight_and_frames_up_to_its_deadline(
     assert np.diff(axis.run_start)[1] == in_time
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(scored())
 def test_a_citys_front_of_a_junction_has_the_best_score_for_any_number_of_units(case):
     problem, levels, by_levels = case
@@ -249,45 +245,16 @@ def test_a_citys_front_of_a_junction_has_the_best_score_for_any_number_of_units(
 
 
 @pytest.fixture(scope="module")
-def setting(crossing_setting):
-    runs = crossing_setting.runs
-    rule = crossing_setting.rule
-    levels = build_levels(runs, "rating-2026", rule)
-    assert len(levels.gain) > 1.5 * len(runs)
-    return replace(crossing_setting, levels=levels)
-
-
-@pytest.fixture(scope="module")
-def crossing_setting(runs, rule):
-    scene = load_study_scene()
-    ways = ("CBNA/east", "CBNA/north", "CPNC-50/east", "CPNC-50/south")
-    few = tuple(
-        run
-        for run in runs
-        if run.id in [f"{way}/{v}" for way in ways for v in (40, 60)]
-    )
-    names = ("corner-ne", "mast-w")
-    return Setting(
-        scene=replace(
-            scene, sites=tuple(site for site in scene.sites if site.id in names)
-        ),
-        runs=few,
-        axis=build_frame_axis(few, weight_per_run(few)),
-        rule=replace(rule, track_memory_s=0.5),
-        detector=load_detector(),
-        table_detector=load_planning_detector(),
-    )
+def setting(runs, rule):
+    plain = crossing_setting(runs, rule=replace(rule, track_memory_s=0.5))
+    levels = build_levels(plain.runs, "rating-2026", plain.rule)
+    assert len(levels.gain) > 1.5 * len(plain.runs)
+    return replace(plain, levels=levels)
 
 
 @pytest.fixture(scope="module")
 def assembly(setting, camera):
-    grid = CandidateGrid(
-        heights_m=np.array([6.8]),
-        yaw_step_deg=60.0,
-        pitches_deg=np.array([-25.0]),
-        sensors=(camera,),
-    )
-    candidates = build_candidates(setting.scene, grid)
+    candidates = crossing_candidates(setting.scene, camera)
     return Assembly(
         setting=setting, candidates=candidates, wishes=Wishes(budget_units=2)
     )

@@ -9,15 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_results import build_small_setting
+from tiny_worlds import table_of, unit_at
 
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
 from placement import live
-from placement.candidates import CandidatePose
 from placement.live import LiveTable, table_verdict
 from placement.optimiser import Limits, PlacementProblem, run_margins_s
-from placement.visibility import build_detection_table
 from scenarios.aeb import AebRule
 
 
@@ -43,26 +41,18 @@ def unit(
     name="U1",
 ):
     mount = setting.scene.sites[site]
-    return CandidatePose(
-        id=name,
+    return unit_at(
+        name,
+        mount.position_m + [0.0, 0.0, height_m],
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
         site_id=mount.id,
-        pose=Pose(
-            position_m=mount.position_m + [0.0, 0.0, height_m],
-            yaw_deg=yaw_deg,
-            pitch_deg=pitch_deg,
-        ),
-        sensor=sensor or load_cameras()["carla-ncap-rgb"],
+        sensor=sensor,
     )
 
 
 def built(setting, units):
-    return build_detection_table(
-        setting.scene,
-        units,
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-    ).detected(slice(None))
+    return table_of(setting, units).detected(slice(None))
 
 
 def zoomed(fov_deg):
@@ -137,13 +127,7 @@ def test_a_verdict_by_the_table_is_what_the_optimiser_reads(setting, table):
     ]
     detected = table.detected(units)
     verdict = table_verdict(units, detected, setting)
-    rows = build_detection_table(
-        setting.scene,
-        units,
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-    )
+    rows = table_of(setting, units)
     limits = Limits(
         site_index=np.arange(2), site_capacity=np.ones(2, dtype=int), budget_units=2
     )

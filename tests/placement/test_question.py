@@ -97,15 +97,8 @@ def test_the_number_of_worlds_may_be_a_word(path):
     ("text", "message"),
     [
         ("budget = 0", "budget: got 0; expected a whole number of units, at least 1"),
-        (
-            "budget = '3'",
-            "budget: got '3'; expected a whole number of units, at least 1",
-        ),
         ("fusion = 'all'", "fusion: got 'all'; expected one of any, single"),
         ("latency = nan", "latency: got nan; expected a finite number"),
-        ("latency = inf", "latency: got inf; expected a finite number"),
-        ("track_memory = nan", "track_memory: got nan; expected a finite number"),
-        ("track_memory = -inf", "track_memory: got -inf; expected a finite number"),
         (
             "track_memory = 0",
             "track_memory: got 0; expected seconds, more than 0, or inf",
@@ -121,10 +114,6 @@ def test_the_number_of_worlds_may_be_a_word(path):
         ("time_limit = 0", "time_limit: got 0; expected seconds, more than 0"),
         ("refine = 1", "refine: got 1; expected true or false"),
         ("cases = ['CBNA']", "cases: got ['CBNA']; expected text"),
-        (
-            "budgets = 3",
-            "got 'budgets'; expected one of budget, budget_cost, target, least, ",
-        ),
         (
             "latency_s = 1.0",
             "got 'latency_s'; expected one of budget, budget_cost, target, ",

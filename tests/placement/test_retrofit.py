@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems
 from small_tables import avoiding_problem
+from tiny_worlds import unit_at
 
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
-from placement.candidates import CandidateGrid, CandidatePose
+from placement.candidates import CandidateGrid
 from placement.layout import Layout
 from placement.optimiser import (
     Limits,
@@ -29,7 +29,6 @@ from placement.retrofit import (
     RetrofitPoses,
     best_joining,
     build_retrofit_poses,
-    combined_limits,
     find_retrofit,
     load_labour,
 )
@@ -87,12 +86,7 @@ def retrofits(draw):
 
 
 def _pose(name):
-    return CandidatePose(
-        id=name,
-        site_id="",
-        pose=Pose(position_m=np.array([0.0, 0.0, 5.0]), yaw_deg=0.0, pitch_deg=-20.0),
-        sensor=None,  # nothing looks here
-    )
+    return unit_at(name, [0.0, 0.0, 5.0], pitch_deg=-20.0)
 
 
 def additions_allowed(problem, poses, new):
@@ -225,23 +219,6 @@ def value_of(change, before):
     return change.value._replace(cost_eur=change.price_eur)
 
 
-@given(retrofit=retrofits())
-def test_combined_limits_have_a_pose_for_every_unit_and_room_for_what_is_left(
-    retrofit,
-):
-    problem, poses = retrofit
-    limits = combined_limits(
-        problem.limits, poses, re_aim_eur=RE_AIM_EUR, budget_eur=6.0
-    )
-    sites = limits.site_index
-    assert (
-        sites[: poses.n_units] == problem.limits.n_sites + np.arange(poses.n_units)
-    ).all()
-    assert limits.is_forced_site[problem.limits.n_sites :].all()
-    assert not limits.unit_cost_eur[: poses.n_units].any()
-    assert not limits.is_forbidden[poses.unit_index >= 0].any()
-
-
 def test_what_is_lost_gained_and_paid():
     # A sees runs 0 and 1, B run 1 alone; turned, B sees run 2; a new unit sees 2 and 3.
     problem = avoiding_problem(
@@ -290,10 +267,12 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
     grid, camera
 ):
     position = np.array([1.0, 2.0, 7.3])
-    unit = CandidatePose(
-        id="A",
+    unit = unit_at(
+        "A",
+        position,
+        yaw_deg=-180.0,
+        pitch_deg=-15.0,
         site_id="corner",
-        pose=Pose(position_m=position, yaw_deg=-180.0, pitch_deg=-15.0),
         sensor=camera,
         latency_s=0.2,
     )

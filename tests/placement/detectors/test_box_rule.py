@@ -147,18 +147,12 @@ def test_the_aspect_is_the_acute_angle_between_sightline_and_heading(
     ("fields", "message"),
     [
         ({"min_iou": 1.0}, "detector.min_iou: got 1.0; expected 0 <= IoU < 1"),
-        ({"min_iou": -0.1}, "detector.min_iou: got -0.1; expected 0 <= IoU < 1"),
         ({"min_iou": math.nan}, "detector.min_iou: got nan; expected 0 <= IoU < 1"),
         (
             {"min_box_height_px": -1.0},
             "detector.min_box_height_px: got -1.0; expected pixels, at least 0",
         ),
-        (
-            {"min_box_height_px": math.inf},
-            "detector.min_box_height_px: got inf; expected pixels, at least 0",
-        ),
         ({"min_contrast": 1.1}, "detector.min_contrast: got 1.1; expected 0 .. 1"),
-        ({"min_contrast": math.nan}, "detector.min_contrast: got nan; expected 0 .. 1"),
     ],
 )
 def test_a_detector_says_what_is_wrong(fields, message):

@@ -133,11 +133,6 @@ def test_what_a_table_assumes_is_said(write):
     assert detector.assumed_words(["pedestrian"]) == ""
 
 
-@pytest.mark.parametrize("name", ["response", "cnn-table"])
-def test_the_shipped_tables_have_measured_no_motorcyclists_and_cars(name):
-    assert load_planning_detector(name).assumed == ("motorcyclist", "car")
-
-
 def test_our_own_file_is_one_that_a_user_may_change(write):
     mine = load_detector(str(write(OURS)))
     assert isinstance(mine, ResponseDetector)
@@ -169,24 +164,9 @@ def test_our_own_file_is_one_that_a_user_may_change(write):
             ":5: recall: got 0.9; expected a li",
         ),
         (
-            "recall = [0.0, 0.6, 0.9]",
-            'recall = [0.0, "x", 0.9]',
-            ":5: recall: got [0.0, 'x', 0.9]; expected ",
-        ),
-        (
             "cyclist = 0.8",
             'cyclist = 0.8\nassumed = ["tram"]',
             ":12: assumed: got 'tram'; expected one of pedestrian, child, cyclist, m",
-        ),
-        (
-            "cyclist = 0.8",
-            "cyclist = 0.8\nassumed = 1",
-            ":12: assumed: got 1; expected a list",
-        ),
-        (
-            "cyclist = 0.8",
-            "cyclist = 0.8\ncar = 1.1",
-            ":12: car: got 1.1; expected 0 .. 1",
         ),
         (
             "seen_share = [0.0, 0.5, 1.0]",
@@ -202,16 +182,6 @@ def test_our_own_file_is_one_that_a_user_may_change(write):
             ":6: height_half_px: got 0.0; expected a number, > 0",
         ),
         (
-            "height_half_px = 30",
-            'height_half_px = "30"',
-            ":6: height_half_px: got '30'; expected a finite number",
-        ),
-        (
-            "plan_probability = 0.6",
-            "plan_probability = inf",
-            ":17: plan_probability: got inf; expected a finite number",
-        ),
-        (
             "plan_probability = 0.6",
             "  plan_probability=1.01 # indented",
             ":17: plan_probability: got 1.01; expected 0 .. 1",
@@ -221,15 +191,12 @@ def test_our_own_file_is_one_that_a_user_may_change(write):
             "child = true",
             ":10: child: got True; expected a finite number",
         ),
-        ("child = 0.9", "child = 1.2", ":10: child: got 1.2; expected 0 .. 1"),
         ("child = 0.9\n", "", ":3: child: got nothing; expected a value"),
-        ("recall = [0.0, 0.6, 0.9]\n", "", ":3: recall: got nothing; expected a value"),
         (
             TABLE[TABLE.index("[response]") :],
             "response = 3",
             ": got no table [response]; expected a table",
         ),
-        ("[response]", "[reponse]", ": got no table [response]; expected a table"),
         (
             "[response]",
             "[response",
@@ -318,11 +285,9 @@ def test_a_file_that_is_not_there_or_not_text_is_named(write, tmp_path):
     ("name", "height_px", "seen_share", "found"),
     [  # results/reality.md: share found, 95 % by tracks
         ("pole-2015", 80.0, 1.0, (0.73, 0.86)),
-        ("pole-2015", 80.0, 0.95, (0.40, 0.72)),
         ("pole-2015", 80.0, 0.78, (0.26, 0.56)),
         ("pole-2015", 57.0, 1.0, (0.13, 1.0)),
         ("car-2019", 80.0, 1.0, (0.77, 0.91)),
-        ("car-2019", 80.0, 0.75, (0.53, 0.66)),
         ("car-2019", 80.0, 0.25, (0.05, 0.37)),
     ],
 )

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiny_worlds import unit_at
 
 from geometry.actors import pick_actor
 from geometry.catalogue import pick_camera
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
 from geometry.weather import load_weathers
-from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.evaluator import evaluate as watch_module
@@ -23,11 +22,13 @@ WALL = ((5.0, 0.2, 0.0), (5.3, 4.0, 3.0))
 
 
 def unit(name, yaw_deg=0.0, sensor=None):
-    return CandidatePose(
-        id=name,
+    return unit_at(
+        name,
+        [0.0, 0.0, 3.0],
+        yaw_deg=yaw_deg,
+        pitch_deg=-5.0,
         site_id="pole",
-        pose=Pose(position_m=[0.0, 0.0, 3.0], yaw_deg=yaw_deg, pitch_deg=-5.0),
-        sensor=sensor or pick_camera("carla-ncap-rgb", "test"),
+        sensor=sensor,
     )
 
 

@@ -3,11 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from evidences import build_evidence
+from tiny_worlds import unit_at
 
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.evaluator import evaluate, perceive
@@ -40,14 +39,10 @@ def build_layout(camera):
         return Layout(
             name="test",
             units=tuple(
-                CandidatePose(
-                    id=name,
-                    site_id="",
-                    pose=Pose(
-                        position_m=np.array([x_m + index, 0.0, 7.0]),
-                        yaw_deg=0.0,
-                        pitch_deg=-20.0,
-                    ),
+                unit_at(
+                    name,
+                    [x_m + index, 0.0, 7.0],
+                    pitch_deg=-20.0,
                     sensor=sensor,
                     latency_s=None if latencies_s is None else latencies_s[index],
                 )
@@ -174,16 +169,6 @@ def test_confirmation_does_not_reach_over_the_border_of_two_runs(pretend, axis):
     assert np.isinf(evaluation.rsu_all.confirmation_time_s).all()
 
 
-@pytest.mark.parametrize(("late_s", "is_avoided"), [(0.0, True), (0.001, False)])
-def test_braking_at_the_last_moment_avoids_and_later_does_not(
-    pretend, axis, late_s, is_avoided
-):
-    row = _frames(axis, 0, 1, 2, 3)
-    latency_s = float(axis.last_brake_time_s[0] - axis.time_s[3]) + late_s
-    evaluation = pretend(row, rule=replace(RULE, latency_s=latency_s))
-    assert evaluation.rsu_all.is_avoided[0] == is_avoided
-
-
 # Radio
 
 
@@ -203,21 +188,6 @@ def test_the_message_of_a_slow_unit_decides_when_no_other_saw_that_frame(pretend
     assert fused.confirmation_time_s[1] == time_s[other + 5]
     assert fused.onset_time_s[1] == time_s[other + 5] + 0.025
     assert (fused.detected == (fast | slow)).all()
-
-
-def test_a_unit_is_judged_by_its_own_latency_and_the_rule_is_for_those_without(
-    pretend, axis
-):
-    row = _frames(axis, 0, 1, 2, 3)
-    spare_s = float(axis.last_brake_time_s[0] - axis.time_s[3])
-    late = pretend(row, row, vut_row=row, latencies_s=[spare_s + 0.01, None])
-    last_s = float(axis.last_brake_time_s[0])
-    assert late.units["unit 0"].onset_time_s[0] == pytest.approx(
-        last_s + 0.01, abs=1e-12
-    )
-    assert late.units["unit 1"].onset_time_s[0] == axis.time_s[3] + RULE.latency_s
-    assert [late.units[f"unit {i}"].is_avoided[0] for i in (0, 1)] == [False, True]
-    assert late.rsu_all.onset_time_s[0] == late.vut.onset_time_s[0]
 
 
 def test_without_any_message_the_vut_is_left_alone(pretend, axis):

@@ -1,5 +1,6 @@
 from bisect import bisect_left
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -95,7 +96,7 @@ def test_fog_and_a_heavy_rain_take_what_is_far(sees):
 # How many beams
 
 
-@pytest.mark.parametrize("distance_m", [4.0, 8.0, 15.0, 30.0])
+@pytest.mark.parametrize("distance_m", [4.0, 15.0])
 def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     build_scene, build_run, block, count, distance_m
 ):
@@ -339,9 +340,18 @@ def _around(build_run, name, distance_m, n_frames=20):
     return build_run(pick_actor(name, "test"), vru, vut)
 
 
-@pytest.mark.parametrize("lidar", [RING, WIDE, SECTOR], ids=["ring", "wide", "sector"])
-@pytest.mark.parametrize("pitch_deg", [0.0, -35.0])
-@pytest.mark.parametrize("distance_m", [1.5, 9.0])
+@pytest.mark.parametrize(
+    ("lidar", "pitch_deg", "distance_m"),
+    [
+        pytest.param(RING, 0.0, 1.5, id="ring"),
+        pytest.param(WIDE, -35.0, 1.5, id="wide"),
+        pytest.param(SECTOR, -35.0, 9.0, id="sector"),
+        *(
+            pytest.param(*given, marks=pytest.mark.long)
+            for given in product((RING, WIDE, SECTOR), (0.0, -35.0), (1.5, 9.0))
+        ),
+    ],
+)
 def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
     build_scene, build_run, beams_on_vru, lidar, pitch_deg, distance_m
 ):
@@ -361,7 +371,7 @@ def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
         assert plain.max() > 20
 
 
-@pytest.mark.parametrize("n_columns", [1, 90, 179, -67])
+@pytest.mark.parametrize("n_columns", [1, -67])
 def test_a_level_ring_sees_the_same_however_it_is_turned(
     build_scene, build_run, beams_on_vru, needs, n_columns
 ):

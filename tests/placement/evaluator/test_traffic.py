@@ -7,15 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from tiny_worlds import table_of, unit_at
 
-from geometry.actors import Actor, MovingActor, PlacedActor, Shape, pick_actor
-from geometry.catalogue import pick_camera
+from geometry.actors import Actor, MovingActor, Shape, pick_actor
 from geometry.errors import InputError
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE
 from placement.evaluator.evaluate import unit_key, watch
-from placement.visibility import build_detection_table
 
 LENGTH_M = 12.0
 WIDTH_M = 2.5
@@ -43,12 +40,7 @@ def bus():
 
 @pytest.fixture(scope="module")
 def unit():
-    return CandidatePose(
-        id="camera",
-        site_id="pole",
-        pose=Pose(position_m=[0.0, 0.0, 3.0], yaw_deg=0.0, pitch_deg=-5.0),
-        sensor=pick_camera("carla-ncap-rgb", "test"),
-    )
+    return unit_at("camera", [0.0, 0.0, 3.0], pitch_deg=-5.0, site_id="pole")
 
 
 @pytest.fixture(scope="module")
@@ -61,13 +53,7 @@ def scene(build_scene):
 
 def _seen(setting, unit):
     """Frames in which a unit detects, by the table and by the evaluator."""
-    table = build_detection_table(
-        setting.scene,
-        [unit],
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-    )
+    table = table_of(setting, [unit])
     compute = replace(DEFAULT_COMPUTE, workers=1)
     detected = watch(setting, {unit_key(unit): unit}, compute=compute)
     return table.detected([0])[0], detected[unit_key(unit)]
@@ -108,35 +94,6 @@ def test_a_bus_hides_a_pedestrian_for_a_second(
         assert alone.all()
         assert not behind[is_hidden].any()
         assert behind[is_clear].all()
-
-
-def test_what_drives_on_the_spot_hides_as_what_is_parked(
-    scene, build_run, build_setting, unit
-):
-    rng = np.random.default_rng(5)
-    van = pick_actor("parked-van", "test")
-    vru = np.column_stack(
-        [rng.uniform(6, 30, 80), rng.uniform(-9, 9, 80), rng.uniform(0, 360, 80)]
-    )
-    run = build_run(pick_actor("cyclist", "test"), vru)
-    places = [(8.0, 2.0, 30.0), (12.0, -3.0, 80.0), (5.0, -1.0, 0.0)]
-    parked = tuple(
-        PlacedActor(actor=van, pose=Pose(position_m=[x, y, 0.0], yaw_deg=yaw))
-        for x, y, yaw in places
-    )
-    driving = tuple(
-        MovingActor(
-            actor=van, position_m=np.tile([x, y], (80, 1)), yaw_deg=np.full(80, yaw)
-        )
-        for x, y, yaw in places
-    )
-    setting = build_setting(
-        scene, [run, replace(run, obstruction=parked), replace(run, traffic=driving)]
-    )
-    for seen in _seen(setting, unit):
-        free, behind_parked, behind_driving = seen.reshape(3, 80)
-        assert (behind_parked == behind_driving).all()
-        assert 10 < (free & ~behind_parked).sum() < 70
 
 
 def test_a_vehicle_has_as_many_frames_as_the_run(build_run, bus):

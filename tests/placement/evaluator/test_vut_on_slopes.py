@@ -35,7 +35,7 @@ def on(scene, ground):
         vertices_m=np.concatenate([scene.vertices_m, vertices]),
         triangles=np.concatenate([scene.triangles, triangles + len(scene.vertices_m)]),
         triangle_instance=np.concatenate(
-            [scene.triangle_instance, np.ones(len(triangles))]
+            [scene.triangle_instance, np.full(len(triangles), len(scene.instances))]
         ),
         instances=(*scene.instances, Instance(id=GROUND, class_name=GROUND)),
     )

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiny_worlds import table_of
 
 from geometry.study_scene import load_study_scene
 from placement.detection_table import pack_table
@@ -10,7 +11,6 @@ from placement.evaluator import evaluate_layout
 from placement.explain.agreement import FUSED, find_disagreements
 from placement.layout import Layout, load_carlancap_layout
 from placement.setting import Radio, Setting
-from placement.visibility import build_detection_table
 from scenarios.runs import build_frame_axis
 from scenarios.weights import weight_per_run
 
@@ -45,13 +45,7 @@ def _table(setting, layout, detected):
 
 
 def test_both_agree_on_runs_that_are_seen_well(setting, layout, evaluation):
-    table = build_detection_table(
-        setting.scene,
-        layout.units,
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-    )
+    table = table_of(setting, layout.units)
     assert evaluation.rsu_all.is_avoided.all()
     assert find_disagreements(setting, table, evaluation, [0, 1]) == ()
 

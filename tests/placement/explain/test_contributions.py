@@ -1,12 +1,9 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems
 
-from placement.detection_table import pack_table
 from placement.explain.contributions import find_contributions
 from placement.optimiser import (
     apr,
@@ -57,19 +54,3 @@ def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
         else:
             assert part.mean_delay_s == part.max_delay_s == 0.0
         assert 0.0 <= part.mean_delay_s <= part.max_delay_s + 1e-12
-
-
-@given(problem=PROBLEMS, data=st.data())
-def test_a_unit_that_detects_nothing_contributes_nothing(problem, data):
-    first, *others = some_poses(problem, data)
-    detected = problem.table.detected(slice(None))
-    detected[first] = False
-    table = problem.table
-    blinded = replace(problem, table=pack_table(table.pose_ids, table.axis, detected))
-    blind, *parts = find_contributions(blinded, [first, *others])
-    assert len(blind.only_runs) == 0
-    assert blind.marginal_apr == blind.mean_delay_s == blind.max_delay_s == 0.0
-    alone = find_contributions(blinded, others)
-    assert [part.marginal_apr for part in parts] == [
-        part.marginal_apr for part in alone
-    ]

@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import frame_axes
+from tiny_worlds import unit_at
 
-from geometry.catalogue import load_cameras
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
 from placement.evaluation import (
     Evaluation,
     Verdict,
@@ -27,13 +25,7 @@ def evaluate(axis, detected, latencies_s):
     counts.
     """
     units = tuple(
-        CandidatePose(
-            id=f"U{index}",
-            site_id="",
-            pose=Pose(position_m=[0.0, 0.0, 7.0], yaw_deg=0.0),
-            sensor=load_cameras()["carla-ncap-rgb"],
-            latency_s=latency_s,
-        )
+        unit_at(f"U{index}", latency_s=latency_s)
         for index, latency_s in enumerate(latencies_s)
     )
     nothing = np.zeros(axis.n_runs)

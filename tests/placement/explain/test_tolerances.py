@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiny_worlds import table_of
 
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose, wrap_deg
@@ -16,7 +17,6 @@ from placement.explain.tolerances import (
 )
 from placement.optimiser import run_margins_s
 from placement.setting import Setting
-from placement.visibility import build_detection_table
 from placement.wishes import Wishes, build_problem
 from scenarios.runs import build_frame_axis
 from scenarios.weights import weight_per_run
@@ -46,13 +46,7 @@ def unit(name, yaw_deg, pitch_deg=-40.0):
 
 
 def avoided(setting, units):
-    table = build_detection_table(
-        setting.scene,
-        units,
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-    )
+    table = table_of(setting, units)
     wishes = Wishes(
         budget_units=len(units), existing=tuple(one.id for one in units[1:])
     )

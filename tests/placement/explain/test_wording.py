@@ -99,22 +99,8 @@ TOO_MUCH = "got a demand that no layout meets; expected"
             ),
         ),
         (
-            {"budget_eur": 3000.0, "target": 0.7},
-            (
-                f"`target` 0.7 and `budget_cost` 3000: {TOGETHER} one of them to give"
-                " way: `target` 0.5 or `budget_cost` 4500"
-            ),
-        ),
-        (
             {"budget_eur": 1000.0},
             f"`budget_cost` 1000: {TOO_MUCH} `budget_cost` 1500",
-        ),
-        (
-            {"target": 1.0, "survive": 1},
-            (
-                f"`target` 1 and `survive` 1: {TOGETHER} one of them to give way:"
-                " `target` 0.75 or `survive` 0"
-            ),
         ),
         (
             {"budget_units": 1, "min_case_apr": 0.5},
@@ -129,14 +115,6 @@ TOO_MUCH = "got a demand that no layout meets; expected"
             (
                 f"`target` 1 and `budget` 3: {TOGETHER} one of them to give way:"
                 " `target` 0.75 or `budget` 4"
-            ),
-        ),
-        (
-            {"target": 1.0, "forbidden_sites": ("corner-ne", "lamp-e1")},
-            (
-                f"`target` 1 and `forbid_site` corner-ne,lamp-e1: {TOGETHER} one of"
-                " them to give way: `target` 0.5 or `forbid_site` without"
-                " corner-ne,lamp-e1"
             ),
         ),
         (

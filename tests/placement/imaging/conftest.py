@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
-import trimesh
+from tiny_worlds import scene_of_boxes
 
 from geometry.actors import pick_actor
-from geometry.scene import Instance, Scene
 from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
@@ -45,29 +43,11 @@ def build_plain_scene():
     """A level ground and boxes on it: (class name, lowest corner, highest corner)."""
 
     def build(*boxes, sites=()):
-        ground = 300.0 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-        vertices = [ground]
-        faces = [np.array([[0, 1, 2], [0, 2, 3]])]
-        owners = [np.zeros(2)]
-        instances = [Instance(id="ground", class_name="ground")]
-        for number, (class_name, low, high) in enumerate(boxes, start=1):
-            mesh = trimesh.creation.box(bounds=np.array([low, high]))
-            faces.append(mesh.faces + sum(map(len, vertices)))
-            vertices.append(mesh.vertices)
-            owners.append(np.full(len(mesh.faces), number))
-            instances.append(
-                Instance(id=f"{class_name}-{number}", class_name=class_name)
-            )
-        return Scene(
-            name="plain",
-            vertices_m=np.concatenate(vertices),
-            triangles=np.concatenate(faces),
-            triangle_instance=np.concatenate(owners),
-            instances=tuple(instances),
+        return scene_of_boxes(
+            *((low, high) for _, low, high in boxes),
+            ground_m=300.0,
+            classes=[class_name for class_name, _, _ in boxes],
             sites=sites,
-            outline_m=np.empty((0, 2)),
-            lanes=(),
-            crs="EPSG:32633",
         )
 
     return build

@@ -16,7 +16,6 @@ from kernel_cases import (
     random_rows,
     random_sights,
     tails_of,
-    whole_weights,
 )
 
 from placement.optimiser import bit_kernels as kernels
@@ -222,26 +221,6 @@ def test_poses_that_avoid_a_run_next_to_a_set_and_see_a_missing_piece(
                 if pieces & set(np.flatnonzero(sees[p]).tolist())
             }
             assert bits_of(part, n_poses) == helps
-
-
-@given(SEEDS, st.sampled_from([5, 64, 67]))
-def test_each_pose_gets_the_weight_of_the_runs_that_it_avoids_with_a_set(seed, n_poses):
-    rng, chains = drawn(seed)
-    sees = random_sights(rng, n_poses)
-    alone = rng.random(N_FRAMES) < 0.3
-    run_chain, last = random_rows(rng, chains)
-    weight = whole_weights(rng, len(run_chain))
-    runs = np.flatnonzero(rng.random(len(run_chain)) < 0.7)
-    total = whole_weights(rng, n_poses)
-    expected = total.copy()
-    kernels.add_weights_with_each(
-        columns_of(sees), alone, chains, run_chain, last, weight, runs, total
-    )
-    for run in runs:
-        for pose in range(n_poses):
-            if avoids(chains, run_chain[run], last[run], sees[pose] | alone):
-                expected[pose] += weight[run]
-    np.testing.assert_array_equal(total, expected)
 
 
 @given(SEEDS)

@@ -10,27 +10,9 @@ from small_tables import avoiding_problem
 
 from placement.optimiser import (
     Effort,
-    PlacementValue,
-    is_feasible,
-    placement_value,
     solve_placement,
 )
 from placement.optimiser.constants import settle
-
-
-@given(problem=problems())
-def test_solve_matches_brute_force_on_small_tables(problem):
-    begun = []
-    solution = solve_placement(problem, on_stage=begun.append)
-    stages = solution.certificate.stages
-    value = placement_value(problem, solution.pose_index)
-
-    assert is_feasible(problem, solution.pose_index)
-    assert value == pytest.approx(best_value(problem), abs=1e-9)
-    assert tuple(stage.objective for stage in stages) == value
-    assert solution.certificate.is_proven
-    names = [stage.name for stage in stages]
-    assert begun == names == list(PlacementValue._fields)
 
 
 @given(problem=problems())

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from oracle import TIE, Oracle
 from oracle_checks import EVERY_WAY, check
 from problems import random_problem
+from tiny_worlds import axis_of_runs
 
 from placement.detection_table import pack_table
 from placement.optimiser import Limits, PlacementProblem, presolve, solve_placement
@@ -20,7 +21,6 @@ from placement.optimiser.constants import are_sums_apart
 from placement.optimiser.problem import Objective, build_measure
 from placement.optimiser.proof import Search
 from scenarios.aeb import AebRule
-from scenarios.runs import FrameAxis
 
 
 def singles(weight, seen_from):
@@ -34,16 +34,11 @@ def singles(weight, seen_from):
         for run, frame in enumerate(frames, start=1):
             if frame is not None:
                 detected[pose, run, frame:] = True
-    axis = FrameAxis(
-        run_ids=tuple(map(str, range(n_runs))),
-        cases=("CPNA-50",) * n_runs,
-        approaches=("north",) * n_runs,
-        weathers=("day",) * n_runs,
-        vut_speed_kmh=np.full(n_runs, 30.0),
-        weight=np.array([1.0 - sum(weight), *weight]),
-        last_brake_time_s=np.zeros(n_runs),
-        run_start=9 * np.arange(n_runs + 1),
-        time_s=np.tile(np.arange(-8, 1) / 10.0, n_runs),
+    axis = axis_of_runs(
+        9 * np.arange(n_runs + 1),
+        np.tile(np.arange(-8, 1) / 10.0, n_runs),
+        0.0,
+        weight=[1.0 - sum(weight), *weight],
     )
     n_poses = len(seen_from)
     return PlacementProblem(

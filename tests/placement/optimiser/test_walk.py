@@ -1,7 +1,6 @@
 """The tree of sets against all sets, on small tables: bounds, walks, ties."""
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ from all_layouts import allowed_sets
 from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems, questions
+from tiny_worlds import axis_of_runs
 
 from placement.detection_table import DetectionTable
 from placement.optimiser import Limits, PlacementProblem, presolve
@@ -27,10 +27,8 @@ from placement.optimiser.walk import (
     TieSearch,
     best_of_tied,
     can_walk,
-    widest_poses,
 )
 from scenarios.aeb import load_aeb_rule
-from scenarios.runs import FrameAxis
 
 
 def as_tuples(sets):
@@ -146,18 +144,11 @@ def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost():
     """Better sets were met while only a step more was asked for, and not kept as
     ties.
     """
-    axis = FrameAxis(
-        **{
-            "run_ids": ("0", "1", "2"),
-            "cases": ("CPNA-50",) * 3,
-            "approaches": ("north",) * 3,
-        },
-        **{"weathers": ("day",) * 3, "positions": ("0",) * 3},
-        vut_speed_kmh=np.full(3, 30.0),
+    axis = axis_of_runs(
+        [0, 8, 14, 20],
+        0.1 * np.array([*range(-7, 1), *range(-5, 1), *range(-5, 1)]),
+        [-0.125, -0.01, -0.125],
         weight=np.array([2.0, 1.0, 3.0]) / 6.0,
-        last_brake_time_s=np.array([-0.125, -0.01, -0.125]),
-        run_start=np.array([0, 8, 14, 20]),
-        time_s=0.1 * np.array([*range(-7, 1), *range(-5, 1), *range(-5, 1)]),
     )
     seen = [
         [159, 108, 11],
@@ -200,25 +191,3 @@ def test_a_walk_without_time_proves_nothing_but_its_limit(
     assert tied.sets is None
     assert tied.value == pytest.approx(shares[0])
     assert tied.limit >= shares.max() - 1e-9
-
-
-@given(data=st.data(), n_poses=st.integers(1, 12), n_rows=st.integers(1, 10))
-def test_every_pose_covers_no_more_than_the_widest_of_its_class(data, n_poses, n_rows):
-    bits = data.draw(
-        st.lists(st.booleans(), min_size=n_poses * n_rows, max_size=n_poses * n_rows)
-    )
-    places = data.draw(st.lists(st.integers(0, 2), min_size=n_poses, max_size=n_poses))
-    can = data.draw(st.lists(st.booleans(), min_size=n_poses, max_size=n_poses))
-    rows = np.array(bits).reshape(n_poses, n_rows)
-    site = np.array(places)
-    widest, class_of = widest_poses(rows, site, np.array(can))
-    np.testing.assert_array_equal(class_of >= 0, can)
-    np.testing.assert_array_equal(class_of[widest], np.arange(len(widest)))
-    for pose in np.flatnonzero(can):
-        of_class = widest[class_of[pose]]
-        assert site[of_class] == site[pose]
-        assert not (rows[pose] & ~rows[of_class]).any()
-    for one, other in combinations(widest, 2):
-        if site[one] == site[other]:
-            assert (rows[one] & ~rows[other]).any()
-            assert (rows[other] & ~rows[one]).any()

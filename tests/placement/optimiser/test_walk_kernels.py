@@ -22,7 +22,7 @@ from kernel_cases import (
 
 from placement.optimiser import walk_kernels as kernels
 from placement.optimiser.allowed_sets import Choice
-from placement.optimiser.bounds import byte_table, reward_of
+from placement.optimiser.bounds import reward_of
 from placement.optimiser.presolve import pack_words
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -96,27 +96,6 @@ def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
 
 
 # ---------- prices
-
-
-@given(SEEDS, st.integers(1, 130), st.sampled_from([0.05, 1.0]))
-def test_bytes_weigh_what_their_bits_do(seed, n_rows, share):
-    rng = np.random.default_rng(seed)
-    n_words = -(-n_rows // 64)
-    weight = np.zeros(64 * n_words)
-    weight[:n_rows] = whole_weights(rng, n_rows)
-    counted = rng.random(n_rows) < share
-    covers = rng.random((5, n_rows)) < 0.5
-    table = np.full((8 * n_words, 256), np.nan)
-    used = np.full(8 * n_words, -1)
-    n_used = kernels.weigh_bytes(weight, pack_words(counted), table, used)
-    has_any = [counted[8 * place : 8 * place + 8].any() for place in range(8 * n_words)]
-    assert used[:n_used].tolist() == np.flatnonzero(has_any).tolist()
-    rows = pack_words(covers).view(np.uint8)
-    expected = (covers & counted) @ weight[:n_rows]
-    total = np.empty(5)
-    kernels.weights_of(rows, table, used, n_used, total)
-    np.testing.assert_array_equal(total, expected)
-    assert kernels.weight_of(rows[2], table, used, n_used) == expected[2]
 
 
 def random_choice(rng, *, has_money=False):
@@ -308,24 +287,6 @@ def build_walk(covers, n_units, room, may_lose):
 
 def bits_by_pose(covers):
     return [bits_of(words, len(covers.weight)) for words in covers.covers]
-
-
-@given(SEEDS)
-def test_candidates_gain_what_they_cover_of_some_rows(seed):
-    rng = np.random.default_rng(seed)
-    covers = build_covers(rng)
-    walk = build_walk(covers, 2, np.array([2, 2, 0]), [0.0, 0.0])
-    rows = rng.random(len(covers.weight)) < 0.5
-    gain = whole_weights(rng, 6)
-    expected = gain.copy()
-    for pose in np.flatnonzero(walk.is_open[0]):
-        expected[pose] += sum(
-            covers.weight[row] for row in bits_by_pose(covers)[pose] if rows[row]
-        )
-    total = kernels.add_gains(covers, covers.weight, pack_words(rows), walk, gain)
-    np.testing.assert_array_equal(gain, expected)
-    assert total == covers.weight[rows].sum()
-    assert walk.at[0].work > 0 or not rows.any()  # it counts its work
 
 
 @given(SEEDS, st.integers(-1, 3), st.integers(0, 14))
@@ -566,46 +527,3 @@ def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
         and keeps(losses, sees[list(one)], alone, with_failures=with_failures)
     ]
     assert sorted(found) == sorted(expected)
-
-
-@given(SEEDS, st.integers(0, 20))
-def test_sets_of_poses_are_kept_that_lose_no_more_than_they_may(seed, most):
-    rng = np.random.default_rng(seed)
-    chains = random_chains(rng)
-    alone = np.zeros(N_FRAMES, dtype=bool)
-    losses = build_losses(rng, chains, alone, [float(most), -1.0])
-    sees = random_sights(rng, 6)
-    sets = rng.integers(0, 6, (8, 2))
-    kept = np.zeros(8, dtype=bool)
-    kernels.keep_sets(pack_words(sees), sets, losses, kept)
-    expected = [loss(losses, sees[units].any(axis=0)) <= most for units in sets]
-    assert kept.tolist() == expected
-
-
-@given(SEEDS, st.integers(0, 40))
-def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
-    rng = np.random.default_rng(seed)
-    n_rows = int(rng.integers(1, 140))
-    alone, may, part = rng.random((3, 5, n_rows)) < 0.6
-    weight = whole_weights(rng, n_rows)
-    pairs = rng.integers(0, 5, (6, 2))
-    table, _, _ = byte_table(weight, pack_words(alone))
-    lost = np.empty(6)
-    kernels.lost_by_pairs(
-        pack_words(alone),
-        pack_words(may),
-        pack_words(part),
-        table,
-        float(may_lose),
-        pairs,
-        lost,
-    )
-    for (one, other), found in zip(pairs, lost, strict=True):
-        can = (alone[one] | alone[other] | (part[one] & part[other])) & (
-            may[one] | may[other]
-        )
-        total = weight[~can].sum()
-        assert (found <= may_lose) == (total <= may_lose)
-        assert found <= total
-        if found <= may_lose:
-            assert found == total

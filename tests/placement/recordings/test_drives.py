@@ -101,7 +101,6 @@ def test_drives_do_not_reach_over_more_than_ten_missing_seconds():
     [
         ([13.0] * 30, NO_APPROACH),
         ([13.0, 14.0, 15.0], NO_APPROACH),
-        ([13.0, 13.3, 13.0, 13.0], NO_APPROACH),
         ([13.0, 14.0], TOO_SHORT),
         ([3.0, 2.0], TOO_SHORT),
         ([4.0, 3.0, 2.0, 2.0], None),
@@ -115,13 +114,6 @@ def test_what_is_no_drive_is_left_out_with_its_reason(distances, reason):
         assert (spans, left_out) == ([(0, 0, 2)], {RESETS: 1})
     else:
         assert (spans, left_out) == ([], {reason: len(distances)})
-
-
-def test_scenarios_are_cut_each_by_itself():
-    world = _world((_falling(12), 10.0, 1.5), scenario=3) | _world(
-        (_falling(20), 10.0, 1.5), scenario=10, first=5
-    )
-    assert _cut(world)[0] == [(3, 0, 11), (10, 5, 24)]
 
 
 def test_all_runs_of_the_study_in_one_numbering_are_found_again_with_their_directions(

@@ -135,11 +135,6 @@ def test_an_opencv_camera_agrees_with_opencv(tmp_path):
             "1,-1,1,2,-3,4,0.5",
             "F:1: box: got -3 x 4 px; expected a width and a height, at least 0",
         ),
-        ("1,-1,1,2,x,4,0.5", "F:1: width: got 'x'; expected a finite number"),
-        (
-            "0,-1,1,2,3,4,0.5",
-            "F:1: frame: got '0'; expected a finite number, 1 .. 1e+08",
-        ),
         ("1.5,-1,1,2,3,4,0.5", "F:1: frame: got '1.5'; expected a whole number"),
         ("1,2,1,2,3,4,0.5", "F:1: conf: got 0.5; expected 0 or 1 where there is an id"),
         (
@@ -150,15 +145,9 @@ def test_an_opencv_camera_agrees_with_opencv(tmp_path):
             ),
         ),
         (
-            "0 1 Bear 0 0 0 1 2 3 4 0 0 0 0 0 0 0",
-            "F:1: type: got 'Bear'; expected one of Ped",
-        ),
-        (
             "0 1 Car 0 0 0 1 2 3",
             "F:1: got 9 fields; expected 17 fields: frame track type",
         ),
-        ("3,1,2,3,4,0.5\n2,1,2,3,4,0.5", "F:2: got frame 2; expected frames in order"),
-        ("3,9,2,3,4,0.5", "F:1: box: got -6 x 2 px; expected a width"),
         ("3,1,2,3,4,1.5", "F:1: score: got '1.5'; expected a finite number, 0 .. 1"),
     ],
 )
@@ -185,14 +174,6 @@ def cvml(*frames, box='h="8" w="3" xc="1" yc="9"'):
         (
             cvml(0, 2, 1),
             "F: frame 1: got 1; expected 4 after frame 2: frames in order, all as far",
-        ),
-        (
-            cvml(0, 1, 3),
-            "F: frame 3: got 3; expected 2 after frame 1: frames in order, all as far",
-        ),
-        (
-            cvml(3, box='h="8" w="-3" xc="1" yc="9"'),
-            "F: frame 3, object 1: box: got -3 x 8 px",
         ),
         (
             cvml(3, box='h="8" xc="1" yc="9"'),

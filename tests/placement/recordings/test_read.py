@@ -73,13 +73,6 @@ def test_what_is_left_out_is_counted_by_its_reason(small, tmp_path):
     }
 
 
-def test_boxes_are_clipped_to_the_image(small, tmp_path):
-    small.files[f"0/{LAST}"] = "pedestrian -100 1000 140 3000 5"
-    recording = read_recording(small.write(tmp_path))
-    (label,) = recording.labels["0"][(3, 57)]
-    assert label.box_px == (0.0, 1000.0, 140.0, 1080.0)
-
-
 def test_a_recording_made_twice_into_one_folder_reads_as_once(small, tmp_path):
     once = read_recording(small.write(tmp_path / "once"))
     small.files = {name: 2 * text for name, text in small.files.items()}

@@ -62,16 +62,6 @@ def test_the_files_are_those_of_the_study(tmp_path):
     assert files == {}
 
 
-def test_files_may_be_missing_and_bicycles_spelled_otherwise(tmp_path):
-    write_recording(tmp_path / "data", [_drive()])
-    for name in ("0/3_4.txt", "Eval/3_5.txt"):
-        (tmp_path / "data" / name).unlink()
-    for path in (tmp_path / "data").rglob("*.txt"):
-        path.write_text(path.read_text().replace("bycicle", "bicycle"))
-    recording = read_recording(tmp_path / "data")
-    assert [drive.vru_class for drive in recording.drives] == ["bicycle"]
-
-
 def test_frame_numbers_run_on_over_drives(tmp_path):
     write_recording(
         tmp_path / "data", [_drive(), _drive(vut_speed_mps=9.0), _drive(scenario=4)]

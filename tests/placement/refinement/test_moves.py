@@ -1,11 +1,10 @@
 from dataclasses import replace
 
 import pytest
+from tiny_worlds import unit_at
 
 from geometry.catalogue import pick_sensor
-from geometry.poses import Pose
 from geometry.sensors import with_fov
-from placement.candidates import CandidatePose
 from placement.layout import Layout
 from placement.refinement import Move, pair_units, rename
 
@@ -13,10 +12,12 @@ CAMERA = pick_sensor("carla-ncap-rgb", "test")
 
 
 def _unit(name, east=0.0, height=5.0, yaw=0.0, pitch=-15.0, sensor=CAMERA):
-    return CandidatePose(
-        id=name,
+    return unit_at(
+        name,
+        [east, 0.0, height],
+        yaw_deg=yaw,
+        pitch_deg=pitch,
         site_id="pole",
-        pose=Pose(position_m=[east, 0.0, height], yaw_deg=yaw, pitch_deg=pitch),
         sensor=sensor,
     )
 

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import numbers
+from tiny_worlds import unit_at
 
 from geometry.catalogue import pick_sensor
-from geometry.poses import Pose
 from placement import refinement
-from placement.candidates import CandidateGrid, CandidatePose, build_candidates
+from placement.candidates import CandidateGrid, build_candidates
 from placement.optimiser import Limits
 from placement.refinement import build_places, moved
 
@@ -70,12 +70,7 @@ def test_a_pose_of_the_grid_keeps_its_name(places):
 
 
 def test_a_pose_of_no_site_stays_at_its_height(meadow, narrow_camera):
-    drone = CandidatePose(
-        id="drone",
-        site_id="",
-        pose=Pose(position_m=[3.0, 4.0, 30.0], yaw_deg=0.0, pitch_deg=-80.0),
-        sensor=narrow_camera,
-    )
+    drone = unit_at("drone", [3.0, 4.0, 30.0], pitch_deg=-80.0, sensor=narrow_camera)
     places = build_places(meadow.scene, [drone], _limits([drone]))
     pose = moved(places, 0, height_m=20.0, yaw_deg=10.0, pitch_deg=-70.0)
     assert pose.pose.position_m.tolist() == [3.0, 4.0, 30.0]
@@ -86,11 +81,8 @@ def test_a_pose_that_hangs_outside_of_its_sites_range_may_stay_there(
     meadow, narrow_camera
 ):
     """An existing unit, 9 m up and half a metre beside a pole for 4 to 8 m."""
-    high = CandidatePose(
-        id="RSU9",
-        site_id="west",
-        pose=Pose(position_m=[0.5, 0.0, 9.0], yaw_deg=0.0, pitch_deg=-10.0),
-        sensor=narrow_camera,
+    high = unit_at(
+        "RSU9", [0.5, 0.0, 9.0], pitch_deg=-10.0, site_id="west", sensor=narrow_camera
     )
     places = build_places(meadow.scene, [high], _limits([high]))
     assert places.height_range_m(0) == (4.0, 9.0)

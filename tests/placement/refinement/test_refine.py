@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiny_worlds import table_of
 
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError
@@ -13,7 +14,6 @@ from placement.optimiser import is_feasible, placement_value
 from placement.optimiser.problem import objective_values
 from placement.pipeline import Assembly, place
 from placement.refinement import improves, refine
-from placement.visibility import build_detection_table
 from placement.wishes import Wishes
 
 
@@ -125,9 +125,7 @@ def test_a_refined_layout_is_within_all_limits_and_what_its_placement_says(
 def test_what_was_refined_is_what_the_builder_of_tables_sees(name, meadow, refinements):
     refined = refinements[name].placement
     units = [refinements[name].candidates[row] for row in refined.pose_index]
-    table = build_detection_table(
-        meadow.scene, units, meadow.runs, meadow.axis, detector=meadow.table_detector
-    )
+    table = table_of(meadow, units)
     assert np.array_equal(
         table.packed, refined.problem.table.packed[list(refined.pose_index)]
     )
@@ -197,30 +195,6 @@ def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
 
 
 # Known optima
-
-
-def test_what_stands_between_two_directions_of_the_grid_is_found(
-    build_meadow, build_walk, build_small_setting, narrow_camera, arc
-):
-    """Someone 45 degrees to the left; the grid looks ahead and left, 20 degrees to each
-    side.
-    """
-    scene = build_meadow(("pole", 0.0, 0.0))
-    setting = build_small_setting(scene, [build_walk("walk", arc(18.0, 47.0, 43.0))])
-    candidates = _grid_of(scene, narrow_camera, yaw_step_deg=90.0)
-    placement = place(
-        Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
-    )
-    assert placement_value(placement.problem, placement.pose_index).apr == 0.0
-    refinement = refine(setting, placement, candidates)
-    (unit,) = refinement.placement.layout.units
-    assert 20.0 < unit.pose.yaw_deg < 70.0
-    after = dict(refinement.after)
-    assert after["apr"] == 1.0
-    # Nothing is confirmed before the third frame.
-    (run,) = setting.runs
-    latest_s = run.last_brake_time_s - setting.rule.latency_s - run.time_s[2]
-    assert after["smallest_margin_s"] == pytest.approx(latest_s, abs=1e-9)
 
 
 def test_a_unit_is_turned_to_where_it_sees_earliest(
@@ -322,10 +296,3 @@ def test_other_candidates_than_the_rows_of_the_table_are_refused(meadow, placeme
         str(caught.value)
         == "candidates: got other poses; expected the rows of the placement's table"
     )
-
-
-def test_time_that_cannot_be_is_refused(meadow, placements):
-    candidates, placement = placements["one unit"]
-    with pytest.raises(InputError) as caught:
-        refine(meadow, placement, candidates, time_limit_s=0.0)
-    assert str(caught.value) == "time_limit_s: got 0.0; expected seconds, more than 0"

@@ -1,6 +1,3 @@
-from dataclasses import replace
-
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,7 +7,6 @@ from geometry.errors import InputError
 from placement.layout import Certificate, Stage
 from placement.optimiser import (
     Effort,
-    PlacementValue,
     is_better,
     placement_value,
     solve_placement,
@@ -89,15 +85,3 @@ def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
     ]
     assert [s.gap for s in made.stages] == pytest.approx([0.0, 0.25, 0.0, 0.2])
     assert {s.seconds for s in made.stages} == {1.5}
-
-
-def test_the_survived_stage_comes_before_the_apr():
-    from hypothesis import find
-
-    problem = find(
-        problems(), lambda p: p.table.n_poses >= 2 and p.limits.max_units >= 2
-    )
-    problem = replace(problem, survive=1)
-    values = objective_values(problem, [0, 1])
-    assert [*values] == ["apr_survived", *PlacementValue._fields]
-    assert np.isfinite([*values.values()]).all()

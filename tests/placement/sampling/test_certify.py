@@ -212,6 +212,8 @@ SMALL = Question(
 )
 
 
+# Quickly: test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up
+@pytest.mark.long
 def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     monkeypatch.setattr(certifying, "N_JUDGED", 6)
     monkeypatch.setattr(pipeline, "N_JUDGED", 6)
@@ -245,7 +247,6 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
             assert found.placement.layout.units == alone.layout.units
 
 
-# Quickly: test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat
 @pytest.mark.long
 def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
     monkeypatch.setattr(certifying, "N_JUDGED", 3)
@@ -302,12 +303,8 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
 LOW, MIDDLE, HIGH = (
     [level + 0.01 * level * n for n in range(4)] for level in (0.5, 0.6, 0.7)
 )
-MAYBE = [
-    0.45,
-    0.75,
-    0.65,
-    0.55,
-]  # 0 is within t(3) = 3.18 errors of its mean less that of LOW
+# 0 is within t(3) = 3.18 errors of its mean less that of LOW.
+MAYBE = [0.45, 0.75, 0.65, 0.55]
 
 
 @pytest.mark.parametrize(
@@ -316,12 +313,8 @@ MAYBE = [
         ([LOW, MAYBE], 0.0, 1, "no better"),
         ([MIDDLE, LOW], 0.0, 1, "no better"),
         ([LOW, MIDDLE, HIGH, LOW], 0.0, 3, "no better"),
-        (
-            [LOW, MIDDLE, HIGH],
-            200.0,
-            2,
-            "time",
-        ),  # of five times 60 s, 400 s are gone by then
+        # Of five times 60 s, 400 s are gone by then.
+        ([LOW, MIDDLE, HIGH], 200.0, 2, "time"),
     ],
 )
 def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
@@ -333,7 +326,6 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
     assert found.placement.problem.sample_index.max() + 1 == taken
 
 
-# Quickly: test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up
 @pytest.mark.long
 def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
     found = scripted(monkeypatch, [LOW, HIGH], sizes=(1, 2))

@@ -281,22 +281,6 @@ def all_seen(setting):
     )
 
 
-def test_messages_are_lost_as_often_as_asked_and_each_pose_loses_its_own(
-    setting, candidates, all_seen
-):
-    table = all_seen(candidates)
-    sample = _first(setting, candidates, Uncertainty(packet_loss=0.2))
-    arrived = silence(sample, table).detected(slice(None))
-    n = arrived.size
-    assert arrived.mean() == pytest.approx(0.8, abs=4.0 * np.sqrt(0.16 / n))
-    agreement = (arrived[0] == arrived[1]).mean()
-    assert agreement == pytest.approx(0.8**2 + 0.2**2, abs=0.1)
-    again = silence(sample, table).detected(slice(None))
-    assert np.array_equal(arrived, again)
-    other = _first(setting, candidates, Uncertainty(packet_loss=0.2), seed=1)
-    assert not np.array_equal(silence(other, table).detected(slice(None)), arrived)
-
-
 def test_no_message_and_every_message_may_be_lost(setting, candidates, all_seen):
     table = all_seen(candidates)
     sample = _first(setting, candidates, Uncertainty())

@@ -10,8 +10,6 @@ from geometry.actors import PlacedActor, pick_actor
 from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
-from placement.compute import Compute
-from placement.sampling.tables import sampled_table
 from placement.sampling.uncertainty import (
     MeasuredPeople,
     RoadUsers,
@@ -172,7 +170,7 @@ def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a
     laid, rule
 ):
     turned = {run.case.family: [] for run in laid}
-    for index in range(60):
+    for index in range(25):
         drawn, _ = draw_road_users(laid, ROBUSTNESS, rule, _streams(index).rng, SCENE)
         for run, other in zip(laid, drawn, strict=True):
             motion = other.encounter.vru_motion
@@ -192,11 +190,6 @@ def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a
             assert max(angles) - min(angles) > 0.7 * (high - low)
 
 
-def _heading_deg(run):
-    motion = run.encounter.vru_motion
-    return float(motion.path.at(motion.distance_m(0.0))[1])
-
-
 def test_a_way_through_a_parked_car_is_not_free(laid):
     run = next(run for run in laid if run.case.name == "CPNA-25")
     motion = run.encounter.vru_motion
@@ -212,14 +205,6 @@ def test_a_way_through_a_parked_car_is_not_free(laid):
     assert is_way_free(run.encounter.vru, motion, SCENE, parked(east + 30.0))
 
 
-def test_with_the_planned_motion_the_run_is_the_planned_one(laid, rule):
-    for run in laid:
-        same = change_motion(run, rule, speed_mps=run.encounter.vru_motion.speed_mps)
-        np.testing.assert_allclose(same.vru_position_m, run.vru_position_m, atol=1e-6)
-        np.testing.assert_allclose(same.vut_position_m, run.vut_position_m, atol=1e-5)
-        assert same.last_brake_time_s == pytest.approx(run.last_brake_time_s, abs=1e-5)
-
-
 def test_whom_the_vut_does_not_reach_moves_as_planned(laid, rule):
     run = next(run for run in laid if run.case.name == "CBLA-50")
     away = RoadUsers(cyclist_kmh=(0.0, 50.0))
@@ -227,11 +212,11 @@ def test_whom_the_vut_does_not_reach_moves_as_planned(laid, rule):
         draw_road_users([run], away, rule, _streams(index).rng, SCENE)[0][
             0
         ].encounter.vru_motion.speed_mps
-        for index in range(30)
+        for index in range(15)
     ]
     assert max(faster) < run.vut_speed_kmh * MPS_PER_KMH
     planned = run.encounter.vru_motion.speed_mps
-    assert 0 < faster.count(planned) < 30
+    assert 0 < faster.count(planned) < 15
     assert change_motion(run, rule, speed_mps=run.vut_speed_kmh * MPS_PER_KMH) is None
     assert change_motion(run, rule, speed_mps=0.0) is None
 
@@ -244,7 +229,7 @@ def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
         planned = run.encounter.vru_motion
         faster = []
         nearer = []
-        for index in range(120):
+        for index in range(60):
             ((other,), _) = draw_road_users(
                 [run], STRAIGHT, rule, _streams(index).rng, SCENE
             )
@@ -258,7 +243,7 @@ def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
             assert least - 1e-6 <= min(values) <= max(values) <= most + 1e-6
             spread = (most - least) / np.sqrt(12.0)
             assert np.mean(values) == pytest.approx(
-                0.5 * (least + most), abs=4 * spread / 120**0.5
+                0.5 * (least + most), abs=4 * spread / 60**0.5
             )
             assert np.std(values) == pytest.approx(spread, rel=0.2)
 
@@ -318,30 +303,6 @@ def test_worlds_differ_in_what_people_do_and_in_nothing_else(setting, candidates
     )
 
 
-def test_a_sampled_table_is_that_of_its_worlds_runs(setting, candidates):
-    from placement.visibility import build_detection_table
-
-    uncertain = Uncertainty(road_users=ROBUSTNESS)
-    quiet = Compute(workers=1, seed=2)
-    found = sampled_table(setting, candidates, uncertain, n_samples=2, compute=quiet)
-    for index, sample in enumerate(
-        draw_samples(setting, candidates, uncertain, n_samples=2, seed=2)
-    ):
-        alone = build_detection_table(
-            setting.scene,
-            candidates,
-            sample.setting.runs,
-            setting.axis,
-            detector=setting.table_detector,
-            compute=quiet,
-        )
-        n = setting.axis.n_frames
-        assert np.array_equal(
-            found.table.detected(slice(None))[:, index * n : (index + 1) * n],
-            alone.detected(slice(None)),
-        )
-
-
 # Files
 
 
@@ -353,15 +314,6 @@ def test_a_sampled_table_is_that_of_its_worlds_runs(setting, candidates):
             "pedestrian_kmh: got [1.0, 3.0]; expected [low, high] in km",
         ),
         (
-            "pedestrian_kmh = [-2.0]",
-            "pedestrian_kmh: got shape (1,); expected shape (2,)",
-        ),
-        ("pedestrian_kmh = 3", "pedestrian_kmh: got 3; expected a list"),
-        (
-            "walker_kmh = [0, 1]",
-            "road_users: got 'walker_kmh'; expected one of pedestrian_kmh, ",
-        ),
-        (
             "heading_deg = {CPNA = [5, 10]}",
             "heading_deg.CPNA: got [5.0, 10.0]; expected [low, high] in",
         ),
@@ -369,7 +321,6 @@ def test_a_sampled_table_is_that_of_its_worlds_runs(setting, candidates):
             "heading_deg = {CPXY = [0, 10]}",
             "heading_deg: got 'CPXY'; expected one of CBFA, ",
         ),
-        ("path_m = {CBTAns = 3}", "path_m.CBTAns: got 3; expected a list"),
         ("path_m = 3", "path_m: got 3; expected a section"),
         ("start_nearer_share = 1.5", "start_nearer_share: got 1.5; expected 0 to 0.9"),
     ],
@@ -478,11 +429,6 @@ def test_who_starts_faster_is_at_the_impact_in_the_same_moment(laid, rule):
             "speed_kmh = [5], start_mps2 = [1, 2]",
             "people.pedestrian.speed_kmh: got [5.0]",
         ),
-        (
-            "speed_kmh = [5, nan], start_mps2 = [1, 2]",
-            "people.pedestrian.speed_kmh: got [5, nan]",
-        ),
-        ("speed_kmh = [5, 6]", "people.pedestrian"),
         (
             "pace = [5, 6]",
             "people.pedestrian: got 'pace'; expected one of speed_kmh, start_mps2",

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tiny_worlds import table_of
 
-from geometry.errors import InputError
 from geometry.lenses import BrownConrady, Fisheye
 from geometry.sensors import CameraModel
 from placement.compute import Compute
@@ -17,10 +17,8 @@ from placement.sampling.uncertainty import (
     StandingTraffic,
     Uncertainty,
     VehicleKind,
-    load_uncertainty,
 )
 from placement.sampling.worlds import draw_samples
-from placement.visibility import build_detection_table
 from scenarios.runs import live_confirmation_times_s
 
 
@@ -31,14 +29,7 @@ def _table(sample, *, seed=0, **options):
 
 def _plan(setting, candidates, seed=0):
     """The table of a plan in which nothing is uncertain."""
-    return build_detection_table(
-        setting.scene,
-        candidates,
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-        compute=Compute(seed=seed),
-    )
+    return table_of(setting, candidates, compute=Compute(seed=seed))
 
 
 @pytest.fixture(scope="module")
@@ -75,19 +66,6 @@ def test_without_uncertainty_one_sample_is_the_plans_table(
     for name in ("vut_speed_kmh", "weight", "last_brake_time_s", "run_start", "time_s"):
         assert np.array_equal(getattr(table.axis, name), getattr(axis, name))
     assert sampled.sample_index.tolist() == [0] * axis.n_runs
-
-
-def test_without_uncertainty_many_samples_are_the_plans_table_again_and_again(
-    setting, candidates, planned
-):
-    sampled = sampled_table(setting, candidates, load_uncertainty("none"), n_samples=3)
-    assert (
-        planned.axis.n_frames % 8
-    )  # else the bits of the next world would begin a byte
-    assert np.array_equal(_detected(sampled.table), np.tile(_detected(planned), 3))
-    assert sampled.table.axis.weight == pytest.approx(
-        np.tile(setting.axis.weight, 3) / 3.0
-    )
 
 
 def test_worlds_stand_side_by_side_and_weigh_the_same(
@@ -144,11 +122,8 @@ def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planne
     assert after == pytest.approx(before - 0.3)
     # As good as a rule with the longer latency.
     detected = _detected(planned).any(axis=0)
-    for memory_s in (
-        0.2,
-        1.0,
-        np.inf,
-    ):  # the age of a track is asked for at the moved moment, too
+    # The age of a track is asked for at the moved moment, too.
+    for memory_s in (0.2, 1.0, np.inf):
         rule = replace(setting.rule, track_memory_s=memory_s)
         slower = replace(rule, latency_s=rule.latency_s + 0.3)
         here_s = live_confirmation_times_s(detected, sampled.table.axis, rule=rule)
@@ -189,14 +164,6 @@ def test_bits_are_appended_where_they_belong(worlds):
     assert found[0].tolist() == [bit for bits in worlds for bit in bits]
     assert np.array_equal(found[1], ~found[0])
     assert not np.unpackbits(packed, axis=1, bitorder="little")[:, n * n_bits :].any()
-
-
-def test_workers_are_checked(setting, candidates):
-    with pytest.raises(InputError) as caught:
-        sampled_table(
-            setting, candidates, Uncertainty(), n_samples=1, compute=Compute(workers=0)
-        )
-    assert str(caught.value) == "workers: got 0; expected a whole number, at least 1"
 
 
 # Cache and progress
@@ -271,14 +238,14 @@ def test_a_world_beside_others_is_as_it_is_alone(
             if isinstance(one.sensor, CameraModel)
         ]
     setting = replace(setting, table_detector=load_planning_detector(planner))
-    worlds = list(draw_samples(setting, candidates, default, n_samples=6, seed=4))
+    worlds = list(draw_samples(setting, candidates, default, n_samples=4, seed=4))
     heights = [
         {pose.pose.position_m[2] for pose in world.candidates} for world in worlds
     ]
     assert len(set.union(*heights)) < sum(map(len, heights))  # they do come up again
     assert len({len(world.vehicles) for world in worlds}) > 1
     for at_once in (1, 2):
-        together = list(build_sample_tables(worlds, n_samples=6, at_once=at_once))
+        together = list(build_sample_tables(worlds, n_samples=4, at_once=at_once))
         assert any(table.packed.any() for _, table in together)
         for world, table in together:
             assert np.array_equal(table.packed, _table(world).packed)

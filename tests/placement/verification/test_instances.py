@@ -283,14 +283,8 @@ def test_what_may_be_missing_is_none(problem, tmp_path):
             {"kind": np.array("place-rsus/covering/1")},
             "kind: got 'place-rsus/covering/1'",
         ),
-        ({"kind": np.array(1)}, "kind: got no text"),
         ({"kind": np.array(["x"])}, "kind: got no text"),
         ({"more": np.zeros(3)}, "more: got a field; expected none of this name"),
-        (
-            {"weight": np.ones(3, dtype=np.int64)},
-            "weight: got type int64; expected float64",
-        ),
-        ({"pose_ids": np.arange(3)}, "pose_ids: got type int64; expected str"),
         (
             {"site_index": np.array([0.0, 1.0, 1.0])},
             "site_index: got type float64; expected int64",
@@ -299,7 +293,6 @@ def test_what_may_be_missing_is_none(problem, tmp_path):
             {"weight": np.array([[0.5, 0.25, 0.25]])},
             r"weight: got 2 axes; expected 1 \(runs\)",
         ),
-        ({"tail": np.array([0.5])}, r"tail: got 1 axes; expected 0 \(a single value\)"),
         (
             {"weight": np.array([0.5, 0.5])},
             r"weight: got shape \(2,\); expected 3 runs",
@@ -317,18 +310,10 @@ def test_what_may_be_missing_is_none(problem, tmp_path):
             "packed: got bits behind the last frame",
         ),
         ({"pose_ids": np.array(["a", "b", "a"])}, "pose_ids: got an id twice"),
-        (
-            {"rivals": np.zeros((1, 3), np.int64)},
-            r"rivals: got shape \(1, 3\); expected 2 2",
-        ),
         ({"rivals": np.array([[0, 5]])}, "rivals: got"),
         (
             {"floor_shares": np.zeros(1)},
             r"floor_shares: got shape \(1,\); expected 2 floors",
-        ),
-        (
-            {"floor_shares": np.array([np.nan, 0.5])},
-            "--target: got nan; expected a share",
         ),
         ({"weight": np.array([0.5, 0.5, 0.5])}, "weight: got .*; expected shares >= 0"),
         (
@@ -337,30 +322,22 @@ def test_what_may_be_missing_is_none(problem, tmp_path):
         ),
         ({"time_s": np.full(10, np.inf)}, "time_s: got .*; expected finite numbers"),
         ({"last_brake_time_s": np.full(3, np.inf)}, "last_brake_time_s: got inf"),
-        ({"last_brake_time_s": np.full(3, np.nan)}, "last_brake_time_s: got"),
         ({"run_start": np.array([0, 3, 2, 10])}, "run_start: got"),
         ({"run_start": np.array([0, 3, 8, 11])}, "time_s: got 10 frames; expected 11"),
-        ({"unit_cost_eur": np.array([1.0, np.inf, 1.0])}, "unit_cost_eur: got"),
         (
             {"site_index": np.array([0, 1, 2])},
             r"site_index: got \[0, 1, 2\]; expected sites 0..1",
         ),
-        ({"site_capacity": np.array([-1, 2])}, "site_capacity: got"),
-        ({"budget_units": np.array(0)}, "budget: got 0"),
-        ({"budget_eur": np.array(np.nan)}, "budget_cost: got nan"),
         (
             {"fusion": np.array("both")},
             "fusion: got 'both'; expected one of any, single",
         ),
         ({"goal": np.array("most")}, "goal: got 'most'"),
-        ({"survive": np.array(-1)}, "survive: got -1"),
         ({"tail": np.array(0.0)}, "tail: got 0.0"),
-        ({"tail": np.array(np.nan)}, "tail: got nan"),
         (
             {"sample_index": np.array([0, 5, 0])},
             "sample_index: got a sample without weight",
         ),
-        ({"sample_index": np.array([0, -1, 0])}, "sample_index: got other samples"),
         ({"latency_s": np.array(np.nan)}, "aeb.latency_s: got nan"),
         ({"n_confirmations": np.array(0)}, "aeb.n_confirmations: got 0"),
     ],
@@ -407,16 +384,6 @@ def test_a_file_that_is_no_instance_is_refused(tmp_path):
         InputError, match=r"a\.npz: kind: got nothing; expected a text such as"
     ):
         load(path)
-
-
-def test_a_truncated_file_is_refused_wherever_it_ends(problem, tmp_path):
-    path = tmp_path / "a.npz"
-    save_problem(path, problem)
-    content = path.read_bytes()
-    for length in range(0, len(content), 97):
-        path.write_bytes(content[:length])
-        with pytest.raises(InputError):
-            load_problem(path)
 
 
 @given(where=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))

@@ -1,17 +1,16 @@
 """Certificates that are true are verified; those that were tampered with are not."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
-from certified import Document, document_of, two_of_twelve
+from certified import document_of, two_of_twelve
 from hypothesis import HealthCheck, given, settings
 from problems import questions
 
 from geometry.errors import InputError
-from placement.detection_table import DetectionTable, pack_table
+from placement.detection_table import pack_table
 from placement.layout import Certificate, Stage
 from placement.optimiser import (
     Effort,
@@ -28,8 +27,6 @@ from placement.verification.certificates import (
 from placement.verification.instances import INSTANCE_FILE, load_problem
 from placement.verification.recomputation import stage_names, stage_values
 from placement.verification.verify import verify_certificate
-
-Change = Callable[[Document], object]
 
 
 def verify(folder, problem, document, **options):
@@ -147,24 +144,16 @@ def add_to_objective_and_bound(document):
         (lambda d: stage(d, "cost_eur").update(bound=9999.0), {"cost_eur: bound"}),
         (add_to_objective_and_bound, {"mean_margin_s"}),
         (lambda d: stage(d, "apr").update(gap=0.5), {"apr: gap"}),
-        (lambda d: stage(d, "apr").update(gap=None), {"apr: gap"}),
         (lambda d: stage(d, "apr").update(is_proven=False), {"apr: gap", "proof"}),
-        (lambda d: d.update(is_proven=False), {"proof"}),
         (lambda d: d["instance"].update(sha256="0" * 64), {"instance"}),
         (lambda d: d["model"].update(fusion="single"), {"model"}),
-        (lambda d: d["model"]["limits"].update(budget_units=9), {"model"}),
         (lambda d: d["model"].update(floors=[]), {"model"}),
-        (lambda d: d["model"]["rule"].update(latency_s=0.0), {"model"}),
         (lambda d: d["model"]["stages"].pop(), {"stages"}),
-        (lambda d: d["stages"].pop(), {"stages"}),
         (lambda d: d["stages"].reverse(), {"stages"}),
-        (lambda d: stage(d, "apr").update(name="apr_one_failed"), {"stages"}),
         (lambda d: d["presolve"].update(n_poses=[11, 5]), {"presolve"}),
-        (lambda d: d["presolve"].update(n_runs=[3, 4]), {"presolve"}),
         (swap_pose, {"pose names"}),
         (swap_pose_and_name, set()),
         (lambda d: d["layout"][0].update(row=99), {"poses"}),
-        (lambda d: d["layout"][0].update(row=d["layout"][1]["row"]), {"poses"}),
         (lambda d: d["layout"][0].update(row=3, pose="d"), {"forbidden units"}),
     ],
 )
@@ -202,17 +191,6 @@ def test_a_floor_that_is_missed_is_found(problem, document, tmp_path):
     floor = replace(problem.floors[0], share=1.0, n_failures=2)
     found = verify(tmp_path, replace(problem, floors=(floor,)), document)
     assert "floor --target" in failed(found)
-
-
-def test_every_bit_of_the_table_counts(problem, document, tmp_path):
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        detected = problem.table.detected(slice(None))
-        detected[rng.integers(12), rng.integers(detected.shape[1])] ^= True
-        table = pack_table(problem.table.pose_ids, problem.table.axis, detected)
-        assert "instance" in failed(
-            verify(tmp_path, replace(problem, table=table), document)
-        )
 
 
 def test_a_changed_table_is_found_even_if_the_hash_was_made_to_fit(
@@ -309,16 +287,3 @@ def test_units_on_one_site_are_not_shown_on_two(problem, tmp_path):
         for unit, site in zip(document["layout"], sites, strict=True):
             unit["unit"]["site"] = site
         assert failed(verify(tmp_path, one_site, document)) == expected
-
-
-def test_a_table_without_poses_of_that_name_is_found(problem, document, tmp_path):
-    table = problem.table
-    renamed = DetectionTable(
-        pose_ids=tuple(name.upper() for name in table.pose_ids),
-        axis=table.axis,
-        packed=table.packed,
-    )
-    assert failed(verify(tmp_path, replace(problem, table=renamed), document)) == {
-        "instance",
-        "pose names",
-    }

@@ -182,22 +182,6 @@ def test_the_response_foretold_by_points_is_that_of_pixels(
     assert (cut_off < 0.1).mean() > 0.95
 
 
-def test_a_table_of_the_response_counts_frames_from_the_planned_probability_on(
-    build_scene, random_runs, mount, table_of
-):
-    candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
-    scene = build_scene(*WALLS)
-    surroundings = build_surroundings(scene, random_runs)
-    evidence = perceive_frames(surroundings, (candidate.pose, candidate.sensor))
-    for plan_probability in (0.2, 0.5, 0.8):
-        detector = replace(RESPONSE, plan_probability=plan_probability)
-        (found,) = table_of(scene, [candidate], random_runs, detector)
-        assert (
-            found == (RESPONSE.probability(evidence) >= plan_probability)
-        ).mean() > 0.93
-        assert found.any()
-
-
 # LiDAR
 
 
