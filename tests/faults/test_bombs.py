@@ -48,6 +48,7 @@ def pack(path, members):
                 archive.writestr(name, content)
             else:
                 content(archive, name)
+
     return path
 
 
@@ -68,13 +69,27 @@ def glb(n_bytes):
 
 def scene_of_toml(path):
     table = b"a = 1\n" + b"# a line of a comment\n" * 1_000_000  # 22 MB
-    return pack(path, {SCENE_FILE: table, THINGS_FILE: b"glTF", "noise": NOISE})
+    return pack(
+        path,
+        {
+            SCENE_FILE: table,
+            THINGS_FILE: b"glTF",
+            "noise": NOISE,
+        },
+    )
 
 
 def scene_of_mesh(path):
     n_bytes = 301 << 20
     mesh = zeros(n_bytes, glb(n_bytes))
-    return pack(path, {SCENE_FILE: b"a = 1", THINGS_FILE: mesh, "noise": NOISE * 3})
+    return pack(
+        path,
+        {
+            SCENE_FILE: b"a = 1",
+            THINGS_FILE: mesh,
+            "noise": NOISE * 3,
+        },
+    )
 
 
 def instance(path):
@@ -85,6 +100,7 @@ def instance(path):
         archive.writestr("kind.npy", kind.getvalue())
         archive.writestr("packed.npy", b"")
         archive.filelist[-1].file_size = 2100 << 20
+
     return path
 
 
@@ -123,10 +139,17 @@ def shifted_roofs(path):
     ],
 )
 def test_what_unpacks_to_gigabytes_is_refused(
-    process, tmp_path, make, name, reader, message
+    process,
+    tmp_path,
+    make,
+    name,
+    reader,
+    message,
 ):
     path = make(tmp_path / name)
     assert path.stat().st_size < 8_000_000
+
     answer = process.ask(reader, path)
+
     assert answer["outcome"] == "refused", answer["text"]
     assert message in answer["text"]

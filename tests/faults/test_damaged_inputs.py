@@ -29,8 +29,10 @@ def refusal(function, *arguments):
     with pytest.raises(InputError) as caught:
         function(*arguments)
     message = str(caught.value)
+
     assert "\n" not in message
     assert len(message) < 3000
+
     return message
 
 
@@ -46,12 +48,14 @@ def refusal(function, *arguments):
 def test_toml_that_overwhelms_its_reader(tmp_path, text, reason):
     path = tmp_path / "a.toml"
     path.write_text(text)
+
     assert reason in refusal(load_toml, path)
 
 
 def test_toml_of_a_size_that_takes_minutes(tmp_path):
     path = tmp_path / "a.toml"
     path.write_bytes(b"#" * 20_000_001)
+
     assert "20,000,001 bytes; expected at most 20,000,000" in refusal(load_toml, path)
 
 
@@ -100,6 +104,7 @@ def test_scene_archives_that_unpack_to_far_more(tmp_path, name):
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for each in (SCENE_FILE, THINGS_FILE):
             archive.writestr(each, b"#" * (19_000_000 if each == name else 10))
+
     assert "expected at most 200 times as many" in refusal(load_scene, path)
 
 
@@ -117,6 +122,7 @@ def test_cityjson_whose_type_is_an_object(tmp_path):
             }
         )
     )
+
     assert "no building, plant or furniture with surfaces" in refusal(read_map, path)
 
 
@@ -127,6 +133,7 @@ def test_private_ground_that_lies_nowhere(tmp_path, vertex):
     polygon = {"type": "Polygon", "coordinates": [ring]}
     feature = {"type": "Feature", "properties": {}, "geometry": polygon}
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+
     assert "coordinates that cannot be" in refusal(
         load_private_ground, path, load_scene()
     )
@@ -137,7 +144,13 @@ def test_point_clouds_whose_roofs_are_kilometres_high():
     cells = np.stack(
         [columns, columns, np.full(39, voxels.MAX_VOXELS_PER_AXIS)], axis=1
     )
-    message = refusal(voxels.columns_to, np.sort(voxels.to_keys(cells)), 1, "roofs.las")
+    message = refusal(
+        voxels.columns_to,
+        np.sort(voxels.to_keys(cells)),
+        1,
+        "roofs.las",
+    )
+
     assert message.startswith(
         "roofs.las: got walls of 40,894,386 voxels; expected at most "
     )
@@ -145,8 +158,13 @@ def test_point_clouds_whose_roofs_are_kilometres_high():
 
 def test_instances_that_unpack_to_more_than_memory(tmp_path, monkeypatch):
     path = tmp_path / "instance.npz"
-    np.savez_compressed(path, kind="x", packed=np.zeros(2_000_000, dtype=np.uint8))
+    np.savez_compressed(
+        path,
+        kind="x",
+        packed=np.zeros(2_000_000, dtype=np.uint8),
+    )
     monkeypatch.setattr("geometry.archives.MAX_UNPACKED_BYTES", 1_000_000)
+
     assert (
         "bytes or more when unpacked; expected at most 1,000,000, the budget"
         in refusal(load_problem, path)
@@ -155,7 +173,11 @@ def test_instances_that_unpack_to_more_than_memory(tmp_path, monkeypatch):
 
 def test_instances_with_something_else_under_the_name_of_an_array(tmp_path):
     path = tmp_path / "instance.npz"
-    np.savez(path, kind="place-rsus/instance/1", packed=np.zeros(1))
+    np.savez(
+        path,
+        kind="place-rsus/instance/1",
+        packed=np.zeros(1),
+    )
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("pose_ids.npy", b"no array")
     refusal(load_problem, path)
@@ -220,6 +242,7 @@ def crash(monkeypatch, tmp_path, capsys):
         monkeypatch.setattr("experiments.main.cli.invoke", fail)
         monkeypatch.setenv("TMPDIR", str(tmp_path))
         monkeypatch.setattr("tempfile.tempdir", None)
+
         with pytest.raises(SystemExit) as ended:
             program.main(list(arguments))
         return int(str(ended.value.code)), capsys.readouterr().err
@@ -230,6 +253,7 @@ def crash(monkeypatch, tmp_path, capsys):
 def test_an_unexpected_error_is_one_line_and_a_file(crash, tmp_path):
     code, told = crash("--budget", "3")
     (kept,) = tmp_path.glob("place-rsus-error-*.txt")
+
     assert code == 70
     assert (
         told

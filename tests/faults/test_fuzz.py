@@ -64,7 +64,11 @@ def test_damaged_files_are_read_or_refused(
 ):
     seeds = READERS[name].seeds()
     for kind, (entry, files) in seeds.items():
-        answer = process.ask(name, put(tmp_path / "sound", files, entry), is_sound=True)
+        answer = process.ask(
+            name,
+            put(tmp_path / "sound", files, entry),
+            is_sound=True,
+        )
         assert answer["outcome"] == "read", (kind, answer["text"])
     seed = request.config.getoption("--fuzz-seed")
     rng = random.Random(f"{seed} {name}")
@@ -72,20 +76,45 @@ def test_damaged_files_are_read_or_refused(
     found = {}
     n_tried = 0
     end_s = time.monotonic() + seconds * READERS[name].share
+
     while time.monotonic() < end_s or n_tried < len(seeds):
         kind = list(seeds)[n_tried % len(seeds)]
         n_tried += 1
         entry, files = seeds[kind]
         changed = rng.choice(list(files))
-        spoilt = dict(files) | {changed: wounded(rng, files[changed], changed)}
+        spoilt = dict(files) | {
+            changed: wounded(
+                rng,
+                files[changed],
+                changed,
+            )
+        }
         if not process.running:  # what is loaded and compiled first takes its time
-            process.ask(name, put(tmp_path / "sound", files, entry), is_sound=True)
-        words = complaint(process.ask(name, put(tmp_path / "input", spoilt, entry)))
+            process.ask(
+                name,
+                put(tmp_path / "sound", files, entry),
+                is_sound=True,
+            )
+        words = complaint(
+            process.ask(
+                name,
+                put(
+                    tmp_path / "input",
+                    spoilt,
+                    entry,
+                ),
+            )
+        )
         if words:
             last = words.strip().splitlines()[-1][:300]
             found[last] = f"{kind}: {changed}\n{words}"
             digest = hashlib.sha256(spoilt[changed]).hexdigest()[:12]
-            put(kept / name.replace(" ", "-") / digest, spoilt, entry)
+            put(
+                kept / name.replace(" ", "-") / digest,
+                spoilt,
+                entry,
+            )
+
     assert not found, f"{n_tried} files tried, kept in {kept}:\n\n" + "\n\n".join(
         found.values()
     )
@@ -106,7 +135,9 @@ TEXTS = (
 
 @pytest.mark.parametrize("name", [*TEXTS, "sites", "certificates"])
 def test_hypothesis_finds_no_text_that_is_neither_read_nor_refused(
-    name, process, tmp_path
+    name,
+    process,
+    tmp_path,
 ):
     """Small files whose faults hypothesis makes as small as they can be."""
     seeds = READERS[name].seeds()
@@ -121,11 +152,23 @@ def test_hypothesis_finds_no_text_that_is_neither_read_nor_refused(
     def read(data):
         entry, files = seeds[data.draw(st.sampled_from(sorted(seeds)))]
         spoilt = {entry: data.draw(damaged(files[entry]))}
-        answer = process.ask(name, put(tmp_path / "input", dict(files) | spoilt, entry))
+        answer = process.ask(
+            name,
+            put(
+                tmp_path / "input",
+                dict(files) | spoilt,
+                entry,
+            ),
+        )
+
         assert complaint(answer) == ""
 
     entry, files = next(iter(seeds.values()))
-    process.ask(name, put(tmp_path / "sound", files, entry), is_sound=True)
+    process.ask(
+        name,
+        put(tmp_path / "sound", files, entry),
+        is_sound=True,
+    )
     read()
 
 
@@ -180,6 +223,7 @@ def test_every_reader_is_registered():
             text = path.read_text(encoding="utf-8")
             if not any(f"\ndef {verb}" in text for verb in _VERBS):
                 continue
+
             for node in ast.parse(text).body:
                 if (
                     isinstance(node, ast.FunctionDef)
@@ -187,6 +231,7 @@ def test_every_reader_is_registered():
                     and _takes_a_path(node)
                 ):
                     found.add(f"{module}.{node.name}")
+
     assert found - covered - set(NO_USERS_FILES) == set()
 
 

@@ -85,7 +85,10 @@ def _change_toml(folder, key, value):
     ],
 )
 def test_a_scene_with_a_size_that_no_junction_has_is_refused(
-    folder, key, value, message
+    folder,
+    key,
+    value,
+    message,
 ):
     _change_toml(folder, key, value)
     with pytest.raises(InputError, match=message) as refused:
@@ -96,6 +99,7 @@ def test_a_scene_with_a_size_that_no_junction_has_is_refused(
 def test_a_lane_with_too_many_points_is_refused(folder):
     points = [[0.001 * index, 0.0] for index in range(10_001)]
     _change_toml(folder, "centreline_m", str(points))
+
     with pytest.raises(
         InputError, match="centreline_m: got 10,001 of them; expected at most 10,"
     ):
@@ -106,6 +110,7 @@ def test_a_scene_with_too_many_crosswalks_is_refused(folder):
     path = folder / SCENE_FILE
     more = "\n[[crosswalks]]\nends_m = [[-3.5, 10.0], [3.5, 10.0]]\n" * 501
     path.write_text(path.read_text() + more)
+
     with pytest.raises(
         InputError, match=r"crosswalks_m: got .* of them; expected at most 500"
     ):
@@ -116,6 +121,7 @@ def test_lanes_that_go_to_and_fro_without_end_are_refused():
     scene = load_study_scene()
     there_and_back_m = np.array([[-9_000.0, 0.0], [9_000.0, 0.0]] * 40)
     lane = dataclasses.replace(scene.lanes[0], centreline_m=there_and_back_m)
+
     with pytest.raises(
         InputError, match="lanes: got 1,422,000 metres of them; expected at most"
     ):
@@ -140,6 +146,7 @@ def test_a_scenes_mesh_with_data_in_another_file_is_refused(folder, kind, name):
     os.mkfifo(folder / "fifo")
     (folder / "other.bin").write_bytes(bytes(1000))
     _add_to_glb(folder / THINGS_FILE, {kind: [{"byteLength": 984, "uri": name}]})
+
     with pytest.raises(
         InputError, match=rf"{kind}\[0\]\.uri: got .* all data in the file itself"
     ):
@@ -149,8 +156,13 @@ def test_a_scenes_mesh_with_data_in_another_file_is_refused(folder, kind, name):
 def test_an_image_in_a_scenes_mesh_itself_is_taken(folder):
     texture = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
     images = [{"uri": "data:image/png;base64,AAAA"}]
-    fields = {"images": images, "textures": [{"source": 0}], "materials": [texture]}
+    fields = {
+        "images": images,
+        "textures": [{"source": 0}],
+        "materials": [texture],
+    }
     _add_to_glb(folder / THINGS_FILE, fields)
+
     assert load_scene_folder(folder).instances == load_study_scene().instances
 
 
@@ -170,6 +182,7 @@ def test_a_gltf_opens_plain_files_of_its_folder_alone(tmp_path, name, message):
     path.write_text(
         json.dumps({"asset": {"version": "2.0"}, "buffers": [{"uri": name}]})
     )
+
     with pytest.raises(InputError, match=message):
         read_mesh(path)
 
@@ -180,6 +193,7 @@ def test_all_buffers_of_a_gltf_have_the_size_of_one_mesh(tmp_path, monkeypatch):
     path = tmp_path / "house.gltf"
     buffers = [{"uri": "a.bin", "byteLength": 1000}] * 2
     path.write_text(json.dumps({"asset": {"version": "2.0"}, "buffers": buffers}))
+
     with pytest.raises(InputError, match="got 1,000 bytes; expected at most 500"):
         read_mesh(path)
 
@@ -202,7 +216,17 @@ def test_all_buffers_of_a_gltf_have_the_size_of_one_mesh(tmp_path, monkeypatch):
 def test_materials_of_a_mesh_are_not_opened(tmp_path, name, text):
     os.mkfifo(tmp_path / "fifo")
     (tmp_path / name).write_text(text)
-    assert len(read_mesh(tmp_path / name, unit="m", up="z").things) == 1
+
+    assert (
+        len(
+            read_mesh(
+                tmp_path / name,
+                unit="m",
+                up="z",
+            ).things
+        )
+        == 1
+    )
 
 
 def test_a_packed_point_cloud_out_of_too_few_bytes_is_not_unpacked(tmp_path):
@@ -213,6 +237,7 @@ def test_a_packed_point_cloud_out_of_too_few_bytes_is_not_unpacked(tmp_path):
     cloud.y = np.zeros(400_000)
     cloud.z = np.zeros(400_000)
     cloud.write(path)
+
     assert path.stat().st_size < 50_000
     with (
         pytest.raises(InputError, match="at most 200 times as many"),
@@ -223,10 +248,12 @@ def test_a_packed_point_cloud_out_of_too_few_bytes_is_not_unpacked(tmp_path):
 
 @pytest.mark.parametrize("hidden", ["\u00ad", "\u200b", "\u2060", "\u00a0", "\u202e"])
 def test_a_character_that_nobody_sees_in_a_sites_id_is_refused_at_reading(
-    tmp_path, hidden
+    tmp_path,
+    hidden,
 ):
     path = tmp_path / "poles.csv"
     path.write_text(f"id,x,y\nLP{hidden}12,1,2\n", encoding="utf-8")
+
     with pytest.raises(
         InputError, match=r"poles\.csv: line 2: id: got .*; expected printable"
     ):
@@ -238,8 +265,13 @@ def test_a_character_that_nobody_sees_in_a_site_of_geojson_is_refused_at_reading
 ):
     path = tmp_path / "poles.geojson"
     point = {"type": "Point", "coordinates": [10.0, 48.0]}
-    feature = {"type": "Feature", "geometry": point, "properties": {"id": "a\u00adb"}}
+    feature = {
+        "type": "Feature",
+        "geometry": point,
+        "properties": {"id": "a\u00adb"},
+    }
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+
     with pytest.raises(
         InputError, match=r"poles\.geojson: .*: id: got .*; expected printable"
     ):
@@ -248,12 +280,16 @@ def test_a_character_that_nobody_sees_in_a_site_of_geojson_is_refused_at_reading
 
 def test_names_of_a_map_lose_what_nobody_sees():
     assert clean_name("Haupt\u00adstra\u00dfe\u200b\u00a01\n") == "Hauptstra\u00dfe 1 "
+
     outline_m = np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
     junction = MapJunction(id="n\u200b1", name="A\u00ad/B", outline_m=outline_m)
+
     assert (junction.id, junction.name) == ("n1", "A/B")
+
     line_m = np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
     fields = {"kind": "driving", "width_m": 3.0, "centreline_m": line_m}
     lane = MapLane(id="w\u20601", to_junction="n\u200b1", **fields)
+
     assert (lane.id, lane.to_junction) == ("w1", "n1")
 
 
@@ -281,6 +317,7 @@ def test_a_fault_while_results_are_written_keeps_its_own_words(tmp_path):
         "lane 3.width_m: got 0.0; expected 0.5 to 30 metres; what was computed is"
         " kept in"
     )
+
     assert str(refused.value) == f"{words} {kept}"
 
 
@@ -288,6 +325,7 @@ def test_a_bug_while_results_are_written_is_not_blamed_on_the_folder(tmp_path):
     with pytest.raises(ZeroDivisionError) as caught:
         _fail_while_writing(tmp_path / "out", ZeroDivisionError("of nothing"))
     kept = tmp_path / "out.unfinished"
+
     assert caught.value.__notes__ == [f"what was computed is kept in {kept}"]
 
 
@@ -317,8 +355,11 @@ def test_each_hostile_scene_is_answered_in_one_line(path, tmp_path):
         timeout=_LIMIT_S,
         preexec_fn=limit,
     )
+
     assert done.returncode == 2
+
     stage, *said = done.stderr.splitlines()
+
     assert stage == "check ..."
     assert len(said) == 1
     assert "; expected " in said[0]
@@ -330,6 +371,8 @@ def test_the_hostile_lists_and_clouds_are_refused_at_reading():
         InputError, match=r"line 2: id: got .*; expected printable text"
     ):
         read_sites(HOSTILE / "poles_nbsp.csv", crs="EPSG:32633")
+
     packed = open_points(HOSTILE / "grid20M.laz")
+
     with pytest.raises(InputError, match="at most 200 times as many"), packed:
         pass

@@ -80,10 +80,12 @@ def test_nothing_but_a_regular_file_is_written_over(tmp_path, monkeypatch, make)
     path = Path("a.json")
     make(path)
     before = identity(path)
+
     with pytest.raises(
         FileExistsError, match=f"{KINDS[make]}, no regular file: 'a.json'"
     ):
         write_atomically(path, b"ours")
+
     with pytest.raises(InputError) as caught:
         check_target(path)
     assert (
@@ -109,6 +111,7 @@ def test_devices_are_not_written_over(name):
 def test_nothing_but_a_regular_file_is_read(tmp_path, monkeypatch, make):
     monkeypatch.chdir(tmp_path)
     make(Path("a.json"))
+
     with pytest.raises(InputError, match=r"a\.json: got "):
         open_file(Path("a.json"))
 
@@ -137,6 +140,7 @@ def test_the_program_keeps_devices(option, capsys):
 def test_a_parquet_file_of_ten_million_rows(tmp_path):
     path = tmp_path / "runs.parquet"
     pd.DataFrame({"a": np.zeros(10_000_000)}).to_parquet(path)
+
     assert path.stat().st_size < 50_000
     with (
         pytest.raises(
@@ -171,6 +175,7 @@ def test_geopackages_that_compute_what_they_hold(tmp_path, made):
     with sqlite3.connect(path) as database:
         database.execute(made)
     database.close()
+
     with pytest.raises(
         InputError, match="got roofs, a view or a table with computed columns"
     ):
@@ -180,6 +185,7 @@ def test_geopackages_that_compute_what_they_hold(tmp_path, made):
 def test_a_pipe_in_place_of_a_shapefile_s_table(tmp_path):
     (tmp_path / "a.shp").write_bytes(b"\0\0\x27\x0a" + bytes(96))
     os.mkfifo(tmp_path / "a.dbf")
+
     with pytest.raises(
         InputError, match=r"a\.dbf: got a pipe; expected a regular file"
     ):
@@ -236,7 +242,9 @@ def refusal(capsys, *arguments):
     with pytest.raises(SystemExit) as ended:
         program.main(arguments)
     told = capsys.readouterr().err
+
     assert ended.value.code == 2, told
+
     return told.splitlines()[-1].removeprefix("place-rsus: ")
 
 
@@ -299,7 +307,13 @@ def refusal(capsys, *arguments):
     ],
 )
 def test_options_without_effect_or_bounds_are_refused(capsys, arguments, message):
-    assert message in refusal(capsys, "--budget", "3", "--quiet", *arguments.split())
+    assert message in refusal(
+        capsys,
+        "--budget",
+        "3",
+        "--quiet",
+        *arguments.split(),
+    )
 
 
 def test_an_unknown_reference_system_of_private_ground(tmp_path, capsys):
@@ -313,7 +327,15 @@ def test_an_unknown_reference_system_of_private_ground(tmp_path, capsys):
             }
         )
     )
-    told = refusal(capsys, "--budget", "3", "--quiet", "--no-look", str(path))
+    told = refusal(
+        capsys,
+        "--budget",
+        "3",
+        "--quiet",
+        "--no-look",
+        str(path),
+    )
+
     assert told.endswith(
         "crs: got 'EPSG:nonsense'; expected one that pyproj knows, or none"
     )
@@ -324,6 +346,7 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
         raise MemoryError
 
     monkeypatch.setattr("experiments.main.cli.invoke", fail)
+
     assert refusal(capsys, "--budget", "3").startswith(
         "memory: got too little in stage 'start'"
     )
@@ -340,8 +363,13 @@ def test_too_little_address_space_is_told_before(monkeypatch, capsys):
 def test_ctrl_c_while_modules_load(monkeypatch):
     ended = []
     monkeypatch.setattr(os, "_exit", ended.append)
-    monkeypatch.setattr(os, "write", lambda *given: ended.append(given))
+    monkeypatch.setattr(
+        os,
+        "write",
+        lambda *given: ended.append(given),
+    )
     start._end(2, None)
+
     assert ended == [(2, b"place-rsus: interrupted\n"), 130]
 
 
@@ -354,6 +382,7 @@ def test_no_text_reaches_a_terminal_as_a_command(capsys):
     hostile = "\x1b[2J\x9b31m\u202egnp.exe\x7f\U000e0041"
     tell(f"a {hostile}\nb")
     told = capsys.readouterr().out
+
     assert told.replace("\n", "").isprintable()
     assert json.loads(printable(json.dumps(hostile, ensure_ascii=False))) == hostile
     assert printable("Straße \u0645\u200c\u0647") == "Straße \u0645\u200c\u0647"

@@ -77,7 +77,11 @@ def made_anew(written, tmp_path_factory):
             for stage, value in stored.seconds.items()
             if stage not in ("write results", "total")
         }
-        write_files(folder, answered, msgspec.structs.replace(stored, seconds=seconds))
+        write_files(
+            folder,
+            answered,
+            msgspec.structs.replace(stored, seconds=seconds),
+        )
         yield answered, folder
 
 
@@ -170,7 +174,13 @@ def everywhere(**values):
         shown = load_layout(folder / "layout.json")
         scene = load_study_scene()
         (folder / "layout.csv").write_text(to_csv(shown, scene))
-        (folder / "layout.geojson").write_text(to_geojson(shown, scene.crs, scene))
+        (folder / "layout.geojson").write_text(
+            to_geojson(
+                shown,
+                scene.crs,
+                scene,
+            )
+        )
 
     return change
 
@@ -197,6 +207,7 @@ def mounts(**values):
 
     def change(stored, row):
         assert stored.mounts is not None
+
         changed = {
             name: new(getattr(stored.mounts, name), row) for name, new in values.items()
         }
@@ -262,7 +273,14 @@ def replaced(name, old, new):
     def change(folder):
         text = (folder / name).read_text()
         assert old in text
-        (folder / name).write_text(text.replace(old, new, 1))
+
+        (folder / name).write_text(
+            text.replace(
+                old,
+                new,
+                1,
+            )
+        )
 
     return change
 
@@ -327,7 +345,11 @@ def another_bit(stored, row):
 def all_of_all(folder):
     """Everybody avoids every run, in all files alike: the headline says 100 %."""
     runs(lambda table: table.__setitem__("is_avoided", True))(folder)
-    ratios = pd.read_csv(folder / "apr.csv", keep_default_na=False, dtype=str)
+    ratios = pd.read_csv(
+        folder / "apr.csv",
+        keep_default_na=False,
+        dtype=str,
+    )
     ratios.loc[ratios["apr"] != "", "apr"] = "1.0"
     ratios["n_avoided"] = ratios["n_runs"]
     ratios.to_csv(folder / "apr.csv", index=False, lineterminator="\n")
@@ -369,15 +391,27 @@ def another_picture(folder):
     """The first picture in the report is another one."""
     text = (folder / "report.html").read_text()
     first = re.search(r"data:image/png;base64,([A-Za-z0-9+/=]+)", text)
+
     assert first is not None
+
     blank = base64.b64encode((folder / "plan.png").read_bytes()[:200]).decode()
-    (folder / "report.html").write_text(text.replace(first[1], blank, 1))
+    (folder / "report.html").write_text(
+        text.replace(
+            first[1],
+            blank,
+            1,
+        )
+    )
 
 
 def highest(document):
     """A highest APR that nobody found, with a proof."""
     stages = [dict(stage) for stage in document["stages"][:2]]
-    document["highest"] = {"given_up": 0.01, "stages": stages, "compared": None}
+    document["highest"] = {
+        "given_up": 0.01,
+        "stages": stages,
+        "compared": None,
+    }
 
 
 def all_of_one(folder):
@@ -390,7 +424,11 @@ def all_of_one(folder):
         ] = True
 
     runs(turn)(folder)
-    ratios = pd.read_csv(folder / "apr.csv", keep_default_na=False, dtype=str)
+    ratios = pd.read_csv(
+        folder / "apr.csv",
+        keep_default_na=False,
+        dtype=str,
+    )
     rows = (ratios["layout"] == name) & (ratios["party"] == "vut")
     ratios.loc[rows, "apr"] = "1.0"
     ratios.loc[rows, "n_avoided"] = ratios.loc[rows, "n_runs"]
@@ -734,8 +772,14 @@ def quickly(changes):
         first, *others = of_check
         params.append(pytest.param(expected, first))
         params += [
-            pytest.param(expected, name, marks=pytest.mark.long) for name in others
+            pytest.param(
+                expected,
+                name,
+                marks=pytest.mark.long,
+            )
+            for name in others
         ]
+
     return params
 
 
@@ -745,6 +789,7 @@ def test_what_cannot_be_read_in_one_way_only_is_refused(results, name):
     change(results)
     if (results / MANIFEST).exists():
         write_manifest(results)
+
     with pytest.raises(InputError, match=re.escape(expected)):
         verified(results)
 
@@ -752,6 +797,7 @@ def test_what_cannot_be_read_in_one_way_only_is_refused(results, name):
 def test_a_file_that_is_listed_twice_is_refused(results):
     lines = (results / MANIFEST).read_text()
     (results / MANIFEST).write_text(lines + f"{'0' * 64}  report.html\n")
+
     with pytest.raises(
         InputError, match=re.escape("got 'report.html'; expected every")
     ):
@@ -760,11 +806,15 @@ def test_a_file_that_is_listed_twice_is_refused(results):
 
 @pytest.mark.parametrize(("file", "name"), quickly(DEEP))
 def test_what_the_files_agree_about_is_found_when_it_is_made_anew(
-    results, deep, file, name
+    results,
+    deep,
+    file,
+    name,
 ):
     DEEP[file][name](results)
     write_manifest(results)
     failures = deeply_failed(results)
+
     assert any(one.startswith(f"anew: {file}") for one in failures), failures
 
 
@@ -772,7 +822,9 @@ def test_what_nobody_has_changed_is_the_same_when_it_is_made_anew(results, deep)
     found = verified_deeply(results)
     assert failed(found) == []
     assert found.is_verified
+
     left = " ".join(found.not_checked)
+
     assert "report.html" not in left
     assert "runs.parquet" not in left
     assert "seconds, versions of programs" in left
@@ -785,6 +837,7 @@ def test_without_new_hashes_whatever_is_changed_is_found_by_its_hash(results, na
     else:
         change = appended(name, "\n")
     change(results)
+
     assert f"file {name}" in failed(verified(results))
 
 
@@ -803,6 +856,7 @@ def test_without_new_hashes_every_change_is_found(results, change):
         found = verified(results)
     except InputError:
         return
+
     assert any(one.startswith("file ") for one in failed(found))
 
 
@@ -814,6 +868,7 @@ def test_verify_alone_names_what_only_deep_finds(results, deep, file, name):
     DEEP[file][name](results)
     write_manifest(results)
     found = verified_deeply(results)
+
     assert not found.is_verified
     assert any(one.startswith(f"anew: {file}") for one in failed(found))
 
@@ -824,6 +879,7 @@ def test_every_value_of_a_summary_is_compared_with_the_one_made_anew(written):
     """
     document = json.loads((written / "summary.json").read_text())
     assert anew.differences(document, json.loads(json.dumps(document))) == []
+
     n_changed = 0
     for holder, key in leaves(document):
         before = holder[key]
@@ -833,8 +889,11 @@ def test_every_value_of_a_summary_is_compared_with_the_one_made_anew(written):
             holder[key] = None
         changed = json.dumps(document)
         holder[key] = before
+
         assert anew.differences(json.loads(changed), document) != [], key
+
         n_changed += 1
+
     assert n_changed > 500
 
 
@@ -874,7 +933,9 @@ def test_what_nobody_has_changed_is_verified(results):
     found = verified(results)
     assert failed(found) == []
     assert found.is_verified
+
     names = [check.name for check in found.checks]
+
     assert len(set(names)) == len(names)
 
 
@@ -884,7 +945,9 @@ def test_what_was_changed_is_found_or_named(results, expected, name):
     change(results)
     write_manifest(results)
     found = verified(results)
+
     assert found.is_verified == (not failed(found))
+
     if expected.startswith("?"):
         assert failed(found) == []
         assert any(expected[1:] in line for line in found.not_checked), (
@@ -901,9 +964,12 @@ def test_whoever_forgets_the_list_of_hashes_is_found_out(results, name):
     (results / name).write_text("x")
     (results / "more.txt").write_text("x")
     found = verified(results)
+
     assert {f"file {name}", "file more.txt"} <= set(failed(found))
+
     (results / name).unlink()
     details = {check.name: check.detail for check in verified(results).checks}
+
     assert details[f"file {name}"] == "missing, says SHA256SUMS"
     assert details["file more.txt"] == "not listed, says SHA256SUMS"
 
@@ -921,6 +987,7 @@ def test_an_instance_of_the_first_version_says_what_it_cannot_show(results):
     instance(without_mounts)(results)
     write_manifest(results)
     found = verified(results)
+
     assert failed(found) == []
     assert any(
         line.startswith("positions, directions and sensor models")
@@ -934,6 +1001,7 @@ def test_another_scene_is_told_and_the_one_it_was_made_in_is_taken(results, tmp_
     save_scene(
         tmp_path / "scene", load_study_scene()
     )  # rounded to millimetres: another one
+
     assert failed(verified(results, str(tmp_path / "scene"))) == ["scene as it stands"]
     assert failed(verified(results, "town05")) == []
 
@@ -946,7 +1014,14 @@ def compared(tmp_path_factory):
     """A comparison of the study's first units with its first one, without figures."""
     folder = tmp_path_factory.mktemp("compared") / "results"
     study = build_small_baseline(load_study_scene())
-    layouts = [study, replace(study, name="one", units=study.units[:1])]
+    layouts = [
+        study,
+        replace(
+            study,
+            name="one",
+            units=study.units[:1],
+        ),
+    ]
     with small_world(build_small_setting()) as patch:
         patch.setattr(placement, "write_report", lambda *given, **options: None)
         patch.setattr(evaluation, "compare_layout", lambda *given, **options: None)
@@ -961,6 +1036,7 @@ def compared(tmp_path_factory):
             command="place-rsus",
             progress=StageProgress(),
         )
+
     return folder
 
 
@@ -975,10 +1051,12 @@ def test_a_comparison_is_verified_as_far_as_its_files_tell(compared, tmp_path):
     assert any(
         line.startswith("detections, confirmations") for line in found.not_checked
     )
+
     results = Path(shutil.copytree(compared, tmp_path / "results"))
     edit(
         results / "summary.json", lambda d: d["evaluation"]["rsu_all"].update(all=0.123)
     )
+
     assert set(failed(verified(results))) == {
         "file summary.json",
         "summary.json: ratios",

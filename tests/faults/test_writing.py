@@ -53,6 +53,7 @@ def start(folder):
     def begin():
         assert maker.stdin is not None
         assert maker.stdout is not None
+
         maker.stdin.write("\n")
         maker.stdin.flush()
         begun.append(int(maker.stdout.readline()))
@@ -73,8 +74,11 @@ def assert_whole(folder):
     assert table is not None
     assert len(set(table.packed.ravel().tolist())) == 1
     assert changed_files(folder / "latest") == {}
+
     texts = {(folder / "latest" / name).read_text() for name in NAMES}
+
     assert len(texts) == 1
+
     return texts.pop()
 
 
@@ -86,17 +90,22 @@ def test_a_writer_killed_at_any_moment_leaves_the_old_or_the_new(folder, start, 
         time.sleep(rng.uniform(0.0, 0.15))
         os.kill(writer, signal.SIGKILL)
         seen.add(assert_whole(folder))
+
     assert len(seen) > 1  # some were new
     assert caplog.messages == []
+
     check_result_folder(folder / "latest")
     # What the killed have left is hidden, and goes with the next run.
     left = [path for path in folder.iterdir() if path.name not in ("cache", "latest")]
     left += [path for path in (folder / "cache").iterdir() if path.name != "table.npz"]
+
     assert all(path.name.startswith(".") for path in left)
+
     for path in left:
         os.utime(path, (0, 0))
     write_table(folder, 2)
     write_results(folder, 2)
+
     assert not any(path.exists() for path in left)
     assert sorted(path.name for path in folder.iterdir()) == ["cache", "latest"]
 
@@ -108,10 +117,12 @@ def test_two_writers_at_once_leave_the_results_of_one(folder, start):
         table = read_table(folder)
         assert table is not None
         assert len(set(table.packed.ravel().tolist())) == 1
+
     for writer in writers:
         with suppress(ProcessLookupError):
             os.kill(writer, signal.SIGKILL)
     time.sleep(0.1)
+
     assert assert_whole(folder) != "1\n" * 20_000
 
 
@@ -134,7 +145,9 @@ def test_without_room_the_old_stays_and_what_is_wrong_is_said(folder, n_bytes, c
         write_table(folder, 2)
         with pytest.raises((InputError, OSError)) as caught:
             write_results(folder, 2)
+
     (message,) = caplog.messages
+
     assert message.startswith("detection table not cached: ")
     assert message.endswith(os.strerror(errno.EFBIG))
     assert assert_whole(folder) == "1\n" * 20_000
@@ -212,14 +225,18 @@ def test_a_failure_while_files_are_put_in_place_leaves_the_old(folder, monkeypat
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     monkeypatch.setattr("experiments.results.folders._exchange", fail)
+
     with pytest.raises(
         InputError, match=r"what was computed is kept in .*latest\.unfinished$"
     ):
         write_results(folder, 2)
+
     assert assert_whole(folder) == "1\n" * 20_000
     assert (folder / "latest.unfinished" / MARKER).read_text() == "2\n" * 20_000
+
     monkeypatch.undo()
     write_results(folder, 3)
+
     assert assert_whole(folder) == "3\n" * 20_000
 
 

@@ -60,12 +60,14 @@ def test_the_studys_poses_are_candidates_at_its_own_junction(study):
     scene = load_study_scene()
     question = Question(budget=1)
     elsewhere = replace(scene, name="elsewhere")
+
     assert ids(question, scene) - ids(question, elsewhere) == {"mine"}
 
 
 def test_a_layout_is_kept_or_chosen_within_by_name(study):
     scene = load_study_scene()
     plan = assemble_without_runs(Question(budget=1, keep="carlancap-12"), scene)
+
     assert plan.existing is study
     assert plan.wishes.existing == ("mine",)
     assert plan.wishes.budget_units == 2
@@ -74,6 +76,7 @@ def test_a_layout_is_kept_or_chosen_within_by_name(study):
         InputError, match="budget: got 2; expected at most 1: candidates and"
     ):
         assemble_without_runs(Question(budget=2, within="carlancap-12"), scene)
+
     with pytest.raises(
         InputError, match=r"^keep: got 'none\.json'; expected carlancap-12, or"
     ):
@@ -85,6 +88,7 @@ def test_heights_yaws_and_pitches_are_those_asked_for(coarse):
         budget=1, heights="4, 7.5", yaw_step_deg=180.0, pitches="-40,-10,0"
     )
     grid = build_grid(question)
+
     assert grid.heights_m.tolist() == [4.0, 7.5]
     assert grid.pitches_deg.tolist() == [-40.0, -10.0, 0.0]
     assert (grid.n_yaws, grid.sensors) == (2, load_candidate_grid().sensors)
@@ -136,6 +140,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
     default, lidars, both = map(
         poses, ("", names[0], "carla-ncap-rgb, carla-ncap-lidar")
     )
+
     assert [sorted(found) for found in (default, lidars, both)] == [
         names[1:],
         names[:1],
@@ -191,6 +196,7 @@ def test_prices_of_sites_are_assumed_only_where_money_is_asked_about(coarse):
 
     prices = load_prices()
     assumed = {kind: sum(prices.of_kind(kind).values()) for kind in KINDS}
+
     assert set(cost_eur(Question(budget=1)).values()) == {0.0}
     assert set(cost_eur(Question(budget=1, target="0.9")).values()) == {0.0}
     assert cost_eur(Question(budget_cost=9000.0)) == assumed

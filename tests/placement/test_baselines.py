@@ -44,7 +44,11 @@ def candidates():
 
 
 def limits_of(candidates, scene=SCENE, **wishes):
-    return build_limits(Wishes(**({"budget_units": 3} | wishes)), scene, candidates)
+    return build_limits(
+        Wishes(**({"budget_units": 3} | wishes)),
+        scene,
+        candidates,
+    )
 
 
 def drawn(candidates, limits, scene=SCENE, n_units=3, seed=0):
@@ -57,11 +61,17 @@ def drawn(candidates, limits, scene=SCENE, n_units=3, seed=0):
 
 @given(problem=questions(), n_units=st.integers(1, 4), seed=st.integers(0, 9))
 def test_random_sets_are_within_all_limits(problem, n_units, seed):
-    sets = random_sets(problem.limits, n_units, n=5, rng=np.random.default_rng(seed))
+    sets = random_sets(
+        problem.limits,
+        n_units,
+        n=5,
+        rng=np.random.default_rng(seed),
+    )
     for units in sets:
         assert len(units) == n_units
         assert list(units) == sorted(set(units))
         assert is_allowed(problem.limits, units)
+
     if not any(
         is_allowed(problem.limits, units)
         for units in combinations(range(problem.limits.n_poses), n_units)
@@ -74,12 +84,31 @@ def test_every_allowed_set_is_drawn_sooner_or_later_and_no_other(problem):
     limits = problem.limits
     pairs = combinations(range(limits.n_poses), 2)
     allowed = {units for units in pairs if is_allowed(limits, units)}
-    assert set(random_sets(limits, 2, n=400, rng=np.random.default_rng(1))) == allowed
+
+    assert (
+        set(
+            random_sets(
+                limits,
+                2,
+                n=400,
+                rng=np.random.default_rng(1),
+            )
+        )
+        == allowed
+    )
 
 
 def test_the_same_seed_draws_the_same_layouts_and_another_one_others(candidates):
     limits = limits_of(candidates)
-    one, again = (drawn(candidates, limits, seed=3) for _ in range(2))
+    one, again = (
+        drawn(
+            candidates,
+            limits,
+            seed=3,
+        )
+        for _ in range(2)
+    )
+
     assert one.random == again.random
     assert len(one.random) == 100
     assert drawn(candidates, limits, seed=4).random != one.random
@@ -91,8 +120,10 @@ def test_the_same_seed_draws_the_same_layouts_and_another_one_others(candidates)
 def test_the_corners_of_the_studys_junction_lie_between_its_arms_clockwise():
     corners = find_corners(build_junction(SCENE))
     assert [*corners] == [*AT_CORNERS]
+
     middle = middle_m(SCENE)[:2]
     signs = [tuple(np.sign(corner - middle)) for corner in corners.values()]
+
     assert signs == [(1, 1), (1, -1), (-1, -1), (-1, 1)]
 
 
@@ -100,10 +131,13 @@ def test_three_arms_have_a_corner_on_the_straight_side_and_one_arm_has_none():
     junction = build_junction(SCENE)
     arms = {name: arm for name, arm in junction.arms.items() if name != "south"}
     corners = find_corners(replace(junction, arms=arms))
+
     assert [*corners] == ["east/north", "west/east", "north/west"]
+
     straight = corners[
         "west/east"
     ]  # half way along the southern kerb, below the middle
+
     assert straight == pytest.approx(middle_m(SCENE)[:2], abs=9.0)
     assert straight[1] < -7.0
     assert find_corners(replace(junction, arms={"east": arms["east"]})) == {}
@@ -113,7 +147,9 @@ def test_in_a_mirror_corners_are_mirrored():
     """Kerbs are told by where they lie, not by the side on which traffic keeps."""
     plain, turned = (find_corners(one) for one in _both_ways())
     assert len(plain) == len(turned) == 4
+
     expected = {tuple((corner * [1.0, -1.0]).round(6)) for corner in plain.values()}
+
     assert {tuple(corner.round(6)) for corner in turned.values()} == expected
 
 
@@ -127,11 +163,16 @@ def _both_ways():
 def test_off_axis_is_the_angle_to_a_point(camera):
     def pose(yaw_deg, pitch_deg):
         return unit_at(
-            "any", [0.0, 0.0, 10.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=camera
+            "any",
+            [0.0, 0.0, 10.0],
+            yaw_deg=yaw_deg,
+            pitch_deg=pitch_deg,
+            sensor=camera,
         )
 
     poses = [pose(0, -45), pose(0, 0), pose(180, -45), pose(90, -45), pose(30, -90)]
     found = off_axis_deg(poses, np.array([10.0, 0.0, 0.0]))
+
     assert found == pytest.approx([0.0, 45.0, 90.0, 60.0, 45.0])
 
 
@@ -142,14 +183,18 @@ def test_the_expert_looks_from_the_corner_posts_at_the_middle(candidates):
     """By hand: from each corner post along the diagonal, as the plan shows it."""
     corners = drawn(candidates, limits_of(candidates)).corners
     chosen = {name: candidates[row] for name, row in corners.items()}
+
     assert {name: pose.site_id for name, pose in chosen.items()} == AT_CORNERS
+
     yaws = {name: pose.pose.yaw_deg for name, pose in chosen.items()}
+
     assert yaws == {
         "east/north": -135,
         "south/east": 135,
         "west/south": 45,
         "north/west": -45,
     }
+
     for name, pose in chosen.items():
         alike = [other for other in candidates if other.site_id == AT_CORNERS[name]]
         off_deg = off_axis_deg(alike, middle_m(SCENE))
@@ -163,13 +208,21 @@ def test_two_corners_share_no_site_and_forbidden_ones_do_not_count(candidates):
         candidates, limits_of(candidates, forbidden_sites=("corner-ne",))
     ).corners
     sites = [candidates[row].site_id for row in taken.values()]
+
     assert sites[0] == "signal-n"  # the next nearest
     assert len({*sites}) == 4
+
     few = replace(
         SCENE, sites=tuple(s for s in SCENE.sites if s.id in ("mast-n", "lamp-e1"))
     )
     poses = build_candidates(few)
-    taken = drawn(poses, limits_of(poses, few), few, n_units=2).corners
+    taken = drawn(
+        poses,
+        limits_of(poses, few),
+        few,
+        n_units=2,
+    ).corners
+
     assert {name: poses[row].site_id for name, row in taken.items()} == {
         "east/north": "lamp-e1",
         "north/west": "mast-n",
@@ -184,24 +237,49 @@ def problem_of(limits, seen, frame_axis, rule):
         for run in runs:
             detected[pose, axis.frames_of(run)] = True
     one_frame = replace(rule, n_confirmations=1, latency_s=0.0)
-    table = pack_table(tuple(map(str, range(limits.n_poses))), axis, detected)
-    return PlacementProblem(table=table, limits=limits, fusion="any", rule=one_frame)
+    table = pack_table(
+        tuple(map(str, range(limits.n_poses))),
+        axis,
+        detected,
+    )
+    return PlacementProblem(
+        table=table,
+        limits=limits,
+        fusion="any",
+        rule=one_frame,
+    )
 
 
 def proposals(**changes):
-    corners = {"a": 0, "b": 1, "c": 2, "d": 3}
-    plain = Proposals(n_units=2, random=((0, 1),), forced=(), corners=corners)
+    corners = {
+        "a": 0,
+        "b": 1,
+        "c": 2,
+        "d": 3,
+    }
+    plain = Proposals(
+        n_units=2,
+        random=((0, 1),),
+        forced=(),
+        corners=corners,
+    )
     return replace(plain, **changes)
 
 
 def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
     limits = Limits(
-        site_index=[0, 1, 2, 3, 3], site_capacity=[1, 1, 1, 2], budget_units=2
+        site_index=[0, 1, 2, 3, 3],
+        site_capacity=[1, 1, 1, 2],
+        budget_units=2,
     )
     problem = problem_of(
-        limits, {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]}, frame_axis, rule
+        limits,
+        {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]},
+        frame_axis,
+        rule,
     )
     found = judge_proposals(problem, proposals())
+
     assert (found.corners, found.expert) == (
         ("c", "a"),
         (0, 2),
@@ -211,16 +289,24 @@ def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
 
 def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
     limits = Limits(site_index=[0, 1, 2, 3], site_capacity=[1] * 4)
-    problem = problem_of(limits, {0: [0, 2], 1: [1]}, frame_axis, rule)
+    problem = problem_of(
+        limits,
+        {0: [0, 2], 1: [1]},
+        frame_axis,
+        rule,
+    )
     problem = replace(
         problem, sample_index=np.array([0, 0, 1])
     )  # weights 1/2 and 1/4; 1/4
     sets = ((0,), (1,), (2,), (0, 1))
     random = judge_proposals(problem, proposals(random=sets)).random
+
     assert random.apr.tolist() == [0.75, 0.25, 0.0, 1.0]
     # Of four sets two avoid the first run, two the second, two the third.
     assert random.mean_by_world == pytest.approx([0.5, 0.5])
+
     worst = judge_proposals(replace(problem, tail=0.25), proposals(random=sets)).random
+
     assert worst.apr.tolist() == [
         apr(replace(problem, tail=0.25), units) for units in sets
     ]
@@ -229,6 +315,7 @@ def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
 def test_the_expert_has_one_camera_for_each_corner_at_most(frame_axis, rule):
     limits = Limits(site_index=[0, 1, 2, 3], site_capacity=[1] * 4)
     problem = problem_of(limits, {}, frame_axis, rule)
+
     assert judge_proposals(problem, proposals(n_units=9)).expert == (0, 1, 2, 3)
 
 
@@ -242,12 +329,20 @@ def test_what_is_forced_comes_before_the_corners(frame_axis, rule):
         is_forced_site=[False] * 5 + [True],
         rivals=[[0, 2]],
     )
-    problem = problem_of(limits, {0: [0], 2: [0, 1]}, frame_axis, rule)
+    problem = problem_of(
+        limits,
+        {0: [0], 2: [0, 1]},
+        frame_axis,
+        rule,
+    )
     found = judge_proposals(problem, proposals(n_units=3, forced=(5,)))
+
     assert (found.expert, found.corners) == ((2, 4, 5), ("c",))
+
     unmet = judge_proposals(
         problem, proposals(n_units=3, forced=())
     )  # nothing known at that site
+
     assert (unmet.expert, unmet.corners) == ((), ())
 
 
@@ -263,9 +358,16 @@ def test_the_expert_is_within_all_limits(problem, seed):
         if site in sites
     )
     corners = {f"corner {row}": row for row in rows}
-    given_ = Proposals(n_units=3, random=(), forced=forced, corners=corners)
+    given_ = Proposals(
+        n_units=3,
+        random=(),
+        forced=forced,
+        corners=corners,
+    )
     found = judge_proposals(problem, given_)
+
     assert found.random is None
+
     if found.expert:
         assert is_allowed(problem.limits, found.expert)
         assert len(found.expert) <= 3 or problem.limits.is_forced.sum() > 3
@@ -274,14 +376,23 @@ def test_the_expert_is_within_all_limits(problem, seed):
 def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
     """A table of few rows says what one of all candidates says."""
     rng = np.random.default_rng(0)
-    limits = Limits(site_index=np.arange(9), site_capacity=[1] * 9, budget_units=3)
+    limits = Limits(
+        site_index=np.arange(9),
+        site_capacity=[1] * 9,
+        budget_units=3,
+    )
     seen = {pose: np.flatnonzero(rng.random(3) < 0.4) for pose in range(9)}
     problem = problem_of(limits, seen, frame_axis, rule)
     given_ = Proposals(
-        n_units=3, random=((1, 5, 7), (2, 5, 8)), forced=(), corners={"a": 7, "b": 1}
+        n_units=3,
+        random=((1, 5, 7), (2, 5, 8)),
+        forced=(),
+        corners={"a": 7, "b": 1},
     )
     rows = given_.rows
+
     assert rows == (1, 2, 5, 7, 8)
+
     part = problem_of(
         limits.of_poses(np.array(rows)),
         {k: seen[row] for k, row in enumerate(rows)},
@@ -290,6 +401,7 @@ def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
     )
     whole = judge_proposals(problem, given_)
     of_part = judge_proposals(part, given_.among(rows))
+
     assert [rows[row] for row in of_part.expert] == list(whole.expert)
     assert of_part.corners == whole.corners
     assert np.array_equal(of_part.random.apr, whole.random.apr)
@@ -301,4 +413,5 @@ def test_the_studys_own_poses_may_be_what_an_expert_takes(candidates):
     """
     poses = build_candidates(SCENE, extra=load_carlancap_layout().units)
     corners = drawn(poses, limits_of(poses)).corners
+
     assert poses[corners["south/east"]].id == "RSU0"

@@ -66,6 +66,7 @@ def test_every_combination_is_there_once():
         )
         for c in candidates
     }
+
     assert len(candidates) == len(keys) == 3 * 2 * 12 * 3 * len(CAMERAS)
     assert len({c.id for c in candidates}) == len(candidates)
 
@@ -83,10 +84,13 @@ def test_yaws_go_all_around_once(n_yaws):
         ),
     )
     yaws = np.sort([c.pose.yaw_deg for c in candidates])
+
     assert len(yaws) == n_yaws
     assert (yaws > -180.0).all()
     assert (yaws <= 180.0).all()
+
     around = np.diff(np.append(yaws, yaws[0] + 360.0))
+
     assert around == pytest.approx(step_deg, abs=1e-9)
     assert 180.0 in yaws
     assert (0.0 in yaws) == (n_yaws % 2 == 0)
@@ -105,12 +109,15 @@ def test_the_default_grid_looks_every_15_degrees_at_three_heights_and_pitches():
 def test_what_scans_all_round_hangs_level_and_is_not_turned():
     scene = _scene([5, 9])
     others = [c.id for c in build_candidates(scene, _grid(sensors=(*CAMERAS, SECTOR)))]
+
     assert len(others) == 2 * 3 * 12 * 3
     assert others[0] == f"pole-0/6m/-150/-30/{CAMERAS[0].name}"
+
     found = [
         c.id for c in build_candidates(scene, _grid(sensors=(*CAMERAS, SECTOR, RING)))
     ]
     rings = [name for name in found if name not in others]
+
     assert rings == [f"pole-0/{height}m/0/0/{RING.name}" for height in (6, 8)]
     assert [
         name for name in found if name in others
@@ -120,6 +127,7 @@ def test_what_scans_all_round_hangs_level_and_is_not_turned():
 def test_a_tilted_ring_is_turned():
     grid = _grid(sensors=(RING,), ring_pitches_deg=np.array([-20.0, 0.0, 10.0]))
     directions = grid.directions_deg(RING)
+
     assert directions[0] == (0.0, 0.0)
     assert len(set(directions)) == len(directions) == 1 + 12 * 2
     assert {pitch for _, pitch in directions} == {-20.0, 0.0, 10.0}
@@ -176,6 +184,7 @@ def test_heights_are_brought_into_the_sites_range_and_count_once():
         )
         for index in range(4)
     }
+
     assert heights == {
         "pole-0": [6.0, 8.0],
         "pole-1": [7.0, 8.0],
@@ -197,7 +206,12 @@ def _extra(pose_id):
 
 def test_poses_by_name_come_last():
     extra = (_extra("RSU0"), _extra("RSU1"))
-    candidates = build_candidates(_scene([5, 9]), _grid(), extra=extra)
+    candidates = build_candidates(
+        _scene([5, 9]),
+        _grid(),
+        extra=extra,
+    )
+
     assert candidates[-2:] == extra
     assert repr(candidates[-1]) == "CandidatePose('RSU1')"
 
@@ -205,8 +219,11 @@ def test_poses_by_name_come_last():
 def test_a_repeated_id_is_named():
     with pytest.raises(InputError) as caught:
         build_candidates(
-            _scene([5, 9]), _grid(), extra=(_extra("RSU0"), _extra("RSU0"))
+            _scene([5, 9]),
+            _grid(),
+            extra=(_extra("RSU0"), _extra("RSU0")),
         )
+
     assert str(caught.value) == "candidates: got 'RSU0'; expected every id once"
 
 

@@ -43,8 +43,10 @@ def test_a_made_up_question_goes_through_all_steps(monkeypatch):
             return step(*args, **kwargs)
 
         monkeypatch.setattr(module, name, take)
+
     monkeypatch.setattr(module, "is_compiled", lambda function: False)
     compile_ahead()
+
     assert taken == list(STEPS)
 
 
@@ -66,6 +68,7 @@ def test_what_the_main_job_needs_is_compiled(tmp_path):
         capture_output=True,
         text=True,
     )
+
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["6", "of", "6"]
     assert "compiling" not in done.stderr  # the first process tells that it compiles

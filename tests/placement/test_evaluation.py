@@ -46,8 +46,15 @@ def test_apr_is_the_weight_of_the_avoided_runs(frame_axis):
 def test_apr_of_some_runs_counts_only_those(frame_axis):
     verdict = _verdict([True, False, True])
     mask = np.array([False, True, True])
+
     assert apr(verdict, frame_axis, mask) == 0.5
-    assert math.isnan(apr(verdict, frame_axis, np.zeros(3, dtype=bool)))
+    assert math.isnan(
+        apr(
+            verdict,
+            frame_axis,
+            np.zeros(3, dtype=bool),
+        )
+    )
 
 
 def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
@@ -62,6 +69,7 @@ def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
         verdict, frame_axis, np.array([True, True, False])
     ) == (pytest.approx(2.0 / 0.75))
     assert math.isnan(mean_impact_speed_kmh(_verdict([True] * 3), frame_axis))
+
     levels = Levels(
         score="made up",
         run_index=np.array([0, 1, 1, 1, 2, 2]),
@@ -69,18 +77,40 @@ def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
         gain=np.array([1.0, 0.25, 0.25, 0.5, 0.5, 0.5]),
         deadline_s=np.full(6, -0.1),
     )
-    assert score(verdict, frame_axis, None) == apr(verdict, frame_axis) == 0.5
-    assert score(verdict, frame_axis, levels) == 0.5 + 0.25 * 0.75 + 0.25 * 0.5
+
+    assert (
+        score(
+            verdict,
+            frame_axis,
+            None,
+        )
+        == apr(verdict, frame_axis)
+        == 0.5
+    )
+    assert (
+        score(
+            verdict,
+            frame_axis,
+            levels,
+        )
+        == 0.5 + 0.25 * 0.75 + 0.25 * 0.5
+    )
 
 
 @given(frame_axes(), st.data())
 def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, data):
     avoided = data.draw(
-        st.lists(st.booleans(), min_size=axis.n_runs, max_size=axis.n_runs)
+        st.lists(
+            st.booleans(),
+            min_size=axis.n_runs,
+            max_size=axis.n_runs,
+        )
     )
     verdict = _verdict(avoided)
     total = apr(verdict, axis)
+
     assert 0.0 <= total <= 1.0
+
     share = {
         case: sum(
             w for w, name in zip(axis.weight, axis.cases, strict=True) if name == case
@@ -88,6 +118,7 @@ def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, da
         for case in axis.cases
     }
     by_case = apr_by_case(verdict, axis)
+
     assert list(by_case) == list(dict.fromkeys(axis.cases))
     assert sum(share[case] * value for case, value in by_case.items()) == pytest.approx(
         total
@@ -99,10 +130,13 @@ def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, da
 def test_detected_share_counts_frames_of_the_chosen_runs(frame_axis):
     detected = [True, False, True] + [True] * 4 + [False] + [False, False]
     verdict = _verdict([False] * 3, detected)
+
     assert detected_share(verdict, frame_axis) == pytest.approx(0.6)
+
     for index, expected in enumerate([2.0 / 3.0, 0.8, 0.0]):
         mask = np.arange(3) == index
         assert detected_share(verdict, frame_axis, mask) == pytest.approx(expected)
+
     assert detected_share(
         verdict, frame_axis, np.array([True, False, True])
     ) == pytest.approx(0.4)
@@ -127,7 +161,10 @@ def test_a_verdict_cannot_be_changed(frame_axis):
     ],
 )
 def test_one_unit_fails_and_the_rest_still_has_to_confirm(
-    frame_axis, rule, frames_of_units, expected
+    frame_axis,
+    rule,
+    frames_of_units,
+    expected,
 ):
     # Any three frames in a row avoid run 0 (weight 1/2) and run 1 (1/4); nothing avoids
     # run 2.

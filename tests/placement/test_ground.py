@@ -19,8 +19,17 @@ CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
 
 def unit(x, y, yaw_deg, *, pitch_deg=0.0, sensor=CAMERA):
-    pose = Pose(position_m=np.array([x, y, 6.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    return CandidatePose(id=f"{x}/{y}/{yaw_deg}", site_id="", pose=pose, sensor=sensor)
+    pose = Pose(
+        position_m=np.array([x, y, 6.0]),
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
+    )
+    return CandidatePose(
+        id=f"{x}/{y}/{yaw_deg}",
+        site_id="",
+        pose=pose,
+        sensor=sensor,
+    )
 
 
 def test_points_stand_for_square_metres():
@@ -29,11 +38,15 @@ def test_points_stand_for_square_metres():
     )
     assert np.bincount(ground.area_index).tolist() == [200, 1]
     assert ground.area_m2 == pytest.approx([200.0, 0.04])
+
     hole = Polygon(box(0, 0, 10, 10).exterior, [box(2, 2, 8, 8).exterior])
     two = MultiPolygon([hole, box(20, 0, 21, 1)])
     points = build_private_ground([("two", two)]).points_m
+
     assert len(points) == 65
+
     inside = (points[:, :2] > 2.0).all(axis=1) & (points[:, :2] < 8.0).all(axis=1)
+
     assert not inside.any()
 
 
@@ -49,9 +62,16 @@ def test_a_camera_sees_what_is_in_its_picture_and_nothing_behind_it():
         unit(0, 0, 0.0, pitch_deg=80.0),
     ]
     share = private_shares(scene, poses, ground)
+
     assert share.tolist() == [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]
+
     lidar = unit(0, 0, 0.0, sensor=load_lidars()["carla-ncap-lidar"])
-    assert private_shares(scene, [lidar], ground).tolist() == [[0.0, 0.0]]
+
+    assert private_shares(
+        scene,
+        [lidar],
+        ground,
+    ).tolist() == [[0.0, 0.0]]
 
 
 def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
@@ -59,10 +79,13 @@ def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
     # The right edge of the picture, 45 degrees right of north-east, is the x axis
     # turned up to ..
     share = private_shares(
-        protocol_scene(), [unit(0, 0, 0.0), unit(0, 0, 45.0)], ground
+        protocol_scene(),
+        [unit(0, 0, 0.0), unit(0, 0, 45.0)],
+        ground,
     )
     points = ground.points_m
     expected = (points[:, 1] < points[:, 0]).mean()  # left edge: 45 degrees from east
+
     assert share[0, 0] == pytest.approx(expected, abs=0.02)
     assert share[1, 0] == 1.0
 
@@ -70,17 +93,34 @@ def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
 def test_walls_hide():
     ground = build_private_ground([("garden", box(20, -5, 30, 5))])
     wall = ("wall", 15.0, 0.0, 0.5, 60.0, 8.0)
+
     assert (
-        private_shares(protocol_scene(boxes=[wall]), [unit(0, 0, 0.0)], ground)[0, 0]
+        private_shares(
+            protocol_scene(boxes=[wall]),
+            [unit(0, 0, 0.0)],
+            ground,
+        )[0, 0]
         == 0.0
     )
+
     low = ("hedge", 15.0, 0.0, 0.5, 60.0, 1.0)
+
     assert (
-        private_shares(protocol_scene(boxes=[low]), [unit(0, 0, 0.0)], ground)[0, 0]
+        private_shares(
+            protocol_scene(boxes=[low]),
+            [unit(0, 0, 0.0)],
+            ground,
+        )[0, 0]
         == 1.0
     )
+
     moved = replace(protocol_scene(boxes=[low]), sites=())
-    assert private_shares(moved, [], ground).shape == (0, 1)
+
+    assert private_shares(
+        moved,
+        [],
+        ground,
+    ).shape == (0, 1)
 
 
 def test_areas_that_cannot_be_are_refused():
@@ -103,10 +143,24 @@ def test_the_pole_that_carries_a_camera_hides_nothing():
     ground = build_private_ground([("garden", box(20, -5, 30, 5))])
     pole = ("pole", 0.0, 0.0, 0.2, 0.2, 9.0)
     scene = protocol_scene(boxes=[pole])
-    assert private_shares(scene, [unit(0, 0, 0.0)], ground)[0, 0] == 1.0
+
+    assert (
+        private_shares(
+            scene,
+            [unit(0, 0, 0.0)],
+            ground,
+        )[0, 0]
+        == 1.0
+    )
+
     thin = ("post", 5.0, 0.0, 0.2, 0.2, 9.0)
+
     assert (
         0.5
-        < private_shares(protocol_scene(boxes=[thin]), [unit(0, 0, 0.0)], ground)[0, 0]
+        < private_shares(
+            protocol_scene(boxes=[thin]),
+            [unit(0, 0, 0.0)],
+            ground,
+        )[0, 0]
         < 1.0
     )

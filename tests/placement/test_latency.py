@@ -20,7 +20,12 @@ from scenarios.aeb import load_aeb_rule
 
 def _budget(*ranges_s):
     parts = [
-        LatencyPart(name=f"part {index}", low_s=low, high_s=high, source="test")
+        LatencyPart(
+            name=f"part {index}",
+            low_s=low,
+            high_s=high,
+            source="test",
+        )
         for index, (low, high) in enumerate(ranges_s)
     ]
     return LatencyBudget(name="test", parts=tuple(parts))
@@ -29,7 +34,13 @@ def _budget(*ranges_s):
 @st.composite
 def budgets(draw, max_parts=4):
     """Fixed values, and ranges from wide to narrow."""
-    lows = draw(st.lists(numbers(0.0, 0.2), min_size=1, max_size=max_parts))
+    lows = draw(
+        st.lists(
+            numbers(0.0, 0.2),
+            min_size=1,
+            max_size=max_parts,
+        )
+    )
     widths = st.one_of(st.just(0.0), numbers(0.001, 0.2))
     return _budget(*((low, low + draw(widths)) for low in lows))
 
@@ -60,7 +71,9 @@ def test_a_message_waits_for_up_to_one_period(name, period_s):
         "radio",
         "decision",
     ]
+
     wait = parts.pop("CPM generation")
+
     assert (wait.low_s, wait.high_s, wait.is_assumption) == (0.0, period_s, False)
     assert "TS 103 324" in wait.source
     assert all(part.is_assumption for part in parts.values())
@@ -87,9 +100,12 @@ def test_best_mean_and_worst_are_in_order_and_add_up(budget):
 def test_draws_stay_within_and_have_mean_and_variance_of_the_sum():
     budget = load_latency_budget("cpm-100ms")
     drawn = budget.sample_s(np.random.default_rng(1), 200_000)
+
     assert drawn.shape == (200_000,)
     assert budget.best_s <= drawn.min() < drawn.max() <= budget.worst_s
+
     variance = sum((part.high_s - part.low_s) ** 2 / 12.0 for part in budget.parts)
+
     assert drawn.mean() == pytest.approx(
         budget.mean_s, abs=5.0 * math.sqrt(variance / 200_000)
     )
@@ -101,10 +117,13 @@ def test_draws_depend_on_the_generator_alone():
     first, second, other = (
         budget.sample_s(np.random.default_rng(seed), (3, 4)) for seed in (1, 1, 2)
     )
+
     assert first.shape == (3, 4)
     assert (first == second).all()
     assert (first != other).all()
+
     fixed = load_latency_budget().sample_s(np.random.default_rng(0), 5)
+
     assert fixed.tolist() == [0.025] * 5
 
 
@@ -118,7 +137,12 @@ def test_one_number_is_a_budget_of_one_part():
 # Files
 
 
-PART = {"name": "'radio'", "low_s": "0.001", "high_s": "0.01", "source": "'a sheet'"}
+PART = {
+    "name": "'radio'",
+    "low_s": "0.001",
+    "high_s": "0.01",
+    "source": "'a sheet'",
+}
 
 
 @pytest.fixture
@@ -153,6 +177,7 @@ def test_a_file_of_ones_own_is_read(write_budget):
             is_assumption=False,
         ),
     )
+
     fixed = load_latency_budget(
         str(
             write_budget(
@@ -164,6 +189,7 @@ def test_a_file_of_ones_own_is_read(write_budget):
             )
         )
     )
+
     assert (fixed.parts[0].low_s, fixed.parts[0].high_s) == (0.02, 0.02)
     assert (fixed.parts[0].is_assumption, fixed.parts[0].source) == (True, "a guess")
 
@@ -213,7 +239,9 @@ def test_a_file_of_ones_own_is_read(write_budget):
     ],
 )
 def test_what_is_wrong_with_a_file_is_told_by_file_part_and_field(
-    write_budget, fields, message
+    write_budget,
+    fields,
+    message,
 ):
     path = write_budget(**fields)
     with pytest.raises(InputError) as caught:
@@ -224,6 +252,7 @@ def test_what_is_wrong_with_a_file_is_told_by_file_part_and_field(
 def test_parts_have_names_of_their_own(write_budget):
     part = "[[mine.parts]]\nname = 'a'\nlow_s = 0.0\nhigh_s = 0.1\nsource = 'x'\n"
     path = write_budget(part + part)
+
     with pytest.raises(InputError) as caught:
         load_latency_budget(str(path))
     assert str(caught.value) == f"{path}: mine.parts: got 'a'; expected every name once"

@@ -43,7 +43,11 @@ def _evaluation(axis, vut, units, own_latencies_s=None, vam=None):
     camera = load_cameras()["carla-ncap-rgb"]
     poses = tuple(
         CandidatePose(
-            id=f"U{index}", site_id="", pose=pose, sensor=camera, latency_s=latency_s
+            id=f"U{index}",
+            site_id="",
+            pose=pose,
+            sensor=camera,
+            latency_s=latency_s,
         )
         for index, latency_s in enumerate(own)
     )
@@ -83,6 +87,7 @@ def _apr_by_hand(axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.
             for f in frames
         ]
         times = axis.time_s[frames.start : frames.stop]
+
         for last in range(n_confirmations - 1, len(known)):
             if not all(known[last - n_confirmations + 1 : last + 1]):
                 continue
@@ -91,6 +96,7 @@ def _apr_by_hand(axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.
             if max(gaps) <= memory_s + TOLERANCE_S:
                 avoided += axis.weight[run]
                 break
+
     return avoided
 
 
@@ -98,8 +104,18 @@ def _apr_by_hand(axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.
 def cases(draw):
     """Runs, who sees what, and which units have a latency of their own."""
     axis = draw(frame_axes())
-    frames = st.lists(st.booleans(), min_size=axis.n_frames, max_size=axis.n_frames)
-    units = draw(st.lists(frames, min_size=1, max_size=3))
+    frames = st.lists(
+        st.booleans(),
+        min_size=axis.n_frames,
+        max_size=axis.n_frames,
+    )
+    units = draw(
+        st.lists(
+            frames,
+            min_size=1,
+            max_size=3,
+        )
+    )
     own = [draw(st.one_of(st.none(), st.integers(0, 40))) for _ in units]
     own_s = [None if value is None else value / 100.0 for value in own]
     return axis, draw(frames), units, own_s
@@ -113,7 +129,11 @@ def cases(draw):
     st.sampled_from([0.1, 0.2, 0.35, 0.5, math.inf]),
 )
 def test_every_party_is_judged_as_if_evaluated_with_that_latency(
-    case, latency_s, n_confirmations, vut_latency_s, memory_s
+    case,
+    latency_s,
+    n_confirmations,
+    vut_latency_s,
+    memory_s,
 ):
     axis, vut, units, own_s = case
     last = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
@@ -123,10 +143,17 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
         else:
             slack = np.ones(1)
         assume(not ((slack > 0.1 * TOLERANCE_S) & (slack < 10.0 * TOLERANCE_S)).any())
+
     age = np.abs(last - axis.time_s - latency_s - memory_s)
     assume(not ((age > 0.1 * TOLERANCE_S) & (age < 10.0 * TOLERANCE_S)).any())
     rule = replace(RULE, n_confirmations=n_confirmations, track_memory_s=memory_s)
-    evaluation = _evaluation(axis, vut, units, own_s, vam=vut[::-1])
+    evaluation = _evaluation(
+        axis,
+        vut,
+        units,
+        own_s,
+        vam=vut[::-1],
+    )
     curves = apr_by_latency(evaluation, rule, [latency_s], vut_latency_s=vut_latency_s)
 
     delays = [latency_s if value is None else value for value in own_s]
@@ -141,7 +168,9 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
         "vam": vam,
         "all_sources": fused + on_board + vam,
     }
+
     assert list(curves) == list(parties)
+
     for name, party in parties.items():
         expected = _apr_by_hand(axis, party, n_confirmations, memory_s, latency_s)
         onsets = find_onsets(
@@ -160,18 +189,28 @@ def test_a_run_may_be_avoided_with_a_longer_latency_alone():
     -0.5 s.
     """
     time_s = np.arange(-20, 1) / 10.0
-    axis = axis_of_runs([0, 21, 42], np.tile(time_s, 2), -0.5, weight=[0.75, 0.25])
+    axis = axis_of_runs(
+        [0, 21, 42],
+        np.tile(time_s, 2),
+        -0.5,
+        weight=[0.75, 0.25],
+    )
     seen = np.concatenate([time_s < -1.55, time_s > -1.55])
     rule = replace(RULE, track_memory_s=1.0)
     evaluation = _evaluation(axis, np.zeros(42), [seen])
     latencies_s = [0.09, 0.1, 0.8, 0.81, 1.3, 1.31]
     found = apr_by_latency(evaluation, rule, latencies_s)["rsu_all"]
+
     assert found.tolist() == [0.25, 1, 1, 0.75, 0.75, 0]
 
 
 @pytest.mark.parametrize("latency_s", [-0.1, math.nan, math.inf])
 def test_a_latency_of_the_vut_that_cannot_be_is_told(frame_axis, latency_s):
-    evaluation = _evaluation(frame_axis, np.zeros(10), [np.zeros(10)])
+    evaluation = _evaluation(
+        frame_axis,
+        np.zeros(10),
+        [np.zeros(10)],
+    )
     with pytest.raises(
         InputError, match=r"vut_latency_s: got .*; expected seconds, at least 0"
     ):
@@ -189,7 +228,11 @@ def test_a_latency_of_the_vut_that_cannot_be_is_told(frame_axis, latency_s):
     st.sampled_from([0.1, 0.2, 0.35, math.inf]),
 )
 def test_a_score_by_latency_is_that_of_the_onsets_with_that_latency(
-    case, seed, latency_s, n_confirmations, memory_s
+    case,
+    seed,
+    latency_s,
+    n_confirmations,
+    memory_s,
 ):
     axis, vut, units, own_s = case
     rng = np.random.default_rng(seed)
@@ -210,7 +253,15 @@ def test_a_score_by_latency_is_that_of_the_onsets_with_that_latency(
     memory_rule = replace(
         RULE, n_confirmations=n_confirmations, track_memory_s=memory_s
     )
-    evaluation = replace(_evaluation(axis, vut, units, own_s), levels=levels)
+    evaluation = replace(
+        _evaluation(
+            axis,
+            vut,
+            units,
+            own_s,
+        ),
+        levels=levels,
+    )
     delays = [latency_s if value is None else value for value in own_s]
     moments = np.concatenate([levels.deadline_s, last])
     for each_s in (latency_s, *delays):
@@ -225,6 +276,7 @@ def test_a_score_by_latency_is_that_of_the_onsets_with_that_latency(
         "vut_and_rsus": [*fused, (vut, latency_s)],
     }
     curves = apr_by_latency(evaluation, memory_rule, [latency_s])
+
     for name, party in parties.items():
         onsets = find_onsets(
             earliest_arrival_s(

@@ -70,7 +70,14 @@ def _is_id(text):
 @st.composite
 def _layouts(draw):
     texts = st.text(max_size=8).filter(str.isprintable)
-    ids = draw(st.lists(texts.filter(_is_id), min_size=1, max_size=5, unique=True))
+    ids = draw(
+        st.lists(
+            texts.filter(_is_id),
+            min_size=1,
+            max_size=5,
+            unique=True,
+        )
+    )
     sensors = [*load_cameras().values(), *load_lidars().values()]
     return Layout(
         name=draw(texts),
@@ -103,7 +110,9 @@ def test_a_lens_that_is_set_comes_back_from_its_records(layout, share):
     layout = replace(layout, units=units)
     records = json.loads(json.dumps(layout_records(layout), allow_nan=False))
     back = layout_from_records(layout.name, records, "f.json")
+
     assert [unit.sensor for unit in back.units] == [unit.sensor for unit in units]
+
     for record, unit in zip(records, units, strict=True):
         model = load_cameras().get(unit.sensor.name)
         is_set = (
@@ -120,6 +129,7 @@ def test_a_lens_as_in_the_catalogue_may_be_told_or_not():
         assert layout_from_records("l", records, "f.json").units[1].sensor is zoom
     records = _changed(camera=zoom.name, fov_deg=40)
     sensor = layout_from_records("l", records, "f.json").units[1].sensor
+
     assert (sensor.name, sensor.horizontal_fov_deg) == (zoom.name, 40.0)
     assert sensor.focal_length_px > zoom.focal_length_px
 
@@ -127,6 +137,7 @@ def test_a_lens_as_in_the_catalogue_may_be_told_or_not():
 def test_a_lidar_has_no_field_of_view_to_set():
     records = _changed(lidar="carla-ncap-lidar", fov_deg=40.0)
     del records[1]["camera"]
+
     assert (
         _message(layout_from_records, "l", records, "f.json")
         == "f.json: layout[1].fov_deg: got 40.0; expected nothing: only cameras have"
@@ -138,7 +149,9 @@ def test_a_lidar_has_no_field_of_view_to_set():
 def test_a_layout_comes_back_from_its_records_bit_by_bit(layout):
     text = json.dumps(layout_records(layout), allow_nan=False)
     back = layout_from_records(layout.name, json.loads(text), "f.json")
+
     assert back.name == layout.name
+
     for unit, other in zip(layout.units, back.units, strict=True):
         assert (unit.id, unit.site_id) == (other.id, other.site_id)
         assert np.array_equal(unit.pose.position_m, other.pose.position_m)
@@ -148,6 +161,7 @@ def test_a_layout_comes_back_from_its_records_bit_by_bit(layout):
         )
         assert unit.sensor is other.sensor
         assert unit.latency_s == other.latency_s
+
     assert layout_records(back) == layout_records(layout)
 
 
@@ -155,13 +169,23 @@ def test_a_layout_is_read_from_a_file(tmp_path):
     path = tmp_path / "mine.json"
     path.write_text(json.dumps({"layout": GOOD}), encoding="utf-8")
     layout = load_layout(path)
+
     assert layout.name == "mine"
     assert [unit.id for unit in layout.units] == ["A", "B"]
     assert layout.units[0].pose.position_m.tolist() == [1.0, -2.0, 7.5]
     assert [unit.site_id for unit in layout.units] == ["pole-1", ""]
+
     path.write_text(
-        json.dumps({"name": "ours", "layout": GOOD, "more": 1}), encoding="utf-8"
+        json.dumps(
+            {
+                "name": "ours",
+                "layout": GOOD,
+                "more": 1,
+            }
+        ),
+        encoding="utf-8",
     )
+
     assert load_layout(path).name == "ours"
 
 
@@ -175,6 +199,7 @@ def test_a_layout_is_read_from_a_file(tmp_path):
 def test_a_missing_field_is_named(key):
     records = _changed()
     del records[1][key]
+
     assert (
         _message(layout_from_records, "l", records, "f.json")
         == f"f.json: layout[1].{key}: got nothing; expected a value"
@@ -237,6 +262,7 @@ def test_a_unit_that_is_no_object_is_named():
 def test_an_unknown_camera_lists_the_known_ones():
     known = ", ".join(sorted(load_cameras()))
     records = _changed(camera="periscope")
+
     assert (
         _message(layout_from_records, "l", records, "f.json")
         == f"f.json: layout[1].camera: got 'periscope'; expected one of {known}"
@@ -248,13 +274,18 @@ def test_a_lidar_is_written_and_read_as_one_and_is_no_camera():
     del records[1]["camera"]
     records[1]["lidar"] = "carla-ncap-lidar"
     layout = layout_from_records("l", records, "f.json")
+
     assert layout.units[1].sensor is load_lidars()["carla-ncap-lidar"]
+
     written = layout_records(layout)
+
     assert written[1]["lidar"] == "carla-ncap-lidar"
     assert written[1]["latency_s"] == 0.125
     assert "camera" not in written[1]
     assert "latency_s" not in written[0]
+
     records[1]["lidar"] = "carla-ncap-rgb"
+
     assert _message(layout_from_records, "l", records, "f.json") == (
         "f.json: layout[1].lidar: got 'carla-ncap-rgb'; expected one of "
         + ", ".join(sorted(load_lidars()))
@@ -280,7 +311,15 @@ def test_a_unit_is_not_called_like_another_sensing_party(name):
 @pytest.mark.parametrize("text", ["a\nb", "\x1b[2K", "\ud800"])
 def test_names_and_ids_can_be_printed(text):
     expected = f"layout: name or id: got {text!r}; expected printable text"
-    assert _message(layout_from_records, "l", _changed(id=text), "f.json") == expected
+    assert (
+        _message(
+            layout_from_records,
+            "l",
+            _changed(id=text),
+            "f.json",
+        )
+        == expected
+    )
     assert _message(layout_from_records, text, GOOD, "f.json") == expected
 
 
@@ -314,12 +353,14 @@ def test_a_layout_without_units_is_refused():
 def test_a_file_that_is_not_json_is_named(tmp_path, content, message):
     path = tmp_path / "a.json"
     path.write_bytes(content)
+
     assert _message(load_layout, path) == f"{path}: {message}expected JSON in UTF-8"
 
 
 def test_a_file_nested_too_deep_is_named(tmp_path):
     path = tmp_path / "a.json"
     path.write_text("[" * 100_000, encoding="utf-8")
+
     assert (
         _message(load_layout, path)
         == f"{path}: got JSON nested too deep; expected a layout"
@@ -330,6 +371,7 @@ def test_a_file_nested_too_deep_is_named(tmp_path):
 def test_a_file_without_a_list_of_units_is_named(tmp_path, content):
     path = tmp_path / "a.json"
     path.write_text(content, encoding="utf-8")
+
     assert (
         _message(load_layout, path)
         == f"{path}: got no list 'layout'; expected an object {{\"layout\": [units]}}"
@@ -343,8 +385,11 @@ def test_a_file_of_another_version_is_refused_and_not_guessed_at(tmp_path, schem
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"schema": schema, "layout": GOOD}))
     message = _message(load_layout, path)
+
     assert message.startswith(f"{path}: schema: got ")
+
     known = (SCHEMA, *RESULT_SCHEMAS)
+
     assert message.endswith(f"expected {', '.join(known)}, or none of it")
 
 
@@ -352,6 +397,7 @@ def test_a_file_of_another_version_is_refused_and_not_guessed_at(tmp_path, schem
 def test_layouts_are_read_from_layout_files_and_from_results(tmp_path, schema):
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"schema": schema, "layout": GOOD}))
+
     assert [unit.id for unit in load_layout(path).units] == ["A", "B"]
 
 
@@ -366,6 +412,7 @@ def test_a_missing_file_is_named(tmp_path):
 def test_a_field_error_names_the_file(tmp_path):
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"layout": _changed(x_m=math.nan)}), encoding="utf-8")
+
     assert (
         _message(load_layout, path)
         == f"{path}: layout[1].x_m: got nan; expected a finite number"
@@ -379,7 +426,11 @@ def test_a_field_error_names_the_file(tmp_path):
 def test_the_gap_is_the_distance_as_a_share_of_the_objective(objective, more):
     gap = relative_gap(objective, objective + more)
     assert gap >= 0.0
-    assert gap == pytest.approx(more / objective, rel=1e-6, abs=2e-7)
+    assert gap == pytest.approx(
+        more / objective,
+        rel=1e-6,
+        abs=2e-7,
+    )
 
 
 def test_the_gap_is_zero_where_objective_and_bound_agree_and_infinite_above_nothing():
@@ -391,7 +442,13 @@ def test_the_gap_is_zero_where_objective_and_bound_agree_and_infinite_above_noth
 
 def test_a_certificate_is_proven_when_every_gap_is_closed():
     def stage(gap):
-        return Stage(name="apr", objective=1.0, bound=1.0 + gap, gap=gap, seconds=0.1)
+        return Stage(
+            name="apr",
+            objective=1.0,
+            bound=1.0 + gap,
+            gap=gap,
+            seconds=0.1,
+        )
 
     assert Certificate(stages=(stage(0.0), stage(0.0)), solver="HiGHS").is_proven
     assert not Certificate(stages=(stage(0.0), stage(1e-6)), solver="HiGHS").is_proven

@@ -30,18 +30,26 @@ def row(scene):
     """A camera at the first site, in degrees: at 6.5 m, looking to the south-east, 20
     deg down.
     """
-    lon_deg, lat_deg = transform(scene.sites[0].position_m[:2], CRS, WGS84)
+    lon_deg, lat_deg = transform(
+        scene.sites[0].position_m[:2],
+        CRS,
+        WGS84,
+    )
     degrees = f"{lat_deg:.9f};{lon_deg:.9f}".replace(".", ",")
     return f"C1;{scene.sites[0].id};{degrees};6,5;135;20;carla-ncap-rgb;2019\n"
 
 
 def test_a_list_in_degrees_with_bearings_and_decimal_commas(
-    tmp_path, scene, row, caplog
+    tmp_path,
+    scene,
+    row,
+    caplog,
 ):
     path = tmp_path / "cameras.csv"
     path.write_text(HEAD + row, encoding="utf-8")
     with caplog.at_level(logging.WARNING):
         (unit,) = load_layout(path, scene=scene).units
+
     assert (unit.id, unit.site_id) == ("C1", scene.sites[0].id)
     assert unit.pose.position_m == pytest.approx(
         [*scene.sites[0].position_m[:2], 6.5], abs=0.01
@@ -75,16 +83,31 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
         for i, site in enumerate(scene.sites[:2])
     ]
     path.write_text(json.dumps({"layout": units}))
-    layout = find_layout(str(path), "--keep", scene=scene, sensors=str(models))
+    layout = find_layout(
+        str(path),
+        "--keep",
+        scene=scene,
+        sensors=str(models),
+    )
+
     assert [unit.pose.yaw_deg for unit in layout.units] == [90.0, 90.0]
     assert {unit.sensor.width_px for unit in layout.units} == {640}
+
     feet = [site.position_m[:2] for site in scene.sites[:2]]
+
     assert np.array(
         [unit.pose.position_m[:2] for unit in layout.units]
     ) == pytest.approx(np.array(feet))
+
     plan = assemble_without_runs(
-        Question(budget=1, keep=str(path), sensors=str(models)), scene
+        Question(
+            budget=1,
+            keep=str(path),
+            sensors=str(models),
+        ),
+        scene,
     )
+
     assert plan.wishes.existing == ("C0", "C1")
 
 
@@ -104,6 +127,15 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
 )
 def test_wrong_names_and_numbers_are_refused(tmp_path, scene, row, old, new, message):
     path = tmp_path / "cameras.csv"
-    path.write_text(HEAD + row.replace(old, new, 1), encoding="utf-8")
+    path.write_text(
+        HEAD
+        + row.replace(
+            old,
+            new,
+            1,
+        ),
+        encoding="utf-8",
+    )
+
     with pytest.raises(InputError, match=message):
         load_layout(path, scene=scene)

@@ -58,7 +58,13 @@ def scored(draw):
         later = np.sort(rng.uniform(begin_s, 0.0, n_more))
         if last_s == -np.inf:
             later[rng.random(n_more) < 0.2] = -np.inf
-        shares = np.sort(rng.choice([0.25, 0.5, 0.75], n_more, replace=False))[::-1]
+        shares = np.sort(
+            rng.choice(
+                [0.25, 0.5, 0.75],
+                n_more,
+                replace=False,
+            )
+        )[::-1]
         gains = -np.diff([1.0, *shares, 0.0])
         rows += [
             (run, below, gain, at_s)
@@ -66,6 +72,7 @@ def scored(draw):
                 [0.0, 10.0, 20.0, 30.0], gains, [last_s, *np.sort(later)], strict=False
             )
         ]
+
     run_index, below, gain, deadline = map(np.array, zip(*rows, strict=True))
     levels = Levels(
         score="made up",
@@ -77,7 +84,13 @@ def scored(draw):
     table = level_table(problem.table, levels, problem.rule)
     seen = problem.seen_by_vut
     if seen is not None:
-        seen = seen[level_axis(axis, levels, problem.rule)[1]]
+        seen = seen[
+            level_axis(
+                axis,
+                levels,
+                problem.rule,
+            )[1]
+        ]
     return problem, levels, replace(problem, table=table, seen_by_vut=seen)
 
 
@@ -96,6 +109,7 @@ def looped_score(problem, levels, chosen):
         last_s = float(axis.last_brake_time_s[run])
         times = axis.time_s[frames].tolist()
         onset_s = math.inf
+
         for eye in eyes if len(detected) else []:
             seen = [bool(each) for each in eye[frames]]
             live_s = simulated_track_s(
@@ -112,11 +126,13 @@ def looped_score(problem, levels, chosen):
                 window = seen[frame + 1 - rule.n_confirmations : frame + 1]
                 if all(window) and known_s > last_s + TOLERANCE_S:
                     onset_s = min(onset_s, known_s)
+
         for level in np.flatnonzero(levels.run_index == run):
             deadline_s = float(levels.deadline_s[level])
             is_avoided = onset_s == -math.inf
             if is_avoided or onset_s <= deadline_s + TOLERANCE_S:
                 total += float(axis.weight[run]) * float(levels.gain[level])
+
     return total
 
 
@@ -137,8 +153,10 @@ def test_score_of_every_layout_is_that_of_plain_loops(case):
     for chosen in all_sets(problem):
         expected = looped_score(problem, levels, chosen)
         assert apr(by_levels, chosen) == pytest.approx(expected, abs=1e-12)
+
         margin_s = margins_s(by_levels, np.array([chosen]))[0]
         weight = by_levels.table.axis.weight
+
         assert weight[margin_s > -np.inf].sum() == pytest.approx(expected, abs=1e-12)
 
 
@@ -146,16 +164,27 @@ def test_score_of_every_layout_is_that_of_plain_loops(case):
 @given(scored())
 def test_the_optimiser_finds_and_proves_the_best_score_of_all_layouts(case):
     problem, levels, by_levels = case
-    best = max(looped_score(problem, levels, chosen) for chosen in all_sets(problem))
+    best = max(
+        looped_score(
+            problem,
+            levels,
+            chosen,
+        )
+        for chosen in all_sets(problem)
+    )
     solution = solve_placement(by_levels)
     stage = solution.certificate.stages[0]
+
     assert (stage.name, stage.gap) == ("apr", 0.0)
     assert stage.objective == pytest.approx(best, abs=1e-9)
     assert looped_score(problem, levels, solution.pose_index) == pytest.approx(
         best, abs=1e-9
     )
+
     front = pareto_front(by_levels, max_units=by_levels.limits.budget_units)
+
     assert front.is_proven
+
     for point in front.points:
         most = max(
             looped_score(problem, levels, chosen)
@@ -172,6 +201,7 @@ def test_margins_of_levels_are_those_to_the_last_moment(case):
     value = placement_value(by_levels, everything)
     plain = placement_value(problem, everything)
     assume(plain.apr > 0.0 and (levels.gain[levels.first] > 0.0).all())
+
     assert value.smallest_margin_s <= plain.smallest_margin_s + TOLERANCE_S
 
 
@@ -186,15 +216,19 @@ def test_one_level_for_each_run_changes_nothing(problem, seed):
         deadline_s=axis.last_brake_time_s,
     )
     again, frames = level_axis(axis, levels, problem.rule)
+
     assert np.array_equal(frames, np.arange(axis.n_frames))
+
     for name in ("run_ids", "weight", "last_brake_time_s", "time_s", "run_start"):
         assert np.array_equal(getattr(again, name), getattr(axis, name))
     table = level_table(problem.table, levels, problem.rule)
+
     assert np.array_equal(table.packed, problem.table.packed)
 
 
 def test_a_level_has_its_runs_name_weight_and_frames_up_to_its_deadline(
-    frame_axis, rule
+    frame_axis,
+    rule,
 ):
     levels = Levels(
         score="made up",
@@ -204,15 +238,20 @@ def test_a_level_has_its_runs_name_weight_and_frames_up_to_its_deadline(
         deadline_s=np.array([-np.inf, 0.0, *frame_axis.last_brake_time_s[1:]]),
     )
     table = pack_table(
-        ("a",), frame_axis, np.ones((1, frame_axis.n_frames), dtype=bool)
+        ("a",),
+        frame_axis,
+        np.ones((1, frame_axis.n_frames), dtype=bool),
     )
     axis = level_table(table, levels, rule).axis
     first = frame_axis.run_ids[0]
+
     assert axis.run_ids[:2] == (first, f"{first}<20")
     assert axis.weight[:2] == pytest.approx([0.5 * frame_axis.weight[0]] * 2)
+
     in_time = (
         frame_axis.time_s[frame_axis.frames_of(0)] + rule.latency_s <= 1e-9
     ).sum()
+
     assert np.diff(axis.run_start)[1] == in_time
 
 
@@ -221,7 +260,11 @@ def test_a_level_has_its_runs_name_weight_and_frames_up_to_its_deadline(
 def test_a_citys_front_of_a_junction_has_the_best_score_for_any_number_of_units(case):
     problem, levels, by_levels = case
     try:
-        front, layouts = find_front(by_levels, effort=Effort, begin=lambda _: None)
+        front, layouts = find_front(
+            by_levels,
+            effort=Effort,
+            begin=lambda _: None,
+        )
     except UnmetError:
         return
     most = {
@@ -248,7 +291,9 @@ def test_a_citys_front_of_a_junction_has_the_best_score_for_any_number_of_units(
 def setting(runs, rule):
     plain = crossing_setting(runs, rule=replace(rule, track_memory_s=0.5))
     levels = build_levels(plain.runs, "rating-2026", plain.rule)
+
     assert len(levels.gain) > 1.5 * len(plain.runs)
+
     return replace(plain, levels=levels)
 
 
@@ -261,18 +306,27 @@ def assembly(setting, camera):
 
 
 def test_a_placement_by_score_is_the_best_of_all_layouts_in_plain_loops(
-    assembly, setting
+    assembly,
+    setting,
 ):
     found = place(assembly)
     base = build_problem(
         setting, assembly.candidates, assembly.table, wishes=assembly.wishes
     )
     scores = {
-        chosen: looped_score(base, setting.levels, chosen) for chosen in all_sets(base)
+        chosen: looped_score(
+            base,
+            setting.levels,
+            chosen,
+        )
+        for chosen in all_sets(base)
     }
+
     assert len({round(value, 9) for value in scores.values()}) > 5
     assert found.certificate.is_proven
+
     stage = found.certificate.stages[0]
+
     assert (
         stage.objective == stage.bound == pytest.approx(max(scores.values()), abs=1e-9)
     )
@@ -296,48 +350,69 @@ def test_the_certificate_of_a_score_holds_and_says_so(assembly, tmp_path):
     )
     save_certificate(tmp_path, document, found.problem)
     problem = load_problem(tmp_path / "instance.npz")
+
     assert problem.table.axis.run_ids == found.problem.table.axis.run_ids
+
     shown = [dict(entry["unit"]) for entry in document["layout"]]
     stored = load_certificate(tmp_path / "certificate.json")
     verified = verify_certificate(problem, stored, shown)
+
     assert verified.passed
     assert all(proof.is_proven_again for proof in verified.proofs[:1])
     assert "level of the run" in document["model"]["in_words"]["levels"]
+
     # A run's levels weigh what it does.
     plain = plain_axis(problem.table.axis)
+
     assert plain.run_ids == assembly.setting.axis.run_ids
     assert plain.weight == pytest.approx(assembly.setting.axis.weight)
     assert plain.cases == assembly.setting.axis.cases
+
     # Another score is found out.
     worse = {**document, "stages": [dict(stage) for stage in document["stages"]]}
     worse["stages"][0]["objective"] += 0.01
     save_certificate(tmp_path, worse, found.problem)
     stored = load_certificate(tmp_path / "certificate.json")
+
     assert not verify_certificate(problem, stored, shown).passed
 
 
 def test_the_evaluator_scores_by_bodies_what_the_table_scores_by_onsets(
-    assembly, setting
+    assembly,
+    setting,
 ):
     found = place(assembly)
     evaluation = evaluate_layout(found.layout, setting)
+
     assert evaluation.levels is setting.levels
+
     by_table = apr(found.problem, found.pose_index)
-    assert score(evaluation.rsu_all, setting.axis, setting.levels) == pytest.approx(
-        by_table, abs=0.1
-    )
+
+    assert score(
+        evaluation.rsu_all,
+        setting.axis,
+        setting.levels,
+    ) == pytest.approx(by_table, abs=0.1)
+
     latencies_s = [setting.rule.latency_s, *np.linspace(0.0, 1.0, 11)]
     curve = apr_by_latency(evaluation, setting.rule, latencies_s)["rsu_all"]
     onsets = setting.levels.of_onsets(evaluation.rsu_all.onset_time_s, TOLERANCE_S)
+
     assert curve[0] == pytest.approx(onsets @ setting.axis.weight)
+
     without = replace(evaluation, levels=None)
     plain = apr_by_latency(without, setting.rule, latencies_s)["rsu_all"]
+
     assert (curve >= plain - 1e-12).all()
 
 
 @pytest.mark.parametrize(("field", "value"), [("samples", 2), ("refine", True)])
 def test_sampled_worlds_and_refinement_do_not_know_scores(field, value):
-    question = Question(budget=1, score="rating-2026", **{field: value})
+    question = Question(
+        budget=1,
+        score="rating-2026",
+        **{field: value},
+    )
     with pytest.raises(InputError) as error:
         assemble(question)
     assert (
@@ -357,6 +432,7 @@ def test_a_question_with_a_score_has_levels_and_one_without_has_none(tmp_path):
     plain = build_setting(Question(**words), compute=compute)
     scored = build_setting(Question(**words, score="rating-2026"), compute=compute)
     again = build_setting(Question(**words, score="rating-2026"), compute=compute)
+
     assert plain.levels is None
     assert scored.levels.below_kmh.tolist() == [0.0, 10.0, 20.0, 30.0] * len(
         scored.runs

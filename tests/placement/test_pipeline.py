@@ -59,6 +59,7 @@ def _best(problem):
     """Brute force over all layouts of any size."""
     best = None
     best_units = ()
+
     for n_units in range(1, problem.limits.max_units + 1):
         for units in combinations(range(problem.table.n_poses), n_units):
             if is_feasible(problem, units):
@@ -66,21 +67,28 @@ def _best(problem):
                 if best is None or is_better(value, best):
                     best = value
                     best_units = units
+
     return best, best_units
 
 
 def test_the_best_layout_is_proven_feasible_and_that_of_brute_force(
-    placement, setting, candidates
+    placement,
+    setting,
+    candidates,
 ):
     assert len(candidates) == 12
     assert placement.certificate.is_proven
     assert is_feasible(placement.problem, placement.pose_index)
+
     best, _ = _best(placement.problem)
     value = placement_value(placement.problem, placement.pose_index)
+
     assert not is_better(best, value)
     assert tuple(value) == pytest.approx(tuple(best), abs=1e-9)
+
     # Worth the test: neither nothing nor everything is avoided by any pose.
     single = [placement_value(placement.problem, [c]).apr for c in range(12)]
+
     assert max(single) > 0.0
     assert min(single) < max(single)
 
@@ -88,25 +96,32 @@ def test_the_best_layout_is_proven_feasible_and_that_of_brute_force(
 def test_the_certificate_is_about_the_layout(placement):
     value = placement_value(placement.problem, placement.pose_index)
     stages = {stage.name: stage for stage in placement.certificate.stages}
+
     assert stages["apr"].objective == pytest.approx(value.apr, abs=1e-9)
+
     for name, stage in stages.items():
         assert stage.objective == pytest.approx(getattr(value, name), abs=1e-6)
         assert stage.bound >= stage.objective - 1e-9
 
 
 def test_the_layout_names_the_candidates_that_were_chosen(
-    placement, setting, candidates
+    placement,
+    setting,
+    candidates,
 ):
     layout = placement.layout
     assert layout.name == "best-2"
     assert [unit.id for unit in layout.units] == ["U1", "U2"]
+
     for unit, index in zip(layout.units, placement.pose_index, strict=True):
         assert unit.pose is candidates[index].pose
         assert (unit.site_id, unit.sensor) == (
             candidates[index].site_id,
             candidates[index].sensor,
         )
+
     check_layout(layout, setting.scene)
+
     assert placement.problem.table.pose_ids == tuple(c.id for c in candidates)
     assert repr(placement) == f"Placement({layout!r}, proven)"
     assert set(placement.seconds) == {"detection_table", "optimise", "greedy"}
@@ -115,11 +130,15 @@ def test_the_layout_names_the_candidates_that_were_chosen(
 
 def test_the_greedy_layout_is_as_large_and_never_better(placement, candidates):
     assert placement.greedy.name == "greedy-2"
+
     index = solve_greedy(placement.problem)
+
     assert [unit.pose for unit in placement.greedy.units] == [
         candidates[i].pose for i in index
     ]
+
     greedy = placement_value(placement.problem, index)
+
     assert not is_better(
         greedy, placement_value(placement.problem, placement.pose_index)
     )
@@ -180,18 +199,23 @@ def test_a_second_call_takes_the_table_from_the_cache(asked, placement, tmp_path
             found.problem.table.packed, placement.problem.table.packed
         )
         assert found.pose_index == placement.pose_index
+
     assert _stages(first)[0] == "detection table"
     assert ("detection table", 2, 2) in first  # two mount positions
     assert _stages(second)[0] == "detection table (cached)"
     assert "detection table" not in _stages(second)
     assert _stages(second)[1] == "optimise"
     assert _stages(first)[-1] == "greedy"
+
     kept = sorted(path.name.split("-")[0] for path in (tmp_path / "cache").iterdir())
+
     assert kept == ["answer", "table"]
 
 
 def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
-    asked, tmp_path, monkeypatch
+    asked,
+    tmp_path,
+    monkeypatch,
 ):
     solved = []
 
@@ -203,18 +227,27 @@ def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
 
     def ask(budget, effort=None):
         compute = Compute(cache_folder=tmp_path)
-        return place(asked(budget_units=budget, effort=effort, compute=compute))
+        return place(
+            asked(
+                budget_units=budget,
+                effort=effort,
+                compute=compute,
+            )
+        )
 
     first = ask(2)
     again = ask(2)
+
     assert len(solved) == 1
     assert again.certificate == first.certificate
     assert again.pose_index == first.pose_index
     assert repr(again.greedy) == repr(first.greedy)
     assert again.next_unit == first.next_unit
     assert again.presolved().statistics == first.presolve
+
     ask(1)
     ask(2, Effort(time_limit_s=50.0))
+
     assert len(solved) == 3
 
 
@@ -230,6 +263,7 @@ def test_only_a_proven_answer_is_kept(asked, tmp_path, monkeypatch, gap):
     monkeypatch.setattr(pipeline, "solve_sturdily", solve)
     compute = Compute(cache_folder=tmp_path)
     place(asked(budget_units=1, compute=compute))
+
     assert any(tmp_path.glob("answer-*")) == (gap == 0.0)
 
 
@@ -248,18 +282,25 @@ def test_other_inputs_do_not_get_the_cached_table(setting, candidates, tmp_path)
             ),
         )
         stages.append(calls[0][0])
+
     assert stages == ["detection table", "detection table", "detection table (cached)"]
 
 
 def test_a_damaged_cached_table_is_made_anew_and_replaced(
-    asked, placement, tmp_path, caplog
+    asked,
+    placement,
+    tmp_path,
+    caplog,
 ):
     for _ in range(2):
         found = place(asked(budget_units=1, compute=Compute(cache_folder=tmp_path)))
         (path,) = tmp_path.glob("table-*")
         path.write_bytes(path.read_bytes()[:100])
+
     assert np.array_equal(found.problem.table.packed, placement.problem.table.packed)
+
     (record,) = caplog.records
+
     assert record.levelno == logging.WARNING
 
 
@@ -267,6 +308,7 @@ def test_a_cache_folder_that_cannot_be_is_no_error(asked, placement, tmp_path, c
     in_the_way = tmp_path / "file"
     in_the_way.write_text("", encoding="utf-8")
     found = place(asked(budget_units=2, compute=Compute(cache_folder=in_the_way)))
+
     assert found.pose_index == placement.pose_index
     assert any("nothing is cached" in message for message in caplog.messages)
 
@@ -275,11 +317,17 @@ def test_a_cache_folder_that_cannot_be_is_no_error(asked, placement, tmp_path, c
 
 
 def test_poses_of_no_site_stand_alone_on_sites_of_their_own(
-    setting, candidates, camera
+    setting,
+    candidates,
+    camera,
 ):
     def extra(name, site_id):
         return unit_at(
-            name, [-126.0, -1.0, 9.0], pitch_deg=-80.0, site_id=site_id, sensor=camera
+            name,
+            [-126.0, -1.0, 9.0],
+            pitch_deg=-80.0,
+            site_id=site_id,
+            sensor=camera,
         )
 
     poses = (
@@ -293,8 +341,11 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(
         setting=setting, candidates=poses, wishes=Wishes(budget_units=2)
     ).problem
     capacity = problem.limits.site_capacity[problem.limits.site_index]
+
     assert capacity.tolist() == [1, 2, 2, 1, 1, 2]
+
     sites = problem.limits.site_index.tolist()
+
     assert sites[1] == sites[2]
     assert len(set(sites)) == 5
     assert replace(problem.limits, budget_units=None).max_units == 6
@@ -304,8 +355,13 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(
 def test_poses_by_name_keep_their_names(setting, candidates, camera):
     named = replace(candidates[0], id="RSU1")
     found = place(
-        Assembly(setting=setting, candidates=[named], wishes=Wishes(budget_units=1))
+        Assembly(
+            setting=setting,
+            candidates=[named],
+            wishes=Wishes(budget_units=1),
+        )
     )
+
     assert [unit.id for unit in found.layout.units] == ["RSU1"]
 
 
@@ -314,6 +370,7 @@ def test_a_unit_kept_from_an_earlier_result_keeps_its_name_and_no_other_gets_it(
 ):
     kept = replace(candidates[0], id="U2")
     layout = pick_layout([*candidates[1:4], kept], (0, 1, 2, 3), "more")
+
     assert [unit.id for unit in layout.units] == ["U1", "U3", "U4", "U2"]
 
 
@@ -321,7 +378,13 @@ def test_without_candidates_nothing_is_placed(setting):
     with pytest.raises(
         InputError, match=r"^candidates: got none; expected at least one pose$"
     ):
-        place(Assembly(setting=setting, candidates=[], wishes=Wishes(budget_units=1)))
+        place(
+            Assembly(
+                setting=setting,
+                candidates=[],
+                wishes=Wishes(budget_units=1),
+            )
+        )
 
 
 def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):
@@ -333,6 +396,7 @@ def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):
                 wishes=Wishes(budget_units=2),
             )
         )
+
     assert (
         str(caught.value)
         == "budget: got 2; expected at most 1: candidates and their sites allow no more"
@@ -347,12 +411,19 @@ def test_wishes_that_contradict_each_other_are_named_with_ways_out(asked):
         == "`target` 1 and `budget` 1: got demands that no layout meets together; "
         "expected one of them to give way: `target` 0 or `budget` 3"
     )
+
     told = []
     compute = Compute(progress=lambda *stage: told.append(stage[0]))
+
     with pytest.raises(InputError) as caught:
         place(
-            asked(budget_units=1, forced_sites=("corner-ne", "mast-w"), compute=compute)
+            asked(
+                budget_units=1,
+                forced_sites=("corner-ne", "mast-w"),
+                compute=compute,
+            )
         )
+
     assert (
         str(caught.value)
         == "`budget` 1 and `force_site` corner-ne,mast-w: got demands that no layout"

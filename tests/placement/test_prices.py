@@ -25,7 +25,9 @@ def test_every_price_has_a_source_or_is_called_an_assumption():
         is_assumed = part.source.startswith("assumption: ")
         assert is_assumed or any(c.isdigit() for c in part.source), name
         assert part.eur > 0.0
+
     used = {name for names in prices.kinds.values() for name in names}
+
     assert used == set(prices.parts)
 
 

@@ -86,7 +86,11 @@ def retrofits(draw):
 
 
 def _pose(name):
-    return unit_at(name, [0.0, 0.0, 5.0], pitch_deg=-20.0)
+    return unit_at(
+        name,
+        [0.0, 0.0, 5.0],
+        pitch_deg=-20.0,
+    )
 
 
 def additions_allowed(problem, poses, new):
@@ -135,10 +139,13 @@ def check_change(problem, poses, change):
     """Whether a change says of itself what is true."""
     standing = set(range(poses.n_units))
     after = (standing - set(change.removed)) | set(change.added)
+
     assert change.pose_index == tuple(sorted(after))
+
     ids = np.array(problem.table.axis.run_ids)
     was = run_margins_s(problem, sorted(standing)) > -np.inf
     now = run_margins_s(problem, sorted(after)) > -np.inf
+
     assert set(change.gained) == set(ids[now & ~was])
     assert set(change.lost) == set(ids[was & ~now])
     assert change.value[:4] == placement_value(problem, sorted(after))[:4]
@@ -149,8 +156,15 @@ def check_change(problem, poses, change):
 def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eur):
     problem, poses = retrofit
     standing = tuple(range(poses.n_units))
-    found = find_retrofit(problem, poses, labour=labour(), budget_eur=budget_eur)
+    found = find_retrofit(
+        problem,
+        poses,
+        labour=labour(),
+        budget_eur=budget_eur,
+    )
+
     assert found.before == placement_value(problem, standing)
+
     for change in (*found.removals, *found.re_aims, found.addition, found.combination):
         if change is not None:
             check_change(problem, poses, change)
@@ -159,23 +173,30 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
     assert sorted(change.removed for change in found.removals) == [
         (unit,) for unit in standing
     ]
+
     values = [change.value._replace(cost_eur=0.0) for change in found.removals]
+
     assert not any(is_better(value, values[0]) for value in values)
     assert all(change.price_eur == labour().remove_eur for change in found.removals)
 
     # Re-aims: the best of every unit that has any, the best of all first.
     n_aims = int((poses.unit_index[poses.n_units :] >= 0).sum())
+
     for change in found.re_aims:
         (unit,), (aim,) = change.removed, change.added
         assert poses.unit_index[aim] == unit
         assert (change.price_eur, change.n_compared) == (RE_AIM_EUR, n_aims)
+
         options = [
             (tuple(sorted({*standing} - {unit} | {int(row)})), 0.0)
             for row in poses.aims_of(unit)
         ]
         best = best_of(problem, options)
+
         assert change.value[:4] == pytest.approx(best[:4], abs=1e-9)
+
     values = [change.value._replace(cost_eur=0.0) for change in found.re_aims]
+
     assert not any(is_better(value, values[0]) for value in values)
 
     # An addition: one new unit, or none where none is better.
@@ -185,13 +206,21 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
     else:
         money = budget_eur
     additions = [
-        ((*standing, *rows), price_of(problem, poses, rows))
+        (
+            (*standing, *rows),
+            price_of(
+                problem,
+                poses,
+                rows,
+            ),
+        )
         for rows in [(), *((row,) for row in new)]
         if additions_allowed(problem, poses, rows)
     ]
     best = best_of(
         problem, [option for option in additions if option[1] <= money + 1e-6]
     )
+
     assert value_of(found.addition, found.before) == pytest.approx(best, abs=1e-8)
 
     # All together for the money.
@@ -209,6 +238,7 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
         if price <= money + 1e-6
     ]
     best = best_of(problem, together)
+
     assert value_of(found.combination, found.before) == pytest.approx(best, abs=1e-8)
 
 
@@ -230,13 +260,21 @@ def test_what_is_lost_gained_and_paid():
         unit_index=np.array([0, 1, 1, -1]),
     )
     problem = replace(problem, limits=limits)
-    found = find_retrofit(problem, poses, labour=labour(), budget_eur=6.0)
+    found = find_retrofit(
+        problem,
+        poses,
+        labour=labour(),
+        budget_eur=6.0,
+    )
+
     assert (found.before.apr, found.before.apr_one_failed) == (0.5, 0.25)
     assert [(change.removed, change.lost) for change in found.removals] == [
         ((1,), ()),
         ((0,), ("run0",)),
     ]
+
     (re_aim,) = found.re_aims
+
     assert (re_aim.removed, re_aim.added, re_aim.price_eur) == ((1,), (2,), RE_AIM_EUR)
     assert (re_aim.gained, re_aim.lost, re_aim.value.apr) == (("run2",), (), 0.75)
     assert found.addition is not None
@@ -245,7 +283,13 @@ def test_what_is_lost_gained_and_paid():
     assert found.combination is not None
     assert found.combination.added == (3,)  # 7 EUR for both would be too much
     assert (
-        find_retrofit(problem, poses, labour=labour(), budget_eur=4.0).addition is None
+        find_retrofit(
+            problem,
+            poses,
+            labour=labour(),
+            budget_eur=4.0,
+        ).addition
+        is None
     )
 
 
@@ -264,7 +308,8 @@ def grid(camera):
 
 
 def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
-    grid, camera
+    grid,
+    camera,
 ):
     position = np.array([1.0, 2.0, 7.3])
     unit = unit_at(
@@ -278,16 +323,22 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
     )
     new = replace(unit, id="new")
     poses = build_retrofit_poses(
-        _layout(unit, replace(unit, id="B")), grid, [new, unit]
+        _layout(unit, replace(unit, id="B")),
+        grid,
+        [new, unit],
     )
+
     assert poses.n_units == 2
     assert [pose.id for pose in poses.candidates[:2]] == ["A", "B"]
     assert poses.candidates[-1] is new  # the unit itself is not offered once more
+
     aims = [poses.candidates[row] for row in poses.aims_of(0)]
+
     assert len(aims) == 4 * 2 - 1
     assert {(aim.pose.yaw_deg, aim.pose.pitch_deg) for aim in aims} == set(
         product([-90.0, 0.0, 90.0, 180.0], [-15.0, -30.0])
     ) - {(180.0, -15.0)}
+
     for aim in aims:
         assert aim.pose.position_m.tolist() == position.tolist()
         assert (aim.sensor, aim.site_id, aim.latency_s) == (camera, "corner", 0.2)
@@ -296,16 +347,43 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
 def test_a_level_ring_is_not_turned(grid):
     """All round: a turn would change nothing, and the grid's tilts are for cameras."""
     ring = replace(_pose("A"), sensor=load_lidars()["ouster-os1-128"])
-    level = replace(ring, pose=replace(ring.pose, yaw_deg=77.0, pitch_deg=0.0))
-    assert len(build_retrofit_poses(_layout(level), grid, []).aims_of(0)) == 0
-    tilted = replace(ring, pose=replace(ring.pose, yaw_deg=77.0, pitch_deg=-9.0))
+    level = replace(
+        ring,
+        pose=replace(
+            ring.pose,
+            yaw_deg=77.0,
+            pitch_deg=0.0,
+        ),
+    )
+
+    assert (
+        len(
+            build_retrofit_poses(
+                _layout(level),
+                grid,
+                [],
+            ).aims_of(0)
+        )
+        == 0
+    )
+
+    tilted = replace(
+        ring,
+        pose=replace(
+            ring.pose,
+            yaw_deg=77.0,
+            pitch_deg=-9.0,
+        ),
+    )
     poses = build_retrofit_poses(_layout(tilted), grid, [])
+
     assert [poses.candidates[row].id for row in poses.aims_of(0)] == ["A/aim/0/0"]
 
 
 def test_ids_that_clash_are_refused(grid, camera):
     unit = replace(_pose("A"), sensor=camera)
     twin = replace(unit, id="A/aim/0/-30")
+
     with pytest.raises(
         InputError, match=r"layout mine: id: got 'A/aim/0/-30'; expected ids"
     ):
@@ -325,14 +403,25 @@ def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(problem, n_kept):
         value.apr > 0.0 for value in values.values()
     ):  # nothing tells them apart
         return
+
     assert not any(is_better(value, best) for value in values.values())
 
 
 def test_equal_poses_are_told_apart_by_price():
     detected = ["1100", "0011", "0010", "0011", "0001"]
     each = np.array([1, 2, 3, 4])
-    assert best_joining(presolve_freely(avoiding_problem(detected)), [0], each) == 1
+
+    assert (
+        best_joining(
+            presolve_freely(avoiding_problem(detected)),
+            [0],
+            each,
+        )
+        == 1
+    )
+
     priced = avoiding_problem(detected, price_eur=[1.0, 3.0, 1.0, 2.0, 1.0])
+
     assert best_joining(presolve_freely(priced), [0], each) == 3
 
 

@@ -40,7 +40,8 @@ def allowed_sets(reduced: ReducedProblem, size: int) -> IntArray:
 
 
 def feasible_layouts(
-    problem: PlacementProblem, poses: Iterable[int] | None = None
+    problem: PlacementProblem,
+    poses: Iterable[int] | None = None,
 ) -> list[tuple[int, ...]]:
     """Layouts of any size that meet all limits and floors, among all or some poses."""
     choice = list(range(problem.table.n_poses) if poses is None else poses)
@@ -49,11 +50,13 @@ def feasible_layouts(
         for layout in combinations(choice, size):
             if is_feasible(problem, layout):
                 layouts.append(layout)
+
     return layouts
 
 
 def best_value(
-    problem: PlacementProblem, poses: Iterable[int] | None = None
+    problem: PlacementProblem,
+    poses: Iterable[int] | None = None,
 ) -> PlacementValue | None:
     """Best value of all feasible layouts, among all or some poses; None without any."""
     best = None
@@ -61,6 +64,7 @@ def best_value(
         value = placement_value(problem, layout)
         if best is None or is_better(value, best):
             best = value
+
     return best
 
 

@@ -88,4 +88,5 @@ def open_page(browser, address, *, width=1280, **options):
     page.goto(address)
     yield page
     context.close()
+
     assert complaints == []

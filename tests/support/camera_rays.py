@@ -9,7 +9,10 @@ from geometry.sensors import CameraModel, picture_rays
 
 
 def pixel_rays(
-    columns_px: ArrayLike, rows_px: ArrayLike, pose: Pose, camera: CameraModel
+    columns_px: ArrayLike,
+    rows_px: ArrayLike,
+    pose: Pose,
+    camera: CameraModel,
 ) -> FloatArray:
     """Directions (n, 3) through pixels' centres, world frame; 1 along the optical
     axis.

@@ -28,6 +28,7 @@ def main() -> None:
     folder = Path(tempfile.mkdtemp())
     corpus = folder / "corpus"
     corpus.mkdir()
+
     for number, (name, files) in enumerate(seeds):
         if (
             name in files
@@ -51,6 +52,7 @@ def main() -> None:
 
         for number in range(len(seeds)):
             read(bytes([number]) + seeds[number][1].get(seeds[number][0], b""))
+
     atheris.Setup([*sys.argv, str(corpus)], read)
     atheris.Fuzz()
 

@@ -72,7 +72,11 @@ def awkward_layout() -> Layout:
             sensor=replace(varifocal, name='my "own", camera', width_px=641),
         ),
     ]
-    return Layout(name='all, "of" <them> & Ä', units=tuple(units), scene_name="town05")
+    return Layout(
+        name='all, "of" <them> & Ä',
+        units=tuple(units),
+        scene_name="town05",
+    )
 
 
 def large_layout() -> Layout:
@@ -84,9 +88,25 @@ def large_layout() -> Layout:
 
 
 def level_layout(
-    yaw_deg: float, pitch_deg: float = 0.0, *, kind: str = "camera"
+    yaw_deg: float,
+    pitch_deg: float = 0.0,
+    *,
+    kind: str = "camera",
 ) -> Layout:
     """One unit 6 m above the origin."""
     one = unit(1, "one", kind)
-    pose = Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    return Layout(name="one", units=(replace(one, pose=pose, site_id=""),))
+    pose = Pose(
+        position_m=[0.0, 0.0, 6.0],
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
+    )
+    return Layout(
+        name="one",
+        units=(
+            replace(
+                one,
+                pose=pose,
+                site_id="",
+            ),
+        ),
+    )

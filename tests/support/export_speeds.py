@@ -30,13 +30,16 @@ def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
         unit = study.units[number % len(study.units)]
         pose = replace(unit.pose, yaw_deg=unit.pose.yaw_deg + number)
         units.append(replace(unit, id=f"unit {number}", pose=pose))
+
     layout, few = (
         replace(study, units=tuple(units)),
         replace(study, units=tuple(units[:1])),
     )
 
     def row(
-        name: str, what: str, write: Callable[..., str | bytes]
+        name: str,
+        what: str,
+        write: Callable[..., str | bytes],
     ) -> tuple[str, str, str, str]:
         write(few, scene)
         begin_s = time.process_time()
@@ -52,11 +55,22 @@ def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
         else:
             views = {}
         what = f"{n_units} units" + (", with views" if views or name == "dxf" else "")
-        rows.append(row(name, what, partial(chosen.write, **views)))
+        rows.append(
+            row(
+                name,
+                what,
+                partial(chosen.write, **views),
+            )
+        )
+
     run = find_run("CPNC-50/east/40", scene)
     return [
         *rows,
-        row("mcap", f"run {run.id}", lambda _, scene: mcap_of_run(scene, run)),
+        row(
+            "mcap",
+            f"run {run.id}",
+            lambda _, scene: mcap_of_run(scene, run),
+        ),
     ]
 
 

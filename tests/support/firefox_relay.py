@@ -31,6 +31,7 @@ def main():
                 asyncio.run(relay(found[1], firefox))
                 break
             sys.stderr.write(line)
+
     return firefox.returncode
 
 
@@ -60,7 +61,11 @@ async def forward(driver, browser):
     async for text in driver:
         message = json.loads(text)
         if message.get("method") == UNKNOWN:
-            answer = {"type": "success", "id": message["id"], "result": {}}
+            answer = {
+                "type": "success",
+                "id": message["id"],
+                "result": {},
+            }
             await driver.send(json.dumps(answer))
         else:
             await browser.send(text)

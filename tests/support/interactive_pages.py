@@ -39,6 +39,7 @@ def build_layout(n_units, *, name="layout", middle_m=(-127.0, 0.0), ids=None):
                 sensor=sensors[index % len(sensors)],
             )
         )
+
     return Layout(name=name, units=tuple(units))
 
 
@@ -49,7 +50,11 @@ def build_evaluation(setting, layout, *, share=0.6, seed=0, with_vam=False):
     rule = setting.rule
 
     def verdict(detected):
-        arrival = np.where(detected, axis.time_s + rule.latency_s, np.inf)
+        arrival = np.where(
+            detected,
+            axis.time_s + rule.latency_s,
+            np.inf,
+        )
         onsets = find_onsets(arrival, axis, rule=rule)
         return Verdict(
             detected=detected,
@@ -88,7 +93,12 @@ def with_evil_names(setting):
         for number, thing in enumerate(scene.instances)
     ]
     return replace(
-        setting, scene=replace(scene, name=printable, instances=tuple(things))
+        setting,
+        scene=replace(
+            scene,
+            name=printable,
+            instances=tuple(things),
+        ),
     )
 
 

@@ -59,12 +59,21 @@ def judge_apart(kind: str, folder: Path) -> Any:
     for package in APART[kind]:
         base += ["--with", package]
     base.append("python")
-    tried = subprocess.run([*base, "-c", ""], capture_output=True, check=False)
+    tried = subprocess.run(
+        [*base, "-c", ""],
+        capture_output=True,
+        check=False,
+    )
     if tried.returncode:
         raise NoJudge(f"uv cannot make an environment with {', '.join(APART[kind])}")
     script = Path(__file__).with_name("judging_apart.py")
     command = [*base, str(script), kind, str(folder)]
-    done = subprocess.run(command, capture_output=True, check=True, text=True)
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        check=True,
+        text=True,
+    )
     return json.loads(done.stdout)
 
 
@@ -128,6 +137,7 @@ def judge_carla(folder: Path) -> float:
         right, down, ahead = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg).T
         ours = np.array([unit.pose.position_m, ahead, right, -down]) * [1.0, -1.0, 1.0]
         off = max(off, float(np.abs(ours - axes[unit.id]).max()))
+
     return off
 
 
@@ -163,6 +173,7 @@ def judge_messages(folder: Path) -> list[bool]:
                     name, container["containerData"]
                 )
             is_equal.append(_as_json(found) == message)
+
     return is_equal
 
 
@@ -184,7 +195,15 @@ def judge_impacts(runs: Sequence[Run], folder: Path, n_runs: int = 100) -> Float
 
     Both rectangles in steps of 0.01 s [s]; infinite where they never touch.
     """
-    places = np.linspace(0, len(runs) - 1, n_runs).round().astype(int)
+    places = (
+        np.linspace(
+            0,
+            len(runs) - 1,
+            n_runs,
+        )
+        .round()
+        .astype(int)
+    )
     for index, run in enumerate([runs[place] for place in places]):
         met = run.encounter
         n_steps = round((_AFTER_S - run.time_s[0]) / STEP_S)
@@ -197,7 +216,14 @@ def judge_impacts(runs: Sequence[Run], folder: Path, n_runs: int = 100) -> Float
             [0.5 * body.length_m, 0.5 * body.width_m] for body in (met.vut, met.vru)
         ]
         path = folder / f"{index}.npz"
-        np.savez(path, id=run.id, time_s=time_s, pose=np.array(pose), half_sizes=sizes)
+        np.savez(
+            path,
+            id=run.id,
+            time_s=time_s,
+            pose=np.array(pose),
+            half_sizes=sizes,
+        )
+
     touch_s = judge_apart("touch", folder)["touch_s"].values()
     return np.abs([np.inf if one is None else one for one in touch_s])
 
@@ -271,6 +297,7 @@ def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
             ):
                 poses = np.flatnonzero(~one.largest_without(one.seen_by(layout), order))
                 model.addCons(variable <= quicksum(chosen[pose] for pose in poses))
+
         model.optimize()
         layout = [pose for pose, one in enumerate(chosen) if model.getVal(one) > 0.5]
         apr = float(sum(counted[[one.avoids(one.seen_by(layout)) for one in runs]]))
@@ -278,6 +305,7 @@ def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
         status = model.getStatus()
         n_rounds += 1
         model.freeTransform()
+
     return Proof(
         status=status,
         apr=apr,
@@ -329,7 +357,12 @@ class _InstanceRun:
 def _read_runs(instance: dict[str, Any]) -> list[_InstanceRun]:
     time_s = instance["time_s"]
     sees = (
-        np.unpackbits(instance["packed"], axis=1, bitorder="little", count=len(time_s))
+        np.unpackbits(
+            instance["packed"],
+            axis=1,
+            bitorder="little",
+            count=len(time_s),
+        )
         > 0
     )
     runs = []
@@ -346,12 +379,17 @@ def _read_runs(instance: dict[str, Any]) -> list[_InstanceRun]:
                 n_confirmations=int(instance["n_confirmations"]),
             )
         )
+
     return runs
 
 
 @njit  # type: ignore[untyped-decorator]
 def _avoids(
-    seen: BoolArray, time_s: FloatArray, moment_s: float, memory_s: float, n: int
+    seen: BoolArray,
+    time_s: FloatArray,
+    moment_s: float,
+    memory_s: float,
+    n: int,
 ) -> bool:
     """True if a track is confirmed and alive at the last moment."""
     in_a_row = 0
@@ -365,6 +403,7 @@ def _avoids(
         in_a_row = in_a_row + 1
         last_s = time_s[frame]
         is_confirmed = is_confirmed or in_a_row >= n
+
     return is_confirmed and moment_s - last_s <= memory_s
 
 
@@ -386,4 +425,5 @@ def _join(
         more = known | sees[pose]
         if not _avoids(more, time_s, moment_s, memory_s, n):
             known = more
+
     return known

@@ -8,7 +8,12 @@ LANE_M = 3.5
 MOUTH_M = 11.5
 ARM_M = 250.0  # Euro NCAP AEB/LSS VRU: intersection
 SQUARE_M = MOUTH_M * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
-ARMS = {"east": 0.0, "north": 90.0, "west": 180.0, "south": 270.0}
+ARMS = {
+    "east": 0.0,
+    "north": 90.0,
+    "west": 180.0,
+    "south": 270.0,
+}
 
 
 def turned(points_m, angle_deg):
@@ -34,6 +39,7 @@ def lanes_of(arm, bearing_deg, *, n_lanes=1, arm_m=ARM_M, has_in=True, has_out=T
                         centreline_m=turned(way, bearing_deg),
                     )
                 )
+
     return lanes
 
 
@@ -48,6 +54,7 @@ def build_scene(lanes, *, name="protocol", boxes=(), crosswalks_m=(), outline_m=
     )
     triangles.append(np.array([[0, 1, 2]]))
     instance_of.append(np.array([0]))
+
     for box_id, x, y, length, width, height in boxes:
         import trimesh
 
@@ -56,6 +63,7 @@ def build_scene(lanes, *, name="protocol", boxes=(), crosswalks_m=(), outline_m=
         vertices.append(np.asarray(box.vertices) + [x, y, 0.5 * height])
         instance_of.append(np.full(len(box.faces), len(instances)))
         instances.append(Instance(id=box_id, class_name="wall"))
+
     return Scene(
         name=name,
         vertices_m=np.concatenate(vertices),

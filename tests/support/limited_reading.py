@@ -37,9 +37,15 @@ class Process:
                 env=os.environ | {"PYTHONPATH": folders, "OMP_NUM_THREADS": "1"},
             )
         process = self.running
+
         assert process.stdin is not None
         assert process.stdout is not None
-        asked = {"reader": reader, "path": str(path), "is_sound": is_sound}
+
+        asked = {
+            "reader": reader,
+            "path": str(path),
+            "is_sound": is_sound,
+        }
         process.stdin.write(json.dumps(asked) + "\n")
         process.stdin.flush()
         with selectors.DefaultSelector() as selector:
@@ -48,6 +54,7 @@ class Process:
                 line = process.stdout.readline()
             else:
                 line = ""
+
         if line:
             answer: dict[str, str] = json.loads(line)
             return answer

@@ -60,7 +60,11 @@ class NumpySensing:
         )
         # The visible part of a body that nothing else hides has the body's own box.
         hidden = ~sight.is_visible & ~sight.is_whole[:, None]
-        inside = clip_boxes(whole, width_px=camera.width_px, height_px=camera.height_px)
+        inside = clip_boxes(
+            whole,
+            width_px=camera.width_px,
+            height_px=camera.height_px,
+        )
         return Evidence(
             visible_px=boxes(columns, rows, hidden | is_outside),
             amodal_px=boxes(columns, rows, is_outside),
@@ -87,6 +91,7 @@ class NumpySensing:
             found.append(
                 made.detector.is_expected(Evidence(**fields | {"contrast": contrast}))
             )
+
         return np.array(found)
 
 
@@ -96,8 +101,16 @@ def boxes(columns, rows, hidden):
     """
     found = np.empty((len(columns), 4))
     for axis, values in enumerate((columns, rows)):
-        found[:, axis] = np.where(hidden, np.inf, values).min(axis=1)
-        found[:, axis + 2] = np.where(hidden, -np.inf, values).max(axis=1)
+        found[:, axis] = np.where(
+            hidden,
+            np.inf,
+            values,
+        ).min(axis=1)
+        found[:, axis + 2] = np.where(
+            hidden,
+            -np.inf,
+            values,
+        ).max(axis=1)
     found[found[:, 0] > found[:, 2]] = 0.0
     return found
 

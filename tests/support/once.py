@@ -12,7 +12,9 @@ import pytest
 
 
 def make_once(
-    factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]
+    factory: pytest.TempPathFactory,
+    name: str,
+    make: Callable[[Path], object],
 ) -> Path:
     """A folder that `make` fills, for all processes of a test run: not to be
     changed.
@@ -29,4 +31,5 @@ def make_once(
             part.mkdir()
             make(part)
             part.rename(folder)
+
     return folder

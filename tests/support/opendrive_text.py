@@ -68,7 +68,10 @@ def lane(
 
 
 def section(
-    *, s: float = 0.0, left: Sequence[str] = (), right: Sequence[str] = ()
+    *,
+    s: float = 0.0,
+    left: Sequence[str] = (),
+    right: Sequence[str] = (),
 ) -> str:
     return (
         f'<laneSection s="{s}"><left>{"".join(left)}</left><center><lane id="0"'
@@ -127,7 +130,12 @@ def crossing(*, rule: str = "RHT", half_m: float = 10.0, kind: str = "default") 
     roads = []
     links = []
     for name, angle in turns.items():
-        unit = {0.0: (1, 0), 90.0: (0, 1), 180.0: (-1, 0), 270.0: (0, -1)}[angle]
+        unit = {
+            0.0: (1, 0),
+            90.0: (0, 1),
+            180.0: (-1, 0),
+            270.0: (0, -1),
+        }[angle]
         roads.append(
             road(
                 name,
@@ -143,6 +151,7 @@ def crossing(*, rule: str = "RHT", half_m: float = 10.0, kind: str = "default") 
                 street=f"{'East' if name in '13' else 'North'} Street",
             )
         )
+
     for name, start, end, hdg, x, y in (
         ("11", "3", "1", 0.0, -half_m, 0.0),
         ("12", "4", "2", 1.5707963267948966, 0.0, -half_m),
@@ -160,6 +169,7 @@ def crossing(*, rule: str = "RHT", half_m: float = 10.0, kind: str = "default") 
         )
         links.append(f'<connection incomingRoad="{start}" connectingRoad="{name}"/>')
         links.append(f'<connection incomingRoad="{end}" connectingRoad="{name}"/>')
+
     return (
         "".join(roads)
         + f'<junction id="9" name="" type="{kind}">{"".join(links)}</junction>'

@@ -43,6 +43,7 @@ class OsmText:
         """
         ids: list[int] = []
         at: dict[tuple[float, float], int] = {}
+
         for point in points:
             if isinstance(point, tuple):
                 if point not in at:
@@ -50,8 +51,12 @@ class OsmText:
                 ids.append(at[point])
             else:
                 ids.append(point)
+
         return self._add(
-            "way", "", "".join(f'<nd ref="{one}"/>' for one in ids), tags or {}
+            "way",
+            "",
+            "".join(f'<nd ref="{one}"/>' for one in ids),
+            tags or {},
         )
 
     def road(self, points: Sequence[int | tuple[float, float]], **tags: str) -> int:
@@ -68,7 +73,11 @@ class OsmText:
         return self._add("relation", "", inside, tags)
 
     def _add(
-        self, kind: str, attributes: str, inside: str, tags: dict[str, str]
+        self,
+        kind: str,
+        attributes: str,
+        inside: str,
+        tags: dict[str, str],
     ) -> int:
         self.n_parts += 1
         inside += "".join(
@@ -108,6 +117,7 @@ def crossing(
             name=f"Street {index}",
             **tags,
         )
+
     return middle
 
 
@@ -154,7 +164,9 @@ def arms_of(source: SourceMap, junction: MapJunction) -> Junction:
 
 
 def scene_of(
-    source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]
+    source: SourceMap,
+    junction: MapJunction,
+    lanes: Sequence[MapLane],
 ) -> Scene:
     """A scene of lanes of a map alone, around one of its junctions."""
     return Scene(

@@ -62,12 +62,20 @@ class InThread:
 
 def small_work(folder, **asked):
     compute = Compute(workers=2, cache_folder=folder)
-    return Work(question=Question(**asked), scratch=folder, compute=compute)
+    return Work(
+        question=Question(**asked),
+        scratch=folder,
+        compute=compute,
+    )
 
 
 def small_session(folder, setting, *, variants=(), asked=None, **given):
     work = small_work(
-        folder, cases="CPNC-50", along_arms="0", speeds="50", **(asked or {})
+        folder,
+        cases="CPNC-50",
+        along_arms="0",
+        speeds="50",
+        **(asked or {}),
     )
     if variants:
         plan = Plan(variants=tuple(variants))

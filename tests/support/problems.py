@@ -23,11 +23,21 @@ def problems(draw: st.DrawFn) -> PlacementProblem:
     # everything at once, as Hypothesis likes them, leave nothing to choose.
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     n_runs = draw(st.integers(1, 4))
-    n_frames = rng.integers(draw(st.sampled_from([6, 1])), 9, size=n_runs)
-    share = rng.integers(draw(st.integers(0, 1)), 4, size=n_runs).astype(np.float64)
+    n_frames = rng.integers(
+        draw(st.sampled_from([6, 1])),
+        9,
+        size=n_runs,
+    )
+    share = rng.integers(
+        draw(st.integers(0, 1)),
+        4,
+        size=n_runs,
+    ).astype(np.float64)
     share[0] += 1.0
     last_brake = rng.choice(
-        [-0.01, -0.125, -0.325, -np.inf], n_runs, p=[0.4, 0.3, 0.2, 0.1]
+        [-0.01, -0.125, -0.325, -np.inf],
+        n_runs,
+        p=[0.4, 0.3, 0.2, 0.1],
     )
     last_brake -= rng.random(n_runs) * draw(st.sampled_from([0.0, 0.3]))
     axis = FrameAxis(
@@ -119,7 +129,13 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
         counted = rng.random(n_runs) < 0.5
         if problem.table.axis.weight[counted].sum() > 0.0:
             share = rng.choice([1.0, 0.5])
-            floors.append(Floor(name="--min-case-apr", share=share, is_counted=counted))
+            floors.append(
+                Floor(
+                    name="--min-case-apr",
+                    share=share,
+                    is_counted=counted,
+                )
+            )
     sample_index = None
     weight = problem.table.axis.weight
     if "samples" in kinds:
@@ -162,7 +178,11 @@ def random_problem(rng: np.random.Generator) -> PlacementProblem:
     else:
         seen_by_vut = None
     detected = random_detections(rng, axis, n_poses, seen_by_vut)
-    sample_index = rng.integers(0, rng.integers(2, 4), axis.n_runs)
+    sample_index = rng.integers(
+        0,
+        rng.integers(2, 4),
+        axis.n_runs,
+    )
     weight_of_worlds = np.bincount(sample_index, weights=axis.weight)
     is_sampled = rng.random() < 0.5 and bool((weight_of_worlds > 0.0).all())
     if is_sampled:
@@ -313,7 +333,11 @@ def random_weights(rng: np.random.Generator, n_runs: int) -> FloatArray:
         "magnitudes": 10.0 ** -rng.integers(0, 13, n_runs),
     }.get(kind.item(), whole)
     if kind.item() in small:
-        weight = np.where(is_small, small[kind.item()], weight)
+        weight = np.where(
+            is_small,
+            small[kind.item()],
+            weight,
+        )
     weight[rng.random(n_runs) < rng.choice([0.0, 0.2, 0.5])] = 0.0
     weight[rng.integers(n_runs)] += 1.0
     return weight
@@ -345,15 +369,29 @@ def random_limits(rng: np.random.Generator, site_index: Any, n_sites: int) -> Li
 
 
 def random_floors(
-    rng: np.random.Generator, axis: FrameAxis, n_failures: int
+    rng: np.random.Generator,
+    axis: FrameAxis,
+    n_failures: int,
 ) -> tuple[Floor, ...]:
     """A target, and a share of some of the runs."""
     if rng.random() < 0.6:
         return ()
     share = float(rng.choice([1.0, 0.75, 0.5, 0.1, 0.0]))
-    floors = [Floor(name="--target", share=share, n_failures=n_failures)]
+    floors = [
+        Floor(
+            name="--target",
+            share=share,
+            n_failures=n_failures,
+        )
+    ]
     is_counted = rng.random(axis.n_runs) < 0.5
     if axis.weight[is_counted].sum() > 0.0 and rng.random() < 0.5:
         share = float(rng.choice([1.0, 0.5]))
-        floors.append(Floor(name="--min-case-apr", share=share, is_counted=is_counted))
+        floors.append(
+            Floor(
+                name="--min-case-apr",
+                share=share,
+                is_counted=is_counted,
+            )
+        )
     return tuple(floors)

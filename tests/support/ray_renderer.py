@@ -105,8 +105,14 @@ def render_view(
     x_min, y_min, x_max, y_max = crop[0].tolist()
     shape = (y_max - y_min, x_max - x_min)
     instance = np.full(shape, STATIC, dtype=np.uint8)
-    depth = cast_crops(lens, static[0], static[1][None], crop)[0].reshape(shape)
+    depth = cast_crops(
+        lens,
+        static[0],
+        static[1][None],
+        crop,
+    )[0].reshape(shape)
     amodal_mask = np.zeros(shape, dtype=bool)
+
     for code, body in (
         (VRU, vru),
         (VUT, vut),
@@ -114,12 +120,18 @@ def render_view(
     ):
         if body is None:
             continue
-        body_depth = cast_crops(lens, body[0], body[1][None], crop)[0].reshape(shape)
+        body_depth = cast_crops(
+            lens,
+            body[0],
+            body[1][None],
+            crop,
+        )[0].reshape(shape)
         if code == VRU:
             amodal_mask = np.isfinite(body_depth)
         is_nearer = body_depth < depth
         instance[is_nearer] = code
         depth[is_nearer] = body_depth[is_nearer]
+
     return View(
         instance=instance,
         depth_m=depth,
@@ -181,11 +193,16 @@ def cast_crops(
     parts = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
     directions = np.empty((ends[-1], 3), dtype=np.float32)
     turns = rotations.astype(np.float32)
+
     for index, (x_min, y_min, x_max, y_max) in enumerate(crops_px.tolist()):
         across = lens.across[x_min:x_max] @ turns[index]
         down = lens.down[y_min:y_max] @ turns[index]
         rays = directions[parts[index]]
-        np.add(across[None], down[:, None], out=rays.reshape(*shapes[index], 3))
+        np.add(
+            across[None],
+            down[:, None],
+            out=rays.reshape(*shapes[index], 3),
+        )
     # Rays start where drawing starts: at the nearest distance from the lens.
     near_depth = lens.camera.near_m / ray_lengths_m(directions)
     starts = near_depth[:, None] * directions
@@ -200,7 +217,11 @@ def _into_body(lens: Lens, road_poses: FloatArray) -> tuple[FloatArray, FloatArr
     frame.
     """
     rotations = body_rotation(road_poses[:, 2])
-    offsets = np.repeat(lens.pose.position_m[None], len(road_poses), axis=0)
+    offsets = np.repeat(
+        lens.pose.position_m[None],
+        len(road_poses),
+        axis=0,
+    )
     offsets -= road_poses[:, [0, 1, 3]]
     origins: FloatArray = (offsets[:, None, :] @ rotations)[:, 0]
     return rotations, origins

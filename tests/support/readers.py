@@ -180,7 +180,11 @@ _FACES = [
 def _city_json() -> dict[str, Any]:
     surfaces = [[face] for face in _FACES]
     solid = {"type": "Solid", "lod": "2", "boundaries": [surfaces]}
-    flat = {"type": "MultiSurface", "lod": "1.2", "boundaries": surfaces[:2]}
+    flat = {
+        "type": "MultiSurface",
+        "lod": "1.2",
+        "boundaries": surfaces[:2],
+    }
     placed = {
         "type": "GeometryInstance",
         "template": 0,
@@ -250,6 +254,7 @@ def _mesh(suffix: str) -> Files:
             solid = trimesh.creation.box((4.0, 5.0, 6.0))
             solid.apply_translation([10.0 * index, 0.0, 3.0])
             scene.add_geometry(solid, node_name=name, geom_name=name)
+
         if suffix in ("glb", "gltf", "obj"):
             whole = scene
         else:
@@ -462,7 +467,15 @@ def _scenes() -> Mapping[str, tuple[str, Files]]:
     from geometry.scene_files import save_scene
 
     scene = replace(
-        _small_scene(), notes=(Note(what="a", why="b", kind="sites", site_ids=("c",)),)
+        _small_scene(),
+        notes=(
+            Note(
+                what="a",
+                why="b",
+                kind="sites",
+                site_ids=("c",),
+            ),
+        ),
     )
     files = _written(lambda folder: save_scene(folder, scene))
     return {"folder": (".", files), "zip": _one("a.zip", _zipped(files))}
@@ -658,7 +671,13 @@ def _read_layout(path: Path) -> Any:
 
 
 def _layouts() -> Mapping[str, tuple[str, Files]]:
-    place = {"x_m": 1.0, "y_m": 2.0, "z_m": 5.0, "yaw_deg": 90.0, "pitch_deg": -20.0}
+    place = {
+        "x_m": 1.0,
+        "y_m": 2.0,
+        "z_m": 5.0,
+        "yaw_deg": 90.0,
+        "pitch_deg": -20.0,
+    }
     mine = {
         **{
             "kind": "camera",
@@ -703,7 +722,10 @@ def _small_runs() -> Any:
 
     cases = pick_cases("CPNC-50", "cases")
     runs, _ = build_runs(
-        load_study_scene(), cases, vut=load_actors()["vut"], rule=load_aeb_rule()
+        load_study_scene(),
+        cases,
+        vut=load_actors()["vut"],
+        rule=load_aeb_rule(),
     )
     return runs[:4]
 
@@ -812,6 +834,7 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
             files[f"Eval/{name}"] = f"0 {line} 0.9\n".encode()
         else:
             files[f"Eval/{name}"] = b""
+
     return {"one drive": (".", files)}
 
 
@@ -853,6 +876,7 @@ def _many_boxes() -> Mapping[str, tuple[str, Files]]:
             sides = (-1, -1, -1, -1)
         names = ("xmin", "ymin", "xmax", "ymax")
         person["views"] += [{"viewNum": view} | dict(zip(names, sides, strict=True))]
+
     frame = json.dumps([person]).encode()
     return {
         "cvml": _one("a.xml", _CVML),
@@ -1001,7 +1025,9 @@ def _table() -> tuple[Any, Any]:
 
     runs = _small_runs()
     layout: Layout = load_carlancap_layout()
+
     assert load_study_scene()
+
     return layout.units, build_frame_axis(runs, weight_per_run(runs))
 
 
@@ -1015,7 +1041,9 @@ def _tables() -> Mapping[str, tuple[str, Files]]:
     units, axis = _table()
     packed = np.zeros((len(units), -(-axis.n_frames // 8)), dtype=np.uint8)
     table = DetectionTable(
-        pose_ids=tuple(u.id for u in units), axis=axis, packed=packed
+        pose_ids=tuple(u.id for u in units),
+        axis=axis,
+        packed=packed,
     )
     return {
         "npz": (
@@ -1133,7 +1161,10 @@ def _read_raster(path: Path) -> Any:
     from geometry.maps.relief import read_elevation
 
     return read_elevation(
-        path, crs="EPSG:32633", middle_m=np.array(_CORNER_M), half_m=30.0
+        path,
+        crs="EPSG:32633",
+        middle_m=np.array(_CORNER_M),
+        half_m=30.0,
     )
 
 

@@ -13,5 +13,7 @@ def cut_run(run, frames, **changed):
     too.
     """
     return replace(
-        run, **{name: getattr(run, name)[frames] for name in _PER_FRAME}, **changed
+        run,
+        **{name: getattr(run, name)[frames] for name in _PER_FRAME},
+        **changed,
     )

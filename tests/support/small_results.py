@@ -41,7 +41,12 @@ def build_small_setting() -> Setting:
     scene = load_study_scene()
     rule = load_aeb_rule()
     cases = pick_cases("CPNC-50,CBNA,CBLA", "cases")
-    runs, _ = build_runs(scene, cases, vut=load_actors()["vut"], rule=rule)
+    runs, _ = build_runs(
+        scene,
+        cases,
+        vut=load_actors()["vut"],
+        rule=rule,
+    )
     few = tuple(run for run in runs if run.id in RUNS)
     return Setting(
         scene=scene,

@@ -19,7 +19,9 @@ MARGIN_S = 0.065
 
 
 def avoiding_table(
-    rows: Sequence[str], ids: Sequence[str] = (), weights: Sequence[float] = ()
+    rows: Sequence[str],
+    ids: Sequence[str] = (),
+    weights: Sequence[float] = (),
 ) -> DetectionTable:
     """A table of runs with one frame that counts: "101" is a pose that avoids the outer
     two.
@@ -36,7 +38,11 @@ def avoiding_table(
     avoids = np.array([[letter == "1" for letter in row] for row in rows])
     detected = np.zeros((len(rows), axis.n_frames), dtype=bool)
     detected[:, ::2] = avoids
-    return pack_table(tuple(ids) or tuple(map(str, range(len(rows)))), axis, detected)
+    return pack_table(
+        tuple(ids) or tuple(map(str, range(len(rows)))),
+        axis,
+        detected,
+    )
 
 
 def avoiding_problem(

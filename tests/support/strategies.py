@@ -23,13 +23,19 @@ def numbers(low: float, high: float) -> st.SearchStrategy[float]:
 angles_deg = numbers(-720.0, 720.0)
 pitches_deg = numbers(-90.0, 90.0)
 coordinates_m = numbers(-300.0, 300.0)
-points_m = st.tuples(coordinates_m, coordinates_m, coordinates_m).map(np.array)
+points_m = st.tuples(
+    coordinates_m,
+    coordinates_m,
+    coordinates_m,
+).map(np.array)
 
 
 @st.composite
 def poses(draw) -> Pose:
     return Pose(
-        position_m=draw(points_m), yaw_deg=draw(angles_deg), pitch_deg=draw(pitches_deg)
+        position_m=draw(points_m),
+        yaw_deg=draw(angles_deg),
+        pitch_deg=draw(pitches_deg),
     )
 
 
@@ -54,14 +60,18 @@ def boxes_px(draw, size_px: int = 40, margin_px: int = 0) -> np.ndarray:
     x = sorted(
         draw(
             st.lists(
-                st.integers(-margin_px, size_px + margin_px), min_size=2, max_size=2
+                st.integers(-margin_px, size_px + margin_px),
+                min_size=2,
+                max_size=2,
             )
         )
     )
     y = sorted(
         draw(
             st.lists(
-                st.integers(-margin_px, size_px + margin_px), min_size=2, max_size=2
+                st.integers(-margin_px, size_px + margin_px),
+                min_size=2,
+                max_size=2,
             )
         )
     )
@@ -108,6 +118,7 @@ def build_encounter(
     """
     vut = load_actors()["vut"]
     assert vut_speed_mps > vru_speed_mps * np.cos(np.radians(angle_deg))
+
     angle = np.radians(angle_deg)
     along = np.array([np.cos(angle), np.sin(angle)])
     across = np.array([-along[1], along[0]])
@@ -119,7 +130,14 @@ def build_encounter(
         ]
     )
     rear_x = corners[:, 0].min()
-    rear_y = corners[np.isclose(corners[:, 0], rear_x, atol=1e-9), 1].mean()
+    rear_y = corners[
+        np.isclose(
+            corners[:, 0],
+            rear_x,
+            atol=1e-9,
+        ),
+        1,
+    ].mean()
     vru_middle = np.array([-rear_x, 0.5 * touch * vut.width_m - rear_y])
     vut_middle = np.array([-0.5 * vut.length_m, 0.0])
 
@@ -158,10 +176,28 @@ def encounters(draw) -> Encounter:
 @st.composite
 def frame_axes(draw, max_runs: int = 4, max_frames: int = 12) -> FrameAxis:
     """Frames of a few runs with random weights and last brake times."""
-    lengths = draw(st.lists(st.integers(1, max_frames), min_size=1, max_size=max_runs))
+    lengths = draw(
+        st.lists(
+            st.integers(1, max_frames),
+            min_size=1,
+            max_size=max_runs,
+        )
+    )
     n_runs = len(lengths)
-    parts = draw(st.lists(st.integers(1, 9), min_size=n_runs, max_size=n_runs))
-    last = draw(st.lists(numbers(-1.2, 0.0), min_size=n_runs, max_size=n_runs))
+    parts = draw(
+        st.lists(
+            st.integers(1, 9),
+            min_size=n_runs,
+            max_size=n_runs,
+        )
+    )
+    last = draw(
+        st.lists(
+            numbers(-1.2, 0.0),
+            min_size=n_runs,
+            max_size=n_runs,
+        )
+    )
     return FrameAxis(
         run_ids=tuple(f"run{index}" for index in range(n_runs)),
         cases=tuple(draw(st.sampled_from(["A", "B"])) for _ in range(n_runs)),
@@ -189,6 +225,10 @@ def detection_tables(draw, max_poses: int = 5) -> tuple[DetectionTable, np.ndarr
     )
     detected = np.array(bits, dtype=bool).reshape(n_poses, axis.n_frames)
     return (
-        pack_table(tuple(f"pose{c}" for c in range(n_poses)), axis, detected),
+        pack_table(
+            tuple(f"pose{c}" for c in range(n_poses)),
+            axis,
+            detected,
+        ),
         detected,
     )

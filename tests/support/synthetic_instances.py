@@ -64,7 +64,11 @@ class SyntheticInstance:
     def to_table(self) -> DetectionTable:
         """Detection table with a copy of the bits."""
         ids = tuple(f"pose-{pose}" for pose in range(len(self.packed)))
-        return DetectionTable(pose_ids=ids, axis=self.axis, packed=self.packed)
+        return DetectionTable(
+            pose_ids=ids,
+            axis=self.axis,
+            packed=self.packed,
+        )
 
     def __repr__(self) -> str:
         return (
@@ -85,7 +89,10 @@ class _Frames:
 
 
 def build_synthetic_instance(
-    size: SyntheticSize | None = None, *, seed: int = 0, workers: int = 1
+    size: SyntheticSize | None = None,
+    *,
+    seed: int = 0,
+    workers: int = 1,
 ) -> SyntheticInstance:
     """An instance, made pole by pole, directly as bits; the default size takes 1.25
     GB.
@@ -107,13 +114,22 @@ def build_synthetic_instance(
 
 
 def _drive(
-    size: SyntheticSize, random: np.random.Generator
+    size: SyntheticSize,
+    random: np.random.Generator,
 ) -> tuple[FrameAxis, _Frames]:
     """Runs that end at an impact on one of the arms."""
     n_runs = size.n_runs
-    shares = np.linspace(0, size.n_frames, n_runs + 1).astype(np.int64)
+    shares = np.linspace(
+        0,
+        size.n_frames,
+        n_runs + 1,
+    ).astype(np.int64)
     counts = shares[1:] - shares[:-1]
-    spread = random.integers(0, max(1, int(counts.min()) // 3), size=n_runs // 2)
+    spread = random.integers(
+        0,
+        max(1, int(counts.min()) // 3),
+        size=n_runs // 2,
+    )
     counts[: 2 * len(spread) : 2] += spread
     counts[1 : 2 * len(spread) : 2] -= spread
     start = np.concatenate([[0], np.cumsum(counts)])
@@ -133,7 +149,11 @@ def _drive(
         np.where(walks_along, [[1.0], [0.0]], [[0.0], [1.0]]).T * speed_mps[:, None]
     )
     # The van stands beside the lane that the VRU is about to enter.
-    van_across_m = np.where(speed_mps > 0.0, across_m - 2.5, across_m + 2.5)
+    van_across_m = np.where(
+        speed_mps > 0.0,
+        across_m - 2.5,
+        across_m + 2.5,
+    )
     van_along_m = along_m + random.uniform(1.0, 3.0, size=n_runs)
     van_start = np.column_stack([van_along_m, van_across_m])
     van_end = van_start + np.column_stack(
@@ -191,7 +211,9 @@ def _fill_mount(
     elevation_deg = np.degrees(np.arctan2(0.5 * _VRU_M - height_m, distance_m))
     seen = ~_is_hidden(_pole_m(size, site), height_m, frames)
     seen &= ~_is_grown_over(
-        azimuth_deg, distance_m, np.random.default_rng([seed, 1, site])
+        azimuth_deg,
+        distance_m,
+        np.random.default_rng([seed, 1, site]),
     )
     missed = (
         np.random.default_rng([seed, 2, mount]).random(axis.n_frames) < _MISSED_SHARE
@@ -200,6 +222,7 @@ def _fill_mount(
     n_pitches = len(size.pitches_deg)
     n_zooms = len(size.zooms_deg)
     rows = np.empty((size.n_yaws, n_pitches, n_zooms, packed.shape[1]), dtype=np.uint8)
+
     for zoom, fov_deg in enumerate(size.zooms_deg):
         focal_px = 0.5 * _WIDTH_PX / np.tan(np.radians(0.5 * fov_deg))
         half_vertical_deg = np.degrees(
@@ -216,6 +239,7 @@ def _fill_mount(
         by_pitch = np.packbits(inside, axis=1, bitorder="little")
         for yaw, ahead in enumerate(_aimed(azimuth_deg, 0.5 * fov_deg, size.n_yaws)):
             rows[yaw, :, zoom] = by_pitch & np.packbits(ahead, bitorder="little")
+
     first = mount * size.poses_per_mount
     packed[first : first + size.poses_per_mount] = rows.reshape(-1, packed.shape[1])
 
@@ -240,7 +264,9 @@ def _pole_m(size: SyntheticSize, site: int) -> FloatArray:
 
 
 def _aimed(
-    azimuth_deg: FloatArray, half_deg: float, n_yaws: int
+    azimuth_deg: FloatArray,
+    half_deg: float,
+    n_yaws: int,
 ) -> Iterator[BoolArray]:
     """For each yaw, the frames within a half angle of it."""
     for yaw_deg in np.arange(n_yaws) * (360.0 / n_yaws):
@@ -249,7 +275,9 @@ def _aimed(
 
 
 def _is_grown_over(
-    azimuth_deg: FloatArray, distance_m: FloatArray, random: np.random.Generator
+    azimuth_deg: FloatArray,
+    distance_m: FloatArray,
+    random: np.random.Generator,
 ) -> BoolArray:
     """Frames in which trees and signs hide the VRU: a few sectors, each from some
     distance on.
@@ -260,6 +288,7 @@ def _is_grown_over(
         away_deg = np.minimum(away_deg, 360.0 - away_deg)
         beyond_m = random.uniform(10.0, 50.0)
         hidden |= (away_deg <= random.uniform(1.0, 8.0)) & (distance_m >= beyond_m)
+
     return hidden
 
 

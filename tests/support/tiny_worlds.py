@@ -57,12 +57,14 @@ def scene_of_boxes(
         instances = [Instance(id="ground", class_name="ground")]
     else:
         instances = [Instance(id="base", class_name="building")]
+
     for number, box in enumerate(boxes):
         mesh = trimesh.creation.box(bounds=np.array(box, dtype=float))
         faces.append(mesh.faces + sum(map(len, vertices)))
         vertices.append(mesh.vertices)
         class_name = classes[number] if classes else "wall"
         instances.append(Instance(id=f"{class_name}-{number}", class_name=class_name))
+
     return Scene(
         name="test",
         vertices_m=np.concatenate(vertices),
@@ -84,7 +86,8 @@ def _ground(reach_m: float) -> FloatArray:
 
 
 def block_actor(
-    size_m: Sequence[float] = (0.5, 1.0, 1.8), name: str = "block"
+    size_m: Sequence[float] = (0.5, 1.0, 1.8),
+    name: str = "block",
 ) -> Actor:
     """A box that stands on the road: length, width, height."""
     length_m, width_m, height_m = size_m
@@ -101,11 +104,24 @@ def block_actor(
 
 
 def random_places(
-    rng: np.random.Generator, reach_m: float, n: int, *, yaw_deg: float = 180.0
+    rng: np.random.Generator,
+    reach_m: float,
+    n: int,
+    *,
+    yaw_deg: float = 180.0,
 ) -> FloatArray:
     """Places within a square around the origin, in any direction: (n, 3)."""
     position_m = rng.uniform(-reach_m, reach_m, (n, 2))
-    return np.column_stack([position_m, rng.uniform(-yaw_deg, yaw_deg, n)])
+    return np.column_stack(
+        [
+            position_m,
+            rng.uniform(
+                -yaw_deg,
+                yaw_deg,
+                n,
+            ),
+        ]
+    )
 
 
 def run_of_frames(
@@ -164,7 +180,11 @@ def setting_of(scene: Scene, runs: Sequence[Run], **fields: Any) -> Setting:
         "detector": load_detector(),
         "table_detector": load_planning_detector(),
     }
-    return Setting(scene=scene, runs=tuple(runs), **(built_in | fields))
+    return Setting(
+        scene=scene,
+        runs=tuple(runs),
+        **(built_in | fields),
+    )
 
 
 def crossing_setting(runs: Sequence[Run], **fields: Any) -> Setting:
@@ -176,7 +196,11 @@ def crossing_setting(runs: Sequence[Run], **fields: Any) -> Setting:
     ids = [f"{way}/{speed}" for way in ways for speed in (40, 60)]
     sites = [site for site in scene.sites if site.id in ("corner-ne", "mast-w")]
     few = [run for run in runs if run.id in ids]
-    return setting_of(replace(scene, sites=tuple(sites)), few, **fields)
+    return setting_of(
+        replace(scene, sites=tuple(sites)),
+        few,
+        **fields,
+    )
 
 
 def crossing_candidates(scene: Scene, camera: CameraModel) -> list[CandidatePose]:
@@ -215,7 +239,9 @@ def unit_at(
 
 
 def table_of(
-    setting: Setting, units: Sequence[CandidatePose], **options: Any
+    setting: Setting,
+    units: Sequence[CandidatePose],
+    **options: Any,
 ) -> DetectionTable:
     """The detection table of some units in a setting."""
     return build_detection_table(

@@ -37,8 +37,16 @@ NAMES = (MARKER, "layout.json", "apr.csv", "report.html")
 
 
 def write_table(folder: Path, number: int) -> None:
-    packed = np.full((len(POSES), N_FRAMES // 8), number % 256, dtype=np.uint8)
-    table = DetectionTable(pose_ids=("a", "b", "c"), axis=AXIS, packed=packed)
+    packed = np.full(
+        (len(POSES), N_FRAMES // 8),
+        number % 256,
+        dtype=np.uint8,
+    )
+    table = DetectionTable(
+        pose_ids=("a", "b", "c"),
+        axis=AXIS,
+        packed=packed,
+    )
     save_table(folder / "cache" / "table.npz", table, fingerprint=FINGERPRINT)
 
 

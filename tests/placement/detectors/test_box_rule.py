@@ -26,7 +26,9 @@ def _detected(detector, visible_px, amodal_px=None, **looks):
     evidence = build_evidence(visible_px, amodal_px, **looks)
     found = detector.detect(evidence, np.random.default_rng(0))
     matched = is_matched(found, evidence.visible_px, min_iou=0.99)
+
     assert np.array_equal(detector.is_expected(evidence), matched)
+
     return matched.tolist()
 
 
@@ -46,20 +48,31 @@ def test_the_iou_must_be_above_its_limit():
     whole = [0.0, 0.0, 10.0, 100.0]
     half = [0.0, 0.0, 10.0, 50.0]
     more = [0.0, 0.0, 10.0, 50.0 + 1e-9]
-    assert _detected(detector, [half, more], whole) == [False, True]
+
+    assert _detected(
+        detector,
+        [half, more],
+        whole,
+    ) == [False, True]
 
 
 def test_the_height_may_be_at_its_limit():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=25.0)
     high = [0.0, 0.0, 10.0, 25.0]
     low = [0.0, 0.0, 10.0, 25.0 - 1e-9]
+
     assert _detected(detector, [high, low]) == [True, False]
 
 
 def test_the_contrast_may_be_at_its_limit():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=25.0, min_contrast=0.05)
     box = [0.0, 0.0, 10.0, 25.0]
-    assert _detected(detector, [box, box], contrast=[0.05, 0.05 - 1e-9]) == [
+
+    assert _detected(
+        detector,
+        [box, box],
+        contrast=[0.05, 0.05 - 1e-9],
+    ) == [
         True,
         False,
     ]
@@ -69,6 +82,7 @@ def test_the_height_is_that_of_the_visible_box():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=25.0)
     whole = [0.0, 0.0, 10.0, 30.0]
     seen = [0.0, 6.0, 10.0, 30.0]
+
     assert iou(seen, whole) > 0.5
     assert _detected(detector, seen, whole) == [False]
 
@@ -82,6 +96,7 @@ def test_an_empty_box_is_never_detected(visible, amodal, height_px):
         None,
     )
     expected = bool(common.prod() > 0.0 and visible[3] - visible[1] >= height_px)
+
     assert _detected(detector, visible, amodal) == [expected]
 
 
@@ -93,7 +108,12 @@ def test_only_the_boxes_the_contrast_and_nothing_else_decide():
         "aspect_deg": 0.0,
         "vru_class": "cyclist",
     }
-    assert _detected(detector, [0.0, 0.0, 10.0, 30.0], **looks) == [True]
+
+    assert _detected(
+        detector,
+        [0.0, 0.0, 10.0, 30.0],
+        **looks,
+    ) == [True]
     assert not detector.needs_pictures
 
 
@@ -102,7 +122,8 @@ def test_only_the_boxes_the_contrast_and_nothing_else_decide():
     st.lists(st.tuples(st.integers(0, 3), boxes_px()), max_size=6),
 )
 def test_a_row_is_matched_by_a_box_in_its_own_image_that_overlaps_by_more_than_half(
-    truth, found
+    truth,
+    found,
 ):
     inside = [(row, box) for row, box in found if row < len(truth)]
     detections = Detections(
@@ -114,7 +135,15 @@ def test_a_row_is_matched_by_a_box_in_its_own_image_that_overlaps_by_more_than_h
         any(row == index and float(iou(box, here)) > 0.5 for row, box in inside)
         for index, here in enumerate(truth)
     ]
-    assert is_matched(detections, np.array(truth), min_iou=0.5).tolist() == expected
+
+    assert (
+        is_matched(
+            detections,
+            np.array(truth),
+            min_iou=0.5,
+        ).tolist()
+        == expected
+    )
 
 
 @pytest.mark.parametrize(
@@ -131,7 +160,9 @@ def test_road_users_have_the_class_of_their_name(actors, name, expected):
     st.floats(0.1, 99.0),
 )
 def test_the_aspect_is_the_acute_angle_between_sightline_and_heading(
-    towards, turn_deg, far_m
+    towards,
+    turn_deg,
+    far_m,
 ):
     sightline = far_m * np.array(
         [[math.cos(math.radians(towards)), math.sin(math.radians(towards))]]
@@ -139,6 +170,7 @@ def test_the_aspect_is_the_acute_angle_between_sightline_and_heading(
     (aspect_deg,) = aspects_deg(sightline, np.array([towards + turn_deg], dtype=float))
     heading = math.radians(towards + turn_deg)
     across = abs(sightline[0] @ [-math.sin(heading), math.cos(heading)]) / far_m
+
     assert 0.0 <= aspect_deg <= 90.0
     assert math.sin(math.radians(aspect_deg)) == pytest.approx(across, abs=1e-7)
 

@@ -42,9 +42,13 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
     n = N_TRACKS * N_FRAMES
     track = np.repeat(np.arange(N_TRACKS), N_FRAMES)
     frame = np.tile(np.arange(N_FRAMES), N_TRACKS)
-    height = np.exp(rng.uniform(np.log(12), np.log(180), N_TRACKS))[track] * (
-        1 + 0.01 * frame
-    )
+    height = np.exp(
+        rng.uniform(
+            np.log(12),
+            np.log(180),
+            N_TRACKS,
+        )
+    )[track] * (1 + 0.01 * frame)
     seen = np.clip(
         rng.uniform(0.0, 1.8, N_TRACKS)[track] + rng.normal(0, 0.05, n), 0.0, 1.0
     )
@@ -59,9 +63,17 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
         track=track,
         frame=frame,
     )
-    noise = linked_noise(frame + track * (N_FRAMES + 1), truth.frame_correlation, rng)
+    noise = linked_noise(
+        frame + track * (N_FRAMES + 1),
+        truth.frame_correlation,
+        rng,
+    )
     is_found = ndtr(noise) < truth.probability(sightings.evidence())
-    error = rng.normal(0.0, truth.box_noise_share, (n, 4))
+    error = rng.normal(
+        0.0,
+        truth.box_noise_share,
+        (n, 4),
+    )
     return replace(
         sightings,
         is_found=is_found,
@@ -76,12 +88,17 @@ def test_the_share_that_lasts_for_a_track_is_found(share):
     """
     rng = np.random.default_rng(2)
     sightings = drawn()
-    linked = linked_noise(sightings.frame + sightings.track * (N_FRAMES + 1), 0.5, rng)
+    linked = linked_noise(
+        sightings.frame + sightings.track * (N_FRAMES + 1),
+        0.5,
+        rng,
+    )
     lasts = rng.standard_normal(N_TRACKS)[sightings.track]
     noise = np.sqrt(share) * lasts + np.sqrt(1.0 - share) * linked
     probability = rng.uniform(0.3, 0.9, N_TRACKS)[sightings.track]
     seen = replace(sightings, is_found=ndtr(noise) < probability)
     fitted = fit_lasting_share(seen, probability, draws=100)
+
     assert fitted.low <= share <= fitted.high
     assert fitted.value == pytest.approx(share, abs=0.1)
     assert fitted.high - fitted.low < 0.35
@@ -92,7 +109,11 @@ def test_without_consecutive_frames_nothing_is_known_of_what_lasts():
     with pytest.raises(
         InputError, match=r"^frames: got none consecutive; expected consecutive "
     ):
-        fit_lasting_share(sightings, np.full(len(sightings), 0.5), draws=2)
+        fit_lasting_share(
+            sightings,
+            np.full(len(sightings), 0.5),
+            draws=2,
+        )
 
 
 @pytest.fixture(scope="module")
@@ -102,9 +123,18 @@ def fit():
 
 def test_the_table_that_was_drawn_from_is_found_again(fit):
     found = fit.detector
-    truth = np.interp(found.seen_share, TRUTH.seen_share, TRUTH.recall)
+    truth = np.interp(
+        found.seen_share,
+        TRUTH.seen_share,
+        TRUTH.recall,
+    )
+
     np.testing.assert_allclose(found.recall, truth, atol=0.09)
-    np.testing.assert_allclose(found.class_factor, TRUTH.class_factor, atol=0.1)
+    np.testing.assert_allclose(
+        found.class_factor,
+        TRUTH.class_factor,
+        atol=0.1,
+    )
     assert found.height_half_px == pytest.approx(35.0, rel=0.1)
     assert found.height_steepness == pytest.approx(4.0, rel=0.2)
     assert found.cyclist_end_on == pytest.approx(0.7, abs=0.15)
@@ -120,6 +150,7 @@ def test_calibration_counts_every_frame_and_fits(fit):
         == N_TRACKS * N_FRAMES
     )
     assert sum(group.found for group in fit.calibration) == fit.found
+
     for group in fit.calibration:
         assert group.recall.value == pytest.approx(group.expected, abs=0.12)
 
@@ -138,15 +169,27 @@ def test_intervals_hold_their_figures(fit):
 
 def test_the_same_seed_gives_the_same_table():
     few = drawn().take(SOME[:300])
-    first, second = (fit_response(few, name="a", draws=2, seed=4) for _ in range(2))
+    first, second = (
+        fit_response(
+            few,
+            name="a",
+            draws=2,
+            seed=4,
+        )
+        for _ in range(2)
+    )
+
     assert first.intervals == second.intervals
 
 
 def test_classes_and_light_that_never_appear_are_as_built_in():
     fit = fit_response(
-        drawn(classes=(0,), contrasts=(1.0,)).take(SOME), name="a", draws=0
+        drawn(classes=(0,), contrasts=(1.0,)).take(SOME),
+        name="a",
+        draws=0,
     )
     built_in = load_planning_detector("response")
+
     np.testing.assert_allclose(fit.detector.class_factor, 1.0)
     assert not fit.is_contrast_fitted
     assert fit.detector.contrast_half == pytest.approx(built_in.contrast_half)
@@ -156,20 +199,35 @@ def test_classes_and_light_that_never_appear_are_as_built_in():
 
 def test_a_fitted_table_says_of_which_classes_nothing_was_measured(fit):
     assert fit.detector.assumed == ()
-    few = fit_response(drawn(classes=(0, 2, 3)).take(SOME), name="a", draws=0)
+
+    few = fit_response(
+        drawn(classes=(0, 2, 3)).take(SOME),
+        name="a",
+        draws=0,
+    )
+
     assert few.detector.assumed == ("child", "car")
 
 
 def test_frames_drawn_apart_show_no_correlation():
     apart = replace(TRUTH, frame_correlation=0.0)
     fit = fit_response(drawn(apart), name="a", draws=0)
+
     assert fit.detector.frame_correlation < 0.06
 
 
 def test_frames_that_are_not_consecutive_tell_no_correlation():
     sightings = drawn().take(SOME)
     spread = replace(sightings, frame=2 * sightings.frame)
-    assert fit_response(spread, name="a", draws=0).detector.frame_correlation == 0.0
+
+    assert (
+        fit_response(
+            spread,
+            name="a",
+            draws=0,
+        ).detector.frame_correlation
+        == 0.0
+    )
 
 
 @pytest.mark.parametrize("kept", [10, 400])
@@ -180,6 +238,7 @@ def test_too_few_frames_are_refused(kept):
         is_found=np.zeros(kept, dtype=bool),
         box_error=np.full((kept, 4), np.nan),
     )
+
     with pytest.raises(
         InputError, match=rf"got {kept}, 0 of them found; expected at least 50"
     ):
@@ -192,6 +251,7 @@ def test_joint_probabilities_are_those_of_scipy(correlation):
     second = np.array([0.3, 0.0, -1.0, 1.4])
     law = multivariate_normal(cov=[[1.0, correlation], [correlation, 1.0]])
     expected = [law.cdf(pair) for pair in zip(first, second, strict=True)]
+
     np.testing.assert_allclose(
         joint_normal(first, second, correlation), expected, atol=1e-5
     )

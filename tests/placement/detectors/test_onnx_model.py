@@ -28,7 +28,10 @@ BICYCLE = [30.0, 20.0, 60.0, 50.0]
 
 def constant(name, values):
     return helper.make_node(
-        "Constant", [], [name], value=numpy_helper.from_array(np.asarray(values), name)
+        "Constant",
+        [],
+        [name],
+        value=numpy_helper.from_array(np.asarray(values), name),
     )
 
 
@@ -48,7 +51,9 @@ def save(
         [helper.make_tensor_value_info(name, kind, None) for name, kind in outputs],
     )
     model = helper.make_model(
-        graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9
+        graph,
+        opset_imports=[helper.make_opsetid("", 17)],
+        ir_version=9,
     )
     helper.set_model_props(model, metadata or {})
     onnx.save(model, path)
@@ -64,7 +69,10 @@ def save_constants(path, arrays, **options):
     arrays = {name: np.asarray(array) for name, array in arrays.items()}
     nodes = [constant(name, array) for name, array in arrays.items()]
     return save(
-        path, nodes, [(n, kinds[a.dtype]) for n, a in arrays.items()], **options
+        path,
+        nodes,
+        [(n, kinds[a.dtype]) for n, a in arrays.items()],
+        **options,
     )
 
 
@@ -99,7 +107,11 @@ def as_torchvision(
 
 def as_retinanet(boxes, ids, scores):  # old exports: numbers for names, another order
     values = as_torchvision(boxes, ids, scores)
-    return {"1": values["boxes"], "2": values["scores"], "3": values["labels"]}
+    return {
+        "1": values["boxes"],
+        "2": values["scores"],
+        "3": values["labels"],
+    }
 
 
 def as_rt_detr(boxes, ids, scores):
@@ -113,11 +125,26 @@ def as_rt_detr(boxes, ids, scores):
 def as_yolov5(boxes, ids, scores):
     objectness = np.full((len(ids), 1), 0.96)
     scores = np.array(scores) / 0.96
-    return {"output0": f32(centred(boxes), objectness, one_hot(ids, scores, 80))[None]}
+    return {
+        "output0": f32(
+            centred(boxes),
+            objectness,
+            one_hot(ids, scores, 80),
+        )[None]
+    }
 
 
 def as_yolov8(boxes, ids, scores):
-    return {"output0": f32(centred(boxes), one_hot(ids, scores, 80)).T[None]}
+    return {
+        "output0": f32(
+            centred(boxes),
+            one_hot(
+                ids,
+                scores,
+                80,
+            ),
+        ).T[None]
+    }
 
 
 def as_end_to_end(boxes, ids, scores):
@@ -129,7 +156,12 @@ def as_detr(boxes, ids, scores):
     """91 classes and one for none: softmax; the logarithms of probabilities give them
     back.
     """
-    probability = one_hot(np.add(ids, 1), scores, 92, rest=1e-9)
+    probability = one_hot(
+        np.add(ids, 1),
+        scores,
+        92,
+        rest=1e-9,
+    )
     probability[:, 91] = 1.0 - np.array(scores)
     boxes = f32(centred(boxes) / 64.0)
     return {"logits": np.float32(np.log(probability))[None], "pred_boxes": boxes[None]}
@@ -177,15 +209,28 @@ def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
         helper.make_node("Greater", ["red", "threshold"], ["is_bright"]),
         helper.make_node("Cast", ["is_bright"], ["bright"], to=TensorProto.FLOAT),
     ]
+
     for name, reduced in axes.items():
         nodes += [
-            helper.make_node("ReduceMax", ["bright"], [name], axes=reduced, keepdims=0),
-            helper.make_node("ArgMax", [name], [f"{name}_min"], axis=1),
+            helper.make_node(
+                "ReduceMax",
+                ["bright"],
+                [name],
+                axes=reduced,
+                keepdims=0,
+            ),
+            helper.make_node(
+                "ArgMax",
+                [name],
+                [f"{name}_min"],
+                axis=1,
+            ),
             helper.make_node(
                 "ArgMax", [name], [f"{name}_last"], axis=1, select_last_index=1
             ),
             helper.make_node("Add", [f"{name}_last", "one"], [f"{name}_max"]),
         ]
+
     corners = ["columns_min", "rows_min", "columns_max", "rows_max"]
     nodes += [
         helper.make_node("Concat", corners, ["corners"], axis=1),
@@ -198,7 +243,12 @@ def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
         ("labels", TensorProto.INT64),
         ("scores", TensorProto.FLOAT),
     ]
-    return save(path, nodes, outputs, inputs=[("images", kind, shape)])
+    return save(
+        path,
+        nodes,
+        outputs,
+        inputs=[("images", kind, shape)],
+    )
 
 
 def picture(width_px, height_px, box):
@@ -217,8 +267,17 @@ def picture(width_px, height_px, box):
 def test_every_export_gives_its_boxes_classes_and_scores(path, layout):
     arrays = layout([BICYCLE, PERSON], [1, 0], [0.625, 0.875])
     found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
-    np.testing.assert_allclose(found.boxes_px, [PERSON, BICYCLE], atol=1e-4)
-    np.testing.assert_allclose(found.confidence, [0.875, 0.625], rtol=1e-5)
+
+    np.testing.assert_allclose(
+        found.boxes_px,
+        [PERSON, BICYCLE],
+        atol=1e-4,
+    )
+    np.testing.assert_allclose(
+        found.confidence,
+        [0.875, 0.625],
+        rtol=1e-5,
+    )
     assert [found.kinds[i] for i in found.class_ids] == ["person", "bicycle"]
     assert found.boxes_px.dtype == found.confidence.dtype == np.float64
     assert found.class_ids.dtype == np.int64
@@ -226,7 +285,8 @@ def test_every_export_gives_its_boxes_classes_and_scores(path, layout):
 
 @pytest.mark.parametrize("layout", SUPPRESSED + DENSE)
 def test_boxes_of_a_class_that_overlap_are_suppressed_where_the_export_did_not(
-    path, layout
+    path,
+    layout,
 ):
     near = [5.0, 9.0, 21.0, 61.0]
     arrays = layout([PERSON, near, near], [0, 0, 1], [0.5, 0.75, 0.25])
@@ -235,6 +295,7 @@ def test_boxes_of_a_class_that_overlap_are_suppressed_where_the_export_did_not(
         confidence = [0.75, 0.25]
     else:
         confidence = [0.75, 0.5, 0.25]
+
     np.testing.assert_allclose(found.confidence, confidence, rtol=1e-5)
 
 
@@ -244,7 +305,12 @@ def test_boxes_that_are_hardly_sure_or_outside_the_image_are_dropped(path, layou
     cut = [50.0, 50.0, 80.0, 90.0]
     arrays = layout([PERSON, outside, cut], [0, 0, 0], [0.01, 0.9, 0.8])
     found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
-    np.testing.assert_allclose(found.boxes_px, [[50.0, 50.0, 64.0, 64.0]], atol=1e-4)
+
+    np.testing.assert_allclose(
+        found.boxes_px,
+        [[50.0, 50.0, 64.0, 64.0]],
+        atol=1e-4,
+    )
 
 
 @pytest.mark.parametrize("layout", [as_torchvision, as_retinanet])
@@ -260,6 +326,7 @@ def test_masks_beside_boxes_labels_and_scores_are_left_alone(path):
     arrays = as_torchvision([PERSON], [0], [0.75])
     arrays["masks"] = np.zeros((1, 1, 28, 28), dtype=np.float32)
     found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+
     np.testing.assert_allclose(found.boxes_px, [PERSON])
 
 
@@ -277,7 +344,14 @@ def test_an_image_of_the_right_or_a_free_size_is_shown_as_it_is(path, shape):
 def test_an_input_without_batch_takes_the_image_alone(path):
     arrays = as_torchvision([PERSON], [0], [0.75])
     inputs = [("image", TensorProto.FLOAT, (3, "height", "width"))]
-    found = load_onnx_model(save_constants(path, arrays, inputs=inputs)).detect(GREY)
+    found = load_onnx_model(
+        save_constants(
+            path,
+            arrays,
+            inputs=inputs,
+        )
+    ).detect(GREY)
+
     np.testing.assert_allclose(found.boxes_px, [PERSON])
 
 
@@ -287,6 +361,7 @@ def test_an_input_without_batch_takes_the_image_alone(path):
 def test_inputs_may_be_half_floats_or_bytes(path, kind, threshold):
     model = load_onnx_model(save_bright(path, FREE, kind, threshold))
     found = model.detect(picture(90, 70, (11, 13, 37, 41)))
+
     assert found.boxes_px.tolist() == [[11.0, 13.0, 37.0, 41.0]]
 
 
@@ -302,9 +377,11 @@ def test_letterbox_worked_by_hand():
     assert (fitted.pixels[16:48] == 200).all()
     assert (fitted.pixels[:16] == 114).all()
     assert (fitted.pixels[48:] == 114).all()
+
     boxes = fitted.to_image(
         np.array([[0.0, 16.0, 64.0, 48.0], [16.0, 24.0, 32.0, 40.0]])
     )
+
     np.testing.assert_allclose(
         boxes, [[0.0, 0.0, 100.0, 50.0], [25.0, 12.5, 50.0, 37.5]]
     )
@@ -314,7 +391,10 @@ def test_letterbox_goes_back_by_the_scale_of_whole_pixels():
     # 30 x 50 into 64 x 64: scale 1.28, 38.4 columns become 38; 13 columns of grey on
     # each side.
     fitted = letterbox(
-        np.zeros((50, 30, 3), dtype=np.uint8), width_px=64, height_px=64, scale=1.28
+        np.zeros((50, 30, 3), dtype=np.uint8),
+        width_px=64,
+        height_px=64,
+        scale=1.28,
     )
     assert (fitted.pixels[0, :, 0] == [114] * 13 + [0] * 38 + [114] * 13).all()
     np.testing.assert_allclose(
@@ -328,7 +408,13 @@ def save_size_teller(path, inputs):
     pixels.
     """
     nodes = [
-        helper.make_node("Shape", ["images"], ["shape"], start=3, end=4),
+        helper.make_node(
+            "Shape",
+            ["images"],
+            ["shape"],
+            start=3,
+            end=4,
+        ),
         helper.make_node("Cast", ["shape"], ["width"], to=TensorProto.FLOAT),
         constant("hundred", np.float32([100.0])),
         helper.make_node("Div", ["width", "hundred"], ["score"]),
@@ -338,7 +424,12 @@ def save_size_teller(path, inputs):
         constant("size", np.int64([1, 1, 6])),
         helper.make_node("Reshape", ["row", "size"], ["output0"]),
     ]
-    return save(path, nodes, [("output0", TensorProto.FLOAT)], inputs=inputs)
+    return save(
+        path,
+        nodes,
+        [("output0", TensorProto.FLOAT)],
+        inputs=inputs,
+    )
 
 
 def test_an_image_of_free_size_is_padded_to_yolos_grid(path):
@@ -347,6 +438,7 @@ def test_an_image_of_free_size_is_padded_to_yolos_grid(path):
         save_size_teller(path, [("images", TensorProto.FLOAT, FREE)])
     )
     found = model.detect(np.zeros((40, 50, 3), dtype=np.uint8))
+
     np.testing.assert_allclose(found.confidence, [0.64])
     np.testing.assert_allclose(found.boxes_px, [[0.0, 0.0, 25.0, 40.0]])
 
@@ -355,6 +447,7 @@ def test_an_image_of_free_size_is_padded_to_yolos_grid(path):
 def test_an_input_of_one_fixed_side_takes_the_image_scaled_to_it(path, shape):
     model = load_onnx_model(save_bright(path, shape))
     found = model.detect(picture(128, 64, (20, 10, 60, 40)))
+
     np.testing.assert_allclose(found.boxes_px, [[20.0, 10.0, 60.0, 40.0]])
 
 
@@ -362,14 +455,20 @@ def test_an_input_of_one_fixed_side_takes_the_image_scaled_to_it(path, shape):
     ("n_classes", "expected"), [(91, (1.0 - 0.485) / 0.229), (80, 1.0)]
 )
 def test_detr_with_91_classes_sees_the_image_by_imagenets_mean_and_spread(
-    path, n_classes, expected
+    path,
+    n_classes,
+    expected,
 ):
     nodes = [
         constant("zero", np.int64([0])),
         constant("one", np.int64([1])),
         helper.make_node("Slice", ["images", "zero", "one", "one"], ["red"]),
         helper.make_node(
-            "ReduceMax", ["red"], ["brightest"], axes=(1, 2, 3), keepdims=0
+            "ReduceMax",
+            ["red"],
+            ["brightest"],
+            axes=(1, 2, 3),
+            keepdims=0,
         ),
         constant("size", np.int64([1, 1, n_classes])),
         helper.make_node("Expand", ["brightest", "size"], ["logits"]),
@@ -378,8 +477,11 @@ def test_detr_with_91_classes_sees_the_image_by_imagenets_mean_and_spread(
     outputs = [("logits", TensorProto.FLOAT), ("pred_boxes", TensorProto.FLOAT)]
     model = load_onnx_model(save(path, nodes, outputs))
     found = model.detect(np.full((64, 64, 3), 255, dtype=np.uint8))
+
     np.testing.assert_allclose(
-        found.confidence, [1.0 / (1.0 + np.exp(-expected))], rtol=1e-5
+        found.confidence,
+        [1.0 / (1.0 + np.exp(-expected))],
+        rtol=1e-5,
     )
 
 
@@ -404,6 +506,7 @@ def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
     ]
     model = load_onnx_model(save(path, nodes, outputs, inputs=inputs))
     found = model.detect(np.zeros((50, 100, 3), dtype=np.uint8))
+
     np.testing.assert_allclose(found.boxes_px, [[0.0, 0.0, 100.0, 50.0]])
     assert found.kinds == COCO80
 
@@ -414,14 +517,35 @@ def test_the_mask_that_detr_asks_for_is_given(path):
         ("pixel_values", TensorProto.FLOAT, FIXED),
         ("pixel_mask", TensorProto.INT64, (1, 64, 64)),
     ]
-    found = load_onnx_model(save_constants(path, arrays, inputs=inputs)).detect(GREY)
-    np.testing.assert_allclose(found.boxes_px, [PERSON], atol=1e-4)
+    found = load_onnx_model(
+        save_constants(
+            path,
+            arrays,
+            inputs=inputs,
+        )
+    ).detect(GREY)
+
+    np.testing.assert_allclose(
+        found.boxes_px,
+        [PERSON],
+        atol=1e-4,
+    )
 
 
 # Classes.
 
-COCO80 = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle"}
-COCO91 = {1: "person", 2: "bicycle", 3: "car", 4: "motorcycle"}
+COCO80 = {
+    0: "person",
+    1: "bicycle",
+    2: "car",
+    3: "motorcycle",
+}
+COCO91 = {
+    1: "person",
+    2: "bicycle",
+    3: "car",
+    4: "motorcycle",
+}
 
 
 def test_labels_are_cocos_91(path):
@@ -441,7 +565,9 @@ def test_labels_are_cocos_91(path):
 )
 def test_names_in_the_file_come_first(path, names, kinds):
     save_constants(
-        path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names}
+        path,
+        as_torchvision([PERSON], [0], [0.75]),
+        metadata={"names": names},
     )
     assert load_onnx_model(path).detect(GREY).kinds == kinds
 
@@ -449,7 +575,12 @@ def test_names_in_the_file_come_first(path, names, kinds):
 def test_names_that_are_but_numbers_count_as_none(path):
     # What Ultralytics 8.4.190 writes for a network that was built without names.
     names = str({number: str(number) for number in range(80)})
-    save_constants(path, as_yolov8([PERSON], [0], [0.75]), metadata={"names": names})
+    save_constants(
+        path,
+        as_yolov8([PERSON], [0], [0.75]),
+        metadata={"names": names},
+    )
+
     assert load_onnx_model(path).detect(GREY).kinds == COCO80
 
 
@@ -457,8 +588,13 @@ def test_names_tell_the_number_of_classes_of_a_table(path):
     metadata = {"names": "{0: 'cyclist', 1: 'person', 2: 'dog'}"}
     dense = f32(centred([PERSON, BICYCLE]), [[0.1, 0.75, 0.2], [0.5, 0.1, 0.2]])
     found = load_onnx_model(
-        save_constants(path, {"output0": dense.T[None]}, metadata=metadata)
+        save_constants(
+            path,
+            {"output0": dense.T[None]},
+            metadata=metadata,
+        )
     ).detect(GREY)
+
     assert found.class_ids.tolist() == [1, 0]
     np.testing.assert_allclose(found.boxes_px, [PERSON, BICYCLE])
 
@@ -485,9 +621,12 @@ def test_a_cyclist_is_a_person_and_a_bicycle_that_overlap_or_either():
         ([70.0, 10.0, 80.0, 20.0], 9, 0.5),  # a dog
     )
     persons, how_sure = boxes_of_class(found, "pedestrian")
+
     assert persons.tolist() == found.boxes_px[:2].tolist()
     assert how_sure.tolist() == [0.9, 0.8]
+
     cyclists, how_sure = boxes_of_class(found, "cyclist")
+
     assert sorted(zip(cyclists.tolist(), how_sure, strict=True)) == sorted(
         [
             ([5.0, 0.0, 35.0, 40.0], 0.7),  # both together, as sure as the less sure
@@ -507,6 +646,7 @@ def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_counts_for_none():
         ([70.0, 10.0, 90.0, 20.0], 5, 0.5),
     )
     motorcyclists, how_sure = boxes_of_class(found, "motorcyclist")
+
     assert motorcyclists.tolist() == [
         [5.0, 0.0, 35.0, 40.0],
         [10.0, 0.0, 20.0, 30.0],
@@ -515,6 +655,7 @@ def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_counts_for_none():
     assert how_sure.tolist() == [0.7, 0.9, 0.7]
     assert boxes_of_class(found, "cyclist")[1].tolist() == [0.9, 0.6]
     assert boxes_of_class(found, "car")[0].tolist() == [[70.0, 10.0, 90.0, 20.0]]
+
     for name in ("pedestrian", "child"):
         assert boxes_of_class(found, name)[0].tolist() == [[10.0, 0.0, 20.0, 30.0]]
 
@@ -539,6 +680,7 @@ def test_suppression_keeps_what_brute_force_keeps(rows, max_iou):
             ids[i] == ids[j] and iou(boxes[i], boxes[j]) > max_iou for j in kept
         ):
             kept.append(i)
+
     assert suppress(boxes, ids, max_iou=max_iou).tolist() == kept
 
 
@@ -549,8 +691,10 @@ def message_of(path, **options):
     with pytest.raises(InputError) as caught:
         load_onnx_model(path, **options)
     text = str(caught.value)
+
     assert "\n" not in text
     assert text.startswith(f"{path}: got ")
+
     return text.removeprefix(f"{path}: got ")
 
 
@@ -567,6 +711,7 @@ def test_a_file_that_is_not_onnx(path, content):
 def test_a_classifier(path):
     save_constants(path, {"logits": np.zeros((1, 1000), dtype=np.float32)})
     text = message_of(path)
+
     assert text.startswith(
         "outputs logits (1, 1000); expected a detector's outputs: boxes (n, 4),"
     )
@@ -602,8 +747,13 @@ def test_networks_with_other_outputs(path, arrays):
     ],
 )
 def test_networks_with_other_inputs(path, inputs):
-    save_constants(path, as_yolov8([PERSON], [0], [0.75]), inputs=inputs)
+    save_constants(
+        path,
+        as_yolov8([PERSON], [0], [0.75]),
+        inputs=inputs,
+    )
     text = message_of(path)
+
     assert text.startswith(f"inputs {inputs[0][0]} tensor(")
     assert text.endswith(
         "; expected one image input, (1, 3, height, width) or (3, height, width), RGB"
@@ -615,7 +765,13 @@ def test_a_network_that_does_not_run(path):
         constant("size", np.int64([1, 7, 13])),
         helper.make_node("Reshape", ["images", "size"], ["output0"]),
     ]
-    save(path, nodes, [("output0", TensorProto.FLOAT)], inputs=[("images", 1, FREE)])
+    save(
+        path,
+        nodes,
+        [("output0", TensorProto.FLOAT)],
+        inputs=[("images", 1, FREE)],
+    )
+
     assert message_of(path).endswith("; expected a network that runs")
 
 
@@ -635,7 +791,9 @@ def test_a_network_that_does_not_run(path):
 )
 def test_names_that_say_nothing(path, names, expected):
     save_constants(
-        path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names}
+        path,
+        as_torchvision([PERSON], [0], [0.75]),
+        metadata={"names": names},
     )
     with pytest.raises(InputError) as caught:
         load_onnx_model(path)
@@ -648,6 +806,7 @@ def test_names_that_say_nothing(path, names, expected):
 def test_boxes_that_are_not_numbers(path):
     arrays = as_torchvision([[np.nan, 0.0, 1.0, 1.0]], [0], [0.75])
     model = load_onnx_model(save_constants(path, arrays))
+
     with pytest.raises(
         InputError, match="got a box that is not a number; expected finite boxes"
     ):
@@ -669,5 +828,6 @@ def test_images_that_are_none(path, image):
 def test_the_extra_is_named_where_onnxruntime_is_missing(path, monkeypatch):
     save_constants(path, as_torchvision([PERSON], [0], [0.75]))
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
+
     with pytest.raises(MissingExtraError, match="uv run --extra perception"):
         load_onnx_model(path)

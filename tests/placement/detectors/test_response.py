@@ -78,12 +78,20 @@ def test_probability_is_the_product_that_one_works_out_by_hand():
     other=shares,
 )
 def test_probability_never_falls_with_any_share_or_contrast(
-    height_px, key, values, other
+    height_px,
+    key,
+    values,
+    other,
 ):
     looks = dict.fromkeys(("visible_share", "inside_share", "contrast"), other)
     for detector in (DETECTOR, PLAIN):
         less, more = (
-            _probability(detector, height_px, **looks | {key: v}) for v in values
+            _probability(
+                detector,
+                height_px,
+                **looks | {key: v},
+            )
+            for v in values
         )
         assert less <= more + 1e-12
 
@@ -109,8 +117,10 @@ def test_nothing_is_found_below_the_least_height_or_where_nothing_is_seen():
     assert _probability(DETECTOR, least_px - 1e-9) == 0.0
     assert _probability(DETECTOR, 100.0, visible_share=0.0) == 0.0
     assert _probability(DETECTOR, 100.0, contrast=0.0) == 0.0
+
     anything = replace(PLAIN, min_box_height_px=1.0e-12)
     evidence = build_evidence(np.zeros((50, 4)))
+
     assert not anything.probability(evidence).any()
     assert not len(anything.detect(evidence, np.random.default_rng(0)).row_index)
 
@@ -121,8 +131,11 @@ def test_a_plan_counts_on_rows_from_its_probability_on():
     evidence = build_evidence(boxes, visible_share=0.5)
     probability = DETECTOR.probability(evidence)
     expected = DETECTOR.is_expected(evidence)
+
     assert np.array_equal(expected, probability >= DETECTOR.plan_probability)
+
     at_limit = replace(DETECTOR, plan_probability=float(probability[200]))
+
     assert at_limit.is_expected(evidence)[200:].all()
     assert not at_limit.is_expected(evidence)[:200].any()
     assert 0 < expected.sum() < 400
@@ -148,6 +161,7 @@ def test_the_same_seed_finds_the_same_boxes_and_another_others():
     one, same, other = (
         DETECTOR.detect(evidence, np.random.default_rng(seed)) for seed in (3, 3, 4)
     )
+
     assert np.array_equal(one.row_index, same.row_index)
     assert np.array_equal(one.boxes_px, same.boxes_px)
     assert np.array_equal(one.confidence, same.confidence)
@@ -193,6 +207,7 @@ def test_frames_are_independent_without_correlation_and_alike_with_all_of_it():
     bound = hits(1.0)
     both = probability**2
     tolerance = 5.0 * math.sqrt(both * (1.0 - both) / n_runs)
+
     assert (free[:, 0] & free[:, 1]).mean() == pytest.approx(both, abs=tolerance)
     assert (some[:, 0] & some[:, 1]).mean() > both + tolerance
     assert (some[:, 0] & some[:, 1]).mean() > (
@@ -210,22 +225,41 @@ def test_rows_of_the_same_number_share_their_luck():
     """
     index = np.tile(np.arange(3000), 2)
     contrast = np.repeat([1.0, 0.3], 3000)
-    evidence = build_evidence(_box(30.0, 6000), draw_index=index, contrast=contrast)
+    evidence = build_evidence(
+        _box(30.0, 6000),
+        draw_index=index,
+        contrast=contrast,
+    )
     found = DETECTOR.detect(evidence, np.random.default_rng(5))
     hits = np.zeros(6000, dtype=bool)
     hits[found.row_index] = True
     by_day, at_night = hits.reshape(2, -1)
+
     assert (by_day >= at_night).all()
     assert by_day.sum() > at_night.sum() > 0
+
     boxes = np.full((6000, 4), np.nan)
     boxes[found.row_index] = found.boxes_px
+
     assert np.array_equal(boxes[:3000][at_night], boxes[3000:][at_night])
 
 
 def test_luck_does_not_depend_on_what_the_rows_show():
     poor = build_evidence(_box(30.0, 2000), visible_share=0.5)
     rich = build_evidence(_box(30.0, 2000), visible_share=1.0)
-    assert (_hits(DETECTOR, rich, 6) >= _hits(DETECTOR, poor, 6)).all()
+
+    assert (
+        _hits(
+            DETECTOR,
+            rich,
+            6,
+        )
+        >= _hits(
+            DETECTOR,
+            poor,
+            6,
+        )
+    ).all()
 
 
 def test_boxes_are_off_by_the_noise_asked_for_and_are_still_correct():
@@ -233,21 +267,34 @@ def test_boxes_are_off_by_the_noise_asked_for_and_are_still_correct():
     evidence = build_evidence(truth)
     found = DETECTOR.detect(evidence, np.random.default_rng(7))
     off = (found.boxes_px - truth[found.row_index]) / [40.0, 100.0, 40.0, 100.0]
+
     assert np.abs(off.mean(axis=0)).max() < 0.002
     assert off.std(axis=0) == pytest.approx(DETECTOR.box_noise_share, rel=0.03)
     assert (iou(found.boxes_px, truth[found.row_index]) > 0.5).all()
+
     exact = replace(DETECTOR, box_noise_share=0.0).detect(
         evidence, np.random.default_rng(7)
     )
+
     assert np.array_equal(exact.row_index, found.row_index)
     assert np.array_equal(exact.boxes_px, truth[exact.row_index])
-    assert is_matched(exact, truth, min_iou=0.99).sum() == len(exact.row_index)
+    assert is_matched(
+        exact,
+        truth,
+        min_iou=0.99,
+    ).sum() == len(exact.row_index)
+
     wild = replace(DETECTOR, box_noise_share=1.0).detect(
         evidence, np.random.default_rng(7)
     )
+
     # The probability is that of correct boxes: however wild, they find as many.
     assert np.array_equal(wild.row_index, found.row_index)
-    assert is_matched(wild, truth, min_iou=0.5).sum() == len(wild.row_index)
+    assert is_matched(
+        wild,
+        truth,
+        min_iou=0.5,
+    ).sum() == len(wild.row_index)
     assert iou(wild.boxes_px, truth[wild.row_index]).mean() < 0.8
 
 
@@ -282,6 +329,7 @@ def test_every_number_but_the_name_changes_the_fingerprint():
         replace(PLAIN, **{field: value}).fingerprint()
         for field, value in changes.items()
     ]
+
     assert len({PLAIN.fingerprint(), *found}) == len(changes) + 1
     assert replace(PLAIN, name="other").fingerprint() == PLAIN.fingerprint()
 

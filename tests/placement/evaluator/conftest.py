@@ -76,4 +76,5 @@ def study_runs(vut):
             approaches=[approach],
         )
         runs += some
+
     return tuple(runs)

@@ -40,7 +40,11 @@ def _sent(run):
 
 
 def _known(runs, seed=0, **links):
-    return known_frames(runs, Radio(**links), np.random.default_rng(seed))
+    return known_frames(
+        runs,
+        Radio(**links),
+        np.random.default_rng(seed),
+    )
 
 
 def test_the_rule_is_that_of_the_standard():
@@ -99,6 +103,7 @@ def test_a_turn_is_told_once_it_exceeds_four_degrees(walk, start_deg):
 def test_no_more_than_one_message_per_interval(walk):
     rule = replace(RULE, min_interval_s=0.3)
     run = walk([4.5] * 12)  # every frame would be news
+
     assert np.flatnonzero(sent_frames(run, rule)).tolist() == [0, 3, 6, 9, 12]
     assert _sent(run) == list(range(13))
 
@@ -109,26 +114,42 @@ def test_no_more_than_one_message_per_interval(walk):
 def test_without_devices_nothing_is_known_and_with_them_everything(walk):
     runs = [walk([0.14] * 99), walk([0.42] * 45, vru="cyclist"), walk([0.0] * 120)]
     n_frames = [100, 46, 121]
+
     assert not _known(runs, vam_rate=0.0).any()
+
     known = _known(runs, vam_rate=1.0)
+
     assert known.shape == (sum(n_frames),)
     assert known.all()
-    assert not _known(runs, vam_rate=1.0, packet_loss=1.0).any()
+    assert not _known(
+        runs,
+        vam_rate=1.0,
+        packet_loss=1.0,
+    ).any()
 
 
 def test_a_lost_message_leaves_what_was_known_until_the_next_must_come(walk):
     """One who stands sends in frames 0, 50 and 100; each message counts for 5 s."""
     run = walk([0.0] * 140)
     seen = set()
+
     for seed in range(60):
-        known = _known([run], seed, vam_rate=1.0, packet_loss=0.5)
+        known = _known(
+            [run],
+            seed,
+            vam_rate=1.0,
+            packet_loss=0.5,
+        )
         received = [bool(known[frame + 25]) for frame in (0, 50, 100)]
         expected = np.zeros(141, dtype=bool)
         for frame, is_received in zip((0, 50, 100), received, strict=True):
             if is_received:
                 expected[frame : frame + 51] = True
+
         assert np.array_equal(known, expected)
+
         seen.add(tuple(received))
+
     assert len(seen) == 8
 
 
@@ -137,17 +158,27 @@ def test_vrus_carry_devices_as_often_as_said_and_keep_them_for_a_run(walk):
     known = _known([walk([0.14] * 3) for _ in range(n_runs)], vam_rate=0.3).reshape(
         n_runs, 4
     )
+
     assert (known == known[:, :1]).all()
+
     # Five standard deviations of a binomial distribution.
     tolerance = 5.0 * np.sqrt(0.3 * 0.7 / n_runs)
+
     assert known[:, 0].mean() == pytest.approx(0.3, abs=tolerance)
 
 
 def test_the_seed_says_who_and_what(walk):
     runs = [walk([0.14] * 30) for _ in range(50)]
     one, same, other = (
-        _known(runs, seed, vam_rate=0.5, packet_loss=0.3) for seed in (1, 1, 2)
+        _known(
+            runs,
+            seed,
+            vam_rate=0.5,
+            packet_loss=0.3,
+        )
+        for seed in (1, 1, 2)
     )
+
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
 
@@ -157,7 +188,12 @@ def test_the_same_road_user_has_the_same_luck_in_all_weathers(walk):
     runs = [
         replace(run, weather=weather) for weather in ("day", "fog") for run in drives
     ]
-    by_day, in_fog = _known(runs, vam_rate=0.5, packet_loss=0.5).reshape(2, -1)
+    by_day, in_fog = _known(
+        runs,
+        vam_rate=0.5,
+        packet_loss=0.5,
+    ).reshape(2, -1)
+
     assert np.array_equal(by_day, in_fog)
     assert by_day.any()
     assert not by_day.all()

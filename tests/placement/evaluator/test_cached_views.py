@@ -72,7 +72,11 @@ def assert_same(one, other):
         ("rsu_all", one.rsu_all),
         *one.units.items(),
     ):
-        again = {"vut": other.vut, "rsu_all": other.rsu_all, **other.units}[name]
+        again = {
+            "vut": other.vut,
+            "rsu_all": other.rsu_all,
+            **other.units,
+        }[name]
         for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
             assert np.array_equal(
                 getattr(verdict, field), getattr(again, field), equal_nan=True
@@ -81,17 +85,30 @@ def assert_same(one, other):
 
 @pytest.mark.parametrize("detector", ["geometric", "response"])
 def test_the_second_call_looks_at_nothing_and_finds_the_same(
-    setting, tmp_path, looked, detector
+    setting,
+    tmp_path,
+    looked,
+    detector,
 ):
     setting = replace(setting, detector=load_detector(detector))
     compute = Compute(workers=1, cache_folder=tmp_path)
     first = evaluate_layout(LAYOUT, setting, compute=compute)
+
     assert first.rsu_all.detected.any()
     assert not first.rsu_all.detected.all()
+
     again = evaluate_layout(LAYOUT, setting, compute=compute)
+
     assert looked == [(["a", "b"], True)]
     assert_same(again, first)
-    assert_same(evaluate_layout(LAYOUT, setting, compute=Compute(workers=1)), first)
+    assert_same(
+        evaluate_layout(
+            LAYOUT,
+            setting,
+            compute=Compute(workers=1),
+        ),
+        first,
+    )
     assert len(looked) == 2
 
 
@@ -103,8 +120,16 @@ def test_only_new_poses_are_looked_from(setting, tmp_path, looked):
     renamed = replace(LAYOUT.units[0], id="renamed")
     layout = Layout(name="three", units=(moved, lidar, renamed))
     found = evaluate_layout(layout, setting, compute=compute)
+
     assert looked[1:] == [(["lidar", "moved"], False)]
-    assert_same(found, evaluate_layout(layout, setting, compute=Compute(workers=1)))
+    assert_same(
+        found,
+        evaluate_layout(
+            layout,
+            setting,
+            compute=Compute(workers=1),
+        ),
+    )
 
 
 def test_what_the_vut_looks_with_is_looked_with_anew(setting, tmp_path, looked):
@@ -115,6 +140,7 @@ def test_what_the_vut_looks_with_is_looked_with_anew(setting, tmp_path, looked):
         {"vut_camera": pick_camera("carla-ncap-rgb-90", "test")},
     ):
         evaluate_layout(LAYOUT, replace(setting, **change), compute=compute)
+
     assert looked[1:] == [([], True)] * 2
 
 
@@ -140,16 +166,23 @@ CHANGES = {
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_whatever_changes_what_is_seen_is_looked_at_anew(
-    setting, tmp_path, looked, change
+    setting,
+    tmp_path,
+    looked,
+    change,
 ):
     compute = Compute(workers=1, cache_folder=tmp_path)
     evaluate_layout(LAYOUT, setting, compute=compute)
     evaluate_layout(LAYOUT, CHANGES[change](setting), compute=compute)
+
     assert looked == [(["a", "b"], True)] * 2
 
 
 def test_seed_weathers_and_version_are_part_of_the_key(
-    setting, tmp_path, looked, monkeypatch
+    setting,
+    tmp_path,
+    looked,
+    monkeypatch,
 ):
     compute = Compute(workers=1, cache_folder=tmp_path)
     evaluate_layout(LAYOUT, setting, compute=compute)
@@ -160,6 +193,7 @@ def test_seed_weathers_and_version_are_part_of_the_key(
         evaluate_layout(LAYOUT, setting, compute=compute)
     monkeypatch.setattr(watch_module, "_KIND", "place-rsus/views/0")
     evaluate_layout(LAYOUT, setting, compute=compute)
+
     assert looked == [(["a", "b"], True)] * 4
 
 
@@ -168,9 +202,12 @@ def test_a_damaged_file_is_made_anew(setting, tmp_path, looked, caplog):
     first = evaluate_layout(LAYOUT, setting, compute=compute)
     (path,) = tmp_path.glob("views-*.npz")
     path.write_bytes(path.read_bytes()[:100])
+
     assert_same(evaluate_layout(LAYOUT, setting, compute=compute), first)
     assert "views not used, made anew" in caplog.text
+
     evaluate_layout(LAYOUT, setting, compute=compute)
+
     assert len(looked) == 2
 
 
@@ -182,4 +219,5 @@ def test_what_a_network_finds_is_not_kept(setting, tmp_path):
         replace(setting, detector=Network()), Compute(cache_folder=tmp_path)
     )
     kept.add({"a": np.zeros(1)})
+
     assert not list(tmp_path.iterdir())

@@ -44,27 +44,38 @@ def _rows(axis, seed, n_rows):
 
 @given(seed=st.integers(0, 2**32 - 1), latency_s=st.floats(0.0, 1.0))
 def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
-    study_runs, axis, judge, seed, latency_s
+    study_runs,
+    axis,
+    judge,
+    seed,
+    latency_s,
 ):
     (row,) = _rows(axis, seed, 1)
     verdict = judge.verdicts([[(row, latency_s)]])[0]
     endless = replace(axis, last_brake_time_s=np.full(axis.n_runs, np.inf))
     confirmation_s = live_confirmation_times_s(row, endless, rule=RULE)
+
     assert np.array_equal(verdict.confirmation_time_s, confirmation_s)
     assert verdict.onset_time_s == pytest.approx(confirmation_s + latency_s)
+
     touches = [
         has_contact(run.encounter, onset, RULE)
         for run, onset in zip(study_runs, verdict.onset_time_s.tolist(), strict=True)
     ]
+
     assert (verdict.is_avoided == ~np.array(touches)).all()
+
     in_time = is_in_time(confirmation_s, axis.last_brake_time_s, latency_s=latency_s)
+
     assert (verdict.is_avoided == in_time).all()
     assert (verdict.detected == row).all()
 
 
 @given(seed=st.integers(0, 2**32 - 1))
 def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(
-    axis, judge, seed
+    axis,
+    judge,
+    seed,
 ):
     rows = _rows(axis, seed, 3)
     fused = judge.verdicts([[(row, RULE.latency_s) for row in rows]])[0]
@@ -78,9 +89,20 @@ def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(
     latencies_s=st.lists(st.floats(0.0, 0.5), min_size=3, max_size=3),
 )
 def test_a_further_party_never_makes_it_later(axis, judge, seed, latencies_s):
-    parties = list(zip(_rows(axis, seed, 3), latencies_s, strict=True))
+    parties = list(
+        zip(
+            _rows(
+                axis,
+                seed,
+                3,
+            ),
+            latencies_s,
+            strict=True,
+        )
+    )
     fewer = judge.verdicts([parties[:2]])[0]
     more = judge.verdicts([parties])[0]
+
     assert (more.onset_time_s <= fewer.onset_time_s).all()
     assert (more.is_avoided >= fewer.is_avoided).all()
     assert (more.detected >= fewer.detected).all()
@@ -88,30 +110,46 @@ def test_a_further_party_never_makes_it_later(axis, judge, seed, latencies_s):
 
 @pytest.mark.parametrize("memory_s", [0.1, 0.5, 1.0])
 def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
-    study_runs, axis, memory_s
+    study_runs,
+    axis,
+    memory_s,
 ):
     rule = replace(RULE, track_memory_s=memory_s)
     judge = Judge(study_runs, axis, rule)
     outcomes = set()
     early = np.concatenate([run.time_s < run.time_s[0] + 1.95 for run in study_runs])
+
     for row in [early, *_rows(axis, 7, 10)]:
         verdict = judge.verdicts([[(row, rule.latency_s)]])[0]
         live_s = live_confirmation_times_s(row, axis, rule=rule)
+
         assert np.array_equal(verdict.is_avoided, np.isfinite(live_s))
+
         is_live = verdict.is_avoided
+
         assert np.array_equal(verdict.confirmation_time_s[is_live], live_s[is_live])
+
         touches = [
             has_contact(run.encounter, onset, rule)
             for run, onset in zip(
                 study_runs, verdict.onset_time_s.tolist(), strict=True
             )
         ]
+
         assert np.array_equal(verdict.is_avoided, ~np.array(touches))
-        arrival_s = np.where(row, axis.time_s + rule.latency_s, np.inf)
+
+        arrival_s = np.where(
+            row,
+            axis.time_s + rule.latency_s,
+            np.inf,
+        )
         first = find_onsets(arrival_s, axis, rule=RULE)  # never lost
+
         assert (verdict.onset_time_s >= first.onset_s).all()
+
         words = run_outcomes(verdict, axis)
         outcomes |= set(words)
+
         for run, word in enumerate(words):
             is_confirmed = np.isfinite(first.onset_s[run])
             assert (word == "avoided") == verdict.is_avoided[run]
@@ -120,6 +158,7 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
             )
             assert (word in ("never seen", "never confirmed")) == (not is_confirmed)
             assert (word == "never seen") == (not row[axis.frames_of(run)].any())
+
     assert "avoided" in outcomes
     assert "lost again" in outcomes
 
@@ -137,7 +176,13 @@ def test_as_many_frames_confirm_as_the_rule_says(study_runs, axis):
     for n_confirmations, frame in ((1, 5), (2, 6), (4, 8), (5, None)):
         rule = replace(RULE, n_confirmations=n_confirmations)
         (onset_s, *others) = (
-            Judge(study_runs, axis, rule).verdicts([[(row, 0.1)]])[0].onset_time_s
+            Judge(
+                study_runs,
+                axis,
+                rule,
+            )
+            .verdicts([[(row, 0.1)]])[0]
+            .onset_time_s
         )
         assert onset_s == (np.inf if frame is None else axis.time_s[frame] + 0.1)
         assert np.isinf(others).all()
@@ -146,18 +191,30 @@ def test_as_many_frames_confirm_as_the_rule_says(study_runs, axis):
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), memory_s=st.sampled_from([0.3, 1.0, np.inf]))
 def test_scores_of_bodies_are_those_of_levels_on_the_table(
-    study_runs, axis, seed, memory_s, levels
+    study_runs,
+    axis,
+    seed,
+    memory_s,
+    levels,
 ):
     rule = replace(RULE, track_memory_s=memory_s)
     judge = Judge(study_runs, axis, rule, levels)
     rows = _rows(axis, seed, 2)
     verdict = judge.verdicts([[(row, rule.latency_s) for row in rows]])[0]
     v = axis.vut_speed_kmh
+
     assert ((verdict.impact_speed_kmh == 0.0) == verdict.is_avoided).all()
     assert (verdict.impact_speed_kmh <= v + 1e-9).all()
+
     never = np.isinf(verdict.onset_time_s)
+
     assert verdict.impact_speed_kmh[never] == pytest.approx(v[never])
-    table = level_table(pack_table(("a", "b"), axis, rows), levels, rule)
+
+    table = level_table(
+        pack_table(("a", "b"), axis, rows),
+        levels,
+        rule,
+    )
     problem = PlacementProblem(
         table=table,
         limits=Limits(site_index=[0, 1], site_capacity=[1, 1], budget_units=2),
@@ -166,9 +223,12 @@ def test_scores_of_bodies_are_those_of_levels_on_the_table(
     )
     by_bodies = score(verdict, axis, levels)
     # Of a run whose contact ends with a later onset and begins again, the table knows
+
     # less.
     assert by_bodies >= apr(problem, [0, 1]) - 1e-12
+
     by_onsets = levels.of_onsets(verdict.onset_time_s, 1e-9)
+
     assert by_onsets @ axis.weight == pytest.approx(apr(problem, [0, 1]), abs=1e-12)
 
 
@@ -183,9 +243,12 @@ def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypa
     judge = Judge(study_runs, axis, RULE)
     row = np.ones(axis.n_frames, dtype=bool)
     first, again = (judge.verdicts([[(row, 0.025)]])[0] for _ in range(2))
+
     assert len(asked) == axis.n_runs
     assert np.array_equal(first.is_avoided, again.is_avoided)
+
     judge.verdicts([[(row, 0.05)]])[0]
+
     assert len(asked) == 2 * axis.n_runs
 
 
@@ -194,6 +257,10 @@ def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypa
 )
 def test_a_unit_has_its_own_latency_or_that_of_the_rule(camera, own_s, expected_s):
     unit = CandidatePose(
-        id="a", site_id="", pose=SimpleNamespace(), sensor=camera, latency_s=own_s
+        id="a",
+        site_id="",
+        pose=SimpleNamespace(),
+        sensor=camera,
+        latency_s=own_s,
     )
     assert unit.latency(RULE) == expected_s

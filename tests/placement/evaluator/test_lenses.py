@@ -27,7 +27,11 @@ HOUSES = (
     ((-16.0, 7.0, 0.0), (-9.0, 14.0, 5.0)),
     ((2.0, -12.0, 0.0), (2.3, -6.0, 1.2)),  # a low wall
 )
-MOUNT = Pose(position_m=np.array([-7.0, -7.0, 6.0]), yaw_deg=45.0, pitch_deg=-30.0)
+MOUNT = Pose(
+    position_m=np.array([-7.0, -7.0, 6.0]),
+    yaw_deg=45.0,
+    pitch_deg=-30.0,
+)
 
 
 def made_runs(build_run, rng, n_frames=24):
@@ -46,13 +50,19 @@ def made_runs(build_run, rng, n_frames=24):
             )
             for _ in range(3)
         ]
-        run = build_run(pick_actor(name, "test"), poses[0], poses[1], obstruction)
+        run = build_run(
+            pick_actor(name, "test"),
+            poses[0],
+            poses[1],
+            obstruction,
+        )
         van = MovingActor(
             actor=pick_actor("parked-van", "test"),
             position_m=poses[2][:, :2],
             yaw_deg=poses[2][:, 2],
         )
         runs.append(replace(run, traffic=(van,)))
+
     return runs
 
 
@@ -94,13 +104,33 @@ def opencv_rays(camera):
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-13)
     if isinstance(lens, Fisheye):
         terms = np.array([lens.k1, lens.k2, lens.k3, lens.k4])
-        found = cv2.fisheye.undistortPoints(pixels, K, terms, criteria=criteria)[:, 0]
-        again = cv2.fisheye.distortPoints(found[:, None], K, terms)[:, 0]
+        found = cv2.fisheye.undistortPoints(
+            pixels,
+            K,
+            terms,
+            criteria=criteria,
+        )[:, 0]
+        again = cv2.fisheye.distortPoints(
+            found[:, None],
+            K,
+            terms,
+        )[:, 0]
     else:
         terms = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
-        found = cv2.undistortPoints(pixels, K, terms, criteria=criteria)[:, 0]
+        found = cv2.undistortPoints(
+            pixels,
+            K,
+            terms,
+            criteria=criteria,
+        )[:, 0]
         points = np.column_stack([found, np.ones(len(found))])
-        again = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, terms)[0][:, 0]
+        again = cv2.projectPoints(
+            points,
+            np.zeros(3),
+            np.zeros(3),
+            K,
+            terms,
+        )[0][:, 0]
     off = ~(np.abs(again - pixels[:, 0]).max(axis=1) < 1e-6)
     off |= ~(np.hypot(*found.T) < min(lens.reach, np.tan(SEEN_RAD)))
     found[off] = np.nan
@@ -123,6 +153,7 @@ def depths(ways, near, corners):
     lengths = np.linalg.norm(ways, axis=1)[:, None]
     corners = corners[(corners[..., 2] > 0.0).any(axis=1)]
     n_parts = 1 + len(ways) * len(corners) // 200_000
+
     for a, b, c in (
         np.moveaxis(part, 1, 0) for part in np.array_split(corners, n_parts)
     ):
@@ -134,7 +165,15 @@ def depths(ways, near, corners):
             v = (ways @ q.T) / volume
             t = ((c - a) * q).sum(axis=1) / volume
             hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t * lengths >= near)
-        first = np.minimum(first, np.where(hit, t, np.inf).min(axis=1, initial=np.inf))
+        first = np.minimum(
+            first,
+            np.where(
+                hit,
+                t,
+                np.inf,
+            ).min(axis=1, initial=np.inf),
+        )
+
     return first
 
 
@@ -153,7 +192,11 @@ def corners_in_camera(solid, road_pose, pose):
 @pytest.mark.parametrize(("model", "seed"), [("brown-conrady", 0), ("fisheye", 1)])
 def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every):
     rng = np.random.default_rng(seed)
-    small = random_camera(rng, replace(camera, width_px=72, height_px=54), model)
+    small = random_camera(
+        rng,
+        replace(camera, width_px=72, height_px=54),
+        model,
+    )
     evidence = perceive_frames(surroundings, (MOUNT, small))
     rays = opencv_rays(small)
     lit = np.isfinite(rays[..., 0])
@@ -164,21 +207,30 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every
         static = surroundings.statics[surroundings.static_index[frame]]
         others = [(static, surroundings.static_poses[frame])]
         others.append((surroundings.vehicles[0], surroundings.vut_poses[frame]))
+
         for kind, at in zip(
             surroundings.traffic_index[frame],
             surroundings.traffic_poses[frame],
             strict=True,
         ):
             others.append((surroundings.vehicles[kind], at))
+
         body = corners_in_camera(vru, surroundings.vru_poses[frame], MOUNT)
         depth = depths(ways, small.near_m, body)
         before = np.full(len(ways), np.inf)
         hit = np.isfinite(depth)
+
         for solid, at in others if hit.any() else []:
             corners = corners_in_camera(solid, at, MOUNT)
             before[hit] = np.minimum(
-                before[hit], depths(ways[hit], small.near_m, corners)
+                before[hit],
+                depths(
+                    ways[hit],
+                    small.near_m,
+                    corners,
+                ),
             )
+
         for name, mask in (
             ("amodal_px", np.isfinite(depth)),
             ("visible_px", np.isfinite(depth) & ~(before < depth - 1e-3)),
@@ -197,9 +249,12 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every
             # A middle that rounding puts on either side of an edge moves a side by a
             # pixel.
             off = np.abs(getattr(evidence, name)[frame] - expected)
+
             assert off.max() <= 1.0
+
             n_seen += len(rows) > 0
             n_hidden += int(off.sum() > 0)
+
     assert n_seen > 24 / every
     assert n_hidden <= 12 / every
 
@@ -210,7 +265,10 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every
 def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
     plain = perceive_frames(surroundings, (MOUNT, camera))
     zero = replace(
-        camera, lens=BrownConrady(), principal_point=(0.5, 0.5), pixel_aspect=1.0
+        camera,
+        lens=BrownConrady(),
+        principal_point=(0.5, 0.5),
+        pixel_aspect=1.0,
     )
     bent = perceive_frames(surroundings, (MOUNT, zero))
     for name in ("amodal_px", "visible_px", "visible_share", "inside_share"):
@@ -225,18 +283,36 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))]
 )
 def test_table_and_evaluator_agree_about_who_is_in_view(
-    scene, runs, surroundings, camera, model, seed
+    scene,
+    runs,
+    surroundings,
+    camera,
+    model,
+    seed,
 ):
     """Where the one has a box of some size the other has nearly the same."""
     rng = np.random.default_rng(100 + seed)
     wide = camera
     while wide.is_pinhole or wide.horizontal_fov_deg < 60.0:  # some lenses fold early
-        wide = random_camera(rng, replace(camera, width_px=640, height_px=480), model)
+        wide = random_camera(
+            rng,
+            replace(camera, width_px=640, height_px=480),
+            model,
+        )
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=1.0, min_contrast=0.0)
     world = build_world(scene, runs, n_points=N_POINTS, seed=0)
     pose = replace(MOUNT, yaw_deg=float(rng.uniform(30.0, 60.0)))
-    unit = CandidatePose(id="a", site_id="", pose=pose, sensor=wide)
-    sight = cast_for(world, pose.position_m, [(unit, detector)])
+    unit = CandidatePose(
+        id="a",
+        site_id="",
+        pose=pose,
+        sensor=wide,
+    )
+    sight = cast_for(
+        world,
+        pose.position_m,
+        [(unit, detector)],
+    )
     parts = [
         part
         for _, part in build_sensing(world, sight, pose.position_m, detector).evidence(
@@ -251,18 +327,23 @@ def test_table_and_evaluator_agree_about_who_is_in_view(
     # Those of whom somebody sees something; at the picture's edge a pixel or a point
     # decides.
     seen = box_height_px(drawn.visible_px) > 6.0
+
     assert seen.sum() > 8
+
     near = np.abs(table - drawn.amodal_px).max(axis=1)
+
     assert (
         near[seen] <= 3.0 + 0.06 * box_height_px(drawn.amodal_px[seen])
     ).mean() > 0.9
     assert (
         (box_height_px(table) > 0.0) == (box_height_px(drawn.visible_px) > 0.0)
     ).mean() > 0.9
+
     # And in view is who the projection says.
     feet = np.concatenate([run.vru_position_m for run in runs])
     chest = np.column_stack([feet, np.full(len(feet), 1.0)])
     inside = is_in_view(unit, chest)
+
     assert (inside == (box_height_px(drawn.amodal_px) > 0.0)).mean() > 0.9
 
 
@@ -273,9 +354,14 @@ def test_what_lies_beyond_the_fold_is_not_shown(camera):
         np.array([[np.cos(a), np.sin(a), 0.0] for a in np.radians([0.0, 70.0, 75.0])])
         * 10.0
     )
-    level = Pose(position_m=np.zeros(3), yaw_deg=0.0, pitch_deg=0.0)
+    level = Pose(
+        position_m=np.zeros(3),
+        yaw_deg=0.0,
+        pitch_deg=0.0,
+    )
     shown = project_points(far, level, folds)[:, 0]
     turn = np.degrees((1.0 / 0.6) ** 0.5)  # angle - 0.2 angle^3 stops rising
+
     assert turn == pytest.approx(73.97, abs=0.01)
     assert np.isfinite(shown).tolist() == [True, True, False]
     assert is_shown(np.array([[np.tan(np.radians(73.9)), 0.0]]), folds).all()

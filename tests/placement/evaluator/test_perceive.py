@@ -21,9 +21,21 @@ HOUSES = (
 )
 N_FRAMES = 90  # of the three runs below
 MOUNTS = (
-    Pose(position_m=np.array([-7.0, -7.0, 6.0]), yaw_deg=45.0, pitch_deg=-30.0),
-    Pose(position_m=np.array([6.5, 6.5, 7.0]), yaw_deg=-135.0, pitch_deg=-35.0),
-    Pose(position_m=np.array([0.0, -14.0, 2.5]), yaw_deg=95.0, pitch_deg=-10.0),
+    Pose(
+        position_m=np.array([-7.0, -7.0, 6.0]),
+        yaw_deg=45.0,
+        pitch_deg=-30.0,
+    ),
+    Pose(
+        position_m=np.array([6.5, 6.5, 7.0]),
+        yaw_deg=-135.0,
+        pitch_deg=-35.0,
+    ),
+    Pose(
+        position_m=np.array([0.0, -14.0, 2.5]),
+        yaw_deg=95.0,
+        pitch_deg=-10.0,
+    ),
 )
 
 
@@ -48,7 +60,14 @@ def _random_runs(build_run, rng, n_frames=N_FRAMES // 3):
                 rng.uniform(-180.0, 180.0, n_frames),
             ]
         )
-        runs.append(build_run(pick_actor(name, "test"), vru, vut, obstruction))
+        runs.append(
+            build_run(
+                pick_actor(name, "test"),
+                vru,
+                vut,
+                obstruction,
+            )
+        )
     # Two vans and a car drive by in the second run; the car only in its first half.
     driving = []
     for kind, n_there in (
@@ -64,6 +83,7 @@ def _random_runs(build_run, rng, n_frames=N_FRAMES // 3):
                 yaw_deg=rng.uniform(-180.0, 180.0, n_frames),
             )
         )
+
     runs[1] = replace(runs[1], traffic=tuple(driving[:3]))
     return runs
 
@@ -93,11 +113,22 @@ def surroundings(build_scene, build_run):
     [MOUNTS[0], *(pytest.param(one, marks=pytest.mark.long) for one in MOUNTS[1:])],
 )
 def test_roadside_boxes_equal_the_plain_render_of_every_frame(
-    surroundings, camera, mount
+    surroundings,
+    camera,
+    mount,
 ):
     boxes = perceive_frames(surroundings, (mount, camera))
     frames = range(0, N_FRAMES, 2)
-    views = [render_frame(surroundings, frame, mount, camera) for frame in frames]
+    views = [
+        render_frame(
+            surroundings,
+            frame,
+            mount,
+            camera,
+        )
+        for frame in frames
+    ]
+
     assert (boxes.amodal_px[::2] == [view.amodal_box_px for view in views]).all()
     assert (boxes.visible_px[::2] == [view.visible_box_px for view in views]).all()
     # Worth its while only if the VUT hides something somewhere.
@@ -109,7 +140,9 @@ def test_roadside_boxes_equal_the_plain_render_of_every_frame(
 
 
 def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(
-    surroundings, camera, vut
+    surroundings,
+    camera,
+    vut,
 ):
     vut_camera = VutCamera(
         camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3
@@ -121,15 +154,26 @@ def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(
         x, y, yaw, _ = surroundings.vut_poses[frame]
         pose = _rotated(mount, yaw, (x, y))
         view = render_frame(surroundings, frame, pose, camera, with_vut=False)
+
         assert np.abs(boxes.amodal_px[frame] - view.amodal_box_px).max() <= 1.0
         assert np.abs(boxes.visible_px[frame] - view.visible_box_px).max() <= 1.0
+
         n_seen += view.visible_box_px.any()
+
     assert n_seen >= 5
 
 
 STUDY_POSES = (  # two of the study's RSUs
-    Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3),
-    Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=20.0, pitch_deg=-12.0),
+    Pose(
+        position_m=np.array([-138.94, -11.56, 7.97]),
+        yaw_deg=44.5,
+        pitch_deg=-34.3,
+    ),
+    Pose(
+        position_m=np.array([-138.94, -11.56, 7.97]),
+        yaw_deg=20.0,
+        pitch_deg=-12.0,
+    ),
 )
 
 
@@ -141,7 +185,9 @@ def test_boxes_and_shares_in_the_study_are_those_of_a_ray_per_pixel(study_runs, 
     surroundings = surroundings.take(np.arange(0, len(surroundings.vru_poses), 5))
     evidence = perceive_frames(surroundings, (pose, camera))
     frames = np.flatnonzero(evidence.amodal_px.any(axis=1))
+
     assert len(frames) > 20
+
     for frame in frames.tolist():
         x_min, y_min, x_max, y_max = evidence.amodal_px[frame].astype(int).tolist()
         crop_px = (
@@ -151,10 +197,14 @@ def test_boxes_and_shares_in_the_study_are_those_of_a_ray_per_pixel(study_runs, 
             min(y_max + 5, camera.height_px),
         )
         view = render_frame(surroundings, frame, pose, camera, crop_px=crop_px)
+
         assert np.abs(evidence.amodal_px[frame] - view.amodal_box_px).max() <= 1.0
         assert np.abs(evidence.visible_px[frame] - view.visible_box_px).max() <= 1.0
+
         share = (view.instance == VRU).sum() / view.amodal_mask.sum()
+
         assert evidence.visible_share[frame] == pytest.approx(share, abs=0.01)
+
     assert (evidence.visible_share[frames] < 1.0).any()
 
 
@@ -166,6 +216,7 @@ def test_sights_are_equal_where_all_but_the_vut_is_at_the_same_place():
     vru_poses[4, 0] += 1e-8
     vru_poses[3, 1] += 1e-5
     sights = find_sights(static_index, vru_index, static_poses, vru_poses)
+
     assert np.unique(sights[[1, 3, 2, 0]], return_inverse=True)[1].tolist() == [
         0,
         1,
@@ -181,19 +232,29 @@ def test_equal_obstructions_are_one_static_world(build_scene, build_run, block):
         return (PlacedActor(actor=pick_actor("parked-van", "test"), pose=pose),)
 
     runs = [
-        build_run(block, [[9.0, 0.0, 0.0]], obstruction=obstruction)
+        build_run(
+            block,
+            [[9.0, 0.0, 0.0]],
+            obstruction=obstruction,
+        )
         for obstruction in (park(3.0), (), park(3.0), park(3.5))
     ]
     surroundings = build_surroundings(build_scene(), runs)
+
     assert len(surroundings.statics) == 3
     assert surroundings.static_index.tolist() == [0, 1, 0, 2]
 
 
 def test_too_low_vrus_are_left_out_and_all_others_unchanged(surroundings, camera):
     every = perceive_frames(surroundings, (MOUNTS[0], camera))
-    high = perceive_frames(surroundings, (MOUNTS[0], camera), min_height_px=25.0)
+    high = perceive_frames(
+        surroundings,
+        (MOUNTS[0], camera),
+        min_height_px=25.0,
+    )
     height_px = every.amodal_px[:, 3] - every.amodal_px[:, 1]
     is_high = height_px >= 25.0
+
     assert is_high.any()
     assert not is_high.all()
     assert (high.amodal_px[is_high] == every.amodal_px[is_high]).all()
@@ -204,6 +265,7 @@ def test_too_low_vrus_are_left_out_and_all_others_unchanged(surroundings, camera
 def test_two_vuts_are_refused(build_scene, build_run, block):
     run = build_run(block, [[0.0, 0.0, 0.0]])
     other = replace(run, encounter=replace(run.encounter, vut=block))
+
     with pytest.raises(
         InputError, match=r"runs: VUT: got .*; expected the same vehicle"
     ):

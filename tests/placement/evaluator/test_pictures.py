@@ -23,7 +23,11 @@ onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 
-POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
+POSE = Pose(
+    position_m=np.array([-138.94, -11.56, 7.97]),
+    yaw_deg=44.5,
+    pitch_deg=-34.3,
+)
 PEDESTRIAN = "CPNC-50/west/30"
 CYCLIST = "CBLA/west/25"
 PERSON = 1
@@ -62,7 +66,12 @@ def evaluate(tmp_path, build_setting, scene, camera):
         onnx.save(model, tmp_path / "x.onnx")
         detector = load_detector(str(tmp_path / "x.onnx"))
         setting = build_setting(scene, runs, detector=detector, vut_camera=camera)
-        unit = CandidatePose(id="rsu", site_id="", pose=POSE, sensor=camera)
+        unit = CandidatePose(
+            id="rsu",
+            site_id="",
+            pose=POSE,
+            sensor=camera,
+        )
         evaluation = evaluate_layout(Layout(name="test", units=(unit,)), setting)
         return evaluation.units["rsu"].detected, evaluation.vut.detected
 
@@ -86,18 +95,34 @@ def visible(scene, camera):
 
 def constant(name, value):
     return helper.make_node(
-        "Constant", [], [name], value=numpy_helper.from_array(value, name)
+        "Constant",
+        [],
+        [name],
+        value=numpy_helper.from_array(value, name),
     )
 
 
 def build_network(
-    boxes, *, label=PERSON, nodes=(), shape=("batch", 3, "height", "width")
+    boxes,
+    *,
+    label=PERSON,
+    nodes=(),
+    shape=("batch", 3, "height", "width"),
 ):
     """Torchvision's outputs: the same boxes always, surely unless `nodes` compute the
     scores.
     """
     boxes = np.float32(boxes).reshape(-1, 4)
-    nodes = nodes or [constant("scores", np.full(len(boxes), 0.75, dtype=np.float32))]
+    nodes = nodes or [
+        constant(
+            "scores",
+            np.full(
+                len(boxes),
+                0.75,
+                dtype=np.float32,
+            ),
+        )
+    ]
     kinds = {
         "boxes": TensorProto.FLOAT,
         "labels": TensorProto.INT64,
@@ -117,7 +142,9 @@ def build_network(
         ],
     )
     return helper.make_model(
-        graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9
+        graph,
+        opset_imports=[helper.make_opsetid("", 17)],
+        ir_version=9,
     )
 
 
@@ -132,7 +159,11 @@ def build_network_that_knows(picture, box):
         helper.make_node("Sub", ["images", "known"], ["difference"]),
         helper.make_node("Abs", ["difference"], ["size"]),
         helper.make_node(
-            "ReduceMax", ["size"], ["largest"], axes=(1, 2, 3), keepdims=0
+            "ReduceMax",
+            ["size"],
+            ["largest"],
+            axes=(1, 2, 3),
+            keepdims=0,
         ),
         helper.make_node("Less", ["largest", "tolerance"], ["is_known"]),
         helper.make_node("Cast", ["is_known"], ["scores"], to=TensorProto.FLOAT),
@@ -153,14 +184,21 @@ def render(scene, run, frame, pose, camera, **options):
 
 @pytest.mark.parametrize(("name", "unit"), [(PEDESTRIAN, 0), (CYCLIST, 1)])
 def test_one_box_is_matched_in_the_frames_whose_visible_box_it_overlaps_by_half(
-    name, unit, last_frames, visible, evaluate
+    name,
+    unit,
+    last_frames,
+    visible,
+    evaluate,
 ):
     runs = last_frames(name)
     boxes = visible(runs)
     box = boxes[unit][0]
     expected = [iou(seen, box) > 0.5 for seen in boxes]
+
     assert 1 < expected[unit].sum() < N_FRAMES
+
     detected = evaluate(build_network(box), runs)
+
     assert [frames.tolist() for frames in detected] == [
         frames.tolist() for frames in expected
     ]
@@ -170,16 +208,25 @@ def test_one_box_is_matched_in_the_frames_whose_visible_box_it_overlaps_by_half(
     ("name", "is_detected"), [(PEDESTRIAN, False), (CYCLIST, True)]
 )
 def test_a_bicycle_may_be_a_cyclist_but_is_no_pedestrian(
-    name, is_detected, last_frames, visible, evaluate
+    name,
+    is_detected,
+    last_frames,
+    visible,
+    evaluate,
 ):
     runs = last_frames(name, n_frames=1)
     box = visible(runs)[0][0]
     by_rsu, _ = evaluate(build_network(box, label=BICYCLE), runs)
+
     assert by_rsu.tolist() == [is_detected]
 
 
 def test_a_network_that_knows_one_picture_detects_in_that_frame_of_that_unit_alone(
-    last_frames, visible, evaluate, scene, camera
+    last_frames,
+    visible,
+    evaluate,
+    scene,
+    camera,
 ):
     runs = last_frames(PEDESTRIAN, CYCLIST, n_frames=2)
     frame = 2 + 1
@@ -187,6 +234,7 @@ def test_a_network_that_knows_one_picture_detects_in_that_frame_of_that_unit_alo
     by_rsu, by_vut = evaluate(
         build_network_that_knows(picture, visible(runs)[0][frame]), runs
     )
+
     assert np.flatnonzero(by_rsu).tolist() == [frame]
     assert not by_vut.any()
 
@@ -200,33 +248,63 @@ def tiny(camera):
 
 
 def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(
-    last_frames, scene, tiny
+    last_frames,
+    scene,
+    tiny,
 ):
     first, second = last_frames(PEDESTRIAN, CYCLIST)
     second = replace(second, weather="night", obstruction=())
     source = PictureSource(scene, [first, second], seed=5)
     mount = replace(load_vut_camera(), camera=tiny)
+
     for index, run, frame in (
         (N_FRAMES - 1, first, N_FRAMES - 1),
         (N_FRAMES, second, 0),
         (2 * N_FRAMES - 1, second, N_FRAMES - 1),
     ):
-        by_rsu = render(scene, run, frame, POSE, tiny, compute=Compute(seed=5))
+        by_rsu = render(
+            scene,
+            run,
+            frame,
+            POSE,
+            tiny,
+            compute=Compute(seed=5),
+        )
         assert np.array_equal(source.pictures((POSE, tiny))(index), by_rsu)
+
         pose = vut_camera_pose(mount, run, frame)
         by_vut = render(
-            scene, run, frame, pose, tiny, compute=Compute(seed=5), with_vut=False
+            scene,
+            run,
+            frame,
+            pose,
+            tiny,
+            compute=Compute(seed=5),
+            with_vut=False,
         )
+
         assert np.array_equal(source.pictures(mount)(index), by_vut)
 
 
 def test_each_run_is_drawn_behind_its_own_obstruction(last_frames, scene, tiny):
     (hidden,) = last_frames(PEDESTRIAN, n_frames=1)
     free = replace(hidden, obstruction=())
-    picture = PictureSource(scene, [hidden, free, hidden], seed=0).pictures(
-        (POSE, tiny)
+    picture = PictureSource(
+        scene,
+        [hidden, free, hidden],
+        seed=0,
+    ).pictures((POSE, tiny))
+
+    assert np.array_equal(
+        picture(1),
+        render(
+            scene,
+            free,
+            0,
+            POSE,
+            tiny,
+        ),
     )
-    assert np.array_equal(picture(1), render(scene, free, 0, POSE, tiny))
     assert np.array_equal(picture(0), picture(2))
     assert not np.array_equal(picture(0), picture(1))
 
@@ -236,12 +314,18 @@ def test_the_vuts_camera_goes_and_turns_with_it(last_frames, tiny):
     mount = replace(load_vut_camera(), camera=tiny)
     on_vut = mount.pose_on(run.encounter.vut)
     ahead_m, left_m, up_m = on_vut.position_m
+
     for frame in (0, N_FRAMES - 1):
         yaw = np.radians(run.vut_yaw_deg[frame])
         along = np.array([np.cos(yaw), np.sin(yaw)])
         across = np.array([-np.sin(yaw), np.cos(yaw)])
         expected = run.vut_position_m[frame] + ahead_m * along + left_m * across
         pose = vut_camera_pose(mount, run, frame)
-        np.testing.assert_allclose(pose.position_m, [*expected, up_m], atol=1e-9)
+
+        np.testing.assert_allclose(
+            pose.position_m,
+            [*expected, up_m],
+            atol=1e-9,
+        )
         assert pose.yaw_deg == run.vut_yaw_deg[frame] + on_vut.yaw_deg
         assert pose.pitch_deg == on_vut.pitch_deg

@@ -62,7 +62,15 @@ def look(request, build_run, camera, build_scene):
         else:
             vut_poses = [vut_pose]
         surroundings = build_surroundings(
-            build_scene(*walls), [build_run(vru, [vru_pose], vut_poses, obstruction)]
+            build_scene(*walls),
+            [
+                build_run(
+                    vru,
+                    [vru_pose],
+                    vut_poses,
+                    obstruction,
+                )
+            ],
         )
         model = replace(camera, near_m=near_m)
         if request.param == "a ray per pixel":
@@ -81,8 +89,11 @@ def look(request, build_run, camera, build_scene):
 def test_unobstructed_vru_has_the_pinhole_size(look, camera, block, distance_m):
     amodal, visible = look(block, [distance_m, 0.0, 0.0])
     x_min, y_min, x_max, y_max = amodal
+
     assert (visible == amodal).all()
+
     scale = camera.focal_length_px / (distance_m - 0.25)
+
     assert x_max - x_min == pytest.approx(min(1.0 * scale, camera.width_px), abs=1.5)
     assert y_max - y_min == pytest.approx(min(1.8 * scale, camera.height_px), abs=1.5)
 
@@ -101,27 +112,52 @@ def test_unobstructed_vru_has_the_pinhole_size(look, camera, block, distance_m):
     ],
 )
 def test_wall_up_to_the_optical_axis_halves_the_box(
-    look, camera, block, low, high, side
+    look,
+    camera,
+    block,
+    low,
+    high,
+    side,
 ):
-    amodal, visible = look(block, [10.0, 0.0, 0.0], walls=[(low, high)])
+    amodal, visible = look(
+        block,
+        [10.0, 0.0, 0.0],
+        walls=[(low, high)],
+    )
     expected = amodal.copy()
     expected[side] = 0.5 * (camera.width_px if side % 2 == 0 else camera.height_px)
+
     assert np.abs(visible - expected).max() <= 1.0
     assert not (visible == amodal).all()
 
 
 @pytest.mark.parametrize(("near_m", "is_drawn"), [(0.35, False), (0.2, True)])
 def test_nothing_is_drawn_nearer_than_the_nearest_distance(
-    look, block, near_m, is_drawn
+    look,
+    block,
+    near_m,
+    is_drawn,
 ):
     plate = ((0.24, -0.05, 0.85), (0.26, 0.05, 0.95))
-    _, behind_plate = look(block, [10.0, 0.0, 0.0], walls=[plate], near_m=near_m)
+    _, behind_plate = look(
+        block,
+        [10.0, 0.0, 0.0],
+        walls=[plate],
+        near_m=near_m,
+    )
+
     assert behind_plate.any() != is_drawn
+
     (shape,) = block.shapes
     speck = replace(
         shape, vertices_m=shape.vertices_m * [0.04, 0.1, 0.02] + [0.0, 0.0, 0.88]
     )
-    amodal, _ = look(replace(block, shapes=(speck,)), [0.3, 0.0, 0.0], near_m=near_m)
+    amodal, _ = look(
+        replace(block, shapes=(speck,)),
+        [0.3, 0.0, 0.0],
+        near_m=near_m,
+    )
+
     assert amodal.any() == is_drawn
 
 
@@ -145,7 +181,13 @@ def _drawn(corners_m, camera, window):
     triangles = np.arange(len(points)).reshape(-1, 3)
     triangles = np.concatenate([triangles, triangles[:, ::-1]])
     depth = np.full((window[3] - window[1], window[2] - window[0]), np.inf)
-    draw(image, points, triangles, window, depth.reshape(-1))
+    draw(
+        image,
+        points,
+        triangles,
+        window,
+        depth.reshape(-1),
+    )
     skin = Mesh(vertices_m=points, triangles=triangles).skin
     return depth, find_box(image, skin.vertices_m, skin, window)
 
@@ -161,7 +203,9 @@ def _cast(corners_m, camera, window):
     1997].
     """
     columns, rows = np.meshgrid(
-        np.arange(window[0], window[2]), np.arange(window[1], window[3]), indexing="xy"
+        np.arange(window[0], window[2]),
+        np.arange(window[1], window[3]),
+        indexing="xy",
     )
     ways = np.stack(
         [
@@ -173,6 +217,7 @@ def _cast(corners_m, camera, window):
     )
     nearest = np.full(columns.shape, np.inf)
     is_sure = np.ones(columns.shape, dtype=bool)  # not within rounding of an edge
+
     for a, b, c in corners_m:
         across = np.cross(ways, c - a)
         scale = across @ (b - a)
@@ -185,11 +230,16 @@ def _cast(corners_m, camera, window):
             is_hit = (
                 (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance >= camera.near_m)
             )
-            nearest = np.where(is_hit, np.minimum(nearest, depth), nearest)
+            nearest = np.where(
+                is_hit,
+                np.minimum(nearest, depth),
+                nearest,
+            )
             margin = np.min(
                 np.abs([u, v, 1.0 - u - v, distance - camera.near_m]), axis=0
             )
             is_sure &= (margin > 1.0e-6) & (np.abs(scale) > 1.0e-9)
+
     return nearest, is_sure
 
 
@@ -203,7 +253,13 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
     """
     depth, box = _drawn(corners_m, TINY, window)
     expected, is_sure = _cast(corners_m, TINY, window)
-    assert np.allclose(depth[is_sure], expected[is_sure], rtol=1e-6)
+
+    assert np.allclose(
+        depth[is_sure],
+        expected[is_sure],
+        rtol=1e-6,
+    )
+
     rows, columns = np.nonzero(np.isfinite(depth))
     if len(rows) == 0:
         assert box == (0, 0, 0, 0)
@@ -223,7 +279,10 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
     up_m=st.floats(0.1, 3.0),
 )
 def test_what_reaches_into_the_beam_hides_what_rays_find_hidden(
-    corners_m, plate_m, yaw_deg, up_m
+    corners_m,
+    plate_m,
+    yaw_deg,
+    up_m,
 ):
     """A plate across the view, behind triangles anywhere: what the tree leaves out
     hides nothing.
@@ -231,17 +290,36 @@ def test_what_reaches_into_the_beam_hides_what_rays_find_hidden(
     No height limits the beam here.
     """
     pose = Pose(
-        position_m=np.array([0.3, -0.2, up_m]), yaw_deg=yaw_deg, pitch_deg=-20.0
+        position_m=np.array([0.3, -0.2, up_m]),
+        yaw_deg=yaw_deg,
+        pitch_deg=-20.0,
     )
     window = (20, 10, 50, 40)
-    placed = _place(pose, np.zeros((1, 4)), np.zeros(1))
+    placed = _place(
+        pose,
+        np.zeros((1, 4)),
+        np.zeros(1),
+    )
     depth = np.full((30, 30), plate_m)
     beam = (placed.turn[0], placed.shift[0], window, plate_m, -np.inf, np.inf)
-    hide(_image(TINY, up_m), build_tree(corners_m), 0, *beam, depth.reshape(-1))
-    is_before = hide(_image(TINY, up_m), build_tree(corners_m), 0, *beam, np.empty(0))
+    hide(
+        _image(TINY, up_m),
+        build_tree(corners_m),
+        0,
+        *beam,
+        depth.reshape(-1),
+    )
+    is_before = hide(
+        _image(TINY, up_m),
+        build_tree(corners_m),
+        0,
+        *beam,
+        np.empty(0),
+    )
     in_camera = corners_m @ placed.turn[0].T + placed.shift[0]
     before, is_sure = _cast(in_camera, TINY, window)
     is_sure &= np.abs(before - plate_m) > 1.0e-6
+
     assert (np.isinf(depth) == (before < plate_m))[is_sure].all()
     assert is_before == np.isinf(depth).any()
 
@@ -252,10 +330,12 @@ def test_tree_holds_every_triangle_once_and_each_box_its_own(corners_m, n_copies
     assert sorted(map(tuple, tree.corners_m.reshape(-1, 9))) == sorted(
         map(tuple, np.tile(corners_m, (n_copies, 1, 1)).reshape(-1, 9))
     )
+
     for node, (start, end) in enumerate(zip(tree.start, tree.end, strict=True)):
         own = tree.corners_m[start:end].reshape(-1, 3)
         assert (tree.low_m[node] == own.min(axis=0)).all()
         assert (tree.high_m[node] == own.max(axis=0)).all()
+
         second = tree.second[node]
         if second >= 0:
             assert (tree.start[node + 1], tree.end[node + 1]) == (
@@ -263,6 +343,7 @@ def test_tree_holds_every_triangle_once_and_each_box_its_own(corners_m, n_copies
                 tree.start[second],
             )
             assert tree.end[second] == end
+
     assert (tree.start[0], tree.end[0]) == (0, n_copies * len(corners_m))
 
 
@@ -275,6 +356,7 @@ def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
         [corner + [2.0**power, 0.0, 0.0] for power in range(-1000, 1000)]
     )
     tree = build_tree(corners_m)
+
     assert sorted(tree.corners_m[:, 0, 0]) == sorted(corners_m[:, 0, 0])
 
 
@@ -282,10 +364,21 @@ def test_tree_of_nothing_hides_nothing():
     empty = Mesh(
         vertices_m=np.empty((0, 3)), triangles=np.empty((0, 3), dtype=np.int64)
     ).tree
-    placed = _place(LEVEL, np.zeros((1, 4)), np.zeros(1))
+    placed = _place(
+        LEVEL,
+        np.zeros((1, 4)),
+        np.zeros(1),
+    )
     args = (placed.turn[0], placed.shift[0], (0, 0, 9, 9), 5.0, 0.0, 2.0, np.ones(81))
+
     assert not hide(_image(TINY), empty, 0, *args)
-    assert not hide(_image(TINY), empty, 0, *args[:-1], np.empty(0))
+    assert not hide(
+        _image(TINY),
+        empty,
+        0,
+        *args[:-1],
+        np.empty(0),
+    )
 
 
 # ---------- bodies
@@ -293,16 +386,26 @@ def test_tree_of_nothing_hides_nothing():
 
 @pytest.mark.parametrize("left_m", [-6.0, 6.0])
 def test_body_beside_the_lens_is_not_drawn_though_it_reaches_behind(
-    camera, block, left_m
+    camera,
+    block,
+    left_m,
 ):
     body = build_body(block.shapes[0])
     for y_m, expected in (
         (left_m, (0, 0, 0, 0)),
         (0.0, (0, 0, camera.width_px, camera.height_px)),
     ):
-        hull = _in_camera(body.hull_m, LEVEL, [0.0, y_m, 0.0, 0.0])
+        hull = _in_camera(
+            body.hull_m,
+            LEVEL,
+            [0.0, y_m, 0.0, 0.0],
+        )
         assert hull[:, 2].min() < 0.0
-        assert find_crop(_image(camera), hull, 0.0) == (expected, 0.0)
+        assert find_crop(
+            _image(camera),
+            hull,
+            0.0,
+        ) == (expected, 0.0)
 
 
 @given(
@@ -313,19 +416,33 @@ def test_body_beside_the_lens_is_not_drawn_though_it_reaches_behind(
     pitch_deg=st.floats(-89.0, 30.0),
 )
 def test_crop_holds_every_pixel_of_the_body(ahead_m, left_m, up_m, yaw_deg, pitch_deg):
-    pose = Pose(position_m=np.array([0.0, 0.0, up_m]), yaw_deg=0.0, pitch_deg=pitch_deg)
+    pose = Pose(
+        position_m=np.array([0.0, 0.0, up_m]),
+        yaw_deg=0.0,
+        pitch_deg=pitch_deg,
+    )
     road_pose = np.array([ahead_m, left_m, yaw_deg, 0.0])
     whole = np.array([[0, 0, TINY.width_px, TINY.height_px]])
-    cast = cast_crops(build_lens(pose, TINY), ADULT, road_pose[None], whole)[0]
+    cast = cast_crops(
+        build_lens(pose, TINY),
+        ADULT,
+        road_pose[None],
+        whole,
+    )[0]
     is_hit = np.isfinite(cast.reshape(TINY.height_px, TINY.width_px))
     (x_min, y_min, x_max, y_max), _ = find_crop(
         _image(TINY), _in_camera(ADULT.hull_m, pose, road_pose), 0.0
     )
+
     assert is_hit[y_min:y_max, x_min:x_max].sum() == is_hit.sum()
 
 
 def _in_camera(points_m, pose, road_pose):
-    placed = _place(pose, np.array([road_pose]), np.zeros(1))
+    placed = _place(
+        pose,
+        np.array([road_pose]),
+        np.zeros(1),
+    )
     return np.ascontiguousarray(points_m @ placed.turn[0].T + placed.shift[0])
 
 
@@ -337,7 +454,11 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
     """
     body = build_body(pick_actor(name, "test").shapes[0])
     (mesh,) = body.meshes
-    pose = Pose(position_m=np.array([0.0, 0.0, 1.4]), yaw_deg=0.0, pitch_deg=-10.0)
+    pose = Pose(
+        position_m=np.array([0.0, 0.0, 1.4]),
+        yaw_deg=0.0,
+        pitch_deg=-10.0,
+    )
     window = (0, 0, camera.width_px, camera.height_px)
     n_differ = 0
     n_hit = 0
@@ -345,15 +466,26 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
         road_pose = np.array([distance_m, 0.3, yaw_deg, 0.0])
         points = _in_camera(mesh.skin.vertices_m, pose, road_pose)
         depth = np.full(camera.width_px * camera.height_px, np.inf)
-        draw(_image(camera, 1.4), points, mesh.skin.triangles, window, depth)
+        draw(
+            _image(camera, 1.4),
+            points,
+            mesh.skin.triangles,
+            window,
+            depth,
+        )
         cast = cast_crops(
-            build_lens(pose, camera), body, road_pose[None], np.array([window])
+            build_lens(pose, camera),
+            body,
+            road_pose[None],
+            np.array([window]),
         )[0]
         n_differ += (np.isfinite(depth) != np.isfinite(cast)).sum()
         n_hit += np.isfinite(cast).sum()
         is_both = np.isfinite(depth) & np.isfinite(cast)
+
         # Two surfaces may lie one behind the other where an edge is met or missed.
         assert (np.abs(depth[is_both] / cast[is_both] - 1.0) < 1e-4).mean() > 0.999
+
     assert n_hit > 500
     assert n_differ <= 1e-3 * n_hit
 
@@ -362,7 +494,11 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
 
 
 def test_depth_of_a_plane_is_that_of_the_pixel_rays(build_scene, camera, block):
-    pose = Pose(position_m=np.array([3.0, -2.0, 7.0]), yaw_deg=35.0, pitch_deg=-40.0)
+    pose = Pose(
+        position_m=np.array([3.0, -2.0, 7.0]),
+        yaw_deg=35.0,
+        pitch_deg=-40.0,
+    )
     middle_m = np.array([20.0, 10.0])
     scene = build_scene(((-300.0, -300.0, -1.0), (300.0, 300.0, 0.0)))
     ground = build_static(
@@ -374,7 +510,13 @@ def test_depth_of_a_plane_is_that_of_the_pixel_rays(build_scene, camera, block):
         vru=(build_body(block.shapes[0]), np.array([-50.0, -50.0, 0.0, 0.0])),
     )
     rows, columns = np.indices(view.depth_m.shape)
-    rays = pixel_rays(columns.ravel(), rows.ravel(), pose, camera)
+    rays = pixel_rays(
+        columns.ravel(),
+        rows.ravel(),
+        pose,
+        camera,
+    )
     expected = -7.0 / rays[:, 2].reshape(view.depth_m.shape)
+
     assert np.allclose(view.depth_m, expected, rtol=1e-4)
     assert (view.instance == STATIC).all()

@@ -27,7 +27,11 @@ from placement.evaluator.surroundings import (
 STUDY = load_lidars()["carla-ncap-lidar"]
 SURE = replace(STUDY, reference_range_m=1.0e6)  # whatever it hits comes back
 LOW = Pose(position_m=np.array([0.0, 0.0, 0.9]), yaw_deg=0.0)
-HIGH = Pose(position_m=np.array([-8.0, -6.0, 6.0]), yaw_deg=40.0, pitch_deg=-25.0)
+HIGH = Pose(
+    position_m=np.array([-8.0, -6.0, 6.0]),
+    yaw_deg=40.0,
+    pitch_deg=-25.0,
+)
 WALL = ((5.0, -3.0, 0.0), (5.4, 3.0, 4.0))
 
 
@@ -68,11 +72,22 @@ def sees(build_scene, build_run, block):
     """Whether a LiDAR on the roadside detects the block in each frame."""
 
     def look(
-        vru_poses, *boxes, vut_poses=None, pose=LOW, lidar=STUDY, weather="day", seed=0
+        vru_poses,
+        *boxes,
+        vut_poses=None,
+        pose=LOW,
+        lidar=STUDY,
+        weather="day",
+        seed=0,
     ):
         run = replace(build_run(block, vru_poses, vut_poses), weather=weather)
         surroundings = build_surroundings(build_scene(*boxes), [run])
-        return scan_frames(surroundings, pose, lidar, _rng(seed)).tolist()
+        return scan_frames(
+            surroundings,
+            pose,
+            lidar,
+            _rng(seed),
+        ).tolist()
 
     return look
 
@@ -89,6 +104,7 @@ def test_nothing_is_seen_beyond_the_range(sees):
 def test_fog_and_a_heavy_rain_take_what_is_far(sees):
     vru = [[8.0, 0.0, 0.0], [35.0, 0.0, 0.0]]
     found = {name: sees(vru, weather=name) for name in ("day", "night", "rain", "fog")}
+
     assert found["day"] == found["night"] == found["rain"] == [True, True]
     assert found["fog"] == [True, False]
 
@@ -98,7 +114,11 @@ def test_fog_and_a_heavy_rain_take_what_is_far(sees):
 
 @pytest.mark.parametrize("distance_m", [4.0, 15.0])
 def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
-    build_scene, build_run, block, count, distance_m
+    build_scene,
+    build_run,
+    block,
+    count,
+    distance_m,
 ):
     """A face of 1 m by 1.8 m that is met squarely: every beam that ends inside it
     counts.
@@ -108,7 +128,9 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     ahead, left, up = np.moveaxis(beam_directions(SURE).reshape(-1, 3), -1, 0)
     y_m = distance_m * left / ahead
     z_m = 0.9 + distance_m * up / ahead
+
     assert found == ((np.abs(y_m) < 0.5) & (z_m > 0.0) & (z_m < 1.8)).sum()
+
     solid_angle = 4.0 * np.arctan(  # of a rectangle seen from above its middle
         0.5 * 0.9 / (distance_m * np.sqrt(distance_m**2 + 0.5**2 + 0.9**2))
     )
@@ -121,6 +143,7 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
             (1.0, SURE.n_columns, SURE.horizontal_fov_deg),
         )
     )
+
     assert found == pytest.approx(expected, abs=rows + columns)
 
 
@@ -162,7 +185,11 @@ def _plain_counts(scene, runs, pose, lidar):
             vru = run.encounter.vru.shapes[run.vru_shape[frame]]
             vertices, triangles, owner = _combined(
                 [
-                    _placed(vru, run.vru_position_m[frame], run.vru_yaw_deg[frame]),
+                    _placed(
+                        vru,
+                        run.vru_position_m[frame],
+                        run.vru_yaw_deg[frame],
+                    ),
                     _placed(
                         run.encounter.vut.shapes[0],
                         run.vut_position_m[frame],
@@ -176,6 +203,7 @@ def _plain_counts(scene, runs, pose, lidar):
                 starts.astype(np.float32), beams.astype(np.float32)
             )
             counts.append(int((owner[hit[hit >= 0]] == 0).sum()))
+
     return np.array(counts)
 
 
@@ -183,7 +211,10 @@ def _plain_counts(scene, runs, pose, lidar):
     "pose", [HIGH, replace(LOW, position_m=np.array([-9.0, 1.0, 1.6]))]
 )
 def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_vru(
-    build_scene, build_run, needs, pose
+    build_scene,
+    build_run,
+    needs,
+    pose,
 ):
     rng = _rng(7)
     car = PlacedActor(
@@ -202,7 +233,15 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
             for _ in range(2)
         )
         vru[8:] = vru[:8]  # some sights repeat, with the VUT elsewhere
-        runs.append(build_run(pick_actor(name, "test"), vru, vut, obstruction))
+        runs.append(
+            build_run(
+                pick_actor(name, "test"),
+                vru,
+                vut,
+                obstruction,
+            )
+        )
+
     surroundings = build_surroundings(scene, runs)
     counts = _plain_counts(scene, runs, pose, SURE)
     hidden = _plain_counts(
@@ -211,14 +250,18 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
         pose,
         SURE,
     )
+
     assert (hidden > counts).any()  # the VUT hides something somewhere
+
     for n_points in (1, 10, 40, 120):
         needs(n_points)
         found = scan_frames(surroundings, pose, SURE, _rng())
         # A beam along an edge may go either way in single precision.
         is_clear = (counts == 0) | (np.abs(counts - n_points) > 2)
+
         assert is_clear.mean() > 0.7
         assert (found == (counts >= n_points))[is_clear].all()
+
     assert 0.2 < (counts >= 10).mean() < 0.9
 
 
@@ -238,7 +281,16 @@ def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block,
         )
         for x_m, yaw_deg in ((9.0, 0.0), (9.0, 45.0), (10.5, 0.0))
     ]
-    assert [count(one, LOW, weak) > 0 for one in surroundings] == [True, False, False]
+
+    assert [
+        count(
+            one,
+            LOW,
+            weak,
+        )
+        > 0
+        for one in surroundings
+    ] == [True, False, False]
     assert all(count(one, LOW) > 50 for one in surroundings)
 
 
@@ -248,7 +300,15 @@ def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block,
 def test_the_same_seed_brings_the_same_pulses_back(sees):
     vru = [[x_m, 0.0, 90.0] for x_m in np.linspace(20.0, 50.0, 60)]
     vague = replace(STUDY, threshold_width=9.0, reference_probability=0.5)
-    one, same, other = (sees(vru, seed=seed, lidar=vague) for seed in (1, 1, 2))
+    one, same, other = (
+        sees(
+            vru,
+            seed=seed,
+            lidar=vague,
+        )
+        for seed in (1, 1, 2)
+    )
+
     assert one == same
     assert one != other
     assert any(one)
@@ -262,12 +322,26 @@ def test_other_frames_do_not_matter(build_scene, build_run):
         for _ in range(2)
     )
     surroundings = build_surroundings(
-        build_scene(WALL), [build_run(pick_actor("adult", "test"), vru, vut)]
+        build_scene(WALL),
+        [
+            build_run(
+                pick_actor("adult", "test"),
+                vru,
+                vut,
+            )
+        ],
     )
     every = scan_frames(surroundings, LOW, SURE, _rng())
     some = np.arange(0, 40, 3)
+
     assert np.array_equal(
-        scan_frames(surroundings.take(some), LOW, SURE, _rng()), every[some]
+        scan_frames(
+            surroundings.take(some),
+            LOW,
+            SURE,
+            _rng(),
+        ),
+        every[some],
     )
     assert 0 < every.sum() < 40
 
@@ -284,12 +358,34 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     place = np.repeat([[3.0, 5.0], [-20.0, 1.0], [40.0, -6.0]], 4, axis=0)
     vut = np.column_stack([place, yaw_deg])
     vru = np.column_stack([place + 14.0 * towards, yaw_deg])
-    surroundings = build_surroundings(build_scene(), [build_run(block, vru, vut)])
-    found = scan_frames(surroundings, load_vut_camera(), load_vut_lidar(), _rng())
+    surroundings = build_surroundings(
+        build_scene(),
+        [
+            build_run(
+                block,
+                vru,
+                vut,
+            )
+        ],
+    )
+    found = scan_frames(
+        surroundings,
+        load_vut_camera(),
+        load_vut_lidar(),
+        _rng(),
+    )
+
     assert found.tolist() == [True, False, False, True] * 3
+
     wall = build_scene(((3.0 + 7.0, 5.0 - 3.0, 0.0), (3.0 + 7.4, 5.0 + 3.0, 4.0)))
     behind = build_surroundings(wall, [build_run(block, vru, vut)])
-    found = scan_frames(behind, load_vut_camera(), load_vut_lidar(), _rng())
+    found = scan_frames(
+        behind,
+        load_vut_camera(),
+        load_vut_lidar(),
+        _rng(),
+    )
+
     assert (
         found.tolist() == [False, False, False, False] + [True, False, False, True] * 2
     )
@@ -300,10 +396,23 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
 
 # Cells of a degree; a wide one leaves a gap behind, over which a cone reaches both
 # edges.
-RING = replace(SURE, horizontal_fov_deg=360.0, vertical_fov_deg=150.0, n_lines=150)
+RING = replace(
+    SURE,
+    horizontal_fov_deg=360.0,
+    vertical_fov_deg=150.0,
+    n_lines=150,
+)
 RING = replace(RING, points_per_second=10.0 * 150 * 360)
-SECTOR = replace(RING, horizontal_fov_deg=120.0, points_per_second=10.0 * 150 * 120)
-WIDE = replace(RING, horizontal_fov_deg=345.0, points_per_second=10.0 * 150 * 345)
+SECTOR = replace(
+    RING,
+    horizontal_fov_deg=120.0,
+    points_per_second=10.0 * 150 * 120,
+)
+WIDE = replace(
+    RING,
+    horizontal_fov_deg=345.0,
+    points_per_second=10.0 * 150 * 345,
+)
 OVERHEAD = Pose(position_m=np.array([0.5, 0.5, 5.0]), yaw_deg=0.0)
 
 
@@ -323,6 +432,7 @@ def beams_on_vru(monkeypatch):
             for frame in range(len(surroundings.vru_poses)):
                 one = surroundings.take(np.array([frame]))
                 scan_frames(one, pose, lidar, _rng())
+
         return np.array(counts)
 
     return look
@@ -353,7 +463,12 @@ def _around(build_run, name, distance_m, n_frames=20):
     ],
 )
 def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
-    build_scene, build_run, beams_on_vru, lidar, pitch_deg, distance_m
+    build_scene,
+    build_run,
+    beams_on_vru,
+    lidar,
+    pitch_deg,
+    distance_m,
 ):
     """Also over the seam behind, and below the LiDAR, where a VRU is at all azimuths at
     once.
@@ -365,6 +480,7 @@ def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
         pose = replace(OVERHEAD, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
         found = beams_on_vru(build_surroundings(scene, [run]), pose, lidar)
         plain = _plain_counts(scene, [run], pose, lidar)
+
         # A beam along an edge may go either way in single precision.
         assert np.abs(found - plain).max() <= 2
         assert (found == plain).mean() > 0.7
@@ -373,22 +489,36 @@ def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
 
 @pytest.mark.parametrize("n_columns", [1, -67])
 def test_a_level_ring_sees_the_same_however_it_is_turned(
-    build_scene, build_run, beams_on_vru, needs, n_columns
+    build_scene,
+    build_run,
+    beams_on_vru,
+    needs,
+    n_columns,
 ):
     scene = build_scene(((3.0, 2.0, 0.0), (6.0, 5.0, 3.0)))
-    runs = [_around(build_run, name, 9.0) for name in ("adult", "cyclist")]
+    runs = [
+        _around(
+            build_run,
+            name,
+            9.0,
+        )
+        for name in ("adult", "cyclist")
+    ]
     surroundings = build_surroundings(scene, runs)
     turned = replace(OVERHEAD, yaw_deg=float(n_columns))
     before, after = (
         beams_on_vru(surroundings, pose, RING) for pose in (OVERHEAD, turned)
     )
+
     assert np.abs(before - after).max() <= 1
     assert (before == after).mean() > 0.95
     # The same pulses come back, too: beams meet the same luck on either side of the
+
     # seam.
     vague = replace(
         RING, threshold_width=9.0, reference_probability=0.5, reference_range_m=9.0
     )
+
     for n_points in (3, 12, 8):
         needs(n_points)
         one, other = (
@@ -396,4 +526,5 @@ def test_a_level_ring_sees_the_same_however_it_is_turned(
             for pose in (OVERHEAD, turned)
         )
         assert (one == other)[before == after].all()
+
     assert 0.1 < one.mean() < 0.9

@@ -40,7 +40,12 @@ def bus():
 
 @pytest.fixture(scope="module")
 def unit():
-    return unit_at("camera", [0.0, 0.0, 3.0], pitch_deg=-5.0, site_id="pole")
+    return unit_at(
+        "camera",
+        [0.0, 0.0, 3.0],
+        pitch_deg=-5.0,
+        site_id="pole",
+    )
 
 
 @pytest.fixture(scope="module")
@@ -55,12 +60,20 @@ def _seen(setting, unit):
     """Frames in which a unit detects, by the table and by the evaluator."""
     table = table_of(setting, [unit])
     compute = replace(DEFAULT_COMPUTE, workers=1)
-    detected = watch(setting, {unit_key(unit): unit}, compute=compute)
+    detected = watch(
+        setting,
+        {unit_key(unit): unit},
+        compute=compute,
+    )
     return table.detected([0])[0], detected[unit_key(unit)]
 
 
 def test_a_bus_hides_a_pedestrian_for_a_second(
-    scene, build_run, build_setting, bus, unit
+    scene,
+    build_run,
+    build_setting,
+    bus,
+    unit,
 ):
     """The shadow of a box, by similar triangles: the pedestrian stands twice as far as
     the bus.
@@ -78,8 +91,10 @@ def test_a_bus_hides_a_pedestrian_for_a_second(
     setting = build_setting(scene, [run, with_bus])
     # Over the roof the camera sees nothing of a body lower than this at 20 m.
     far_edge_m = 10.0 + 0.5 * WIDTH_M
+
     assert adult.height_m < 3.0 - (3.0 - HEIGHT_M) * 20.0 / far_edge_m
     # The rays to both sides of the body pass the near edge of the bus this far from the
+
     # axis.
     side_m = 0.5 * max(adult.width_m, adult.length_m) * (10.0 - 0.5 * WIDTH_M) / 20.0
     # Where the body is on the far edge's line of sight, its sides are as far out.
@@ -87,10 +102,13 @@ def test_a_bus_hides_a_pedestrian_for_a_second(
     is_clear = np.abs(along_m) > 0.5 * LENGTH_M + 0.5 * max(
         adult.width_m, adult.length_m
     )
+
     assert is_hidden.sum() in (9, 10)  # a second
+
     for seen in _seen(setting, unit):
         alone = seen[:n_frames]
         behind = seen[n_frames:]
+
         assert alone.all()
         assert not behind[is_hidden].any()
         assert behind[is_clear].all()
@@ -98,6 +116,11 @@ def test_a_bus_hides_a_pedestrian_for_a_second(
 
 def test_a_vehicle_has_as_many_frames_as_the_run(build_run, bus):
     run = build_run(pick_actor("adult", "test"), [[20.0, 0.0, 0.0]] * 3)
-    driving = MovingActor(actor=bus, position_m=np.zeros((2, 2)), yaw_deg=np.zeros(2))
+    driving = MovingActor(
+        actor=bus,
+        position_m=np.zeros((2, 2)),
+        yaw_deg=np.zeros(2),
+    )
+
     with pytest.raises(InputError, match="2 frames; expected 3"):
         replace(run, traffic=(driving,))

@@ -41,21 +41,38 @@ def evaluation(setting, layout):
 
 
 def _table(setting, layout, detected):
-    return pack_table(tuple(unit.id for unit in layout.units), setting.axis, detected)
+    return pack_table(
+        tuple(unit.id for unit in layout.units),
+        setting.axis,
+        detected,
+    )
 
 
 def test_both_agree_on_runs_that_are_seen_well(setting, layout, evaluation):
     table = table_of(setting, layout.units)
     assert evaluation.rsu_all.is_avoided.all()
-    assert find_disagreements(setting, table, evaluation, [0, 1]) == ()
+    assert (
+        find_disagreements(
+            setting,
+            table,
+            evaluation,
+            [0, 1],
+        )
+        == ()
+    )
 
 
 def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
-    setting, layout, evaluation
+    setting,
+    layout,
+    evaluation,
 ):
     nothing = np.zeros((2, setting.axis.n_frames), dtype=bool)
     found = find_disagreements(
-        setting, _table(setting, layout, nothing), evaluation, [0, 1]
+        setting,
+        _table(setting, layout, nothing),
+        evaluation,
+        [0, 1],
     )
     expected = [
         (party, run_id)
@@ -65,9 +82,12 @@ def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
         )
         if is_avoided
     ]
+
     assert [(entry.party, entry.run_id) for entry in found] == expected
     assert not any(entry.on_table for entry in found)
+
     axis = setting.axis
+
     for entry in found:
         frames = axis.frames_of(axis.run_ids.index(entry.run_id))
         in_time = (
@@ -79,18 +99,25 @@ def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
             for name, verdict in evaluation.units.items()
             if entry.party in (FUSED, name)
         ]
+
         assert entry.n_frames == np.logical_or.reduce(seen).sum()
         assert "sample points and pixels differ" in entry.cause
 
 
 def test_what_was_lost_on_the_way_is_told_from_what_was_not_seen(
-    setting, layout, evaluation
+    setting,
+    layout,
+    evaluation,
 ):
     detected = np.array([verdict.detected for verdict in evaluation.units.values()])
     lossy = evaluate_layout(layout, replace(setting, radio=Radio(packet_loss=1.0)))
     found = find_disagreements(
-        setting, _table(setting, layout, detected), lossy, [0, 1]
+        setting,
+        _table(setting, layout, detected),
+        lossy,
+        [0, 1],
     )
+
     assert {entry.run_id for entry in found if entry.party == FUSED} == set(RUNS)
     assert all(
         entry.on_table and "chance or a lost message" in entry.cause for entry in found
@@ -104,7 +131,14 @@ def test_latency_alone_can_make_the_difference(setting, layout, evaluation):
     )
     # The table is asked with the units' own latencies, too: nothing differs.
     late = evaluate_layout(slow, setting)
+
     assert not late.rsu_all.is_avoided.any()
     assert (
-        find_disagreements(setting, _table(setting, slow, detected), late, [0, 1]) == ()
+        find_disagreements(
+            setting,
+            _table(setting, slow, detected),
+            late,
+            [0, 1],
+        )
+        == ()
     )

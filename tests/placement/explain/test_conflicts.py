@@ -117,18 +117,25 @@ def check_conflicts(problem, separation):
     feasible = [
         poses for poses in sets_of(problem.table.n_poses) if is_feasible(problem, poses)
     ]
+
     assert met_together(problem, separation, demands) == feasible
     assert (len(found) == 0) == (len(feasible) > 0)
+
     left = list(demands)
+
     for conflict in found:
         for size in range(1, len(conflict.demands)):
             for fewer in combinations(left, size):
                 assert met_together(problem, separation, fewer)
         assert not met_together(problem, separation, conflict.demands)
+
         for relaxation in conflict.relaxations:
             check_relaxation(problem, separation, conflict, relaxation)
+
         assert [r.demand for r in conflict.relaxations] == list(conflict.demands)
+
         left = [demand for demand in left if demand not in conflict.demands]
+
     assert not found or met_together(problem, separation, left)
 
 
@@ -136,7 +143,9 @@ def check_relaxation(problem, separation, conflict, relaxation):
     demands = Wish(problem, separation).demands
     demand = relaxation.demand
     others = [other for other in demands if other != demand]
+
     assert relaxation.suffices == bool(met_together(problem, separation, others))
+
     if relaxation.suffices:
         assert is_feasible(
             relaxed(problem, relaxation, separation), relaxation.pose_index
@@ -144,8 +153,10 @@ def check_relaxation(problem, separation, conflict, relaxation):
     else:
         others = [other for other in conflict.demands if other != demand]
     allowed = met_together(problem, separation, others)
+
     assert relaxation.pose_index in allowed
     assert relaxation.is_least
+
     expected = least(problem, separation, demand, others, allowed)
     if not relaxation.given_up:
         assert relaxation.value == pytest.approx(expected)
@@ -247,6 +258,7 @@ def test_the_whole_is_the_sum_of_its_demands(wish):
     problem, separation = wish
     whole = Wish(problem, separation)
     part = whole.part(whole.everything)
+
     for poses in met_together(problem, separation, [])[:60]:
         assert is_feasible(part, poses) == is_feasible(problem, poses)
         met = whole.met_by(poses, frozenset())

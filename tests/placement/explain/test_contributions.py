@@ -26,10 +26,13 @@ def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
     whole = run_margins_s(problem, poses)
     weight = problem.table.axis.weight
     found = find_contributions(problem, poses)
+
     assert [part.pose_index for part in found] == poses
+
     for part in found:
         others = [pose for pose in poses if pose != part.pose_index]
         left = run_margins_s(problem, others)
+
         assert part.only_runs.tolist() == [
             run
             for run in range(len(left))
@@ -40,6 +43,7 @@ def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
         )
         assert part.marginal_apr == pytest.approx(weight[part.only_runs].sum())
         assert part.without == placement_value(problem, others)
+
         delays = [
             (whole[run] - left[run], weight[run])
             for run in range(len(left))
@@ -53,4 +57,5 @@ def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
             assert part.max_delay_s == pytest.approx(seconds.max())
         else:
             assert part.mean_delay_s == part.max_delay_s == 0.0
+
         assert 0.0 <= part.mean_delay_s <= part.max_delay_s + 1e-12

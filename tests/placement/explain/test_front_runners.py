@@ -32,7 +32,9 @@ def runner(apr, left):
     ],
 )
 def test_the_evaluator_decides_by_apr_then_failures_then_errors_of_mounting(
-    values, wrongly, expected
+    values,
+    wrongly,
+    expected,
 ):
     """What mounting errors leave is looked at only where it decides."""
     assert (
@@ -53,6 +55,7 @@ def test_a_front_runner_has_the_shares_of_its_fusion():
         rsu_all=verdict(1, 1, 1),
         vut=verdict(0, 1, 0),
     )
+
     for cars, expected in (
         (0.0, (0.75, 0.5)),
         (1.0, (0.75, 0.75)),

@@ -32,7 +32,13 @@ N_FRAMES = 20
 
 
 def run_of(
-    vru_m, *, vut_m=FAR, weather="day", obstruction=(), name="run", last_brake_s=-0.5
+    vru_m,
+    *,
+    vut_m=FAR,
+    weather="day",
+    obstruction=(),
+    name="run",
+    last_brake_s=-0.5,
 ):
     """An adult that stands somewhere for two seconds; nothing moves."""
     motion = Motion(
@@ -94,7 +100,13 @@ def unit(
 
 
 def reasons_of(setting, candidate, run_index=0):
-    looks = [Look(unit=candidate, run_index=run_index, frame_index=np.arange(N_FRAMES))]
+    looks = [
+        Look(
+            unit=candidate,
+            run_index=run_index,
+            frame_index=np.arange(N_FRAMES),
+        )
+    ]
     return [(r.cause, r.thing, r.frames) for r in find_reasons(setting, looks)[0]]
 
 
@@ -108,7 +120,11 @@ BEHIND = ("wall-b", 8.0, 0.0, 0.5, 6.0, 4.0)
 PARKED = [
     PlacedActor(
         actor=load_actors()["parked-van"],
-        pose=Pose(position_m=np.array([x, 0.0, 0.0]), yaw_deg=90.0, pitch_deg=0.0),
+        pose=Pose(
+            position_m=np.array([x, 0.0, 0.0]),
+            yaw_deg=90.0,
+            pitch_deg=0.0,
+        ),
     )
     for x in (-5.0, -9.0)
 ]
@@ -135,11 +151,20 @@ PARKED = [
 )
 def test_what_is_in_the_way_is_named(sensor, boxes, run, expected):
     setting = setting_of(run, boxes=boxes)
-    low = unit(-20.0, 0.0, 1.2, pitch_deg=0.0, sensor=sensor)
+    low = unit(
+        -20.0,
+        0.0,
+        1.2,
+        pitch_deg=0.0,
+        sensor=sensor,
+    )
+
     assert not is_detected(setting, low).any()
     assert reasons_of(setting, low) == [(*expected, N_FRAMES)]
+
     # Without the thing it is detected: that is what "hidden" says.
     cleared = setting_of(run_of((0.0, 0.0)), boxes=[BEHIND])
+
     assert is_detected(cleared, low).all()
 
 
@@ -189,18 +214,36 @@ def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
     setting = setting_of(run_of((0.0, 0.0)), boxes=[WALL])
     candidates = [
         unit(-3.0, 0.0, yaw_deg=180.0, name="near"),
-        unit(-20.0, 0.0, 1.2, pitch_deg=0.0, name="far"),
+        unit(
+            -20.0,
+            0.0,
+            1.2,
+            pitch_deg=0.0,
+            name="far",
+        ),
         unit(-3.0, 0.5, name="helper"),
     ]
     table = table_of(setting, candidates)
-    problem = problem_of(setting, candidates, table.detected(slice(None)))
-    (missed,) = find_unavoided(setting, problem, candidates, [0, 1])
+    problem = problem_of(
+        setting,
+        candidates,
+        table.detected(slice(None)),
+    )
+    (missed,) = find_unavoided(
+        setting,
+        problem,
+        candidates,
+        [0, 1],
+    )
+
     assert (missed.outcome, missed.unit, missed.frames_seen) == ("never seen", "far", 0)
     assert [(r.cause, r.thing) for r in missed.reasons] == [("hidden", "wall-a")]
     assert (
         missed.frames_in_time == missed.reasons[0].frames == 14
     )  # until 0.525 s before the impact
+
     (missed,) = find_unavoided(setting, problem, candidates, [0])
+
     assert (missed.unit, missed.reasons[0].cause) == ("near", "out of view")
     assert missed.rescue is not None
     assert missed.rescue.unit == "helper" or not table.detected([2]).any()
@@ -223,7 +266,14 @@ def tables(draw):
     )
     n_poses = 7
     places = rng.integers(0, 4, size=(n_poses, 2)) * 10.0
-    candidates = [unit(x, y, name=f"unit-{i}") for i, (x, y) in enumerate(places)]
+    candidates = [
+        unit(
+            x,
+            y,
+            name=f"unit-{i}",
+        )
+        for i, (x, y) in enumerate(places)
+    ]
     setting = replace(
         setting,
         rule=replace(
@@ -249,7 +299,11 @@ def tables(draw):
         setting,
         problem,
         candidates,
-        rng.choice(n_poses, size=2, replace=False).tolist(),
+        rng.choice(
+            n_poses,
+            size=2,
+            replace=False,
+        ).tolist(),
     )
 
 
@@ -266,9 +320,12 @@ def test_outcome_and_rescue_match_brute_force(given_):
             run_ids.index(entry.run): entry
             for entry in find_unavoided(setting, problem, candidates, chosen)
         }
+
     margin = run_margins_s(problem, chosen)
     has_weight = problem.table.axis.weight > 0.0
+
     assert sorted(found) == np.flatnonzero((margin == -np.inf) & has_weight).tolist()
+
     for run, entry in found.items():
         check_outcome(problem, chosen, run, entry)
         helping = {
@@ -290,12 +347,17 @@ def test_outcome_and_rescue_match_brute_force(given_):
             for pose in helping
         }
         nearest = min(away.values())
+
         assert entry.rescue.distance_m == pytest.approx(nearest)
+
         helper = problem.table.pose_ids.index(entry.rescue.unit)
+
         assert helper in helping
+
         best = max(
             helping[pose] for pose in helping if away[pose] == pytest.approx(nearest)
         )
+
         assert entry.rescue.margin_s == pytest.approx(best)
         assert entry.rescue.margin_s == pytest.approx(helping[helper])
 
@@ -308,8 +370,10 @@ def check_outcome(problem, chosen, run, entry):
     last_s = axis.last_brake_time_s[run]
     counts = time_s + rule.latency_s <= last_s + 1e-9
     seen = problem.table.detected(chosen)[:, frames]
+
     assert entry.frames_in_time == counts.sum()
     assert entry.frames_seen == (seen.any(axis=0) & counts).sum()
+
     if problem.fusion == "any":
         together = [seen.any(axis=0)]
     else:
@@ -361,15 +425,32 @@ def test_each_look_gets_its_own_reasons():
     low = unit(-20.0, 0.0, 1.2, pitch_deg=0.0)
     away = unit(-20.0, 40.0, yaw_deg=180.0)
     looks = [
-        Look(unit=away, run_index=1, frame_index=np.array([3, 4])),
-        Look(unit=low, run_index=0, frame_index=np.array([5])),
-        Look(unit=away, run_index=0, frame_index=np.array([0, 1, 2])),
-        Look(unit=low, run_index=1, frame_index=np.array([], dtype=np.int64)),
+        Look(
+            unit=away,
+            run_index=1,
+            frame_index=np.array([3, 4]),
+        ),
+        Look(
+            unit=low,
+            run_index=0,
+            frame_index=np.array([5]),
+        ),
+        Look(
+            unit=away,
+            run_index=0,
+            frame_index=np.array([0, 1, 2]),
+        ),
+        Look(
+            unit=low,
+            run_index=1,
+            frame_index=np.array([], dtype=np.int64),
+        ),
     ]
     found = [
         [(r.cause, r.thing, r.frames) for r in reasons]
         for reasons in find_reasons(setting, looks)
     ]
+
     assert found == [
         [("out of view", "", 2)],
         [("hidden", "wall-a", 1)],
@@ -381,8 +462,30 @@ def test_each_look_gets_its_own_reasons():
 
 def test_weather_and_speed_share_no_reason():
     clear = run_of((0.0, 0.0))
-    foggy = run_of((0.0, 0.0), weather="fog", name="fog")
-    setting = setting_of(clear, replace(foggy, encounter=clear.encounter), boxes=[])
-    candidate = unit(-60.0, 0.0, pitch_deg=-4.0, fov_deg=30.0)
-    assert reasons_of(setting, candidate, 0) == [("otherwise", "", N_FRAMES)]
-    assert reasons_of(setting, candidate, 1) == [("too dark", "", N_FRAMES)]
+    foggy = run_of(
+        (0.0, 0.0),
+        weather="fog",
+        name="fog",
+    )
+    setting = setting_of(
+        clear,
+        replace(foggy, encounter=clear.encounter),
+        boxes=[],
+    )
+    candidate = unit(
+        -60.0,
+        0.0,
+        pitch_deg=-4.0,
+        fov_deg=30.0,
+    )
+
+    assert reasons_of(
+        setting,
+        candidate,
+        0,
+    ) == [("otherwise", "", N_FRAMES)]
+    assert reasons_of(
+        setting,
+        candidate,
+        1,
+    ) == [("too dark", "", N_FRAMES)]

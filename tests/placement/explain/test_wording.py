@@ -32,7 +32,11 @@ def candidates(scene):
         pitches_deg=np.array([-30.0]),
         sensors=load_candidate_grid().sensors,
     )
-    every = build_candidates(scene, grid, extra=load_carlancap_layout().units[:2])
+    every = build_candidates(
+        scene,
+        grid,
+        extra=load_carlancap_layout().units[:2],
+    )
     return tuple(c for c in every if c.site_id in SITES or c.id in ("RSU0", "RSU1"))
 
 
@@ -67,7 +71,12 @@ def refusal_of(setting, scene, candidates):
         if not candidate.id.startswith("RSU"):
             run = SITES.index(candidate.site_id)
             detected[row, N_FRAMES * run : N_FRAMES * (run + 1)] = True
-    table = pack_table(tuple(c.id for c in candidates), setting.axis, detected)
+
+    table = pack_table(
+        tuple(c.id for c in candidates),
+        setting.axis,
+        detected,
+    )
 
     def build(**wishes):
         wished = Wishes(**wishes)
@@ -157,17 +166,28 @@ def test_what_can_be_met_is_not_refused(refusal_of):
 
 
 def test_separation_is_taken_apart_into_distances_and_capacities(
-    setting, scene, candidates
+    setting,
+    scene,
+    candidates,
 ):
     wishes = Wishes(budget_units=2, separation_m=40.0, site_capacity=3)
     detected = np.zeros((len(candidates), N_RUNS * N_FRAMES), dtype=bool)
-    table = pack_table(tuple(c.id for c in candidates), setting.axis, detected)
+    table = pack_table(
+        tuple(c.id for c in candidates),
+        setting.axis,
+        detected,
+    )
     problem = build_problem(setting, candidates, table, wishes=wishes)
     separation = build_separation(problem, wishes, scene, candidates)
+
     assert len(separation.pair_distance_m) == len(problem.limits.rivals) > 0
     assert (separation.pair_distance_m < 40.0).all()
+
     at = [c.site_id in SITES for c in candidates]
+
     assert (separation.site_capacity[problem.limits.site_index[at]] == 3).all()
     assert (problem.limits.site_capacity[problem.limits.site_index[at]] == 1).all()
+
     none = Wishes(budget_units=2)
+
     assert build_separation(problem, none, scene, candidates) is None

@@ -20,7 +20,9 @@ from placement.imaging.picture import whole_image
 from placement.imaging.stills import draw_onto, draw_still, meter, silhouette
 
 CORNER = Pose(
-    position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3
+    position_m=np.array([-138.94, -11.56, 7.97]),
+    yaw_deg=44.5,
+    pitch_deg=-34.3,
 )
 LENSES = {
     "brown-conrady": (BrownConrady(k1=-0.12, k2=0.01, p1=0.004), 100.0),
@@ -50,31 +52,59 @@ def draw(backdrop, study_run):
 @pytest.fixture(scope="module")
 def through_pinhole(draw, small):
     """A camera of many pixels, and what it shows."""
-    pinhole = replace(small, width_px=1200, height_px=1200, horizontal_fov_deg=130.0)
+    pinhole = replace(
+        small,
+        width_px=1200,
+        height_px=1200,
+        horizontal_fov_deg=130.0,
+    )
     return pinhole, draw(pinhole)
 
 
 @pytest.mark.parametrize("model", LENSES)
 def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(
-    draw, through_pinhole, small, model
+    draw,
+    through_pinhole,
+    small,
+    model,
 ):
     lens, fov_deg = LENSES[model]
-    camera = replace(small, horizontal_fov_deg=fov_deg, lens=lens, roll_deg=4.0)
+    camera = replace(
+        small,
+        horizontal_fov_deg=fov_deg,
+        lens=lens,
+        roll_deg=4.0,
+    )
     pinhole, straight = through_pinhole
     bent = draw(camera)
     rows, columns = np.indices(bent.instance.shape).reshape(2, -1)
     ways = pixel_rays(columns, rows, CORNER, camera)
-    column, row, _ = project_points(CORNER.position_m + ways, CORNER, pinhole).T
+    column, row, _ = project_points(
+        CORNER.position_m + ways,
+        CORNER,
+        pinhole,
+    ).T
     inside = (column > 0) & (column < 1200) & (row > 0) & (row < 1200)
+
     assert inside.mean() > 0.9
+
     at = row[inside].astype(int), column[inside].astype(int)
     same = bent.instance.ravel()[inside] == straight.instance[at]
+
     assert same.mean() > 0.985  # a pixel of the one next to an edge of the other
-    near = np.isclose(bent.depth_m.ravel()[inside], straight.depth_m[at], rtol=0.03)
+
+    near = np.isclose(
+        bent.depth_m.ravel()[inside],
+        straight.depth_m[at],
+        rtol=0.03,
+    )
+
     assert near.mean() > 0.97
+
     off = np.abs(bent.rgb.reshape(-1, 3)[inside].astype(int) - straight.rgb[at]).mean(
         axis=1
     )
+
     assert np.median(off) < 8.0
 
 
@@ -82,58 +112,90 @@ def test_it_is_dark_where_a_fisheye_shows_nothing(draw, small):
     camera = replace(small, horizontal_fov_deg=230.0, lens=Fisheye())
     picture = draw(camera)
     dark = np.isnan(pixel_grid(camera)).any(axis=2)
+
     assert 0.2 < dark.mean() < 0.8
     assert (picture.instance[dark] == -1).all()
     assert np.isinf(picture.depth_m[dark]).all()
     assert picture.rgb[dark].mean() < 30.0
     assert picture.rgb[~dark].mean() > 60.0
+
     # The exposure is that of what is shown: the rim does not make it white.
     straight = draw(small)
     white = [
         (rgb > 250).all(axis=1).mean()
         for rgb in (picture.rgb[~dark], straight.rgb[:, 0])
     ]
+
     assert white[0] < white[1] + 0.1
 
 
 def test_a_dark_rim_does_not_lengthen_the_exposure_of_what_stands_still(
-    backdrop, small
+    backdrop,
+    small,
 ):
     camera = replace(small, horizontal_fov_deg=230.0, lens=Fisheye())
     day = load_weathers()["day"]
     still = place_mesh(backdrop.mesh, np.zeros(3))
     bent, straight = (
-        meter(backdrop, still, CORNER, one, day) for one in (camera, small)
+        meter(
+            backdrop,
+            still,
+            CORNER,
+            one,
+            day,
+        )
+        for one in (camera, small)
     )
+
     assert bent == pytest.approx(straight, rel=0.5)
 
 
 @pytest.mark.parametrize("model", ["brown-conrady", "fisheye"])
 def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
-    backdrop, study_run, small, draw, model
+    backdrop,
+    study_run,
+    small,
+    draw,
+    model,
 ):
     lens, fov_deg = LENSES[model]
     camera = replace(small, horizontal_fov_deg=fov_deg, lens=lens)
     day = load_weathers()["day"]
     compute = Compute(seed=0, workers=1)
-    still = draw_still(backdrop, CORNER, camera, weather=day, compute=compute)
+    still = draw_still(
+        backdrop,
+        CORNER,
+        camera,
+        weather=day,
+        compute=compute,
+    )
     frame = len(study_run.time_s) - 6
     onto = draw_onto(still, study_run, frame, compute=compute)
     anew = draw(camera)
+
     assert np.array_equal(onto.depth_m, anew.depth_m)
+
     for name in ("vru", "vut"):
         index = anew.names.index(name)
         assert np.array_equal(onto.instance == index, anew.instance == index)
     levels = np.abs(onto.rgb.astype(int) - anew.rgb.astype(int)).max(axis=2)
+
     assert (levels > 1).mean() < 1e-3
+
     mask = silhouette(study_run, frame, CORNER, camera, whole_image(camera))
     vru = anew.instance == anew.names.index("vru")
+
     assert vru.any()
     assert not (vru & ~mask).any()
 
 
 def test_a_lens_of_zeros_has_the_pinholes_bits(draw, small):
-    zero = replace(small, lens=BrownConrady(), principal_point=(0.5, 0.5), roll_deg=0.0)
+    zero = replace(
+        small,
+        lens=BrownConrady(),
+        principal_point=(0.5, 0.5),
+        roll_deg=0.0,
+    )
     plain = draw(small)
     bent = draw(zero)
     for name in ("rgb", "instance", "depth_m"):

@@ -11,7 +11,9 @@ from placement.imaging import build_backdrop, draw_picture
 from placement.imaging.stills import draw_onto, draw_still
 
 CORNER = Pose(
-    position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3
+    position_m=np.array([-138.94, -11.56, 7.97]),
+    yaw_deg=44.5,
+    pitch_deg=-34.3,
 )
 COMPUTE = Compute(seed=2, workers=1)
 
@@ -28,7 +30,13 @@ def backdrop(study_run):
 def pictures(request, backdrop, study_run, small):
     """Three frames in a weather: anew, and onto a still."""
     weather = load_weathers()[request.param]
-    still = draw_still(backdrop, CORNER, small, weather=weather, compute=COMPUTE)
+    still = draw_still(
+        backdrop,
+        CORNER,
+        small,
+        weather=weather,
+        compute=COMPUTE,
+    )
     n_frames = len(study_run.time_s)
     return request.param, [
         (
@@ -65,14 +73,25 @@ def test_the_road_users_are_in_both_at_the_same_pixels(pictures):
         for name in ("vru", "vut"):
             index = anew.names.index(name)
             assert np.array_equal(onto.instance == index, anew.instance == index)
+
     assert any((onto.instance == onto.names.index("vru")).any() for _, onto in pairs)
 
 
 def test_most_of_a_still_is_kept(backdrop, study_run, small):
     still = draw_still(
-        backdrop, CORNER, small, weather=load_weathers()["day"], compute=COMPUTE
+        backdrop,
+        CORNER,
+        small,
+        weather=load_weathers()["day"],
+        compute=COMPUTE,
     )
     before = still.smooth.copy()
-    onto = draw_onto(still, study_run, len(study_run.time_s) - 1, compute=COMPUTE)
+    onto = draw_onto(
+        still,
+        study_run,
+        len(study_run.time_s) - 1,
+        compute=COMPUTE,
+    )
+
     assert np.array_equal(still.smooth, before)
     assert 0.0 < (onto.instance != still.raw.instance).mean() < 0.5

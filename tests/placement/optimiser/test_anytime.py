@@ -59,6 +59,7 @@ def test_a_search_whose_time_is_over_has_a_set_and_knows_no_bound(
     search = Search(reduced, deadline=OVER)
     search.start()
     greedy = extend_greedily(reduced, forced_units(reduced))
+
     assert (search.units is not None) == is_allowed(reduced.limits, greedy)
     assert search.look_for(Objective.APR, ()) == np.inf
     assert search.look_for(Objective.COST, ()) == -np.inf
@@ -72,11 +73,16 @@ def test_few_sets_are_gone_through_only_while_there_is_time(problem, max_sets):
     contenders, is_finished = best_of_few(reduced, max_sets=max_sets, deadline=OVER)
     sizes = range(1, reduced.n_poses + 1)
     n_sets = sum(len(allowed_sets(reduced, size)) for size in sizes)
+
     assert contenders is None or contenders.best() is None
     assert not is_finished or n_sets == 0
+
     contenders, is_finished = best_of_few(reduced, max_sets=max_sets)
+
     assert is_finished == (n_sets <= max_sets)
+
     has_best = contenders is not None and contenders.best() is not None
+
     assert has_best == (is_finished and n_sets > 0)
 
 
@@ -87,18 +93,39 @@ def test_bounds_of_a_first_round_hold(problem, n_failures):
     if not len(reduced.weight) or not len(sets):
         return
     n_units = reduced.limits.max_units
-    root = find_root(reduced, run_rows(reduced), n_units=n_units, deadline=OVER)
+    root = find_root(
+        reduced,
+        run_rows(reduced),
+        n_units=n_units,
+        deadline=OVER,
+    )
     best = union_apr(reduced, unions_of(reduced, sets)).max()
+
     assert root.limit >= best - 1e-9
     assert failure_limit(root, n_failures, 0.0, deadline=OVER) == root.limit
-    left = left_after_failures(reduced, reduced.measure, n_failures, sets).max()
+
+    left = left_after_failures(
+        reduced,
+        reduced.measure,
+        n_failures,
+        sets,
+    ).max()
+
     assert failure_limit(root, n_failures, 0.0) >= left - 1e-9
-    assert relax(reduced, Objective.APR, deadline=OVER)[0] >= best - 1e-9
+    assert (
+        relax(
+            reduced,
+            Objective.APR,
+            deadline=OVER,
+        )[0]
+        >= best - 1e-9
+    )
 
 
 def test_an_effort_ends_with_its_deadline_but_never_before_it_begins():
     effort = Effort(solver="relax", time_limit_s=60.0, workers=1)
     late = effort.until(deadline_in(7.0))
+
     assert late.time_limit_s == pytest.approx(7.0, abs=1.0)
     assert replace(late, time_limit_s=60.0) == effort  # all else stays
     assert 0.0 < effort.until(OVER).time_limit_s < 0.1
@@ -128,7 +155,9 @@ def count_presolves(patch):
     problem=problems(), give_up=st.sampled_from([0.05, 0.4]), has_reduced=st.booleans()
 )
 def test_the_second_layout_is_found_on_what_the_first_was_presolved_to(
-    problem, give_up, has_reduced
+    problem,
+    give_up,
+    has_reduced,
 ):
     if has_reduced:
         reduced = presolve(problem)
@@ -139,20 +168,36 @@ def test_the_second_layout_is_found_on_what_the_first_was_presolved_to(
         highest, sturdy = solve_sturdily(
             problem, reduced, give_up=give_up, effort=Effort()
         )
+
     assert len(calls) == (0 if has_reduced else 1)
+
     if sturdy is None:
         assert len(highest.pose_index) < 2 or problem.limits.max_units < 2
         return
     asked = sturdy_problem(problem, highest, give_up)
     alone = solve_placement(asked, starts=[np.array(highest.pose_index)])
+
     assert [stage.objective for stage in sturdy.certificate.stages] == pytest.approx(
         [stage.objective for stage in alone.certificate.stages], abs=1e-9
     )
     assert sturdy.certificate.is_proven
     assert sturdy.presolve == alone.presolve == highest.presolve
+
     # And that is the most that any layout keeps.
-    kept = [apr_failed(asked, layout, 1) for layout in feasible_layouts(asked)]
-    assert apr_failed(asked, sturdy.pose_index, 1) == pytest.approx(max(kept))
+    kept = [
+        apr_failed(
+            asked,
+            layout,
+            1,
+        )
+        for layout in feasible_layouts(asked)
+    ]
+
+    assert apr_failed(
+        asked,
+        sturdy.pose_index,
+        1,
+    ) == pytest.approx(max(kept))
 
 
 def test_limits_that_cannot_be_met_are_told_before_anything_is_presolved():
@@ -166,6 +211,7 @@ def test_limits_that_cannot_be_met_are_told_before_anything_is_presolved():
                 give_up=0.1,
                 effort=Effort(),
             )
+
     assert not calls
 
 
@@ -176,15 +222,26 @@ def test_limits_that_cannot_be_met_are_told_before_anything_is_presolved():
     n_failures=st.integers(0, 2),
 )
 def test_a_presolved_problem_for_other_floors_is_what_presolving_gives(
-    problem, share, goal, n_failures
+    problem,
+    share,
+    goal,
+    n_failures,
 ):
     floor = Floor(name="--target", share=share, n_failures=n_failures)
     counted = Floor(
-        name="--case", share=share, is_counted=problem.table.axis.weight > 0.0
+        name="--case",
+        share=share,
+        is_counted=problem.table.axis.weight > 0.0,
     )
-    other = replace(problem, floors=(floor, counted), goal=goal, survive=n_failures)
+    other = replace(
+        problem,
+        floors=(floor, counted),
+        goal=goal,
+        survive=n_failures,
+    )
     again = presolve(problem).for_problem(other)
     anew = presolve(other)
+
     for name in (
         "pose_index",
         "run_index",
@@ -195,10 +252,13 @@ def test_a_presolved_problem_for_other_floors_is_what_presolving_gives(
         "margin_s",
     ):
         np.testing.assert_array_equal(getattr(again, name), getattr(anew, name))
+
     for one, same in zip(again.chains, anew.chains, strict=True):
         np.testing.assert_array_equal(one, same)
+
     assert (again.objectives, again.survive) == (anew.objectives, anew.survive)
     assert again.statistics == anew.statistics
+
     for mine, theirs in zip(again.floors, anew.floors, strict=True):
         assert (mine.least, mine.n_failures) == (theirs.least, theirs.n_failures)
         np.testing.assert_array_equal(mine.measure.weight, theirs.measure.weight)
@@ -220,4 +280,5 @@ def test_a_front_is_presolved_once_and_none_of_its_points(front):
     with pytest.MonkeyPatch.context() as patch:
         calls = count_presolves(patch)
         front(problem)
+
     assert len(calls) == 1

@@ -57,6 +57,7 @@ def test_a_range_of_rows_has_the_bits_of_all_its_rows(seed):
     expected = np.array(
         [bits[one:other].any(axis=0) for one, other in zip(begin, end, strict=True)]
     )
+
     np.testing.assert_array_equal(unpack_words(joined, 100), expected)
 
 
@@ -71,11 +72,17 @@ def runs_of_windows(rng):
     n_tails = []
     for most in n_windows.tolist():
         links = sorted(
-            rng.integers(1, most + 1, int(rng.integers(0, 3))).tolist(), reverse=True
+            rng.integers(
+                1,
+                most + 1,
+                int(rng.integers(0, 3)),
+            ).tolist(),
+            reverse=True,
         )
         n_links += links
         tail_frame += rng.permutation(4)[: len(links)].tolist()
         n_tails.append(len(links))
+
     starts = np.cumsum([0, *n_windows]), np.cumsum([0, *n_tails])
     return (
         sets,
@@ -95,6 +102,7 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed):
     is_kept = np.zeros(len(sets), dtype=bool)
     kernels.thin_out(sets, start, tail_frame, tail_start, n_links, is_kept)
     unions = [set(seen) for size in range(5) for seen in combinations(range(4), size)]
+
     for run in range(2):
         windows = range(start[run], start[run + 1])
         tails = range(tail_start[run], tail_start[run + 1])
@@ -140,12 +148,17 @@ def test_chains_are_looked_through_until_too_much_is_lost(seed, most_lost):
     expected = n_chains
     total = 0.0
     for place, chain in enumerate(order.tolist()):
-        live = first_live(chains, chain, np.flatnonzero(seen).tolist())
+        live = first_live(
+            chains,
+            chain,
+            np.flatnonzero(seen).tolist(),
+        )
         assert first[chain] == live
         total += lost[chain, live]
         if total > most_lost:
             expected = place
             break
+
     assert rank == expected
     assert (first[order[rank + 1 :]] == -1).all()  # those behind were not looked at
 
@@ -169,11 +182,17 @@ def test_first_live_windows_with_each_pose_are_those_of_the_unions(seed, n_poses
     alone = rng.random(N_FRAMES) < 0.3
     n_chains = n_chains_of(chains)
     begin = int(rng.integers(0, n_chains + 1))
-    first = np.full((n_chains, n_poses), -1, dtype=np.int32)
+    first = np.full(
+        (n_chains, n_poses),
+        -1,
+        dtype=np.int32,
+    )
     kernels.first_live_with_each(
         columns_of(sees), alone, chains, begin, n_chains, first
     )
+
     assert (first[:begin] == -1).all()
+
     for chain in range(begin, n_chains):
         for pose in range(n_poses):
             frames = np.flatnonzero(sees[pose] | alone).tolist()
@@ -181,7 +200,14 @@ def test_first_live_windows_with_each_pose_are_those_of_the_unions(seed, n_poses
 
 
 def avoids(chains, chain, last, seen):
-    return first_live(chains, chain, np.flatnonzero(seen).tolist()) < last
+    return (
+        first_live(
+            chains,
+            chain,
+            np.flatnonzero(seen).tolist(),
+        )
+        < last
+    )
 
 
 def missing_pieces(chains, chain, last, alone):
@@ -194,7 +220,9 @@ def missing_pieces(chains, chain, last, alone):
 
 @given(SEEDS, st.sampled_from([3, 64, 66]), st.booleans())
 def test_poses_that_avoid_a_run_next_to_a_set_and_see_a_missing_piece(
-    seed, n_poses, has_part
+    seed,
+    n_poses,
+    has_part,
 ):
     rng, chains = drawn(seed)
     sees = random_sights(rng, n_poses, share=0.4)
@@ -202,17 +230,24 @@ def test_poses_that_avoid_a_run_next_to_a_set_and_see_a_missing_piece(
     row_chain, row_last = random_rows(rng, chains)
     columns = columns_of(sees)
     n_words = columns.shape[1]
+
     for chain, last in zip(row_chain.tolist(), row_last.tolist(), strict=True):
         space = np.empty((2, n_words), dtype=np.uint64)
         avoided = np.empty(n_words, dtype=np.uint64)
-        part = np.full(n_words if has_part else 0, 5, dtype=np.uint64)
+        part = np.full(
+            n_words if has_part else 0,
+            5,
+            dtype=np.uint64,
+        )
         kernels.avoid_with_each(
             columns, alone, chains, chain, last, space, avoided, part
         )
         expected = {
             p for p in range(n_poses) if avoids(chains, chain, last, sees[p] | alone)
         }
+
         assert bits_of(avoided, n_poses) == expected
+
         if has_part:
             pieces = missing_pieces(chains, chain, last, alone)
             helps = {
@@ -231,8 +266,15 @@ def test_rows_next_to_a_set_are_those_of_poses_one_by_one(seed):
     row_chain, row_last = random_rows(rng, chains)
     found = np.zeros((2, len(row_chain), 1), dtype=np.uint64)
     kernels.avoid_beside(
-        columns_of(sees), alone, chains, row_chain, row_last, found[0], found[1]
+        columns_of(sees),
+        alone,
+        chains,
+        row_chain,
+        row_last,
+        found[0],
+        found[1],
     )
+
     for row, (chain, last) in enumerate(
         zip(row_chain.tolist(), row_last.tolist(), strict=True)
     ):
@@ -240,6 +282,9 @@ def test_rows_next_to_a_set_are_those_of_poses_one_by_one(seed):
         for pose in range(5):
             is_part = bool(pieces & set(np.flatnonzero(sees[pose]).tolist()))
             assert (pose in bits_of(found[0, row], 5)) == avoids(
-                chains, chain, last, sees[pose] | alone
+                chains,
+                chain,
+                last,
+                sees[pose] | alone,
             )
             assert (pose in bits_of(found[1, row], 5)) == is_part

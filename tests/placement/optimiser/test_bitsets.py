@@ -23,7 +23,10 @@ from placement.optimiser.presolve import presolve
 
 @given(problems(), st.sampled_from(["unit", "site"]), st.integers(0, 2), st.data())
 def test_values_with_each_pose_are_those_of_the_sets_one_by_one(
-    problem, failing, survive, data
+    problem,
+    failing,
+    survive,
+    data,
 ):
     limits = replace(problem.limits, failing=failing)
     reduced = presolve(replace(problem, limits=limits, survive=survive))
@@ -39,10 +42,13 @@ def test_values_with_each_pose_are_those_of_the_sets_one_by_one(
     units = np.array(data.draw(poses), dtype=np.int64)
     others = np.setdiff1d(np.arange(reduced.n_poses), units)
     sets = np.column_stack([np.tile(units, (len(others), 1)), others])
+
     assert values_with_each(reduced, units)[others].gains == pytest.approx(
         set_values(reduced, sets).gains, abs=1e-12
     )
+
     is_avoided = union_margins_s(reduced, unions_of(reduced, sets)) > -np.inf
+
     np.testing.assert_array_equal(avoided_with_each(reduced, units)[others], is_avoided)
 
 
@@ -56,7 +62,9 @@ def test_quick_shares_with_each_pose_are_those_of_the_sets_one_by_one(problem, d
     others = np.arange(n_units, reduced.n_poses)
     sets = np.column_stack([np.tile(units, (len(others), 1)), others])
     shares = union_apr(reduced, unions_of(reduced, sets))
+
     assert shares_with_each(reduced, units)[others] == pytest.approx(shares, abs=1e-12)
+
     for n_failures in (1, 2):
         left = left_after_failures(reduced, reduced.measure, n_failures, sets)
         quick = left_with_each(reduced, units, reduced.measure, n_failures)[others]
@@ -65,7 +73,8 @@ def test_quick_shares_with_each_pose_are_those_of_the_sets_one_by_one(problem, d
 
 @given(questions(), st.booleans())
 def test_the_best_set_with_one_more_pose_is_the_best_of_all_such_sets(
-    problem, is_quick
+    problem,
+    is_quick,
 ):
     reduced = presolve(problem)
     if reduced.n_poses < 2:
@@ -77,4 +86,5 @@ def test_the_best_set_with_one_more_pose_is_the_best_of_all_such_sets(
         patch.setattr("placement.optimiser.bitsets.FEW_PARTNERS", 0 if is_quick else 32)
         found = best_with_each(reduced, units, others)
     values = set_values(reduced, np.vstack([sets, found]))
+
     assert not values[values.best_row()].exceeds(values[len(sets)])

@@ -43,17 +43,35 @@ def sets_by_size(reduced):
 def margin_sums(reduced, sets):
     """Weights times margins of avoided runs, (n_sets,)."""
     margin = union_margins_s(reduced, unions_of(reduced, sets))
-    total = np.where(margin > -np.inf, margin, 0.0) @ reduced.weight
+    total = (
+        np.where(
+            margin > -np.inf,
+            margin,
+            0.0,
+        )
+        @ reduced.weight
+    )
     return total
 
 
 @given(problem=questions(), is_polished=st.booleans())
 def test_no_allowed_set_exceeds_the_bound_of_the_apr(problem, is_polished):
-    reduced = presolve(replace(problem, floors=(), goal="best", tail=1.0))
+    reduced = presolve(
+        replace(
+            problem,
+            floors=(),
+            goal="best",
+            tail=1.0,
+        )
+    )
     sizes = sets_by_size(reduced)
     if not len(reduced.weight) or not sizes:
         return
-    root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
+    root = find_root(
+        reduced,
+        run_rows(reduced),
+        n_units=reduced.limits.max_units,
+    )
     if is_polished:
         root = polished(root)
     for sets in sizes:
@@ -62,7 +80,13 @@ def test_no_allowed_set_exceeds_the_bound_of_the_apr(problem, is_polished):
 
 @given(problem=questions())
 def test_no_allowed_set_exceeds_what_is_relaxed(problem):
-    reduced = presolve(replace(problem, floors=(), goal="best"))
+    reduced = presolve(
+        replace(
+            problem,
+            floors=(),
+            goal="best",
+        )
+    )
     sizes = sets_by_size(reduced)
     apr, _ = relax(reduced, Objective.APR)
     total_s, _ = relax(reduced, Objective.MEAN_MARGIN)
@@ -77,10 +101,21 @@ def test_polishing_never_raises_a_bound(problem):
     reduced = presolve(problem)
     if not len(reduced.weight):
         return
-    root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
+    root = find_root(
+        reduced,
+        run_rows(reduced),
+        n_units=reduced.limits.max_units,
+    )
     better = polished(root)
+
     assert better.limit <= root.limit
-    again = tightened(better, reward_of(better.choice.n_units, 0), n_steps=0)
+
+    again = tightened(
+        better,
+        reward_of(better.choice.n_units, 0),
+        n_steps=0,
+    )
+
     assert again.limit == pytest.approx(better.limit, rel=1e-8)  # the prices prove it
 
 
@@ -93,7 +128,13 @@ def test_no_set_keeps_more_than_the_bound_when_units_fail(problem, n_failures):
         return
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
     share = union_apr(reduced, unions_of(reduced, sizes[-1]))
-    left = left_after_failures(reduced, reduced.measure, n_failures, sizes[-1])
+    left = left_after_failures(
+        reduced,
+        reduced.measure,
+        n_failures,
+        sizes[-1],
+    )
+
     for least in np.unique(share):
         assert (
             left[share >= least - 1e-9].max()
@@ -111,11 +152,20 @@ def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(problem, 
     first = int(rng.integers(reduced.n_poses))
     union = reduced.words[first]
     seen = rng.random(reduced.n_frames)
-    covers = unpack_words(coverers_of(reduced, rows, union, seen), reduced.n_poses)
+    covers = unpack_words(
+        coverers_of(
+            reduced,
+            rows,
+            union,
+            seen,
+        ),
+        reduced.n_poses,
+    )
     for pose in range(reduced.n_poses):
         is_avoided = is_covered_by(reduced, union | reduced.words[pose], rows)
         assert not (is_avoided & ~covers[:, pose]).any()
     is_alone = is_covered_by(reduced, union, rows)
+
     assert covers[is_alone].all()  # nothing is asked for
 
 
@@ -123,7 +173,9 @@ def test_what_forced_units_take_is_not_there_for_others():
     from small_tables import avoiding_problem
 
     problem = avoiding_problem(
-        ["100", "010", "001"], price_eur=[2.0, 3.0, 5.0], budget_units=2
+        ["100", "010", "001"],
+        price_eur=[2.0, 3.0, 5.0],
+        budget_units=2,
     )
     limits = replace(
         problem.limits,
@@ -132,14 +184,17 @@ def test_what_forced_units_take_is_not_there_for_others():
         site_cost_eur=np.full(problem.limits.n_sites, 1.0),
     )
     choice = build_choice(limits, 2)
+
     assert choice.n_units == 1
     assert choice.is_open.tolist() == [0, 1, 1]
     assert (
         choice.room[limits.site_index[0]]
         == limits.site_capacity[limits.site_index[0]] - 1
     )
+
     left_eur = 10.0 - 2.0 - 1.0
     own = 1.0 / limits.site_capacity[limits.site_index[1]]
+
     assert choice.cost[1] == pytest.approx((3.0 + own) / left_eur)
 
 
@@ -148,14 +203,17 @@ def test_what_forced_units_take_is_not_there_for_others():
     [(3, 0, [0.0, 1.0, 1.0, 1.0, 1.0]), (3, 1, [0.0, 2 / 3, 1.0, 1.0, 1.0])],
 )
 def test_a_row_is_worth_the_share_of_failures_that_leave_a_unit(
-    n_units, n_failures, expected
+    n_units,
+    n_failures,
+    expected,
 ):
     assert reward_of(n_units, n_failures) == pytest.approx(expected)
 
 
 @given(problem=problems(), place=st.floats(0.0, 1.0))
 def test_a_bound_is_rounded_down_to_whole_runs_only_where_all_weigh_the_same(
-    problem, place
+    problem,
+    place,
 ):
     reduced = presolve(problem)
     if not len(reduced.weight):
@@ -163,7 +221,9 @@ def test_a_bound_is_rounded_down_to_whole_runs_only_where_all_weigh_the_same(
     step = reduced.measure.step
     limit = place * reduced.measure.limit
     rounded = rounded_down(reduced, limit)
+
     assert rounded <= limit + 1e-5
+
     if step:
         assert rounded / step == pytest.approx(round(rounded / step), abs=1e-6)
     else:

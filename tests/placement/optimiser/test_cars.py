@@ -52,7 +52,8 @@ def mixed(problem, share):
 
 @given(seeing_problems(), st.sampled_from([None, 0.3, 0.75]))
 def test_with_cars_that_see_or_a_share_of_them_every_stage_is_that_of_brute_force(
-    problem, share
+    problem,
+    share,
 ):
     if share is not None:
         problem = mixed(problem, share)
@@ -70,6 +71,7 @@ def test_a_share_is_the_weighted_sum_of_both(problem, share):
     for chosen in [[], *([pose] for pose in poses), [*poses]]:
         expected = share * apr(problem, chosen) + (1.0 - share) * apr(blind, chosen)
         assert apr(both, chosen) == pytest.approx(expected, abs=1e-12)
+
     assert seeing_share(both.table.axis) == pytest.approx(share)
 
 
@@ -77,9 +79,15 @@ def test_a_share_is_the_weighted_sum_of_both(problem, share):
 def test_no_pose_at_all_is_the_vut_alone(problem):
     seen = problem.seen_by_vut
     ids = problem.table.pose_ids
-    table = pack_table(ids, problem.table.axis, np.tile(seen, (len(ids), 1)))
+    table = pack_table(
+        ids,
+        problem.table.axis,
+        np.tile(seen, (len(ids), 1)),
+    )
     alone = replace(problem, table=table, seen_by_vut=None)
+
     assert np.array_equal(run_margins_s(problem, []), run_margins_s(alone, [0]))
+
     for pose in range(problem.table.n_poses):
         assert apr_one_failed(problem, [pose]) == apr(problem, []) == apr(alone, [0])
 
@@ -97,14 +105,19 @@ def test_a_vut_never_fails(problem, n_failures):
 
 def test_runs_that_are_there_twice_are_told_once(frame_axis):
     table = pack_table(
-        ("a",), frame_axis, np.ones((1, frame_axis.n_frames), dtype=bool)
+        ("a",),
+        frame_axis,
+        np.ones((1, frame_axis.n_frames), dtype=bool),
     )
     axis = mixed_table(table, 0.25).axis
+
     assert is_mixed(axis)
     assert not is_mixed(frame_axis)
     assert not has_levels(axis)
     assert [run_of_level(name) for name in axis.run_ids] == [*frame_axis.run_ids] * 2
+
     once = plain_axis(axis)
+
     assert once.run_ids == frame_axis.run_ids
     assert once.weight == pytest.approx(frame_axis.weight)
     assert seeing_share(axis) == 0.25

@@ -68,6 +68,7 @@ def test_work_that_is_shared_out_is_done_once(count, workers, few):
         done[begin:end] += 1
 
     share_out(work, count, workers=workers, few=few)
+
     assert (done == 1).all()
 
 
@@ -77,12 +78,20 @@ def test_the_number_of_threads_changes_no_proven_value(problem, workers):
     assert reduced.workers == workers
     assert reduced.with_workers(2).workers == 2
     assert reduced.with_workers(workers) is reduced
+
     one = solve_placement(problem, effort=Effort(workers=1))
     some = solve_placement(problem, reduced, effort=Effort(workers=workers))
+
     assert [s.objective for s in one.certificate.stages] == pytest.approx(
         [s.objective for s in some.certificate.stages]
     )
-    front = pareto_front(problem, max_units=1, effort=Effort(workers=workers))
+
+    front = pareto_front(
+        problem,
+        max_units=1,
+        effort=Effort(workers=workers),
+    )
+
     assert front.is_proven
 
 
@@ -118,4 +127,5 @@ def test_only_the_table_has_numbers_that_steer():
         "cost_front.py": ["_MAX_LEVELS = 2", "DEFAULT_MAX_POINTS = 4"],
         "problem.py": ["VALUE_OBJECTIVES = ("],
     }
+
     assert {name: names for name, names in found.items() if names} == mechanical

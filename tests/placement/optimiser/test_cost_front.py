@@ -91,14 +91,19 @@ def check_steps(problem, stages):
         return
     front = cost_front(problem, step_apr=step, stages=stages)
     found = values_of(front)
+
     assert len(found) == len(expected)
+
     for mine, theirs in zip(found, expected, strict=True):
         assert mine == pytest.approx(theirs, abs=1e-8)
+
     assert front.is_proven
+
     for point in front.points:
         assert is_feasible(problem, point.pose_index)
         assert point.certificate.stages[0].name == "cost_eur"
         assert point.units == len(point.pose_index)
+
     if stages == "first":
         assert front.settled == pytest.approx(expected[-1][0])
 
@@ -118,6 +123,7 @@ def test_more_money_never_buys_less_and_no_bound_is_beaten(problem, seconds):
         assert tuple(round(v, 9) for v in cheaper.value[:2]) < tuple(
             round(v, 9) for v in point.value[:2]
         )
+
         # What is better than the point before costs no less than the next one's bound.
         weight = problem.table.axis.weight
         better = [
@@ -125,12 +131,14 @@ def test_more_money_never_buys_less_and_no_bound_is_beaten(problem, seconds):
             for value in values
             if value.apr >= cheaper.value.apr + float(weight[weight > 0.0].max())
         ]
+
         assert not better or min(better) >= point.certificate.stages[0].bound - 1e-6
 
 
 def test_the_next_point_costs_least_for_one_more_run_or_one_more_that_survives():
     problem = avoiding_problem(["1100", "0011", "1111"], price_eur=[1.0, 2.0, 7.0])
     front = cost_front(problem)
+
     assert values_of(front) == [
         (1.0, 0.5, 0.0),
         (3.0, 1.0, 0.5),
@@ -145,18 +153,25 @@ def test_the_next_point_costs_least_for_one_more_run_or_one_more_that_survives()
 def test_points_closer_than_the_step_are_left_out_and_points_are_told():
     rows = ["10000", "11000", "11100", "11110", "11111"]
     problem = avoiding_problem(
-        rows, price_eur=[1.0, 2.0, 3.0, 4.0, 5.0], budget_units=1
+        rows,
+        price_eur=[1.0, 2.0, 3.0, 4.0, 5.0],
+        budget_units=1,
     )
     told = []
     all_points = cost_front(
         problem, on_point=lambda point: told.append(point.value.cost_eur)
     )
+
     assert (
         told == [point.value.cost_eur for point in all_points.points] == [1, 2, 3, 4, 5]
     )
+
     few = cost_front(problem, step_apr=0.4)
+
     assert [point.value.apr for point in few.points] == [0.4, 0.8]
+
     short = cost_front(problem, max_points=2)
+
     assert len(short.points) == 2
     assert short.settled is None
 
@@ -188,5 +203,6 @@ def test_a_forced_unit_that_leaves_no_room_for_what_avoids_is_told():
     expected = (
         "candidates: got no layout that avoids anything; expected one within the limits"
     )
+
     with pytest.raises(InputError, match=expected):
         cost_front(replace(problem, limits=full))

@@ -44,7 +44,13 @@ def left(problem, poses, n_failures):
 
 def where_sites_fail(problem, survive=0):
     limits = replace(problem.limits, failing="site")
-    return replace(problem, limits=limits, survive=survive, floors=(), goal="best")
+    return replace(
+        problem,
+        limits=limits,
+        survive=survive,
+        floors=(),
+        goal="best",
+    )
 
 
 @given(problem=problems(), n_failures=st.integers(0, 3))
@@ -54,7 +60,11 @@ def test_what_is_left_is_what_stands_on_the_other_poles(problem, n_failures):
     for size in SIZES:
         for poses in combinations(range(problem.table.n_poses), size):
             wanted = left(problem, poses, n_failures)
-            assert apr_failed(problem, list(poses), n_failures) == pytest.approx(wanted)
+            assert apr_failed(
+                problem,
+                list(poses),
+                n_failures,
+            ) == pytest.approx(wanted)
         sets = sets_of_size(reduced.n_poses, size)
         if len(sets):
             wanted = [
@@ -73,13 +83,22 @@ def test_what_is_left_is_what_stands_on_the_other_poles(problem, n_failures):
 def test_the_best_layout_is_that_of_brute_force(problem, survive, solver):
     problem = where_sites_fail(problem, survive)
     best = max(
-        (left(problem, poses, survive), *placement_value(problem, poses)[:2])
+        (
+            left(
+                problem,
+                poses,
+                survive,
+            ),
+            *placement_value(problem, poses)[:2],
+        )
         for poses in feasible_layouts(problem)
     )
     solution = solve_placement(problem, effort=Effort(solver=solver, time_limit_s=60.0))
     stages = solution.certificate.stages
+
     assert [stage.objective for stage in stages[:3]] == pytest.approx(best)
     assert all(stage.gap == 0.0 for stage in stages)
+
     chosen = np.array([solution.pose_index])
     # The checker, which shares no code with the solver, says the same.
     for stage, objective in zip(stages, problem.objectives, strict=True):
@@ -99,6 +118,7 @@ def test_two_units_on_one_pole_do_not_survive_it(frame_axis, rule):
         survive=1,
     )
     sites_fail = where_sites_fail(units_fail, 1)
+
     assert apr_failed(units_fail, [0, 1], 1) == apr(units_fail, [0, 1]) == 0.75
     assert apr_failed(sites_fail, [0, 1], 1) == 0.0
     assert solve_placement(units_fail).certificate.stages[0].objective == 0.75

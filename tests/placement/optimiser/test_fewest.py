@@ -39,8 +39,18 @@ def problems_with_floors(n_problems):
     while len(found) < n_problems:
         problem = random_problem(np.random.default_rng([46, seed]))
         if problem.floors:
-            found.append((seed, replace(problem, goal="fewest", survive=0)))
+            found.append(
+                (
+                    seed,
+                    replace(
+                        problem,
+                        goal="fewest",
+                        survive=0,
+                    ),
+                )
+            )
         seed += 1
+
     return found
 
 
@@ -51,6 +61,7 @@ def test_all_sets_of_a_size_are_gone_through_for_one_that_reaches_the_floors():
         n_forced = int(limits.is_forced.sum())
         if not len(reduced.weight):
             continue
+
         for size in range(max(n_forced, 1), limits.max_units + 1):
             units, is_finished = find_of_size(reduced, size, deadline=NEVER)
             poses = reduced.pose_index.tolist()
@@ -85,6 +96,7 @@ def test_the_fewest_units_are_proven_without_a_model(
         except UnmetError:
             continue  # the search found no set to begin with, and nothing is proven
         stage = solution.certificate.stages[0]
+
         assert stage.name == Objective.UNITS
         assert stage.objective == min(len(poses) for poses in layouts), seed
         assert stage.gap == 0.0, seed
@@ -98,8 +110,14 @@ def test_three_units_are_ruled_out_on_a_junction_with_arms(
     monkeypatch.setattr(proof, "solve_window_model", no_model)
     problem = load_problem(ARMS)
     limits = replace(problem.limits, budget_units=None)
-    asked = replace(problem, limits=limits, goal="fewest", floors=(TARGET,))
+    asked = replace(
+        problem,
+        limits=limits,
+        goal="fewest",
+        floors=(TARGET,),
+    )
     solution = solve_placement(asked, effort=Effort(time_limit_s=600.0))
+
     assert solution.certificate.is_proven
     assert [stage.objective for stage in solution.certificate.stages][:1] == [4.0]
     assert solution.certificate.solver == "branch and bound"

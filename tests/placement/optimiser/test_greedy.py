@@ -33,7 +33,13 @@ OVER = Deadline(-np.inf)
 def test_greedy_choice_adds_the_pose_that_makes_the_best_set(
     problem,
 ):
-    reduced = presolve(replace(problem, floors=(), goal="best"))
+    reduced = presolve(
+        replace(
+            problem,
+            floors=(),
+            goal="best",
+        )
+    )
     units = forced_units(reduced)
     if reduced.n_poses <= len(units) or reduced.limits.max_units <= len(units):
         return
@@ -57,13 +63,23 @@ def test_no_exchange_and_no_removal_improves_an_improved_set(problem, seed):
     before = set_values(reduced, units[None, :])[0]
     better = improve(reduced, units, Search(reduced).limit)
     value = set_values(reduced, better[None, :])[0]
+
     assert not before.exceeds(value)
     assert is_allowed(reduced.limits, better)
-    late = improve(reduced, units, Search(reduced).limit, deadline=OVER)
+
+    late = improve(
+        reduced,
+        units,
+        Search(reduced).limit,
+        deadline=OVER,
+    )
+
     assert late is units
+
     if not Search(reduced).limit.exceeds(value):
         return
     free = better[~reduced.limits.is_forced[better]]
+
     for unit in free:
         rest = better[better != unit]
         others = [rest, *(np.append(rest, pose) for pose in range(reduced.n_poses))]
@@ -88,7 +104,9 @@ def test_a_search_is_never_worse_than_its_starts_and_greedy_choice(
     if found is None:
         assert not is_allowed(reduced.limits, greedy)
         return
+
     assert is_allowed(reduced.limits, found)
+
     value = set_values(reduced, found[None, :])[0]
     for units in [*starts[:1], greedy]:
         if is_allowed(reduced.limits, units):
@@ -115,6 +133,7 @@ def test_greedy_choice_has_a_unit_where_a_target_needs_none():
     none_asked = Floor(name="target", share=0.0)
     problem = avoiding_problem(["100", "011"], budget_units=2)
     few = replace(problem, goal="fewest", floors=(none_asked,))
+
     assert solve_greedy(few) == (1,)
     assert solve_placement(few).pose_index == (1,)
 
@@ -123,5 +142,6 @@ def test_greedy_search_gives_rows_of_the_table_in_order():
     from small_tables import avoiding_problem
 
     problem = avoiding_problem(["110", "011", "100"], budget_units=2)
+
     assert solve_greedy(problem) == (0, 1)
     assert solve_greedy(problem, presolve(problem)) == pytest.approx((0, 1))

@@ -30,17 +30,24 @@ def test_all_poses_are_bounded_by_what_they_promise(problem):
         patch.setattr("placement.optimiser.constants.MAX_BITS", 0)
         solution = solve_placement(problem, effort=Effort(solver="relax"))
     values = [placement_value(problem, poses) for poses in feasible_layouts(problem)]
+
     assert is_feasible(problem, solution.pose_index)
+
     best = max(value.apr for value in values)
     stages = {stage.name: stage for stage in solution.certificate.stages}
+
     assert stages["apr"].bound >= best - 1e-6
+
     value = placement_value(problem, solution.pose_index)
+
     assert tuple(stage.objective for stage in stages.values()) == pytest.approx(value)
+
     as_good = [other for other in values if other.apr >= value.apr - 1e-9]
     for name in ("apr_one_failed", "mean_margin_s"):
         assert (
             stages[name].bound >= max(getattr(other, name) for other in as_good) - 1e-6
         )
+
     assert "relaxation of all" in solution.certificate.solver
 
 
@@ -57,7 +64,11 @@ def test_a_large_table_is_refused_only_where_no_layout_of_all_poses_will_do():
         problem = random_problem(np.random.default_rng(seed))
         layouts = Oracle(problem).layouts
         try:
-            found = solve_as_large(problem, pool=1, effort=Effort(workers=1))
+            found = solve_as_large(
+                problem,
+                pool=1,
+                effort=Effort(workers=1),
+            )
         except UnmetError:
             assert not layouts, seed
         else:
@@ -70,11 +81,16 @@ def test_a_search_of_a_large_table_proves_nothing_that_is_not_so(
 ):
     layouts = Oracle(problem).layouts
     try:
-        found = solve_as_large(problem, pool=2, effort=Effort(solver="greedy"))
+        found = solve_as_large(
+            problem,
+            pool=2,
+            effort=Effort(solver="greedy"),
+        )
     except UnmetError as error:
         is_open = "none was found" in str(error) or "time" in str(error)
         assert is_open or not layouts
         return
+
     assert found in layouts
 
 
@@ -84,14 +100,28 @@ def test_the_pool_has_poses_at_a_forced_site_that_gain_little():
     problem = replace(
         problem, limits=replace(problem.limits, is_forced_site=is_forced_site)
     )
-    assert 2 in solve_as_large(problem, pool=1, effort=Effort(solver="greedy"))
+
+    assert 2 in solve_as_large(
+        problem,
+        pool=1,
+        effort=Effort(solver="greedy"),
+    )
 
 
 def test_the_pool_has_poses_that_avoid_what_a_floor_counts():
     problem = avoiding_problem(["11110", "11100", "11000", "00001"], budget_units=2)
-    last = Floor(name="--min-case-apr", share=1.0, is_counted=np.arange(5) == 4)
+    last = Floor(
+        name="--min-case-apr",
+        share=1.0,
+        is_counted=np.arange(5) == 4,
+    )
     problem = replace(problem, floors=(last,))
-    assert 3 in solve_as_large(problem, pool=1, effort=Effort(solver="greedy"))
+
+    assert 3 in solve_as_large(
+        problem,
+        pool=1,
+        effort=Effort(solver="greedy"),
+    )
 
 
 def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet():
@@ -99,11 +129,20 @@ def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet()
     problem = avoiding_problem(["1100", "0010", "0001", "1000"], budget_units=3)
     everything = Floor(name="--target", share=1.0)
     problem = replace(problem, floors=(everything,))
-    assert solve_as_large(problem, pool=1, effort=Effort()) == (0, 1, 2)
+
+    assert solve_as_large(
+        problem,
+        pool=1,
+        effort=Effort(),
+    ) == (0, 1, 2)
+
     words = "more time than the limit"
+
     with pytest.raises(UnmetError, match=words):
         solve_as_large(
-            problem, pool=1, effort=Effort(solver="greedy", time_limit_s=1e-9)
+            problem,
+            pool=1,
+            effort=Effort(solver="greedy", time_limit_s=1e-9),
         )
 
 
@@ -111,5 +150,10 @@ def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet()
 @pytest.mark.parametrize("solver", ["auto", "greedy"])
 def test_a_large_table_with_a_forced_site_of_little_gain_is_solved(solver):
     problem = load_problem(UNMET_LARGE)
-    found = solve_as_large(problem, pool=4, effort=Effort(solver=solver))
+    found = solve_as_large(
+        problem,
+        pool=4,
+        effort=Effort(solver=solver),
+    )
+
     assert is_feasible(problem, found)

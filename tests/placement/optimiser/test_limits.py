@@ -39,7 +39,11 @@ SEEDS = st.integers(0, 2**32 - 1)
 def some_limits(seed):
     """Any limits on six poses at three sites."""
     rng = np.random.default_rng(seed)
-    return random_limits(rng, rng.integers(0, 3, 6), 3)
+    return random_limits(
+        rng,
+        rng.integers(0, 3, 6),
+        3,
+    )
 
 
 def all_sets(size):
@@ -83,9 +87,12 @@ def test_sets_are_allowed_that_break_no_limit(seed, size):
     limits = some_limits(seed)
     sets = all_sets(size)
     expected = [not breaks(limits, tuple(units)) for units in sets.tolist()]
+
     assert are_allowed(limits, sets).tolist() == expected
     assert [is_allowed(limits, units) for units in sets] == expected
+
     doubled = np.column_stack([sets, sets[:, :1]])
+
     assert not any(is_allowed(limits, units) for units in doubled)
 
 
@@ -95,6 +102,7 @@ def test_what_allowed_sets_are_parts_of_may_grow(seed, size):
     sets = all_sets(size)
     of_sites_and_money = [breaks(limits, tuple(units)) for units in sets.tolist()]
     grows = may_grow(replace(limits, budget_units=None), sets)
+
     for units, reason, may in zip(
         sets.tolist(), of_sites_and_money, grows, strict=True
     ):
@@ -112,6 +120,7 @@ def test_costs_are_those_of_units_and_of_each_site_once(seed, size):
     limits = some_limits(seed)
     sets = all_sets(size)
     expected = [price_of(limits, tuple(units)) for units in sets.tolist()]
+
     assert costs_eur(limits, sets) == pytest.approx(expected)
     assert [cost_eur(limits, units) for units in sets] == pytest.approx(expected)
 
@@ -125,6 +134,7 @@ def test_every_cost_is_a_multiple_of_the_step_of_prices(cents, times):
         unit_cost_eur=prices,
     )
     step = price_step_eur(limits)
+
     assert round(100.0 * step) == np.gcd.reduce(np.array(cents) * times)
     assert price_step_eur(replace(limits, site_cost_eur=[np.pi])) == 0.0
 
@@ -148,6 +158,7 @@ def test_no_allowed_set_has_more_units_than_the_limits_say(seed):
         for size in range(1, 7)
         if any(not breaks(limits, tuple(units)) for units in all_sets(size).tolist())
     ]
+
     assert max(sizes, default=0) <= limits.max_units
 
 
@@ -163,7 +174,9 @@ def test_no_allowed_set_has_more_units_than_the_limits_say(seed):
 )
 def test_most_units_are_those_of_sites_budgets_and_prices(change, expected):
     limits = Limits(
-        site_index=[0, 0, 1, 1], site_capacity=[2, 1], unit_cost_eur=[1.0] * 4
+        site_index=[0, 0, 1, 1],
+        site_capacity=[2, 1],
+        unit_cost_eur=[1.0] * 4,
     )
     assert replace(limits, **change).max_units == expected
 
@@ -240,16 +253,23 @@ def test_who_may_join_what_is_forced_is_told_to_kernels(seed, n_units):
     limits = some_limits(seed)
     choice = build_choice(limits, n_units)
     forced = np.flatnonzero(limits.is_forced)
+
     assert choice.n_units == max(n_units - len(forced), 0)
+
     at_site = np.bincount(limits.site_index[forced], minlength=3)
+
     assert (
         choice.room.tolist() == np.maximum(limits.site_capacity - at_site, 0).tolist()
     )
+
     is_open = ~limits.is_forced & ~limits.is_forbidden
+
     assert choice.is_open.tolist() == is_open.astype(int).tolist()
+
     if limits.budget_eur is None:
         assert not len(choice.cost)
         return
+
     for size in range(
         len(forced) + 1, 5
     ):  # no allowed set costs more than the money left
@@ -469,10 +489,12 @@ def test_limits_without_any_set_say_so():
         is_forced_site=[True, True],
         budget_eur=2008.0,
     )
+
     with pytest.raises(UnmetError) as told:
         solve_placement(replace(problem, limits=limits))
     expected = (
         "limits: got no set of poses meets all of them; expected limits that leave a"
         " choice"
     )
+
     assert str(told.value) == expected

@@ -29,7 +29,11 @@ def drawn_measure(seed, tail):
     rng = np.random.default_rng(seed)
     world = np.concatenate([np.arange(4), rng.integers(0, 4, 4)])
     weight = rng.integers(1, 9, 8).astype(np.float64)
-    return build_measure(weight / weight.sum(), world, tail=tail), rng
+    return build_measure(
+        weight / weight.sum(),
+        world,
+        tail=tail,
+    ), rng
 
 
 def mean_of_worst(measure, is_avoided):
@@ -51,9 +55,12 @@ def test_the_measure_is_the_mean_over_the_worst_worlds(seed, tail):
     measure, rng = drawn_measure(seed, tail)
     is_avoided = rng.random((5, 8)) < 0.6
     expected = [mean_of_worst(measure, one) for one in is_avoided]
+
     assert measure.of(is_avoided) == pytest.approx(expected, abs=1e-12)
     assert measure.of(is_avoided[0]) == pytest.approx(expected[0], abs=1e-12)
+
     by_world = measure.by_world(is_avoided)
+
     assert by_world.sum(axis=1) == pytest.approx(is_avoided @ measure.weight)
     assert measure.of_worlds(by_world) == pytest.approx(expected, abs=1e-12)
 
@@ -64,6 +71,7 @@ def test_the_worst_worlds_are_never_better_than_all_and_more_is_never_worse(seed
     mean, _ = drawn_measure(seed, 1.0)
     is_avoided = rng.random(8) < 0.5
     more = is_avoided | (rng.random(8) < 0.3)
+
     assert measure.of(is_avoided) <= mean.of(is_avoided) + 1e-12
     assert measure.of(is_avoided) <= measure.of(more) + 1e-12
     assert measure.of(more) <= measure.limit + 1e-12
@@ -79,6 +87,7 @@ def test_runs_out_of_reach_still_count_as_lost(seed, tail):
     part = measure.of_runs(runs)
     is_avoided = rng.random(8) < 0.7
     is_lost = ~np.isin(np.arange(8), runs)
+
     assert part.of(is_avoided[runs]) == pytest.approx(
         float(measure.of(is_avoided & ~is_lost))
     )
@@ -158,10 +167,12 @@ def test_a_requirement_counts_runs_that_leave_the_margin(seed, least_s):
     margin_s = rng.choice([-np.inf, 0.0, 0.25, 0.5], (4, 8))
     requirement = Requirement(measure=measure, least=0.5, min_margin_s=least_s)
     counts = [[m > -np.inf and m >= least_s for m in row] for row in margin_s.tolist()]
+
     assert requirement.counts_run(margin_s).tolist() == counts
     assert requirement.reached(margin_s) == pytest.approx(
         np.array(counts) @ measure.weight
     )
+
     sums = Requirement(
         measure=measure, least=0.5, min_margin_s=least_s, sums_margins=True
     )
@@ -169,6 +180,7 @@ def test_a_requirement_counts_runs_that_leave_the_margin(seed, least_s):
         sum(w * m for w, m, c in zip(measure.weight, row, count, strict=True) if c)
         for row, count in zip(margin_s, counts, strict=True)
     ]
+
     assert sums.reached(margin_s) == pytest.approx(expected)
 
 
@@ -186,7 +198,12 @@ def test_all_runs_are_needed_where_no_other_set_of_them_is_enough(seed, least):
         assert not enough
     if least > 1.0 - 1e-9:
         assert needs_all
-    assert not Requirement(measure=measure, least=least, sums_margins=True).needs_all
+
+    assert not Requirement(
+        measure=measure,
+        least=least,
+        sums_margins=True,
+    ).needs_all
 
 
 # ---------- the order of values
@@ -235,6 +252,7 @@ def test_layouts_are_compared_stage_by_stage_beyond_rounding(one, other):
         if abs(a - b) > tolerance:
             expected = sign * (a - b) > 0.0
             break
+
     assert is_better(mine, theirs) == expected
     assert not (is_better(mine, theirs) and is_better(theirs, mine))
 
@@ -247,17 +265,22 @@ def test_the_best_of_many_sets_is_exceeded_by_none(seed, n_sets):
     gains[:, 0] = np.minimum(gains[:, 0], 0.0)
     values = SetValues(objectives, gains)
     best = values[values.best_row()]
+
     assert not any(values[row].exceeds(best) for row in range(n_sets))
+
     ranks = [tuple(row) for row in gains]
+
     assert ranks[values.best_row()] == max(ranks)
     assert ranks.index(max(ranks)) == values.best_row()  # of equal ones the first
     np.testing.assert_array_equal(values.lacking, -gains[:, 0])
     np.testing.assert_array_equal(values.of(Objective.APR), gains[:, 1])
     np.testing.assert_array_equal(values.of(Objective.COST), -gains[:, 2])
+
     incumbent = BestSet()
     sets = np.arange(n_sets)[:, None]
     for begin in range(0, n_sets, 3):
         incumbent.offer(sets[begin : begin + 3], values[begin : begin + 3])
     incumbent.offer(sets[:0], values[:0])
+
     assert incumbent.units is not None
     assert incumbent.units.tolist() == [values.best_row()]

@@ -32,7 +32,12 @@ VALUED = (Objective.UNITS, Objective.COST, Objective.APR)
 
 
 def without_floors(problem):
-    return replace(problem, floors=(), goal="best", survive=0)
+    return replace(
+        problem,
+        floors=(),
+        goal="best",
+        survive=0,
+    )
 
 
 def sets_by_size(reduced):
@@ -52,6 +57,7 @@ def live_links(reduced, units):
     chains = reduced.chains
     seen = detected[units].any(axis=0)
     a = np.zeros(len(chains.window))
+
     for chain in range(reduced.n_chains):
         frames, n_links = reduced.tails(chain)
         is_live = False
@@ -59,6 +65,7 @@ def live_links(reduced, units):
             has_tails = seen[frames[n_links > link]].all()
             is_live |= bool(has_tails and seen[reduced.window_frames[window]].all())
             a[chains.start[chain] + link] = is_live
+
     return a
 
 
@@ -71,19 +78,29 @@ def test_the_model_finds_the_best_allowed_set(problem, objective):
         sets = allowed_sets(reduced, size)
         if len(sets):
             values += set_values(reduced, sets).of(objective).tolist()
+
     found = solve_window_model(reduced, objective, time_limit_s=60.0)
+
     assert found.is_finished
+
     sign = sign_of(objective)
     if not values:
         assert found.units is None
         assert found.bound == -sign * np.inf
         return
     best = sign * max(sign * value for value in values)
+
     assert found.units is not None
     assert are_allowed(reduced.limits, found.units[None, :])[0]
+
     mine = set_values(reduced, found.units[None, :]).of(objective)[0]
+
     assert mine == pytest.approx(best, abs=1e-6)
-    assert found.bound == pytest.approx(best, rel=1e-6, abs=1e-6)
+    assert found.bound == pytest.approx(
+        best,
+        rel=1e-6,
+        abs=1e-6,
+    )
 
 
 @given(problem=problems())
@@ -94,15 +111,26 @@ def test_the_model_finds_the_largest_sum_of_margins(problem):
         for units in sets[are_allowed(reduced.limits, sets)]:
             margin = margins(reduced, units)
             best = max(
-                best, float(np.where(margin > -np.inf, margin, 0.0) @ reduced.weight)
+                best,
+                float(
+                    np.where(
+                        margin > -np.inf,
+                        margin,
+                        0.0,
+                    )
+                    @ reduced.weight
+                ),
             )
+
     found = solve_window_model(reduced, Objective.MEAN_MARGIN, time_limit_s=60.0)
+
     assert found.bound == pytest.approx(best, abs=1e-6)
 
 
 @given(problem=problems(), place=st.floats(0.0, 1.0))
 def test_the_model_finds_a_set_that_meets_a_requirement_where_there_is_one(
-    problem, place
+    problem,
+    place,
 ):
     reduced = presolve(problem)
     least = place * reduced.measure.limit
@@ -132,13 +160,17 @@ def test_links_weigh_what_their_rows_are_worth(problem):
     reduced = presolve(problem)
     of_runs = link_weights(reduced, run_rows(reduced))
     of_margins = link_weights(reduced, margin_rows(reduced))
+
     for sets in sets_by_size(reduced):
         for units in sets[:6]:
             a = live_links(reduced, units)
             margin = margins(reduced, units)
             is_avoided = margin > -np.inf
+
             assert of_runs @ a == pytest.approx(reduced.weight @ is_avoided)
+
             total_s = np.where(is_avoided, margin, 0.0) @ reduced.weight
+
             assert of_margins @ a == pytest.approx(total_s, abs=1e-12)
 
 
@@ -210,22 +242,27 @@ def test_cuts_are_met_by_all_sets_that_keep_enough(problem, n_failures, place, f
         return
     requirement = drawn_requirement(reduced, n_failures, place)
     first = first_cuts(reduced, requirement)
+
     assert not first or (requirement.needs_all and n_failures)
+
     sets = [units for size in sets_by_size(reduced) for units in size]
     good = [units for units in sets if meets(reduced, units, requirement)]
+
     for units in sets:
         cuts = violated_cuts(reduced, units, requirement)
         assert bool(cuts) != any(units is one for one in good)
         for cut in cuts:
             assert not holds(reduced, cut, units)
             assert all(holds(reduced, cut, one) for one in good)
+
     for cut in first:
         assert all(holds(reduced, cut, one) for one in good)
 
 
 @given(problem=problems(), failing=FAILING)
 def test_a_model_with_cuts_finds_a_set_that_survives_where_there_is_one(
-    problem, failing
+    problem,
+    failing,
 ):
     limits = replace(problem.limits, failing=failing)
     reduced = presolve(replace(problem, limits=limits))
@@ -237,6 +274,7 @@ def test_a_model_with_cuts_finds_a_set_that_survives_where_there_is_one(
         units for size in sets for units in size if meets(reduced, units, requirement)
     ]
     cuts = first_cuts(reduced, requirement)
+
     for _ in range(200):
         found = solve_window_model(
             reduced, None, requirements=[requirement], cuts=cuts, time_limit_s=60.0
@@ -247,6 +285,8 @@ def test_a_model_with_cuts_finds_a_set_that_survives_where_there_is_one(
         if not new:
             break
         cuts += new
+
     assert (found.units is not None) == bool(good)
+
     if found.units is not None:
         assert meets(reduced, found.units, requirement)

@@ -65,7 +65,9 @@ def test_thousands_of_answers_are_as_the_enumeration_says(block):
         for of_part, kinds_of_part in pool.map(faults, parts):
             found += of_part
             kinds.update(kinds_of_part)
+
     print(rates(kinds, BLOCK))  # noqa: T201
+
     assert found == []
     assert kinds.keys() == KINDS
     assert min(kinds.values()) >= RARE * BLOCK

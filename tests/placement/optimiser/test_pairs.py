@@ -19,7 +19,11 @@ from placement.optimiser.pairs import PairWalk, goes_by_pairs, walk_by_pairs
 def in_two_worlds(problem):
     """Every other run in the second world, where that leaves both with weight."""
     index = np.arange(problem.table.axis.n_runs) % 2
-    weight = np.bincount(index, weights=problem.table.axis.weight, minlength=2)
+    weight = np.bincount(
+        index,
+        weights=problem.table.axis.weight,
+        minlength=2,
+    )
     if (weight > 0.0).all():
         return replace(problem, sample_index=index)
     return problem
@@ -32,7 +36,10 @@ def in_two_worlds(problem):
     few=st.sampled_from([0, 200]),
 )
 def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
-    problem, place, class_poses, few
+    problem,
+    place,
+    class_poses,
+    few,
 ):
     reduced = presolve(problem)
     n_units = reduced.limits.max_units
@@ -50,8 +57,11 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
         met = np.concatenate(
             [np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)]
         )
+
     assert walk.is_finished
+
     found = sorted(tuple(sorted(units)) for units in met.tolist())
+
     assert found == sorted(map(tuple, sets[share >= need - 1e-9].tolist()))
 
 
@@ -71,8 +81,11 @@ def test_a_walk_for_more_meets_the_sets_that_reach_more(
     list(first.blocks(NEVER))
     again = first.again(float(share.max()))
     met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *again.blocks(NEVER)])
+
     assert len(met) == (share >= share.max() - 1e-9).sum()
+
     again.raise_needs(0.0)
+
     assert again.need == share.max()  # needs never fall
 
 
@@ -91,22 +104,29 @@ def test_worlds_are_proven_by_their_mean_and_bounded_by_it(problem, tail):
     tied = walk_by_pairs(
         reduced, sets[0], deadline=NEVER, on_better=lambda units: units
     )
+
     assert tied.limit >= share.max() - 1e-9
+
     if tail == 1.0:
         assert tied.is_finished
         assert tied.value == pytest.approx(share.max())
         assert tied.sets is not None
         assert len(tied.sets) == (share >= share.max() - 1e-9).sum()
     late = walk_by_pairs(
-        reduced, sets[0], deadline=Deadline(-np.inf), on_better=lambda units: units
+        reduced,
+        sets[0],
+        deadline=Deadline(-np.inf),
+        on_better=lambda units: units,
     )
+
     assert not late.is_finished
     assert late.limit >= share.max() - 1e-9
 
 
 @given(problem=problems(), n_ended=st.integers(0, 4))
 def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
-    problem, n_ended
+    problem,
+    n_ended,
 ):
     reduced = presolve(in_two_worlds(problem))
     n_units = reduced.limits.max_units
@@ -140,7 +160,9 @@ def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
             deadline=Deadline(now_s() + 1.0e6),
             on_better=lambda units: units,
         )
+
     assert tied.limit >= most - 1e-9
+
     if most > 0.0 and most * 1.02 < reduced.measure.limit:
         ahead = [need / most - 1.0 for need in needs]
         assert ahead[: n_ended + 1] == pytest.approx(

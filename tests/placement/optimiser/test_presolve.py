@@ -27,7 +27,12 @@ def packed_rows(rng, n_rows, n_bytes):
     """Bits as a table has them: not to be written to, or kernels would be compiled once
     more.
     """
-    rows = rng.integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
+    rows = rng.integers(
+        0,
+        256,
+        (n_rows, n_bytes),
+        dtype=np.uint8,
+    )
     rows.setflags(write=False)
     return rows
 
@@ -47,7 +52,12 @@ def test_part_of_a_table_turned_round_has_its_bits(n_rows, n_chosen, n_bytes, se
     place[left] = rng.permutation(len(left))
     columns = np.empty((len(left), -(-n_chosen // 64)), dtype=np.uint64)
     transpose_chosen(rows, chosen, place, columns)
-    bits = np.unpackbits(rows, axis=1, bitorder="little").view(bool)
+    bits = np.unpackbits(
+        rows,
+        axis=1,
+        bitorder="little",
+    ).view(bool)
+
     np.testing.assert_array_equal(
         unpack_words(columns[place[left]], n_chosen), bits[np.ix_(chosen, left)].T
     )
@@ -61,6 +71,7 @@ def test_rows_are_numbered_by_their_first_appearance(n_rows, n_words, seed):
     first, number = distinct_rows(rows, mask)
     seen = [tuple(row) for row in (rows & mask).tolist()]
     distinct = list(dict.fromkeys(seen))
+
     assert number.tolist() == [distinct.index(row) for row in seen]
     assert first.tolist() == [seen.index(row) for row in distinct]
 
@@ -94,13 +105,20 @@ def test_poses_are_dominated_as_one_by_one(seed, max_units):
                 and price <= limits.unit_cost_eur[pose]
             )
             n_at_site[limits.site_index[other]] += is_first and is_above
+
         own = limits.site_index[pose]
         n_blockers = int(np.minimum(n_at_site, limits.site_capacity).sum())
         expected.append(
             n_at_site[own] >= limits.site_capacity[own] or n_blockers >= max_units
         )
+
     assert (
-        is_dominated(pack_words(bits), limits, max_units=max_units).tolist() == expected
+        is_dominated(
+            pack_words(bits),
+            limits,
+            max_units=max_units,
+        ).tolist()
+        == expected
     )
 
 
@@ -111,17 +129,39 @@ def test_a_pose_that_sees_more_dominates_only_where_it_costs_no_more():
         priced = replace(limits, unit_cost_eur=np.array(prices))
         assert is_dominated(words, priced, max_units=1).tolist() == expected
     forced = replace(limits, is_forced=np.array([False, True]))
-    assert is_dominated(words, forced, max_units=1).tolist() == [False, False]
+
+    assert is_dominated(
+        words,
+        forced,
+        max_units=1,
+    ).tolist() == [False, False]
 
 
 def test_a_site_that_must_be_paid_does_not_dominate_another():
     words = pack_words(np.array([[1, 1], [1, 0]], dtype=bool))
     limits = Limits(site_index=np.array([0, 1]), site_capacity=np.array([1, 1]))
-    assert is_dominated(words, limits, max_units=1).tolist() == [False, True]
+
+    assert is_dominated(
+        words,
+        limits,
+        max_units=1,
+    ).tolist() == [False, True]
+
     paid = replace(limits, site_cost_eur=np.array([9.0, 0.0]))
-    assert is_dominated(words, paid, max_units=1).tolist() == [False, False]
+
+    assert is_dominated(
+        words,
+        paid,
+        max_units=1,
+    ).tolist() == [False, False]
+
     asked = replace(limits, is_forced_site=np.array([False, True]))
-    assert is_dominated(words, asked, max_units=1).tolist() == [False, False]
+
+    assert is_dominated(
+        words,
+        asked,
+        max_units=1,
+    ).tolist() == [False, False]
 
 
 def test_statistics_read_as_sizes_before_and_after():

@@ -61,12 +61,14 @@ def best_by_stage(oracle, layouts):
     """Best value of every stage among layouts that tie in all stages before."""
     best = []
     rivals = list(layouts.values())
+
     for name in oracle.names:
         sign = sign_of(name)
         tie = TIE_EUR if name in MINIMISED else TIE
         most = max(sign * values[name] for values in rivals)
         best.append(sign * most)
         rivals = [values for values in rivals if sign * values[name] >= most - tie]
+
     return best
 
 
@@ -82,10 +84,18 @@ def check_stages(oracle, reduced):
         for poses, values in oracle.layouts.items()
         if left.issuperset(poses)
     }
+
     assert among_left, "no layout is left"
+
     expected = best_by_stage(oracle, oracle.layouts)
     got = best_by_stage(oracle, among_left)
-    assert got == pytest.approx(expected, abs=TIE_EUR, rel=0.0), oracle.names
+
+    assert got == pytest.approx(
+        expected,
+        abs=TIE_EUR,
+        rel=0.0,
+    ), oracle.names
+
     return True
 
 
@@ -112,13 +122,16 @@ def check_rules(rules, numbers):
     """Check what is left of some problems; return their kinds."""
     n_met = 0
     seen = set()
+
     for number in numbers:
         problem, oracle = drawn(number)
         reduced = presolve(problem, rules=rules)
         if check_stages(oracle, reduced):
             n_met += 1
             seen |= kinds_of(problem)
+
     assert n_met > len(numbers) / 3
+
     return seen
 
 
@@ -199,6 +212,7 @@ def test_a_pose_that_adds_nothing_stays_where_it_has_the_largest_margin(
 ):
     problem = tie_of_margins(price_eur)
     reduced = presolve(problem)
+
     assert 1 in reduced.pose_index
     assert check_stages(Oracle(problem), reduced)
 
@@ -219,11 +233,14 @@ def test_the_cheapest_of_the_poses_that_add_nothing_stays():
         floors=(),
         goal="best",
     )
+
     assert presolve(problem).pose_index.tolist() == [1]
+
     is_forced_site = np.array([False, False, False, True])
     asked = replace(
         problem, limits=replace(problem.limits, is_forced_site=is_forced_site)
     )
+
     assert presolve(asked).pose_index.tolist() == [1, 3]
     assert not find_needless(presolve(asked)).any()
 

@@ -28,15 +28,28 @@ def test_every_layout_costs_one_of_the_levels(problem):
     levels = price_levels_eur(problem.limits)
     assert levels is not None
     assert (np.diff(levels) > 0.0).all()
+
     costs = [cost_eur(problem.limits, poses) for poses in allowed_sets(problem)]
+
     assert all(np.abs(levels - cost).min() <= 1e-6 for cost in costs)
+
     for cost in costs:
-        assert next_level_eur(levels, cost, is_more=False) == pytest.approx(cost)
+        assert next_level_eur(
+            levels,
+            cost,
+            is_more=False,
+        ) == pytest.approx(cost)
         dearer = [other for other in costs if other > cost + 1e-6]
         assert next_level_eur(levels, cost, is_more=True) > cost
         assert (
             not dearer
-            or min(dearer) >= next_level_eur(levels, cost, is_more=True) - 1e-6
+            or min(dearer)
+            >= next_level_eur(
+                levels,
+                cost,
+                is_more=True,
+            )
+            - 1e-6
         )
 
 
@@ -47,13 +60,18 @@ def test_affordable_sets_are_all_that_the_limits_allow(problem, max_sets):
     if sizes is None:
         assert len(expected) > max_sets
         return
+
     assert len(expected) <= max_sets
     assert {tuple(row) for sets in sizes for row in sets.tolist()} == set(expected)
     assert sum(map(len, sizes)) == len(expected)
 
 
 def test_sites_that_carry_two_leave_fewer_levels():
-    problem = avoiding_problem(["1"] * 4, price_eur=[1500.0] * 4, budget_units=3)
+    problem = avoiding_problem(
+        ["1"] * 4,
+        price_eur=[1500.0] * 4,
+        budget_units=3,
+    )
     limits = replace(
         problem.limits,
         site_index=np.array([0, 0, 1, 1]),
@@ -62,6 +80,7 @@ def test_sites_that_carry_two_leave_fewer_levels():
         is_forced_site=np.zeros(2, dtype=bool),
     )
     levels = price_levels_eur(limits)
+
     assert levels is not None
     # Three units need two sites.
     assert levels.tolist() == [2500.0, 4000.0, 5000.0, 6500.0]
@@ -78,6 +97,12 @@ def test_prices_without_whole_cents_or_too_many_have_no_levels():
         == next_level_eur(None, 3.0, is_more=False)
         == 3.0
     )
+
     prices = (np.arange(300) ** 3 + 1.0) / 100.0
-    many = avoiding_problem(["1"] * 300, price_eur=prices.tolist(), budget_units=3)
+    many = avoiding_problem(
+        ["1"] * 300,
+        price_eur=prices.tolist(),
+        budget_units=3,
+    )
+
     assert price_levels_eur(many.limits) is None

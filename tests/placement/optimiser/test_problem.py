@@ -50,8 +50,11 @@ def two_runs(rows, *, fusion="any", weight=None):
 def test_margin_is_what_is_left_after_the_third_frame_in_a_row_and_the_latency():
     problem = two_runs(["011100 111000"])
     margin = run_margins_s(problem, [0])
+
     assert margin == pytest.approx([-0.05 - (-0.2 + 0.025), -0.275 - (-0.3 + 0.025)])
+
     value = placement_value(problem, [0])
+
     assert value == pytest.approx((1.0, 0.0, 0.0, 0.75 * 0.125, 5.0), abs=1e-12)
 
 

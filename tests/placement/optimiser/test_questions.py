@@ -50,8 +50,10 @@ def check(problem):
             solve_placement(problem)
         return
     solution = solve_placement(problem)
+
     assert is_feasible(problem, solution.pose_index)
     assert rank(problem, solution.pose_index) == pytest.approx(best, abs=2e-9)
+
     for stage in solution.certificate.stages:
         assert (stage.gap == 0.0) == (stage.bound == stage.objective)
         sign = sign_of(stage.name)
@@ -83,27 +85,42 @@ def test_no_bound_of_the_first_stage_is_beaten(problem, solver):
         return  # nothing was found in time, and that is said
     first = solution.certificate.stages[0]
     sign = sign_of(first.name)
+
     assert is_feasible(problem, solution.pose_index)
     assert sign * first.bound >= best[0] - 1e-6
 
 
 @given(problem=questions(), give_up=st.sampled_from([0.0, 0.05, 0.3, 1.0]))
 def test_what_is_given_up_buys_the_most_that_is_left_when_a_unit_fails(
-    problem, give_up
+    problem,
+    give_up,
 ):
-    problem = replace(problem, goal="best", survive=0, floors=(), tail=1.0)
+    problem = replace(
+        problem,
+        goal="best",
+        survive=0,
+        floors=(),
+        tail=1.0,
+    )
     try:
-        highest, sturdy = solve_sturdily(problem, give_up=give_up, effort=Effort())
+        highest, sturdy = solve_sturdily(
+            problem,
+            give_up=give_up,
+            effort=Effort(),
+        )
     except InputError:
         assert brute_force(problem) is None
         return
     best = brute_force(problem)
+
     assert rank(problem, highest.pose_index) == pytest.approx(best, abs=1e-8)
     assert highest.certificate.is_proven
+
     if give_up == 0.0 or len(highest.pose_index) < 2:
         assert sturdy is None
         return
     asked = sturdy_problem(problem, highest, give_up)
+
     assert rank(asked, sturdy.pose_index) == pytest.approx(brute_force(asked), abs=1e-8)
     assert apr(problem, sturdy.pose_index) >= best[0] - give_up - 1e-8
     assert sturdy.certificate.is_proven

@@ -23,6 +23,7 @@ def test_bound_is_never_below_the_best_when_time_is_up(problem):
         assert sign * stage.bound >= sign * stage.objective
         assert sign * stage.bound >= sign * value - 1e-9
         assert (stage.gap == 0.0) == (stage.bound == stage.objective)
+
         if sign * stage.objective < sign * value - 1e-9:
             break  # the later bounds hold for layouts that are as good so far
 
@@ -34,7 +35,12 @@ def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver):
     problem = avoiding_problem(["010", "001"], budget_units=1)
     axis = replace(problem.table.axis, last_brake_time_s=np.array([-0.01, -0.01, 0.1]))
     table = replace(problem.table, axis=axis)
-    worlds = replace(problem, table=table, sample_index=np.array([0, 1, 1]), tail=0.5)
+    worlds = replace(
+        problem,
+        table=table,
+        sample_index=np.array([0, 1, 1]),
+        tail=0.5,
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.proof.search_from_many_starts", first_units)
         solution = solve_placement(worlds, effort=Effort(solver=solver))
@@ -48,7 +54,11 @@ def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver):
 def test_weights_of_any_magnitude_are_solved_without_overflow(solver):
     weights = [1.0, 3.0, 2.0, 1.0e-302]
     check(
-        avoiding_problem(["1001", "0110", "1100"], weights=weights, budget_units=2),
+        avoiding_problem(
+            ["1001", "0110", "1100"],
+            weights=weights,
+            budget_units=2,
+        ),
         solver,
     )
 

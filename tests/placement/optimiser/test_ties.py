@@ -34,6 +34,7 @@ def singles(weight, seen_from):
         for run, frame in enumerate(frames, start=1):
             if frame is not None:
                 detected[pose, run, frame:] = True
+
     axis = axis_of_runs(
         9 * np.arange(n_runs + 1),
         np.tile(np.arange(-8, 1) / 10.0, n_runs),
@@ -118,15 +119,22 @@ def test_contenders_limit_every_set_that_ties_in_all_stages_before(steps, seed):
     for row in range(n_sets):
         contenders.add(np.array([[row]]), SetValues(objectives, gains[row : row + 1]))
     best = contenders.best()
+
     assert best is not None
+
     row = int(best[0])
+
     assert gains[row, 1] >= gains[:, 1].max() - TIE
+
     limits = contenders.limits(SetValues(objectives, gains[row]))
     tied = np.ones(n_sets, dtype=bool)
+
     for column, objective in enumerate(objectives, start=1):
         most = gains[tied, column].max()
         limit = limits[objective]
+
         assert (-limit if objective is Objective.COST else limit) == most
+
         if objective is Objective.COST:
             tolerance = 1.0e-6
         else:
@@ -137,14 +145,22 @@ def test_contenders_limit_every_set_that_ties_in_all_stages_before(steps, seed):
 def test_ties_are_equal_where_weights_are_fractions_or_all_is_avoided():
     fractions = np.array([1 / 3, 1 / 6, 1 / 12, 5 / 12])
     assert build_measure(fractions).least_tied(0.5) == 0.5
+
     rng = np.random.default_rng(1)
     odd = rng.random(20)
     odd /= odd.sum()
+
     assert not are_sums_apart(odd)
     assert not are_sums_apart(np.array([1.0, 1e-300]))  # no zero: sums of such tie
     assert build_measure(odd).least_tied(0.5) == pytest.approx(0.5 - 2.0e-9, abs=1e-15)
     assert build_measure(odd).least_tied(1.0) == 1.0
-    sampled = build_measure(fractions, [0, 0, 1, 1], tail=0.5)
+
+    sampled = build_measure(
+        fractions,
+        [0, 0, 1, 1],
+        tail=0.5,
+    )
+
     assert sampled.least_tied(0.5) < 0.5
 
 
@@ -157,7 +173,12 @@ def test_sums_of_fractions_are_apart_unless_their_denominator_is_large(
         common = float(np.lcm.reduce(denominators))
         counts = weight * common
         assert common <= 2.5e8
-        np.testing.assert_allclose(counts, counts.round(), rtol=0.0, atol=1e-6)
+        np.testing.assert_allclose(
+            counts,
+            counts.round(),
+            rtol=0.0,
+            atol=1e-6,
+        )
     else:
         assert float(np.lcm.reduce(np.array(denominators, dtype=object))) > 2.5e8
 
@@ -165,5 +186,6 @@ def test_sums_of_fractions_are_apart_unless_their_denominator_is_large(
 def test_a_layout_of_the_oracle_is_ambiguous_only_near_a_tie():
     near = Oracle(singles([1.6e-8, 9.0e-10], [[2, 6], [2, None]]))
     far = Oracle(singles([0.2, 0.1], [[2, 6], [2, None]]))
+
     assert near.is_ambiguous((0,))
     assert not far.is_ambiguous((0,))

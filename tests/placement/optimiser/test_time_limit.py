@@ -71,6 +71,7 @@ def compile_for_s(seconds, clock, monkeypatch):
 def test_highs_is_handed_what_compiling_leaves_of_the_time(clock, monkeypatch):
     handed = compile_for_s(20.0, clock, monkeypatch)
     answer = run_solver(knapsack(), time_limit_s=LIMIT_S)
+
     assert handed == [40.0]
     assert answer.is_finished
     assert answer.bound == pytest.approx(5.0)
@@ -79,12 +80,18 @@ def test_highs_is_handed_what_compiling_leaves_of_the_time(clock, monkeypatch):
 def test_highs_is_not_asked_where_compiling_took_all_the_time(clock, monkeypatch):
     handed = compile_for_s(80.0, clock, monkeypatch)
     answer = run_solver(knapsack(), time_limit_s=LIMIT_S)
+
     assert handed == []
-    assert answer == Answer(is_found=False, is_finished=False, bound=np.inf)
+    assert answer == Answer(
+        is_found=False,
+        is_finished=False,
+        bound=np.inf,
+    )
 
 
 def test_no_model_is_begun_that_takes_longer_to_state_than_the_time_left(
-    clock, monkeypatch
+    clock,
+    monkeypatch,
 ):
     reduced = presolve(avoiding_problem(["110", "011", "101"], budget_units=2))
     n_cells = reduced.n_poses * reduced.n_frames
@@ -92,9 +99,12 @@ def test_no_model_is_begun_that_takes_longer_to_state_than_the_time_left(
         "placement.optimiser.constants.CELLS_PER_SECOND", n_cells / 10.0
     )
     late = Search(reduced, deadline=Deadline(9.0))
+
     assert late.look_for(Objective.APR, ()) == np.inf
     assert not late.proofs
+
     early = Search(reduced, deadline=Deadline(11.0))
+
     assert early.look_for(Objective.APR, ()) == pytest.approx(1.0)
 
 
@@ -103,6 +113,7 @@ def test_all_stages_together_take_no_longer_than_the_limit(clock, monkeypatch):
 
     def idle(_, objective, *, time_limit_s, **__):
         assert 0.0 < time_limit_s <= LIMIT_S - clock.now_s + 1e-9
+
         clock.now_s += time_limit_s
         is_minimised = objective is not None and objective.is_minimised
         if is_minimised:
@@ -126,6 +137,9 @@ def test_all_stages_together_take_no_longer_than_the_limit(clock, monkeypatch):
             pass
         else:
             assert is_feasible(problem, solution.pose_index), seed
+
         assert clock.now_s <= LIMIT_S + 1e-6, seed
+
         n_asked += clock.now_s > 0.0
+
     assert n_asked >= 8  # models were asked for

@@ -38,7 +38,8 @@ def with_units(problem, units):
 
 @given(problem=questions(), stages=ANY_STAGES)
 def test_every_point_is_that_of_brute_force_or_refused_where_wishes_cannot_be_met(
-    problem, stages
+    problem,
+    stages,
 ):
     check_points(problem, stages)
 
@@ -59,32 +60,48 @@ def check_points(problem, stages):
             pareto_front(problem, max_units=3, stages=stages)
         return
     told = []
-    front = pareto_front(problem, max_units=3, stages=stages, on_point=told.append)
+    front = pareto_front(
+        problem,
+        max_units=3,
+        stages=stages,
+        on_point=told.append,
+    )
+
     assert [point.units for point in front.points] == possible
     assert told[0].units == possible[0]
+
     n_held = N_HELD[stages]
+
     for point in front.points:
         best = bests[point.units]
         names = [stage.name for stage in point.certificate.stages]
         objectives = [stage.objective for stage in point.certificate.stages]
+
         assert is_feasible(with_units(problem, point.units), point.pose_index)
         assert point.value == placement_value(problem, point.pose_index)
         assert point.value[:n_held] == pytest.approx(best[:n_held], abs=1e-8)
         assert names == list(PlacementValue._fields[:n_held])
         assert objectives == list(point.value[:n_held])
         assert point.is_proven
+
     refused = [units for units, _ in front.refused]
+
     assert refused == [u for u in range(max(1, n_forced), 4) if u not in possible]
 
 
 @given(problem=questions(), seconds=st.sampled_from([1e-9, 60.0]), stages=ANY_STAGES)
 def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
-    problem, seconds, stages
+    problem,
+    seconds,
+    stages,
 ):
     problem = replace(problem, goal="best", survive=0)
     try:
         front = pareto_front(
-            problem, max_units=4, stages=stages, effort=Effort(time_limit_s=seconds)
+            problem,
+            max_units=4,
+            stages=stages,
+            effort=Effort(time_limit_s=seconds),
         )
     except InputError:
         return
@@ -94,6 +111,7 @@ def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
             fewer.certificate.stages[0].bound
             <= point.certificate.stages[0].bound + 1e-12
         )
+
     for point in front.points:
         best = best_value(with_units(problem, point.units))
         for stage, value in zip(point.certificate.stages, best, strict=False):
@@ -128,19 +146,23 @@ def test_no_set_keeps_more_than_all_poses_but_one_reach(
     limit = one_failed_limit(presolve(unlimited))
     for units in feasible_layouts(unlimited):
         assert apr_one_failed(problem, units) <= limit + 1e-9
+
     assert limit <= apr(problem, range(n_poses)) + 1e-9
 
 
 @given(problem=problems(), stages=ANY_STAGES)
 def test_points_of_large_tables_are_solved_by_themselves_and_never_fall(
-    problem, stages
+    problem,
+    stages,
 ):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.constants.MAX_BITS", 0)
         front = pareto_front(problem, max_units=3, stages=stages)
     assert front.presolve is None
+
     for fewer, point in pairwise(front.points):
         assert not is_better(fewer.value, point.value)
+
     for point in front.points:
         here = with_units(problem, point.units)
         assert is_feasible(here, point.pose_index)
@@ -170,17 +192,28 @@ def test_a_front_asks_for_nothing_but_the_best(changes, max_units, message):
 def test_a_front_below_a_solution_is_the_front_up_to_it(
     problem,
 ):
-    problem = with_units(replace(problem, goal="best", survive=0), 3)
+    problem = with_units(
+        replace(
+            problem,
+            goal="best",
+            survive=0,
+        ),
+        3,
+    )
     try:
         solution = solve_placement(problem)
     except InputError:
         return
     below = front_below(problem, solution.pose_index, solution.certificate)
+
     assert below.points[-1].pose_index == solution.pose_index
+
     whole = pareto_front(problem, max_units=3, stages="all")
+
     assert [point.units for point in below.points] == [
         point.units for point in whole.points
     ]
+
     for ours, theirs in zip(below.points, whole.points, strict=True):
         assert ours.value == pytest.approx(theirs.value, abs=1e-8)
 
@@ -192,7 +225,17 @@ def test_nothing_is_below_one_unit_or_all_that_is_kept(
 ):
     problem = with_units(problem, 2)
     solution = solve_placement(problem)
-    front = front_below(problem, solution.pose_index, solution.certificate, min_units=2)
+    front = front_below(
+        problem,
+        solution.pose_index,
+        solution.certificate,
+        min_units=2,
+    )
+
     assert [point.pose_index for point in front.points] == [solution.pose_index]
     with pytest.raises(InputError, match="target"):
-        front_below(replace(problem, goal="fewest"), (0,), solution.certificate)
+        front_below(
+            replace(problem, goal="fewest"),
+            (0,),
+            solution.certificate,
+        )

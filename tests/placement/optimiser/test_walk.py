@@ -49,11 +49,19 @@ def test_a_walk_meets_every_set_that_meets_its_needs(problem, n_failures, place)
     need = float(np.quantile(share, place, method="nearest"))
     left_need = float(np.quantile(left, place, method="nearest"))
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
-    walk = SetWalk(reduced, root, need=need, n_failures=n_failures, left=left_need)
+    walk = SetWalk(
+        reduced,
+        root,
+        need=need,
+        n_failures=n_failures,
+        left=left_need,
+    )
     met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
     meets = (share >= need - 1e-9) & ((n_failures == 0) | (left >= left_need - 1e-9))
+
     assert walk.is_finished
     assert root.limit >= share.max() - 1e-9
+
     if meets.any():
         limit = failure_limit(root, n_failures, need)
         assert limit >= (left if n_failures else share)[meets].max() - 1e-9
@@ -68,9 +76,21 @@ def test_a_walk_meets_every_set_that_meets_its_needs(problem, n_failures, place)
 def test_a_walk_with_forced_poses_meets_every_allowed_set(
     problem,
 ):
-    plain = replace(problem.limits, budget_eur=None, rivals=None, is_forced_site=None)
+    plain = replace(
+        problem.limits,
+        budget_eur=None,
+        rivals=None,
+        is_forced_site=None,
+    )
     reduced = presolve(
-        replace(problem, limits=plain, floors=(), goal="best", survive=0, tail=1.0)
+        replace(
+            problem,
+            limits=plain,
+            floors=(),
+            goal="best",
+            survive=0,
+            tail=1.0,
+        )
     )
     n_units = reduced.limits.max_units
     if not can_walk(reduced):
@@ -81,15 +101,22 @@ def test_a_walk_with_forced_poses_meets_every_allowed_set(
     share = union_apr(reduced, unions_of(reduced, sets))
     need = float(np.median(share))
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
+
     assert root.limit >= share.max() - 1e-9
+
     walk = SetWalk(reduced, root, need=need)
     met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
+
     assert walk.is_finished
     assert as_tuples(met) == as_tuples(sets[share >= need - 1e-9])
 
 
 def tie_search(reduced, units, n_failures, *, ahead=0.0):
-    root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
+    root = find_root(
+        reduced,
+        run_rows(reduced),
+        n_units=reduced.limits.max_units,
+    )
     limit = Search(reduced).limit
     return TieSearch(
         reduced,
@@ -110,7 +137,13 @@ def tie_search(reduced, units, n_failures, *, ahead=0.0):
 def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
     limits = replace(problem.limits, is_forced=None)
     reduced = presolve(
-        replace(problem, limits=limits, floors=(), goal="best", tail=1.0)
+        replace(
+            problem,
+            limits=limits,
+            floors=(),
+            goal="best",
+            tail=1.0,
+        )
     )
     if not can_walk(reduced):
         return
@@ -126,17 +159,28 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
         row = value[value.best_row()]
         if row.exceeds(best):
             best = row
+
     n_failures = reduced.survive
-    tied = tie_search(reduced, sizes[-1][0], n_failures, ahead=ahead).find(NEVER)
+    tied = tie_search(
+        reduced,
+        sizes[-1][0],
+        n_failures,
+        ahead=ahead,
+    ).find(NEVER)
+
     assert tied.is_finished
     assert tied.sets is not None
+
     contenders = best_of_tied(
         reduced, tied.sets, n_failures=n_failures, value=tied.value
     )
     found = contenders.best()
+
     assert found is not None
     np.testing.assert_allclose(
-        set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9
+        set_values(reduced, found[None, :]).gains[0],
+        best.gains,
+        atol=2e-9,
     )
 
 
@@ -186,7 +230,12 @@ def test_a_walk_without_time_proves_nothing_but_its_limit(
     if not len(sets):
         return
     shares = union_apr(reduced, unions_of(reduced, sets))
-    tied = tie_search(reduced, sets[0], 0).find(Deadline(-np.inf))
+    tied = tie_search(
+        reduced,
+        sets[0],
+        0,
+    ).find(Deadline(-np.inf))
+
     assert not tied.is_finished
     assert tied.sets is None
     assert tied.value == pytest.approx(shares[0])

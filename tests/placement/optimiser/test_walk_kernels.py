@@ -50,6 +50,7 @@ def test_windows_are_asked_for_the_missing_piece_that_is_seen_least(seed):
     some = np.flatnonzero(rng.random(n_chains_of(chains)) < 0.7)
     asked = np.full(len(chains.window), -7)
     kernels.ask_for_least_seen(chains, some, union, seen, asked)
+
     for chain in range(n_chains_of(chains)):
         for link in range(n_links_of(chains, chain)):
             found = asked[chains.start[chain] + link]
@@ -64,17 +65,26 @@ def test_windows_are_asked_for_the_missing_piece_that_is_seen_least(seed):
 
 @given(SEEDS, st.sampled_from([4, 65]))
 def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
-    seed, n_poses
+    seed,
+    n_poses,
 ):
     rng = np.random.default_rng(seed)
     chains = random_chains(rng)
     sees = random_sights(rng, n_poses, share=0.3)
-    asked = rng.integers(-1, N_FRAMES, len(chains.window))
+    asked = rng.integers(
+        -1,
+        N_FRAMES,
+        len(chains.window),
+    )
     row_chain, row_last = random_rows(rng, chains)
     n_rows = len(row_chain)
     begin = int(rng.integers(0, n_rows + 1))
     n_words = -(-n_poses // 64)
-    coverers = np.full((n_rows, n_words), 3, dtype=np.uint64)
+    coverers = np.full(
+        (n_rows, n_words),
+        3,
+        dtype=np.uint64,
+    )
     kernels.cover_rows(
         columns_of(sees),
         chains.start,
@@ -85,7 +95,9 @@ def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
         n_rows,
         coverers,
     )
+
     assert (coverers[:begin] == 3).all()
+
     for row in range(begin, n_rows):
         first = chains.start[row_chain[row]]
         frames = asked[first : first + row_last[row]]
@@ -130,8 +142,11 @@ def test_the_best_poses_with_room_gain_as_much_as_any_set(seed):
     gain = rng.integers(-1, 5, 6).astype(np.float64)
     picked = np.full(3, -1)
     total, n_picked = kernels.pick_best(gain, choice, picked)
+
     assert total == max(gain[list(one)].sum() for one in sets_of(choice))
+
     chosen = tuple(sorted(picked[:n_picked].tolist()))
+
     assert chosen in sets_of(choice)
     assert gain[list(chosen)].sum() == total
 
@@ -144,11 +159,20 @@ def test_no_affordable_set_gains_more_than_prices_of_money_allow(seed):
     picked = np.full(3, -1)
     total, n_picked = kernels.pick_affordable(gain, choice, picked)
     best = max(gain[list(one)].sum() for one in sets_of(choice))
-    unlimited = kernels.pick_best(gain, choice, np.full(3, -1))[0]
+    unlimited = kernels.pick_best(
+        gain,
+        choice,
+        np.full(3, -1),
+    )[0]
+
     assert best - 1e-9 <= total <= unlimited + 1e-9
+
     chosen = picked[:n_picked].tolist()
+
     assert len(set(chosen)) == len(chosen) <= choice.n_units
+
     free = choice._replace(cost=np.zeros(6))
+
     assert kernels.pick_affordable(gain, free, picked)[0] == unlimited
 
 
@@ -161,8 +185,11 @@ def test_money_that_is_short_lowers_the_bound_to_what_it_buys():
         site=np.zeros(3, dtype=np.int64),
     )
     total, _ = kernels.pick_affordable(
-        np.array([3.0, 3.0, 1.0]), choice, np.empty(2, dtype=np.int64)
+        np.array([3.0, 3.0, 1.0]),
+        choice,
+        np.empty(2, dtype=np.int64),
     )
+
     assert total == pytest.approx(
         4.0, abs=1e-3
     )  # 3 and 1: half of another 3 is no more
@@ -170,11 +197,15 @@ def test_money_that_is_short_lowers_the_bound_to_what_it_buys():
 
 @given(st.integers(1, 5), st.integers(0, 3), st.floats(0.0, 4.0), st.floats(0.1, 4.0))
 def test_a_row_is_worth_its_reward_less_what_it_pays(
-    n_units, n_failures, price, weight
+    n_units,
+    n_failures,
+    price,
+    weight,
 ):
     reward = reward_of(n_units, n_failures)
     most, units = kernels.row_limit(reward, weight, n_units, price)
     values = [weight * reward[n] - n * price for n in range(n_units + 1)]
+
     assert most == max(values)
     assert values[units] == most
 
@@ -193,13 +224,21 @@ def lagrangian(
     )
     gain = np.where(choice.is_open, covers @ price, 0.0)
     return (
-        of_rows + kernels.pick_affordable(gain, choice, np.empty(3, dtype=np.int64))[0]
+        of_rows
+        + kernels.pick_affordable(
+            gain,
+            choice,
+            np.empty(3, dtype=np.int64),
+        )[0]
     )
 
 
 @given(SEEDS, st.integers(0, 2), st.sampled_from([0, 1, 30]), st.booleans())
 def test_tightened_prices_prove_a_bound_that_no_set_exceeds(
-    seed, n_failures, n_steps, has_money
+    seed,
+    n_failures,
+    n_steps,
+    has_money,
 ):
     rng = np.random.default_rng(seed)
     choice = random_choice(rng, has_money=has_money)
@@ -214,12 +253,23 @@ def test_tightened_prices_prove_a_bound_that_no_set_exceeds(
     bound = kernels.tighten_prices(
         rows, choice, weight, reward, price, n_steps, STEERING, share
     )
-    assert bound == pytest.approx(lagrangian(covers, choice, weight, reward, price))
+
+    assert bound == pytest.approx(
+        lagrangian(
+            covers,
+            choice,
+            weight,
+            reward,
+            price,
+        )
+    )
     assert bound <= lagrangian(covers, choice, weight, reward, start) + 1e-9
+
     for one in sets_of(choice):
         if choice.is_open[list(one)].all():
             n_covering = covers[list(one)].sum(axis=0)
             assert weight @ reward[n_covering] <= bound + 1e-9
+
     assert (share[np.flatnonzero(choice.is_open == 0)] == 0.0).all()  # never picked
 
 
@@ -237,8 +287,16 @@ def test_steps_find_prices_that_prove_the_best_set():
     rows = pack_words(covers).view(np.uint8)
     reward = reward_of(2, 0)
     bound = kernels.tighten_prices(
-        rows, choice, np.ones(4), reward, price, 200, STEERING, share
+        rows,
+        choice,
+        np.ones(4),
+        reward,
+        price,
+        200,
+        STEERING,
+        share,
     )
+
     assert bound == pytest.approx(4.0, rel=1e-3)
     assert (share[:2] > 10.0 * share[2]).all()
 
@@ -296,7 +354,11 @@ def test_candidates_go_that_cannot_gain_enough_with_the_best_others(seed, n_more
     is_open = rng.random(6) < 0.8
     before = is_open.copy()
     has_any = kernels.drop_hopeless(
-        gain, is_open, n_more, float(need), np.zeros(4, dtype=np.int64)
+        gain,
+        is_open,
+        n_more,
+        float(need),
+        np.zeros(4, dtype=np.int64),
     )
     if n_more <= 0:
         assert has_any == (need <= 0)
@@ -308,7 +370,9 @@ def test_candidates_go_that_cannot_gain_enough_with_the_best_others(seed, n_more
         pose: max(gain[list(one)].sum() for one in sets if pose in one)
         for pose in poses
     }
+
     assert has_any == (max(most.values(), default=0.0) >= need)
+
     if has_any:
         assert np.flatnonzero(is_open).tolist() == [
             pose for pose in poses if most[pose] >= need
@@ -321,7 +385,12 @@ def test_rows_without_coverers_are_lost_and_the_hardest_is_covered_by_fewest(
 ):
     rng = np.random.default_rng(seed)
     covers = build_covers(rng)
-    walk = build_walk(covers, 2, np.array([1, 2, 0]), [0.0, 0.0])
+    walk = build_walk(
+        covers,
+        2,
+        np.array([1, 2, 0]),
+        [0.0, 0.0],
+    )
     once, gone = rng.random((2, len(covers.weight))) < 0.2
     walk.covered[0], walk.given_up[0], walk.weight_given_up[0] = (
         pack_words(once),
@@ -338,11 +407,13 @@ def test_rows_without_coverers_are_lost_and_the_hardest_is_covered_by_fewest(
         ]
     )
     left = ~once & ~gone
+
     assert bits_of(rows, len(once)) == set(np.flatnonzero(left & (count > 0)).tolist())
     assert walk.weight_given_up[0] == 2.0 + covers.weight[left & (count == 0)].sum()
     assert bits_of(walk.given_up[0], len(once)) == set(
         np.flatnonzero(gone | (left & (count == 0)))
     )
+
     if (left & (count > 0)).any():
         assert count[hardest] == count[left & (count > 0)].min()
     else:
@@ -365,19 +436,32 @@ def walked(
     """All sets of a walk that is paused again and again."""
     found = []
     out = np.empty((n_out, len(walk.chosen)), dtype=np.int64)
+
     for _ in range(10_000):
         walk.at[0].n_found = 0
-        state = kernels.grow(covers, walk, n_failures, -1, work, out)
+        state = kernels.grow(
+            covers,
+            walk,
+            n_failures,
+            -1,
+            work,
+            out,
+        )
         found += [tuple(sorted(row)) for row in out[: walk.at[0].n_found].tolist()]
         if state == kernels.DONE:
             return found
+
         assert state in (kernels.PAUSED, kernels.FULL)
+
     raise AssertionError("the walk does not end")
 
 
 @given(SEEDS, st.integers(2, 3), st.sampled_from([0, 10**9]), st.sampled_from([1, 100]))
 def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused(
-    seed, n_units, work, n_out
+    seed,
+    n_units,
+    work,
+    n_out,
 ):
     rng = np.random.default_rng(seed)
     covers = build_covers(rng)
@@ -386,7 +470,13 @@ def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused
     room = rng.integers(0, 3, 3)
     may_lose = float(rng.integers(0, 16))
     walk = build_walk(covers, n_units, room, [may_lose, may_lose])
-    found = walked(covers, walk, 0, work=work, n_out=n_out)
+    found = walked(
+        covers,
+        walk,
+        0,
+        work=work,
+        n_out=n_out,
+    )
     expected = [
         one
         for one in combinations_with_replacement(range(6), n_units)
@@ -394,6 +484,7 @@ def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused
         and all(sum(covers.site[list(one)] == site) <= room[site] for site in range(3))
         and lost_of(covers, one) <= may_lose
     ]
+
     assert sorted(found) == expected
 
 
@@ -402,13 +493,27 @@ def test_a_walk_with_failures_leaves_out_no_set_that_keeps_enough(seed, n_failur
     rng = np.random.default_rng(seed)
     covers = build_covers(rng)
     may_lose = [float(rng.integers(0, 16)), float(rng.integers(8, 24))]
-    walk = build_walk(covers, 3, np.full(3, 3), may_lose)
-    found = walked(covers, walk, n_failures, work=10**9, n_out=100)
+    walk = build_walk(
+        covers,
+        3,
+        np.full(3, 3),
+        may_lose,
+    )
+    found = walked(
+        covers,
+        walk,
+        n_failures,
+        work=10**9,
+        n_out=100,
+    )
+
     assert len(set(found)) == len(found)
+
     for one in combinations(range(6), 3):
         left = max(lost_of(covers, part) for part in combinations(one, 3 - n_failures))
         if lost_of(covers, one) <= may_lose[0] and left <= may_lose[1]:
             assert one in found
+
     assert all(lost_of(covers, one) <= may_lose[0] for one in found)
 
 
@@ -420,27 +525,51 @@ def test_a_walk_through_pairs_of_which_one_may_fail_finds_just_those_that_keep_e
     covers = build_covers(rng)
     alone = np.array([lost_of(covers, (pose,)) for pose in range(6)])
     may_lose = [float(rng.integers(4, 20)), float(rng.choice(alone))]
-    walk = build_walk(covers, 2, np.full(3, 3), may_lose)
+    walk = build_walk(
+        covers,
+        2,
+        np.full(3, 3),
+        may_lose,
+    )
     expected = [
         pair
         for pair in combinations(range(6), 2)
         if lost_of(covers, pair) <= may_lose[0]
         and alone[list(pair)].max() <= may_lose[1]
     ]
-    assert sorted(walked(covers, walk, 1, work=10**9, n_out=100)) == expected
+
+    assert (
+        sorted(
+            walked(
+                covers,
+                walk,
+                1,
+                work=10**9,
+                n_out=100,
+            )
+        )
+        == expected
+    )
 
 
 def test_a_walk_stops_at_each_node_of_a_depth():
     rng = np.random.default_rng(5)
     covers = build_covers(rng)
-    walk = build_walk(covers, 3, np.full(3, 3), [100.0, 100.0])
+    walk = build_walk(
+        covers,
+        3,
+        np.full(3, 3),
+        [100.0, 100.0],
+    )
     out = np.empty((100, 3), dtype=np.int64)
     stops = set()
+
     while kernels.grow(covers, walk, 0, 1, 10**9, out) == kernels.AT_STOP:
         assert walk.at[0].depth == 1
         stops.add(int(walk.chosen[0]))
         walk.at[0].depth -= 1
         walk.at[0].is_new = 0
+
     assert stops == set(range(6))
     assert walk.at[0].n_found == 0
 
@@ -464,7 +593,17 @@ def loss(losses, seen):
     frames = np.flatnonzero(seen).tolist()
     chains = range(n_chains_of(losses.chains))
     return float(
-        sum(losses.lost[g, first_live(losses.chains, g, frames)] for g in chains)
+        sum(
+            losses.lost[
+                g,
+                first_live(
+                    losses.chains,
+                    g,
+                    frames,
+                ),
+            ]
+            for g in chains
+        )
     )
 
 
@@ -472,7 +611,13 @@ def keeps(losses, sees, alone, *, with_failures):
     if loss(losses, sees.any(axis=0) | alone) > losses.may_lose[0]:
         return False
     rest = [
-        np.delete(sees, unit, axis=0).any(axis=0) | alone for unit in range(len(sees))
+        np.delete(
+            sees,
+            unit,
+            axis=0,
+        ).any(axis=0)
+        | alone
+        for unit in range(len(sees))
     ]
     return not with_failures or all(
         loss(losses, one) <= losses.may_lose[1] for one in rest
@@ -481,35 +626,57 @@ def keeps(losses, sees, alone, *, with_failures):
 
 @given(SEEDS, st.booleans(), st.integers(0, 9), st.integers(0, 6))
 def test_units_are_kept_if_they_lose_little_with_and_without_each(
-    seed, with_failures, most, more
+    seed,
+    with_failures,
+    most,
+    more,
 ):
     rng = np.random.default_rng(seed)
     chains = random_chains(rng)
     alone = rng.random(N_FRAMES) < 0.2
-    losses = build_losses(rng, chains, alone, [float(most), float(most + more)])
+    losses = build_losses(
+        rng,
+        chains,
+        alone,
+        [float(most), float(most + more)],
+    )
     before = losses.order.copy()
     sees = random_sights(rng, 3)
     found = kernels.can_keep(pack_words(sees), losses, with_failures)
+
     assert found == keeps(losses, sees, alone, with_failures=with_failures)
     assert sorted(losses.order) == sorted(before)  # still all chains
+
     if found:
         assert (losses.order == before).all()
 
 
 @given(SEEDS, st.booleans(), st.integers(0, 12), st.sampled_from([1, 50]))
 def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
-    seed, with_failures, most, n_out
+    seed,
+    with_failures,
+    most,
+    n_out,
 ):
     rng = np.random.default_rng(seed)
     chains = random_chains(rng)
     alone = rng.random(N_FRAMES) < 0.2
-    losses = build_losses(rng, chains, alone, [float(most), float(most + 3)])
+    losses = build_losses(
+        rng,
+        chains,
+        alone,
+        [float(most), float(most + 3)],
+    )
     sees = random_sights(rng, 7)
     member = rng.permutation(7)
     start = np.array([0, 3, 4, 7])
     parts = [member[start[k] : start[k + 1]] for k in range(3)]
     of_class = np.array([sees[part].any(axis=0) for part in parts])
-    of_classes = kernels.Classes(member=member, start=start, words=pack_words(of_class))
+    of_classes = kernels.Classes(
+        member=member,
+        start=start,
+        words=pack_words(of_class),
+    )
     classes = np.sort(rng.choice([0, 0, 1, 2, 2], 3, replace=False))
     place = np.array([-1, -1, -1, 0])
     found = []
@@ -519,6 +686,7 @@ def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
             pack_words(sees), of_classes, losses, with_failures, classes, place, out
         )
         found += [tuple(sorted(row)) for row in out[:n_found].tolist()]
+
     options = {tuple(sorted(one)) for one in product(*(parts[k] for k in classes))}
     expected = [
         one
@@ -526,4 +694,5 @@ def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
         if len(set(one)) == 3
         and keeps(losses, sees[list(one)], alone, with_failures=with_failures)
     ]
+
     assert sorted(found) == sorted(expected)

@@ -47,6 +47,7 @@ class Folder:
                 self.add(f"{unit}/{name}", f"{actor} {BOX} 20.0")
                 if index < n_frames and before in frames:
                     self.add(f"Eval/{name}", f"{unit} {actor} {BOX} 0.9")
+
         return first + n_frames + resets
 
     def write(self, folder):

@@ -30,6 +30,7 @@ def _refusal(read, path, content):
 def test_labels_are_read_in_both_spellings_and_empty_lines_are_nothing(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text("bycicle 1 2 3 4.5 6\n\n  bicycle -1e1 2 3 4 0\ncar 1 1 1 1 1\n")
+
     assert read_labels(path, FORM) == (
         [
             Label("bicycle", (1.0, 2.0, 3.0, 4.5), 6.0),
@@ -43,6 +44,7 @@ def test_labels_are_read_in_both_spellings_and_empty_lines_are_nothing(tmp_path)
 def test_an_empty_label_file_holds_nothing(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text("")
+
     assert read_labels(path, FORM) == ([], 0)
 
 
@@ -50,6 +52,7 @@ def test_lines_of_a_file_written_twice_count_once(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text(2 * "car 1 2 3 4 5\npedestrian 1 2 3 4 5\n")
     labels, n_repeated = read_labels(path, FORM)
+
     assert ([label.class_name for label in labels], n_repeated) == (
         ["other", "pedestrian"],
         2,
@@ -59,6 +62,7 @@ def test_lines_of_a_file_written_twice_count_once(tmp_path):
 def test_detections_keep_their_unit_and_line(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text("\n-1 pedestrian 1 2 3 4 0.5\ncar bycicle 1 2 3 4 1\n")
+
     assert read_detections(path, FORM) == (
         [
             Detection("-1", "pedestrian", (1.0, 2.0, 3.0, 4.0), 0.5, 2),
@@ -81,6 +85,7 @@ def test_detections_keep_their_unit_and_line(tmp_path):
 def test_world_data_may_stand_there_several_times(tmp_path, text, n_repeated):
     path = tmp_path / "3_0.txt"
     path.write_text(text)
+
     assert read_world(path, FORM) == (World(12.5, 5.5, 1.25), n_repeated)
 
 

@@ -37,7 +37,10 @@ def test_the_angle_between_the_paths_is_told_from_the_speeds(v, share, angle_deg
 @pytest.mark.parametrize(("v", "u"), [(10.0, 0.0), (4.0, 4.0), (4.0, 6.0)])
 def test_a_vru_that_stands_or_is_no_slower_than_the_vut_is_taken_as_crossing(v, u):
     assert not is_same_direction(
-        vut_speed_mps=v, vru_speed_mps=u, closing_speed_mps=abs(v - u), form=FORM
+        vut_speed_mps=v,
+        vru_speed_mps=u,
+        closing_speed_mps=abs(v - u),
+        form=FORM,
     )
 
 
@@ -50,6 +53,7 @@ def test_braking_sheds_the_closing_speed_behind_a_cyclist_else_all_speed():
         )
         for same in (False, True)
     ]
+
     assert times == pytest.approx([-10.0 / 15.44, -6.0 / 15.44], abs=1e-12)
 
 

@@ -107,5 +107,9 @@ def meadow_grid(meadow, narrow_camera):
 @pytest.fixture(scope="session")
 def meadow_placement(meadow, meadow_grid):
     return place(
-        Assembly(setting=meadow, candidates=meadow_grid, wishes=Wishes(budget_units=1))
+        Assembly(
+            setting=meadow,
+            candidates=meadow_grid,
+            wishes=Wishes(budget_units=1),
+        )
     )

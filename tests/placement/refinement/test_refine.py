@@ -64,7 +64,12 @@ def placements(meadow, meadow_grid, tmp_path_factory):
 @pytest.fixture(scope="module")
 def refinements(meadow, placements):
     return {
-        name: refine(meadow, placement, candidates, compute=Compute(workers=1))
+        name: refine(
+            meadow,
+            placement,
+            candidates,
+            compute=Compute(workers=1),
+        )
         for name, (candidates, placement) in placements.items()
     }
 
@@ -84,31 +89,41 @@ NAMES = (
 
 @pytest.mark.parametrize("name", NAMES)
 def test_refinement_is_never_worse_in_the_order_of_the_stages(
-    name, placements, refinements
+    name,
+    placements,
+    refinements,
 ):
     _, placement = placements[name]
     refinement = refinements[name]
+
     assert refinement.before == objective_values(
         placement.problem, placement.pose_index
     )
     assert not improves(refinement.before, refinement.after)
     assert refinement.is_improved == improves(refinement.after, refinement.before)
+
     stages = placement.certificate.stages
+
     assert [*refinement.after] == [stage.name for stage in stages]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_refined_layout_is_within_all_limits_and_what_its_placement_says(
-    name, meadow, placements, refinements
+    name,
+    meadow,
+    placements,
+    refinements,
 ):
     refinement = refinements[name]
     refined = refinement.placement
     problem = refined.problem
     units = refined.pose_index
+
     assert is_feasible(problem, units)
     assert refinement.after == objective_values(problem, units)
     assert problem.table.pose_ids == tuple(c.id for c in refinement.candidates)
     assert len(set(problem.table.pose_ids)) == len(problem.table.pose_ids)
+
     check_layout(refined.layout, meadow.scene)
     low_high = {site.id: site.height_range_m for site in meadow.scene.sites}
     places = {site.id: site.position_m[:2] for site in meadow.scene.sites}
@@ -126,6 +141,7 @@ def test_what_was_refined_is_what_the_builder_of_tables_sees(name, meadow, refin
     refined = refinements[name].placement
     units = [refinements[name].candidates[row] for row in refined.pose_index]
     table = table_of(meadow, units)
+
     assert np.array_equal(
         table.packed, refined.problem.table.packed[list(refined.pose_index)]
     )
@@ -136,6 +152,7 @@ def test_most_questions_have_a_better_answer_between_the_poses_of_this_grid(
 ):
     better = [name for name in NAMES if refinements[name].is_improved]
     assert {"one unit", "two units", "survives", "money", "kept"} <= set(better)
+
     for name in better:
         certificate = refinements[name].placement.certificate
         for stage, value in zip(
@@ -146,7 +163,9 @@ def test_most_questions_have_a_better_answer_between_the_poses_of_this_grid(
                 assert stage.bound <= stage.objective
             else:
                 assert stage.bound >= stage.objective
+
         n_tried = refinements[name].n_tried
+
         assert (
             f"over 17 candidates of the grid and {n_tried} tried" in certificate.solver
         )
@@ -157,6 +176,7 @@ def test_a_kept_unit_stays_as_it_is_and_the_other_one_moves(placements, refineme
     candidates, _ = placements["kept"]
     refinement = refinements["kept"]
     units = {unit.id: unit for unit in refinement.placement.layout.units}
+
     assert units.keys() == {"old", "U1"} or units.keys() == {"old", "U2"}
     assert units["old"].pose is candidates[-1].pose
     assert refinement.is_improved
@@ -176,8 +196,11 @@ def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
             wishes=Wishes(budget_eur=0.0, existing=("old",)),
         )
     )
+
     assert [unit.id for unit in placement.layout.units] == ["old"]
+
     refinement = refine(meadow, placement, candidates)
+
     assert refinement.placement is placement
     assert refinement.moves == ()
     assert refinement.after == refinement.before
@@ -185,8 +208,14 @@ def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
 
 def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
     candidates, placement = placements["two units"]
-    again = refine(meadow, placement, candidates, compute=Compute(workers=2))
+    again = refine(
+        meadow,
+        placement,
+        candidates,
+        compute=Compute(workers=2),
+    )
     first = refinements["two units"]
+
     assert layout_records(again.placement.layout) == layout_records(
         first.placement.layout
     )
@@ -198,7 +227,11 @@ def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
 
 
 def test_a_unit_is_turned_to_where_it_sees_earliest(
-    build_meadow, build_walk, build_small_setting, narrow_camera, arc
+    build_meadow,
+    build_walk,
+    build_small_setting,
+    narrow_camera,
+    arc,
 ):
     """Steps alone: the walk comes into view from the left, 90 degrees from the middle
     at first.
@@ -210,15 +243,24 @@ def test_a_unit_is_turned_to_where_it_sees_earliest(
         replace(candidates[0], pose=replace(candidates[0].pose, yaw_deg=30.0))
     ]
     placement = place(
-        Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
+        Assembly(
+            setting=setting,
+            candidates=candidates,
+            wishes=Wishes(budget_units=1),
+        )
     )
     before = placement_value(placement.problem, placement.pose_index)
     (run,) = setting.runs
     latest_s = run.last_brake_time_s - setting.rule.latency_s - run.time_s[2]
+
     assert 0.0 < before.mean_margin_s < latest_s - 1.0
+
     refinement = refine(setting, placement, candidates)
+
     assert dict(refinement.after)["mean_margin_s"] == pytest.approx(latest_s, abs=1e-9)
+
     (move,) = refinement.moves
+
     assert move.turn_deg > 30.0
     assert move.lift_m == 0.0
 
@@ -227,28 +269,48 @@ def test_a_unit_is_turned_to_where_it_sees_earliest(
     "lens", [None, BrownConrady(k1=-0.1, p1=0.002), Fisheye(k1=-0.02)]
 )
 def test_a_varifocal_lens_zooms_in_on_what_is_far_away(
-    build_meadow, build_walk, build_small_setting, lens
+    build_meadow,
+    build_walk,
+    build_small_setting,
+    lens,
 ):
-    camera = replace(pick_sensor("varifocal-1080p", "test"), name="own", lens=lens)
+    camera = replace(
+        pick_sensor("varifocal-1080p", "test"),
+        name="own",
+        lens=lens,
+    )
     scene = build_meadow(("pole", 0.0, 0.0))
     walk = np.column_stack([np.full(40, 150.0), np.linspace(-2.0, 2.0, 40)])
     setting = build_small_setting(scene, [build_walk("walk", walk)])
     candidates = _grid_of(scene, camera, yaw_step_deg=90.0, pitch_deg=0.0)
     candidates = [one for one in candidates if one.pose.yaw_deg == 0.0]
     placement = place(
-        Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
+        Assembly(
+            setting=setting,
+            candidates=candidates,
+            wishes=Wishes(budget_units=1),
+        )
     )
+
     assert placement_value(placement.problem, placement.pose_index).apr == 0.0
+
     refinement = refine(setting, placement, candidates)
+
     assert dict(refinement.after)["apr"] == 1.0
+
     (unit,) = refinement.placement.layout.units
     low, high = camera.fov_range_deg
+
     assert low <= unit.sensor.horizontal_fov_deg < high
+
     (record,) = layout_records(refinement.placement.layout)
+
     assert record["fov_deg"] == unit.sensor.horizontal_fov_deg
+
     (back,) = layout_from_records(
         "l", [record], "f.json", sensors={"own": camera}
     ).units
+
     assert back.sensor == unit.sensor
 
 
@@ -259,11 +321,18 @@ def test_a_lidar_is_aimed_too(build_meadow, build_walk, build_small_setting, arc
     lidar = pick_sensor("carla-ncap-lidar", "test")
     candidates = _grid_of(scene, lidar, yaw_step_deg=180.0)
     placement = place(
-        Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
+        Assembly(
+            setting=setting,
+            candidates=candidates,
+            wishes=Wishes(budget_units=1),
+        )
     )
+
     assert placement_value(placement.problem, placement.pose_index).apr == 0.0
+
     refinement = refine(setting, placement, candidates)
     (unit,) = refinement.placement.layout.units
+
     assert unit.sensor is lidar
     assert 50.0 <= unit.pose.yaw_deg <= 130.0
     assert dict(refinement.after)["apr"] == 1.0
@@ -279,6 +348,7 @@ def test_a_table_of_sampled_worlds_is_refused(meadow, placements):
         table.axis, run_ids=tuple(f"{name}#1" for name in table.axis.run_ids)
     )
     problem = replace(placement.problem, table=replace(table, axis=axis))
+
     with pytest.raises(InputError) as caught:
         refine(meadow, replace(placement, problem=problem), candidates)
     assert (

@@ -25,13 +25,25 @@ def _random_poses(n_poses, seed):
     for index in range(n_poses):
         sensor = pick_sensor(SENSORS[index % 3], "test")
         if index % 3 == 1:
-            sensor = with_fov(sensor, float(rng.uniform(*sensor.fov_range_deg)), "test")
+            sensor = with_fov(
+                sensor,
+                float(rng.uniform(*sensor.fov_range_deg)),
+                "test",
+            )
         pose = Pose(
             position_m=positions[rng.integers(3)],
             yaw_deg=rng.uniform(-180.0, 180.0),
             pitch_deg=rng.uniform(-45.0, 0.0),
         )
-        poses.append(CandidatePose(id=str(index), site_id="", pose=pose, sensor=sensor))
+        poses.append(
+            CandidatePose(
+                id=str(index),
+                site_id="",
+                pose=pose,
+                sensor=sensor,
+            )
+        )
+
     return poses
 
 
@@ -40,7 +52,14 @@ def settings(meadow):
     """By day, and by response in fog, too."""
     runs = (
         *meadow.runs,
-        *(replace(run, id=f"{run.id}/fog", weather="fog") for run in meadow.runs),
+        *(
+            replace(
+                run,
+                id=f"{run.id}/fog",
+                weather="fog",
+            )
+            for run in meadow.runs
+        ),
     )
     foggy = replace(
         meadow,
@@ -57,9 +76,17 @@ def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
     poses = _random_poses(36, seed=3)
     table = table_of(setting, poses)
     rows = table.detected(slice(None))
+
     assert rows.any(axis=1).sum() > 8
-    builder = LiveTable(setting, compute=Compute(workers=2), max_mounts=16)
+
+    builder = LiveTable(
+        setting,
+        compute=Compute(workers=2),
+        max_mounts=16,
+    )
+
     assert np.array_equal(builder.packed(poses), table.packed)
+
     order = np.random.default_rng(0).permutation(36)
     for part in np.array_split(order, 7):
         assert np.array_equal(
@@ -71,7 +98,19 @@ def test_another_setting_of_the_lens_needs_no_new_rays_either(meadow):
     builder = LiveTable(meadow, max_mounts=16)
     zoom = _random_poses(2, seed=0)[1]
     for fov_deg in (89.6, 26.2, 50.0):
-        builder.packed([replace(zoom, sensor=with_fov(zoom.sensor, fov_deg, "test"))])
+        builder.packed(
+            [
+                replace(
+                    zoom,
+                    sensor=with_fov(
+                        zoom.sensor,
+                        fov_deg,
+                        "test",
+                    ),
+                )
+            ]
+        )
+
     assert builder.n_casts == 1
 
 
@@ -80,12 +119,20 @@ def test_a_sensor_that_reaches_farther_gets_its_own_rays(meadow):
     builder = LiveTable(meadow, max_mounts=16)
     (near,) = _random_poses(1, seed=0)
     coarse = replace(near.sensor, width_px=64, height_px=36)
-    pose = replace(near.pose, position_m=[0.0, 0.0, 5.0], yaw_deg=45.0, pitch_deg=-15.0)
+    pose = replace(
+        near.pose,
+        position_m=[0.0, 0.0, 5.0],
+        yaw_deg=45.0,
+        pitch_deg=-15.0,
+    )
     near = replace(near, pose=pose)
     builder.packed([replace(near, sensor=coarse)])
     table = table_of(meadow, [near])
+
     assert table.detected([0]).any()
     assert np.array_equal(builder.packed([near]), table.packed)
     assert builder.n_casts == 2
+
     builder.packed([replace(near, sensor=coarse)])
+
     assert builder.n_casts == 2

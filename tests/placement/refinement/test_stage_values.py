@@ -23,6 +23,7 @@ def test_stages_are_those_of_the_certificate_with_the_same_values(problem):
         return
     values = objective_values(problem, solution.pose_index)
     stages = solution.certificate.stages
+
     assert [*values] == [stage.name for stage in stages]
     assert [*values.values()] == pytest.approx(
         [stage.objective for stage in stages], abs=1e-12
@@ -32,10 +33,15 @@ def test_stages_are_those_of_the_certificate_with_the_same_values(problem):
 @given(problems(), st.data())
 def test_without_further_wishes_a_set_improves_where_its_value_is_better(problem, data):
     n_poses = problem.table.n_poses
-    sets = st.sets(st.integers(0, n_poses - 1), min_size=1, max_size=3).map(sorted)
+    sets = st.sets(
+        st.integers(0, n_poses - 1),
+        min_size=1,
+        max_size=3,
+    ).map(sorted)
     one = data.draw(sets)
     other = data.draw(sets)
     values = [placement_value(problem, units) for units in (one, other)]
+
     assert improves(
         objective_values(problem, one), objective_values(problem, other)
     ) == is_better(*values)
@@ -44,10 +50,13 @@ def test_without_further_wishes_a_set_improves_where_its_value_is_better(problem
 def test_units_and_cost_are_the_better_the_smaller():
     few = {Objective.UNITS: 2.0, Objective.APR: 0.5}
     many = {Objective.UNITS: 3.0, Objective.APR: 0.9}
+
     assert improves(few, many)
     assert not improves(many, few)
     assert not improves(few, few)
+
     dear, cheap = ({Objective.COST: cost} for cost in (1500.0, 1499.0))
+
     assert improves(cheap, dear)
     assert not improves(dear, cheap)
     assert not improves({Objective.COST: 1500.0 - 1e-9}, dear)
@@ -55,7 +64,13 @@ def test_units_and_cost_are_the_better_the_smaller():
 
 def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
     def stage(name, objective, bound):
-        return Stage(name=name, objective=objective, bound=bound, gap=9.0, seconds=1.5)
+        return Stage(
+            name=name,
+            objective=objective,
+            bound=bound,
+            gap=9.0,
+            seconds=1.5,
+        )
 
     certificate = Certificate(
         stages=(
@@ -73,6 +88,7 @@ def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
         Objective.COST: 2500.0,
     }
     made = certify(values, certificate, "any")
+
     assert made.solver == "any"
     assert [(s.objective, s.bound) for s in made.stages] == [
         (2.0, 2.0),

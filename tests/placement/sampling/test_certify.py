@@ -30,6 +30,7 @@ def test_limits_are_those_of_the_formula():
     found = estimate_gap(bounds, aprs)
     most = np.mean(bounds) + student.ppf(0.975, 3) * np.std(bounds, ddof=1) / 2.0
     least = np.mean(aprs) - student.ppf(0.975, 4) * np.std(aprs, ddof=1) / np.sqrt(5.0)
+
     assert found.most.high == pytest.approx(most)
     assert found.least.low == pytest.approx(least)
     assert found.gap == pytest.approx(most - least)
@@ -47,6 +48,7 @@ def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
     """
     n_poses, n_runs, holds = 10, 12, np.zeros(3)
     pairs = np.array(list(combinations(range(n_poses), 2)))
+
     for repetition in range(n_repetitions):
         rng = np.random.default_rng([7, repetition])
         sees = rng.beta(2.0, 1.0, size=(n_poses, n_runs))
@@ -67,13 +69,21 @@ def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
             true.max() <= found.most.high,
             found.least.low <= true[best],
         )
+
     return holds / n_repetitions
 
 
 def test_gaps_hold_as_often_as_they_say():
     # 0.95 asked; three standard errors of 200 repetitions are 0.046. APRs near 1 are
     # skewed: the lower end holds less often than the 0.975 of a normal distribution.
-    assert (coverage(200, n_blocks=5, n_worlds=4) >= 0.95 - 0.046).all()
+    assert (
+        coverage(
+            200,
+            n_blocks=5,
+            n_worlds=4,
+        )
+        >= 0.95 - 0.046
+    ).all()
 
 
 @pytest.mark.long
@@ -102,6 +112,7 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
     n_runs = assembly.setting.axis.n_runs
     for number, block in enumerate(found.blocks):
         assert block.first == 3 * number
+
         table = sampled_table(
             assembly.setting,
             assembly.candidates,
@@ -112,10 +123,12 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
         ).table
         part = replace(assembly, known_table=table, n_samples=0)
         values = [_apr(part, rows) for rows in range(len(assembly.candidates))]
+
         assert table.axis.n_runs == 3 * n_runs
         assert block.bound == pytest.approx(max(values))
         assert block.apr == pytest.approx(max(values))
         assert values[block.found[0]] == pytest.approx(max(values))
+
     assert found.pool[0].estimate.mean == max(one.estimate.mean for one in found.pool)
 
 
@@ -135,13 +148,16 @@ def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
         n_samples=8,
         compute=assembly.compute,
     )[0].apr_by_sample
+
     assert found.pool[0].apr_by_sample == pytest.approx(both[:4])
     assert found.judged.apr_by_sample == pytest.approx(both[4:])
     assert found.judged.layout.units == chosen.units
 
 
 def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
-    assembly, tmp_path, monkeypatch
+    assembly,
+    tmp_path,
+    monkeypatch,
 ):
     cached = replace(assembly, compute=replace(assembly.compute, cache_folder=tmp_path))
     units = [
@@ -155,7 +171,13 @@ def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
     plain = assembly.in_fresh_worlds(layouts, n_worlds=3)
     first = cached.in_fresh_worlds(layouts, n_worlds=3)
     others = [cached.in_fresh_worlds(layouts[::-1], n_worlds=3)[1]]
-    others += [cached.in_fresh_worlds(layouts, n_worlds=3, first=7)[0]]
+    others += [
+        cached.in_fresh_worlds(
+            layouts,
+            n_worlds=3,
+            first=7,
+        )[0]
+    ]
     lossy = replace(assembly.uncertainty, packet_loss=0.9)
     others += [
         replace(cached, uncertainty=lossy).in_fresh_worlds(layouts, n_worlds=3)[0]
@@ -166,12 +188,15 @@ def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
 
     monkeypatch.setattr(out_of_sample, "look_at_fresh_worlds", refuse)
     again = cached.in_fresh_worlds(layouts, n_worlds=3)
+
     for one, other, third in zip(plain, first, again, strict=True):
         assert one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
         assert one.apr_by_sample.tolist() == third.apr_by_sample.tolist()
         assert one.avoided_share.tolist() == third.avoided_share.tolist()
         assert (one.layout, one.alone) == (third.layout, third.alone)
+
     same, other_worlds, other_losses = others
+
     assert same.apr_by_sample.tolist() == plain[0].apr_by_sample.tolist()
     assert other_worlds.apr_by_sample.tolist() != plain[0].apr_by_sample.tolist()
     assert other_losses.estimate.mean < plain[0].estimate.mean
@@ -184,11 +209,14 @@ def test_what_cannot_be_certified_is_refused(assembly):
         InputError, match="blocks: got 1; expected a whole number, at least 2"
     ):
         certify(assembly, n_blocks=1)
+
     with pytest.raises(
         InputError, match="samples: got 1; expected a whole number, at least 2"
     ):
         certify(replace(assembly, n_samples=1))
+
     aims = replace(assembly, wishes=Wishes(target=0.5))
+
     with pytest.raises(InputError, match="a target, failures or a tail"):
         certify(aims)
 
@@ -221,13 +249,17 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     found = grow(SMALL, compute=compute)
     growth = found.growth
     last = None
+
     assert growth.stopped in ("same", "no better")
     assert [one.worlds for one in growth.rounds] == [*SIZES[: len(growth.rounds)]]
     assert growth.rounds[-1].worlds == 2 * growth.taken == 2 * found.assembly.n_samples
+
     for one in growth.rounds:
         plan = assemble(replace(SMALL, samples=one.worlds), compute=compute)
         alone = place(plan, asks_worlds=True)  # as if the number had been given
+
         assert one.in_sample == alone.certificate.stages[0].objective
+
         (again,) = out_of_sample_layouts(
             plan.setting,
             [alone.layout],
@@ -236,7 +268,9 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
             first=APART,
             compute=compute,
         )
+
         assert one.mean == pytest.approx(again.estimate.mean)
+
         if one.low is not None:
             gain = again.apr_by_sample - last.apr_by_sample
             reach = student.ppf(0.975, 5) * gain.std(ddof=1) / np.sqrt(6.0)
@@ -262,9 +296,15 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
         return replace(found, layout=chosen[-1], preferred=None)
 
     monkeypatch.setattr(certifying, "place", placed)
-    question = replace(SMALL, within="", heights="6.5", yaw_step_deg=120.0)
+    question = replace(
+        SMALL,
+        within="",
+        heights="6.5",
+        yaw_step_deg=120.0,
+    )
     growth = grow(question, compute=Compute(workers=2, seed=3)).growth
     first, second = chosen
+
     assert "/" not in first.units[0].id  # one of the grid
     assert first.units[0].pose is not second.units[0].pose
     assert growth.stopped == "same"
@@ -290,7 +330,11 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
         )
 
     def judged(self, layouts, **how):
-        (one,) = judge(self, layouts, **how | {"n_worlds": 4})
+        (one,) = judge(
+            self,
+            layouts,
+            **how | {"n_worlds": 4},
+        )
         return [replace(one, apr_by_sample=aprs[units.index(one.layout.units[0])])]
 
     monkeypatch.setattr(certifying, "SIZES", sizes)
@@ -318,7 +362,11 @@ MAYBE = [0.45, 0.75, 0.65, 0.55]
     ],
 )
 def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
-    monkeypatch, aprs, seconds, taken, stopped
+    monkeypatch,
+    aprs,
+    seconds,
+    taken,
+    stopped,
 ):
     found = scripted(monkeypatch, aprs, seconds=seconds)
     assert (found.growth.taken, found.growth.stopped) == (taken, stopped)
@@ -328,12 +376,26 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
 
 @pytest.mark.long
 def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
-    found = scripted(monkeypatch, [LOW, HIGH], sizes=(1, 2))
+    found = scripted(
+        monkeypatch,
+        [LOW, HIGH],
+        sizes=(1, 2),
+    )
     assert (found.growth.taken, found.growth.stopped) == (2, "most")
-    found = scripted(monkeypatch, [LOW, HIGH], error=InputError("memory", "8", "less"))
+
+    found = scripted(
+        monkeypatch,
+        [LOW, HIGH],
+        error=InputError("memory", "8", "less"),
+    )
+
     assert (found.growth.taken, found.growth.stopped) == (1, "memory")
     with pytest.raises(InputError, match="sites"):
-        scripted(monkeypatch, [LOW, HIGH], error=InputError("sites", "8", "less"))
+        scripted(
+            monkeypatch,
+            [LOW, HIGH],
+            error=InputError("sites", "8", "less"),
+        )
 
 
 def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone():
@@ -344,6 +406,7 @@ def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone():
     ):
         with pytest.raises(InputError, match="a target, failures or a tail"):
             grow(replace(SMALL, **asked))
+
     with pytest.raises(
         InputError, match="samples: got 'auto'; expected a number; auto where"
     ):
@@ -358,5 +421,10 @@ def test_a_certificate_shares_no_world_with_how_many_are_enough(assembly, monkey
         "place",
         lambda plan, **_: seen.append(plan.first_sample) or place(plan),
     )
-    grow(SMALL, first=APART, compute=Compute(workers=2, seed=3))
+    grow(
+        SMALL,
+        first=APART,
+        compute=Compute(workers=2, seed=3),
+    )
+
     assert set(seen) == {APART}

@@ -29,7 +29,17 @@ def _table(sample, *, seed=0, **options):
 
 
 def _first(setting, poses, uncertainty, seed=0):
-    return next(iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed)))
+    return next(
+        iter(
+            draw_samples(
+                setting,
+                poses,
+                uncertainty,
+                n_samples=1,
+                seed=seed,
+            )
+        )
+    )
 
 
 # RandomStreams from frame to frame
@@ -48,8 +58,15 @@ def _noise_at(run, place, key, correlation):
     for index in range(len(run)):
         step = np.sqrt(1.0 - correlation**2)
         noise[index] = _linked(
-            key, correlation, step, run[index], place[index], -1, 0.0
+            key,
+            correlation,
+            step,
+            run[index],
+            place[index],
+            -1,
+            0.0,
         )
+
     return noise
 
 
@@ -62,11 +79,14 @@ def test_random_bits_are_those_of_splitmix64():
 def test_fresh_noise_is_standard_normal_also_in_its_tails():
     n = 2_000_000
     noise = _noise(2 * np.arange(n), 0.0, 3)
+
     assert kstest(noise, "norm").pvalue > 0.001
+
     for limit in (2.0, 3.0, 3.5, 4.0):  # the ziggurat's own tail begins at 3.44
         for tail in (noise > limit, noise < -limit):
             expected = n * norm.sf(limit)
             assert tail.sum() == pytest.approx(expected, abs=4.5 * np.sqrt(expected))
+
     assert abs(np.corrcoef(noise[:-1], noise[1:])[0, 1]) < 0.004
 
 
@@ -74,13 +94,24 @@ def test_fresh_noise_is_standard_normal_also_in_its_tails():
 def test_linked_noise_is_what_a_recursive_filter_makes_of_fresh_noise(correlation):
     frames = np.concatenate([start + np.arange(30) for start in range(0, 217, 31)])
     fresh, linked = (
-        _noise(frames, each, 6).reshape(7, 30) for each in (0.0, correlation)
+        _noise(
+            frames,
+            each,
+            6,
+        ).reshape(7, 30)
+        for each in (0.0, correlation)
     )
     step = np.sqrt(1.0 - correlation**2)
+
     for run, noise in zip(fresh, linked, strict=True):
         assert noise[0] == run[0]
         start = [correlation * run[0]]
-        expected, _ = lfilter([step], [1.0, -correlation], run[1:], zi=start)
+        expected, _ = lfilter(
+            [step],
+            [1.0, -correlation],
+            run[1:],
+            zi=start,
+        )
         assert noise[1:] == pytest.approx(expected, abs=1e-12)
 
 
@@ -102,16 +133,33 @@ def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed)
     packed = np.zeros(-(-n // 8), dtype=np.uint8)
     nothing = np.zeros(n)
     own = np.array([0.0, 1.0])
-    draw_frames(limit, weather, entry, *where, key, 0.6, nothing, key, own, packed)
+    draw_frames(
+        limit,
+        weather,
+        entry,
+        *where,
+        key,
+        0.6,
+        nothing,
+        key,
+        own,
+        packed,
+    )
     noise = _noise_at(*where, key, 0.6)
     expected = (entry >= 0) & (noise < limit[weather, entry])
-    drawn = np.unpackbits(packed, count=n, bitorder="little").astype(bool)
+    drawn = np.unpackbits(
+        packed,
+        count=n,
+        bitorder="little",
+    ).astype(bool)
+
     assert np.array_equal(drawn, expected)
 
 
 def test_equal_frames_share_their_luck_and_their_order_does_not_matter():
     frames = np.array([0, 1, 2, 10, 11, 0, 1, 2])
     noise = _noise(frames, 0.5, 1)
+
     assert noise[:3].tolist() == noise[5:].tolist()
     assert len(set(noise.tolist())) == 5
     assert _noise(frames[::-1], 0.5, 1)[::-1].tolist() == noise.tolist()
@@ -146,28 +194,48 @@ def watched(junction_scene, standing_still, build_setting, response, look):
     )
     lidar = next(iter(load_lidars().values()))
     far = [
-        look(f"{x}", [x, -1.0, 6.0], yaw_deg=0.0, pitch_deg=-5.0)
+        look(
+            f"{x}",
+            [x, -1.0, 6.0],
+            yaw_deg=0.0,
+            pitch_deg=-5.0,
+        )
         for x in (-28.0, -38.0)
     ]
-    return setting, (*far, look("lidar", [-8.0, -1.0, 1.5], yaw_deg=0.0, sensor=lidar))
+    return setting, (
+        *far,
+        look(
+            "lidar",
+            [-8.0, -1.0, 1.5],
+            yaw_deg=0.0,
+            sensor=lidar,
+        ),
+    )
 
 
 def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watched):
     setting, poses = watched
     sample = _first(setting, poses, DRAWN)
     first, other = build_drawn_tables(
-        sample, setting.table_detector, compute=Compute(workers=1), n_draws=2
+        sample,
+        setting.table_detector,
+        compute=Compute(workers=1),
+        n_draws=2,
     )
     (alone,) = build_drawn_tables(
         sample, setting.table_detector, compute=Compute(workers=1)
     )
     drawn = first.detected(slice(None))
+
     assert np.array_equal(alone.packed, first.packed)
+
     cameras = other.detected(slice(None))[:2]
+
     assert 0.2 < (cameras != drawn[:2]).mean() < 0.6  # other coins
     assert cameras.mean() == pytest.approx(
         drawn[:2].mean(), abs=0.03
     )  # of the same kind
+
     for row, pose in enumerate(poses[:2]):
         for index, run in enumerate(setting.runs):
             one_frame = {
@@ -190,6 +258,7 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
                 )
             )
             often = drawn[row, setting.axis.frames_of(index)].mean()
+
             # 1200 coins, and points instead of pixels.
             assert often == pytest.approx(likely, abs=0.05)
             assert 0.05 < likely < 0.97
@@ -207,6 +276,7 @@ def test_in_fog_less_is_detected_of_the_same_frames(watched):
     day, fog = (
         table.detected(slice(None))[:, setting.axis.frames_of(run)] for run in (0, 1)
     )
+
     assert not (fog & ~day).any()
     assert fog[0].sum() < day[0].sum()
 
@@ -216,17 +286,28 @@ def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
     twins = (poses[0], replace(poses[0], id="again"), poses[1])
 
     def draw(seed, which=twins):
-        return _table(_first(setting, which, DRAWN, seed), seed=0).detected(slice(None))
+        return _table(
+            _first(
+                setting,
+                which,
+                DRAWN,
+                seed,
+            ),
+            seed=0,
+        ).detected(slice(None))
 
     first = draw(0)
+
     assert np.array_equal(first[0], first[1])  # the same pose under another name
     assert not np.array_equal(first[0], first[2])
     assert np.array_equal(draw(0, twins[2:])[0], first[2])
     assert not np.array_equal(draw(1)[0], first[0])
+
     worlds = [
         _table(sample, seed=0).detected(slice(None))[0]
         for sample in draw_samples(setting, twins[:1], DRAWN, n_samples=2, seed=0)
     ]
+
     assert np.array_equal(worlds[0], first[0])
     assert not np.array_equal(worlds[0], worlds[1])
 
@@ -234,9 +315,17 @@ def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
 def test_a_lidar_counts_the_points_that_it_may_expect(watched):
     setting, poses = watched
     drawn, planned = (
-        _table(_first(setting, poses, uncertainty), seed=0).detected([2])
+        _table(
+            _first(
+                setting,
+                poses,
+                uncertainty,
+            ),
+            seed=0,
+        ).detected([2])
         for uncertainty in (DRAWN, Uncertainty())
     )
+
     assert np.array_equal(drawn, planned)
     assert drawn.any()
 
@@ -261,9 +350,12 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
         ).packed
         for workers in (1, 2)
     ]
+
     assert np.array_equal(*tables)
     assert tables[0].any()
+
     stage = "sampled detection tables"
+
     assert (
         calls == [(stage, 1, 2), (stage, 2, 2)] * 2
     )  # mount positions of the first world
@@ -284,8 +376,11 @@ def all_seen(setting):
 def test_no_message_and_every_message_may_be_lost(setting, candidates, all_seen):
     table = all_seen(candidates)
     sample = _first(setting, candidates, Uncertainty())
+
     assert silence(sample, table) is table
+
     silent = _first(setting, candidates, Uncertainty(packet_loss=1.0))
+
     assert not silence(silent, table).packed.any()
 
 
@@ -301,4 +396,5 @@ def test_the_same_messages_are_lost_in_all_weathers(watched):
         silence(sample, every).detected(slice(None))[:, setting.axis.frames_of(run)]
         for run in (0, 1)
     )
+
     assert np.array_equal(day, fog)

@@ -99,7 +99,9 @@ def test_a_file_says_it_all(write):
     assert read.packet_loss == 0.1
     assert not read.draws_detections
     assert (read.traffic.taken_share, read.traffic.along_arm_m) == (0.2, 40.0)
+
     van, tram = read.traffic.vehicles
+
     assert van.actor.name == "parked-van"
     assert (tram.actor.length_m, tram.waiting_share) == (30.0, 0.75)
 
@@ -114,8 +116,13 @@ def test_what_a_file_leaves_out_is_certain(write):
 def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
     for kind in load_uncertainty().traffic.vehicles[-2:]:
         (shape,) = kind.actor.shapes
-        mesh = trimesh.Trimesh(shape.vertices_m, shape.triangles, process=False)
+        mesh = trimesh.Trimesh(
+            shape.vertices_m,
+            shape.triangles,
+            process=False,
+        )
         size = [kind.actor.length_m, kind.actor.width_m, kind.actor.height_m]
+
         assert mesh.is_watertight
         assert mesh.volume == pytest.approx(np.prod(size))
         assert np.ptp(shape.vertices_m, axis=0) == pytest.approx(size)
@@ -179,7 +186,9 @@ def test_sections_must_be_sections(write):
     assert (
         str(caught.value) == "mine.toml: mounting: got 3; expected a section [mounting]"
     )
+
     vehicles = WHOLE[WHOLE.index("[[vehicles]]") :]
+
     with pytest.raises(InputError) as caught:
         load_uncertainty(write(vehicles))
     assert (

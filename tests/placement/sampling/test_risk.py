@@ -9,7 +9,11 @@ from scipy.optimize import linprog
 from geometry.errors import InputError
 from placement.sampling.out_of_sample import cvar, estimate_mean, resampled_cvar
 
-shares = st.lists(st.floats(0.0, 1.0, allow_subnormal=False), min_size=1, max_size=12)
+shares = st.lists(
+    st.floats(0.0, 1.0, allow_subnormal=False),
+    min_size=1,
+    max_size=12,
+)
 
 
 @given(shares, st.integers(1, 40), st.integers(1, 40))
@@ -22,6 +26,7 @@ def test_cvar_is_the_mean_of_the_worst_of_many_equal_parts(samples, a, b):
     tail_parts = count * len(samples) * len(samples)
     parts = np.sort(np.repeat(samples, n_parts))
     expected = parts[: max(tail_parts, n_parts)].mean()
+
     assert cvar(samples, count / of) == pytest.approx(expected, abs=1e-9)
 
 
@@ -83,10 +88,14 @@ def test_without_spread_a_few_worlds_may_still_differ():
     assert (estimate.mean, estimate.standard_error, estimate.high) == (1.0, 0.0, 1.0)
     assert estimate.low**30 == pytest.approx(0.05)
     assert estimate.method == "95 % interval: no spread in 30 samples, rule of three"
+
     (half,) = [estimate_mean([0.5] * 30)]
+
     assert half.low == pytest.approx(0.5 * estimate.low)
     assert half.high == pytest.approx(1.0 - 0.5 * estimate.low)
+
     one = estimate_mean([0.5])
+
     assert math.isnan(one.standard_error)
     assert (one.low, one.high) == (pytest.approx(0.025), pytest.approx(0.975))
 
@@ -107,6 +116,7 @@ def test_the_interval_holds_the_mean_about_as_often_as_it_says(draw):
     covered = np.mean(
         [estimate.low <= truth <= estimate.high for estimate in estimates]
     )
+
     assert 0.93 <= covered <= 0.975
 
 
@@ -117,8 +127,11 @@ def test_the_interval_holds_the_mean_where_most_samples_are_equal():
         estimate_mean(1.0 - 0.8 * (rng.random(20) < 0.02)) for _ in range(1500)
     ]
     truth = 1.0 - 0.8 * 0.02
+
     assert np.mean([e.low <= truth <= e.high for e in estimates]) >= 0.95
+
     by_t_alone = [e.low <= truth <= e.high for e in estimates if "Student" in e.method]
+
     assert (
         0.2 < len(by_t_alone) / 1500 < 0.5
     )  # without the rule of three most would miss
@@ -140,9 +153,14 @@ def test_the_error_of_a_tail_is_that_of_fresh_worlds():
     rng = np.random.default_rng(3)
     samples = rng.beta(20.0, 2.0, size=(2, 80))
     resampled = resampled_cvar(samples, 0.25)
+
     assert resampled.shape == (2, 1000)
+
     fresh = [cvar(rng.beta(20.0, 2.0, size=80), 0.25) for _ in range(2000)]
+
     assert resampled[0].std() == pytest.approx(np.std(fresh), rel=0.35)
+
     # Both layouts have the same worlds: one that is always better is so in every draw.
     better = resampled_cvar([samples[0] + 0.0, samples[0] - 0.01], 0.25)
+
     assert better[0] - better[1] == pytest.approx(np.full(1000, 0.01))

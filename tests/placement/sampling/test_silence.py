@@ -38,14 +38,34 @@ def many(setting, build_setting):
 
 @pytest.fixture(scope="module")
 def poses(look):
-    east = look("east", [-130.0, 8.85, 6.8], yaw_deg=0.0, pitch_deg=-15.0, site_id="a")
-    west = replace(east, id="west", pose=replace(east.pose, yaw_deg=180.0))
-    far = replace(
-        east, id="far", site_id="b", pose=replace(east.pose, position_m=[0.0, 0.0, 6.0])
+    east = look(
+        "east",
+        [-130.0, 8.85, 6.8],
+        yaw_deg=0.0,
+        pitch_deg=-15.0,
+        site_id="a",
     )
-    lidar = replace(east, id="lidar", sensor=next(iter(load_lidars().values())))
+    west = replace(
+        east,
+        id="west",
+        pose=replace(east.pose, yaw_deg=180.0),
+    )
+    far = replace(
+        east,
+        id="far",
+        site_id="b",
+        pose=replace(east.pose, position_m=[0.0, 0.0, 6.0]),
+    )
+    lidar = replace(
+        east,
+        id="lidar",
+        sensor=next(iter(load_lidars().values())),
+    )
     steep = replace(
-        far, id="steep", site_id="c", pose=replace(far.pose, pitch_deg=-60.0)
+        far,
+        id="steep",
+        site_id="c",
+        pose=replace(far.pose, pitch_deg=-60.0),
     )
     return (east, west, far, lidar, steep)
 
@@ -53,11 +73,23 @@ def poses(look):
 def told(setting, poses, uncertainty, *, draw=0, seed=0):
     """Frames that reach the VUT of all, (n_poses, n_runs, n_frames)."""
     sample = next(
-        iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed))
+        iter(
+            draw_samples(
+                setting,
+                poses,
+                uncertainty,
+                n_samples=1,
+                seed=seed,
+            )
+        )
     )
     sample = replace(sample, streams=replace(sample.streams, draw=draw))
     every = np.ones((len(poses), setting.axis.n_frames), dtype=bool)
-    table = pack_table(tuple(pose.id for pose in poses), setting.axis, every)
+    table = pack_table(
+        tuple(pose.id for pose in poses),
+        setting.axis,
+        every,
+    )
     shape = (len(poses), len(setting.runs), -1)
     return silence(sample, table).detected(slice(None)).reshape(shape)
 
@@ -70,13 +102,18 @@ def near(share, n):
 
 
 def test_a_unit_out_of_order_tells_nothing_for_a_run_and_a_pole_silences_all_its_units(
-    many, poses
+    many,
+    poses,
 ):
     drawn = told(
-        many, poses, Uncertainty(outages=Outages(unit_share=0.1, pole_share=0.2))
+        many,
+        poses,
+        Uncertainty(outages=Outages(unit_share=0.1, pole_share=0.2)),
     )
     assert np.array_equal(drawn.all(axis=2), drawn.any(axis=2))  # whole runs
+
     out = ~drawn[:, :, 0]
+
     assert out.mean(axis=1).tolist() == [near(1.0 - 0.9 * 0.8, N_RUNS)] * len(poses)
     # Independent but for the pole: neither, or the pole, or by chance both.
     assert (out[0] & out[1]).mean() == near(0.2 + 0.8 * 0.1**2, N_RUNS)
@@ -86,8 +123,15 @@ def test_a_unit_out_of_order_tells_nothing_for_a_run_and_a_pole_silences_all_its
 def test_outages_are_drawn_anew_each_time_that_a_world_is_looked_at(many, poses):
     uncertainty = Uncertainty(outages=Outages(unit_share=0.5))
     first, again, other = (
-        told(many, poses, uncertainty, draw=draw) for draw in (0, 0, 1)
+        told(
+            many,
+            poses,
+            uncertainty,
+            draw=draw,
+        )
+        for draw in (0, 0, 1)
     )
+
     assert np.array_equal(first, again)
     assert (first[0, :, 0] == other[0, :, 0]).mean() == near(0.5, N_RUNS)
     assert uncertainty.draws_anew
@@ -96,9 +140,18 @@ def test_outages_are_drawn_anew_each_time_that_a_world_is_looked_at(many, poses)
 def test_poses_that_are_tried_for_one_unit_are_out_of_order_together(many, poses):
     twins = (
         poses[0],
-        replace(poses[0], id="b", pose=replace(poses[0].pose, yaw_deg=30.0)),
+        replace(
+            poses[0],
+            id="b",
+            pose=replace(poses[0].pose, yaw_deg=30.0),
+        ),
     )
-    drawn = told(many, twins, Uncertainty(outages=Outages(unit_share=0.5)))
+    drawn = told(
+        many,
+        twins,
+        Uncertainty(outages=Outages(unit_share=0.5)),
+    )
+
     assert np.array_equal(*drawn)
 
 
@@ -108,13 +161,26 @@ def test_poses_that_are_tried_for_one_unit_are_out_of_order_together(many, poses
 def test_a_dirty_camera_sees_nothing_for_a_run_and_a_lidar_does_not_mind(many, poses):
     clean = Uncertainty()
     dirty = Uncertainty(blinding=Blinding(dirty_share=0.3))
+
     assert told(many, poses, clean).all()
+
     drawn = told(many, poses, dirty)
+
     assert np.array_equal(drawn.all(axis=2), drawn.any(axis=2))
+
     seeing = drawn[:, :, 0].mean(axis=1).tolist()
+
     assert seeing.pop(3) == 1.0
     assert seeing == [near(0.7, N_RUNS)] * len(seeing)
-    assert not np.array_equal(told(many, poses, dirty, draw=1), drawn)
+    assert not np.array_equal(
+        told(
+            many,
+            poses,
+            dirty,
+            draw=1,
+        ),
+        drawn,
+    )
 
 
 def test_low_sun_dazzles_those_who_look_towards_it(many, poses):
@@ -122,8 +188,13 @@ def test_low_sun_dazzles_those_who_look_towards_it(many, poses):
     sun.
     """
     sun = Blinding(low_sun_share=0.5, sun_below_deg=0.0, dazzled_within_deg=40.0)
-    dazzled = ~told(many, poses, Uncertainty(blinding=sun))[:, :, 0]
+    dazzled = ~told(
+        many,
+        poses,
+        Uncertainty(blinding=sun),
+    )[:, :, 0]
     reach = np.degrees(np.arccos(np.cos(np.radians(40.0)) / np.cos(np.radians(15.0))))
+
     assert dazzled[0].mean() == near(0.5 * reach / 180.0, N_RUNS)
     assert not (dazzled[0] & dazzled[1]).any()  # they look in opposite ways
     assert np.array_equal(dazzled[0], dazzled[2])  # one sun for all
@@ -136,8 +207,14 @@ def test_the_sun_shines_by_day_alone(many, poses):
         many, runs=tuple(replace(run, weather="night") for run in many.runs)
     )
     by_day, by_night = (
-        told(one, poses[:1], Uncertainty(blinding=sun)) for one in (many, nights)
+        told(
+            one,
+            poses[:1],
+            Uncertainty(blinding=sun),
+        )
+        for one in (many, nights)
     )
+
     assert not by_day.any()
     assert by_night.all()
 
@@ -149,16 +226,35 @@ def test_the_vut_is_dazzled_by_the_same_sun_and_each_is_another_car(many, poses)
     def blinded(blinding, setting=many, towards=poses[:1]):
         uncertainty = Uncertainty(blinding=blinding)
         sample = next(
-            iter(draw_samples(setting, towards, uncertainty, n_samples=1, seed=0))
+            iter(
+                draw_samples(
+                    setting,
+                    towards,
+                    uncertainty,
+                    n_samples=1,
+                    seed=0,
+                )
+            )
         )
         return blinded_frames(sample).reshape(N_RUNS, N_FRAMES)
 
     assert blinded(dirt)[:, 0].mean() == near(0.3, N_RUNS)
+
     (yaw_deg,) = {run.vut_yaw_deg[0] for run in many.runs}
     level = replace(
-        poses[0], pose=replace(poses[0].pose, yaw_deg=yaw_deg, pitch_deg=0.0)
+        poses[0],
+        pose=replace(
+            poses[0].pose,
+            yaw_deg=yaw_deg,
+            pitch_deg=0.0,
+        ),
     )
-    dazzled = ~told(many, [level], Uncertainty(blinding=sun))[0]
+    dazzled = ~told(
+        many,
+        [level],
+        Uncertainty(blinding=sun),
+    )[0]
+
     assert np.array_equal(blinded(sun), dazzled)
     assert dazzled.mean() == near(1.0 / 3.0, N_RUNS)
     assert not blinded(sun, replace(many, vut_sensors=("camera", "lidar"))).any()
@@ -172,27 +268,49 @@ def test_single_losses_are_a_coin_per_frame_as_without_bursts():
     place = np.tile(np.arange(8), 500)
     key = np.uint64(7)
     packed = np.full(500, 255, dtype=np.uint8)
-    lose_frames(run, place, key, 0.3, np.uint64(8), 1.0, packed)
+    lose_frames(
+        run,
+        place,
+        key,
+        0.3,
+        np.uint64(8),
+        1.0,
+        packed,
+    )
     coins = np.array([int(random_bits(key, int(n))) >> 12 for n in run + place])
     arrived = np.unpackbits(packed, bitorder="little").astype(bool)
+
     assert np.array_equal(arrived, (coins + 0.5) / 2.0**52 >= 0.3)
 
 
 def test_bursts_leave_the_share_of_losses_and_link_consecutive_frames(many, poses):
     """The chain's correlation is (1 - 1 / length)^distance."""
-    lost = ~told(many, poses, Uncertainty(packet_loss=0.3, burst_frames=3.0))
+    lost = ~told(
+        many,
+        poses,
+        Uncertainty(packet_loss=0.3, burst_frames=3.0),
+    )
     assert lost.mean() == pytest.approx(0.3, abs=0.02)
+
     columns = np.corrcoef(lost[0].T)
     apart = np.abs(np.subtract.outer(np.arange(N_FRAMES), np.arange(N_FRAMES)))
+
     assert columns == pytest.approx((2.0 / 3.0) ** apart, abs=0.1)
 
 
 def test_units_of_one_pole_lose_the_same_messages_if_asked_for(many, poses):
     shared = Uncertainty(packet_loss=0.3, burst_frames=2.0, loss_shared_by="pole")
     lost = ~told(many, poses, shared)
+
     assert np.array_equal(lost[0], lost[1])
     assert (lost[0] & lost[2]).mean() == pytest.approx(0.09, abs=0.02)
-    alone = ~told(many, poses, replace(shared, loss_shared_by="unit"))
+
+    alone = ~told(
+        many,
+        poses,
+        replace(shared, loss_shared_by="unit"),
+    )
+
     assert (alone[0] & alone[1]).mean() == pytest.approx(0.09, abs=0.02)
 
 
@@ -207,6 +325,7 @@ def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
     links = link_frames(numbers)
     limits = np.linspace(-4.0, 4.0, 81)
     below = np.zeros(len(numbers))
+
     for limit in limits:
         packed = np.zeros(-(-len(numbers) // 8), dtype=np.uint8)
         draw_frames(
@@ -221,7 +340,12 @@ def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
             np.sqrt([lasting.unit_person_share, lasting.frame_share]),
             packed,
         )
-        below += np.unpackbits(packed, count=len(numbers), bitorder="little")
+        below += np.unpackbits(
+            packed,
+            count=len(numbers),
+            bitorder="little",
+        )
+
     return (limits[-1] + 0.05 - 0.1 * below).reshape(runs, length)
 
 
@@ -237,17 +361,23 @@ def _lasting(person, unit_person, n=20_000):
 def test_noise_has_the_shares_and_consecutive_frames_the_correlation_of_the_table():
     lasting = _lasting(0.2, 0.3)
     one, other = (_noise(lasting, unit=unit) for unit in (1, 2))
+
     assert one.std() == pytest.approx(1.0, abs=0.03)
+
     changing = 0.2 / 0.5  # of the half that changes, so that all have 0.7
     expected = [1.0, 0.7, 0.5 + 0.5 * changing**2, 0.5 + 0.5 * changing**3]
+
     assert np.corrcoef(one.T)[0] == pytest.approx(expected, abs=0.04)
+
     both = np.corrcoef(one[:, 0], other[:, 3])[0, 1]
+
     assert both == pytest.approx(0.2, abs=0.05)  # the person alone
 
 
 def test_where_all_lasts_a_run_is_one_draw_and_more_than_the_table_is_no_error():
     lasting = _lasting(0.4, 0.6)
     noise = _noise(lasting, unit=1, runs=500)
+
     assert np.ptp(noise, axis=1).max() < 0.11  # one step of the limits
     assert _lasting(0.5, 0.4).frame_correlation(0.7) == 0.0
     assert _lasting(0.0, 0.0).frame_correlation(0.7) == 0.7
@@ -261,13 +391,24 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
     chancy = replace(setting, detector=response, table_detector=response)
     shares = {"draws_detections": True, "person_share": 1.0}
     sample = next(
-        iter(draw_samples(chancy, poses, Uncertainty(**shares), n_samples=1, seed=0))
+        iter(
+            draw_samples(
+                chancy,
+                poses,
+                Uncertainty(**shares),
+                n_samples=1,
+                seed=0,
+            )
+        )
     )
     numbers = np.unique(draw_index(setting.runs))
     detector = sample.setting.detector
     noise = detector._noise(numbers, np.random.default_rng(1))
+
     assert noise.tolist() == sample.drawn_detector.lasting.person[numbers].tolist()
+
     starts = np.flatnonzero(np.diff(numbers, prepend=-9) != 1)
+
     assert len(set(noise.tolist())) == len(starts) == len(setting.runs)
     assert chancy.detector.lasting is None
 
@@ -301,6 +442,7 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
 def test_what_cannot_be_names_file_and_field(tmp_path, text, message):
     path = tmp_path / "mine.toml"
     path.write_text(text)
+
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
     assert str(caught.value).startswith(f"{path}: {message}")
@@ -311,5 +453,6 @@ def test_mounting_by_name_is_that_of_the_table(tmp_path):
     path.write_text('as = "default"\nmounting = "calibrated"')
     calibrated = load_uncertainty(str(path))
     by_eye = load_uncertainty()
+
     assert (calibrated.mounting.yaw_sd_deg, by_eye.mounting.yaw_sd_deg) == (0.2, 1.0)
     assert calibrated.outages == by_eye.outages != Outages()

@@ -40,7 +40,11 @@ def planned(setting, candidates):
 @pytest.fixture(scope="module")
 def stacked(setting, candidates, default):
     return sampled_table(
-        setting, candidates, default, n_samples=3, compute=Compute(seed=1)
+        setting,
+        candidates,
+        default,
+        n_samples=3,
+        compute=Compute(seed=1),
     )
 
 
@@ -52,32 +56,50 @@ def _detected(table):
 
 
 def test_without_uncertainty_one_sample_is_the_plans_table(
-    setting, candidates, planned
+    setting,
+    candidates,
+    planned,
 ):
     sampled = sampled_table(setting, candidates, Uncertainty(), n_samples=1)
     table = sampled.table
     axis = setting.axis
+
     assert np.array_equal(table.packed, planned.packed)
     assert table.packed.any()
     assert table.pose_ids == planned.pose_ids
     assert table.axis.run_ids == tuple(f"{run}#1" for run in axis.run_ids)
+
     for name in ("cases", "approaches", "weathers"):
         assert getattr(table.axis, name) == getattr(axis, name)
     for name in ("vut_speed_kmh", "weight", "last_brake_time_s", "run_start", "time_s"):
         assert np.array_equal(getattr(table.axis, name), getattr(axis, name))
+
     assert sampled.sample_index.tolist() == [0] * axis.n_runs
 
 
 def test_worlds_stand_side_by_side_and_weigh_the_same(
-    setting, candidates, default, stacked
+    setting,
+    candidates,
+    default,
+    stacked,
 ):
     table, axis, n_runs = stacked.table, setting.axis, setting.axis.n_runs
     assert table.axis.weight.sum() == pytest.approx(1.0, abs=1e-12)
     assert stacked.sample_index.tolist() == [0] * n_runs + [1] * n_runs + [2] * n_runs
     assert table.axis.run_ids[n_runs] == f"{axis.run_ids[0]}#2"
     assert table.axis.cases == axis.cases * 3
-    samples = list(draw_samples(setting, candidates, default, n_samples=3, seed=1))
+
+    samples = list(
+        draw_samples(
+            setting,
+            candidates,
+            default,
+            n_samples=3,
+            seed=1,
+        )
+    )
     parts = [_table(sample, seed=1) for sample in samples]
+
     assert np.array_equal(
         _detected(table), np.hstack([_detected(part) for part in parts])
     )
@@ -87,6 +109,7 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
             [axis.last_brake_time_s - sample.extra_latency_s for sample in samples]
         ).tolist()
     )
+
     for run in range(table.axis.n_runs):
         frames = table.axis.frames_of(run)
         assert np.array_equal(
@@ -95,31 +118,54 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
 
 
 def test_the_same_seed_gives_the_same_table_and_another_one_another(
-    setting, candidates, default, stacked
+    setting,
+    candidates,
+    default,
+    stacked,
 ):
     again = sampled_table(
-        setting, candidates, default, n_samples=3, compute=Compute(seed=1, workers=2)
+        setting,
+        candidates,
+        default,
+        n_samples=3,
+        compute=Compute(seed=1, workers=2),
     )
     assert np.array_equal(again.table.packed, stacked.table.packed)
     assert np.array_equal(
         again.table.axis.last_brake_time_s, stacked.table.axis.last_brake_time_s
     )
+
     other = sampled_table(
-        setting, candidates, default, n_samples=1, compute=Compute(seed=2)
+        setting,
+        candidates,
+        default,
+        n_samples=1,
+        compute=Compute(seed=2),
     )
     n = setting.axis.n_frames
+
     assert not np.array_equal(_detected(other.table), _detected(stacked.table)[:, :n])
-    parts = np.split(_detected(stacked.table), 3, axis=1)
+
+    parts = np.split(
+        _detected(stacked.table),
+        3,
+        axis=1,
+    )
+
     assert not np.array_equal(parts[0], parts[1])
 
 
 def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planned):
     late = Uncertainty(latency=LatencyJitter(mean_s=0.3))
     sampled = sampled_table(setting, candidates, late, n_samples=1)
+
     assert np.array_equal(sampled.table.packed, planned.packed)
+
     before = setting.axis.last_brake_time_s
     after = sampled.table.axis.last_brake_time_s
+
     assert after == pytest.approx(before - 0.3)
+
     # As good as a rule with the longer latency.
     detected = _detected(planned).any(axis=0)
     # The age of a track is asked for at the moved moment, too.
@@ -135,10 +181,21 @@ def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planne
 def test_units_that_are_off_detect_otherwise(setting, candidates, planned):
     off = Uncertainty(mounting=MountingErrors(yaw_sd_deg=10.0))
     sampled = sampled_table(
-        setting, candidates, off, n_samples=1, compute=Compute(seed=3)
+        setting,
+        candidates,
+        off,
+        n_samples=1,
+        compute=Compute(seed=3),
     )
-    (sample,) = draw_samples(setting, candidates, off, n_samples=1, seed=3)
+    (sample,) = draw_samples(
+        setting,
+        candidates,
+        off,
+        n_samples=1,
+        seed=3,
+    )
     by_hand = _plan(setting, sample.candidates, seed=3)
+
     assert np.array_equal(sampled.table.packed, by_hand.packed)
     assert not np.array_equal(sampled.table.packed, planned.packed)
 
@@ -158,19 +215,32 @@ def test_bits_are_appended_where_they_belong(worlds):
         rows = np.array([bits, [not bit for bit in bits]])
         part = np.packbits(rows, axis=1, bitorder="little")
         _append(packed, part, first_bit=index * n_bits, n_bits=n_bits)
-    found = np.unpackbits(packed, axis=1, count=n * n_bits, bitorder="little").astype(
-        bool
-    )
+
+    found = np.unpackbits(
+        packed,
+        axis=1,
+        count=n * n_bits,
+        bitorder="little",
+    ).astype(bool)
+
     assert found[0].tolist() == [bit for bits in worlds for bit in bits]
     assert np.array_equal(found[1], ~found[0])
-    assert not np.unpackbits(packed, axis=1, bitorder="little")[:, n * n_bits :].any()
+    assert not np.unpackbits(
+        packed,
+        axis=1,
+        bitorder="little",
+    )[:, n * n_bits :].any()
 
 
 # Cache and progress
 
 
 def test_each_world_has_a_cached_table_of_its_own(
-    setting, candidates, default, stacked, tmp_path
+    setting,
+    candidates,
+    default,
+    stacked,
+    tmp_path,
 ):
     calls = []
     for n_samples in (2, 3, 3):
@@ -184,10 +254,13 @@ def test_each_world_has_a_cached_table_of_its_own(
             ),
         )
         assert len(list(tmp_path.glob("table-*.npz"))) == n_samples
+
     assert np.array_equal(found.table.packed, stacked.table.packed)
+
     stage = "sampled detection tables"
     built = (stage, 5, 6)
     cached = (stage, 3, 3)
+
     assert built in calls  # two mount positions in each of three worlds
     assert calls[0] == (stage, 0, 0)
     assert calls[-3:] == [(stage, 1, 3), (stage, 2, 3), cached]
@@ -198,15 +271,22 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
     drawn = Uncertainty(draws_detections=True)
     options = {"n_samples": 2, "compute": Compute(cache_folder=tmp_path)}
     first = sampled_table(chancy, candidates, drawn, **options)
+
     assert len(list(tmp_path.iterdir())) == 2
+
     again = sampled_table(chancy, candidates, drawn, **options)
+
     assert np.array_equal(again.table.packed, first.table.packed)
+
     sampled_table(chancy, candidates, Uncertainty(), **options)
+
     assert len(list(tmp_path.iterdir())) == 3  # both worlds are the plan
+
     linked = replace(
         chancy, table_detector=replace(chancy.table_detector, frame_correlation=0.1)
     )
     other = sampled_table(linked, candidates, drawn, **options)
+
     assert len(list(tmp_path.iterdir())) == 5
     assert not np.array_equal(other.table.packed, first.table.packed)
 
@@ -224,7 +304,11 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
     ],
 )
 def test_a_world_beside_others_is_as_it_is_alone(
-    setting, candidates, default, planner, lens
+    setting,
+    candidates,
+    default,
+    planner,
+    lens,
 ):
     """What is kept of one world, for eyes that come up again, is what is found in
     another.
@@ -232,18 +316,34 @@ def test_a_world_beside_others_is_as_it_is_alone(
     if lens is not None:
         candidates = [
             replace(
-                one, sensor=replace(one.sensor, name="bent", lens=lens, roll_deg=3.0)
+                one,
+                sensor=replace(
+                    one.sensor,
+                    name="bent",
+                    lens=lens,
+                    roll_deg=3.0,
+                ),
             )
             for one in candidates
             if isinstance(one.sensor, CameraModel)
         ]
     setting = replace(setting, table_detector=load_planning_detector(planner))
-    worlds = list(draw_samples(setting, candidates, default, n_samples=4, seed=4))
+    worlds = list(
+        draw_samples(
+            setting,
+            candidates,
+            default,
+            n_samples=4,
+            seed=4,
+        )
+    )
     heights = [
         {pose.pose.position_m[2] for pose in world.candidates} for world in worlds
     ]
+
     assert len(set.union(*heights)) < sum(map(len, heights))  # they do come up again
     assert len({len(world.vehicles) for world in worlds}) > 1
+
     for at_once in (1, 2):
         together = list(build_sample_tables(worlds, n_samples=4, at_once=at_once))
         assert any(table.packed.any() for _, table in together)
@@ -266,7 +366,12 @@ def truck(default):
 
 
 def test_a_vehicle_that_waits_hides_a_vru_behind_it(
-    junction_scene, standing_still, build_setting, look, keen, truck
+    junction_scene,
+    standing_still,
+    build_setting,
+    look,
+    keen,
+    truck,
 ):
     """By hand: a box from 12.5 to 20.5 m east, 0.5 to 3.0 m north, 3.4 m high.
 
@@ -276,37 +381,68 @@ def test_a_vehicle_that_waits_hides_a_vru_behind_it(
     over the edge is 2.11 m high there, above its 1.8 m.
     """
     assert (truck.length_m, truck.width_m, truck.height_m) == (8.0, 2.5, 3.4)
+
     setting = build_setting(
         junction_scene, [standing_still([16.5, 6.0])], table_detector=keen
     )
     cameras = [
-        look(f"{z:g}", [16.5, -10.0, z], yaw_deg=90.0, pitch_deg=pitch)
+        look(
+            f"{z:g}",
+            [16.5, -10.0, z],
+            yaw_deg=90.0,
+            pitch_deg=pitch,
+        )
         for z, pitch in ((9.0, -25.0), (20.0, -50.0))
     ]
     rows = {
         share: _detected(
-            sampled_table(setting, cameras, _queue_of(truck, share), n_samples=1).table
+            sampled_table(
+                setting,
+                cameras,
+                _queue_of(truck, share),
+                n_samples=1,
+            ).table
         )
         for share in (0.0, 1.0)
     }
+
     assert rows[0.0].all()
+
     low, high = rows[1.0]
+
     assert not low.any()
     assert high.all()
 
 
 def test_what_waits_in_the_way_of_the_vut_hides_nothing(
-    junction_scene, junction_runs, standing_still, build_setting, look, keen, truck
+    junction_scene,
+    junction_runs,
+    standing_still,
+    build_setting,
+    look,
+    keen,
+    truck,
 ):
     """The same box, but the VUT comes from the east, in whose lane it would stand."""
     runs = [
         standing_still([16.5, 6.0], run=junction_runs[way]) for way in ("west", "east")
     ]
     setting = build_setting(junction_scene, runs, table_detector=keen)
-    camera = look("low", [16.5, -10.0, 9.0], yaw_deg=90.0, pitch_deg=-25.0)
+    camera = look(
+        "low",
+        [16.5, -10.0, 9.0],
+        yaw_deg=90.0,
+        pitch_deg=-25.0,
+    )
     (row,) = _detected(
-        sampled_table(setting, [camera], _queue_of(truck, 1.0), n_samples=1).table
+        sampled_table(
+            setting,
+            [camera],
+            _queue_of(truck, 1.0),
+            n_samples=1,
+        ).table
     )
     hidden, seen = (row[setting.axis.frames_of(index)] for index in (0, 1))
+
     assert not hidden.any()
     assert seen.all()

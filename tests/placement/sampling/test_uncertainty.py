@@ -117,7 +117,13 @@ def test_by_default_nothing_is_uncertain():
     assert nothing.traffic.is_empty
     assert nothing.packet_loss == 0.0
     assert not nothing.draws_detections
-    drawn = nothing.latency.draw_s(np.random.default_rng(0), 5, rule_latency_s=0.025)
+
+    drawn = nothing.latency.draw_s(
+        np.random.default_rng(0),
+        5,
+        rule_latency_s=0.025,
+    )
+
     assert drawn.tolist() == [0.0] * 5
 
 
@@ -131,14 +137,27 @@ def test_by_default_nothing_is_uncertain():
     st.integers(0, 1000),
 )
 def test_latency_has_its_mean_and_deviation_and_is_never_negative(
-    kind, mean_s, ratio, seed
+    kind,
+    mean_s,
+    ratio,
+    seed,
 ):
-    jitter = LatencyJitter(distribution=kind, mean_s=mean_s, sd_s=ratio * mean_s)
-    drawn = jitter.draw_s(np.random.default_rng(seed), 4000, rule_latency_s=0.025)
+    jitter = LatencyJitter(
+        distribution=kind,
+        mean_s=mean_s,
+        sd_s=ratio * mean_s,
+    )
+    drawn = jitter.draw_s(
+        np.random.default_rng(seed),
+        4000,
+        rule_latency_s=0.025,
+    )
+
     assert drawn.min() >= 0.0
     # Six standard errors of the mean; the deviation's own error is at most some 2 %.
     assert abs(drawn.mean() - mean_s) <= 6.0 * ratio * mean_s / np.sqrt(4000)
     assert drawn.std() == pytest.approx(ratio * mean_s, rel=0.15)
+
     if kind == "uniform":
         assert np.abs(drawn - mean_s).max() <= np.sqrt(3.0) * ratio * mean_s * (
             1.0 + 1e-9
@@ -147,7 +166,12 @@ def test_latency_has_its_mean_and_deviation_and_is_never_negative(
 
 def test_latency_without_spread_is_its_mean():
     jitter = LatencyJitter(mean_s=0.04)
-    drawn = jitter.draw_s(np.random.default_rng(0), 3, rule_latency_s=0.0)
+    drawn = jitter.draw_s(
+        np.random.default_rng(0),
+        3,
+        rule_latency_s=0.0,
+    )
+
     assert drawn.tolist() == [0.04] * 3
 
 
@@ -155,21 +179,51 @@ def test_latency_of_a_sample_is_drawn_once_that_of_a_run_every_time():
     rng = np.random.default_rng(1)
     once = LatencyJitter(mean_s=0.01, sd_s=0.01, drawn_per="sample")
     every = replace(once, drawn_per="run")
-    assert len(set(once.draw_s(rng, 8, rule_latency_s=0.0).tolist())) == 1
-    assert len(set(every.draw_s(rng, 8, rule_latency_s=0.0).tolist())) == 8
+
+    assert (
+        len(
+            set(
+                once.draw_s(
+                    rng,
+                    8,
+                    rule_latency_s=0.0,
+                ).tolist()
+            )
+        )
+        == 1
+    )
+    assert (
+        len(
+            set(
+                every.draw_s(
+                    rng,
+                    8,
+                    rule_latency_s=0.0,
+                ).tolist()
+            )
+        )
+        == 8
+    )
 
 
 def test_a_budget_stands_in_for_the_rules_latency():
     budget = load_latency_budget("cpm-100ms")
     jitter = LatencyJitter(budget=budget)
-    drawn = jitter.draw_s(np.random.default_rng(2), 3000, rule_latency_s=0.06)
+    drawn = jitter.draw_s(
+        np.random.default_rng(2),
+        3000,
+        rule_latency_s=0.06,
+    )
     total = drawn + 0.06
+
     assert total.min() >= budget.best_s - 1e-12
     assert total.max() <= budget.worst_s + 1e-12
     assert total.mean() == pytest.approx(budget.mean_s, abs=0.004)
     assert drawn.min() < 0.0  # quicker than the rule
+
     study = load_latency_budget("study")
     same = LatencyJitter(budget=study).draw_s(
         np.random.default_rng(2), 3, rule_latency_s=study.mean_s
     )
+
     assert same.tolist() == [0.0] * 3

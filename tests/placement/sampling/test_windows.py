@@ -46,7 +46,16 @@ def tracks(*columns, step_s=0.1):
 
 
 def straight(first_m, last_m, n, *, left_m=0.0):
-    return np.column_stack([np.linspace(first_m, last_m, n), np.full(n, left_m)])
+    return np.column_stack(
+        [
+            np.linspace(
+                first_m,
+                last_m,
+                n,
+            ),
+            np.full(n, left_m),
+        ]
+    )
 
 
 def standing(position_m, n_frames, *, yaw_deg=0.0):
@@ -63,6 +72,7 @@ def test_a_window_has_the_frames_that_the_tracks_have():
     )
     time_s = 12.0 + 0.1 * np.arange(51)
     one, other = cut_window(found, time_s, middle_m=MIDDLE_M)
+
     assert one.position_m[:, 0] == pytest.approx(-10.0 + time_s)
     assert one.yaw_deg == pytest.approx(0.0)
     assert other.is_there.tolist() == (time_s > 14.95).tolist()
@@ -74,11 +84,23 @@ def test_nobody_farther_than_the_reach_is_in_a_window():
         (0.0, straight(-150.0, 150.0, 301), 0.0),
         (0.0, straight(130.0, 140.0, 301), 0.0),
     )
-    (one,) = cut_window(found, 0.1 * np.arange(301), middle_m=MIDDLE_M)
+    (one,) = cut_window(
+        found,
+        0.1 * np.arange(301),
+        middle_m=MIDDLE_M,
+    )
+
     assert np.nanmin(one.position_m[:, 0]) == pytest.approx(-100.0)
     assert np.nanmax(one.position_m[:, 0]) == pytest.approx(100.0)
     assert int(one.is_there.sum()) == 201
-    near = cut_window(found, 0.1 * np.arange(301), middle_m=MIDDLE_M, reach_m=200.0)
+
+    near = cut_window(
+        found,
+        0.1 * np.arange(301),
+        middle_m=MIDDLE_M,
+        reach_m=200.0,
+    )
+
     assert [int(body.is_there.sum()) for body in near] == [301, 301]
 
 
@@ -89,7 +111,12 @@ def test_a_shorter_run_has_the_last_frames_of_the_window():
         middle_m=MIDDLE_M,
     )
     tail = last_frames(body, 30)
-    assert np.array_equal(tail.position_m, body.position_m[-30:], equal_nan=True)
+
+    assert np.array_equal(
+        tail.position_m,
+        body.position_m[-30:],
+        equal_nan=True,
+    )
     assert last_frames(body, 20) is None  # it has left by then
     assert last_frames(body, 41) is body
 
@@ -102,7 +129,12 @@ def brute_force_meets(run, body, clearance_m):
     ):
         for frame in np.flatnonzero(body.is_there).tolist():
             one, other = (
-                footprint_corners(m, yaw, length_m=a.length_m, width_m=a.width_m)
+                footprint_corners(
+                    m,
+                    yaw,
+                    length_m=a.length_m,
+                    width_m=a.width_m,
+                )
                 for a, m, yaw in (
                     (actor, position_m[frame], yaw_deg[frame]),
                     (body.actor, body.position_m[frame], body.yaw_deg[frame]),
@@ -110,6 +142,7 @@ def brute_force_meets(run, body, clearance_m):
             )
             if footprint_separation(one, other) <= clearance_m:
                 return True
+
     return False
 
 
@@ -121,16 +154,22 @@ def test_who_meets_a_road_user_is_found_as_frame_by_frame(junction_runs):
     for _ in range(200):
         frame = rng.integers(n)
         around = run.vut_position_m[frame] + rng.normal(scale=4.0, size=2)
-        body = standing(around, n, yaw_deg=float(rng.uniform(0.0, 360.0)))
+        body = standing(
+            around,
+            n,
+            yaw_deg=float(rng.uniform(0.0, 360.0)),
+        )
         position = np.array(body.position_m)
         position[: rng.integers(n)] = np.nan
         bodies.append(replace(body, position_m=position))
+
     for clearance_m in (0.0, 0.5):
         found = meets_road_users(run, bodies, clearance_m=clearance_m)
         expected = [brute_force_meets(run, body, clearance_m) for body in bodies]
         # Standing bodies meet no one between frames alone but by less than a step.
         missed = [e for e, f in zip(expected, found, strict=True) if e and not f]
         more = [f for e, f in zip(expected, found, strict=True) if f and not e]
+
         assert not missed
         assert len(more) <= 0.1 * len(bodies)
         assert 20 < sum(found) < 180
@@ -142,9 +181,18 @@ def test_who_passes_between_two_frames_is_found(standing_still):
     n = len(run.time_s)
     position = np.full((n, 2), np.nan)
     position[4], position[5] = [14.0, 0.0], [26.0, 0.0]
-    body = MovingActor(actor=VAN, position_m=position, yaw_deg=np.zeros(n))
+    body = MovingActor(
+        actor=VAN,
+        position_m=position,
+        yaw_deg=np.zeros(n),
+    )
+
     assert not brute_force_meets(run, body, 0.5)
-    assert meets_road_users(run, [body], clearance_m=0.5) == (True,)
+    assert meets_road_users(
+        run,
+        [body],
+        clearance_m=0.5,
+    ) == (True,)
 
 
 def test_a_clearance_keeps_vehicles_away_and_no_farther(standing_still):
@@ -155,7 +203,12 @@ def test_a_clearance_keeps_vehicles_away_and_no_farther(standing_still):
     vru = run.encounter.vru
     edge_m = 20.0 + 0.5 * vru.width_m + 0.5 * VAN.length_m
     near, far = (standing([edge_m + gap_m, 0.0], n) for gap_m in (0.49, 0.51))
-    assert meets_road_users(run, [near, far], clearance_m=0.5) == (True, False)
+
+    assert meets_road_users(
+        run,
+        [near, far],
+        clearance_m=0.5,
+    ) == (True, False)
 
 
 def test_who_stands_in_a_parked_car_is_found_and_who_passes_it_is_not():
@@ -166,6 +219,7 @@ def test_who_stands_in_a_parked_car_is_found_and_who_passes_it_is_not():
     position[[0, 3]] = np.nan
     gone = replace(inside, position_m=position)
     found = frames_in_parked([inside, beside, gone], [parked])
+
     assert [frames.tolist() for frames in found] == [
         [True] * 4,
         [False] * 4,
@@ -213,7 +267,10 @@ def worlds(setting, recorded, **options):
     uncertainty = with_moving_traffic(Uncertainty(), recorded)
     return [
         *draw_samples(
-            setting, (), uncertainty, **{"n_samples": 2, "seed": 1, **options}
+            setting,
+            (),
+            uncertainty,
+            **{"n_samples": 2, "seed": 1, **options},
         )
     ]
 
@@ -237,14 +294,27 @@ def test_the_same_seed_draws_the_same_traffic_and_another_one_another(driven, re
         record(sample) for sample in worlds(driven, recorded, n_samples=1)
     ]
     assert first[0] != first[1]
-    assert first[0] != record(worlds(driven, recorded, seed=2)[0])
-    assert first[0] != record(worlds(driven, recorded, purpose="judge")[0])
+    assert first[0] != record(
+        worlds(
+            driven,
+            recorded,
+            seed=2,
+        )[0]
+    )
+    assert first[0] != record(
+        worlds(
+            driven,
+            recorded,
+            purpose="judge",
+        )[0]
+    )
 
 
 def test_who_would_be_in_the_way_is_left_out_and_counted(driven, recorded):
     (sample,) = worlds(driven, recorded, n_samples=1)
     runs = sample.setting.runs
     count = sample.driving
+
     assert not sample.looks_as_planned
     assert count.n_runs == len(runs)
     assert count.n_vehicles == sum(len(run.traffic) for run in runs) + count.n_left_out
@@ -258,15 +328,23 @@ def test_who_would_be_in_the_way_is_left_out_and_counted(driven, recorded):
 
 
 def test_runs_of_one_group_see_the_same_moment_of_the_same_traffic(
-    build_setting, junction_scene, junction_runs, recorded
+    build_setting,
+    junction_scene,
+    junction_runs,
+    recorded,
 ):
     whole = junction_runs["west"]
-    short = cut_run(whole, slice(-15, None), id="short")
+    short = cut_run(
+        whole,
+        slice(-15, None),
+        id="short",
+    )
     (sample,) = worlds(
         build_setting(junction_scene, [whole, short]), recorded, n_samples=1
     )
     long_traffic, short_traffic = (run.traffic for run in sample.setting.runs)
     tails = {body.position_m[-15:].tobytes() for body in long_traffic}
+
     assert short_traffic
     assert tails & {body.position_m.tobytes() for body in short_traffic}
 

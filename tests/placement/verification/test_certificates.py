@@ -35,10 +35,14 @@ def test_a_certificate_can_be_read_again(problem, document, tmp_path):
         CERTIFICATE_FILE,
         INSTANCE_FILE,
     ]
+
     text = (tmp_path / CERTIFICATE_FILE).read_text(encoding="utf-8")
+
     assert json.loads(text, parse_constant=pytest.fail) == document
+
     stored = load_certificate(tmp_path / CERTIFICATE_FILE)
     solution = solve_placement(problem)
+
     assert stored.pose_index == solution.pose_index
     assert [stage.name for stage in stored.stages] == list(stage_names(problem))
     assert [stage.objective for stage in stored.stages] == [
@@ -51,10 +55,19 @@ def test_an_infinite_gap_survives_json(problem, tmp_path):
     solution = solve_placement(problem)
     first, *others = solution.certificate.stages
     certificate = Certificate(
-        stages=(replace(first, objective=0.0, gap=np.inf), *others), solver="none"
+        stages=(
+            replace(
+                first,
+                objective=0.0,
+                gap=np.inf,
+            ),
+            *others,
+        ),
+        solver="none",
     )
     document = document_of(problem, replace(solution, certificate=certificate))
     save_certificate(tmp_path, document, problem)
+
     assert load_certificate(tmp_path / CERTIFICATE_FILE).stages[0].gap == np.inf
 
 
@@ -102,6 +115,7 @@ def test_a_field_that_is_wrong_is_named(problem, document, tmp_path, change, mes
     change(document)
     path = tmp_path / CERTIFICATE_FILE
     path.write_text(json.dumps(document), encoding="utf-8")
+
     with pytest.raises(InputError, match=rf"certificate\.json[:.] ?{message}"):
         load_certificate(path)
 
@@ -113,6 +127,8 @@ def test_a_file_that_is_no_certificate_is_refused(tmp_path, content):
         InputError, match="got No such file or directory; expected a readable"
     ):
         load_certificate(path)
+
     path.write_bytes(content)
+
     with pytest.raises(InputError, match=r"certificate\.json"):
         load_certificate(path)

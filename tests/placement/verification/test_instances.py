@@ -25,7 +25,11 @@ SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixt
 def problem(frame_axis):
     """Three runs, three poses on two sites, everything that can be asked at once."""
     rng = np.random.default_rng(1)
-    packed = np.packbits(rng.random((3, 10)) < 0.6, axis=1, bitorder="little")
+    packed = np.packbits(
+        rng.random((3, 10)) < 0.6,
+        axis=1,
+        bitorder="little",
+    )
     return PlacementProblem(
         table=DetectionTable(pose_ids=("a", "b", "c"), axis=frame_axis, packed=packed),
         limits=Limits(
@@ -66,6 +70,7 @@ def problem(frame_axis):
 def assert_same(one, other):
     """Compare everything that two problems are made of, bit by bit."""
     assert type(one) is type(other)
+
     if hasattr(one, "__dataclass_fields__"):
         for field in fields(one):
             assert_same(getattr(one, field.name), getattr(other, field.name))
@@ -88,13 +93,15 @@ def test_every_problem_comes_back_as_it_was(problem, tmp_path):
     path = tmp_path / "instance.npz"
     save_problem(path, problem)
     loaded = load_problem(path)
+
     assert_same(loaded, problem)
     assert problem_hash(loaded) == problem_hash(problem)
     assert [entry.name for entry in tmp_path.iterdir()] == ["instance.npz"]
 
 
 def test_a_problem_with_every_wish_comes_back_and_makes_the_same_file(
-    problem, tmp_path
+    problem,
+    tmp_path,
 ):
     for name in ("one.npz", "two.npz"):
         save_problem(tmp_path / name, problem)
@@ -180,35 +187,53 @@ def variations(problem):
 def test_the_hash_changes_with_whatever_changes(problem):
     hashes = {name: problem_hash(other) for name, other in variations(problem).items()}
     hashes["nothing"] = problem_hash(problem)
+
     assert len(set(hashes.values())) == len(hashes)
     assert all(len(text) == 64 for text in hashes.values())
 
 
 def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(
-    problem, tmp_path
+    problem,
+    tmp_path,
 ):
     path = tmp_path / "a.npz"
     axis = problem.table.axis
     save_problem(path, problem)
     with np.load(path) as archive:
         assert "positions" not in archive.files  # as before there were any
+
     assert load_problem(path).table.axis.positions == ("0", "0", "0")
+
     moved = replace(axis, positions=("-15", "0", "+0"))
     there = replace(problem, table=replace(problem.table, axis=moved))
     save_problem(path, there)
+
     assert_same(load_problem(path), there)
-    rewrite(path, there, positions=np.array(["-15", "0", "far"]))
+
+    rewrite(
+        path,
+        there,
+        positions=np.array(["-15", "0", "far"]),
+    )
+
     with pytest.raises(
         InputError, match=r"a\.npz: positions: got 'far'; expected 0, or metres"
     ):
         load_problem(path)
-    rewrite(path, there, positions=np.array(["-15", "0"]))
+
+    rewrite(
+        path,
+        there,
+        positions=np.array(["-15", "0"]),
+    )
+
     with pytest.raises(InputError, match=r"a\.npz: positions: got "):
         load_problem(path)
 
 
 def test_tracks_that_live_for_ever_make_the_files_of_programs_without_a_memory(
-    problem, tmp_path
+    problem,
+    tmp_path,
 ):
     for memory_s, is_there in ((np.inf, False), (1.0, True)):
         rule = replace(problem.rule, track_memory_s=memory_s)
@@ -219,7 +244,8 @@ def test_tracks_that_live_for_ever_make_the_files_of_programs_without_a_memory(
 
 
 def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(
-    problem, tmp_path
+    problem,
+    tmp_path,
 ):
     packed = problem.table.packed.copy()
     packed[:, -1] |= 0b11111100  # ten frames
@@ -227,8 +253,11 @@ def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(
     limits = replace(problem.limits, site_cost_eur=np.array([500.0, -0.0]))
     table = replace(problem.table, axis=axis, packed=packed)
     same = replace(problem, table=table, limits=limits)
+
     assert problem_hash(same) == problem_hash(problem)
+
     save_problem(tmp_path / "a.npz", same)
+
     assert problem_hash(load_problem(tmp_path / "a.npz")) == problem_hash(problem)
 
 
@@ -238,6 +267,7 @@ def test_a_name_that_numpy_would_cut_is_refused(problem, tmp_path):
         InputError, match=r"pose_ids: got .*; expected names without a null"
     ):
         save_problem(tmp_path / "a.npz", replace(problem, table=table))
+
     assert list(tmp_path.iterdir()) == []
 
 
@@ -273,6 +303,7 @@ def test_what_may_be_missing_is_none(problem, tmp_path):
     rewrite(path, problem, **dict.fromkeys(OPTIONAL, ...))
     limits = replace(problem.limits, budget_units=None, budget_eur=None)
     bare = replace(problem, limits=limits, sample_index=None)
+
     assert problem_hash(load_problem(path)) == problem_hash(bare)
 
 
@@ -345,13 +376,19 @@ def test_what_may_be_missing_is_none(problem, tmp_path):
 def test_a_value_that_cannot_be_is_named(problem, tmp_path, changes, message):
     path = tmp_path / "a.npz"
     rewrite(path, problem, **changes)
+
     with pytest.raises(InputError, match=rf"a\.npz: {message}"):
         load_problem(path)
 
 
 def test_objects_are_never_loaded(problem, tmp_path):
     path = tmp_path / "a.npz"
-    rewrite(path, problem, pose_ids=np.array(["a", None, "c"], dtype=object))
+    rewrite(
+        path,
+        problem,
+        pose_ids=np.array(["a", None, "c"], dtype=object),
+    )
+
     with pytest.raises(
         InputError, match=r"a\.npz: pose_ids: got Object arrays cannot be loaded"
     ):
@@ -361,25 +398,32 @@ def test_objects_are_never_loaded(problem, tmp_path):
 def test_a_file_that_is_no_instance_is_refused(tmp_path):
     load = load_problem
     path = tmp_path / "a.npz"
+
     with pytest.raises(
         InputError, match=r"a\.npz: got No such file .*; expected a readable"
     ):
         load(path)
+
     with pytest.raises(InputError, match="got Is a directory; expected a readable"):
         load(tmp_path)
+
     for content in (b"", b"PK\3\4", b"4 5\n1 1 1 1 1\n"):
         path.write_bytes(content)
         with pytest.raises(
             InputError, match=r"a\.npz: got .*; expected an undamaged instance"
         ):
             load(path)
+
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
+
     with pytest.raises(
         InputError, match="got File is not a zip file; expected an undamaged"
     ):
         load(path)
+
     np.savez(path, rows=np.zeros(3))
+
     with pytest.raises(
         InputError, match=r"a\.npz: kind: got nothing; expected a text such as"
     ):

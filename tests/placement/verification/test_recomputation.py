@@ -64,6 +64,7 @@ def test_the_checker_calls_nothing_of_the_optimiser():
                 ]:  # names of the stages alone
                     continue
                 assert not any("optimiser" in name for name in names), module.__name__
+
         inner = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
         from_optimiser = {
             alias.name
@@ -71,6 +72,7 @@ def test_the_checker_calls_nothing_of_the_optimiser():
             if node.module == "optimiser"
             for alias in node.names
         }
+
         assert from_optimiser <= {"PlacementProblem", "Floor"}
 
 
@@ -92,14 +94,24 @@ def test_both_ways_agree_on_every_set(problem, size):
         )
     }
     allowed = np.logical_and.reduce(list(limit_checks(problem, sets).values()))
-    floors = [floor_values(problem, floor, sets) for floor in problem.floors]
+    floors = [
+        floor_values(
+            problem,
+            floor,
+            sets,
+        )
+        for floor in problem.floors
+    ]
+
     for index, poses in enumerate(sets.tolist()):
         np.testing.assert_allclose(
             margin_s[index], run_margins_s(problem, poses), atol=1e-12
         )
+
         value = placement_value(problem, poses)
         for name in value._fields:
             assert found[name][index] == pytest.approx(getattr(value, name), abs=1e-12)
+
         assert found["units"][index] == len(poses)
         assert found["apr_survived"][index] == pytest.approx(
             apr_failed(problem, poses, 2)
@@ -108,6 +120,7 @@ def test_both_ways_agree_on_every_set(problem, size):
         assert costs_eur(problem, sets)[index] == pytest.approx(
             cost_eur(problem.limits, poses)
         )
+
         for floor, reached in zip(problem.floors, floors, strict=True):
             assert reached[index] == pytest.approx(
                 floor_value(problem, floor, poses), abs=1e-12
@@ -136,7 +149,11 @@ def test_no_set_is_better_than_the_simple_limits(problem):
             assert size <= recomputation.most_units(problem)
             assert set(poses) <= set(usable.tolist())
             for name in stage_names(problem):
-                (value,) = stage_values(problem, name, np.array([poses]))
+                (value,) = stage_values(
+                    problem,
+                    name,
+                    np.array([poses]),
+                )
                 if name.is_minimised:
                     sign = -1.0
                 else:
@@ -148,10 +165,22 @@ def test_no_set_is_better_than_the_simple_limits(problem):
 def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(
     problem,
 ):
-    problem = replace(problem, goal="best", floors=(), survive=0)
+    problem = replace(
+        problem,
+        goal="best",
+        floors=(),
+        survive=0,
+    )
     best = recomputation.simple_limits(problem, ())["apr"]
-    claim = Stage(name="apr", objective=best, bound=best, gap=0.0, seconds=0.0)
+    claim = Stage(
+        name="apr",
+        objective=best,
+        bound=best,
+        gap=0.0,
+        seconds=0.0,
+    )
     limits = recomputation.simple_limits(problem, [claim])
+
     for size in range(1, min(problem.table.n_poses, 3) + 1):
         for poses in combinations(range(problem.table.n_poses), size):
             value = placement_value(problem, poses)
@@ -180,6 +209,7 @@ def test_neighbours_are_all_sets_that_differ_in_one_unit(
         for poses in map(frozenset, combinations(usable, size))
         if len(layout - poses) <= 1 and len(poses - layout) <= 1
     }
+
     assert len(found) == len(set(found)) == recomputation.n_neighbours(problem, rows)
     assert set(found) == expected
 
@@ -192,12 +222,14 @@ def test_all_sets_are_all_that_may_be_allowed(problem):
         for poses in sets.tolist()
     }
     assert len(found) == recomputation.n_sets_of_all(problem)
+
     allowed = {
         frozenset(poses)
         for size in range(1, problem.table.n_poses + 1)
         for poses in combinations(range(problem.table.n_poses), size)
         if is_feasible(problem, poses)
     }
+
     assert allowed <= found
 
 
@@ -220,6 +252,7 @@ def test_the_best_others_of_a_solved_problem_are_the_solution_itself(frame_axis,
     solution = solve_placement(problem)
     stages = solution.certificate.stages
     best = recomputation.best_others(problem, stages, recomputation.all_sets(problem))
+
     assert [other.value for other in best] == pytest.approx(
         [stage.objective for stage in stages]
     )

@@ -53,7 +53,9 @@ def test_what_the_solver_proves_is_verified(problem, tmp_path):
     except InputError:
         return  # wishes that cannot be met
     found = verify(tmp_path, problem, document_of(problem, solution))
+
     assert failed(found) == set()
+
     for proof, stage in zip(found.proofs, solution.certificate.stages, strict=True):
         assert proof.name == stage.name
         assert proof.claims_optimum == proof.is_proven_again == (stage.gap == 0.0)
@@ -67,6 +69,7 @@ def test_what_greedy_search_leaves_open_is_verified_as_open(problem, tmp_path):
     except InputError:
         return
     found = verify(tmp_path, problem, document_of(problem, solution))
+
     assert failed(found) == set()
     assert [proof.claims_optimum for proof in found.proofs] == [
         stage.gap == 0.0 for stage in solution.certificate.stages
@@ -86,7 +89,9 @@ def document(problem):
 def test_every_check_is_made_and_every_stage_proven_again(problem, document, tmp_path):
     found = verify(tmp_path, problem, document)
     assert failed(found) == set()
+
     names = [check.name for check in found.checks]
+
     assert len(set(names)) == len(names)
     assert {
         "instance",
@@ -101,10 +106,12 @@ def test_every_check_is_made_and_every_stage_proven_again(problem, document, tmp
         "rival sites",
         "floor --target",
     } <= set(names)
+
     for stage in stage_names(problem):
         assert {stage, f"{stage}: bound", f"{stage}: gap", f"{stage}: reach"} <= set(
             names
         )
+
     assert all(proof.is_proven_again for proof in found.proofs)
 
 
@@ -160,6 +167,7 @@ def add_to_objective_and_bound(document):
 def test_what_was_changed_is_found(problem, document, tmp_path, change, checks):
     change(document)
     found = failed(verify(tmp_path, problem, document))
+
     assert found
     assert found >= checks
 
@@ -167,7 +175,9 @@ def test_what_was_changed_is_found(problem, document, tmp_path, change, checks):
 def test_a_layout_beyond_a_limit_is_found(problem, document, tmp_path):
     limits = problem.limits
     rows = np.array([unit["row"] for unit in document["layout"]])
+
     assert len(rows) == 2
+
     is_free = ~np.isin(np.arange(12), rows)
     forced = is_free & ~limits.is_forbidden & (limits.site_index > 1)
     beyond = {
@@ -184,30 +194,54 @@ def test_a_layout_beyond_a_limit_is_found(problem, document, tmp_path):
     }
     for name, others in beyond.items():
         other = replace(problem, limits=others)
-        assert failed(verify(tmp_path, other, document)) >= {name, "instance"}
+        assert failed(
+            verify(
+                tmp_path,
+                other,
+                document,
+            )
+        ) >= {name, "instance"}
 
 
 def test_a_floor_that_is_missed_is_found(problem, document, tmp_path):
-    floor = replace(problem.floors[0], share=1.0, n_failures=2)
-    found = verify(tmp_path, replace(problem, floors=(floor,)), document)
+    floor = replace(
+        problem.floors[0],
+        share=1.0,
+        n_failures=2,
+    )
+    found = verify(
+        tmp_path,
+        replace(problem, floors=(floor,)),
+        document,
+    )
+
     assert "floor --target" in failed(found)
 
 
 def test_a_changed_table_is_found_even_if_the_hash_was_made_to_fit(
-    problem, document, tmp_path
+    problem,
+    document,
+    tmp_path,
 ):
     blind = np.zeros((12, problem.table.axis.n_frames), dtype=bool)
-    table = pack_table(problem.table.pose_ids, problem.table.axis, blind)
+    table = pack_table(
+        problem.table.pose_ids,
+        problem.table.axis,
+        blind,
+    )
     other = replace(problem, table=table)
     document["instance"]["sha256"] = verify_module.problem_hash(other)
     found = failed(verify(tmp_path, other, document))
+
     assert {"apr", "floor --target"} <= found
     assert "instance" not in found
 
 
 @pytest.mark.parametrize("max_sets", [50_000, 45])
 def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(
-    problem, tmp_path, max_sets
+    problem,
+    tmp_path,
+    max_sets,
 ):
     """All stages recomputed for a worse layout, and claimed to be proven."""
     problem = replace(problem, floors=())
@@ -222,13 +256,25 @@ def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(
         if rows[0] // 2 == rows[1] // 2:
             continue
         values = {
-            name: float(stage_values(problem, Objective(name), sets)[0])
+            name: float(
+                stage_values(
+                    problem,
+                    Objective(name),
+                    sets,
+                )[0]
+            )
             for name in best
         }
         if values == pytest.approx(best):
             continue
         stages = tuple(
-            Stage(name=name, objective=value, bound=value, gap=0.0, seconds=0.0)
+            Stage(
+                name=name,
+                objective=value,
+                bound=value,
+                gap=0.0,
+                seconds=0.0,
+            )
             for name, value in values.items()
         )
         lie = Solution(
@@ -236,35 +282,51 @@ def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(
             certificate=Certificate(stages=stages, solver="an oracle"),
             presolve=presolve,
         )
-        found = verify(tmp_path, problem, document_of(problem, lie), max_sets=max_sets)
+        found = verify(
+            tmp_path,
+            problem,
+            document_of(problem, lie),
+            max_sets=max_sets,
+        )
         n_worse += 1
+
         assert failed(found)
         assert all(name.endswith(": others") for name in failed(found))
+
         disproved = {
             proof.name for proof in found.proofs if proof.reason == "disproved"
         }
         if max_sets > 45:
             assert {f"{name}: others" for name in disproved} == failed(found)
+
     assert n_worse > 10
 
 
 def test_what_cannot_be_proven_again_rests_on_the_solver(problem, document, tmp_path):
     document["solver"] = "an oracle"
     found = verify(tmp_path, problem, document, max_sets=0)
+
     assert found.passed
     assert not any(check.name.endswith(": others") for check in found.checks)
+
     for proof in found.proofs:
         assert proof.claims_optimum
         assert (proof.reason == "an oracle") == (not proof.is_proven_again)
+
     assert not all(proof.is_proven_again for proof in found.proofs)
 
 
 def test_the_layout_file_must_show_the_same_units(problem, document, tmp_path):
     units = [unit["unit"] for unit in document["layout"]]
     for shown in (units[:1], units[::-1], [{**unit, "id": "X"} for unit in units], []):
-        assert failed(verify(tmp_path, problem, document, shown=shown)) == {
-            "layout file"
-        }
+        assert failed(
+            verify(
+                tmp_path,
+                problem,
+                document,
+                shown=shown,
+            )
+        ) == {"layout file"}
 
 
 def test_units_on_one_site_are_not_shown_on_two(problem, tmp_path):

@@ -45,7 +45,12 @@ def _random_world(build_scene, build_run, n_frames=150):
         [aside.real, aside.imag, rng.uniform(-180, 180, n_frames)]
     )
     runs = tuple(
-        build_run(vru[part::2], vut[part::2], vru=body, name=body)
+        build_run(
+            vru[part::2],
+            vut[part::2],
+            vru=body,
+            name=body,
+        )
         for part, body in enumerate(("adult", "cyclist"))
     )
     return build_scene(*WALLS), runs
@@ -89,6 +94,7 @@ def _agreement(scene, runs, candidates, detector, detected):
         evidence = perceive_frames(surroundings, (candidate.pose, candidate.sensor))
         by_pixels = detector.is_expected(evidence)
         shares.append((by_pixels == detected[row]).mean())
+
     return np.array(shares)
 
 
@@ -96,12 +102,15 @@ def test_the_table_detects_in_the_frames_in_which_pixels_do(world, candidates, t
     scene, runs, _ = world
     detected = _detected(table)
     shares = _agreement(scene, runs, candidates, DETECTOR, detected)
+
     assert shares.min() >= 0.97
     assert 0.1 < detected[:6].mean() < 0.9
 
 
 def test_the_table_detects_in_the_frames_in_which_pixels_do_at_the_studys_junction(
-    study_runs, axis_of, camera
+    study_runs,
+    axis_of,
+    camera,
 ):
     scene = load_study_scene()
     grid = CandidateGrid(
@@ -113,8 +122,15 @@ def test_the_table_detects_in_the_frames_in_which_pixels_do_at_the_studys_juncti
     some = build_candidates(scene, grid)[7::29]
     detector = load_planning_detector()
     runs = study_runs[::2]
-    table = build_detection_table(scene, some, runs, axis_of(runs), detector=detector)
+    table = build_detection_table(
+        scene,
+        some,
+        runs,
+        axis_of(runs),
+        detector=detector,
+    )
     shares = _agreement(scene, runs, some, detector, _detected(table))
+
     assert len(shares) == 4
     assert shares.min() >= 0.97
     assert _detected(table).any()
@@ -123,8 +139,15 @@ def test_the_table_detects_in_the_frames_in_which_pixels_do_at_the_studys_juncti
 def test_rows_do_not_depend_on_their_company(world, candidates, table):
     scene, runs, axis = world
     assert table.pose_ids == tuple(candidate.id for candidate in candidates)
+
     for row, candidate in list(enumerate(candidates))[::5]:
-        alone = build_detection_table(scene, [candidate], runs, axis, detector=DETECTOR)
+        alone = build_detection_table(
+            scene,
+            [candidate],
+            runs,
+            axis,
+            detector=DETECTOR,
+        )
         assert np.array_equal(_detected(alone)[0], _detected(table)[row])
 
 
@@ -132,7 +155,11 @@ def test_columns_do_not_depend_on_other_runs(world, candidates, table, axis_of):
     scene, runs, axis = world
     for index, run in enumerate(runs):
         alone = build_detection_table(
-            scene, candidates, [run], axis_of([run]), detector=DETECTOR
+            scene,
+            candidates,
+            [run],
+            axis_of([run]),
+            detector=DETECTOR,
         )
         assert np.array_equal(
             _detected(alone), _detected(table)[:, axis.frames_of(index)]
@@ -142,8 +169,14 @@ def test_columns_do_not_depend_on_other_runs(world, candidates, table, axis_of):
 def test_two_workers_build_the_same_table_as_one(world, candidates, table):
     scene, runs, axis = world
     two = build_detection_table(
-        scene, candidates, runs, axis, detector=DETECTOR, compute=Compute(workers=2)
+        scene,
+        candidates,
+        runs,
+        axis,
+        detector=DETECTOR,
+        compute=Compute(workers=2),
     )
+
     assert np.array_equal(two.packed, table.packed)
 
 
@@ -151,10 +184,16 @@ def test_the_table_is_the_same_every_time_for_a_seed(world, candidates, table):
     scene, runs, axis = world
     again, other = (
         build_detection_table(
-            scene, candidates, runs, axis, detector=DETECTOR, compute=Compute(seed=seed)
+            scene,
+            candidates,
+            runs,
+            axis,
+            detector=DETECTOR,
+            compute=Compute(seed=seed),
         )
         for seed in (0, 1)
     )
+
     assert np.array_equal(again.packed, table.packed)
     # Other points, nearly the same answers.
     assert (_detected(other) == _detected(table)).mean() > 0.98
@@ -184,12 +223,17 @@ def _heights_px(run, vru_poses, candidate):
             and rows.min() >= 0
             and rows.max() <= candidate.sensor.height_px
         )
+
     return np.array(heights), np.array(inside)
 
 
 @pytest.mark.parametrize("body", ["adult", "child", "cyclist"])
 def test_a_vru_in_the_open_is_detected_if_and_only_if_it_is_high_enough(
-    build_scene, build_run, axis_of, mount, body
+    build_scene,
+    build_run,
+    axis_of,
+    mount,
+    body,
 ):
     rng = np.random.default_rng(4)
     distance = rng.uniform(8.0, 50.0, 1500)
@@ -206,11 +250,16 @@ def test_a_vru_in_the_open_is_detected_if_and_only_if_it_is_high_enough(
     run = build_run(poses, vru=body)
     heights, inside = _heights_px(run, poses, candidate)
     table = build_detection_table(
-        build_scene(), [candidate], [run], axis_of([run]), detector=detector
+        build_scene(),
+        [candidate],
+        [run],
+        axis_of([run]),
+        detector=detector,
     )
     (detected,) = _detected(table)
     low = heights < 0.98 * 22.0
     high = heights > 1.02 * 22.0
+
     assert (inside & low).sum() > 200
     assert (inside & high).sum() > 200
     assert detected[inside & high].all()
@@ -218,13 +267,21 @@ def test_a_vru_in_the_open_is_detected_if_and_only_if_it_is_high_enough(
 
 
 def test_a_vru_above_the_lens_or_in_it_does_no_harm(
-    build_scene, build_run, axis_of, mount
+    build_scene,
+    build_run,
+    axis_of,
+    mount,
 ):
     run = build_run([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [1.0, 0.0, 90.0]])
     eyes = [mount(f"{z:g}", [0.0, 0.0, z]) for z in (0.4, 0.9, 1.8, 2.0)]
     table = build_detection_table(
-        build_scene(), eyes, [run], axis_of([run]), detector=DETECTOR
+        build_scene(),
+        eyes,
+        [run],
+        axis_of([run]),
+        detector=DETECTOR,
     )
+
     assert _detected(table).shape == (4, 3)
 
 
@@ -237,6 +294,7 @@ def test_a_table_of_candidates_far_away_is_empty(world, mount):
         axis,
         detector=DETECTOR,
     )
+
     assert not table.packed.any()
 
 
@@ -251,14 +309,25 @@ def test_a_table_of_candidates_far_away_is_empty(world, mount):
     numbers(0.1, 5.0),
 )
 def test_nothing_beyond_the_largest_distance_is_high_enough(
-    camera, min_height_px, yaw_deg, pitch_deg, pixel, times, direction, extent_m
+    camera,
+    min_height_px,
+    yaw_deg,
+    pitch_deg,
+    pixel,
+    times,
+    direction,
+    extent_m,
 ):
     """Two points of a body, both in the image, the nearer one just beyond the
     distance.
     """
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=min_height_px)
     limit_m = max_distance_m(camera, detector, vru_height_m=extent_m)
-    pose = Pose(position_m=np.zeros(3), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    pose = Pose(
+        position_m=np.zeros(3),
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
+    )
     in_camera = np.array(
         [
             pixel[0] * camera.width_px / camera.focal_length_px,
@@ -277,6 +346,7 @@ def test_nothing_beyond_the_largest_distance_is_high_enough(
     size = np.array([camera.width_px, camera.height_px])
     assume((projected[:, 2] > 0.0).all())
     assume((np.abs(projected[:, :2] - 0.5 * size) <= 0.5 * size * (1.0 + 1e-9)).all())
+
     assert abs(projected[0, 1] - projected[1, 1]) <= min_height_px * (1.0 + 1e-6)
 
 
@@ -302,6 +372,7 @@ def test_the_largest_distance_is_reached_in_the_corner_of_the_image():
     rows = project_points(
         [limit_m * towards, limit_m * towards + 0.01 * across], pose, camera
     )[:, 1]
+
     assert abs(rows[0] - rows[1]) == pytest.approx(1.0, rel=1e-2)
 
 
@@ -326,6 +397,7 @@ def test_progress_counts_mount_positions(world, candidates):
             workers=2, progress=lambda stage, done, total: calls.append((done, total))
         ),
     )
+
     # Two positions, one of them for the model with another near distance, each.
     assert calls == [(done, 4) for done in (1, 2, 3, 4)]
 
@@ -349,9 +421,12 @@ def test_an_interruption_stops_after_the_positions_at_work(mount, workers):
             stage="look",
             compute=Compute(workers=workers, progress=interrupt),
         )
+
     assert 1 <= len(begun) <= 20
+
     n_begun = len(begun)
     time.sleep(0.1)
+
     assert len(begun) == n_begun
 
 
@@ -362,6 +437,7 @@ def test_an_error_in_a_worker_is_not_lost(world, mount, monkeypatch):
         raise MemoryError("no room")
 
     monkeypatch.setattr(build_module, "cast_for", fail)
+
     with pytest.raises(MemoryError, match="no room"):
         build_detection_table(
             scene,

@@ -69,7 +69,11 @@ def stored(inputs, axis_of, tmp_path):
     """A table, its file, and what ``load_table`` needs besides."""
     axis = axis_of(inputs["runs"])
     detected = np.random.default_rng(0).random((3, axis.n_frames)) < 0.5
-    table = pack_table(tuple(c.id for c in inputs["candidates"]), axis, detected)
+    table = pack_table(
+        tuple(c.id for c in inputs["candidates"]),
+        axis,
+        detected,
+    )
     path = tmp_path / "new" / "folder" / "table.npz"
     save_table(path, table, fingerprint=FINGERPRINT)
     return table, path, {"candidates": inputs["candidates"], "axis": axis}
@@ -88,8 +92,11 @@ def test_runs_that_were_kept_on_disk_have_the_same_fingerprint(inputs, actors):
     kept = from_bytes(
         to_bytes(runs[0]), Run, classes=(StraightPath,)
     )  # with a van of its own
+
     assert kept.obstruction[0].actor is not van.actor
+
     fresh = _fingerprint(inputs | {"runs": runs})
+
     assert _fingerprint(inputs | {"runs": (kept, runs[1])}) == fresh
     assert _fingerprint(inputs) != fresh
 
@@ -100,6 +107,7 @@ def test_runs_that_were_kept_on_disk_have_the_same_fingerprint(inputs, actors):
 def test_a_table_comes_back_as_it_was_saved(stored, caplog):
     table, path, rest = stored
     loaded = _load(stored)
+
     assert np.array_equal(loaded.packed, table.packed)
     assert loaded.pose_ids == table.pose_ids
     assert loaded.axis is rest["axis"]
@@ -110,8 +118,11 @@ def test_a_table_comes_back_as_it_was_saved(stored, caplog):
 def test_a_table_that_is_not_there_is_not_worth_a_line(stored, caplog):
     _, path, rest = stored
     missing = path.with_name("other.npz")
+
     assert load_table(missing, fingerprint=FINGERPRINT, **rest) is None
+
     missing = path.parent / "no" / "folder" / "other.npz"
+
     assert load_table(missing, fingerprint=FINGERPRINT, **rest) is None
     assert not caplog.records
 
@@ -122,7 +133,9 @@ def test_a_table_that_is_not_there_is_not_worth_a_line(stored, caplog):
 def _assert_one_line(caplog, path):
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
+
     message = record.getMessage()
+
     assert message.startswith(f"cached detection table not used, made anew: {path}: ")
     assert "\n" not in message
 
@@ -167,6 +180,7 @@ DAMAGES = {
 def test_a_damaged_or_foreign_file_is_not_used_and_logged_once(stored, caplog, damage):
     _, path, _ = stored
     DAMAGES[damage](path)
+
     assert _load(stored) is None
     _assert_one_line(caplog, path)
 
@@ -196,6 +210,7 @@ def test_whatever_bit_is_flipped_the_table_is_right_or_not_used(stored, caplog, 
         else:  # a date or a right of access in the archive
             assert np.array_equal(loaded.packed, table.packed), index
             assert not caplog.records
+
     assert n_refused > 0.7 * len(good)
 
 
@@ -236,10 +251,13 @@ def _turned(arrays):
     ids=["zeros", "a bit", "rows", "the hash of another fingerprint"],
 )
 def test_bits_that_were_changed_and_saved_under_the_same_name_are_not_used(
-    stored, caplog, change
+    stored,
+    caplog,
+    change,
 ):
     _, path, _ = stored
     _saved_again(**change)(path)
+
     assert _load(stored) is None
     _assert_one_line(caplog, path)
     assert caplog.messages[0].endswith(": its content is not what was written")
@@ -252,14 +270,20 @@ def test_a_new_folder_is_the_users_own(stored):
 
 @pytest.mark.parametrize("mode", [0o777, 0o1777, 0o755])
 def test_a_table_where_others_may_write_is_not_believed_which_is_told_once(
-    stored, caplog, mode
+    stored,
+    caplog,
+    mode,
 ):
     _, path, _ = stored
     path.parent.chmod(mode)
     cache._is_usable.cache_clear()
+
     assert [_load(stored) is not None for _ in range(2)] == [mode == 0o755] * 2
+
     told = [f"nothing is cached: {path.parent} can be written to by other users"]
+
     assert caplog.messages == (told if mode != 0o755 else [])
+
     cache._is_usable.cache_clear()
 
 
@@ -269,6 +293,7 @@ def test_a_table_where_others_may_write_is_not_believed_which_is_told_once(
 def test_a_table_of_another_user_is_not_believed(stored, caplog):
     _, path, _ = stored
     os.chown(path, 4321, 4321)
+
     assert _load(stored) is None
     _assert_one_line(caplog, path)
     assert "another user may have written it" in caplog.messages[0]
@@ -287,6 +312,7 @@ def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypa
 
     monkeypatch.setattr(cache.np, "savez", full)
     save_table(path, table, fingerprint="f" * 32)
+
     assert caplog.messages == [
         f"detection table not cached: {path}: No space left on device"
     ]
@@ -303,6 +329,7 @@ def test_an_interruption_leaves_nothing_half_written(stored, monkeypatch, error)
         raise error
 
     monkeypatch.setattr(Path, "replace", stop)
+
     with pytest.raises(error):
         save_table(path, table, fingerprint=FINGERPRINT)
     assert list(path.parent.iterdir()) == []
@@ -322,7 +349,11 @@ def _first(sequence, change):
 
 
 def _parked(run, actors, **changes):
-    pose = {"position_m": [3.0, 3.0, 0.0], "yaw_deg": 10.0, **changes}
+    pose = {
+        "position_m": [3.0, 3.0, 0.0],
+        "yaw_deg": 10.0,
+        **changes,
+    }
     actor = actors[pose.pop("actor", "parked-van")]
     return replace(run, obstruction=(PlacedActor(actor=actor, pose=Pose(**pose)),))
 
@@ -457,6 +488,7 @@ def test_all_changes_have_fingerprints_of_their_own(inputs, actors):
             {"actor": "parked-car-small"},
         )
     ]
+
     assert len(set(found)) == len(CHANGES) + 3
 
 
@@ -464,25 +496,34 @@ def test_what_a_weather_does_is_part_of_the_fingerprint(inputs, monkeypatch):
     inputs["runs"] = tuple(replace(run, weather="fog") for run in inputs["runs"])
     before = _fingerprint(inputs)
     monkeypatch.setattr(build_module, "pick_weather", lambda name, where: THIN_FOG)
+
     assert _fingerprint(inputs) != before
 
 
 def test_what_it_takes_to_find_somebody_by_lidar_is_part_of_the_fingerprint(
-    inputs, monkeypatch
+    inputs,
+    monkeypatch,
 ):
     with_lidar = {**inputs, **CHANGES["a LiDAR"](inputs, {})}
     before = [_fingerprint(given) for given in (inputs, with_lidar)]
     other = replace(
-        load_lidar_detection(), min_points={"pedestrian": 1, "child": 1, "cyclist": 1}
+        load_lidar_detection(),
+        min_points={
+            "pedestrian": 1,
+            "child": 1,
+            "cyclist": 1,
+        },
     )
     monkeypatch.setattr(build_module, "load_lidar_detection", lambda: other)
     after = [_fingerprint(given) for given in (inputs, with_lidar)]
+
     assert [a == b for a, b in zip(after, before, strict=True)] == [True, False]
 
 
 def test_the_number_of_points_is_part_of_the_fingerprint(inputs, monkeypatch):
     before = _fingerprint(inputs)
     monkeypatch.setattr(build_module, "N_POINTS", 161)
+
     assert _fingerprint(inputs) != before
 
 
@@ -490,6 +531,7 @@ def test_a_fingerprint_is_the_same_for_equal_inputs(inputs):
     before = _fingerprint(inputs)
     assert len(before) == 32
     assert int(before, 16) >= 0
+
     scene = inputs["scene"]
     equal = {
         **inputs,
@@ -501,6 +543,7 @@ def test_a_fingerprint_is_the_same_for_equal_inputs(inputs):
         "runs": tuple(replace(run, time_s=run.time_s.copy()) for run in inputs["runs"]),
         "detector": replace(DETECTOR),
     }
+
     assert _fingerprint(equal) == before
 
 
@@ -516,4 +559,5 @@ def test_cameras_of_the_same_name_are_told_apart(inputs, small_camera):
         )
         for third in (small_camera, other)
     }
+
     assert len(found) == 2

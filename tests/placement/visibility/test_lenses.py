@@ -39,13 +39,31 @@ def world(build_scene, build_run, actors):
     for body in ("adult", "child", "cyclist"):
         vru = rng.uniform(-1.0, 1.0, (120, 3)) * [20.0, 20.0, 180.0]
         vut = vru + [4.0, 3.0, 20.0]
-        runs.append(build_run(vru, vut, vru=body, obstruction=(van,), name=body))
-    return build_world(build_scene(*WALLS), runs, n_points=N_POINTS, seed=0)
+        runs.append(
+            build_run(
+                vru,
+                vut,
+                vru=body,
+                obstruction=(van,),
+                name=body,
+            )
+        )
+
+    return build_world(
+        build_scene(*WALLS),
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+    )
 
 
 def sensing_of(world, near_m, detector=DETECTOR):
     sight = cast_sight(
-        world, np.array(MOUNT), near_m=near_m, max_distance_m=1000.0, for_lidar=False
+        world,
+        np.array(MOUNT),
+        near_m=near_m,
+        max_distance_m=1000.0,
+        for_lidar=False,
     )
     return build_sensing(world, sight, np.array(MOUNT), detector)
 
@@ -83,17 +101,31 @@ def evidence_of(sensing, candidate):
     is_cut = ~in_picture.all(axis=1)
     hidden = ~sight.is_visible & ~sight.is_whole[:, None]
     out = is_cut[:, None] & ~in_picture
-    return boxes(columns, rows, hidden | out), boxes(columns, rows, out)
+    return boxes(
+        columns,
+        rows,
+        hidden | out,
+    ), boxes(
+        columns,
+        rows,
+        out,
+    )
 
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("seed", range(3))
 def test_boxes_through_lenses_are_those_of_numpy(
-    world, mount, small_camera, model, seed
+    world,
+    mount,
+    small_camera,
+    model,
+    seed,
 ):
     rng = np.random.default_rng(seed)
     looks = looks_of(
-        mount, rng, [random_camera(rng, small_camera, model) for _ in range(6)]
+        mount,
+        rng,
+        [random_camera(rng, small_camera, model) for _ in range(6)],
     )
     sensing = sensing_of(world, small_camera.near_m)
     parts = list(sensing.evidence(looks))
@@ -107,13 +139,26 @@ def test_boxes_through_lenses_are_those_of_numpy(
             # Of whole bodies the corners of the hull are projected: a lens bends what
             # is between.
             near = {"rtol": 1e-5, "atol": 0.2 if part is parts[0][1] else 1e-2}
-            np.testing.assert_allclose(part.visible_px[some], visible[entries], **near)
-            np.testing.assert_allclose(part.amodal_px[some], amodal[entries], **near)
+
+            np.testing.assert_allclose(
+                part.visible_px[some],
+                visible[entries],
+                **near,
+            )
+            np.testing.assert_allclose(
+                part.amodal_px[some],
+                amodal[entries],
+                **near,
+            )
+
             n_seen += len(entries)
+
         named = [part.draw_index[rows == row] for rows, part in parts]
         sure = np.flatnonzero(high > DETECTOR.min_box_height_px + 0.01)
+
         assert np.isin(sure, np.concatenate(named)).all()
         assert (high[np.concatenate(named)] > DETECTOR.min_box_height_px - 0.01).all()
+
     assert n_seen > 50
 
 
@@ -121,10 +166,18 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(world, mount, small_camera):
     rng = np.random.default_rng(9)
     looks = looks_of(mount, rng, [small_camera] * 5)
     zero = [
-        replace(look, sensor=replace(look.sensor, lens=BrownConrady(), roll_deg=0.0))
+        replace(
+            look,
+            sensor=replace(
+                look.sensor,
+                lens=BrownConrady(),
+                roll_deg=0.0,
+            ),
+        )
         for look in looks
     ]
     sensing = sensing_of(world, small_camera.near_m)
+
     assert np.array_equal(sensing.packed(looks), sensing.packed(zero))
     assert sensing.packed(looks).any()
 
@@ -133,28 +186,41 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(world, mount, small_camera):
 def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, model):
     rng = np.random.default_rng(11)
     looks = looks_of(
-        mount, rng, [random_camera(rng, small_camera, model) for _ in range(8)]
+        mount,
+        rng,
+        [random_camera(rng, small_camera, model) for _ in range(8)],
     )
     every = sensing_of(world, small_camera.near_m).packed(looks)
+
     for some in [[look] for look in looks] + [looks]:
-        sight = cast_for(world, np.array(MOUNT), [(look, DETECTOR) for look in some])
+        sight = cast_for(
+            world,
+            np.array(MOUNT),
+            [(look, DETECTOR) for look in some],
+        )
         sensing = build_sensing(world, sight, np.array(MOUNT), DETECTOR)
         rows = [looks.index(look) for look in some]
         assert np.array_equal(sensing.packed(some), every[rows])
+
     assert every.any()
 
 
 def test_evidence_says_how_much_of_a_body_the_picture_cuts_off(
-    world, mount, small_camera
+    world,
+    mount,
+    small_camera,
 ):
     rng = np.random.default_rng(2)
     camera = random_camera(rng, small_camera, "fisheye")
     ((_, plain), (_, part)) = sensing_of(world, 0.35).evidence(
         looks_of(mount, rng, [camera])
     )
+
     assert (plain.inside_share == 1.0).all()
     assert ((part.inside_share >= 0.0) & (part.inside_share <= 1.0)).all()
+
     size = [camera.width_px, camera.height_px] * 2
     is_cut = part.inside_share < 1.0
+
     assert is_cut.any()
     assert ((part.amodal_px[is_cut] >= 0.0) & (part.amodal_px[is_cut] <= size)).all()

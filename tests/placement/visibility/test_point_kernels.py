@@ -48,9 +48,21 @@ def world(build_scene, build_run, actors):
         )
         for obstruction, weather in (((), "day"), ((van,), "fog")):
             name = f"{body}/{weather}"
-            run = build_run(vru, vut, vru=body, obstruction=obstruction, name=name)
+            run = build_run(
+                vru,
+                vut,
+                vru=body,
+                obstruction=obstruction,
+                name=name,
+            )
             runs.append(replace(run, weather=weather))
-    return build_world(build_scene(*WALLS), runs, n_points=N_POINTS, seed=0)
+
+    return build_world(
+        build_scene(*WALLS),
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+    )
 
 
 def _sensing(world, candidates, detector, *, for_lidar=False):
@@ -85,10 +97,16 @@ def _random_looks(mount, rng, small_camera, n):
 @pytest.mark.parametrize("detector", DETECTORS)
 @pytest.mark.parametrize("seed", range(4))
 def test_every_verdict_is_that_of_numpy(world, mount, small_camera, detector, seed):
-    looks = _random_looks(mount, np.random.default_rng(seed), small_camera, 12)
+    looks = _random_looks(
+        mount,
+        np.random.default_rng(seed),
+        small_camera,
+        12,
+    )
     sensing = _sensing(world, looks, DETECTORS[detector])
     found = sensing.detected(looks)
     expected = np.array([NumpySensing(sensing).detected(look) for look in looks])
+
     assert np.array_equal(found, expected)
     assert found.shape == (12, 2, len(sensing.distance_m))
     assert found.any()
@@ -97,12 +115,21 @@ def test_every_verdict_is_that_of_numpy(world, mount, small_camera, detector, se
 
 @pytest.mark.parametrize("seed", range(3))
 def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
-    world, mount, small_camera, seed
+    world,
+    mount,
+    small_camera,
+    seed,
 ):
-    looks = _random_looks(mount, np.random.default_rng(100 + seed), small_camera, 8)
+    looks = _random_looks(
+        mount,
+        np.random.default_rng(100 + seed),
+        small_camera,
+        8,
+    )
     sensing = _sensing(world, looks, DETECTORS["geometric"])
     parts = list(sensing.evidence(looks))
     row_index = np.concatenate([rows for rows, _ in parts])
+
     for row, look in enumerate(looks):
         expected = NumpySensing(sensing).evidence(look)
         height_px = box_height_px(expected.visible_px)
@@ -114,7 +141,9 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
                 for (_, part), some in zip(parts, picked, strict=True)
             ]
         )
+
         assert np.array_equal(np.sort(entries), seen)
+
         for name in (
             "visible_px",
             "amodal_px",
@@ -130,42 +159,85 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
             )
             # Far outside the image single precision is coarse.
             np.testing.assert_allclose(
-                values, getattr(expected, name)[entries], rtol=1e-5, atol=1e-3
+                values,
+                getattr(expected, name)[entries],
+                rtol=1e-5,
+                atol=1e-3,
             )
+
     assert len(row_index) > 0
 
 
 def test_many_sensors_at_once_detect_what_each_does_alone(
-    world, mount, small_camera, monkeypatch
+    world,
+    mount,
+    small_camera,
+    monkeypatch,
 ):
-    looks = _random_looks(mount, np.random.default_rng(5), small_camera, 6)
+    looks = _random_looks(
+        mount,
+        np.random.default_rng(5),
+        small_camera,
+        6,
+    )
     lidar = replace(load_lidars()["carla-ncap-lidar"], near_m=small_camera.near_m)
-    looks.insert(3, replace(looks[0], id="lidar", sensor=lidar))
+    looks.insert(
+        3,
+        replace(
+            looks[0],
+            id="lidar",
+            sensor=lidar,
+        ),
+    )
     sensing = _sensing(world, looks, DETECTORS["far-sighted"], for_lidar=True)
     together = sensing.detected(looks)
+
     assert together[3].any()
+
     alone = np.concatenate([sensing.detected([look]) for look in looks])
+
     assert np.array_equal(together, alone)
+
     expected = np.array([NumpySensing(sensing).detected(look) for look in looks])
+
     assert np.array_equal(together, expected)
+
     # In parts, as many as fit: the same.
     monkeypatch.setattr("placement.visibility.sensing._PAIRS", 1000)
+
     assert np.array_equal(sensing.detected(looks), together)
 
 
 @pytest.mark.parametrize("detector", DETECTORS)
 def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
-    world, mount, small_camera, detector
+    world,
+    mount,
+    small_camera,
+    detector,
 ):
-    looks = _random_looks(mount, np.random.default_rng(9), small_camera, 12)
+    looks = _random_looks(
+        mount,
+        np.random.default_rng(9),
+        small_camera,
+        12,
+    )
     detector = DETECTORS[detector]
     some, every = (
-        _sensing(world, looks, detector, for_lidar=known) for known in (False, True)
+        _sensing(
+            world,
+            looks,
+            detector,
+            for_lidar=known,
+        )
+        for known in (False, True)
     )
+
     assert np.array_equal(some.sight.is_whole, every.sight.is_whole)
     assert np.array_equal(some.sight.visible_share, every.sight.visible_share)
     assert np.array_equal(some.packed(looks), every.packed(looks))
+
     part = ~some.sight.is_whole
+
     assert np.array_equal(some.sight.is_visible[part], every.sight.is_visible[part])
     assert some.sight.is_visible.sum() > every.sight.is_visible.sum()
 
@@ -173,21 +245,37 @@ def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
 @pytest.mark.parametrize("detector", DETECTORS)
 @pytest.mark.parametrize("seed", range(3))
 def test_no_view_is_left_out_that_a_sensor_detects(
-    world, mount, small_camera, detector, seed
+    world,
+    mount,
+    small_camera,
+    detector,
+    seed,
 ):
-    looks = _random_looks(mount, np.random.default_rng(20 + seed), small_camera, 5)
+    looks = _random_looks(
+        mount,
+        np.random.default_rng(20 + seed),
+        small_camera,
+        5,
+    )
     lidar = load_lidars()["carla-ncap-lidar"]
     looks.insert(
         2, replace(looks[0], sensor=replace(lidar, near_m=small_camera.near_m))
     )
     detector = DETECTORS[detector]
     position_m = looks[0].pose.position_m
+
     for some in (looks, looks[:1]):
-        sight = cast_for(world, position_m, [(look, detector) for look in some])
+        sight = cast_for(
+            world,
+            position_m,
+            [(look, detector) for look in some],
+        )
         every = _sensing(world, some, detector, for_lidar=True)
         found = build_sensing(world, sight, position_m, detector).packed(some)
+
         assert np.array_equal(found, every.packed(some))
         assert found.any() or some is not looks
+
     assert len(sight.view_index) < len(
         every.sight.view_index
     )  # one camera looks one way
@@ -196,12 +284,22 @@ def test_no_view_is_left_out_that_a_sensor_detects(
 @given(cameras(), angles_deg, pitches_deg, numbers(0.3, 12.0))
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_camera_gets_the_verdicts_of_numpy(
-    world, mount, camera, yaw_deg, pitch_deg, height_m
+    world,
+    mount,
+    camera,
+    yaw_deg,
+    pitch_deg,
+    height_m,
 ):
     look = mount(
-        "a", [1.0, -9.0, height_m], yaw_deg=yaw_deg, pitch_deg=pitch_deg, camera=camera
+        "a",
+        [1.0, -9.0, height_m],
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
+        camera=camera,
     )
     assume(camera.near_m < 5.0)
     sensing = _sensing(world, [look], DETECTORS["far-sighted"])
     expected = NumpySensing(sensing).detected(look)
+
     assert np.array_equal(sensing.detected([look])[0], expected)

@@ -63,21 +63,30 @@ def _assert_nothing_is_missed(world, eye, monkeypatch, **options):
     sight, n_static, n_vut = _sight_and_rays(world, eye, **options)
     with monkeypatch.context() as patch:
         patch.setattr(
-            ray_kernels, "find_unclear_points", lambda *given: given[-1].fill(True)
+            ray_kernels,
+            "find_unclear_points",
+            lambda *given: given[-1].fill(True),
         )
         patch.setattr(casting, "AROUND_BODY_M", 1.0e6)
         every, n_every_static, n_every_vut = _sight_and_rays(world, eye, **options)
+
     for field in fields(sight):
         assert np.array_equal(getattr(sight, field.name), getattr(every, field.name)), (
             field.name
         )
+
     return n_static / n_every_static, n_vut / max(n_every_vut, 1)
 
 
 @pytest.mark.parametrize("for_lidar", [True, False])
 @pytest.mark.parametrize("seed", range(6))
 def test_no_ray_is_spared_that_something_stops(
-    build_scene, build_run, actors, monkeypatch, seed, for_lidar
+    build_scene,
+    build_run,
+    actors,
+    monkeypatch,
+    seed,
+    for_lidar,
 ):
     rng = np.random.default_rng(seed)
     boxes = []
@@ -86,6 +95,7 @@ def test_no_ray_is_spared_that_something_stops(
             rng.uniform(-25.0, 25.0, 2), rng.choice([0.0, rng.uniform(0.5, 4.0)])
         )
         boxes.append((corner, corner + rng.uniform(0.05, 4.0, 3)))
+
     van = PlacedActor(
         actor=actors["parked-van"],
         pose=Pose(
@@ -97,22 +107,41 @@ def test_no_ray_is_spared_that_something_stops(
         [rng.uniform(-7, 7, (300, 2)), rng.uniform(-180, 180, 300)]
     )
     runs = [
-        build_run(vru[:200], vut[:200], vru="adult", name="a"),
-        build_run(vru[200:], vut[200:], vru="cyclist", obstruction=(van,), name="b"),
+        build_run(
+            vru[:200],
+            vut[:200],
+            vru="adult",
+            name="a",
+        ),
+        build_run(
+            vru[200:],
+            vut[200:],
+            vru="cyclist",
+            obstruction=(van,),
+            name="b",
+        ),
     ]
-    world = build_world(build_scene(*boxes), runs, n_points=N_POINTS, seed=0)
+    world = build_world(
+        build_scene(*boxes),
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+    )
     eye = np.array([*rng.uniform(-20.0, 20.0, 2), rng.uniform(0.3, 9.0)])
     shares = _assert_nothing_is_missed(world, eye, monkeypatch, for_lidar=for_lidar)
+
     assert shares[0] < 0.8
 
 
 @pytest.mark.long
 def test_no_ray_is_spared_that_something_stops_at_the_studys_junction(
-    study_runs, monkeypatch
+    study_runs,
+    monkeypatch,
 ):
     scene = load_study_scene()
     world = build_world(scene, study_runs, n_points=N_POINTS, seed=0)
     rng = np.random.default_rng(3)
+
     for site in rng.choice(len(scene.sites), 4, replace=False):
         eye = scene.sites[site].position_m + [0.3, 0.2, 6.0]
         shares = _assert_nothing_is_missed(world, eye, monkeypatch, near_m=0.5)
@@ -121,18 +150,33 @@ def test_no_ray_is_spared_that_something_stops_at_the_studys_junction(
 
 
 def test_from_within_the_box_of_a_parked_body_all_rays_are_cast(
-    build_scene, build_run, actors, monkeypatch
+    build_scene,
+    build_run,
+    actors,
+    monkeypatch,
 ):
     van = PlacedActor(
         actor=actors["parked-van"], pose=Pose(position_m=[0.0, 0.0, 0.0], yaw_deg=20.0)
     )
     run = build_run([[8.0, 1.0, 0.0], [-9.0, 2.0, 50.0]], obstruction=(van,))
-    world = build_world(build_scene(), [run], n_points=N_POINTS, seed=0)
+    world = build_world(
+        build_scene(),
+        [run],
+        n_points=N_POINTS,
+        seed=0,
+    )
     inside = np.array([0.5, 0.0, 1.2])
     # All of those to the van, none of as many to the empty scene.
     shares = _assert_nothing_is_missed(world, inside, monkeypatch)
+
     assert shares[0] == 0.5
-    shares = _assert_nothing_is_missed(world, np.array([0.5, 0.0, 6.0]), monkeypatch)
+
+    shares = _assert_nothing_is_missed(
+        world,
+        np.array([0.5, 0.0, 6.0]),
+        monkeypatch,
+    )
+
     assert shares[0] < 0.5
 
 
@@ -149,10 +193,18 @@ def test_a_point_that_a_triangle_hides_is_never_clear(seed):
     eye = rng.uniform(-5.0, 5.0, 3)
     # Half of the points are just behind a triangle.
     shares = rng.dirichlet(np.ones(3), (8, 50))
-    behind = np.einsum("ijk,ikl->ijl", shares, triangles).reshape(-1, 3)
+    behind = np.einsum(
+        "ijk,ikl->ijl",
+        shares,
+        triangles,
+    ).reshape(-1, 3)
     behind = eye + (behind - eye) * rng.uniform(1.001, 1.5, (400, 1))
     points = np.concatenate([behind, rng.uniform(-60.0, 60.0, (400, 3))])
-    nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
+    nearest = np.full(
+        (N_UP, N_AROUND),
+        np.inf,
+        dtype=np.float32,
+    )
     limits = (points[:, 2].min(), points[:, 2].max())
     mark_nearest(nearest, triangles, eye, 0.1, 300.0, *limits)
     axes = points.astype(np.float32).reshape(10, 80, 3).swapaxes(1, 2).copy()
@@ -160,21 +212,36 @@ def test_a_point_that_a_triangle_hides_is_never_clear(seed):
     radius = np.linalg.norm(axes - middle[:, :, None], axis=1).max(axis=1)
     unclear = np.zeros((10, 80), dtype=bool)
     find_unclear_points(
-        nearest, Views(axes, middle, radius), eye, np.arange(10), unclear
+        nearest,
+        Views(axes, middle, radius),
+        eye,
+        np.arange(10),
+        unclear,
     )
     asked = np.ones((10, 80), dtype=bool)
     starts, vectors = (np.empty((800, 3), np.float32) for _ in range(2))
     rays = Rays(0.1, 1.0e-3, starts, vectors)
-    ray_kernels.fill_rays(axes, np.arange(10), asked, eye, rays)
+    ray_kernels.fill_rays(
+        axes,
+        np.arange(10),
+        asked,
+        eye,
+        rays,
+    )
     caster = build_caster(triangles.reshape(-1, 3), np.arange(24).reshape(8, 3))
     blocked = caster.is_blocked(starts, vectors).reshape(10, 80)
+
     assert not (blocked & ~unclear).any()
 
 
 def test_where_nothing_is_nearer_nothing_is_asked():
     """A ball 10 m away: points before, beside and below it are clear."""
     ball = trimesh.creation.icosphere(radius=1.0).triangles + [10.0, 0.0, 0.0]
-    nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
+    nearest = np.full(
+        (N_UP, N_AROUND),
+        np.inf,
+        dtype=np.float32,
+    )
     eye = np.zeros(3)
     mark_nearest(nearest, ball, eye, 0.1, 100.0, -20.0, 20.0)
     points = np.array(
@@ -190,12 +257,19 @@ def test_where_nothing_is_nearer_nothing_is_asked():
     axes = points.astype(np.float32)[:, :, None].copy()
     unclear = np.zeros((6, 1), dtype=bool)
     find_unclear_points(
-        nearest, Views(axes, points, np.zeros(6)), eye, np.arange(6), unclear
+        nearest,
+        Views(axes, points, np.zeros(6)),
+        eye,
+        np.arange(6),
+        unclear,
     )
+
     assert unclear[:, 0].tolist() == [False, True, False, False, False, True]
+
     # Of all directions it fills the share of a cone of 5.7 degrees, and little more.
     share = np.isfinite(nearest).mean()
     cone = 0.5 * (1.0 - np.sqrt(0.99))
+
     assert cone < share < 3.0 * cone
 
 
@@ -207,8 +281,18 @@ def test_the_ground_below_all_feet_and_what_is_above_the_lens_count_for_nothing(
         (roof, False),
         (ground + 0.1, True),
     ):
-        nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
+        nearest = np.full(
+            (N_UP, N_AROUND),
+            np.inf,
+            dtype=np.float32,
+        )
         mark_nearest(
-            nearest, triangles, np.array([1.0, 2.0, 6.0]), 0.1, 100.0, 0.0, 1.8
+            nearest,
+            triangles,
+            np.array([1.0, 2.0, 6.0]),
+            0.1,
+            100.0,
+            0.0,
+            1.8,
         )
         assert np.isfinite(nearest).any() == is_in_the_way

@@ -55,7 +55,15 @@ def _jumping(build_run, reach_m):
         vut = vru + np.column_stack(
             [aside.real, aside.imag, rng.uniform(-180, 180, 80)]
         )
-        runs.append(build_run(vru, vut, vru=body, name=body))
+        runs.append(
+            build_run(
+                vru,
+                vut,
+                vru=body,
+                name=body,
+            )
+        )
+
     return tuple(runs)
 
 
@@ -82,14 +90,22 @@ def _in_weathers(runs):
 
 
 def test_in_fog_the_table_loses_what_is_beyond_the_visibility_and_nothing_else(
-    build_scene, build_run, mount, table_of
+    build_scene,
+    build_run,
+    mount,
+    table_of,
 ):
     """5 % of the contrast is left 50 m away: that is what the detector asks for."""
     distance_m = np.linspace(10.0, 100.0, 181)
     run = build_run(np.column_stack([distance_m, np.zeros(181), np.full(181, 90.0)]))
     camera = mount("a", [0.0, 0.0, 0.9])
-    found = table_of(build_scene(), [camera], _in_weathers([run])).reshape(4, -1)
+    found = table_of(
+        build_scene(),
+        [camera],
+        _in_weathers([run]),
+    ).reshape(4, -1)
     by_day, at_night, in_rain, in_fog = found
+
     assert by_day.all()
     assert at_night.all()  # 0.6 of the contrast, and clear air
     assert in_rain.all()
@@ -100,7 +116,12 @@ def test_in_fog_the_table_loses_what_is_beyond_the_visibility_and_nothing_else(
 
 @pytest.mark.parametrize("detector", [FAR_SIGHTED, RESPONSE], ids=lambda d: d.name)
 def test_no_weather_shows_what_the_day_does_not(
-    build_scene, build_run, mount, small_camera, table_of, detector
+    build_scene,
+    build_run,
+    mount,
+    small_camera,
+    table_of,
+    detector,
 ):
     random_runs = _jumping(build_run, 40.0)
     candidates = [
@@ -118,11 +139,20 @@ def test_no_weather_shows_what_the_day_does_not(
     found = table_of(scene, candidates, _in_weathers(random_runs), detector)
     found = found.reshape(4, 4, -1)  # candidate, weather, frame
     by_day = found[:, 0]
+
     assert (found <= by_day[:, None]).all()
     assert (
         (found[::2, 3] < by_day[::2]).any(axis=1).all()
     )  # cameras: LiDARs do not see that far
-    assert np.array_equal(by_day, table_of(scene, candidates, random_runs, detector))
+    assert np.array_equal(
+        by_day,
+        table_of(
+            scene,
+            candidates,
+            random_runs,
+            detector,
+        ),
+    )
     # At night a laser sees what it sees by day.
     assert np.array_equal(found[1::2, 1], by_day[1::2])
 
@@ -138,7 +168,12 @@ def _evidence_of_frames(scene, runs, candidate, detector):
     position = candidate.pose.position_m
     pose = candidate.pose
     camera = candidate.sensor
-    sight = cast_sight(world, position, near_m=camera.near_m, max_distance_m=1000.0)
+    sight = cast_sight(
+        world,
+        position,
+        near_m=camera.near_m,
+        max_distance_m=1000.0,
+    )
     made = build_sensing(world, sight, position, detector)
     (_, whole), (_, part) = made.evidence([candidate])
     fields = (
@@ -159,26 +194,38 @@ def _evidence_of_frames(scene, runs, candidate, detector):
 
 
 def test_the_response_foretold_by_points_is_that_of_pixels(
-    build_scene, random_runs, mount
+    build_scene,
+    random_runs,
+    mount,
 ):
     """Points are 10 cm apart, and a share of them is no share of pixels: a tenth on
     most frames.
     """
-    candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
+    candidate = mount(
+        "a",
+        [-10.0, -12.0, 6.0],
+        yaw_deg=50.0,
+        pitch_deg=-20.0,
+    )
     evidence = _evidence_of_frames(
         build_scene(*WALLS), random_runs, candidate, RESPONSE
     )
     by_points, by_pixels = (RESPONSE.probability(one) for one in evidence)
     is_seen = (by_points > 0.05) | (by_pixels > 0.05)
+
     assert is_seen.sum() > 100
+
     off = np.abs(by_points - by_pixels)[is_seen]
+
     assert np.median(off) < 0.02
     assert (off < 0.1).mean() > 0.9
     # Nobody is left out of the image by one of them only.
     assert np.array_equal(evidence[0].vru_class, evidence[1].vru_class)
     assert evidence[0].aspect_deg == pytest.approx(evidence[1].aspect_deg, abs=3.0)
     assert evidence[0].contrast == pytest.approx(evidence[1].contrast, abs=0.01)
+
     cut_off = np.abs(evidence[0].inside_share - evidence[1].inside_share)[is_seen]
+
     assert (cut_off < 0.1).mean() > 0.95
 
 
@@ -197,7 +244,11 @@ def expected_points(monkeypatch, build_scene, axis_of):
             )
             monkeypatch.setattr(sensing, "load_lidar_detection", lambda: detection)
             table = build_detection_table(
-                build_scene(), [candidate], [run], axis_of([run]), detector=FAR_SIGHTED
+                build_scene(),
+                [candidate],
+                [run],
+                axis_of([run]),
+                detector=FAR_SIGHTED,
             )
             return not table.detected(slice(None))[0, 0]
 
@@ -236,18 +287,27 @@ def block_run(build_run):
 
 @pytest.mark.parametrize("distance_m", [8.0, 12.0, 20.0])
 def test_a_plate_gets_its_area_by_the_square_of_the_distance_times_the_density(
-    mount, block_run, expected_points, distance_m
+    mount,
+    block_run,
+    expected_points,
+    distance_m,
 ):
     found = expected_points(
         mount("a", [0.0, 0.0, 0.9], camera=SURE), block_run(distance_m)
     )
     expected = 1.0 * 1.8 / distance_m**2 * float(beams_per_steradian(SURE, 0.0))
+
     assert found == pytest.approx(expected, rel=0.06, abs=1.0)
 
 
 @pytest.mark.parametrize("body", ["adult", "child", "cyclist"])
 def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
-    build_scene, build_run, mount, expected_points, monkeypatch, body
+    build_scene,
+    build_run,
+    mount,
+    expected_points,
+    monkeypatch,
+    body,
 ):
     """On average over poses all around, in the open: within 8 %."""
     candidate = mount("a", [0.0, 0.0, 1.2], camera=SURE)
@@ -258,6 +318,7 @@ def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
         "_is_enough",
         lambda echoes, *given: n_beams.append(len(echoes.distance_m)),
     )
+
     for yaw_deg in range(0, 360, 60):
         run = build_run([[8.0, 0.5, yaw_deg]], vru=body)
         n_expected += expected_points(candidate, run)
@@ -267,45 +328,84 @@ def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
             SURE,
             np.random.default_rng(0),
         )
+
     assert n_expected == pytest.approx(sum(n_beams), rel=0.08)
 
 
 def test_only_the_part_inside_the_field_of_view_counts(
-    mount, block_run, expected_points
+    mount,
+    block_run,
+    expected_points,
 ):
     """The beams end 15 degrees below the axis: looking up by 15, the lower half is left
     out.
     """
     run = block_run(8.0)
     level, raised, turned = (
-        expected_points(mount("a", [0.0, 0.0, 0.9], camera=SURE, **pose), run)
+        expected_points(
+            mount(
+                "a",
+                [0.0, 0.0, 0.9],
+                camera=SURE,
+                **pose,
+            ),
+            run,
+        )
         for pose in ({}, {"pitch_deg": 15.0}, {"yaw_deg": 36.0})
     )
+
     assert raised == pytest.approx(0.5 * level, rel=0.15)
     assert turned == pytest.approx(0.5 * level, rel=0.15)
-    away = expected_points(mount("a", [0.0, 0.0, 0.9], camera=SURE, yaw_deg=60.0), run)
+
+    away = expected_points(
+        mount(
+            "a",
+            [0.0, 0.0, 0.9],
+            camera=SURE,
+            yaw_deg=60.0,
+        ),
+        run,
+    )
     beyond = expected_points(
         mount("a", [0.0, 0.0, 0.9], camera=replace(SURE, range_m=7.0)), run
     )
+
     assert (away, beyond) == (0, 0)
 
 
 def test_a_lidars_table_leaves_of_those_with_enough_points_who_are_near_enough(
-    build_scene, random_runs, mount, table_of
+    build_scene,
+    random_runs,
+    mount,
+    table_of,
 ):
-    at = mount("a", [-30.0, -12.0, 6.0], yaw_deg=20.0, pitch_deg=-12.0, camera=SURE)
+    at = mount(
+        "a",
+        [-30.0, -12.0, 6.0],
+        yaw_deg=20.0,
+        pitch_deg=-12.0,
+        camera=SURE,
+    )
     rule = load_planning_detector()
     table = load_detector("pointrcnn-2019").lidar
     half_at_30_m = replace(
-        table, distance_m=((0.0, 60.0),) * 5, recall=((1.0, 0.0),) * 5
+        table,
+        distance_m=((0.0, 60.0),) * 5,
+        recall=((1.0, 0.0),) * 5,
     )
     by_points, found = (
-        table_of(build_scene(), [at], random_runs, replace(rule, lidar=lidar))[0]
+        table_of(
+            build_scene(),
+            [at],
+            random_runs,
+            replace(rule, lidar=lidar),
+        )[0]
         for lidar in (None, half_at_30_m)
     )
     vru = np.concatenate([run.vru_position_m[:, :2] for run in random_runs])
     distance = np.hypot(*(vru - at.pose.position_m[:2]).T)
     clear = abs(distance - 30.0) > 0.5  # the table measures to the body's points
+
     assert (found == (by_points & (distance < 30.0)))[clear].all()
     assert found.any()
     assert (found < by_points).any()
@@ -313,7 +413,11 @@ def test_a_lidars_table_leaves_of_those_with_enough_points_who_are_near_enough(
 
 @pytest.mark.parametrize("lidar", [STUDY, SURE], ids=["study", "sure"])
 def test_the_table_detects_in_the_frames_in_which_a_scan_does(
-    build_scene, random_runs, mount, table_of, lidar
+    build_scene,
+    random_runs,
+    mount,
+    table_of,
+    lidar,
 ):
     scene = build_scene(*WALLS)
     candidates = [
@@ -331,11 +435,17 @@ def test_the_table_detects_in_the_frames_in_which_a_scan_does(
     surroundings = build_surroundings(scene, random_runs)
     scans = np.array(
         [
-            scan_frames(surroundings, c.pose, lidar, np.random.default_rng(0))
+            scan_frames(
+                surroundings,
+                c.pose,
+                lidar,
+                np.random.default_rng(0),
+            )
             for c in candidates
         ]
     )
     agreement = (found == scans).mean(axis=1)
+
     assert agreement.min() > 0.93
     assert agreement.mean() > 0.96
     assert 0.2 < scans.mean() < 0.8
@@ -350,34 +460,60 @@ RING = replace(
 
 
 def test_a_level_ring_has_the_same_row_however_it_is_turned(
-    build_scene, random_runs, mount, table_of
+    build_scene,
+    random_runs,
+    mount,
+    table_of,
 ):
     yaws_deg = (0.0, 1.0, 90.0, 179.0, 180.0, -63.0)
     candidates = [
-        mount(f"{yaw:g}", [1.0, -2.0, 5.0], yaw_deg=yaw, pitch_deg=0.0, camera=RING)
+        mount(
+            f"{yaw:g}",
+            [1.0, -2.0, 5.0],
+            yaw_deg=yaw,
+            pitch_deg=0.0,
+            camera=RING,
+        )
         for yaw in yaws_deg
     ]
     found = table_of(build_scene(*WALLS), candidates, random_runs)
+
     assert (found == found[0]).all()
     assert 0.2 < found[0].mean() < 0.9
 
 
 @pytest.mark.parametrize("pitch_deg", [0.0, -25.0])
 def test_the_table_of_a_ring_detects_in_the_frames_in_which_a_scan_does(
-    build_scene, random_runs, mount, table_of, pitch_deg
+    build_scene,
+    random_runs,
+    mount,
+    table_of,
+    pitch_deg,
 ):
     scene = build_scene(*WALLS)
     candidates = [
-        mount(f"{x:g}", [x, -2.0, 5.0], yaw_deg=30.0, pitch_deg=pitch_deg, camera=RING)
+        mount(
+            f"{x:g}",
+            [x, -2.0, 5.0],
+            yaw_deg=30.0,
+            pitch_deg=pitch_deg,
+            camera=RING,
+        )
         for x in (-10.0, 3.0)
     ]
     found = table_of(scene, candidates, random_runs)
     surroundings = build_surroundings(scene, random_runs)
     scans = np.array(
         [
-            scan_frames(surroundings, c.pose, RING, np.random.default_rng(0))
+            scan_frames(
+                surroundings,
+                c.pose,
+                RING,
+                np.random.default_rng(0),
+            )
             for c in candidates
         ]
     )
+
     assert (found == scans).mean(axis=1).min() > 0.93
     assert 0.2 < scans.mean() < 0.9

@@ -32,7 +32,11 @@ FAR_M = 1000.0
 def with_ground(scene, height_of):
     """A scene of boxes on a ground of heights; boxes stand on it by their middles."""
     east, north = np.meshgrid(LINES_M, LINES_M)
-    terrain = Terrain(east_m=LINES_M, north_m=LINES_M, height_m=height_of(east, north))
+    terrain = Terrain(
+        east_m=LINES_M,
+        north_m=LINES_M,
+        height_m=height_of(east, north),
+    )
     vertices, triangles = terrain.mesh()
     solid = scene.triangle_instance > 0
     lifted = scene.vertices_m.copy()
@@ -68,8 +72,15 @@ def some_runs(build_run, seed, n_frames=12):
             position_m=rng.uniform(-20.0, 20.0, (n_frames, 2)),
             yaw_deg=rng.uniform(-180.0, 180.0, n_frames),
         )
-        run = build_run(vru, vut, vru=name, obstruction=(car,), name=name)
+        run = build_run(
+            vru,
+            vut,
+            vru=name,
+            obstruction=(car,),
+            name=name,
+        )
         runs.append(replace(run, traffic=(van,)))
+
     return runs
 
 
@@ -78,7 +89,11 @@ def on(scene, runs):
 
 
 def test_a_lifted_world_looks_as_one_at_zero(
-    build_scene, build_run, mount, camera, axis_of
+    build_scene,
+    build_run,
+    mount,
+    camera,
+    axis_of,
 ):
     flat = build_scene(WALL)
     high = with_ground(flat, lambda east, north: 0.0 * east + 37.5)
@@ -115,12 +130,23 @@ def test_a_lifted_world_looks_as_one_at_zero(
         scans.append(
             scan_frames(surroundings, candidates[0].pose, load_vut_lidar(), rng)
         )
+
     assert tables[0].any()
     np.testing.assert_array_equal(*tables)
     np.testing.assert_array_equal(*scans)
+
     for low, lifted in [*zip(*evidence, strict=True), own]:
-        np.testing.assert_allclose(lifted.amodal_px, low.amodal_px, atol=1.0)
-        np.testing.assert_allclose(lifted.visible_px, low.visible_px, atol=1.0)
+        np.testing.assert_allclose(
+            lifted.amodal_px,
+            low.amodal_px,
+            atol=1.0,
+        )
+        np.testing.assert_allclose(
+            lifted.visible_px,
+            low.visible_px,
+            atol=1.0,
+        )
+
     assert sum(one.visible_px.any(axis=1).sum() for one in evidence[0]) >= 10
 
 
@@ -162,12 +188,14 @@ def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, 
                 )
                 for one in run.obstruction
             ]
+
             for shape, position, yaw in bodies:
                 height = ground_height_m(scene, position[index])
                 pose = Pose(
                     position_m=np.append(position[index], height), yaw_deg=yaw[index]
                 )
                 parts.append((to_world(shape.vertices_m, pose), shape.triangles))
+
             first = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
             caster = build_caster(
                 np.concatenate([vertices for vertices, _ in parts]) - world.origin_m,
@@ -188,7 +216,9 @@ def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, 
                 visible = sight.is_visible[entry]
             else:
                 visible = np.zeros(len(reached), dtype=bool)
+
             assert (
                 visible == reached
             ).mean() >= 0.9  # rays along edges may go either way
+
             frame += 1

@@ -26,12 +26,19 @@ def test_what_is_kept_is_what_was_found_and_nothing_is_found_twice(asked):
         def find(index, eye=eye):
             pairs = {(eye, row) for row in index.tolist()}
             assert not pairs & found
+
             found.update(pairs)
             return _truth(eye)[index]
 
         before = set(found)
         assert np.array_equal(
-            kept.look(eye, rows, find, foreseen=foreseen), _truth(eye)[rows]
+            kept.look(
+                eye,
+                rows,
+                find,
+                foreseen=foreseen,
+            ),
+            _truth(eye)[rows],
         )
         if {(eye, row) for row in rows.tolist()} <= before:
             assert found == before  # what is foreseen can wait
@@ -49,6 +56,11 @@ def test_without_room_nothing_is_kept_and_all_is_found(asked):
     finally:
         views._MOST_BYTES = most
     for eye, rows in asked:
-        hidden = kept.look(eye, rows, lambda index, eye=eye: _truth(eye)[index])
+        hidden = kept.look(
+            eye,
+            rows,
+            lambda index, eye=eye: _truth(eye)[index],
+        )
         assert np.array_equal(hidden, _truth(eye)[rows])
+
     assert len(kept._of_eye) == min(2, len({eye for eye, _ in asked}))
