@@ -17,9 +17,8 @@ from geometry.scene_files import SCENE_FILE, THINGS_FILE
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="limits of memory are Linux's"
 )
-NOISE = np.random.default_rng(1).bytes(
-    600_000
-)  # beside it the rest looks honest: 1 to 180
+# Beside it the rest looks honest: 1 to 180.
+NOISE = np.random.default_rng(1).bytes(600_000)
 
 
 @pytest.fixture(scope="module")

@@ -998,9 +998,8 @@ def test_an_instance_of_the_first_version_says_what_it_cannot_show(results):
 
 def test_another_scene_is_told_and_the_one_it_was_made_in_is_taken(results, tmp_path):
     (tmp_path / "scene").mkdir()
-    save_scene(
-        tmp_path / "scene", load_study_scene()
-    )  # rounded to millimetres: another one
+    # Rounded to millimetres: another one.
+    save_scene(tmp_path / "scene", load_study_scene())
 
     assert failed(verified(results, str(tmp_path / "scene"))) == ["scene as it stands"]
     assert failed(verified(results, "town05")) == []

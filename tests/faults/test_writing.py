@@ -152,9 +152,8 @@ def test_without_room_the_old_stays_and_what_is_wrong_is_said(folder, n_bytes, c
     assert message.endswith(os.strerror(errno.EFBIG))
     assert assert_whole(folder) == "1\n" * 20_000
     assert sorted(path.name for path in folder.iterdir()) == ["cache", "latest"]
-    assert "kept" not in str(
-        caught.value
-    )  # of a summary that is cut off nobody has anything
+    # Of a summary that is cut off nobody has anything.
+    assert "kept" not in str(caught.value)
 
 
 def test_a_full_disk_is_said_and_the_old_stays(tmp_path, caplog):

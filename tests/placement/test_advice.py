@@ -114,9 +114,8 @@ def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_o
     assert len(found.units) == 3
     assert found.after.apr == pytest.approx(apr_of(found.units))
     assert found.after.apr == pytest.approx(adviser.best_next(weak).after.apr)
-    assert (
-        found.n_compared == adviser.best_next(weak).n_compared
-    )  # all tried: proven at once
+    # All tried: proven at once.
+    assert found.n_compared == adviser.best_next(weak).n_compared
 
 
 def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candidate(

@@ -17,11 +17,8 @@ from placement.layout import Layout
 from placement.question import Question
 from placement.wishes import load_prices, read_wishes
 
-KINDS = (
-    "lamp post",
-    "traffic light",
-    "mast arm",
-)  # of the sites of the study's junction
+# Of the sites of the study's junction.
+KINDS = ("lamp post", "traffic light", "mast arm")
 
 
 @pytest.fixture
@@ -128,9 +125,8 @@ def test_a_grid_that_cannot_be_is_refused(options, message):
 def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
     def poses(sensors):
         found = {}
-        scene = replace(
-            load_study_scene(), name="elsewhere"
-        )  # where the study has no poses
+        # Where the study has no poses.
+        scene = replace(load_study_scene(), name="elsewhere")
         plan = assemble_without_runs(Question(budget=1, sensors=sensors), scene)
         for pose in plan.candidates:
             found.setdefault(pose.sensor.name, set()).add(_place(pose))

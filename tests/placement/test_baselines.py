@@ -134,9 +134,8 @@ def test_three_arms_have_a_corner_on_the_straight_side_and_one_arm_has_none():
 
     assert [*corners] == ["east/north", "west/east", "north/west"]
 
-    straight = corners[
-        "west/east"
-    ]  # half way along the southern kerb, below the middle
+    # Half way along the southern kerb, below the middle.
+    straight = corners["west/east"]
 
     assert straight == pytest.approx(middle_m(SCENE)[:2], abs=9.0)
     assert straight[1] < -7.0
@@ -280,10 +279,8 @@ def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
     )
     found = judge_proposals(problem, proposals())
 
-    assert (found.corners, found.expert) == (
-        ("c", "a"),
-        (0, 2),
-    )  # 3/4; of 1/4 the first
+    # 3/4; of 1/4 the first.
+    assert (found.corners, found.expert) == (("c", "a"), (0, 2))
     assert found.random.apr.tolist() == [apr(problem, (0, 1))] == [0.25]
 
 
@@ -295,9 +292,8 @@ def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
         frame_axis,
         rule,
     )
-    problem = replace(
-        problem, sample_index=np.array([0, 0, 1])
-    )  # weights 1/2 and 1/4; 1/4
+    # Weights 1/2 and 1/4; 1/4.
+    problem = replace(problem, sample_index=np.array([0, 0, 1]))
     sets = ((0,), (1,), (2,), (0, 1))
     random = judge_proposals(problem, proposals(random=sets)).random
 
@@ -339,9 +335,8 @@ def test_what_is_forced_comes_before_the_corners(frame_axis, rule):
 
     assert (found.expert, found.corners) == ((2, 4, 5), ("c",))
 
-    unmet = judge_proposals(
-        problem, proposals(n_units=3, forced=())
-    )  # nothing known at that site
+    # Nothing known at that site.
+    unmet = judge_proposals(problem, proposals(n_units=3, forced=()))
 
     assert (unmet.expert, unmet.corners) == ((), ())
 

@@ -37,9 +37,8 @@ def test_density_is_focal_length_over_depth():
     coverage = find_ground_coverage(protocol_scene(), [unit()])
     density, east_m = at(coverage, 20.0, 0.5)
 
-    assert density == pytest.approx(
-        960.0 / (east_m + 30.0)
-    )  # f = 1920 / 2 / tan 45 deg
+    # F = 1920 / 2 / tan 45 deg.
+    assert density == pytest.approx(960.0 / (east_m + 30.0))
     assert at(coverage, -40.0, 0.5)[0] == 0.0  # behind
 
     down = find_ground_coverage(protocol_scene(), [unit(pitch_deg=-90.0)])

@@ -399,9 +399,8 @@ def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(problem, n_kept):
         return
     values = {pose: placement_value(problem, [*kept, pose]) for pose in each.tolist()}
     best = values[best_joining(presolve_freely(problem), kept, each)]
-    if not any(
-        value.apr > 0.0 for value in values.values()
-    ):  # nothing tells them apart
+    # Nothing tells them apart.
+    if not any(value.apr > 0.0 for value in values.values()):
         return
 
     assert not any(is_better(value, best) for value in values.values())

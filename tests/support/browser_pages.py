@@ -41,9 +41,8 @@ def start_browser(engine="chromium", *, folder=None):
                 opened = library.firefox.launch(
                     channel="moz-firefox",
                     executable_path=program,
-                    firefox_user_prefs={
-                        "browser.download.alwaysOpenPanel": False
-                    },  # takes keys
+                    # Takes keys.
+                    firefox_user_prefs={"browser.download.alwaysOpenPanel": False},
                 )
             else:
                 found = shutil.which("chromium")

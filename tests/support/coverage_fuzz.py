@@ -30,9 +30,8 @@ def main() -> None:
     corpus.mkdir()
 
     for number, (name, files) in enumerate(seeds):
-        if (
-            name in files
-        ):  # not a folder: the first byte says which of the sound files it stands for
+        # Not a folder: the first byte says which of the sound files it stands for.
+        if name in files:
             (corpus / f"{number}").write_bytes(bytes([number]) + files[name])
 
     def read(data: bytes) -> None:
@@ -45,9 +44,8 @@ def main() -> None:
         with contextlib.suppress(InputError):
             reader.read(folder / name)
 
-    with atheris.instrument_imports(
-        include=OURS
-    ):  # much is imported by the first that needs it
+    # Much is imported by the first that needs it.
+    with atheris.instrument_imports(include=OURS):
         from geometry.errors import InputError
 
         for number in range(len(seeds)):

@@ -260,9 +260,8 @@ def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
     from pyscipopt import Model, quicksum
 
     answer = json.loads((path / "summary.json").read_text(encoding="utf-8"))
-    stage = (answer["highest"] or answer)["stages"][
-        0
-    ]  # another layout may have been chosen
+    # Another layout may have been chosen.
+    stage = (answer["highest"] or answer)["stages"][0]
     with np.load(path / "instance.npz", allow_pickle=False) as file:
         instance = dict(file)
     runs = _read_runs(instance)

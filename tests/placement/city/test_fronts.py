@@ -53,9 +53,8 @@ def junctions(draw):
 def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
     limits = problem.limits
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            fronts, "_MAX_SETS", max_sets
-        )  # few: poses that see alike go together
+        # Few: poses that see alike go together.
+        patch.setattr(fronts, "_MAX_SETS", max_sets)
         front, layouts = find_front(
             problem,
             effort=lambda: Effort(time_limit_s=60.0),

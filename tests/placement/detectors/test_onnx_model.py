@@ -95,9 +95,8 @@ def f32(*parts):
     )
 
 
-def as_torchvision(
-    boxes, ids, scores
-):  # ids of COCO's 91 are one more for persons and bicycles
+# Ids of COCO's 91 are one more for persons and bicycles.
+def as_torchvision(boxes, ids, scores):
     return {
         "boxes": np.float32(boxes).reshape(-1, 4),
         "labels": np.int64(ids) + 1,
@@ -195,10 +194,8 @@ def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
     """A detector of torchvision's kind: the box around all pixels with red above a
     threshold.
     """
-    axes = {
-        "columns": (1, 2),
-        "rows": (1, 3),
-    }  # the axes to reduce, of (batch, 1, h, w)
+    # The axes to reduce, of (batch, 1, h, w).
+    axes = {"columns": (1, 2), "rows": (1, 3)}
     nodes = [
         constant("threshold", np.float32([threshold])),
         constant("zero", np.int64([0])),

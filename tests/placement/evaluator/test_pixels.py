@@ -101,11 +101,8 @@ def test_unobstructed_vru_has_the_pinhole_size(look, camera, block, distance_m):
 @pytest.mark.parametrize(
     ("low", "high", "side"),
     [
-        (
-            (5.0, 0.0, 0.0),
-            (6.0, 9.0, 9.0),
-            0,
-        ),  # the wall's right edge is ahead: left half hidden
+        # The wall's right edge is ahead: left half hidden.
+        ((5.0, 0.0, 0.0), (6.0, 9.0, 9.0), 0),
         ((5.0, -9.0, 0.0), (6.0, 0.0, 9.0), 2),
         ((5.0, -9.0, 0.0), (6.0, 9.0, 0.9), 3),  # its top is as high as the lens
         ((5.0, -9.0, 0.9), (6.0, 9.0, 9.0), 1),

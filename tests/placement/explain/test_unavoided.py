@@ -238,9 +238,8 @@ def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
 
     assert (missed.outcome, missed.unit, missed.frames_seen) == ("never seen", "far", 0)
     assert [(r.cause, r.thing) for r in missed.reasons] == [("hidden", "wall-a")]
-    assert (
-        missed.frames_in_time == missed.reasons[0].frames == 14
-    )  # until 0.525 s before the impact
+    # Until 0.525 s before the impact.
+    assert missed.frames_in_time == missed.reasons[0].frames == 14
 
     (missed,) = find_unavoided(setting, problem, candidates, [0])
 

@@ -129,9 +129,8 @@ def test_an_effort_ends_with_its_deadline_but_never_before_it_begins():
     assert late.time_limit_s == pytest.approx(7.0, abs=1.0)
     assert replace(late, time_limit_s=60.0) == effort  # all else stays
     assert 0.0 < effort.until(OVER).time_limit_s < 0.1
-    assert (
-        effort.until(Deadline(now_s() + 1e9)).time_limit_s > 60.0
-    )  # the deadline decides
+    # The deadline decides.
+    assert effort.until(Deadline(now_s() + 1e9)).time_limit_s > 60.0
 
 
 # ---------- presolved once

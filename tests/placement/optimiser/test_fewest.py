@@ -87,9 +87,8 @@ def test_the_fewest_units_are_proven_without_a_model(
             continue
         try:
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(
-                    "placement.optimiser.constants.MAX_CELLS", -1
-                )  # none is stated
+                # None is stated.
+                patch.setattr("placement.optimiser.constants.MAX_CELLS", -1)
                 solution = solve_placement(
                     problem, effort=Effort(workers=1), n_stages=1
                 )

@@ -144,9 +144,8 @@ def test_prices_are_whole_cents_or_none():
     assert found is not None
     assert found.tolist() == [0, 1, 33333, 10**8]
     assert whole_cents(np.array([0.005])) is None
-    assert (
-        whole_cents(np.array([1.0e16])) is None
-    )  # float64 does not know each cent any more
+    # Float64 does not know each cent any more.
+    assert whole_cents(np.array([1.0e16])) is None
     assert price_step_eur(Limits(site_index=[], site_capacity=[])) == 0.0
 
 
@@ -216,11 +215,8 @@ def test_who_fits_leaves_room_and_money_for_what_is_forced(seed, size):
             [],
             [0, 1, 2, 3],
         ),
-        (
-            {"budget_eur": 5.0, "is_forced": [0, 0, 0, 1]},
-            [],
-            [2, 3],
-        ),  # 4 of 5 are kept back
+        # 4 of 5 are kept back.
+        ({"budget_eur": 5.0, "is_forced": [0, 0, 0, 1]}, [], [2, 3]),
         ({"budget_eur": 6.0, "is_forced": [0, 0, 0, 1]}, [], [0, 2, 3]),
         ({"budget_eur": 5.0, "is_forced": [0, 0, 0, 1]}, [3], [2]),
         ({"budget_eur": 3.0, "is_forced_site": [0, 1, 0]}, [], [0, 2]),
@@ -270,9 +266,8 @@ def test_who_may_join_what_is_forced_is_told_to_kernels(seed, n_units):
         assert not len(choice.cost)
         return
 
-    for size in range(
-        len(forced) + 1, 5
-    ):  # no allowed set costs more than the money left
+    # No allowed set costs more than the money left.
+    for size in range(len(forced) + 1, 5):
         for units in all_sets(size).tolist():
             if not breaks(limits, tuple(units)):
                 others = [unit for unit in units if not limits.is_forced[unit]]
@@ -433,9 +428,8 @@ def test_limits_that_pass_the_check_are_not_refused_for_one_reason_alone(
             for n in range(1, n_poses + 1)
             for one in combinations(range(n_poses), n)
         ]
-        assert not any(
-            is_allowed(problem.limits, one) for one in sets
-        )  # it is right to refuse
+        # It is right to refuse.
+        assert not any(is_allowed(problem.limits, one) for one in sets)
 
 
 @pytest.mark.parametrize(

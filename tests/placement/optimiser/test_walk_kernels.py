@@ -190,9 +190,8 @@ def test_money_that_is_short_lowers_the_bound_to_what_it_buys():
         np.empty(2, dtype=np.int64),
     )
 
-    assert total == pytest.approx(
-        4.0, abs=1e-3
-    )  # 3 and 1: half of another 3 is no more
+    # 3 and 1: half of another 3 is no more.
+    assert total == pytest.approx(4.0, abs=1e-3)
 
 
 @given(st.integers(1, 5), st.integers(0, 3), st.floats(0.0, 4.0), st.floats(0.1, 4.0))

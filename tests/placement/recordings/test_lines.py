@@ -93,10 +93,8 @@ def test_world_data_may_stand_there_several_times(tmp_path, text, n_repeated):
     ("content", "message"),
     [
         ("car 1 2 3 4", f"F:1: got 5 fields; expected {LABEL}"),
-        (
-            " 1 2 3 4 5",
-            f"F:1: got 5 fields; expected {LABEL}",
-        ),  # CARLA's empty base type
+        # CARLA's empty base type.
+        (" 1 2 3 4 5", f"F:1: got 5 fields; expected {LABEL}"),
         ("\n\ntram 1 2 3 4 5", f"F:3: actor_type: got 'tram'; expected one of {TYPES}"),
         ("car nan 2 3 4 5", "F:1: min_x: got 'nan'; expected a finite number"),
         ("car 1 2 1_0 4 5", "F:1: max_x: got '1_0'; expected a finite number"),

@@ -171,6 +171,5 @@ def test_a_share_counts_tracks_and_is_never_surer_than_wilson():
     assert narrow.low <= plain.low
     assert narrow.high >= plain.high
     assert narrow.high - narrow.low < 0.08 < 0.2 < wide.high - wide.low
-    assert (
-        share_by_track(whole[:50], track[:50]).low == 0.0
-    )  # one track tells nothing of others
+    # One track tells nothing of others.
+    assert share_by_track(whole[:50], track[:50]).low == 0.0

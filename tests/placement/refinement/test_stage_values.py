@@ -93,10 +93,8 @@ def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
     assert [(s.objective, s.bound) for s in made.stages] == [
         (2.0, 2.0),
         (0.6, 0.75),
-        (
-            2.0,
-            2.0,
-        ),  # a bound below what is at hand held for sets worse in the stages before
+        # A bound below what is at hand held for sets worse in the stages before.
+        (2.0, 2.0),
         (2500.0, 2000.0),
     ]
     assert [s.gap for s in made.stages] == pytest.approx([0.0, 0.25, 0.0, 0.2])

@@ -232,9 +232,8 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
     cameras = other.detected(slice(None))[:2]
 
     assert 0.2 < (cameras != drawn[:2]).mean() < 0.6  # other coins
-    assert cameras.mean() == pytest.approx(
-        drawn[:2].mean(), abs=0.03
-    )  # of the same kind
+    # Of the same kind.
+    assert cameras.mean() == pytest.approx(drawn[:2].mean(), abs=0.03)
 
     for row, pose in enumerate(poses[:2]):
         for index, run in enumerate(setting.runs):
@@ -356,9 +355,8 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
 
     stage = "sampled detection tables"
 
-    assert (
-        calls == [(stage, 1, 2), (stage, 2, 2)] * 2
-    )  # mount positions of the first world
+    # Mount positions of the first world.
+    assert calls == [(stage, 1, 2), (stage, 2, 2)] * 2
 
 
 # Messages

@@ -20,9 +20,8 @@ shares = st.lists(
 def test_cvar_is_the_mean_of_the_worst_of_many_equal_parts(samples, a, b):
     """Every sample cut into equal parts, so that the tail is a whole number of them."""
     count, of = sorted((a, b))
-    n_parts = (
-        len(samples) * of
-    )  # of one sample, n_samples * of parts; the tail is count / of
+    # Of one sample, n_samples * of parts; the tail is count / of.
+    n_parts = len(samples) * of
     tail_parts = count * len(samples) * len(samples)
     parts = np.sort(np.repeat(samples, n_parts))
     expected = parts[: max(tail_parts, n_parts)].mean()
@@ -132,9 +131,8 @@ def test_the_interval_holds_the_mean_where_most_samples_are_equal():
 
     by_t_alone = [e.low <= truth <= e.high for e in estimates if "Student" in e.method]
 
-    assert (
-        0.2 < len(by_t_alone) / 1500 < 0.5
-    )  # without the rule of three most would miss
+    # Without the rule of three most would miss.
+    assert 0.2 < len(by_t_alone) / 1500 < 0.5
 
 
 @given(st.lists(st.floats(0.0, 1.0, allow_subnormal=False), min_size=2, max_size=30))

@@ -237,9 +237,8 @@ def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a
 
     for family, angles in turned.items():
         low, high = ROBUSTNESS.heading_deg.get(family, (0.0, 0.0))
-        assert (
-            low - 1.0 <= min(angles) <= max(angles) <= high + 1.0
-        )  # towed bodies turn by themselves
+        # Towed bodies turn by themselves.
+        assert low - 1.0 <= min(angles) <= max(angles) <= high + 1.0
         if high > low:
             assert max(angles) - min(angles) > 0.7 * (high - low)
 

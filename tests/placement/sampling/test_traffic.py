@@ -64,9 +64,8 @@ def test_a_full_parking_lane_is_a_row_of_bumpers(junction_scene):
 
     assert len(vehicles) == 4 * 12
 
-    expected = [
-        (-beside, MOUTH_M + x, 0.0) for x in ahead
-    ]  # out of the junction: eastwards
+    # Out of the junction: eastwards.
+    expected = [(-beside, MOUTH_M + x, 0.0) for x in ahead]
     expected += [(beside, MOUTH_M + x, 180.0) for x in ahead]
 
     assert np.array(on_east_arm) == pytest.approx(np.array(expected), abs=1e-9)

@@ -58,10 +58,8 @@ def test_the_checker_calls_nothing_of_the_optimiser():
                 else:
                     names = []
                 names += [alias.name for alias in node.names]
-                if names == [
-                    "optimiser.problem",
-                    "Objective",
-                ]:  # names of the stages alone
+                # Names of the stages alone.
+                if names == ["optimiser.problem", "Objective"]:
                     continue
                 assert not any("optimiser" in name for name in names), module.__name__
 

@@ -89,9 +89,8 @@ def test_runs_that_were_kept_on_disk_have_the_same_fingerprint(inputs, actors):
         actor=actors["parked-van"], pose=Pose(position_m=[3.0, 2.0, 0.0], yaw_deg=0.0)
     )
     runs = tuple(replace(run, obstruction=(van,)) for run in inputs["runs"])
-    kept = from_bytes(
-        to_bytes(runs[0]), Run, classes=(StraightPath,)
-    )  # with a van of its own
+    # With a van of its own.
+    kept = from_bytes(to_bytes(runs[0]), Run, classes=(StraightPath,))
 
     assert kept.obstruction[0].actor is not van.actor
 

@@ -426,9 +426,8 @@ def test_the_sieve_keeps_every_frame_in_which_the_vut_blocks_a_ray(
 
     monkeypatch.setattr(casting, "_find_between", watched)
     with_sieve = cast()
-    monkeypatch.setattr(
-        casting, "AROUND_BODY_M", 1.0e6
-    )  # nothing passes a box as large
+    # Nothing passes a box as large.
+    monkeypatch.setattr(casting, "AROUND_BODY_M", 1.0e6)
 
     assert np.array_equal(with_sieve, cast())
 

@@ -276,9 +276,8 @@ def test_no_view_is_left_out_that_a_sensor_detects(
         assert np.array_equal(found, every.packed(some))
         assert found.any() or some is not looks
 
-    assert len(sight.view_index) < len(
-        every.sight.view_index
-    )  # one camera looks one way
+    # One camera looks one way.
+    assert len(sight.view_index) < len(every.sight.view_index)
 
 
 @given(cameras(), angles_deg, pitches_deg, numbers(0.3, 12.0))

@@ -141,9 +141,8 @@ def test_no_weather_shows_what_the_day_does_not(
     by_day = found[:, 0]
 
     assert (found <= by_day[:, None]).all()
-    assert (
-        (found[::2, 3] < by_day[::2]).any(axis=1).all()
-    )  # cameras: LiDARs do not see that far
+    # Cameras: LiDARs do not see that far.
+    assert (found[::2, 3] < by_day[::2]).any(axis=1).all()
     assert np.array_equal(
         by_day,
         table_of(
