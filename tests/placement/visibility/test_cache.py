@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from changes import changed
 
 from geometry.actors import PlacedActor
 from geometry.lidar import load_lidar_detection, load_lidars
@@ -337,158 +338,70 @@ def test_an_interruption_leaves_nothing_half_written(stored, monkeypatch, error)
 # Fingerprints
 
 
-def _moved(scene):
-    vertices = scene.vertices_m.copy()
-    vertices[-1, 0] += 1e-6
-    return replace(scene, vertices_m=vertices)
+def _parked(actor, *, north_m=3.0, yaw_deg=10.0):
+    pose = Pose(position_m=[3.0, north_m, 0.0], yaw_deg=yaw_deg)
+    return (PlacedActor(actor=actor, pose=pose),)
 
 
-def _first(sequence, change):
-    return (change(sequence[0]), *sequence[1:])
+def _nudged(values):
+    return values + 1e-6
 
 
-def _parked(run, actors, **changes):
-    pose = {
-        "position_m": [3.0, 3.0, 0.0],
-        "yaw_deg": 10.0,
-        **changes,
-    }
-    actor = actors[pose.pop("actor", "parked-van")]
-    return replace(run, obstruction=(PlacedActor(actor=actor, pose=Pose(**pose)),))
+def _without_last_triangle(scene):
+    return replace(
+        scene,
+        triangles=scene.triangles[:-1],
+        triangle_instance=scene.triangle_instance[:-1],
+    )
 
 
-def _dented(run):
-    """The VRU's last shape a micrometre lower."""
-    *others, last = run.encounter.vru.shapes
-    last = replace(last, vertices_m=last.vertices_m * [1.0, 1.0, 1.0 - 1e-6])
-    vru = replace(run.encounter.vru, shapes=(*others, last))
-    return replace(run, encounter=replace(run.encounter, vru=vru))
-
-
-CHANGES = {
-    "scene vertices": lambda i, a: {"scene": _moved(i["scene"])},
-    "scene triangles": lambda i, a: {
-        "scene": replace(
-            i["scene"],
-            triangles=i["scene"].triangles[:-1],
-            triangle_instance=i["scene"].triangle_instance[:-1],
-        )
-    },
-    "scene outline": lambda i, a: {
-        "scene": replace(i["scene"], outline_m=i["scene"].outline_m + 1.0)
-    },
-    "position": lambda i, a: {
-        "candidates": _first(
-            i["candidates"],
-            lambda c: replace(
-                c, pose=replace(c.pose, position_m=c.pose.position_m + [0, 0, 1e-9])
-            ),
-        )
-    },
-    "yaw": lambda i, a: {
-        "candidates": _first(
-            i["candidates"], lambda c: replace(c, pose=replace(c.pose, yaw_deg=1e-9))
-        )
-    },
-    "pitch": lambda i, a: {
-        "candidates": _first(
-            i["candidates"], lambda c: replace(c, pose=replace(c.pose, pitch_deg=1e-9))
-        )
-    },
-    "id": lambda i, a: {
-        "candidates": _first(i["candidates"], lambda c: replace(c, id="z"))
-    },
-    "order": lambda i, a: {"candidates": i["candidates"][::-1]},
-    "fewer": lambda i, a: {"candidates": i["candidates"][:-1]},
-    **{
-        f"camera {field}": lambda i, a, field=field, value=value: {
-            "candidates": _first(
-                i["candidates"],
-                lambda c: replace(c, sensor=replace(c.sensor, **{field: value})),
-            )
-        }
-        for field, value in (
-            ("horizontal_fov_deg", 89.999),
-            ("width_px", 641),
-            ("height_px", 361),
-            ("near_m", 0.36),
-        )
-    },
-    "detector IoU": lambda i, a: {"detector": replace(DETECTOR, min_iou=0.51)},
-    "a LiDAR": lambda i, a: {
-        "candidates": _first(i["candidates"], lambda c: replace(c, sensor=LIDAR))
-    },
-    "another LiDAR": lambda i, a: {
-        "candidates": _first(
-            i["candidates"],
-            lambda c: replace(c, sensor=replace(LIDAR, reference_probability=0.91)),
-        )
-    },
-    "detector contrast": lambda i, a: {
-        "detector": replace(DETECTOR, min_contrast=0.01)
-    },
-    "another kind of detector": lambda i, a: {
-        "detector": load_planning_detector("response")
-    },
-    "detector height": lambda i, a: {
-        "detector": replace(DETECTOR, min_box_height_px=20.001)
-    },
-    "seed": lambda i, a: {"seed": 1},
-    "run times": lambda i, a: {
-        "runs": _first(i["runs"], lambda r: replace(r, time_s=r.time_s * 1.01))
-    },
-    **{
-        f"run {field}": lambda i, a, field=field: {
-            "runs": _first(
-                i["runs"], lambda r: replace(r, **{field: getattr(r, field) + 1e-6})
-            )
-        }
-        for field in ("vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
-    },
-    "VRU's shapes": lambda i, a: {
-        "runs": _first(i["runs"], lambda r: replace(r, vru_shape=(r.vru_shape + 1) % 8))
-    },
-    "a shape of the VRU": lambda i, a: {"runs": _first(i["runs"], _dented)},
-    **{
-        f"weather {name}": lambda i, a, name=name: {
-            "runs": _first(i["runs"], lambda r: replace(r, weather=name))
-        }
-        for name in ("night", "rain", "fog")
-    },
-    "VRU": lambda i, a: {
-        "runs": _first(
-            i["runs"],
-            lambda r: replace(r, encounter=replace(r.encounter, vru=a["cyclist"])),
-        )
-    },
-    "obstruction": lambda i, a: {"runs": _first(i["runs"], lambda r: _parked(r, a))},
-    "obstruction of another run": lambda i, a: {
-        "runs": (i["runs"][0], _parked(i["runs"][1], a))
-    },
-    "run order": lambda i, a: {"runs": i["runs"][::-1]},
-}
+def changes(actors):
+    """Paths of what is changed, and what it is then; each change by itself."""
+    van = _parked(actors["parked-van"])
+    return [
+        ("scene.vertices_m", _nudged),
+        ("scene", _without_last_triangle),
+        ("scene.outline_m", _nudged),
+        ("candidates.pose.position_m", _nudged),
+        ("candidates.pose.yaw_deg", 1e-9),
+        ("candidates.pose.pitch_deg", 1e-9),
+        ("candidates.id", "z"),
+        ("candidates", lambda candidates: candidates[::-1]),
+        ("candidates", lambda candidates: candidates[:-1]),
+        ("candidates.sensor.horizontal_fov_deg", 89.999),
+        ("candidates.sensor.width_px", 641),
+        ("candidates.sensor.height_px", 361),
+        ("candidates.sensor.near_m", 0.36),
+        ("candidates.sensor", LIDAR),
+        ("candidates.sensor", replace(LIDAR, reference_probability=0.91)),
+        ("detector.min_iou", 0.51),
+        ("detector.min_contrast", 0.01),
+        ("detector.min_box_height_px", 20.001),
+        ("detector", load_planning_detector("response")),
+        ("seed", 1),
+        ("runs.time_s", _nudged),
+        ("runs.vut_position_m", _nudged),
+        ("runs.vut_yaw_deg", _nudged),
+        ("runs.vru_position_m", _nudged),
+        ("runs.vru_yaw_deg", _nudged),
+        ("runs.vru_shape", lambda shape: (shape + 1) % 8),
+        ("runs.encounter.vru", actors["cyclist"]),
+        ("runs.encounter.vru.shapes.vertices_m", _nudged),
+        *(("runs.weather", weather) for weather in ("night", "rain", "fog")),
+        ("runs.obstruction", van),
+        ("runs.obstruction", _parked(actors["parked-van"], north_m=3.1)),
+        ("runs.obstruction", _parked(actors["parked-van"], yaw_deg=11.0)),
+        ("runs.obstruction", _parked(actors["parked-car-small"])),
+        ("runs", lambda runs: (runs[0], replace(runs[1], obstruction=van))),
+        ("runs", lambda runs: runs[::-1]),
+    ]
 
 
 def test_all_changes_have_fingerprints_of_their_own(inputs, actors):
-    found = [
-        _fingerprint({**inputs, **change(inputs, actors)})
-        for change in CHANGES.values()
-    ]
-    found += [
-        _fingerprint(
-            {
-                **inputs,
-                "runs": _first(inputs["runs"], lambda r, c=c: _parked(r, actors, **c)),
-            }
-        )
-        for c in (
-            {"position_m": [3.0, 3.1, 0.0]},
-            {"yaw_deg": 11.0},
-            {"actor": "parked-car-small"},
-        )
-    ]
+    asked = changes(actors)
+    found = [_fingerprint(changed(inputs, *change)) for change in asked]
 
-    assert len(set(found)) == len(CHANGES) + 3
+    assert len({*found, _fingerprint(inputs)}) == len(asked) + 1
 
 
 def test_what_a_weather_does_is_part_of_the_fingerprint(inputs, monkeypatch):
@@ -503,7 +416,7 @@ def test_what_it_takes_to_find_somebody_by_lidar_is_part_of_the_fingerprint(
     inputs,
     monkeypatch,
 ):
-    with_lidar = {**inputs, **CHANGES["a LiDAR"](inputs, {})}
+    with_lidar = changed(inputs, "candidates.sensor", LIDAR)
     before = [_fingerprint(given) for given in (inputs, with_lidar)]
     other = replace(
         load_lidar_detection(),
