@@ -154,7 +154,12 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
         own_s,
         vam=vut[::-1],
     )
-    curves = apr_by_latency(evaluation, rule, [latency_s], vut_latency_s=vut_latency_s)
+    curves = apr_by_latency(
+        evaluation,
+        rule,
+        [latency_s],
+        vut_latency_s=vut_latency_s,
+    )
 
     delays = [latency_s if value is None else value for value in own_s]
     on_board = [(vut, latency_s if vut_latency_s is None else vut_latency_s)]
@@ -197,7 +202,11 @@ def test_a_run_may_be_avoided_with_a_longer_latency_alone():
     )
     seen = np.concatenate([time_s < -1.55, time_s > -1.55])
     rule = replace(RULE, track_memory_s=1.0)
-    evaluation = _evaluation(axis, np.zeros(42), [seen])
+    evaluation = _evaluation(
+        axis,
+        np.zeros(42),
+        [seen],
+    )
     latencies_s = [0.09, 0.1, 0.8, 0.81, 1.3, 1.31]
     found = apr_by_latency(evaluation, rule, latencies_s)["rsu_all"]
 

@@ -55,7 +55,13 @@ def scored(draw):
     for run, last_s in enumerate(axis.last_brake_time_s.tolist()):
         n_more = int(rng.integers(0, 4))
         begin_s = max(last_s, -0.7)
-        later = np.sort(rng.uniform(begin_s, 0.0, n_more))
+        later = np.sort(
+            rng.uniform(
+                begin_s,
+                0.0,
+                n_more,
+            )
+        )
         if last_s == -np.inf:
             later[rng.random(n_more) < 0.2] = -np.inf
         shares = np.sort(
@@ -91,7 +97,15 @@ def scored(draw):
                 problem.rule,
             )[1]
         ]
-    return problem, levels, replace(problem, table=table, seen_by_vut=seen)
+    return (
+        problem,
+        levels,
+        replace(
+            problem,
+            table=table,
+            seen_by_vut=seen,
+        ),
+    )
 
 
 def looped_score(problem, levels, chosen):
@@ -177,9 +191,11 @@ def test_the_optimiser_finds_and_proves_the_best_score_of_all_layouts(case):
 
     assert (stage.name, stage.gap) == ("apr", 0.0)
     assert stage.objective == pytest.approx(best, abs=1e-9)
-    assert looped_score(problem, levels, solution.pose_index) == pytest.approx(
-        best, abs=1e-9
-    )
+    assert looped_score(
+        problem,
+        levels,
+        solution.pose_index,
+    ) == pytest.approx(best, abs=1e-9)
 
     front = pareto_front(by_levels, max_units=by_levels.limits.budget_units)
 
@@ -301,7 +317,9 @@ def setting(runs, rule):
 def assembly(setting, camera):
     candidates = crossing_candidates(setting.scene, camera)
     return Assembly(
-        setting=setting, candidates=candidates, wishes=Wishes(budget_units=2)
+        setting=setting,
+        candidates=candidates,
+        wishes=Wishes(budget_units=2),
     )
 
 

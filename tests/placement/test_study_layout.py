@@ -19,7 +19,10 @@ GOLDEN_UNITS = {
 
 
 _AS_STUDIED = Question(
-    cases="CPNC-50,CBNA,CBLA", along_arms="0", weights="run", track_memory_s=np.inf
+    cases="CPNC-50,CBNA,CBLA",
+    along_arms="0",
+    weights="run",
+    track_memory_s=np.inf,
 )
 
 
@@ -94,7 +97,11 @@ def test_the_published_findings_come_out(setting, layout):
     time. Ten seconds: all 104 runs, frame by frame, in full resolution.
     """
     corners = Layout(name="corners", units=(layout.units[2], layout.units[3]))
-    evaluation = evaluate_layout(corners, setting, compute=Compute(workers=2))
+    evaluation = evaluate_layout(
+        corners,
+        setting,
+        compute=Compute(workers=2),
+    )
     axis = evaluation.axis
     for name in ("RSU2", "RSU3"):
         assert apr(evaluation.units[name], axis) == 1.0

@@ -15,7 +15,11 @@ from experiments.city import run, workers
 from placement.question import Question
 
 PLACES_M = ((0.0, 0.0), (250.0, 0.0), (500.0, 10.0))
-FEW_RUNS = Question(cases="CPNC-50", along_arms="0", speeds="50")
+FEW_RUNS = Question(
+    cases="CPNC-50",
+    along_arms="0",
+    speeds="50",
+)
 FEW_RUNS_OPTIONS = ("--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50")
 
 
@@ -38,7 +42,11 @@ def write_city(folder: Path, name: str = "tiny.osm", *, east_m: float = 0.0) -> 
             [*house, (x + 17.0, y + 37.0), house[0]], {"building": "yes", "height": "9"}
         )
         for way in (6.0, -6.0):
-            osm.node(x + way, y + way, highway="street_lamp")
+            osm.node(
+                x + way,
+                y + way,
+                highway="street_lamp",
+            )
 
     osm.node(
         places[2][0] + 8.0,

@@ -111,6 +111,7 @@ def boxes(columns, rows, hidden):
             -np.inf,
             values,
         ).max(axis=1)
+
     found[found[:, 0] > found[:, 2]] = 0.0
     return found
 

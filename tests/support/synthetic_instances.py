@@ -101,7 +101,14 @@ def build_synthetic_instance(
         size = SyntheticSize()
     axis, frames = _drive(size, np.random.default_rng([seed, 0]))
     packed = np.empty((size.n_poses, -(-axis.n_frames // 8)), dtype=np.uint8)
-    fill = partial(_fill_mount, packed, size, axis, frames, seed)
+    fill = partial(
+        _fill_mount,
+        packed,
+        size,
+        axis,
+        frames,
+        seed,
+    )
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fill, range(size.n_sites * len(size.heights_m))))
     per_site = len(size.heights_m) * size.poses_per_mount
@@ -209,7 +216,11 @@ def _fill_mount(
     distance_m = np.hypot(offset_m[:, 0], offset_m[:, 1])
     azimuth_deg = np.degrees(np.arctan2(offset_m[:, 1], offset_m[:, 0]))
     elevation_deg = np.degrees(np.arctan2(0.5 * _VRU_M - height_m, distance_m))
-    seen = ~_is_hidden(_pole_m(size, site), height_m, frames)
+    seen = ~_is_hidden(
+        _pole_m(size, site),
+        height_m,
+        frames,
+    )
     seen &= ~_is_grown_over(
         azimuth_deg,
         distance_m,
@@ -236,7 +247,11 @@ def _fill_mount(
                 for pitch_deg in size.pitches_deg
             ]
         )
-        by_pitch = np.packbits(inside, axis=1, bitorder="little")
+        by_pitch = np.packbits(
+            inside,
+            axis=1,
+            bitorder="little",
+        )
         for yaw, ahead in enumerate(_aimed(azimuth_deg, 0.5 * fov_deg, size.n_yaws)):
             rows[yaw, :, zoom] = by_pitch & np.packbits(ahead, bitorder="little")
 

@@ -113,7 +113,11 @@ def many_poses(rng):
         axis,
         detected,
     )
-    rule = replace(problem.rule, n_confirmations=2, track_memory_s=0.3)
+    rule = replace(
+        problem.rule,
+        n_confirmations=2,
+        track_memory_s=0.3,
+    )
     return PlacementProblem(
         table=table,
         limits=limits,

@@ -58,7 +58,12 @@ def best_of_all(problem):
     st.floats(0.0, 1.0),
 )
 def test_the_choice_is_the_best_of_all(sizes, seed, n_rows, tightness):
-    problem = build(sizes, seed, n_rows=n_rows, tightness=tightness)
+    problem = build(
+        sizes,
+        seed,
+        n_rows=n_rows,
+        tightness=tightness,
+    )
     choice = solve_knapsack(problem)
 
     assert choice.objective == pytest.approx(best_of_all(problem), abs=1e-9)
@@ -122,7 +127,11 @@ def test_a_limit_may_ask_for_a_least_sum():
 
 
 def test_many_groups_are_proven_within_the_gap():
-    problem = build([8] * 3000, 7, tightness=0.2)
+    problem = build(
+        [8] * 3000,
+        7,
+        tightness=0.2,
+    )
     choice = solve_knapsack(problem, gap=1.0e-3)
 
     assert problem.is_within(choice.chosen)

@@ -223,14 +223,27 @@ def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
                 axis=1,
             ),
             helper.make_node(
-                "ArgMax", [name], [f"{name}_last"], axis=1, select_last_index=1
+                "ArgMax",
+                [name],
+                [f"{name}_last"],
+                axis=1,
+                select_last_index=1,
             ),
-            helper.make_node("Add", [f"{name}_last", "one"], [f"{name}_max"]),
+            helper.make_node(
+                "Add",
+                [f"{name}_last", "one"],
+                [f"{name}_max"],
+            ),
         ]
 
     corners = ["columns_min", "rows_min", "columns_max", "rows_max"]
     nodes += [
-        helper.make_node("Concat", corners, ["corners"], axis=1),
+        helper.make_node(
+            "Concat",
+            corners,
+            ["corners"],
+            axis=1,
+        ),
         helper.make_node("Cast", ["corners"], ["boxes"], to=TensorProto.FLOAT),
         constant("labels", np.int64([1])),
         constant("scores", np.float32([0.75])),
@@ -293,7 +306,11 @@ def test_boxes_of_a_class_that_overlap_are_suppressed_where_the_export_did_not(
     else:
         confidence = [0.75, 0.5, 0.25]
 
-    np.testing.assert_allclose(found.confidence, confidence, rtol=1e-5)
+    np.testing.assert_allclose(
+        found.confidence,
+        confidence,
+        rtol=1e-5,
+    )
 
 
 @pytest.mark.parametrize("layout", SUPPRESSED + DENSE)
@@ -501,7 +518,14 @@ def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
         ("images", TensorProto.FLOAT, (1, 3, 64, 64)),
         ("orig_target_sizes", TensorProto.INT64, (1, 2)),
     ]
-    model = load_onnx_model(save(path, nodes, outputs, inputs=inputs))
+    model = load_onnx_model(
+        save(
+            path,
+            nodes,
+            outputs,
+            inputs=inputs,
+        )
+    )
     found = model.detect(np.zeros((50, 100, 3), dtype=np.uint8))
 
     np.testing.assert_allclose(found.boxes_px, [[0.0, 0.0, 100.0, 50.0]])
@@ -678,7 +702,14 @@ def test_suppression_keeps_what_brute_force_keeps(rows, max_iou):
         ):
             kept.append(i)
 
-    assert suppress(boxes, ids, max_iou=max_iou).tolist() == kept
+    assert (
+        suppress(
+            boxes,
+            ids,
+            max_iou=max_iou,
+        ).tolist()
+        == kept
+    )
 
 
 # What users do.
@@ -721,7 +752,6 @@ def test_a_classifier(path):
             "output0": np.zeros((1, 116, 50), np.float32),
             "output1": np.zeros((1, 32, 8, 8), "f"),
         },
-        # poses
         {"output0": np.zeros((1, 21, 64, 64), np.float32)},  # segments
         {"output0": np.zeros((2, 84, 50), np.float32)},  # two images
         {"a": np.zeros((5, 4), "f"), "b": np.zeros(5, "f"), "c": np.zeros(5, "f")},

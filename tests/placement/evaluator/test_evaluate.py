@@ -186,7 +186,11 @@ def test_the_message_of_a_slow_unit_decides_when_no_other_saw_that_frame(pretend
     """
     fast = _frames(axis, 0, 1, 3) | _frames(axis, 1, 1, 3, 4, 5)
     slow = _frames(axis, 0, 2) | _frames(axis, 1, 2)
-    evaluation = pretend(fast, slow, latencies_s=[0.025, 0.5])
+    evaluation = pretend(
+        fast,
+        slow,
+        latencies_s=[0.025, 0.5],
+    )
     time_s = axis.time_s
     start, other = axis.run_start[:2]
     fused = evaluation.rsu_all
@@ -199,7 +203,11 @@ def test_the_message_of_a_slow_unit_decides_when_no_other_saw_that_frame(pretend
 
 def test_without_any_message_the_vut_is_left_alone(pretend, axis):
     row = _frames(axis, 0, *range(9))
-    by_vut = _frames(axis, 1, *range(4, 9))
+    by_vut = _frames(
+        axis,
+        1,
+        *range(4, 9),
+    )
     lost = pretend(
         row,
         row,
@@ -227,7 +235,12 @@ def test_without_any_message_the_vut_is_left_alone(pretend, axis):
 def test_messages_are_lost_as_often_as_said_and_unit_by_unit(pretend, axis):
     row = np.ones(axis.n_frames, dtype=bool)
     links = Radio(packet_loss=0.3)
-    two = pretend(row, row, vut_row=row, radio=links)
+    two = pretend(
+        row,
+        row,
+        vut_row=row,
+        radio=links,
+    )
     one = pretend(row, radio=links)
     a, b = (unit.detected for unit in two.units.values())
     n = axis.n_frames
@@ -403,7 +416,11 @@ def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
         assert _is_equal(part.vut, whole.vut)
         assert _is_equal(part.others["vam"], whole.others["vam"])
 
-    other = evaluate_layout(mixed, setting, compute=Compute(seed=8))
+    other = evaluate_layout(
+        mixed,
+        setting,
+        compute=Compute(seed=8),
+    )
     for name in ("a", "b", "l"):
         assert (other.units[name].detected != whole.units[name].detected).any()
 
@@ -413,7 +430,12 @@ def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
 def test_a_lidars_table_finds_some_of_those_with_enough_points(build_layout, real):
     setting, x_m = real
     setting = replace(setting, vut_sensors=("camera", "lidar"))
-    layout = build_layout("l", "m", x_m=x_m, sensor=LIDAR)
+    layout = build_layout(
+        "l",
+        "m",
+        x_m=x_m,
+        sensor=LIDAR,
+    )
     by_points = evaluate_layout(layout, setting)
     drawn = evaluate_layout(
         layout, replace(setting, detector=load_detector("pointrcnn-2019"))
@@ -442,7 +464,11 @@ def test_what_is_missed_by_day_is_missed_at_night_and_in_fog(
         for run in setting.runs
         for weather in ("day", "night", "rain", "fog")
     ]
-    question = build_setting(setting.scene, runs, detector=load_detector("response"))
+    question = build_setting(
+        setting.scene,
+        runs,
+        detector=load_detector("response"),
+    )
     evaluation = evaluate_layout(layout, question)
     of_weather = np.array(question.axis.weathers).repeat(
         np.diff(question.axis.run_start)

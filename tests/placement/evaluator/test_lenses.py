@@ -293,14 +293,25 @@ def test_table_and_evaluator_agree_about_who_is_in_view(
     """Where the one has a box of some size the other has nearly the same."""
     rng = np.random.default_rng(100 + seed)
     wide = camera
+
     while wide.is_pinhole or wide.horizontal_fov_deg < 60.0:  # some lenses fold early
         wide = random_camera(
             rng,
             replace(camera, width_px=640, height_px=480),
             model,
         )
-    detector = GeometricDetector(min_iou=0.5, min_box_height_px=1.0, min_contrast=0.0)
-    world = build_world(scene, runs, n_points=N_POINTS, seed=0)
+
+    detector = GeometricDetector(
+        min_iou=0.5,
+        min_box_height_px=1.0,
+        min_contrast=0.0,
+    )
+    world = build_world(
+        scene,
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+    )
     pose = replace(MOUNT, yaw_deg=float(rng.uniform(30.0, 60.0)))
     unit = CandidatePose(
         id="a",

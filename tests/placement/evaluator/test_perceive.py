@@ -153,7 +153,13 @@ def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(
     for frame in range(0, N_FRAMES, 2):
         x, y, yaw, _ = surroundings.vut_poses[frame]
         pose = _rotated(mount, yaw, (x, y))
-        view = render_frame(surroundings, frame, pose, camera, with_vut=False)
+        view = render_frame(
+            surroundings,
+            frame,
+            pose,
+            camera,
+            with_vut=False,
+        )
 
         assert np.abs(boxes.amodal_px[frame] - view.amodal_box_px).max() <= 1.0
         assert np.abs(boxes.visible_px[frame] - view.visible_box_px).max() <= 1.0
@@ -196,7 +202,13 @@ def test_boxes_and_shares_in_the_study_are_those_of_a_ray_per_pixel(study_runs, 
             min(x_max + 5, camera.width_px),
             min(y_max + 5, camera.height_px),
         )
-        view = render_frame(surroundings, frame, pose, camera, crop_px=crop_px)
+        view = render_frame(
+            surroundings,
+            frame,
+            pose,
+            camera,
+            crop_px=crop_px,
+        )
 
         assert np.abs(evidence.amodal_px[frame] - view.amodal_box_px).max() <= 1.0
         assert np.abs(evidence.visible_px[frame] - view.visible_box_px).max() <= 1.0

@@ -98,7 +98,11 @@ def test_on_a_slope_whoever_is_ahead_is_seen_at_the_row_of_the_level_road(
         build_run(block, [[12.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]]), terrain=slope
     )
     surroundings = build_surroundings(on(build_scene(), slope), [run])
-    mount = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
+    mount = VutCamera(
+        camera=camera,
+        ahead_per_half_length=0.8,
+        up_per_half_height=1.3,
+    )
     (box,) = perceive_frames(surroundings, mount).amodal_px
     ahead_m, _, up_m = mount.pose_on(run.encounter.vut).position_m
     # Turned with the road, the foot of the body's middle is as low as the road, 12 m /
@@ -133,20 +137,37 @@ def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_look
     vru = np.column_stack(
         [vut[:, :2] + rng.uniform(6.0, 15.0, (40, 1)) * ahead, vut[:, 2] + 40.0]
     )
-    run = replace(build_run(block, vru, vut), terrain=hills)
+    run = replace(
+        build_run(
+            block,
+            vru,
+            vut,
+        ),
+        terrain=hills,
+    )
     scene = on(build_scene(((-6.0, 3.0, -9.0), (-2.0, 6.0, 4.0))), hills)
 
     assert terrain_of(scene) is not None
 
     surroundings = build_surroundings(scene, [run])
-    mount = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
+    mount = VutCamera(
+        camera=camera,
+        ahead_per_half_length=0.8,
+        up_per_half_height=1.3,
+    )
     boxes = perceive_frames(surroundings, mount)
     pitches_deg = []
     n_hidden = 0
     for frame in range(40):
         pose = vut_camera_pose(mount, run, frame)
         pitches_deg.append(pose.pitch_deg)
-        view = render_frame(surroundings, frame, pose, camera, with_vut=False)
+        view = render_frame(
+            surroundings,
+            frame,
+            pose,
+            camera,
+            with_vut=False,
+        )
 
         assert np.abs(boxes.amodal_px[frame] - view.amodal_box_px).max() <= 1.0
         assert np.abs(boxes.visible_px[frame] - view.visible_box_px).max() <= 1.0

@@ -77,7 +77,11 @@ def test_a_wall_that_faces_the_sun_gets_its_light_by_the_cosine(elevation_deg, y
     elevation = np.radians(elevation_deg)
     expected = 80000.0 * np.array([np.cos(elevation), np.sin(elevation), 0.0])
 
-    assert lux == pytest.approx(expected, rel=1e-4, abs=0.1)
+    assert lux == pytest.approx(
+        expected,
+        rel=1e-4,
+        abs=0.1,
+    )
 
 
 @pytest.mark.parametrize("name", sorted(load_weathers()))
@@ -174,7 +178,11 @@ def test_what_stands_before_a_lamp_takes_its_light():
         [[-1, -1, 4], [1, -1, 4], [1, 1, 4], [-1, 1, 4]], [[0, 1, 2], [0, 2, 3]]
     )
     hits = _hits([[1.9, 0, 0], [2.1, 0, 0]], [[0, 0, 1]] * 2)
-    free = _lux(hits, weather, lamps=[_lamp()])
+    free = _lux(
+        hits,
+        weather,
+        lamps=[_lamp()],
+    )
 
     assert _lux(
         hits,

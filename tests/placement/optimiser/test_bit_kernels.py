@@ -100,7 +100,14 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed):
     )
     before = n_links.copy()
     is_kept = np.zeros(len(sets), dtype=bool)
-    kernels.thin_out(sets, start, tail_frame, tail_start, n_links, is_kept)
+    kernels.thin_out(
+        sets,
+        start,
+        tail_frame,
+        tail_start,
+        n_links,
+        is_kept,
+    )
     unions = [set(seen) for size in range(5) for seen in combinations(range(4), size)]
 
     for run in range(2):
@@ -143,7 +150,12 @@ def test_chains_are_looked_through_until_too_much_is_lost(seed, most_lost):
     order = rng.permutation(n_chains)
     first = np.full(n_chains, -1)
     rank = kernels.look_through(
-        pack_words(seen), chains, order, lost, float(most_lost), first
+        pack_words(seen),
+        chains,
+        order,
+        lost,
+        float(most_lost),
+        first,
     )
     expected = n_chains
     total = 0.0
@@ -172,7 +184,11 @@ def test_the_first_live_window_has_all_frames_and_tails(seed):
     for row, union in enumerate(seen):
         frames = np.flatnonzero(union).tolist()
         for chain in range(n_chains_of(chains)):
-            assert first[row, chain] == first_live(chains, chain, frames)
+            assert first[row, chain] == first_live(
+                chains,
+                chain,
+                frames,
+            )
 
 
 @given(SEEDS, st.sampled_from([1, 63, 64, 70]))
@@ -196,7 +212,11 @@ def test_first_live_windows_with_each_pose_are_those_of_the_unions(seed, n_poses
     for chain in range(begin, n_chains):
         for pose in range(n_poses):
             frames = np.flatnonzero(sees[pose] | alone).tolist()
-            assert first[chain, pose] == first_live(chains, chain, frames)
+            assert first[chain, pose] == first_live(
+                chains,
+                chain,
+                frames,
+            )
 
 
 def avoids(chains, chain, last, seen):

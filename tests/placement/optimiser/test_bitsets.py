@@ -29,7 +29,13 @@ def test_values_with_each_pose_are_those_of_the_sets_one_by_one(
     data,
 ):
     limits = replace(problem.limits, failing=failing)
-    reduced = presolve(replace(problem, limits=limits, survive=survive))
+    reduced = presolve(
+        replace(
+            problem,
+            limits=limits,
+            survive=survive,
+        )
+    )
     if reduced.n_poses == 0:
         return
     n_units = data.draw(st.integers(0, min(3, reduced.n_poses - 1)))
@@ -67,7 +73,12 @@ def test_quick_shares_with_each_pose_are_those_of_the_sets_one_by_one(problem, d
 
     for n_failures in (1, 2):
         left = left_after_failures(reduced, reduced.measure, n_failures, sets)
-        quick = left_with_each(reduced, units, reduced.measure, n_failures)[others]
+        quick = left_with_each(
+            reduced,
+            units,
+            reduced.measure,
+            n_failures,
+        )[others]
         assert quick == pytest.approx(left, abs=1e-12)
 
 

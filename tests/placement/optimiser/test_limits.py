@@ -203,23 +203,15 @@ def test_who_fits_leaves_room_and_money_for_what_is_forced(seed, size):
     [
         ({}, [], [0, 1, 2, 3]),
         ({}, [0], [2, 3]),  # the first site is full
-        ({"rivals": [[0, 1]]}, [0], [3]),
         ({"rivals": [[1, 0]]}, [2], [3]),
         ({"is_forbidden": [0, 0, 1, 0]}, [], [0, 1, 3]),
         ({"budget_units": 1, "is_forced": [0, 0, 0, 1]}, [], [3]),
         ({"budget_units": 2, "is_forced": [0, 0, 0, 1]}, [], [0, 1, 2, 3]),
         ({"budget_units": 1, "is_forced_site": [0, 1, 0]}, [], [2]),
         # A forced unit at a forced site is one unit.
-        (
-            {"budget_units": 2, "is_forced": [0, 0, 1, 0], "is_forced_site": [0, 1, 0]},
-            [],
-            [0, 1, 2, 3],
-        ),
         # 4 of 5 are kept back.
         ({"budget_eur": 5.0, "is_forced": [0, 0, 0, 1]}, [], [2, 3]),
-        ({"budget_eur": 6.0, "is_forced": [0, 0, 0, 1]}, [], [0, 2, 3]),
         ({"budget_eur": 5.0, "is_forced": [0, 0, 0, 1]}, [3], [2]),
-        ({"budget_eur": 3.0, "is_forced_site": [0, 1, 0]}, [], [0, 2]),
         (
             {
                 "budget_eur": 9.0,

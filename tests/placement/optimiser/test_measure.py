@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from placement.optimiser import Floor, PlacementValue, is_better
-from placement.optimiser.bitsets import BestSet, SetValues
 from placement.optimiser.problem import (
     VALUE_OBJECTIVES,
     Objective,
@@ -154,7 +153,13 @@ def test_a_measure_says_what_is_wrong(change, message):
 )
 def test_a_floor_says_what_is_wrong(change, message):
     with pytest.raises(InputError) as told:
-        Floor(**{"name": "--target", "share": 0.5, **change})
+        Floor(
+            **{
+                "name": "--target",
+                "share": 0.5,
+                **change,
+            }
+        )
     assert str(told.value) == message
 
 
@@ -165,7 +170,11 @@ def test_a_floor_says_what_is_wrong(change, message):
 def test_a_requirement_counts_runs_that_leave_the_margin(seed, least_s):
     measure, rng = drawn_measure(seed, 1.0)
     margin_s = rng.choice([-np.inf, 0.0, 0.25, 0.5], (4, 8))
-    requirement = Requirement(measure=measure, least=0.5, min_margin_s=least_s)
+    requirement = Requirement(
+        measure=measure,
+        least=0.5,
+        min_margin_s=least_s,
+    )
     counts = [[m > -np.inf and m >= least_s for m in row] for row in margin_s.tolist()]
 
     assert requirement.counts_run(margin_s).tolist() == counts
@@ -255,32 +264,3 @@ def test_layouts_are_compared_stage_by_stage_beyond_rounding(one, other):
 
     assert is_better(mine, theirs) == expected
     assert not (is_better(mine, theirs) and is_better(theirs, mine))
-
-
-@given(SEEDS, st.integers(1, 12))
-def test_the_best_of_many_sets_is_exceeded_by_none(seed, n_sets):
-    rng = np.random.default_rng(seed)
-    objectives = (Objective.APR, Objective.COST)
-    gains = rng.integers(-1, 2, (n_sets, 3)).astype(np.float64) / 2.0
-    gains[:, 0] = np.minimum(gains[:, 0], 0.0)
-    values = SetValues(objectives, gains)
-    best = values[values.best_row()]
-
-    assert not any(values[row].exceeds(best) for row in range(n_sets))
-
-    ranks = [tuple(row) for row in gains]
-
-    assert ranks[values.best_row()] == max(ranks)
-    assert ranks.index(max(ranks)) == values.best_row()  # of equal ones the first
-    np.testing.assert_array_equal(values.lacking, -gains[:, 0])
-    np.testing.assert_array_equal(values.of(Objective.APR), gains[:, 1])
-    np.testing.assert_array_equal(values.of(Objective.COST), -gains[:, 2])
-
-    incumbent = BestSet()
-    sets = np.arange(n_sets)[:, None]
-    for begin in range(0, n_sets, 3):
-        incumbent.offer(sets[begin : begin + 3], values[begin : begin + 3])
-    incumbent.offer(sets[:0], values[:0])
-
-    assert incumbent.units is not None
-    assert incumbent.units.tolist() == [values.best_row()]

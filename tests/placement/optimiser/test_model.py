@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from all_layouts import allowed_sets, sets_of_size, sign_of
-from hypothesis import assume, given
+from all_layouts import sets_of_size
+from hypothesis import given
 from hypothesis import strategies as st
-from problems import problems, questions
+from problems import problems
 
 from placement.optimiser import presolve
 from placement.optimiser.allowed_sets import are_allowed
 from placement.optimiser.bitsets import (
     left_after_failures,
-    set_values,
     union_margins_s,
     unions_of,
 )
@@ -26,18 +25,7 @@ from placement.optimiser.model import (
     solve_window_model,
     violated_cuts,
 )
-from placement.optimiser.problem import Objective, Requirement
-
-VALUED = (Objective.UNITS, Objective.COST, Objective.APR)
-
-
-def without_floors(problem):
-    return replace(
-        problem,
-        floors=(),
-        goal="best",
-        survive=0,
-    )
+from placement.optimiser.problem import Requirement
 
 
 def sets_by_size(reduced):
@@ -69,92 +57,6 @@ def live_links(reduced, units):
     return a
 
 
-@given(problem=questions().map(without_floors), objective=st.sampled_from(VALUED))
-def test_the_model_finds_the_best_allowed_set(problem, objective):
-    reduced = replace(presolve(problem), objectives=(objective,))
-    assume(reduced.n_poses)  # else limits are refused before
-    values = []
-    for size in range(1, reduced.limits.max_units + 1):
-        sets = allowed_sets(reduced, size)
-        if len(sets):
-            values += set_values(reduced, sets).of(objective).tolist()
-
-    found = solve_window_model(reduced, objective, time_limit_s=60.0)
-
-    assert found.is_finished
-
-    sign = sign_of(objective)
-    if not values:
-        assert found.units is None
-        assert found.bound == -sign * np.inf
-        return
-    best = sign * max(sign * value for value in values)
-
-    assert found.units is not None
-    assert are_allowed(reduced.limits, found.units[None, :])[0]
-
-    mine = set_values(reduced, found.units[None, :]).of(objective)[0]
-
-    assert mine == pytest.approx(best, abs=1e-6)
-    assert found.bound == pytest.approx(
-        best,
-        rel=1e-6,
-        abs=1e-6,
-    )
-
-
-@given(problem=problems())
-def test_the_model_finds_the_largest_sum_of_margins(problem):
-    reduced = presolve(problem)
-    best = 0.0
-    for sets in sets_by_size(reduced):
-        for units in sets[are_allowed(reduced.limits, sets)]:
-            margin = margins(reduced, units)
-            best = max(
-                best,
-                float(
-                    np.where(
-                        margin > -np.inf,
-                        margin,
-                        0.0,
-                    )
-                    @ reduced.weight
-                ),
-            )
-
-    found = solve_window_model(reduced, Objective.MEAN_MARGIN, time_limit_s=60.0)
-
-    assert found.bound == pytest.approx(best, abs=1e-6)
-
-
-@given(problem=problems(), place=st.floats(0.0, 1.0))
-def test_the_model_finds_a_set_that_meets_a_requirement_where_there_is_one(
-    problem,
-    place,
-):
-    reduced = presolve(problem)
-    least = place * reduced.measure.limit
-    requirement = Requirement(measure=reduced.measure, least=least)
-    reached = [
-        float(requirement.reached(margins(reduced, units)[None, :])[0])
-        for sets in sets_by_size(reduced)
-        for units in sets[are_allowed(reduced.limits, sets)]
-    ]
-    found = solve_window_model(
-        reduced, None, requirements=[requirement], time_limit_s=60.0
-    )
-    if max(reached) >= least + 1e-6:
-        assert found.units is not None
-        if len(reduced.weight):
-            slack = 1e-3 * float(reduced.weight.mean())
-        else:
-            slack = 0.0
-        mine = requirement.reached(margins(reduced, found.units)[None, :])[0]
-        assert mine >= least - slack - 1e-6
-    elif found.units is None:
-        assert max(reached) < least
-
-
 @given(problem=problems())
 def test_links_weigh_what_their_rows_are_worth(problem):
     reduced = presolve(problem)
@@ -169,7 +71,14 @@ def test_links_weigh_what_their_rows_are_worth(problem):
 
             assert of_runs @ a == pytest.approx(reduced.weight @ is_avoided)
 
-            total_s = np.where(is_avoided, margin, 0.0) @ reduced.weight
+            total_s = (
+                np.where(
+                    is_avoided,
+                    margin,
+                    0.0,
+                )
+                @ reduced.weight
+            )
 
             assert of_margins @ a == pytest.approx(total_s, abs=1e-12)
 
@@ -220,12 +129,19 @@ def holds(reduced, cut, units):
 
 def drawn_requirement(reduced, n_failures, place):
     least = place * reduced.measure.limit
-    return Requirement(measure=reduced.measure, least=least, n_failures=n_failures)
+    return Requirement(
+        measure=reduced.measure,
+        least=least,
+        n_failures=n_failures,
+    )
 
 
 def meets(reduced, units, requirement):
     left = left_after_failures(
-        reduced, requirement.measure, requirement.n_failures, units[None, :]
+        reduced,
+        requirement.measure,
+        requirement.n_failures,
+        units[None, :],
     )
     return bool(left[0] >= requirement.least - 1e-9)
 
@@ -253,10 +169,24 @@ def test_cuts_are_met_by_all_sets_that_keep_enough(problem, n_failures, place, f
         assert bool(cuts) != any(units is one for one in good)
         for cut in cuts:
             assert not holds(reduced, cut, units)
-            assert all(holds(reduced, cut, one) for one in good)
+            assert all(
+                holds(
+                    reduced,
+                    cut,
+                    one,
+                )
+                for one in good
+            )
 
     for cut in first:
-        assert all(holds(reduced, cut, one) for one in good)
+        assert all(
+            holds(
+                reduced,
+                cut,
+                one,
+            )
+            for one in good
+        )
 
 
 @given(problem=problems(), failing=FAILING)
@@ -277,7 +207,11 @@ def test_a_model_with_cuts_finds_a_set_that_survives_where_there_is_one(
 
     for _ in range(200):
         found = solve_window_model(
-            reduced, None, requirements=[requirement], cuts=cuts, time_limit_s=60.0
+            reduced,
+            None,
+            requirements=[requirement],
+            cuts=cuts,
+            time_limit_s=60.0,
         )
         if found.units is None:
             break

@@ -127,7 +127,14 @@ def test_a_pose_that_sees_more_dominates_only_where_it_costs_no_more():
     limits = Limits(site_index=np.array([0, 0]), site_capacity=np.array([1]))
     for prices, expected in (((5.0, 5.0), [False, True]), ((6.0, 5.0), [False, False])):
         priced = replace(limits, unit_cost_eur=np.array(prices))
-        assert is_dominated(words, priced, max_units=1).tolist() == expected
+        assert (
+            is_dominated(
+                words,
+                priced,
+                max_units=1,
+            ).tolist()
+            == expected
+        )
     forced = replace(limits, is_forced=np.array([False, True]))
 
     assert is_dominated(

@@ -65,6 +65,14 @@ def test_weights_of_any_magnitude_are_solved_without_overflow(solver):
 
 def test_nothing_is_proven_that_a_solvers_error_may_hide():
     assert settle(0.5, 0.5 + 3e-7, 1.0) > 0.5
-    assert settle(0.5, 0.5 + 3e-7, 1.0, step=0.25) == 0.5
+    assert (
+        settle(
+            0.5,
+            0.5 + 3e-7,
+            1.0,
+            step=0.25,
+        )
+        == 0.5
+    )
     assert settle(0.5, 0.75, 1.0, step=0.25) == 0.75
     assert settle(0.5, 0.4, 1.0) == 1.0  # the solver errs

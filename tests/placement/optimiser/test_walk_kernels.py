@@ -1,6 +1,6 @@
 """Kernels of bounds and walks against a few lines of plain Python each."""
 
-from itertools import combinations, combinations_with_replacement, product
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 import pytest
@@ -10,7 +10,6 @@ from kernel_cases import (
     N_FRAMES,
     bits_of,
     columns_of,
-    first_live,
     n_chains_of,
     n_links_of,
     needed,
@@ -57,7 +56,13 @@ def test_windows_are_asked_for_the_missing_piece_that_is_seen_least(seed):
             if chain not in some:
                 assert found == -7
                 continue
-            missing, least = asked_of(chains, chain, link, alone, seen)
+            missing, least = asked_of(
+                chains,
+                chain,
+                link,
+                alone,
+                seen,
+            )
             assert (
                 (found in missing and seen[found] == least) if missing else found == -1
             )
@@ -151,31 +156,6 @@ def test_the_best_poses_with_room_gain_as_much_as_any_set(seed):
     assert gain[list(chosen)].sum() == total
 
 
-@given(SEEDS)
-def test_no_affordable_set_gains_more_than_prices_of_money_allow(seed):
-    rng = np.random.default_rng(seed)
-    choice = random_choice(rng, has_money=True)
-    gain = whole_weights(rng, 6)
-    picked = np.full(3, -1)
-    total, n_picked = kernels.pick_affordable(gain, choice, picked)
-    best = max(gain[list(one)].sum() for one in sets_of(choice))
-    unlimited = kernels.pick_best(
-        gain,
-        choice,
-        np.full(3, -1),
-    )[0]
-
-    assert best - 1e-9 <= total <= unlimited + 1e-9
-
-    chosen = picked[:n_picked].tolist()
-
-    assert len(set(chosen)) == len(chosen) <= choice.n_units
-
-    free = choice._replace(cost=np.zeros(6))
-
-    assert kernels.pick_affordable(gain, free, picked)[0] == unlimited
-
-
 def test_money_that_is_short_lowers_the_bound_to_what_it_buys():
     choice = Choice(
         n_units=2,
@@ -202,74 +182,16 @@ def test_a_row_is_worth_its_reward_less_what_it_pays(
     weight,
 ):
     reward = reward_of(n_units, n_failures)
-    most, units = kernels.row_limit(reward, weight, n_units, price)
+    most, units = kernels.row_limit(
+        reward,
+        weight,
+        n_units,
+        price,
+    )
     values = [weight * reward[n] - n * price for n in range(n_units + 1)]
 
     assert most == max(values)
     assert values[units] == most
-
-
-def lagrangian(
-    covers,
-    choice,
-    weight,
-    reward,
-    price,
-):
-    """The bound that prices prove: rows beyond them, and the poses that gain most."""
-    of_rows = sum(
-        max(w * reward[n] - n * p for n in range(choice.n_units + 1))
-        for w, p in zip(weight, price, strict=True)
-    )
-    gain = np.where(choice.is_open, covers @ price, 0.0)
-    return (
-        of_rows
-        + kernels.pick_affordable(
-            gain,
-            choice,
-            np.empty(3, dtype=np.int64),
-        )[0]
-    )
-
-
-@given(SEEDS, st.integers(0, 2), st.sampled_from([0, 1, 30]), st.booleans())
-def test_tightened_prices_prove_a_bound_that_no_set_exceeds(
-    seed,
-    n_failures,
-    n_steps,
-    has_money,
-):
-    rng = np.random.default_rng(seed)
-    choice = random_choice(rng, has_money=has_money)
-    n_rows = int(rng.integers(1, 12))
-    covers = rng.random((6, n_rows)) < 0.4
-    weight = whole_weights(rng, n_rows)
-    reward = reward_of(choice.n_units, n_failures)
-    price = rng.uniform(-1.0, 2.0, n_rows) * weight
-    start = np.clip(price, 0.0, weight * reward[1])
-    share = np.zeros(6)
-    rows = pack_words(covers).view(np.uint8)
-    bound = kernels.tighten_prices(
-        rows, choice, weight, reward, price, n_steps, STEERING, share
-    )
-
-    assert bound == pytest.approx(
-        lagrangian(
-            covers,
-            choice,
-            weight,
-            reward,
-            price,
-        )
-    )
-    assert bound <= lagrangian(covers, choice, weight, reward, start) + 1e-9
-
-    for one in sets_of(choice):
-        if choice.is_open[list(one)].all():
-            n_covering = covers[list(one)].sum(axis=0)
-            assert weight @ reward[n_covering] <= bound + 1e-9
-
-    assert (share[np.flatnonzero(choice.is_open == 0)] == 0.0).all()  # never picked
 
 
 def test_steps_find_prices_that_prove_the_best_set():
@@ -468,7 +390,12 @@ def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused
     covers = covers._replace(copies=copies)
     room = rng.integers(0, 3, 3)
     may_lose = float(rng.integers(0, 16))
-    walk = build_walk(covers, n_units, room, [may_lose, may_lose])
+    walk = build_walk(
+        covers,
+        n_units,
+        room,
+        [may_lose, may_lose],
+    )
     found = walked(
         covers,
         walk,
@@ -485,70 +412,6 @@ def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused
     ]
 
     assert sorted(found) == expected
-
-
-@given(SEEDS, st.integers(1, 2))
-def test_a_walk_with_failures_leaves_out_no_set_that_keeps_enough(seed, n_failures):
-    rng = np.random.default_rng(seed)
-    covers = build_covers(rng)
-    may_lose = [float(rng.integers(0, 16)), float(rng.integers(8, 24))]
-    walk = build_walk(
-        covers,
-        3,
-        np.full(3, 3),
-        may_lose,
-    )
-    found = walked(
-        covers,
-        walk,
-        n_failures,
-        work=10**9,
-        n_out=100,
-    )
-
-    assert len(set(found)) == len(found)
-
-    for one in combinations(range(6), 3):
-        left = max(lost_of(covers, part) for part in combinations(one, 3 - n_failures))
-        if lost_of(covers, one) <= may_lose[0] and left <= may_lose[1]:
-            assert one in found
-
-    assert all(lost_of(covers, one) <= may_lose[0] for one in found)
-
-
-@given(SEEDS)
-def test_a_walk_through_pairs_of_which_one_may_fail_finds_just_those_that_keep_enough(
-    seed,
-):
-    rng = np.random.default_rng(seed)
-    covers = build_covers(rng)
-    alone = np.array([lost_of(covers, (pose,)) for pose in range(6)])
-    may_lose = [float(rng.integers(4, 20)), float(rng.choice(alone))]
-    walk = build_walk(
-        covers,
-        2,
-        np.full(3, 3),
-        may_lose,
-    )
-    expected = [
-        pair
-        for pair in combinations(range(6), 2)
-        if lost_of(covers, pair) <= may_lose[0]
-        and alone[list(pair)].max() <= may_lose[1]
-    ]
-
-    assert (
-        sorted(
-            walked(
-                covers,
-                walk,
-                1,
-                work=10**9,
-                n_out=100,
-            )
-        )
-        == expected
-    )
 
 
 def test_a_walk_stops_at_each_node_of_a_depth():
@@ -574,124 +437,3 @@ def test_a_walk_stops_at_each_node_of_a_depth():
 
 
 # ---------- sets of poses
-
-
-def build_losses(rng, chains, alone, may_lose):
-    n_chains = n_chains_of(chains)
-    lost = np.sort(rng.integers(0, 6, (n_chains, 6)), axis=1).astype(np.float64)
-    return kernels.Losses(
-        chains=chains,
-        lost=lost,
-        order=rng.permutation(n_chains),
-        may_lose=np.array(may_lose),
-        base=pack_words(alone),
-    )
-
-
-def loss(losses, seen):
-    frames = np.flatnonzero(seen).tolist()
-    chains = range(n_chains_of(losses.chains))
-    return float(
-        sum(
-            losses.lost[
-                g,
-                first_live(
-                    losses.chains,
-                    g,
-                    frames,
-                ),
-            ]
-            for g in chains
-        )
-    )
-
-
-def keeps(losses, sees, alone, *, with_failures):
-    if loss(losses, sees.any(axis=0) | alone) > losses.may_lose[0]:
-        return False
-    rest = [
-        np.delete(
-            sees,
-            unit,
-            axis=0,
-        ).any(axis=0)
-        | alone
-        for unit in range(len(sees))
-    ]
-    return not with_failures or all(
-        loss(losses, one) <= losses.may_lose[1] for one in rest
-    )
-
-
-@given(SEEDS, st.booleans(), st.integers(0, 9), st.integers(0, 6))
-def test_units_are_kept_if_they_lose_little_with_and_without_each(
-    seed,
-    with_failures,
-    most,
-    more,
-):
-    rng = np.random.default_rng(seed)
-    chains = random_chains(rng)
-    alone = rng.random(N_FRAMES) < 0.2
-    losses = build_losses(
-        rng,
-        chains,
-        alone,
-        [float(most), float(most + more)],
-    )
-    before = losses.order.copy()
-    sees = random_sights(rng, 3)
-    found = kernels.can_keep(pack_words(sees), losses, with_failures)
-
-    assert found == keeps(losses, sees, alone, with_failures=with_failures)
-    assert sorted(losses.order) == sorted(before)  # still all chains
-
-    if found:
-        assert (losses.order == before).all()
-
-
-@given(SEEDS, st.booleans(), st.integers(0, 12), st.sampled_from([1, 50]))
-def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
-    seed,
-    with_failures,
-    most,
-    n_out,
-):
-    rng = np.random.default_rng(seed)
-    chains = random_chains(rng)
-    alone = rng.random(N_FRAMES) < 0.2
-    losses = build_losses(
-        rng,
-        chains,
-        alone,
-        [float(most), float(most + 3)],
-    )
-    sees = random_sights(rng, 7)
-    member = rng.permutation(7)
-    start = np.array([0, 3, 4, 7])
-    parts = [member[start[k] : start[k + 1]] for k in range(3)]
-    of_class = np.array([sees[part].any(axis=0) for part in parts])
-    of_classes = kernels.Classes(
-        member=member,
-        start=start,
-        words=pack_words(of_class),
-    )
-    classes = np.sort(rng.choice([0, 0, 1, 2, 2], 3, replace=False))
-    place = np.array([-1, -1, -1, 0])
-    found = []
-    while place[-1] >= 0:
-        out = np.empty((n_out, 3), dtype=np.int64)
-        n_found = kernels.spell_out(
-            pack_words(sees), of_classes, losses, with_failures, classes, place, out
-        )
-        found += [tuple(sorted(row)) for row in out[:n_found].tolist()]
-
-    options = {tuple(sorted(one)) for one in product(*(parts[k] for k in classes))}
-    expected = [
-        one
-        for one in options
-        if len(set(one)) == 3
-        and keeps(losses, sees[list(one)], alone, with_failures=with_failures)
-    ]
-
-    assert sorted(found) == sorted(expected)

@@ -178,6 +178,7 @@ def test_every_frame_is_in_one_drive_or_left_out(rows, gaps):
             vut_speed,
             1.5,
         )
+
     drives, left_out = cut_drives(world, FORM)
     inside = [key for drive in drives for key in drive.frames if key in world]
 

@@ -94,7 +94,12 @@ def test_boxes_in_regions_to_ignore_are_no_false_alarms():
     far = (500.0, 0.0, 540.0, 100.0)
     given_ = annotated((0, 1, A), (0, -1, far, {"name": IGNORE}))
     detected = found((0, far, 0.9), (0, (800.0, 0.0, 840.0, 100.0), 0.9))
-    pairs = pair_boxes(given_, detected, classes=PERSON, min_score=0.5)
+    pairs = pair_boxes(
+        given_,
+        detected,
+        classes=PERSON,
+        min_score=0.5,
+    )
     _, alarms = gather_sightings(
         pairs.pictures,
         n_confirmations=3,

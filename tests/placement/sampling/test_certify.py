@@ -90,7 +90,12 @@ def test_gaps_hold_as_often_as_they_say():
 def test_gaps_hold_as_often_as_they_say_whatever_the_blocks():
     for n_blocks, n_worlds in ((2, 2), (3, 8), (5, 8), (10, 2)):
         assert (
-            coverage(1000, n_blocks=n_blocks, n_worlds=n_worlds) >= 0.95 - 0.021
+            coverage(
+                1000,
+                n_blocks=n_blocks,
+                n_worlds=n_worlds,
+            )
+            >= 0.95 - 0.021
         ).all()
 
 
@@ -293,7 +298,11 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
         """The same rows in each round, of candidates that each round makes anew."""
         found = real(plan, **how)
         chosen.append(pipeline.pick_layout(plan.candidates, [0, 7], "found"))
-        return replace(found, layout=chosen[-1], preferred=None)
+        return replace(
+            found,
+            layout=chosen[-1],
+            preferred=None,
+        )
 
     monkeypatch.setattr(certifying, "place", placed)
     question = replace(

@@ -117,7 +117,11 @@ def _flipped(packed):
 
 
 def _with_other_frames(axis):
-    return replace(axis, run_start=np.array([0, 3, 7, 10]), time_s=np.arange(10) / 10)
+    return replace(
+        axis,
+        run_start=np.array([0, 3, 7, 10]),
+        time_s=np.arange(10) / 10,
+    )
 
 
 def _of_second_floor(**values):
@@ -237,7 +241,11 @@ def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(
     packed[:, -1] |= 0b11111100  # ten frames
     axis = replace(problem.table.axis, time_s=-1.0 * -problem.table.axis.time_s)
     limits = replace(problem.limits, site_cost_eur=np.array([500.0, -0.0]))
-    table = replace(problem.table, axis=axis, packed=packed)
+    table = replace(
+        problem.table,
+        axis=axis,
+        packed=packed,
+    )
     same = replace(problem, table=table, limits=limits)
 
     assert problem_hash(same) == problem_hash(problem)
@@ -286,8 +294,16 @@ def test_every_field_that_is_missing_is_named(problem, tmp_path):
 
 def test_what_may_be_missing_is_none(problem, tmp_path):
     path = tmp_path / "a.npz"
-    rewrite(path, problem, **dict.fromkeys(OPTIONAL, ...))
-    limits = replace(problem.limits, budget_units=None, budget_eur=None)
+    rewrite(
+        path,
+        problem,
+        **dict.fromkeys(OPTIONAL, ...),
+    )
+    limits = replace(
+        problem.limits,
+        budget_units=None,
+        budget_eur=None,
+    )
     bare = replace(problem, limits=limits, sample_index=None)
 
     assert problem_hash(load_problem(path)) == problem_hash(bare)

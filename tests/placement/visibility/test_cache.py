@@ -91,7 +91,11 @@ def test_runs_that_were_kept_on_disk_have_the_same_fingerprint(inputs, actors):
     )
     runs = tuple(replace(run, obstruction=(van,)) for run in inputs["runs"])
     # With a van of its own.
-    kept = from_bytes(to_bytes(runs[0]), Run, classes=(StraightPath,))
+    kept = from_bytes(
+        to_bytes(runs[0]),
+        Run,
+        classes=(StraightPath,),
+    )
 
     assert kept.obstruction[0].actor is not van.actor
 

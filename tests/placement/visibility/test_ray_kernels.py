@@ -139,7 +139,12 @@ def test_no_ray_is_spared_that_something_stops_at_the_studys_junction(
     monkeypatch,
 ):
     scene = load_study_scene()
-    world = build_world(scene, study_runs, n_points=N_POINTS, seed=0)
+    world = build_world(
+        scene,
+        study_runs,
+        n_points=N_POINTS,
+        seed=0,
+    )
     rng = np.random.default_rng(3)
 
     for site in rng.choice(len(scene.sites), 4, replace=False):
@@ -243,7 +248,15 @@ def test_where_nothing_is_nearer_nothing_is_asked():
         dtype=np.float32,
     )
     eye = np.zeros(3)
-    mark_nearest(nearest, ball, eye, 0.1, 100.0, -20.0, 20.0)
+    mark_nearest(
+        nearest,
+        ball,
+        eye,
+        0.1,
+        100.0,
+        -20.0,
+        20.0,
+    )
     points = np.array(
         [
             [8.5, 0, 0],

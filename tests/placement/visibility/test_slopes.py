@@ -128,7 +128,12 @@ def test_a_lifted_world_looks_as_one_at_zero(
         own.append(perceive_frames(surroundings, load_vut_camera()))
         rng = np.random.default_rng(0)
         scans.append(
-            scan_frames(surroundings, candidates[0].pose, load_vut_lidar(), rng)
+            scan_frames(
+                surroundings,
+                candidates[0].pose,
+                load_vut_lidar(),
+                rng,
+            )
         )
 
     assert tables[0].any()
@@ -160,10 +165,20 @@ def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, 
         lambda east, north: 2.0 * np.sin(a * east) + 1.5 * np.cos(b * north),
     )
     runs = on(scene, some_runs(build_run, seed))
-    world = build_world(scene, runs, n_points=40, seed=0)
+    world = build_world(
+        scene,
+        runs,
+        n_points=40,
+        seed=0,
+    )
     eye = on_ground(rng.uniform(-20.0, 20.0, 2), None) + [0.0, 0.0, 5.0]
     eye[2] += ground_height_m(scene, eye[:2])
-    sight = cast_sight(world, eye, near_m=NEAR_M, max_distance_m=FAR_M)
+    sight = cast_sight(
+        world,
+        eye,
+        near_m=NEAR_M,
+        max_distance_m=FAR_M,
+    )
     frame = 0
     for run in runs:
         for index in range(len(run.time_s)):

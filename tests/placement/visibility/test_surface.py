@@ -100,7 +100,10 @@ def test_points_are_evenly_spread(surface):
 
     # A thicker sample of the same surface: nothing is far from a point.
     fine = build_surface(
-        surface.actor, surface.shape_index, n_points=4 * N_POINTS, seed=7
+        surface.actor,
+        surface.shape_index,
+        n_points=4 * N_POINTS,
+        seed=7,
     ).points_m
 
     assert cKDTree(surface.points_m).query(fine)[0].max() < 0.12
@@ -168,4 +171,11 @@ def test_samples_are_chosen_one_by_one_the_farthest_from_all_before():
         points.append(samples[farthest])
 
     assert farthest_samples(samples, first, 30).tolist() == expected
-    assert farthest_samples(samples, first, 0).tolist() == []
+    assert (
+        farthest_samples(
+            samples,
+            first,
+            0,
+        ).tolist()
+        == []
+    )
