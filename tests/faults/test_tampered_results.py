@@ -958,7 +958,14 @@ def test_what_was_changed_is_found_or_named(results, expected, name):
 
 
 @pytest.mark.parametrize(
-    "name", ["report.html", "bill_of_materials.csv", "layout.geojson"]
+    "name",
+    [
+        "report.html",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("bill_of_materials.csv", "layout.geojson")
+        ),
+    ],
 )
 def test_whoever_forgets_the_list_of_hashes_is_found_out(results, name):
     (results / name).write_text("x")

@@ -57,6 +57,34 @@ def live_links(reduced, units):
     return a
 
 
+@given(problem=problems(), place=st.floats(0.0, 1.0))
+def test_the_model_finds_a_set_that_meets_a_requirement_where_there_is_one(
+    problem,
+    place,
+):
+    reduced = presolve(problem)
+    least = place * reduced.measure.limit
+    requirement = Requirement(measure=reduced.measure, least=least)
+    reached = [
+        float(requirement.reached(margins(reduced, units)[None, :])[0])
+        for sets in sets_by_size(reduced)
+        for units in sets[are_allowed(reduced.limits, sets)]
+    ]
+    found = solve_window_model(
+        reduced, None, requirements=[requirement], time_limit_s=60.0
+    )
+    if max(reached) >= least + 1e-6:
+        assert found.units is not None
+        if len(reduced.weight):
+            slack = 1e-3 * float(reduced.weight.mean())
+        else:
+            slack = 0.0
+        mine = requirement.reached(margins(reduced, found.units)[None, :])[0]
+        assert mine >= least - slack - 1e-6
+    elif found.units is None:
+        assert max(reached) < least
+
+
 @given(problem=problems())
 def test_links_weigh_what_their_rows_are_worth(problem):
     reduced = presolve(problem)
