@@ -21,7 +21,7 @@ from kernel_cases import (
 
 from placement.optimiser import walk_kernels as kernels
 from placement.optimiser.allowed_sets import Choice
-from placement.optimiser.bounds import reward_of
+from placement.optimiser.bounds import byte_table, reward_of
 from placement.optimiser.presolve import pack_words
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -437,3 +437,35 @@ def test_a_walk_stops_at_each_node_of_a_depth():
 
 
 # ---------- sets of poses
+
+
+@given(SEEDS, st.integers(0, 40))
+def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
+    rng = np.random.default_rng(seed)
+    n_rows = int(rng.integers(1, 140))
+    alone, may, part = rng.random((3, 5, n_rows)) < 0.6
+    weight = whole_weights(rng, n_rows)
+    pairs = rng.integers(0, 5, (6, 2))
+    table, _, _ = byte_table(weight, pack_words(alone))
+    lost = np.empty(6)
+    kernels.lost_by_pairs(
+        pack_words(alone),
+        pack_words(may),
+        pack_words(part),
+        table,
+        float(may_lose),
+        pairs,
+        lost,
+    )
+
+    for (one, other), found in zip(pairs, lost, strict=True):
+        can = (alone[one] | alone[other] | (part[one] & part[other])) & (
+            may[one] | may[other]
+        )
+        total = weight[~can].sum()
+
+        assert (found <= may_lose) == (total <= may_lose)
+        assert found <= total
+
+        if found <= may_lose:
+            assert found == total
