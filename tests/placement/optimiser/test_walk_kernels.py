@@ -1,6 +1,6 @@
 """Kernels of bounds and walks against a few lines of plain Python each."""
 
-from itertools import combinations, combinations_with_replacement
+from itertools import combinations, combinations_with_replacement, product
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from kernel_cases import (
     N_FRAMES,
     bits_of,
     columns_of,
+    first_live,
     n_chains_of,
     n_links_of,
     needed,
@@ -23,6 +24,54 @@ from placement.optimiser import walk_kernels as kernels
 from placement.optimiser.allowed_sets import Choice
 from placement.optimiser.bounds import byte_table, reward_of
 from placement.optimiser.presolve import pack_words
+
+
+def build_losses(rng, chains, alone, may_lose):
+    n_chains = n_chains_of(chains)
+    lost = np.sort(rng.integers(0, 6, (n_chains, 6)), axis=1).astype(np.float64)
+    return kernels.Losses(
+        chains=chains,
+        lost=lost,
+        order=rng.permutation(n_chains),
+        may_lose=np.array(may_lose),
+        base=pack_words(alone),
+    )
+
+
+def loss(losses, seen):
+    frames = np.flatnonzero(seen).tolist()
+    chains = range(n_chains_of(losses.chains))
+    return float(
+        sum(
+            losses.lost[
+                g,
+                first_live(
+                    losses.chains,
+                    g,
+                    frames,
+                ),
+            ]
+            for g in chains
+        )
+    )
+
+
+def keeps(losses, sees, alone, *, with_failures):
+    if loss(losses, sees.any(axis=0) | alone) > losses.may_lose[0]:
+        return False
+    rest = [
+        np.delete(
+            sees,
+            unit,
+            axis=0,
+        ).any(axis=0)
+        | alone
+        for unit in range(len(sees))
+    ]
+    return not with_failures or all(
+        loss(losses, one) <= losses.may_lose[1] for one in rest
+    )
+
 
 SEEDS = st.integers(0, 2**32 - 1)
 STEERING = np.array([0.7, 0.6, 0.7, 0.97, 6.0])
@@ -469,3 +518,77 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
 
         if found <= may_lose:
             assert found == total
+
+
+@given(SEEDS, st.booleans(), st.integers(0, 9), st.integers(0, 6))
+def test_units_are_kept_if_they_lose_little_with_and_without_each(
+    seed,
+    with_failures,
+    most,
+    more,
+):
+    rng = np.random.default_rng(seed)
+    chains = random_chains(rng)
+    alone = rng.random(N_FRAMES) < 0.2
+    losses = build_losses(
+        rng,
+        chains,
+        alone,
+        [float(most), float(most + more)],
+    )
+    before = losses.order.copy()
+    sees = random_sights(rng, 3)
+    found = kernels.can_keep(pack_words(sees), losses, with_failures)
+
+    assert found == keeps(losses, sees, alone, with_failures=with_failures)
+    assert sorted(losses.order) == sorted(before)  # still all chains
+
+    if found:
+        assert (losses.order == before).all()
+
+
+@given(SEEDS, st.booleans(), st.integers(0, 12), st.sampled_from([1, 50]))
+def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
+    seed,
+    with_failures,
+    most,
+    n_out,
+):
+    rng = np.random.default_rng(seed)
+    chains = random_chains(rng)
+    alone = rng.random(N_FRAMES) < 0.2
+    losses = build_losses(
+        rng,
+        chains,
+        alone,
+        [float(most), float(most + 3)],
+    )
+    sees = random_sights(rng, 7)
+    member = rng.permutation(7)
+    start = np.array([0, 3, 4, 7])
+    parts = [member[start[k] : start[k + 1]] for k in range(3)]
+    of_class = np.array([sees[part].any(axis=0) for part in parts])
+    of_classes = kernels.Classes(
+        member=member,
+        start=start,
+        words=pack_words(of_class),
+    )
+    classes = np.sort(rng.choice([0, 0, 1, 2, 2], 3, replace=False))
+    place = np.array([-1, -1, -1, 0])
+    found = []
+    while place[-1] >= 0:
+        out = np.empty((n_out, 3), dtype=np.int64)
+        n_found = kernels.spell_out(
+            pack_words(sees), of_classes, losses, with_failures, classes, place, out
+        )
+        found += [tuple(sorted(row)) for row in out[:n_found].tolist()]
+
+    options = {tuple(sorted(one)) for one in product(*(parts[k] for k in classes))}
+    expected = [
+        one
+        for one in options
+        if len(set(one)) == 3
+        and keeps(losses, sees[list(one)], alone, with_failures=with_failures)
+    ]
+
+    assert sorted(found) == sorted(expected)
