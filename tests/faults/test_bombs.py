@@ -7,8 +7,6 @@ import json
 import struct
 import sys
 import zipfile
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,22 +18,21 @@ from geometry.scene_sources import SCENE_FILE
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="limits of memory are Linux's"
 )
-NOISE = np.random.default_rng(1).bytes(
-    600_000
-)  # beside it the rest looks honest: 1 to 180
+# Beside it the rest looks honest: 1 to 180.
+NOISE = np.random.default_rng(1).bytes(600_000)
 
 
 @pytest.fixture(scope="module")
-def process() -> Iterator[Process]:
+def process():
     one = Process()
     yield one
     one.end()
 
 
-def zeros(n_bytes: int, head: bytes = b"") -> Callable[[zipfile.ZipFile, str], None]:
+def zeros(n_bytes, head=b""):
     """A member of an archive, written without ever being in memory."""
 
-    def write(archive: zipfile.ZipFile, name: str) -> None:
+    def write(archive, name):
         with archive.open(name, "w", force_zip64=True) as member:
             member.write(head)
             for _ in range(n_bytes >> 20):
@@ -44,19 +41,18 @@ def zeros(n_bytes: int, head: bytes = b"") -> Callable[[zipfile.ZipFile, str], N
     return write
 
 
-def pack(
-    path: Path, members: dict[str, Callable[[zipfile.ZipFile, str], None] | bytes]
-) -> Path:
+def pack(path, members):
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, content in members.items():
             if isinstance(content, bytes):
                 archive.writestr(name, content)
             else:
                 content(archive, name)
+
     return path
 
 
-def glb(n_bytes: int) -> bytes:
+def glb(n_bytes):
     """The head of a mesh file with so many bytes of data."""
     text = json.dumps(
         {"asset": {"version": "2.0"}, "buffers": [{"byteLength": n_bytes}]}
@@ -71,18 +67,18 @@ def glb(n_bytes: int) -> bytes:
     return head + struct.pack("<I4s", n_bytes, b"BIN\0")
 
 
-def scene_of_toml(path: Path) -> Path:
+def scene_of_toml(path):
     table = b"a = 1\n" + b"# a line of a comment\n" * 1_000_000  # 22 MB
     return pack(path, {SCENE_FILE: table, THINGS_FILE: b"glTF", "noise": NOISE})
 
 
-def scene_of_mesh(path: Path) -> Path:
+def scene_of_mesh(path):
     n_bytes = 301 << 20
     mesh = zeros(n_bytes, glb(n_bytes))
     return pack(path, {SCENE_FILE: b"a = 1", THINGS_FILE: mesh, "noise": NOISE * 3})
 
 
-def instance(path: Path) -> Path:
+def instance(path):
     """An array of 2 GB, as its archive says; none of it is there."""
     kind = io.BytesIO()
     np.save(kind, np.array("place-rsus/placement-problem/1"))
@@ -90,10 +86,11 @@ def instance(path: Path) -> Path:
         archive.writestr("kind.npy", kind.getvalue())
         archive.writestr("packed.npy", b"")
         archive.filelist[-1].file_size = 2100 << 20
+
     return path
 
 
-def shifted_roofs(path: Path) -> Path:
+def shifted_roofs(path):
     """Roofs 6 km high: what a height in another unit, or a damaged scale, makes of a
     house.
     """
@@ -132,6 +129,8 @@ def test_what_unpacks_to_gigabytes_is_refused(
 ):
     path = make(tmp_path / name)
     assert path.stat().st_size < 8_000_000
+
     answer = process.ask(reader, path)
+
     assert answer["outcome"] == "refused", answer["text"]
     assert message in answer["text"]

@@ -6,7 +6,6 @@ import io
 import json
 import os
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,12 +26,14 @@ from placement.verification.instances import load_problem
 from scenarios.weight_tables import weight_from_csv
 
 
-def refusal(function, *arguments) -> str:
+def refusal(function, *arguments):
     with pytest.raises(InputError) as caught:
         function(*arguments)
     message = str(caught.value)
+
     assert "\n" not in message
     assert len(message) < 3000
+
     return message
 
 
@@ -48,12 +49,14 @@ def refusal(function, *arguments) -> str:
 def test_toml_that_overwhelms_its_reader(tmp_path, text, reason):
     path = tmp_path / "a.toml"
     path.write_text(text)
+
     assert reason in refusal(load_toml, path)
 
 
 def test_toml_of_a_size_that_takes_minutes(tmp_path):
     path = tmp_path / "a.toml"
     path.write_bytes(b"#" * 20_000_001)
+
     assert "20,000,001 bytes; expected at most 20,000,000" in refusal(load_toml, path)
 
 
@@ -73,7 +76,7 @@ def test_an_origin_of_400_digits(tmp_path):
         )
 
 
-def packed(path: Path, *, encrypts: bool = False, damages: bool = False) -> Path:
+def packed(path, *, encrypts=False, damages=False):
     """A scene's archive with something wrong in it."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -102,6 +105,7 @@ def test_scene_archives_that_unpack_to_far_more(tmp_path, name):
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for each in (SCENE_FILE, THINGS_FILE):
             archive.writestr(each, b"#" * (19_000_000 if each == name else 10))
+
     assert "expected at most 200 times as many" in refusal(load_scene, path)
 
 
@@ -119,6 +123,7 @@ def test_cityjson_whose_type_is_an_object(tmp_path):
             }
         )
     )
+
     assert "no building, plant or furniture with surfaces" in refusal(read_map, path)
 
 
@@ -129,6 +134,7 @@ def test_private_ground_that_lies_nowhere(tmp_path, vertex):
     polygon = {"type": "Polygon", "coordinates": [ring]}
     feature = {"type": "Feature", "properties": {}, "geometry": polygon}
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+
     assert "coordinates that cannot be" in refusal(
         load_private_ground, path, load_scene()
     )
@@ -140,6 +146,7 @@ def test_point_clouds_whose_roofs_are_kilometres_high():
         [columns, columns, np.full(39, voxels.MAX_VOXELS_PER_AXIS)], axis=1
     )
     message = refusal(voxels.columns_to, np.sort(voxels.to_keys(cells)), 1, "roofs.las")
+
     assert message.startswith(
         "roofs.las: got walls of 40,894,386 voxels; expected at most "
     )
@@ -149,6 +156,7 @@ def test_instances_that_unpack_to_more_than_memory(tmp_path, monkeypatch):
     path = tmp_path / "instance.npz"
     np.savez_compressed(path, kind="x", packed=np.zeros(2_000_000, dtype=np.uint8))
     monkeypatch.setattr("geometry.archives.MAX_UNPACKED_BYTES", 1_000_000)
+
     assert (
         "bytes or more when unpacked; expected at most 1,000,000, the budget"
         in refusal(load_problem, path)
@@ -176,9 +184,7 @@ READERS = {
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
-@pytest.mark.parametrize(
-    "suffix", [".toml", ".json", ".zip", ".osm", ".geojson", ".xodr", ".las"]
-)
+@pytest.mark.parametrize("suffix", [".toml", ".json", ".zip", ".xodr"])
 @pytest.mark.parametrize("reader", READERS)
 def test_a_pipe_keeps_nobody_waiting(tmp_path, reader, suffix):
     path = tmp_path / f"pipe{suffix}"
@@ -209,13 +215,14 @@ def test_names_of_any_length_and_with_line_breaks_stay_one_line():
 def crash(monkeypatch, tmp_path, capsys):
     """Runs the program with a fault in it: exit code and what stands on stderr."""
 
-    def fail(*arguments: object, **values: object) -> None:
+    def fail(*arguments, **values):
         raise ZeroDivisionError("a fault of ours")
 
-    def run(*arguments: str) -> tuple[int, str]:
+    def run(*arguments):
         monkeypatch.setattr("experiments.main.cli.invoke", fail)
         monkeypatch.setenv("TMPDIR", str(tmp_path))
         monkeypatch.setattr("tempfile.tempdir", None)
+
         with pytest.raises(SystemExit) as ended:
             program.main(list(arguments))
         return int(str(ended.value.code)), capsys.readouterr().err
@@ -226,6 +233,7 @@ def crash(monkeypatch, tmp_path, capsys):
 def test_an_unexpected_error_is_one_line_and_a_file(crash, tmp_path):
     code, told = crash("--budget", "3")
     (kept,) = tmp_path.glob("place-rsus-error-*.txt")
+
     assert code == 70
     assert (
         told

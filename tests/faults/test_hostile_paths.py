@@ -30,33 +30,33 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def make_pipe(path: Path) -> None:
+def make_pipe(path):
     os.mkfifo(path)
 
 
-def make_socket(path: Path) -> None:
+def make_socket(path):
     with socket.socket(socket.AF_UNIX) as one:
         one.bind(str(path))
 
 
-def make_link(path: Path) -> None:
+def make_link(path):
     (path.parent / "target").write_text("theirs")
     path.symlink_to("target")
 
 
-def make_dangling(path: Path) -> None:
+def make_dangling(path):
     path.symlink_to("nowhere")
 
 
-def make_loop(path: Path) -> None:
+def make_loop(path):
     path.symlink_to(path.name)
 
 
-def make_link_to_device(path: Path) -> None:
+def make_link_to_device(path):
     path.symlink_to("/dev/full")
 
 
-def identity(path: Path) -> tuple[int, int, int, int]:
+def identity(path):
     """Not when it was last accessed: to read where a link leads may count as an
     access.
     """
@@ -80,10 +80,12 @@ def test_nothing_but_a_regular_file_is_written_over(tmp_path, monkeypatch, make)
     path = Path("a.json")
     make(path)
     before = identity(path)
+
     with pytest.raises(
         FileExistsError, match=f"{KINDS[make]}, no regular file: 'a.json'"
     ):
         write_atomically(path, b"ours")
+
     with pytest.raises(InputError) as caught:
         check_target(path)
     assert (
@@ -109,6 +111,7 @@ def test_devices_are_not_written_over(name):
 def test_nothing_but_a_regular_file_is_read(tmp_path, monkeypatch, make):
     monkeypatch.chdir(tmp_path)
     make(Path("a.json"))
+
     with pytest.raises(InputError, match=r"a\.json: got "):
         open_file(Path("a.json"))
 
@@ -137,6 +140,7 @@ def test_the_program_keeps_devices(option, capsys):
 def test_a_parquet_file_of_ten_million_rows(tmp_path):
     path = tmp_path / "runs.parquet"
     pd.DataFrame({"a": np.zeros(10_000_000)}).to_parquet(path)
+
     assert path.stat().st_size < 50_000
     with (
         pytest.raises(
@@ -171,6 +175,7 @@ def test_geopackages_that_compute_what_they_hold(tmp_path, made):
     with sqlite3.connect(path) as database:
         database.execute(made)
     database.close()
+
     with pytest.raises(
         InputError, match="got roofs, a view or a table with computed columns"
     ):
@@ -180,6 +185,7 @@ def test_geopackages_that_compute_what_they_hold(tmp_path, made):
 def test_a_pipe_in_place_of_a_shapefile_s_table(tmp_path):
     (tmp_path / "a.shp").write_bytes(b"\0\0\x27\x0a" + bytes(96))
     os.mkfifo(tmp_path / "a.dbf")
+
     with pytest.raises(
         InputError, match=r"a\.dbf: got a pipe; expected a regular file"
     ):
@@ -232,11 +238,13 @@ def test_sensors_and_sites_have_bounds(camera):
 # ---------- the command line
 
 
-def refusal(capsys, *arguments: str) -> str:
+def refusal(capsys, *arguments):
     with pytest.raises(SystemExit) as ended:
         program.main(arguments)
-    told: str = capsys.readouterr().err
+    told = capsys.readouterr().err
+
     assert ended.value.code == 2, told
+
     return told.splitlines()[-1].removeprefix("place-rsus: ")
 
 
@@ -314,16 +322,18 @@ def test_an_unknown_reference_system_of_private_ground(tmp_path, capsys):
         )
     )
     told = refusal(capsys, "--budget", "3", "--quiet", "--no-look", str(path))
+
     assert told.endswith(
         "crs: got 'EPSG:nonsense'; expected one that pyproj knows, or none"
     )
 
 
 def test_too_little_memory_is_one_line(monkeypatch, capsys):
-    def fail(*_arguments: object, **_values: object) -> None:
+    def fail(*_arguments, **_values):
         raise MemoryError
 
     monkeypatch.setattr("experiments.main.cli.invoke", fail)
+
     assert refusal(capsys, "--budget", "3").startswith(
         "memory: got too little in stage 'start'"
     )
@@ -342,6 +352,7 @@ def test_ctrl_c_while_modules_load(monkeypatch):
     monkeypatch.setattr(os, "_exit", ended.append)
     monkeypatch.setattr(os, "write", lambda *given: ended.append(given))
     start._end(2, None)
+
     assert ended == [(2, b"place-rsus: interrupted\n"), 130]
 
 
@@ -354,6 +365,7 @@ def test_no_text_reaches_a_terminal_as_a_command(capsys):
     hostile = "\x1b[2J\x9b31m\u202egnp.exe\x7f\U000e0041"
     tell(f"a {hostile}\nb")
     told = capsys.readouterr().out
+
     assert told.replace("\n", "").isprintable()
     assert json.loads(printable(json.dumps(hostile, ensure_ascii=False))) == hostile
     assert printable("Straße \u0645\u200c\u0647") == "Straße \u0645\u200c\u0647"

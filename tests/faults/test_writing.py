@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -35,7 +34,7 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def start(folder) -> Iterator:
+def start(folder):
     """Begins to write: the writer's process id."""
     folders = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "support")))
     maker = subprocess.Popen(
@@ -49,11 +48,12 @@ def start(folder) -> Iterator:
         text=True,
         env=os.environ | {"PYTHONPATH": folders, "OMP_NUM_THREADS": "1"},
     )
-    begun: list[int] = []
+    begun = []
 
-    def begin() -> int:
+    def begin():
         assert maker.stdin is not None
         assert maker.stdout is not None
+
         maker.stdin.write("\n")
         maker.stdin.flush()
         begun.append(int(maker.stdout.readline()))
@@ -66,7 +66,7 @@ def start(folder) -> Iterator:
     maker.communicate()
 
 
-def assert_whole(folder: Path) -> str:
+def assert_whole(folder):
     """The table and the results are whole, and of one writing each; returns the
     results'.
     """
@@ -74,8 +74,11 @@ def assert_whole(folder: Path) -> str:
     assert table is not None
     assert len(set(table.packed.ravel().tolist())) == 1
     assert changed_files(folder / "latest") == {}
+
     texts = {(folder / "latest" / name).read_text() for name in NAMES}
+
     assert len(texts) == 1
+
     return texts.pop()
 
 
@@ -87,17 +90,22 @@ def test_a_writer_killed_at_any_moment_leaves_the_old_or_the_new(folder, start, 
         time.sleep(rng.uniform(0.0, 0.15))
         os.kill(writer, signal.SIGKILL)
         seen.add(assert_whole(folder))
+
     assert len(seen) > 1  # some were new
     assert caplog.messages == []
+
     check_result_folder(folder / "latest")
     # What the killed have left is hidden, and goes with the next run.
     left = [path for path in folder.iterdir() if path.name not in ("cache", "latest")]
     left += [path for path in (folder / "cache").iterdir() if path.name != "table.npz"]
+
     assert all(path.name.startswith(".") for path in left)
+
     for path in left:
         os.utime(path, (0, 0))
     write_table(folder, 2)
     write_results(folder, 2)
+
     assert not any(path.exists() for path in left)
     assert sorted(path.name for path in folder.iterdir()) == ["cache", "latest"]
 
@@ -109,15 +117,17 @@ def test_two_writers_at_once_leave_the_results_of_one(folder, start):
         table = read_table(folder)
         assert table is not None
         assert len(set(table.packed.ravel().tolist())) == 1
+
     for writer in writers:
         with suppress(ProcessLookupError):
             os.kill(writer, signal.SIGKILL)
     time.sleep(0.1)
+
     assert assert_whole(folder) != "1\n" * 20_000
 
 
 @contextmanager
-def largest_file(n_bytes: int) -> Iterator[None]:
+def largest_file(n_bytes):
     """No file may become larger: for a program this looks like a disk that is full."""
     import resource
 
@@ -135,14 +145,15 @@ def test_without_room_the_old_stays_and_what_is_wrong_is_said(folder, n_bytes, c
         write_table(folder, 2)
         with pytest.raises((InputError, OSError)) as caught:
             write_results(folder, 2)
+
     (message,) = caplog.messages
+
     assert message.startswith("detection table not cached: ")
     assert message.endswith(os.strerror(errno.EFBIG))
     assert assert_whole(folder) == "1\n" * 20_000
     assert sorted(path.name for path in folder.iterdir()) == ["cache", "latest"]
-    assert "kept" not in str(
-        caught.value
-    )  # of a summary that is cut off nobody has anything
+    # Of a summary that is cut off nobody has anything.
+    assert "kept" not in str(caught.value)
 
 
 def test_a_full_disk_is_said_and_the_old_stays(tmp_path, caplog):
@@ -172,7 +183,7 @@ def test_a_full_disk_is_said_and_the_old_stays(tmp_path, caplog):
 
 
 @contextmanager
-def as_nobody() -> Iterator[None]:
+def as_nobody():
     """Without root's right to write anywhere."""
     if os.geteuid() != 0:
         yield
@@ -209,18 +220,22 @@ def test_a_folder_without_rights_is_refused_before_anything_is_computed(caplog):
 
 
 def test_a_failure_while_files_are_put_in_place_leaves_the_old(folder, monkeypatch):
-    def fail(first: Path, second: Path) -> bool:
+    def fail(first, second):
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     monkeypatch.setattr("experiments.results.folders._exchange", fail)
+
     with pytest.raises(
         InputError, match=r"what was computed is kept in .*latest\.unfinished$"
     ):
         write_results(folder, 2)
+
     assert assert_whole(folder) == "1\n" * 20_000
     assert (folder / "latest.unfinished" / MARKER).read_text() == "2\n" * 20_000
+
     monkeypatch.undo()
     write_results(folder, 3)
+
     assert assert_whole(folder) == "3\n" * 20_000
 
 

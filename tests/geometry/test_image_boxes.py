@@ -4,12 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import boxes_px, numbers
 
-from geometry.image_boxes import (
-    box_height_px,
-    clip_boxes,
-    iou,
-    mask_box,
-)
+from geometry.image_boxes import box_height_px, clip_boxes, iou, mask_box
 
 SIZE_PX = 40
 
@@ -95,7 +90,7 @@ def test_clipping_twice_is_clipping_once(box):
             min_size=1,
             max_size=7,
         )
-    ),
+    )
 )
 def test_mask_box_is_the_smallest_box_around_the_set_pixels(mask):
     corners = [

@@ -14,12 +14,7 @@ from junctions import (
 )
 
 from geometry.errors import InputError
-from geometry.junction import (
-    Line,
-    build_junction,
-    lane_length_m,
-    lane_line,
-)
+from geometry.junction import Line, build_junction, lane_length_m, lane_line
 from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
 

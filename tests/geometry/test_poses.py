@@ -5,13 +5,7 @@ from hypothesis import strategies as st
 from strategies import angles_deg, numbers, points_m, poses
 
 from geometry.errors import InputError
-from geometry.poses import (
-    Pose,
-    body_rotation,
-    camera_rotation,
-    to_world,
-    wrap_deg,
-)
+from geometry.poses import Pose, body_rotation, camera_rotation, to_world, wrap_deg
 
 
 @given(angles_deg, angles_deg)

@@ -11,14 +11,7 @@ from strategies import angles_deg, numbers, points_m
 from geometry.actors import load_actors
 from geometry.errors import InputError
 from geometry.poses import Pose, to_world
-from geometry.scene import (
-    CLASS_NAMES,
-    Instance,
-    Lane,
-    Scene,
-    Site,
-    containing_instance,
-)
+from geometry.scene import CLASS_NAMES, Instance, Lane, Scene, Site, containing_instance
 
 SITE = {
     "id": "pole",

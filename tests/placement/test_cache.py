@@ -53,6 +53,7 @@ VALUES = {
 def test_a_hash_tells_apart_whatever_differs():
     hashes = Fingerprints()
     found = [hashes.of(value) for value in VALUES.values()]
+
     assert len(set(found)) == len(VALUES)
     assert all(len(text) == 32 for text in found)
 
@@ -65,6 +66,7 @@ def test_a_hash_is_that_of_the_content_wherever_it_lies(name):
     else:
         again = replace(value)
     both = Fingerprints()
+
     assert both.of(value, value) == Fingerprints().of(replace(again), again)
     assert both.of(value) == both.of(again)
 
@@ -99,10 +101,13 @@ def test_phrases_come_back_with_what_a_translation_needs(tmp_path):
 def test_what_is_kept_is_there_for_the_next_call(tmp_path, caplog):
     opened(tmp_path / "new").add(ROWS)
     found = opened(tmp_path / "new").arrays
+
     assert list(found) == list(ROWS)
+
     for name, array in ROWS.items():
         assert found[name].dtype == array.dtype
         assert np.array_equal(found[name], array)
+
     assert not caplog.records
 
 
@@ -117,6 +122,7 @@ def test_what_was_made_from_something_else_is_not_found(tmp_path, other):
 def test_without_a_folder_nothing_is_kept_but_known():
     notes = opened(None)
     notes.add(ROWS)
+
     assert notes.arrays.keys() == ROWS.keys()
     assert opened(None).arrays == {}
 
@@ -126,6 +132,7 @@ def test_two_processes_that_found_different_things_keep_both(tmp_path):
     second = opened(tmp_path)
     first.add({"a": ROWS["a"]})
     second.add({"b": ROWS["b"]})
+
     assert opened(tmp_path).arrays.keys() == {"a", "b"}
     assert second.arrays.keys() == {"b"}
 
@@ -135,6 +142,7 @@ def test_what_is_known_already_is_not_written_again(tmp_path):
     notes.add(ROWS)
     file_in(tmp_path).unlink()
     notes.add({"a": ROWS["a"]})
+
     assert not list(tmp_path.iterdir())
 
 
@@ -158,12 +166,17 @@ def test_a_damaged_file_is_told_not_used_and_made_anew(tmp_path, caplog, damage)
     path = file_in(tmp_path)
     damage(path)
     notes = opened(tmp_path)
+
     assert notes.arrays == {}
+
     (record,) = caplog.records
+
     assert record.levelno == logging.WARNING
     assert record.getMessage().startswith(f"cached rows not used, made anew: {path}: ")
+
     notes.add(ROWS)
     caplog.clear()
+
     assert opened(tmp_path).arrays.keys() == ROWS.keys()
     assert not caplog.records
 
@@ -184,6 +197,7 @@ def test_a_folder_that_cannot_be_made_costs_a_line(tmp_path, caplog):
     in_the_way.write_text("not a folder", encoding="utf-8")
     notes = opened(in_the_way)
     notes.add(ROWS)
+
     assert notes.arrays.keys() == ROWS.keys()
     assert keep(in_the_way, a_thing).name == "made"
     assert caplog.messages == [
@@ -199,6 +213,7 @@ def test_of_many_arrays_the_oldest_are_given_up(tmp_path):
     notes.add({f"{number}": np.zeros(1) for number in range(MAX_ARRAYS)})
     notes.add({"new": np.zeros(1)})
     names = list(opened(tmp_path).arrays)
+
     assert len(names) == MAX_ARRAYS
     assert (names[0], names[-1]) == ("1", "new")
     assert "0" in notes.arrays  # this call may still need it
@@ -207,10 +222,12 @@ def test_of_many_arrays_the_oldest_are_given_up(tmp_path):
 def test_of_many_files_of_a_name_the_oldest_are_removed(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "MAX_FILES", 3)
     assert MAX_FILES > 3
+
     other = tmp_path / "table-0.npz"
     other.write_bytes(b"")
     for number in range(5):
         opened(tmp_path, fingerprint=f"{number:032}").add(ROWS)
+
     assert other.exists()
     assert len(list(tmp_path.glob("rows-*.npz"))) == 3
     assert opened(tmp_path, fingerprint=f"{4:032}").arrays.keys() == ROWS.keys()
@@ -251,7 +268,9 @@ def keep(folder, make, *, made_from=("a", 1), packages=("scenarios",)):
 def test_a_value_is_made_once_and_read_back_as_it_was(tmp_path):
     make = Made()
     values = [keep(tmp_path, make) for _ in range(3)]
+
     assert make.times == 1
+
     for value in values:
         assert Fingerprints().of(value) == Fingerprints().of(a_thing())
         assert [part.flags.writeable for part in value.part] == [False, True]
@@ -268,6 +287,7 @@ def test_a_value_that_is_not_worth_it_is_made_again(tmp_path):
             made_from=(),
             is_worth_it=lambda value: False,
         )
+
     assert make.times == 2
     assert not any(tmp_path.iterdir())
 
@@ -277,9 +297,12 @@ def test_a_value_from_something_else_or_other_code_is_made_anew(tmp_path, monkey
     keep(tmp_path, make)
     keep(tmp_path, make, made_from=("a", 2))
     keep(tmp_path, make, packages=("scenarios", "geometry"))
+
     assert make.times == 3
+
     monkeypatch.setattr(fingerprints, "hash_of_files", lambda package: b"edited")
     keep(tmp_path, make)
+
     assert make.times == 4
 
 
@@ -294,6 +317,7 @@ def test_the_hash_of_a_package_is_that_of_its_code_and_data(tmp_path, monkeypatc
         (tmp_path / "pack" / name).write_text("2", encoding="utf-8")
         hashes.append(hash_now("pack"))
     (tmp_path / "pack" / "__pycache__" / "code.pyc").write_text("2", encoding="utf-8")
+
     assert len(set(hashes)) == 3
     assert hash_now("pack") == hashes[-1]
 
@@ -304,6 +328,7 @@ def test_nothing_is_kept_without_a_folder_or_where_others_may_write(tmp_path):
     for folder in (None, tmp_path):
         keep(folder, make)
         keep(folder, make)
+
     assert make.times == 4
     assert not list(tmp_path.iterdir())
 
@@ -312,6 +337,7 @@ def test_a_value_of_another_kind_under_the_right_hash_is_made_anew(tmp_path, cap
     make = Made()
     keep(tmp_path, make)
     (path,) = tmp_path.iterdir()
+
     for content in (
         to_bytes(7),
         to_bytes((1, 2)),
@@ -320,11 +346,14 @@ def test_a_value_of_another_kind_under_the_right_hash_is_made_anew(tmp_path, cap
     ):
         key = cache._key(content, path.stem.removeprefix("things-"))
         path.write_bytes(key + content)
+
         assert keep(tmp_path, make).name == "made"
         assert caplog.messages.pop().startswith(
             f"cached things not used, made anew: {path}: "
         )
+
         caplog.clear()
+
     assert make.times == 5
 
 
@@ -337,11 +366,14 @@ def test_a_damaged_value_is_told_and_made_anew(tmp_path, caplog, content):
     (path,) = tmp_path.iterdir()
     path.write_bytes(content)
     keep(tmp_path, make)
+
     assert caplog.messages == [
         f"cached things not used, made anew: {path}: its content is not what was"
         " written"
     ]
+
     keep(tmp_path, make)
+
     assert make.times == 2
 
 
@@ -349,6 +381,7 @@ def test_of_many_values_the_oldest_are_removed(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "MAX_VALUES", 3)
     for number in range(5):
         keep(tmp_path, a_thing, made_from=(number,))
+
     assert len(list(tmp_path.iterdir())) == 3
 
 
@@ -371,6 +404,7 @@ def test_parts_that_were_shared_are_shared_again():
     pair = a_thing()
     whole = Whole(left=pair, right=pair, rest=(pair.part[0], (1, None, "a", 2.5, True)))
     found = from_bytes(to_bytes(whole), Whole)
+
     assert found.left is found.right
     assert found.rest[0] is found.left.part[0]
     assert found.rest[1] == (1, None, "a", 2.5, True)
@@ -379,6 +413,7 @@ def test_parts_that_were_shared_are_shared_again():
 def test_named_tuples_and_plain_ones_come_back_as_they_were():
     value = (Point(x=1.0, y=2), (3, (4.0,)))
     found = from_bytes(to_bytes(value), tuple[Point, tuple[int, tuple[float]]])
+
     assert found == value
     assert type(found[0]) is Point
 
@@ -418,4 +453,5 @@ def test_nothing_is_unpickled(monkeypatch):
 
     monkeypatch.setattr("pickle.loads", refuse)
     monkeypatch.setattr("pickle.load", refuse)
+
     assert from_bytes(to_bytes(a_thing()), Pair).name == "made"

@@ -26,6 +26,9 @@ def test_a_copy_for_another_process_tells_nobody():
         seed=3, workers=2, rays="embree", progress=lambda *step: told.append(step)
     )
     there = pickle.loads(pickle.dumps(here))
+
     assert there == replace(here, progress=compute.silent)
+
     there.progress("evaluate", 1, 2)
+
     assert told == []

@@ -22,7 +22,7 @@ from placement.evaluation import (
 from placement.layout import Layout
 
 
-def _verdict(is_avoided, detected=()) -> Verdict:
+def _verdict(is_avoided, detected=()):
     return Verdict(
         detected=np.array(detected, dtype=bool),
         confirmation_time_s=np.full(len(is_avoided), np.inf),
@@ -44,6 +44,7 @@ def test_apr_is_the_weight_of_the_avoided_runs(frame_axis):
 def test_apr_of_some_runs_counts_only_those(frame_axis):
     verdict = _verdict([True, False, True])
     mask = np.array([False, True, True])
+
     assert apr(verdict, frame_axis, mask) == 0.5
     assert math.isnan(apr(verdict, frame_axis, np.zeros(3, dtype=bool)))
 
@@ -51,8 +52,7 @@ def test_apr_of_some_runs_counts_only_those(frame_axis):
 def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
     # Weights 1/2, 1/4 (case A) and 1/4 (case B).
     verdict = replace(
-        _verdict([True, False, False]),
-        impact_speed_kmh=np.array([0.0, 8.0, 20.0]),
+        _verdict([True, False, False]), impact_speed_kmh=np.array([0.0, 8.0, 20.0])
     )
     assert mean_impact_speed_kmh(verdict, frame_axis) == 7.0
     assert mean_impact_speed_kmh(
@@ -68,7 +68,9 @@ def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, da
     )
     verdict = _verdict(avoided)
     total = apr(verdict, axis)
+
     assert 0.0 <= total <= 1.0
+
     share = {
         case: sum(
             w for w, name in zip(axis.weight, axis.cases, strict=True) if name == case
@@ -76,6 +78,7 @@ def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, da
         for case in axis.cases
     }
     by_case = apr_by_case(verdict, axis)
+
     assert list(by_case) == list(dict.fromkeys(axis.cases))
     assert sum(share[case] * value for case, value in by_case.items()) == pytest.approx(
         total
@@ -87,10 +90,13 @@ def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, da
 def test_detected_share_counts_frames_of_the_chosen_runs(frame_axis):
     detected = [True, False, True] + [True] * 4 + [False] + [False, False]
     verdict = _verdict([False] * 3, detected)
+
     assert detected_share(verdict, frame_axis) == pytest.approx(0.6)
+
     for index, expected in enumerate([2.0 / 3.0, 0.8, 0.0]):
         mask = np.arange(3) == index
         assert detected_share(verdict, frame_axis, mask) == pytest.approx(expected)
+
     assert detected_share(
         verdict, frame_axis, np.array([True, False, True])
     ) == pytest.approx(0.4)
@@ -101,29 +107,6 @@ def test_a_verdict_cannot_be_changed(frame_axis):
     for field in ("detected", "confirmation_time_s", "is_avoided"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(verdict, field)[0] = 0
-
-
-def test_an_evaluation_shows_its_aprs(frame_axis):
-    unit = CandidatePose(
-        id="A",
-        site_id="",
-        pose=Pose(position_m=[0, 0, 7], yaw_deg=0.0),
-        sensor=load_cameras()["carla-ncap-rgb"],
-    )
-    blind = _verdict([False, True, False])
-    sighted = _verdict([True, True, True])
-    evaluation = Evaluation(
-        layout=Layout(name="mine", units=(unit,)),
-        axis=frame_axis,
-        vut=blind,
-        units={"A": sighted},
-        rsu_all=sighted,
-        vut_and_rsus=sighted,
-    )
-    assert (
-        repr(evaluation)
-        == "Evaluation('mine': APR 1.0000 with 1 units, 0.2500 by the VUT alone)"
-    )
 
 
 @pytest.mark.parametrize(

@@ -35,11 +35,15 @@ def test_points_stand_for_square_metres():
     )
     assert np.bincount(ground.area_index).tolist() == [200, 1]
     assert ground.area_m2 == pytest.approx([200.0, 0.04])
+
     hole = Polygon(box(0, 0, 10, 10).exterior, [box(2, 2, 8, 8).exterior])
     two = MultiPolygon([hole, box(20, 0, 21, 1)])
     points = build_private_ground([("two", two)]).points_m
+
     assert len(points) == 65
+
     inside = (points[:, :2] > 2.0).all(axis=1) & (points[:, :2] < 8.0).all(axis=1)
+
     assert not inside.any()
 
 
@@ -55,8 +59,11 @@ def test_a_camera_sees_what_is_in_its_picture_and_nothing_behind_it():
         unit(0, 0, 0.0, pitch_deg=80.0),
     ]
     share = private_shares(scene, poses, ground)
+
     assert share.tolist() == [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]
+
     lidar = unit(0, 0, 0.0, sensor=load_lidars()["carla-ncap-lidar"])
+
     assert private_shares(scene, [lidar], ground).tolist() == [[0.0, 0.0]]
 
 
@@ -69,6 +76,7 @@ def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
     )
     points = ground.points_m
     expected = (points[:, 1] < points[:, 0]).mean()  # left edge: 45 degrees from east
+
     assert share[0, 0] == pytest.approx(expected, abs=0.02)
     assert share[1, 0] == 1.0
 
@@ -76,16 +84,21 @@ def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
 def test_walls_hide():
     ground = build_private_ground([("garden", box(20, -5, 30, 5))])
     wall = ("wall", 15.0, 0.0, 0.5, 60.0, 8.0)
+
     assert (
         private_shares(protocol_scene(boxes=[wall]), [unit(0, 0, 0.0)], ground)[0, 0]
         == 0.0
     )
+
     low = ("hedge", 15.0, 0.0, 0.5, 60.0, 1.0)
+
     assert (
         private_shares(protocol_scene(boxes=[low]), [unit(0, 0, 0.0)], ground)[0, 0]
         == 1.0
     )
+
     moved = replace(protocol_scene(boxes=[low]), sites=())
+
     assert private_shares(moved, [], ground).shape == (0, 1)
 
 
@@ -109,8 +122,11 @@ def test_the_pole_that_carries_a_camera_hides_nothing():
     ground = build_private_ground([("garden", box(20, -5, 30, 5))])
     pole = ("pole", 0.0, 0.0, 0.2, 0.2, 9.0)
     scene = protocol_scene(boxes=[pole])
+
     assert private_shares(scene, [unit(0, 0, 0.0)], ground)[0, 0] == 1.0
+
     thin = ("post", 5.0, 0.0, 0.2, 0.2, 9.0)
+
     assert (
         0.5
         < private_shares(protocol_scene(boxes=[thin]), [unit(0, 0, 0.0)], ground)[0, 0]

@@ -30,11 +30,13 @@ def at(coverage, x, y):
 def test_density_is_focal_length_over_depth():
     coverage = find_ground_coverage(protocol_scene(), [unit()])
     density, east_m = at(coverage, 20.0, 0.5)
-    assert density == pytest.approx(
-        960.0 / (east_m + 30.0)
-    )  # f = 1920 / 2 / tan 45 deg
+
+    # F = 1920 / 2 / tan 45 deg.
+    assert density == pytest.approx(960.0 / (east_m + 30.0))
     assert at(coverage, -40.0, 0.5)[0] == 0.0  # behind
+
     down = find_ground_coverage(protocol_scene(), [unit(pitch_deg=-90.0)])
+
     assert at(down, -30.0, 0.5)[0] == pytest.approx(960.0 / (6.0 - LOOK_AT_M))
 
 
@@ -46,6 +48,7 @@ def test_shares_of_the_road_add_up_to_one_and_walls_take_some():
         assert list(shares) == [*(name for name, _ in BANDS), "coarser", "unseen"]
         assert sum(shares.values()) == pytest.approx(1.0)
         assert min(shares.values()) >= 0.0
+
     assert hidden["unseen"] > free["unseen"]
 
 
@@ -53,9 +56,12 @@ def test_more_cameras_see_no_less_and_lidars_take_no_pictures():
     scene = protocol_scene()
     one = find_ground_coverage(scene, [unit()])
     two = find_ground_coverage(scene, [unit(), unit(yaw_deg=180.0, x=30.0)])
+
     assert (two.density >= one.density).all()
     assert two.shares()["unseen"] < one.shares()["unseen"]
+
     lidar = unit(sensor=load_lidars()["carla-ncap-lidar"])
+
     assert find_ground_coverage(scene, [lidar]).shares()["unseen"] == 1.0
 
 
@@ -63,7 +69,10 @@ def test_roads_are_lanes_and_the_junction():
     coverage = find_ground_coverage(protocol_scene(), [])
     n_cells = coverage.is_road.sum()
     # A square of 23 m, and four arms of 7 m up to 45 m: 529 + 4 x 7 x 33.5 square
+
     # metres.
     assert n_cells == pytest.approx(529 + 4 * 7 * 33.5, rel=0.05)
+
     moved = replace(protocol_scene(), lanes=())
+
     assert find_ground_coverage(moved, []).is_road.sum() == pytest.approx(529, rel=0.1)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import frame_axes
+from tiny_worlds import axis_of_runs
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
@@ -18,14 +19,14 @@ from placement.evaluation import Evaluation, Verdict, earliest_arrival_s
 from placement.latency_curves import apr_by_latency
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
-from scenarios.runs import FrameAxis, find_onsets
+from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
 RULE = load_aeb_rule()
 TOLERANCE_S = 1.0e-9
 
 
-def _verdict(detected, n_runs) -> Verdict:
+def _verdict(detected, n_runs):
     """Only the frames count."""
     return Verdict(
         detected=np.array(detected, dtype=bool),
@@ -35,7 +36,7 @@ def _verdict(detected, n_runs) -> Verdict:
     )
 
 
-def _evaluation(axis, vut, units, own_latencies_s=None, vam=None) -> Evaluation:
+def _evaluation(axis, vut, units, own_latencies_s=None, vam=None):
     own = own_latencies_s or [None] * len(units)
     pose = Pose(position_m=[0, 0, 7], yaw_deg=0.0)
     camera = load_cameras()["carla-ncap-rgb"]
@@ -64,9 +65,7 @@ def _evaluation(axis, vut, units, own_latencies_s=None, vam=None) -> Evaluation:
     )
 
 
-def _apr_by_hand(
-    axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.0
-) -> float:
+def _apr_by_hand(axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.0):
     """Every window of every run, one by one: is it known, and alive, at the last
     moment?
     """
@@ -83,6 +82,7 @@ def _apr_by_hand(
             for f in frames
         ]
         times = axis.time_s[frames.start : frames.stop]
+
         for last in range(n_confirmations - 1, len(known)):
             if not all(known[last - n_confirmations + 1 : last + 1]):
                 continue
@@ -91,6 +91,7 @@ def _apr_by_hand(
             if max(gaps) <= memory_s + TOLERANCE_S:
                 avoided += axis.weight[run]
                 break
+
     return avoided
 
 
@@ -123,6 +124,7 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
         else:
             slack = np.ones(1)
         assume(not ((slack > 0.1 * TOLERANCE_S) & (slack < 10.0 * TOLERANCE_S)).any())
+
     age = np.abs(last - axis.time_s - latency_s - memory_s)
     assume(not ((age > 0.1 * TOLERANCE_S) & (age < 10.0 * TOLERANCE_S)).any())
     rule = replace(RULE, n_confirmations=n_confirmations, track_memory_s=memory_s)
@@ -141,7 +143,9 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
         "vam": vam,
         "all_sources": fused + on_board + vam,
     }
+
     assert list(curves) == list(parties)
+
     for name, party in parties.items():
         expected = _apr_by_hand(axis, party, n_confirmations, memory_s, latency_s)
         onsets = find_onsets(
@@ -155,59 +159,19 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
         assert curves[name].tolist() == [pytest.approx(expected)], name
 
 
-def test_a_curve_of_three_runs_by_hand(frame_axis):
-    """Confirmed at 0, -0.2 and never; last moments at 0.05, 0.1 and never: 50 ms and
-    300 ms.
-    """
-    axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
-    evaluation = _evaluation(axis, np.zeros(10), [np.array([1] * 8 + [0, 0])])
-    latencies_s = [0.0, 0.05, 0.06, 0.3, 0.31]
-    assert apr_by_latency(evaluation, RULE, latencies_s)["rsu_all"].tolist() == [
-        0.75,
-        0.75,
-        0.25,
-        0.25,
-        0.0,
-    ]
-
-
 def test_a_run_may_be_avoided_with_a_longer_latency_alone():
     """Seen from -2 to -1.6 s: with 0.5 s the track is asked for at -1 s, with none at
     -0.5 s.
     """
     time_s = np.arange(-20, 1) / 10.0
-    axis = FrameAxis(
-        run_ids=("a", "b"),
-        cases=("A",) * 2,
-        approaches=("north",) * 2,
-        weathers=("day",) * 2,
-        vut_speed_kmh=np.full(2, 30.0),
-        weight=np.array([0.75, 0.25]),
-        last_brake_time_s=np.array([-0.5, -0.5]),
-        run_start=np.array([0, 21, 42]),
-        time_s=np.tile(time_s, 2),
-    )
+    axis = axis_of_runs([0, 21, 42], np.tile(time_s, 2), -0.5, weight=[0.75, 0.25])
     seen = np.concatenate([time_s < -1.55, time_s > -1.55])
     rule = replace(RULE, track_memory_s=1.0)
     evaluation = _evaluation(axis, np.zeros(42), [seen])
     latencies_s = [0.09, 0.1, 0.8, 0.81, 1.3, 1.31]
     found = apr_by_latency(evaluation, rule, latencies_s)["rsu_all"]
+
     assert found.tolist() == [0.25, 1, 1, 0.75, 0.75, 0]
-
-
-def test_a_unit_with_its_own_latency_keeps_it(frame_axis):
-    axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
-    frames = np.array([1] * 8 + [0, 0])
-    both = _evaluation(axis, frames, [frames, frames], [0.04, 0.2])
-    ends_s = [0.0, 5.0]
-    curves = apr_by_latency(both, RULE, ends_s)
-    assert curves["U0"].tolist() == [0.75, 0.75]
-    assert curves["U1"].tolist() == [0.25, 0.25]
-    assert curves["vut"].tolist() == [0.75, 0.0]
-    alone = _evaluation(axis, frames, [frames])
-    fixed = apr_by_latency(alone, RULE, ends_s, vut_latency_s=0.0)
-    assert fixed["vut"].tolist() == [0.75, 0.75]
-    assert fixed["U0"].tolist() == [0.75, 0.0]
 
 
 @pytest.mark.parametrize("latency_s", [-0.1, math.nan, math.inf])

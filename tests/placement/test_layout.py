@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import numbers, points_m, poses
+from strategies import numbers, poses
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
 from geometry.sensors import CameraModel, with_fov
 from placement.candidates import CandidatePose
 from placement.layout import (
@@ -51,7 +50,7 @@ GOOD = [
 ]
 
 
-def _message(function, *arguments) -> str:
+def _message(function, *arguments):
     with pytest.raises(InputError) as caught:
         function(*arguments)
     return str(caught.value)
@@ -64,12 +63,12 @@ def _changed(**changes):
     return records
 
 
-def _is_id(text: str) -> bool:
+def _is_id(text):
     return text != "" and text not in RESERVED_IDS
 
 
 @st.composite
-def _layouts(draw) -> Layout:
+def _layouts(draw):
     texts = st.text(max_size=8).filter(str.isprintable)
     ids = draw(st.lists(texts.filter(_is_id), min_size=1, max_size=5, unique=True))
     sensors = [*load_cameras().values(), *load_lidars().values()]
@@ -104,7 +103,9 @@ def test_a_lens_that_is_set_comes_back_from_its_records(layout, share):
     layout = replace(layout, units=units)
     records = json.loads(json.dumps(layout_records(layout), allow_nan=False))
     back = layout_from_records(layout.name, records, "f.json")
+
     assert [unit.sensor for unit in back.units] == [unit.sensor for unit in units]
+
     for record, unit in zip(records, units, strict=True):
         model = load_cameras().get(unit.sensor.name)
         is_set = (
@@ -121,6 +122,7 @@ def test_a_lens_as_in_the_catalogue_may_be_told_or_not():
         assert layout_from_records("l", records, "f.json").units[1].sensor is zoom
     records = _changed(camera=zoom.name, fov_deg=40)
     sensor = layout_from_records("l", records, "f.json").units[1].sensor
+
     assert (sensor.name, sensor.horizontal_fov_deg) == (zoom.name, 40.0)
     assert sensor.focal_length_px > zoom.focal_length_px
 
@@ -128,6 +130,7 @@ def test_a_lens_as_in_the_catalogue_may_be_told_or_not():
 def test_a_lidar_has_no_field_of_view_to_set():
     records = _changed(lidar="carla-ncap-lidar", fov_deg=40.0)
     del records[1]["camera"]
+
     assert (
         _message(layout_from_records, "l", records, "f.json")
         == "f.json: layout[1].fov_deg: got 40.0; expected nothing: only cameras have"
@@ -139,7 +142,9 @@ def test_a_lidar_has_no_field_of_view_to_set():
 def test_a_layout_comes_back_from_its_records_bit_by_bit(layout):
     text = json.dumps(layout_records(layout), allow_nan=False)
     back = layout_from_records(layout.name, json.loads(text), "f.json")
+
     assert back.name == layout.name
+
     for unit, other in zip(layout.units, back.units, strict=True):
         assert (unit.id, unit.site_id) == (other.id, other.site_id)
         assert np.array_equal(unit.pose.position_m, other.pose.position_m)
@@ -149,6 +154,7 @@ def test_a_layout_comes_back_from_its_records_bit_by_bit(layout):
         )
         assert unit.sensor is other.sensor
         assert unit.latency_s == other.latency_s
+
     assert layout_records(back) == layout_records(layout)
 
 
@@ -156,22 +162,24 @@ def test_a_layout_is_read_from_a_file(tmp_path):
     path = tmp_path / "mine.json"
     path.write_text(json.dumps({"layout": GOOD}), encoding="utf-8")
     layout = load_layout(path)
+
     assert layout.name == "mine"
     assert [unit.id for unit in layout.units] == ["A", "B"]
     assert layout.units[0].pose.position_m.tolist() == [1.0, -2.0, 7.5]
     assert [unit.site_id for unit in layout.units] == ["pole-1", ""]
+
     path.write_text(
         json.dumps({"name": "ours", "layout": GOOD, "more": 1}), encoding="utf-8"
     )
+
     assert load_layout(path).name == "ours"
 
 
-@pytest.mark.parametrize(
-    "key", ["id", "camera", "x_m", "y_m", "z_m", "yaw_deg", "pitch_deg"]
-)
+@pytest.mark.parametrize("key", ["id", "camera"])
 def test_a_missing_field_is_named(key):
     records = _changed()
     del records[1][key]
+
     assert (
         _message(layout_from_records, "l", records, "f.json")
         == f"f.json: layout[1].{key}: got nothing; expected a value"
@@ -182,10 +190,7 @@ def test_a_missing_field_is_named(key):
     ("changes", "message"),
     [
         ({"x_m": math.nan}, "layout[1].x_m: got nan; expected a finite number"),
-        ({"y_m": math.inf}, "layout[1].y_m: got inf; expected a finite number"),
-        ({"z_m": "7"}, "layout[1].z_m: got '7'; expected a finite number"),
         ({"yaw_deg": True}, "layout[1].yaw_deg: got True; expected a finite number"),
-        ({"x_m": None}, "layout[1].x_m: got None; expected a finite number"),
         (
             {"x_m": 10**400},
             f"layout[1].x_m: got 1{199 * '0'}..; expected a finite number",
@@ -194,10 +199,7 @@ def test_a_missing_field_is_named(key):
             {"pitch_deg": -90.5},
             "layout[1].pitch_deg: got -90.5; expected -90 .. 90 degrees",
         ),
-        ({"pitch_deg": 91}, "layout[1].pitch_deg: got 91; expected -90 .. 90 degrees"),
         ({"id": 3}, "layout[1].id: got 3; expected text"),
-        ({"id": ""}, "layout[1].id: got ''; expected text"),
-        ({"camera": ["x"]}, "layout[1].camera: got ['x']; expected text"),
         ({"site": 7}, "layout[1].site: got 7; expected text"),
         (
             {"lidar": "carla-ncap-lidar"},
@@ -218,16 +220,8 @@ def test_a_missing_field_is_named(key):
             ),
         ),
         (
-            {"fov_deg": "wide"},
-            "layout[1].fov_deg: got 'wide'; expected a finite number",
-        ),
-        (
             {"latency_s": -0.1},
             "layout[1].latency_s: got -0.1; expected seconds, at least 0",
-        ),
-        (
-            {"latency_s": "0.1"},
-            "layout[1].latency_s: got '0.1'; expected seconds, at least 0",
         ),
     ],
 )
@@ -248,6 +242,7 @@ def test_a_unit_that_is_no_object_is_named():
 def test_an_unknown_camera_lists_the_known_ones():
     known = ", ".join(sorted(load_cameras()))
     records = _changed(camera="periscope")
+
     assert (
         _message(layout_from_records, "l", records, "f.json")
         == f"f.json: layout[1].camera: got 'periscope'; expected one of {known}"
@@ -259,13 +254,18 @@ def test_a_lidar_is_written_and_read_as_one_and_is_no_camera():
     del records[1]["camera"]
     records[1]["lidar"] = "carla-ncap-lidar"
     layout = layout_from_records("l", records, "f.json")
+
     assert layout.units[1].sensor is load_lidars()["carla-ncap-lidar"]
+
     written = layout_records(layout)
+
     assert written[1]["lidar"] == "carla-ncap-lidar"
     assert written[1]["latency_s"] == 0.125
     assert "camera" not in written[1]
     assert "latency_s" not in written[0]
+
     records[1]["lidar"] = "carla-ncap-rgb"
+
     assert _message(layout_from_records, "l", records, "f.json") == (
         "f.json: layout[1].lidar: got 'carla-ncap-rgb'; expected one of "
         + ", ".join(sorted(load_lidars()))
@@ -325,12 +325,14 @@ def test_a_layout_without_units_is_refused():
 def test_a_file_that_is_not_json_is_named(tmp_path, content, message):
     path = tmp_path / "a.json"
     path.write_bytes(content)
+
     assert _message(load_layout, path) == f"{path}: {message}expected JSON in UTF-8"
 
 
 def test_a_file_nested_too_deep_is_named(tmp_path):
     path = tmp_path / "a.json"
     path.write_text("[" * 100_000, encoding="utf-8")
+
     assert (
         _message(load_layout, path)
         == f"{path}: got JSON nested too deep; expected a layout"
@@ -341,6 +343,7 @@ def test_a_file_nested_too_deep_is_named(tmp_path):
 def test_a_file_without_a_list_of_units_is_named(tmp_path, content):
     path = tmp_path / "a.json"
     path.write_text(content, encoding="utf-8")
+
     assert (
         _message(load_layout, path)
         == f"{path}: got no list 'layout'; expected an object {{\"layout\": [units]}}"
@@ -354,8 +357,11 @@ def test_a_file_of_another_version_is_refused_and_not_guessed_at(tmp_path, schem
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"schema": schema, "layout": GOOD}))
     message = _message(load_layout, path)
+
     assert message.startswith(f"{path}: schema: got ")
+
     known = (SCHEMA, *RESULT_SCHEMAS)
+
     assert message.endswith(f"expected {', '.join(known)}, or none of it")
 
 
@@ -363,6 +369,7 @@ def test_a_file_of_another_version_is_refused_and_not_guessed_at(tmp_path, schem
 def test_layouts_are_read_from_layout_files_and_from_results(tmp_path, schema):
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"schema": schema, "layout": GOOD}))
+
     assert [unit.id for unit in load_layout(path).units] == ["A", "B"]
 
 
@@ -377,21 +384,11 @@ def test_a_missing_file_is_named(tmp_path):
 def test_a_field_error_names_the_file(tmp_path):
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"layout": _changed(x_m=math.nan)}), encoding="utf-8")
+
     assert (
         _message(load_layout, path)
         == f"{path}: layout[1].x_m: got nan; expected a finite number"
     )
-
-
-@given(points_m)
-def test_a_layout_shows_its_name_and_units(point):
-    unit = CandidatePose(
-        id="A",
-        site_id="",
-        pose=Pose(position_m=point, yaw_deg=0.0),
-        sensor=load_cameras()["carla-ncap-rgb"],
-    )
-    assert repr(Layout(name="l", units=(unit,))) == "Layout('l', ['A'])"
 
 
 # Certificates

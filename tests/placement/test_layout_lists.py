@@ -42,6 +42,7 @@ def test_a_list_in_degrees_with_bearings_and_decimal_commas(
     path.write_text(HEAD + row, encoding="utf-8")
     with caplog.at_level(logging.WARNING):
         (unit,) = load_layout(path, scene=scene).units
+
     assert (unit.id, unit.site_id) == ("C1", scene.sites[0].id)
     assert unit.pose.position_m == pytest.approx(
         [*scene.sites[0].position_m[:2], 6.5], abs=0.01
@@ -76,15 +77,20 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
     ]
     path.write_text(json.dumps({"layout": units}))
     layout = find_layout(str(path), "--keep", scene=scene, sensors=str(models))
+
     assert [unit.pose.yaw_deg for unit in layout.units] == [90.0, 90.0]
     assert {unit.sensor.width_px for unit in layout.units} == {640}
+
     feet = [site.position_m[:2] for site in scene.sites[:2]]
+
     assert np.array(
         [unit.pose.position_m[:2] for unit in layout.units]
     ) == pytest.approx(np.array(feet))
+
     plan = assemble_without_runs(
         Question(budget=1, keep=str(path), sensors=str(models)), scene
     )
+
     assert plan.wishes.existing == ("C0", "C1")
 
 
@@ -105,5 +111,6 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
 def test_wrong_names_and_numbers_are_refused(tmp_path, scene, row, old, new, message):
     path = tmp_path / "cameras.csv"
     path.write_text(HEAD + row.replace(old, new, 1), encoding="utf-8")
+
     with pytest.raises(InputError, match=message):
         load_layout(path, scene=scene)

@@ -11,6 +11,7 @@ import placement
 
 def test_every_public_name_is_there_and_nothing_else_is_listed():
     assert dir(placement) == placement.__all__ == sorted(placement.__all__)
+
     for name in placement.__all__:
         assert getattr(placement, name).__name__ == name
 
@@ -25,6 +26,7 @@ def test_solvers_and_rays_are_loaded_when_first_used():
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
+
     assert "placement.question" in loaded
     assert not {"cvxpy", "open3d", "matplotlib", "numpy"} & set(loaded)
 
@@ -49,6 +51,7 @@ def test_a_placement_prints_its_units_and_its_proof(found):
     for unit in best.layout.units:
         assert f"{unit.pose.position_m[0]:.1f}" in text
         assert unit.site_id in text
+
     assert "apr_one_failed" in text
     assert best.certificate.solver in text
     assert "<table" in best._repr_html_()
@@ -66,6 +69,7 @@ def test_a_layout_is_a_table(found):
 def test_an_evaluation_prints_the_apr_of_every_party(found):
     _, best, judged = found
     frame = judged.to_frame()
+
     assert list(frame.index) == ["all runs", "CPNC-50"]
     assert list(frame.columns) == [
         "rsu_all",

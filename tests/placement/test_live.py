@@ -9,15 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_results import build_small_setting
+from tiny_worlds import table_of, unit_at
 
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
 from placement import live
-from placement.candidates import CandidatePose
 from placement.live import LiveTable, table_verdict
 from placement.optimiser import Limits, PlacementProblem, run_margins_s
-from placement.visibility import build_detection_table
 from scenarios.aeb import AebRule
 
 
@@ -43,26 +41,18 @@ def unit(
     name="U1",
 ):
     mount = setting.scene.sites[site]
-    return CandidatePose(
-        id=name,
+    return unit_at(
+        name,
+        mount.position_m + [0.0, 0.0, height_m],
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
         site_id=mount.id,
-        pose=Pose(
-            position_m=mount.position_m + [0.0, 0.0, height_m],
-            yaw_deg=yaw_deg,
-            pitch_deg=pitch_deg,
-        ),
-        sensor=sensor or load_cameras()["carla-ncap-rgb"],
+        sensor=sensor,
     )
 
 
 def built(setting, units):
-    return build_detection_table(
-        setting.scene,
-        units,
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-    ).detected(slice(None))
+    return table_of(setting, units).detected(slice(None))
 
 
 def zoomed(fov_deg):
@@ -92,6 +82,7 @@ def test_rows_are_those_of_the_detection_table(
         "pitch_deg": pitch_deg,
     }
     units = [unit(setting, **where, sensor=sensor)]
+
     assert (table.detected(units) == built(setting, units)).all()
 
 
@@ -103,6 +94,7 @@ def test_a_lidar_and_cameras_at_one_mount_see_what_each_sees_alone(setting):
         unit(setting, yaw_deg=200.0, sensor=zoomed(47.0), name="Z"),
     ]
     found = LiveTable(setting).detected(units)
+
     assert found.any(axis=1).sum() >= 2
     assert (found == built(setting, units)).all()
 
@@ -113,8 +105,11 @@ def test_a_turn_casts_no_ray_and_a_lift_does(setting):
     fresh.detected(
         [unit(setting, yaw_deg=33.0, pitch_deg=-20.0), unit(setting, yaw_deg=34.0)]
     )
+
     assert fresh.n_casts == 1
+
     fresh.detected([unit(setting, height_m=6.5)])
+
     assert fresh.n_casts == 2
 
 
@@ -126,6 +121,7 @@ def test_what_is_given_up_is_found_again_the_same(setting, monkeypatch):
     ]
     first = few.detected(units)
     again = few.detected(units)
+
     assert few.n_casts == 5  # one row is still known
     assert (first == again).all()
     assert (first == built(setting, units)).all()
@@ -137,19 +133,14 @@ def test_a_verdict_by_the_table_is_what_the_optimiser_reads(setting, table):
     ]
     detected = table.detected(units)
     verdict = table_verdict(units, detected, setting)
-    rows = build_detection_table(
-        setting.scene,
-        units,
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-    )
+    rows = table_of(setting, units)
     limits = Limits(
         site_index=np.arange(2), site_capacity=np.ones(2, dtype=int), budget_units=2
     )
     problem = PlacementProblem(
         table=rows, limits=limits, fusion="any", rule=setting.rule
     )
+
     assert (verdict.is_avoided == (run_margins_s(problem, [0, 1]) > -np.inf)).all()
     assert verdict.is_avoided.any()
 
@@ -159,7 +150,10 @@ def test_a_slow_unit_brakes_later(setting, table):
     quick = table_verdict([one], table.detected([one]), setting)
     slow_one = replace(one, latency_s=0.4)
     slow = table_verdict([slow_one], table.detected([slow_one]), setting)
+
     assert isinstance(setting.rule, AebRule)
+
     known = np.isfinite(slow.onset_time_s) & np.isfinite(quick.onset_time_s)
+
     assert known.any()
     assert (slow.onset_time_s[known] > quick.onset_time_s[known]).all()

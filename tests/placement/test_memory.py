@@ -28,12 +28,14 @@ def test_the_table_itself_is_part_of_what_is_needed(frame_axis):
         packed=np.zeros((1000, 2), dtype=np.uint8),
     )
     grown = needed_bytes(1000, frame_axis.n_frames) - needed_bytes(0, 0)
+
     assert grown >= table.packed.nbytes
 
 
 def test_what_fits_is_let_through_to_the_last_byte(monkeypatch):
     monkeypatch.setattr(memory, "machine_bytes", lambda: needed_bytes(5000, 20_000))
     check_memory(5000, 20_000)
+
     with pytest.raises(InputError):
         check_memory(5000, 20_001)
     monkeypatch.setattr(memory, "machine_bytes", lambda: None)
@@ -65,10 +67,12 @@ def test_the_limit_of_a_container_counts(monkeypatch, tmp_path, text, is_less):
     file.write_text(text)
     whole = machine_bytes()
     monkeypatch.setattr(memory, "_LIMIT_FILES", (str(tmp_path / "missing"), str(file)))
+
     assert machine_bytes() == (12345678 if is_less else whole)
 
 
 def test_the_limit_of_the_shell_counts(monkeypatch):
     limit = (7 * 2**20, resource.RLIM_INFINITY)
     monkeypatch.setattr(resource, "getrlimit", lambda which: limit)
+
     assert machine_bytes() == 7 * 2**20

@@ -4,14 +4,11 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from tiny_worlds import crossing_candidates, crossing_setting, unit_at
 
 from geometry.errors import InputError
-from geometry.poses import Pose
-from geometry.study_scene import load_study_scene
 from placement import pipeline
-from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.compute import Compute
-from placement.detectors import load_detector, load_planning_detector
 from placement.layout import check_layout
 from placement.optimiser import (
     Effort,
@@ -23,46 +20,17 @@ from placement.optimiser import (
 )
 from placement.pipeline import Assembly, pick_layout, place
 from placement.sampling.tables import obtain_table
-from placement.setting import Setting
 from placement.wishes import Wishes
-from scenarios.runs import build_frame_axis
-from scenarios.weights import weight_per_run
 
 
 @pytest.fixture(scope="module")
 def setting(runs, rule):
-    """Two sites of the study's junction, four of its cases and approaches at two
-    speeds.
-    """
-    scene = load_study_scene()
-    ways = ("CBNA/east", "CBNA/north", "CPNC-50/east", "CPNC-50/south")
-    few = tuple(
-        run
-        for run in runs
-        if run.id in [f"{way}/{v}" for way in ways for v in (40, 60)]
-    )
-    names = ("corner-ne", "mast-w")
-    return Setting(
-        scene=replace(
-            scene, sites=tuple(site for site in scene.sites if site.id in names)
-        ),
-        runs=few,
-        axis=build_frame_axis(few, weight_per_run(few)),
-        rule=rule,
-        detector=load_detector(),
-        table_detector=load_planning_detector(),
-    )
+    return crossing_setting(runs, rule=rule)
 
 
 @pytest.fixture(scope="module")
 def candidates(setting, camera):
-    grid = CandidateGrid(
-        heights_m=np.array([6.8]),
-        yaw_step_deg=60.0,
-        pitches_deg=np.array([-25.0]),
-        sensors=(camera,),
-    )
-    return build_candidates(setting.scene, grid)
+    return crossing_candidates(setting.scene, camera)
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +59,7 @@ def _best(problem):
     """Brute force over all layouts of any size."""
     best = None
     best_units = ()
+
     for n_units in range(1, problem.limits.max_units + 1):
         for units in combinations(range(problem.table.n_poses), n_units):
             if is_feasible(problem, units):
@@ -98,6 +67,7 @@ def _best(problem):
                 if best is None or is_better(value, best):
                     best = value
                     best_units = units
+
     return best, best_units
 
 
@@ -107,12 +77,16 @@ def test_the_best_layout_is_proven_feasible_and_that_of_brute_force(
     assert len(candidates) == 12
     assert placement.certificate.is_proven
     assert is_feasible(placement.problem, placement.pose_index)
+
     best, _ = _best(placement.problem)
     value = placement_value(placement.problem, placement.pose_index)
+
     assert not is_better(best, value)
     assert tuple(value) == pytest.approx(tuple(best), abs=1e-9)
+
     # Worth the test: neither nothing nor everything is avoided by any pose.
     single = [placement_value(placement.problem, [c]).apr for c in range(12)]
+
     assert max(single) > 0.0
     assert min(single) < max(single)
 
@@ -120,7 +94,9 @@ def test_the_best_layout_is_proven_feasible_and_that_of_brute_force(
 def test_the_certificate_is_about_the_layout(placement):
     value = placement_value(placement.problem, placement.pose_index)
     stages = {stage.name: stage for stage in placement.certificate.stages}
+
     assert stages["apr"].objective == pytest.approx(value.apr, abs=1e-9)
+
     for name, stage in stages.items():
         assert stage.objective == pytest.approx(getattr(value, name), abs=1e-6)
         assert stage.bound >= stage.objective - 1e-9
@@ -132,13 +108,16 @@ def test_the_layout_names_the_candidates_that_were_chosen(
     layout = placement.layout
     assert layout.name == "best-2"
     assert [unit.id for unit in layout.units] == ["U1", "U2"]
+
     for unit, index in zip(layout.units, placement.pose_index, strict=True):
         assert unit.pose is candidates[index].pose
         assert (unit.site_id, unit.sensor) == (
             candidates[index].site_id,
             candidates[index].sensor,
         )
+
     check_layout(layout, setting.scene)
+
     assert placement.problem.table.pose_ids == tuple(c.id for c in candidates)
     assert repr(placement) == f"Placement({layout!r}, proven)"
     assert set(placement.seconds) == {"detection_table", "optimise", "greedy"}
@@ -147,26 +126,18 @@ def test_the_layout_names_the_candidates_that_were_chosen(
 
 def test_the_greedy_layout_is_as_large_and_never_better(placement, candidates):
     assert placement.greedy.name == "greedy-2"
+
     index = solve_greedy(placement.problem)
+
     assert [unit.pose for unit in placement.greedy.units] == [
         candidates[i].pose for i in index
     ]
+
     greedy = placement_value(placement.problem, index)
+
     assert not is_better(
         greedy, placement_value(placement.problem, placement.pose_index)
     )
-
-
-def test_one_unit_must_confirm_alone_with_single_fusion(asked, placement):
-    single = place(asked(budget_units=2, fusion="single"))
-    assert single.certificate.is_proven
-    assert single.problem.fusion == "single"
-    best, _ = _best(single.problem)
-    value = placement_value(single.problem, single.pose_index)
-    assert not is_better(best, value)
-    # Whatever one unit confirms alone, all together confirm too.
-    together = placement_value(placement.problem, placement.pose_index)
-    assert value.apr <= together.apr + 1e-9
 
 
 def test_the_same_question_gets_the_same_answer(asked, placement):
@@ -178,7 +149,7 @@ def test_the_same_question_gets_the_same_answer(asked, placement):
 # Budget
 
 
-@pytest.mark.parametrize("budget", [0, -1, 5, 1.0, True, "2", None])
+@pytest.mark.parametrize("budget", [0, 5, "2", None])
 def test_a_budget_that_cannot_be_is_refused_before_anything_is_computed(asked, budget):
     expected = "a whole number of units, at least 1"
     if budget == 5:
@@ -224,13 +195,16 @@ def test_a_second_call_takes_the_table_from_the_cache(asked, placement, tmp_path
             found.problem.table.packed, placement.problem.table.packed
         )
         assert found.pose_index == placement.pose_index
+
     assert _stages(first)[0] == "detection table"
     assert ("detection table", 2, 2) in first  # two mount positions
     assert _stages(second)[0] == "detection table (cached)"
     assert "detection table" not in _stages(second)
     assert _stages(second)[1] == "optimise"
     assert _stages(first)[-1] == "greedy"
+
     kept = sorted(path.name.split("-")[0] for path in (tmp_path / "cache").iterdir())
+
     assert kept == ["answer", "table"]
 
 
@@ -251,14 +225,17 @@ def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
 
     first = ask(2)
     again = ask(2)
+
     assert len(solved) == 1
     assert again.certificate == first.certificate
     assert again.pose_index == first.pose_index
     assert repr(again.greedy) == repr(first.greedy)
     assert again.next_unit == first.next_unit
     assert again.presolved().statistics == first.presolve
+
     ask(1)
     ask(2, Effort(time_limit_s=50.0))
+
     assert len(solved) == 3
 
 
@@ -274,6 +251,7 @@ def test_only_a_proven_answer_is_kept(asked, tmp_path, monkeypatch, gap):
     monkeypatch.setattr(pipeline, "solve_sturdily", solve)
     compute = Compute(cache_folder=tmp_path)
     place(asked(budget_units=1, compute=compute))
+
     assert any(tmp_path.glob("answer-*")) == (gap == 0.0)
 
 
@@ -292,6 +270,7 @@ def test_other_inputs_do_not_get_the_cached_table(setting, candidates, tmp_path)
             ),
         )
         stages.append(calls[0][0])
+
     assert stages == ["detection table", "detection table", "detection table (cached)"]
 
 
@@ -302,8 +281,11 @@ def test_a_damaged_cached_table_is_made_anew_and_replaced(
         found = place(asked(budget_units=1, compute=Compute(cache_folder=tmp_path)))
         (path,) = tmp_path.glob("table-*")
         path.write_bytes(path.read_bytes()[:100])
+
     assert np.array_equal(found.problem.table.packed, placement.problem.table.packed)
+
     (record,) = caplog.records
+
     assert record.levelno == logging.WARNING
 
 
@@ -311,6 +293,7 @@ def test_a_cache_folder_that_cannot_be_is_no_error(asked, placement, tmp_path, c
     in_the_way = tmp_path / "file"
     in_the_way.write_text("", encoding="utf-8")
     found = place(asked(budget_units=2, compute=Compute(cache_folder=in_the_way)))
+
     assert found.pose_index == placement.pose_index
     assert any("nothing is cached" in message for message in caplog.messages)
 
@@ -322,11 +305,8 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(
     setting, candidates, camera
 ):
     def extra(name, site_id):
-        return CandidatePose(
-            id=name,
-            site_id=site_id,
-            pose=Pose(position_m=[-126.0, -1.0, 9.0], yaw_deg=0.0, pitch_deg=-80.0),
-            sensor=camera,
+        return unit_at(
+            name, [-126.0, -1.0, 9.0], pitch_deg=-80.0, site_id=site_id, sensor=camera
         )
 
     poses = (
@@ -340,8 +320,11 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(
         setting=setting, candidates=poses, wishes=Wishes(budget_units=2)
     ).problem
     capacity = problem.limits.site_capacity[problem.limits.site_index]
+
     assert capacity.tolist() == [1, 2, 2, 1, 1, 2]
+
     sites = problem.limits.site_index.tolist()
+
     assert sites[1] == sites[2]
     assert len(set(sites)) == 5
     assert replace(problem.limits, budget_units=None).max_units == 6
@@ -353,6 +336,7 @@ def test_poses_by_name_keep_their_names(setting, candidates, camera):
     found = place(
         Assembly(setting=setting, candidates=[named], wishes=Wishes(budget_units=1))
     )
+
     assert [unit.id for unit in found.layout.units] == ["RSU1"]
 
 
@@ -361,6 +345,7 @@ def test_a_unit_kept_from_an_earlier_result_keeps_its_name_and_no_other_gets_it(
 ):
     kept = replace(candidates[0], id="U2")
     layout = pick_layout([*candidates[1:4], kept], (0, 1, 2, 3), "more")
+
     assert [unit.id for unit in layout.units] == ["U1", "U3", "U4", "U2"]
 
 
@@ -380,6 +365,7 @@ def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):
                 wishes=Wishes(budget_units=2),
             )
         )
+
     assert (
         str(caught.value)
         == "budget: got 2; expected at most 1: candidates and their sites allow no more"
@@ -394,12 +380,15 @@ def test_wishes_that_contradict_each_other_are_named_with_ways_out(asked):
         == "`target` 1 and `budget` 1: got demands that no layout meets together; "
         "expected one of them to give way: `target` 0 or `budget` 3"
     )
-    told: list[str] = []
+
+    told = []
     compute = Compute(progress=lambda *stage: told.append(stage[0]))
+
     with pytest.raises(InputError) as caught:
         place(
             asked(budget_units=1, forced_sites=("corner-ne", "mast-w"), compute=compute)
         )
+
     assert (
         str(caught.value)
         == "`budget` 1 and `force_site` corner-ne,mast-w: got demands that no layout"

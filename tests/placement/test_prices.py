@@ -8,7 +8,7 @@ from geometry.scene import Site
 from placement.wishes import PricedPart, SitePrices, assumed_prices, load_prices
 
 
-def site(kind: str, cost_eur: float = 0.0) -> Site:
+def site(kind, cost_eur=0.0):
     return Site(
         id=f"{kind} {cost_eur:g}",
         position_m=np.zeros(3),
@@ -25,7 +25,9 @@ def test_every_price_has_a_source_or_is_called_an_assumption():
         is_assumed = part.source.startswith("assumption: ")
         assert is_assumed or any(c.isdigit() for c in part.source), name
         assert part.eur > 0.0
+
     used = {name for names in prices.kinds.values() for name in names}
+
     assert used == set(prices.parts)
 
 

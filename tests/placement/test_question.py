@@ -54,14 +54,18 @@ def test_any_text_is_read_as_it_was_written(tmp_path_factory, text):
     path = tmp_path_factory.mktemp("question") / "question.toml"
     question = replace(Question(), keep=text)
     save_question(path, question)
+
     assert load_question(path) == question
 
 
 def test_a_file_has_what_differs_from_the_default_below_its_description(path):
     save_question(path, replace(Question(), site_cost_eur=500.0, cases="CBNA"))
     text = path.read_text(encoding="utf-8")
+
     assert tomllib.loads(text) == {"site_cost": 500.0, "cases": "CBNA"}
+
     lines = text.splitlines()
+
     assert (
         lines[lines.index("site_cost = 500.0") - 1]
         == "# Of each site that is used, once; default: the scene's."
@@ -71,8 +75,11 @@ def test_a_file_has_what_differs_from_the_default_below_its_description(path):
 def test_every_field_is_described_and_has_a_key_of_its_own_name_but_for_the_unit():
     found = question_fields()
     assert list(found) == [field.name for field in fields(Question)]
+
     keys = [field.key for field in found.values()]
+
     assert len(set(keys)) == len(keys)
+
     for name, field in found.items():
         assert field.description
         assert "--" not in field.description
@@ -96,15 +103,8 @@ def test_the_number_of_worlds_may_be_a_word(path):
     ("text", "message"),
     [
         ("budget = 0", "budget: got 0; expected a whole number of units, at least 1"),
-        (
-            "budget = '3'",
-            "budget: got '3'; expected a whole number of units, at least 1",
-        ),
         ("fusion = 'all'", "fusion: got 'all'; expected one of any, single"),
         ("latency = nan", "latency: got nan; expected a finite number"),
-        ("latency = inf", "latency: got inf; expected a finite number"),
-        ("track_memory = nan", "track_memory: got nan; expected a finite number"),
-        ("track_memory = -inf", "track_memory: got -inf; expected a finite number"),
         (
             "track_memory = 0",
             "track_memory: got 0; expected seconds, more than 0, or inf",
@@ -120,10 +120,6 @@ def test_the_number_of_worlds_may_be_a_word(path):
         ("time_limit = 0", "time_limit: got 0; expected seconds, more than 0"),
         ("refine = 1", "refine: got 1; expected true or false"),
         ("cases = ['CBNA']", "cases: got ['CBNA']; expected text"),
-        (
-            "budgets = 3",
-            "got 'budgets'; expected one of budget, budget_cost, target, least, ",
-        ),
         (
             "latency_s = 1.0",
             "got 'latency_s'; expected one of budget, budget_cost, target, ",
@@ -143,6 +139,7 @@ def test_a_file_that_is_not_there_or_cannot_be_written_is_told(path):
         InputError, match="No such file or directory; expected a readable file"
     ):
         load_question(path)
+
     with pytest.raises(InputError, match="expected a file that can be written"):
         save_question(path / "deep", Question())
 

@@ -11,28 +11,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems
 from small_tables import avoiding_problem
+from tiny_worlds import unit_at
 
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
-from placement.candidates import CandidateGrid, CandidatePose
+from placement.candidates import CandidateGrid
 from placement.layout import Layout
-from placement.optimiser import (
-    Limits,
-    PlacementProblem,
-    PlacementValue,
-    is_better,
-    placement_value,
-    run_margins_s,
-)
+from placement.optimiser import Limits, is_better, placement_value, run_margins_s
 from placement.optimiser.presolve import presolve_freely
 from placement.retrofit import (
-    Change,
     Labour,
     RetrofitPoses,
     best_joining,
     build_retrofit_poses,
-    combined_limits,
     find_retrofit,
     load_labour,
 )
@@ -40,7 +31,7 @@ from placement.retrofit import (
 RE_AIM_EUR = 2.0
 
 
-def labour() -> Labour:
+def labour():
     return Labour(
         people=1.0,
         wage_eur_per_h=1.0,
@@ -53,7 +44,7 @@ def labour() -> Labour:
 
 
 @st.composite
-def retrofits(draw: st.DrawFn) -> tuple[PlacementProblem, RetrofitPoses]:
+def retrofits(draw):
     """Small tables whose first poses hang, whose next ones are re-aims of those."""
     problem = draw(problems())
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
@@ -89,18 +80,11 @@ def retrofits(draw: st.DrawFn) -> tuple[PlacementProblem, RetrofitPoses]:
     return replace(problem, limits=limits), poses
 
 
-def _pose(name: str) -> CandidatePose:
-    return CandidatePose(
-        id=name,
-        site_id="",
-        pose=Pose(position_m=np.array([0.0, 0.0, 5.0]), yaw_deg=0.0, pitch_deg=-20.0),
-        sensor=None,  # type: ignore[arg-type]  # nothing looks here
-    )
+def _pose(name):
+    return unit_at(name, [0.0, 0.0, 5.0], pitch_deg=-20.0)
 
 
-def additions_allowed(
-    problem: PlacementProblem, poses: RetrofitPoses, new: tuple[int, ...]
-) -> bool:
+def additions_allowed(problem, poses, new):
     limits = problem.limits
     if limits.is_forbidden[list(new)].any():
         return False
@@ -112,9 +96,7 @@ def additions_allowed(
     )
 
 
-def price_of(
-    problem: PlacementProblem, poses: RetrofitPoses, new: tuple[int, ...]
-) -> float:
+def price_of(problem, poses, new):
     limits = problem.limits
     opened = {int(limits.site_index[pose]) for pose in new} - set(
         limits.site_index[: poses.n_units].tolist()
@@ -125,15 +107,13 @@ def price_of(
     )
 
 
-def subsets(items: list[int]) -> list[tuple[int, ...]]:
+def subsets(items):
     return list(
         chain.from_iterable(combinations(items, n) for n in range(len(items) + 1))
     )
 
 
-def best_of(
-    problem: PlacementProblem, options: list[tuple[tuple[int, ...], float]]
-) -> PlacementValue:
+def best_of(problem, options):
     """Best value of sets with prices, the price in place of the cost."""
     values = [
         placement_value(problem, poses)._replace(cost_eur=price)
@@ -146,16 +126,17 @@ def best_of(
     return best
 
 
-def check_change(
-    problem: PlacementProblem, poses: RetrofitPoses, change: Change
-) -> None:
+def check_change(problem, poses, change):
     """Whether a change says of itself what is true."""
     standing = set(range(poses.n_units))
     after = (standing - set(change.removed)) | set(change.added)
+
     assert change.pose_index == tuple(sorted(after))
+
     ids = np.array(problem.table.axis.run_ids)
     was = run_margins_s(problem, sorted(standing)) > -np.inf
     now = run_margins_s(problem, sorted(after)) > -np.inf
+
     assert set(change.gained) == set(ids[now & ~was])
     assert set(change.lost) == set(ids[was & ~now])
     assert change.value[:4] == placement_value(problem, sorted(after))[:4]
@@ -163,13 +144,13 @@ def check_change(
 
 
 @given(retrofit=retrofits(), budget_eur=st.sampled_from([None, 0.0, 3.0, 6.0]))
-def test_the_best_change_of_each_kind_is_that_of_brute_force(
-    retrofit: tuple[PlacementProblem, RetrofitPoses], budget_eur: float | None
-) -> None:
+def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eur):
     problem, poses = retrofit
     standing = tuple(range(poses.n_units))
     found = find_retrofit(problem, poses, labour=labour(), budget_eur=budget_eur)
+
     assert found.before == placement_value(problem, standing)
+
     for change in (*found.removals, *found.re_aims, found.addition, found.combination):
         if change is not None:
             check_change(problem, poses, change)
@@ -178,23 +159,30 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(
     assert sorted(change.removed for change in found.removals) == [
         (unit,) for unit in standing
     ]
+
     values = [change.value._replace(cost_eur=0.0) for change in found.removals]
+
     assert not any(is_better(value, values[0]) for value in values)
     assert all(change.price_eur == labour().remove_eur for change in found.removals)
 
     # Re-aims: the best of every unit that has any, the best of all first.
     n_aims = int((poses.unit_index[poses.n_units :] >= 0).sum())
+
     for change in found.re_aims:
         (unit,), (aim,) = change.removed, change.added
         assert poses.unit_index[aim] == unit
         assert (change.price_eur, change.n_compared) == (RE_AIM_EUR, n_aims)
+
         options = [
             (tuple(sorted({*standing} - {unit} | {int(row)})), 0.0)
             for row in poses.aims_of(unit)
         ]
         best = best_of(problem, options)
+
         assert change.value[:4] == pytest.approx(best[:4], abs=1e-9)
+
     values = [change.value._replace(cost_eur=0.0) for change in found.re_aims]
+
     assert not any(is_better(value, values[0]) for value in values)
 
     # An addition: one new unit, or none where none is better.
@@ -211,6 +199,7 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(
     best = best_of(
         problem, [option for option in additions if option[1] <= money + 1e-6]
     )
+
     assert value_of(found.addition, found.before) == pytest.approx(best, abs=1e-8)
 
     # All together for the money.
@@ -228,34 +217,18 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(
         if price <= money + 1e-6
     ]
     best = best_of(problem, together)
+
     assert value_of(found.combination, found.before) == pytest.approx(best, abs=1e-8)
 
 
-def value_of(change: Change | None, before: PlacementValue) -> PlacementValue:
+def value_of(change, before):
     """Value afterwards, with the price in place of the cost."""
     if change is None:
         return before._replace(cost_eur=0.0)
     return change.value._replace(cost_eur=change.price_eur)
 
 
-@given(retrofit=retrofits())
-def test_combined_limits_have_a_pose_for_every_unit_and_room_for_what_is_left(
-    retrofit: tuple[PlacementProblem, RetrofitPoses],
-) -> None:
-    problem, poses = retrofit
-    limits = combined_limits(
-        problem.limits, poses, re_aim_eur=RE_AIM_EUR, budget_eur=6.0
-    )
-    sites = limits.site_index
-    assert (
-        sites[: poses.n_units] == problem.limits.n_sites + np.arange(poses.n_units)
-    ).all()
-    assert limits.is_forced_site[problem.limits.n_sites :].all()
-    assert not limits.unit_cost_eur[: poses.n_units].any()
-    assert not limits.is_forbidden[poses.unit_index >= 0].any()
-
-
-def test_what_is_lost_gained_and_paid() -> None:
+def test_what_is_lost_gained_and_paid():
     # A sees runs 0 and 1, B run 1 alone; turned, B sees run 2; a new unit sees 2 and 3.
     problem = avoiding_problem(
         ["1100", "0100", "0010", "0011"], price_eur=[0.0, 0.0, 9.0, 5.0]
@@ -267,12 +240,15 @@ def test_what_is_lost_gained_and_paid() -> None:
     )
     problem = replace(problem, limits=limits)
     found = find_retrofit(problem, poses, labour=labour(), budget_eur=6.0)
+
     assert (found.before.apr, found.before.apr_one_failed) == (0.5, 0.25)
     assert [(change.removed, change.lost) for change in found.removals] == [
         ((1,), ()),
         ((0,), ("run0",)),
     ]
+
     (re_aim,) = found.re_aims
+
     assert (re_aim.removed, re_aim.added, re_aim.price_eur) == ((1,), (2,), RE_AIM_EUR)
     assert (re_aim.gained, re_aim.lost, re_aim.value.apr) == (("run2",), (), 0.75)
     assert found.addition is not None
@@ -285,12 +261,12 @@ def test_what_is_lost_gained_and_paid() -> None:
     )
 
 
-def _layout(*units: CandidatePose) -> Layout:
+def _layout(*units):
     return Layout(name="mine", units=units)
 
 
 @pytest.fixture
-def grid(camera):  # type: ignore[no-untyped-def]
+def grid(camera):
     return CandidateGrid(
         heights_m=np.array([5.0]),
         yaw_step_deg=90.0,
@@ -301,12 +277,14 @@ def grid(camera):  # type: ignore[no-untyped-def]
 
 def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
     grid, camera
-) -> None:  # type: ignore[no-untyped-def]
+):
     position = np.array([1.0, 2.0, 7.3])
-    unit = CandidatePose(
-        id="A",
+    unit = unit_at(
+        "A",
+        position,
+        yaw_deg=-180.0,
+        pitch_deg=-15.0,
         site_id="corner",
-        pose=Pose(position_m=position, yaw_deg=-180.0, pitch_deg=-15.0),
         sensor=camera,
         latency_s=0.2,
     )
@@ -314,32 +292,40 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
     poses = build_retrofit_poses(
         _layout(unit, replace(unit, id="B")), grid, [new, unit]
     )
+
     assert poses.n_units == 2
     assert [pose.id for pose in poses.candidates[:2]] == ["A", "B"]
     assert poses.candidates[-1] is new  # the unit itself is not offered once more
+
     aims = [poses.candidates[row] for row in poses.aims_of(0)]
+
     assert len(aims) == 4 * 2 - 1
     assert {(aim.pose.yaw_deg, aim.pose.pitch_deg) for aim in aims} == set(
         product([-90.0, 0.0, 90.0, 180.0], [-15.0, -30.0])
     ) - {(180.0, -15.0)}
+
     for aim in aims:
         assert aim.pose.position_m.tolist() == position.tolist()
         assert (aim.sensor, aim.site_id, aim.latency_s) == (camera, "corner", 0.2)
 
 
-def test_a_level_ring_is_not_turned(grid) -> None:  # type: ignore[no-untyped-def]
+def test_a_level_ring_is_not_turned(grid):
     """All round: a turn would change nothing, and the grid's tilts are for cameras."""
     ring = replace(_pose("A"), sensor=load_lidars()["ouster-os1-128"])
     level = replace(ring, pose=replace(ring.pose, yaw_deg=77.0, pitch_deg=0.0))
+
     assert len(build_retrofit_poses(_layout(level), grid, []).aims_of(0)) == 0
+
     tilted = replace(ring, pose=replace(ring.pose, yaw_deg=77.0, pitch_deg=-9.0))
     poses = build_retrofit_poses(_layout(tilted), grid, [])
+
     assert [poses.candidates[row].id for row in poses.aims_of(0)] == ["A/aim/0/0"]
 
 
-def test_ids_that_clash_are_refused(grid, camera) -> None:  # type: ignore[no-untyped-def]
+def test_ids_that_clash_are_refused(grid, camera):
     unit = replace(_pose("A"), sensor=camera)
     twin = replace(unit, id="A/aim/0/-30")
+
     with pytest.raises(
         InputError, match=r"layout mine: id: got 'A/aim/0/-30'; expected ids"
     ):
@@ -347,9 +333,7 @@ def test_ids_that_clash_are_refused(grid, camera) -> None:  # type: ignore[no-un
 
 
 @given(problem=problems(), n_kept=st.integers(0, 3))
-def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(
-    problem: PlacementProblem, n_kept: int
-) -> None:
+def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(problem, n_kept):
     poses = range(problem.table.n_poses)
     kept = list(poses)[:n_kept]
     each = np.array(poses)[n_kept:]
@@ -357,22 +341,25 @@ def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(
         return
     values = {pose: placement_value(problem, [*kept, pose]) for pose in each.tolist()}
     best = values[best_joining(presolve_freely(problem), kept, each)]
-    if not any(
-        value.apr > 0.0 for value in values.values()
-    ):  # nothing tells them apart
+    # Nothing tells them apart.
+    if not any(value.apr > 0.0 for value in values.values()):
         return
+
     assert not any(is_better(value, best) for value in values.values())
 
 
-def test_equal_poses_are_told_apart_by_price() -> None:
+def test_equal_poses_are_told_apart_by_price():
     detected = ["1100", "0011", "0010", "0011", "0001"]
     each = np.array([1, 2, 3, 4])
+
     assert best_joining(presolve_freely(avoiding_problem(detected)), [0], each) == 1
+
     priced = avoiding_problem(detected, price_eur=[1.0, 3.0, 1.0, 2.0, 1.0])
+
     assert best_joining(presolve_freely(priced), [0], each) == 3
 
 
-def test_a_visit_is_people_on_the_way_and_at_the_pole_and_a_lift() -> None:
+def test_a_visit_is_people_on_the_way_and_at_the_pole_and_a_lift():
     labour = Labour(
         people=2.0,
         wage_eur_per_h=50.0,
@@ -386,5 +373,5 @@ def test_a_visit_is_people_on_the_way_and_at_the_pole_and_a_lift() -> None:
     assert labour.remove_eur == 2.0 * 50.0 * 1.5 + 100.0
 
 
-def test_prices_of_ours_are_called_an_assumption() -> None:
+def test_prices_of_ours_are_called_an_assumption():
     assert "assumption" in load_labour().source

@@ -61,6 +61,7 @@ def test_the_first_eight_look_at_the_junction_and_the_last_four_away(layout, set
         yaw = np.radians(unit.pose.yaw_deg)
         towards = middle - unit.pose.position_m[:2]
         cosine = towards @ [np.cos(yaw), np.sin(yaw)] / np.hypot(*towards)
+
         assert (cosine > 0.9) if index < 8 else (cosine < -0.9), unit.id
         assert unit.pose.pitch_deg < 0.0
 
@@ -73,7 +74,9 @@ def test_all_poses_hang_in_the_open_air_at_their_sites(layout, setting):
         assert np.hypot(*(unit.pose.position_m - site.position_m)[:2]) < 0.5, unit.id
         low_m, high_m = site.height_range_m
         assert low_m <= unit.pose.position_m[2] <= high_m, unit.id
+
     used = [unit.site_id for unit in layout.units]
+
     assert all(used.count(name) <= sites[name].capacity_units for name in used)
 
 
@@ -96,20 +99,26 @@ def test_the_published_findings_come_out(setting, layout):
     for name in ("RSU2", "RSU3"):
         assert apr(evaluation.units[name], axis) == 1.0
         assert set(apr_by_case(evaluation.units[name], axis).values()) == {1.0}
+
     assert apr(evaluation.rsu_all, axis) == apr(evaluation.vut_and_rsus, axis) == 1.0
 
     by_vut = apr_by_case(evaluation.vut, axis)
+
     assert 0.6 < by_vut["CPNC-50"] < 0.9
     assert by_vut["CBLA"] == 1.0
+
     cases = np.array(axis.cases)
     speed_kmh = axis.vut_speed_kmh
     fast = (cases == "CPNC-50") & (speed_kmh >= 55.0)
+
     assert fast.sum() == 8
     assert not evaluation.vut.is_avoided[fast].any()
     # Frames in which the VUT detects: 13.97, 5.12 and 89.20 %; the first and the last
+
     # set a dimension and a threshold, the second comes out as 7.7 %.
     shares = [
         detected_share(evaluation.vut, axis, cases == case)
         for case in ("CPNC-50", "CBNA", "CBLA")
     ]
+
     assert shares == pytest.approx([0.1397, 0.0512, 0.8920], abs=0.03)

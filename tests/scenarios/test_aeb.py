@@ -43,12 +43,7 @@ from scenarios.confirmation import (
 )
 from scenarios.courses import pick_turn
 from scenarios.encounters import Encounter, first_contact_s
-from scenarios.paths import (
-    Motion,
-    StraightPath,
-    TurnPath,
-    travel_time_s,
-)
+from scenarios.paths import Motion, StraightPath, TurnPath, travel_time_s
 
 RULE = load_aeb_rule()
 A_MPS2 = 7.72

@@ -98,20 +98,10 @@ def test_without_build_up_braking_is_that_of_constant_deceleration():
     assert standstill_time_s(20.0, rule=rule) == 2.5
     assert braking_distance_m(
         [0.0, 1.0, 2.5, 9.0], speed_mps=20.0, rule=rule
-    ).tolist() == [
-        0.0,
-        16.0,
-        25.0,
-        25.0,
-    ]
+    ).tolist() == [0.0, 16.0, 25.0, 25.0]
     assert braking_speed_mps(
         [0.0, 1.0, 2.5, 9.0], speed_mps=20.0, rule=rule
-    ).tolist() == [
-        20.0,
-        12.0,
-        0.0,
-        0.0,
-    ]
+    ).tolist() == [20.0, 12.0, 0.0, 0.0]
 
 
 def test_one_who_stands_already_stays():

@@ -50,10 +50,7 @@ def car(speed_mps=10.0, *, front_at_s=4.0, x_m=0.0, y_m=-1.75, **options):
 def walker(speed_mps=1.5, *, at_lane_s=4.0, x_m=0.3, y_m=-1.75, **options):
     """Walks north; without stopping he is in the middle of the car's way at a time."""
     return track(
-        "p",
-        "pedestrian",
-        lambda t: (x_m, y_m + speed_mps * (t - at_lane_s)),
-        **options,
+        "p", "pedestrian", lambda t: (x_m, y_m + speed_mps * (t - at_lane_s)), **options
     )
 
 

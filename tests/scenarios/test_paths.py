@@ -11,19 +11,8 @@ from strategies import angles_deg, coordinates_m, numbers
 
 from geometry.errors import InputError
 from geometry.poses import body_rotation
-from scenarios.courses import (
-    LEFT,
-    RIGHT,
-    Turn,
-    load_turns,
-    pick_turn,
-)
-from scenarios.paths import (
-    Motion,
-    StraightPath,
-    TurnPath,
-    travel_time_s,
-)
+from scenarios.courses import LEFT, RIGHT, Turn, load_turns, pick_turn
+from scenarios.paths import Motion, StraightPath, TurnPath, travel_time_s
 
 TABLE_M = 1e-6  # what the table of a turn may be off
 WHEELBASE_M = 2.85

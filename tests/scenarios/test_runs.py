@@ -422,10 +422,7 @@ def test_frame_axis_of_no_run_is_refused():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            {"weight": [0.5, 0.5]},
-            "weight: got shape (2,); expected shape (3,)",
-        ),
+        ({"weight": [0.5, 0.5]}, "weight: got shape (2,); expected shape (3,)"),
         (
             {"weight": [0.5, 0.5, 0.5]},
             "weight: got [0.5, 0.5, 0.5]; expected shares >= 0 that sum to 1",

@@ -10,13 +10,7 @@ from scipy.optimize import brentq
 from strategies import numbers
 
 from geometry.errors import InputError
-from scenarios.courses import (
-    LEFT,
-    RIGHT,
-    Turn,
-    load_turns,
-    pick_turn,
-)
+from scenarios.courses import LEFT, RIGHT, Turn, load_turns, pick_turn
 
 # Lengths and places of the protocol's turns, computed apart from this code (numerical
 # integration, four decimals) from the numbers of Euro NCAP AEB/LSS VRU v4.5.1. Frame:

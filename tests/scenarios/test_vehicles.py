@@ -561,11 +561,7 @@ def test_cases_that_are_left_out_count_every_pair_of_speeds():
     assert {run.road_user for run in drives.runs} == {"motorcycle"}
     assert {
         refusal.case.name: len(refusal.speeds_kmh) for refusal in drives.left_out
-    } == {
-        "CCCscp-far": 25,
-        "CCCscp-near": 25,
-        "CCFtap": 9,
-    }
+    } == {"CCCscp-far": 25, "CCCscp-near": 25, "CCFtap": 9}
     assert not any(refusal.is_possible for refusal in drives.left_out)
 
 

@@ -41,9 +41,8 @@ def start_browser(engine="chromium", *, folder=None):
                 opened = library.firefox.launch(
                     channel="moz-firefox",
                     executable_path=program,
-                    firefox_user_prefs={
-                        "browser.download.alwaysOpenPanel": False
-                    },  # takes keys
+                    # Takes keys.
+                    firefox_user_prefs={"browser.download.alwaysOpenPanel": False},
                 )
             else:
                 found = shutil.which("chromium")
@@ -88,4 +87,5 @@ def open_page(browser, address, *, width=1280, **options):
     page.goto(address)
     yield page
     context.close()
+
     assert complaints == []

@@ -6,12 +6,7 @@ from typing import Any
 import numpy as np
 
 from placement.detection_table import pack_table
-from placement.optimiser import (
-    Floor,
-    Limits,
-    PlacementProblem,
-    Solution,
-)
+from placement.optimiser import Floor, Limits, PlacementProblem, Solution
 from placement.proof_files import build_certificate
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis

@@ -24,6 +24,7 @@ def write_city(folder: Path, name: str = "tiny.osm", *, east_m: float = 0.0) -> 
     ends = [osm.node(east_m - 110.0, 0.0), *nodes, osm.node(east_m + 610.0, 10.0)]
     for one, other in pairwise(ends):
         osm.road([one, other], name="Main Street")
+
     for letter, node, (x, y) in zip("ABC", nodes, places, strict=True):
         for up in (100.0,) if letter == "B" else (100.0, -100.0):
             osm.road([node, osm.node(x, y + up)], name=f"{letter} Lane")
@@ -33,5 +34,6 @@ def write_city(folder: Path, name: str = "tiny.osm", *, east_m: float = 0.0) -> 
         )
         for way in (6.0, -6.0):
             osm.node(x + way, y + way, highway="street_lamp")
+
     osm.node(places[2][0] + 8.0, places[2][1], highway="traffic_signals")
     return osm.write(folder, name)

@@ -28,10 +28,10 @@ def main() -> None:
     folder = Path(tempfile.mkdtemp())
     corpus = folder / "corpus"
     corpus.mkdir()
+
     for number, (name, files) in enumerate(seeds):
-        if (
-            name in files
-        ):  # not a folder: the first byte says which of the sound files it stands for
+        # Not a folder: the first byte says which of the sound files it stands for.
+        if name in files:
             (corpus / f"{number}").write_bytes(bytes([number]) + files[name])
 
     def read(data: bytes) -> None:
@@ -44,13 +44,13 @@ def main() -> None:
         with contextlib.suppress(InputError):
             reader.read(folder / name)
 
-    with atheris.instrument_imports(
-        include=OURS
-    ):  # much is imported by the first that needs it
+    # Much is imported by the first that needs it.
+    with atheris.instrument_imports(include=OURS):
         from geometry.errors import InputError
 
         for number in range(len(seeds)):
             read(bytes([number]) + seeds[number][1].get(seeds[number][0], b""))
+
     atheris.Setup([*sys.argv, str(corpus)], read)
     atheris.Fuzz()
 

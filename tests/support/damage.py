@@ -49,6 +49,7 @@ def damaged(draw: st.DrawFn, sound: bytes) -> bytes:
             )
         )
         data = data[:first] + piece + data[last:]
+
     return data
 
 
@@ -62,7 +63,9 @@ def read_or_refuse(path: Path, data: bytes, read: Callable[[Path], Any]) -> Any:
         return read(path)
     except InputError as error:
         refused = error
+
     assert "\n" not in str(refused)
+
     return None
 
 
@@ -198,6 +201,7 @@ def wounded(rng: random.Random, data: bytes, name: str = "") -> bytes:
                 [*_WORDS, rng.randbytes(min(50, last - first)), data[first:last] * 2]
             )
             data = data[:first] + piece + data[last:]
+
     return data
 
 
@@ -245,6 +249,7 @@ def _other_value(rng: random.Random, data: bytes) -> bytes:
         nodes = [document]
     else:
         nodes = []
+
     for node in nodes:  # grows while it is walked through
         if isinstance(node, dict):
             items = node.items()
@@ -256,6 +261,7 @@ def _other_value(rng: random.Random, data: bytes) -> bytes:
                 nodes.append(value)
         if len(places) > 5000:
             break
+
     if not places:
         return b"null"
     node, key = rng.choice(places)

@@ -27,6 +27,7 @@ def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
         unit = study.units[number % len(study.units)]
         pose = replace(unit.pose, yaw_deg=unit.pose.yaw_deg + number)
         units.append(replace(unit, id=f"unit {number}", pose=pose))
+
     layout, few = (
         replace(study, units=tuple(units)),
         replace(study, units=tuple(units[:1])),

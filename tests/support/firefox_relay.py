@@ -31,6 +31,7 @@ def main():
                 asyncio.run(relay(found[1], firefox))
                 break
             sys.stderr.write(line)
+
     return firefox.returncode
 
 
@@ -50,9 +51,8 @@ async def relay(address, firefox):
         port = server.sockets[0].getsockname()[1]
         sys.stderr.write(f"WebDriver BiDi listening on ws://127.0.0.1:{port}\n")
         sys.stderr.flush()
-        await asyncio.to_thread(
-            firefox.stderr.read
-        )  # what it complains of is not wanted
+        # What it complains of is not wanted.
+        await asyncio.to_thread(firefox.stderr.read)
 
 
 async def forward(driver, browser):

@@ -39,6 +39,7 @@ def build_layout(n_units, *, name="layout", middle_m=(-127.0, 0.0), ids=None):
                 sensor=sensors[index % len(sensors)],
             )
         )
+
     return Layout(name=name, units=tuple(units))
 
 

@@ -128,6 +128,7 @@ def judge_carla(folder: Path) -> float:
         right, down, ahead = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg).T
         ours = np.array([unit.pose.position_m, ahead, right, -down]) * [1.0, -1.0, 1.0]
         off = max(off, float(np.abs(ours - axes[unit.id]).max()))
+
     return off
 
 
@@ -163,6 +164,7 @@ def judge_messages(folder: Path) -> list[bool]:
                     name, container["containerData"]
                 )
             is_equal.append(_as_json(found) == message)
+
     return is_equal
 
 
@@ -198,6 +200,7 @@ def judge_impacts(runs: Sequence[Run], folder: Path, n_runs: int = 100) -> Float
         ]
         path = folder / f"{index}.npz"
         np.savez(path, id=run.id, time_s=time_s, pose=np.array(pose), half_sizes=sizes)
+
     touch_s = judge_apart("touch", folder)["touch_s"].values()
     return np.abs([np.inf if one is None else one for one in touch_s])
 
@@ -234,9 +237,8 @@ def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
     from pyscipopt import Model, quicksum
 
     answer = json.loads((path / "summary.json").read_text(encoding="utf-8"))
-    stage = (answer["highest"] or answer)["stages"][
-        0
-    ]  # another layout may have been chosen
+    # Another layout may have been chosen.
+    stage = (answer["highest"] or answer)["stages"][0]
     with np.load(path / "instance.npz", allow_pickle=False) as file:
         instance = dict(file)
     runs = _read_runs(instance)
@@ -271,6 +273,7 @@ def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
             ):
                 poses = np.flatnonzero(~one.largest_without(one.seen_by(layout), order))
                 model.addCons(variable <= quicksum(chosen[pose] for pose in poses))
+
         model.optimize()
         layout = [pose for pose, one in enumerate(chosen) if model.getVal(one) > 0.5]
         apr = float(sum(counted[[one.avoids(one.seen_by(layout)) for one in runs]]))
@@ -278,6 +281,7 @@ def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
         status = model.getStatus()
         n_rounds += 1
         model.freeTransform()
+
     return Proof(
         status=status,
         apr=apr,
@@ -346,6 +350,7 @@ def _read_runs(instance: dict[str, Any]) -> list[_InstanceRun]:
                 n_confirmations=int(instance["n_confirmations"]),
             )
         )
+
     return runs
 
 
@@ -365,6 +370,7 @@ def _avoids(
         in_a_row = in_a_row + 1
         last_s = time_s[frame]
         is_confirmed = is_confirmed or in_a_row >= n
+
     return is_confirmed and moment_s - last_s <= memory_s
 
 
@@ -386,4 +392,5 @@ def _join(
         more = known | sees[pose]
         if not _avoids(more, time_s, moment_s, memory_s, n):
             known = more
+
     return known

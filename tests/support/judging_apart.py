@@ -27,6 +27,7 @@ def judge_by_asam(kind: str, folder: Path) -> dict[str, Any]:
     statuses: Counter[str] = Counter()
     issues = []
     paths = sorted(folder.glob(f"*.{kind}"))
+
     for path in paths:
         config = Configuration()
         result = Result()
@@ -35,12 +36,14 @@ def judge_by_asam(kind: str, folder: Path) -> dict[str, Any]:
             name=constants.BUNDLE_NAME, description="", version="", summary=""
         )
         check.run_checks(config, result)
+
         for checker_id in result.get_checker_ids(constants.BUNDLE_NAME):
             statuses[str(result.get_checker_status(checker_id).value)] += 1
             found = result.get_issues(constants.BUNDLE_NAME, checker_id)
             issues += [
                 f"{path.name}: {checker_id}: {issue.description}" for issue in found
             ]
+
     name = {"xosc": "asam-qc-openscenarioxml", "xodr": "asam-qc-opendrive"}[kind]
     version = importlib.metadata.version(name)
     return {"version": version, "n": len(paths), "checks": statuses, "issues": issues}
@@ -56,6 +59,7 @@ def judge_touches(folder: Path) -> dict[str, Any]:
     from commonroad_dc.pycrcc import RectOBB  # type: ignore[import-not-found]
 
     touch_s: dict[str, float | None] = {}
+
     for path in sorted(folder.glob("*.npz")):
         run = np.load(path)
         steps = zip(run["time_s"].tolist(), *run["pose"].tolist(), strict=True)
@@ -69,6 +73,7 @@ def judge_touches(folder: Path) -> dict[str, Any]:
             ),
             None,
         )
+
     version = importlib.metadata.version("commonroad-drivability-checker")
     return {"version": version, "touch_s": touch_s}
 
@@ -92,6 +97,7 @@ def judge_transforms(folder: Path) -> dict[str, Any]:
             found.get_up_vector(),
         )
         axes[unit["id"]] = [[vector.x, vector.y, vector.z] for vector in vectors]
+
     return {"version": importlib.metadata.version("carla"), "axes": axes}
 
 

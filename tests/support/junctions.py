@@ -34,6 +34,7 @@ def lanes_of(arm, bearing_deg, *, n_lanes=1, arm_m=ARM_M, has_in=True, has_out=T
                         centreline_m=turned(way, bearing_deg),
                     )
                 )
+
     return lanes
 
 
@@ -48,6 +49,7 @@ def build_scene(lanes, *, name="protocol", boxes=(), crosswalks_m=(), outline_m=
     )
     triangles.append(np.array([[0, 1, 2]]))
     instance_of.append(np.array([0]))
+
     for box_id, x, y, length, width, height in boxes:
         import trimesh
 
@@ -56,6 +58,7 @@ def build_scene(lanes, *, name="protocol", boxes=(), crosswalks_m=(), outline_m=
         vertices.append(np.asarray(box.vertices) + [x, y, 0.5 * height])
         instance_of.append(np.full(len(box.faces), len(instances)))
         instances.append(Instance(id=box_id, class_name="wall"))
+
     return Scene(
         name=name,
         vertices_m=np.concatenate(vertices),

@@ -19,6 +19,7 @@ def random_chains(rng: np.random.Generator, *, n_frames: int = N_FRAMES) -> Chai
     n_chains = int(rng.integers(1, 5))
     n_links = rng.integers(0, 6, n_chains)
     tails: list[list[tuple[int, int]]] = []
+
     for most in n_links.tolist():
         if most:
             frames = rng.permutation(n_frames)[: rng.integers(0, 3)].tolist()
@@ -26,6 +27,7 @@ def random_chains(rng: np.random.Generator, *, n_frames: int = N_FRAMES) -> Chai
             frames = []
         links = sorted((int(rng.integers(1, most + 1)) for _ in frames), reverse=True)
         tails.append(list(zip(frames, links, strict=True)))
+
     flat = [tail for of_chain in tails for tail in of_chain]
     return Chains(
         window_frames=rng.integers(0, n_frames, (n_windows, int(rng.integers(1, 4)))),
@@ -71,6 +73,7 @@ def first_live(chains: Chains, chain: int, seen: Iterable[int]) -> int:
         frames, tails = needed(chains, chain, link)
         if frames | tails <= set(seen):
             return link
+
     return n_links_of(chains, chain)
 
 

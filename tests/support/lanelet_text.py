@@ -52,6 +52,7 @@ def crossing(*, keeps_left: bool = False) -> dict[str, tuple[list, list]]:
         else:
             bounds = (inner, outer)
         lanes[f"through{quarter}"] = tuple(turned(bound, quarter) for bound in bounds)
+
     return lanes
 
 
@@ -72,6 +73,7 @@ def lanelet2(lanes: dict, tags: dict[str, str] | None = None, more: str = "") ->
                 refs += f"<nd ref='{len(nodes)}'/>"
             ways.append(f"<way id='{10 * number + at}'>{refs}</way>")
             members += f"<member type='way' ref='{10 * number + at}' role='{role}'/>"
+
         if name.startswith("zebra"):
             subtype = "crosswalk"
         else:
@@ -79,6 +81,7 @@ def lanelet2(lanes: dict, tags: dict[str, str] | None = None, more: str = "") ->
         known = {"type": "lanelet", "subtype": subtype} | (tags or {})
         told = "".join(f"<tag k='{key}' v='{value}'/>" for key, value in known.items())
         relations.append(f"<relation id='{number}'>{members}{told}</relation>")
+
     return f"<osm version='0.6'>{''.join(nodes + ways + relations)}{more}</osm>"
 
 

@@ -37,8 +37,10 @@ class Process:
                 env=os.environ | {"PYTHONPATH": folders, "OMP_NUM_THREADS": "1"},
             )
         process = self.running
+
         assert process.stdin is not None
         assert process.stdout is not None
+
         asked = {"reader": reader, "path": str(path), "is_sound": is_sound}
         process.stdin.write(json.dumps(asked) + "\n")
         process.stdin.flush()
@@ -48,6 +50,7 @@ class Process:
                 line = process.stdout.readline()
             else:
                 line = ""
+
         if line:
             answer: dict[str, str] = json.loads(line)
             return answer

@@ -59,11 +59,8 @@ ALLOWED |= {
     "embree",
 }
 ALLOWED |= {"rays", *DETECTOR_NAMES, *load_cases(), *load_cameras(), *load_lidars()}
-ALLOWED |= {
-    "carla",
-    "ncap-rgb",
-    "study",
-}  # a name cut in two, and that of a latency budget
+# A name cut in two, and that of a latency budget.
+ALLOWED |= {"carla", "ncap-rgb", "study"}
 ALLOWED |= {thing.id for thing in load_study_scene().instances}
 ALLOWED |= {site.id for site in load_study_scene().sites}
 

@@ -87,6 +87,7 @@ class NumpySensing:
             found.append(
                 made.detector.is_expected(Evidence(**fields | {"contrast": contrast}))
             )
+
         return np.array(found)
 
 
@@ -98,6 +99,7 @@ def boxes(columns, rows, hidden):
     for axis, values in enumerate((columns, rows)):
         found[:, axis] = np.where(hidden, np.inf, values).min(axis=1)
         found[:, axis + 2] = np.where(hidden, -np.inf, values).max(axis=1)
+
     found[found[:, 0] > found[:, 2]] = 0.0
     return found
 

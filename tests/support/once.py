@@ -29,4 +29,5 @@ def make_once(
             part.mkdir()
             make(part)
             part.rename(folder)
+
     return folder

@@ -143,6 +143,7 @@ def crossing(*, rule: str = "RHT", half_m: float = 10.0, kind: str = "default") 
                 street=f"{'East' if name in '13' else 'North'} Street",
             )
         )
+
     for name, start, end, hdg, x, y in (
         ("11", "3", "1", 0.0, -half_m, 0.0),
         ("12", "4", "2", 1.5707963267948966, 0.0, -half_m),
@@ -160,6 +161,7 @@ def crossing(*, rule: str = "RHT", half_m: float = 10.0, kind: str = "default") 
         )
         links.append(f'<connection incomingRoad="{start}" connectingRoad="{name}"/>')
         links.append(f'<connection incomingRoad="{end}" connectingRoad="{name}"/>')
+
     return (
         "".join(roads)
         + f'<junction id="9" name="" type="{kind}">{"".join(links)}</junction>'

@@ -87,6 +87,7 @@ class Oracle:
         ]
         margin_s = -inf
         next_s = last_moment_s
+
         for place in range(len(known) - 1, -1, -1):
             if next_s - self.time_s[known[place]] > rule.track_memory_s + TIE_TIME_S:
                 break  # the track is lost behind this frame, whatever came before
@@ -94,6 +95,7 @@ class Oracle:
             first = place - (rule.n_confirmations - 1)
             if first >= 0 and known[place] - known[first] == rule.n_confirmations - 1:
                 margin_s = last_moment_s - next_s
+
         return margin_s
 
     def margins_s(self, poses: tuple[int, ...]) -> list[float]:
@@ -128,17 +130,20 @@ class Oracle:
             total[self.sample[run]] += self.weight[run]
             if margins[run] > -inf:
                 avoided[self.sample[run]] += self.weight[run]
+
         all_worlds = sum(total)
         if self.problem.tail == 1.0:
             return sum(avoided) / all_worlds
         result = 0.0
         left = self.problem.tail
+
         for ratio, share in sorted(
             (a / t, t / all_worlds) for a, t in zip(avoided, total, strict=True)
         ):
             counted = min(share, left)
             result += counted * ratio
             left -= counted
+
         return result / self.problem.tail
 
     def _share_of(self, poses: tuple[int, ...], is_counted: list[bool]) -> float:
@@ -160,11 +165,13 @@ class Oracle:
         by_unit = self.problem.limits.failing == "unit"
         parts = sorted({pose if by_unit else self.site[pose] for pose in poses})
         least = inf
+
         for failed in combinations(parts, min(n_failures, len(parts))):
             left = tuple(
                 p for p in poses if (p if by_unit else self.site[p]) not in failed
             )
             least = min(least, share(left))
+
         return least
 
     # ---------- layouts
@@ -219,11 +226,13 @@ class Oracle:
             and self.cost_eur(poses) > limits.budget_eur + TIE_EUR
         ):
             return False
+
         for pose in range(self.n_poses):
             if (limits.is_forced[pose] and pose not in poses) or (
                 limits.is_forbidden[pose] and pose in poses
             ):
                 return False
+
         for site in range(len(limits.site_capacity)):
             if limits.is_forced_site[site] and site not in sites:
                 return False
@@ -245,6 +254,7 @@ class Oracle:
             least = floor.share - tie
             if self._after_failures(poses, floor.n_failures, share) < least:
                 return False
+
         return True
 
     # ---------- an answer
@@ -260,20 +270,28 @@ class Oracle:
         """
         assert poses in self.layouts, f"{poses} breaks a limit or a floor"
         assert [stage.name for stage in stages] == self.names
+
         rivals = self.layouts
+
         for stage in stages:
             name, value = stage.name, self.layouts[poses][stage.name]
             sign, tie = _sense(name)
             best = sign * max(sign * values[name] for values in rivals.values())
             where = f"{name}: value {value!r}, best {best!r}, told {stage!r}"
+
             assert abs(stage.objective - value) <= tie, where
+
             least = sign * best - (1.0 + ROUNDING) * tie
+
             assert sign * stage.bound >= least, f"bound is beaten; {where}"
             assert sign * stage.bound >= sign * stage.objective, where
             assert (stage.gap == 0.0) == (stage.bound == stage.objective), where
+
             if stage.gap == 0.0:
                 assert sign * value >= least, f"proven, but not best; {where}"
+
             assert stage.gap <= largest_gap, f"not proven; {where}"
+
             rivals = {
                 units: values
                 for units, values in rivals.items()
@@ -292,6 +310,7 @@ class Oracle:
             for values in self.layouts.values():
                 if ROUNDING * tie < abs(values[name] - value) < FAR * tie:
                     return True
+
         return False
 
 

@@ -41,6 +41,7 @@ def check(problem: PlacementProblem, way: str) -> None:
             patch.setattr("placement.optimiser.constants.MAX_BITS", 1)
             patch.setattr("placement.optimiser.constants.POOL_POSES", 4)
         solution, refusal = _answer(problem, effort)
+
     if solution is None:
         says_none = not any(words in refusal for words in NOT_FOUND)
         is_false = (is_exact or says_none) and oracle.is_clearly_met()
@@ -117,6 +118,7 @@ def faults(numbers: range) -> tuple[list[str], Counter[str]]:
     warnings.simplefilter("error")
     found = []
     kinds: Counter[str] = Counter()
+
     for number in numbers:
         way = ROTATION[number % len(ROTATION)]
         problem = random_problem(np.random.default_rng([0, number]))
@@ -125,6 +127,7 @@ def faults(numbers: range) -> tuple[list[str], Counter[str]]:
             check(problem, way)
         except Exception as error:
             found.append(f"problem {number} by {way}: {error!r}")
+
     return found, kinds
 
 
@@ -147,6 +150,7 @@ def main() -> None:
         for part, (found, of_part) in zip(parts, pool.map(faults, parts), strict=True):
             kinds.update(of_part)
             print(part.stop, *found, sep="\n  ", flush=True)  # noqa: T201
+
     print(rates(kinds, end - first))  # noqa: T201
 
 

@@ -55,9 +55,11 @@ def overlap_area(polygon_a, polygon_b):
                 )
             if d_here >= 0.0:
                 kept.append(here)
+
         rest = kept
         if not rest:
             return 0.0
+
     return polygon_area(rest)
 
 
@@ -101,6 +103,7 @@ def simulated_contact(encounter, onset_s, *, deceleration_mps2, time_step_s=5.0e
     reach = 0.5 * (
         math.hypot(vut.length_m, vut.width_m) + math.hypot(vru.length_m, vru.width_m)
     )
+
     while speed > 0.0:
         next_speed = max(0.0, speed - deceleration_mps2 * time_step_s)
         step_s = (speed - next_speed) / deceleration_mps2
@@ -124,6 +127,7 @@ def simulated_contact(encounter, onset_s, *, deceleration_mps2, time_step_s=5.0e
         )
         if overlap > 1.0e-9:
             return True
+
     return False
 
 
@@ -194,6 +198,7 @@ def naive_confirmed(detected, n):
         else:
             counter = 0
         confirmed.append(counter >= n)
+
     return confirmed
 
 
@@ -210,6 +215,7 @@ def separation_m(encounter, time_s):
                 position, yaw, length_m=body.length_m, width_m=body.width_m
             )
         )
+
     return footprint_separation(*corners)
 
 

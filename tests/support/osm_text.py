@@ -43,6 +43,7 @@ class OsmText:
         """
         ids: list[int] = []
         at: dict[tuple[float, float], int] = {}
+
         for point in points:
             if isinstance(point, tuple):
                 if point not in at:
@@ -50,6 +51,7 @@ class OsmText:
                 ids.append(at[point])
             else:
                 ids.append(point)
+
         return self._add(
             "way", "", "".join(f'<nd ref="{one}"/>' for one in ids), tags or {}
         )
@@ -108,6 +110,7 @@ def crossing(
             name=f"Street {index}",
             **tags,
         )
+
     return middle
 
 

@@ -88,9 +88,8 @@ def few_poses(monkeypatch):
 
 
 def start_server(folder, setting, *, keeps_open=True, **given):
-    from experiments.planner.server import (
-        RunningServer,
-    )  # only the extra plan has what it needs
+    # Only the extra plan has what it needs.
+    from experiments.planner.server import RunningServer
 
     server = RunningServer(
         lambda: small_session(folder, setting, **given),

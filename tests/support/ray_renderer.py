@@ -107,6 +107,7 @@ def render_view(
     instance = np.full(shape, STATIC, dtype=np.uint8)
     depth = cast_crops(lens, static[0], static[1][None], crop)[0].reshape(shape)
     amodal_mask = np.zeros(shape, dtype=bool)
+
     for code, body in (
         (VRU, vru),
         (VUT, vut),
@@ -120,6 +121,7 @@ def render_view(
         is_nearer = body_depth < depth
         instance[is_nearer] = code
         depth[is_nearer] = body_depth[is_nearer]
+
     return View(
         instance=instance,
         depth_m=depth,
@@ -164,10 +166,7 @@ def render_frame(
 
 
 def cast_crops(
-    lens: Lens,
-    solid: Solid,
-    road_poses: FloatArray,
-    crops_px: IntArray,
+    lens: Lens, solid: Solid, road_poses: FloatArray, crops_px: IntArray
 ) -> list[FloatRays]:
     """Depths of one solid at many road poses (n, 4), in a part of the image for each,
     in one go.
@@ -181,6 +180,7 @@ def cast_crops(
     parts = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
     directions = np.empty((ends[-1], 3), dtype=np.float32)
     turns = rotations.astype(np.float32)
+
     for index, (x_min, y_min, x_max, y_max) in enumerate(crops_px.tolist()):
         across = lens.across[x_min:x_max] @ turns[index]
         down = lens.down[y_min:y_max] @ turns[index]

@@ -235,6 +235,7 @@ def _mesh(suffix: str) -> Files:
             solid = trimesh.creation.box((4.0, 5.0, 6.0))
             solid.apply_translation([10.0 * index, 0.0, 3.0])
             scene.add_geometry(solid, node_name=name, geom_name=name)
+
         if suffix in ("glb", "gltf", "obj"):
             whole = scene
         else:
@@ -768,6 +769,7 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
             files[f"Eval/{name}"] = f"0 {line} 0.9\n".encode()
         else:
             files[f"Eval/{name}"] = b""
+
     return {"one drive": (".", files)}
 
 
@@ -809,6 +811,7 @@ def _many_boxes() -> Mapping[str, tuple[str, Files]]:
             sides = (-1, -1, -1, -1)
         names = ("xmin", "ymin", "xmax", "ymax")
         person["views"] += [{"viewNum": view} | dict(zip(names, sides, strict=True))]
+
     frame = json.dumps([person]).encode()
     return {
         "cvml": _one("a.xml", _CVML),
@@ -957,7 +960,9 @@ def _table() -> tuple[Any, Any]:
 
     runs = _small_runs()
     layout: Layout = load_carlancap_layout()
+
     assert load_study_scene()
+
     return layout.units, build_frame_axis(runs, weight_per_run(runs))
 
 
@@ -1197,9 +1202,7 @@ READERS: Mapping[str, Reader] = {
         ("placement.sampling.uncertainty.load_uncertainty",),
     ),
     "detector": Reader(
-        _read_detector,
-        _detectors,
-        ("placement.detectors.registry.load_detector",),
+        _read_detector, _detectors, ("placement.detectors.registry.load_detector",)
     ),
     "layout": Reader(
         _read_layout,

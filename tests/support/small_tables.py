@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 
 import numpy as np
+from tiny_worlds import axis_of_runs
 
 from placement.detection_table import DetectionTable, pack_table
 from placement.optimiser import Limits, PlacementProblem
 from scenarios.aeb import AebRule
-from scenarios.runs import FrameAxis
 
 RULE = AebRule(
     deceleration_mps2=7.72, latency_s=0.025, n_confirmations=1, frame_rate_hz=10.0
@@ -26,16 +26,12 @@ def avoiding_table(
     """
     n_runs = len(rows[0])
     share = np.array(weights or [1.0] * n_runs)
-    axis = FrameAxis(
-        run_ids=tuple(f"run{index}" for index in range(n_runs)),
-        cases=("CPNA-50",) * n_runs,
-        approaches=("north",) * n_runs,
-        weathers=("day",) * n_runs,
-        vut_speed_kmh=np.full(n_runs, 30.0),
+    axis = axis_of_runs(
+        np.arange(0, 2 * n_runs + 1, 2),
+        np.tile([-0.1, 0.0], n_runs),
+        -0.01,
         weight=share / share.sum(),
-        last_brake_time_s=np.full(n_runs, -0.01),
-        run_start=np.arange(0, 2 * n_runs + 1, 2),
-        time_s=np.tile([-0.1, 0.0], n_runs),
+        ids=[f"run{index}" for index in range(n_runs)],
     )
     avoids = np.array([[letter == "1" for letter in row] for row in rows])
     detected = np.zeros((len(rows), axis.n_frames), dtype=bool)

@@ -108,6 +108,7 @@ def build_encounter(
     """
     vut = load_actors()["vut"]
     assert vut_speed_mps > vru_speed_mps * np.cos(np.radians(angle_deg))
+
     angle = np.radians(angle_deg)
     along = np.array([np.cos(angle), np.sin(angle)])
     across = np.array([-along[1], along[0]])

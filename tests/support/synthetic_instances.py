@@ -200,6 +200,7 @@ def _fill_mount(
     n_pitches = len(size.pitches_deg)
     n_zooms = len(size.zooms_deg)
     rows = np.empty((size.n_yaws, n_pitches, n_zooms, packed.shape[1]), dtype=np.uint8)
+
     for zoom, fov_deg in enumerate(size.zooms_deg):
         focal_px = 0.5 * _WIDTH_PX / np.tan(np.radians(0.5 * fov_deg))
         half_vertical_deg = np.degrees(
@@ -216,6 +217,7 @@ def _fill_mount(
         by_pitch = np.packbits(inside, axis=1, bitorder="little")
         for yaw, ahead in enumerate(_aimed(azimuth_deg, 0.5 * fov_deg, size.n_yaws)):
             rows[yaw, :, zoom] = by_pitch & np.packbits(ahead, bitorder="little")
+
     first = mount * size.poses_per_mount
     packed[first : first + size.poses_per_mount] = rows.reshape(-1, packed.shape[1])
 
@@ -260,6 +262,7 @@ def _is_grown_over(
         away_deg = np.minimum(away_deg, 360.0 - away_deg)
         beyond_m = random.uniform(10.0, 50.0)
         hidden |= (away_deg <= random.uniform(1.0, 8.0)) & (distance_m >= beyond_m)
+
     return hidden
 
 

@@ -485,9 +485,7 @@ def test_accidents_around_each_junction_make_its_front(tiny, tmp_path, no_pages)
     near_all = "4;6;1;0;0;1;0;13,40370;52,5\n3;5;0;1;0;1;2;13,40370;52,5\n"
     table.write_text(head + near_all)
     question = replace(
-        FEW_RUNS,
-        weights=f"unfallatlas:{table}",
-        accidents_within_m=2000.0,
+        FEW_RUNS, weights=f"unfallatlas:{table}", accidents_within_m=2000.0
     )
     out = tmp_path / "scored"
     result = run(tiny / "tiny.osm", out, question=question)

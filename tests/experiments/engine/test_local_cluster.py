@@ -40,10 +40,7 @@ def test_a_local_scheduler_answers_the_same_and_limits_memory(local):
     }
     sizes = [1_000_000, 600 * 2**20]
     found = answers_of(local, tasks.take, sizes, failed=lambda task, error: str(error))
-    assert found == {
-        1_000_000: 1_000_000,
-        600 * 2**20: "more memory than it may take",
-    }
+    assert found == {1_000_000: 1_000_000, 600 * 2**20: "more memory than it may take"}
 
 
 ATTACK = """

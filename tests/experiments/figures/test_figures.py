@@ -9,10 +9,7 @@ from experiments.figures.axes import describe_run, to_png, unit_labels
 from experiments.figures.evaluation import plot_heatmaps
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.evaluation import (
-    Evaluation,
-    Verdict,
-)
+from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
 
 matplotlib.use("agg")

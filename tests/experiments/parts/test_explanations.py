@@ -8,10 +8,7 @@ import pytest
 
 from experiments.cli.answers import explanation_parts
 from experiments.cli.terminal import answer_text
-from experiments.parts.explanation import (
-    build_explained_record,
-    missed_table,
-)
+from experiments.parts.explanation import build_explained_record, missed_table
 from experiments.results.record import to_plain
 from placement.detection_table import pack_table
 from placement.explain.contributions import find_contributions

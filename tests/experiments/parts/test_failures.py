@@ -205,10 +205,7 @@ def test_a_pole_with_two_units_is_told_beside_the_units():
     )
     assert [
         row[:3] for row in failure_table(failures.site_failed, LABELS, of="pole").rows
-    ] == [
-        ["lamp 7", "#1 and #2", "25.0 %"],
-        ["lamp 8", "#3", "100.0 %"],
-    ]
+    ] == [["lamp 7", "#1 and #2", "25.0 %"], ["lamp 8", "#3", "100.0 %"]]
     unshared = Failures(
         none_failed=left("", 1.0), one_failed=units, two_failed=(), site_failed=(alone,)
     )

@@ -16,9 +16,7 @@ from experiments.parts.front import (
     notes,
     plot_front,
 )
-from experiments.parts.front import (
-    table as front_table,
-)
+from experiments.parts.front import table as front_table
 from experiments.results.record import to_plain
 from geometry.poses import Pose
 from placement.candidates import CandidatePose

@@ -7,10 +7,7 @@ import pytest
 from shapely import box
 from small_results import assemble_without_runs
 
-from experiments.parts.units import (
-    build_private_ground_record,
-    private_ground_sentence,
-)
+from experiments.parts.units import build_private_ground_record, private_ground_sentence
 from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene

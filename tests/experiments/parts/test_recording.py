@@ -122,11 +122,7 @@ def _avoided(detected, speeds_mps, units, fusion):
 
 
 def _place(folder, **options):
-    given = {
-        "min_confidence": 0.0,
-        "out": None,
-        "progress": StageProgress(),
-    }
+    given = {"min_confidence": 0.0, "out": None, "progress": StageProgress()}
     asked = {
         "budget": options.pop("budget_units", 2),
         "fusion": options.pop("fusion", "any"),

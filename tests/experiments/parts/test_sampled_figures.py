@@ -2,10 +2,7 @@ import numpy as np
 import pytest
 
 from experiments.figures.axes import to_png
-from experiments.parts.sampled_worlds import (
-    build_sampled_record,
-    plot_sampled_apr,
-)
+from experiments.parts.sampled_worlds import build_sampled_record, plot_sampled_apr
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.layout import Layout

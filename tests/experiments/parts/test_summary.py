@@ -7,9 +7,7 @@ import pytest
 
 from experiments.export.json import to_json_text
 from experiments.jobs.evaluation import build_comparison_result, build_evaluation_result
-from experiments.parts.result import (
-    disagreeing_runs,
-)
+from experiments.parts.result import disagreeing_runs
 from experiments.results.drives import DrivesRecord, build_drives_record, versions
 from experiments.results.record import build_evaluation_record
 from geometry.poses import Pose

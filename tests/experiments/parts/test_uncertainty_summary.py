@@ -155,10 +155,7 @@ def test_what_is_uncertain_is_recorded_under_the_names_of_its_file(summary):
     assert list(record["vehicles"])[-1] == "bus"
     drawn = Uncertainty(latency=LatencyJitter(budget=load_latency_budget("cpm-50ms")))
     latency = to_plain(build_uncertainty_record(drawn))["latency"]
-    assert latency == {
-        "budget": "cpm-50ms",
-        "drawn_per": "run",
-    }
+    assert latency == {"budget": "cpm-50ms", "drawn_per": "run"}
 
 
 def test_sentences_say_mean_interval_plan_and_what_is_least_sure(summary):

@@ -201,7 +201,7 @@ def test_coco_is_read_by_its_own_library(dataset, capsys):
     images = labels.loadImgs(labels.getImgIds())
     assert all(Path("data", image["file_name"]).exists() for image in images)
     assert {category["name"] for category in labels.loadCats(labels.getCatIds())} == {
-        *("pedestrian", "cyclist", "motorcycle", "car"),
+        *("pedestrian", "cyclist", "motorcycle", "car")
     }
     for found in labels.loadAnns(labels.getAnnIds()):
         x, y, width, height = found["bbox"]

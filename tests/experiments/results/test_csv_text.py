@@ -5,12 +5,7 @@ import pandas as pd
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.results.tables import (
-    csv_text,
-    plain_cell,
-    records_csv,
-    safe_cell,
-)
+from experiments.results.tables import csv_text, plain_cell, records_csv, safe_cell
 
 
 def test_what_spreadsheets_would_run_is_text():

@@ -108,7 +108,7 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
                     "Left out: 12 runs of the protocol faster than the map's speed"
                     " limits, 50 km/h from the north and east and 32.2 km/h from the"
                     " south (--speeds all drives them)."
-                ),
+                )
             ],
         ),
         (

@@ -4,12 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.results.tables import (
-    apr_table,
-    margin_s,
-    parties,
-    runs_table,
-)
+from experiments.results.tables import apr_table, margin_s, parties, runs_table
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_position
 from scenarios.confirmation import is_in_time, live_confirmation_time_s
 

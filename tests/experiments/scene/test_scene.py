@@ -416,7 +416,7 @@ def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
                 "yaw_deg": 0.0,
                 "pitch_deg": -20.0,
                 "camera": "carla-ncap-rgb",
-            },
+            }
         ],
     }
     path = tmp_path / "mine.json"
@@ -466,10 +466,9 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
     assert summary["possible_runs"] >= summary["runs"]
     assert one in " ".join(summary["driven"])
     result = command(*given, *few, one)
-    assert (result.code, "which no approach carries" in result.err) == (
-        2,
-        True,
-    ), result.err
+    assert (result.code, "which no approach carries" in result.err) == (2, True), (
+        result.err
+    )
     both = f"{summary['cases'][0]},{one}"
     told = json.loads(command(*given, *few, both).out)
     assert told["cases"] == summary["cases"][:1]

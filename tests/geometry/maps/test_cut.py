@@ -120,10 +120,7 @@ def test_a_scene_has_ground_things_and_bodies_of_poles_and_a_junction():
     assert arm.lanes_out[0].centreline_m[-1, 0] == pytest.approx(120.0, abs=0.6)
 
 
-@given(
-    east_m=st.floats(-400.0, 400.0),
-    north_m=st.floats(-400.0, 400.0),
-)
+@given(east_m=st.floats(-400.0, 400.0), north_m=st.floats(-400.0, 400.0))
 def test_distances_are_metres_on_the_ground_and_places_stay(east_m, north_m):
     frame = frame_at(ROADS, AT_M)
     point = AT_M + [east_m, north_m]

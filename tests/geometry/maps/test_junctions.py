@@ -5,10 +5,7 @@ import pytest
 
 from geometry.errors import InputError
 from geometry.frames import WGS84, transform
-from geometry.maps.importing import (
-    choose_junction,
-    survey_junctions,
-)
+from geometry.maps.importing import choose_junction, survey_junctions
 from geometry.maps.source_map import MapJunction, MapLane, SourceMap
 
 SQUARE_M = 8.0 * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])

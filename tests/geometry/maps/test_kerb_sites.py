@@ -170,7 +170,7 @@ def test_courtyards_walls_and_trees_are_no_buildings():
 @given(
     st.lists(
         st.tuples(st.floats(0, 10), st.floats(0, 10), st.integers(0, 3)), max_size=25
-    ),
+    )
 )
 def test_what_is_kept_is_apart_and_what_is_dropped_is_near_something_kept(rows):
     said = ({}, {"cost_eur": 1.0}, {"cost_eur": 1.0, "z_m": 0.0}, {"has_power": True})

@@ -79,7 +79,7 @@ def test_both_ways_of_a_lanelet_are_lanes(tmp_path: Path) -> None:
 
 def test_crosswalks_lights_and_houses_are_there(tmp_path: Path) -> None:
     lanes = crossing() | {
-        "zebra": ([(-12.0, -5.0), (-12.0, 5.0)], [(-9.0, -5.0), (-9.0, 5.0)]),
+        "zebra": ([(-12.0, -5.0), (-12.0, 5.0)], [(-9.0, -5.0), (-9.0, 5.0)])
     }
     corners = [(20, 20), (30, 20), (30, 35), (20, 35), (20, 20)]
     more = "".join(

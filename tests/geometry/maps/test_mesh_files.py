@@ -284,11 +284,7 @@ def test_damaged_files_are_read_or_refused(tmp_path, data, suffix):
     elif not path.exists():
         (
             street().export(path)
-            if suffix
-            in (
-                "obj",
-                "glb",
-            )
+            if suffix in ("obj", "glb")
             else street().to_geometry().export(path)
         )
     sound = path.read_bytes()

@@ -2,15 +2,7 @@
 
 import numpy as np
 import pytest
-from opendrive_text import (
-    cubic,
-    document,
-    geometry,
-    lane,
-    read_text,
-    road,
-    section,
-)
+from opendrive_text import cubic, document, geometry, lane, read_text, road, section
 
 
 def _lanes(tmp_path, *roads):
@@ -104,8 +96,7 @@ def test_linked_pieces_are_one_lane_also_under_new_numbers(tmp_path):
     sections = section(
         right=[lane(-1, after=-2), lane(-2, "sidewalk", after=-3)]
     ) + section(
-        s=40.0,
-        right=[lane(-1), lane(-2, before=-1), lane(-3, "sidewalk", before=-2)],
+        s=40.0, right=[lane(-1), lane(-2, before=-1), lane(-3, "sidewalk", before=-2)]
     )
     offset = cubic("laneOffset", 0.0) + cubic("laneOffset", 40.0, 3.5)
     lanes = _lanes(tmp_path, road(sections=sections, offset=offset))

@@ -137,10 +137,7 @@ DEEP.heights[:] = -32768.0
                 " to 9000"
             ),
         ),
-        (
-            plane(driver="AAIGrid"),
-            "got something else; expected a GeoTIFF of heights",
-        ),
+        (plane(driver="AAIGrid"), "got something else; expected a GeoTIFF of heights"),
         (
             plane(n=2200, step=0.1),
             (

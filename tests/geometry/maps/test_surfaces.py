@@ -5,12 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from geometry.maps.source_map import (
-    is_closed,
-    surface_mesh,
-    triangulate,
-    volume_m3,
-)
+from geometry.maps.source_map import is_closed, surface_mesh, triangulate, volume_m3
 
 SQUARE = np.array([[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]], dtype=float)
 HOLE = np.array([[1, 1, 0], [1, 2, 0], [2, 2, 0], [2, 1, 0]], dtype=float)

@@ -40,6 +40,7 @@ def fronts(draw, n_junctions=3):
     """A few points each, on a coarse scale: there are ties in every objective."""
     found = []
     eighths = st.integers(1, 8)
+
     for _ in range(n_junctions):
         points = [NOTHING]
         for _ in range(draw(st.integers(0, 4))):
@@ -54,6 +55,7 @@ def fronts(draw, n_junctions=3):
                     mean_margin_s=1.0 + draw(st.integers(0, 4)) / 4.0,
                 )
             )
+
         most = max(point.apr for point in points)
         above = min(most + draw(st.sampled_from([0.0, 0.0, 0.05])), 1.0)
         found.append(
@@ -63,6 +65,7 @@ def fronts(draw, n_junctions=3):
                 by_cost=[(0.0, 0.0), (500.0, above)],
             )
         )
+
     return found
 
 
@@ -105,6 +108,7 @@ def brute_force(options, weight, wishes):
             best = key
         else:
             best = max(best, key)
+
     return best
 
 
@@ -149,12 +153,15 @@ def test_the_choice_is_the_best_of_all_in_every_objective(
     got = tuple(
         round(values[s] * (-1 if s is Objective.COST else 1), 9) for s in STAGES
     )
+
     assert got == pytest.approx(expected, abs=2e-8)
     assert [stage.name for stage in choice.certificate.stages] == [
         str(s) for s in STAGES
     ]
+
     for stage in choice.certificate.stages:
         assert stage.objective == pytest.approx(values[Objective(stage.name)], abs=1e-6)
+
     assert choice.certificate.stages[0].gap == 0.0
 
 
@@ -169,6 +176,7 @@ def test_what_the_fronts_leave_open_is_in_the_bound(found, units, halves):
     bounds = stack_bounds(found, counts_units=True, counts_cost=True)
     choice = choose(options, weight, wishes, bounds=bounds)
     highest = choice.certificate.stages[0].bound
+
     assert (
         choice.certificate.stages[0].objective
         <= choice.bound_of_points
@@ -223,6 +231,7 @@ def test_points_that_another_one_beats_are_left_out():
             ]
         ),
     )
+
     assert front.points == (NOTHING, good)
     assert front.by_cost == ((0.0, 0.0), (1000.0, 0.5), (2000.0, 0.8))
 
@@ -240,7 +249,9 @@ def test_years_are_the_best_of_all_orders(junctions, per_year):
         year = np.where(units > 0, years, n_years + 1)
         if all(units[year <= t].sum() <= per_year * t for t in range(1, n_years + 1)):
             best = max(best, float((gain * (n_years + 1 - year)).sum()))
+
     phases = plan_phases(units, gain, units_per_year=per_year)
+
     assert phases.gain_years == pytest.approx(best)
     assert phases.bound == pytest.approx(best)
     assert (phases.year > 0).tolist() == (units > 0).tolist()

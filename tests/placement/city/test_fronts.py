@@ -53,12 +53,12 @@ def junctions(draw):
 def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
     limits = problem.limits
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            fronts, "_MAX_SETS", max_sets
-        )  # few: poses that see alike go together
+        # Few: poses that see alike go together.
+        patch.setattr(fronts, "_MAX_SETS", max_sets)
         front, layouts = find_front(
             problem, effort=lambda: Effort(time_limit_s=60.0), begin=lambda step: None
         )
+
     forced = set(np.flatnonzero(limits.is_forced).tolist())
     best = {}
     for n_units in range(max(len(forced), 1), limits.budget_units + 1):
@@ -69,8 +69,10 @@ def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
             price = cost_eur(limits, chosen)
             n_new = n_units - len(forced)
             best[n_new] = max(best.get(n_new, 0.0), reached)
+
             assert reached <= value_at(front.by_units, n_new) + TOLERANCE
             assert reached <= value_at(front.by_cost, price) + TOLERANCE
+
     for point, layout in zip(front.points, layouts, strict=True):
         assert forced <= set(layout)
         assert point.units == len(layout) - len(forced)
@@ -121,8 +123,10 @@ def test_poses_that_see_alike_still_give_a_layout_for_each_number_of_sites():
             max_sites=2,
             effort=Effort,
         )
+
     assert not are_best
     assert sorted(layouts) == [1, 2]
+
     for n_sites, layout in layouts.items():
         assert len(layout) == 2 * n_sites
         assert is_allowed(problem.limits, layout)
@@ -144,6 +148,7 @@ def test_a_front_is_no_worse_than_that_of_few_of_its_poses():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.city.junction.front_by_sites", finds_nothing)
         front, layouts = find_front(problem, **ask, first=first)
+
     for point in few.points:
         assert any(
             other.units <= point.units
@@ -151,4 +156,5 @@ def test_a_front_is_no_worse_than_that_of_few_of_its_poses():
             and other.apr >= point.apr - TOLERANCE
             for other in front.points
         )
+
     assert all(is_allowed(problem.limits, layout) for layout in layouts[1:])

@@ -33,6 +33,9 @@ TRUTH = replace(
 )
 
 
+SOME = np.arange(0, 2400)  # the first tracks
+
+
 def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 1.0)):
     """Sightings of many road users that come nearer, drawn from a table."""
     rng = np.random.default_rng(seed)
@@ -66,7 +69,7 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
     )
 
 
-@pytest.mark.parametrize("share", [0.0, 0.4])
+@pytest.mark.parametrize("share", [pytest.param(0.0, marks=pytest.mark.long), 0.4])
 def test_the_share_that_lasts_for_a_track_is_found(share):
     """Noise drawn as a sampled world draws it, of tracks that are found as often as
     missed.
@@ -79,6 +82,7 @@ def test_the_share_that_lasts_for_a_track_is_found(share):
     probability = rng.uniform(0.3, 0.9, N_TRACKS)[sightings.track]
     seen = replace(sightings, is_found=ndtr(noise) < probability)
     fitted = fit_lasting_share(seen, probability, draws=100)
+
     assert fitted.low <= share <= fitted.high
     assert fitted.value == pytest.approx(share, abs=0.1)
     assert fitted.high - fitted.low < 0.35
@@ -100,6 +104,7 @@ def fit():
 def test_the_table_that_was_drawn_from_is_found_again(fit):
     found = fit.detector
     truth = np.interp(found.seen_share, TRUTH.seen_share, TRUTH.recall)
+
     np.testing.assert_allclose(found.recall, truth, atol=0.09)
     np.testing.assert_allclose(found.class_factor, TRUTH.class_factor, atol=0.1)
     assert found.height_half_px == pytest.approx(35.0, rel=0.1)
@@ -110,12 +115,6 @@ def test_the_table_that_was_drawn_from_is_found_again(fit):
     assert found.name == "mine"
 
 
-def test_its_probabilities_are_those_of_the_truth(fit):
-    evidence = drawn(seed=2).evidence()
-    off = fit.detector.probability(evidence) - TRUTH.probability(evidence)
-    assert np.abs(off).mean() < 0.03
-
-
 def test_calibration_counts_every_frame_and_fits(fit):
     assert (
         sum(group.frames for group in fit.calibration)
@@ -123,6 +122,7 @@ def test_calibration_counts_every_frame_and_fits(fit):
         == N_TRACKS * N_FRAMES
     )
     assert sum(group.found for group in fit.calibration) == fit.found
+
     for group in fit.calibration:
         assert group.recall.value == pytest.approx(group.expected, abs=0.12)
 
@@ -140,14 +140,18 @@ def test_intervals_hold_their_figures(fit):
 
 
 def test_the_same_seed_gives_the_same_table():
-    few = drawn().take(np.arange(300))
+    few = drawn().take(SOME[:300])
     first, second = (fit_response(few, name="a", draws=2, seed=4) for _ in range(2))
+
     assert first.intervals == second.intervals
 
 
 def test_classes_and_light_that_never_appear_are_as_built_in():
-    fit = fit_response(drawn(classes=(0,), contrasts=(1.0,)), name="a", draws=0)
+    fit = fit_response(
+        drawn(classes=(0,), contrasts=(1.0,)).take(SOME), name="a", draws=0
+    )
     built_in = load_planning_detector("response")
+
     np.testing.assert_allclose(fit.detector.class_factor, 1.0)
     assert not fit.is_contrast_fitted
     assert fit.detector.contrast_half == pytest.approx(built_in.contrast_half)
@@ -157,19 +161,23 @@ def test_classes_and_light_that_never_appear_are_as_built_in():
 
 def test_a_fitted_table_says_of_which_classes_nothing_was_measured(fit):
     assert fit.detector.assumed == ()
-    few = fit_response(drawn(classes=(0, 2, 3)), name="a", draws=0)
+
+    few = fit_response(drawn(classes=(0, 2, 3)).take(SOME), name="a", draws=0)
+
     assert few.detector.assumed == ("child", "car")
 
 
 def test_frames_drawn_apart_show_no_correlation():
     apart = replace(TRUTH, frame_correlation=0.0)
     fit = fit_response(drawn(apart), name="a", draws=0)
+
     assert fit.detector.frame_correlation < 0.06
 
 
 def test_frames_that_are_not_consecutive_tell_no_correlation():
-    sightings = drawn()
+    sightings = drawn().take(SOME)
     spread = replace(sightings, frame=2 * sightings.frame)
+
     assert fit_response(spread, name="a", draws=0).detector.frame_correlation == 0.0
 
 
@@ -181,6 +189,7 @@ def test_too_few_frames_are_refused(kept):
         is_found=np.zeros(kept, dtype=bool),
         box_error=np.full((kept, 4), np.nan),
     )
+
     with pytest.raises(
         InputError, match=rf"got {kept}, 0 of them found; expected at least 50"
     ):
@@ -193,6 +202,7 @@ def test_joint_probabilities_are_those_of_scipy(correlation):
     second = np.array([0.3, 0.0, -1.0, 1.4])
     law = multivariate_normal(cov=[[1.0, correlation], [correlation, 1.0]])
     expected = [law.cdf(pair) for pair in zip(first, second, strict=True)]
+
     np.testing.assert_allclose(
         joint_normal(first, second, correlation), expected, atol=1e-5
     )

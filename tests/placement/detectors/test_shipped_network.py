@@ -9,12 +9,7 @@ import pytest
 from met_cases import MET_CASES
 
 from geometry.errors import InputError, MissingExtraError
-from placement.detectors import (
-    Evidence,
-    load_detector,
-    load_planning_detector,
-    network,
-)
+from placement.detectors import Evidence, load_detector, load_planning_detector, network
 from placement.detectors.evidence import Crop
 from placement.question import Question
 from placement.setting import build_setting
@@ -30,7 +25,9 @@ def _anew():
 def test_it_is_small_and_has_a_card():
     data = files("placement.detectors") / "data"
     assert len((data / "vru.onnx").read_bytes()) < 5e6
+
     card = (data / "vru.md").read_text(encoding="utf-8")
+
     for word in (
         "Apache-2.0",
         "AP50",
@@ -51,8 +48,11 @@ def test_the_extra_is_named_where_onnxruntime_is_missing(monkeypatch):
 def test_plans_are_made_with_the_table_that_was_fitted_to_it():
     pytest.importorskip("onnxruntime")
     network = load_detector("cnn")
+
     assert network.needs_pictures
+
     table = load_planning_detector(network.plans_with)
+
     assert table.name == "cnn-table"
     assert "response table fitted to it" in network.description
 
@@ -61,6 +61,7 @@ def test_what_it_has_not_learnt_is_refused():
     pytest.importorskip("onnxruntime")
     network = load_detector("cnn")
     network.check_classes(["pedestrian", "child", "cyclist"])
+
     for name, known in (("car", "car"), ("motorcyclist", "motorcycle or motorcyclist")):
         with pytest.raises(InputError) as caught:
             network.check_classes(["pedestrian", name])
@@ -76,11 +77,14 @@ def test_runs_with_it_are_checked_before_anything_is_built(caplog):
     met = Question(
         cases=str(MET_CASES), protect="all", approaches="east", along_arms="0"
     )
+
     with pytest.raises(
         InputError, match="detector cnn: got runs with a car; expected a network"
     ):
         build_setting(replace(met, detector="cnn"))
+
     build_setting(replace(met, detector="cnn-table"))
+
     assert (
         "Nothing is measured of motorcyclist (factor 1) and car (factor 1)"
         in caplog.text
@@ -133,6 +137,7 @@ def test_what_looks_the_same_is_shown_once_and_what_is_too_small_never():
     found = load_detector("cnn").detect(
         _evidence([30.0, 30.0, 30.0, 5.0, 30.0], crops), np.random.default_rng(0)
     )
+
     assert crops.drawn == [0, 1]
     assert len(found.row_index) == 0  # nobody is in a grey crop
 
@@ -146,4 +151,5 @@ def test_boxes_of_a_crop_are_moved_into_the_image():
         middle_px=(960.0, 540.0),
     )
     moved = crop.to_image(np.array([[0.0, 0.0, 10.0, 20.0]]))
+
     assert moved.tolist() == [[760.0, 580.0, 780.0, 620.0]]

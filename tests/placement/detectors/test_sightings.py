@@ -106,6 +106,7 @@ def test_a_frame_that_is_missing_breaks_a_false_track():
 def test_two_alarms_side_by_side_do_not_swap():
     near = moved(BESIDE, 10.0)
     _, alarms = gather(*(picture(frame, found=[BESIDE, near]) for frame in range(3)))
+
     assert alarms.confirmed == 2
 
 
@@ -126,6 +127,7 @@ def test_the_poisson_interval_is_exact(n_events):
     interval = poisson(n_events, 2.0)
     assert interval.value == n_events / 2.0
     assert poisson_law.cdf(n_events, 2.0 * interval.high) == pytest.approx(0.025)
+
     if n_events:
         assert poisson_law.sf(n_events - 1, 2.0 * interval.low) == pytest.approx(0.025)
 

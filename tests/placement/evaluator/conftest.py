@@ -1,62 +1,31 @@
 """Tiny worlds: boxes for buildings, a block for the VRU, runs given frame by frame."""
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from functools import partial
 
-import numpy as np
 import pytest
-import trimesh
+from tiny_worlds import block_actor, run_of_frames, scene_of_boxes, setting_of
 
-from geometry.actors import (
-    Actor,
-    PlacedActor,
-    Shape,
-    pick_actor,
-)
-from geometry.scene import Instance, Scene
+from geometry.actors import pick_actor
 from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
 from placement.detectors.geometric import GeometricDetector
-from placement.setting import Setting
 from scenarios.aeb import load_aeb_rule
-from scenarios.cases import load_cases, select_cases
-from scenarios.encounters import Encounter
-from scenarios.paths import Motion, StraightPath
-from scenarios.runs import Run, build_frame_axis, build_runs
-from scenarios.weights import weight_per_run
-
-Box = tuple[Sequence[float], Sequence[float]]  # lowest and highest corner
-
-
-def _block(name: str, size_m: Sequence[float]) -> Actor:
-    mesh = trimesh.creation.box(size_m)
-    return Actor(
-        name=name,
-        class_name="pedestrian",
-        length_m=size_m[0],
-        width_m=size_m[1],
-        height_m=size_m[2],
-        shapes=(
-            Shape(
-                vertices_m=mesh.vertices + [0.0, 0.0, 0.5 * size_m[2]],
-                triangles=mesh.faces,
-            ),
-        ),
-    )
+from scenarios.cases import select_cases
+from scenarios.runs import build_runs
 
 
 @pytest.fixture(scope="session")
-def block() -> Actor:
-    return _block("block", (0.5, 1.0, 1.8))
+def block():
+    return block_actor()
 
 
 @pytest.fixture(scope="session")
-def vut() -> Actor:
+def vut():
     return pick_actor("vut", "test")
 
 
 @pytest.fixture(scope="session")
-def camera() -> CameraModel:
+def camera():
     return CameraModel(
         name="small",
         width_px=320,
@@ -69,98 +38,32 @@ def camera() -> CameraModel:
 
 
 @pytest.fixture(scope="session")
-def build_scene() -> Callable[..., Scene]:
-    def build(*boxes: Box) -> Scene:
-        meshes = [trimesh.creation.box(bounds=np.array(box)) for box in boxes]
-        # One triangle far below the road, so that there is a mesh even without boxes.
-        vertices = [np.array([[0.0, 0.0, -9.0], [1.0, 0.0, -9.0], [0.0, 1.0, -9.0]])]
-        faces = [np.array([[0, 1, 2]])]
-        for mesh in meshes:
-            faces.append(mesh.faces + sum(map(len, vertices)))
-            vertices.append(mesh.vertices)
-        triangles = np.concatenate(faces)
-        return Scene(
-            name="test",
-            vertices_m=np.concatenate(vertices),
-            triangles=triangles,
-            triangle_instance=np.zeros(len(triangles)),
-            instances=(Instance(id="boxes", class_name="building"),),
-            sites=(),
-            outline_m=np.empty((0, 2)),
-            lanes=(),
-            crs="EPSG:32633",
-        )
+def build_scene():
+    """Boxes without ground."""
+    return partial(scene_of_boxes, ground_m=0.0)
+
+
+@pytest.fixture(scope="session")
+def build_run():
+    """Frames as given; the VRU runs through its shapes, one per frame."""
+
+    def build(vru, vru_poses, vut_poses=None, obstruction=()):
+        return run_of_frames(vru_poses, vut_poses, vru=vru, obstruction=obstruction)
 
     return build
 
 
 @pytest.fixture(scope="session")
-def build_run(vut: Actor) -> Callable[..., Run]:
-    """Frames as given; the VRU runs through its shapes, one per frame.
-
-    The motions of the encounter are of no account.
-    """
-
-    def build(
-        vru: Actor,
-        vru_poses: Sequence[Sequence[float]],
-        vut_poses: Sequence[Sequence[float]] | None = None,
-        obstruction: tuple[PlacedActor, ...] = (),
-    ) -> Run:
-        vru_array = np.array(vru_poses, dtype=np.float64)
-        far = np.tile([-90.0, 90.0, 0.0], (len(vru_array), 1))
-        if vut_poses is None:
-            vut_array = far
-        else:
-            vut_array = np.array(vut_poses, dtype=np.float64)
-        motion = Motion(
-            path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0),
-            speed_mps=1.0,
-            start_time_s=0.0,
-        )
-        return Run(
-            id="test",
-            case=load_cases()["CPNC-50"],
-            approach="east",
-            weather="day",
-            vut_speed_kmh=20.0,
-            encounter=Encounter(vut=vut, vut_motion=motion, vru=vru, vru_motion=motion),
-            time_s=np.arange(1.0 - len(vru_array), 1.0) / 10.0,
-            vut_position_m=vut_array[:, :2],
-            vut_yaw_deg=vut_array[:, 2],
-            vru_position_m=vru_array[:, :2],
-            vru_yaw_deg=vru_array[:, 2],
-            vru_shape=np.arange(len(vru_array)) % len(vru.shapes),
-            obstruction=obstruction,
-            last_brake_time_s=0.0,
-        )
-
-    return build
-
-
-@pytest.fixture(scope="session")
-def build_setting() -> Callable[..., Setting]:
+def build_setting():
     """Runs that count alike, a detector that asks for little, no radio that fails."""
-
-    def build(scene: Scene, runs: Sequence[Run], **changes: Any) -> Setting:
-        detector = GeometricDetector(min_iou=0.5, min_box_height_px=10.0)
-        given: dict[str, Any] = {
-            "scene": scene,
-            "runs": tuple(runs),
-            "axis": build_frame_axis(runs, weight_per_run(runs)),
-            "rule": load_aeb_rule(),
-            "detector": detector,
-            "table_detector": detector,
-        }
-        return Setting(**{**given, **changes})
-
-    return build
+    detector = GeometricDetector(min_iou=0.5, min_box_height_px=10.0)
+    return partial(setting_of, detector=detector, table_detector=detector)
 
 
 @pytest.fixture(scope="session")
-def study_runs(vut: Actor) -> tuple[Run, ...]:
+def study_runs(vut):
     """Three runs of the study's cases from one approach each, at two speeds."""
-    runs: list[Run] = []
+    runs = []
     for name, approach in (("CPNC-50", "north"), ("CBNA", "east"), ("CBLA", "south")):
         cases = select_cases(name, speeds="30,60").cases
         some, _ = build_runs(
@@ -171,4 +74,5 @@ def study_runs(vut: Actor) -> tuple[Run, ...]:
             approaches=[approach],
         )
         runs += some
+
     return tuple(runs)

@@ -74,11 +74,6 @@ def test_one_who_stands_sends_every_five_seconds(walk):
     assert _sent(walk([0.0] * 120)) == [0, 50, 100]
 
 
-def test_a_walkers_messages_come_at_the_latest_after_five_seconds(walk):
-    """At 0.7 m/s it takes 5.8 s to cover 4 m."""
-    assert _sent(walk([0.07] * 120)) == [0, 50, 100]
-
-
 def test_setting_off_and_stopping_are_told_at_once(walk):
     """Stands for 20 frames, walks for 15, stands again."""
     assert _sent(walk([0.0] * 20 + [0.14] * 15 + [0.0] * 10)) == [0, 20, 35]
@@ -104,12 +99,9 @@ def test_a_turn_is_told_once_it_exceeds_four_degrees(walk, start_deg):
 def test_no_more_than_one_message_per_interval(walk):
     rule = replace(RULE, min_interval_s=0.3)
     run = walk([4.5] * 12)  # every frame would be news
+
     assert np.flatnonzero(sent_frames(run, rule)).tolist() == [0, 3, 6, 9, 12]
     assert _sent(run) == list(range(13))
-
-
-def test_a_single_frame_is_sent(walk):
-    assert _sent(walk([])) == [0]
 
 
 # Known
@@ -118,8 +110,11 @@ def test_a_single_frame_is_sent(walk):
 def test_without_devices_nothing_is_known_and_with_them_everything(walk):
     runs = [walk([0.14] * 99), walk([0.42] * 45, vru="cyclist"), walk([0.0] * 120)]
     n_frames = [100, 46, 121]
+
     assert not _known(runs, vam_rate=0.0).any()
+
     known = _known(runs, vam_rate=1.0)
+
     assert known.shape == (sum(n_frames),)
     assert known.all()
     assert not _known(runs, vam_rate=1.0, packet_loss=1.0).any()
@@ -129,6 +124,7 @@ def test_a_lost_message_leaves_what_was_known_until_the_next_must_come(walk):
     """One who stands sends in frames 0, 50 and 100; each message counts for 5 s."""
     run = walk([0.0] * 140)
     seen = set()
+
     for seed in range(60):
         known = _known([run], seed, vam_rate=1.0, packet_loss=0.5)
         received = [bool(known[frame + 25]) for frame in (0, 50, 100)]
@@ -136,8 +132,11 @@ def test_a_lost_message_leaves_what_was_known_until_the_next_must_come(walk):
         for frame, is_received in zip((0, 50, 100), received, strict=True):
             if is_received:
                 expected[frame : frame + 51] = True
+
         assert np.array_equal(known, expected)
+
         seen.add(tuple(received))
+
     assert len(seen) == 8
 
 
@@ -146,9 +145,12 @@ def test_vrus_carry_devices_as_often_as_said_and_keep_them_for_a_run(walk):
     known = _known([walk([0.14] * 3) for _ in range(n_runs)], vam_rate=0.3).reshape(
         n_runs, 4
     )
+
     assert (known == known[:, :1]).all()
+
     # Five standard deviations of a binomial distribution.
     tolerance = 5.0 * np.sqrt(0.3 * 0.7 / n_runs)
+
     assert known[:, 0].mean() == pytest.approx(0.3, abs=tolerance)
 
 
@@ -157,6 +159,7 @@ def test_the_seed_says_who_and_what(walk):
     one, same, other = (
         _known(runs, seed, vam_rate=0.5, packet_loss=0.3) for seed in (1, 1, 2)
     )
+
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
 
@@ -167,6 +170,7 @@ def test_the_same_road_user_has_the_same_luck_in_all_weathers(walk):
         replace(run, weather=weather) for weather in ("day", "fog") for run in drives
     ]
     by_day, in_fog = _known(runs, vam_rate=0.5, packet_loss=0.5).reshape(2, -1)
+
     assert np.array_equal(by_day, in_fog)
     assert by_day.any()
     assert not by_day.all()

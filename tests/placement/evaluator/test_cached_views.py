@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiny_worlds import unit_at
 
 from geometry.actors import pick_actor
 from geometry.catalogue import pick_camera
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
 from geometry.weather import load_weathers
-from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.evaluator import evaluate as watch_module
@@ -23,11 +22,13 @@ WALL = ((5.0, 0.2, 0.0), (5.3, 4.0, 3.0))
 
 
 def unit(name, yaw_deg=0.0, sensor=None):
-    return CandidatePose(
-        id=name,
+    return unit_at(
+        name,
+        [0.0, 0.0, 3.0],
+        yaw_deg=yaw_deg,
+        pitch_deg=-5.0,
         site_id="pole",
-        pose=Pose(position_m=[0.0, 0.0, 3.0], yaw_deg=yaw_deg, pitch_deg=-5.0),
-        sensor=sensor or pick_camera("carla-ncap-rgb", "test"),
+        sensor=sensor,
     )
 
 
@@ -85,9 +86,12 @@ def test_the_second_call_looks_at_nothing_and_finds_the_same(
     setting = replace(setting, detector=load_detector(detector))
     compute = Compute(workers=1, cache_folder=tmp_path)
     first = evaluate_layout(LAYOUT, setting, compute=compute)
+
     assert first.rsu_all.detected.any()
     assert not first.rsu_all.detected.all()
+
     again = evaluate_layout(LAYOUT, setting, compute=compute)
+
     assert looked == [(["a", "b"], True)]
     assert_same(again, first)
     assert_same(evaluate_layout(LAYOUT, setting, compute=Compute(workers=1)), first)
@@ -102,6 +106,7 @@ def test_only_new_poses_are_looked_from(setting, tmp_path, looked):
     renamed = replace(LAYOUT.units[0], id="renamed")
     layout = Layout(name="three", units=(moved, lidar, renamed))
     found = evaluate_layout(layout, setting, compute=compute)
+
     assert looked[1:] == [(["lidar", "moved"], False)]
     assert_same(found, evaluate_layout(layout, setting, compute=Compute(workers=1)))
 
@@ -114,6 +119,7 @@ def test_what_the_vut_looks_with_is_looked_with_anew(setting, tmp_path, looked):
         {"vut_camera": pick_camera("carla-ncap-rgb-90", "test")},
     ):
         evaluate_layout(LAYOUT, replace(setting, **change), compute=compute)
+
     assert looked[1:] == [([], True)] * 2
 
 
@@ -144,6 +150,7 @@ def test_whatever_changes_what_is_seen_is_looked_at_anew(
     compute = Compute(workers=1, cache_folder=tmp_path)
     evaluate_layout(LAYOUT, setting, compute=compute)
     evaluate_layout(LAYOUT, CHANGES[change](setting), compute=compute)
+
     assert looked == [(["a", "b"], True)] * 2
 
 
@@ -159,6 +166,7 @@ def test_seed_weathers_and_version_are_part_of_the_key(
         evaluate_layout(LAYOUT, setting, compute=compute)
     monkeypatch.setattr(watch_module, "_KIND", "place-rsus/views/0")
     evaluate_layout(LAYOUT, setting, compute=compute)
+
     assert looked == [(["a", "b"], True)] * 4
 
 
@@ -167,9 +175,12 @@ def test_a_damaged_file_is_made_anew(setting, tmp_path, looked, caplog):
     first = evaluate_layout(LAYOUT, setting, compute=compute)
     (path,) = tmp_path.glob("views-*.npz")
     path.write_bytes(path.read_bytes()[:100])
+
     assert_same(evaluate_layout(LAYOUT, setting, compute=compute), first)
     assert "views not used, made anew" in caplog.text
+
     evaluate_layout(LAYOUT, setting, compute=compute)
+
     assert len(looked) == 2
 
 
@@ -181,4 +192,5 @@ def test_what_a_network_finds_is_not_kept(setting, tmp_path):
         replace(setting, detector=Network()), Compute(cache_folder=tmp_path)
     )
     kept.add({"a": np.zeros(1)})
+
     assert not list(tmp_path.iterdir())

@@ -81,7 +81,9 @@ def larger(camera):
 def test_a_window_has_the_box_in_its_middle_but_stays_in_the_image(larger):
     inside = window_around(np.array([500.0, 400.0, 520.0, 450.0]), larger, side_px=96)
     assert inside == Window(462, 377, 96, 96)
+
     corner = np.array([larger.width_px - 9.0, 0.0, larger.width_px, 30.0])
+
     assert window_around(corner, larger, side_px=96) == Window(
         larger.width_px - 96, 0, 96, 96
     )
@@ -94,16 +96,21 @@ def test_a_crop_is_that_part_of_the_whole_picture(last_frames, seen, larger, wea
     run = replace(last_frames("CPNC-50/west/30", 1), weather=weather)
     crops, picture, evidence = seen([run], camera=larger)
     crop = alone(crops, 0)
+
     assert crop.scale == 1.0
+
     side = len(crop.pixels)
     left, top, right, bottom = crop.to_image(np.array([[0.0, 0.0, side, side]]))[
         0
     ].astype(int)
     box = evidence.amodal_px[0]
+
     assert left <= box[0] < box[2] <= right
     assert top <= box[1] < box[3] <= bottom
+
     part = picture(0)[top:bottom, left:right].astype(float)
     difference = crop.pixels.astype(float) - part
+
     # Noise is drawn anew, and the exposure is set by fewer pixels.
     assert np.abs(difference).mean() < 6.0
     assert np.corrcoef(crop.pixels.ravel(), part.ravel())[0, 1] > 0.97
@@ -114,10 +121,13 @@ def test_a_road_user_that_would_fill_a_crop_is_drawn_smaller(last_frames, seen, 
     crops, _, evidence = seen([run], from_vut=True, camera=larger)
     box = evidence.amodal_px[0]
     crop = alone(crops, 0)
+
     assert max(crop.pixels.shape) == 160
     assert crop.scale >= box_height_px(box[None])[0] / 160.0 > 1.0
+
     height, width = crop.pixels.shape[:2]
     whole = crop.to_image(np.array([[0.0, 0.0, width, height]]))[0]
+
     assert (whole[:2] <= box[:2] + 1.0e-6).all()
     assert (whole[2:] >= box[2:] - 1.0e-6).all()
 
@@ -136,12 +146,17 @@ def test_frames_look_the_same_where_only_a_vut_out_of_sight_has_moved(
     )
     away = replace(run, **still, vut_position_m=far)
     crops, _, _ = seen([away])
+
     assert crops.key(0) == crops.key(1)
+
     # At night headlights reach far, and nearby the car itself is seen.
     by_night, _, _ = seen([replace(away, weather="night")])
+
     assert by_night.key(0) != by_night.key(1)
+
     at_hand = replace(run, **still, vut_position_m=run.vru_position_m.copy())
     beside, _, _ = seen([at_hand])
+
     assert beside.key(0) != beside.key(1)
 
 
@@ -159,6 +174,7 @@ def test_the_shadow_of_the_vut_belongs_to_it(last_frames, seen):
     beside = run.vru_position_m.copy()
     beside[:, :2] += (2.5 + 0.5 * shadow_m) * np.array([np.cos(yaw), np.sin(yaw)])
     near, _, _ = seen([replace(run, vut_position_m=beside)])
+
     assert near.key(0)[-1] == 0  # a frame of its own
 
 
@@ -173,8 +189,11 @@ def test_the_shipped_network_finds_most_cyclists_that_are_50_px_high(
     full = replace(larger, width_px=1920, height_px=1080)
     crops, _, evidence = seen([some], camera=full)
     is_high = box_height_px(evidence.visible_px) >= 50.0
+
     assert is_high.sum() >= 3
+
     detector = load_detector("cnn")
     found = detector.detect(replace(evidence, crops=crops), np.random.default_rng(0))
     matched = is_matched(found, evidence.visible_px, min_iou=load_min_iou())
+
     assert matched[is_high].mean() > 0.6

@@ -45,14 +45,19 @@ def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
     verdict = judge.verdicts([[(row, latency_s)]])[0]
     endless = replace(axis, last_brake_time_s=np.full(axis.n_runs, np.inf))
     confirmation_s = live_confirmation_times_s(row, endless, rule=RULE)
+
     assert np.array_equal(verdict.confirmation_time_s, confirmation_s)
     assert verdict.onset_time_s == pytest.approx(confirmation_s + latency_s)
+
     touches = [
         has_contact(run.encounter, onset, RULE)
         for run, onset in zip(study_runs, verdict.onset_time_s.tolist(), strict=True)
     ]
+
     assert (verdict.is_avoided == ~np.array(touches)).all()
+
     in_time = is_in_time(confirmation_s, axis.last_brake_time_s, latency_s=latency_s)
+
     assert (verdict.is_avoided == in_time).all()
     assert (verdict.detected == row).all()
 
@@ -76,6 +81,7 @@ def test_a_further_party_never_makes_it_later(axis, judge, seed, latencies_s):
     parties = list(zip(_rows(axis, seed, 3), latencies_s, strict=True))
     fewer = judge.verdicts([parties[:2]])[0]
     more = judge.verdicts([parties])[0]
+
     assert (more.onset_time_s <= fewer.onset_time_s).all()
     assert (more.is_avoided >= fewer.is_avoided).all()
     assert (more.detected >= fewer.detected).all()
@@ -89,24 +95,34 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
     judge = Judge(study_runs, axis, rule)
     outcomes = set()
     early = np.concatenate([run.time_s < run.time_s[0] + 1.95 for run in study_runs])
+
     for row in [early, *_rows(axis, 7, 10)]:
         verdict = judge.verdicts([[(row, rule.latency_s)]])[0]
         live_s = live_confirmation_times_s(row, axis, rule=rule)
+
         assert np.array_equal(verdict.is_avoided, np.isfinite(live_s))
+
         is_live = verdict.is_avoided
+
         assert np.array_equal(verdict.confirmation_time_s[is_live], live_s[is_live])
+
         touches = [
             has_contact(run.encounter, onset, rule)
             for run, onset in zip(
                 study_runs, verdict.onset_time_s.tolist(), strict=True
             )
         ]
+
         assert np.array_equal(verdict.is_avoided, ~np.array(touches))
+
         arrival_s = np.where(row, axis.time_s + rule.latency_s, np.inf)
         first = find_onsets(arrival_s, axis, rule=RULE)  # never lost
+
         assert (verdict.onset_time_s >= first.onset_s).all()
+
         words = run_outcomes(verdict, axis)
         outcomes |= set(words)
+
         for run, word in enumerate(words):
             is_confirmed = np.isfinite(first.onset_s[run])
             assert (word == "avoided") == verdict.is_avoided[run]
@@ -115,6 +131,7 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
             )
             assert (word in ("never seen", "never confirmed")) == (not is_confirmed)
             assert (word == "never seen") == (not row[axis.frames_of(run)].any())
+
     assert "avoided" in outcomes
     assert "lost again" in outcomes
 
@@ -146,9 +163,12 @@ def test_bodies_avoid_what_the_table_says_at_least(study_runs, axis, seed, memor
     rows = _rows(axis, seed, 2)
     verdict = judge.verdicts([[(row, rule.latency_s) for row in rows]])[0]
     v = axis.vut_speed_kmh
+
     assert ((verdict.impact_speed_kmh == 0.0) == verdict.is_avoided).all()
     assert (verdict.impact_speed_kmh <= v + 1e-9).all()
+
     never = np.isinf(verdict.onset_time_s)
+
     assert verdict.impact_speed_kmh[never] == pytest.approx(v[never])
     table = pack_table(("a", "b"), axis, rows)
     problem = PlacementProblem(
@@ -159,6 +179,7 @@ def test_bodies_avoid_what_the_table_says_at_least(study_runs, axis, seed, memor
     )
     by_bodies = evaluated_apr(verdict, axis)
     # Of a run whose contact ends with a later onset and begins again, the table knows
+
     # less.
     assert by_bodies >= apr(problem, [0, 1]) - 1e-12
 
@@ -174,9 +195,12 @@ def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypa
     judge = Judge(study_runs, axis, RULE)
     row = np.ones(axis.n_frames, dtype=bool)
     first, again = (judge.verdicts([[(row, 0.025)]])[0] for _ in range(2))
+
     assert len(asked) == axis.n_runs
     assert np.array_equal(first.is_avoided, again.is_avoided)
+
     judge.verdicts([[(row, 0.05)]])[0]
+
     assert len(asked) == 2 * axis.n_runs
 
 

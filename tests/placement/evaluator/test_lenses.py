@@ -11,7 +11,7 @@ from lens_cameras import MODELS, random_camera
 
 from geometry.actors import MovingActor, PlacedActor, pick_actor
 from geometry.image_boxes import box_height_px
-from geometry.lenses import BrownConrady, Fisheye, TsaiRadial
+from geometry.lenses import BrownConrady, Fisheye
 from geometry.poses import Pose, camera_rotation
 from geometry.sensors import SEEN_RAD, is_shown, project_points
 from placement.candidates import CandidatePose, is_in_view
@@ -53,6 +53,7 @@ def made_runs(build_run, rng, n_frames=24):
             yaw_deg=poses[2][:, 2],
         )
         runs.append(replace(run, traffic=(van,)))
+
     return runs
 
 
@@ -123,6 +124,7 @@ def depths(ways, near, corners):
     lengths = np.linalg.norm(ways, axis=1)[:, None]
     corners = corners[(corners[..., 2] > 0.0).any(axis=1)]
     n_parts = 1 + len(ways) * len(corners) // 200_000
+
     for a, b, c in (
         np.moveaxis(part, 1, 0) for part in np.array_split(corners, n_parts)
     ):
@@ -135,6 +137,7 @@ def depths(ways, near, corners):
             t = ((c - a) * q).sum(axis=1) / volume
             hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t * lengths >= near)
         first = np.minimum(first, np.where(hit, t, np.inf).min(axis=1, initial=np.inf))
+
     return first
 
 
@@ -164,21 +167,25 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every
         static = surroundings.statics[surroundings.static_index[frame]]
         others = [(static, surroundings.static_poses[frame])]
         others.append((surroundings.vehicles[0], surroundings.vut_poses[frame]))
+
         for kind, at in zip(
             surroundings.traffic_index[frame],
             surroundings.traffic_poses[frame],
             strict=True,
         ):
             others.append((surroundings.vehicles[kind], at))
+
         body = corners_in_camera(vru, surroundings.vru_poses[frame], MOUNT)
         depth = depths(ways, small.near_m, body)
         before = np.full(len(ways), np.inf)
         hit = np.isfinite(depth)
+
         for solid, at in others if hit.any() else []:
             corners = corners_in_camera(solid, at, MOUNT)
             before[hit] = np.minimum(
                 before[hit], depths(ways[hit], small.near_m, corners)
             )
+
         for name, mask in (
             ("amodal_px", np.isfinite(depth)),
             ("visible_px", np.isfinite(depth) & ~(before < depth - 1e-3)),
@@ -197,29 +204,17 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every
             # A middle that rounding puts on either side of an edge moves a side by a
             # pixel.
             off = np.abs(getattr(evidence, name)[frame] - expected)
+
             assert off.max() <= 1.0
+
             n_seen += len(rows) > 0
             n_hidden += int(off.sum() > 0)
+
     assert n_seen > 24 / every
     assert n_hidden <= 12 / every
 
 
 # ---------- pinholes
-
-
-def test_a_lens_that_does_next_to_nothing_shows_what_the_pinhole_does(
-    surroundings, camera
-):
-    plain = perceive_frames(surroundings, (MOUNT, camera))
-    for lens in (BrownConrady(k1=1e-13), TsaiRadial(kappa=1e-13)):
-        bent = perceive_frames(surroundings, (MOUNT, replace(camera, lens=lens)))
-        for name in ("amodal_px", "visible_px"):
-            off = np.abs(getattr(bent, name) - getattr(plain, name)).max(axis=1)
-            assert (off > 0.0).sum() <= 2
-            assert off.max() <= 1.0
-        assert bent.visible_share == pytest.approx(plain.visible_share, abs=0.02)
-        assert bent.inside_share == pytest.approx(plain.inside_share, abs=0.02)
-    assert (box_height_px(plain.visible_px) > 0.0).sum() > 20
 
 
 def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
@@ -236,15 +231,19 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))]
+)
 def test_table_and_evaluator_agree_about_who_is_in_view(
     scene, runs, surroundings, camera, model, seed
 ):
     """Where the one has a box of some size the other has nearly the same."""
     rng = np.random.default_rng(100 + seed)
     wide = camera
+
     while wide.is_pinhole or wide.horizontal_fov_deg < 60.0:  # some lenses fold early
         wide = random_camera(rng, replace(camera, width_px=640, height_px=480), model)
+
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=1.0, min_contrast=0.0)
     world = build_world(scene, runs, n_points=N_POINTS, seed=0)
     pose = replace(MOUNT, yaw_deg=float(rng.uniform(30.0, 60.0)))
@@ -264,18 +263,23 @@ def test_table_and_evaluator_agree_about_who_is_in_view(
     # Those of whom somebody sees something; at the picture's edge a pixel or a point
     # decides.
     seen = box_height_px(drawn.visible_px) > 6.0
+
     assert seen.sum() > 8
+
     near = np.abs(table - drawn.amodal_px).max(axis=1)
+
     assert (
         near[seen] <= 3.0 + 0.06 * box_height_px(drawn.amodal_px[seen])
     ).mean() > 0.9
     assert (
         (box_height_px(table) > 0.0) == (box_height_px(drawn.visible_px) > 0.0)
     ).mean() > 0.9
+
     # And in view is who the projection says.
     feet = np.concatenate([run.vru_position_m for run in runs])
     chest = np.column_stack([feet, np.full(len(feet), 1.0)])
     inside = is_in_view(unit, chest)
+
     assert (inside == (box_height_px(drawn.amodal_px) > 0.0)).mean() > 0.9
 
 
@@ -289,6 +293,7 @@ def test_what_lies_beyond_the_fold_is_not_shown(camera):
     level = Pose(position_m=np.zeros(3), yaw_deg=0.0, pitch_deg=0.0)
     shown = project_points(far, level, folds)[:, 0]
     turn = np.degrees((1.0 / 0.6) ** 0.5)  # angle - 0.2 angle^3 stops rising
+
     assert turn == pytest.approx(73.97, abs=0.01)
     assert np.isfinite(shown).tolist() == [True, True, False]
     assert is_shown(np.array([[np.tan(np.radians(73.9)), 0.0]]), folds).all()

@@ -1,5 +1,6 @@
 from bisect import bisect_left
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -79,43 +80,16 @@ def sees(build_scene, build_run, block):
 # What is in the way, and what is out of sight
 
 
-def test_a_vru_ahead_is_seen_and_one_behind_a_wall_is_not(sees):
-    vru = [[12.0, 0.0, 0.0], [12.0, -9.0, 30.0], [4.0, 0.0, 0.0]]
-    assert sees(vru) == [True, True, True]
-    # The second is beside the wall, the third before it.
-    assert sees(vru, WALL) == [False, True, True]
-
-
-def test_nothing_is_seen_outside_the_field_of_view(sees):
-    """The study's LiDAR: 72 degrees wide, 30 high."""
-    angles_deg = np.array([0.0, 20.0, -30.0, 40.0, -45.0, 90.0, 180.0])
-    around = 10.0 * np.column_stack(
-        [np.cos(np.radians(angles_deg)), np.sin(np.radians(angles_deg))]
-    )
-    vru = np.column_stack([around, angles_deg])
-    assert sees(vru) == (np.abs(angles_deg) < 36.0).tolist()
-    raised = replace(LOW, pitch_deg=40.0)
-    assert not any(sees(vru, pose=raised))
-    turned = replace(LOW, yaw_deg=90.0)
-    assert sees(vru, pose=turned) == [False, False, False, False, False, True, False]
-
-
 def test_nothing_is_seen_beyond_the_range(sees):
     vru = [[19.0, 0.0, 0.0], [21.0, 0.0, 0.0]]
     assert sees(vru, lidar=replace(STUDY, range_m=20.0)) == [True, False]
     assert sees(vru) == [True, True]
 
 
-def test_the_vut_hides_what_is_behind_it_in_its_own_frames_only(sees):
-    vru = [[14.0, 0.0, 0.0]] * 4
-    vut = [[6.0, 0.0, 0.0], [6.0, 5.0, 0.0], [20.0, 0.0, 90.0], [6.0, 0.0, 45.0]]
-    low = Pose(position_m=np.array([0.0, 0.0, 0.5]), yaw_deg=0.0)
-    assert sees(vru, vut_poses=vut, pose=low) == [False, True, True, False]
-
-
 def test_fog_and_a_heavy_rain_take_what_is_far(sees):
     vru = [[8.0, 0.0, 0.0], [35.0, 0.0, 0.0]]
     found = {name: sees(vru, weather=name) for name in ("day", "night", "rain", "fog")}
+
     assert found["day"] == found["night"] == found["rain"] == [True, True]
     assert found["fog"] == [True, False]
 
@@ -123,7 +97,7 @@ def test_fog_and_a_heavy_rain_take_what_is_far(sees):
 # How many beams
 
 
-@pytest.mark.parametrize("distance_m", [4.0, 8.0, 15.0, 30.0])
+@pytest.mark.parametrize("distance_m", [4.0, 15.0])
 def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     build_scene, build_run, block, count, distance_m
 ):
@@ -135,7 +109,9 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     ahead, left, up = np.moveaxis(beam_directions(SURE).reshape(-1, 3), -1, 0)
     y_m = distance_m * left / ahead
     z_m = 0.9 + distance_m * up / ahead
+
     assert found == ((np.abs(y_m) < 0.5) & (z_m > 0.0) & (z_m < 1.8)).sum()
+
     solid_angle = 4.0 * np.arctan(  # of a rectangle seen from above its middle
         0.5 * 0.9 / (distance_m * np.sqrt(distance_m**2 + 0.5**2 + 0.9**2))
     )
@@ -148,6 +124,7 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
             (1.0, SURE.n_columns, SURE.horizontal_fov_deg),
         )
     )
+
     assert found == pytest.approx(expected, abs=rows + columns)
 
 
@@ -203,6 +180,7 @@ def _plain_counts(scene, runs, pose, lidar):
                 starts.astype(np.float32), beams.astype(np.float32)
             )
             counts.append(int((owner[hit[hit >= 0]] == 0).sum()))
+
     return np.array(counts)
 
 
@@ -230,6 +208,7 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
         )
         vru[8:] = vru[:8]  # some sights repeat, with the VUT elsewhere
         runs.append(build_run(pick_actor(name, "test"), vru, vut, obstruction))
+
     surroundings = build_surroundings(scene, runs)
     counts = _plain_counts(scene, runs, pose, SURE)
     hidden = _plain_counts(
@@ -238,14 +217,18 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
         pose,
         SURE,
     )
+
     assert (hidden > counts).any()  # the VUT hides something somewhere
+
     for n_points in (1, 10, 40, 120):
         needs(n_points)
         found = scan_frames(surroundings, pose, SURE, _rng())
         # A beam along an edge may go either way in single precision.
         is_clear = (counts == 0) | (np.abs(counts - n_points) > 2)
+
         assert is_clear.mean() > 0.7
         assert (found == (counts >= n_points))[is_clear].all()
+
     assert 0.2 < (counts >= 10).mean() < 0.9
 
 
@@ -265,6 +248,7 @@ def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block,
         )
         for x_m, yaw_deg in ((9.0, 0.0), (9.0, 45.0), (10.5, 0.0))
     ]
+
     assert [count(one, LOW, weak) > 0 for one in surroundings] == [True, False, False]
     assert all(count(one, LOW) > 50 for one in surroundings)
 
@@ -276,6 +260,7 @@ def test_the_same_seed_brings_the_same_pulses_back(sees):
     vru = [[x_m, 0.0, 90.0] for x_m in np.linspace(20.0, 50.0, 60)]
     vague = replace(STUDY, threshold_width=9.0, reference_probability=0.5)
     one, same, other = (sees(vru, seed=seed, lidar=vague) for seed in (1, 1, 2))
+
     assert one == same
     assert one != other
     assert any(one)
@@ -293,6 +278,7 @@ def test_other_frames_do_not_matter(build_scene, build_run):
     )
     every = scan_frames(surroundings, LOW, SURE, _rng())
     some = np.arange(0, 40, 3)
+
     assert np.array_equal(
         scan_frames(surroundings.take(some), LOW, SURE, _rng()), every[some]
     )
@@ -313,10 +299,13 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     vru = np.column_stack([place + 14.0 * towards, yaw_deg])
     surroundings = build_surroundings(build_scene(), [build_run(block, vru, vut)])
     found = scan_frames(surroundings, load_vut_camera(), load_vut_lidar(), _rng())
+
     assert found.tolist() == [True, False, False, True] * 3
+
     wall = build_scene(((3.0 + 7.0, 5.0 - 3.0, 0.0), (3.0 + 7.4, 5.0 + 3.0, 4.0)))
     behind = build_surroundings(wall, [build_run(block, vru, vut)])
     found = scan_frames(behind, load_vut_camera(), load_vut_lidar(), _rng())
+
     assert (
         found.tolist() == [False, False, False, False] + [True, False, False, True] * 2
     )
@@ -350,6 +339,7 @@ def beams_on_vru(monkeypatch):
             for frame in range(len(surroundings.vru_poses)):
                 one = surroundings.take(np.array([frame]))
                 scan_frames(one, pose, lidar, _rng())
+
         return np.array(counts)
 
     return look
@@ -367,9 +357,18 @@ def _around(build_run, name, distance_m, n_frames=20):
     return build_run(pick_actor(name, "test"), vru, vut)
 
 
-@pytest.mark.parametrize("lidar", [RING, WIDE, SECTOR], ids=["ring", "wide", "sector"])
-@pytest.mark.parametrize("pitch_deg", [0.0, -35.0])
-@pytest.mark.parametrize("distance_m", [1.5, 9.0])
+@pytest.mark.parametrize(
+    ("lidar", "pitch_deg", "distance_m"),
+    [
+        pytest.param(RING, 0.0, 1.5, id="ring"),
+        pytest.param(WIDE, -35.0, 1.5, id="wide"),
+        pytest.param(SECTOR, -35.0, 9.0, id="sector"),
+        *(
+            pytest.param(*given, marks=pytest.mark.long)
+            for given in product((RING, WIDE, SECTOR), (0.0, -35.0), (1.5, 9.0))
+        ),
+    ],
+)
 def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
     build_scene, build_run, beams_on_vru, lidar, pitch_deg, distance_m
 ):
@@ -383,13 +382,14 @@ def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
         pose = replace(OVERHEAD, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
         found = beams_on_vru(build_surroundings(scene, [run]), pose, lidar)
         plain = _plain_counts(scene, [run], pose, lidar)
+
         # A beam along an edge may go either way in single precision.
         assert np.abs(found - plain).max() <= 2
         assert (found == plain).mean() > 0.7
         assert plain.max() > 20
 
 
-@pytest.mark.parametrize("n_columns", [1, 90, 179, -67])
+@pytest.mark.parametrize("n_columns", [1, -67])
 def test_a_level_ring_sees_the_same_however_it_is_turned(
     build_scene, build_run, beams_on_vru, needs, n_columns
 ):
@@ -400,13 +400,16 @@ def test_a_level_ring_sees_the_same_however_it_is_turned(
     before, after = (
         beams_on_vru(surroundings, pose, RING) for pose in (OVERHEAD, turned)
     )
+
     assert np.abs(before - after).max() <= 1
     assert (before == after).mean() > 0.95
     # The same pulses come back, too: beams meet the same luck on either side of the
+
     # seam.
     vague = replace(
         RING, threshold_width=9.0, reference_probability=0.5, reference_range_m=9.0
     )
+
     for n_points in (3, 12, 8):
         needs(n_points)
         one, other = (
@@ -414,19 +417,5 @@ def test_a_level_ring_sees_the_same_however_it_is_turned(
             for pose in (OVERHEAD, turned)
         )
         assert (one == other)[before == after].all()
+
     assert 0.1 < one.mean() < 0.9
-
-
-def test_a_ring_meets_what_a_sector_of_the_same_steps_meets(
-    build_scene, build_run, beams_on_vru
-):
-    surroundings = build_surroundings(
-        build_scene(WALL), [_around(build_run, "adult", 9.0, 72)]
-    )
-    ring = beams_on_vru(surroundings, OVERHEAD, RING)
-    assert (ring > 0).mean() > 0.8
-    for yaw_deg in (0.0, 150.0, -120.0):
-        sector = beams_on_vru(surroundings, replace(OVERHEAD, yaw_deg=yaw_deg), SECTOR)
-        assert (ring >= sector - 1).all()
-        assert (sector > 0).any()
-        assert (sector < ring - 5).any()

@@ -7,15 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from tiny_worlds import table_of, unit_at
 
-from geometry.actors import Actor, MovingActor, PlacedActor, Shape, pick_actor
-from geometry.catalogue import pick_camera
+from geometry.actors import Actor, MovingActor, Shape, pick_actor
 from geometry.errors import InputError
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE
 from placement.evaluator.evaluate import unit_key, watch
-from placement.visibility import build_detection_table
 
 LENGTH_M = 12.0
 WIDTH_M = 2.5
@@ -43,12 +40,7 @@ def bus():
 
 @pytest.fixture(scope="module")
 def unit():
-    return CandidatePose(
-        id="camera",
-        site_id="pole",
-        pose=Pose(position_m=[0.0, 0.0, 3.0], yaw_deg=0.0, pitch_deg=-5.0),
-        sensor=pick_camera("carla-ncap-rgb", "test"),
-    )
+    return unit_at("camera", [0.0, 0.0, 3.0], pitch_deg=-5.0, site_id="pole")
 
 
 @pytest.fixture(scope="module")
@@ -61,13 +53,7 @@ def scene(build_scene):
 
 def _seen(setting, unit):
     """Frames in which a unit detects, by the table and by the evaluator."""
-    table = build_detection_table(
-        setting.scene,
-        [unit],
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-    )
+    table = table_of(setting, [unit])
     compute = replace(DEFAULT_COMPUTE, workers=1)
     detected = watch(setting, {unit_key(unit): unit}, compute=compute)
     return table.detected([0])[0], detected[unit_key(unit)]
@@ -92,8 +78,10 @@ def test_a_bus_hides_a_pedestrian_for_a_second(
     setting = build_setting(scene, [run, with_bus])
     # Over the roof the camera sees nothing of a body lower than this at 20 m.
     far_edge_m = 10.0 + 0.5 * WIDTH_M
+
     assert adult.height_m < 3.0 - (3.0 - HEIGHT_M) * 20.0 / far_edge_m
     # The rays to both sides of the body pass the near edge of the bus this far from the
+
     # axis.
     side_m = 0.5 * max(adult.width_m, adult.length_m) * (10.0 - 0.5 * WIDTH_M) / 20.0
     # Where the body is on the far edge's line of sight, its sides are as far out.
@@ -101,46 +89,21 @@ def test_a_bus_hides_a_pedestrian_for_a_second(
     is_clear = np.abs(along_m) > 0.5 * LENGTH_M + 0.5 * max(
         adult.width_m, adult.length_m
     )
+
     assert is_hidden.sum() in (9, 10)  # a second
+
     for seen in _seen(setting, unit):
         alone = seen[:n_frames]
         behind = seen[n_frames:]
+
         assert alone.all()
         assert not behind[is_hidden].any()
         assert behind[is_clear].all()
 
 
-def test_what_drives_on_the_spot_hides_as_what_is_parked(
-    scene, build_run, build_setting, unit
-):
-    rng = np.random.default_rng(5)
-    van = pick_actor("parked-van", "test")
-    vru = np.column_stack(
-        [rng.uniform(6, 30, 80), rng.uniform(-9, 9, 80), rng.uniform(0, 360, 80)]
-    )
-    run = build_run(pick_actor("cyclist", "test"), vru)
-    places = [(8.0, 2.0, 30.0), (12.0, -3.0, 80.0), (5.0, -1.0, 0.0)]
-    parked = tuple(
-        PlacedActor(actor=van, pose=Pose(position_m=[x, y, 0.0], yaw_deg=yaw))
-        for x, y, yaw in places
-    )
-    driving = tuple(
-        MovingActor(
-            actor=van, position_m=np.tile([x, y], (80, 1)), yaw_deg=np.full(80, yaw)
-        )
-        for x, y, yaw in places
-    )
-    setting = build_setting(
-        scene, [run, replace(run, obstruction=parked), replace(run, traffic=driving)]
-    )
-    for seen in _seen(setting, unit):
-        free, behind_parked, behind_driving = seen.reshape(3, 80)
-        assert (behind_parked == behind_driving).all()
-        assert 10 < (free & ~behind_parked).sum() < 70
-
-
 def test_a_vehicle_has_as_many_frames_as_the_run(build_run, bus):
     run = build_run(pick_actor("adult", "test"), [[20.0, 0.0, 0.0]] * 3)
     driving = MovingActor(actor=bus, position_m=np.zeros((2, 2)), yaw_deg=np.zeros(2))
+
     with pytest.raises(InputError, match="2 frames; expected 3"):
         replace(run, traffic=(driving,))

@@ -35,7 +35,7 @@ def on(scene, ground):
         vertices_m=np.concatenate([scene.vertices_m, vertices]),
         triangles=np.concatenate([scene.triangles, triangles + len(scene.vertices_m)]),
         triangle_instance=np.concatenate(
-            [scene.triangle_instance, np.ones(len(triangles))]
+            [scene.triangle_instance, np.full(len(triangles), len(scene.instances))]
         ),
         instances=(*scene.instances, Instance(id=GROUND, class_name=GROUND)),
     )
@@ -47,6 +47,7 @@ def test_on_a_plane_the_pitch_is_the_grade_along_the_heading(grade, yaw_deg):
     pitch_deg = pitch_on_ground_deg(
         [[3.0, -7.0]], [yaw_deg], slope, front_m=1.4, wheelbase_m=2.9
     )
+
     assert np.tan(np.radians(pitch_deg)) == pytest.approx(
         grade * np.cos(np.radians(yaw_deg))
     )
@@ -61,9 +62,12 @@ def test_over_a_crest_the_pitch_is_that_of_the_chord_between_the_axles():
         front_m=1.5,
         wheelbase_m=3.0,
     )
+
     # Front axles at 0.5, 1.5 and 3.5 m, rear ones at -2.5, -1.5 and 0.5 m.
     assert np.tan(np.radians(pitch_deg)) == pytest.approx([0.2 / 3.0, 0.0, -0.1])
+
     flat = pitch_on_ground_deg([[1.0, 2.0]], [30.0], None, front_m=1.5, wheelbase_m=3.0)
+
     assert flat.tolist() == [0.0]
 
 
@@ -86,6 +90,7 @@ def test_on_a_slope_whoever_is_ahead_is_seen_at_the_row_of_the_level_road(
     turn = np.array([[np.cos(pitch), np.sin(pitch)], [-np.sin(pitch), np.cos(pitch)]])
     away, above = (corner @ turn.T + [12.0 / np.cos(pitch) - ahead_m, -up_m]).T
     rows = 90.0 - camera.focal_length_px * above / away
+
     assert box[1] == pytest.approx(rows.min(), abs=1.0)
     assert box[3] == pytest.approx(rows.max(), abs=1.0)
     assert box[[0, 2]].mean() == pytest.approx(160.0, abs=1.0)
@@ -109,7 +114,9 @@ def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_look
     )
     run = replace(build_run(block, vru, vut), terrain=hills)
     scene = on(build_scene(((-6.0, 3.0, -9.0), (-2.0, 6.0, 4.0))), hills)
+
     assert terrain_of(scene) is not None
+
     surroundings = build_surroundings(scene, [run])
     mount = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
     boxes = perceive_frames(surroundings, mount)
@@ -119,9 +126,12 @@ def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_look
         pose = vut_camera_pose(mount, run, frame)
         pitches_deg.append(pose.pitch_deg)
         view = render_frame(surroundings, frame, pose, camera, with_vut=False)
+
         assert np.abs(boxes.amodal_px[frame] - view.amodal_box_px).max() <= 1.0
         assert np.abs(boxes.visible_px[frame] - view.visible_box_px).max() <= 1.0
+
         n_hidden += (view.visible_box_px != view.amodal_box_px).any()
+
     assert np.ptp(pitches_deg) > 10.0
     assert n_hidden
 
@@ -137,5 +147,7 @@ def test_the_vuts_lidar_tilts_with_the_road(build_scene, build_run, block):
         return scan_frames(around, load_vut_camera(), load_vut_lidar(), rng).tolist()
 
     assert found(surroundings) == [True, False, False]
+
     level = replace(surroundings, vut_pitch_deg=np.zeros(3))
+
     assert found(level) == [False, False, False]

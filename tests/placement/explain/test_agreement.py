@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiny_worlds import table_of
 
 from geometry.study_scene import load_study_scene
 from placement.detection_table import pack_table
@@ -10,7 +11,6 @@ from placement.evaluator import evaluate_layout
 from placement.explain.agreement import FUSED, find_disagreements
 from placement.layout import Layout, load_carlancap_layout
 from placement.setting import Radio, Setting
-from placement.visibility import build_detection_table
 from scenarios.runs import build_frame_axis
 from scenarios.weights import weight_per_run
 
@@ -45,13 +45,7 @@ def _table(setting, layout, detected):
 
 
 def test_both_agree_on_runs_that_are_seen_well(setting, layout, evaluation):
-    table = build_detection_table(
-        setting.scene,
-        layout.units,
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-    )
+    table = table_of(setting, layout.units)
     assert evaluation.rsu_all.is_avoided.all()
     assert find_disagreements(setting, table, evaluation, [0, 1]) == ()
 
@@ -71,9 +65,12 @@ def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
         )
         if is_avoided
     ]
+
     assert [(entry.party, entry.run_id) for entry in found] == expected
     assert not any(entry.on_table for entry in found)
+
     axis = setting.axis
+
     for entry in found:
         frames = axis.frames_of(axis.run_ids.index(entry.run_id))
         in_time = (
@@ -85,6 +82,7 @@ def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
             for name, verdict in evaluation.units.items()
             if entry.party in (FUSED, name)
         ]
+
         assert entry.n_frames == np.logical_or.reduce(seen).sum()
         assert "sample points and pixels differ" in entry.cause
 
@@ -97,6 +95,7 @@ def test_what_was_lost_on_the_way_is_told_from_what_was_not_seen(
     found = find_disagreements(
         setting, _table(setting, layout, detected), lossy, [0, 1]
     )
+
     assert {entry.run_id for entry in found if entry.party == FUSED} == set(RUNS)
     assert all(
         entry.on_table and "chance or a lost message" in entry.cause for entry in found
@@ -110,6 +109,7 @@ def test_latency_alone_can_make_the_difference(setting, layout, evaluation):
     )
     # The table is asked with the units' own latencies, too: nothing differs.
     late = evaluate_layout(slow, setting)
+
     assert not late.rsu_all.is_avoided.any()
     assert (
         find_disagreements(setting, _table(setting, slow, detected), late, [0, 1]) == ()

@@ -37,8 +37,11 @@ def pairs(problem):
 def test_the_layout_by_runs_avoids_as_many_as_any_pair(problem, chosen):
     found = find_by_runs(problem, chosen, effort=EFFORT)
     most = max(n_avoided(problem, rows) for rows in pairs(problem))
+
     assert found.is_proven
+
     rows = [problem.table.pose_ids.index(unit) for unit in found.units]
+
     assert found.runs_avoided == most == n_avoided(problem, rows)
     assert found.runs_avoided_here == n_avoided(problem, chosen) < most
 
@@ -46,6 +49,8 @@ def test_the_layout_by_runs_avoids_as_many_as_any_pair(problem, chosen):
 def test_nobody_looks_where_there_is_nothing_to_compare(problem, chosen):
     alike = replace(problem.table.axis, weight=np.full(7, 1 / 7))
     by_runs = replace(problem, table=replace(problem.table, axis=alike))
+
     assert find_by_runs(by_runs, chosen, effort=EFFORT) is None
+
     for asked in (replace(problem, survive=1), replace(problem, goal="cheapest")):
         assert find_by_runs(asked, chosen, effort=EFFORT) is None

@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import frame_axes
+from tiny_worlds import unit_at
 
-from geometry.catalogue import load_cameras
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
 from placement.evaluation import (
     Evaluation,
     Verdict,
@@ -27,13 +25,7 @@ def evaluate(axis, detected, latencies_s):
     counts.
     """
     units = tuple(
-        CandidatePose(
-            id=f"U{index}",
-            site_id="",
-            pose=Pose(position_m=[0.0, 0.0, 7.0], yaw_deg=0.0),
-            sensor=load_cameras()["carla-ncap-rgb"],
-            latency_s=latency_s,
-        )
+        unit_at(f"U{index}", latency_s=latency_s)
         for index, latency_s in enumerate(latencies_s)
     )
     nothing = np.zeros(axis.n_runs)
@@ -88,6 +80,7 @@ def brute_force(axis, detected, latencies_s, rule, failed):
             avoided.append(axis.run_ids[run])
             weight += axis.weight[run]
             margins.append(axis.last_brake_time_s[run] - onset)
+
     return weight, min(margins, default=math.nan), avoided
 
 
@@ -108,18 +101,24 @@ def test_every_failure_is_as_brute_force_says(axis, n_units, data):
 
     expected_units = [(f"U{index}",) for index in range(n_units)]
     expected_pairs = [(f"U{a}", f"U{b}") for a, b in combinations(range(n_units), 2)]
+
     assert sorted(item.unit_ids for item in failures.one_failed) == expected_units
     assert sorted(item.unit_ids for item in failures.two_failed) == expected_pairs
+
     _, _, avoided_by_all = brute_force(axis, detected, latencies_s, rule, ())
+
     for item in (failures.none_failed, *failures.one_failed, *failures.two_failed):
         failed = [int(name[1:]) for name in item.unit_ids]
         share, margin_s, avoided = brute_force(
             axis, detected, latencies_s, rule, failed
         )
+
         assert item.apr == pytest.approx(share)
         assert item.smallest_margin_s == pytest.approx(margin_s, nan_ok=True)
         assert sorted(item.lost_run_ids) == sorted(set(avoided_by_all) - set(avoided))
+
     assert failures.one_failed[0].apr == apr_one_failed(evaluation, rule)
+
     for items in (failures.one_failed, failures.two_failed):
         assert [item.apr for item in items] == sorted(item.apr for item in items)
 
@@ -140,15 +139,18 @@ def test_a_pole_takes_all_its_units_with_it(frame_axis, rule, sites):
     together = {}
     for index, site in enumerate(sites):
         together.setdefault(site or f"unit U{index}", []).append(index)
+
     assert {item.site_id: item.unit_ids for item in found} == {
         site: tuple(f"U{index}" for index in failed)
         for site, failed in together.items()
     }
+
     latencies_s = [rule.latency_s] * 3
     for item in found:
         failed = together[item.site_id]
         share, _, _ = brute_force(frame_axis, detected, latencies_s, rule, failed)
         assert item.apr == pytest.approx(share)
+
     assert apr_one_site_failed(evaluation, rule) == min(item.apr for item in found)
 
 
@@ -161,10 +163,13 @@ def test_runs_without_weight_are_neither_lost_nor_a_margin(frame_axis, rule):
     # U0 sees all; U1 sees run 1 only, one frame later.
     rows = np.array([[1] * 10, [0] * 3 + [0, 1, 1, 1, 0] + [0, 0]], dtype=bool)
     failures = find_failures(evaluate(axis, rows, [None, None]), rule)
+
     assert failures.none_failed.smallest_margin_s == pytest.approx(
         0.1 + 0.2 - rule.latency_s
     )
+
     worst = failures.one_failed[0]
+
     assert worst.unit_ids == ("U0",)
     assert worst.lost_run_ids == ()  # run 0 is lost, but does not count
     assert worst.apr == 1.0
@@ -175,6 +180,7 @@ def test_the_fastest_of_the_lost_runs_comes_first(frame_axis, rule):
     axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
     failures = find_failures(evaluate(axis, np.ones((1, 10), bool), [None]), rule)
     (only,) = failures.one_failed
+
     assert only.lost_run_ids == ("A/north/30", "A/north/20")
     assert only.apr == 0.0
     assert math.isnan(only.smallest_margin_s)
@@ -184,9 +190,12 @@ def test_the_fastest_of_the_lost_runs_comes_first(frame_axis, rule):
 def test_pairs_are_looked_at_up_to_a_number_of_units(frame_axis, rule, n_units):
     rows = np.ones((n_units, 10), dtype=bool)
     failures = find_failures(evaluate(frame_axis, rows, [None] * n_units), rule)
+
     assert len(failures.one_failed) == n_units
+
     if n_units <= MAX_PAIR_UNITS:
         n_pairs = n_units * (n_units - 1) // 2
     else:
         n_pairs = 0
+
     assert len(failures.two_failed) == n_pairs

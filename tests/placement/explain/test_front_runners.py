@@ -53,6 +53,7 @@ def test_a_front_runner_has_the_shares_of_its_fusion():
         rsu_all=verdict(1, 1, 1),
         vut=verdict(0, 1, 0),
     )
+
     for cars, expected in (
         (0.0, (0.75, 0.5)),
         (1.0, (0.75, 0.75)),

@@ -23,6 +23,7 @@ def test_no_other_further_unit_gains_more(problem):
         assert all(ratio == pytest.approx(apr(problem, found)) for ratio in ratios)
         return
     row = problem.table.pose_ids.index(best.pose)
+
     assert row in others
     assert best.apr == apr(problem, [*found, row])
     assert best.gain == best.apr - apr(problem, found)

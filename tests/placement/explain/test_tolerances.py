@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiny_worlds import table_of
 
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose, wrap_deg
@@ -16,7 +17,6 @@ from placement.explain.tolerances import (
 )
 from placement.optimiser import run_margins_s
 from placement.setting import Setting
-from placement.visibility import build_detection_table
 from placement.wishes import Wishes, build_problem
 from scenarios.runs import build_frame_axis
 from scenarios.weights import weight_per_run
@@ -46,13 +46,7 @@ def unit(name, yaw_deg, pitch_deg=-40.0):
 
 
 def avoided(setting, units):
-    table = build_detection_table(
-        setting.scene,
-        units,
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-    )
+    table = table_of(setting, units)
     wishes = Wishes(
         budget_units=len(units), existing=tuple(one.id for one in units[1:])
     )
@@ -75,7 +69,9 @@ def moved(one, *, yaw_deg=0.0, pitch_deg=0.0, height_m=0.0):
 def test_within_its_tolerances_nothing_is_lost_and_a_step_beyond_something_is(setting):
     one = unit("a", -135.0)
     planned = avoided(setting, [one])
+
     assert planned.any()
+
     (found,) = find_tolerances(setting, [one])
     limited = 0
     for axis, steps, (low, high) in (
@@ -86,15 +82,18 @@ def test_within_its_tolerances_nothing_is_lost_and_a_step_beyond_something_is(se
         for sign, good in ((-1.0, low), (1.0, high)):
             within = [step for step in steps if step <= good]
             assert good == (within[-1] if within else 0.0)
+
             if within:
                 kept = avoided(setting, [moved(one, **{axis: sign * good})])
                 assert not (planned & ~kept).any()
             beyond = [step for step in steps if step > good][:1]
+
             for step in beyond:
                 limited += 1
                 assert (
                     planned & ~avoided(setting, [moved(one, **{axis: sign * step})])
                 ).any()
+
     assert limited
 
 
@@ -118,12 +117,16 @@ def test_usual_errors_cost_what_a_layout_built_so_has(setting):
         for step in (-size, size):
             left = avoided(setting, [moved(one, **{name: step})])
             cost[kind, step] = (left.mean(), int((planned & ~left).sum()))
+
     worst = found.worst
+
     assert worst.apr == pytest.approx(min(apr for apr, _ in cost.values()))
     assert (worst.apr, len(worst.lost_run_ids)) == pytest.approx(
         cost[worst.kind, worst.step]
     )
     assert (found.aim_deg >= 1.0 and found.height_m >= 0.05) == (not worst.lost_run_ids)
+
     (tolerance,) = find_tolerances(setting, [one])
+
     assert found.aim_deg == min(2.0, *tolerance.yaw_deg, *tolerance.pitch_deg)
     assert found.height_m == min(0.05, *tolerance.height_m)

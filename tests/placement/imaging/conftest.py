@@ -1,35 +1,32 @@
 """A floor, a wall, a lamp post: scenes whose light can be worked out by hand."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
 import pytest
-import trimesh
+from tiny_worlds import scene_of_boxes
 
 from geometry.actors import pick_actor
-from geometry.scene import Instance, Scene, Site
 from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
-from geometry.weather import Weather, load_weathers
+from geometry.weather import load_weathers
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import select_cases
-from scenarios.runs import Run, build_runs
+from scenarios.runs import build_runs
 
 
 @pytest.fixture(scope="session")
-def day() -> Weather:
+def day():
     return load_weathers()["day"]
 
 
 @pytest.fixture(scope="session")
-def dark(day: Weather) -> Weather:
+def dark(day):
     """No light at all, clear air."""
     return replace(day, name="dark", sun_lux=0.0, sky_lux=0.0)
 
 
 @pytest.fixture(scope="session")
-def small() -> CameraModel:
+def small():
     return CameraModel(
         name="small",
         width_px=240,
@@ -42,42 +39,22 @@ def small() -> CameraModel:
 
 
 @pytest.fixture(scope="session")
-def build_plain_scene() -> Callable[..., Scene]:
+def build_plain_scene():
     """A level ground and boxes on it: (class name, lowest corner, highest corner)."""
 
-    def build(
-        *boxes: tuple[str, list[float], list[float]], sites: tuple[Site, ...] = ()
-    ) -> Scene:
-        ground = 300.0 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-        vertices = [ground]
-        faces = [np.array([[0, 1, 2], [0, 2, 3]])]
-        owners = [np.zeros(2)]
-        instances = [Instance(id="ground", class_name="ground")]
-        for number, (class_name, low, high) in enumerate(boxes, start=1):
-            mesh = trimesh.creation.box(bounds=np.array([low, high]))
-            faces.append(mesh.faces + sum(map(len, vertices)))
-            vertices.append(mesh.vertices)
-            owners.append(np.full(len(mesh.faces), number))
-            instances.append(
-                Instance(id=f"{class_name}-{number}", class_name=class_name)
-            )
-        return Scene(
-            name="plain",
-            vertices_m=np.concatenate(vertices),
-            triangles=np.concatenate(faces),
-            triangle_instance=np.concatenate(owners),
-            instances=tuple(instances),
+    def build(*boxes, sites=()):
+        return scene_of_boxes(
+            *((low, high) for _, low, high in boxes),
+            ground_m=300.0,
+            classes=[class_name for class_name, _, _ in boxes],
             sites=sites,
-            outline_m=np.empty((0, 2)),
-            lanes=(),
-            crs="EPSG:32633",
         )
 
     return build
 
 
 @pytest.fixture(scope="session")
-def study_run() -> Run:
+def study_run():
     runs, _ = build_runs(
         load_study_scene(),
         select_cases("CPNC-50", speeds="40").cases,

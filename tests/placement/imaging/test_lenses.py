@@ -66,15 +66,22 @@ def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(
     ways = pixel_rays(columns, rows, CORNER, camera)
     column, row, _ = project_points(CORNER.position_m + ways, CORNER, pinhole).T
     inside = (column > 0) & (column < 1200) & (row > 0) & (row < 1200)
+
     assert inside.mean() > 0.9
+
     at = row[inside].astype(int), column[inside].astype(int)
     same = bent.instance.ravel()[inside] == straight.instance[at]
+
     assert same.mean() > 0.985  # a pixel of the one next to an edge of the other
+
     near = np.isclose(bent.depth_m.ravel()[inside], straight.depth_m[at], rtol=0.03)
+
     assert near.mean() > 0.97
+
     off = np.abs(bent.rgb.reshape(-1, 3)[inside].astype(int) - straight.rgb[at]).mean(
         axis=1
     )
+
     assert np.median(off) < 8.0
 
 
@@ -82,17 +89,20 @@ def test_it_is_dark_where_a_fisheye_shows_nothing(draw, small):
     camera = replace(small, horizontal_fov_deg=230.0, lens=Fisheye())
     picture = draw(camera)
     dark = np.isnan(pixel_grid(camera)).any(axis=2)
+
     assert 0.2 < dark.mean() < 0.8
     assert (picture.instance[dark] == -1).all()
     assert np.isinf(picture.depth_m[dark]).all()
     assert picture.rgb[dark].mean() < 30.0
     assert picture.rgb[~dark].mean() > 60.0
+
     # The exposure is that of what is shown: the rim does not make it white.
     straight = draw(small)
     white = [
         (rgb > 250).all(axis=1).mean()
         for rgb in (picture.rgb[~dark], straight.rgb[:, 0])
     ]
+
     assert white[0] < white[1] + 0.1
 
 
@@ -105,6 +115,7 @@ def test_a_dark_rim_does_not_lengthen_the_exposure_of_what_stands_still(
     bent, straight = (
         meter(backdrop, still, CORNER, one, day) for one in (camera, small)
     )
+
     assert bent == pytest.approx(straight, rel=0.5)
 
 
@@ -120,14 +131,19 @@ def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
     frame = len(study_run.time_s) - 6
     onto = draw_onto(still, study_run, frame, compute=compute)
     anew = draw(camera)
+
     assert np.array_equal(onto.depth_m, anew.depth_m)
+
     for name in ("vru", "vut"):
         index = anew.names.index(name)
         assert np.array_equal(onto.instance == index, anew.instance == index)
     levels = np.abs(onto.rgb.astype(int) - anew.rgb.astype(int)).max(axis=2)
+
     assert (levels > 1).mean() < 1e-3
+
     mask = silhouette(study_run, frame, CORNER, camera, whole_image(camera))
     vru = anew.instance == anew.names.index("vru")
+
     assert vru.any()
     assert not (vru & ~mask).any()
 

@@ -76,6 +76,7 @@ def test_a_wall_that_faces_the_sun_gets_its_light_by_the_cosine(elevation_deg, y
     lux = _lux(_hits(np.zeros((3, 3)), normals), weather)
     elevation = np.radians(elevation_deg)
     expected = 80000.0 * np.array([np.cos(elevation), np.sin(elevation), 0.0])
+
     assert lux == pytest.approx(expected, rel=1e-4, abs=0.1)
 
 
@@ -86,6 +87,7 @@ def test_level_ground_gets_the_skys_light_and_what_faces_down_what_the_ground_se
     weather = replace(load_weathers()[name], sun_lux=0.0)
     normals = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
     lux = _lux(_hits(np.zeros((3, 3)), normals), weather, ground_albedo=0.2)
+
     assert lux == pytest.approx(weather.sky_lux * np.array([1.0, 0.6, 0.2]), rel=1e-4)
 
 
@@ -96,6 +98,7 @@ def test_the_skys_luminance_adds_up_to_its_illuminance(name):
     sine = 0.5 * (edges[1:] + edges[:-1])
     luminance = build_sky(weather).luminance(sine.astype(np.float32)) @ LUMINANCE
     lux = 2.0 * np.pi * (luminance * sine).sum() * (edges[1] - edges[0])
+
     assert lux == pytest.approx(weather.sky_lux, rel=1e-3)
 
 
@@ -108,6 +111,7 @@ def test_at_the_visibility_five_per_cent_of_contrast_are_left(name):
     way = np.array([weather.visibility_m], dtype=np.float32)
     for luminance in (black, white):
         sky.fade(luminance, way)
+
     assert white - black == pytest.approx(0.05 * 1000.0, rel=1e-3)
     assert black == pytest.approx(0.95 * sky.air_cdpm2[None], rel=1e-3)
 
@@ -128,6 +132,7 @@ def test_a_wall_throws_a_shadow_as_long_as_the_sun_is_low():
         weather,
         caster=wall,
     )
+
     assert lux == pytest.approx(
         [0.0, 80000.0 * np.sqrt(0.5), 80000.0 * np.sqrt(0.5)], rel=1e-4
     )
@@ -141,6 +146,7 @@ def test_a_lamps_light_falls_with_the_square_and_the_cosine(aside_m):
     )
     # Within the cone: I cos^3 / h^2.
     expected = _lamp().peak_cd / 64.0 * (8.0 / np.hypot(8.0, aside_m)) ** 3
+
     assert lux == pytest.approx([expected], rel=1e-3)
 
 
@@ -151,6 +157,7 @@ def test_what_stands_before_a_lamp_takes_its_light():
     )
     hits = _hits([[1.9, 0, 0], [2.1, 0, 0]], [[0, 0, 1]] * 2)
     free = _lux(hits, weather, lamps=[_lamp()])
+
     assert _lux(hits, weather, lamps=[_lamp()], caster=plate) == pytest.approx(
         [0.0, free[1]]
     )
@@ -163,6 +170,7 @@ def test_a_street_lamp_sends_out_its_flux(spill):
     down = np.stack([np.sqrt(1.0 - middle**2), np.zeros_like(middle), -middle])
     intensity = _lamp(spill=spill).intensity_cd(down.astype(np.float32))
     flux = 2.0 * np.pi * intensity.sum() * (cosine[1] - cosine[0])
+
     assert flux == pytest.approx(9000.0, rel=1e-3)
 
 

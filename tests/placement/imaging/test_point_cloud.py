@@ -47,11 +47,14 @@ def test_points_lie_on_beams_at_most_as_far_as_the_range_and_no_beam_has_two(
 ):
     cloud = _scan(scene, run, pose)
     distance = np.linalg.norm(cloud.points_m, axis=1)
+
     assert distance.max() <= EXACT.range_m + 1e-3
     assert distance.min() >= EXACT.near_m
+
     beams = beam_directions(EXACT).reshape(-1, 3)
     nearest = (cloud.points_m / distance[:, None] @ beams.T).argmax(axis=1)
     along = np.einsum("ni,ni->n", cloud.points_m, beams[nearest])
+
     assert along == pytest.approx(distance, rel=1e-6)
     assert len(np.unique(nearest)) == len(nearest)
 
@@ -65,9 +68,12 @@ def test_ground_points_lie_on_the_road_and_those_of_the_vru_on_its_body(
     is_ground = np.array([classes.get(name) == "ground" for name in cloud.names])[
         cloud.instance
     ]
+
     assert is_ground.sum() > 1000
     assert np.abs(world[is_ground, 2]).max() < 0.2
+
     of_vru = world[cloud.instance == cloud.names.index("vru")]
+
     assert len(of_vru) >= 10  # the parked row hides its legs
     assert np.linalg.norm(of_vru[:, :2] - run.vru_position_m[-1], axis=1).max() < 0.6
     assert of_vru[:, 2].max() <= run.encounter.vru.height_m
@@ -88,11 +94,14 @@ def test_points_of_a_motorcyclist_and_a_car_lie_in_their_boxes(
     )
     cloud = _scan(scene, met, pose)
     points = to_world(cloud.points_m[cloud.instance == cloud.names.index("vru")], pose)
+
     assert len(points) > 30
+
     yaw = np.radians(met.vru_yaw_deg[-1])
     away = points[:, :2] - met.vru_position_m[-1]
     ahead = away @ [np.cos(yaw), np.sin(yaw)]
     left = away @ [-np.sin(yaw), np.cos(yaw)]
+
     assert np.abs(ahead).max() < 0.5 * actor.length_m + 0.01
     assert np.abs(left).max() < 0.5 * actor.width_m + 0.01
     assert 0.7 * box_height_m < points[:, 2].max() < box_height_m + 0.01
@@ -101,9 +110,12 @@ def test_points_of_a_motorcyclist_and_a_car_lie_in_their_boxes(
 def test_noise_moves_points_along_their_beams_only(scene, run, pose):
     exact = _scan(scene, run, pose, seed=3)
     noisy = _scan(scene, run, pose, LIDAR, seed=3)
+
     assert np.array_equal(exact.instance, noisy.instance)
+
     lengths = [np.linalg.norm(cloud.points_m, axis=1) for cloud in (exact, noisy)]
     shift = lengths[1] - lengths[0]
+
     assert shift.std() == pytest.approx(LIDAR.range_noise_m, rel=0.05)
     assert noisy.points_m / lengths[1][:, None] == pytest.approx(
         exact.points_m / lengths[0][:, None], abs=1e-5
@@ -114,6 +126,7 @@ def test_fog_takes_far_points_and_adds_none(scene, run, pose):
     clear = _scan(scene, run, pose)
     fog = _scan(scene, run, pose, weather=load_weathers()["fog"])
     farthest = [np.linalg.norm(cloud.points_m, axis=1).max() for cloud in (clear, fog)]
+
     assert len(fog.points_m) < len(clear.points_m)
     assert farthest[1] < 0.6 * farthest[0]
 

@@ -65,6 +65,7 @@ def test_the_road_users_are_in_both_at_the_same_pixels(pictures):
         for name in ("vru", "vut"):
             index = anew.names.index(name)
             assert np.array_equal(onto.instance == index, anew.instance == index)
+
     assert any((onto.instance == onto.names.index("vru")).any() for _, onto in pairs)
 
 
@@ -74,5 +75,6 @@ def test_most_of_a_still_is_kept(backdrop, study_run, small):
     )
     before = still.smooth.copy()
     onto = draw_onto(still, study_run, len(study_run.time_s) - 1, compute=COMPUTE)
+
     assert np.array_equal(still.smooth, before)
     assert 0.0 < (onto.instance != still.raw.instance).mean() < 0.5

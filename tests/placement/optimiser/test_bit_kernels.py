@@ -3,7 +3,6 @@
 from itertools import combinations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kernel_cases import (
@@ -12,38 +11,33 @@ from kernel_cases import (
     columns_of,
     first_live,
     n_chains_of,
-    n_links_of,
     needed,
     random_chains,
     random_rows,
     random_sights,
     tails_of,
-    whole_weights,
 )
 
-from geometry.arrays import BoolArray, IntArray
 from placement.optimiser import bit_kernels as kernels
 from placement.optimiser.presolve import pack_words, unpack_words
-from placement.optimiser.problem import Chains
 
 SEEDS = st.integers(0, 2**32 - 1)
 WORDS = st.integers(0, 2**64 - 1)
-NO_LOSS = np.empty((0, 0))
 
 
 @given(WORDS)
-def test_bits_of_a_word_are_counted(word: int) -> None:
+def test_bits_of_a_word_are_counted(word):
     assert kernels.count_bits(np.uint64(word)) == word.bit_count()
 
 
 @given(st.integers(0, 63), WORDS)
-def test_the_lowest_bit_is_the_number_of_zeros_below_it(place: int, above: int) -> None:
+def test_the_lowest_bit_is_the_number_of_zeros_below_it(place, above):
     word = (above << (place + 1) | 1 << place) % 2**64
     assert kernels.lowest_bit(np.uint64(word)) == place
 
 
 @given(SEEDS, st.integers(1, 3))
-def test_blocks_are_transposed_bit_by_bit(seed: int, n: int) -> None:
+def test_blocks_are_transposed_bit_by_bit(seed, n):
     bits = np.random.default_rng(seed).random((64, n, 64)) < 0.5
     block = pack_words(bits)[..., 0]
     kernels.transpose_blocks(block)
@@ -53,7 +47,7 @@ def test_blocks_are_transposed_bit_by_bit(seed: int, n: int) -> None:
 
 
 @given(SEEDS)
-def test_a_range_of_rows_has_the_bits_of_all_its_rows(seed: int) -> None:
+def test_a_range_of_rows_has_the_bits_of_all_its_rows(seed):
     rng = np.random.default_rng(seed)
     bits = rng.random((8, 100)) < 0.2
     begin = rng.integers(0, 9, 6)
@@ -63,58 +57,11 @@ def test_a_range_of_rows_has_the_bits_of_all_its_rows(seed: int) -> None:
     expected = np.array(
         [bits[one:other].any(axis=0) for one, other in zip(begin, end, strict=True)]
     )
+
     np.testing.assert_array_equal(unpack_words(joined, 100), expected)
 
 
-def is_used_up(
-    sees: BoolArray,
-    site: IntArray,
-    may: BoolArray,
-    capacity: IntArray,
-    pose: int,
-    max_units: int,
-) -> bool:
-    """True if other units can use up all dominators before a pose, or it cannot stand
-    there.
-    """
-    if capacity[site[pose]] <= 0 or max_units <= 0:
-        return False
-    at_site = [0] * len(capacity)
-    for other in range(pose):
-        at_site[site[other]] += (
-            bool(may[other]) and not (sees[pose] & ~sees[other]).any()
-        )
-    if at_site[site[pose]] >= capacity[site[pose]]:
-        return False
-    return sum(map(min, at_site, capacity.tolist())) <= max_units - 1
-
-
-@given(SEEDS, st.integers(0, 4), st.integers(1, 3))
-def test_poses_are_dominated_where_others_cannot_use_up_their_dominators(
-    seed: int, max_units: int, step: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    sees = rng.random((12, 4)) < rng.choice([0.3, 0.7])
-    site = rng.integers(0, 4, 12)
-    capacity = rng.integers(0, 3, 4)
-    price = rng.integers(1, 4, 12).astype(np.float64)
-    elsewhere = price + rng.integers(0, 2, 12)
-    may_move = rng.random(12) < 0.7
-    found = np.zeros(12, dtype=bool)
-    poses = pack_words(sees), site, price, elsewhere, may_move
-    for begin in range(step):  # as so many threads do
-        kernels.find_dominated(*poses, capacity, max_units, begin, step, found)
-    for pose in range(12):
-        costs = np.where(
-            site == site[pose], price, np.where(may_move[pose], elsewhere, np.inf)
-        )
-        may = costs <= price[pose]
-        assert found[pose] == (
-            not is_used_up(sees, site, may, capacity, pose, max_units)
-        )
-
-
-def runs_of_windows(rng: np.random.Generator) -> tuple[IntArray, ...]:
+def runs_of_windows(rng):
     """Frames of windows, run by run, and tails: a frame, and how many first windows
     need it.
     """
@@ -130,6 +77,7 @@ def runs_of_windows(rng: np.random.Generator) -> tuple[IntArray, ...]:
         n_links += links
         tail_frame += rng.permutation(4)[: len(links)].tolist()
         n_tails.append(len(links))
+
     starts = np.cumsum([0, *n_windows]), np.cumsum([0, *n_tails])
     return (
         sets,
@@ -141,7 +89,7 @@ def runs_of_windows(rng: np.random.Generator) -> tuple[IntArray, ...]:
 
 
 @given(SEEDS)
-def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed: int) -> None:
+def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed):
     sets, start, tail_frame, tail_start, n_links = runs_of_windows(
         np.random.default_rng(seed)
     )
@@ -149,6 +97,7 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed: int) -
     is_kept = np.zeros(len(sets), dtype=bool)
     kernels.thin_out(sets, start, tail_frame, tail_start, n_links, is_kept)
     unions = [set(seen) for size in range(5) for seen in combinations(range(4), size)]
+
     for run in range(2):
         windows = range(start[run], start[run + 1])
         tails = range(tail_start[run], tail_start[run + 1])
@@ -175,29 +124,13 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed: int) -
             assert live[:1] == left[:1]
 
 
-@given(st.lists(st.integers(0, 9), max_size=6), st.integers(0, 9))
-def test_an_entry_is_found_among_others(entries: list[int], entry: int) -> None:
-    assert kernels.has_entry(np.array(entries, dtype=np.int64), entry) == (
-        entry in entries
-    )
-
-
-@given(SEEDS)
-def test_a_frame_of_a_union_is_its_bit(seed: int) -> None:
-    bits = np.random.default_rng(seed).random(130) < 0.5
-    union = pack_words(bits)
-    assert [kernels.has_bit(union, frame) for frame in range(130)] == bits.tolist()
-
-
-def drawn(seed: int) -> tuple[np.random.Generator, Chains]:
+def drawn(seed):
     rng = np.random.default_rng(seed)
     return rng, random_chains(rng)
 
 
 @given(SEEDS, st.integers(0, 12))
-def test_chains_are_looked_through_until_too_much_is_lost(
-    seed: int, most_lost: int
-) -> None:
+def test_chains_are_looked_through_until_too_much_is_lost(seed, most_lost):
     rng, chains = drawn(seed)
     seen = rng.random(N_FRAMES) < 0.6
     n_chains = n_chains_of(chains)
@@ -216,12 +149,13 @@ def test_chains_are_looked_through_until_too_much_is_lost(
         if total > most_lost:
             expected = place
             break
+
     assert rank == expected
     assert (first[order[rank + 1 :]] == -1).all()  # those behind were not looked at
 
 
 @given(SEEDS)
-def test_the_first_live_window_has_all_frames_and_tails(seed: int) -> None:
+def test_the_first_live_window_has_all_frames_and_tails(seed):
     rng, chains = drawn(seed)
     seen = random_sights(rng, 5, share=0.7)
     first = np.empty((5, n_chains_of(chains)), dtype=np.int64)
@@ -233,9 +167,7 @@ def test_the_first_live_window_has_all_frames_and_tails(seed: int) -> None:
 
 
 @given(SEEDS, st.sampled_from([1, 63, 64, 70]))
-def test_first_live_windows_with_each_pose_are_those_of_the_unions(
-    seed: int, n_poses: int
-) -> None:
+def test_first_live_windows_with_each_pose_are_those_of_the_unions(seed, n_poses):
     rng, chains = drawn(seed)
     sees = random_sights(rng, n_poses)
     alone = rng.random(N_FRAMES) < 0.3
@@ -245,18 +177,20 @@ def test_first_live_windows_with_each_pose_are_those_of_the_unions(
     kernels.first_live_with_each(
         columns_of(sees), alone, chains, begin, n_chains, first
     )
+
     assert (first[:begin] == -1).all()
+
     for chain in range(begin, n_chains):
         for pose in range(n_poses):
             frames = np.flatnonzero(sees[pose] | alone).tolist()
             assert first[chain, pose] == first_live(chains, chain, frames)
 
 
-def avoids(chains: Chains, chain: int, last: int, seen: BoolArray) -> bool:
+def avoids(chains, chain, last, seen):
     return first_live(chains, chain, np.flatnonzero(seen).tolist()) < last
 
 
-def missing_pieces(chains: Chains, chain: int, last: int, alone: BoolArray) -> set[int]:
+def missing_pieces(chains, chain, last, alone):
     """Frames and tails of the windows of a run that a set does not see by itself."""
     pieces = {frame for frame, _ in tails_of(chains, chain)}
     for link in range(last):
@@ -266,14 +200,15 @@ def missing_pieces(chains: Chains, chain: int, last: int, alone: BoolArray) -> s
 
 @given(SEEDS, st.sampled_from([3, 64, 66]), st.booleans())
 def test_poses_that_avoid_a_run_next_to_a_set_and_see_a_missing_piece(
-    seed: int, n_poses: int, has_part: bool
-) -> None:
+    seed, n_poses, has_part
+):
     rng, chains = drawn(seed)
     sees = random_sights(rng, n_poses, share=0.4)
     alone = rng.random(N_FRAMES) < 0.4
     row_chain, row_last = random_rows(rng, chains)
     columns = columns_of(sees)
     n_words = columns.shape[1]
+
     for chain, last in zip(row_chain.tolist(), row_last.tolist(), strict=True):
         space = np.empty((2, n_words), dtype=np.uint64)
         avoided = np.empty(n_words, dtype=np.uint64)
@@ -284,7 +219,9 @@ def test_poses_that_avoid_a_run_next_to_a_set_and_see_a_missing_piece(
         expected = {
             p for p in range(n_poses) if avoids(chains, chain, last, sees[p] | alone)
         }
+
         assert bits_of(avoided, n_poses) == expected
+
         if has_part:
             pieces = missing_pieces(chains, chain, last, alone)
             helps = {
@@ -295,30 +232,8 @@ def test_poses_that_avoid_a_run_next_to_a_set_and_see_a_missing_piece(
             assert bits_of(part, n_poses) == helps
 
 
-@given(SEEDS, st.sampled_from([5, 64, 67]))
-def test_each_pose_gets_the_weight_of_the_runs_that_it_avoids_with_a_set(
-    seed: int, n_poses: int
-) -> None:
-    rng, chains = drawn(seed)
-    sees = random_sights(rng, n_poses)
-    alone = rng.random(N_FRAMES) < 0.3
-    run_chain, last = random_rows(rng, chains)
-    weight = whole_weights(rng, len(run_chain))
-    runs = np.flatnonzero(rng.random(len(run_chain)) < 0.7)
-    total = whole_weights(rng, n_poses)
-    expected = total.copy()
-    kernels.add_weights_with_each(
-        columns_of(sees), alone, chains, run_chain, last, weight, runs, total
-    )
-    for run in runs:
-        for pose in range(n_poses):
-            if avoids(chains, run_chain[run], last[run], sees[pose] | alone):
-                expected[pose] += weight[run]
-    np.testing.assert_array_equal(total, expected)
-
-
 @given(SEEDS)
-def test_rows_next_to_a_set_are_those_of_poses_one_by_one(seed: int) -> None:
+def test_rows_next_to_a_set_are_those_of_poses_one_by_one(seed):
     rng, chains = drawn(seed)
     sees = random_sights(rng, 5)
     alone = rng.random(N_FRAMES) < 0.3
@@ -327,6 +242,7 @@ def test_rows_next_to_a_set_are_those_of_poses_one_by_one(seed: int) -> None:
     kernels.avoid_beside(
         columns_of(sees), alone, chains, row_chain, row_last, found[0], found[1]
     )
+
     for row, (chain, last) in enumerate(
         zip(row_chain.tolist(), row_last.tolist(), strict=True)
     ):
@@ -337,46 +253,3 @@ def test_rows_next_to_a_set_are_those_of_poses_one_by_one(seed: int) -> None:
                 chains, chain, last, sees[pose] | alone
             )
             assert (pose in bits_of(found[1, row], 5)) == is_part
-
-
-def test_a_chain_without_windows_is_never_live() -> None:
-    none = np.empty(0, dtype=np.int64)
-    chains = Chains(
-        window_frames=np.zeros((1, 1), dtype=np.int64),
-        window=none,
-        start=np.array([0, 0]),
-        tail_frame=none,
-        tail_links=none,
-        tail_start=np.array([0, 0]),
-    )
-    assert n_links_of(chains, 0) == 0
-    first = np.full((1, 1), 9)
-    kernels.first_live_windows(np.full((1, 1), ~np.uint64(0)), chains, first)
-    assert first.tolist() == [[0]]
-    lost = np.array([[2.0]])
-    order = np.array([0])
-    everything = np.full(1, ~np.uint64(0))
-    assert kernels.look_through(everything, chains, order, lost, 1.0, first[0]) == 0
-    assert kernels.look_through(everything, chains, order, NO_LOSS, 0.0, first[0]) == 1
-
-
-@pytest.mark.parametrize(
-    ("seen", "expected"), [([0, 1, 2], 0), ([0, 1], 1), ([1], 2), ([2], 2)]
-)
-def test_an_unseen_tail_takes_the_windows_that_need_it(
-    seen: list[int], expected: int
-) -> None:
-    chains = Chains(
-        window_frames=np.array([[0, 1], [1, 1], [0, 2]]),
-        window=np.array([0, 0]),
-        start=np.array([0, 2]),
-        tail_frame=np.array([2]),
-        tail_links=np.array([1]),
-        tail_start=np.array([0, 1]),
-    )
-    assert first_live(chains, 0, seen) == expected
-    union = np.zeros((1, N_FRAMES), dtype=bool)
-    union[0, seen] = True
-    first = np.empty((1, 1), dtype=np.int64)
-    kernels.first_live_windows(pack_words(union), chains, first)
-    assert first.tolist() == [[expected]]

@@ -1,17 +1,16 @@
 """Lagrangian bounds against all sets, on small tables."""
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
+from all_layouts import allowed_sets
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import questions
+from problems import problems, questions
 
-from geometry.arrays import FloatArray, IntArray
-from placement.optimiser import PlacementProblem, presolve
-from placement.optimiser.allowed_sets import are_allowed, build_choice
+from placement.optimiser import presolve
+from placement.optimiser.allowed_sets import build_choice
 from placement.optimiser.bitsets import (
     left_after_failures,
     union_apr,
@@ -23,7 +22,6 @@ from placement.optimiser.bounds import (
     failure_limit,
     find_root,
     is_covered_by,
-    margin_rows,
     polished,
     relax,
     reward_of,
@@ -31,36 +29,28 @@ from placement.optimiser.bounds import (
     run_rows,
     tightened,
 )
-from placement.optimiser.presolve import ReducedProblem, unpack_words
+from placement.optimiser.presolve import unpack_words
 from placement.optimiser.problem import Objective
 
-ANY_PROBLEM = st.from_type(PlacementProblem)
+
+def sets_by_size(reduced):
+    """Allowed sets of each size that has any."""
+    sizes = range(1, reduced.limits.max_units + 1)
+    sets = [allowed_sets(reduced, size) for size in sizes]
+    return [of_size for of_size in sets if len(of_size)]
 
 
-def allowed_sets(reduced: ReducedProblem) -> list[IntArray]:
-    """All allowed sets, by their size."""
-    sizes = []
-    for n_units in range(1, reduced.limits.max_units + 1):
-        numbers = np.array(
-            list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64
-        )
-        sizes.append(numbers[are_allowed(reduced.limits, numbers.reshape(-1, n_units))])
-    return [sets for sets in sizes if len(sets)]
-
-
-def margin_sums(reduced: ReducedProblem, sets: IntArray) -> FloatArray:
+def margin_sums(reduced, sets):
     """Weights times margins of avoided runs, (n_sets,)."""
     margin = union_margins_s(reduced, unions_of(reduced, sets))
-    total: FloatArray = np.where(margin > -np.inf, margin, 0.0) @ reduced.weight
+    total = np.where(margin > -np.inf, margin, 0.0) @ reduced.weight
     return total
 
 
 @given(problem=questions(), is_polished=st.booleans())
-def test_no_allowed_set_exceeds_the_bound_of_the_apr(
-    problem: PlacementProblem, is_polished: bool
-) -> None:
+def test_no_allowed_set_exceeds_the_bound_of_the_apr(problem, is_polished):
     reduced = presolve(replace(problem, floors=(), goal="best", tail=1.0))
-    sizes = allowed_sets(reduced)
+    sizes = sets_by_size(reduced)
     if not len(reduced.weight) or not sizes:
         return
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
@@ -71,9 +61,9 @@ def test_no_allowed_set_exceeds_the_bound_of_the_apr(
 
 
 @given(problem=questions())
-def test_no_allowed_set_exceeds_what_is_relaxed(problem: PlacementProblem) -> None:
+def test_no_allowed_set_exceeds_what_is_relaxed(problem):
     reduced = presolve(replace(problem, floors=(), goal="best"))
-    sizes = allowed_sets(reduced)
+    sizes = sets_by_size(reduced)
     apr, _ = relax(reduced, Objective.APR)
     total_s, _ = relax(reduced, Objective.MEAN_MARGIN)
     for sets in sizes:
@@ -82,45 +72,32 @@ def test_no_allowed_set_exceeds_what_is_relaxed(problem: PlacementProblem) -> No
             assert margin_sums(reduced, sets).max() <= total_s + 1e-9
 
 
-@given(problem=ANY_PROBLEM)
-def test_polishing_never_raises_a_bound(problem: PlacementProblem) -> None:
+@given(problem=problems())
+def test_polishing_never_raises_a_bound(problem):
     reduced = presolve(problem)
     if not len(reduced.weight):
         return
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
     better = polished(root)
+
     assert better.limit <= root.limit
+
     again = tightened(better, reward_of(better.choice.n_units, 0), n_steps=0)
+
     assert again.limit == pytest.approx(better.limit, rel=1e-8)  # the prices prove it
 
 
-@given(problem=ANY_PROBLEM, prices=st.integers(0, 99))
-def test_any_prices_prove_a_bound(problem: PlacementProblem, prices: int) -> None:
+@given(problem=problems(), n_failures=st.integers(1, 2))
+def test_no_set_keeps_more_than_the_bound_when_units_fail(problem, n_failures):
     reduced = presolve(problem)
-    sizes = allowed_sets(reduced)
-    if not len(reduced.weight) or not sizes:
-        return
-    root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
-    some = np.random.default_rng(prices).random(len(root.price)) * root.weight
-    bound = tightened(
-        replace(root, price=some), reward_of(root.choice.n_units, 0), n_steps=prices % 3
-    )
-    for sets in sizes:
-        assert union_apr(reduced, unions_of(reduced, sets)).max() <= bound.limit + 1e-9
-
-
-@given(problem=ANY_PROBLEM, n_failures=st.integers(1, 2))
-def test_no_set_keeps_more_than_the_bound_when_units_fail(
-    problem: PlacementProblem, n_failures: int
-) -> None:
-    reduced = presolve(problem)
-    sizes = allowed_sets(reduced)
+    sizes = sets_by_size(reduced)
     n_units = reduced.limits.max_units
     if not len(reduced.weight) or not sizes or sizes[-1].shape[1] < n_units:
         return
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
     share = union_apr(reduced, unions_of(reduced, sizes[-1]))
     left = left_after_failures(reduced, reduced.measure, n_failures, sizes[-1])
+
     for least in np.unique(share):
         assert (
             left[share >= least - 1e-9].max()
@@ -128,10 +105,8 @@ def test_no_set_keeps_more_than_the_bound_when_units_fail(
         )
 
 
-@given(problem=ANY_PROBLEM, seed=st.integers(0, 99))
-def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(
-    problem: PlacementProblem, seed: int
-) -> None:
+@given(problem=problems(), seed=st.integers(0, 99))
+def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(problem, seed):
     reduced = presolve(problem)
     if not len(reduced.weight):
         return
@@ -145,23 +120,11 @@ def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(
         is_avoided = is_covered_by(reduced, union | reduced.words[pose], rows)
         assert not (is_avoided & ~covers[:, pose]).any()
     is_alone = is_covered_by(reduced, union, rows)
+
     assert covers[is_alone].all()  # nothing is asked for
 
 
-@given(problem=ANY_PROBLEM)
-def test_rows_of_margins_add_up_to_weights_times_margins(
-    problem: PlacementProblem,
-) -> None:
-    reduced = presolve(problem)
-    rows = margin_rows(reduced)
-    sets = np.arange(reduced.n_poses)[:, None]
-    sums = margin_sums(reduced, sets)
-    for pose, total in zip(sets[:, 0], sums, strict=True):
-        is_seen = is_covered_by(reduced, reduced.words[pose], rows)
-        assert rows.weight[is_seen].sum() == pytest.approx(total, abs=1e-12)
-
-
-def test_what_forced_units_take_is_not_there_for_others() -> None:
+def test_what_forced_units_take_is_not_there_for_others():
     from small_tables import avoiding_problem
 
     problem = avoiding_problem(
@@ -174,14 +137,17 @@ def test_what_forced_units_take_is_not_there_for_others() -> None:
         site_cost_eur=np.full(problem.limits.n_sites, 1.0),
     )
     choice = build_choice(limits, 2)
+
     assert choice.n_units == 1
     assert choice.is_open.tolist() == [0, 1, 1]
     assert (
         choice.room[limits.site_index[0]]
         == limits.site_capacity[limits.site_index[0]] - 1
     )
+
     left_eur = 10.0 - 2.0 - 1.0
     own = 1.0 / limits.site_capacity[limits.site_index[1]]
+
     assert choice.cost[1] == pytest.approx((3.0 + own) / left_eur)
 
 
@@ -190,22 +156,24 @@ def test_what_forced_units_take_is_not_there_for_others() -> None:
     [(3, 0, [0.0, 1.0, 1.0, 1.0, 1.0]), (3, 1, [0.0, 2 / 3, 1.0, 1.0, 1.0])],
 )
 def test_a_row_is_worth_the_share_of_failures_that_leave_a_unit(
-    n_units: int, n_failures: int, expected: list[float]
-) -> None:
+    n_units, n_failures, expected
+):
     assert reward_of(n_units, n_failures) == pytest.approx(expected)
 
 
-@given(problem=ANY_PROBLEM, place=st.floats(0.0, 1.0))
+@given(problem=problems(), place=st.floats(0.0, 1.0))
 def test_a_bound_is_rounded_down_to_whole_runs_only_where_all_weigh_the_same(
-    problem: PlacementProblem, place: float
-) -> None:
+    problem, place
+):
     reduced = presolve(problem)
     if not len(reduced.weight):
         return
     step = reduced.measure.step
     limit = place * reduced.measure.limit
     rounded = rounded_down(reduced, limit)
+
     assert rounded <= limit + 1e-5
+
     if step:
         assert rounded / step == pytest.approx(round(rounded / step), abs=1e-6)
     else:

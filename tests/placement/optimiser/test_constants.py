@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from problems import problems
 
 from geometry.clock import now_s
 from geometry.errors import InputError
-from placement.optimiser import PlacementProblem, constants, presolve, solve_placement
+from placement.optimiser import constants, presolve, solve_placement
 from placement.optimiser.constants import (
     NEVER,
     TIME_SHARES,
@@ -18,7 +19,6 @@ from placement.optimiser.constants import (
     Effort,
     common_step,
     deadline_in,
-    settle,
     share_out,
 )
 from placement.optimiser.front import pareto_front
@@ -38,31 +38,20 @@ FOLDER = Path(constants.__file__).parent
         ({"workers": 0}, "workers: got 0; expected threads, at least 1"),
     ],
 )
-def test_an_effort_says_what_is_wrong(change: dict, message: str) -> None:
+def test_an_effort_says_what_is_wrong(change, message):
     with pytest.raises(InputError) as error:
         Effort(**change)
     assert str(error.value) == message
 
 
-def test_walks_and_models_are_for_exact_efforts_alone() -> None:
-    assert [
-        Effort(solver=name).is_exact for name in ("auto", "exact", "relax", "greedy")
-    ] == [
-        True,
-        True,
-        False,
-        False,
-    ]
-
-
 @pytest.mark.parametrize("step", TIME_SHARES)
-def test_a_step_takes_its_share_of_the_time_left(step: str) -> None:
+def test_a_step_takes_its_share_of_the_time_left(step):
     whole = deadline_in(100.0)
     assert whole.of(step).left_s() == pytest.approx(100.0 * TIME_SHARES[step], abs=1.0)
     assert whole.of(step).end_s <= whole.end_s
 
 
-def test_no_time_is_left_behind_a_deadline_and_all_before_none() -> None:
+def test_no_time_is_left_behind_a_deadline_and_all_before_none():
     over = Deadline(now_s() - 1.0)
     assert over.is_over
     assert over.left_s() == 0.0
@@ -72,62 +61,47 @@ def test_no_time_is_left_behind_a_deadline_and_all_before_none() -> None:
 
 
 @given(count=st.integers(0, 300), workers=st.integers(1, 5), few=st.integers(0, 100))
-def test_work_that_is_shared_out_is_done_once(
-    count: int, workers: int, few: int
-) -> None:
+def test_work_that_is_shared_out_is_done_once(count, workers, few):
     done = np.zeros(count, dtype=int)
 
-    def work(begin: int, end: int) -> None:
+    def work(begin, end):
         done[begin:end] += 1
 
     share_out(work, count, workers=workers, few=few)
+
     assert (done == 1).all()
 
 
-@given(problem=st.from_type(PlacementProblem), workers=st.integers(1, 3))
-def test_the_number_of_threads_changes_no_proven_value(
-    problem: PlacementProblem, workers: int
-) -> None:
+@given(problem=problems(), workers=st.integers(1, 3))
+def test_the_number_of_threads_changes_no_proven_value(problem, workers):
     reduced = presolve(problem, workers=workers)
     assert reduced.workers == workers
     assert reduced.with_workers(2).workers == 2
     assert reduced.with_workers(workers) is reduced
+
     one = solve_placement(problem, effort=Effort(workers=1))
     some = solve_placement(problem, reduced, effort=Effort(workers=workers))
+
     assert [s.objective for s in one.certificate.stages] == pytest.approx(
         [s.objective for s in some.certificate.stages]
     )
+
     front = pareto_front(problem, max_units=1, effort=Effort(workers=workers))
+
     assert front.is_proven
-
-
-@given(
-    value=st.floats(0.0, 1.0),
-    bound=st.floats(0.0, 1.0),
-    step=st.sampled_from([0.0, 0.01, 0.1]),
-)
-def test_a_settled_bound_is_no_lower_than_the_value_nor_higher_than_the_limit(
-    value: float, bound: float, step: float
-) -> None:
-    limit = settle(value, bound, 1.0, step=step)
-    assert value - 1e-5 <= limit <= 1.0
-    if bound > value + max(step, 1e-5):
-        assert limit == bound
 
 
 @given(
     step=st.floats(1e-3, 1.0),
     counts=st.lists(st.integers(0, 50), min_size=1, max_size=8),
 )
-def test_whole_multiples_of_their_least_have_a_common_step(
-    step: float, counts: list[int]
-) -> None:
+def test_whole_multiples_of_their_least_have_a_common_step(step, counts):
     amounts = step * np.array([1, *counts])
     assert common_step(amounts) == pytest.approx(step)
     assert common_step(np.append(amounts, 1.5 * step)) == 0.0
 
 
-def test_only_the_table_has_numbers_that_steer() -> None:
+def test_only_the_table_has_numbers_that_steer():
     of_module = re.compile(r"^_?[A-Z][A-Z_]+ = [0-9(]", re.MULTILINE)
     found = {
         path.name: of_module.findall(path.read_text(encoding="utf-8"))
@@ -149,4 +123,5 @@ def test_only_the_table_has_numbers_that_steer() -> None:
         "cost_front.py": ["_MAX_LEVELS = 2", "DEFAULT_MAX_POINTS = 4"],
         "problem.py": ["VALUE_OBJECTIVES = ("],
     }
+
     assert {name: names for name, names in found.items() if names} == mechanical

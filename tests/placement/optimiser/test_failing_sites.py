@@ -7,11 +7,11 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from all_layouts import feasible_layouts, sets_of_size
 from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems
 
-from geometry.errors import InputError
 from placement.detection_table import pack_table
 from placement.optimiser import (
     Effort,
@@ -19,22 +19,17 @@ from placement.optimiser import (
     PlacementProblem,
     apr,
     apr_failed,
-    is_feasible,
     placement_value,
     presolve,
     solve_placement,
 )
-from placement.optimiser.bitsets import (
-    left_after_failures,
-    set_values,
-    values_with_each,
-)
+from placement.optimiser.bitsets import left_after_failures
 from placement.verification.recomputation import stage_values
 
 SIZES = (1, 2, 3)
 
 
-def left(problem: PlacementProblem, poses: tuple[int, ...], n_failures: int) -> float:
+def left(problem, poses, n_failures):
     """What is left when the worst sites fail: the definition, written down."""
     site = problem.limits.site_index
     used = sorted({int(site[pose]) for pose in poses})
@@ -45,7 +40,7 @@ def left(problem: PlacementProblem, poses: tuple[int, ...], n_failures: int) -> 
     )
 
 
-def where_sites_fail(problem: PlacementProblem, survive: int = 0) -> PlacementProblem:
+def where_sites_fail(problem, survive=0):
     limits = replace(problem.limits, failing="site")
     return replace(problem, limits=limits, survive=survive, floors=(), goal="best")
 
@@ -58,9 +53,7 @@ def test_what_is_left_is_what_stands_on_the_other_poles(problem, n_failures):
         for poses in combinations(range(problem.table.n_poses), size):
             wanted = left(problem, poses, n_failures)
             assert apr_failed(problem, list(poses), n_failures) == pytest.approx(wanted)
-        sets = np.array(
-            list(combinations(range(reduced.n_poses), size)), dtype=np.int64
-        )
+        sets = sets_of_size(reduced.n_poses, size)
         if len(sets):
             wanted = [
                 left(problem, tuple(reduced.pose_index[one]), n_failures)
@@ -70,19 +63,6 @@ def test_what_is_left_is_what_stands_on_the_other_poles(problem, n_failures):
             assert found == pytest.approx(np.array(wanted))
 
 
-@given(problem=problems(), survive=st.integers(1, 2))
-def test_values_with_each_pose_are_those_of_the_sets(problem, survive):
-    reduced = presolve(where_sites_fail(problem, survive))
-    for size in (0, 1, 2):
-        for units in combinations(range(reduced.n_poses), size):
-            each = values_with_each(reduced, np.array(units, dtype=np.int64))
-            others = [pose for pose in range(reduced.n_poses) if pose not in units]
-            sets = np.array([[*units, pose] for pose in others], dtype=np.int64)
-            if len(others):
-                one_by_one = set_values(reduced, sets)
-                assert each.gains[others] == pytest.approx(one_by_one.gains)
-
-
 @given(
     problem=problems(),
     survive=st.integers(1, 2),
@@ -90,24 +70,20 @@ def test_values_with_each_pose_are_those_of_the_sets(problem, survive):
 )
 def test_the_best_layout_is_that_of_brute_force(problem, survive, solver):
     problem = where_sites_fail(problem, survive)
-    n_poses = problem.table.n_poses
-    sets = [poses for size in SIZES for poses in combinations(range(n_poses), size)]
-    sets = [poses for poses in sets if is_feasible(problem, poses)]
     best = max(
         (left(problem, poses, survive), *placement_value(problem, poses)[:2])
-        for poses in sets
+        for poses in feasible_layouts(problem)
     )
     solution = solve_placement(problem, effort=Effort(solver=solver, time_limit_s=60.0))
     stages = solution.certificate.stages
+
     assert [stage.objective for stage in stages[:3]] == pytest.approx(best)
     assert all(stage.gap == 0.0 for stage in stages)
+
     chosen = np.array([solution.pose_index])
-    for (
-        stage
-    ) in stages:  # the checker, which shares no code with the solver, says the same
-        value = stage_values(problem, problem.objectives[stages.index(stage)], chosen)[
-            0
-        ]
+    # The checker, which shares no code with the solver, says the same.
+    for stage, objective in zip(stages, problem.objectives, strict=True):
+        (value,) = stage_values(problem, objective, chosen)
         assert value == pytest.approx(stage.objective)
 
 
@@ -123,13 +99,8 @@ def test_two_units_on_one_pole_do_not_survive_it(frame_axis, rule):
         survive=1,
     )
     sites_fail = where_sites_fail(units_fail, 1)
+
     assert apr_failed(units_fail, [0, 1], 1) == apr(units_fail, [0, 1]) == 0.75
     assert apr_failed(sites_fail, [0, 1], 1) == 0.0
     assert solve_placement(units_fail).certificate.stages[0].objective == 0.75
     assert solve_placement(sites_fail).certificate.stages[0].objective == 0.0
-
-
-def test_what_fails_is_a_unit_or_a_site():
-    with pytest.raises(InputError) as told:
-        Limits(site_index=[0], site_capacity=[1], failing="lamp")
-    assert str(told.value) == "failing: got 'lamp'; expected one of unit, site"

@@ -12,7 +12,6 @@ from problems import random_problem
 from placement.optimiser import (
     Effort,
     Floor,
-    PlacementProblem,
     UnmetError,
     is_feasible,
     presolve,
@@ -20,7 +19,6 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.constants import NEVER
-from placement.optimiser.model import MilpResult
 from placement.optimiser.problem import Objective
 from placement.optimiser.walk import find_of_size
 from placement.verification.instances import load_problem
@@ -29,30 +27,32 @@ ARMS = Path(__file__).parents[4] / "shared/inputs/placement/arms-388.npz"
 TARGET = Floor(name="--target", share=0.96)
 
 
-def no_model(*_: object, **__: object) -> MilpResult:
+def no_model(*_, **__):
     """What a solver that finds out nothing says."""
     raise AssertionError("a model was handed to the solver")
 
 
-def problems_with_floors(n_problems: int) -> list[tuple[int, PlacementProblem]]:
+def problems_with_floors(n_problems):
     """Random problems with floors, by their seeds."""
-    found: list[tuple[int, PlacementProblem]] = []
+    found = []
     seed = 0
     while len(found) < n_problems:
         problem = random_problem(np.random.default_rng([46, seed]))
         if problem.floors:
             found.append((seed, replace(problem, goal="fewest", survive=0)))
         seed += 1
+
     return found
 
 
-def test_all_sets_of_a_size_are_gone_through_for_one_that_reaches_the_floors() -> None:
+def test_all_sets_of_a_size_are_gone_through_for_one_that_reaches_the_floors():
     for seed, problem in problems_with_floors(60):
         reduced = presolve(problem)
         limits = problem.limits
         n_forced = int(limits.is_forced.sum())
         if not len(reduced.weight):
             continue
+
         for size in range(max(n_forced, 1), limits.max_units + 1):
             units, is_finished = find_of_size(reduced, size, deadline=NEVER)
             poses = reduced.pose_index.tolist()
@@ -67,9 +67,7 @@ def test_all_sets_of_a_size_are_gone_through_for_one_that_reaches_the_floors() -
                 assert tuple(reduced.pose_index[units].tolist()) in will_do, where
 
 
-def test_the_fewest_units_are_proven_without_a_model(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_fewest_units_are_proven_without_a_model(monkeypatch):
     monkeypatch.setattr("placement.optimiser.constants.MAX_FEW_SETS", 0)
     monkeypatch.setattr("placement.optimiser.constants.MAX_SETS_OF_MONEY", 0)
     for seed, problem in problems_with_floors(40):
@@ -78,29 +76,29 @@ def test_the_fewest_units_are_proven_without_a_model(
             continue
         try:
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(
-                    "placement.optimiser.constants.MAX_CELLS", -1
-                )  # none is stated
+                # None is stated.
+                patch.setattr("placement.optimiser.constants.MAX_CELLS", -1)
                 solution = solve_placement(
                     problem, effort=Effort(workers=1), n_stages=1
                 )
         except UnmetError:
             continue  # the search found no set to begin with, and nothing is proven
         stage = solution.certificate.stages[0]
+
         assert stage.name == Objective.UNITS
         assert stage.objective == min(len(poses) for poses in layouts), seed
         assert stage.gap == 0.0, seed
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not ARMS.exists(), reason="the instance is not at hand")
-def test_three_units_are_ruled_out_on_a_junction_with_arms(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_three_units_are_ruled_out_on_a_junction_with_arms(monkeypatch):
     monkeypatch.setattr(proof, "solve_window_model", no_model)
     problem = load_problem(ARMS)
     limits = replace(problem.limits, budget_units=None)
     asked = replace(problem, limits=limits, goal="fewest", floors=(TARGET,))
     solution = solve_placement(asked, effort=Effort(time_limit_s=600.0))
+
     assert solution.certificate.is_proven
     assert [stage.objective for stage in solution.certificate.stages][:1] == [4.0]
     assert solution.certificate.solver == "branch and bound"

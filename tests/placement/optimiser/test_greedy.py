@@ -9,13 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
 
-from placement.optimiser import (
-    Floor,
-    PlacementProblem,
-    presolve,
-    solve_greedy,
-    solve_placement,
-)
+from placement.optimiser import Floor, presolve, solve_greedy, solve_placement
 from placement.optimiser.allowed_sets import is_allowed
 from placement.optimiser.bitsets import set_values
 from placement.optimiser.constants import Deadline
@@ -24,15 +18,14 @@ from placement.optimiser.greedy import (
     forced_units,
     improve,
     search_from_many_starts,
-    to_full,
 )
 from placement.optimiser.proof import Search
 
+OVER = Deadline(-np.inf)
+
 
 @given(problem=questions())
-def test_greedy_choice_adds_the_pose_that_makes_the_best_set(
-    problem: PlacementProblem,
-) -> None:
+def test_greedy_choice_adds_the_pose_that_makes_the_best_set(problem):
     reduced = presolve(replace(problem, floors=(), goal="best"))
     units = forced_units(reduced)
     if reduced.n_poses <= len(units) or reduced.limits.max_units <= len(units):
@@ -49,9 +42,7 @@ def test_greedy_choice_adds_the_pose_that_makes_the_best_set(
 
 
 @given(problem=questions(), seed=st.integers(0, 99))
-def test_no_exchange_and_no_removal_improves_an_improved_set(
-    problem: PlacementProblem, seed: int
-) -> None:
+def test_no_exchange_and_no_removal_improves_an_improved_set(problem, seed):
     reduced = presolve(problem)
     units = extend_greedily(reduced, forced_units(reduced))
     if not is_allowed(reduced.limits, units):
@@ -59,11 +50,18 @@ def test_no_exchange_and_no_removal_improves_an_improved_set(
     before = set_values(reduced, units[None, :])[0]
     better = improve(reduced, units, Search(reduced).limit)
     value = set_values(reduced, better[None, :])[0]
+
     assert not before.exceeds(value)
     assert is_allowed(reduced.limits, better)
+
+    late = improve(reduced, units, Search(reduced).limit, deadline=OVER)
+
+    assert late is units
+
     if not Search(reduced).limit.exceeds(value):
         return
     free = better[~reduced.limits.is_forced[better]]
+
     for unit in free:
         rest = better[better != unit]
         others = [rest, *(np.append(rest, pose) for pose in range(reduced.n_poses))]
@@ -73,9 +71,7 @@ def test_no_exchange_and_no_removal_improves_an_improved_set(
 
 
 @given(problem=questions())
-def test_a_search_is_never_worse_than_its_starts_and_greedy_choice(
-    problem: PlacementProblem,
-) -> None:
+def test_a_search_is_never_worse_than_its_starts_and_greedy_choice(problem):
     reduced = presolve(problem)
     limit = Search(reduced).limit
     starts = [
@@ -88,7 +84,9 @@ def test_a_search_is_never_worse_than_its_starts_and_greedy_choice(
     if found is None:
         assert not is_allowed(reduced.limits, greedy)
         return
+
     assert is_allowed(reduced.limits, found)
+
     value = set_values(reduced, found[None, :])[0]
     for units in [*starts[:1], greedy]:
         if is_allowed(reduced.limits, units):
@@ -96,14 +94,10 @@ def test_a_search_is_never_worse_than_its_starts_and_greedy_choice(
 
 
 @given(problem=questions())
-def test_the_first_start_is_completed_when_the_time_is_up(
-    problem: PlacementProblem,
-) -> None:
+def test_the_first_start_is_completed_when_the_time_is_up(problem):
     reduced = presolve(problem)
     greedy = extend_greedily(reduced, forced_units(reduced))
-    late = search_from_many_starts(
-        reduced, Search(reduced).limit, deadline=Deadline(-np.inf)
-    )
+    late = search_from_many_starts(reduced, Search(reduced).limit, deadline=OVER)
     if is_allowed(reduced.limits, greedy):
         assert late is not None
         assert sorted(late) == sorted(greedy)
@@ -111,32 +105,21 @@ def test_the_first_start_is_completed_when_the_time_is_up(
         assert late is None
 
 
-@given(problem=st.from_type(PlacementProblem), seed=st.integers(0, 9))
-def test_poses_without_a_chance_are_drawn_only_by_greedy_choice(
-    problem: PlacementProblem, seed: int
-) -> None:
-    reduced = presolve(problem)
-    chance = np.zeros(reduced.n_poses)
-    chance[: 1 + seed % reduced.n_poses] = 1.0
-    limit = Search(reduced).limit
-    found = search_from_many_starts(reduced, limit, chance=lambda: chance)
-    assert found is not None
-    assert to_full(reduced, found) == tuple(sorted(to_full(reduced, found)))
-
-
-def test_greedy_choice_has_a_unit_where_a_target_needs_none() -> None:
+def test_greedy_choice_has_a_unit_where_a_target_needs_none():
     from small_tables import avoiding_problem
 
     none_asked = Floor(name="target", share=0.0)
     problem = avoiding_problem(["100", "011"], budget_units=2)
     few = replace(problem, goal="fewest", floors=(none_asked,))
+
     assert solve_greedy(few) == (1,)
     assert solve_placement(few).pose_index == (1,)
 
 
-def test_greedy_search_gives_rows_of_the_table_in_order() -> None:
+def test_greedy_search_gives_rows_of_the_table_in_order():
     from small_tables import avoiding_problem
 
     problem = avoiding_problem(["110", "011", "100"], budget_units=2)
+
     assert solve_greedy(problem) == (0, 1)
     assert solve_greedy(problem, presolve(problem)) == pytest.approx((0, 1))

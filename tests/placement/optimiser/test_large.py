@@ -1,21 +1,19 @@
 """The way of large instances, taken on small ones."""
 
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from all_layouts import feasible_layouts
 from hypothesis import given
-from hypothesis import strategies as st
 from oracle import Oracle
-from problems import questions, random_problem
+from problems import problems, questions, random_problem
 from small_tables import avoiding_problem
 
 from placement.optimiser import (
     Effort,
     Floor,
-    PlacementProblem,
     UnmetError,
     is_feasible,
     placement_value,
@@ -26,36 +24,34 @@ from placement.verification.instances import load_problem
 UNMET_LARGE = Path(__file__).parents[4] / "shared/inputs/placement/unmet_large.npz"
 
 
-@given(problem=st.from_type(PlacementProblem))
-def test_all_poses_are_bounded_by_what_they_promise(problem: PlacementProblem) -> None:
+@given(problem=problems())
+def test_all_poses_are_bounded_by_what_they_promise(problem):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.constants.MAX_BITS", 0)
         solution = solve_placement(problem, effort=Effort(solver="relax"))
-    n_poses = problem.table.n_poses
-    most = problem.limits.max_units
-    values = [
-        placement_value(problem, poses)
-        for n_units in range(1, most + 1)
-        for poses in combinations(range(n_poses), n_units)
-        if is_feasible(problem, poses)
-    ]
+    values = [placement_value(problem, poses) for poses in feasible_layouts(problem)]
+
     assert is_feasible(problem, solution.pose_index)
+
     best = max(value.apr for value in values)
     stages = {stage.name: stage for stage in solution.certificate.stages}
+
     assert stages["apr"].bound >= best - 1e-6
+
     value = placement_value(problem, solution.pose_index)
+
     assert tuple(stage.objective for stage in stages.values()) == pytest.approx(value)
+
     as_good = [other for other in values if other.apr >= value.apr - 1e-9]
     for name in ("apr_one_failed", "mean_margin_s"):
         assert (
             stages[name].bound >= max(getattr(other, name) for other in as_good) - 1e-6
         )
+
     assert "relaxation of all" in solution.certificate.solver
 
 
-def solve_as_large(
-    problem: PlacementProblem, *, pool: int, effort: Effort
-) -> tuple[int, ...]:
+def solve_as_large(problem, *, pool, effort):
     """Rows of the layout found among the most promising poses, at first so many."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.constants.MAX_BITS", 0)
@@ -63,7 +59,7 @@ def solve_as_large(
         return solve_placement(problem, effort=effort).pose_index
 
 
-def test_a_large_table_is_refused_only_where_no_layout_of_all_poses_will_do() -> None:
+def test_a_large_table_is_refused_only_where_no_layout_of_all_poses_will_do():
     for seed in range(60):
         problem = random_problem(np.random.default_rng(seed))
         layouts = Oracle(problem).layouts
@@ -76,9 +72,7 @@ def test_a_large_table_is_refused_only_where_no_layout_of_all_poses_will_do() ->
 
 
 @given(problem=questions())
-def test_a_search_of_a_large_table_proves_nothing_that_is_not_so(
-    problem: PlacementProblem,
-) -> None:
+def test_a_search_of_a_large_table_proves_nothing_that_is_not_so(problem):
     layouts = Oracle(problem).layouts
     try:
         found = solve_as_large(problem, pool=2, effort=Effort(solver="greedy"))
@@ -86,34 +80,38 @@ def test_a_search_of_a_large_table_proves_nothing_that_is_not_so(
         is_open = "none was found" in str(error) or "time" in str(error)
         assert is_open or not layouts
         return
+
     assert found in layouts
 
 
-def test_the_pool_has_poses_at_a_forced_site_that_gain_little() -> None:
+def test_the_pool_has_poses_at_a_forced_site_that_gain_little():
     problem = avoiding_problem(["11110", "11100", "00000", "00011"], budget_units=2)
     is_forced_site = [False, False, True, False]
     problem = replace(
         problem, limits=replace(problem.limits, is_forced_site=is_forced_site)
     )
+
     assert 2 in solve_as_large(problem, pool=1, effort=Effort(solver="greedy"))
 
 
-def test_the_pool_has_poses_that_avoid_what_a_floor_counts() -> None:
+def test_the_pool_has_poses_that_avoid_what_a_floor_counts():
     problem = avoiding_problem(["11110", "11100", "11000", "00001"], budget_units=2)
     last = Floor(name="--min-case-apr", share=1.0, is_counted=np.arange(5) == 4)
     problem = replace(problem, floors=(last,))
+
     assert 3 in solve_as_large(problem, pool=1, effort=Effort(solver="greedy"))
 
 
-def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet() -> (
-    None
-):
+def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet():
     """Only three poses together avoid all runs; at first, two at most are looked at."""
     problem = avoiding_problem(["1100", "0010", "0001", "1000"], budget_units=3)
     everything = Floor(name="--target", share=1.0)
     problem = replace(problem, floors=(everything,))
+
     assert solve_as_large(problem, pool=1, effort=Effort()) == (0, 1, 2)
+
     words = "more time than the limit"
+
     with pytest.raises(UnmetError, match=words):
         solve_as_large(
             problem, pool=1, effort=Effort(solver="greedy", time_limit_s=1e-9)
@@ -122,7 +120,8 @@ def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet()
 
 @pytest.mark.skipif(not UNMET_LARGE.exists(), reason="the instance is not at hand")
 @pytest.mark.parametrize("solver", ["auto", "greedy"])
-def test_a_large_table_with_a_forced_site_of_little_gain_is_solved(solver: str) -> None:
+def test_a_large_table_with_a_forced_site_of_little_gain_is_solved(solver):
     problem = load_problem(UNMET_LARGE)
-    found = solve_as_large(problem, pool=4, effort=Effort(solver=solver))  # type: ignore[arg-type]
+    found = solve_as_large(problem, pool=4, effort=Effort(solver=solver))
+
     assert is_feasible(problem, found)

@@ -3,20 +3,16 @@ values.
 """
 
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geometry.arrays import BoolArray
 from geometry.errors import InputError
 from placement.optimiser import Floor, PlacementValue, is_better
-from placement.optimiser.bitsets import BestSet, SetValues
 from placement.optimiser.problem import (
     VALUE_OBJECTIVES,
-    Measure,
     Objective,
     Requirement,
     build_measure,
@@ -27,7 +23,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 TAILS = st.sampled_from([1.0, 0.75, 0.5, 0.2, 0.01])
 
 
-def drawn_measure(seed: int, tail: float) -> tuple[Measure, np.random.Generator]:
+def drawn_measure(seed, tail):
     """Eight runs in up to four worlds; all together weigh 1."""
     rng = np.random.default_rng(seed)
     world = np.concatenate([np.arange(4), rng.integers(0, 4, 4)])
@@ -35,7 +31,7 @@ def drawn_measure(seed: int, tail: float) -> tuple[Measure, np.random.Generator]
     return build_measure(weight / weight.sum(), world, tail=tail), rng
 
 
-def mean_of_worst(measure: Measure, is_avoided: BoolArray) -> float:
+def mean_of_worst(measure, is_avoided):
     """Plain loops: the worst worlds first, the last of them in part."""
     worlds = []
     for world, share in enumerate(measure.sample_weight.tolist()):
@@ -50,25 +46,27 @@ def mean_of_worst(measure: Measure, is_avoided: BoolArray) -> float:
 
 
 @given(SEEDS, TAILS)
-def test_the_measure_is_the_mean_over_the_worst_worlds(seed: int, tail: float) -> None:
+def test_the_measure_is_the_mean_over_the_worst_worlds(seed, tail):
     measure, rng = drawn_measure(seed, tail)
     is_avoided = rng.random((5, 8)) < 0.6
     expected = [mean_of_worst(measure, one) for one in is_avoided]
+
     assert measure.of(is_avoided) == pytest.approx(expected, abs=1e-12)
     assert measure.of(is_avoided[0]) == pytest.approx(expected[0], abs=1e-12)
+
     by_world = measure.by_world(is_avoided)
+
     assert by_world.sum(axis=1) == pytest.approx(is_avoided @ measure.weight)
     assert measure.of_worlds(by_world) == pytest.approx(expected, abs=1e-12)
 
 
 @given(SEEDS, TAILS)
-def test_the_worst_worlds_are_never_better_than_all_and_more_is_never_worse(
-    seed: int, tail: float
-) -> None:
+def test_the_worst_worlds_are_never_better_than_all_and_more_is_never_worse(seed, tail):
     measure, rng = drawn_measure(seed, tail)
     mean, _ = drawn_measure(seed, 1.0)
     is_avoided = rng.random(8) < 0.5
     more = is_avoided | (rng.random(8) < 0.3)
+
     assert measure.of(is_avoided) <= mean.of(is_avoided) + 1e-12
     assert measure.of(is_avoided) <= measure.of(more) + 1e-12
     assert measure.of(more) <= measure.limit + 1e-12
@@ -78,12 +76,13 @@ def test_the_worst_worlds_are_never_better_than_all_and_more_is_never_worse(
 
 
 @given(SEEDS, TAILS)
-def test_runs_out_of_reach_still_count_as_lost(seed: int, tail: float) -> None:
+def test_runs_out_of_reach_still_count_as_lost(seed, tail):
     measure, rng = drawn_measure(seed, tail)
     runs = np.flatnonzero(rng.random(8) < 0.6)
     part = measure.of_runs(runs)
     is_avoided = rng.random(8) < 0.7
     is_lost = ~np.isin(np.arange(8), runs)
+
     assert part.of(is_avoided[runs]) == pytest.approx(
         float(measure.of(is_avoided & ~is_lost))
     )
@@ -99,9 +98,7 @@ def test_runs_out_of_reach_still_count_as_lost(seed: int, tail: float) -> None:
         ([2, 2], 1.0, 0.5),
     ],
 )
-def test_ratios_have_a_step_where_all_weights_are_multiples(
-    weights: list[float], tail: float, step: float
-) -> None:
+def test_ratios_have_a_step_where_all_weights_are_multiples(weights, tail, step):
     share = np.array(weights) / sum(weights)
     assert build_measure(
         share, np.zeros(len(weights)), tail=tail
@@ -133,7 +130,7 @@ def test_ratios_have_a_step_where_all_weights_are_multiples(
         ),
     ],
 )
-def test_a_measure_says_what_is_wrong(change: dict[str, Any], message: str) -> None:
+def test_a_measure_says_what_is_wrong(change, message):
     with pytest.raises(InputError) as told:
         build_measure(np.array([0.5, 0.5]), **change)
     assert str(told.value) == message
@@ -150,7 +147,7 @@ def test_a_measure_says_what_is_wrong(change: dict[str, Any], message: str) -> N
         ),
     ],
 )
-def test_a_floor_says_what_is_wrong(change: dict[str, Any], message: str) -> None:
+def test_a_floor_says_what_is_wrong(change, message):
     with pytest.raises(InputError) as told:
         Floor(**{"name": "--target", "share": 0.5, **change})
     assert str(told.value) == message
@@ -160,17 +157,17 @@ def test_a_floor_says_what_is_wrong(change: dict[str, Any], message: str) -> Non
 
 
 @given(SEEDS, st.sampled_from([-np.inf, 0.0, 0.25, 0.5]))
-def test_a_requirement_counts_runs_that_leave_the_margin(
-    seed: int, least_s: float
-) -> None:
+def test_a_requirement_counts_runs_that_leave_the_margin(seed, least_s):
     measure, rng = drawn_measure(seed, 1.0)
     margin_s = rng.choice([-np.inf, 0.0, 0.25, 0.5], (4, 8))
     requirement = Requirement(measure=measure, least=0.5, min_margin_s=least_s)
     counts = [[m > -np.inf and m >= least_s for m in row] for row in margin_s.tolist()]
+
     assert requirement.counts_run(margin_s).tolist() == counts
     assert requirement.reached(margin_s) == pytest.approx(
         np.array(counts) @ measure.weight
     )
+
     sums = Requirement(
         measure=measure, least=0.5, min_margin_s=least_s, sums_margins=True
     )
@@ -178,13 +175,12 @@ def test_a_requirement_counts_runs_that_leave_the_margin(
         sum(w * m for w, m, c in zip(measure.weight, row, count, strict=True) if c)
         for row, count in zip(margin_s, counts, strict=True)
     ]
+
     assert sums.reached(margin_s) == pytest.approx(expected)
 
 
 @given(SEEDS, st.floats(0.0, 1.0))
-def test_all_runs_are_needed_where_no_other_set_of_them_is_enough(
-    seed: int, least: float
-) -> None:
+def test_all_runs_are_needed_where_no_other_set_of_them_is_enough(seed, least):
     measure, _ = drawn_measure(seed, 1.0)
     needs_all = Requirement(measure=measure, least=least).needs_all
     enough = [
@@ -197,13 +193,14 @@ def test_all_runs_are_needed_where_no_other_set_of_them_is_enough(
         assert not enough
     if least > 1.0 - 1e-9:
         assert needs_all
+
     assert not Requirement(measure=measure, least=least, sums_margins=True).needs_all
 
 
 # ---------- the order of values
 
 
-def test_objectives_stand_in_order_and_the_cost_once() -> None:
+def test_objectives_stand_in_order_and_the_cost_once():
     for goal in ("best", "fewest", "cheapest"):
         for survive in (0, 2):
             order = objectives_in_order(goal, survive=survive)
@@ -215,9 +212,7 @@ def test_objectives_stand_in_order_and_the_cost_once() -> None:
 
 
 @given(st.sampled_from(Objective), st.integers(-3, 3), st.integers(-3, 3))
-def test_less_is_better_of_what_is_minimised(
-    objective: Objective, one: int, other: int
-) -> None:
+def test_less_is_better_of_what_is_minimised(objective, one, other):
     if objective.is_minimised:
         sign = -1
     else:
@@ -238,9 +233,7 @@ VALUES = st.tuples(*(st.sampled_from([0.0, 5e-10, 0.5, 1.0]) for _ in range(5)))
 
 
 @given(VALUES, VALUES)
-def test_layouts_are_compared_stage_by_stage_beyond_rounding(
-    one: tuple[float, ...], other: tuple[float, ...]
-) -> None:
+def test_layouts_are_compared_stage_by_stage_beyond_rounding(one, other):
     mine = PlacementValue(*one)
     theirs = PlacementValue(*other)
     signs = (1, 1, 1, 1, -1)
@@ -250,29 +243,6 @@ def test_layouts_are_compared_stage_by_stage_beyond_rounding(
         if abs(a - b) > tolerance:
             expected = sign * (a - b) > 0.0
             break
+
     assert is_better(mine, theirs) == expected
     assert not (is_better(mine, theirs) and is_better(theirs, mine))
-
-
-@given(SEEDS, st.integers(1, 12))
-def test_the_best_of_many_sets_is_exceeded_by_none(seed: int, n_sets: int) -> None:
-    rng = np.random.default_rng(seed)
-    objectives = (Objective.APR, Objective.COST)
-    gains = rng.integers(-1, 2, (n_sets, 3)).astype(np.float64) / 2.0
-    gains[:, 0] = np.minimum(gains[:, 0], 0.0)
-    values = SetValues(objectives, gains)
-    best = values[values.best_row()]
-    assert not any(values[row].exceeds(best) for row in range(n_sets))
-    ranks = [tuple(row) for row in gains]
-    assert ranks[values.best_row()] == max(ranks)
-    assert ranks.index(max(ranks)) == values.best_row()  # of equal ones the first
-    np.testing.assert_array_equal(values.lacking, -gains[:, 0])
-    np.testing.assert_array_equal(values.of(Objective.APR), gains[:, 1])
-    np.testing.assert_array_equal(values.of(Objective.COST), -gains[:, 2])
-    incumbent = BestSet()
-    sets = np.arange(n_sets)[:, None]
-    for begin in range(0, n_sets, 3):
-        incumbent.offer(sets[begin : begin + 3], values[begin : begin + 3])
-    incumbent.offer(sets[:0], values[:0])
-    assert incumbent.units is not None
-    assert incumbent.units.tolist() == [values.best_row()]

@@ -1,33 +1,22 @@
 """Sets of two or three units that are gone through pair by pair, against all sets."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
+from all_layouts import allowed_sets
 from hypothesis import given
 from hypothesis import strategies as st
+from problems import problems
 
 from geometry.clock import now_s
-from placement.optimiser import PlacementProblem, presolve
-from placement.optimiser.allowed_sets import are_allowed
+from placement.optimiser import presolve
 from placement.optimiser.bitsets import union_apr, unions_of
 from placement.optimiser.constants import NEVER, Deadline
 from placement.optimiser.pairs import PairWalk, goes_by_pairs, walk_by_pairs
-from placement.optimiser.presolve import ReducedProblem
-
-ANY_PROBLEM = st.from_type(PlacementProblem)
 
 
-def all_sets(reduced: ReducedProblem, n_units: int) -> np.ndarray:
-    numbers = np.array(
-        list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64
-    )
-    return numbers[are_allowed(reduced.limits, numbers.reshape(-1, n_units))]
-
-
-def in_two_worlds(problem: PlacementProblem) -> PlacementProblem:
+def in_two_worlds(problem):
     """Every other run in the second world, where that leaves both with weight."""
     index = np.arange(problem.table.axis.n_runs) % 2
     weight = np.bincount(index, weights=problem.table.axis.weight, minlength=2)
@@ -37,19 +26,19 @@ def in_two_worlds(problem: PlacementProblem) -> PlacementProblem:
 
 
 @given(
-    problem=ANY_PROBLEM,
+    problem=problems(),
     place=st.floats(0.0, 1.0),
     class_poses=st.sampled_from([1, 2, 12]),
     few=st.sampled_from([0, 200]),
 )
 def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
-    problem: PlacementProblem, place: float, class_poses: int, few: int
-) -> None:
+    problem, place, class_poses, few
+):
     reduced = presolve(problem)
     n_units = reduced.limits.max_units
     if not 2 <= n_units <= 3 or not len(reduced.weight) or reduced.n_poses < n_units:
         return
-    sets = all_sets(reduced, n_units)
+    sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
@@ -61,20 +50,21 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
         met = np.concatenate(
             [np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)]
         )
+
     assert walk.is_finished
+
     found = sorted(tuple(sorted(units)) for units in met.tolist())
+
     assert found == sorted(map(tuple, sets[share >= need - 1e-9].tolist()))
 
 
-@given(problem=ANY_PROBLEM)
-def test_a_walk_for_more_meets_the_sets_that_reach_more(
-    problem: PlacementProblem,
-) -> None:
+@given(problem=problems())
+def test_a_walk_for_more_meets_the_sets_that_reach_more(problem):
     reduced = presolve(problem)
     n_units = reduced.limits.max_units
     if not 2 <= n_units <= 3 or not len(reduced.weight) or reduced.n_poses < n_units:
         return
-    sets = all_sets(reduced, n_units)
+    sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
@@ -82,29 +72,32 @@ def test_a_walk_for_more_meets_the_sets_that_reach_more(
     list(first.blocks(NEVER))
     again = first.again(float(share.max()))
     met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *again.blocks(NEVER)])
+
     assert len(met) == (share >= share.max() - 1e-9).sum()
+
     again.raise_needs(0.0)
+
     assert again.need == share.max()  # needs never fall
 
 
-@given(problem=ANY_PROBLEM, tail=st.sampled_from([1.0, 0.5]))
-def test_worlds_are_proven_by_their_mean_and_bounded_by_it(
-    problem: PlacementProblem, tail: float
-) -> None:
+@given(problem=problems(), tail=st.sampled_from([1.0, 0.5]))
+def test_worlds_are_proven_by_their_mean_and_bounded_by_it(problem, tail):
     reduced = presolve(replace(in_two_worlds(problem), tail=tail))
     if not goes_by_pairs(reduced) or not len(reduced.weight):
         return
     n_units = reduced.limits.max_units
     if reduced.n_poses < n_units:
         return
-    sets = all_sets(reduced, n_units)
+    sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
     tied = walk_by_pairs(
         reduced, sets[0], deadline=NEVER, on_better=lambda units: units
     )
+
     assert tied.limit >= share.max() - 1e-9
+
     if tail == 1.0:
         assert tied.is_finished
         assert tied.value == pytest.approx(share.max())
@@ -113,14 +106,15 @@ def test_worlds_are_proven_by_their_mean_and_bounded_by_it(
     late = walk_by_pairs(
         reduced, sets[0], deadline=Deadline(-np.inf), on_better=lambda units: units
     )
+
     assert not late.is_finished
     assert late.limit >= share.max() - 1e-9
 
 
-@given(problem=ANY_PROBLEM, n_ended=st.integers(0, 4))
+@given(problem=problems(), n_ended=st.integers(0, 4))
 def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
-    problem: PlacementProblem, n_ended: int
-) -> None:
+    problem, n_ended
+):
     reduced = presolve(in_two_worlds(problem))
     n_units = reduced.limits.max_units
     if (
@@ -129,15 +123,16 @@ def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
         or not len(reduced.weight)
     ):
         return
-    sets = all_sets(reduced, n_units)
+    sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
-    units, most = sets[share.argmax()], float(share.max())
+    units = sets[share.argmax()]
+    most = float(share.max())
     needs = []
     real = PairWalk.blocks
 
-    def blocks(walk: PairWalk, deadline: Deadline) -> Iterator[np.ndarray]:
+    def blocks(walk, deadline):
         needs.append(walk.need)
         if len(needs) <= n_ended:  # later ones find no time
             yield from real(walk, NEVER)
@@ -152,7 +147,9 @@ def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
             deadline=Deadline(now_s() + 1.0e6),
             on_better=lambda units: units,
         )
+
     assert tied.limit >= most - 1e-9
+
     if most > 0.0 and most * 1.02 < reduced.measure.limit:
         ahead = [need / most - 1.0 for need in needs]
         assert ahead[: n_ended + 1] == pytest.approx(

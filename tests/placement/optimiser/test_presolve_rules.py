@@ -3,30 +3,27 @@
 """
 
 from dataclasses import replace
-from itertools import combinations
+from functools import cache
 
 import numpy as np
 import pytest
-from oracle import TIE, TIE_EUR, Oracle, Values
+from all_layouts import MINIMISED, sets_of_size, sign_of
+from oracle import TIE, TIE_EUR, Oracle
 from problems import kinds_of, random_problem
 
 from placement.detection_table import pack_table
 from placement.optimiser import Limits, PlacementProblem, presolve
 from placement.optimiser.bitsets import set_values
-from placement.optimiser.presolve import (
-    ALL_RULES,
-    ReducedProblem,
-    Rule,
-    find_needless,
-    presolve_freely,
-)
+from placement.optimiser.presolve import ALL_RULES, Rule, find_needless, presolve_freely
 from placement.optimiser.problem import Objective
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
 TAKES_USABLE = {Rule.NEEDLESS_POSES, Rule.DOMINATED_POSES}
 """Rules that take it for granted that poses are usable."""
-N_PROBLEMS = 150
+N_PROBLEMS = 60
+N_LONG = 200
+"""So many problems in the long group."""
 SUBSETS = [
     {rule} | ({Rule.UNUSABLE_POSES} & ALL_RULES) for rule in sorted(TAKES_USABLE)
 ]
@@ -40,33 +37,40 @@ ALONE = [
 ]
 
 
-def best_by_stage(
-    oracle: Oracle, layouts: dict[tuple[int, ...], Values]
-) -> list[float]:
+@cache
+def drawn(number):
+    """A random problem and its enumeration, which all rules share."""
+    problem = random_problem(np.random.default_rng([17, number]))
+    return problem, Oracle(problem)
+
+
+@cache
+def drawn_freely(number):
+    """A random problem that asks for nothing but the best, and its enumeration."""
+    problem = random_problem(np.random.default_rng([18, number]))
+    problem = replace(problem, floors=(), goal="best")
+    return problem, Oracle(problem)
+
+
+def best_by_stage(oracle, layouts):
     """Best value of every stage among layouts that tie in all stages before."""
     best = []
     rivals = list(layouts.values())
+
     for name in oracle.names:
-        is_cost = name in ("units", "cost_eur")
-        if is_cost:
-            sign = -1.0
-        else:
-            sign = 1.0
-        if is_cost:
-            tie = TIE_EUR
-        else:
-            tie = TIE
+        sign = sign_of(name)
+        tie = TIE_EUR if name in MINIMISED else TIE
         most = max(sign * values[name] for values in rivals)
         best.append(sign * most)
         rivals = [values for values in rivals if sign * values[name] >= most - tie]
+
     return best
 
 
-def check_stages(problem: PlacementProblem, reduced: ReducedProblem) -> bool:
+def check_stages(oracle, reduced):
     """Check that the poses left reach the best value of every stage; False: no
     layout.
     """
-    oracle = Oracle(problem)
     if not oracle.layouts:
         return False
     left = set(reduced.pose_index.tolist())
@@ -75,48 +79,72 @@ def check_stages(problem: PlacementProblem, reduced: ReducedProblem) -> bool:
         for poses, values in oracle.layouts.items()
         if left.issuperset(poses)
     }
+
     assert among_left, "no layout is left"
+
     expected = best_by_stage(oracle, oracle.layouts)
     got = best_by_stage(oracle, among_left)
+
     assert got == pytest.approx(expected, abs=TIE_EUR, rel=0.0), oracle.names
+
     return True
 
 
-@pytest.mark.parametrize(
+EACH_RULE = pytest.mark.parametrize(
     "rules", ALONE, ids=lambda rules: " and ".join(sorted(rules)) or "none"
 )
-def test_the_rules_change_the_best_value_of_no_stage(rules: set[Rule]) -> None:
-    n_met = 0
-    seen: set[str] = set()
-    for number in range(N_PROBLEMS):
-        problem = random_problem(np.random.default_rng([17, number]))
-        reduced = presolve(problem, rules=rules)
-        if check_stages(problem, reduced):
-            n_met += 1
-            seen |= kinds_of(problem)
-    assert n_met > N_PROBLEMS / 3
+
+
+@EACH_RULE
+def test_the_rules_change_the_best_value_of_no_stage(rules):
+    seen = check_rules(rules, range(N_PROBLEMS))
     assert {"tail, pose adds nothing", "floor", "survive", "levels", "car sees"} <= seen
 
 
-@pytest.mark.parametrize(
-    "rules", ALONE, ids=lambda rules: " and ".join(sorted(rules)) or "none"
-)
-def test_the_rules_change_the_value_of_no_layout_of_what_is_left(
-    rules: set[Rule],
-) -> None:
-    for number in range(N_PROBLEMS):
-        problem = random_problem(np.random.default_rng([18, number]))
-        problem = replace(problem, floors=(), goal="best")
-        oracle = Oracle(problem)
+@pytest.mark.long
+@EACH_RULE
+def test_the_rules_change_the_best_value_of_no_stage_of_many(rules):
+    check_rules(rules, range(N_PROBLEMS, N_LONG))
+
+
+def check_rules(rules, numbers):
+    """Check what is left of some problems; return their kinds."""
+    n_met = 0
+    seen = set()
+
+    for number in numbers:
+        problem, oracle = drawn(number)
+        reduced = presolve(problem, rules=rules)
+        if check_stages(oracle, reduced):
+            n_met += 1
+            seen |= kinds_of(problem)
+
+    assert n_met > len(numbers) / 3
+
+    return seen
+
+
+@EACH_RULE
+def test_the_rules_change_the_value_of_no_layout_of_what_is_left(rules):
+    check_values(rules, range(N_PROBLEMS // 2))
+
+
+@pytest.mark.long
+@EACH_RULE
+def test_the_rules_change_the_value_of_no_layout_of_many(rules):
+    check_values(rules, range(N_PROBLEMS // 2, N_LONG))
+
+
+def check_values(rules, numbers):
+    for number in numbers:
+        problem, oracle = drawn_freely(number)
         reduced = presolve(problem, rules=rules)
         for n_units in (1, 2):
-            sets = list(combinations(range(reduced.n_poses), n_units))
-            if not sets:
+            sets = sets_of_size(reduced.n_poses, n_units)
+            if not len(sets):
                 continue
-            values = set_values(reduced, np.array(sets))
-            layouts = [
-                tuple(reduced.pose_index[list(units)].tolist()) for units in sets
-            ]
+            values = set_values(reduced, sets)
+            layouts = [tuple(reduced.pose_index[units].tolist()) for units in sets]
             expected = [oracle.values(poses) for poses in layouts]
             for name in oracle.names:
                 got = values.of(Objective(name))
@@ -124,7 +152,7 @@ def test_the_rules_change_the_value_of_no_layout_of_what_is_left(
                 assert got == pytest.approx(wanted, abs=TIE), (number, name)
 
 
-def tie_of_margins(price_eur: list[float]) -> PlacementProblem:
+def tie_of_margins(price_eur):
     """Two worlds, of which the worse counts, where no pose avoids anything.
 
     In the other one the car avoids a run with a large margin, and pose 0 avoids one
@@ -168,16 +196,15 @@ def tie_of_margins(price_eur: list[float]) -> PlacementProblem:
 
 
 @pytest.mark.parametrize("price_eur", [[1.0, 1.0], [1.0, 2.0], [2.0, 1.0]])
-def test_a_pose_that_adds_nothing_stays_where_it_has_the_largest_margin(
-    price_eur: list[float],
-) -> None:
+def test_a_pose_that_adds_nothing_stays_where_it_has_the_largest_margin(price_eur):
     problem = tie_of_margins(price_eur)
     reduced = presolve(problem)
+
     assert 1 in reduced.pose_index
-    assert check_stages(problem, reduced)
+    assert check_stages(Oracle(problem), reduced)
 
 
-def test_the_cheapest_of_the_poses_that_add_nothing_stays() -> None:
+def test_the_cheapest_of_the_poses_that_add_nothing_stays():
     problem = random_problem(np.random.default_rng(3))
     n_poses = 4
     detected = np.zeros((n_poses, problem.table.axis.n_frames), dtype=bool)
@@ -193,16 +220,19 @@ def test_the_cheapest_of_the_poses_that_add_nothing_stays() -> None:
         floors=(),
         goal="best",
     )
+
     assert presolve(problem).pose_index.tolist() == [1]
+
     is_forced_site = np.array([False, False, False, True])
     asked = replace(
         problem, limits=replace(problem.limits, is_forced_site=is_forced_site)
     )
+
     assert presolve(asked).pose_index.tolist() == [1, 3]
     assert not find_needless(presolve(asked)).any()
 
 
-def test_what_is_presolved_for_any_question_has_all_usable_poses() -> None:
+def test_what_is_presolved_for_any_question_has_all_usable_poses():
     for number in range(20):
         problem = random_problem(np.random.default_rng([19, number]))
         reduced = presolve_freely(problem)

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from problems import questions
 from small_tables import avoiding_problem
 
-from placement.optimiser import PlacementProblem, cost_eur, is_allowed
+from placement.optimiser import cost_eur, is_allowed
 from placement.optimiser.cost_front import next_level_eur, price_levels_eur
 from placement.optimiser.walk import allowed_sets as all_sets_within
 
 
-def allowed_sets(problem: PlacementProblem) -> list[tuple[int, ...]]:
+def allowed_sets(problem):
     n_poses = problem.table.n_poses
     return [
         poses
@@ -24,12 +24,15 @@ def allowed_sets(problem: PlacementProblem) -> list[tuple[int, ...]]:
 
 
 @given(problem=questions())
-def test_every_layout_costs_one_of_the_levels(problem: PlacementProblem) -> None:
+def test_every_layout_costs_one_of_the_levels(problem):
     levels = price_levels_eur(problem.limits)
     assert levels is not None
     assert (np.diff(levels) > 0.0).all()
+
     costs = [cost_eur(problem.limits, poses) for poses in allowed_sets(problem)]
+
     assert all(np.abs(levels - cost).min() <= 1e-6 for cost in costs)
+
     for cost in costs:
         assert next_level_eur(levels, cost, is_more=False) == pytest.approx(cost)
         dearer = [other for other in costs if other > cost + 1e-6]
@@ -41,20 +44,19 @@ def test_every_layout_costs_one_of_the_levels(problem: PlacementProblem) -> None
 
 
 @given(problem=questions(), max_sets=st.sampled_from([10_000, 5]))
-def test_affordable_sets_are_all_that_the_limits_allow(
-    problem: PlacementProblem, max_sets: int
-) -> None:
+def test_affordable_sets_are_all_that_the_limits_allow(problem, max_sets):
     expected = allowed_sets(problem)
     sizes = all_sets_within(problem.limits, max_sets=max_sets)
     if sizes is None:
         assert len(expected) > max_sets
         return
+
     assert len(expected) <= max_sets
     assert {tuple(row) for sets in sizes for row in sets.tolist()} == set(expected)
     assert sum(map(len, sizes)) == len(expected)
 
 
-def test_sites_that_carry_two_leave_fewer_levels() -> None:
+def test_sites_that_carry_two_leave_fewer_levels():
     problem = avoiding_problem(["1"] * 4, price_eur=[1500.0] * 4, budget_units=3)
     limits = replace(
         problem.limits,
@@ -64,6 +66,7 @@ def test_sites_that_carry_two_leave_fewer_levels() -> None:
         is_forced_site=np.zeros(2, dtype=bool),
     )
     levels = price_levels_eur(limits)
+
     assert levels is not None
     # Three units need two sites.
     assert levels.tolist() == [2500.0, 4000.0, 5000.0, 6500.0]
@@ -72,7 +75,7 @@ def test_sites_that_carry_two_leave_fewer_levels() -> None:
     assert next_level_eur(levels, 6500.0, is_more=True) == np.inf
 
 
-def test_prices_without_whole_cents_or_too_many_have_no_levels() -> None:
+def test_prices_without_whole_cents_or_too_many_have_no_levels():
     problem = avoiding_problem(["1", "1"], price_eur=[1.0, np.pi])
     assert price_levels_eur(problem.limits) is None
     assert (
@@ -80,6 +83,8 @@ def test_prices_without_whole_cents_or_too_many_have_no_levels() -> None:
         == next_level_eur(None, 3.0, is_more=False)
         == 3.0
     )
+
     prices = (np.arange(300) ** 3 + 1.0) / 100.0
     many = avoiding_problem(["1"] * 300, price_eur=prices.tolist(), budget_units=3)
+
     assert price_levels_eur(many.limits) is None

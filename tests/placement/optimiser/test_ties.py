@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from oracle import TIE, Oracle
 from oracle_checks import EVERY_WAY, check
 from problems import random_problem
+from tiny_worlds import axis_of_runs
 
 from placement.detection_table import pack_table
 from placement.optimiser import Limits, PlacementProblem, presolve, solve_placement
@@ -20,10 +21,9 @@ from placement.optimiser.constants import are_sums_apart
 from placement.optimiser.problem import Objective, build_measure
 from placement.optimiser.proof import Search
 from scenarios.aeb import AebRule
-from scenarios.runs import FrameAxis
 
 
-def singles(weight: list[float], seen_from: list[list[int | None]]) -> PlacementProblem:
+def singles(weight, seen_from):
     """One pose is chosen, which sees run r from frame ``seen_from[pose][r]`` of 9 on.
 
     The first run, which nothing avoids, has the rest of the weight.
@@ -34,16 +34,12 @@ def singles(weight: list[float], seen_from: list[list[int | None]]) -> Placement
         for run, frame in enumerate(frames, start=1):
             if frame is not None:
                 detected[pose, run, frame:] = True
-    axis = FrameAxis(
-        run_ids=tuple(map(str, range(n_runs))),
-        cases=("CPNA-50",) * n_runs,
-        approaches=("north",) * n_runs,
-        weathers=("day",) * n_runs,
-        vut_speed_kmh=np.full(n_runs, 30.0),
-        weight=np.array([1.0 - sum(weight), *weight]),
-        last_brake_time_s=np.zeros(n_runs),
-        run_start=9 * np.arange(n_runs + 1),
-        time_s=np.tile(np.arange(-8, 1) / 10.0, n_runs),
+
+    axis = axis_of_runs(
+        9 * np.arange(n_runs + 1),
+        np.tile(np.arange(-8, 1) / 10.0, n_runs),
+        0.0,
+        weight=[1.0 - sum(weight), *weight],
     )
     n_poses = len(seen_from)
     return PlacementProblem(
@@ -67,9 +63,7 @@ def singles(weight: list[float], seen_from: list[list[int | None]]) -> Placement
 
 
 @pytest.mark.parametrize("way", EVERY_WAY)
-def test_a_pose_is_not_dropped_for_one_that_avoids_a_run_more_at_a_tie(
-    way: str,
-) -> None:
+def test_a_pose_is_not_dropped_for_one_that_avoids_a_run_more_at_a_tie(way):
     problem = singles([1.6e-8, 5.0e-10], [[2, 7], [2, None]])
     check(problem, way)
     if way in ("auto", "exact"):
@@ -77,12 +71,12 @@ def test_a_pose_is_not_dropped_for_one_that_avoids_a_run_more_at_a_tie(
 
 
 @pytest.mark.parametrize("way", EVERY_WAY)
-def test_the_mean_margin_is_bounded_for_layouts_that_avoid_a_tie_less(way: str) -> None:
+def test_the_mean_margin_is_bounded_for_layouts_that_avoid_a_tie_less(way):
     check(singles([1.6e-8, 9.0e-10, 1.0e-12], [[2, 6, 7], [2, None, 7]]), way)
 
 
 @pytest.mark.parametrize("way", EVERY_WAY)
-def test_ties_do_not_add_up_from_layout_to_layout(way: str) -> None:
+def test_ties_do_not_add_up_from_layout_to_layout(way):
     # Each is 0.7 of a tie worse than the one before, with a larger margin.
     weight = [1.6e-8, 7.0e-10, 7.0e-10, 7.0e-10]
     frames = [[5, 5, 5, 5], [4, 4, 4, None], [3, 3, None, None], [2, None, None, None]]
@@ -90,7 +84,7 @@ def test_ties_do_not_add_up_from_layout_to_layout(way: str) -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed: int) -> None:
+def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed):
     problem = random_problem(np.random.default_rng(seed))
     problem = replace(problem, floors=(), goal="best")
     reduced = presolve(problem)
@@ -107,9 +101,7 @@ def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed: int) -> 
 
 
 @given(st.lists(st.integers(0, 6), min_size=1, max_size=8), st.integers(0, 2**32 - 1))
-def test_contenders_limit_every_set_that_ties_in_all_stages_before(
-    steps: list[int], seed: int
-) -> None:
+def test_contenders_limit_every_set_that_ties_in_all_stages_before(steps, seed):
     rng = np.random.default_rng(seed)
     objectives = (Objective.APR, Objective.MEAN_MARGIN, Objective.COST)
     n_sets = len(steps)
@@ -125,15 +117,22 @@ def test_contenders_limit_every_set_that_ties_in_all_stages_before(
     for row in range(n_sets):
         contenders.add(np.array([[row]]), SetValues(objectives, gains[row : row + 1]))
     best = contenders.best()
+
     assert best is not None
+
     row = int(best[0])
+
     assert gains[row, 1] >= gains[:, 1].max() - TIE
+
     limits = contenders.limits(SetValues(objectives, gains[row]))
     tied = np.ones(n_sets, dtype=bool)
+
     for column, objective in enumerate(objectives, start=1):
         most = gains[tied, column].max()
         limit = limits[objective]
+
         assert (-limit if objective is Objective.COST else limit) == most
+
         if objective is Objective.COST:
             tolerance = 1.0e-6
         else:
@@ -141,24 +140,26 @@ def test_contenders_limit_every_set_that_ties_in_all_stages_before(
         tied &= gains[:, column] >= gains[row, column] - tolerance
 
 
-def test_ties_are_equal_where_weights_are_fractions_or_all_is_avoided() -> None:
+def test_ties_are_equal_where_weights_are_fractions_or_all_is_avoided():
     fractions = np.array([1 / 3, 1 / 6, 1 / 12, 5 / 12])
     assert build_measure(fractions).least_tied(0.5) == 0.5
+
     rng = np.random.default_rng(1)
     odd = rng.random(20)
     odd /= odd.sum()
+
     assert not are_sums_apart(odd)
     assert not are_sums_apart(np.array([1.0, 1e-300]))  # no zero: sums of such tie
     assert build_measure(odd).least_tied(0.5) == pytest.approx(0.5 - 2.0e-9, abs=1e-15)
     assert build_measure(odd).least_tied(1.0) == 1.0
+
     sampled = build_measure(fractions, [0, 0, 1, 1], tail=0.5)
+
     assert sampled.least_tied(0.5) < 0.5
 
 
 @given(st.lists(st.integers(1, 200), min_size=1, max_size=12))
-def test_sums_of_fractions_are_apart_unless_their_denominator_is_large(
-    denominators: list[int],
-) -> None:
+def test_sums_of_fractions_are_apart_unless_their_denominator_is_large(denominators):
     weight = 1.0 / np.array(denominators)
     if are_sums_apart(weight):
         common = float(np.lcm.reduce(denominators))
@@ -169,8 +170,9 @@ def test_sums_of_fractions_are_apart_unless_their_denominator_is_large(
         assert float(np.lcm.reduce(np.array(denominators, dtype=object))) > 2.5e8
 
 
-def test_a_layout_of_the_oracle_is_ambiguous_only_near_a_tie() -> None:
+def test_a_layout_of_the_oracle_is_ambiguous_only_near_a_tie():
     near = Oracle(singles([1.6e-8, 9.0e-10], [[2, 6], [2, None]]))
     far = Oracle(singles([0.2, 0.1], [[2, 6], [2, None]]))
+
     assert near.is_ambiguous((0,))
     assert not far.is_ambiguous((0,))

@@ -1,7 +1,5 @@
 """The time limit holds for all stages together, by a clock that the test turns."""
 
-from typing import Any
-
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -27,7 +25,7 @@ _CLOCKS = ("constants", "solve", "walk", "model")
 class Clock:
     """A clock that stands still unless it is turned."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch):
         self.now_s = 0.0
         for module in _CLOCKS:
             monkeypatch.setattr(
@@ -36,36 +34,32 @@ class Clock:
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def clock(monkeypatch):
     return Clock(monkeypatch)
 
 
-def knapsack() -> cp.Problem:
+def knapsack():
     x = cp.Variable(3, boolean=True)
     return cp.Problem(cp.Maximize(np.array([3.0, 2.0, 2.0]) @ x), [x.sum() <= 2.0])
 
 
-def compile_for_s(
-    seconds: float, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> list[float]:
+def compile_for_s(seconds, clock, monkeypatch):
     """Let compiling take so long; the time limits that HiGHS is handed then."""
-    handed: list[float] = []
+    handed = []
     compiled = cp.Problem.get_problem_data
 
     class Chain:
-        def __init__(self, chain: Any) -> None:
+        def __init__(self, chain):
             self.chain = chain
 
-        def solve_via_data(
-            self, *given: Any, solver_opts: dict[str, Any], **how: Any
-        ) -> Any:
+        def solve_via_data(self, *given, solver_opts, **how):
             handed.append(solver_opts["time_limit"])
             return self.chain.solve_via_data(*given, solver_opts=solver_opts, **how)
 
-        def __getattr__(self, name: str) -> Any:
+        def __getattr__(self, name):
             return getattr(self.chain, name)
 
-    def slow(problem: cp.Problem, solver: str) -> Any:
+    def slow(problem, solver):
         clock.now_s += seconds
         data, chain, inverse = compiled(problem, solver)
         return data, Chain(chain), inverse
@@ -74,49 +68,47 @@ def compile_for_s(
     return handed
 
 
-def test_highs_is_handed_what_compiling_leaves_of_the_time(
-    clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_highs_is_handed_what_compiling_leaves_of_the_time(clock, monkeypatch):
     handed = compile_for_s(20.0, clock, monkeypatch)
     answer = run_solver(knapsack(), time_limit_s=LIMIT_S)
+
     assert handed == [40.0]
     assert answer.is_finished
     assert answer.bound == pytest.approx(5.0)
 
 
-def test_highs_is_not_asked_where_compiling_took_all_the_time(
-    clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_highs_is_not_asked_where_compiling_took_all_the_time(clock, monkeypatch):
     handed = compile_for_s(80.0, clock, monkeypatch)
     answer = run_solver(knapsack(), time_limit_s=LIMIT_S)
+
     assert handed == []
     assert answer == SolverAnswer(is_found=False, is_finished=False, bound=np.inf)
 
 
 def test_no_model_is_begun_that_takes_longer_to_state_than_the_time_left(
-    clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    clock, monkeypatch
+):
     reduced = presolve(avoiding_problem(["110", "011", "101"], budget_units=2))
     n_cells = reduced.n_poses * reduced.n_frames
     monkeypatch.setattr(
         "placement.optimiser.constants.CELLS_PER_SECOND", n_cells / 10.0
     )
     late = Search(reduced, deadline=Deadline(9.0))
+
     assert late.look_for(Objective.APR, ()) == np.inf
     assert not late.proofs
+
     early = Search(reduced, deadline=Deadline(11.0))
+
     assert early.look_for(Objective.APR, ()) == pytest.approx(1.0)
 
 
-def test_all_stages_together_take_no_longer_than_the_limit(
-    clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_all_stages_together_take_no_longer_than_the_limit(clock, monkeypatch):
     """Each model takes all the time that it is given, and finds nothing."""
 
-    def idle(
-        _: object, objective: Objective | None, *, time_limit_s: float, **__: Any
-    ) -> MilpResult:
+    def idle(_, objective, *, time_limit_s, **__):
         assert 0.0 < time_limit_s <= LIMIT_S - clock.now_s + 1e-9
+
         clock.now_s += time_limit_s
         is_minimised = objective is not None and objective.is_minimised
         if is_minimised:
@@ -140,6 +132,9 @@ def test_all_stages_together_take_no_longer_than_the_limit(
             pass
         else:
             assert is_feasible(problem, solution.pose_index), seed
+
         assert clock.now_s <= LIMIT_S + 1e-6, seed
+
         n_asked += clock.now_s > 0.0
+
     assert n_asked >= 8  # models were asked for

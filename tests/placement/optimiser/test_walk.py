@@ -1,18 +1,17 @@
 """The tree of sets against all sets, on small tables: bounds, walks, ties."""
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
+from all_layouts import allowed_sets
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import questions
+from problems import problems, questions
+from tiny_worlds import axis_of_runs
 
-from geometry.arrays import IntArray
 from placement.detection_table import DetectionTable
 from placement.optimiser import Limits, PlacementProblem, presolve
-from placement.optimiser.allowed_sets import are_allowed
 from placement.optimiser.bitsets import (
     left_after_failures,
     set_values,
@@ -22,41 +21,22 @@ from placement.optimiser.bitsets import (
 from placement.optimiser.bounds import failure_limit, find_root, run_rows
 from placement.optimiser.constants import NEVER, Deadline
 from placement.optimiser.greedy import improve
-from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.proof import Search
-from placement.optimiser.walk import (
-    SetWalk,
-    TieSearch,
-    best_of_tied,
-    can_walk,
-    widest_poses,
-)
+from placement.optimiser.walk import SetWalk, TieSearch, best_of_tied, can_walk
 from scenarios.aeb import load_aeb_rule
-from scenarios.runs import FrameAxis
-
-ANY_PROBLEM = st.from_type(PlacementProblem)
 
 
-def all_sets(reduced: ReducedProblem, n_units: int) -> IntArray:
-    numbers = np.array(
-        list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64
-    )
-    return numbers[are_allowed(reduced.limits, numbers.reshape(-1, n_units))]
-
-
-def as_tuples(sets: IntArray) -> list[tuple[int, ...]]:
+def as_tuples(sets):
     return sorted(tuple(sorted(units)) for units in sets.tolist())
 
 
-@given(problem=ANY_PROBLEM, n_failures=st.integers(0, 2), place=st.floats(0.0, 1.0))
-def test_a_walk_meets_every_set_that_meets_its_needs(
-    problem: PlacementProblem, n_failures: int, place: float
-) -> None:
+@given(problem=problems(), n_failures=st.integers(0, 2), place=st.floats(0.0, 1.0))
+def test_a_walk_meets_every_set_that_meets_its_needs(problem, n_failures, place):
     reduced = presolve(problem)
     n_units = reduced.limits.max_units
     if n_units < 2 or not len(reduced.weight) or reduced.n_poses < n_units:
         return
-    sets = all_sets(reduced, n_units)
+    sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
@@ -67,8 +47,10 @@ def test_a_walk_meets_every_set_that_meets_its_needs(
     walk = SetWalk(reduced, root, need=need, n_failures=n_failures, left=left_need)
     met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
     meets = (share >= need - 1e-9) & ((n_failures == 0) | (left >= left_need - 1e-9))
+
     assert walk.is_finished
     assert root.limit >= share.max() - 1e-9
+
     if meets.any():
         limit = failure_limit(root, n_failures, need)
         assert limit >= (left if n_failures else share)[meets].max() - 1e-9
@@ -80,9 +62,7 @@ def test_a_walk_meets_every_set_that_meets_its_needs(
 
 
 @given(problem=questions())
-def test_a_walk_with_forced_poses_meets_every_allowed_set(
-    problem: PlacementProblem,
-) -> None:
+def test_a_walk_with_forced_poses_meets_every_allowed_set(problem):
     plain = replace(problem.limits, budget_eur=None, rivals=None, is_forced_site=None)
     reduced = presolve(
         replace(problem, limits=plain, floors=(), goal="best", survive=0, tail=1.0)
@@ -90,22 +70,23 @@ def test_a_walk_with_forced_poses_meets_every_allowed_set(
     n_units = reduced.limits.max_units
     if not can_walk(reduced):
         return
-    sets = all_sets(reduced, n_units)
+    sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
     need = float(np.median(share))
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
+
     assert root.limit >= share.max() - 1e-9
+
     walk = SetWalk(reduced, root, need=need)
     met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
+
     assert walk.is_finished
     assert as_tuples(met) == as_tuples(sets[share >= need - 1e-9])
 
 
-def tie_search(
-    reduced: ReducedProblem, units: IntArray, n_failures: int, *, ahead: float = 0.0
-) -> TieSearch:
+def tie_search(reduced, units, n_failures, *, ahead=0.0):
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
     limit = Search(reduced).limit
     return TieSearch(
@@ -124,16 +105,14 @@ def tie_search(
 
 
 @given(problem=questions(), ahead=st.sampled_from([0.0, 0.01, 0.3]))
-def test_the_best_of_the_tied_sets_is_the_best_of_all(
-    problem: PlacementProblem, ahead: float
-) -> None:
+def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
     limits = replace(problem.limits, is_forced=None)
     reduced = presolve(
         replace(problem, limits=limits, floors=(), goal="best", tail=1.0)
     )
     if not can_walk(reduced):
         return
-    sizes = [all_sets(reduced, n) for n in range(1, reduced.limits.max_units + 1)]
+    sizes = [allowed_sets(reduced, n) for n in range(1, reduced.limits.max_units + 1)]
     sizes = [sets for sets in sizes if len(sets)]
     if not sizes or sizes[-1].shape[1] < reduced.limits.max_units:
         return
@@ -145,36 +124,33 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(
         row = value[value.best_row()]
         if row.exceeds(best):
             best = row
+
     n_failures = reduced.survive
     tied = tie_search(reduced, sizes[-1][0], n_failures, ahead=ahead).find(NEVER)
+
     assert tied.is_finished
     assert tied.sets is not None
+
     contenders = best_of_tied(
         reduced, tied.sets, n_failures=n_failures, value=tied.value
     )
     found = contenders.best()
+
     assert found is not None
     np.testing.assert_allclose(
         set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9
     )
 
 
-def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost() -> None:
+def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost():
     """Better sets were met while only a step more was asked for, and not kept as
     ties.
     """
-    axis = FrameAxis(
-        **{
-            "run_ids": ("0", "1", "2"),
-            "cases": ("CPNA-50",) * 3,
-            "approaches": ("north",) * 3,
-        },
-        **{"weathers": ("day",) * 3, "positions": ("0",) * 3},
-        vut_speed_kmh=np.full(3, 30.0),
+    axis = axis_of_runs(
+        [0, 8, 14, 20],
+        0.1 * np.array([*range(-7, 1), *range(-5, 1), *range(-5, 1)]),
+        [-0.125, -0.01, -0.125],
         weight=np.array([2.0, 1.0, 3.0]) / 6.0,
-        last_brake_time_s=np.array([-0.125, -0.01, -0.125]),
-        run_start=np.array([0, 8, 14, 20]),
-        time_s=0.1 * np.array([*range(-7, 1), *range(-5, 1), *range(-5, 1)]),
     )
     seen = [
         [159, 108, 11],
@@ -198,46 +174,21 @@ def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost() -> None:
         sample_index=np.array([0, 1, 1]),
     )
     check = test_the_best_of_the_tied_sets_is_the_best_of_all
-    check.hypothesis.inner_test(problem=problem, ahead=0.3)  # type: ignore[attr-defined]
+    check.hypothesis.inner_test(problem=problem, ahead=0.3)
 
 
-@given(problem=ANY_PROBLEM)
-def test_a_walk_without_time_proves_nothing_but_its_limit(
-    problem: PlacementProblem,
-) -> None:
+@given(problem=problems())
+def test_a_walk_without_time_proves_nothing_but_its_limit(problem):
     reduced = presolve(problem)
     if not can_walk(reduced):
         return
-    sets = all_sets(reduced, reduced.limits.max_units)
+    sets = allowed_sets(reduced, reduced.limits.max_units)
     if not len(sets):
         return
     shares = union_apr(reduced, unions_of(reduced, sets))
     tied = tie_search(reduced, sets[0], 0).find(Deadline(-np.inf))
+
     assert not tied.is_finished
     assert tied.sets is None
     assert tied.value == pytest.approx(shares[0])
     assert tied.limit >= shares.max() - 1e-9
-
-
-@given(data=st.data(), n_poses=st.integers(1, 12), n_rows=st.integers(1, 10))
-def test_every_pose_covers_no_more_than_the_widest_of_its_class(
-    data: st.DataObject, n_poses: int, n_rows: int
-) -> None:
-    bits = data.draw(
-        st.lists(st.booleans(), min_size=n_poses * n_rows, max_size=n_poses * n_rows)
-    )
-    places = data.draw(st.lists(st.integers(0, 2), min_size=n_poses, max_size=n_poses))
-    can = data.draw(st.lists(st.booleans(), min_size=n_poses, max_size=n_poses))
-    rows = np.array(bits).reshape(n_poses, n_rows)
-    site = np.array(places)
-    widest, class_of = widest_poses(rows, site, np.array(can))
-    np.testing.assert_array_equal(class_of >= 0, can)
-    np.testing.assert_array_equal(class_of[widest], np.arange(len(widest)))
-    for pose in np.flatnonzero(can):
-        of_class = widest[class_of[pose]]
-        assert site[of_class] == site[pose]
-        assert not (rows[pose] & ~rows[of_class]).any()
-    for one, other in combinations(widest, 2):
-        if site[one] == site[other]:
-            assert (rows[one] & ~rows[other]).any()
-            assert (rows[other] & ~rows[one]).any()

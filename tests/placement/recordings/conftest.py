@@ -1,8 +1,6 @@
 """Recordings written by hand, line by line."""
 
-from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import pytest
 
@@ -15,21 +13,21 @@ class Folder:
 
     files: dict[str, str] = field(default_factory=dict)
 
-    def add(self, name: str, line: str) -> None:
+    def add(self, name, line):
         self.files[name] = self.files.get(name, "") + line + "\n"
 
     def drive(
         self,
-        scenario: int,
-        first: int,
+        scenario,
+        first,
         *,
-        speeds: tuple[float, float],
-        closing: float,
-        n_frames: int,
-        detected: Mapping[str, Iterable[int]],
-        actor: str = "pedestrian",
-        resets: int = 0,
-    ) -> int:
+        speeds,
+        closing,
+        n_frames,
+        detected,
+        actor="pedestrian",
+        resets=0,
+    ):
         """A drive that ends 2 m apart; `detected`: per unit, frames before the impact.
 
         Every unit has a label of the VRU in every frame. Returns the next free frame
@@ -49,9 +47,10 @@ class Folder:
                 self.add(f"{unit}/{name}", f"{actor} {BOX} 20.0")
                 if index < n_frames and before in frames:
                     self.add(f"Eval/{name}", f"{unit} {actor} {BOX} 0.9")
+
         return first + n_frames + resets
 
-    def write(self, folder: Path) -> Path:
+    def write(self, folder):
         for name, text in self.files.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(text, encoding="utf-8")
@@ -59,7 +58,7 @@ class Folder:
 
 
 @pytest.fixture
-def small() -> Folder:
+def small():
     """Two drives of a pedestrian by two units and the car; see test_evaluate.py for the
     numbers.
     """
@@ -86,5 +85,5 @@ def small() -> Folder:
 
 
 @pytest.fixture
-def new_folder() -> Callable[[], Folder]:
+def new_folder():
     return Folder

@@ -47,6 +47,7 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
     # late. Car: none.
     result = judge(small)
     axis = result.axis
+
     assert axis.run_ids == ("recording/3/36", "recording/3/54")
     assert axis.cases == ("scenario-3-pedestrian",) * 2
     assert (axis.approaches, axis.weathers) == (("recorded",) * 2, ("recorded",) * 2)
@@ -57,16 +58,17 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
     )
     assert axis.run_start.tolist() == [0, 12, 28]
     assert axis.time_s[[0, 11, 12, 27]] == pytest.approx([-1.1, 0.0, -1.5, 0.0])
-    outcomes = {
-        "0": [False, True],
-        "1": [False, False],
-    }
+
+    outcomes = {"0": [False, True], "1": [False, False]}
     for unit, is_avoided in outcomes.items():
         assert result.units[unit].is_avoided.tolist() == is_avoided
+
     assert result.rsu_all.is_avoided.tolist() == [True, True]
     assert result.vut.is_avoided.tolist() == [True, False]
     assert result.vut_and_rsus.is_avoided.tolist() == [True, True]
+
     aprs = [apr(v, axis) for v in (*result.units.values(), result.rsu_all, result.vut)]
+
     assert aprs == [0.5, 0.0, 1.0, 0.5]
     assert [
         int(v.detected.sum()) for v in (*result.units.values(), result.rsu_all)
@@ -86,6 +88,7 @@ def test_a_cyclist_ahead_leaves_the_time_that_shedding_the_closing_speed_takes(
             new_folder, {"0": frames}, speeds=(10.0, 4.0), closing=6.0, actor="bycicle"
         )
         result = judge(folder)
+
         assert result.axis.cases == ("scenario-3-bicycle",)
         assert result.axis.last_brake_time_s == pytest.approx([-6.0 / 15.44])
         assert result.units["0"].is_avoided.tolist() == [is_avoided]
@@ -108,15 +111,18 @@ def test_confirmation_latency_and_braking_are_those_asked_for(
 ):
     folder = _one_drive(new_folder, {"0": (9, 8, 7)}).write(tmp_path)
     result = evaluate_recording(read_recording(folder), replace(rule, **changes))
+
     assert result.units["0"].is_avoided.tolist() == [is_avoided]
 
 
 def test_a_missing_frame_is_not_detected_and_breaks_a_row(new_folder, judge):
     folder = _one_drive(new_folder, {"0": (10, 9, 8, 7)})
     assert judge(folder).units["0"].confirmation_time_s == pytest.approx([-0.8])
+
     del folder.files["WorldData/3_2.txt"]  # 9 frames before the impact
     folder.files["Eval/3_2.txt"] += f"0 pedestrian {BOX} 1"
     result = judge(folder)
+
     assert np.isinf(result.units["0"].confirmation_time_s).all()
     assert result.axis.n_frames == 12
 
@@ -145,6 +151,7 @@ def test_a_detection_is_of_the_vrus_class_and_overlaps_its_label_by_more_than_ha
 ):
     folder = _one_drive(new_folder, {"0": ()})
     folder.files["Eval/3_4.txt"] = f"0 {found}\n0 pedestrian 900 900 940 1000 0.9"
+
     assert judge(folder).units["0"].detected.tolist() == [
         is_detected and frame == 4 for frame in range(12)
     ]
@@ -156,6 +163,7 @@ def test_a_cyclist_may_be_found_as_bicycle_or_as_rider(new_folder, judge, word):
         new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=10.0, actor="bycicle"
     )
     folder.files["Eval/3_4.txt"] = f"0 {word} {BOX} 0.9"
+
     assert judge(folder).units["0"].detected.sum() == 1
 
 
@@ -165,6 +173,7 @@ def test_a_riders_own_label_does_not_count(new_folder, judge):
     )
     folder.add("0/3_4.txt", "pedestrian 100 150 140 220 20")
     folder.files["Eval/3_4.txt"] = "0 pedestrian 100 150 140 220 0.9"
+
     assert judge(folder).units["0"].detected.sum() == 0
 
 
@@ -174,6 +183,7 @@ def test_boxes_are_compared_inside_the_image(new_folder, judge):
     folder = _one_drive(new_folder, {"0": ()})
     folder.files["0/3_4.txt"] = "pedestrian 1900 1000 2000 1400 5"
     folder.files["Eval/3_4.txt"] = "0 pedestrian 1900 1000 1920 1080 0.9"
+
     assert judge(folder).units["0"].detected.sum() == 1
 
 
@@ -199,6 +209,7 @@ def test_of_several_pedestrians_a_roadside_unit_must_detect_each(new_folder, jud
     folder.add("0/3_4.txt", f"pedestrian {other} 5")
     folder.add("Eval/3_4.txt", f"0 pedestrian {other} 0.9")
     result = judge(folder)
+
     assert result.units["0"].detected.nonzero()[0].tolist() == [4]
     assert result.n_ambiguous == 2
 
@@ -214,6 +225,7 @@ def test_of_several_pedestrians_the_vuts_is_the_one_at_the_recorded_distance(
             f"pedestrian {BOX} {near_m}\npedestrian {other} {far_m}\n"
         )
         result = judge(folder)
+
         assert result.vut.detected.sum() == n_detected
         assert result.n_ambiguous == 0
 
@@ -225,6 +237,7 @@ def test_a_vru_that_nobody_ever_sees_is_a_drive_that_is_not_avoided(new_folder, 
         for name, text in folder.files.items()
     }
     result = judge(folder)
+
     assert result.axis.cases == ("scenario-3-unseen",)
     assert not result.rsu_all.detected.any()
     assert not result.rsu_all.is_avoided.any()
@@ -250,6 +263,7 @@ def test_a_speed_that_is_driven_again_gets_a_number(new_folder, judge):
     folder.drive(
         7, number, speeds=(10.0, 1.5), closing=10.0, n_frames=12, detected={"0": ()}
     )
+
     assert judge(folder).axis.run_ids == ("recording/7/36", "recording/7/36/2")
 
 
@@ -258,6 +272,7 @@ def test_some_units_are_judged_as_if_only_they_were_recorded(
 ):
     everything = judge(small)
     some = take_units(everything, ["1"], rule)
+
     assert list(some.units) == ["1"]
     assert np.array_equal(some.rsu_all.detected, everything.units["1"].detected)
     assert some.vut_and_rsus.is_avoided.tolist() == [True, False]
@@ -267,6 +282,7 @@ def test_some_units_are_judged_as_if_only_they_were_recorded(
 def test_the_detection_table_has_a_row_per_unit(small, judge):
     result = judge(small)
     table = recorded_table(result)
+
     assert table.pose_ids == ("0", "1")
     assert np.array_equal(
         table.detected([0, 1]), [result.units[unit].detected for unit in ("0", "1")]
@@ -276,4 +292,5 @@ def test_the_detection_table_has_a_row_per_unit(small, judge):
 def test_who_goes_the_vuts_way_is_told(new_folder, tmp_path):
     folder = _one_drive(new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=6.0)
     (drive,) = read_recording(folder.write(tmp_path)).drives
+
     assert is_longitudinal(drive)

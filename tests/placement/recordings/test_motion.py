@@ -50,6 +50,7 @@ def test_braking_sheds_the_closing_speed_behind_a_cyclist_else_all_speed():
         )
         for same in (False, True)
     ]
+
     assert times == pytest.approx([-10.0 / 15.44, -6.0 / 15.44], abs=1e-12)
 
 

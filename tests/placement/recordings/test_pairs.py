@@ -43,6 +43,7 @@ B = (30.0, 10.0, 70.0, 110.0)
 
 def test_what_one_nearer_box_covers_is_hidden():
     given_ = annotated((0, 1, A), (0, 2, B), (1, 1, A))
+
     # B is nearer: it covers 10 x 90 of A's 40 x 100 px.
     assert seen_shares(given_).tolist() == pytest.approx([1 - 900 / 4000, 1.0, 1.0])
 
@@ -57,11 +58,14 @@ def test_each_box_finds_one_person_and_weak_ones_none():
     pairs = pair_boxes(
         given_, found((0, A, 0.9), (2, B, 0.4)), classes=PERSON, min_score=0.5
     )
+
     assert [len(one.found_px) for one in pairs.pictures] == [1, 0, 0]
     assert pairs.label_index.tolist() == [0, 1, 2]
+
     seen, alarms = gather_sightings(
         pairs.pictures, n_confirmations=3, frame_rate_hz=7.0
     )
+
     assert seen.is_found.tolist() == [True, False, False]
     assert (seen.track.tolist(), seen.frame.tolist()) == ([0, 1, 1], [0, 0, 2])
     assert (alarms.pictures, alarms.alarms) == (3, 0)
@@ -73,6 +77,7 @@ def test_boxes_in_regions_to_ignore_are_no_false_alarms():
     detected = found((0, far, 0.9), (0, (800.0, 0.0, 840.0, 100.0), 0.9))
     pairs = pair_boxes(given_, detected, classes=PERSON, min_score=0.5)
     _, alarms = gather_sightings(pairs.pictures, n_confirmations=3, frame_rate_hz=7.0)
+
     assert alarms.alarms == 1
 
 
@@ -82,12 +87,15 @@ def test_files_that_do_not_belong_together_are_told():
         InputError, match=r"d: got frames up to 50; expected up to 0, as in a.txt"
     ):
         pair_boxes(given_, found((50, A, 0.9)), classes=PERSON, min_score=0.5)
+
     many = annotated(*((frame, 1, A) for frame in range(0, 100, 5)))
     every = found(*((frame, A, 0.9) for frame in range(100)))
+
     with pytest.raises(
         InputError, match=r"d: got a frame in 1; expected one in 5, as in a.txt"
     ):
         pair_boxes(many, every, classes=PERSON, min_score=0.5)
+
     with pytest.raises(
         InputError, match=r"a.txt: got nobody; expected boxes with an id of cycl"
     ):
@@ -108,6 +116,7 @@ def test_frames_to_confirm_are_those_that_a_search_counts(rows, n):
     is_found = np.array([row[1] for row in rows])
     frame = np.cumsum([1 + row[2] for row in rows])  # some frames are missing
     waits = frames_to_confirm(is_found, track, frame, n_confirmations=n)
+
     for start, wait in enumerate(waits.tolist()):
         on = {
             int(f)
@@ -125,9 +134,9 @@ def test_a_share_counts_tracks_and_is_never_surer_than_wilson():
     wide = share_by_track(whole, track)
     narrow = share_by_track(independent, track)
     plain = wilson(int(independent.sum()), 1000)
+
     assert narrow.low <= plain.low
     assert narrow.high >= plain.high
     assert narrow.high - narrow.low < 0.08 < 0.2 < wide.high - wide.low
-    assert (
-        share_by_track(whole[:50], track[:50]).low == 0.0
-    )  # one track tells nothing of others
+    # One track tells nothing of others.
+    assert share_by_track(whole[:50], track[:50]).low == 0.0

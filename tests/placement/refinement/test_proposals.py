@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import numbers
+from tiny_worlds import unit_at
 
 from geometry.catalogue import pick_sensor
-from geometry.poses import Pose
 from placement import refinement
-from placement.candidates import CandidateGrid, CandidatePose, build_candidates
+from placement.candidates import CandidateGrid, build_candidates
 from placement.optimiser import Limits
 from placement.refinement import build_places, moved
 
@@ -42,6 +42,7 @@ def test_a_moved_pose_is_at_its_place_and_within_all_ranges(
         places, origin, height_m=height_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg
     )
     grid = places.candidates[origin]
+
     assert (pose.site_id, pose.sensor) == (grid.site_id, grid.sensor)
     assert np.array_equal(pose.pose.position_m[:2], grid.pose.position_m[:2])
     assert pose.pose.position_m[2] == pytest.approx(
@@ -70,14 +71,10 @@ def test_a_pose_of_the_grid_keeps_its_name(places):
 
 
 def test_a_pose_of_no_site_stays_at_its_height(meadow, narrow_camera):
-    drone = CandidatePose(
-        id="drone",
-        site_id="",
-        pose=Pose(position_m=[3.0, 4.0, 30.0], yaw_deg=0.0, pitch_deg=-80.0),
-        sensor=narrow_camera,
-    )
+    drone = unit_at("drone", [3.0, 4.0, 30.0], pitch_deg=-80.0, sensor=narrow_camera)
     places = build_places(meadow.scene, [drone], _limits([drone]))
     pose = moved(places, 0, height_m=20.0, yaw_deg=10.0, pitch_deg=-70.0)
+
     assert pose.pose.position_m.tolist() == [3.0, 4.0, 30.0]
     assert pose.id == "drone/30m/10/-70/narrow"
 
@@ -86,15 +83,15 @@ def test_a_pose_that_hangs_outside_of_its_sites_range_may_stay_there(
     meadow, narrow_camera
 ):
     """An existing unit, 9 m up and half a metre beside a pole for 4 to 8 m."""
-    high = CandidatePose(
-        id="RSU9",
-        site_id="west",
-        pose=Pose(position_m=[0.5, 0.0, 9.0], yaw_deg=0.0, pitch_deg=-10.0),
-        sensor=narrow_camera,
+    high = unit_at(
+        "RSU9", [0.5, 0.0, 9.0], pitch_deg=-10.0, site_id="west", sensor=narrow_camera
     )
     places = build_places(meadow.scene, [high], _limits([high]))
+
     assert places.height_range_m(0) == (4.0, 9.0)
+
     pose = moved(places, 0, height_m=12.0, yaw_deg=0.0, pitch_deg=-10.0)
+
     assert pose.pose.position_m.tolist() == [0.5, 0.0, 9.0]
     assert pose.id == "RSU9/9m/0/-10/narrow"
 
@@ -112,7 +109,9 @@ def test_nothing_is_moved_into_a_wall(narrow_camera):
         scene.triangles[scene.triangle_instance == wall]
     ].reshape(-1, 3)
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+
     assert corners[:, 2].max() > 4.5
+
     site = replace(
         scene.sites[0],
         position_m=[*middle[:2], 0.0],
@@ -127,6 +126,7 @@ def test_nothing_is_moved_into_a_wall(narrow_camera):
     )
     candidates = build_candidates(scene, grid)
     places = build_places(scene, candidates, _limits(candidates))
+
     assert moved(places, 0, height_m=4.1, yaw_deg=0.0, pitch_deg=0.0) is None
     assert moved(places, 0, height_m=1e3, yaw_deg=0.0, pitch_deg=0.0) is not None
 
@@ -146,9 +146,11 @@ def test_a_varifocal_lens_is_set_within_its_range(meadow):
         zoomed = moved(places, 0, **pose, fov_deg=asked)
         assert zoomed.sensor.horizontal_fov_deg == got
         assert zoomed.id.endswith(f"/varifocal-1080p/{got:g}")
+
     zooms = {
         pose.sensor.horizontal_fov_deg for pose in refinement._turned(zoomed, 0, places)
     }
+
     assert max(zooms) == 89.6
     assert min(zooms) < 80.0
 
@@ -164,12 +166,15 @@ def test_a_level_ring_is_tilted_and_never_only_turned(meadow):
     candidates = build_candidates(meadow.scene, grid)
     places = build_places(meadow.scene, candidates, _limits(candidates))
     steps = refinement._turned(candidates[0], 0, places)
+
     assert steps
     assert all(step.pose.pitch_deg != 0.0 for step in steps)
+
     tilted = replace(candidates[0].pose, pitch_deg=-8.0)
     steps = refinement._turned(
         replace(candidates[0], id="tilted", pose=tilted), 0, places
     )
+
     # Eight degrees up it is level again: then it is not turned.
     assert [step.pose.yaw_deg for step in steps if step.pose.pitch_deg == 0.0] == [0.0]
     assert any(

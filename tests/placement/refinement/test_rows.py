@@ -2,16 +2,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiny_worlds import table_of
 
 from geometry.catalogue import pick_sensor
 from geometry.poses import Pose
 from geometry.sensors import with_fov
-from placement import live
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_planning_detector
 from placement.live import LiveTable
-from placement.visibility import build_detection_table
 from scenarios.runs import build_frame_axis
 from scenarios.weights import weight_per_run
 
@@ -33,6 +32,7 @@ def _random_poses(n_poses, seed):
             pitch_deg=rng.uniform(-45.0, 0.0),
         )
         poses.append(CandidatePose(id=str(index), site_id="", pose=pose, sensor=sensor))
+
     return poses
 
 
@@ -56,17 +56,15 @@ def settings(meadow):
 def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
     setting = settings[name]
     poses = _random_poses(36, seed=3)
-    table = build_detection_table(
-        setting.scene,
-        poses,
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-    )
+    table = table_of(setting, poses)
     rows = table.detected(slice(None))
+
     assert rows.any(axis=1).sum() > 8
+
     builder = LiveTable(setting, compute=Compute(workers=2), max_mounts=16)
+
     assert np.array_equal(builder.packed(poses), table.packed)
+
     order = np.random.default_rng(0).permutation(36)
     for part in np.array_split(order, 7):
         assert np.array_equal(
@@ -74,22 +72,12 @@ def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
         )
 
 
-def test_rays_are_cast_once_per_position_however_often_the_direction_changes(meadow):
-    builder = LiveTable(meadow, max_mounts=16)
-    (camera,) = _random_poses(1, seed=0)
-    for yaw_deg in range(0, 360, 30):
-        builder.packed([replace(camera, pose=replace(camera.pose, yaw_deg=yaw_deg))])
-    assert builder.n_casts == 1
-    away = replace(camera.pose, position_m=camera.pose.position_m + [0.0, 0.0, 0.25])
-    builder.packed([replace(camera, pose=away)])
-    assert builder.n_casts == 2
-
-
 def test_another_setting_of_the_lens_needs_no_new_rays_either(meadow):
     builder = LiveTable(meadow, max_mounts=16)
     zoom = _random_poses(2, seed=0)[1]
     for fov_deg in (89.6, 26.2, 50.0):
         builder.packed([replace(zoom, sensor=with_fov(zoom.sensor, fov_deg, "test"))])
+
     assert builder.n_casts == 1
 
 
@@ -101,34 +89,12 @@ def test_a_sensor_that_reaches_farther_gets_its_own_rays(meadow):
     pose = replace(near.pose, position_m=[0.0, 0.0, 5.0], yaw_deg=45.0, pitch_deg=-15.0)
     near = replace(near, pose=pose)
     builder.packed([replace(near, sensor=coarse)])
-    table = build_detection_table(
-        meadow.scene, [near], meadow.runs, meadow.axis, detector=meadow.table_detector
-    )
+    table = table_of(meadow, [near])
+
     assert table.detected([0]).any()
     assert np.array_equal(builder.packed([near]), table.packed)
     assert builder.n_casts == 2
+
     builder.packed([replace(near, sensor=coarse)])
+
     assert builder.n_casts == 2
-
-
-def test_many_positions_are_forgotten_and_cast_again(meadow, monkeypatch):
-    monkeypatch.setattr(live, "MAX_ROWS", 1)
-    (camera,) = _random_poses(1, seed=0)
-    poses = [
-        replace(
-            camera,
-            id=str(i),
-            pose=replace(camera.pose, position_m=[0.0, 0.0, 4.0 + 0.1 * i]),
-        )
-        for i in range(20)
-    ]
-    builder = LiveTable(meadow, compute=Compute(workers=2), max_mounts=16)
-    table = build_detection_table(
-        meadow.scene, poses, meadow.runs, meadow.axis, detector=meadow.table_detector
-    )
-    assert np.array_equal(builder.packed(poses), table.packed)
-    assert builder.n_casts == 20
-    assert np.array_equal(builder.packed(poses[-1:]), table.packed[-1:])
-    assert builder.n_casts == 20
-    assert np.array_equal(builder.packed(poses[:1]), table.packed[:1])
-    assert builder.n_casts == 21

@@ -1,6 +1,3 @@
-from dataclasses import replace
-
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -8,13 +5,7 @@ from problems import problems, questions
 
 from geometry.errors import InputError
 from placement.layout import Certificate, Stage
-from placement.optimiser import (
-    Effort,
-    PlacementValue,
-    is_better,
-    placement_value,
-    solve_placement,
-)
+from placement.optimiser import Effort, is_better, placement_value, solve_placement
 from placement.optimiser.problem import Objective, objective_values
 from placement.refinement import certify, improves
 
@@ -27,6 +18,7 @@ def test_stages_are_those_of_the_certificate_with_the_same_values(problem):
         return
     values = objective_values(problem, solution.pose_index)
     stages = solution.certificate.stages
+
     assert [*values] == [stage.name for stage in stages]
     assert [*values.values()] == pytest.approx(
         [stage.objective for stage in stages], abs=1e-12
@@ -40,6 +32,7 @@ def test_without_further_wishes_a_set_improves_where_its_value_is_better(problem
     one = data.draw(sets)
     other = data.draw(sets)
     values = [placement_value(problem, units) for units in (one, other)]
+
     assert improves(
         objective_values(problem, one), objective_values(problem, other)
     ) == is_better(*values)
@@ -48,10 +41,13 @@ def test_without_further_wishes_a_set_improves_where_its_value_is_better(problem
 def test_units_and_cost_are_the_better_the_smaller():
     few = {Objective.UNITS: 2.0, Objective.APR: 0.5}
     many = {Objective.UNITS: 3.0, Objective.APR: 0.9}
+
     assert improves(few, many)
     assert not improves(many, few)
     assert not improves(few, few)
+
     dear, cheap = ({Objective.COST: cost} for cost in (1500.0, 1499.0))
+
     assert improves(cheap, dear)
     assert not improves(dear, cheap)
     assert not improves({Objective.COST: 1500.0 - 1e-9}, dear)
@@ -77,27 +73,14 @@ def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
         Objective.COST: 2500.0,
     }
     made = certify(values, certificate, "any")
+
     assert made.solver == "any"
     assert [(s.objective, s.bound) for s in made.stages] == [
         (2.0, 2.0),
         (0.6, 0.75),
-        (
-            2.0,
-            2.0,
-        ),  # a bound below what is at hand held for sets worse in the stages before
+        # A bound below what is at hand held for sets worse in the stages before.
+        (2.0, 2.0),
         (2500.0, 2000.0),
     ]
     assert [s.gap for s in made.stages] == pytest.approx([0.0, 0.25, 0.0, 0.2])
     assert {s.seconds for s in made.stages} == {1.5}
-
-
-def test_the_survived_stage_comes_before_the_apr():
-    from hypothesis import find
-
-    problem = find(
-        problems(), lambda p: p.table.n_poses >= 2 and p.limits.max_units >= 2
-    )
-    problem = replace(problem, survive=1)
-    values = objective_values(problem, [0, 1])
-    assert [*values] == ["apr_survived", *PlacementValue._fields]
-    assert np.isfinite([*values.values()]).all()

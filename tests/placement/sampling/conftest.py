@@ -8,44 +8,27 @@ import numpy as np
 import pytest
 from junctions import ARMS, LANE_M, MOUTH_M, build_scene, lanes_of, turned
 from short_runs import cut_run
+from tiny_worlds import setting_of, unit_at
 
-from geometry.poses import Pose
 from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
-from placement.candidates import CandidateGrid, CandidatePose, build_candidates
-from placement.detectors import load_detector, load_planning_detector
+from placement.candidates import CandidateGrid, build_candidates
 from placement.detectors.geometric import GeometricDetector
 from placement.sampling.uncertainty import load_uncertainty
-from placement.setting import Setting
 from scenarios.cases import load_cases
-from scenarios.runs import build_frame_axis, build_runs
-from scenarios.weights import weight_per_run
+from scenarios.runs import build_runs
 
 PARKING_M = 2.6
 _LAST = 41
 
 
-def setting_of(scene, runs, rule, **fields):
-    return Setting(
-        scene=scene,
-        runs=tuple(runs),
-        axis=build_frame_axis(runs, weight_per_run(runs)),
-        rule=rule,
-        **{
-            "detector": load_detector(),
-            "table_detector": load_planning_detector(),
-            **fields,
-        },
-    )
+@pytest.fixture(scope="session")
+def build_setting():
+    return setting_of
 
 
 @pytest.fixture(scope="session")
-def build_setting(rule):
-    return lambda scene, runs, **fields: setting_of(scene, runs, rule, **fields)
-
-
-@pytest.fixture(scope="session")
-def setting(runs, rule):
+def setting(runs):
     """The last four seconds of three runs at two sites of the study's junction."""
     scene = load_study_scene()
     ids = ("CBNA/east/60", "CPNC-50/south/60", "CBLA/east/50")
@@ -53,7 +36,6 @@ def setting(runs, rule):
     return setting_of(
         replace(scene, sites=tuple(site for site in scene.sites if site.id in names)),
         [cut_run(run, slice(-_LAST, None)) for run in runs if run.id in ids],
-        rule,
     )
 
 
@@ -93,6 +75,7 @@ def junction_scene():
                     centreline_m=turned(way, bearing),
                 )
             )
+
     return build_scene(lanes)
 
 
@@ -131,18 +114,10 @@ def standing_still(junction_runs):
 
 
 @pytest.fixture(scope="session")
-def look(camera):
+def look():
     """A camera of no site that looks along a yaw."""
 
-    def build(name, position_m, *, yaw_deg, pitch_deg=0.0, site_id="", sensor=camera):
-        return CandidatePose(
-            id=name,
-            site_id=site_id,
-            pose=Pose(position_m=position_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg),
-            sensor=sensor,
-        )
-
-    return build
+    return unit_at
 
 
 @pytest.fixture(scope="session")

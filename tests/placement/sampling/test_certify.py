@@ -32,6 +32,7 @@ def test_limits_are_those_of_the_formula():
     found = estimate_gap(bounds, aprs)
     most = np.mean(bounds) + student.ppf(0.975, 3) * np.std(bounds, ddof=1) / 2.0
     least = np.mean(aprs) - student.ppf(0.975, 4) * np.std(aprs, ddof=1) / np.sqrt(5.0)
+
     assert found.most.high == pytest.approx(most)
     assert found.least.low == pytest.approx(least)
     assert found.gap == pytest.approx(most - least)
@@ -49,6 +50,7 @@ def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
     """
     n_poses, n_runs, holds = 10, 12, np.zeros(3)
     pairs = np.array(list(combinations(range(n_poses), 2)))
+
     for repetition in range(n_repetitions):
         rng = np.random.default_rng([7, repetition])
         sees = rng.beta(2.0, 1.0, size=(n_poses, n_runs))
@@ -69,6 +71,7 @@ def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
             true.max() <= found.most.high,
             found.least.low <= true[best],
         )
+
     return holds / n_repetitions
 
 
@@ -104,6 +107,7 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
     n_runs = assembly.setting.axis.n_runs
     for number, block in enumerate(found.blocks):
         assert block.first == 3 * number
+
         table = sampled_table(
             assembly.setting,
             assembly.candidates,
@@ -114,10 +118,12 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
         ).table
         part = replace(assembly, known_table=table, n_samples=0)
         values = [_apr(part, rows) for rows in range(len(assembly.candidates))]
+
         assert table.axis.n_runs == 3 * n_runs
         assert block.bound == pytest.approx(max(values))
         assert block.apr == pytest.approx(max(values))
         assert values[block.found[0]] == pytest.approx(max(values))
+
     assert found.pool[0].estimate.mean == max(one.estimate.mean for one in found.pool)
 
 
@@ -160,6 +166,7 @@ def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
         n_samples=8,
         compute=assembly.compute,
     )[0].apr_by_sample
+
     assert found.pool[0].apr_by_sample == pytest.approx(both[:4])
     assert found.judged.apr_by_sample == pytest.approx(both[4:])
     assert found.judged.layout.units == chosen.units
@@ -191,12 +198,15 @@ def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
 
     monkeypatch.setattr(out_of_sample, "look_at_fresh_worlds", refuse)
     again = cached.in_fresh_worlds(layouts, n_worlds=3)
+
     for one, other, third in zip(plain, first, again, strict=True):
         assert one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
         assert one.apr_by_sample.tolist() == third.apr_by_sample.tolist()
         assert one.avoided_share.tolist() == third.avoided_share.tolist()
         assert (one.layout, one.alone) == (third.layout, third.alone)
+
     same, other_worlds, other_losses = others
+
     assert same.apr_by_sample.tolist() == plain[0].apr_by_sample.tolist()
     assert other_worlds.apr_by_sample.tolist() != plain[0].apr_by_sample.tolist()
     assert other_losses.estimate.mean < plain[0].estimate.mean
@@ -209,11 +219,14 @@ def test_what_cannot_be_certified_is_refused(assembly):
         InputError, match="blocks: got 1; expected a whole number, at least 2"
     ):
         certify(assembly, n_blocks=1)
+
     with pytest.raises(
         InputError, match="samples: got 1; expected a whole number, at least 2"
     ):
         certify(replace(assembly, n_samples=1))
+
     aims = replace(assembly, wishes=Wishes(target=0.5))
+
     with pytest.raises(InputError, match="a target, failures or a tail"):
         certify(aims)
 
@@ -237,6 +250,8 @@ SMALL = Question(
 )
 
 
+# Quickly: test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up
+@pytest.mark.long
 def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     monkeypatch.setattr(growing, "N_JUDGED", 6)
     monkeypatch.setattr(pipeline, "N_JUDGED", 6)
@@ -244,13 +259,17 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     found = grow(SMALL, compute=compute)
     growth = found.growth
     last = None
+
     assert growth.stopped in ("same", "no better")
     assert [one.worlds for one in growth.rounds] == [*SIZES[: len(growth.rounds)]]
     assert growth.rounds[-1].worlds == 2 * growth.taken == 2 * found.assembly.n_samples
+
     for one in growth.rounds:
         plan = assemble(replace(SMALL, samples=one.worlds), compute=compute)
         alone = place(plan, asks_worlds=True)  # as if the number had been given
+
         assert one.in_sample == alone.certificate.stages[0].objective
+
         (again,) = out_of_sample_layouts(
             plan.setting,
             [alone.layout],
@@ -259,7 +278,9 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
             first=APART,
             compute=compute,
         )
+
         assert one.mean == pytest.approx(again.estimate.mean)
+
         if one.low is not None:
             gain = again.apr_by_sample - last.apr_by_sample
             reach = student.ppf(0.975, 5) * gain.std(ddof=1) / np.sqrt(6.0)
@@ -270,7 +291,6 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
             assert found.placement.layout.units == alone.layout.units
 
 
-# Quickly: test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat
 @pytest.mark.long
 def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
     monkeypatch.setattr(growing, "N_JUDGED", 3)
@@ -289,6 +309,7 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
     question = replace(SMALL, within="", heights="6.5", yaw_step_deg=120.0)
     growth = grow(question, compute=Compute(workers=2, seed=3)).growth
     first, second = chosen
+
     assert "/" not in first.units[0].id  # one of the grid
     assert first.units[0].pose is not second.units[0].pose
     assert growth.stopped == "same"
@@ -327,12 +348,8 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
 LOW, MIDDLE, HIGH = (
     [level + 0.01 * level * n for n in range(4)] for level in (0.5, 0.6, 0.7)
 )
-MAYBE = [
-    0.45,
-    0.75,
-    0.65,
-    0.55,
-]  # 0 is within t(3) = 3.18 errors of its mean less that of LOW
+# 0 is within t(3) = 3.18 errors of its mean less that of LOW.
+MAYBE = [0.45, 0.75, 0.65, 0.55]
 
 
 @pytest.mark.parametrize(
@@ -341,12 +358,8 @@ MAYBE = [
         ([LOW, MAYBE], 0.0, 1, "no better"),
         ([MIDDLE, LOW], 0.0, 1, "no better"),
         ([LOW, MIDDLE, HIGH, LOW], 0.0, 3, "no better"),
-        (
-            [LOW, MIDDLE, HIGH],
-            200.0,
-            2,
-            "time",
-        ),  # of five times 60 s, 400 s are gone by then
+        # Of five times 60 s, 400 s are gone by then.
+        ([LOW, MIDDLE, HIGH], 200.0, 2, "time"),
     ],
 )
 def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
@@ -358,12 +371,13 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
     assert found.placement.problem.sample_index.max() + 1 == taken
 
 
-# Quickly: test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up
 @pytest.mark.long
 def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
     found = scripted(monkeypatch, [LOW, HIGH], sizes=(1, 2))
     assert (found.growth.taken, found.growth.stopped) == (2, "most")
+
     found = scripted(monkeypatch, [LOW, HIGH], error=InputError("memory", "8", "less"))
+
     assert (found.growth.taken, found.growth.stopped) == (1, "memory")
     with pytest.raises(InputError, match="sites"):
         scripted(monkeypatch, [LOW, HIGH], error=InputError("sites", "8", "less"))
@@ -377,6 +391,7 @@ def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone():
     ):
         with pytest.raises(InputError, match="a target, failures or a tail"):
             grow(replace(SMALL, **asked))
+
     with pytest.raises(
         InputError, match="samples: got 'auto'; expected a number; auto where"
     ):
@@ -392,4 +407,5 @@ def test_a_certificate_shares_no_world_with_how_many_are_enough(assembly, monkey
         lambda plan, **_: seen.append(plan.first_sample) or place(plan),
     )
     grow(SMALL, first=APART, compute=Compute(workers=2, seed=3))
+
     assert set(seen) == {APART}

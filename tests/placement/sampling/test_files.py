@@ -99,7 +99,9 @@ def test_a_file_says_it_all(write):
     assert read.packet_loss == 0.1
     assert not read.draws_detections
     assert (read.traffic.taken_share, read.traffic.along_arm_m) == (0.2, 40.0)
+
     van, tram = read.traffic.vehicles
+
     assert van.actor.name == "parked-van"
     assert (tram.actor.length_m, tram.waiting_share) == (30.0, 0.75)
 
@@ -116,6 +118,7 @@ def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
         (shape,) = kind.actor.shapes
         mesh = trimesh.Trimesh(shape.vertices_m, shape.triangles, process=False)
         size = [kind.actor.length_m, kind.actor.width_m, kind.actor.height_m]
+
         assert mesh.is_watertight
         assert mesh.volume == pytest.approx(np.prod(size))
         assert np.ptp(shape.vertices_m, axis=0) == pytest.approx(size)
@@ -135,14 +138,6 @@ def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
             "mine.toml: mounting.yaw_sd_deg: got nothing; expected a value",
         ),
         (
-            ("yaw_sd_deg = 1", "yaw_sd_deg = -1"),
-            "mine.toml: mounting.yaw_sd_deg: got -1.0; expected 0 to 30 degrees",
-        ),
-        (
-            ("packet_loss = 0.1", "packet_loss = 10"),
-            "mine.toml: messages.packet_loss: got 10.0; expected 0 to 1",
-        ),
-        (
             ("is_drawn = false", "is_drawn = 0"),
             "mine.toml: detector.is_drawn: got 0; expected true or false",
         ),
@@ -154,20 +149,8 @@ def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
             ),
         ),
         (
-            ("taken_share = 0.2", "taken_share = 2"),
-            "mine.toml: traffic.taken_share: got 2.0; expected 0 to 1",
-        ),
-        (
             ('"parked-van"', '"adult"'),
             "mine.toml: vehicles[0].actor: got 'adult'; expected a parked vehicle",
-        ),
-        (
-            ("parked_share = 0\n", "parked_share = -1\n"),
-            "mine.toml: vehicles[1].parked_share: got -1.0; expected 0 to 1",
-        ),
-        (
-            ("length_m = 30", "length_m = 0"),
-            "mine.toml: vehicles[1]: actor tram.length_m: got 0.0; expected > 0 metres",
         ),
         (
             ("waiting_share = 0.25", "waiting_share = 0.5"),
@@ -199,7 +182,9 @@ def test_sections_must_be_sections(write):
     assert (
         str(caught.value) == "mine.toml: mounting: got 3; expected a section [mounting]"
     )
+
     vehicles = WHOLE[WHOLE.index("[[vehicles]]") :]
+
     with pytest.raises(InputError) as caught:
         load_uncertainty(write(vehicles))
     assert (

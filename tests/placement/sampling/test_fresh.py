@@ -68,6 +68,7 @@ def _avoided_by_hand(seen, axis, deadlines_s):
         avoided.append(
             bool(confirmed) and confirmed[0] + 0.025 <= deadlines_s[run] + 1e-9
         )
+
     return np.array(avoided)
 
 
@@ -80,6 +81,7 @@ def test_without_uncertainty_every_world_is_the_plan(setting, layouts):
     seen = plan.detected(slice(None)).any(axis=0)
     avoided = _avoided_by_hand(seen, axis, axis.last_brake_time_s)
     result = out_of_sample(setting, layouts[0], Uncertainty(), n_samples=2)
+
     assert result.apr_by_sample == pytest.approx(np.full(2, axis.weight @ avoided))
     assert result.avoided_share.tolist() == avoided.astype(float).tolist()
     assert avoided.any()
@@ -91,14 +93,18 @@ def test_a_layout_is_worth_in_a_world_what_its_table_says(setting, layouts, judg
     samples = draw_samples(
         setting, both.units, LOSSY, n_samples=12, seed=0, purpose="judge"
     )
+
     for index, sample in enumerate(samples):
         deadlines_s = axis.last_brake_time_s - sample.extra_latency_s
         draws = [
             _avoided_by_hand(table.detected(slice(None)).any(axis=0), axis, deadlines_s)
             for _, table in build_sample_tables([sample], n_draws=N_DRAWS)
         ]
+
         assert len(draws) == N_DRAWS
+
         avoided = np.mean(draws, axis=0)
+
         assert judged[0].apr_by_sample[index] == pytest.approx(axis.weight @ avoided)
 
 
@@ -125,7 +131,9 @@ def test_layouts_are_judged_in_the_same_worlds_alone_or_together(
         )
         assert alone.apr_by_sample.tolist() == together.apr_by_sample.tolist()
         assert alone.layout is layout
+
     both, one, other = judged
+
     # More units never do harm, world by world; two units of one name are not confused.
     assert (
         both.apr_by_sample >= np.maximum(one.apr_by_sample, other.apr_by_sample)
@@ -150,6 +158,7 @@ def test_a_name_is_not_luck(setting, layouts, judged):
         units=tuple(replace(u, id=f"U{n}") for n, u in enumerate(layouts[0].units)),
     )
     again = out_of_sample(setting, renamed, LOSSY, n_samples=12)
+
     assert again.apr_by_sample.tolist() == judged[0].apr_by_sample.tolist()
 
 
@@ -162,6 +171,7 @@ def test_numbers_of_a_judgement_belong_together(setting, judged):
         assert item.worst <= item.cvar(0.25) <= item.cvar(1.0) + 1e-12
         assert item.cvar(1.0) == pytest.approx(item.estimate.mean)
         assert item.estimate.low <= item.estimate.mean <= item.estimate.high
+
     assert len({item.estimate.mean for item in judged}) > 1
     assert max(np.ptp(item.apr_by_sample) for item in judged) > 0.0
     assert repr(judged[0]).startswith("SampledApr('both': 0.")
@@ -177,6 +187,7 @@ def test_another_seed_is_another_judgement(setting, layouts, judged):
 def test_alone_a_unit_confirms_no_more_than_all_together(setting, layouts, judged):
     single = out_of_sample(setting, layouts[0], LOSSY, n_samples=12, fusion="single")
     one, other = judged[1:]
+
     assert (single.apr_by_sample <= judged[0].apr_by_sample + 1e-12).all()
     assert (
         single.apr_by_sample >= np.maximum(one.apr_by_sample, other.apr_by_sample)
@@ -189,6 +200,7 @@ def test_a_units_own_latency_counts(setting, layouts):
         layouts[1], units=tuple(replace(u, latency_s=60.0) for u in layouts[1].units)
     )
     result = out_of_sample(setting, slow, Uncertainty(), n_samples=1)
+
     assert result.estimate.mean == 0.0
 
 
@@ -198,6 +210,7 @@ def test_cars_that_see_are_judged_without_units_too(setting, layouts):
     slow = replace(
         layouts[1], units=tuple(replace(u, latency_s=60.0) for u in layouts[1].units)
     )
+
     for uncertainty in (LOSSY, dirty):
         judged = out_of_sample_layouts(
             seeing, [layouts[1], slow], uncertainty, n_samples=3
@@ -206,6 +219,7 @@ def test_cars_that_see_are_judged_without_units_too(setting, layouts):
             pytest.approx(judged[1].estimate.mean)
         ] * 2
         assert judged[0].alone <= judged[0].estimate.mean
+
     assert out_of_sample(setting, layouts[1], LOSSY, n_samples=1).alone == 0.0
 
 
@@ -215,6 +229,7 @@ def test_a_share_of_cars_that_see_is_the_weighted_sum_of_both(setting, layouts):
         for cars in (0.0, 0.25, 1.0)
     )
     assert see.apr_by_sample.sum() > blind.apr_by_sample.sum()
+
     for name in ("apr_by_sample", "avoided_share", "alone"):
         expected = 0.25 * getattr(see, name) + 0.75 * getattr(blind, name)
         assert getattr(mixed, name) == pytest.approx(expected)
@@ -229,6 +244,7 @@ def test_progress_counts_worlds(setting, layouts):
         n_samples=2,
         compute=Compute(progress=lambda *call: calls.append(call)),
     )
+
     assert calls == [("out of sample", done, 2) for done in (0, 1, 2)]
 
 
@@ -253,5 +269,6 @@ def test_the_evaluator_takes_a_sampled_world_as_it_is(setting, layouts, default)
     lossless = replace(sample.setting, radio=setting.radio)
     by_table = _table(replace(sample, setting=lossless), seed=0).detected([0])[0]
     agreement = (evaluation.units[units[0].id].detected == by_table).mean()
+
     assert agreement >= 0.95
     assert by_table.any()

@@ -72,17 +72,22 @@ def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
     values = values_of(asked(greedy=0))
     greedy = int(np.argmin(values))
     found = place(asked(greedy=greedy), asks_worlds=True)
+
     assert values[before.pose_index[0]] == max(values)
     assert found.pose_index == (greedy,)
     assert [one.layout.name for one in found.preferred] == ["greedy", "found"]
+
     stage, *others = found.certificate.stages
+
     assert stage.objective == pytest.approx(values[greedy])
     assert stage.bound == pytest.approx(max(values))
     assert not found.is_proven
+
     for one, other in zip(others, before.certificate.stages[1:], strict=True):
         assert one.name == other.name
         is_cost = one.name == "cost_eur"
         assert (one.bound <= one.objective) if is_cost else (one.bound >= one.objective)
+
     assert found.layout.units[0].pose == asked(greedy=0).candidates[greedy].pose
     assert found.nominal.table.n_poses == 1
 
@@ -105,6 +110,7 @@ def test_what_was_found_stays_where_worlds_do_not_prefer_another(
     plain = place(asked(greedy=last, **changed))
     found = asked(greedy=last, **changed)
     found = place(found, asks_worlds=True)
+
     assert found.pose_index == plain.pose_index
     assert [stage.bound for stage in found.certificate.stages] == [
         stage.bound for stage in plain.certificate.stages
@@ -127,11 +133,14 @@ def test_the_plan_is_overruled_where_it_cannot_tell_or_detections_are_drawn(
         row for row, value in enumerate(values) if value == values[best] and row != best
     ]
     worse = [row for row, value in enumerate(values) if value < values[best] - 1e-6]
+
     for row, is_taken in ((as_good[0], True), (worse[0], takes_worse)):
         found = place(asked(greedy=row, **asked_of), asks_worlds=True)
         assert found.pose_index == ((row,) if is_taken else (best,))
         assert (found.preferred is not None) == is_taken
+
         stage = found.certificate.stages[0]
+
         assert stage.bound == pytest.approx(values[best])
         assert stage.objective == pytest.approx(values[found.pose_index[0]])
 
@@ -148,7 +157,9 @@ def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
     highest = max(values.values())
     lowest = min(values.values())
     lost = highest - lowest
+
     assert lost > 0.01
+
     greedy = min(pairs, key=values.__getitem__)
     monkeypatch.setattr(pipeline, "solve_greedy", lambda problem, reduced: greedy)
     if loses == "little":
@@ -159,10 +170,14 @@ def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
     found = place(plan, asks_worlds=True)
     if place(plan).pose_index == greedy:
         pytest.fail("the worst pair bears failures best: nothing is compared")
+
     assert found.pose_index == greedy
     assert (found.highest is None) == (loses == "much")
+
     stage = {one.name: one for one in found.certificate.stages}["apr"]
+
     assert stage.objective == pytest.approx(lowest)
     assert stage.bound >= lowest
+
     if loses == "much":
         assert stage.bound == pytest.approx(highest)

@@ -10,8 +10,6 @@ from geometry.actors import PlacedActor, pick_actor
 from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
-from placement.compute import Compute
-from placement.sampling.tables import sampled_table
 from placement.sampling.uncertainty import (
     MeasuredPeople,
     RoadUsers,
@@ -68,7 +66,9 @@ def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
         speed_mps = case.vru_speed_kmh * MPS_PER_KMH
         changed = change_motion(run, rule, speed_mps=speed_mps)
         n = min(len(anew.time_s), len(changed.time_s))
+
         np.testing.assert_allclose(anew.time_s[-n:], changed.time_s[-n:], atol=1e-9)
+
         for body in ("vut", "vru"):
             # The planned VUT sets off no earlier, and before that it stands.
             motions = [
@@ -83,11 +83,14 @@ def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
                     getattr(one, name)[-n:][moves] for one in (changed, anew)
                 )
                 np.testing.assert_allclose(found, expected, atol=2e-5, err_msg=run.id)
+
         np.testing.assert_array_equal(changed.vru_shape[-n:], anew.vru_shape[-n:])
         assert changed.last_brake_time_s == pytest.approx(
             anew.last_brake_time_s, abs=1e-5
         )
+
         n_compared += 1
+
     assert n_compared >= 5
 
 
@@ -100,6 +103,7 @@ def test_the_impact_stays_where_and_when_it_was(laid, rule):
         for run, other in zip(laid, drawn, strict=True):
             assert other.time_s is run.time_s
             assert first_contact_s(other.encounter) == pytest.approx(0.0, abs=1e-6)
+
             for body in ("vut_motion", "vru_motion"):
                 motions = [getattr(one.encounter, body) for one in (run, other)]
                 (there, yaw), (here, turned) = (
@@ -111,6 +115,7 @@ def test_the_impact_stays_where_and_when_it_was(laid, rule):
             offsets = np.abs(
                 other.vru_position_m[:, None] - _dense(run.encounter.vru_motion)[None]
             ).sum(axis=2)
+
             assert offsets.min(axis=1).max() < 0.02
 
 
@@ -126,11 +131,14 @@ def test_a_nearer_start_is_nearer_by_its_share(laid, rule):
         lengths = [
             float(one.encounter.vru_motion.distance_m(0.0)) for one in (run, nearer)
         ]
+
         assert lengths[1] == pytest.approx(0.75 * lengths[0], abs=1e-6)
         np.testing.assert_allclose(
             nearer.vru_position_m[-1], run.vru_position_m[-1], atol=1e-6
         )
+
         start = run.encounter.vru_motion.path.at(0.25 * lengths[0])[0]
+
         np.testing.assert_allclose(nearer.vru_position_m[0], start, atol=1e-6)
 
 
@@ -147,7 +155,9 @@ def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, a
         if other is None:  # who is followed and turns leaves the VUT's way
             continue
         n_met += 1
+
         assert first_contact_s(other.encounter) == pytest.approx(0.0, abs=1e-6)
+
         path = other.encounter.vru_motion.path
         distances_m = np.linspace(0.0, 20.0, 30)
         whole_m = float(motion.distance_m(0.0))
@@ -158,6 +168,7 @@ def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, a
         shifted_m = there_m + aside_m * np.array([-np.sin(angle), np.cos(angle)])
         planned, planned_yaw = motion.path.at(distances_m)
         positions, yaws = path.at(distances_m)
+
         np.testing.assert_allclose(
             np.hypot(*(positions - shifted_m).T),
             np.hypot(*(planned - there_m).T),
@@ -165,6 +176,7 @@ def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, a
         )
         np.testing.assert_allclose(path.at(whole_m)[0], shifted_m, atol=1e-9)
         np.testing.assert_allclose(yaws - planned_yaw, turn_deg, atol=1e-9)
+
     assert n_met >= 4
 
 
@@ -172,7 +184,7 @@ def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a
     laid, rule
 ):
     turned = {run.case.family: [] for run in laid}
-    for index in range(60):
+    for index in range(25):
         drawn, _ = draw_road_users(laid, ROBUSTNESS, rule, _streams(index).rng, SCENE)
         for run, other in zip(laid, drawn, strict=True):
             motion = other.encounter.vru_motion
@@ -183,18 +195,13 @@ def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a
                 float(motion.path.at(motion.distance_m(0.0))[1] - before)
             )
             assert is_way_free(other.encounter.vru, motion, SCENE, run.obstruction)
+
     for family, angles in turned.items():
         low, high = ROBUSTNESS.heading_deg.get(family, (0.0, 0.0))
-        assert (
-            low - 1.0 <= min(angles) <= max(angles) <= high + 1.0
-        )  # towed bodies turn by themselves
+        # Towed bodies turn by themselves.
+        assert low - 1.0 <= min(angles) <= max(angles) <= high + 1.0
         if high > low:
             assert max(angles) - min(angles) > 0.7 * (high - low)
-
-
-def _heading_deg(run):
-    motion = run.encounter.vru_motion
-    return float(motion.path.at(motion.distance_m(0.0))[1])
 
 
 def test_a_way_through_a_parked_car_is_not_free(laid):
@@ -212,14 +219,6 @@ def test_a_way_through_a_parked_car_is_not_free(laid):
     assert is_way_free(run.encounter.vru, motion, SCENE, parked(east + 30.0))
 
 
-def test_with_the_planned_motion_the_run_is_the_planned_one(laid, rule):
-    for run in laid:
-        same = change_motion(run, rule, speed_mps=run.encounter.vru_motion.speed_mps)
-        np.testing.assert_allclose(same.vru_position_m, run.vru_position_m, atol=1e-6)
-        np.testing.assert_allclose(same.vut_position_m, run.vut_position_m, atol=1e-5)
-        assert same.last_brake_time_s == pytest.approx(run.last_brake_time_s, abs=1e-5)
-
-
 def test_whom_the_vut_does_not_reach_moves_as_planned(laid, rule):
     run = next(run for run in laid if run.case.name == "CBLA-50")
     away = RoadUsers(cyclist_kmh=(0.0, 50.0))
@@ -227,11 +226,14 @@ def test_whom_the_vut_does_not_reach_moves_as_planned(laid, rule):
         draw_road_users([run], away, rule, _streams(index).rng, SCENE)[0][
             0
         ].encounter.vru_motion.speed_mps
-        for index in range(30)
+        for index in range(15)
     ]
+
     assert max(faster) < run.vut_speed_kmh * MPS_PER_KMH
+
     planned = run.encounter.vru_motion.speed_mps
-    assert 0 < faster.count(planned) < 30
+
+    assert 0 < faster.count(planned) < 15
     assert change_motion(run, rule, speed_mps=run.vut_speed_kmh * MPS_PER_KMH) is None
     assert change_motion(run, rule, speed_mps=0.0) is None
 
@@ -239,12 +241,13 @@ def test_whom_the_vut_does_not_reach_moves_as_planned(laid, rule):
 def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
     by_class = {run.encounter.vru.class_name: run for run in laid}
     assert set(by_class) == {"pedestrian", "cyclist", "motorcyclist", "car"}
+
     for name, run in by_class.items():
         low, high = ROBUSTNESS.speed_kmh(name)
         planned = run.encounter.vru_motion
         faster = []
         nearer = []
-        for index in range(120):
+        for index in range(60):
             ((other,), _) = draw_road_users(
                 [run], STRAIGHT, rule, _streams(index).rng, SCENE
             )
@@ -258,7 +261,7 @@ def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
             assert least - 1e-6 <= min(values) <= max(values) <= most + 1e-6
             spread = (most - least) / np.sqrt(12.0)
             assert np.mean(values) == pytest.approx(
-                0.5 * (least + most), abs=4 * spread / 120**0.5
+                0.5 * (least + most), abs=4 * spread / 60**0.5
             )
             assert np.std(values) == pytest.approx(spread, rel=0.2)
 
@@ -269,9 +272,11 @@ def test_the_same_seed_draws_the_same_and_a_run_not_by_the_others(laid, rule):
         return [run.encounter.vru_motion.speed_mps for run in drawn]
 
     first = speeds(laid, _streams())
+
     assert speeds(laid, _streams()) == first
     assert speeds(laid[::-1], _streams())[::-1] == first
     assert speeds(laid[2:3], _streams()) == first[2:3]
+
     for other in (speeds(laid, _streams(index=1)), speeds(laid, _streams(seed=4))):
         assert all(one != another for one, another in zip(first, other, strict=True))
 
@@ -291,10 +296,14 @@ def test_a_run_is_the_same_in_all_weathers(laid, rule):
 def test_off_it_changes_nothing(setting, candidates):
     plain = Uncertainty()
     (sample,) = draw_samples(setting, candidates, plain, n_samples=1, seed=0)
+
     assert sample.setting.runs == setting.runs
+
     default = load_uncertainty("default")
     robust = load_uncertainty("robustness")
+
     assert default.road_users.are_as_planned
+
     for name in ("mounting", "latency", "packet_loss", "draws_detections"):
         assert getattr(robust, name) == getattr(default, name)
 
@@ -307,39 +316,18 @@ def test_worlds_differ_in_what_people_do_and_in_nothing_else(setting, candidates
         assert sample.candidates is sample.planned
         assert sample.setting.axis.run_ids == setting.axis.run_ids
         assert np.array_equal(sample.setting.axis.time_s, setting.axis.time_s)
+
         for run, last_s in zip(
             sample.setting.runs, sample.setting.axis.last_brake_time_s, strict=True
         ):
             assert run.last_brake_time_s == last_s
+
     one, other = (sample.setting.runs for sample in worlds)
+
     assert all(
         not np.allclose(a.vru_position_m, b.vru_position_m)
         for a, b in zip(one, other, strict=True)
     )
-
-
-def test_a_sampled_table_is_that_of_its_worlds_runs(setting, candidates):
-    from placement.visibility import build_detection_table
-
-    uncertain = Uncertainty(road_users=ROBUSTNESS)
-    quiet = Compute(workers=1, seed=2)
-    found = sampled_table(setting, candidates, uncertain, n_samples=2, compute=quiet)
-    for index, sample in enumerate(
-        draw_samples(setting, candidates, uncertain, n_samples=2, seed=2)
-    ):
-        alone = build_detection_table(
-            setting.scene,
-            candidates,
-            sample.setting.runs,
-            setting.axis,
-            detector=setting.table_detector,
-            compute=quiet,
-        )
-        n = setting.axis.n_frames
-        assert np.array_equal(
-            found.table.detected(slice(None))[:, index * n : (index + 1) * n],
-            alone.detected(slice(None)),
-        )
 
 
 # Files
@@ -353,15 +341,6 @@ def test_a_sampled_table_is_that_of_its_worlds_runs(setting, candidates):
             "pedestrian_kmh: got [1.0, 3.0]; expected [low, high] in km",
         ),
         (
-            "pedestrian_kmh = [-2.0]",
-            "pedestrian_kmh: got shape (1,); expected shape (2,)",
-        ),
-        ("pedestrian_kmh = 3", "pedestrian_kmh: got 3; expected a list"),
-        (
-            "walker_kmh = [0, 1]",
-            "road_users: got 'walker_kmh'; expected one of pedestrian_kmh, ",
-        ),
-        (
             "heading_deg = {CPNA = [5, 10]}",
             "heading_deg.CPNA: got [5.0, 10.0]; expected [low, high] in",
         ),
@@ -369,7 +348,6 @@ def test_a_sampled_table_is_that_of_its_worlds_runs(setting, candidates):
             "heading_deg = {CPXY = [0, 10]}",
             "heading_deg: got 'CPXY'; expected one of CBFA, ",
         ),
-        ("path_m = {CBTAns = 3}", "path_m.CBTAns: got 3; expected a list"),
         ("path_m = 3", "path_m: got 3; expected a section"),
         ("start_nearer_share = 1.5", "start_nearer_share: got 1.5; expected 0 to 0.9"),
     ],
@@ -388,6 +366,7 @@ def test_limits_that_cannot_be_are_refused(tmp_path, text, message):
     )
     path = tmp_path / "mine.toml"
     path.write_text(f"[road_users]\n{lines}\n")
+
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
     assert message in str(caught.value)
@@ -397,10 +376,13 @@ def test_a_file_may_take_the_rest_from_a_name(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('as = "robustness"\n[messages]\npacket_loss = 0.2\n')
     mine = load_uncertainty(str(path))
+
     assert mine.road_users == ROBUSTNESS
     assert (mine.packet_loss, mine.name) == (0.2, "mine.toml")
     assert mine.mounting == load_uncertainty("default").mounting
+
     path.write_text('as = "best"\n')
+
     with pytest.raises(
         InputError, match="as: got 'best'; expected one of as-measured, default, "
     ):
@@ -420,11 +402,13 @@ def test_measured_speeds_are_drawn_as_often_as_measured():
     rng = np.random.default_rng(4)
     drawn = np.array([people.draw(rng, 5.0) for _ in range(4000)])
     shares = [0.2, 0.5, 0.7]
+
     for column, values in zip(
         drawn.T, (people.speed_kmh, people.start_mps2), strict=True
     ):
         expected = np.interp(shares, people.probability, values)
         np.testing.assert_allclose(np.quantile(column, shares), expected, atol=0.1)
+
     assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.05
     assert {people.draw(rng, 8.5)[0] for _ in range(20)} == {8.5}
 
@@ -441,14 +425,19 @@ def test_each_run_has_people_of_its_own(laid, rule):
             continue
         speed_kmh = motion.speed_mps / MPS_PER_KMH
         speeds[run.id] = speed_kmh
+
         assert measured.speed_kmh[0] <= speed_kmh <= measured.speed_kmh[-1]
         assert abs(first_contact_s(run.encounter)) < 1e-6
+
         if before.acceleration_distance_m > 0.0:
             start = 0.5 * motion.speed_mps**2 / motion.acceleration_distance_m
             assert measured.start_mps2[0] <= start <= measured.start_mps2[-1]
+
     assert len(speeds) >= 3
     assert len(set(speeds.values())) == len(speeds)
+
     again, _ = draw_road_users(laid, MEASURED, rule, _streams(1).rng, SCENE)
+
     assert [run.encounter.vru_motion.speed_mps for run in again] != [
         run.encounter.vru_motion.speed_mps for run in drawn
     ]
@@ -460,6 +449,7 @@ def test_who_starts_faster_is_at_the_impact_in_the_same_moment(laid, rule):
     quick = change_motion(
         run, rule, speed_mps=speed_mps, start_mps2=2.0
     ).encounter.vru_motion
+
     assert quick.acceleration_distance_m == pytest.approx(speed_mps**2 / 4.0)
     assert quick.acceleration_mps2 == pytest.approx(2.0)
     assert quick.distance_m(0.0) == pytest.approx(
@@ -479,11 +469,6 @@ def test_who_starts_faster_is_at_the_impact_in_the_same_moment(laid, rule):
             "people.pedestrian.speed_kmh: got [5.0]",
         ),
         (
-            "speed_kmh = [5, nan], start_mps2 = [1, 2]",
-            "people.pedestrian.speed_kmh: got [5, nan]",
-        ),
-        ("speed_kmh = [5, 6]", "people.pedestrian"),
-        (
             "pace = [5, 6]",
             "people.pedestrian: got 'pace'; expected one of speed_kmh, start_mps2",
         ),
@@ -492,6 +477,7 @@ def test_who_starts_faster_is_at_the_impact_in_the_same_moment(laid, rule):
 def test_people_that_cannot_be_are_told_in_one_line(tmp_path, text, message):
     path = tmp_path / "own.toml"
     path.write_text(f"[people]\nprobability = [0.1, 0.9]\npedestrian = {{ {text} }}\n")
+
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
     assert message in str(caught.value)

@@ -76,7 +76,9 @@ def test_a_unit_out_of_order_tells_nothing_for_a_run_and_a_pole_silences_all_its
         many, poses, Uncertainty(outages=Outages(unit_share=0.1, pole_share=0.2))
     )
     assert np.array_equal(drawn.all(axis=2), drawn.any(axis=2))  # whole runs
+
     out = ~drawn[:, :, 0]
+
     assert out.mean(axis=1).tolist() == [near(1.0 - 0.9 * 0.8, N_RUNS)] * len(poses)
     # Independent but for the pole: neither, or the pole, or by chance both.
     assert (out[0] & out[1]).mean() == near(0.2 + 0.8 * 0.1**2, N_RUNS)
@@ -88,6 +90,7 @@ def test_outages_are_drawn_anew_each_time_that_a_world_is_looked_at(many, poses)
     first, again, other = (
         told(many, poses, uncertainty, draw=draw) for draw in (0, 0, 1)
     )
+
     assert np.array_equal(first, again)
     assert (first[0, :, 0] == other[0, :, 0]).mean() == near(0.5, N_RUNS)
     assert uncertainty.draws_anew
@@ -99,6 +102,7 @@ def test_poses_that_are_tried_for_one_unit_are_out_of_order_together(many, poses
         replace(poses[0], id="b", pose=replace(poses[0].pose, yaw_deg=30.0)),
     )
     drawn = told(many, twins, Uncertainty(outages=Outages(unit_share=0.5)))
+
     assert np.array_equal(*drawn)
 
 
@@ -108,10 +112,15 @@ def test_poses_that_are_tried_for_one_unit_are_out_of_order_together(many, poses
 def test_a_dirty_camera_sees_nothing_for_a_run_and_a_lidar_does_not_mind(many, poses):
     clean = Uncertainty()
     dirty = Uncertainty(blinding=Blinding(dirty_share=0.3))
+
     assert told(many, poses, clean).all()
+
     drawn = told(many, poses, dirty)
+
     assert np.array_equal(drawn.all(axis=2), drawn.any(axis=2))
+
     seeing = drawn[:, :, 0].mean(axis=1).tolist()
+
     assert seeing.pop(3) == 1.0
     assert seeing == [near(0.7, N_RUNS)] * len(seeing)
     assert not np.array_equal(told(many, poses, dirty, draw=1), drawn)
@@ -124,6 +133,7 @@ def test_low_sun_dazzles_those_who_look_towards_it(many, poses):
     sun = Blinding(low_sun_share=0.5, sun_below_deg=0.0, dazzled_within_deg=40.0)
     dazzled = ~told(many, poses, Uncertainty(blinding=sun))[:, :, 0]
     reach = np.degrees(np.arccos(np.cos(np.radians(40.0)) / np.cos(np.radians(15.0))))
+
     assert dazzled[0].mean() == near(0.5 * reach / 180.0, N_RUNS)
     assert not (dazzled[0] & dazzled[1]).any()  # they look in opposite ways
     assert np.array_equal(dazzled[0], dazzled[2])  # one sun for all
@@ -138,6 +148,7 @@ def test_the_sun_shines_by_day_alone(many, poses):
     by_day, by_night = (
         told(one, poses[:1], Uncertainty(blinding=sun)) for one in (many, nights)
     )
+
     assert not by_day.any()
     assert by_night.all()
 
@@ -154,11 +165,13 @@ def test_the_vut_is_dazzled_by_the_same_sun_and_each_is_another_car(many, poses)
         return blinded_frames(sample).reshape(N_RUNS, N_FRAMES)
 
     assert blinded(dirt)[:, 0].mean() == near(0.3, N_RUNS)
+
     (yaw_deg,) = {run.vut_yaw_deg[0] for run in many.runs}
     level = replace(
         poses[0], pose=replace(poses[0].pose, yaw_deg=yaw_deg, pitch_deg=0.0)
     )
     dazzled = ~told(many, [level], Uncertainty(blinding=sun))[0]
+
     assert np.array_equal(blinded(sun), dazzled)
     assert dazzled.mean() == near(1.0 / 3.0, N_RUNS)
     assert not blinded(sun, replace(many, vut_sensors=("camera", "lidar"))).any()
@@ -175,6 +188,7 @@ def test_single_losses_are_a_coin_per_frame_as_without_bursts():
     lose_frames(run, place, key, 0.3, np.uint64(8), 1.0, packed)
     coins = np.array([int(random_bits(key, int(n))) >> 12 for n in run + place])
     arrived = np.unpackbits(packed, bitorder="little").astype(bool)
+
     assert np.array_equal(arrived, (coins + 0.5) / 2.0**52 >= 0.3)
 
 
@@ -182,17 +196,22 @@ def test_bursts_leave_the_share_of_losses_and_link_consecutive_frames(many, pose
     """The chain's correlation is (1 - 1 / length)^distance."""
     lost = ~told(many, poses, Uncertainty(packet_loss=0.3, burst_frames=3.0))
     assert lost.mean() == pytest.approx(0.3, abs=0.02)
+
     columns = np.corrcoef(lost[0].T)
     apart = np.abs(np.subtract.outer(np.arange(N_FRAMES), np.arange(N_FRAMES)))
+
     assert columns == pytest.approx((2.0 / 3.0) ** apart, abs=0.1)
 
 
 def test_units_of_one_pole_lose_the_same_messages_if_asked_for(many, poses):
     shared = Uncertainty(packet_loss=0.3, burst_frames=2.0, loss_shared_by="pole")
     lost = ~told(many, poses, shared)
+
     assert np.array_equal(lost[0], lost[1])
     assert (lost[0] & lost[2]).mean() == pytest.approx(0.09, abs=0.02)
+
     alone = ~told(many, poses, replace(shared, loss_shared_by="unit"))
+
     assert (alone[0] & alone[1]).mean() == pytest.approx(0.09, abs=0.02)
 
 
@@ -207,6 +226,7 @@ def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
     links = link_frames(numbers)
     limits = np.linspace(-4.0, 4.0, 81)
     below = np.zeros(len(numbers))
+
     for limit in limits:
         packed = np.zeros(-(-len(numbers) // 8), dtype=np.uint8)
         draw_frames(
@@ -222,6 +242,7 @@ def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
             packed,
         )
         below += np.unpackbits(packed, count=len(numbers), bitorder="little")
+
     return (limits[-1] + 0.05 - 0.1 * below).reshape(runs, length)
 
 
@@ -237,17 +258,23 @@ def _lasting(person, unit_person, n=20_000):
 def test_noise_has_the_shares_and_consecutive_frames_the_correlation_of_the_table():
     lasting = _lasting(0.2, 0.3)
     one, other = (_noise(lasting, unit=unit) for unit in (1, 2))
+
     assert one.std() == pytest.approx(1.0, abs=0.03)
+
     changing = 0.2 / 0.5  # of the half that changes, so that all have 0.7
     expected = [1.0, 0.7, 0.5 + 0.5 * changing**2, 0.5 + 0.5 * changing**3]
+
     assert np.corrcoef(one.T)[0] == pytest.approx(expected, abs=0.04)
+
     both = np.corrcoef(one[:, 0], other[:, 3])[0, 1]
+
     assert both == pytest.approx(0.2, abs=0.05)  # the person alone
 
 
 def test_where_all_lasts_a_run_is_one_draw_and_more_than_the_table_is_no_error():
     lasting = _lasting(0.4, 0.6)
     noise = _noise(lasting, unit=1, runs=500)
+
     assert np.ptp(noise, axis=1).max() < 0.11  # one step of the limits
     assert _lasting(0.5, 0.4).frame_correlation(0.7) == 0.0
     assert _lasting(0.0, 0.0).frame_correlation(0.7) == 0.7
@@ -266,8 +293,11 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
     numbers = np.unique(draw_index(setting.runs))
     detector = sample.setting.detector
     noise = detector._noise(numbers, np.random.default_rng(1))
+
     assert noise.tolist() == sample.drawn_detector.lasting.person[numbers].tolist()
+
     starts = np.flatnonzero(np.diff(numbers, prepend=-9) != 1)
+
     assert len(set(noise.tolist())) == len(starts) == len(setting.runs)
     assert chancy.detector.lasting is None
 
@@ -290,11 +320,6 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
             "[messages]\npacket_loss = 0\nshared_by = 'all'",
             "messages.shared_by: got 'all'; expec",
         ),
-        ("[fleet]\nv2x_share = 1.5", "fleet.v2x_share: got 1.5; expected 0 to 1"),
-        (
-            "[detector]\nis_drawn = 1",
-            "detector.is_drawn: got 1; expected true or false",
-        ),
         (
             "[detector]\nis_drawn = true\nperson_share = 0.6\nunit_person_share = 0.5",
             "detector.unit_person_share: got 0.5; expected 0 to 0.4",
@@ -306,6 +331,7 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
 def test_what_cannot_be_names_file_and_field(tmp_path, text, message):
     path = tmp_path / "mine.toml"
     path.write_text(text)
+
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
     assert str(caught.value).startswith(f"{path}: {message}")
@@ -316,5 +342,6 @@ def test_mounting_by_name_is_that_of_the_table(tmp_path):
     path.write_text('as = "default"\nmounting = "calibrated"')
     calibrated = load_uncertainty(str(path))
     by_eye = load_uncertainty()
+
     assert (calibrated.mounting.yaw_sd_deg, by_eye.mounting.yaw_sd_deg) == (0.2, 1.0)
     assert calibrated.outages == by_eye.outages != Outages()

@@ -90,11 +90,14 @@ def test_without_sumo_one_line_says_what_is_missing(monkeypatch):
 def test_every_arm_of_the_studys_junction_has_its_three_turns():
     network = network_of(load_study_scene(), load_demand())
     arms = {"north", "east", "south", "west"}
+
     assert network.n_entry_lanes == dict.fromkeys(["east", "north", "west", "south"], 2)
+
     for arm in arms:
         exits = {turn: set(found) for turn, found in network.ways[arm].items()}
         assert set(exits) == {"left", "straight", "right"}
         assert set.union(*exits.values()) == arms - {arm}
+
     assert 'type="traffic_light"' in network.xml
 
 
@@ -125,16 +128,22 @@ def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(runs):
                     [[tip], points] if end == 0 else [points, [tip]]
                 )
             lines.append(shapely.LineString(points))
+
     to_lane_m = shapely.distance(shapely.MultiLineString(lines), shapely.points(front))
     in_junction = shapely.contains_xy(shapely.Polygon(scene.outline_m), *front.T)
+
     assert len(found.bodies) > 20
     assert in_junction.any()
     assert to_lane_m[~in_junction].max() <= LANE_REACH_M
+
     # They drive the right way: beside the axis on the right, and as fast as they may.
     steps = np.diff(found.position_m, axis=0)[np.diff(vehicle) == 0]
     speed = np.hypot(*steps.T) / 0.1
+
     assert speed.max() < 1.5 * demand.speed_limit_mps
+
     headings = np.column_stack([np.cos(yaw), np.sin(yaw)])[:-1][np.diff(vehicle) == 0]
+
     assert ((steps * headings).sum(axis=1) > -0.05).all()
 
 
@@ -145,6 +154,7 @@ def test_the_same_seed_drives_the_same_traffic_and_another_one_another(runs):
     ids = ("CBLA/east/50", "CBNA/east/60")
     chosen = [lasting(run, 2.0) for run in runs if run.id in ids]
     first, again, other = (drive(scene, demand, chosen, seed) for seed in (1, 1, 2))
+
     assert first.impact_s == again.impact_s
     assert np.array_equal(first.trajectories.position_m, again.trajectories.position_m)
     assert len(first.trajectories.bodies) > 0
@@ -179,7 +189,9 @@ def test_vehicles_behind_the_vut_react_to_it(runs):
     is_late = found.time_s > found.last_s - 60.0
     along_m = (offset @ ahead)[in_lane & is_late]
     behind_m = -along_m[(along_m < 0.0) & (along_m > -12.0)]
+
     assert len(behind_m)  # somebody stands there
+
     vehicle = np.repeat(np.arange(len(found.bodies)), np.diff(found.row_start))
     closest = np.flatnonzero(in_lane & is_late)[(along_m < 0.0) & (along_m > -12.0)]
     gap_m = behind_m - 0.5 * np.array(
@@ -188,6 +200,7 @@ def test_vehicles_behind_the_vut_react_to_it(runs):
             for v in vehicle[closest]
         ]
     )
+
     assert gap_m.min() > 0.0
 
 
@@ -196,6 +209,7 @@ def test_more_vehicles_than_the_lanes_can_take_are_told(runs):
     demand = replace(load_demand(), vehicles_per_hour_per_lane=10_000.0, warm_up_s=20.0)
     run = lasting(next(run for run in runs if run.id == "CBLA/east/50"), 2.0)
     found = drive(load_study_scene(), demand, [run])
+
     assert found.n_departed > 20
     assert found.n_waiting > found.n_departed
 
@@ -205,6 +219,7 @@ def test_a_junction_without_lights_and_with_three_arms_is_driven(actors, rule):
     scene = protocol_scene()
     lanes = tuple(lane for lane in scene.lanes if not lane.id.startswith("north"))
     network = network_of(replace(scene, lanes=lanes), load_demand())
+
     assert set(network.ways) == {"east", "south", "west"}
     assert set(network.ways["east"]) == {"straight", "left"}
     assert 'type="traffic_light"' not in network.xml
@@ -227,6 +242,7 @@ def test_a_pocket_for_turning_is_an_edge_of_its_own():
         - entry.width_m * left,
     )
     network = network_of(replace(scene, lanes=(*scene.lanes, pocket)), load_demand())
+
     assert all(
         edges.startswith("west-in-edge-1 west-in-edge-0 ")
         for exits in network.ways["west"].values()
@@ -254,6 +270,7 @@ def test_lanes_through_the_junction_are_driven_where_the_map_has_them():
         ),
     )
     network = network_of(replace(scene, lanes=(*scene.lanes, through)), load_demand())
+
     assert {turn: set(exits) for turn, exits in network.ways["west"].items()} == {
         "straight": {"east"}
     }
@@ -270,6 +287,7 @@ def test_lanes_that_keep_left_are_driven_on_the_left():
     )
     network = network_of(replace(scene, lanes=mirrored, keeps_left=True), load_demand())
     right = network_of(scene, load_demand())
+
     # In the mirror, north and south change places, and so do left and right.
     assert set(right.ways["west"]["left"]) == {"north"}
     assert set(network.ways["west"]["left"]) == {"north"}
@@ -285,4 +303,5 @@ def test_a_vut_that_comes_from_beyond_the_network_joins_in_when_it_is_there(runs
     scene = load_study_scene()
     demand = replace(load_demand(), warm_up_s=10.0)
     found = drive(scene, demand, [replace(run, vut_position_m=position)])
+
     assert len(found.trajectories.bodies) > 0

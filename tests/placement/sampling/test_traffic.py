@@ -57,11 +57,13 @@ def test_a_full_parking_lane_is_a_row_of_bumpers(junction_scene):
         for v in vehicles
         if v.pose.position_m[0] > MOUTH_M
     )
+
     assert len(vehicles) == 4 * 12
-    expected = [
-        (-beside, MOUTH_M + x, 0.0) for x in ahead
-    ]  # out of the junction: eastwards
+
+    # Out of the junction: eastwards.
+    expected = [(-beside, MOUTH_M + x, 0.0) for x in ahead]
     expected += [(beside, MOUTH_M + x, 180.0) for x in ahead]
+
     assert np.array(on_east_arm) == pytest.approx(np.array(expected), abs=1e-9)
     assert all(
         v.pose.position_m[2] == 0.0 and v.pose.pitch_deg == 0.0 for v in vehicles
@@ -81,6 +83,7 @@ def test_the_share_of_places_taken_is_as_asked(junction_scene):
     n_places = 8 * 10
     counts = [len(street.draw(_rng(index))) for index in range(60)]
     error = np.sqrt(0.3 * 0.7 / (60 * n_places))
+
     assert np.mean(counts) / n_places == pytest.approx(0.3, abs=4.0 * error)
     assert len(set(counts)) > 5
 
@@ -99,6 +102,7 @@ def test_a_queue_begins_at_the_stop_line_and_goes_on_behind(junction_scene):
     found = sorted(
         v.pose.position_m[0] for v in vehicles if v.pose.position_m[0] > MOUTH_M
     )
+
     assert found == pytest.approx(middles.tolist())
     assert {
         round(v.pose.position_m[1], 9) for v in vehicles if v.pose.yaw_deg == 180.0
@@ -117,6 +121,7 @@ def test_queues_are_as_long_as_the_shares_say(junction_scene):
             for x, y, _ in (v.pose.position_m for v in street.draw(_rng(index)))
         )
         lengths.update(arms[arm] for arm in range(4))
+
     total = 4 * 150
     for n, share in ((0, 0.6), (1, 0.4 * 0.5), (2, 0.4 * 0.25)):
         error = np.sqrt(share * (1.0 - share) / total)
@@ -126,15 +131,20 @@ def test_queues_are_as_long_as_the_shares_say(junction_scene):
 def test_the_stop_line_is_at_the_mouth_or_before_the_crosswalk(junction_scene):
     arm = build_junction(junction_scene).arms["east"]
     (lane,) = arm.entry_lanes
+
     assert stop_line_m(arm, lane, 3.0) == pytest.approx(1.0)
     assert stop_line_m(arm, lane, 1.5) == 0.0
+
     outside = replace(
         arm, crosswalk=Line(point_m=np.array([20.0, 0.0]), direction=[0.0, 1.0])
     )
+
     assert stop_line_m(outside, lane, 3.0) == pytest.approx(8.5 + 3.0)
+
     along = replace(
         arm, crosswalk=Line(point_m=np.array([20.0, 0.0]), direction=[1.0, 0.0])
     )
+
     assert stop_line_m(along, lane, 3.0) == 0.0
 
 
@@ -154,7 +164,9 @@ def test_kinds_come_as_often_as_their_shares_say(junction_scene):
         for placed in street.draw(_rng(index)):
             beside_m = np.abs(placed.pose.position_m[:2]).min()
             (waiting if beside_m < 3.5 else parked)[placed.actor.name] += 1
+
     n = parked.total()
+
     assert parked["parked-van"] / n == pytest.approx(
         0.25, abs=4.0 * np.sqrt(0.1875 / n)
     )
@@ -171,8 +183,10 @@ def test_nobody_stands_in_a_wall_or_in_another_one(default):
         for v in build_street(scene, traffic).draw(_rng())
         if v.pose.position_m[0] > MOUTH_M
     ]
+
     assert len(east) == 10  # eleven would fit
     assert all(c[:, 0].max() < 39.85 or c[:, 0].min() > 40.15 for c in east)
+
     street = build_street(load_study_scene(), replace(default.traffic, taken_share=1.0))
     corners = [_corners(v) for v in street.draw(_rng())]
     for i, one in enumerate(corners):
@@ -191,6 +205,7 @@ def test_a_bridge_above_the_roofs_is_in_nobodys_way():
     )
     traffic = _traffic(waiting_share=1.0)
     counts = [len(build_street(s, traffic).draw(_rng())) for s in (scene, lifted)]
+
     assert counts == [3, 4]
 
 
@@ -203,6 +218,7 @@ def test_what_stands_in_one_lane_does_not_depend_on_the_others(default, junction
         {v.key for v in build_street(scene, default.traffic).draw(_rng())}
         for scene in (junction_scene, fewer)
     )
+
     assert three_arms < all_arms
 
 
@@ -236,6 +252,7 @@ def _swept(run, rule):
     stop_m = 0.5 * speed**2 / rule.deceleration_mps2
     vut_m = float(encounter.vut_motion.distance_m(0.0)) + stop_m
     vru_m = float(encounter.vru_motion.distance_m(stop_s))
+
     for body, motion, end_m in (
         (encounter.vut, encounter.vut_motion, vut_m),
         (encounter.vru, encounter.vru_motion, vru_m),
@@ -250,6 +267,7 @@ def test_no_sampled_vehicle_stands_in_a_swept_path(
     many_ways, build_setting, default, rule
 ):
     assert rule.build_up_s == 0.0
+
     setting = build_setting(load_study_scene(), many_ways)
     crowded = replace(
         default,
@@ -262,8 +280,10 @@ def test_no_sampled_vehicle_stands_in_a_swept_path(
         for run, planned in list(zip(sample.setting.runs, many_ways, strict=True))[::2]:
             own, added = np.split(np.array(run.obstruction), [len(planned.obstruction)])
             assert tuple(own) == planned.obstruction
+
             n_standing += len(added)
             n_left_out += len(sample.vehicles) - len(added)
+
             for swept in _swept(run, rule):
                 for placed in added:
                     near = (
@@ -274,9 +294,11 @@ def test_no_sampled_vehicle_stands_in_a_swept_path(
                     assert (
                         apart.min(initial=np.inf) > crowded.traffic.clearance_m - 1e-9
                     )
+
             for placed in added:
                 for other in planned.obstruction:
                     assert footprint_separation(_corners(placed), _corners(other)) > 0.0
+
     assert n_standing > 2 * n_left_out > 50
 
 
@@ -284,7 +306,9 @@ def test_only_what_is_in_the_way_is_left_out(junction_scene, junction_runs, rule
     """Queues on all arms: gone is the one in whose lane the VUT comes."""
     traffic = _traffic(waiting_share=1.0)
     vehicles = build_street(junction_scene, traffic).draw(_rng())
+
     assert len(vehicles) == 4
+
     ways = build_ways(list(junction_runs.values()), rule)
     clear = clear_of_ways(vehicles, ways, clearance_m=0.5)
     directions = {"east": (1, 0), "north": (0, 1), "west": (-1, 0), "south": (0, -1)}
@@ -302,6 +326,7 @@ def test_all_speeds_of_a_case_see_the_same_street(runs, build_setting, default):
         streets.setdefault((run.case.name, run.approach), set()).add(
             tuple(placed.key for placed in run.obstruction)
         )
+
     assert {len(street) for street in streets.values()} == {1}
 
 

@@ -70,10 +70,6 @@ def test_shares_of_a_kind_are_shares(field, value):
             "distribution: got 'normal'; expected one of gamma, uniform",
         ),
         (
-            lambda: LatencyJitter(drawn_per="frame"),
-            "drawn_per: got 'frame'; expected one of run, sample",
-        ),
-        (
             lambda: LatencyJitter(sd_s=0.01),
             "sd_s: got 0.01; expected less spread around a mean of 0 s: none below 0",
         ),
@@ -88,7 +84,6 @@ def test_shares_of_a_kind_are_shares(field, value):
             lambda: LatencyJitter(mean_s=0.01, budget=load_latency_budget("cpm-50ms")),
             "budget: got 'cpm-50ms'; expected no mean_s and sd_s beside it",
         ),
-        (lambda: Uncertainty(packet_loss=1.5), "packet_loss: got 1.5; expected 0 to 1"),
         (
             lambda: Uncertainty(draws_detections=1),
             "draws_detections: got 1; expected true or false",
@@ -102,10 +97,6 @@ def test_shares_of_a_kind_are_shares(field, value):
                 waiting_share=0.5, vehicles=(_kind(waiting=0.4),) * 2
             ),
             "vehicles: waiting_share: got a sum of 0.8; expected shares that sum to 1",
-        ),
-        (
-            lambda: StandingTraffic(free_place_m=0),
-            "free_place_m: got 0; expected metres, more than 0",
         ),
     ],
 )
@@ -126,7 +117,9 @@ def test_by_default_nothing_is_uncertain():
     assert nothing.traffic.is_empty
     assert nothing.packet_loss == 0.0
     assert not nothing.draws_detections
+
     drawn = nothing.latency.draw_s(np.random.default_rng(0), 5, rule_latency_s=0.025)
+
     assert drawn.tolist() == [0.0] * 5
 
 
@@ -144,10 +137,12 @@ def test_latency_has_its_mean_and_deviation_and_is_never_negative(
 ):
     jitter = LatencyJitter(distribution=kind, mean_s=mean_s, sd_s=ratio * mean_s)
     drawn = jitter.draw_s(np.random.default_rng(seed), 4000, rule_latency_s=0.025)
+
     assert drawn.min() >= 0.0
     # Six standard errors of the mean; the deviation's own error is at most some 2 %.
     assert abs(drawn.mean() - mean_s) <= 6.0 * ratio * mean_s / np.sqrt(4000)
     assert drawn.std() == pytest.approx(ratio * mean_s, rel=0.15)
+
     if kind == "uniform":
         assert np.abs(drawn - mean_s).max() <= np.sqrt(3.0) * ratio * mean_s * (
             1.0 + 1e-9
@@ -157,6 +152,7 @@ def test_latency_has_its_mean_and_deviation_and_is_never_negative(
 def test_latency_without_spread_is_its_mean():
     jitter = LatencyJitter(mean_s=0.04)
     drawn = jitter.draw_s(np.random.default_rng(0), 3, rule_latency_s=0.0)
+
     assert drawn.tolist() == [0.04] * 3
 
 
@@ -164,6 +160,7 @@ def test_latency_of_a_sample_is_drawn_once_that_of_a_run_every_time():
     rng = np.random.default_rng(1)
     once = LatencyJitter(mean_s=0.01, sd_s=0.01, drawn_per="sample")
     every = replace(once, drawn_per="run")
+
     assert len(set(once.draw_s(rng, 8, rule_latency_s=0.0).tolist())) == 1
     assert len(set(every.draw_s(rng, 8, rule_latency_s=0.0).tolist())) == 8
 
@@ -173,12 +170,15 @@ def test_a_budget_stands_in_for_the_rules_latency():
     jitter = LatencyJitter(budget=budget)
     drawn = jitter.draw_s(np.random.default_rng(2), 3000, rule_latency_s=0.06)
     total = drawn + 0.06
+
     assert total.min() >= budget.best_s - 1e-12
     assert total.max() <= budget.worst_s + 1e-12
     assert total.mean() == pytest.approx(budget.mean_s, abs=0.004)
     assert drawn.min() < 0.0  # quicker than the rule
+
     study = load_latency_budget("study")
     same = LatencyJitter(budget=study).draw_s(
         np.random.default_rng(2), 3, rule_latency_s=study.mean_s
     )
+
     assert same.tolist() == [0.0] * 3

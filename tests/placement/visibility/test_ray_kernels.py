@@ -67,10 +67,12 @@ def _assert_nothing_is_missed(world, eye, monkeypatch, **options):
         )
         patch.setattr(casting, "AROUND_BODY_M", 1.0e6)
         every, n_every_static, n_every_vut = _sight_and_rays(world, eye, **options)
+
     for field in fields(sight):
         assert np.array_equal(getattr(sight, field.name), getattr(every, field.name)), (
             field.name
         )
+
     return n_static / n_every_static, n_vut / max(n_every_vut, 1)
 
 
@@ -86,6 +88,7 @@ def test_no_ray_is_spared_that_something_stops(
             rng.uniform(-25.0, 25.0, 2), rng.choice([0.0, rng.uniform(0.5, 4.0)])
         )
         boxes.append((corner, corner + rng.uniform(0.05, 4.0, 3)))
+
     van = PlacedActor(
         actor=actors["parked-van"],
         pose=Pose(
@@ -103,6 +106,7 @@ def test_no_ray_is_spared_that_something_stops(
     world = build_world(build_scene(*boxes), runs, n_points=N_POINTS, seed=0)
     eye = np.array([*rng.uniform(-20.0, 20.0, 2), rng.uniform(0.3, 9.0)])
     shares = _assert_nothing_is_missed(world, eye, monkeypatch, for_lidar=for_lidar)
+
     assert shares[0] < 0.8
 
 
@@ -113,6 +117,7 @@ def test_no_ray_is_spared_that_something_stops_at_the_studys_junction(
     scene = load_study_scene()
     world = build_world(scene, study_runs, n_points=N_POINTS, seed=0)
     rng = np.random.default_rng(3)
+
     for site in rng.choice(len(scene.sites), 4, replace=False):
         eye = scene.sites[site].position_m + [0.3, 0.2, 6.0]
         shares = _assert_nothing_is_missed(world, eye, monkeypatch, near_m=0.5)
@@ -131,8 +136,11 @@ def test_from_within_the_box_of_a_parked_body_all_rays_are_cast(
     inside = np.array([0.5, 0.0, 1.2])
     # All of those to the van, none of as many to the empty scene.
     shares = _assert_nothing_is_missed(world, inside, monkeypatch)
+
     assert shares[0] == 0.5
+
     shares = _assert_nothing_is_missed(world, np.array([0.5, 0.0, 6.0]), monkeypatch)
+
     assert shares[0] < 0.5
 
 
@@ -168,6 +176,7 @@ def test_a_point_that_a_triangle_hides_is_never_clear(seed):
     ray_kernels.fill_rays(axes, np.arange(10), asked, eye, rays)
     caster = build_caster(triangles.reshape(-1, 3), np.arange(24).reshape(8, 3))
     blocked = caster.is_blocked(starts, vectors).reshape(10, 80)
+
     assert not (blocked & ~unclear).any()
 
 
@@ -192,10 +201,13 @@ def test_where_nothing_is_nearer_nothing_is_asked():
     find_unclear_points(
         nearest, BodyViews(axes, points, np.zeros(6)), eye, np.arange(6), unclear
     )
+
     assert unclear[:, 0].tolist() == [False, True, False, False, False, True]
+
     # Of all directions it fills the share of a cone of 5.7 degrees, and little more.
     share = np.isfinite(nearest).mean()
     cone = 0.5 * (1.0 - np.sqrt(0.99))
+
     assert cone < share < 3.0 * cone
 
 

@@ -7,7 +7,7 @@ from geometry.actors import load_actors
 from placement.visibility.build import N_POINTS
 from placement.visibility.views import build_surface, farthest_samples
 
-BODIES = (("adult", 0), ("adult", 2), ("child", 3), ("cyclist", 1))
+BODIES = (("child", 3), ("cyclist", 1))
 
 
 @pytest.fixture(scope="module", params=BODIES, ids=str)
@@ -32,6 +32,7 @@ def _distance_m(points, corners):
     foot = points[:, None] - height[..., None] * normal
     is_above = np.ones(height.shape, dtype=bool)
     best = np.full(height.shape, np.inf)
+
     for start, end in ((a, b), (b, c), (c, a)):
         side = end - start
         is_above &= (
@@ -44,12 +45,14 @@ def _distance_m(points, corners):
             best,
             np.linalg.norm(points[:, None] - start - share[..., None] * side, axis=-1),
         )
+
     return np.where(is_above, np.abs(height), best).min(axis=1)
 
 
 def test_points_lie_on_the_mesh(surface):
     shape = _shape(surface)
     assert surface.points_m.shape == (N_POINTS, 3)
+
     corners = shape.vertices_m[shape.triangles]
     for points in np.array_split(surface.points_m, 8):
         assert _distance_m(points, corners).max() < 1e-9
@@ -58,6 +61,7 @@ def test_points_lie_on_the_mesh(surface):
 def test_the_box_around_the_points_is_that_of_the_shape(surface):
     vertices = _shape(surface).vertices_m
     points = surface.points_m
+
     assert np.array_equal(points.min(axis=0), vertices.min(axis=0))
     assert np.array_equal(points.max(axis=0), vertices.max(axis=0))
 
@@ -67,6 +71,7 @@ def test_in_any_direction_the_points_reach_nearly_as_far_as_the_body(surface):
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     body = (_shape(surface).vertices_m @ directions.T).max(axis=0)
     points = (surface.points_m @ directions.T).max(axis=0)
+
     assert (points <= body + 1e-9).all()
     assert (body - points).max() < 0.05
     assert (body - points).mean() < 0.01
@@ -75,16 +80,19 @@ def test_in_any_direction_the_points_reach_nearly_as_far_as_the_body(surface):
 def test_points_are_evenly_spread(surface):
     n_extremes = 26
     assert pdist(surface.points_m[n_extremes:]).min() > 0.05
+
     # A thicker sample of the same surface: nothing is far from a point.
     fine = build_surface(
         surface.actor, surface.shape_index, n_points=4 * N_POINTS, seed=7
     ).points_m
+
     assert cKDTree(surface.points_m).query(fine)[0].max() < 0.12
 
 
 def test_the_seed_decides(surface):
     again = build_surface(surface.actor, surface.shape_index, n_points=N_POINTS, seed=0)
     other = build_surface(surface.actor, surface.shape_index, n_points=N_POINTS, seed=1)
+
     assert np.array_equal(again.points_m, surface.points_m)
     assert not np.array_equal(other.points_m, surface.points_m)
     with pytest.raises(ValueError, match="read-only"):
@@ -107,6 +115,7 @@ def test_the_parts_around_the_points_make_up_the_surface(surface):
     a, b, c = np.moveaxis(_shape(surface).vertices_m[_shape(surface).triangles], 1, 0)
     whole_m2 = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
     parts_m2 = np.linalg.norm(surface.area_m2, axis=1)
+
     assert surface.area_m2.shape == surface.points_m.shape
     assert 0.85 * whole_m2 < parts_m2.sum() <= whole_m2 * (1.0 + 1e-9)
     assert np.linalg.norm(surface.area_m2.sum(axis=0)) < 0.06 * whole_m2
@@ -125,5 +134,6 @@ def test_samples_are_chosen_one_by_one_the_farthest_from_all_before():
         farthest = int(np.argmax(cdist(samples, points).min(axis=1)))
         expected.append(farthest)
         points.append(samples[farthest])
+
     assert farthest_samples(samples, first, 30).tolist() == expected
     assert farthest_samples(samples, first, 0).tolist() == []

@@ -26,6 +26,7 @@ def test_what_is_kept_is_what_was_found_and_nothing_is_found_twice(asked):
         def find(index, eye=eye):
             pairs = {(eye, row) for row in index.tolist()}
             assert not pairs & found
+
             found.update(pairs)
             return _truth(eye)[index]
 
@@ -51,4 +52,5 @@ def test_without_room_nothing_is_kept_and_all_is_found(asked):
     for eye, rows in asked:
         hidden = kept.look(eye, rows, lambda index, eye=eye: _truth(eye)[index])
         assert np.array_equal(hidden, _truth(eye)[rows])
+
     assert len(kept._of_eye) == min(2, len({eye for eye, _ in asked}))
