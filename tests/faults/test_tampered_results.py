@@ -12,6 +12,7 @@ import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -572,7 +573,7 @@ FOUND = {
 
 
 # What the files agree about, so that ``verify`` alone cannot know: how the name of the
-# file begins that ``--deep`` finds to differ when it is made anew, and what was changed.
+# file begins that ``--deep`` finds to differ when made anew, and what was changed.
 DEEP = {
     "runs.parquet": {
         "all runs avoided, everywhere": all_of_all,

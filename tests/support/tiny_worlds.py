@@ -1,4 +1,4 @@
-"""Tiny worlds by hand: scenes of boxes, runs frame by frame, units, settings, tables."""
+"""Tiny worlds by hand: scenes, runs frame by frame, units, settings, tables."""
 
 from collections.abc import Sequence
 from dataclasses import replace

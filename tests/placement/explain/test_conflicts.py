@@ -9,13 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
 
-from placement.explain.conflicts import (
-    DroppableWish,
-    Separation,
-    Wish,
-    find_conflicts,
-    relax,
-)
+from placement.explain.conflicts import Separation, Wish, find_conflicts, relax
 from placement.optimiser import cost_eur, floor_value, is_feasible
 
 
@@ -59,14 +53,7 @@ def sets_of(n):
     )
 
 
-def meets(
-    problem: PlacementProblem,
-    separation: Separation | None,
-    demand: DroppableWish,
-    poses: Poses,
-    *,
-    survives,
-):
+def meets(problem, separation, demand, poses, *, survives):
     """Whether a set of poses meets one demand."""
     limits = problem.limits
     kind = demand.kind
@@ -98,11 +85,7 @@ def meets(
     return True  # "survive" shows in the floors
 
 
-def met_together(
-    problem: PlacementProblem,
-    separation: Separation | None,
-    demands: Iterable[DroppableWish],
-) -> list[Poses]:
+def met_together(problem, separation, demands):
     """All sets of poses that meet some demands, and have what is there already."""
     demands = list(demands)
     survives = any(demand.kind == "survive" for demand in demands)
