@@ -113,10 +113,8 @@ def test_ros_camera_infos_and_transforms_project_as_the_camera_model_does(build)
     assert len({document["camera_name"] for document in documents}) == len(documents)
     for unit, info in zip(cameras_of(layout), documents, strict=True):
         assert info["unit"] == unit.id
-        assert (info["image_width"], info["image_height"]) == (
-            unit.sensor.width_px,
-            unit.sensor.height_px,
-        )
+        assert info["image_width"] == unit.sensor.width_px
+        assert info["image_height"] == unit.sensor.height_px
         assert info["distortion_model"] == "plumb_bob"
         matrices = {}
         for key, shape in (
@@ -214,7 +212,8 @@ def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
         "--format",
     )
     code, out, err = run(*asked, "ros")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     (document,) = yaml.safe_load_all(out)
     assert document["distortion_coefficients"]["data"] == [
         -0.4,
@@ -223,7 +222,8 @@ def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
         0.001,
         -0.6,
     ]
-    assert (document["unit"], document["distortion_model"]) == ("north", "plumb_bob")
+    assert document["unit"] == "north"
+    assert document["distortion_model"] == "plumb_bob"
     (tmp_path / "north.yaml").write_text(run(*asked, "opencv")[1])
     again = run(
         "export", "--calibration", tmp_path / "north.yaml", "--quiet", "--format", "ros"

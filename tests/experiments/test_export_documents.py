@@ -58,7 +58,8 @@ def test_layout_files_are_as_the_schema_says_and_read_back(build, validator, tmp
     path = tmp_path / "layout.json"
     path.write_text(text, encoding="utf-8")
     again = load_layout(path)
-    assert (again.name, again.scene_name) == (layout.name, layout.scene_name)
+    assert again.name == layout.name
+    assert again.scene_name == layout.scene_name
     assert layout_records(again) == layout_records(layout)
     assert [unit.sensor for unit in again.units] == [
         unit.sensor for unit in layout.units
@@ -152,10 +153,8 @@ def stations_of(layout, scene):
 
 def sensors_of(station):
     rsu, information = station["messages"][0]["payload"]["cpmContainers"]
-    assert (rsu, information["containerId"]) == (
-        {"containerId": 2, "containerData": {}},
-        3,
-    )
+    assert rsu == {"containerId": 2, "containerData": {}}
+    assert information["containerId"] == 3
     sensors = information["containerData"]
     assert 1 <= len(sensors) <= 128
     assert [sensor["sensorId"] for sensor in sensors] == list(
@@ -236,7 +235,8 @@ def test_cpm_opens_from_left_to_right_and_from_below_to_above(yaw_deg, pitch_deg
 def test_cpm_by_hand():
     layout = level_layout(90.0, -10.0)  # looks north, 110 degrees wide
     (station,) = stations_of(layout, load_study_scene())
-    assert (station["site"], station["units"]) == ("", ["one"])
+    assert station["site"] == ""
+    assert station["units"] == ["one"]
     (sensor,) = sensors_of(station)
     # 2 atan(tan(55 deg) 1080 / 1920) = 77.56 deg high: -48.8 .. 28.8 deg, tenths
     # rounded up. As far as an adult is 40 px high.
@@ -254,7 +254,8 @@ def test_cpm_by_hand():
     reference = station["messages"][0]["payload"]["managementContainer"][
         "referencePosition"
     ]
-    assert (reference["latitude"], reference["longitude"]) == (490000000, 80000000)
+    assert reference["latitude"] == 490000000
+    assert reference["longitude"] == 80000000
     lidar = stations_of(level_layout(0.0, kind="lidar"), load_study_scene())[0]
     assert sensors_of(lidar)[0]["perceptionRegionShape"]["radial"]["range"] == 2500
 
@@ -271,14 +272,10 @@ def test_cpm_opens_all_but_a_tenth_of_a_turn_where_a_lidar_scans_all_round(
     ring = replace(unit, sensor=load_lidars()["ouster-os1-128"])
     (station,) = stations_of(Layout(name="ring", units=(ring,)), load_study_scene())
     shape = sensors_of(station)[0]["perceptionRegionShape"]["radial"]
-    assert (
-        shape["stationaryHorizontalOpeningAngleStart"],
-        shape["stationaryHorizontalOpeningAngleEnd"],
-    ) == (0, 3599)
-    assert (shape["verticalOpeningAngleStart"], shape["verticalOpeningAngleEnd"]) == (
-        low,
-        high,
-    )
+    assert shape["stationaryHorizontalOpeningAngleStart"] == 0
+    assert shape["stationaryHorizontalOpeningAngleEnd"] == 3599
+    assert shape["verticalOpeningAngleStart"] == low
+    assert shape["verticalOpeningAngleEnd"] == high
     assert shape["range"] == 1200
 
 

@@ -384,11 +384,9 @@ def test_an_actor_may_be_made_by_hand():
         shapes=(shape,),
     )
     assert actor.shapes[0].triangles.dtype == np.int32
-    assert (actor.cycle_m, actor.reference_ahead_m, actor.wheelbase_m) == (
-        0.0,
-        0.0,
-        0.0,
-    )
+    assert actor.cycle_m == 0.0
+    assert actor.reference_ahead_m == 0.0
+    assert actor.wheelbase_m == 0.0
 
 
 # Shapes on disk

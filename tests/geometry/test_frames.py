@@ -62,7 +62,8 @@ def test_a_car_that_drives_south_in_carla_drives_to_minus_north():
 
 def test_pitch_is_kept():
     pose = from_carla_pose(position_m=[0, 0, 7.5], yaw_deg=-138.75, pitch_deg=-26.64)
-    assert (pose.yaw_deg, pose.pitch_deg) == (138.75, -26.64)
+    assert pose.yaw_deg == 138.75
+    assert pose.pitch_deg == -26.64
 
 
 def test_town05_origin_is_8_east_49_north():

@@ -51,21 +51,24 @@ def probability_at(distance_m, lidar=STUDY, **changes):
 
 def test_the_studys_lidar_is_that_of_its_table_of_sensors():
     # CarlaNCAP study, table of sensors.
-    assert (STUDY.horizontal_fov_deg, STUDY.vertical_fov_deg) == (72.0, 30.0)
-    assert (STUDY.n_lines, STUDY.frame_rate_hz, STUDY.range_m) == (52, 10.0, 250.0)
+    assert STUDY.horizontal_fov_deg == 72.0
+    assert STUDY.vertical_fov_deg == 30.0
+    assert STUDY.n_lines == 52
+    assert STUDY.frame_rate_hz == 10.0
+    assert STUDY.range_m == 250.0
     assert STUDY.points_per_second == 90_000.0
     assert STUDY.n_columns == 173  # 9000 points per frame on 52 lines, rounded down
 
 
 def test_the_ring_is_that_of_its_data_sheet():
     # Ouster, OS1, first edition; 1024 of its columns.
-    assert (RING.horizontal_fov_deg, RING.vertical_fov_deg, RING.n_lines) == (
-        360.0,
-        45.0,
-        128,
-    )
-    assert (RING.n_columns, RING.frame_rate_hz) == (1024, 10.0)
-    assert (RING.reference_range_m, RING.reference_reflectivity) == (40.0, 0.1)
+    assert RING.horizontal_fov_deg == 360.0
+    assert RING.vertical_fov_deg == 45.0
+    assert RING.n_lines == 128
+    assert RING.n_columns == 1024
+    assert RING.frame_rate_hz == 10.0
+    assert RING.reference_range_m == 40.0
+    assert RING.reference_reflectivity == 0.1
     # Its two ranges agree with the LiDAR equation: 120 m on 80 %.
     assert probability_at(120.0, RING, reflectivity=0.8) == pytest.approx(
         0.76, abs=0.01

@@ -157,7 +157,8 @@ def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, 
     caster = build_caster(vertices, triangles, library=library)
     origins, vectors = _random_rays(rng, 2000, 60.0)
     share, index = caster.first_triangle(origins, vectors)
-    assert (share.dtype, index.dtype) == (np.float32, np.int64)
+    assert share.dtype == np.float32
+    assert index.dtype == np.int64
     is_hit = np.isfinite(share)
     assert is_hit.any()
     assert np.array_equal(is_hit, index >= 0)

@@ -80,7 +80,8 @@ def test_sites_are_in_the_open_air_at_their_lowest_and_highest(scene):
 def test_lanes_and_outline_are_the_published_ones_flipped_to_the_north(scene):
     lanes = {lane.id: lane for lane in scene.lanes}
     for name, (kind, width_m, points) in GOLDEN_LANES.items():
-        assert (lanes[name].kind, lanes[name].width_m) == (kind, width_m)
+        assert lanes[name].kind == kind
+        assert lanes[name].width_m == width_m
         assert (
             lanes[name].centreline_m.tolist() == (np.array(points) * [1, -1]).tolist()
         )
@@ -337,7 +338,8 @@ def _changed(key, value):
 
 def test_a_scene_is_built_as_its_file_says(tmp_path):
     scene = _load(tmp_path, SMALL)
-    assert (scene.name, scene.crs) == ("small", "EPSG:25832")
+    assert scene.name == "small"
+    assert scene.crs == "EPSG:25832"
     assert [(i.id, i.class_name) for i in scene.instances] == [
         ("ground", "ground"),
         ("house", "building"),

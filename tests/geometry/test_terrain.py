@@ -144,7 +144,8 @@ def test_a_check_on_a_slope_finds_what_does_not_stand_on_it():
         for one in check_scene(replace(scene, sites=(high, *others)))
         if one not in known
     ]
-    assert (found.level, found.what) == ("error", f"site {first.id}")
+    assert found.level == "error"
+    assert found.what == f"site {first.id}"
     assert found.why == "its foot is 1.4 m above the ground"
 
 

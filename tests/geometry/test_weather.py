@@ -53,7 +53,9 @@ def test_the_weathers_are_those_of_the_study_and_fog():
 
 def test_weathers_are_what_they_are_called():
     day, night, rain, fog = load_weathers().values()
-    assert (day.contrast, day.wetness, day.has_lamps) == (1.0, 0.0, False)
+    assert day.contrast == 1.0
+    assert day.wetness == 0.0
+    assert not day.has_lamps
     assert [w.name for w in (day, night, rain, fog) if w.rain_rate_mmph > 0.0] == [
         "rain"
     ]

@@ -323,7 +323,9 @@ def test_collisions_are_read_as_events(
 ):
     files = [({}, vehicles, casualties), ({}, [(CAR, AHEAD, NORTH)], [(1, 3, 1)])]
     first = read_accidents("stats19", stats19(tmp_path, files)).what[0]
-    assert (first.road_user, first.event, first.unused) == (road_user, event, "")
+    assert first.road_user == road_user
+    assert first.event == event
+    assert first.unused == ""
     assert first.light == "day"
 
 

@@ -52,8 +52,10 @@ def test_cases_are_those_of_the_study(
     name, kind, actor, vru_speed_kmh, first_kmh, n_speeds
 ):
     case = cases.load_cases()[name]
-    assert (case.name, case.kind) == (name, kind)
-    assert (case.vru.name, case.vru_speed_kmh) == (actor, vru_speed_kmh)
+    assert case.name == name
+    assert case.kind == kind
+    assert case.vru.name == actor
+    assert case.vru_speed_kmh == vru_speed_kmh
     assert case.vut_speeds_kmh == tuple(
         first_kmh + 5.0 * step for step in range(n_speeds)
     )
@@ -182,10 +184,8 @@ def test_a_case_like_another_says_only_what_differs(monkeypatch):
     assert (
         cases_by_name["Y"].impact_percent == cases_by_name["Z"].impact_percent == 25.0
     )
-    assert (cases_by_name["Z"].title, cases_by_name["Z"].vru) == (
-        "last",
-        cases_by_name["X"].vru,
-    )
+    assert cases_by_name["Z"].title == "last"
+    assert cases_by_name["Z"].vru == cases_by_name["X"].vru
 
 
 @pytest.mark.parametrize(
@@ -241,14 +241,16 @@ def test_own_cases_are_read_from_a_file_and_may_be_like_ours(tmp_path):
     path.write_text(OWN)
     near, far, ours = cases.pick_cases(f"{path},CBLA", "cases")
     like = cases.load_cases()["CPNA-25"]
-    assert (near.name, far.name, ours.name) == ("SCHOOL", "SCHOOL-FAR", "CBLA")
-    assert (near.vru.name, near.vru_speed_kmh, near.vut_speeds_kmh) == (
-        "child",
-        10.0,
-        (30.0, 40.0),
-    )
-    assert (near.impact_percent, near.vru_line) == (like.impact_percent, like.vru_line)
-    assert (near.vru_side, far.vru_side) == ("near", "far")
+    assert near.name == "SCHOOL"
+    assert far.name == "SCHOOL-FAR"
+    assert ours.name == "CBLA"
+    assert near.vru.name == "child"
+    assert near.vru_speed_kmh == 10.0
+    assert near.vut_speeds_kmh == (30.0, 40.0)
+    assert near.impact_percent == like.impact_percent
+    assert near.vru_line == like.vru_line
+    assert near.vru_side == "near"
+    assert far.vru_side == "far"
     assert "SCHOOL" not in cases.load_cases()
 
 
@@ -303,4 +305,5 @@ def test_in_all_a_case_of_2026_drives_what_that_of_2023_does_not():
             continue
         assert speeds.isdisjoint(twin.vut_speeds_kmh)
         assert speeds | set(twin.vut_speeds_kmh) >= set(case.vut_speeds_kmh)
-        assert (case.vru, case.impact_percent) == (twin.vru, twin.impact_percent)
+        assert case.vru == twin.vru
+        assert case.impact_percent == twin.impact_percent

@@ -365,11 +365,9 @@ def test_a_wall_hides_the_studys_cyclist_until_17_m_before_without_published_sta
     staging = stage("CBNA", golf, speed_kmh=40.0)
     (wall,) = staging.obstruction
     length_m, thickness_m, height_m = case.obstruction.wall_size_m
-    assert (wall.actor.length_m, wall.actor.width_m, wall.actor.height_m) == (
-        length_m,
-        thickness_m,
-        height_m,
-    )
+    assert wall.actor.length_m == length_m
+    assert wall.actor.width_m == thickness_m
+    assert wall.actor.height_m == height_m
     # Along the cyclist's way, 1 m beside its box, on the side from which the VUT comes.
     assert wall.pose.position_m[:2] == pytest.approx(
         [0.41 - 0.25 - 1.0 - 0.5 * thickness_m, LANE_Y_M - 17.0 - 0.5 * length_m]

@@ -134,7 +134,8 @@ def test_a_placement_carries_its_parked_bodies_into_every_run(monkeypatch, actor
     assert first.actor is second.actor is actors["parked-car-large"]
     assert first.pose.position_m == pytest.approx([-100.0, 7.0, 0.0])
     assert second.pose.position_m == pytest.approx([-100.0, 8.0 + length_m, 0.0])
-    assert (first.pose.yaw_deg, first.pose.pitch_deg) == (-90.0, 0.0)
+    assert first.pose.yaw_deg == -90.0
+    assert first.pose.pitch_deg == 0.0
     staging = stage_published(placement, vut_speed_kmh=40.0, vut=actors["vut"])
     assert staging.obstruction == (first, second)
 

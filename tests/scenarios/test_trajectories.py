@@ -36,12 +36,10 @@ def refusal(tmp_path, text, name="a.csv", **options):
 def test_a_csv_file_gives_tracks_by_id_whatever_the_order_of_rows(tmp_path):
     rows = sorted(walk("a") + walk("b", "CAR"), key=lambda row: row[1])
     (a, b), n_left_out = read(tmp_path, csv_of(rows))
-    assert (a.id, a.class_name, b.class_name, n_left_out) == (
-        "a",
-        "pedestrian",
-        "vehicle",
-        0,
-    )
+    assert a.id == "a"
+    assert a.class_name == "pedestrian"
+    assert b.class_name == "vehicle"
+    assert n_left_out == 0
     np.testing.assert_allclose(a.position_m, [[0.1 * n, 2.0] for n in range(10)])
     np.testing.assert_array_equal(a.yaw_deg, 90.0)
     np.testing.assert_allclose(
@@ -63,21 +61,25 @@ def test_columns_may_have_other_names_and_one_class(tmp_path):
     text = csv_of(rows, "who,time,east,north")
     names = {"id": "who", "x": "east", "y": "north"}
     ((track,), _) = read(tmp_path, text, columns=names, class_name="cyclist")
-    assert (track.id, track.class_name) == ("p", "cyclist")
+    assert track.id == "p"
+    assert track.class_name == "cyclist"
     assert np.isnan(track.yaw_deg).all()
 
 
 def test_who_is_away_for_a_while_comes_back_as_somebody_else(tmp_path):
     rows = walk(steps=[*range(5), *range(30, 36)])
     (first, second), _ = read(tmp_path, csv_of(rows))
-    assert (first.id, second.id) == ("a.1", "a.2")
-    assert (len(first.time_s), len(second.time_s)) == (5, 6)
+    assert first.id == "a.1"
+    assert second.id == "a.2"
+    assert len(first.time_s) == 5
+    assert len(second.time_s) == 6
 
 
 def test_who_has_another_class_or_is_seen_briefly_is_counted(tmp_path):
     rows = [*walk("a", steps=range(2)), *walk("b", "horse"), *walk("c")]
     (track,), n_left_out = read(tmp_path, csv_of(rows))
-    assert (track.id, n_left_out) == ("c", 2)
+    assert track.id == "c"
+    assert n_left_out == 2
 
 
 @pytest.mark.parametrize(
@@ -187,7 +189,8 @@ def test_commonroad(tmp_path):
         "</dynamicObstacle></commonRoad>"
     )
     ((track,), _) = read(tmp_path, text, "a.xml")
-    assert (track.id, track.class_name) == ("8", "cyclist")
+    assert track.id == "8"
+    assert track.class_name == "cyclist"
     np.testing.assert_allclose(track.time_s, [0.0, 0.2, 0.4])
     np.testing.assert_allclose(track.position_m, [[1.5, 0.0], [1.5, 1.0], [1.5, 2.0]])
     np.testing.assert_allclose(track.yaw_deg, 90.0)
@@ -210,7 +213,9 @@ def test_commonroad_as_real_files_have_it(tmp_path):
         f' timeStepSize="0.2">{text}{obstacle.format("dynamic", way)}</commonRoad>'
     )
     ((track,), n_left_out) = read(tmp_path, text, "a.xml")
-    assert (track.id, track.class_name, n_left_out) == ("8", "cyclist", 0)
+    assert track.id == "8"
+    assert track.class_name == "cyclist"
+    assert n_left_out == 0
     np.testing.assert_allclose(track.position_m, [[1.5, 0.0], [1.5, 1.0], [1.5, 2.0]])
     # At another place at the same time is still a fault of the file.
     elsewhere = text.replace(

@@ -332,11 +332,13 @@ def test_each_foreseen_error_has_its_cause(tmp_path):
     away = osm.write(tmp_path, "away.osm")
     [task] = tasks_of(away)
     answer = city_workers.run_junction(task)
-    assert (answer.record.cause, answer.record.is_final) == ("no lane", True)
+    assert answer.record.cause == "no lane"
+    assert answer.record.is_final
     [task, *_] = tasks_of(write_city(tmp_path))
     slow = replace(task, wishes=replace(task.wishes, time_limit_s=LEAST_S))
     answer = city_workers.run_junction(slow)
-    assert (answer.record.cause, answer.record.is_final) == ("time", False)
+    assert answer.record.cause == "time"
+    assert not answer.record.is_final
     no_arm = replace(task, question=replace(FEW_RUNS, approaches="south-east"))
     assert city_workers.run_junction(no_arm).record.cause == "no run"
 
@@ -612,12 +614,14 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
     tiny, city, never, no_pages
 ):
     result = run(tiny / "tiny.osm", city, budget_eur=10.0)
-    assert (result.units, result.cost_eur) == (0, 0.0)
+    assert result.units == 0
+    assert result.cost_eur == 0.0
     assert result.sentences[0] == "Nothing at 3 junctions for at most 10 EUR."
     assert result.sentences[1].startswith("The cheapest useful choice is 1 sensor at ")
     for nothing in ({"budget_units": 0}, {"budget_eur": 0.0}):
         result = run(tiny / "tiny.osm", city, **nothing)
-        assert (result.units, result.stages[0].objective) == (0, 0.0)
+        assert result.units == 0
+        assert result.stages[0].objective == 0.0
         assert result.stages[0].gap == 0.0
         assert result.sentences[1].startswith(
             "The cheapest useful choice is 1 sensor at "
@@ -687,7 +691,8 @@ def test_what_hangs_there_is_kept_and_paid(tiny, here, tmp_path, no_pages):
         junctions=served["id"],
     )
     [kept] = after.junctions
-    assert (kept.kept, kept.units) == (served["units"], after.units)
+    assert kept.kept == served["units"]
+    assert kept.units == after.units
     assert kept.apr_before == pytest.approx(served["apr"])
     assert after.apr_before == pytest.approx(served["apr"])
     assert after.stages[0].objective >= after.apr_before
@@ -807,7 +812,8 @@ def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
         == "its worker died of more than 1.5 GiB of memory, 3 times: more"
         " --worker-memory, or fewer poses"
     )
-    assert (answer.record.cause, answer.record.is_final) == ("memory", False)
+    assert answer.record.cause == "memory"
+    assert not answer.record.is_final
 
 
 @pytest.mark.long
@@ -896,11 +902,9 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
         (folder / "front.json").read_bytes() == text for folder, text in written.items()
     )
     for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(city), strict=True):
-        assert (mine.key, mine.front, mine.layouts) == (
-            theirs.key,
-            theirs.front,
-            theirs.layouts,
-        )
+        assert mine.key == theirs.key
+        assert mine.front == theirs.front
+        assert mine.layouts == theirs.layouts
 
 
 def test_numbers_of_the_figure_are_those_of_the_result(tiny, city, never, no_pages):

@@ -85,14 +85,16 @@ def assert_refused(result: tuple[int, str, str], message: str) -> None:
 )
 def test_every_help_has_an_example(run, command):
     code, out, err = run(*command, "--help")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert re.search(r"^ +place-rsus " + " ".join(command) + ".* --", out, re.MULTILINE)
     assert max(map(len, out.splitlines())) <= 80
 
 
 def test_version_is_told(run):
     code, out, err = run("--version")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert re.fullmatch(r"place-rsus, version \d+\.\d+\.\d+\n", out)
 
 
@@ -112,7 +114,8 @@ def test_a_budget_that_is_no_whole_number_is_refused(run, value):
 @pytest.mark.parametrize("value", ["57", "1" + 30 * "0"])
 def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
     code, out, err = run("--budget", value)
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert re.fullmatch(
         rf"place-rsus: --budget: got {value}; expected a whole number of units, 1 to"
         r" \d+ "
@@ -220,7 +223,9 @@ def test_a_file_that_is_no_layout_is_refused(run, tmp_path, content, message):
     path = tmp_path / "bad.json"
     path.write_bytes(content)
     code, out, err = run("evaluate", "--layout", path)
-    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert code == 2
+    assert out == ""
+    assert err.count("\n") == 1
     assert err.startswith(f"place-rsus: {path}: got {message}")
 
 
@@ -329,7 +334,8 @@ def test_a_bad_out_is_refused_before_anything_is_computed(run, small_study, tmp_
     message = "got '{0}/file'; expected a folder, not a file"
     for command in (["--budget", 1], ["evaluate", "--layout", "carlancap-12"]):
         code, out, err = run(*command, "--quiet", "--out", tmp_path / "file")
-        assert (code, out) == (2, "")
+        assert code == 2
+        assert out == ""
         assert err == f"place-rsus: --out: {message.format(tmp_path)}\n"
     code, out, err = run(
         "export",
@@ -340,7 +346,8 @@ def test_a_bad_out_is_refused_before_anything_is_computed(run, small_study, tmp_
         "--out",
         tmp_path / "file/x",
     )
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert (
         err == f"place-rsus: --out: got {tmp_path}/file/x: Not a directory; "
         "expected a file that can be written\n"
@@ -361,7 +368,8 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
 ):
     monkeypatch.setattr("placement.memory.machine_bytes", lambda: 2**20)
     code, out, err = run(*command, "--quiet")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert re.fullmatch(
         rf"place-rsus: memory: got [\d,]+ poses x [\d,]+ frames{worlds}, which need 0.4"
         r" GiB, where "
@@ -382,7 +390,8 @@ def test_placement_prints_one_object_and_writes_a_report(
     summary = json.loads(out, parse_constant=pytest.fail)
     assert set(summary) >= KEYS
     assert [list(unit) for unit in summary["layout"]] == [[*UNIT, "kind", "place"]] * 2
-    assert (summary["budget"], summary["fusion"]) == (2, "any")
+    assert summary["budget"] == 2
+    assert summary["fusion"] == "any"
     assert summary["runs"] == len(few_runs.runs)
     assert set(summary["evaluation"]) == {
         "vut",
@@ -435,7 +444,8 @@ def test_placement_prints_one_object_and_writes_a_report(
     # What was written is read again.
     layout = results / "latest/layout.json"
     code, out, err = run("evaluate", "--layout", layout, "--json", "--quiet")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     again = json.loads(out, parse_constant=pytest.fail)
     assert set(again) >= KEYS
     assert again["layout"] == summary["layout"]
@@ -450,7 +460,8 @@ def test_two_calls_give_the_same_but_for_the_time(run, small_study, without_figu
         code, out, err = run(
             "--budget", 1, "--json", "--quiet", "--workers", workers, "--no-cache"
         )
-        assert (code, err) == (0, "")
+        assert code == 0
+        assert err == ""
         summary = json.loads(out)
         for point in (summary, *summary["front"]["points"]):
             for stage in point["stages"]:
@@ -470,7 +481,8 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         ["compare", path, "carlancap-12", "--layout", path],
     ):
         code, short, err = run(*arguments, "--quiet")
-        assert (code, err) == (0, "")
+        assert code == 0
+        assert err == ""
         assert max(map(len, short.splitlines())) <= 100
         assert len(short.splitlines()) <= 40
         code, out, _ = run(*arguments, "--verbose")
@@ -488,7 +500,8 @@ def test_layouts_of_one_name_are_named_by_their_folders(run, small_study, layout
     other.parent.mkdir()
     other.write_bytes(Path(path).read_bytes())
     code, out, err = run("compare", path, other, "--json", "--quiet")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     summary = json.loads(out)
     home = Path(path).resolve().parent.name
     assert [summary["name"], summary["compared"][0]["name"]] == [
@@ -512,11 +525,13 @@ def test_comparison_of_a_layout_with_itself_finds_no_difference(
         "--out",
         "out",
     )
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     summary = json.loads(out, parse_constant=pytest.fail)
     assert set(summary) >= KEYS
     (other,) = summary["compared"]
-    assert (summary["name"], other["name"]) == ("mine", "mine (2)")
+    assert summary["name"] == "mine"
+    assert other["name"] == "mine (2)"
     assert summary["evaluation"] == other["evaluation"]
     assert other["runs_gained"] == other["runs_lost"] == []
     assert "mine (2)" in Path("out/report.html").read_text()
@@ -537,7 +552,8 @@ def test_what_json_lacks_becomes_null(run, monkeypatch):
 
 def test_export_writes_to_stdout_or_to_a_file(run):
     code, text, err = run("export", "--layout", "carlancap-12", "--format", "carla")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert len(json.loads(text)) == 12
     arguments = [
         "export",
@@ -558,7 +574,8 @@ def test_a_full_disk_is_one_line(run, monkeypatch):
         code, _, err = run("export", "--layout", "carlancap-12", "--format", "csv")
         with suppress(OSError):
             full.close()
-    assert (code, err) == (2, "place-rsus: No space left on device\n")
+    assert code == 2
+    assert err == "place-rsus: No space left on device\n"
 
 
 def test_a_reader_that_goes_away_gets_no_traceback():
@@ -571,7 +588,8 @@ def test_a_reader_that_goes_away_gets_no_traceback():
         check=False,
     )
     os.close(writer)
-    assert (done.returncode, done.stderr) == (1, b"")
+    assert done.returncode == 1
+    assert done.stderr == b""
 
 
 # Rays
@@ -586,7 +604,8 @@ def test_open3d_is_asked_for_where_it_cannot_load_in_one_line(
     )
     monkeypatch.setattr("geometry.raycast.open3d_problem", lambda: problem)
     code, out, err = run("evaluate", "--layout", "carlancap-12", "--rays", "open3d")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert f"--rays: got 'open3d'; expected a library that loads: {problem}" in err
 
 
@@ -620,10 +639,12 @@ def test_a_damaged_cache_file_is_made_anew(
     good = np.load(table)["packed"]
     table.write_bytes(b"no table")
     code, _, err = run("--budget", 1)
-    assert (code, err.splitlines()[:3]) == (
-        130,
-        ["setting ...", "detection table ...", "optimise ..."],
-    )
+    assert code == 130
+    assert err.splitlines()[:3] == [
+        "setting ...",
+        "detection table ...",
+        "optimise ...",
+    ]
     (record,) = [r for r in caplog.records if r.name.startswith("placement")]
     assert "\n" not in record.getMessage()
     assert record.getMessage().startswith(
@@ -639,7 +660,8 @@ def test_a_cache_that_cannot_be_written_to_is_done_without(
     monkeypatch.setenv("PLACE_RSUS_CACHE", "file")
     interrupt_at("optimise")
     code, out, err = run("--budget", 1, "--out", "out")  # --quiet also hides warnings
-    assert (code, out) == (130, "")
+    assert code == 130
+    assert out == ""
     assert (
         err.splitlines()[-1]
         == "place-rsus: interrupted in stage 'optimise': nothing was written to out"
@@ -659,7 +681,8 @@ def test_an_interruption_says_what_was_kept_and_leaves_nothing(
         request.getfixturevalue("own_cache")
     interrupt_at(stage)
     code, out, err = run("--budget", 1)
-    assert (code, out) == (130, "")
+    assert code == 130
+    assert out == ""
     kept = "nothing was written to results/latest"
     if stage not in STAGES[:2]:
         kept += "; the detection table is cached for the next call"
@@ -696,7 +719,5 @@ def test_an_interruption_of_an_evaluation_needs_no_folder(
 ):
     interrupt_at("evaluate")
     code, _, err = run("evaluate", "--layout", "carlancap-12", "--quiet")
-    assert (code, err) == (
-        130,
-        "place-rsus: interrupted in stage 'evaluate': nothing was written\n",
-    )
+    assert code == 130
+    assert err == "place-rsus: interrupted in stage 'evaluate': nothing was written\n"

@@ -29,7 +29,8 @@ KEYS = {
 def refusal(result):
     """The one line of a refused call."""
     code, out, err = result
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     (line,) = err.splitlines()
     assert line.startswith("place-rsus: ")
     return line.removeprefix("place-rsus: ")
@@ -37,7 +38,8 @@ def refusal(result):
 
 def test_the_list_as_json_has_one_last_moment_per_speed(run):
     code, out, err = run("scenarios", "list", "--cases", "study", "--json", "--quiet")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     rows = json.loads(out, parse_constant=pytest.fail)
     assert len(rows) == 13 * 4
     for row in rows:
@@ -60,7 +62,8 @@ def test_the_list_fits_a_terminal(run):
         "0",
         "--quiet",
     )
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert max(map(len, out.splitlines())) <= 80
     assert "CBTAns-side" in out
     assert out.splitlines()[-1] == "18 runs of 3 cases"
@@ -116,7 +119,8 @@ def test_a_run_away_from_the_junction_is_shown(run):
         "--quiet",
     )
     code, out, _ = run(*arguments, "--position", "-15", "--out", "away.png")
-    assert (code, out) == (0, "Written to away.png.\n")
+    assert code == 0
+    assert out == "Written to away.png.\n"
     line = refusal(run(*arguments, "--position", "north"))
     assert line.startswith(
         "--position: got 'north'; expected 0, or metres before it such as -15"
@@ -135,7 +139,8 @@ def test_a_run_is_exported_as_openscenario(run):
         "10",
     )
     code, text, err = run(*arguments)
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert '<LogicFile filepath="Town05.xodr"' in text
     assert run(*arguments, "--out", "turn.xosc") == (0, "", "")
     assert Path("turn.xosc").read_text(encoding="utf-8") == text

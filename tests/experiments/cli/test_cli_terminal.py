@@ -103,14 +103,16 @@ def test_a_shell_completes_commands_options_words_and_files():
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_scripts_are_what_their_shell_reads(run, shell):
     code, script, err = run("completion", shell)
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert "_PLACE_RSUS_COMPLETE" in script
     if shutil.which(shell) is None:
         pytest.skip(f"no {shell} here to read it")
     checked = subprocess.run(
         [shell, "-n"], input=script, capture_output=True, text=True
     )
-    assert (checked.returncode, checked.stderr) == (0, "")
+    assert checked.returncode == 0
+    assert checked.stderr == ""
 
 
 @pytest.mark.usefixtures("without_figures", "own_cache")
@@ -139,7 +141,8 @@ def test_logs_go_to_what_is_stderr_at_the_moment(capsys):
 
 def test_quiet_and_verbose_are_one_or_the_other(run):
     code, out, err = run("--budget", 1, "--verbose", "--quiet")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert err == "place-rsus: --quiet, --verbose: got both; expected one of them\n"
     assert not logging.getLogger("placement").isEnabledFor(
         logging.INFO

@@ -104,7 +104,8 @@ def test_traffic_drives_by_in_sampled_worlds(run, small_study, monkeypatch, requ
 )
 def test_what_cannot_be_asked_is_one_clear_line(run, small_study, options, message):
     code, out, err = run("--budget", 1, *options, "--quiet")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert message in err
     assert err.count("\n") == 1
 
@@ -117,6 +118,7 @@ def test_without_sumo_one_line_says_what_is_missing(run, small_study, monkeypatc
         lambda name: None if name == "libsumo" else real(name),
     )
     code, out, err = run("--budget", 1, "--samples", 1, "--traffic", "sumo", "--quiet")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert "pip install place-rsus[traffic]" in err
     assert err.count("\n") == 1

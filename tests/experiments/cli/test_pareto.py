@@ -53,13 +53,12 @@ def test_every_number_of_units_has_a_proven_layout(run_pareto):
     folder.mkdir(parents=True)
     (folder / "notes.txt").write_text("kept")
     code, out, err = run_pareto("--max", 3, "--all-stages", "--out", folder, "--json")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     summary = json.loads(out)
-    assert (summary["by"], summary["optimised"], summary["is_proven"]) == (
-        "units",
-        "all",
-        True,
-    )
+    assert summary["by"] == "units"
+    assert summary["optimised"] == "all"
+    assert summary["is_proven"]
     points = summary["points"]
     assert [point["units"] for point in points] == [1, 2, 3]
     values = [(point["apr"], point["apr_one_failed"]) for point in points]
@@ -95,7 +94,8 @@ def test_money_and_kept_units_and_the_text(run_pareto):
     assert summary["sentences"][0].startswith("Proven: for each sum of money ")
 
     code, out, err = run_pareto("--keep", "carlancap-12", "--max", 1)
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     rows = [line.split() for line in out.splitlines()]
     assert [row[0] for row in rows if row[-1:] == ["proven"]] == ["12", "13"]
     assert max(map(len, out.splitlines())) <= 80
@@ -126,7 +126,8 @@ def test_money_and_kept_units_and_the_text(run_pareto):
 def test_what_cannot_be_is_one_line(run_pareto, arguments, message):
     Path("mine.txt").write_text("a file")
     code, out, err = run_pareto(*arguments)
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert err.startswith(f"place-rsus: {message}")
     assert err.count("\n") == 1
     assert [path.name for path in Path().iterdir()] == ["mine.txt"]
@@ -134,7 +135,8 @@ def test_what_cannot_be_is_one_line(run_pareto, arguments, message):
 
 def test_a_wish_that_cannot_be_met_is_told(run_pareto):
     code, out, err = run_pareto("--budget-cost", 100, "--max", 2)
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert err.startswith(
         "place-rsus: --budget-cost: got 100.0; expected at least 1500.00 EUR"
     )
@@ -142,7 +144,8 @@ def test_a_wish_that_cannot_be_met_is_told(run_pareto):
 
 def test_help_has_an_example_and_is_narrow(run_pareto):
     code, out, err = run_pareto("--help")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert re.search(r"^ +place-rsus pareto .*--max", out, re.MULTILINE)
     assert max(map(len, out.splitlines())) <= 80
     assert "--time-limit" in out

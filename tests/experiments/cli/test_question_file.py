@@ -94,12 +94,14 @@ def test_a_result_is_the_same_from_a_question_file(run, small_study, without_fig
         "out",
     )
     code, first, err = run(*arguments, "--save-question", "question.toml")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert load_question(Path("question.toml")) == Question(budget=1, fusion="single")
     code, again, err = run(
         "--question", "question.toml", "--json", "--quiet", "--out", "out"
     )
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert json.loads(first)["layout"] == json.loads(again)["layout"]
 
 
@@ -129,7 +131,9 @@ def test_a_result_is_the_same_from_a_question_file(run, small_study, without_fig
 def test_a_wrong_file_is_one_line_before_anything_is_done(run, command, text, message):
     Path("question.toml").write_text(text)
     code, out, err = run(*command, "--question", "question.toml")
-    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert code == 2
+    assert out == ""
+    assert err.count("\n") == 1
     assert err.startswith(f"place-rsus: {message}")
 
 
@@ -147,7 +151,8 @@ def test_a_wrong_file_is_one_line_before_anything_is_done(run, command, text, me
 )
 def test_an_option_that_is_gone_is_none(run, option):
     code, out, err = run("--budget", 1, option, "1")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert err.startswith(f"place-rsus: No such option '{option}'.")
 
 

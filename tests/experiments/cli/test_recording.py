@@ -56,7 +56,8 @@ def recording(tmp_path):
 
 def test_a_recording_is_evaluated(run, recording):
     code, out, err = run("evaluate", "--recording", recording, "--json")
-    assert (code, err) == (0, "read recording ...\nevaluate ...\n")
+    assert code == 0
+    assert err == "read recording ...\nevaluate ...\n"
     summary = json.loads(out, parse_constant=pytest.fail)
     assert set(summary) >= KEYS
     evaluation = summary["evaluation"]
@@ -71,7 +72,8 @@ def test_a_recording_is_evaluated(run, recording):
 
 def test_the_best_recorded_unit_is_chosen(run, recording):
     code, out, err = run("--budget", 1, "--recording", recording, "--json", "--quiet")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     summary = json.loads(out, parse_constant=pytest.fail)
     assert set(summary) >= KEYS | {
         "stages",
@@ -81,7 +83,9 @@ def test_the_best_recorded_unit_is_chosen(run, recording):
         "candidates",
     }
     assert summary["layout"] == [{"id": "RSU0", "folder": "0"}]
-    assert (summary["apr"], summary["bound"], summary["gap"]) == (1.0, 1.0, 0.0)
+    assert summary["apr"] == 1.0
+    assert summary["bound"] == 1.0
+    assert summary["gap"] == 0.0
     assert summary["baseline"]["rsu_all"]["all"] == 1.0
     assert list(Path().iterdir()) == []
 
@@ -169,7 +173,9 @@ def test_what_makes_no_sense_beside_a_recording_is_one_line(
     run, recording, arguments, message
 ):
     code, out, err = run(*arguments.split(), "--recording", recording, "--quiet")
-    assert (code, out, err) == (2, "", f"place-rsus: {message}\n")
+    assert code == 2
+    assert out == ""
+    assert err == f"place-rsus: {message}\n"
 
 
 def test_a_confidence_needs_a_recording(run):

@@ -53,7 +53,8 @@ def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
     code, out, err = run_retrofit(
         "--budget-cost", 2100, "--site-cost", 0, "--out", folder, "--json"
     )
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     summary = json.loads(out)
     labour = load_labour()
     before = summary["before"]
@@ -71,7 +72,9 @@ def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
     for change in summary["re_aims"]:
         (action,) = change["actions"]
         moved = {record["id"]: record for record in change["layout"]}[action["unit"]]
-        assert (moved["x_m"], moved["y_m"], moved["z_m"]) == (-115.0, 8.6, 8.0)
+        assert moved["x_m"] == -115.0
+        assert moved["y_m"] == 8.6
+        assert moved["z_m"] == 8.0
         assert change["compared"] == 2 * 4
     addition = summary["addition"]
     combination = summary["combination"]
@@ -102,7 +105,8 @@ def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
 
 def test_the_text_is_narrow_and_has_the_users_price(run_retrofit):
     code, out, err = run_retrofit("--visit-cost", 123)
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert max(map(len, out.splitlines())) <= 80
     assert len(re.findall(r"^ +remove [AB] +123 ", out, re.MULTILINE)) == 2
     words = " ".join(out.split())
@@ -131,7 +135,8 @@ def test_the_text_is_narrow_and_has_the_users_price(run_retrofit):
 def test_what_cannot_be_is_one_line(run_retrofit, arguments, message):
     Path("mine.txt").write_text("a file")
     code, out, err = run_retrofit(*arguments)
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert err.startswith(f"place-rsus: {message}")
     assert err.count("\n") == 1
 

@@ -31,7 +31,8 @@ def test_a_page_for_each_unit(run_sheet, tmp_path):
     layout.write_text(json.dumps({"name": "mine", "layout": [camera, lidar]}))
     out = tmp_path / "new/sheet.pdf"
     code, text, err = run_sheet("--layout", layout, "--out", out, "--json", "--quiet")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     summary = json.loads(text)
     assert [entry["unit_id"] for entry in summary["units"]] == ["a$b_雪", "L"]
     pdf = out.read_bytes()

@@ -72,7 +72,8 @@ def calls(monkeypatch):
 )
 def test_the_solve_command_bounds_the_apr_by_osqp(run, instance, calls, solver):
     code, out, err = run("solve", instance, "--solver", solver, "--json", "--quiet")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     summary = json.loads(out)
     assert sum(calls) > 0
     assert f"OSQP {osqp.__version__}" in summary["solver"]

@@ -62,7 +62,8 @@ def edit(path, change):
 
 def test_what_was_written_is_verified_in_a_line_per_check(run, results):
     code, out, err = run("verify", results, "--quiet")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert max(map(len, out.splitlines())) <= 80 + len(str(results))
     checks = [line for line in out.splitlines() if line.startswith("  OK ")]
     left_out = "Not checked: verdicts, bill, report (--deep), who made it (--key)."
@@ -80,7 +81,8 @@ def test_what_was_written_is_verified_in_a_line_per_check(run, results):
 
 def test_json_says_the_same(run, results):
     code, out, err = run("verify", results, "--json", "--quiet")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     summary = json.loads(out, parse_constant=pytest.fail)
     assert summary["is_verified"]
     assert all(check["passed"] for check in summary["checks"])
@@ -106,13 +108,15 @@ def test_what_was_changed_fails_with_exit_code_1(run, results):
 
     edit(results / "layout.json", move)
     code, out, err = run("verify", results, "--quiet")
-    assert (code, err) == (1, "")
+    assert code == 1
+    assert err == ""
     assert "  FAILED layout file: it does not show the certificate's units" in out
     assert "  FAILED file layout.json: changed, says SHA256SUMS" in out
     assert "  FAILED layout.csv: another layout than layout.json" in out
     assert " checks: 5 FAILED. Not checked: " in out.splitlines()[-1]
     code, out, err = run("verify", results, "--quiet", "--json")
-    assert (code, err) == (1, "")
+    assert code == 1
+    assert err == ""
     assert not json.loads(out)["is_verified"]
 
 
@@ -151,11 +155,13 @@ def test_a_file_that_is_missing_or_damaged_is_named(run, results, name):
     path = results / name
     path.write_bytes(path.read_bytes()[:100])
     code, out, err = run("verify", results, "--quiet")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert err.startswith(f"place-rsus: {path}: got ")
     path.unlink()
     code, out, err = run("verify", results, "--quiet")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert err.startswith(
         f"place-rsus: {path}: got No such file or directory; expected "
     )
@@ -164,7 +170,8 @@ def test_a_file_that_is_missing_or_damaged_is_named(run, results, name):
 def test_a_folder_that_is_none_is_refused(run, tmp_path):
     for folder in (tmp_path / "none", __file__):
         code, out, err = run("verify", folder)
-        assert (code, out) == (2, "")
+        assert code == 2
+        assert out == ""
         assert err.endswith(
             f"{folder}: got no folder; expected a folder with results\n"
         )
@@ -173,7 +180,8 @@ def test_a_folder_that_is_none_is_refused(run, tmp_path):
 def test_a_folder_that_does_not_say_what_was_asked_cannot_be_made_anew(run, results):
     edit(results / "summary.json", lambda d: d.pop("asked"))
     code, out, err = run("verify", results, "--deep", "--quiet")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert "--deep: got " in err
     assert (
         "which does not say what was asked; expected a placement of this version" in err
@@ -186,7 +194,8 @@ def test_a_network_that_a_folder_names_is_not_run(run, results):
         lambda d: d["asked"]["question"].update(detector="x.onnx"),
     )
     code, out, err = run("verify", results, "--deep", "--quiet")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert (
         "summary.json: asked: detector: got 'x.onnx'; expected no network, which is"
         in err

@@ -116,11 +116,9 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
             turn = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
             off_deg = math.degrees(turn) - yaw_deg[frame]
             assert (off_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9)
-            assert (size.x, size.y, size.z) == (
-                body.length_m,
-                body.width_m,
-                body.height_m,
-            )
+            assert size.x == body.length_m
+            assert size.y == body.width_m
+            assert size.z == body.height_m
 
 
 def test_detections_confirmation_and_braking_follow_the_rule(topics, watched):
@@ -212,7 +210,8 @@ def test_pictures_are_what_a_reduced_camera_draws(watched):
     images = found[f"/image/{unit.id}"]
     assert [time_s for time_s, _ in images] == pytest.approx([0.0, 0.1])
     for frame, (_, image) in enumerate(images):
-        assert (image.frame_id, image.format) == (unit.id, "jpeg")
+        assert image.frame_id == unit.id
+        assert image.format == "jpeg"
         shown = np.asarray(Image.open(BytesIO(image.data)), dtype=float)
         weather = pick_weather(few.weather, "weather")
         drawn = draw_picture(

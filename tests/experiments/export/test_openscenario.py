@@ -355,7 +355,9 @@ def test_a_wall_is_an_object_that_is_no_vehicle(some_runs):
     )
     body, box = box_of(root, "obstruction-1")
     assert body.tag == "MiscObject"
-    assert (box["x"], box["z"], box["length"]) == (0.0, 1.1, 20.0)
+    assert box["x"] == 0.0
+    assert box["z"] == 1.1
+    assert box["length"] == 20.0
     np.testing.assert_allclose(
         init_position(root, "obstruction-1")[:2], placed.pose.position_m[:2], atol=1e-6
     )
@@ -402,7 +404,8 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
     root = ET.fromstring(to_openscenario(run, road_network="maps/Town05.xodr"))
     assert root.find("RoadNetwork/LogicFile").get("filepath") == "maps/Town05.xodr"
     header = root.find("FileHeader")
-    assert (header.get("revMajor"), header.get("revMinor")) == ("1", "3")
+    assert header.get("revMajor") == "1"
+    assert header.get("revMinor") == "3"
     assert {p.get("name"): p.get("value") for p in header.iter("Property")} == {
         "run": run.id,
         "case": "CPNCO-50",

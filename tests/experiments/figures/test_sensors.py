@@ -148,7 +148,8 @@ def test_the_player_gets_a_round_sign():
     ring, other = unit_records(
         Layout(name="two", units=(_unit(), camera)), load_study_scene()
     )
-    assert (ring["kind"], other["kind"]) == ("ring", "camera")
+    assert ring["kind"] == "ring"
+    assert other["kind"] == "camera"
     assert "scans all round" in ring["title"]
     assert "scans all round" not in other["title"]
 

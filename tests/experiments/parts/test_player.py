@@ -135,7 +135,8 @@ def test_runs_asked_for_come_first_then_those_not_avoided_each_once(small_settin
         interactive_part(small_setting, {"a": evaluation}, first_runs=[first, first])
     )["runs"]
     assert sorted(run["id"] for run in runs) == sorted(axis.run_ids)
-    assert (runs[0]["id"], runs[0]["group"]) == (first, SHOWN_ABOVE)
+    assert runs[0]["id"] == first
+    assert runs[0]["group"] == SHOWN_ABOVE
     avoided = [
         bool(verdict.is_avoided[axis.run_ids.index(run["id"])]) for run in runs[1:]
     ]
@@ -150,7 +151,8 @@ def test_runs_that_do_not_fit_are_left_out(small_setting, evaluation, monkeypatc
     part = interactive_part(
         small_setting, {"a": evaluation}, first_runs=["CBLA/east/25"]
     )
-    assert (part["n_runs"], part["n_all"]) == (1, evaluation.axis.n_runs)
+    assert part["n_runs"] == 1
+    assert part["n_all"] == evaluation.axis.n_runs
     assert read(part)["runs"][0]["id"] == "CBLA/east/25"
 
 

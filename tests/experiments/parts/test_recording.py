@@ -281,18 +281,15 @@ def test_drives_frames_and_what_was_skipped_are_told(recorded, tmp_path):
         "frames without WorldData": 1,
         "frames between drives (bodies back at their starts)": 150,
     }
-    assert (summary["runs"], summary["weathers"]) == (5, ["recorded"])
+    assert summary["runs"] == 5
+    assert summary["weathers"] == ["recorded"]
     first = summary["drives"][0]
-    assert (first["run"], first["case"], first["motion"]) == (
-        "recording/0/22",
-        "scenario-0-pedestrian",
-        "crossing",
-    )
-    assert (first["first_frame"], first["frames"], first["missing_frames"]) == (
-        0,
-        N_FRAMES,
-        1,
-    )
+    assert first["run"] == "recording/0/22"
+    assert first["case"] == "scenario-0-pedestrian"
+    assert first["motion"] == "crossing"
+    assert first["first_frame"] == 0
+    assert first["frames"] == N_FRAMES
+    assert first["missing_frames"] == 1
     assert first["last_brake_time_s"] == pytest.approx(-6.0 / 15.44)
     assert first["closing_speed_mps"] == pytest.approx(6.0)
 

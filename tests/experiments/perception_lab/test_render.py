@@ -36,14 +36,16 @@ def run_render(run, monkeypatch):
 
 def test_three_images_are_written_and_the_vru_is_told(run_render):
     code, out, err = run_render()
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     stem = "results/renders/CPNC-50_east_40_day_frame-69_RSU3"
     files = [Path(f"{stem}{kind}.png") for kind in ("", "-instances", "-depth")]
     lines = out.splitlines()
     assert lines[:3] == [f"Written to {file}." for file in files]
     colours, instances, depth = (np.array(Image.open(file)) for file in files)
     assert colours.shape == instances.shape == (1080, 1920, 3)
-    assert (depth.shape, depth.dtype) == ((1080, 1920), np.uint16)
+    assert depth.shape == (1080, 1920)
+    assert depth.dtype == np.uint16
     vru = instance_colours(("vru",))[0]
     rows, columns = np.nonzero((instances == vru).all(axis=2))
     assert len(rows) > 100
@@ -59,7 +61,8 @@ def test_three_images_are_written_and_the_vru_is_told(run_render):
 
 def test_the_vut_looks_ahead_and_a_jpeg_is_smaller(run_render):
     code, _, err = run_render(unit="VUT", out="look.jpg", weather="fog", seed="2")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err == ""
     assert Path("look.jpg").read_bytes().startswith(b"\xff\xd8")
     assert Path("look.jpg").stat().st_size < 400_000
     assert Path("look-instances.png").exists()
@@ -112,7 +115,8 @@ def test_the_vut_looks_ahead_and_a_jpeg_is_smaller(run_render):
 )
 def test_what_cannot_be_rendered_is_one_line(run_render, changes, message):
     code, out, err = run_render(**changes)
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     (line,) = err.splitlines()
     assert line.startswith(f"place-rsus: {message}")
     assert list(Path().iterdir()) == []
@@ -120,7 +124,8 @@ def test_what_cannot_be_rendered_is_one_line(run_render, changes, message):
 
 def test_a_folder_that_is_not_there_is_one_line(run_render):
     code, out, err = run_render(out="no/look.png")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert err.startswith(
         "place-rsus: --out: got no/look.png: No such file or directory; expected"
     )

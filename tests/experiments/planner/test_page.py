@@ -412,10 +412,8 @@ def test_an_image_with_its_world_file_lies_at_its_place_and_fades(
         )
         lies = [20.0, 0.0, 0.0, -20.0, 100.0 * (east - 20.0), 100.0 * (north + 10.0)]
         assert [float(word) for word in words] == pytest.approx(lies, abs=1e-3)
-        assert (image.get_attribute("width"), image.get_attribute("height")) == (
-            "200",
-            "100",
-        )
+        assert image.get_attribute("width") == "200"
+        assert image.get_attribute("height") == "100"
         page.locator("#opacity").fill("30")
         assert float(image.get_attribute("opacity")) == 0.3
 
@@ -1155,7 +1153,8 @@ def test_a_copy_keeps_angles_height_and_lens_on_another_pole(browser, serve, tmp
         page.keyboard.press("Control+v")
         expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
         first, second = saved(page, tmp_path).units
-        assert (first.site_id, second.site_id) == ("corner-se", "corner-nw")
+        assert first.site_id == "corner-se"
+        assert second.site_id == "corner-nw"
         assert second.sensor == first.sensor
         angles = [(each.pose.yaw_deg, each.pose.pitch_deg) for each in (first, second)]
         assert angles[0] == pytest.approx(angles[1])

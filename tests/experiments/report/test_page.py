@@ -556,10 +556,8 @@ def test_every_case_is_listed_with_its_runs_and_last_moments(evaluation_page, se
     for name, title, who, speeds, approaches, n_runs, earliest, latest in rows:
         runs = [run for run in setting.runs if run.case.name == name]
         case = runs[0].case
-        assert (title, who) == (
-            case.title,
-            f"{case.vru.name}, {case.vru_speed_kmh:g}\xa0km/h",
-        )
+        assert title == case.title
+        assert who == f"{case.vru.name}, {case.vru_speed_kmh:g}\xa0km/h"
         driven = [run.vut_speed_kmh for run in runs]
         assert speeds == f"{min(driven):g} to {max(driven):g} by 5"
         assert set(driven) == set(np.arange(min(driven), max(driven) + 5.0, 5.0))

@@ -50,7 +50,8 @@ def test_a_browser_that_prints_nothing_is_told_and_nothing_is_lost(tmp_path):
 def test_without_a_browser_nothing_is_computed(run, monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     code, out, err = run(*FEW, "--pdf", "a.pdf")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert err.startswith("place-rsus: --pdf: got no browser that prints")
 
 

@@ -37,35 +37,6 @@ def test_left_hand_traffic_is_right_hand_traffic_turned_round(tmp_path):
         np.testing.assert_allclose(one.centreline_m, right[one.id].centreline_m[::-1])
 
 
-def test_a_mirrored_road_in_left_hand_traffic_has_the_mirrored_lanes(tmp_path):
-    def sides(sign):
-        return section(
-            left=[lane(1, width=3.0 if sign > 0 else 4.0)],
-            right=[lane(-1, width=4.0 if sign > 0 else 3.0)],
-        )
-
-    right = _lanes(
-        tmp_path,
-        road(
-            plan=geometry('<arc curvature="0.02"/>', hdg=0.3),
-            sections=sides(1),
-            rule="RHT",
-        ),
-    )
-    left = _lanes(
-        tmp_path,
-        road(
-            plan=geometry('<arc curvature="-0.02"/>', hdg=-0.3),
-            sections=sides(-1),
-            rule="LHT",
-        ),
-    )
-    for name, other in (("1/1", "1/-1"), ("1/-1", "1/1")):
-        np.testing.assert_allclose(
-            left[name].centreline_m, right[other].centreline_m * [1, -1, 1], atol=1e-9
-        )
-
-
 def test_a_reversed_lane_is_driven_the_other_way(tmp_path):
     lanes = _lanes(
         tmp_path, road(sections=section(right=[lane(-1, extra='direction="reversed"')]))

@@ -191,6 +191,8 @@ def test_a_scene_with_terrain_comes_back_from_its_folder(tmp_path):
     assert ground_height_m(scene, places).any()
 
 
+# Quickly: test_ground_is_that_of_the_roads_and_everything_stands_on_it
+@pytest.mark.long
 def test_sites_of_a_real_map_with_slopes_stand_on_the_ground(real_input):
     scene = import_scene(
         [real_input("opendrive/Town03.xodr")], ImportOptions(junction="222")
