@@ -4,8 +4,10 @@ import json
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+from command_results import answer
 from interactive_pages import build_evaluation, build_layout
 from once import make_once
 from partial_pages import blank_pictures
@@ -156,6 +158,17 @@ def run(capsys, tables, tmp_path, monkeypatch):
         return code, *capsys.readouterr()
 
     return run_command
+
+
+@pytest.fixture
+def ask(run):
+    """Runs a command that succeeds: the object that it prints."""
+
+    def ask_command(*arguments: object) -> Any:
+        text = answer(run(*arguments, "--json", "--quiet"))
+        return json.loads(text, parse_constant=pytest.fail)
+
+    return ask_command
 
 
 @pytest.fixture

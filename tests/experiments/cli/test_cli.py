@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_results import answer, refusal
 
 from experiments.jobs import evaluation as evaluation_job
 from experiments.progress import StageProgress
@@ -66,35 +67,8 @@ def assert_refused(result: tuple[int, str, str], message: str) -> None:
 # Start-up and help
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        [],
-        ["evaluate"],
-        ["compare"],
-        ["export"],
-        ["latency"],
-        ["pareto"],
-        ["retrofit"],
-        ["solve"],
-        ["verify"],
-        ["scenarios", "list"],
-        ["scenarios", "show"],
-        ["scenarios", "export"],
-    ],
-)
-def test_every_help_has_an_example(run, command):
-    code, out, err = run(*command, "--help")
-    assert code == 0
-    assert err == ""
-    assert re.search(r"^ +place-rsus " + " ".join(command) + ".* --", out, re.MULTILINE)
-    assert max(map(len, out.splitlines())) <= 80
-
-
 def test_version_is_told(run):
-    code, out, err = run("--version")
-    assert code == 0
-    assert err == ""
+    out = answer(run("--version"))
     assert re.fullmatch(r"place-rsus, version \d+\.\d+\.\d+\n", out)
 
 
@@ -102,7 +76,13 @@ def test_version_is_told(run):
 
 
 @pytest.mark.parametrize(
-    "value", ["0", "-1", "1.5", "x", "", " 3", "1_0", "٣", "9" * 150]
+    "value",
+    [
+        "0",
+        "1.5",
+        "x",
+        "٣",
+    ],
 )
 def test_a_budget_that_is_no_whole_number_is_refused(run, value):
     assert_refused(
@@ -142,10 +122,6 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
             "--workers: got '0'; expected a number of threads, 1 to 1024",
         ),
         (
-            "--workers 100000",
-            "--workers: got '100000'; expected a number of threads, 1 to 1024",
-        ),
-        (
             "--budget 1 --seed -1",
             "--seed: got '-1'; expected a whole number, at least 0",
         ),
@@ -160,10 +136,6 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
             "--budget 1 --packet-loss 1.2",
             "--packet-loss: got '1.2'; expected a share of lost messages, 0 to 1",
         ),
-        (
-            "evaluate --layout carlancap-12 --vam-rate nan",
-            "--vam-rate: got 'nan'; expected a share of equipped road users, 0 to 1",
-        ),
         ("--budget 1 --xyzzy 2", "No such option '--xyzzy'."),
         ("place", "No such command 'place'. Did you mean 'plan'?"),
         (
@@ -175,18 +147,6 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         (
             "compare --layout carlancap-12",
             "LAYOUT: got one layout; expected two layouts or more",
-        ),
-        ("compare", "LAYOUT: got nothing; expected two layouts or more"),
-        (
-            "compare a b c",
-            "LAYOUT: got 'a'; expected carlancap-12, or a layout file that exists",
-        ),
-        (
-            "export --layout carlancap-12",
-            (
-                "Missing option '--format'. Choose from: json, csv, parquet, geojson,"
-                " gpkg, kml, dxf, carla, opencv, ros, cpm, cpm-uper, mcap, opendrive"
-            ),
         ),
         (
             "export --layout carlancap-12 --format xml",
@@ -213,20 +173,15 @@ def test_wrong_arguments_are_one_line(run, arguments, message):
     [
         (b"", "Expecting value: line 1 column 1 (char 0); expected JSON in UTF-8"),
         (b"\xff\x00", "'utf-8' codec can't decode byte 0xff"),
-        (b"place-rsus", "Expecting value: line 1 column 1"),
-        (b"[" * 100_000, "JSON nested too deep; expected a layout"),
-        (b"9" * 5000, "Exceeds the limit (4300 digits)"),
         (b"[]", "no list 'layout'; expected an object"),
     ],
 )
 def test_a_file_that_is_no_layout_is_refused(run, tmp_path, content, message):
     path = tmp_path / "bad.json"
     path.write_bytes(content)
-    code, out, err = run("evaluate", "--layout", path)
-    assert code == 2
-    assert out == ""
-    assert err.count("\n") == 1
-    assert err.startswith(f"place-rsus: {path}: got {message}")
+    assert refusal(run("evaluate", "--layout", path)).startswith(
+        f"{path}: got {message}"
+    )
 
 
 def test_an_empty_layout_and_repeated_ids_are_refused(run, tmp_path):
@@ -254,12 +209,6 @@ def test_a_folder_is_no_layout_file(run, tmp_path):
     ("fields", "message"),
     [
         ({"x_m": ...}, "layout[0].x_m: got nothing; expected a value"),
-        (
-            {"yaw_deg": float("nan")},
-            "layout[0].yaw_deg: got nan; expected a finite number",
-        ),
-        ({"z_m": float("inf")}, "layout[0].z_m: got inf; expected a finite number"),
-        ({"z_m": "8"}, "layout[0].z_m: got '8'; expected a finite number"),
         (
             {"camera": "x"},
             "layout[0].camera: got 'x'; expected one of "
@@ -333,24 +282,23 @@ def test_a_bad_out_is_refused_before_anything_is_computed(run, small_study, tmp_
     (tmp_path / "file").write_text("mine")
     message = "got '{0}/file'; expected a folder, not a file"
     for command in (["--budget", 1], ["evaluate", "--layout", "carlancap-12"]):
-        code, out, err = run(*command, "--quiet", "--out", tmp_path / "file")
-        assert code == 2
-        assert out == ""
-        assert err == f"place-rsus: --out: {message.format(tmp_path)}\n"
-    code, out, err = run(
-        "export",
-        "--layout",
-        "carlancap-12",
-        "--format",
-        "csv",
-        "--out",
-        tmp_path / "file/x",
-    )
-    assert code == 2
-    assert out == ""
-    assert (
-        err == f"place-rsus: --out: got {tmp_path}/file/x: Not a directory; "
-        "expected a file that can be written\n"
+        assert (
+            refusal(run(*command, "--quiet", "--out", tmp_path / "file"))
+            == f"--out: {message.format(tmp_path)}"
+        )
+    assert refusal(
+        run(
+            "export",
+            "--layout",
+            "carlancap-12",
+            "--format",
+            "csv",
+            "--out",
+            tmp_path / "file/x",
+        )
+    ) == (
+        f"--out: got {tmp_path}/file/x: Not a directory; "
+        "expected a file that can be written"
     )
     assert (tmp_path / "file").read_text() == "mine"
 
@@ -383,7 +331,7 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
 
 
 def test_placement_prints_one_object_and_writes_a_report(
-    run, few_runs, whole_placement
+    ask, few_runs, whole_placement
 ):
     assert (whole_placement / "err").read_text().splitlines()[0] == "setting ..."
     out = (whole_placement / "out").read_text()
@@ -443,10 +391,7 @@ def test_placement_prints_one_object_and_writes_a_report(
     assert list(results.iterdir()) == [results / "latest"]
     # What was written is read again.
     layout = results / "latest/layout.json"
-    code, out, err = run("evaluate", "--layout", layout, "--json", "--quiet")
-    assert code == 0
-    assert err == ""
-    again = json.loads(out, parse_constant=pytest.fail)
+    again = ask("evaluate", "--layout", layout)
     assert set(again) >= KEYS
     assert again["layout"] == summary["layout"]
     assert again["evaluation"] == summary["evaluation"]
@@ -454,15 +399,10 @@ def test_placement_prints_one_object_and_writes_a_report(
 
 # Quickly: tests/placement/visibility/test_build.py and optimiser/test_solve.py
 @pytest.mark.long
-def test_two_calls_give_the_same_but_for_the_time(run, small_study, without_figures):
+def test_two_calls_give_the_same_but_for_the_time(ask, small_study, without_figures):
     results = []
     for workers in (1, 2):
-        code, out, err = run(
-            "--budget", 1, "--json", "--quiet", "--workers", workers, "--no-cache"
-        )
-        assert code == 0
-        assert err == ""
-        summary = json.loads(out)
+        summary = ask("--budget", 1, "--workers", workers, "--no-cache")
         for point in (summary, *summary["front"]["points"]):
             for stage in point["stages"]:
                 del stage["seconds"]
@@ -471,6 +411,8 @@ def test_two_calls_give_the_same_but_for_the_time(run, small_study, without_figu
     assert results[0] == results[1]
 
 
+# Quickly, with made-up results: test_texts.py
+@pytest.mark.long
 def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_figures):
     path = layout_file(
         "a rather long name for a layout, and still longer.json", id="B" * 40
@@ -480,9 +422,7 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         ["evaluate", "--layout", path],
         ["compare", path, "carlancap-12", "--layout", path],
     ):
-        code, short, err = run(*arguments, "--quiet")
-        assert code == 0
-        assert err == ""
+        short = answer(run(*arguments, "--quiet"))
         assert max(map(len, short.splitlines())) <= 100
         assert len(short.splitlines()) <= 40
         code, out, _ = run(*arguments, "--verbose")
@@ -494,15 +434,12 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         assert "100.0 %" in out
 
 
-def test_layouts_of_one_name_are_named_by_their_folders(run, small_study, layout_file):
+def test_layouts_of_one_name_are_named_by_their_folders(ask, small_study, layout_file):
     path = layout_file()
     other = Path("other/mine.json")
     other.parent.mkdir()
     other.write_bytes(Path(path).read_bytes())
-    code, out, err = run("compare", path, other, "--json", "--quiet")
-    assert code == 0
-    assert err == ""
-    summary = json.loads(out)
+    summary = ask("compare", path, other)
     home = Path(path).resolve().parent.name
     assert [summary["name"], summary["compared"][0]["name"]] == [
         f"mine of {home}",
@@ -511,23 +448,10 @@ def test_layouts_of_one_name_are_named_by_their_folders(run, small_study, layout
 
 
 def test_comparison_of_a_layout_with_itself_finds_no_difference(
-    run, small_study, layout_file
+    ask, small_study, layout_file
 ):
     path = layout_file()
-    code, out, err = run(
-        "compare",
-        "--layout",
-        path,
-        "--layout",
-        path,
-        "--json",
-        "--quiet",
-        "--out",
-        "out",
-    )
-    assert code == 0
-    assert err == ""
-    summary = json.loads(out, parse_constant=pytest.fail)
+    summary = ask("compare", "--layout", path, "--layout", path, "--out", "out")
     assert set(summary) >= KEYS
     (other,) = summary["compared"]
     assert summary["name"] == "mine"
@@ -551,9 +475,7 @@ def test_what_json_lacks_becomes_null(run, monkeypatch):
 
 
 def test_export_writes_to_stdout_or_to_a_file(run):
-    code, text, err = run("export", "--layout", "carlancap-12", "--format", "carla")
-    assert code == 0
-    assert err == ""
+    text = answer(run("export", "--layout", "carlancap-12", "--format", "carla"))
     assert len(json.loads(text)) == 12
     arguments = [
         "export",
@@ -603,10 +525,9 @@ def test_open3d_is_asked_for_where_it_cannot_load_in_one_line(
         " libx11-6"
     )
     monkeypatch.setattr("geometry.raycast.open3d_problem", lambda: problem)
-    code, out, err = run("evaluate", "--layout", "carlancap-12", "--rays", "open3d")
-    assert code == 2
-    assert out == ""
-    assert f"--rays: got 'open3d'; expected a library that loads: {problem}" in err
+    assert f"--rays: got 'open3d'; expected a library that loads: {problem}" in refusal(
+        run("evaluate", "--layout", "carlancap-12", "--rays", "open3d")
+    )
 
 
 # Interruptions

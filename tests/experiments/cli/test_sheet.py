@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import msgspec
 import pytest
+from command_results import answer
 from kept_backdrops import kept_backdrop
 
 from experiments.cli.export import sheet_text
@@ -30,10 +31,9 @@ def test_a_page_for_each_unit(run_sheet, tmp_path):
     layout = tmp_path / "layout.json"
     layout.write_text(json.dumps({"name": "mine", "layout": [camera, lidar]}))
     out = tmp_path / "new/sheet.pdf"
-    code, text, err = run_sheet("--layout", layout, "--out", out, "--json", "--quiet")
-    assert code == 0
-    assert err == ""
-    summary = json.loads(text)
+    summary = json.loads(
+        answer(run_sheet("--layout", layout, "--out", out, "--json", "--quiet"))
+    )
     assert [entry["unit_id"] for entry in summary["units"]] == ["a$b_雪", "L"]
     pdf = out.read_bytes()
     assert pdf.startswith(b"%PDF")

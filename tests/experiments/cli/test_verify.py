@@ -11,6 +11,7 @@ import lanelet_text
 import numpy as np
 import opendrive_text
 import pytest
+from command_results import answer, refusal
 from osm_text import LAT_DEG, LON_DEG, OsmText
 from osm_text import crossing as crossing_streets
 from small_results import lay_runs_of
@@ -61,9 +62,7 @@ def edit(path, change):
 
 
 def test_what_was_written_is_verified_in_a_line_per_check(run, results):
-    code, out, err = run("verify", results, "--quiet")
-    assert code == 0
-    assert err == ""
+    out = answer(run("verify", results, "--quiet"))
     assert max(map(len, out.splitlines())) <= 80 + len(str(results))
     checks = [line for line in out.splitlines() if line.startswith("  OK ")]
     left_out = "Not checked: verdicts, bill, report (--deep), who made it (--key)."
@@ -79,11 +78,8 @@ def test_what_was_written_is_verified_in_a_line_per_check(run, results):
     assert "Not checked here:\n  whether the detection table is right" in out
 
 
-def test_json_says_the_same(run, results):
-    code, out, err = run("verify", results, "--json", "--quiet")
-    assert code == 0
-    assert err == ""
-    summary = json.loads(out, parse_constant=pytest.fail)
+def test_json_says_the_same(ask, results):
+    summary = ask("verify", results)
     assert summary["is_verified"]
     assert all(check["passed"] for check in summary["checks"])
     assert [stage["name"] for stage in summary["stages"]] == [
@@ -154,16 +150,10 @@ def test_proofs_that_rest_on_the_solver_are_said_to(run, results, monkeypatch):
 def test_a_file_that_is_missing_or_damaged_is_named(run, results, name):
     path = results / name
     path.write_bytes(path.read_bytes()[:100])
-    code, out, err = run("verify", results, "--quiet")
-    assert code == 2
-    assert out == ""
-    assert err.startswith(f"place-rsus: {path}: got ")
+    assert refusal(run("verify", results, "--quiet")).startswith(f"{path}: got ")
     path.unlink()
-    code, out, err = run("verify", results, "--quiet")
-    assert code == 2
-    assert out == ""
-    assert err.startswith(
-        f"place-rsus: {path}: got No such file or directory; expected "
+    assert refusal(run("verify", results, "--quiet")).startswith(
+        f"{path}: got No such file or directory; expected "
     )
 
 
@@ -179,12 +169,11 @@ def test_a_folder_that_is_none_is_refused(run, tmp_path):
 
 def test_a_folder_that_does_not_say_what_was_asked_cannot_be_made_anew(run, results):
     edit(results / "summary.json", lambda d: d.pop("asked"))
-    code, out, err = run("verify", results, "--deep", "--quiet")
-    assert code == 2
-    assert out == ""
-    assert "--deep: got " in err
+    line = refusal(run("verify", results, "--deep", "--quiet"))
+    assert "--deep: got " in line
     assert (
-        "which does not say what was asked; expected a placement of this version" in err
+        "which does not say what was asked; expected a placement of this version"
+        in line
     )
 
 
@@ -193,12 +182,9 @@ def test_a_network_that_a_folder_names_is_not_run(run, results):
         results / "summary.json",
         lambda d: d["asked"]["question"].update(detector="x.onnx"),
     )
-    code, out, err = run("verify", results, "--deep", "--quiet")
-    assert code == 2
-    assert out == ""
     assert (
         "summary.json: asked: detector: got 'x.onnx'; expected no network, which is"
-        in err
+        in refusal(run("verify", results, "--deep", "--quiet"))
     )
 
 
