@@ -316,8 +316,11 @@ def mine(tmp_path):
     "asked",
     [
         "--budget 2 --verbose",
-        "--budget 2 --cars 0.5 --give-up 0.01 --vam-rate 0.5 --verbose",
-        "--budget 2 --samples 4 --cars blind",
+        pytest.param(
+            "--budget 2 --cars 0.5 --give-up 0.01 --vam-rate 0.5 --verbose",
+            marks=pytest.mark.long,
+        ),
+        pytest.param("--budget 2 --samples 4 --cars blind", marks=pytest.mark.long),
         "--budget 2 --cars see --fusion single --detector response --verbose",
         (
             "--target 0.5 --least cost --site-cost 100 --cars blind --score rating-2026"
@@ -325,11 +328,16 @@ def mine(tmp_path):
         ),
         "evaluate --layout MINE-1 --cars blind --verbose",
         "evaluate --layout MINE-2 --no-look GARDEN-1 --verbose",
-        "compare MINE-2 MINE-1 --samples 4 --verbose",
+        pytest.param(
+            "compare MINE-2 MINE-1 --samples 4 --verbose", marks=pytest.mark.long
+        ),
         "compare MINE-2 MINE-1 carlancap-12",
         "pareto --max 2",
         "pareto --max 2 --by cost --site-cost 500",
-        "retrofit --layout MINE-2 --site-cost 500 --budget-cost 3000",
+        pytest.param(
+            "retrofit --layout MINE-2 --site-cost 500 --budget-cost 3000",
+            marks=pytest.mark.long,
+        ),
         "latency --layout MINE-2",
         "latency --layout MINE-1 --budget cpm-100ms",
     ],
@@ -388,7 +396,10 @@ def test_the_language_is_that_of_the_option_else_of_the_environment(run, monkeyp
 @pytest.mark.usefixtures("few_runs", "bracketed")
 @pytest.mark.parametrize(
     "asked",
-    ["--budget 1 --refine --detector response", "--budget 2 --samples 2 --cars 0.3"],
+    [
+        "--budget 1 --refine --detector response",
+        pytest.param("--budget 2 --samples 2 --cars 0.3", marks=pytest.mark.long),
+    ],
 )
 def test_no_word_of_a_report_is_left_over(
     run, drawn, monkeypatch, small_setting, asked

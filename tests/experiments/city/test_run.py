@@ -15,7 +15,6 @@ from dataclasses import replace
 from functools import cache
 from html import unescape
 from io import BytesIO
-from itertools import product
 from math import exp
 from pathlib import Path
 
@@ -137,33 +136,6 @@ def city(tiny, tmp_path):
 
 def fronts_of(folder):
     return [load_front(path) for path in sorted(folder.glob("junctions/*/front.json"))]
-
-
-# Quickly: tests/placement/city/test_knapsack.py
-@pytest.mark.long
-def test_the_choice_is_the_best_of_all_points_of_three_junctions(
-    tiny, city, never, no_pages
-):
-    fronts = fronts_of(city)
-    assert [len(front.points) > 1 for front in fronts] == [True] * 3
-    for wish in ({"budget_units": n} for n in (1, 2, 3, 4)):
-        result = run(tiny / "tiny.osm", city, **wish)
-        best = max(
-            sum(point.apr for point in points) / 3.0
-            for points in product(*(front.points for front in fronts))
-            if sum(point.units for point in points) <= wish["budget_units"]
-        )
-        assert result.stages[0].objective == pytest.approx(best, abs=1e-9)
-        assert result.units == sum(len(one.layout) for one in result.junctions)
-    for budget_eur in (5_000.0, 12_000.0, 20_000.0):
-        result = run(tiny / "tiny.osm", city, budget_eur=budget_eur)
-        best = max(
-            sum(point.apr for point in points) / 3.0
-            for points in product(*(front.points for front in fronts))
-            if sum(point.cost_eur for point in points) <= budget_eur
-        )
-        assert result.stages[0].objective == pytest.approx(best, abs=1e-9)
-        assert result.cost_eur <= budget_eur
 
 
 def test_a_front_whose_layouts_are_lost_is_still_in_the_table(city):
@@ -814,22 +786,6 @@ def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
     )
     assert answer.record.cause == "memory"
     assert not answer.record.is_final
-
-
-@pytest.mark.long
-def test_a_worker_that_is_killed_loses_nothing(tiny):
-    tasks = tasks_of(tiny / "tiny.osm")
-    with city_workers.LocalWorkers(2, max_bytes=3 * 2**29) as workers:
-        killer = threading.Timer(
-            1.0, lambda: os.kill(workers._workers[0].process.pid, signal.SIGKILL)
-        )
-        killer.start()
-        answers = [
-            answer.record for _, answer in city_workers.run_junctions(workers, tasks)
-        ]
-        killer.join()
-        assert [record.reason for record in answers] == [""] * 3
-        assert {record.id for record in answers} == {"n1", "n2", "n3"}
 
 
 @pytest.mark.long

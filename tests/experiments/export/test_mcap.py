@@ -194,6 +194,7 @@ def test_foxgloves_layout_names_topics_that_exist(topics):
     assert shown | plotted <= set(topics)
 
 
+@pytest.mark.long
 def test_pictures_are_what_a_reduced_camera_draws(watched):
     layout = load_carlancap_layout()
     one = replace(layout, units=layout.units[:1])

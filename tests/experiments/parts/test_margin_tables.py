@@ -17,7 +17,6 @@ from experiments.parts.margins import (
     summarise_margins,
 )
 from experiments.results.numbers import NOTHING
-from experiments.results.tables import margin_s
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict
@@ -230,10 +229,3 @@ def test_the_part_renders_with_names_escaped_and_a_table_behind_the_figure(build
     assert page.count("&lt;script&gt;$x$</td>") == sum(
         row[1] == "<script>$x$" for table in tables_of(part) for row in table.rows
     )
-
-
-def test_margins_in_seconds_are_those_of_the_exports(build):
-    found = build("mine", [-0.6, -0.3, 0.0], [0.0, np.inf, np.inf])
-    smallest = summarise_margins(found.rsu_all, found.axis).smallest_s
-    is_avoided = found.rsu_all.is_avoided
-    assert smallest == margin_s(found.rsu_all, found.axis)[is_avoided].min()

@@ -280,6 +280,8 @@ def test_evaluations_and_comparisons_are_as_the_schema_says(
     assert set(result.runs["layout"]) == {"first-1", "first-2", "expert rule"}
 
 
+# Quickly: test_the_schema_is_one_and_leaves_nothing_open_or_unsaid
+@pytest.mark.long
 @pytest.mark.usefixtures("without_figures")
 def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     """Every key of it is needed or known, and every number is a number."""

@@ -198,14 +198,6 @@ def test_comparison_lists_the_runs_that_differ(setting, evaluation_of):
     assert other["name"] == "less"
 
 
-def test_a_summary_is_plain_json(setting, evaluation_of):
-    text = to_json_text(
-        build_comparison_result(setting, evaluation_of(5), [evaluation_of(3)])
-    )
-    assert "NaN" not in text
-    assert "Infinity" not in text
-
-
 def test_versions_name_what_the_numbers_depend_on():
     found = versions()
     assert {

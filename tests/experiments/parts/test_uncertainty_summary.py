@@ -137,11 +137,6 @@ def test_that_fresh_worlds_prefer_another_layout_is_said(judge):
     assert not told([pair[0], replace(pair[1], layout=larger)], tail=0.5, chosen_in=2)
 
 
-def test_the_summary_is_plain_json(summary):
-    summary = to_plain(summary)
-    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
-
-
 def test_what_is_uncertain_is_recorded_under_the_names_of_its_file(summary):
     record = to_plain(summary)["uncertainty"]
     assert record["name"] == "default"

@@ -6,9 +6,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -163,6 +160,8 @@ def test_a_calibration_projects_the_vru_into_its_label(dataset):
     assert n_seen > 10
 
 
+# Quickly: test_a_calibration_projects_the_vru_into_its_label
+@pytest.mark.long
 def test_read_back_it_gives_the_evaluators_verdicts(dataset, run, tmp_path):
     seen = dataset(
         "--lidar", "none", every=10**6, layout="sharp.json", units="RSU2,RSU8"
@@ -219,6 +218,8 @@ def _cars(path):
     ]
 
 
+# Quickly: test_vehicles_are_in_coco_once
+@pytest.mark.long
 def test_vehicles_are_labelled_where_they_are_seen(dataset, run):
     code, _, err = dataset("--lidar", "none", "--masks", "--vehicles", every=20)
     assert code == 0, err
@@ -290,6 +291,8 @@ MET = (
 KINDS = {"MEET-CAR": "car", "MEET-MOTORCYCLE": "motorcycle"}
 
 
+# Quickly: test_vehicles_are_in_coco_once
+@pytest.mark.long
 def test_a_car_and_a_motorcyclist_are_labelled_as_such(dataset):
     """In the study's folders once, with vehicles and without; read back, none of them
     is a VRU.
@@ -333,6 +336,8 @@ def test_a_car_and_a_motorcyclist_are_labelled_as_such(dataset):
     assert min(seen.values()) > 5
 
 
+# Quickly: test_vehicles_are_in_coco_once
+@pytest.mark.long
 def test_a_car_and_a_motorcyclist_are_categories_of_coco(dataset):
     assert dataset("--format", "coco", "--lidar", "none", asked=MET, every=10)[0] == 0
     coco = json.loads(Path("data/coco.json").read_text())
@@ -345,6 +350,8 @@ def test_a_car_and_a_motorcyclist_are_categories_of_coco(dataset):
     assert found == set(KINDS.items())
 
 
+# Quickly: test_pictures_clouds_labels_and_a_manifest_are_written
+@pytest.mark.long
 @pytest.mark.usefixtures("drawn")
 def test_varied_looks_differ_from_run_to_run_but_not_from_call_to_call(dataset):
     for out in ("one", "two"):
@@ -377,6 +384,8 @@ def test_it_goes_on_where_it_stopped_and_writes_nothing_twice(dataset, drawn):
     assert {name: Path("data", name).stat().st_mtime_ns for name in stamps} == stamps
 
 
+# Quickly: test_it_goes_on_where_it_stopped_and_writes_nothing_twice
+@pytest.mark.long
 def test_processes_draw_the_same_and_for_one_that_dies_another(
     dataset, drawn, monkeypatch, tmp_path
 ):
@@ -400,41 +409,6 @@ def _die_once(task):
 
 
 _draw_task = job.draw_task
-
-
-@pytest.mark.long
-def test_killed_in_the_middle_it_goes_on(dataset, tmp_path):
-    command = [
-        *(sys.executable, "-m", "experiments.main", "dataset"),
-        *("--layout", str(tmp_path / "two.json"), *ASKED, "--units", "RSU3,RSU8"),
-        *(
-            "--every",
-            "20",
-            "--lidar",
-            "none",
-            "--workers",
-            "1",
-            "--out",
-            "data",
-            "--quiet",
-        ),
-    ]
-    root = Path(job.__file__).parents[2]
-    process = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(root)})
-    while process.poll() is None and len(list(Path("data").rglob("*.png"))) < 3:
-        time.sleep(0.02)
-    process.kill()
-    process.wait()
-    n_there = len(list(Path("data").rglob("[0-9]*.png")))
-    assert n_there >= 3
-    code, out, _ = dataset("--lidar", "none", "--json", every=20)
-    summary = json.loads(out)
-    assert code == 0
-    assert summary["drawn"] == summary["pictures"] - n_there
-    for path in Path("data").rglob("*.png"):
-        with Image.open(path) as picture:
-            picture.verify()
-    assert not list(Path("data").rglob("*.tmp"))
 
 
 def test_a_full_disk_stops_it_and_leaves_what_is_drawn(dataset, monkeypatch):

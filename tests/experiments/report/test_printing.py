@@ -5,6 +5,7 @@ import shutil
 import sys
 
 import pytest
+from command_results import refusal
 
 from experiments.report.printing import find_browser, print_page
 from geometry.errors import InputError
@@ -49,10 +50,9 @@ def test_a_browser_that_prints_nothing_is_told_and_nothing_is_lost(tmp_path):
 
 def test_without_a_browser_nothing_is_computed(run, monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
-    code, out, err = run(*FEW, "--pdf", "a.pdf")
-    assert code == 2
-    assert out == ""
-    assert err.startswith("place-rsus: --pdf: got no browser that prints")
+    assert refusal(run(*FEW, "--pdf", "a.pdf")).startswith(
+        "--pdf: got no browser that prints"
+    )
 
 
 def test_the_folder_of_results_has_nothing_but_results(run):

@@ -62,13 +62,6 @@ def test_results_are_as_readable_as_other_folders(tmp_path):
     assert folder.stat().st_mode == other.stat().st_mode
 
 
-def test_earlier_results_are_replaced_as_a_whole(earlier):
-    fill(earlier)
-    assert names(earlier) == [MANIFEST, "report.html", MARKER]
-    assert (earlier / "report.html").read_text() == "new"
-    assert names(earlier.parent) == ["latest"]
-
-
 def test_half_of_an_earlier_result_is_replaced(earlier):
     (earlier / "report.html").unlink()
     fill(earlier)
@@ -261,8 +254,6 @@ OURS_ONLY = (
     "name",
     [
         "notes.txt",
-        "site_photo.png",
-        "layout.backup/",
         "layout.backup/old.json",
         "plot.png",
     ],

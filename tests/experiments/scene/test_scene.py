@@ -488,6 +488,7 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
     assert f"{one}, which no approach carries" in result.err
 
 
+@pytest.mark.long
 def test_pictures_show_something():
     scene = load_study_scene()
     for figure in (plot_scene_plan(scene), plot_scene_view(scene)):

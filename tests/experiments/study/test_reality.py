@@ -291,6 +291,8 @@ def test_phi_is_that_of_two_states_and_their_chances():
     assert found.value == pytest.approx(0.5, abs=0.06)
 
 
+# Quickly: test_what_was_drawn_is_counted
+@pytest.mark.long
 def test_the_command_writes_page_figures_and_tables(
     folder, measured, tmp_path, monkeypatch
 ):

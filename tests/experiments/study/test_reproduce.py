@@ -119,6 +119,8 @@ def test_a_use_that_does_not_exist_is_named(monkeypatch):
     load_published.cache_clear()
 
 
+# Quickly: test_variants.py, of the other cases
+@pytest.mark.long
 def test_the_additional_cases_are_changed_in_one_thing_at_a_time():
     variants = {
         variant.name: variant.setting for variant in build_additional_variants()
