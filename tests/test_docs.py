@@ -45,7 +45,7 @@ _MODULE = re.compile(
 _NAMES_IN_FILE = re.compile(r"`([\w/]+(?:\.py|/))` \(((?:`\w+`(?:, )?)+)\)")
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 # SUMO's, and the benchmark's.
-_OPTIONS_OF_OTHERS = {"--parts", "--hours", "--mean-only"}
+_OPTIONS_OF_OTHERS = {"--hypothesis-profile", "--parts", "--hours", "--mean-only"}
 # In the CarlaNCAP study's release; in a-b-street/osm2streets.
 _FILES_OF_OTHERS = ("ncap.py", "tests/src/neukolln/input.osm")
 # What the commands of the pages write, and what Sphinx does.

@@ -331,6 +331,8 @@ def test_folders_of_programs_that_were_killed_are_removed(start, compiled, tmp_p
     assert young.exists()
 
 
+# Quickly: nothing; two kernels are compiled in a process of their own.
+@pytest.mark.long
 def test_literal_numbers_in_calls_of_kernels_make_no_versions_of_their_own(
     start, tmp_path
 ):

@@ -146,7 +146,12 @@ def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(
 
 
 @pytest.mark.parametrize(
-    "name", ["far_10", "near_10", pytest.param("far_20", marks=pytest.mark.long)]
+    "name",
+    [
+        "near_10",
+        pytest.param("far_10", marks=pytest.mark.long),
+        pytest.param("far_20", marks=pytest.mark.long),
+    ],
 )
 def test_the_body_matches_one_dragged_in_small_steps(name):
     path = build_turn_path(load_turns()[name].turn)

@@ -123,6 +123,8 @@ def test_the_default_set_holds_the_cases_of_the_study():
     assert default_weights("default") == "case"
 
 
+# Quickly: the test above, and tests/placement/test_driving.py.
+@pytest.mark.long
 def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(
     default_runs,
 ):
@@ -439,6 +441,8 @@ def test_neighbours_take_turns_so_that_every_speed_is_driven(speeds, turn):
     assert spread_speeds(speeds, AT_ZERO, turn=turn) == tuple(speeds)
 
 
+# Quickly: the test above.
+@pytest.mark.long
 def test_all_speeds_are_driven_about_equally_often(default_runs):
     for case in (case for case in select_cases("default").cases if not is_bound(case)):
         driven = Counter(
@@ -517,8 +521,11 @@ def test_what_is_no_position_is_told(text):
     )
 
 
-def test_a_frame_axis_knows_where_each_run_is(default_runs):
-    runs = default_runs[0][::40]
+def test_a_frame_axis_knows_where_each_run_is(vut, rule):
+    before_15_m = Position(is_behind=False, distance_m=15.0)
+    speeds = (20.0, 30.0)
+    runs, _ = laid(protocol_scene(), "CPLA-50", before_15_m, vut, rule, speeds=speeds)
+    assert len(runs) == 2
     weight = np.full(len(runs), 1.0 / len(runs))
     axis = build_frame_axis(runs, weight)
     assert axis.positions == tuple(run.position for run in runs)
@@ -539,6 +546,8 @@ def test_lanes_end_where_the_scene_says():
 # Joints of lanes that are not in line
 
 
+# Quickly: test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line
+@pytest.mark.long
 @settings(max_examples=5)
 @given(aside_m=st.floats(-4.0, 4.0), turned_deg=st.floats(-8.0, 8.0))
 def test_a_fast_vut_eases_into_a_lane_that_is_not_in_line_and_stays_in_both(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case_names import case_names
 from dragged import front_axle_at
 from hypothesis import given
 from hypothesis import strategies as st
@@ -220,7 +221,7 @@ def test_side_impacts_meet_the_side_at_their_share_of_the_length(golf, name):
     assert ahead_m == pytest.approx(0.25 * golf.length_m, abs=0.2)
 
 
-@pytest.mark.parametrize("name", load_cases())
+@pytest.mark.parametrize("name", case_names())
 def test_every_approach_of_a_symmetric_junction_gives_the_same_run_turned(golf, name):
     west = stage(name, golf, approach="west").encounter
     for approach in ("east", "north", "south"):

@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 from dragged import has_contact
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from junctions import ARMS, LANE_M, build_scene, protocol_scene, turned
 from oracles import separation_m, simulated_track_s
@@ -34,29 +34,45 @@ def _vru_in_vut_frame(encounter):
     return (vru - vut) @ ahead, (vru - vut) @ np.array([-ahead[1], ahead[0]])
 
 
-def speeds_kmh(case, approach):
-    """Lowest from two arms, highest from two; --hypothesis-profile thorough: both from
-    all.
+def asked_of(approach, *, is_thorough):
+    """What is driven from an arm: every case from one arm, at its lowest and highest
+    speed by turns; thoroughly: from all of them, at both.
     """
-    low_kmh, high_kmh = case.speed_limits_kmh
-    if settings.get_current_profile_name() == "thorough":
-        return {low_kmh, high_kmh}
-    return {low_kmh if approach in ("north", "east") else high_kmh}
+    for number, (name, case) in enumerate(load_cases().items()):
+        low_kmh, high_kmh = case.speed_limits_kmh
+        if is_thorough:
+            yield name, sorted({low_kmh, high_kmh})
+        elif list(ARMS)[number % len(ARMS)] == approach:
+            yield name, [low_kmh if number // len(ARMS) % 2 else high_kmh]
+
+
+@pytest.fixture(
+    scope="module",
+    params=[False, pytest.param(True, marks=pytest.mark.long)],
+    ids=["quick", "thorough"],
+)
+def asked(request):
+    return {
+        (name, approach, speed)
+        for approach in ARMS
+        for name, speeds in asked_of(approach, is_thorough=request.param)
+        for speed in speeds
+    }
 
 
 @pytest.fixture(scope="module")
-def all_runs(actors, rule):
-    """Every case on every approach of the study's junction, at its lowest or highest
-    speed.
-    """
+def all_runs(actors, rule, asked):
+    """Every case on the study's junction."""
     scene = load_study_scene()
     found = ([], [])
     for approach in ARMS:
+        speeds = {}
+        for name, arm, speed in sorted(asked):
+            if arm == approach:
+                speeds.setdefault(name, []).append(speed)
         cases = [
-            dataclasses.replace(
-                case, vut_speeds_kmh=tuple(sorted(speeds_kmh(case, approach)))
-            )
-            for case in load_cases().values()
+            dataclasses.replace(load_cases()[name], vut_speeds_kmh=tuple(driven))
+            for name, driven in speeds.items()
         ]
         made = build_runs(
             scene, cases, vut=actors["vut"], rule=rule, approaches=[approach]
@@ -79,18 +95,12 @@ def test_the_study_junction_has_104_runs_of_the_studys_own_cases_with_unique_ids
 # Every case, by the study's own starts or laid by the protocol
 
 
-def test_every_case_is_carried_or_refused_with_a_reason(all_runs):
+def test_every_case_is_carried_or_refused_with_a_reason(all_runs, asked):
     runs, refusals = all_runs
     told = {(run.case.name, run.approach, run.vut_speed_kmh) for run in runs} | {
         (refusal.case.name, refusal.approach, speed)
         for refusal in refusals
         for speed in refusal.speeds_kmh
-    }
-    asked = {
-        (case.name, approach, speed)
-        for case in load_cases().values()
-        for approach in ARMS
-        for speed in speeds_kmh(case, approach)
     }
     assert told == asked
     assert all(refusal.reason for refusal in refusals)
@@ -259,7 +269,10 @@ def limited(scene, limits_kmh):
 def test_nothing_is_driven_faster_than_the_speed_limit(actors, rule):
     free = protocol_scene()
     scene = limited(free, {"east": 42.0, "north": 15.0})
-    cases = pick_cases("CPNA-25,CPLA-25", "cases")
+    cases = [
+        dataclasses.replace(case, vut_speeds_kmh=(10.0, 20.0, 40.0, 50.0))
+        for case in pick_cases("CPNA-25,CPLA-25", "cases")
+    ]
     positions = build_positions([0.0, 15.0])
     options = {"vut": actors["vut"], "rule": rule, "positions": positions}
     every, _ = build_runs(free, cases, **options)

@@ -173,8 +173,8 @@ def test_a_vehicle_ahead_brakes_so_long_before_the_impact_as_the_protocol_says(
 
 # ---------- the last moment, in closed form
 @pytest.mark.parametrize("name", CROSSING)
-@pytest.mark.parametrize("speed_kmh", [20.0, 40.0, 60.0])
-@pytest.mark.parametrize("vru_kmh", [20.0, 40.0, 60.0])
+@pytest.mark.parametrize("speed_kmh", [20.0, 60.0])
+@pytest.mark.parametrize("vru_kmh", [20.0, 60.0])
 def test_the_last_moment_of_a_straight_crossing_is_its_closed_form(
     golf, name, speed_kmh, vru_kmh
 ):

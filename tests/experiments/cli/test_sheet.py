@@ -19,6 +19,8 @@ def run_sheet(run, small_setting, monkeypatch):
     return lambda *arguments: run("sheet", *arguments)
 
 
+# Quickly: test_no_word_of_a_sheet_is_left_over in tests/experiments/test_language.py
+@pytest.mark.long
 def test_a_page_for_each_unit(run_sheet, tmp_path):
     unit = {"site": "", "z_m": 8.0, "yaw_deg": -135.0, "pitch_deg": -25.0}
     camera = unit | {

@@ -210,6 +210,8 @@ def check_placement(run, out, options, expected):
     return summary
 
 
+# Quickly: tests/experiments/test_language.py asks for a refined placement.
+@pytest.mark.long
 def test_a_refined_placement_is_no_worse_and_as_the_schema_says(
     small_study, without_figures, run, tmp_path
 ):

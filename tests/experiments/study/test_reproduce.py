@@ -70,6 +70,8 @@ def test_quantities_are_shares_by_case(small):
         assert found["APR of RSU3", case] == apr(evaluation.units["RSU3"], axis, mask)
 
 
+# Quickly: the other tests of this file.
+@pytest.mark.long
 def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkeypatch):
     monkeypatch.setattr(reproduction, "build_variants", lambda: small)
     monkeypatch.setattr(reproduction, "build_additional_variants", lambda: small[:1])
