@@ -23,6 +23,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.text import Text
 from messages_of_data import messages_of_data
 from partial_pages import blank_png
+from private_garden import write_garden
 from small_results import lay_runs_of
 
 import experiments
@@ -48,7 +49,6 @@ from experiments.parts.alternatives import doubt_sentences
 from experiments.planner.page_files import page_html, page_messages
 from experiments.report.page import page_environment
 from geometry.errors import InputError
-from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES
 from geometry.phrases import Phrase, join_phrases
 from geometry.study_scene import load_study_scene
@@ -294,21 +294,8 @@ def mine(tmp_path):
     for name, units in (("mine-1", [camera]), ("mine-2", [camera, lidar])):
         text = json.dumps({"name": name, "layout": units})
         (tmp_path / f"{name}.json").write_text(text, encoding="utf-8")
-    corners = [
-        [-130.0, -10.0],
-        [-100.0, -10.0],
-        [-100.0, 10.0],
-        [-130.0, 10.0],
-        [-130.0, -10.0],
-    ]
-    ring = to_geographic(np.array(corners), load_study_scene().crs).tolist()
-    area = {"type": "Polygon", "coordinates": [ring]}
-    feature = {"type": "Feature", "properties": {"name": "garden-1"}, "geometry": area}
-    (tmp_path / "garden-1.json").write_text(
-        json.dumps({"type": "FeatureCollection", "features": [feature]}),
-        encoding="utf-8",
-    )
-    return [tmp_path / f"{name}.json" for name in ("mine-1", "mine-2", "garden-1")]
+    garden = write_garden(tmp_path, (-130.0, -10.0, -100.0, 10.0), name="garden-1")
+    return [tmp_path / "mine-1.json", tmp_path / "mine-2.json", garden]
 
 
 @pytest.mark.usefixtures("bracketed", "small_study")

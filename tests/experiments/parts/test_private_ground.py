@@ -4,6 +4,7 @@ from dataclasses import replace
 import geopandas
 import numpy as np
 import pytest
+from private_garden import write_garden
 from shapely import box
 from small_results import assemble_without_runs
 
@@ -12,7 +13,6 @@ from experiments.parts.units import (
     private_ground_sentence,
 )
 from geometry.errors import InputError
-from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene
 from placement.ground import (
     load_private_ground,
@@ -33,18 +33,8 @@ def scene():
 
 
 @pytest.fixture
-def garden(scene, tmp_path):
-    """Twenty metres of the north-eastern pavement, as GeoJSON."""
-    corners = np.array([[-110.0, 10.0], [-100.0, 10.0], [-100.0, 12.0], [-110.0, 12.0]])
-    ring = to_geographic(corners, scene.crs).tolist()
-    feature = {
-        "type": "Feature",
-        "properties": {"name": "garden"},
-        "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
-    }
-    path = tmp_path / "garden.geojson"
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-    return path
+def garden(tmp_path):
+    return write_garden(tmp_path)
 
 
 def test_polygons_come_into_the_world_frame(garden, scene):

@@ -12,14 +12,13 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from private_garden import write_garden
 from small_results import build_small_baseline, build_small_grid, lay_runs_of
 
 from experiments.export.json import to_json, to_json_text
 from experiments.jobs import placement
 from experiments.parts.reading import load_result
 from experiments.parts.schema import SCHEMA_FILE, schema_text
-from geometry.frames import to_geographic
-from geometry.study_scene import load_study_scene
 from placement import candidates as poses
 from placement import pipeline
 from placement.explain.agreement import Disagreement
@@ -150,16 +149,7 @@ def test_every_key_of_the_schema_is_in_the_documentation_and_no_other():
 
 @pytest.fixture
 def garden(tmp_path):
-    corners = np.array([[-110.0, 10.0], [-100.0, 10.0], [-100.0, 12.0], [-110.0, 12.0]])
-    ring = to_geographic(corners, load_study_scene().crs).tolist()
-    feature = {
-        "type": "Feature",
-        "properties": {"name": "garden"},
-        "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
-    }
-    path = tmp_path / "garden.geojson"
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-    return path
+    return write_garden(tmp_path)
 
 
 @pytest.fixture
