@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from geometry.actors import pick_actor
 from geometry.errors import InputError
@@ -40,19 +41,17 @@ def test_a_csv_file_gives_tracks_by_id_whatever_the_order_of_rows(tmp_path):
     assert a.class_name == "pedestrian"
     assert b.class_name == "vehicle"
     assert n_left_out == 0
-    np.testing.assert_allclose(a.position_m, [[0.1 * n, 2.0] for n in range(10)])
+    assert_allclose(a.position_m, [[0.1 * n, 2.0] for n in range(10)])
     np.testing.assert_array_equal(a.yaw_deg, 90.0)
-    np.testing.assert_allclose(
-        a.velocity_mps(np.array([0.0, 0.45, 0.9])), [[1.0, 0.0]] * 3
-    )
+    assert_allclose(a.velocity_mps(np.array([0.0, 0.45, 0.9])), [[1.0, 0.0]] * 3)
 
 
 def test_columns_frames_and_radians_of_dut_are_recognised(tmp_path):
     rows = [(7, 24 * n, "veh", 3.0 * n, 0.0, math.pi / 2, 3.0) for n in range(4)]
     text = csv_of(rows, "id,frame,label,x_est,y_est,psi_est,vel_est")
     ((track,), _) = read(tmp_path, text, frame_rate_hz=24.0)
-    np.testing.assert_allclose(track.time_s, range(4))
-    np.testing.assert_allclose(track.yaw_deg, 90.0)
+    assert_allclose(track.time_s, range(4))
+    assert_allclose(track.yaw_deg, 90.0)
     assert refusal(tmp_path, text).startswith("line 1: got id, frame, label, x_est")
 
 
@@ -165,8 +164,8 @@ def test_floating_car_data_of_sumo(tmp_path):
     ]
     # The front bumper stands where SUMO's does.
     front_m = tracks[0].position_m[:, 0] + 0.5 * pick_actor("vut", "vut").length_m
-    np.testing.assert_allclose(front_m, [0.0, 10.0, 20.0, 30.0])
-    np.testing.assert_allclose(tracks[1].yaw_deg, 90.0)
+    assert_allclose(front_m, [0.0, 10.0, 20.0, 30.0])
+    assert_allclose(tracks[1].yaw_deg, 90.0)
     lost = (
         '<fcd-export><timestep time="0"><person id="p" x="1"'
         ' angle="0"/></timestep></fcd-export>'
@@ -191,9 +190,9 @@ def test_commonroad(tmp_path):
     ((track,), _) = read(tmp_path, text, "a.xml")
     assert track.id == "8"
     assert track.class_name == "cyclist"
-    np.testing.assert_allclose(track.time_s, [0.0, 0.2, 0.4])
-    np.testing.assert_allclose(track.position_m, [[1.5, 0.0], [1.5, 1.0], [1.5, 2.0]])
-    np.testing.assert_allclose(track.yaw_deg, 90.0)
+    assert_allclose(track.time_s, [0.0, 0.2, 0.4])
+    assert_allclose(track.position_m, [[1.5, 0.0], [1.5, 1.0], [1.5, 2.0]])
+    assert_allclose(track.yaw_deg, 90.0)
     uncertain = text.replace(state(2), state(2, x=""))
     assert refusal(tmp_path, uncertain, "a.xml").startswith(
         "dynamicObstacle 8, state 2: position:"
@@ -216,7 +215,7 @@ def test_commonroad_as_real_files_have_it(tmp_path):
     assert track.id == "8"
     assert track.class_name == "cyclist"
     assert n_left_out == 0
-    np.testing.assert_allclose(track.position_m, [[1.5, 0.0], [1.5, 1.0], [1.5, 2.0]])
+    assert_allclose(track.position_m, [[1.5, 0.0], [1.5, 1.0], [1.5, 2.0]])
     # At another place at the same time is still a fault of the file.
     elsewhere = text.replace(
         f"<trajectory>{state(0)}", f"<trajectory>{state(0, x='<x>2</x>')}"

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from export_layouts import awkward_layout, large_layout
+from numpy.testing import assert_allclose
 from PIL import Image
 from short_runs import cut_run
 
@@ -108,7 +109,7 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
         ):
             pose = boxes[name].pose
             size = boxes[name].size
-            np.testing.assert_allclose(
+            assert_allclose(
                 [pose.position.x, pose.position.y, pose.position.z],
                 [*at_m[frame], 0.5 * body.height_m],
                 atol=1e-9,
@@ -149,7 +150,7 @@ def test_frusta_show_the_corners_of_the_image(topics):
         pixels = pixels[:, :2] / pixels[:, 2:]
         width = calibration.width - 0.5
         height = calibration.height - 0.5
-        np.testing.assert_allclose(
+        assert_allclose(
             pixels,
             [[-0.5, -0.5], [width, -0.5], [width, height], [-0.5, height]],
             atol=1e-6,

@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from refusals import refused_with
 
 from experiments.figures import film as film_figure
 from experiments.figures.film import plot_film, save_film
-from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
 from placement.question import Question
 from placement.setting import drive_one
@@ -114,11 +114,9 @@ def test_an_animation_has_a_picture_per_frame_and_tells_its_progress(
 
 
 def test_an_unknown_form_is_refused_before_anything_is_written(child, tmp_path):
-    with pytest.raises(InputError) as caught:
-        save_film(tmp_path / "film.mov", load_study_scene(), child)
-    assert (
-        str(caught.value)
-        == f"--out: got '{tmp_path}/film.mov'; expected a name that ends in .png, .svg,"
+    with refused_with(
+        f"--out: got '{tmp_path}/film.mov'; expected a name that ends in .png, .svg,"
         " .pdf, .gif"
-    )
+    ):
+        save_film(tmp_path / "film.mov", load_study_scene(), child)
     assert list(tmp_path.iterdir()) == []

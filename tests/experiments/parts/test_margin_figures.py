@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_verdicts import made_verdict
 
 from experiments.figures.axes import to_png
 from experiments.parts.margins import MAX_COLUMNS, plot_margins
-from placement.evaluation import Verdict
 
 
 @pytest.fixture
@@ -15,16 +15,6 @@ def axis(frame_axis):
         cases=("$A_{", "_B", "$A_{"),
         approaches=("north", "_south$", "north"),
         last_brake_time_s=np.array([-0.1, -0.2, -1.0]),
-    )
-
-
-def verdict(axis, onset_s):
-    onset = np.array(onset_s, dtype=float)
-    return Verdict(
-        detected=np.zeros(axis.n_frames, dtype=bool),
-        confirmation_time_s=onset,
-        onset_time_s=onset,
-        is_avoided=onset <= axis.last_brake_time_s,
     )
 
 
@@ -46,7 +36,7 @@ def marks(axes, *, is_filled):
 
 
 def test_every_run_has_one_mark_where_its_margin_is(axis):
-    (axes,) = plot_margins([("all", verdict(axis, [-0.6, 0.3, np.inf]))], axis)
+    (axes,) = plot_margins([("all", made_verdict(axis, [-0.6, 0.3, np.inf]))], axis)
     places, n_edge = marks(axes, is_filled=True)
     assert places == pytest.approx([500.0])
     assert n_edge == 0
@@ -60,15 +50,15 @@ def test_every_run_has_one_mark_where_its_margin_is(axis):
 
 def test_runs_without_weight_are_not_drawn(axis):
     axis = replace(axis, weight=np.array([0.0, 1.0, 0.0]))
-    (axes,) = plot_margins([("all", verdict(axis, [-0.6, -0.3, np.inf]))], axis)
+    (axes,) = plot_margins([("all", made_verdict(axis, [-0.6, -0.3, np.inf]))], axis)
     assert marks(axes, is_filled=True) == (pytest.approx([100.0]), 0)
     assert marks(axes, is_filled=False) == ([], 0)
 
 
 def test_panels_share_their_scale_and_names_are_drawn_letter_by_letter(axis):
     parties = [
-        ("$\\bad{", verdict(axis, [-0.6, 0.3, np.inf])),
-        ("_hidden", verdict(axis, [-9.0, -8.0, -7.0])),
+        ("$\\bad{", made_verdict(axis, [-0.6, 0.3, np.inf])),
+        ("_hidden", made_verdict(axis, [-9.0, -8.0, -7.0])),
     ]
     panels = plot_margins(parties, axis)
     assert len({panel.get_xlim() for panel in panels}) == 1
@@ -102,7 +92,7 @@ def test_the_most_columns_and_many_directions_fit(axis):
         time_s=np.zeros(n),
         positions=("0",) * n,
     )
-    never = verdict(wide, np.full(n, np.inf))
+    never = made_verdict(wide, np.full(n, np.inf))
     panels = plot_margins([("x" * 40, never)] * MAX_COLUMNS, wide)
     assert to_png(panels[0].get_figure(root=True)).startswith(b"\x89PNG")
     assert marks(panels[-1], is_filled=False) == ([], n)

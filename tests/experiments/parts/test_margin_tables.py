@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made_verdicts import made_evaluation, made_verdict
 from partial_pages import pictures_of, render_section, tables_of
 from strategies import frame_axes
 
@@ -17,22 +18,6 @@ from experiments.parts.margins import (
     summarise_margins,
 )
 from experiments.results.numbers import NOTHING
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
-from placement.evaluation import Evaluation, Verdict
-from placement.layout import Layout
-
-
-def verdict(axis, onset_s, is_avoided=None):
-    onset = np.array(onset_s, dtype=float)
-    return Verdict(
-        detected=np.zeros(axis.n_frames, dtype=bool),
-        confirmation_time_s=onset,
-        onset_time_s=onset,
-        is_avoided=(
-            onset <= axis.last_brake_time_s if is_avoided is None else is_avoided
-        ),
-    )
 
 
 @pytest.fixture
@@ -49,29 +34,16 @@ def axis(frame_axis):
 
 
 @pytest.fixture
-def build(axis, camera):
+def build(axis):
     def build_evaluation(name, onset_s, vut_s, axis=axis):
-        unit = CandidatePose(
-            id="RSU0",
-            site_id="",
-            pose=Pose(position_m=np.zeros(3), yaw_deg=0.0, pitch_deg=0.0),
-            sensor=camera,
-        )
-        together = verdict(axis, onset_s)
-        return Evaluation(
-            layout=Layout(name=name, units=(unit,)),
-            axis=axis,
-            vut=verdict(axis, vut_s),
-            units={"RSU0": together},
-            rsu_all=together,
-            vut_and_rsus=together,
-        )
+        vut = made_verdict(axis, vut_s)
+        return made_evaluation(axis, made_verdict(axis, onset_s), name=name, vut=vut)
 
     return build_evaluation
 
 
 def test_metres_are_what_the_car_covers_in_the_margin(axis):
-    party = verdict(axis, [-0.6, 0.3, np.inf])
+    party = made_verdict(axis, [-0.6, 0.3, np.inf])
     assert margin_m(party, axis)[:2] == pytest.approx([0.5 * 10.0, -0.5 * 20.0])
     assert margin_m(party, axis)[2] == -np.inf
 
@@ -115,7 +87,8 @@ def test_a_summary_is_what_counting_run_by_run_gives(axis, data):
     avoided &= (onset <= axis.last_brake_time_s) | lucky
     lost = ~np.isfinite(onset) & np.array([data.draw(st.booleans()) for _ in range(n)])
     party = replace(
-        verdict(axis, onset, avoided), confirmation_time_s=np.where(lost, -0.9, onset)
+        made_verdict(axis, onset, is_avoided=avoided),
+        confirmation_time_s=np.where(lost, -0.9, onset),
     )
     mask = np.array([data.draw(st.booleans()) for _ in range(n)])
     summary = summarise_margins(party, axis, mask)
@@ -205,7 +178,7 @@ def test_notes_tell_only_what_applies(build, axis):
     )
     late = build("mine", [-0.6, 0.3, 0.0], [np.inf] * 3, axis=hopeless)
     lucky = replace(
-        late, rsu_all=verdict(hopeless, [-0.6, 0.3, 0.0], np.array([1, 1, 0]) > 0)
+        late, rsu_all=made_verdict(hopeless, [-0.6, 0.3, 0.0], is_avoided=[1, 1, 0])
     )
     without, no_braking, luck = margin_notes({"mine": lucky})
     assert without == "Left out: 1 run of weight 0."

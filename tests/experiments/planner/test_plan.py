@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from pyproj import Transformer
 
 from experiments.planner.changes import Stock, change_state
@@ -91,7 +92,7 @@ def test_a_unit_that_is_moved_to_another_pole_looks_where_it_looked(pitch_deg):
     for site in ("corner-sw", "signal-n"):
         after = changed(ChangeUnit(unit="U1", site=site), state=before)
         (one,), (other,) = before.variant.units, after.variant.units
-        np.testing.assert_allclose(target_m(other), target_m(one), atol=1e-3)
+        assert_allclose(target_m(other), target_m(one), atol=1e-3)
     level = changed(ChangeUnit(unit="U1", pitch_deg=0.0), state=ONE)
     (unit,) = changed(
         ChangeUnit(unit="U1", site="corner-sw"), state=level
@@ -493,10 +494,8 @@ def test_tiles_and_places_of_the_plan_lead_to_each_other_as_by_pyproj(crs):
         ]
         return np.stack(powers, 1) @ np.array(fit)
 
-    np.testing.assert_allclose(fitted(tiles, frame["toPlan"]), plan, atol=1e-3 / 1500.0)
-    np.testing.assert_allclose(
-        fitted(plan, frame["toTiles"]), tiles, atol=1e-3 / 1500.0
-    )
+    assert_allclose(fitted(tiles, frame["toPlan"]), plan, atol=1e-3 / 1500.0)
+    assert_allclose(fitted(plan, frame["toTiles"]), tiles, atol=1e-3 / 1500.0)
 
 
 def test_a_scene_of_no_known_place_has_no_tiles():

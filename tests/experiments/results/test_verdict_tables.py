@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from experiments.results.tables import (
     apr_table,
@@ -181,7 +182,7 @@ def test_runs_table_has_one_row_per_party_and_run(evaluation, tmp_path):
         np.testing.assert_array_equal(
             rows.confirmation_time_s.isna(), np.isinf(verdict.confirmation_time_s)
         )
-        np.testing.assert_allclose(
+        assert_allclose(
             rows.detected_share,
             [
                 verdict.detected[axis.frames_of(index)].mean()
@@ -207,4 +208,4 @@ def test_margin_is_minus_infinity_where_nothing_is_confirmed_or_nothing_helps(
         np.testing.assert_array_equal(np.isneginf(margin), hopeless)
         last_s = evaluation.axis.last_brake_time_s[~hopeless]
         onset_s = verdict.confirmation_time_s[~hopeless] + rule.latency_s
-        np.testing.assert_allclose(margin[~hopeless], last_s - onset_s)
+        assert_allclose(margin[~hopeless], last_s - onset_s)

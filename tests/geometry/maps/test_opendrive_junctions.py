@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+from numpy.testing import assert_allclose
 from opendrive_text import (
     arms_of,
     crossing,
@@ -230,12 +231,10 @@ def test_a_stub_of_a_road_at_the_mouth_belongs_to_the_road_beyond(tmp_path):
     assert arms_of(source, source.junctions[0])["east"] == (1, 1)
     lanes = {one.id: one for one in source.lanes}
     assert not {"5/1", "5/-1"} & set(lanes)
-    np.testing.assert_allclose(
-        lanes["1/1"].centreline_m[[0, -1], :2], [[61, 1.75], [10, 1.75]]
-    )
+    assert_allclose(lanes["1/1"].centreline_m[[0, -1], :2], [[61, 1.75], [10, 1.75]])
     assert lanes["1/1"].from_junction == ""
     assert lanes["1/1"].to_junction == "9"
-    np.testing.assert_allclose(lanes["1/-1"].centreline_m[[0, -1], 0], [10, 61])
+    assert_allclose(lanes["1/-1"].centreline_m[[0, -1], 0], [10, 61])
     assert (np.diff(lanes["1/-1"].centreline_m[:, 0]) > 0).all()
 
 
@@ -258,9 +257,7 @@ def test_paths_across_a_junction_are_crosswalks(tmp_path):
         "</junction>", '<crossPath crossingRoad="30" id="0"/></junction>'
     )
     source = read_text(tmp_path, text)
-    np.testing.assert_allclose(
-        source.crosswalks_m, [[[12.0, -4.0], [12.0, 4.0]]], atol=1e-9
-    )
+    assert_allclose(source.crosswalks_m, [[[12.0, -4.0], [12.0, 4.0]]], atol=1e-9)
 
 
 @pytest.mark.parametrize("length_m", [2.0e-7, 5.0e-4])

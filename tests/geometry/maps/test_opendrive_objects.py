@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from opendrive_text import cubic, document, geometry, read_text, road
 
 from geometry.maps.opendrive.object_shapes import build_prism
@@ -71,9 +72,7 @@ def test_a_box_stands_on_the_road_plane_turned_with_it(tmp_path):
     )
     assert thing.class_name == "building"
     assert not thing.is_height_assumed
-    np.testing.assert_allclose(
-        _mesh(thing).bounds, [[47, 0, 11], [53, 20, 15]], atol=1e-9
-    )
+    assert_allclose(_mesh(thing).bounds, [[47, 0, 11], [53, 20, 15]], atol=1e-9)
     assert _is_solid(thing)
 
 
@@ -86,9 +85,7 @@ def test_a_building_without_height_gets_one_and_says_so(tmp_path):
 def test_a_cylinder_has_its_radius(tmp_path):
     thing = _thing(tmp_path, _object("barrier", radius=2, height=3))
     assert thing.class_name == "wall"
-    np.testing.assert_allclose(
-        _mesh(thing).bounds, [[48, 8, 0], [52, 12, 3]], atol=1e-9
-    )
+    assert_allclose(_mesh(thing).bounds, [[48, 8, 0], [52, 12, 3]], atol=1e-9)
     assert _is_solid(thing)
 
 
@@ -99,9 +96,7 @@ def test_outlines_in_the_objects_frame(tmp_path):
     thing = _thing(
         tmp_path, _object("building", hdg=np.pi / 2, inside=_outline(corners))
     )
-    np.testing.assert_allclose(
-        _mesh(thing).bounds, [[48, 10, 0], [50, 14, 6]], atol=1e-9
-    )
+    assert_allclose(_mesh(thing).bounds, [[48, 10, 0], [50, 14, 6]], atol=1e-9)
     assert not thing.is_height_assumed
     assert _mesh(thing).volume == pytest.approx(48.0)
 
@@ -113,7 +108,7 @@ def test_outlines_on_the_road_follow_it(tmp_path):
     )
     thing = _thing(tmp_path, text, elevation=_SLOPE)
     mesh = _mesh(thing)
-    np.testing.assert_allclose(mesh.bounds, [[10, 5, 7], [30, 9, 13]], atol=1e-9)
+    assert_allclose(mesh.bounds, [[10, 5, 7], [30, 9, 13]], atol=1e-9)
     assert _is_solid(thing)
     assert mesh.volume == pytest.approx(20 * 4 * 4.0)  # a sheared box
 
@@ -165,7 +160,7 @@ def test_a_swept_wall_on_a_straight_road_is_a_box(tmp_path):
     repeat = '<repeat s="10" length="60" distance="0"/>'
     thing = _thing(tmp_path, _object("wall", height=2, width=0.3, inside=repeat))
     assert len(thing.vertices_m) == 8
-    np.testing.assert_allclose(_mesh(thing).bounds, [[10, 9.85, 0], [70, 10.15, 2]])
+    assert_allclose(_mesh(thing).bounds, [[10, 9.85, 0], [70, 10.15, 2]])
     assert _is_solid(thing)
 
 
@@ -179,9 +174,9 @@ def test_copies_stand_at_their_distance_and_change_on_the_way(tmp_path):
         f"road 1 object 7/{index}" for index in range(3)
     ]
     tops = [thing.vertices_m[:, 2].max() for thing in things]
-    np.testing.assert_allclose(tops, [4, 6, 8])
+    assert_allclose(tops, [4, 6, 8])
     feet = [0.5 * np.sum(_mesh(thing).bounds[:, :2], axis=0) for thing in things]
-    np.testing.assert_allclose(feet, [[10, 5], [30, 7], [50, 9]], atol=1e-6)
+    assert_allclose(feet, [[10, 5], [30, 7], [50, 9]], atol=1e-6)
 
 
 def test_outlines_go_with_their_copies(tmp_path):
@@ -190,9 +185,7 @@ def test_outlines_go_with_their_copies(tmp_path):
     things = _read(
         tmp_path, _object("building", inside=repeat + _outline(corners))
     ).things
-    np.testing.assert_allclose(
-        [thing.vertices_m[:, 0].min() for thing in things], [20, 50]
-    )
+    assert_allclose([thing.vertices_m[:, 0].min() for thing in things], [20, 50])
 
 
 def test_copies_beyond_the_road_are_left_out(tmp_path):
@@ -215,7 +208,7 @@ def test_a_tree_has_a_trunk_and_a_crown(tmp_path):
 
 def test_low_vegetation_is_no_tree(tmp_path):
     thing = _thing(tmp_path, _object("vegetation", length=10, width=1, height=1.5))
-    np.testing.assert_allclose(_mesh(thing).bounds, [[45, 9.5, 0], [55, 10.5, 1.5]])
+    assert_allclose(_mesh(thing).bounds, [[45, 9.5, 0], [55, 10.5, 1.5]])
 
 
 @pytest.mark.parametrize(
@@ -267,7 +260,7 @@ def test_poles(tmp_path, kind, name, expected):
     )
     (pole,) = source.poles
     assert pole.kind == expected
-    np.testing.assert_allclose(pole.position_m, [50, 10, 10])
+    assert_allclose(pole.position_m, [50, 10, 10])
     assert pole.height_m == pytest.approx(5.5)
 
 
@@ -279,9 +272,7 @@ def test_a_pole_without_height_says_nothing_about_it(tmp_path):
 def test_a_row_of_lamps_is_one_pole_each(tmp_path):
     repeat = '<repeat s="0" length="100" distance="25"/>'
     poles = _read(tmp_path, _object("streetLamp", height=5, inside=repeat)).poles
-    np.testing.assert_allclose(
-        [pole.position_m[0] for pole in poles], [0, 25, 50, 75, 100]
-    )
+    assert_allclose([pole.position_m[0] for pole in poles], [0, 25, 50, 75, 100])
 
 
 @pytest.mark.parametrize(
@@ -298,16 +289,14 @@ def test_crosswalks_lead_the_long_way(tmp_path, inside, more):
     (ends,) = _read(
         tmp_path, _object("crosswalk", t=0, inside=inside, **more)
     ).crosswalks_m
-    np.testing.assert_allclose(sorted(ends.tolist()), [[50, -4], [50, 4]], atol=1e-9)
+    assert_allclose(sorted(ends.tolist()), [[50, -4], [50, 4]], atol=1e-9)
 
 
 def test_a_crosswalk_that_is_nearly_square_leads_across_the_road(tmp_path):
     (ends,) = _read(
         tmp_path, _object("crosswalk", t=0, length=4, width=3.5)
     ).crosswalks_m
-    np.testing.assert_allclose(
-        sorted(ends.tolist()), [[50, -1.75], [50, 1.75]], atol=1e-9
-    )
+    assert_allclose(sorted(ends.tolist()), [[50, -1.75], [50, 1.75]], atol=1e-9)
 
 
 def test_parking_spaces_side_by_side_are_one_lane(tmp_path):
@@ -318,12 +307,10 @@ def test_parking_spaces_side_by_side_are_one_lane(tmp_path):
     lanes = [one for one in _read(tmp_path, spaces).lanes if one.kind == "parking"]
     assert [one.id for one in lanes] == ["1/parking 1", "1/parking 2", "1/parking 3"]
     row, along, alone = lanes
-    np.testing.assert_allclose(
-        row.centreline_m[[0, -1], :2], [[18.75, -6], [46.25, -6]]
-    )
+    assert_allclose(row.centreline_m[[0, -1], :2], [[18.75, -6], [46.25, -6]])
     assert row.width_m == pytest.approx(5.0)
     # To the left of the road traffic comes back.
-    np.testing.assert_allclose(along.centreline_m[[0, -1], :2], [[33, 6], [27, 6]])
+    assert_allclose(along.centreline_m[[0, -1], :2], [[33, 6], [27, 6]])
     assert along.width_m == pytest.approx(2.0)
     assert alone.centreline_m[0, 0] == pytest.approx(78.75)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from osm_tags import tags_of
 from osm_text import OsmText, arm_lanes, arms_of, as_drawn, crossing, scene_of
 
@@ -154,7 +155,7 @@ def test_tags_say_what_lies_side_by_side(tags, expected, tmp_path):
     found = one_road(tags_of(tags), tmp_path)
     assert [strip[:2] for strip in found] == [strip[:2] for strip in expected]
     places = [strip[2] for strip in found]
-    np.testing.assert_allclose(places, [strip[2] for strip in expected], atol=0.11)
+    assert_allclose(places, [strip[2] for strip in expected], atol=0.11)
 
 
 @pytest.mark.parametrize(
@@ -168,7 +169,7 @@ def test_where_traffic_keeps_left_lanes_lie_as_in_a_mirror(tags, tmp_path):
     left = one_road(tags_of(tags), tmp_path, keeps_left=True)
     assert [strip[:2] for strip in left] == [strip[:2] for strip in right[::-1]]
     places = [-strip[2] for strip in right[::-1]]
-    np.testing.assert_allclose([strip[2] for strip in left], places, atol=0.03)
+    assert_allclose([strip[2] for strip in left], places, atol=0.03)
 
 
 @pytest.mark.parametrize(
@@ -229,9 +230,7 @@ def test_four_roads_of_two_lanes_meet(tmp_path):
     for lane in source.lanes:
         tip = lane.centreline_m[0 if lane.from_junction else -1, :2]
         assert np.abs(tip).max() == pytest.approx(8.0, abs=0.55)
-        np.testing.assert_allclose(
-            np.abs(lane.centreline_m[:, :2]).min(axis=1), 1.5, atol=0.03
-        )
+        assert_allclose(np.abs(lane.centreline_m[:, :2]).min(axis=1), 1.5, atol=0.03)
     # Traffic keeps right: what leads east lies south of the axis.
     east = next(
         lane
@@ -461,7 +460,7 @@ def test_a_street_is_followed_over_nodes_where_only_tags_change(tmp_path):
     for lane in east:
         assert 3.0 < lane.width_m < 4.0
         along = np.abs(np.interp([30.0, 120.0], *_rising(lane)))
-        np.testing.assert_allclose(along, [1.5, 2.0], atol=0.03)
+        assert_allclose(along, [1.5, 2.0], atol=0.03)
 
 
 def _rising(lane: MapLane) -> tuple[np.ndarray, np.ndarray]:

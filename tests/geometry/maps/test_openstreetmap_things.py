@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from osm_tags import tags_of
 from osm_text import OsmText, as_drawn
 
@@ -307,7 +308,7 @@ def test_trees_stand_along_a_row_and_woods_are_told(tmp_path):
     wood = osm.way([(x, y + 50.0) for x, y in SQUARE], tags_of("natural=wood"))
     source = read(osm, tmp_path)
     feet = sorted(thing.vertices_m[:, 0].mean() for thing in source.things)
-    np.testing.assert_allclose(feet, [10.0, 18.0, 26.0, 34.0, 42.0], atol=0.05)
+    assert_allclose(feet, [10.0, 18.0, 26.0, 34.0, 42.0], atol=0.05)
     assert all(thing.is_height_assumed for thing in source.things)
     (skipped,) = source.skipped
     assert skipped.what == f"way {wood}"
@@ -387,7 +388,7 @@ def test_poles_beside_the_road_stand_where_they_are(tags, kind, height_m, tmp_pa
     assert pole.id == f"n{node}"
     assert pole.kind == kind
     assert pole.height_m == height_m
-    np.testing.assert_allclose(pole.position_m, [10.0, 6.0, 0.0], atol=0.02)
+    assert_allclose(pole.position_m, [10.0, 6.0, 0.0], atol=0.02)
 
 
 def test_lamps_without_a_pole_are_told(tmp_path):
@@ -424,9 +425,7 @@ def test_a_signal_on_the_road_stands_at_the_kerb_beside_its_stop_line(
     poles = read(osm, tmp_path, keeps_left=keeps_left).poles
     assert {pole.kind for pole in poles} == {"traffic light"}
     feet = sorted(pole.position_m.tolist() for pole in poles)
-    np.testing.assert_allclose(
-        feet, [[-15.0, north, 0.0] for north in north_m], atol=0.05
-    )
+    assert_allclose(feet, [[-15.0, north, 0.0] for north in north_m], atol=0.05)
 
 
 def test_signals_where_roads_meet_stand_at_every_arm_by_which_cars_come(
@@ -438,7 +437,7 @@ def test_signals_where_roads_meet_stand_at_every_arm_by_which_cars_come(
     osm.road([middle, (0.0, 80.0)], width="6", oneway="yes")  # away only
     poles = read(osm, tmp_path).poles
     feet = sorted(pole.position_m[:2].round(1).tolist() for pole in poles)
-    np.testing.assert_allclose(feet, [[-8.0, -3.5], [8.0, 3.5]], atol=0.6)
+    assert_allclose(feet, [[-8.0, -3.5], [8.0, 3.5]], atol=0.6)
     assert len({pole.id for pole in poles}) == 2
 
 
@@ -459,7 +458,7 @@ def test_crosswalks_lead_over_the_road_and_two_metres_farther(tmp_path):
     )  # over no road
     lines = read(osm, tmp_path).crosswalks_m
     found = sorted(sorted(line.round(1).tolist()) for line in lines)
-    np.testing.assert_allclose(
+    assert_allclose(
         found,
         [[[-20.0, -5.0], [-20.0, 5.0]], [[-11.25, -4.9], [-8.75, 4.9]]],
         atol=0.11,
@@ -479,7 +478,7 @@ def test_a_footway_over_two_arms_is_a_crosswalk_over_each(tmp_path):
     osm.way(corner, tags_of("highway=footway; footway=crossing"))
     lines = read(osm, tmp_path).crosswalks_m
     found = sorted(np.sort(line, axis=0).round(1).tolist() for line in lines)
-    np.testing.assert_allclose(
+    assert_allclose(
         found, [[[-5.0, 10.0], [5.0, 10.0]], [[10.0, -5.0], [10.0, 5.0]]], atol=0.11
     )
 
@@ -496,7 +495,7 @@ def test_two_carriageways_crossed_straight_are_one_crosswalk(tmp_path):
         )
     lines = read(osm, tmp_path).crosswalks_m
     found = sorted(np.sort(line, axis=0).round(1).tolist() for line in lines)
-    np.testing.assert_allclose(
+    assert_allclose(
         found, [[[0.0, -11.0], [0.0, 11.0]], [[20.0, 1.0], [20.0, 11.0]]], atol=0.11
     )
 
@@ -514,4 +513,4 @@ def test_crosswalks_nearer_than_three_metres_are_one(tmp_path):
     crossings = [osm.node(x, 0.0, highway="crossing") for x in (0.0, 2.0, 6.0)]
     osm.road([(-80.0, 0.0), *crossings, (80.0, 0.0)], width="6")
     lines = read(osm, tmp_path).crosswalks_m
-    np.testing.assert_allclose(np.sort(lines[:, 0, 0]), [0.0, 6.0], atol=0.05)
+    assert_allclose(np.sort(lines[:, 0, 0]), [0.0, 6.0], atol=0.05)

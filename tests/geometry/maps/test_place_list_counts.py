@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from osm_text import LAT_DEG, LON_DEG
 
 from geometry.errors import InputError
@@ -62,8 +63,8 @@ def test_counts_are_the_same_from_csv_and_geojson(tmp_path):
     assert one.column == "Accidents"
     assert other.column == "accidents"
     assert one.values.tolist() == other.values.tolist() == [3.0, 0.5]
-    np.testing.assert_allclose(one.positions_m, other.positions_m, atol=1e-3)
-    np.testing.assert_allclose(one.positions_m[0], HERE, atol=1e-3)
+    assert_allclose(one.positions_m, other.positions_m, atol=1e-3)
+    assert_allclose(one.positions_m[0], HERE, atol=1e-3)
 
 
 def test_places_without_a_count_count_once(tmp_path):
