@@ -200,14 +200,9 @@ def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
         " -0.6</data></distortion_coefficients></opencv_storage>"
     )
     asked = (
-        "export",
-        "--calibration",
+        "export --calibration",
         path,
-        "--size",
-        1920,
-        1080,
-        "--quiet",
-        "--format",
+        "--size 1920 1080 --quiet --format",
     )
     out = answer(run(*asked, "ros"))
     (document,) = yaml.safe_load_all(out)
@@ -221,9 +216,7 @@ def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
     assert document["unit"] == "north"
     assert document["distortion_model"] == "plumb_bob"
     (tmp_path / "north.yaml").write_text(run(*asked, "opencv")[1])
-    again = run(
-        "export", "--calibration", tmp_path / "north.yaml", "--quiet", "--format", "ros"
-    )
+    again = run("export --calibration", tmp_path / "north.yaml", "--quiet --format ros")
     assert again == (0, out, "")
     assert run(*asked, "carla")[::2] == (
         2,
@@ -232,7 +225,7 @@ def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
             " ros\n"
         ),
     )
-    both = run(*asked, "ros", "--layout", "carlancap-12")
+    both = run(*asked, "ros", "--layout carlancap-12")
     assert (
         both[2]
         == "place-rsus: --calibration: got it with --layout; expected one of them\n"

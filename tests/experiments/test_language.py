@@ -302,30 +302,34 @@ def mine(tmp_path):
 @pytest.mark.parametrize(
     "asked",
     [
-        "--budget 2 --verbose",
+        pytest.param("--budget 2 --verbose", marks=pytest.mark.long),
         pytest.param(
             "--budget 2 --cars 0.5 --give-up 0.01 --vam-rate 0.5 --verbose",
             marks=pytest.mark.long,
         ),
         pytest.param("--budget 2 --samples 4 --cars blind", marks=pytest.mark.long),
         "--budget 2 --cars see --fusion single --detector response --verbose",
-        (
+        pytest.param(
             "--target 0.5 --least cost --site-cost 100 --cars blind --score rating-2026"
-            " --verbose"
+            " --verbose",
+            marks=pytest.mark.long,
         ),
         "evaluate --layout MINE-1 --cars blind --verbose",
-        "evaluate --layout MINE-2 --no-look GARDEN-1 --verbose",
+        pytest.param(
+            "evaluate --layout MINE-2 --no-look GARDEN-1 --verbose",
+            marks=pytest.mark.long,
+        ),
         pytest.param(
             "compare MINE-2 MINE-1 --samples 4 --verbose", marks=pytest.mark.long
         ),
         "compare MINE-2 MINE-1 carlancap-12",
-        "pareto --max 2",
+        pytest.param("pareto --max 2", marks=pytest.mark.long),
         "pareto --max 2 --by cost --site-cost 500",
         pytest.param(
             "retrofit --layout MINE-2 --site-cost 500 --budget-cost 3000",
             marks=pytest.mark.long,
         ),
-        "latency --layout MINE-2",
+        pytest.param("latency --layout MINE-2", marks=pytest.mark.long),
         "latency --layout MINE-1 --budget cpm-100ms",
     ],
 )
@@ -335,7 +339,7 @@ def test_no_word_on_a_terminal_is_left_over(run, mine, few_runs, monkeypatch, as
     )
     for path in mine:
         asked = asked.replace(path.stem.upper(), str(path))
-    code, text, err = run(*asked.split(), "--language", "de", "--out", "out-1")
+    code, text, err = run(asked, "--language de --out out-1")
     assert code == 0, err
     assert text.count("⟦") > 20
     assert not left_over(re.sub(r"--[a-z-]+", "", text))
@@ -355,9 +359,7 @@ def test_no_word_of_a_sheet_is_left_over(run, mine, small_setting, monkeypatch):
         keep(pages, figure)
 
     monkeypatch.setattr(PdfPages, "savefig", savefig)
-    code, text, err = run(
-        "sheet", "--layout", mine[1], "--out", "s-1.pdf", "--language", "de"
-    )
+    code, text, err = run("sheet --layout", mine[1], "--out s-1.pdf --language de")
     assert code == 0, err
     assert len(texts) > 40
     assert not {text: left_over(text) for text in [*texts, text] if left_over(text)}
@@ -365,19 +367,19 @@ def test_no_word_of_a_sheet_is_left_over(run, mine, small_setting, monkeypatch):
 
 @pytest.mark.usefixtures("small_study")
 def test_the_language_is_that_of_the_option_else_of_the_environment(run, monkeypatch):
-    asked = ("pareto", "--max", 1, "--quiet")
-    english = run(*asked)
-    german = run(*asked, "--language", "de")
+    asked = "pareto --max 1 --quiet"
+    english = run(asked)
+    german = run(asked, "--language de")
     assert "The best of" in english[1]
     assert "Die besten von" in german[1]
     monkeypatch.setenv("PLACE_RSUS_LANGUAGE", "de")
-    assert run(*asked) == german
-    assert run(*asked, "--language", "en") == english
+    assert run(asked) == german
+    assert run(asked, "--language en") == english
     assert language() == "en"
     wrong = "place-rsus: --language: got 'fr'; expected one of en, de\n"
-    assert run(*asked, "--language", "fr") == (2, "", wrong)
+    assert run(asked, "--language fr") == (2, "", wrong)
     monkeypatch.setenv("PLACE_RSUS_LANGUAGE", "fr")
-    assert run(*asked) == (2, "", wrong)
+    assert run(asked) == (2, "", wrong)
 
 
 @pytest.mark.usefixtures("few_runs", "bracketed")
@@ -401,7 +403,7 @@ def test_no_word_of_a_report_is_left_over(
         radio=Radio(packet_loss=0.1, vam_rate=0.5),
     )
     lay_runs_of(monkeypatch, odd)
-    code, _, err = run(*asked.split(), "--out", "out", "--language", "de")
+    code, _, err = run(asked, "--out out --language de")
     assert code == 0, err
     page = Path("out/report.html").read_text()
     assert '<html lang="de">' in page

@@ -167,13 +167,6 @@ def test_visible_light_is_the_reference_of_lasers(visibility_m, rate_mmph):
     )
 
 
-@given(visibilities_m, visibilities_m)
-def test_thicker_air_takes_more(one_m, other_m):
-    thick, thin = (replace(CLEAR, visibility_m=v) for v in sorted((one_m, other_m)))
-    assert thick.extinction_per_m >= thin.extinction_per_m
-    assert thick.lidar_extinction_per_m(905.0) >= thin.lidar_extinction_per_m(905.0)
-
-
 def test_fog_takes_the_same_of_a_laser_and_of_light():
     fog = load_weathers()["fog"]
     assert fog.lidar_extinction_per_m(905.0) == pytest.approx(fog.extinction_per_m)

@@ -71,11 +71,6 @@ def test_a_new_table_is_a_new_case(monkeypatch):
     assert case.vru.class_name == "pedestrian"
 
 
-def test_a_single_speed_is_allowed(monkeypatch):
-    table = _changed(vut_speed_kmh={"min": 40.0, "max": 40.0, "step": 5.0})
-    assert _load(monkeypatch, table)["X"].vut_speeds_kmh == (40.0,)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

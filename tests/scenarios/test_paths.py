@@ -141,7 +141,7 @@ def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(
 )
 def test_the_body_matches_one_dragged_in_small_steps(name):
     path = build_turn_path(load_turns()[name].turn)
-    distance = np.linspace(0.0, 60.0, 60_001)
+    distance = np.linspace(0.0, 60.0, 20_001)
     front, path_yaw_deg = front_axle_at(path, distance)
     tangent = np.radians(path_yaw_deg).tolist()
     steps_m = np.diff(distance).tolist()

@@ -390,7 +390,17 @@ def test_a_cyclist_comes_from_a_road_that_exists(vut):
     assert staged("CBTAfs-100", vut, scene=build_scene(lanes)).encounter
 
 
-@pytest.mark.parametrize("name", ["CPNCO-50", "CBNA", "CBNA-50", "CBFA-50", "CBNAO-50"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "CPNCO-50",
+        "CBNA",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("CBNA-50", "CBFA-50", "CBNAO-50")
+        ),
+    ],
+)
 @pytest.mark.parametrize(
     "scene", [protocol_scene(), CURVED], ids=["straight", "curved"]
 )

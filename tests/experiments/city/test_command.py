@@ -26,15 +26,15 @@ def test_the_first_line_says_what_matters_and_json_says_all(
 ):
     path = write_city(tmp_path)
     out = tmp_path / "city"
-    few = ("--coarse", "--max-units", 1, "--junctions", "n1;n3", *FEW_RUNS_OPTIONS)
-    code, text, err = run("city", path, "--budget", 1, "--out", out, *few)
+    few = ("--coarse --max-units 1 --junctions n1;n3", *FEW_RUNS_OPTIONS)
+    code, text, err = run("city", path, "--budget 1 --out", out, *few)
     assert code == 0
     assert text.startswith("1 sensor at 1 of 2 junctions for ")
     assert (
         "Junctions: 2 of 3; done already: 0. Weights: every junction counts the same."
         in err
     )
-    result = ask("city", path, "--budget", 1, "--out", out, *few)
+    result = ask("city", path, "--budget 1 --out", out, *few)
     assert result["units"] == 1
     assert result["computed"] == 0
     assert result["not_done"] == 0

@@ -36,7 +36,7 @@ from experiments.city.answer import fronts_table, load_front
 from experiments.city.command import city_text
 from experiments.city.inputs import CitySearch, CityWish, estimated_accidents
 from experiments.language import speaking
-from experiments.progress import WRITING, StageProgress
+from experiments.progress import StageProgress
 from experiments.results.folders import changed_files
 from experiments.results.numbers import percent
 from geometry.errors import InputError
@@ -641,14 +641,6 @@ def test_pages_of_junctions_that_stay_as_they_were_are_not_drawn_again(
     run(tiny / "tiny.osm", city, budget_units=0)
     assert pages() == {}
     assert not changed_files(city)
-
-
-def test_seconds_are_those_of_all_stages(tiny, city, never):
-    seconds = run(tiny / "tiny.osm", city).seconds
-    assert {"read maps", "choose", job.SERVE, WRITING} < seconds.keys()
-    assert seconds["total"] == pytest.approx(
-        sum(value for name, value in seconds.items() if name != "total"), abs=0.01
-    )
 
 
 def test_what_hangs_there_is_kept_and_paid(tiny, here, tmp_path, no_pages):

@@ -54,7 +54,7 @@ def test_a_gap_is_told_written_and_verified_and_a_smaller_one_is_not(run, tmp_pa
 # Quickly: tests/placement/sampling/test_certify.py, and above with a number
 @pytest.mark.long
 def test_worlds_of_a_block_may_be_found_out(run, ask, tmp_path):
-    found = ask(*ASKED, "--samples", "auto", "--out", tmp_path / "results")
+    found = ask(*ASKED, "--samples auto --out", tmp_path / "results")
     growth = found["growth"]
     assert found["worlds_of_block"] == growth["taken"]
     assert [block["first"] for block in found["blocks"]] == [0, growth["taken"]]
@@ -88,9 +88,7 @@ def test_what_cannot_be_certified_is_one_line(run, tmp_path, changed, message):
 
 
 def test_worlds_to_compare_in_are_a_number(run):
-    assert refusal(
-        run("compare", "carlancap-12", "carlancap-12", "--samples", "auto")
-    ) == (
+    assert refusal(run("compare carlancap-12 carlancap-12 --samples auto")) == (
         "--samples: got 'auto'; expected a number; auto where the best"
         " layout within a budget is chosen"
     )

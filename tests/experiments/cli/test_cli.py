@@ -165,7 +165,7 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
     ],
 )
 def test_wrong_arguments_are_one_line(run, arguments, message):
-    assert_refused(run(*arguments.split()), message)
+    assert_refused(run(arguments), message)
 
 
 @pytest.mark.parametrize(
@@ -179,28 +179,26 @@ def test_wrong_arguments_are_one_line(run, arguments, message):
 def test_a_file_that_is_no_layout_is_refused(run, tmp_path, content, message):
     path = tmp_path / "bad.json"
     path.write_bytes(content)
-    assert refusal(run("evaluate", "--layout", path)).startswith(
-        f"{path}: got {message}"
-    )
+    assert refusal(run("evaluate --layout", path)).startswith(f"{path}: got {message}")
 
 
 def test_an_empty_layout_and_repeated_ids_are_refused(run, tmp_path):
     path = tmp_path / "mine.json"
     path.write_text(json.dumps({"layout": []}))
     assert_refused(
-        run("evaluate", "--layout", path),
+        run("evaluate --layout", path),
         "layout mine: got no unit; expected at least one unit",
     )
     path.write_text(json.dumps({"layout": [UNIT, UNIT]}))
     assert_refused(
-        run("evaluate", "--layout", path),
+        run("evaluate --layout", path),
         "layout mine: id: got 'A'; expected every id once",
     )
 
 
 def test_a_folder_is_no_layout_file(run, tmp_path):
     assert_refused(
-        run("evaluate", "--layout", tmp_path),
+        run("evaluate --layout", tmp_path),
         f"{tmp_path}: got Is a directory; expected a readable file",
     )
 
@@ -218,7 +216,7 @@ def test_a_folder_is_no_layout_file(run, tmp_path):
 )
 def test_a_wrong_field_of_a_layout_file_is_named(run, layout_file, fields, message):
     path = layout_file(**fields)
-    assert_refused(run("evaluate", "--layout", path), f"{path}: {message}")
+    assert_refused(run("evaluate --layout", path), f"{path}: {message}")
 
 
 @pytest.mark.parametrize(
@@ -247,7 +245,7 @@ def test_a_wrong_field_of_a_layout_file_is_named(run, layout_file, fields, messa
 )
 def test_a_unit_that_cannot_be_is_refused(run, layout_file, fields, message):
     path = layout_file(**fields)
-    assert_refused(run("export", "--layout", path, "--format", "csv"), message)
+    assert_refused(run("export --layout", path, "--format csv"), message)
 
 
 def test_a_unit_inside_a_building_or_far_away_is_refused(
@@ -262,14 +260,14 @@ def test_a_unit_inside_a_building_or_far_away_is_refused(
     ]
     x_m, y_m, z_m = (0.5 * (corners.min(axis=0) + corners.max(axis=0))).tolist()
     code, _, err = run(
-        "export", "--format", "csv", "--layout", layout_file(x_m=x_m, y_m=y_m, z_m=z_m)
+        "export --format csv --layout", layout_file(x_m=x_m, y_m=y_m, z_m=z_m)
     )
     assert code == 2
     assert (
         err == "place-rsus: layout mine: A: got a pose inside building"
         f" {scene.instances[building].id}; expected a pose in the open air\n"
     )
-    code, _, err = run("export", "--format", "csv", "--layout", layout_file(x_m=1e300))
+    code, _, err = run("export --format csv --layout", layout_file(x_m=1e300))
     assert code == 2
     assert (
         err
@@ -283,17 +281,12 @@ def test_a_bad_out_is_refused_before_anything_is_computed(run, small_study, tmp_
     message = "got '{0}/file'; expected a folder, not a file"
     for command in (["--budget", 1], ["evaluate", "--layout", "carlancap-12"]):
         assert (
-            refusal(run(*command, "--quiet", "--out", tmp_path / "file"))
+            refusal(run(*command, "--quiet --out", tmp_path / "file"))
             == f"--out: {message.format(tmp_path)}"
         )
     assert refusal(
         run(
-            "export",
-            "--layout",
-            "carlancap-12",
-            "--format",
-            "csv",
-            "--out",
+            "export --layout carlancap-12 --format csv --out",
             tmp_path / "file/x",
         )
     ) == (
@@ -391,7 +384,7 @@ def test_placement_prints_one_object_and_writes_a_report(
     assert list(results.iterdir()) == [results / "latest"]
     # What was written is read again.
     layout = results / "latest/layout.json"
-    again = ask("evaluate", "--layout", layout)
+    again = ask("evaluate --layout", layout)
     assert set(again) >= KEYS
     assert again["layout"] == summary["layout"]
     assert again["evaluation"] == summary["evaluation"]
@@ -402,7 +395,7 @@ def test_placement_prints_one_object_and_writes_a_report(
 def test_two_calls_give_the_same_but_for_the_time(ask, small_study, without_figures):
     results = []
     for workers in (1, 2):
-        summary = ask("--budget", 1, "--workers", workers, "--no-cache")
+        summary = ask("--budget 1 --workers", workers, "--no-cache")
         for point in (summary, *summary["front"]["points"]):
             for stage in point["stages"]:
                 del stage["seconds"]
@@ -451,7 +444,7 @@ def test_comparison_of_a_layout_with_itself_finds_no_difference(
     ask, small_study, layout_file
 ):
     path = layout_file()
-    summary = ask("compare", "--layout", path, "--layout", path, "--out", "out")
+    summary = ask("compare --layout", path, "--layout", path, "--out out")
     assert set(summary) >= KEYS
     (other,) = summary["compared"]
     assert summary["name"] == "mine"
@@ -467,7 +460,7 @@ def test_what_json_lacks_becomes_null(run, monkeypatch):
         "run_evaluation",
         lambda *given, **options: {"gap": float("inf")},
     )
-    assert run("evaluate", "--layout", "carlancap-12", "--json", "--quiet") == (
+    assert run("evaluate --layout carlancap-12 --json --quiet") == (
         0,
         '{\n  "gap": null\n}\n',
         "",
@@ -475,16 +468,10 @@ def test_what_json_lacks_becomes_null(run, monkeypatch):
 
 
 def test_export_writes_to_stdout_or_to_a_file(run):
-    text = answer(run("export", "--layout", "carlancap-12", "--format", "carla"))
+    text = answer(run("export --layout carlancap-12 --format carla"))
     assert len(json.loads(text)) == 12
     arguments = [
-        "export",
-        "--layout",
-        "carlancap-12",
-        "--format",
-        "carla",
-        "--out",
-        "rsus.json",
+        "export --layout carlancap-12 --format carla --out rsus.json",
     ]
     assert run(*arguments) == (0, "", "")
     assert Path("rsus.json").read_text() == text
@@ -493,7 +480,7 @@ def test_export_writes_to_stdout_or_to_a_file(run):
 def test_a_full_disk_is_one_line(run, monkeypatch):
     with Path("/dev/full").open("w") as full:
         monkeypatch.setattr(sys, "stdout", full)
-        code, _, err = run("export", "--layout", "carlancap-12", "--format", "csv")
+        code, _, err = run("export --layout carlancap-12 --format csv")
         with suppress(OSError):
             full.close()
     assert code == 2
@@ -526,7 +513,7 @@ def test_open3d_is_asked_for_where_it_cannot_load_in_one_line(
     )
     monkeypatch.setattr("geometry.raycast.open3d_problem", lambda: problem)
     assert f"--rays: got 'open3d'; expected a library that loads: {problem}" in refusal(
-        run("evaluate", "--layout", "carlancap-12", "--rays", "open3d")
+        run("evaluate --layout carlancap-12 --rays open3d")
     )
 
 
@@ -555,11 +542,11 @@ def test_a_damaged_cache_file_is_made_anew(
     run, small_study, own_cache, caplog, interrupt_at
 ):
     interrupt_at("optimise")
-    run("--budget", 1)
+    run("--budget 1")
     (table,) = own_cache.iterdir()
     good = np.load(table)["packed"]
     table.write_bytes(b"no table")
-    code, _, err = run("--budget", 1)
+    code, _, err = run("--budget 1")
     assert code == 130
     assert err.splitlines()[:3] == [
         "setting ...",
@@ -580,7 +567,7 @@ def test_a_cache_that_cannot_be_written_to_is_done_without(
     Path("file").write_text("mine")
     monkeypatch.setenv("PLACE_RSUS_CACHE", "file")
     interrupt_at("optimise")
-    code, out, err = run("--budget", 1, "--out", "out")  # --quiet also hides warnings
+    code, out, err = run("--budget 1 --out out")  # --quiet also hides warnings
     assert code == 130
     assert out == ""
     assert (
@@ -601,7 +588,7 @@ def test_an_interruption_says_what_was_kept_and_leaves_nothing(
     if stage in STAGES[:2]:
         request.getfixturevalue("own_cache")
     interrupt_at(stage)
-    code, out, err = run("--budget", 1)
+    code, out, err = run("--budget 1")
     assert code == 130
     assert out == ""
     kept = "nothing was written to results/latest"
@@ -615,14 +602,14 @@ def test_an_interruption_leaves_earlier_results_as_they_were(
     run, small_study, interrupt_at
 ):
     out = Path("out")
-    run("evaluate", "--layout", "carlancap-12", "--out", out, "--quiet")
+    run("evaluate --layout carlancap-12 --out", out, "--quiet")
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     for stage, signum, code in (
         ("evaluate", signal.SIGINT, 130),
         ("write results", signal.SIGTERM, 143),
     ):
         interrupt_at(stage, signum)
-        arguments = ["evaluate", "--layout", "carlancap-12", "--out", out, "--quiet"]
+        arguments = ["evaluate --layout carlancap-12 --out", out, "--quiet"]
         assert run(*arguments) == (
             code,
             "",
@@ -639,6 +626,6 @@ def test_an_interruption_of_an_evaluation_needs_no_folder(
     run, small_study, interrupt_at
 ):
     interrupt_at("evaluate")
-    code, _, err = run("evaluate", "--layout", "carlancap-12", "--quiet")
+    code, _, err = run("evaluate --layout carlancap-12 --quiet")
     assert code == 130
     assert err == "place-rsus: interrupted in stage 'evaluate': nothing was written\n"

@@ -12,7 +12,6 @@ from experiments.export.openscenario import load_xosc
 from geometry.scene_files import save_scene
 from geometry.study_scene import load_study_scene
 
-FEW = ("--cases", "CBLA", "--approaches", "east", "--along-arms", "0")
 KEYS = {
     *(
         "case",
@@ -38,28 +37,20 @@ def refusal(result):
 
 
 def test_the_list_as_json_has_one_last_moment_per_speed(ask):
-    rows = ask("scenarios", "list", "--cases", "study")
-    assert len(rows) == 13 * 4
+    rows = ask("scenarios list --cases study --approaches east")
+    assert len(rows) == 13
     for row in rows:
         assert set(row) == KEYS
         assert len(row["speeds_kmh"]) == len(row["last_brake_time_s"]) == row["n_runs"]
         assert all(time_s < 0.0 for time_s in row["last_brake_time_s"])
         assert row["reason"] is None
-    assert sum(row["n_runs"] for row in rows) == 240
+    assert sum(row["n_runs"] for row in rows) == 60
 
 
 def test_the_list_fits_a_terminal(run):
     out = answer(
         run(
-            "scenarios",
-            "list",
-            "--cases",
-            "CBTAns,CBLA-25",
-            "--approaches",
-            "east,west",
-            "--along-arms",
-            "0",
-            "--quiet",
+            "scenarios list --cases CBTAns,CBLA-25 --approaches east,west --along-arms 0 --quiet",
         )
     )
     assert max(map(len, out.splitlines())) <= 80
@@ -73,12 +64,9 @@ def test_the_list_fits_a_terminal(run):
 )
 def test_both_speeds_of_a_run_make_a_file_name(run, case, speed):
     arguments = (
-        "scenarios",
-        "show",
+        "scenarios show",
         case,
-        "--approach",
-        "east",
-        "--speed",
+        "--approach east --speed",
         speed,
         "--quiet",
     )
@@ -90,20 +78,11 @@ def test_both_speeds_of_a_run_make_a_file_name(run, case, speed):
 # Quickly: tests/scenarios/test_positions.py
 @pytest.mark.long
 def test_a_run_away_from_the_junction_is_shown(run):
-    arguments = (
-        "scenarios",
-        "show",
-        "CPNA-25",
-        "--approach",
-        "north",
-        "--speed",
-        "40",
-        "--quiet",
-    )
-    code, out, _ = run(*arguments, "--position", "-15", "--out", "away.png")
+    arguments = "scenarios show CPNA-25 --approach north --speed 40 --quiet"
+    code, out, _ = run(arguments, "--position -15 --out away.png")
     assert code == 0
     assert out == "Written to away.png.\n"
-    line = refusal(run(*arguments, "--position", "north"))
+    line = refusal(run(arguments, "--position north"))
     assert line.startswith(
         "--position: got 'north'; expected 0, or metres before it such as -15"
     )
@@ -111,18 +90,10 @@ def test_a_run_away_from_the_junction_is_shown(run):
 
 def test_a_run_is_exported_as_openscenario(run):
     pytest.importorskip("scenariogeneration")
-    arguments = (
-        "scenarios",
-        "export",
-        "CPTAns-50",
-        "--approach",
-        "east",
-        "--speed",
-        "10",
-    )
-    text = answer(run(*arguments))
+    arguments = "scenarios export CPTAns-50 --approach east --speed 10"
+    text = answer(run(arguments))
     assert '<LogicFile filepath="Town05.xodr"' in text
-    assert run(*arguments, "--out", "turn.xosc") == (0, "", "")
+    assert run(arguments, "--out turn.xosc") == (0, "", "")
     assert Path("turn.xosc").read_text(encoding="utf-8") == text
 
 
@@ -130,10 +101,10 @@ def test_a_scene_without_a_road_network_has_it_written_beside_the_run(run):
     pytest.importorskip("scenariogeneration")
     Path("bare").mkdir()
     save_scene(Path("bare"), replace(load_study_scene(), road_network=""))
-    run_id = ("CPTAns-50", "--approach", "east", "--speed", "10", "--scene", "bare")
-    line = refusal(run("scenarios", "export", *run_id))
+    run_id = ("CPTAns-50", "--approach east --speed 10 --scene bare")
+    line = refusal(run("scenarios export", *run_id))
     assert "road_network" in line
-    assert run("scenarios", "export", *run_id, "--out", "turn.xosc") == (0, "", "")
+    assert run("scenarios export", *run_id, "--out turn.xosc") == (0, "", "")
     assert '<LogicFile filepath="turn.xodr"' in Path("turn.xosc").read_text(
         encoding="utf-8"
     )
@@ -143,9 +114,7 @@ def test_a_scene_without_a_road_network_has_it_written_beside_the_run(run):
 def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "scenariogeneration.xosc", None)
     load_xosc.cache_clear()
-    line = refusal(
-        run("scenarios", "export", "CPNA-25", "--approach", "east", "--speed", "40")
-    )
+    line = refusal(run("scenarios export CPNA-25 --approach east --speed 40"))
     assert "place-rsus[openscenario]" in line
 
 
@@ -211,39 +180,6 @@ def test_options_that_cannot_be_are_one_line(run, command, arguments, message):
     assert list(Path().iterdir()) == []
 
 
-@pytest.mark.parametrize("how", ["missing.csv"])
-def test_unknown_weights_are_one_line(run, how):
-    line = refusal(run("--budget", "1", *FEW, "--weights", how, "--quiet"))
-    assert (
-        line == f"--weights: got '{how}'; expected run, case, fhwa-crash-types,"
-        " euroncap-rating-2026, unfallatlas:FILE, stats19:FILE, or a CSV file that"
-        " exists"
-    )
-
-
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        (
-            "CBLA,east,-1",
-            "exposure.csv: line 2: weight: got '-1'; expected a number, at least 0",
-        ),
-        (
-            "CBLA,east,0",
-            "exposure.csv: weight: got 0 in all rows; expected one weight more than 0",
-        ),
-        (
-            "CPNA-25,east,1",
-            "exposure.csv: line 2: got 'CPNA-25', 'east'; expected a case that is",
-        ),
-    ],
-)
-def test_weights_that_do_not_fit_are_one_line(run, rows, message):
-    Path("exposure.csv").write_text(f"case,approach,weight\n{rows}\n", encoding="utf-8")
-    arguments = ("--budget", "1", *FEW, "--weights", "exposure.csv", "--quiet")
-    assert refusal(run(*arguments)).startswith(message)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -263,28 +199,16 @@ def test_weights_that_do_not_fit_are_one_line(run, rows, message):
 )
 def test_shows_that_cannot_be_are_one_line(run, arguments, message):
     result = run(
-        "scenarios",
-        "show",
+        "scenarios show",
         *arguments,
-        "--approach",
-        "east",
-        "--speed",
-        "40",
-        "--quiet",
+        "--approach east --speed 40 --quiet",
     )
     assert refusal(result).startswith(message)
 
 
 def test_forced_speeds_are_driven_with_a_warning(run, caplog):
     code, out, _ = run(
-        "scenarios",
-        "list",
-        "--cases",
-        "CPTAns-50",
-        "--speeds",
-        "15",
-        "--force",
-        "--json",
+        "scenarios list --cases CPTAns-50 --speeds 15 --force --json",
     )
     assert code == 0
     assert [row["speeds_kmh"] for row in json.loads(out)] == [[15.0]] * 4
@@ -306,11 +230,11 @@ def test_recordings_become_cases_that_can_be_driven(run, tmp_path):
     path = tmp_path / "walk.csv"
     out = tmp_path / "near.toml"
     path.write_text("\n".join(["id,time,x,y,heading,class", *ROWS]))
-    told = run("scenarios", "import", str(path), "--name", "a", "--out", str(out))
+    told = run("scenarios import", str(path), "--name a --out", str(out))
     assert told == (0, "1 encounter of 2 road users.\n", "") or "1 encounter" in told[2]
     text = out.read_text()
     assert text.startswith('[a-v-p]\nkind = "recorded"\n')
-    assert run("scenarios", "import", str(path), "--name", "a")[1].endswith(text)
+    assert run("scenarios import", str(path), "--name a")[1].endswith(text)
 
 
 @pytest.mark.parametrize(
@@ -330,6 +254,6 @@ def test_recordings_become_cases_that_can_be_driven(run, tmp_path):
 def test_imports_that_cannot_be_are_refused(run, tmp_path, options, message):
     path = tmp_path / "walk.csv"
     path.write_text("\n".join(["id,time,x,y,heading,class", *ROWS]))
-    code, _, err = run("scenarios", "import", str(path), *options)
+    code, _, err = run("scenarios import", str(path), *options)
     assert code == 2
     assert message in err.splitlines()[-1]

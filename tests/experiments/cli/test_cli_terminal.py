@@ -116,7 +116,7 @@ def test_completion_scripts_are_what_their_shell_reads(run, shell):
 
 @pytest.mark.usefixtures("without_figures", "own_cache")
 def test_verbose_tells_sizes_bounds_and_seconds(run, small_study, caplog):
-    code, out, _ = run("--budget", 1, "--verbose", "--json", "--out", "found")
+    code, out, _ = run("--budget 1 --verbose --json --out found")
     assert code == 0
     assert out.startswith("{")
     for line in (
@@ -127,7 +127,7 @@ def test_verbose_tells_sizes_bounds_and_seconds(run, small_study, caplog):
     ):
         assert any(re.fullmatch(line, told) for told in caplog.messages)
     caplog.clear()
-    run("--budget", 1, "--json", "--out", "found")
+    run("--budget 1 --json --out found")
     told = [record for record in caplog.records if record.levelno < logging.WARNING]
     assert not told  # the next call tells no more than it is asked to
 
@@ -140,7 +140,7 @@ def test_logs_go_to_what_is_stderr_at_the_moment(capsys):
 
 def test_quiet_and_verbose_are_one_or_the_other(run):
     assert (
-        refusal(run("--budget", 1, "--verbose", "--quiet"))
+        refusal(run("--budget 1 --verbose --quiet"))
         == "--quiet, --verbose: got both; expected one of them"
     )
     assert not logging.getLogger("placement").isEnabledFor(

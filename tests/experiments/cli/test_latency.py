@@ -54,7 +54,7 @@ def run_latency(run, small_study, monkeypatch, layout_file):
     main.cli.add_command(latency)
 
     def run_command(*arguments):
-        return run("latency", "--layout", layout_file, "--quiet", *arguments)
+        return run("latency --layout", layout_file, "--quiet", *arguments)
 
     return run_command
 
@@ -65,7 +65,7 @@ def run_refused(run, layout_file):
     main.cli.add_command(latency)
 
     def run_command(*arguments):
-        return run("latency", "--layout", layout_file, "--quiet", *arguments)
+        return run("latency --layout", layout_file, "--quiet", *arguments)
 
     return run_command
 
@@ -88,7 +88,7 @@ def test_the_curve_at_the_studys_latency_is_what_evaluate_finds(
     parties = summary["parties"]
     assert list(parties) == PARTIES
 
-    code, out, _ = run("evaluate", "--layout", layout_file, "--json", "--quiet")
+    code, out, _ = run("evaluate --layout", layout_file, "--json --quiet")
     assert code == 0
     evaluated = json.loads(out)["evaluation"]
     evaluated |= evaluated["units"]
@@ -105,9 +105,7 @@ def test_table_figure_and_csv(run_latency):
     folder = Path("there/mine")
     folder.mkdir(parents=True)
     (folder / "notes.txt").write_text("kept")
-    out = answer(
-        run_latency("--budget", "cpm-100ms", "--out", folder, "--vut-latency", "0.02")
-    )
+    out = answer(run_latency("--budget cpm-100ms --out", folder, "--vut-latency 0.02"))
     assert out.startswith("mine on 6 runs:\n")
     assert max(map(len, out.splitlines())) <= 80
     assert re.search(r"^ +25 ms( +[<>]?[\d.]+ %){3}$", out, re.MULTILINE)
@@ -128,15 +126,13 @@ def test_table_figure_and_csv(run_latency):
     assert list(rows[0]) == ["latency_s", *PARTIES]
     assert len(rows) == 101
 
-    code, _, _ = run_latency(
-        "--budget", "cpm-100ms", "--out", folder, "--vut-latency", "0.02"
-    )
+    code, _, _ = run_latency("--budget cpm-100ms --out", folder, "--vut-latency 0.02")
     assert code == 0
     assert (folder / "latency.csv").read_text() == text
 
 
 def test_one_number_is_a_budget_too(run_latency):
-    code, out, _ = run_latency("--latency", "0.04", "--max", "0.1", "--json")
+    code, out, _ = run_latency("--latency 0.04 --max 0.1 --json")
     assert code == 0
     summary = json.loads(out)
     assert summary["budget"]["name"] == "40 ms"
@@ -186,7 +182,7 @@ def test_a_budget_file_that_is_wrong_is_told_by_part_and_field(run_refused):
     Path("mine.toml").write_text(
         "[[mine.parts]]\nname = 'radio'\nfixed_s = -1\nsource = 'x'\n"
     )
-    assert run_refused("--budget", "mine.toml") == (
+    assert run_refused("--budget mine.toml") == (
         2,
         "",
         "place-rsus: mine.toml: mine.radio.fixed_s: got -1; expected 0 to 10 seconds\n",

@@ -68,18 +68,8 @@ def test_traffic_drives_by_in_sampled_worlds(
     run, ask, small_study, monkeypatch, request
 ):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
-    asked = (
-        "--budget",
-        1,
-        "--samples",
-        1,
-        "--traffic",
-        "sumo",
-        "--quiet",
-        "--workers",
-        1,
-    )
-    summary = ask(*asked, "--out", "with")
+    asked = "--budget 1 --samples 1 --traffic sumo --quiet --workers 1"
+    summary = ask(asked, "--out with")
     moving = summary["sampled"]["moving"]
     assert summary["sampled"]["traffic_source"] == "SUMO, demand default"
     assert moving["n_runs"] == 2 * summary["runs"]
@@ -89,7 +79,7 @@ def test_traffic_drives_by_in_sampled_worlds(
     assert page.count(said) >= 2  # in the answer and among the assumptions
     assert "vehicles that drive by (SUMO, demand default)" in page
     request.getfixturevalue("without_figures")
-    _, out, _ = run(*asked, "--json", "--out", "again")
+    _, out, _ = run(asked, "--json --out again")
     assert json.loads(out)["sampled"] == summary["sampled"]
 
 
@@ -104,7 +94,7 @@ def test_traffic_drives_by_in_sampled_worlds(
     ],
 )
 def test_what_cannot_be_asked_is_one_clear_line(run, small_study, options, message):
-    assert message in refusal(run("--budget", 1, *options, "--quiet"))
+    assert message in refusal(run("--budget 1", *options, "--quiet"))
 
 
 def test_without_sumo_one_line_says_what_is_missing(run, small_study, monkeypatch):
@@ -115,5 +105,5 @@ def test_without_sumo_one_line_says_what_is_missing(run, small_study, monkeypatc
         lambda name: None if name == "libsumo" else real(name),
     )
     assert "pip install place-rsus[traffic]" in refusal(
-        run("--budget", 1, "--samples", 1, "--traffic", "sumo", "--quiet")
+        run("--budget 1 --samples 1 --traffic sumo --quiet")
     )

@@ -28,7 +28,7 @@ from placement.optimiser.front import pareto_front, tightened
 def run_pareto(run, small_study):
     """Runs the command on a few runs."""
     main.cli.add_command(pareto)
-    return lambda *arguments: run("pareto", "--quiet", *arguments)
+    return lambda *arguments: run("pareto --quiet", *arguments)
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_every_number_of_units_has_a_proven_layout(run_pareto):
     folder.mkdir(parents=True)
     (folder / "notes.txt").write_text("kept")
     summary = json.loads(
-        answer(run_pareto("--max", 3, "--all-stages", "--out", folder, "--json"))
+        answer(run_pareto("--max 3 --all-stages --out", folder, "--json"))
     )
     assert summary["by"] == "units"
     assert summary["optimised"] == "all"
@@ -84,7 +84,7 @@ def test_every_number_of_units_has_a_proven_layout(run_pareto):
 
 
 def test_money_and_kept_units_and_the_text(run_pareto):
-    code, out, _ = run_pareto("--by", "cost", "--site-cost", 1000, "--max", 2, "--json")
+    code, out, _ = run_pareto("--by cost --site-cost 1000 --max 2 --json")
     assert code == 0
     summary = json.loads(out)
     costs = [point["cost_eur"] for point in summary["points"]]
@@ -92,7 +92,7 @@ def test_money_and_kept_units_and_the_text(run_pareto):
     assert all(cheaper < dearer for cheaper, dearer in pairwise(costs))
     assert summary["sentences"][0].startswith("Proven: for each sum of money ")
 
-    out = answer(run_pareto("--keep", "carlancap-12", "--max", 1))
+    out = answer(run_pareto("--keep carlancap-12 --max 1"))
     rows = [line.split() for line in out.splitlines()]
     assert [row[0] for row in rows if row[-1:] == ["proven"]] == ["12", "13"]
     assert max(map(len, out.splitlines())) <= 80
@@ -119,7 +119,7 @@ def test_what_cannot_be_is_one_line(run_pareto, arguments, message):
 
 
 def test_a_wish_that_cannot_be_met_is_told(run_pareto):
-    assert refusal(run_pareto("--budget-cost", 100, "--max", 2)).startswith(
+    assert refusal(run_pareto("--budget-cost 100 --max 2")).startswith(
         "--budget-cost: got 100.0; expected at least 1500.00 EUR"
     )
 

@@ -56,7 +56,7 @@ def recording(tmp_path):
 
 
 def test_a_recording_is_evaluated(run, recording):
-    code, out, err = run("evaluate", "--recording", recording, "--json")
+    code, out, err = run("evaluate --recording", recording, "--json")
     assert code == 0
     assert err == "read recording ...\nevaluate ...\n"
     summary = json.loads(out, parse_constant=pytest.fail)
@@ -72,7 +72,7 @@ def test_a_recording_is_evaluated(run, recording):
 
 
 def test_the_best_recorded_unit_is_chosen(ask, recording):
-    summary = ask("--budget", 1, "--recording", recording)
+    summary = ask("--budget 1 --recording", recording)
     assert set(summary) >= KEYS | {
         "stages",
         "solver",
@@ -89,13 +89,11 @@ def test_the_best_recorded_unit_is_chosen(ask, recording):
 
 
 def test_tables_are_printed(run, recording):
-    code, out, _ = run("evaluate", "--recording", recording, "--quiet")
+    code, out, _ = run("evaluate --recording", recording, "--quiet")
     assert code == 0
     assert "RSU0" in out
     assert "Skipped: 30 frames between drives (bodies back at their starts)." in out
-    code, out, _ = run(
-        "--budget", 1, "--recording", recording, "--quiet", "--fusion", "single"
-    )
+    code, out, _ = run("--budget 1 --recording", recording, "--quiet --fusion single")
     assert code == 0
     assert out.startswith(
         "Best 1 of 2 recorded units on 1 drives (fusion single): RSU0\n"
@@ -118,7 +116,7 @@ def test_braking_and_confidence_are_heard(run, recording):
         (["--min-confidence", 1], 1.0),
     ):
         code, out, _ = run(
-            "evaluate", "--recording", recording, "--json", "--quiet", *arguments
+            "evaluate --recording", recording, "--json --quiet", *arguments
         )
         assert code == 0
         assert json.loads(out)["apr"] == apr
@@ -141,15 +139,12 @@ def test_braking_and_confidence_are_heard(run, recording):
 def test_what_makes_no_sense_beside_a_recording_is_one_line(
     run, recording, arguments, message
 ):
-    assert (
-        refusal(run(*arguments.split(), "--recording", recording, "--quiet"))
-        == f"{message}"
-    )
+    assert refusal(run(arguments, "--recording", recording, "--quiet")) == f"{message}"
 
 
 def test_a_confidence_needs_a_recording(run):
     for command in ("evaluate --layout carlancap-12", "--budget 1"):
-        assert run(*command.split(), "--min-confidence", 0.5) == (
+        assert run(command, "--min-confidence 0.5") == (
             2,
             "",
             "place-rsus: --min-confidence: got it without --recording; expected both\n",
@@ -167,7 +162,7 @@ def test_a_bad_recording_is_one_line(run, recording):
                 " finite number\n"
             ),
         )
-    assert run("evaluate", "--recording", "nowhere", "--quiet") == (
+    assert run("evaluate --recording nowhere --quiet") == (
         2,
         "",
         "place-rsus: nowhere: got No such file or directory; expected a recording\n",

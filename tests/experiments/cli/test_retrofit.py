@@ -41,9 +41,7 @@ def layout_file(tmp_path):
 def run_retrofit(run, small_study, layout_file):
     """Runs the command on a few runs."""
     main.cli.add_command(retrofit)
-    return lambda *arguments: run(
-        "retrofit", "--quiet", "--layout", layout_file, *arguments
-    )
+    return lambda *arguments: run("retrofit --quiet --layout", layout_file, *arguments)
 
 
 # The whole command
@@ -52,11 +50,7 @@ def run_retrofit(run, small_study, layout_file):
 def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
     folder = Path("there/retrofit")
     summary = json.loads(
-        answer(
-            run_retrofit(
-                "--budget-cost", 2100, "--site-cost", 0, "--out", folder, "--json"
-            )
-        )
+        answer(run_retrofit("--budget-cost 2100 --site-cost 0 --out", folder, "--json"))
     )
     labour = load_labour()
     before = summary["before"]
@@ -106,7 +100,7 @@ def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
 
 
 def test_the_text_is_narrow_and_has_the_users_price(run_retrofit):
-    out = answer(run_retrofit("--visit-cost", 123))
+    out = answer(run_retrofit("--visit-cost 123"))
     assert max(map(len, out.splitlines())) <= 80
     assert len(re.findall(r"^ +remove [AB] +123 ", out, re.MULTILINE)) == 2
     words = " ".join(out.split())

@@ -31,7 +31,7 @@ def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(
 ):
     """No single model spends the same money better."""
     found = ask(
-        "--sensors", ",".join(COSTS_EUR), "--budget-cost", BUDGET_EUR, "--site-cost", 0
+        "--sensors", ",".join(COSTS_EUR), "--budget-cost", BUDGET_EUR, "--site-cost 0"
     )
     assert found["gap"] == 0.0
     assert found["spent_eur"] == sum(

@@ -34,7 +34,7 @@ def test_a_page_for_each_unit(run_sheet, tmp_path):
     layout.write_text(json.dumps({"name": "mine", "layout": [camera, lidar]}))
     out = tmp_path / "new/sheet.pdf"
     summary = json.loads(
-        answer(run_sheet("--layout", layout, "--out", out, "--json", "--quiet"))
+        answer(run_sheet("--layout", layout, "--out", out, "--json --quiet"))
     )
     assert [entry["unit_id"] for entry in summary["units"]] == ["a$b_雪", "L"]
     pdf = out.read_bytes()

@@ -78,17 +78,8 @@ def topics(watched):
 
 
 def test_a_run_alone_is_shown(run):
-    arguments = (
-        "scenarios",
-        "show",
-        "CPNC-50",
-        "--approach",
-        "east",
-        "--speed",
-        "40",
-        "--quiet",
-    )
-    assert run(*arguments, "--out", "a.mcap")[0] == 0
+    arguments = "scenarios show CPNC-50 --approach east --speed 40 --quiet"
+    assert run(arguments, "--out a.mcap")[0] == 0
     with Path("a.mcap").open("rb") as file:
         topics = {
             channel.topic for _, channel, _ in reader.make_reader(file).iter_messages()
@@ -225,15 +216,7 @@ def test_pictures_are_what_a_reduced_camera_draws(watched):
 
 
 def test_pictures_of_other_formats_are_refused(run):
-    asked = (
-        "export",
-        "--format",
-        "cpm",
-        "--layout",
-        "carlancap-12",
-        "--run",
-        "CPNC-50/east/40",
-    )
-    code, _, err = run(*asked, "--pictures")
+    asked = "export --format cpm --layout carlancap-12 --run CPNC-50/east/40"
+    code, _, err = run(asked, "--pictures")
     assert code == 2
     assert "--pictures: got it; expected none: cpm has no such option" in err

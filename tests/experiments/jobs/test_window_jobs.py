@@ -41,7 +41,7 @@ def problem(frame_axis):
 
 
 def solve(run, *arguments):
-    out = answer(run("solve", *arguments, "--json", "--quiet"))
+    out = answer(run("solve", *arguments, "--json --quiet"))
     return json.loads(out)
 
 
@@ -76,9 +76,7 @@ def test_another_question_may_be_asked(run, problem, tmp_path):
 
 def test_a_question_without_an_answer_says_the_best_there_is(run, problem, tmp_path):
     save_problem(tmp_path / "one.npz", problem)
-    assert refusal(
-        run("solve", tmp_path / "one.npz", "--target", "0.9", "--quiet")
-    ) == (
+    assert refusal(run("solve", tmp_path / "one.npz", "--target 0.9 --quiet")) == (
         "--target: got 0.9; expected at most 0.75, what all candidate"
         " poses together reach"
     )
@@ -194,7 +192,7 @@ def test_a_floor_that_a_smaller_budget_does_not_reach_is_refused(
             demanding, floors=floors, limits=replace(demanding.limits, budget_units=2)
         ),
     )
-    assert refusal(run("solve", tmp_path / "one.npz", "--budget", 1, "--quiet")) == (
+    assert refusal(run("solve", tmp_path / "one.npz", "--budget 1 --quiet")) == (
         "--target: got 0.7; expected at most 0.5, what the best set found reaches"
     )
 
@@ -236,7 +234,7 @@ def test_the_first_lines_say_what_is_asked_and_what_was_replaced(
     run, demanding, tmp_path
 ):
     save_problem(tmp_path / "one.npz", demanding)
-    code, out, _ = run("solve", tmp_path / "one.npz", "--budget", 2, "--quiet")
+    code, out, _ = run("solve", tmp_path / "one.npz", "--budget 2 --quiet")
     assert code == 0
     words = " ".join(out.split())
     assert words.startswith(

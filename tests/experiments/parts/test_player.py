@@ -41,7 +41,9 @@ def read(part, key="player_json"):
 
 @given(
     st.recursive(
-        st.text(), lambda inner: st.dictionaries(st.text(), inner), max_leaves=5
+        st.text(max_size=9),
+        lambda inner: st.dictionaries(st.text(max_size=9), inner, max_size=3),
+        max_leaves=3,
     )
 )
 def test_no_text_breaks_out_of_a_script_and_all_come_back(value):
@@ -203,6 +205,8 @@ def test_a_page_stays_whole_whatever_things_are_called(small_setting):
     assert "https://" not in page
 
 
+# Quickly: the other tests of this file.
+@pytest.mark.long
 def test_two_hundred_units_fit_into_the_page(part_of_many):
     assert len(part_of_many["player_json"]) < 0.5e6
     names = [party["name"] for party in read(part_of_many)["parties"]]

@@ -64,6 +64,8 @@ def test_a_map_of_no_known_place_takes_its_own_coordinates(scene, tmp_path):
         load_private_ground(tmp_path / "b.gpkg", lost)
 
 
+# Quickly: tests/placement/test_ground.py
+@pytest.mark.long
 def test_poses_that_look_in_are_no_candidates(garden, scene):
     plan = assemble_without_runs(Question(budget=1, no_look=str(garden)), scene)
     everything = assemble_without_runs(Question(budget=1), scene)
@@ -103,7 +105,7 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
 
 def test_what_belongs_to_areas_needs_areas(run):
     option = "--no-look-share"
-    code, _, err = run("--budget", 1, option, "0.5")
+    code, _, err = run("--budget 1", option, "0.5")
     assert code == 2
     assert err.endswith(
         f"place-rsus: {option}: got it without --no-look; expected both\n"
@@ -115,7 +117,7 @@ def test_layouts_are_judged_by_what_they_see_of_private_ground(
     garden, run, small_study, command
 ):
     asked = ("--no-look", garden, "--quiet")
-    layouts = ("--layout", "carlancap-12")
+    layouts = ("--layout carlancap-12",)
     if command == "compare":
         layouts = ("carlancap-12", "carlancap-12")
     summary = json.loads(run(command, *layouts, *asked, "--json")[1])

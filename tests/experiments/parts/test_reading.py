@@ -31,7 +31,7 @@ def folder(folder_of_one, small_study, without_figures, run, tmp_path, monkeypat
         study = load_carlancap_layout()
         few = replace(study, units=study.units[:2])
         monkeypatch.setattr(placement, "find_baseline", lambda scene: few)
-        code, _, errors = run("--budget", 2, "--out", folder_of_one, "--quiet")
+        code, _, errors = run("--budget 2 --out", folder_of_one, "--quiet")
         assert code == 0, errors
     shutil.copytree(folder_of_one, tmp_path / "result")
     return tmp_path / "result"

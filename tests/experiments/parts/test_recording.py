@@ -178,7 +178,14 @@ def test_every_partys_apr_is_that_of_the_definition(recorded):
 
 
 @pytest.mark.parametrize("fusion", ["any", "single"])
-@pytest.mark.parametrize(("seed", "share"), [(1, 0.4), (2, 0.5), (3, 0.6)])
+@pytest.mark.parametrize(
+    ("seed", "share"),
+    [
+        (1, 0.4),
+        pytest.param(2, 0.5, marks=pytest.mark.long),
+        pytest.param(3, 0.6, marks=pytest.mark.long),
+    ],
+)
 def test_no_other_choice_of_units_prevents_more(recorded, fusion, seed, share):
     folder, detected, speeds = recorded(seed, share)
     for budget in (1, 2, 3, N_UNITS):
@@ -237,6 +244,15 @@ def test_the_chosen_units_are_evaluated_alone(recorded):
     assert summary["evaluation"]["vut_and_rsus"]["all"] == pytest.approx(avoided)
     assert summary["candidates"] == N_UNITS
     assert len(summary["greedy"]["layout"]) == 2
+
+
+def test_weak_detections_do_not_count(recorded, tmp_path):
+    # With a share of two, everybody detects in every frame.
+    folder = _with_own(recorded(share=2.0)[0], "Eval", tmp_path / "data") / "Eval"
+    for path in folder.iterdir():
+        path.write_text(path.read_text().replace(" 1.0\n", " 0.3\n"))
+    assert _evaluate(tmp_path / "data", min_confidence=0.3)["apr"] == 1.0
+    assert _evaluate(tmp_path / "data", min_confidence=0.31)["apr"] == 0.0
 
 
 def test_drives_frames_and_what_was_skipped_are_told(recorded, tmp_path):

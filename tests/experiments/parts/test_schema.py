@@ -168,7 +168,7 @@ def layout_files(tmp_path):
 
 def written(run, out, *arguments):
     """A command's summary as it lies in the folder, which is what it prints."""
-    code, printed, errors = run(*arguments, "--out", out, "--json", "--quiet")
+    code, printed, errors = run(*arguments, "--out", out, "--json --quiet")
     assert code == 0, errors
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert json.loads(printed) == summary
@@ -221,7 +221,7 @@ def test_private_ground_is_in_the_schema(
     assert messages(summary) == []
     assert summary["private_ground"]["areas"][0]["name"] == "garden"
     code, printed, _ = run(
-        "compare", *layout_files, "--no-look", garden, "--json", "--quiet"
+        "compare", *layout_files, "--no-look", garden, "--json --quiet"
     )
     assert code == 0
     assert messages(json.loads(printed)) == []
@@ -261,7 +261,7 @@ def test_evaluations_and_comparisons_are_as_the_schema_says(
     one, two = layout_files
     summary = written(run, tmp_path / "one", "evaluate", "--layout", one)
     assert messages(summary) == []
-    code, printed, _ = run("evaluate", "--layout", one, "--json", "--quiet")
+    code, printed, _ = run("evaluate --layout", one, "--json --quiet")
     assert code == 0
     assert messages(json.loads(printed)) == []
     summary = written(run, tmp_path / "both", "compare", two, one, "--samples", 2)

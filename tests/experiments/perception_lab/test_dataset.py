@@ -57,17 +57,14 @@ def dataset(run, tmp_path, monkeypatch):
         *more, out="data", every=40, layout="two.json", units="RSU3,RSU8", asked=ASKED
     ):
         return run(
-            "dataset",
-            "--layout",
+            "dataset --layout",
             tmp_path / layout,
             *asked,
             "--units",
             units,
             "--every",
             every,
-            "--workers",
-            1,
-            "--out",
+            "--workers 1 --out",
             out,
             *more,
         )
@@ -167,16 +164,13 @@ def test_read_back_it_gives_the_evaluators_verdicts(dataset, run, tmp_path):
         "--lidar", "none", every=10**6, layout="sharp.json", units="RSU2,RSU8"
     )
     assert seen[0] == 0
-    recorded = json.loads(run("evaluate", "--recording", "data", "--json")[1])
+    recorded = json.loads(run("evaluate --recording data --json")[1])
     judged = json.loads(
         run(
-            "evaluate",
-            "--layout",
+            "evaluate --layout",
             tmp_path / "sharp.json",
             *ASKED,
-            "--track-memory",
-            "inf",
-            "--json",
+            "--track-memory inf --json",
         )[1]
     )
     told = {
@@ -250,7 +244,7 @@ def test_vehicles_are_labelled_where_they_are_seen(dataset, run):
     ]
     assert others
     assert not any(_cars(path) for path in others)
-    assert run("evaluate", "--recording", "data", "--json")[0] == 0
+    assert run("evaluate --recording data --json")[0] == 0
     # A picture that is missing is drawn again; nothing is labelled twice.
     before = _files("data")
     pictures[-1].unlink()

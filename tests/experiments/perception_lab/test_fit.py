@@ -111,7 +111,7 @@ def coco(tmp_path):
 def test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call(
     run, recording
 ):
-    code, out, err = run("detector", "fit", "--recording", recording, "--out", "mine")
+    code, out, err = run("detector fit --recording", recording, "--out mine")
     assert code == 0, err
     assert {path.name for path in Path("mine").iterdir()} == {
         "response.toml",
@@ -136,7 +136,7 @@ def test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call(
         table.height_half_px, rel=1e-5
     )
     assert told["false_alarms"]["alarms"] == 0
-    again = run("detector", "fit", "--recording", recording, "--json", "--quiet")[1]
+    again = run("detector fit --recording", recording, "--json --quiet")[1]
     assert json.loads(again)["table"] == told["table"]
 
 
@@ -155,7 +155,7 @@ def test_pictures_are_shared_out_evenly(wanted, there, shares):
 
 def test_a_table_is_fitted_to_files_of_coco(ask, coco):
     labels, results = coco
-    told = ask("detector", "fit", "--labels", labels, "--results", results)
+    told = ask("detector fit --labels", labels, "--results", results)
     assert told["frames"] == 5 * N_FRAMES
     assert told["found"] == sum(
         one["score"] == 0.9 for one in json.loads(results.read_text())
@@ -171,6 +171,8 @@ def test_a_table_is_fitted_to_files_of_coco(ask, coco):
     assert list(Path().glob("response.toml")) == []
 
 
+# Quickly: test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call
+@pytest.mark.long
 def test_a_table_is_fitted_to_tracks_and_detections_of_others(run, tmp_path):
     """Found in all frames but one of five; the correlation is that at 10 Hz."""
     tracks = []
@@ -186,14 +188,11 @@ def test_a_table_is_fitted_to_tracks_and_detections_of_others(run, tmp_path):
     labels.write_text("\n".join(tracks))
     results.write_text("\n".join(found))
     command = (
-        "detector",
-        "fit",
-        "--labels",
+        "detector fit --labels",
         labels,
         "--results",
         results,
-        "--json",
-        "--quiet",
+        "--json --quiet",
     )
     fits = []
     for more in ((), ("--frame-rate", "5")):
@@ -216,14 +215,11 @@ def test_a_table_is_fitted_to_tracks_and_detections_of_others(run, tmp_path):
 def test_confidence_decides_what_counts(run, coco):
     labels, results = coco
     code, _, err = run(
-        "detector",
-        "fit",
-        "--labels",
+        "detector fit --labels",
         labels,
         "--results",
         results,
-        "--min-confidence",
-        "0.2",
+        "--min-confidence 0.2",
     )
     assert code == 2
     assert (
@@ -249,7 +245,7 @@ def test_confidence_decides_what_counts(run, coco):
 def test_files_of_coco_that_are_wrong_are_refused(run, coco, change, line):
     labels, results = coco
     labels.write_text(json.dumps(json.loads(labels.read_text()) | change))
-    code, out, err = run("detector", "fit", "--labels", labels, "--results", results)
+    code, out, err = run("detector fit --labels", labels, "--results", results)
     assert code == 2
     assert out == ""
     assert line in err.splitlines()[-1]
@@ -266,7 +262,7 @@ def test_files_of_coco_that_are_wrong_are_refused(run, coco, change, line):
 def test_results_that_are_wrong_are_refused(run, coco, content):
     labels, results = coco
     results.write_text(content)
-    code, out, err = run("detector", "fit", "--labels", labels, "--results", results)
+    code, out, err = run("detector fit --labels", labels, "--results", results)
     assert code == 2
     assert out == ""
     assert "found.json" in err.splitlines()[-1]
@@ -289,7 +285,7 @@ def test_results_that_are_wrong_are_refused(run, coco, content):
     ],
 )
 def test_contradictory_options_are_refused(run, options, line):
-    code, out, err = run("detector", "fit", *options)
+    code, out, err = run("detector fit", *options)
     assert code == 2
     assert out == ""
     assert line in err.splitlines()[-1]
@@ -378,7 +374,7 @@ def test_a_network_that_finds_nothing_is_told_in_a_line(run, tmp_path, monkeypat
     )
     (tmp_path / "two.json").write_text(to_json(load_carlancap_layout()))
     code, _, err = run(
-        "detector", "fit", "--layout", tmp_path / "two.json", "--pictures", "60", *ASKED
+        "detector fit --layout", tmp_path / "two.json", "--pictures 60", *ASKED
     )
     assert code == 2
     assert "0 of them found; expected at least 50, with 5 found" in err.splitlines()[-1]

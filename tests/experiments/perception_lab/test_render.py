@@ -28,13 +28,13 @@ def run_render(run, monkeypatch):
 
     def run_command(**changes):
         asked = ASKED | {f"--{key}": value for key, value in changes.items()}
-        return run(
-            "render", "--quiet", *(word for pair in asked.items() for word in pair)
-        )
+        return run("render --quiet", *(word for pair in asked.items() for word in pair))
 
     return run_command
 
 
+# Quickly: tests/placement/imaging and the sheet of tests/experiments/test_language.py
+@pytest.mark.long
 def test_three_images_are_written_and_the_vru_is_told(run_render):
     out = answer(run_render())
     stem = "results/renders/CPNC-50_east_40_day_frame-69_RSU3"
@@ -144,29 +144,21 @@ def test_colours_of_things_differ_and_the_vrus_is_the_lightest():
 def test_a_lidar_writes_points_that_others_can_read(run, tmp_path):
     import trimesh
 
-    command = (
-        "render",
-        "--layout",
-        "carlancap-12",
-        "--run",
-        "CBLA/west/50",
-        "--frame",
-        "-11",
-    )
+    command = "render --layout carlancap-12 --run CBLA/west/50 --frame -11"
     cloud = tmp_path / "a.ply"
     raw = tmp_path / "a.bin"
-    code, out, _ = run(*command, "--unit", "VUT-LIDAR", "--out", cloud, "--quiet")
+    code, out, _ = run(command, "--unit VUT-LIDAR --out", cloud, "--quiet")
     assert code == 0
     points = trimesh.load(cloud).vertices
     assert out.splitlines()[0] == f"Written to {cloud}."
     assert out.splitlines()[1].endswith(f" of {len(points)} points.")
-    code, _, _ = run(*command, "--unit", "vut-lidar", "--out", raw, "--quiet")
+    code, _, _ = run(command, "--unit vut-lidar --out", raw, "--quiet")
     assert code == 0
     numbers = np.fromfile(raw, dtype="<f4").reshape(-1, 4)
     assert numbers[:, :3] == pytest.approx(np.asarray(points), abs=1e-4)
     assert ((numbers[:, 3] > 0.0) & (numbers[:, 3] <= 1.0)).all()
     code, _, error = run(
-        *command, "--unit", "VUT-LIDAR", "--out", tmp_path / "a.png", "--quiet"
+        command, "--unit VUT-LIDAR --out", tmp_path / "a.png", "--quiet"
     )
     assert code == 2
     assert error.endswith("expected a name that ends in .ply, .bin\n")

@@ -895,7 +895,7 @@ def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
     layout.write_bytes(client.get(f"/{TOKEN}/layout.json").content)
     words = shlex.split(line.last["question"]["command"])
     assert words[:4] == ["place-rsus", "evaluate", "--layout", "layout.json"]
-    code, out, err = run("evaluate", "--layout", str(layout), *words[4:], "--json")
+    code, out, err = run("evaluate --layout", str(layout), *words[4:], "--json")
     assert code == 0, err
     assert json.loads(out)["evaluation"] == by_night["record"]
     line.send(do="question", weather="fog")

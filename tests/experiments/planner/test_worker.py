@@ -77,13 +77,9 @@ def test_tasks_are_done_elsewhere_by_a_process_that_may_be_stopped_or_die(tmp_pa
         worker.stop()
 
 
-@pytest.mark.parametrize(
-    "is_closed",
-    [
-        pytest.param(False, id="by-ctrl-c"),
-        pytest.param(True, id="by-closing-the-page", marks=pytest.mark.long),
-    ],
-)
+# Quickly, without a process: test_server.py
+@pytest.mark.long
+@pytest.mark.parametrize("is_closed", [False, True], ids=["ctrl-c", "closed"])
 def test_the_command_serves_until_it_ends_and_leaves_nothing_behind(
     tmp_path, is_closed
 ):
@@ -205,6 +201,6 @@ def look_at(address):
 
 
 def test_others_are_let_in_only_by_who_says_so(run):
-    assert refusal(run("plan", "--host", "0.0.0.0")) == (
+    assert refusal(run("plan --host 0.0.0.0")) == (
         "--host: got 0.0.0.0; expected --i-know beside it: others could change the plan"
     )

@@ -50,13 +50,13 @@ def test_a_browser_that_prints_nothing_is_told_and_nothing_is_lost(tmp_path):
 
 def test_without_a_browser_nothing_is_computed(run, monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert refusal(run(*FEW, "--pdf", "a.pdf")).startswith(
+    assert refusal(run(*FEW, "--pdf a.pdf")).startswith(
         "--pdf: got no browser that prints"
     )
 
 
 def test_the_folder_of_results_has_nothing_but_results(run):
-    code, _, err = run(*FEW, "--out", "there", "--pdf", "there/a.pdf")
+    code, _, err = run(*FEW, "--out there --pdf there/a.pdf")
     assert code == 2
     assert "outside of --out" in err
 
@@ -66,7 +66,7 @@ def test_the_folder_of_results_has_nothing_but_results(run):
 @pytest.mark.system
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is missing")
 def test_a_report_has_at_most_twelve_pages(run, tmp_path):
-    assert run(*FEW, "--out", "there", "--pdf", "a.pdf")[0] == 0
+    assert run(*FEW, "--out there --pdf a.pdf")[0] == 0
     content = (tmp_path / "work" / "a.pdf").read_bytes()
     assert content.startswith(b"%PDF")
     assert 1 <= len(re.findall(rb"/Type\s*/Page[^s]", content)) <= 12

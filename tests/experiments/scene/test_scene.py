@@ -56,13 +56,13 @@ def command(run, monkeypatch):
 
 @pytest.fixture
 def scene_command(command):
-    return lambda *arguments: command("scene", *arguments, "--quiet")
+    return lambda first, *others: command(f"scene {first}", *others, "--quiet")
 
 
 @pytest.fixture
 def scene_answer(ask, command):
     """What ``place-rsus scene`` answers as JSON."""
-    return lambda *arguments: ask("scene", *arguments)
+    return lambda first, *others: ask(f"scene {first}", *others)
 
 
 @pytest.fixture
@@ -210,9 +210,7 @@ def test_buildings_come_from_another_file(scene_command, scene_answer, roads, tm
     refused = scene_command("import", *files, "-o", out)
     assert refused.code == 2
     assert "--unit" in refused.err
-    summary = scene_answer(
-        "import", *files, "--unit", "m", "--up", "z", "--offset", "25,25", "-o", out
-    )
+    summary = scene_answer("import", *files, "--unit m --up z --offset 25,25 -o", out)
     assert summary["buildings"] == 1
     assert any(entry["what"] == "poles of the map" for entry in summary["skipped"])
     scene = load_scene_folder(out)
@@ -226,7 +224,7 @@ def test_buildings_come_from_another_file(scene_command, scene_answer, roads, tm
 
 def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
     out = tmp_path / "scene"
-    assert scene_command("import", "town05", "-o", out).code == 0
+    assert scene_command("import town05 -o", out).code == 0
     assert "nothing found" in scene_command("check", out).out
     assert scene_command("check").code == 0
     text = (out / "scene.toml").read_text()
@@ -287,8 +285,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     out = tmp_path / "scene"
     for keeps in ("right", "left"):
         asked = (
-            "scene",
-            "import",
+            "scene import",
             city,
             "--driving-side",
             keeps,
@@ -308,23 +305,15 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     monkeypatch.setattr(poses, "load_candidate_grid", lambda **_: grid)
     results = tmp_path / "results"
     question = [
-        "--cases",
-        "CPNA-25,CBNA,CPTAfs-50",
-        "--speeds",
-        "20,40",
-        "--approaches",
-        "north",
+        "--cases CPNA-25,CBNA,CPTAfs-50 --speeds 20,40 --approaches north",
     ]
     question += ["--along-arms", "0"]
     result = command(
         "--scene",
         out,
-        "--budget",
-        "1",
+        "--budget 1",
         *question,
-        "--json",
-        "--quiet",
-        "--out",
+        "--json --quiet --out",
         results,
     )
     assert result.code == 0, result.err
@@ -343,16 +332,16 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     )
     assert rows[0]["map_crs"] == "EPSG:4326"
     layout = str(results / "layout.json")
-    elsewhere = command("evaluate", "--layout", layout, *question, "--quiet")
+    elsewhere = command("evaluate --layout", layout, *question, "--quiet")
     assert elsewhere.code == 2
     assert "expected one of town05, the scene that is looked at" in elsewhere.err
-    here = command("export", "--layout", layout, "--scene", out, "--format", "csv")
+    here = command("export --layout", layout, "--scene", out, "--format csv")
     assert here.out == (results / "layout.csv").read_text()
 
 
 def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
     out = tmp_path / "scene"
-    assert command("scene", "import", roads, "-o", out, "--quiet").code == 0
+    assert command("scene import", roads, "-o", out, "--quiet").code == 0
     layout = {
         "schema": "place-rsus/layout/1",
         "name": "mine",
@@ -370,7 +359,7 @@ def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
     }
     path = tmp_path / "mine.json"
     path.write_text(json.dumps(layout))
-    given = ["export", "--layout", path, "--scene", out, "--format"]
+    given = ["export --layout", path, "--scene", out, "--format"]
     result = command(*given, "geojson")
     assert result.code == 2
     assert "a scene without crs" in result.err
@@ -385,7 +374,7 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
     osm.node(9.0, -9.0, highway="street_lamp")
     out = tmp_path / "scene"
     path = str(osm.write(tmp_path))
-    assert command("scene", "import", path, "-o", out, "--quiet").code == 0
+    assert command("scene import", path, "-o", out, "--quiet").code == 0
     lamp = {
         "id": "a",
         "x_m": 9.0,
@@ -397,34 +386,32 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
     layout = tmp_path / "mine.json"
     layout.write_text(json.dumps({"layout": [lamp | {"camera": "carla-ncap-rgb"}]}))
     given = [
-        "evaluate",
-        "--layout",
+        "evaluate --layout",
         layout,
         "--scene",
         out,
-        "--quiet",
-        "--json",
+        "--quiet --json",
     ]
     # Where a street ends in another one, nobody can cross it beyond the junction: some
     # cases remain, and those that do not are told.
-    few = ["--approaches", "east", "--cases"]
-    summary = json.loads(command(*given, *few, "study").out)
+    few = "--approaches east --cases"
+    summary = json.loads(command(*given, few, "study").out)
     refused = {entry["case"] for entry in summary["not_driven"]} - set(summary["cases"])
     assert summary["cases"]
     assert refused
     one = sorted(refused)[0]
     assert summary["possible_runs"] >= summary["runs"]
     assert one in " ".join(summary["driven"])
-    result = command(*given, *few, one)
+    result = command(*given, few, one)
     assert (result.code, "which no approach carries" in result.err) == (
         2,
         True,
     ), result.err
     both = f"{summary['cases'][0]},{one}"
-    told = json.loads(command(*given, *few, both).out)
+    told = json.loads(command(*given, few, both).out)
     assert told["cases"] == summary["cases"][:1]
     assert told["driven"][0].endswith(f"no {one} at all.")
-    result = command(*given, "--strict", *few, both)
+    result = command(*given, "--strict", few, both)
     assert result.code == 2
     assert f"{one}, which no approach carries" in result.err
 
@@ -453,7 +440,7 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
     city = str(osm.write(tmp_path))
     for _ in range(2):
         result = command(
-            "--scene", city, "--junction", "Street 2 / Street 0", "--budget", "2"
+            "--scene", city, "--junction", "Street 2 / Street 0", "--budget 2"
         )
         assert result.code == 2
         assert "Imported Street 0 / Street 1 / Street 2: 3 arms, 24 sites" in result.err
@@ -463,20 +450,16 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
     }
     assert len(build_junction(load_scene_folder(Path(asked[0].scene))).arms) == 3
     options = [
-        "--sites",
-        "kerb:30",
-        "--driving-side",
-        "left",
-        "--at",
+        "--sites kerb:30 --driving-side left --at",
         f"{LON_DEG},{LAT_DEG}",
     ]
-    assert command("--scene", city, *options, "--budget", "2", "--quiet").code == 2
+    assert command("--scene", city, *options, "--budget 2 --quiet").code == 2
     other = load_scene_folder(Path(asked[-1].scene))
     assert other.keeps_left
     assert len(other.sites) < 24
     assert set(assumed_sites(other.notes)) == {site.id for site in other.sites}
     for wrong in ([], ["--scene", str(tmp_path)], ["--scene", asked[0].scene]):
-        result = command(*wrong, "--junction", "Street 0", "--budget", "2", "--quiet")
+        result = command(*wrong, "--junction", "Street 0", "--budget 2 --quiet")
         assert result.code == 2
         assert "expected --scene FILE, a map with roads" in result.err
 
@@ -512,7 +495,7 @@ def test_lists_that_are_long_are_cut(monkeypatch):
 def chooser(scene_command, tmp_path):
     """The page on which a junction of a street with three is chosen."""
     path = write_city(tmp_path)
-    result = scene_command("show", path, "--staggered", "40", "--out", tmp_path / "out")
+    result = scene_command("show", path, "--staggered 40 --out", tmp_path / "out")
     assert result.code == 0
     return tmp_path / "out" / "junctions.html"
 
