@@ -113,17 +113,17 @@ def _parse(words: list[str]) -> None:
 COMMANDS = sorted({(str(page.relative_to(ROOT)), words) for page, words in _commands()})
 
 
-def test_pages_have_commands() -> None:
+def test_pages_have_commands():
     assert len(COMMANDS) > 60
 
 
 @pytest.mark.parametrize(("page", "words"), COMMANDS)
-def test_commands_in_pages_parse(page: str, words: str) -> None:
+def test_commands_in_pages_parse(page, words):
     line = shlex.split(words.partition(" | ")[0].partition(" > ")[0], comments=True)
     _parse(line)
 
 
-def test_an_option_that_does_not_exist_does_not_parse() -> None:
+def test_an_option_that_does_not_exist_does_not_parse():
     with pytest.raises(click.NoSuchOption):
         _parse(["scene", "import", "a.osm", "--no-such-option"])
 
@@ -175,17 +175,17 @@ def _page_id(page: Path) -> str:
 
 
 @pytest.mark.parametrize("page", [*PAGES, *RESULT_PAGES], ids=_page_id)
-def test_files_named_in_pages_exist(page: Path) -> None:
+def test_files_named_in_pages_exist(page):
     assert _missing_files(_text_of(page), page) == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_page_id)
-def test_modules_named_in_pages_exist(page: Path) -> None:
+def test_modules_named_in_pages_exist(page):
     assert _missing_modules(_text_of(page)) == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_page_id)
-def test_files_named_alone_are_in_the_folder_named_before_them(page: Path) -> None:
+def test_files_named_alone_are_in_the_folder_named_before_them(page):
     missing = []
     for paragraph in _text_of(page).split("\n\n"):
         folder = ROOT
@@ -201,7 +201,7 @@ def test_files_named_alone_are_in_the_folder_named_before_them(page: Path) -> No
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_page_id)
-def test_names_in_brackets_behind_a_file_are_in_it(page: Path) -> None:
+def test_names_in_brackets_behind_a_file_are_in_it(page):
     missing = []
     for place, names in _NAMES_IN_FILE.findall(_text_of(page)):
         for name in re.findall(r"\w+", names):
@@ -227,7 +227,7 @@ def _options(command: click.Command) -> Iterator[str]:
             yield from _options(inner)
 
 
-def test_options_named_in_pages_exist() -> None:
+def test_options_named_in_pages_exist():
     known = {*_options(cli), "--help", *_OPTIONS_OF_OTHERS}
     missing = {
         f"{_page_id(page)}: {option}"
@@ -270,7 +270,7 @@ def _missing_in_module(file: Path, known_names: Iterable[str]) -> list[str]:
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
-def test_files_and_modules_named_in_docstrings_and_comments_exist(folder: str) -> None:
+def test_files_and_modules_named_in_docstrings_and_comments_exist(folder):
     known = {
         file.name
         for inner in (*FOLDERS, "docs", "results")
@@ -285,7 +285,7 @@ def test_files_and_modules_named_in_docstrings_and_comments_exist(folder: str) -
     assert missing == set()
 
 
-def test_example_files_are_what_pages_say() -> None:
+def test_example_files_are_what_pages_say():
     files = DOCS / "files"
     assert list(load_catalogue(files / "cameras.toml")) == ["corner-4k"]
     assert load_latency_budget(str(files / "latency.toml")).worst_s == pytest.approx(
@@ -299,7 +299,7 @@ def test_example_files_are_what_pages_say() -> None:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_public_names_are_in_the_api_pages(package: str) -> None:
+def test_public_names_are_in_the_api_pages(package):
     names = set(importlib.import_module(package).__all__)
     shown: set[str] = set()
     for page in API_PAGES:
@@ -314,7 +314,7 @@ def test_public_names_are_in_the_api_pages(package: str) -> None:
     assert shown == names
 
 
-def test_version_is_one_in_all_places() -> None:
+def test_version_is_one_in_all_places():
     project = tomllib.loads(_text_of(ROOT / "pyproject.toml"))["project"]
     version = project["version"]
     assert f"\nversion: {version}\n" in _text_of(ROOT / "CITATION.cff")

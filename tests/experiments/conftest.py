@@ -4,8 +4,10 @@ import json
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+from command_results import answer
 from interactive_pages import build_evaluation, build_layout
 from once import make_once
 from partial_pages import blank_pictures
@@ -136,20 +138,38 @@ def with_blank_pictures():
 
 @pytest.fixture
 def run(capsys, tables, tmp_path, monkeypatch):
-    """Runs a command in an empty folder: exit code, stdout, stderr."""
+    """Runs a command in an empty folder: exit code, stdout, stderr.
+
+    The first words, and options with their values, may stand in one text.
+    """
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tables))
 
     def run_command(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()
+        words = []
+        for one in arguments:
+            is_line = isinstance(one, str) and (one.startswith("--") or not words)
+            words += one.split() if is_line else [str(one)]
         with pytest.raises(SystemExit) as ended:
-            main.main([str(argument) for argument in arguments])
+            main.main(words)
         code = ended.value.code
         assert isinstance(code, int)
         return code, *capsys.readouterr()
 
     return run_command
+
+
+@pytest.fixture
+def ask(run):
+    """Runs a command that succeeds: the object that it prints."""
+
+    def ask_command(*arguments: object) -> Any:
+        text = answer(run(*arguments, "--json --quiet"))
+        return json.loads(text, parse_constant=pytest.fail)
+
+    return ask_command
 
 
 @pytest.fixture

@@ -98,7 +98,8 @@ def test_every_format_is_written_to_a_file_whole(name, layout_path, tmp_path):
 @pytest.mark.parametrize("name", BINARY)
 def test_what_is_no_text_needs_a_file(name, layout_path):
     result = call("--layout", layout_path, "--format", name)
-    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.exit_code == 2
+    assert result.stdout == ""
     assert f"--out: got nothing; expected a file: {name} is no text" in result.stderr
 
 

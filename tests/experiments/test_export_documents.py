@@ -58,7 +58,8 @@ def test_layout_files_are_as_the_schema_says_and_read_back(build, validator, tmp
     path = tmp_path / "layout.json"
     path.write_text(text, encoding="utf-8")
     again = load_layout(path)
-    assert (again.name, again.scene_name) == (layout.name, layout.scene_name)
+    assert again.name == layout.name
+    assert again.scene_name == layout.scene_name
     assert layout_records(again) == layout_records(layout)
     assert [unit.sensor for unit in again.units] == [
         unit.sensor for unit in layout.units
@@ -66,50 +67,51 @@ def test_layout_files_are_as_the_schema_says_and_read_back(build, validator, tmp
 
 
 OWN = 'my "own", camera'
-DAMAGE = {
-    "nothing": lambda document: None,
-    "no name": lambda document: document.pop("name"),
-    "no scene": lambda document: document.pop("scene"),
-    "no schema": lambda document: document.pop("schema"),
-    "no site": lambda document: document["layout"][0].pop("site"),
-    "another key": lambda document: document["layout"][0].update(note="painted green"),
-    "null latency": lambda document: document["layout"][0].update(latency_s=None),
-    "no layout": lambda document: document.pop("layout"),
-    "no units": lambda document: document.update(layout=[]),
-    "text for a unit": lambda document: document.update(layout=["a"]),
-    "no id": lambda document: document["layout"][0].pop("id"),
-    "empty id": lambda document: document["layout"][0].update(id=""),
-    "reserved id": lambda document: document["layout"][0].update(id="rsu_all"),
-    "number for an id": lambda document: document["layout"][0].update(id=7),
-    "no camera": lambda document: document["layout"][0].pop("camera"),
-    "camera and lidar": lambda document: document["layout"][0].update(
-        lidar="carla-ncap-lidar"
-    ),
-    "text for a number": lambda document: document["layout"][0].update(x_m="1"),
-    "truth for a number": lambda document: document["layout"][0].update(yaw_deg=True),
-    "no height": lambda document: document["layout"][0].pop("z_m"),
-    "overturned": lambda document: document["layout"][0].update(pitch_deg=-90.5),
-    "late before": lambda document: document["layout"][0].update(latency_s=-0.1),
-    "number for a site": lambda document: document["layout"][0].update(site=3),
-    "list of sensors": lambda document: document.update(sensors=[]),
-    "sensor of no kind": lambda document: document["sensors"][OWN].pop("kind"),
-    "sensor without a width": lambda document: document["sensors"][OWN].pop("width_px"),
-    "flat sensor": lambda document: document["sensors"][OWN].update(height_px=0),
-    "sensor all around": lambda document: document["sensors"][OWN].update(
-        horizontal_fov_deg=180.0
-    ),
-    "sensor for less than nothing": lambda document: document["sensors"][OWN].update(
-        price_eur=-1
-    ),
+GONE = object()
+DAMAGE = {  # where, and what stands there then
+    "nothing": (["name"], "a name"),
+    "no name": (["name"], GONE),
+    "no scene": (["scene"], GONE),
+    "no schema": (["schema"], GONE),
+    "no site": (["layout", 0, "site"], GONE),
+    "another key": (["layout", 0, "note"], "painted green"),
+    "null latency": (["layout", 0, "latency_s"], None),
+    "no layout": (["layout"], GONE),
+    "no units": (["layout"], []),
+    "text for a unit": (["layout"], ["a"]),
+    "no id": (["layout", 0, "id"], GONE),
+    "empty id": (["layout", 0, "id"], ""),
+    "reserved id": (["layout", 0, "id"], "rsu_all"),
+    "number for an id": (["layout", 0, "id"], 7),
+    "no camera": (["layout", 0, "camera"], GONE),
+    "camera and lidar": (["layout", 0, "lidar"], "carla-ncap-lidar"),
+    "text for a number": (["layout", 0, "x_m"], "1"),
+    "truth for a number": (["layout", 0, "yaw_deg"], True),
+    "no height": (["layout", 0, "z_m"], GONE),
+    "overturned": (["layout", 0, "pitch_deg"], -90.5),
+    "late before": (["layout", 0, "latency_s"], -0.1),
+    "number for a site": (["layout", 0, "site"], 3),
+    "list of sensors": (["sensors"], []),
+    "sensor of no kind": (["sensors", OWN, "kind"], GONE),
+    "sensor without a width": (["sensors", OWN, "width_px"], GONE),
+    "flat sensor": (["sensors", OWN, "height_px"], 0),
+    "sensor all around": (["sensors", OWN, "horizontal_fov_deg"], 180.0),
+    "sensor for less than nothing": (["sensors", OWN, "price_eur"], -1),
 }
 FINE = list(DAMAGE)[:7]
 
 
 @pytest.mark.parametrize("what", DAMAGE)
 def test_the_schema_refuses_what_the_reader_refuses(what, validator, tmp_path):
-    document = json.loads(to_json(awkward_layout()))
-    damaged = copy.deepcopy(document)
-    DAMAGE[what](damaged)
+    damaged = json.loads(to_json(awkward_layout()))
+    (*way, key), value = DAMAGE[what]
+    place = damaged
+    for step in way:
+        place = place[step]
+    if value is GONE:
+        del place[key]
+    else:
+        place[key] = value
     path = tmp_path / "layout.json"
     path.write_text(json.dumps(damaged), encoding="utf-8")
     if what in FINE:
@@ -152,10 +154,8 @@ def stations_of(layout, scene):
 
 def sensors_of(station):
     rsu, information = station["messages"][0]["payload"]["cpmContainers"]
-    assert (rsu, information["containerId"]) == (
-        {"containerId": 2, "containerData": {}},
-        3,
-    )
+    assert rsu == {"containerId": 2, "containerData": {}}
+    assert information["containerId"] == 3
     sensors = information["containerData"]
     assert 1 <= len(sensors) <= 128
     assert [sensor["sensorId"] for sensor in sensors] == list(
@@ -236,7 +236,8 @@ def test_cpm_opens_from_left_to_right_and_from_below_to_above(yaw_deg, pitch_deg
 def test_cpm_by_hand():
     layout = level_layout(90.0, -10.0)  # looks north, 110 degrees wide
     (station,) = stations_of(layout, load_study_scene())
-    assert (station["site"], station["units"]) == ("", ["one"])
+    assert station["site"] == ""
+    assert station["units"] == ["one"]
     (sensor,) = sensors_of(station)
     # 2 atan(tan(55 deg) 1080 / 1920) = 77.56 deg high: -48.8 .. 28.8 deg, tenths
     # rounded up. As far as an adult is 40 px high.
@@ -254,7 +255,8 @@ def test_cpm_by_hand():
     reference = station["messages"][0]["payload"]["managementContainer"][
         "referencePosition"
     ]
-    assert (reference["latitude"], reference["longitude"]) == (490000000, 80000000)
+    assert reference["latitude"] == 490000000
+    assert reference["longitude"] == 80000000
     lidar = stations_of(level_layout(0.0, kind="lidar"), load_study_scene())[0]
     assert sensors_of(lidar)[0]["perceptionRegionShape"]["radial"]["range"] == 2500
 
@@ -271,14 +273,10 @@ def test_cpm_opens_all_but_a_tenth_of_a_turn_where_a_lidar_scans_all_round(
     ring = replace(unit, sensor=load_lidars()["ouster-os1-128"])
     (station,) = stations_of(Layout(name="ring", units=(ring,)), load_study_scene())
     shape = sensors_of(station)[0]["perceptionRegionShape"]["radial"]
-    assert (
-        shape["stationaryHorizontalOpeningAngleStart"],
-        shape["stationaryHorizontalOpeningAngleEnd"],
-    ) == (0, 3599)
-    assert (shape["verticalOpeningAngleStart"], shape["verticalOpeningAngleEnd"]) == (
-        low,
-        high,
-    )
+    assert shape["stationaryHorizontalOpeningAngleStart"] == 0
+    assert shape["stationaryHorizontalOpeningAngleEnd"] == 3599
+    assert shape["verticalOpeningAngleStart"] == low
+    assert shape["verticalOpeningAngleEnd"] == high
     assert shape["range"] == 1200
 
 

@@ -23,6 +23,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.text import Text
 from messages_of_data import messages_of_data
 from partial_pages import blank_png
+from private_garden import write_garden
 from small_results import lay_runs_of
 
 import experiments
@@ -48,7 +49,6 @@ from experiments.parts.alternatives import doubt_sentences
 from experiments.planner.page_files import page_html, page_messages
 from experiments.report.page import page_environment
 from geometry.errors import InputError
-from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES
 from geometry.phrases import Phrase, join_phrases
 from geometry.study_scene import load_study_scene
@@ -295,40 +295,38 @@ def mine(tmp_path):
     for name, units in (("mine-1", [camera]), ("mine-2", [camera, lidar])):
         text = json.dumps({"name": name, "layout": units})
         (tmp_path / f"{name}.json").write_text(text, encoding="utf-8")
-    corners = [
-        [-130.0, -10.0],
-        [-100.0, -10.0],
-        [-100.0, 10.0],
-        [-130.0, 10.0],
-        [-130.0, -10.0],
-    ]
-    ring = to_geographic(np.array(corners), load_study_scene().crs).tolist()
-    area = {"type": "Polygon", "coordinates": [ring]}
-    feature = {"type": "Feature", "properties": {"name": "garden-1"}, "geometry": area}
-    (tmp_path / "garden-1.json").write_text(
-        json.dumps({"type": "FeatureCollection", "features": [feature]}),
-        encoding="utf-8",
-    )
-    return [tmp_path / f"{name}.json" for name in ("mine-1", "mine-2", "garden-1")]
+    garden = write_garden(tmp_path, (-130.0, -10.0, -100.0, 10.0), name="garden-1")
+    return [tmp_path / "mine-1.json", tmp_path / "mine-2.json", garden]
 
 
 @pytest.mark.usefixtures("bracketed", "small_study")
 @pytest.mark.parametrize(
     "asked",
     [
-        "--budget 2 --verbose",
-        "--budget 2 --cars 0.5 --give-up 0.01 --vam-rate 0.5 --verbose",
-        "--budget 2 --samples 4 --cars blind",
+        pytest.param("--budget 2 --verbose", marks=pytest.mark.long),
+        pytest.param(
+            "--budget 2 --cars 0.5 --give-up 0.01 --vam-rate 0.5 --verbose",
+            marks=pytest.mark.long,
+        ),
+        pytest.param("--budget 2 --samples 4 --cars blind", marks=pytest.mark.long),
         "--budget 2 --cars see --fusion single --detector response --verbose",
         ("--target 0.5 --least cost --site-cost 100 --cars blind --verbose"),
         "evaluate --layout MINE-1 --cars blind --verbose",
-        "evaluate --layout MINE-2 --no-look GARDEN-1 --verbose",
-        "compare MINE-2 MINE-1 --samples 4 --verbose",
+        pytest.param(
+            "evaluate --layout MINE-2 --no-look GARDEN-1 --verbose",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            "compare MINE-2 MINE-1 --samples 4 --verbose", marks=pytest.mark.long
+        ),
         "compare MINE-2 MINE-1 carlancap-12",
-        "pareto --max 2",
+        pytest.param("pareto --max 2", marks=pytest.mark.long),
         "pareto --max 2 --by cost --site-cost 500",
-        "retrofit --layout MINE-2 --site-cost 500 --budget-cost 3000",
-        "latency --layout MINE-2",
+        pytest.param(
+            "retrofit --layout MINE-2 --site-cost 500 --budget-cost 3000",
+            marks=pytest.mark.long,
+        ),
+        pytest.param("latency --layout MINE-2", marks=pytest.mark.long),
         "latency --layout MINE-1 --budget cpm-100ms",
     ],
 )
@@ -338,7 +336,7 @@ def test_no_word_on_a_terminal_is_left_over(run, mine, few_runs, monkeypatch, as
     )
     for path in mine:
         asked = asked.replace(path.stem.upper(), str(path))
-    code, text, err = run(*asked.split(), "--language", "de", "--out", "out-1")
+    code, text, err = run(asked, "--language de --out out-1")
     assert code == 0, err
     assert text.count("⟦") > 20
     assert not left_over(re.sub(r"--[a-z-]+", "", text))
@@ -358,9 +356,7 @@ def test_no_word_of_a_sheet_is_left_over(run, mine, small_setting, monkeypatch):
         keep(pages, figure)
 
     monkeypatch.setattr(PdfPages, "savefig", savefig)
-    code, text, err = run(
-        "sheet", "--layout", mine[1], "--out", "s-1.pdf", "--language", "de"
-    )
+    code, text, err = run("sheet --layout", mine[1], "--out s-1.pdf --language de")
     assert code == 0, err
     assert len(texts) > 40
     assert not {text: left_over(text) for text in [*texts, text] if left_over(text)}
@@ -368,25 +364,28 @@ def test_no_word_of_a_sheet_is_left_over(run, mine, small_setting, monkeypatch):
 
 @pytest.mark.usefixtures("small_study")
 def test_the_language_is_that_of_the_option_else_of_the_environment(run, monkeypatch):
-    asked = ("pareto", "--max", 1, "--quiet")
-    english = run(*asked)
-    german = run(*asked, "--language", "de")
+    asked = "pareto --max 1 --quiet"
+    english = run(asked)
+    german = run(asked, "--language de")
     assert "The best of" in english[1]
     assert "Die besten von" in german[1]
     monkeypatch.setenv("PLACE_RSUS_LANGUAGE", "de")
-    assert run(*asked) == german
-    assert run(*asked, "--language", "en") == english
+    assert run(asked) == german
+    assert run(asked, "--language en") == english
     assert language() == "en"
     wrong = "place-rsus: --language: got 'fr'; expected one of en, de\n"
-    assert run(*asked, "--language", "fr") == (2, "", wrong)
+    assert run(asked, "--language fr") == (2, "", wrong)
     monkeypatch.setenv("PLACE_RSUS_LANGUAGE", "fr")
-    assert run(*asked) == (2, "", wrong)
+    assert run(asked) == (2, "", wrong)
 
 
 @pytest.mark.usefixtures("few_runs", "bracketed")
 @pytest.mark.parametrize(
     "asked",
-    ["--budget 1 --refine --detector response", "--budget 2 --samples 2 --cars 0.3"],
+    [
+        "--budget 1 --refine --detector response",
+        pytest.param("--budget 2 --samples 2 --cars 0.3", marks=pytest.mark.long),
+    ],
 )
 def test_no_word_of_a_report_is_left_over(
     run, drawn, monkeypatch, small_setting, asked
@@ -401,7 +400,7 @@ def test_no_word_of_a_report_is_left_over(
         radio=Radio(packet_loss=0.1, vam_rate=0.5),
     )
     lay_runs_of(monkeypatch, odd)
-    code, _, err = run(*asked.split(), "--out", "out", "--language", "de")
+    code, _, err = run(asked, "--out out --language de")
     assert code == 0, err
     page = Path("out/report.html").read_text()
     assert '<html lang="de">' in page

@@ -203,7 +203,12 @@ def test_signals_are_left_alone_outside_the_main_thread():
 
 
 @pytest.mark.parametrize(
-    ("prepare", "work"), [THREADS, SOLVER, KERNEL], ids=["threads", "solver", "kernel"]
+    ("prepare", "work"),
+    [
+        pytest.param(*THREADS, id="threads"),
+        pytest.param(*SOLVER, id="solver", marks=pytest.mark.long),
+        pytest.param(*KERNEL, id="kernel", marks=pytest.mark.long),
+    ],
 )
 def test_what_does_not_listen_is_ended(prepare, work, tmp_path):
     script = (

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 from hypothesis import given
+from refusals import refused_with
 from strategies import numbers
 
 from geometry.actors import (
@@ -16,7 +17,6 @@ from geometry.actors import (
     pick_actor,
     read_actors,
 )
-from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.raycast import build_caster
 from geometry.text_formats import load_toml
@@ -299,20 +299,18 @@ def test_arrays_of_a_shape_are_read_only(actors):
 
 
 def test_unknown_body_lists_the_known_ones():
-    with pytest.raises(InputError) as caught:
-        pick_actor("unicorn", "cases.toml: X.vru_actor")
-    assert (
-        str(caught.value) == "cases.toml: X.vru_actor: got 'unicorn'; expected one of"
+    with refused_with(
+        "cases.toml: X.vru_actor: got 'unicorn'; expected one of"
         f" {', '.join(sorted(NAMES))}"
-    )
+    ):
+        pick_actor("unicorn", "cases.toml: X.vru_actor")
 
 
 @pytest.mark.parametrize("field", ["length_m", "width_m", "height_m"])
 @pytest.mark.parametrize("value", [0.0, float("nan")])
 def test_a_body_without_extent_is_refused(actors, field, value):
-    with pytest.raises(InputError) as caught:
+    with refused_with(f"actor adult.{field}: got {value}; expected > 0 metres"):
         dataclasses.replace(actors["adult"], **{field: value})
-    assert str(caught.value) == f"actor adult.{field}: got {value}; expected > 0 metres"
 
 
 @pytest.mark.parametrize(
@@ -350,9 +348,8 @@ def test_a_body_without_extent_is_refused(actors, field, value):
     ],
 )
 def test_a_gait_that_goes_nowhere_is_refused(actors, name, changes, message):
-    with pytest.raises(InputError) as caught:
+    with refused_with(message):
         dataclasses.replace(actors[name], **changes)
-    assert str(caught.value) == message
 
 
 def test_the_key_of_a_placed_body_is_its_content(actors):
@@ -384,11 +381,9 @@ def test_an_actor_may_be_made_by_hand():
         shapes=(shape,),
     )
     assert actor.shapes[0].triangles.dtype == np.int32
-    assert (actor.cycle_m, actor.reference_ahead_m, actor.wheelbase_m) == (
-        0.0,
-        0.0,
-        0.0,
-    )
+    assert actor.cycle_m == 0.0
+    assert actor.reference_ahead_m == 0.0
+    assert actor.wheelbase_m == 0.0
 
 
 # Shapes on disk
@@ -407,19 +402,16 @@ def test_the_shapes_on_disk_are_compact():
 def test_shapes_of_another_description_are_refused():
     table = load_toml(DATA / "actors.toml")
     table["adult"]["height_m"] = 1.81
-    with pytest.raises(InputError) as caught:
-        read_actors(table, DATA / "actors.npz")
-    assert (
-        str(caught.value)
-        == f"{DATA / 'actors.npz'}: got shapes of another actors.toml; "
+    with refused_with(
+        f"{DATA / 'actors.npz'}: got shapes of another actors.toml; "
         "expected shapes built from it: python -m geometry.body_shapes"
-    )
+    ):
+        read_actors(table, DATA / "actors.npz")
 
 
 def test_missing_shapes_say_how_to_build_them(tmp_path):
-    with pytest.raises(InputError) as caught:
-        read_actors({}, tmp_path / "actors.npz")
-    assert (
-        str(caught.value) == f"{tmp_path / 'actors.npz'}: got no such file; "
+    with refused_with(
+        f"{tmp_path / 'actors.npz'}: got no such file; "
         "expected shapes built from it: python -m geometry.body_shapes"
-    )
+    ):
+        read_actors({}, tmp_path / "actors.npz")

@@ -56,13 +56,12 @@ def test_what_is_written_is_read_again(
     assert list(found) == ["north 1", "south"]
     for one in found.values():
         assert one.lens == lens
-        assert (one.width_px, one.height_px) == (1280, 720)
-        assert (one.fx_px, one.fy_px, one.cx_px, one.cy_px) == (
-            900.0,
-            880.0,
-            633.0,
-            361.5,
-        )
+        assert one.width_px == 1280
+        assert one.height_px == 720
+        assert one.fx_px == 900.0
+        assert one.fy_px == 880.0
+        assert one.cx_px == 633.0
+        assert one.cy_px == 361.5
         assert one.R_camera_world == pytest.approx(camera.R_camera_world, abs=1e-9)
         assert one.position_m == pytest.approx(pose.position_m, rel=1e-9, abs=1e-9)
 

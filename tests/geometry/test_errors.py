@@ -11,11 +11,9 @@ def test_input_error_reads_where_got_expected():
         str(error)
         == "town05.toml: sites[2].height_range_m: got [8.0, 5.0]; expected [low, high]"
     )
-    assert (error.where, error.got, error.expected) == (
-        "town05.toml: sites[2].height_range_m",
-        [8.0, 5.0],
-        "[low, high]",
-    )
+    assert error.where == "town05.toml: sites[2].height_range_m"
+    assert error.got == [8.0, 5.0]
+    assert error.expected == "[low, high]"
 
 
 def test_words_about_a_value_stand_without_quotes():

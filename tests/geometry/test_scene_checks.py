@@ -111,13 +111,12 @@ def test_triangles_that_face_inwards_are_told():
 
 def test_no_sites_and_no_way_in_are_errors():
     (finding,) = check_scene(with_things(sites=False))
-    assert (finding.level, finding.what) == ("error", "sites")
+    assert finding.level == "error"
+    assert finding.what == "sites"
     scene = with_things()
     (finding,) = check_scene(replace(scene, outline_m=scene.outline_m + 100.0))
-    assert (finding.level, finding.why) == (
-        "error",
-        "no lane ends at the junction's outline",
-    )
+    assert finding.level == "error"
+    assert finding.why == "no lane ends at the junction's outline"
 
 
 def test_assumed_heights_are_told_with_few_names():

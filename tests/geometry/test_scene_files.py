@@ -70,21 +70,22 @@ def test_a_scene_comes_back_as_it_was(folder, tmp_path):
     archive = tmp_path / "scene.zip"
     pack_scene(folder, archive)
     for again in (load_scene_folder(folder), load_scene_folder(archive)):
-        assert (again.name, again.crs) == (scene.name, scene.crs)
+        assert again.name == scene.name
+        assert again.crs == scene.crs
         assert again.instances == THINGS
         ours, theirs = (one.vertices_m[one.triangles] for one in (again, scene))
         assert ours == pytest.approx(theirs, abs=2e-5)
         assert np.array_equal(again.triangle_instance, scene.triangle_instance)
         for one, other in zip(again.lanes, scene.lanes, strict=True):
-            assert (one.id, one.kind, one.width_m) == (
-                other.id,
-                other.kind,
-                other.width_m,
-            )
+            assert one.id == other.id
+            assert one.kind == other.kind
+            assert one.width_m == other.width_m
             assert one.speed_limit_kmh == (50.0 if one.id == LIMITED else None)
             assert one.centreline_m == pytest.approx(other.centreline_m, abs=5e-4)
         for one, other in zip(again.sites, scene.sites, strict=True):
-            assert (one.id, one.kind, one.use) == (other.id, other.kind, other.use)
+            assert one.id == other.id
+            assert one.kind == other.kind
+            assert one.use == other.use
             assert one.position_m == pytest.approx(other.position_m, abs=5e-4)
         assert again.crosswalks_m == pytest.approx(scene.crosswalks_m, abs=5e-4)
         assert again.keeps_left is scene.keeps_left
@@ -178,7 +179,8 @@ def test_notes_come_back_with_what_a_translation_needs(with_phrases):
     (note,) = load_scene_folder(with_phrases).notes
     assert note == moved_sign()
     for read, wrote in ((note.what, moved_sign().what), (note.why, moved_sign().why)):
-        assert (read.template, read.fields) == (wrote.template, wrote.fields)
+        assert read.template == wrote.template
+        assert read.fields == wrote.fields
 
 
 def test_a_note_that_was_changed_by_hand_says_what_it_says_now(with_phrases, tmp_path):

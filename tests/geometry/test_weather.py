@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused_with
 
-from geometry.errors import InputError
 from geometry.weather import (
     CONTRAST_AT_VISIBILITY,
     Weather,
@@ -43,17 +43,15 @@ def test_the_weathers_are_those_of_the_study_and_fog():
     assert list(weathers) == ["day", "night", "rain", "fog"]
     assert all(name == weather.name for name, weather in weathers.items())
     assert pick_weather("fog", "here") is weathers["fog"]
-    with pytest.raises(InputError) as caught:
+    with refused_with("--weather: got 'snow'; expected one of day, fog, night, rain"):
         pick_weather("snow", "--weather")
-    assert (
-        str(caught.value)
-        == "--weather: got 'snow'; expected one of day, fog, night, rain"
-    )
 
 
 def test_weathers_are_what_they_are_called():
     day, night, rain, fog = load_weathers().values()
-    assert (day.contrast, day.wetness, day.has_lamps) == (1.0, 0.0, False)
+    assert day.contrast == 1.0
+    assert day.wetness == 0.0
+    assert not day.has_lamps
     assert [w.name for w in (day, night, rain, fog) if w.rain_rate_mmph > 0.0] == [
         "rain"
     ]
@@ -169,13 +167,6 @@ def test_visible_light_is_the_reference_of_lasers(visibility_m, rate_mmph):
     )
 
 
-@given(visibilities_m, visibilities_m)
-def test_thicker_air_takes_more(one_m, other_m):
-    thick, thin = (replace(CLEAR, visibility_m=v) for v in sorted((one_m, other_m)))
-    assert thick.extinction_per_m >= thin.extinction_per_m
-    assert thick.lidar_extinction_per_m(905.0) >= thin.lidar_extinction_per_m(905.0)
-
-
 def test_fog_takes_the_same_of_a_laser_and_of_light():
     fog = load_weathers()["fog"]
     assert fog.lidar_extinction_per_m(905.0) == pytest.approx(fog.extinction_per_m)
@@ -206,6 +197,5 @@ def test_fog_takes_the_same_of_a_laser_and_of_light():
     ],
 )
 def test_a_weather_says_what_is_wrong(change, message):
-    with pytest.raises(InputError) as caught:
+    with refused_with(f"weather clear.{message}"):
         replace(CLEAR, **change)
-    assert str(caught.value) == f"weather clear.{message}"

@@ -15,6 +15,7 @@ from oracles import (
     simulated_track_s,
     stop_tau_s,
 )
+from refusals import refused_with
 from scipy.optimize import brentq
 from strategies import (
     KMH,
@@ -26,7 +27,6 @@ from strategies import (
 )
 
 from geometry.actors import load_actors
-from geometry.errors import InputError
 from scenarios.aeb import (
     _separation_m,
     find_contacts,
@@ -425,6 +425,8 @@ def test_contacts_of_many_onsets_are_those_of_each(encounter, offsets_s):
     ]
 
 
+# Quickly: test_last_brake_time_matches_a_simulation_in_small_steps
+@pytest.mark.long
 @settings(max_examples=10)
 @given(st.one_of(encounters(), turning_encounters()))
 def test_no_onset_before_the_last_brake_time_leads_to_contact(encounter):
@@ -477,58 +479,6 @@ def test_braking_on_a_turn_counts_until_the_vut_stands_and_not_beyond():
     encounter = build_turning_encounter("far", 10.0, is_same=True)
     last_s = last_brake_time_s(encounter, RULE)
     assert last_s > -_stop_tau_s(encounter.vut_motion.speed_mps, 0.0)
-
-
-@given(encounters(), numbers(1.0, 6.0), numbers(0.1, 5.0))
-def test_harder_braking_may_begin_later(encounter, weak_mps2, more_mps2):
-    weak = last_brake_time_s(encounter, _rule(deceleration_mps2=weak_mps2))
-    hard = last_brake_time_s(encounter, _rule(deceleration_mps2=weak_mps2 + more_mps2))
-    assert hard >= weak - TOLERANCE_S
-
-
-@given(encounters(), numbers(0.0, 1.0), numbers(0.0, 1.0))
-def test_slower_build_up_must_begin_earlier(encounter, build_up_s, more_s):
-    fast = last_brake_time_s(encounter, _rule(build_up_s=build_up_s))
-    slow = last_brake_time_s(encounter, _rule(build_up_s=build_up_s + more_s))
-    assert slow <= fast + TOLERANCE_S
-
-
-@given(st.one_of(encounters(), turning_encounters()), angles_deg)
-def test_last_brake_time_does_not_depend_on_where_north_is(encounter, turn_deg):
-    turn = np.radians(turn_deg)
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-
-    def turned(motion):
-        path = dataclasses.replace(
-            motion.path,
-            start_m=rotation @ motion.path.start_m,
-            yaw_deg=motion.path.yaw_deg + turn_deg,
-        )
-        return dataclasses.replace(motion, path=path)
-
-    other = dataclasses.replace(
-        encounter,
-        vut_motion=turned(encounter.vut_motion),
-        vru_motion=turned(encounter.vru_motion),
-    )
-    assert _tau_s(other) == pytest.approx(_tau_s(encounter), abs=TOLERANCE_S)
-
-
-@given(turning_encounters())
-def test_last_brake_time_of_a_left_turn_is_that_of_its_mirror_image(encounter):
-    def mirrored(motion):
-        path = motion.path
-        changes = {"start_m": path.start_m * [1.0, -1.0], "yaw_deg": -path.yaw_deg}
-        if isinstance(path, TurnPath):
-            changes["turn"] = dataclasses.replace(path.turn, side=-path.turn.side)
-        return dataclasses.replace(motion, path=dataclasses.replace(path, **changes))
-
-    other = dataclasses.replace(
-        encounter,
-        vut_motion=mirrored(encounter.vut_motion),
-        vru_motion=mirrored(encounter.vru_motion),
-    )
-    assert _tau_s(other) == pytest.approx(_tau_s(encounter), abs=TOLERANCE_S)
 
 
 def test_a_walker_who_sets_off_late_and_accelerates_is_where_its_motion_says():
@@ -640,20 +590,6 @@ def test_confirmation_time_is_that_of_the_first_confirmed_frame(detected, n, mem
     )
 
 
-@given(detections, st.integers(1, 4), memories_s, st.data())
-def test_one_more_detected_frame_never_delays_the_confirmation(
-    detected, n, memory_s, data
-):
-    time_s = np.arange(1 - len(detected), 1) / 10.0
-    until_s = data.draw(st.one_of(numbers(-1.5, 0.3), st.just(math.inf)))
-    rule = _rule(n_confirmations=n, track_memory_s=memory_s)
-    more = list(detected)
-    more[data.draw(st.integers(0, len(more) - 1))] = True
-    assert live_confirmation_time_s(
-        more, time_s, until_s=until_s, rule=rule
-    ) <= live_confirmation_time_s(detected, time_s, until_s=until_s, rule=rule)
-
-
 # Tracks that live
 
 
@@ -666,39 +602,6 @@ def test_the_live_track_is_that_of_a_simulation_frame_by_frame(
     assert live_confirmation_time_s(
         detected, time_s, until_s=until_s, rule=rule
     ) == simulated_track_s(detected, time_s, until_s=until_s, memory_s=memory_s, n=n)
-
-
-@given(detections, st.integers(1, 4), untils_s)
-def test_a_track_that_is_never_lost_is_that_of_the_first_confirmation(
-    detected, n, until_s
-):
-    time_s = np.arange(1 - len(detected), 1) / 10.0
-    rule = _rule(n_confirmations=n)
-    assert rule.track_memory_s == math.inf  # the study's reading
-    first_s = live_confirmation_time_s(detected, time_s, until_s=math.inf, rule=rule)
-    in_time = is_in_time(first_s, until_s, latency_s=0.0)
-    found_s = live_confirmation_time_s(detected, time_s, until_s=until_s, rule=rule)
-    assert found_s == (first_s if in_time else math.inf)
-
-
-@given(
-    detections,
-    st.integers(1, 4),
-    untils_s,
-    st.tuples(memories_s, memories_s).map(sorted),
-)
-def test_a_longer_memory_never_loses_a_track(detected, n, until_s, both_s):
-    time_s = np.arange(1 - len(detected), 1) / 10.0
-    longer, shorter = (
-        live_confirmation_time_s(
-            detected,
-            time_s,
-            until_s=until_s,
-            rule=_rule(n_confirmations=n, track_memory_s=memory_s),
-        )
-        for memory_s in reversed(both_s)
-    )
-    assert longer <= shorter
 
 
 def test_a_track_may_be_exactly_as_old_as_its_memory():
@@ -727,13 +630,11 @@ def test_held_frames_of_runs_end_to_end_are_those_of_each(detected, memory_s, un
 
 @pytest.mark.parametrize("memory_s", [0.09, 0.0, -1.0, math.nan, -math.inf])
 def test_a_memory_shorter_than_from_frame_to_frame_is_refused(memory_s):
-    with pytest.raises(InputError) as caught:
-        _rule(track_memory_s=memory_s)
-    assert (
-        str(caught.value)
-        == f"aeb.track_memory_s: got {memory_s!r}; expected seconds, at least 0.1 (from"
+    with refused_with(
+        f"aeb.track_memory_s: got {memory_s!r}; expected seconds, at least 0.1 (from"
         " one frame to the next), or inf"
-    )
+    ):
+        _rule(track_memory_s=memory_s)
 
 
 def test_tracks_that_are_not_the_studys_live_for_a_second():
@@ -832,7 +733,8 @@ def test_contacts_are_those_of_a_simulation_in_small_steps(encounter, shares):
         onsets_s, found.time_s, found.speed_mps, strict=True
     ):
         if onset_s >= 0.0:
-            assert (time_s, speed) == (0.0, v)
+            assert time_s == 0.0
+            assert speed == v
             continue
         since_s = _looks_s(encounter, RULE, 2.0e-4)
         touches = _separation_m(encounter, onset_s, since_s, RULE) <= 0.0

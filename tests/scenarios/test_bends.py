@@ -114,6 +114,7 @@ def test_sharp_bends_of_a_scene_are_found_with_the_speed_that_they_allow():
     assert not list(find_sharp_bends(protocol_scene()))
     assert not list(find_sharp_bends(with_corner(10.0)[0]))
     (finding,) = find_sharp_bends(with_corner(60.0)[0])
-    assert (finding.level, finding.what) == ("warning", "arm west")
+    assert finding.level == "warning"
+    assert finding.what == "arm west"
     assert finding.why.startswith("lane west-in-0 bends 4")
     assert "m from the junction: 4 m/s^2 to the side allow 1" in finding.why

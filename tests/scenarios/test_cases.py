@@ -1,6 +1,7 @@
 import copy
 
 import pytest
+from refusals import refused_with
 
 from geometry.errors import InputError
 from scenarios import cases
@@ -52,8 +53,10 @@ def test_cases_are_those_of_the_study(
     name, kind, actor, vru_speed_kmh, first_kmh, n_speeds
 ):
     case = cases.load_cases()[name]
-    assert (case.name, case.kind) == (name, kind)
-    assert (case.vru.name, case.vru_speed_kmh) == (actor, vru_speed_kmh)
+    assert case.name == name
+    assert case.kind == kind
+    assert case.vru.name == actor
+    assert case.vru_speed_kmh == vru_speed_kmh
     assert case.vut_speeds_kmh == tuple(
         first_kmh + 5.0 * step for step in range(n_speeds)
     )
@@ -66,11 +69,6 @@ def test_a_new_table_is_a_new_case(monkeypatch):
     assert case.name == "X"
     assert case.vut_speeds_kmh == (20.0, 25.0, 30.0)
     assert case.vru.class_name == "pedestrian"
-
-
-def test_a_single_speed_is_allowed(monkeypatch):
-    table = _changed(vut_speed_kmh={"min": 40.0, "max": 40.0, "step": 5.0})
-    assert _load(monkeypatch, table)["X"].vut_speeds_kmh == (40.0,)
 
 
 @pytest.mark.parametrize(
@@ -158,18 +156,15 @@ def test_a_single_speed_is_allowed(monkeypatch):
     ],
 )
 def test_cases_say_what_is_wrong(monkeypatch, changes, message):
-    with pytest.raises(InputError) as caught:
+    with refused_with(message):
         _load(monkeypatch, _changed(**changes))
-    assert str(caught.value) == message
 
 
 def test_an_unknown_body_lists_the_known_ones(monkeypatch, actors):
-    with pytest.raises(InputError) as caught:
+    with refused_with(
+        f"cases.toml: X.vru: got 'horse'; expected one of {', '.join(sorted(actors))}"
+    ):
         _load(monkeypatch, _changed(vru="horse"))
-    assert (
-        str(caught.value) == "cases.toml: X.vru: got 'horse'; expected one of"
-        f" {', '.join(sorted(actors))}"
-    )
 
 
 def test_a_case_like_another_says_only_what_differs(monkeypatch):
@@ -182,10 +177,8 @@ def test_a_case_like_another_says_only_what_differs(monkeypatch):
     assert (
         cases_by_name["Y"].impact_percent == cases_by_name["Z"].impact_percent == 25.0
     )
-    assert (cases_by_name["Z"].title, cases_by_name["Z"].vru) == (
-        "last",
-        cases_by_name["X"].vru,
-    )
+    assert cases_by_name["Z"].title == "last"
+    assert cases_by_name["Z"].vru == cases_by_name["X"].vru
 
 
 @pytest.mark.parametrize(
@@ -241,14 +234,16 @@ def test_own_cases_are_read_from_a_file_and_may_be_like_ours(tmp_path):
     path.write_text(OWN)
     near, far, ours = cases.pick_cases(f"{path},CBLA", "cases")
     like = cases.load_cases()["CPNA-25"]
-    assert (near.name, far.name, ours.name) == ("SCHOOL", "SCHOOL-FAR", "CBLA")
-    assert (near.vru.name, near.vru_speed_kmh, near.vut_speeds_kmh) == (
-        "child",
-        10.0,
-        (30.0, 40.0),
-    )
-    assert (near.impact_percent, near.vru_line) == (like.impact_percent, like.vru_line)
-    assert (near.vru_side, far.vru_side) == ("near", "far")
+    assert near.name == "SCHOOL"
+    assert far.name == "SCHOOL-FAR"
+    assert ours.name == "CBLA"
+    assert near.vru.name == "child"
+    assert near.vru_speed_kmh == 10.0
+    assert near.vut_speeds_kmh == (30.0, 40.0)
+    assert near.impact_percent == like.impact_percent
+    assert near.vru_line == like.vru_line
+    assert near.vru_side == "near"
+    assert far.vru_side == "far"
     assert "SCHOOL" not in cases.load_cases()
 
 
@@ -303,4 +298,5 @@ def test_in_all_a_case_of_2026_drives_what_that_of_2023_does_not():
             continue
         assert speeds.isdisjoint(twin.vut_speeds_kmh)
         assert speeds | set(twin.vut_speeds_kmh) >= set(case.vut_speeds_kmh)
-        assert (case.vru, case.impact_percent) == (twin.vru, twin.impact_percent)
+        assert case.vru == twin.vru
+        assert case.impact_percent == twin.impact_percent

@@ -1,13 +1,13 @@
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused_with
 from strategies import build_encounter, encounters, numbers
 
 from geometry.actors import load_actors
-from geometry.errors import InputError
 from geometry.footprints import footprint_corners, footprint_separation
 from scenarios.aeb import braking_distance_m, load_aeb_rule
 from scenarios.courses import pick_turn
@@ -23,12 +23,10 @@ from scenarios.paths import Motion, StraightPath, TurnPath
 
 
 def _later(encounter, vut_s, vru_s):
-    return dataclasses.replace(
+    return replace(
         encounter,
         **{
-            name: dataclasses.replace(
-                motion, start_time_s=motion.start_time_s + delay_s
-            )
+            name: replace(motion, start_time_s=motion.start_time_s + delay_s)
             for name, motion, delay_s in (
                 ("vut_motion", encounter.vut_motion, vut_s),
                 ("vru_motion", encounter.vru_motion, vru_s),
@@ -41,11 +39,9 @@ def _set_off_together(encounter):
     """The VRU waits at the place that it had reached when the VUT set off."""
     vru = encounter.vru_motion
     start_s = encounter.vut_motion.start_time_s
-    path = dataclasses.replace(
-        vru.path, start_m=vru.path.at(vru.distance_m(start_s))[0]
-    )
-    motion = dataclasses.replace(vru, path=path, start_time_s=start_s)
-    return dataclasses.replace(encounter, vru_motion=motion)
+    path = replace(vru.path, start_m=vru.path.at(vru.distance_m(start_s))[0])
+    motion = replace(vru, path=path, start_time_s=start_s)
+    return replace(encounter, vru_motion=motion)
 
 
 together = encounters().map(
@@ -116,7 +112,7 @@ def test_between_two_looks_gaps_sag_no_deeper_than_declared(
     encounter = _turning()
     vut = encounter.vut_motion
     vru = encounter.vru_motion
-    rule = dataclasses.replace(load_aeb_rule(), build_up_s=build_up_s)
+    rule = replace(load_aeb_rule(), build_up_s=build_up_s)
     speed = encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
     half_s = min(half_s, encounter.small_m / speed)
     time = middle_s + half_s * np.linspace(-1.0, 1.0, 201)
@@ -134,13 +130,12 @@ def test_between_two_looks_gaps_sag_no_deeper_than_declared(
 
 def test_a_vut_that_sets_off_from_rest_is_refused():
     encounter = _turning()
-    motion = dataclasses.replace(encounter.vut_motion, acceleration_distance_m=2.0)
-    with pytest.raises(InputError) as caught:
-        dataclasses.replace(encounter, vut_motion=motion)
-    assert (
-        str(caught.value) == "encounter.vut_motion.acceleration_distance_m: got 2.0; "
+    motion = replace(encounter.vut_motion, acceleration_distance_m=2.0)
+    with refused_with(
+        "encounter.vut_motion.acceleration_distance_m: got 2.0; "
         "expected 0: the VUT is up to speed when it sets off"
-    )
+    ):
+        replace(encounter, vut_motion=motion)
 
 
 # First contact
@@ -247,9 +242,7 @@ def test_a_late_contact_is_found_and_one_from_the_start_is_at_the_start():
         vru_motion=_moving([length_m + 40.0, 0.0], 0.0, 2.0),
     )
     assert first_contact_s(slow) == pytest.approx(400.0, abs=1e-6)
-    at_once = dataclasses.replace(
-        slow, vru_motion=_moving([1.0, 0.0], 0.0, 2.0, start_time_s=-7.0)
-    )
+    at_once = replace(slow, vru_motion=_moving([1.0, 0.0], 0.0, 2.0, start_time_s=-7.0))
     assert first_contact_s(at_once) == pytest.approx(-7.0, abs=1e-6)
 
 
@@ -263,13 +256,9 @@ def test_a_contact_before_the_later_one_sets_off_counts():
         vut_drive_s=8.0,
     )
     # The VRU walks over the line while the VUT still stands there.
-    parked = dataclasses.replace(encounter.vut_motion, start_time_s=50.0)
-    path = dataclasses.replace(
-        parked.path, start_m=parked.path.at(80.0)[0] + [2.0, 0.0]
-    )
-    met = dataclasses.replace(
-        encounter, vut_motion=dataclasses.replace(parked, path=path)
-    )
+    parked = replace(encounter.vut_motion, start_time_s=50.0)
+    path = replace(parked.path, start_m=parked.path.at(80.0)[0] + [2.0, 0.0])
+    met = replace(encounter, vut_motion=replace(parked, path=path))
     assert first_contact_s(met) == pytest.approx(
         -0.5 * (encounter.vut.width_m + encounter.vru.length_m) / 1.0, abs=1e-6
     )

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from junctions import build_scene, lanes_of, protocol_scene
+from numpy.testing import assert_allclose
 
 from geometry.actors import pick_actor
 from geometry.junction import build_junction, mirrored
@@ -52,11 +53,9 @@ def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_on_the_ri
         for who in ("vut", "vru"):
             position = getattr(run, f"{who}_position_m") * [1.0, -1.0]
             found = getattr(twin, f"{who}_position_m")
-            np.testing.assert_allclose(found, position, rtol=0.0, atol=1e-6)
+            assert_allclose(found, position, rtol=0.0, atol=1e-6)
             turn = getattr(twin, f"{who}_yaw_deg") + getattr(run, f"{who}_yaw_deg")
-            np.testing.assert_allclose(
-                np.cos(np.radians(turn)), 1.0, rtol=0.0, atol=1e-6
-            )
+            assert_allclose(np.cos(np.radians(turn)), 1.0, rtol=0.0, atol=1e-6)
         for one, other in zip(run.obstruction, twin.obstruction, strict=True):
             assert other.actor is one.actor
             assert other.pose.position_m == pytest.approx(

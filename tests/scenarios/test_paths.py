@@ -6,11 +6,11 @@ import pytest
 from dragged import front_axle_at
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused_with
 from scipy.constants import kmh
 from strategies import angles_deg, coordinates_m, numbers
 
 from geometry.errors import InputError
-from geometry.poses import body_rotation
 from scenarios.courses import LEFT, RIGHT, Turn, load_turns, pick_turn
 from scenarios.paths import Motion, StraightPath, TurnPath, travel_time_s
 
@@ -64,19 +64,6 @@ def _rear_axle_m(path, distance_m):
 # Straight on
 
 
-@given(coordinates_m, coordinates_m, angles_deg, coordinates_m)
-def test_a_straight_path_goes_the_distance_in_the_bodys_own_direction(
-    east, north, yaw, distance
-):
-    path = StraightPath(start_m=[east, north], yaw_deg=yaw)
-    position, heading = path.at(distance)
-    assert position - path.start_m == pytest.approx(
-        distance * body_rotation(yaw)[:2, 0], abs=1e-9
-    )
-    assert np.linalg.norm(path.direction) == pytest.approx(1.0, abs=1e-15)
-    assert heading == yaw
-
-
 def test_paths_answer_for_any_shape_of_distances():
     straight = StraightPath(start_m=[1.0, 2.0], yaw_deg=90.0)
     for path in (straight, build_turn_path(pick_turn("far", 10.0))):
@@ -88,9 +75,8 @@ def test_paths_answer_for_any_shape_of_distances():
 
 
 def test_a_start_with_a_height_is_refused():
-    with pytest.raises(InputError) as caught:
+    with refused_with("start_m: got shape (3,); expected shape (2,)"):
         StraightPath(start_m=[0.0, 1.0, 2.0], yaw_deg=0.0)
-    assert str(caught.value) == "start_m: got shape (3,); expected shape (2,)"
     with pytest.raises(InputError, match="yaw_deg: got nan; expected finite degrees"):
         StraightPath(start_m=[0.0, 1.0], yaw_deg=np.nan)
 
@@ -135,11 +121,16 @@ def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(
 
 
 @pytest.mark.parametrize(
-    "name", ["far_10", "near_10", pytest.param("far_20", marks=pytest.mark.long)]
+    "name",
+    [
+        "near_10",
+        pytest.param("far_10", marks=pytest.mark.long),
+        pytest.param("far_20", marks=pytest.mark.long),
+    ],
 )
 def test_the_body_matches_one_dragged_in_small_steps(name):
     path = build_turn_path(load_turns()[name].turn)
-    distance = np.linspace(0.0, 60.0, 60_001)
+    distance = np.linspace(0.0, 60.0, 20_001)
     front, path_yaw_deg = front_axle_at(path, distance)
     tangent = np.radians(path_yaw_deg).tolist()
     steps_m = np.diff(distance).tolist()
@@ -207,29 +198,6 @@ def test_before_the_turn_the_body_goes_straight_however_far_back(path, share):
     )
 
 
-@given(turn_paths(), numbers(-30.0, 120.0))
-def test_left_and_right_turns_of_equal_numbers_are_mirror_images(path, distance_m):
-    path = dataclasses.replace(path, start_m=[0.0, 0.0], yaw_deg=0.0)
-    other = dataclasses.replace(
-        path, turn=dataclasses.replace(path.turn, side=-path.turn.side)
-    )
-    (middle, yaw_deg), (mirrored, mirrored_deg) = (
-        path.at(distance_m),
-        other.at(distance_m),
-    )
-    assert mirrored == pytest.approx(middle * [1.0, -1.0], abs=1e-9)
-    assert mirrored_deg == pytest.approx(-yaw_deg, abs=1e-9)
-
-
-@given(turn_paths(), numbers(-30.0, 120.0))
-def test_a_turn_does_not_depend_on_where_it_is_and_where_north_is(path, distance_m):
-    other = dataclasses.replace(path, start_m=[0.0, 0.0], yaw_deg=0.0)
-    (middle, yaw_deg), (plain, plain_deg) = path.at(distance_m), other.at(distance_m)
-    rotation = body_rotation(path.yaw_deg)[:2, :2]
-    assert middle == pytest.approx(path.start_m + rotation @ plain, abs=1e-9)
-    assert yaw_deg == pytest.approx(path.yaw_deg + plain_deg, abs=1e-9)
-
-
 @given(turn_paths())
 def test_paths_keep_the_bounds_that_they_declare(path):
     step_m = 0.05
@@ -269,9 +237,8 @@ def test_a_straight_path_declares_that_it_never_turns():
     ],
 )
 def test_a_turn_path_says_what_is_wrong(change, message):
-    with pytest.raises(InputError) as caught:
+    with refused_with(message):
         build_turn_path(pick_turn("far", 10.0), **change)
-    assert str(caught.value) == message
 
 
 # Motion
@@ -315,15 +282,6 @@ def test_a_motion_from_rest_reaches_its_speed_after_twice_the_distance_over_the_
         acceleration_m + speed * later_s, abs=1e-9
     )
     assert motion.distance_m(-3.5) == 0.0
-
-
-@given(speeds, accelerations_m, numbers(-2.0, 30.0), numbers(0.0, 2.0))
-def test_distance_never_falls_and_never_grows_faster_than_the_speed(
-    speed, acceleration_m, time_s, later_s
-):
-    motion = _motion(speed, 0.0, acceleration_m)
-    driven = motion.distance_m(time_s + later_s) - motion.distance_m(time_s)
-    assert -1e-12 <= driven <= speed * later_s + 1e-9
 
 
 @given(speeds, accelerations_m, numbers(0.0, 60.0))
@@ -383,9 +341,8 @@ def test_travel_times_are_those_of_the_protocol(
     ],
 )
 def test_a_motion_says_what_is_wrong(change, message):
-    with pytest.raises(InputError) as caught:
+    with refused_with(message):
         dataclasses.replace(_motion(1.0), **change)
-    assert str(caught.value) == message
 
 
 @pytest.mark.parametrize(
@@ -404,8 +361,7 @@ def test_a_motion_says_what_is_wrong(change, message):
 def test_a_travel_time_of_nonsense_is_refused(
     distance_m, speed_mps, acceleration_m, message
 ):
-    with pytest.raises(InputError) as caught:
+    with refused_with(message):
         travel_time_s(
             distance_m, speed_mps=speed_mps, acceleration_distance_m=acceleration_m
         )
-    assert str(caught.value) == message

@@ -8,10 +8,6 @@ def speeds(selection):
     return {case.name: case.vut_speeds_kmh for case in selection.cases}
 
 
-def test_without_speeds_cases_keep_their_own():
-    assert speeds(select_cases("CPNA-25"))["CPNA-25"][0] == 10.0
-
-
 def test_a_range_keeps_the_cases_own_speeds_in_it():
     assert speeds(select_cases("CPNA-25", speeds="18-31")) == {
         "CPNA-25": (20.0, 25.0, 30.0)

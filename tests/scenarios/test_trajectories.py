@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from geometry.actors import pick_actor
 from geometry.errors import InputError
@@ -36,25 +37,21 @@ def refusal(tmp_path, text, name="a.csv", **options):
 def test_a_csv_file_gives_tracks_by_id_whatever_the_order_of_rows(tmp_path):
     rows = sorted(walk("a") + walk("b", "CAR"), key=lambda row: row[1])
     (a, b), n_left_out = read(tmp_path, csv_of(rows))
-    assert (a.id, a.class_name, b.class_name, n_left_out) == (
-        "a",
-        "pedestrian",
-        "vehicle",
-        0,
-    )
-    np.testing.assert_allclose(a.position_m, [[0.1 * n, 2.0] for n in range(10)])
+    assert a.id == "a"
+    assert a.class_name == "pedestrian"
+    assert b.class_name == "vehicle"
+    assert n_left_out == 0
+    assert_allclose(a.position_m, [[0.1 * n, 2.0] for n in range(10)])
     np.testing.assert_array_equal(a.yaw_deg, 90.0)
-    np.testing.assert_allclose(
-        a.velocity_mps(np.array([0.0, 0.45, 0.9])), [[1.0, 0.0]] * 3
-    )
+    assert_allclose(a.velocity_mps(np.array([0.0, 0.45, 0.9])), [[1.0, 0.0]] * 3)
 
 
 def test_columns_frames_and_radians_of_dut_are_recognised(tmp_path):
     rows = [(7, 24 * n, "veh", 3.0 * n, 0.0, math.pi / 2, 3.0) for n in range(4)]
     text = csv_of(rows, "id,frame,label,x_est,y_est,psi_est,vel_est")
     ((track,), _) = read(tmp_path, text, frame_rate_hz=24.0)
-    np.testing.assert_allclose(track.time_s, range(4))
-    np.testing.assert_allclose(track.yaw_deg, 90.0)
+    assert_allclose(track.time_s, range(4))
+    assert_allclose(track.yaw_deg, 90.0)
     assert refusal(tmp_path, text).startswith("line 1: got id, frame, label, x_est")
 
 
@@ -63,21 +60,25 @@ def test_columns_may_have_other_names_and_one_class(tmp_path):
     text = csv_of(rows, "who,time,east,north")
     names = {"id": "who", "x": "east", "y": "north"}
     ((track,), _) = read(tmp_path, text, columns=names, class_name="cyclist")
-    assert (track.id, track.class_name) == ("p", "cyclist")
+    assert track.id == "p"
+    assert track.class_name == "cyclist"
     assert np.isnan(track.yaw_deg).all()
 
 
 def test_who_is_away_for_a_while_comes_back_as_somebody_else(tmp_path):
     rows = walk(steps=[*range(5), *range(30, 36)])
     (first, second), _ = read(tmp_path, csv_of(rows))
-    assert (first.id, second.id) == ("a.1", "a.2")
-    assert (len(first.time_s), len(second.time_s)) == (5, 6)
+    assert first.id == "a.1"
+    assert second.id == "a.2"
+    assert len(first.time_s) == 5
+    assert len(second.time_s) == 6
 
 
 def test_who_has_another_class_or_is_seen_briefly_is_counted(tmp_path):
     rows = [*walk("a", steps=range(2)), *walk("b", "horse"), *walk("c")]
     (track,), n_left_out = read(tmp_path, csv_of(rows))
-    assert (track.id, n_left_out) == ("c", 2)
+    assert track.id == "c"
+    assert n_left_out == 2
 
 
 @pytest.mark.parametrize(
@@ -163,8 +164,8 @@ def test_floating_car_data_of_sumo(tmp_path):
     ]
     # The front bumper stands where SUMO's does.
     front_m = tracks[0].position_m[:, 0] + 0.5 * pick_actor("vut", "vut").length_m
-    np.testing.assert_allclose(front_m, [0.0, 10.0, 20.0, 30.0])
-    np.testing.assert_allclose(tracks[1].yaw_deg, 90.0)
+    assert_allclose(front_m, [0.0, 10.0, 20.0, 30.0])
+    assert_allclose(tracks[1].yaw_deg, 90.0)
     lost = (
         '<fcd-export><timestep time="0"><person id="p" x="1"'
         ' angle="0"/></timestep></fcd-export>'

@@ -1,15 +1,16 @@
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from refusals import refused_with
 from scipy.constants import kmh
 from scipy.integrate import cumulative_simpson
 from scipy.optimize import brentq
 from strategies import numbers
 
-from geometry.errors import InputError
 from scenarios.courses import LEFT, RIGHT, Turn, load_turns, pick_turn
 
 # Lengths and places of the protocol's turns, computed apart from this code (numerical
@@ -159,7 +160,7 @@ def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn
     angle = cumulative_simpson(curvature, dx=step, initial=0.0)
     position, angle_deg = turn.at(distance)
     # The curvature jumps where the turn begins and ends.
-    np.testing.assert_allclose(
+    assert_allclose(
         turn.side * np.radians(angle_deg),
         angle,
         rtol=0.0,
@@ -167,9 +168,7 @@ def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn
     )
     east = cumulative_simpson(np.cos(np.radians(angle_deg)), dx=step, initial=0.0) - 1.0
     north = cumulative_simpson(np.sin(np.radians(angle_deg)), dx=step, initial=0.0)
-    np.testing.assert_allclose(
-        position, np.stack([east, north], axis=-1), rtol=0.0, atol=5e-6
-    )
+    assert_allclose(position, np.stack([east, north], axis=-1), rtol=0.0, atol=5e-6)
 
 
 @given(turns())
@@ -200,7 +199,7 @@ def test_a_turn_is_the_same_from_its_other_end(turn, share):
 
 @given(turns(), numbers(-20.0, 80.0))
 def test_left_and_right_are_mirror_images(turn, distance_m):
-    other = dataclasses.replace(turn, side=-turn.side)
+    other = replace(turn, side=-turn.side)
     point, angle_deg = turn.at(distance_m)
     mirrored, mirrored_deg = other.at(distance_m)
     assert (point * [1.0, -1.0] == mirrored).all()
@@ -214,7 +213,7 @@ def test_another_angle_changes_the_arc_only(turn, share):
     angle_deg = clothoids_deg + share * (179.0 - clothoids_deg)
     other = turn.turned_by(angle_deg)
     assert other.angle_deg == pytest.approx(angle_deg, abs=1e-9)
-    assert other == dataclasses.replace(turn, arc_deg=other.arc_deg)
+    assert other == replace(turn, arc_deg=other.arc_deg)
     assert other.length_m == pytest.approx(
         2.0 * turn.clothoid_length_m
         + np.radians(angle_deg - clothoids_deg) * turn.radius_m
@@ -225,21 +224,13 @@ def test_a_clothoid_that_begins_straight_is_the_limit_of_ever_larger_first_radii
     straight = Turn(
         first_radius_m=np.inf, radius_m=9.0, clothoid_deg=20.0, arc_deg=50.0, side=LEFT
     )
-    nearly = dataclasses.replace(straight, first_radius_m=1e9)
+    nearly = replace(straight, first_radius_m=1e9)
     assert straight.at(5.0)[0] == pytest.approx(nearly.at(5.0)[0], abs=1e-6)
     # The known series of the clothoid: x = s - s^5 / (40 A^4), y = s^3 / (6 A^2).
     a_squared = 9.0 * straight.clothoid_length_m
     x = 1.0 - 1.0 / (40.0 * a_squared**2)
     y = 1.0 / (6.0 * a_squared) * (1.0 - 1.0 / (56.0 * a_squared**2))
     assert straight.at(1.0)[0] == pytest.approx([x, y], abs=1e-9)
-
-
-def test_a_turn_answers_for_any_shape_of_distances():
-    turn = load_turns()["far_10"].turn
-    position, angle_deg = turn.at(np.linspace(-5.0, 30.0, 6).reshape(2, 3))
-    assert position.shape == (2, 3, 2)
-    assert angle_deg.shape == (2, 3)
-    assert position[0, 0].tolist() == [-5.0, 0.0]
 
 
 def test_speeds_pick_the_turns_of_the_protocol_and_faster_ones_take_the_fastest():
@@ -286,18 +277,14 @@ def test_speeds_pick_the_turns_of_the_protocol_and_faster_ones_take_the_fastest(
     ],
 )
 def test_a_turn_that_is_not_tabulated_is_refused(side, speed_kmh, message):
-    with pytest.raises(InputError) as caught:
+    with refused_with(message):
         pick_turn(side, speed_kmh)
-    assert str(caught.value) == message
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 180.0, -90.0, np.nan])
 def test_lanes_at_an_angle_that_no_turn_serves_are_refused(angle_deg):
-    with pytest.raises(InputError) as caught:
+    with refused_with(f"angle_deg: got {angle_deg}; expected 0 < degrees < 180"):
         load_turns()["far_10"].turn.turned_by(angle_deg)
-    assert (
-        str(caught.value) == f"angle_deg: got {angle_deg}; expected 0 < degrees < 180"
-    )
 
 
 @pytest.mark.parametrize("angle_deg", [41.24, 30.0, 5.0])
@@ -334,6 +321,5 @@ def test_clothoids_alone_serve_small_angles(angle_deg):
     ],
 )
 def test_a_turn_says_what_is_wrong(change, message):
-    with pytest.raises(InputError) as caught:
-        dataclasses.replace(load_turns()["far_10"].turn, **change)
-    assert str(caught.value) == message
+    with refused_with(message):
+        replace(load_turns()["far_10"].turn, **change)

@@ -2,8 +2,8 @@
 refused.
 """
 
-import dataclasses
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from dragged import has_contact
 from hypothesis import given
 from hypothesis import strategies as st
 from junctions import ARMS, MOUTH_M, build_scene, lanes_of, protocol_scene, turned
+from refusals import refused_with
 from strategies import KMH, numbers
 
 from geometry.errors import InputError
@@ -42,20 +43,13 @@ GOLDEN = tomllib.loads(
 JUNCTION = build_junction(protocol_scene())
 RULE = load_aeb_rule()
 CROSSING = tuple(GOLDEN["crossing"])
-VEHICLES = tuple(  # one of each kind
-    {
-        case.family: name
-        for name, case in load_cases().items()
-        if case.road_user in ("motorcycle", "car")
-    }.values()
-)
 
 
 @pytest.fixture(scope="module")
 def golf(actors):
     """The VUT that the files assume."""
     size = GOLDEN["turning"]["vut"]
-    return dataclasses.replace(
+    return replace(
         actors["vut"],
         name="golf",
         length_m=size["length_m"],
@@ -173,8 +167,8 @@ def test_a_vehicle_ahead_brakes_so_long_before_the_impact_as_the_protocol_says(
 
 # ---------- the last moment, in closed form
 @pytest.mark.parametrize("name", CROSSING)
-@pytest.mark.parametrize("speed_kmh", [20.0, 40.0, 60.0])
-@pytest.mark.parametrize("vru_kmh", [20.0, 40.0, 60.0])
+@pytest.mark.parametrize("speed_kmh", [20.0, 60.0])
+@pytest.mark.parametrize("vru_kmh", [20.0, 60.0])
 def test_the_last_moment_of_a_straight_crossing_is_its_closed_form(
     golf, name, speed_kmh, vru_kmh
 ):
@@ -237,13 +231,13 @@ def test_behind_a_vehicle_that_brakes_the_last_moment_is_the_last_one(
     golf, speed_kmh, deceleration_mps2, headway_s, final_kmh
 ):
     case = load_cases()["CCRb-2026-50"]
-    braking = dataclasses.replace(
+    braking = replace(
         case.braking,
         deceleration_mps2=deceleration_mps2,
         headway_s=headway_s,
         final_speed_kmh=final_kmh,
     )
-    case = dataclasses.replace(case, braking=braking, vru_speed_kmh=speed_kmh)
+    case = replace(case, braking=braking, vru_speed_kmh=speed_kmh)
     encounter = stage_by_protocol(
         case, JUNCTION, "west", vut_speed_kmh=speed_kmh, vut=golf
     ).encounter
@@ -326,9 +320,8 @@ def test_a_motion_that_brakes_says_what_is_wrong(change, message):
         "brake_time_s": -2.0,
         "deceleration_mps2": 4.0,
     }
-    with pytest.raises(InputError) as caught:
+    with refused_with(message):
         Motion(**{**good, **change})
-    assert str(caught.value) == message
 
 
 # ---------- on other junctions
@@ -406,7 +399,7 @@ def test_a_target_that_its_lanes_bend_is_too_slow_for_is_refused(golf):
 
 
 def test_parked_cars_that_do_not_fit_are_refused_with_the_reason(actors, rule):
-    case = dataclasses.replace(
+    case = replace(
         load_cases()["CCCscp-near"], vut_speeds_kmh=(30.0,), pairs_kmh=((30.0, 30.0),)
     )
     # A wall all along the kerb of the western arm.
@@ -420,27 +413,8 @@ def test_parked_cars_that_do_not_fit_are_refused_with_the_reason(actors, rule):
     assert refusal.is_possible
 
 
-@pytest.mark.parametrize("name", VEHICLES)
-def test_from_every_approach_the_same_run_comes_turned(golf, name):
-    case = load_cases()[name]
-    speed_kmh = case.vut_speeds_kmh[0]
-    vru_kmh = case.vru_speeds_kmh(speed_kmh)[-1]
-    west = stage(name, golf, speed_kmh, vru_kmh).encounter
-    for approach in ("east", "north", "south"):
-        other = stage(name, golf, speed_kmh, vru_kmh, approach=approach).encounter
-        for motion, other_motion in (
-            (west.vut_motion, other.vut_motion),
-            (west.vru_motion, other.vru_motion),
-        ):
-            times_s = np.linspace(-3.0, 0.0, 7)
-            place, _ = motion.path.at(motion.distance_m(times_s))
-            other_place, _ = other_motion.path.at(other_motion.distance_m(times_s))
-            expected = turned(place, ARMS[approach] - ARMS["west"])
-            assert other_place == pytest.approx(expected, abs=1e-6)
-
-
 def test_both_speeds_stand_in_a_runs_id(actors, rule):
-    case = dataclasses.replace(load_cases()["CCCscp-far"], vut_speeds_kmh=(30.0, 40.0))
+    case = replace(load_cases()["CCCscp-far"], vut_speeds_kmh=(30.0, 40.0))
     runs, refusals = build_runs(
         protocol_scene(), [case], vut=actors["vut"], rule=rule, approaches=["north"]
     )
@@ -516,12 +490,10 @@ def test_only_vulnerable_road_users_are_protected_unless_all_are():
     ]
     assert {case.road_user for case in selection.unprotected} == {"car"}
     assert not select_cases("junction", protect="all").unprotected
-    with pytest.raises(InputError) as caught:
+    with refused_with(
+        "protect: got 'vru'; expected all, where every case asked for meets a car"
+    ):
         select_cases("CCCscp", protect="vru")
-    assert (
-        str(caught.value)
-        == "protect: got 'vru'; expected all, where every case asked for meets a car"
-    )
 
 
 def test_speeds_of_both_are_picked_in_pairs():

@@ -16,7 +16,6 @@ from dataclasses import replace
 from functools import cache
 from html import unescape
 from io import BytesIO
-from itertools import product
 from math import exp
 from pathlib import Path
 
@@ -41,7 +40,7 @@ from experiments.engine.processes import Processes
 from experiments.engine.start import EngineWish, start_engine
 from experiments.engine.tasks import Engine, WorkerDiedError, map_tasks
 from experiments.language import speaking
-from experiments.progress import WRITING, StageProgress
+from experiments.progress import StageProgress
 from experiments.results.folders import changed_files
 from experiments.results.numbers import percent
 from geometry.errors import InputError
@@ -140,33 +139,6 @@ def city(tiny, tmp_path):
 
 def fronts_of(folder):
     return [load_front(path) for path in sorted(folder.glob("junctions/*/front.json"))]
-
-
-# Quickly: tests/placement/city/test_knapsack.py
-@pytest.mark.long
-def test_the_choice_is_the_best_of_all_points_of_three_junctions(
-    tiny, city, never, no_pages
-):
-    fronts = fronts_of(city)
-    assert [len(front.points) > 1 for front in fronts] == [True] * 3
-    for wish in ({"budget_units": n} for n in (1, 2, 3, 4)):
-        result = run(tiny / "tiny.osm", city, **wish)
-        best = max(
-            sum(point.apr for point in points) / 3.0
-            for points in product(*(front.points for front in fronts))
-            if sum(point.units for point in points) <= wish["budget_units"]
-        )
-        assert result.stages[0].objective == pytest.approx(best, abs=1e-9)
-        assert result.units == sum(len(one.layout) for one in result.junctions)
-    for budget_eur in (5_000.0, 12_000.0, 20_000.0):
-        result = run(tiny / "tiny.osm", city, budget_eur=budget_eur)
-        best = max(
-            sum(point.apr for point in points) / 3.0
-            for points in product(*(front.points for front in fronts))
-            if sum(point.cost_eur for point in points) <= budget_eur
-        )
-        assert result.stages[0].objective == pytest.approx(best, abs=1e-9)
-        assert result.cost_eur <= budget_eur
 
 
 def test_a_front_whose_layouts_are_lost_is_still_in_the_table(city):
@@ -331,11 +303,13 @@ def test_each_foreseen_error_has_its_cause(tmp_path):
     away = osm.write(tmp_path, "away.osm")
     [task] = tasks_of(away)
     answer = city_tasks.run_junction(task)
-    assert (answer.record.cause, answer.record.is_final) == ("no lane", True)
+    assert answer.record.cause == "no lane"
+    assert answer.record.is_final
     [task, *_] = tasks_of(write_city(tmp_path))
     slow = replace(task, wishes=replace(task.wishes, time_limit_s=LEAST_S))
     answer = city_tasks.run_junction(slow)
-    assert (answer.record.cause, answer.record.is_final) == ("time", False)
+    assert answer.record.cause == "time"
+    assert not answer.record.is_final
     no_arm = replace(task, question=replace(FEW_RUNS, approaches="south-east"))
     assert city_tasks.run_junction(no_arm).record.cause == "no run"
 
@@ -592,12 +566,14 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
     tiny, city, never, no_pages
 ):
     result = run(tiny / "tiny.osm", city, budget_eur=10.0)
-    assert (result.units, result.cost_eur) == (0, 0.0)
+    assert result.units == 0
+    assert result.cost_eur == 0.0
     assert result.sentences[0] == "Nothing at 3 junctions for at most 10 EUR."
     assert result.sentences[1].startswith("The cheapest useful choice is 1 sensor at ")
     for nothing in ({"budget_units": 0}, {"budget_eur": 0.0}):
         result = run(tiny / "tiny.osm", city, **nothing)
-        assert (result.units, result.stages[0].objective) == (0, 0.0)
+        assert result.units == 0
+        assert result.stages[0].objective == 0.0
         assert result.stages[0].gap == 0.0
         assert result.sentences[1].startswith(
             "The cheapest useful choice is 1 sensor at "
@@ -647,14 +623,6 @@ def test_pages_of_junctions_that_stay_as_they_were_are_not_drawn_again(
     assert not changed_files(city)
 
 
-def test_seconds_are_those_of_all_stages(tiny, city, never):
-    seconds = run(tiny / "tiny.osm", city).seconds
-    assert {"read maps", "choose", job.SERVE, WRITING} < seconds.keys()
-    assert seconds["total"] == pytest.approx(
-        sum(value for name, value in seconds.items() if name != "total"), abs=0.01
-    )
-
-
 def test_what_hangs_there_is_kept_and_paid(tiny, tmp_path, no_pages):
     before = json.loads((tiny / "city" / "city.json").read_text())
     served = next(one for one in before["junctions"] if one["units"])
@@ -667,7 +635,8 @@ def test_what_hangs_there_is_kept_and_paid(tiny, tmp_path, no_pages):
         junctions=served["id"],
     )
     [kept] = after.junctions
-    assert (kept.kept, kept.units) == (served["units"], after.units)
+    assert kept.kept == served["units"]
+    assert kept.units == after.units
     assert kept.apr_before == pytest.approx(served["apr"])
     assert after.apr_before == pytest.approx(served["apr"])
     assert after.stages[0].objective >= after.apr_before
@@ -940,11 +909,9 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
         (folder / "front.json").read_bytes() == text for folder, text in written.items()
     )
     for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(city), strict=True):
-        assert (mine.key, mine.front, mine.layouts) == (
-            theirs.key,
-            theirs.front,
-            theirs.layouts,
-        )
+        assert mine.key == theirs.key
+        assert mine.front == theirs.front
+        assert mine.layouts == theirs.layouts
 
 
 def test_numbers_of_the_figure_are_those_of_the_result(tiny, city, never, no_pages):

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from command_results import answer, refusal
 
 ASKED = (
     *("certify", "--cases", "CPNC-50", "--approaches", "east", "--along-arms", 0),
@@ -11,10 +12,11 @@ ASKED = (
 )
 
 
+# Quickly: tests/placement/sampling/test_certify.py
+@pytest.mark.long
 def test_a_gap_is_told_written_and_verified_and_a_smaller_one_is_not(run, tmp_path):
     folder = tmp_path / "results"
-    code, out, err = run(*ASKED, "--out", folder)
-    assert (code, err) == (0, "")
+    out = answer(run(*ASKED, "--out", folder))
     path = folder / "certified.json"
     found = json.loads(path.read_text())
     first = " ".join(out.split("Over all worlds")[0].split())
@@ -44,25 +46,22 @@ def test_a_gap_is_told_written_and_verified_and_a_smaller_one_is_not(run, tmp_pa
         ("apr_by_world", above_one, "samples"),
     ):
         path.write_text(json.dumps(found | {key: value}))
-        code, out, err = run("verify", folder, "--quiet")
-        assert (code, out, err.count("\n")) == (2, "", 1)
-        assert err.startswith(f"place-rsus: {path}: {where}: got ")
+        assert refusal(run("verify", folder, "--quiet")).startswith(
+            f"{path}: {where}: got "
+        )
 
 
 # Quickly: tests/placement/sampling/test_certify.py, and above with a number
 @pytest.mark.long
-def test_worlds_of_a_block_may_be_found_out(run, tmp_path):
-    code, out, err = run(
-        *ASKED, "--samples", "auto", "--out", tmp_path / "results", "--json"
-    )
-    assert (code, err) == (0, "")
-    found = json.loads(out)
+def test_worlds_of_a_block_may_be_found_out(run, ask, tmp_path):
+    found = ask(*ASKED, "--samples auto --out", tmp_path / "results")
     growth = found["growth"]
     assert found["worlds_of_block"] == growth["taken"]
     assert [block["first"] for block in found["blocks"]] == [0, growth["taken"]]
     assert {one["worlds"] for one in growth["rounds"]} >= {growth["taken"]}
     code, out, _ = run("verify", tmp_path / "results", "--quiet")
-    assert (code, "3 checks: all OK." in out) == (0, True)
+    assert code == 0
+    assert "3 checks: all OK." in out
 
 
 @pytest.mark.parametrize(
@@ -82,18 +81,14 @@ def test_worlds_of_a_block_may_be_found_out(run, tmp_path):
     ],
 )
 def test_what_cannot_be_certified_is_one_line(run, tmp_path, changed, message):
-    code, out, err = run(*ASKED, *changed, "--out", tmp_path / "results")
-    assert (code, out) == (2, "")
-    assert err.startswith(f"place-rsus: {message}")
-    assert err.count("\n") == 1
+    assert refusal(run(*ASKED, *changed, "--out", tmp_path / "results")).startswith(
+        f"{message}"
+    )
     assert not (tmp_path / "results").exists()
 
 
 def test_worlds_to_compare_in_are_a_number(run):
-    code, out, err = run("compare", "carlancap-12", "carlancap-12", "--samples", "auto")
-    assert (code, out) == (2, "")
-    assert (
-        err
-        == "place-rsus: --samples: got 'auto'; expected a number; auto where the best"
-        " layout within a budget is chosen\n"
+    assert refusal(run("compare carlancap-12 carlancap-12 --samples auto")) == (
+        "--samples: got 'auto'; expected a number; auto where the best"
+        " layout within a budget is chosen"
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_results import answer, refusal
 
 from experiments.jobs import evaluation as evaluation_job
 from experiments.progress import StageProgress
@@ -66,42 +67,15 @@ def assert_refused(result: tuple[int, str, str], message: str) -> None:
 # Start-up and help
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        [],
-        ["evaluate"],
-        ["compare"],
-        ["export"],
-        ["latency"],
-        ["pareto"],
-        ["retrofit"],
-        ["solve"],
-        ["verify"],
-        ["scenarios", "list"],
-        ["scenarios", "show"],
-        ["scenarios", "export"],
-    ],
-)
-def test_every_help_has_an_example(run, command):
-    code, out, err = run(*command, "--help")
-    assert (code, err) == (0, "")
-    assert re.search(r"^ +place-rsus " + " ".join(command) + ".* --", out, re.MULTILINE)
-    assert max(map(len, out.splitlines())) <= 80
-
-
 def test_version_is_told(run):
-    code, out, err = run("--version")
-    assert (code, err) == (0, "")
+    out = answer(run("--version"))
     assert re.fullmatch(r"place-rsus, version \d+\.\d+\.\d+\n", out)
 
 
 # Bad input
 
 
-@pytest.mark.parametrize(
-    "value", ["0", "-1", "1.5", "x", "", " 3", "1_0", "٣", "9" * 150]
-)
+@pytest.mark.parametrize("value", ["0", "1.5", "x", "٣"])
 def test_a_budget_that_is_no_whole_number_is_refused(run, value):
     assert_refused(
         run("--budget", value),
@@ -112,7 +86,8 @@ def test_a_budget_that_is_no_whole_number_is_refused(run, value):
 @pytest.mark.parametrize("value", ["57", "1" + 30 * "0"])
 def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
     code, out, err = run("--budget", value)
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert re.fullmatch(
         rf"place-rsus: --budget: got {value}; expected a whole number of units, 1 to"
         r" \d+ "
@@ -139,10 +114,6 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
             "--workers: got '0'; expected a number of threads, 1 to 1024",
         ),
         (
-            "--workers 100000",
-            "--workers: got '100000'; expected a number of threads, 1 to 1024",
-        ),
-        (
             "--budget 1 --seed -1",
             "--seed: got '-1'; expected a whole number, at least 0",
         ),
@@ -157,10 +128,6 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
             "--budget 1 --packet-loss 1.2",
             "--packet-loss: got '1.2'; expected a share of lost messages, 0 to 1",
         ),
-        (
-            "evaluate --layout carlancap-12 --vam-rate nan",
-            "--vam-rate: got 'nan'; expected a share of equipped road users, 0 to 1",
-        ),
         ("--budget 1 --xyzzy 2", "No such option '--xyzzy'."),
         ("place", "No such command 'place'. Did you mean 'plan'?"),
         (
@@ -172,18 +139,6 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         (
             "compare --layout carlancap-12",
             "LAYOUT: got one layout; expected two layouts or more",
-        ),
-        ("compare", "LAYOUT: got nothing; expected two layouts or more"),
-        (
-            "compare a b c",
-            "LAYOUT: got 'a'; expected carlancap-12, or a layout file that exists",
-        ),
-        (
-            "export --layout carlancap-12",
-            (
-                "Missing option '--format'. Choose from: json, csv, parquet, geojson,"
-                " gpkg, kml, dxf, carla, opencv, ros, cpm, cpm-uper, mcap, opendrive"
-            ),
         ),
         (
             "export --layout carlancap-12 --format xml",
@@ -202,7 +157,7 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
     ],
 )
 def test_wrong_arguments_are_one_line(run, arguments, message):
-    assert_refused(run(*arguments.split()), message)
+    assert_refused(run(arguments), message)
 
 
 @pytest.mark.parametrize(
@@ -210,37 +165,32 @@ def test_wrong_arguments_are_one_line(run, arguments, message):
     [
         (b"", "Expecting value: line 1 column 1 (char 0); expected JSON in UTF-8"),
         (b"\xff\x00", "'utf-8' codec can't decode byte 0xff"),
-        (b"place-rsus", "Expecting value: line 1 column 1"),
-        (b"[" * 100_000, "JSON nested too deep; expected a layout"),
-        (b"9" * 5000, "Exceeds the limit (4300 digits)"),
         (b"[]", "no list 'layout'; expected an object"),
     ],
 )
 def test_a_file_that_is_no_layout_is_refused(run, tmp_path, content, message):
     path = tmp_path / "bad.json"
     path.write_bytes(content)
-    code, out, err = run("evaluate", "--layout", path)
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith(f"place-rsus: {path}: got {message}")
+    assert refusal(run("evaluate --layout", path)).startswith(f"{path}: got {message}")
 
 
 def test_an_empty_layout_and_repeated_ids_are_refused(run, tmp_path):
     path = tmp_path / "mine.json"
     path.write_text(json.dumps({"layout": []}))
     assert_refused(
-        run("evaluate", "--layout", path),
+        run("evaluate --layout", path),
         "layout mine: got no unit; expected at least one unit",
     )
     path.write_text(json.dumps({"layout": [UNIT, UNIT]}))
     assert_refused(
-        run("evaluate", "--layout", path),
+        run("evaluate --layout", path),
         "layout mine: id: got 'A'; expected every id once",
     )
 
 
 def test_a_folder_is_no_layout_file(run, tmp_path):
     assert_refused(
-        run("evaluate", "--layout", tmp_path),
+        run("evaluate --layout", tmp_path),
         f"{tmp_path}: got Is a directory; expected a readable file",
     )
 
@@ -250,12 +200,6 @@ def test_a_folder_is_no_layout_file(run, tmp_path):
     [
         ({"x_m": ...}, "layout[0].x_m: got nothing; expected a value"),
         (
-            {"yaw_deg": float("nan")},
-            "layout[0].yaw_deg: got nan; expected a finite number",
-        ),
-        ({"z_m": float("inf")}, "layout[0].z_m: got inf; expected a finite number"),
-        ({"z_m": "8"}, "layout[0].z_m: got '8'; expected a finite number"),
-        (
             {"camera": "x"},
             "layout[0].camera: got 'x'; expected one of "
             + ", ".join(sorted(load_cameras())),
@@ -264,7 +208,7 @@ def test_a_folder_is_no_layout_file(run, tmp_path):
 )
 def test_a_wrong_field_of_a_layout_file_is_named(run, layout_file, fields, message):
     path = layout_file(**fields)
-    assert_refused(run("evaluate", "--layout", path), f"{path}: {message}")
+    assert_refused(run("evaluate --layout", path), f"{path}: {message}")
 
 
 @pytest.mark.parametrize(
@@ -293,7 +237,7 @@ def test_a_wrong_field_of_a_layout_file_is_named(run, layout_file, fields, messa
 )
 def test_a_unit_that_cannot_be_is_refused(run, layout_file, fields, message):
     path = layout_file(**fields)
-    assert_refused(run("export", "--layout", path, "--format", "csv"), message)
+    assert_refused(run("export --layout", path, "--format csv"), message)
 
 
 def test_a_unit_inside_a_building_or_far_away_is_refused(
@@ -308,14 +252,14 @@ def test_a_unit_inside_a_building_or_far_away_is_refused(
     ]
     x_m, y_m, z_m = (0.5 * (corners.min(axis=0) + corners.max(axis=0))).tolist()
     code, _, err = run(
-        "export", "--format", "csv", "--layout", layout_file(x_m=x_m, y_m=y_m, z_m=z_m)
+        "export --format csv --layout", layout_file(x_m=x_m, y_m=y_m, z_m=z_m)
     )
     assert code == 2
     assert (
         err == "place-rsus: layout mine: A: got a pose inside building"
         f" {scene.instances[building].id}; expected a pose in the open air\n"
     )
-    code, _, err = run("export", "--format", "csv", "--layout", layout_file(x_m=1e300))
+    code, _, err = run("export --format csv --layout", layout_file(x_m=1e300))
     assert code == 2
     assert (
         err
@@ -328,22 +272,15 @@ def test_a_bad_out_is_refused_before_anything_is_computed(run, small_study, tmp_
     (tmp_path / "file").write_text("mine")
     message = "got '{0}/file'; expected a folder, not a file"
     for command in (["--budget", 1], ["evaluate", "--layout", "carlancap-12"]):
-        code, out, err = run(*command, "--quiet", "--out", tmp_path / "file")
-        assert (code, out) == (2, "")
-        assert err == f"place-rsus: --out: {message.format(tmp_path)}\n"
-    code, out, err = run(
-        "export",
-        "--layout",
-        "carlancap-12",
-        "--format",
-        "csv",
-        "--out",
-        tmp_path / "file/x",
-    )
-    assert (code, out) == (2, "")
-    assert (
-        err == f"place-rsus: --out: got {tmp_path}/file/x: Not a directory; "
-        "expected a file that can be written\n"
+        assert (
+            refusal(run(*command, "--quiet --out", tmp_path / "file"))
+            == f"--out: {message.format(tmp_path)}"
+        )
+    assert refusal(
+        run("export --layout carlancap-12 --format csv --out", tmp_path / "file/x")
+    ) == (
+        f"--out: got {tmp_path}/file/x: Not a directory; "
+        "expected a file that can be written"
     )
     assert (tmp_path / "file").read_text() == "mine"
 
@@ -361,7 +298,8 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
 ):
     monkeypatch.setattr("placement.memory.machine_bytes", lambda: 2**20)
     code, out, err = run(*command, "--quiet")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert re.fullmatch(
         rf"place-rsus: memory: got [\d,]+ poses x [\d,]+ frames{worlds}, which need 0.4"
         r" GiB, where "
@@ -375,14 +313,15 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
 
 
 def test_placement_prints_one_object_and_writes_a_report(
-    run, few_runs, whole_placement
+    ask, few_runs, whole_placement
 ):
     assert (whole_placement / "err").read_text().splitlines()[0] == "setting ..."
     out = (whole_placement / "out").read_text()
     summary = json.loads(out, parse_constant=pytest.fail)
     assert set(summary) >= KEYS
     assert [list(unit) for unit in summary["layout"]] == [[*UNIT, "kind", "place"]] * 2
-    assert (summary["budget"], summary["fusion"]) == (2, "any")
+    assert summary["budget"] == 2
+    assert summary["fusion"] == "any"
     assert summary["runs"] == len(few_runs.runs)
     assert set(summary["evaluation"]) == {
         "vut",
@@ -434,9 +373,7 @@ def test_placement_prints_one_object_and_writes_a_report(
     assert list(results.iterdir()) == [results / "latest"]
     # What was written is read again.
     layout = results / "latest/layout.json"
-    code, out, err = run("evaluate", "--layout", layout, "--json", "--quiet")
-    assert (code, err) == (0, "")
-    again = json.loads(out, parse_constant=pytest.fail)
+    again = ask("evaluate --layout", layout)
     assert set(again) >= KEYS
     assert again["layout"] == summary["layout"]
     assert again["evaluation"] == summary["evaluation"]
@@ -444,14 +381,10 @@ def test_placement_prints_one_object_and_writes_a_report(
 
 # Quickly: tests/placement/visibility/test_build.py and optimiser/test_solve.py
 @pytest.mark.long
-def test_two_calls_give_the_same_but_for_the_time(run, small_study, without_figures):
+def test_two_calls_give_the_same_but_for_the_time(ask, small_study, without_figures):
     results = []
     for workers in (1, 2):
-        code, out, err = run(
-            "--budget", 1, "--json", "--quiet", "--workers", workers, "--no-cache"
-        )
-        assert (code, err) == (0, "")
-        summary = json.loads(out)
+        summary = ask("--budget 1 --workers", workers, "--no-cache")
         for point in (summary, *summary["front"]["points"]):
             for stage in point["stages"]:
                 del stage["seconds"]
@@ -460,6 +393,8 @@ def test_two_calls_give_the_same_but_for_the_time(run, small_study, without_figu
     assert results[0] == results[1]
 
 
+# Quickly, with made-up results: test_texts.py
+@pytest.mark.long
 def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_figures):
     path = layout_file(
         "a rather long name for a layout, and still longer.json", id="B" * 40
@@ -469,8 +404,7 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         ["evaluate", "--layout", path],
         ["compare", path, "carlancap-12", "--layout", path],
     ):
-        code, short, err = run(*arguments, "--quiet")
-        assert (code, err) == (0, "")
+        short = answer(run(*arguments, "--quiet"))
         assert max(map(len, short.splitlines())) <= 100
         assert len(short.splitlines()) <= 40
         code, out, _ = run(*arguments, "--verbose")
@@ -482,14 +416,12 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         assert "100.0 %" in out
 
 
-def test_layouts_of_one_name_are_named_by_their_folders(run, small_study, layout_file):
+def test_layouts_of_one_name_are_named_by_their_folders(ask, small_study, layout_file):
     path = layout_file()
     other = Path("other/mine.json")
     other.parent.mkdir()
     other.write_bytes(Path(path).read_bytes())
-    code, out, err = run("compare", path, other, "--json", "--quiet")
-    assert (code, err) == (0, "")
-    summary = json.loads(out)
+    summary = ask("compare", path, other)
     home = Path(path).resolve().parent.name
     assert [summary["name"], summary["compared"][0]["name"]] == [
         f"mine of {home}",
@@ -498,25 +430,14 @@ def test_layouts_of_one_name_are_named_by_their_folders(run, small_study, layout
 
 
 def test_comparison_of_a_layout_with_itself_finds_no_difference(
-    run, small_study, layout_file
+    ask, small_study, layout_file
 ):
     path = layout_file()
-    code, out, err = run(
-        "compare",
-        "--layout",
-        path,
-        "--layout",
-        path,
-        "--json",
-        "--quiet",
-        "--out",
-        "out",
-    )
-    assert (code, err) == (0, "")
-    summary = json.loads(out, parse_constant=pytest.fail)
+    summary = ask("compare --layout", path, "--layout", path, "--out out")
     assert set(summary) >= KEYS
     (other,) = summary["compared"]
-    assert (summary["name"], other["name"]) == ("mine", "mine (2)")
+    assert summary["name"] == "mine"
+    assert other["name"] == "mine (2)"
     assert summary["evaluation"] == other["evaluation"]
     assert other["runs_gained"] == other["runs_lost"] == []
     assert "mine (2)" in Path("out/report.html").read_text()
@@ -528,7 +449,7 @@ def test_what_json_lacks_becomes_null(run, monkeypatch):
         "run_evaluation",
         lambda *given, **options: {"gap": float("inf")},
     )
-    assert run("evaluate", "--layout", "carlancap-12", "--json", "--quiet") == (
+    assert run("evaluate --layout carlancap-12 --json --quiet") == (
         0,
         '{\n  "gap": null\n}\n',
         "",
@@ -536,18 +457,9 @@ def test_what_json_lacks_becomes_null(run, monkeypatch):
 
 
 def test_export_writes_to_stdout_or_to_a_file(run):
-    code, text, err = run("export", "--layout", "carlancap-12", "--format", "carla")
-    assert (code, err) == (0, "")
+    text = answer(run("export --layout carlancap-12 --format carla"))
     assert len(json.loads(text)) == 12
-    arguments = [
-        "export",
-        "--layout",
-        "carlancap-12",
-        "--format",
-        "carla",
-        "--out",
-        "rsus.json",
-    ]
+    arguments = ["export --layout carlancap-12 --format carla --out rsus.json"]
     assert run(*arguments) == (0, "", "")
     assert Path("rsus.json").read_text() == text
 
@@ -555,10 +467,11 @@ def test_export_writes_to_stdout_or_to_a_file(run):
 def test_a_full_disk_is_one_line(run, monkeypatch):
     with Path("/dev/full").open("w") as full:
         monkeypatch.setattr(sys, "stdout", full)
-        code, _, err = run("export", "--layout", "carlancap-12", "--format", "csv")
+        code, _, err = run("export --layout carlancap-12 --format csv")
         with suppress(OSError):
             full.close()
-    assert (code, err) == (2, "place-rsus: No space left on device\n")
+    assert code == 2
+    assert err == "place-rsus: No space left on device\n"
 
 
 def test_a_reader_that_goes_away_gets_no_traceback():
@@ -571,7 +484,8 @@ def test_a_reader_that_goes_away_gets_no_traceback():
         check=False,
     )
     os.close(writer)
-    assert (done.returncode, done.stderr) == (1, b"")
+    assert done.returncode == 1
+    assert done.stderr == b""
 
 
 # Rays
@@ -585,9 +499,9 @@ def test_open3d_is_asked_for_where_it_cannot_load_in_one_line(
         " libx11-6"
     )
     monkeypatch.setattr("geometry.raycast.open3d_problem", lambda: problem)
-    code, out, err = run("evaluate", "--layout", "carlancap-12", "--rays", "open3d")
-    assert (code, out) == (2, "")
-    assert f"--rays: got 'open3d'; expected a library that loads: {problem}" in err
+    assert f"--rays: got 'open3d'; expected a library that loads: {problem}" in refusal(
+        run("evaluate --layout carlancap-12 --rays open3d")
+    )
 
 
 # Interruptions
@@ -615,15 +529,17 @@ def test_a_damaged_cache_file_is_made_anew(
     run, small_study, own_cache, caplog, interrupt_at
 ):
     interrupt_at("optimise")
-    run("--budget", 1)
+    run("--budget 1")
     (table,) = own_cache.iterdir()
     good = np.load(table)["packed"]
     table.write_bytes(b"no table")
-    code, _, err = run("--budget", 1)
-    assert (code, err.splitlines()[:3]) == (
-        130,
-        ["setting ...", "detection table ...", "optimise ..."],
-    )
+    code, _, err = run("--budget 1")
+    assert code == 130
+    assert err.splitlines()[:3] == [
+        "setting ...",
+        "detection table ...",
+        "optimise ...",
+    ]
     (record,) = [r for r in caplog.records if r.name.startswith("placement")]
     assert "\n" not in record.getMessage()
     assert record.getMessage().startswith(
@@ -638,8 +554,9 @@ def test_a_cache_that_cannot_be_written_to_is_done_without(
     Path("file").write_text("mine")
     monkeypatch.setenv("PLACE_RSUS_CACHE", "file")
     interrupt_at("optimise")
-    code, out, err = run("--budget", 1, "--out", "out")  # --quiet also hides warnings
-    assert (code, out) == (130, "")
+    code, out, err = run("--budget 1 --out out")  # --quiet also hides warnings
+    assert code == 130
+    assert out == ""
     assert (
         err.splitlines()[-1]
         == "place-rsus: interrupted in stage 'optimise': nothing was written to out"
@@ -658,8 +575,9 @@ def test_an_interruption_says_what_was_kept_and_leaves_nothing(
     if stage in STAGES[:2]:
         request.getfixturevalue("own_cache")
     interrupt_at(stage)
-    code, out, err = run("--budget", 1)
-    assert (code, out) == (130, "")
+    code, out, err = run("--budget 1")
+    assert code == 130
+    assert out == ""
     kept = "nothing was written to results/latest"
     if stage not in STAGES[:2]:
         kept += "; the detection table is cached for the next call"
@@ -671,14 +589,14 @@ def test_an_interruption_leaves_earlier_results_as_they_were(
     run, small_study, interrupt_at
 ):
     out = Path("out")
-    run("evaluate", "--layout", "carlancap-12", "--out", out, "--quiet")
+    run("evaluate --layout carlancap-12 --out", out, "--quiet")
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     for stage, signum, code in (
         ("evaluate", signal.SIGINT, 130),
         ("write results", signal.SIGTERM, 143),
     ):
         interrupt_at(stage, signum)
-        arguments = ["evaluate", "--layout", "carlancap-12", "--out", out, "--quiet"]
+        arguments = ["evaluate --layout carlancap-12 --out", out, "--quiet"]
         assert run(*arguments) == (
             code,
             "",
@@ -695,8 +613,6 @@ def test_an_interruption_of_an_evaluation_needs_no_folder(
     run, small_study, interrupt_at
 ):
     interrupt_at("evaluate")
-    code, _, err = run("evaluate", "--layout", "carlancap-12", "--quiet")
-    assert (code, err) == (
-        130,
-        "place-rsus: interrupted in stage 'evaluate': nothing was written\n",
-    )
+    code, _, err = run("evaluate --layout carlancap-12 --quiet")
+    assert code == 130
+    assert err == "place-rsus: interrupted in stage 'evaluate': nothing was written\n"

@@ -1,17 +1,16 @@
 """``place-rsus scenarios``, and the options that say what is driven."""
 
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_results import answer
 
 from experiments.export.openscenario import load_xosc
 from geometry.scene_files import save_scene
 from geometry.study_scene import load_study_scene
 
-FEW = ("--cases", "CBLA", "--approaches", "east", "--along-arms", "0")
 KEYS = {
     *(
         "case",
@@ -29,57 +28,34 @@ KEYS = {
 def refusal(result):
     """The one line of a refused call."""
     code, out, err = result
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     (line,) = err.splitlines()
     assert line.startswith("place-rsus: ")
     return line.removeprefix("place-rsus: ")
 
 
-def test_the_list_as_json_has_one_last_moment_per_speed(run):
-    code, out, err = run("scenarios", "list", "--cases", "study", "--json", "--quiet")
-    assert (code, err) == (0, "")
-    rows = json.loads(out, parse_constant=pytest.fail)
-    assert len(rows) == 13 * 4
+def test_the_list_as_json_has_one_last_moment_per_speed(ask):
+    rows = ask("scenarios list --cases study --approaches east")
+    assert len(rows) == 13
     for row in rows:
         assert set(row) == KEYS
         assert len(row["speeds_kmh"]) == len(row["last_brake_time_s"]) == row["n_runs"]
         assert all(time_s < 0.0 for time_s in row["last_brake_time_s"])
         assert row["reason"] is None
-    assert sum(row["n_runs"] for row in rows) == 240
+    assert sum(row["n_runs"] for row in rows) == 60
 
 
 def test_the_list_fits_a_terminal(run):
-    code, out, err = run(
-        "scenarios",
-        "list",
-        "--cases",
-        "CBTAns,CBLA-25",
-        "--approaches",
-        "east,west",
-        "--along-arms",
-        "0",
-        "--quiet",
+    out = answer(
+        run(
+            "scenarios list --cases CBTAns,CBLA-25 --approaches east,west --along-arms 0",
+            "--quiet",
+        )
     )
-    assert (code, err) == (0, "")
     assert max(map(len, out.splitlines())) <= 80
     assert "CBTAns-side" in out
     assert out.splitlines()[-1] == "18 runs of 3 cases"
-
-
-def test_show_writes_a_film_strip_where_results_lie(run):
-    arguments = (
-        "scenarios",
-        "show",
-        "CPNA-25",
-        "--approach",
-        "east",
-        "--speed",
-        "40",
-        "--quiet",
-    )
-    path = Path("results/scenarios/CPNA-25_east_40.png")
-    assert run(*arguments) == (0, f"Written to {path}.\n", "")
-    assert path.read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(
@@ -87,16 +63,7 @@ def test_show_writes_a_film_strip_where_results_lie(run):
     [("CCFtap", "10x30"), pytest.param("CMRs-50", "50", marks=pytest.mark.long)],
 )
 def test_both_speeds_of_a_run_make_a_file_name(run, case, speed):
-    arguments = (
-        "scenarios",
-        "show",
-        case,
-        "--approach",
-        "east",
-        "--speed",
-        speed,
-        "--quiet",
-    )
+    arguments = ("scenarios show", case, "--approach east --speed", speed, "--quiet")
     path = Path(f"results/scenarios/{case}_east_{speed}.png")
     assert run(*arguments) == (0, f"Written to {path}.\n", "")
     assert path.read_bytes().startswith(b"\x89PNG")
@@ -105,19 +72,11 @@ def test_both_speeds_of_a_run_make_a_file_name(run, case, speed):
 # Quickly: tests/scenarios/test_positions.py
 @pytest.mark.long
 def test_a_run_away_from_the_junction_is_shown(run):
-    arguments = (
-        "scenarios",
-        "show",
-        "CPNA-25",
-        "--approach",
-        "north",
-        "--speed",
-        "40",
-        "--quiet",
-    )
-    code, out, _ = run(*arguments, "--position", "-15", "--out", "away.png")
-    assert (code, out) == (0, "Written to away.png.\n")
-    line = refusal(run(*arguments, "--position", "north"))
+    arguments = "scenarios show CPNA-25 --approach north --speed 40 --quiet"
+    code, out, _ = run(arguments, "--position -15 --out away.png")
+    assert code == 0
+    assert out == "Written to away.png.\n"
+    line = refusal(run(arguments, "--position north"))
     assert line.startswith(
         "--position: got 'north'; expected 0, or metres before it such as -15"
     )
@@ -125,19 +84,10 @@ def test_a_run_away_from_the_junction_is_shown(run):
 
 def test_a_run_is_exported_as_openscenario(run):
     pytest.importorskip("scenariogeneration")
-    arguments = (
-        "scenarios",
-        "export",
-        "CPTAns-50",
-        "--approach",
-        "east",
-        "--speed",
-        "10",
-    )
-    code, text, err = run(*arguments)
-    assert (code, err) == (0, "")
+    arguments = "scenarios export CPTAns-50 --approach east --speed 10"
+    text = answer(run(arguments))
     assert '<LogicFile filepath="Town05.xodr"' in text
-    assert run(*arguments, "--out", "turn.xosc") == (0, "", "")
+    assert run(arguments, "--out turn.xosc") == (0, "", "")
     assert Path("turn.xosc").read_text(encoding="utf-8") == text
 
 
@@ -145,10 +95,10 @@ def test_a_scene_without_a_road_network_has_it_written_beside_the_run(run):
     pytest.importorskip("scenariogeneration")
     Path("bare").mkdir()
     save_scene(Path("bare"), replace(load_study_scene(), road_network=""))
-    run_id = ("CPTAns-50", "--approach", "east", "--speed", "10", "--scene", "bare")
-    line = refusal(run("scenarios", "export", *run_id))
+    run_id = ("CPTAns-50", "--approach east --speed 10 --scene bare")
+    line = refusal(run("scenarios export", *run_id))
     assert "road_network" in line
-    assert run("scenarios", "export", *run_id, "--out", "turn.xosc") == (0, "", "")
+    assert run("scenarios export", *run_id, "--out turn.xosc") == (0, "", "")
     assert '<LogicFile filepath="turn.xodr"' in Path("turn.xosc").read_text(
         encoding="utf-8"
     )
@@ -158,9 +108,7 @@ def test_a_scene_without_a_road_network_has_it_written_beside_the_run(run):
 def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "scenariogeneration.xosc", None)
     load_xosc.cache_clear()
-    line = refusal(
-        run("scenarios", "export", "CPNA-25", "--approach", "east", "--speed", "40")
-    )
+    line = refusal(run("scenarios export CPNA-25 --approach east --speed 40"))
     assert "place-rsus[openscenario]" in line
 
 
@@ -189,20 +137,12 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
             "--along-arms: got 'nan'; expected metres along the arm, 0 to 5",
         ),
         (
-            ["--along-arms=-15"],
-            "--along-arms: got '-15'; expected metres along the arm, 0 to 500",
-        ),
-        (
             ["--weather", "snow"],
             "--weather: got 'snow'; expected one or more of day, night, rain",
         ),
         (
             ["--deceleration", "0"],
             "--deceleration: got '0'; expected m/s^2, more than 0",
-        ),
-        (
-            ["--deceleration", "nan"],
-            "--deceleration: got 'nan'; expected m/s^2, more than 0",
         ),
         (
             ["--brake-build-up", "-1"],
@@ -214,18 +154,6 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
             "--track-memory: got '-1'; expected seconds, more than 0, or i",
         ),
         (
-            ["--track-memory", "nan"],
-            "--track-memory: got 'nan'; expected seconds, more than 0, or",
-        ),
-        (
-            ["--track-memory", "-inf"],
-            "--track-memory: got '-inf'; expected seconds, more than 0,",
-        ),
-        (
-            ["--track-memory", "long"],
-            "--track-memory: got 'long'; expected seconds, more than 0,",
-        ),
-        (
             ["--track-memory", "0.09"],
             "--track-memory: got 0.09; expected seconds, at least 0.1 (",
         ),
@@ -235,50 +163,10 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
         ),
     ],
 )
-@pytest.mark.parametrize(
-    "command",
-    [
-        ["--budget", "1"],
-        ["evaluate", "--layout", "carlancap-12"],
-        ["scenarios", "list"],
-    ],
-)
+@pytest.mark.parametrize("command", [["--budget", "1"]])
 def test_options_that_cannot_be_are_one_line(run, command, arguments, message):
     assert refusal(run(*command, *arguments, "--quiet")).startswith(message)
     assert list(Path().iterdir()) == []
-
-
-@pytest.mark.parametrize("how", ["speed", "missing.csv"])
-def test_unknown_weights_are_one_line(run, how):
-    line = refusal(run("--budget", "1", *FEW, "--weights", how, "--quiet"))
-    assert (
-        line == f"--weights: got '{how}'; expected run, case, fhwa-crash-types,"
-        " euroncap-rating-2026, unfallatlas:FILE, stats19:FILE, or a CSV file that"
-        " exists"
-    )
-
-
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        (
-            "CBLA,east,-1",
-            "exposure.csv: line 2: weight: got '-1'; expected a number, at least 0",
-        ),
-        (
-            "CBLA,east,0",
-            "exposure.csv: weight: got 0 in all rows; expected one weight more than 0",
-        ),
-        (
-            "CPNA-25,east,1",
-            "exposure.csv: line 2: got 'CPNA-25', 'east'; expected a case that is",
-        ),
-    ],
-)
-def test_weights_that_do_not_fit_are_one_line(run, rows, message):
-    Path("exposure.csv").write_text(f"case,approach,weight\n{rows}\n", encoding="utf-8")
-    arguments = ("--budget", "1", *FEW, "--weights", "exposure.csv", "--quiet")
-    assert refusal(run(*arguments)).startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -296,23 +184,10 @@ def test_weights_that_do_not_fit_are_one_line(run, rows, message):
             ["CPNA-25", "--out", "film.mov"],
             "--out: got 'film.mov'; expected a name that ends in",
         ),
-        (
-            ["CPNA-25", "--out", "no/a.png"],
-            "--out: got no/a.png: No such file or directory",
-        ),
     ],
 )
 def test_shows_that_cannot_be_are_one_line(run, arguments, message):
-    result = run(
-        "scenarios",
-        "show",
-        *arguments,
-        "--approach",
-        "east",
-        "--speed",
-        "40",
-        "--quiet",
-    )
+    result = run("scenarios show", *arguments, "--approach east --speed 40 --quiet")
     assert refusal(result).startswith(message)
 
 
@@ -331,11 +206,11 @@ def test_recordings_become_cases_that_can_be_driven(run, tmp_path):
     path = tmp_path / "walk.csv"
     out = tmp_path / "near.toml"
     path.write_text("\n".join(["id,time,x,y,heading,class", *ROWS]))
-    told = run("scenarios", "import", str(path), "--name", "a", "--out", str(out))
+    told = run("scenarios import", str(path), "--name a --out", str(out))
     assert told == (0, "1 encounter of 2 road users.\n", "") or "1 encounter" in told[2]
     text = out.read_text()
     assert text.startswith('[a-v-p]\nkind = "recorded"\n')
-    assert run("scenarios", "import", str(path), "--name", "a")[1].endswith(text)
+    assert run("scenarios import", str(path), "--name a")[1].endswith(text)
 
 
 @pytest.mark.parametrize(
@@ -346,7 +221,6 @@ def test_recordings_become_cases_that_can_be_driven(run, tmp_path):
             "encounters: got none; expected a higher --ttc, or --within",
         ),
         (("--ttc", "nan"), "--ttc: got nan; expected a number, more than 0"),
-        (("--within", "-1"), "--within: got -1.0; expected a number, more than 0"),
         (
             ("--columns", "z=y"),
             "--columns: got 'z'; expected one of id, time, frame, x, y, headin",
@@ -356,6 +230,6 @@ def test_recordings_become_cases_that_can_be_driven(run, tmp_path):
 def test_imports_that_cannot_be_are_refused(run, tmp_path, options, message):
     path = tmp_path / "walk.csv"
     path.write_text("\n".join(["id,time,x,y,heading,class", *ROWS]))
-    code, _, err = run("scenarios", "import", str(path), *options)
+    code, _, err = run("scenarios import", str(path), *options)
     assert code == 2
     assert message in err.splitlines()[-1]

@@ -9,6 +9,7 @@ import click
 import pytest
 from click.shell_completion import ShellComplete
 from click.testing import CliRunner
+from command_results import answer, refusal
 
 from experiments.cli.options import PROGRAM, SECTIONS
 from experiments.cli.terminal import sentences
@@ -102,20 +103,20 @@ def test_a_shell_completes_commands_options_words_and_files():
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_scripts_are_what_their_shell_reads(run, shell):
-    code, script, err = run("completion", shell)
-    assert (code, err) == (0, "")
+    script = answer(run("completion", shell))
     assert "_PLACE_RSUS_COMPLETE" in script
     if shutil.which(shell) is None:
         pytest.skip(f"no {shell} here to read it")
     checked = subprocess.run(
         [shell, "-n"], input=script, capture_output=True, text=True
     )
-    assert (checked.returncode, checked.stderr) == (0, "")
+    assert checked.returncode == 0
+    assert checked.stderr == ""
 
 
 @pytest.mark.usefixtures("without_figures", "own_cache")
 def test_verbose_tells_sizes_bounds_and_seconds(run, small_study, caplog):
-    code, out, _ = run("--budget", 1, "--verbose", "--json", "--out", "found")
+    code, out, _ = run("--budget 1 --verbose --json --out found")
     assert code == 0
     assert out.startswith("{")
     for line in (
@@ -126,7 +127,7 @@ def test_verbose_tells_sizes_bounds_and_seconds(run, small_study, caplog):
     ):
         assert any(re.fullmatch(line, told) for told in caplog.messages)
     caplog.clear()
-    run("--budget", 1, "--json", "--out", "found")
+    run("--budget 1 --json --out found")
     told = [record for record in caplog.records if record.levelno < logging.WARNING]
     assert not told  # the next call tells no more than it is asked to
 
@@ -138,9 +139,10 @@ def test_logs_go_to_what_is_stderr_at_the_moment(capsys):
 
 
 def test_quiet_and_verbose_are_one_or_the_other(run):
-    code, out, err = run("--budget", 1, "--verbose", "--quiet")
-    assert (code, out) == (2, "")
-    assert err == "place-rsus: --quiet, --verbose: got both; expected one of them\n"
+    assert (
+        refusal(run("--budget 1 --verbose --quiet"))
+        == "--quiet, --verbose: got both; expected one of them"
+    )
     assert not logging.getLogger("placement").isEnabledFor(
         logging.INFO
     )  # whatever comes next

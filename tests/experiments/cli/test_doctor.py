@@ -7,7 +7,7 @@ from experiments.cli.doctor import doctor_text, examine
 
 
 def test_what_is_installed_is_told(run, tmp_path):
-    code, out, _ = run("doctor", "--json")
+    code, out, _ = run("doctor --json")
     summary = json.loads(out)
     assert code == 0
     assert summary["is_well"]

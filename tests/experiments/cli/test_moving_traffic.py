@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_results import refusal
 
 from experiments.jobs import placement
 from geometry.actors import load_actors
@@ -63,22 +64,12 @@ def vans(monkeypatch):
 # Quickly: tests/placement/sampling/test_traffic.py
 @pytest.mark.long
 @pytest.mark.usefixtures("vans")
-def test_traffic_drives_by_in_sampled_worlds(run, small_study, monkeypatch, request):
+def test_traffic_drives_by_in_sampled_worlds(
+    run, ask, small_study, monkeypatch, request
+):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
-    asked = (
-        "--budget",
-        1,
-        "--samples",
-        1,
-        "--traffic",
-        "sumo",
-        "--quiet",
-        "--workers",
-        1,
-    )
-    code, out, _ = run(*asked, "--json", "--out", "with")
-    assert code == 0
-    summary = json.loads(out)
+    asked = "--budget 1 --samples 1 --traffic sumo --quiet --workers 1"
+    summary = ask(asked, "--out with")
     moving = summary["sampled"]["moving"]
     assert summary["sampled"]["traffic_source"] == "SUMO, demand default"
     assert moving["n_runs"] == 2 * summary["runs"]
@@ -88,7 +79,7 @@ def test_traffic_drives_by_in_sampled_worlds(run, small_study, monkeypatch, requ
     assert page.count(said) >= 2  # in the answer and among the assumptions
     assert "vehicles that drive by (SUMO, demand default)" in page
     request.getfixturevalue("without_figures")
-    code, out, _ = run(*asked, "--json", "--out", "again")
+    _, out, _ = run(asked, "--json --out again")
     assert json.loads(out)["sampled"] == summary["sampled"]
 
 
@@ -103,10 +94,7 @@ def test_traffic_drives_by_in_sampled_worlds(run, small_study, monkeypatch, requ
     ],
 )
 def test_what_cannot_be_asked_is_one_clear_line(run, small_study, options, message):
-    code, out, err = run("--budget", 1, *options, "--quiet")
-    assert (code, out) == (2, "")
-    assert message in err
-    assert err.count("\n") == 1
+    assert message in refusal(run("--budget 1", *options, "--quiet"))
 
 
 def test_without_sumo_one_line_says_what_is_missing(run, small_study, monkeypatch):
@@ -116,7 +104,6 @@ def test_without_sumo_one_line_says_what_is_missing(run, small_study, monkeypatc
         "find_spec",
         lambda name: None if name == "libsumo" else real(name),
     )
-    code, out, err = run("--budget", 1, "--samples", 1, "--traffic", "sumo", "--quiet")
-    assert (code, out) == (2, "")
-    assert "pip install place-rsus[traffic]" in err
-    assert err.count("\n") == 1
+    assert "pip install place-rsus[traffic]" in refusal(
+        run("--budget 1 --samples 1 --traffic sumo --quiet")
+    )

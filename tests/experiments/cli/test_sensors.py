@@ -2,8 +2,6 @@
 objectives.
 """
 
-import json
-
 import pytest
 
 from experiments.cli.answers import unit_notes
@@ -29,21 +27,12 @@ def model_of(unit):
 # Quickly: tests/placement/optimiser/test_limits.py, with prices made up
 @pytest.mark.long
 def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(
-    run, small_study, without_figures
+    ask, small_study, without_figures
 ):
     """No single model spends the same money better."""
-    code, out, err = run(
-        "--sensors",
-        ",".join(COSTS_EUR),
-        "--budget-cost",
-        BUDGET_EUR,
-        "--site-cost",
-        0,
-        "--json",
-        "--quiet",
+    found = ask(
+        "--sensors", ",".join(COSTS_EUR), "--budget-cost", BUDGET_EUR, "--site-cost 0"
     )
-    assert code == 0, err
-    found = json.loads(out)
     assert found["gap"] == 0.0
     assert found["spent_eur"] == sum(
         COSTS_EUR[model_of(unit)] for unit in found["layout"]

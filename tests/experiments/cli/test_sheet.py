@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import msgspec
 import pytest
+from command_results import answer
 from kept_backdrops import kept_backdrop
 
 from experiments.cli.export import sheet_text
@@ -18,6 +19,8 @@ def run_sheet(run, small_setting, monkeypatch):
     return lambda *arguments: run("sheet", *arguments)
 
 
+# Quickly: test_no_word_of_a_sheet_is_left_over in tests/experiments/test_language.py
+@pytest.mark.long
 def test_a_page_for_each_unit(run_sheet, tmp_path):
     unit = {"site": "", "z_m": 8.0, "yaw_deg": -135.0, "pitch_deg": -25.0}
     camera = unit | {
@@ -30,9 +33,9 @@ def test_a_page_for_each_unit(run_sheet, tmp_path):
     layout = tmp_path / "layout.json"
     layout.write_text(json.dumps({"name": "mine", "layout": [camera, lidar]}))
     out = tmp_path / "new/sheet.pdf"
-    code, text, err = run_sheet("--layout", layout, "--out", out, "--json", "--quiet")
-    assert (code, err) == (0, "")
-    summary = json.loads(text)
+    summary = json.loads(
+        answer(run_sheet("--layout", layout, "--out", out, "--json --quiet"))
+    )
     assert [entry["unit_id"] for entry in summary["units"]] == ["a$b_雪", "L"]
     pdf = out.read_bytes()
     assert pdf.startswith(b"%PDF")

@@ -81,6 +81,8 @@ def test_a_command_loads_what_it_needs_and_nothing_else(commands, may_load):
     assert _loaded_by(CODE, *commands) <= may_load
 
 
+# Quickly, by what a command loads: the test above
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("modules", "may_load"),
     [
@@ -89,10 +91,9 @@ def test_a_command_loads_what_it_needs_and_nothing_else(commands, may_load):
             "experiments.jobs.verify",
             {"numpy", "scipy", "shapely", "matplotlib", "pandas", "pyarrow"},
         ),
-        pytest.param(
+        (
             "experiments.scene.run, experiments.parts.sheet",
             {"numpy", "scipy", "shapely", "matplotlib"},
-            marks=pytest.mark.long,
         ),
     ],
 )

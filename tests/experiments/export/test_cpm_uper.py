@@ -7,6 +7,7 @@ import pytest
 from export_layouts import level_layout
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from pyproj import Transformer
 
 from experiments.export.cpm import RELEASES, build_stations, to_cpm
@@ -95,9 +96,7 @@ def test_objects_are_where_the_run_has_them(runs):
             at_m = [
                 one["position"][f"{axis}Coordinate"]["value"] / 100.0 for axis in "xyz"
             ]
-            np.testing.assert_allclose(
-                at_m[:2], run.vru_position_m[frame] - mast_m, atol=0.012
-            )
+            assert_allclose(at_m[:2], run.vru_position_m[frame] - mast_m, atol=0.012)
             # n stands for more than n - 1 and at most n centimetres.
             up_cm = np.ceil(50.0 * run.encounter.vru.height_m - 1e-6)
             assert at_m[2] == pytest.approx(up_cm / 100.0, abs=1e-9)
@@ -107,7 +106,7 @@ def test_objects_are_where_the_run_has_them(runs):
                 velocity = one["velocity"]["cartesianVelocity"]
                 speeds = [velocity[f"{axis}Velocity"]["value"] / 100.0 for axis in "xy"]
                 # Within what a turn or a start changes in a tenth of a second.
-                np.testing.assert_allclose(speeds, steps_m / over_s, atol=0.6)
+                assert_allclose(speeds, steps_m / over_s, atol=0.6)
             told += 1
         assert told > 3
         sensors = [

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from export_layouts import awkward_layout, large_layout
+from numpy.testing import assert_allclose
 from PIL import Image
 from short_runs import cut_run
 
@@ -89,7 +90,7 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
         ):
             pose = boxes[name].pose
             size = boxes[name].size
-            np.testing.assert_allclose(
+            assert_allclose(
                 [pose.position.x, pose.position.y, pose.position.z],
                 [*at_m[frame], 0.5 * body.height_m],
                 atol=1e-9,
@@ -97,11 +98,9 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
             turn = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
             off_deg = math.degrees(turn) - yaw_deg[frame]
             assert (off_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9)
-            assert (size.x, size.y, size.z) == (
-                body.length_m,
-                body.width_m,
-                body.height_m,
-            )
+            assert size.x == body.length_m
+            assert size.y == body.width_m
+            assert size.z == body.height_m
 
 
 def test_detections_confirmation_and_braking_follow_the_rule(topics, watched):
@@ -132,7 +131,7 @@ def test_frusta_show_the_corners_of_the_image(topics):
         pixels = pixels[:, :2] / pixels[:, 2:]
         width = calibration.width - 0.5
         height = calibration.height - 0.5
-        np.testing.assert_allclose(
+        assert_allclose(
             pixels,
             [[-0.5, -0.5], [width, -0.5], [width, height], [-0.5, height]],
             atol=1e-6,
@@ -176,6 +175,7 @@ def test_foxgloves_layout_names_topics_that_exist(topics):
     assert shown | plotted <= set(topics)
 
 
+@pytest.mark.long
 def test_pictures_are_what_a_reduced_camera_draws(watched):
     layout = load_carlancap_layout()
     one = replace(layout, units=layout.units[:1])
@@ -192,7 +192,8 @@ def test_pictures_are_what_a_reduced_camera_draws(watched):
     images = found[f"/image/{unit.id}"]
     assert [time_s for time_s, _ in images] == pytest.approx([0.0, 0.1])
     for frame, (_, image) in enumerate(images):
-        assert (image.frame_id, image.format) == (unit.id, "jpeg")
+        assert image.frame_id == unit.id
+        assert image.format == "jpeg"
         shown = np.asarray(Image.open(BytesIO(image.data)), dtype=float)
         weather = pick_weather(few.weather, "weather")
         drawn = draw_picture(
@@ -204,15 +205,7 @@ def test_pictures_are_what_a_reduced_camera_draws(watched):
 
 
 def test_pictures_of_other_formats_are_refused(run):
-    asked = (
-        "export",
-        "--format",
-        "cpm",
-        "--layout",
-        "carlancap-12",
-        "--run",
-        "CPNC-50/east/40",
-    )
-    code, _, err = run(*asked, "--pictures")
+    asked = "export --format cpm --layout carlancap-12 --run CPNC-50/east/40"
+    code, _, err = run(asked, "--pictures")
     assert code == 2
     assert "--pictures: got it; expected none: cpm has no such option" in err

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from met_cases import MET_CASES
+from numpy.testing import assert_allclose
 from short_runs import cut_run
 
 from experiments.export.openscenario import (
@@ -176,8 +177,16 @@ def schema():
 @pytest.mark.parametrize(
     ("case", "weather"),
     [
-        *((case, "day") for case in (*CASES, *MET, *JUNCTION_2026)),
-        *(("CPNCO-50", weather) for weather in WEATHERS[1:]),
+        ("CPNCO-50", "night"),
+        ("CMRb-50", "day"),
+        *(
+            pytest.param(case, "day", marks=pytest.mark.long)
+            for case in (*CASES, *MET, *JUNCTION_2026)
+        ),
+        *(
+            pytest.param("CPNCO-50", weather, marks=pytest.mark.long)
+            for weather in WEATHERS[1:]
+        ),
     ],
 )
 def test_the_schema_accepts_every_kind_of_run(schema, some_runs, case, weather):
@@ -208,14 +217,12 @@ def test_trajectories_read_back_are_the_frames_to_a_millimetre(
         times_s = tracks[name][:, 0] + run.time_s[0]
         is_frame = np.abs(times_s[:, None] - run.time_s).min(axis=1) < 1e-6
         track = tracks[name][is_frame]
-        np.testing.assert_allclose(
-            track[:, 0], run.time_s - run.time_s[0], rtol=0.0, atol=1e-6
-        )
-        np.testing.assert_allclose(
+        assert_allclose(track[:, 0], run.time_s - run.time_s[0], rtol=0.0, atol=1e-6)
+        assert_allclose(
             middles_m(track, ahead_m[name]), position_m, rtol=0.0, atol=1e-3
         )
         turned_deg = (track[:, 3] - yaw_deg + 180.0) % 360.0 - 180.0
-        np.testing.assert_allclose(turned_deg, 0.0, atol=1e-3)
+        assert_allclose(turned_deg, 0.0, atol=1e-3)
         assert (np.abs(np.diff(track[:, 3])) < 90.0).all()
 
 
@@ -302,9 +309,7 @@ def test_parked_bodies_stand_where_the_run_has_them(some_runs, written):
             _, box = box_of(root, f"obstruction-{index}")
             track = np.array([[0.0, x_m, y_m, np.degrees(yaw_rad)]])
             (middle_m,) = middles_m(track, -box["x"])
-            np.testing.assert_allclose(
-                middle_m, placed.pose.position_m[:2], atol=1e-3, rtol=0.0
-            )
+            assert_allclose(middle_m, placed.pose.position_m[:2], atol=1e-3, rtol=0.0)
             assert np.degrees(yaw_rad) == pytest.approx(placed.pose.yaw_deg, abs=1e-3)
             n_seen += 1
     assert n_seen >= 8
@@ -355,8 +360,10 @@ def test_a_wall_is_an_object_that_is_no_vehicle(some_runs):
     )
     body, box = box_of(root, "obstruction-1")
     assert body.tag == "MiscObject"
-    assert (box["x"], box["z"], box["length"]) == (0.0, 1.1, 20.0)
-    np.testing.assert_allclose(
+    assert box["x"] == 0.0
+    assert box["z"] == 1.1
+    assert box["length"] == 20.0
+    assert_allclose(
         init_position(root, "obstruction-1")[:2], placed.pose.position_m[:2], atol=1e-6
     )
 
@@ -402,7 +409,8 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
     root = ET.fromstring(to_openscenario(run, road_network="maps/Town05.xodr"))
     assert root.find("RoadNetwork/LogicFile").get("filepath") == "maps/Town05.xodr"
     header = root.find("FileHeader")
-    assert (header.get("revMajor"), header.get("revMinor")) == ("1", "3")
+    assert header.get("revMajor") == "1"
+    assert header.get("revMinor") == "3"
     assert {p.get("name"): p.get("value") for p in header.iter("Property")} == {
         "run": run.id,
         "case": "CPNCO-50",

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import shapely
 from export_layouts import level_layout, map_scene, placeless_scene
+from numpy.testing import assert_allclose
 
 from experiments.export import load_format
 from experiments.export.dxf import to_dxf
@@ -63,7 +64,7 @@ def test_other_programs_read_the_same_areas(name, views, tmp_path):
         table = gpd.read_file(path)
     areas = table[table.geom_type.isin(["Polygon", "MultiPolygon"])].to_crs(SCENE.crs)
     assert len(areas) == len(views)
-    np.testing.assert_allclose(
+    assert_allclose(
         areas.area, [view.area.area for view in views], rtol=1e-5, atol=1e-3
     )
     names = areas["Name" if name == "kml" else "id"].tolist()
@@ -81,13 +82,9 @@ def test_a_drawing_has_poles_units_and_views_on_their_layers(views):
     space = drawing.modelspace()
     poles = space.query('CIRCLE[layer=="POLES"]')
     feet = np.array([list(pole.dxf.center)[:2] for pole in poles])
-    np.testing.assert_allclose(
-        feet, [site.position_m[:2] for site in SCENE.sites], atol=1e-9
-    )
+    assert_allclose(feet, [site.position_m[:2] for site in SCENE.sites], atol=1e-9)
     for unit, arrow in zip(TWO.units, space.query('LINE[layer=="UNITS"]'), strict=True):
-        np.testing.assert_allclose(
-            list(arrow.dxf.start), unit.pose.position_m, atol=1e-9
-        )
+        assert_allclose(list(arrow.dxf.start), unit.pose.position_m, atol=1e-9)
         way = np.array(arrow.dxf.end) - np.array(arrow.dxf.start)
         yaw_deg = np.degrees(np.arctan2(way[1], way[0]))
         assert (yaw_deg - unit.pose.yaw_deg + 180.0) % 360.0 - 180.0 == pytest.approx(

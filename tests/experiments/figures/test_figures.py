@@ -73,7 +73,8 @@ def test_heatmap_cells_are_centred_on_their_frames(evaluation):
         left, right, bottom, top = axes.get_images()[0].get_extent()
         edges = np.linspace(left, right, len(times) + 1)
         np.testing.assert_allclose(0.5 * (edges[1:] + edges[:-1]), times, atol=1e-12)
-        assert (bottom, top) == (3.5, -0.5)
+        assert bottom == 3.5
+        assert top == -0.5
 
 
 def test_heatmap_draws_the_last_brake_time_as_a_dashed_red_line(evaluation):

@@ -1,4 +1,4 @@
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -124,8 +124,8 @@ def test_plan_is_in_metres_north_up_around_the_junction(setting):
 
 
 def test_plan_draws_a_scene_with_nothing_in_it(setting):
-    bare = dataclasses.replace(setting.scene, lanes=(), sites=())
-    axes = plot_plan(dataclasses.replace(setting, scene=bare), load_carlancap_layout())
+    bare = replace(setting.scene, lanes=(), sites=())
+    axes = plot_plan(replace(setting, scene=bare), load_carlancap_layout())
     assert to_png(axes).startswith(b"\x89PNG")
 
 
@@ -142,9 +142,7 @@ def test_the_tip_of_a_camera_points_where_it_looks(setting):
 def test_two_units_on_a_pole_are_two_arrows_from_it(setting):
     first = load_carlancap_layout().units[0]
     units = [
-        dataclasses.replace(
-            first, id=f"U{i}", pose=dataclasses.replace(first.pose, yaw_deg=yaw)
-        )
+        replace(first, id=f"U{i}", pose=replace(first.pose, yaw_deg=yaw))
         for i, yaw in enumerate((0.0, 5.0, 180.0))
     ]
     axes = plot_plan(setting, Layout(name="mine", units=tuple(units)))
@@ -167,9 +165,9 @@ def test_assumed_sites_and_arms_are_named(setting):
     note = Note(
         what="a mast", why="none in the map", kind="sites", site_ids=(unit.site_id,)
     )
-    scene = dataclasses.replace(setting.scene, notes=(note,))
-    layout = Layout(name="mine", units=(dataclasses.replace(unit, id="U1"),))
-    axes = plot_plan(dataclasses.replace(setting, scene=scene), layout)
+    scene = replace(setting.scene, notes=(note,))
+    layout = Layout(name="mine", units=(replace(unit, id="U1"),))
+    axes = plot_plan(replace(setting, scene=scene), layout)
     texts = {text.get_text() for text in axes.texts}
     assert {"U1 (assumed)", "north arm", "west arm"} <= texts
     assert "assumed site: not in the map there" in {

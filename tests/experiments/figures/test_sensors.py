@@ -9,6 +9,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.patches import PathPatch
+from numpy.testing import assert_allclose
 
 from experiments.figures.axes import new_axes
 from experiments.figures.plan import (
@@ -41,9 +42,9 @@ def _unit(sensor=RING, yaw_deg=0.0, pitch_deg=0.0, unit_id="U1"):
 def test_a_level_ring_sees_the_ground_between_two_circles():
     unit = _unit(yaw_deg=70.0)
     outer, inner = ground_rings(unit, max_range_m=35.0)
-    np.testing.assert_allclose(np.hypot(*(outer - PLACE[:2]).T), 35.0)
+    assert_allclose(np.hypot(*(outer - PLACE[:2]).T), 35.0)
     blind_m = 6.0 / math.tan(math.radians(22.5))
-    np.testing.assert_allclose(np.hypot(*(inner - PLACE[:2]).T), blind_m, atol=0.1)
+    assert_allclose(np.hypot(*(inner - PLACE[:2]).T), blind_m, atol=0.1)
     np.testing.assert_array_equal(ground_footprint(unit, max_range_m=35.0), outer)
     np.testing.assert_array_equal(blind_footprint(unit, max_range_m=35.0), inner)
 
@@ -148,7 +149,8 @@ def test_the_player_gets_a_round_sign():
     ring, other = unit_records(
         Layout(name="two", units=(_unit(), camera)), load_study_scene()
     )
-    assert (ring["kind"], other["kind"]) == ("ring", "camera")
+    assert ring["kind"] == "ring"
+    assert other["kind"] == "camera"
     assert "scans all round" in ring["title"]
     assert "scans all round" not in other["title"]
 

@@ -31,7 +31,6 @@ from placement.explain.contributions import find_failures
 from placement.explain.tolerances import find_standing
 from placement.layout import Layout
 from placement.live import table_verdict
-from placement.optimiser import apr
 from placement.pipeline import assemble, place
 from placement.question import Question
 from placement.sampling.out_of_sample import out_of_sample_layouts
@@ -223,9 +222,9 @@ def test_words_that_mean_nothing_are_refused(options, message):
     assert "cars" in {field.name for field in fields(Question)}
 
 
-@pytest.mark.parametrize(
-    "detector", ["geometric", pytest.param("response", marks=pytest.mark.long)]
-)
+# Quickly: tests/placement/optimiser/test_cars.py
+@pytest.mark.long
+@pytest.mark.parametrize("detector", ["geometric", "response"])
 def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
     question = Question(budget=2, cars="see", samples=2, detector=detector)
@@ -256,27 +255,6 @@ def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector
     )
     assert (seeing >= by_units).all()
     assert seeing.sum() > by_units.sum()
-
-
-# Quickly: tests/placement/optimiser/test_cars.py
-@pytest.mark.long
-def test_a_share_of_the_cars_sees_in_sampled_worlds(small_study, tmp_path, monkeypatch):
-    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
-    problems = {
-        cars: assemble(
-            Question(budget=2, cars=cars, samples=2), compute=cached()
-        ).problem
-        for cars in ("blind", "0.3", "see")
-    }
-    for chosen in ([], [0], [1, 4]):
-        blind, mixed, see = (apr(problem, chosen) for problem in problems.values())
-        assert mixed == pytest.approx(0.3 * see + 0.7 * blind)
-    summary = asked(tmp_path / "out", cars="0.3", samples=2)
-    assert failed(tmp_path / "out") == []
-    (subject, *_) = summary["sampled"]["layouts"]
-    names = {pose: row for row, pose in enumerate(problems["0.3"].table.pose_ids)}
-    chosen = [names[unit["id"]] for unit in summary["layout"]]
-    assert subject["in_sample"] == pytest.approx(apr(problems["0.3"], chosen))
 
 
 def test_nothing_is_lost_where_the_car_sees_all(small_study):

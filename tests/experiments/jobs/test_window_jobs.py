@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_results import answer, refusal
 
 from placement.detection_table import pack_table
 from placement.optimiser import Floor, Limits, PlacementProblem, apr
@@ -40,8 +41,7 @@ def problem(frame_axis):
 
 
 def solve(run, *arguments):
-    code, out, err = run("solve", *arguments, "--json", "--quiet")
-    assert (code, err) == (0, "")
+    out = answer(run("solve", *arguments, "--json --quiet"))
     return json.loads(out)
 
 
@@ -49,7 +49,9 @@ def test_a_placement_problem_is_solved_as_it_was_asked(run, problem, tmp_path):
     save_problem(tmp_path / "one.npz", problem)
     summary = solve(run, tmp_path / "one.npz")
     assert summary["chosen_names"] == ["east"]
-    assert (summary["objective"], summary["bound"], summary["gap"]) == (0.5, 0.5, 0.0)
+    assert summary["objective"] == 0.5
+    assert summary["bound"] == 0.5
+    assert summary["gap"] == 0.0
     assert summary["cost"] == 7.0
     assert [stage["name"] for stage in summary["stages"]][-1] == "cost_eur"
 
@@ -67,28 +69,17 @@ def test_another_question_may_be_asked(run, problem, tmp_path):
     assert both["chosen_names"] == ["east"]  # the file's one unit holds
     summary = solve(run, tmp_path / "one.npz", "--target", "max")
     assert summary["goal"] == "fewest"
-    assert (summary["objective"], summary["chosen"]) == (2.0, [0, 1])
+    assert summary["objective"] == 2.0
+    assert summary["chosen"] == [0, 1]
     assert solve(run, tmp_path / "one.npz", "--target", "0.2")["objective"] == 1.0
 
 
 def test_a_question_without_an_answer_says_the_best_there_is(run, problem, tmp_path):
     save_problem(tmp_path / "one.npz", problem)
-    code, out, err = run("solve", tmp_path / "one.npz", "--target", "0.9", "--quiet")
-    assert (code, out) == (2, "")
-    assert (
-        err
-        == "place-rsus: --target: got 0.9; expected at most 0.75, what all candidate"
-        " poses together reach\n"
+    assert refusal(run("solve", tmp_path / "one.npz", "--target 0.9 --quiet")) == (
+        "--target: got 0.9; expected at most 0.75, what all candidate"
+        " poses together reach"
     )
-
-
-def test_the_table_is_printed(run, problem, tmp_path):
-    save_problem(tmp_path / "one.npz", problem)
-    code, out, _ = run("solve", tmp_path / "one.npz", "--quiet")
-    assert code == 0
-    assert "APR" in out
-    assert "proven" in out
-    assert "east" in out
 
 
 def test_tracks_may_be_asked_to_live_for_another_time(run, problem, tmp_path):
@@ -131,21 +122,13 @@ def test_a_memory_shorter_than_a_frame_is_refused(run, problem, tmp_path):
             ("--budget", 0),
             "--budget: got '0'; expected a whole number of units, at least 1",
         ),
-        (
-            ("--target", "most"),
-            "--target: got 'most'; expected max, or a share of the runs, 0 to 1",
-        ),
-        (("--time-limit", 0), "--time-limit: got '0'; expected seconds, more than 0"),
-        (
-            ("--solver", "nonesuch"),
-            "--solver: got 'nonesuch'; expected one of auto, exact, relax",
-        ),
     ],
 )
 def test_wrong_options_are_told_in_one_line(run, problem, tmp_path, arguments, message):
     save_problem(tmp_path / "one.npz", problem)
     code, out, err = run("solve", tmp_path / "one.npz", *arguments, "--quiet")
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     (line,) = err.splitlines()
     assert line.startswith(f"place-rsus: {message}")
 
@@ -155,7 +138,8 @@ def test_a_file_without_a_placement_problem_is_refused_in_one_line(run, tmp_path
     path.write_text("3 4\n1 2 3 4\n")
     for file in (path, tmp_path / "none"):
         code, out, err = run("solve", file, "--quiet")
-        assert (code, out) == (2, "")
+        assert code == 2
+        assert out == ""
         (line,) = err.splitlines()
         assert line.startswith(f"place-rsus: {file}: got ")
 
@@ -208,11 +192,8 @@ def test_a_floor_that_a_smaller_budget_does_not_reach_is_refused(
             demanding, floors=floors, limits=replace(demanding.limits, budget_units=2)
         ),
     )
-    code, out, err = run("solve", tmp_path / "one.npz", "--budget", 1, "--quiet")
-    assert (code, out) == (2, "")
-    assert (
-        err == "place-rsus: --target: got 0.7; expected at most 0.5, what the best set"
-        " found reaches\n"
+    assert refusal(run("solve", tmp_path / "one.npz", "--budget 1 --quiet")) == (
+        "--target: got 0.7; expected at most 0.5, what the best set found reaches"
     )
 
 
@@ -244,17 +225,16 @@ def test_every_solver_reaches_the_files_floors_or_refuses(
         demanding, floors=(*demanding.floors, Floor(name="more", share=0.7))
     )
     save_problem(tmp_path / "two.npz", beyond)
-    code, out, err = run("solve", tmp_path / "two.npz", "--solver", solver, "--quiet")
-    assert (code, out) == (2, "")
-    assert err.startswith("place-rsus: more: got 0.7; expected ")
-    assert err.count("\n") == 1
+    assert refusal(
+        run("solve", tmp_path / "two.npz", "--solver", solver, "--quiet")
+    ).startswith("more: got 0.7; expected ")
 
 
 def test_the_first_lines_say_what_is_asked_and_what_was_replaced(
     run, demanding, tmp_path
 ):
     save_problem(tmp_path / "one.npz", demanding)
-    code, out, _ = run("solve", tmp_path / "one.npz", "--budget", 2, "--quiet")
+    code, out, _ = run("solve", tmp_path / "one.npz", "--budget 2 --quiet")
     assert code == 0
     words = " ".join(out.split())
     assert words.startswith(

@@ -26,7 +26,6 @@ def layout(*latencies_s):
         ({"mine": layout(None, None)}, f"{PLAIN}."),
         ({"mine": layout(None, 0.025)}, f"{PLAIN}."),
         ({"mine": layout(None, 0.1)}, f"{OWN}RSU1 100 ms."),
-        ({"mine": layout(0.1)}, f"{OWN}RSU0 100 ms."),
         ({"mine": layout(0.0, 0.0)}, f"{OWN}every unit 0 ms."),
         (
             {"mine": layout(0.07, None, 0.0125, 0.07)},

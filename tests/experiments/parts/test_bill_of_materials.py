@@ -61,13 +61,13 @@ def test_sensors_are_counted_by_model_and_sites_are_paid_once(build, scene):
     assumed_eur = load_prices().cost_eur(scene.sites[1])
     bill = build_bill(layout, scene)
     camera, lidar = bill.sensors
-    assert (camera.kind, camera.count, camera.price_eur, camera.sum_eur) == (
-        "camera",
-        2,
-        1500.0,
-        3000.0,
-    )
-    assert (lidar.kind, lidar.count, lidar.sum_eur) == ("LiDAR", 1, 4000.0)
+    assert camera.kind == "camera"
+    assert camera.count == 2
+    assert camera.price_eur == 1500.0
+    assert camera.sum_eur == 3000.0
+    assert lidar.kind == "LiDAR"
+    assert lidar.count == 1
+    assert lidar.sum_eur == 4000.0
     assert [(site.name, site.n_units, site.sum_eur) for site in bill.sites] == [
         (scene.sites[0].id, 2, 800.0),
         (scene.sites[1].id, 1, assumed_eur),
@@ -117,7 +117,9 @@ def test_what_hangs_there_already_is_not_paid_for(build, scene):
     layout = build((0, "camera"), (0, "camera"), (1, "camera"))
     bill = build_bill(layout, scene, kept_ids=("U0",), site_cost_eur=100.0)
     (camera,) = bill.sensors
-    assert (camera.n_units, camera.count, camera.sum_eur) == (3, 2, 3000.0)
+    assert camera.n_units == 3
+    assert camera.count == 2
+    assert camera.sum_eur == 3000.0
     assert [site.sum_eur for site in bill.sites] == [0.0, 100.0]
     sensors, sites = bill_tables(bill)
     assert sensors.columns[2:4] == ["units", "to buy"]

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_verdicts import made_evaluation, made_verdict
 from partial_pages import render_section, tables_of
 
 from experiments.export.json import to_json_text
@@ -14,10 +15,6 @@ from experiments.parts.comparison import (
     significance_table,
 )
 from experiments.parts.sampled_worlds import build_sampled_record
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
-from placement.evaluation import Evaluation, Verdict
-from placement.layout import Layout
 from placement.sampling.out_of_sample import SampledApr
 from placement.sampling.uncertainty import load_uncertainty
 
@@ -25,32 +22,13 @@ NAMES = ("a $1_", "<b>", "c")
 
 
 @pytest.fixture
-def evaluation_of(frame_axis, camera):
+def evaluation_of(frame_axis):
     axis = replace(frame_axis, last_brake_time_s=np.array([-0.1, -0.2, -0.1]))
-    pose = Pose(position_m=np.array([0.0, 0.0, 6.0]), yaw_deg=0.0)
 
     def build(name, avoided, margin_s=0.05, n_units=1):
-        is_avoided = np.array(avoided, dtype=bool)
-        verdict = Verdict(
-            detected=np.zeros(axis.n_frames, dtype=bool),
-            confirmation_time_s=np.where(is_avoided, -0.2, np.inf),
-            onset_time_s=np.where(
-                is_avoided, axis.last_brake_time_s - margin_s, np.inf
-            ),
-            is_avoided=is_avoided,
-        )
-        units = tuple(
-            CandidatePose(id=f"U{index}", site_id="", pose=pose, sensor=camera)
-            for index in range(n_units)
-        )
-        return Evaluation(
-            layout=Layout(name=name, units=units),
-            axis=axis,
-            vut=verdict,
-            units={unit.id: verdict for unit in units},
-            rsu_all=verdict,
-            vut_and_rsus=verdict,
-        )
+        onset_s = np.where(avoided, axis.last_brake_time_s - margin_s, np.inf)
+        ids = [f"U{index}" for index in range(n_units)]
+        return made_evaluation(axis, made_verdict(axis, onset_s), name=name, ids=ids)
 
     return build
 

@@ -236,12 +236,6 @@ def test_a_terminal_shows_it_in_80_columns():
         assert expected in words
 
 
-def test_a_terminal_tells_runs_that_are_alike_together():
-    text = " ".join(terminal(explained(not_avoided=MISSED)).split())
-    assert text.count("saved by c") == 1
-    assert text.count("for a hidden by wall-ne-1") == 1
-
-
 def render(found, labels):
     return "".join(map(render_section, explanation_sections(found, labels)))
 

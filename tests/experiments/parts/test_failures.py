@@ -3,6 +3,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from made_verdicts import made_evaluation, made_verdict
 from partial_pages import render_section, tables_of
 
 from experiments.parts.alternatives import (
@@ -12,11 +13,7 @@ from experiments.parts.alternatives import (
     failures_section,
 )
 from experiments.results.numbers import NOTHING
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
-from placement.evaluation import Evaluation, Verdict
 from placement.explain.contributions import Failure, Failures, find_failures
-from placement.layout import Layout
 
 LABELS = {"A": "#1", "B": "#2", "C": "#3"}
 
@@ -123,34 +120,17 @@ def test_of_many_failures_the_worst_are_shown_and_it_is_told():
 
 
 @pytest.fixture
-def build(frame_axis, camera):
+def build(frame_axis):
+    """Cameras that detect in every frame and avoid nothing."""
+
     def build_evaluation(ids):
-        frames = np.ones((len(ids), frame_axis.n_frames), dtype=bool)
-        nothing = np.zeros(frame_axis.n_runs)
-
-        def verdict(detected):
-            return Verdict(
-                detected=detected,
-                confirmation_time_s=nothing,
-                onset_time_s=nothing,
-                is_avoided=nothing > 0.0,
-            )
-
-        pose = Pose(position_m=[0.0, 0.0, 7.0], yaw_deg=0.0)
-        return Evaluation(
-            layout=Layout(
-                name="mine",
-                units=tuple(
-                    CandidatePose(id=name, site_id="", pose=pose, sensor=camera)
-                    for name in ids
-                ),
-            ),
-            axis=frame_axis,
-            vut=verdict(frames[0]),
-            units={name: verdict(row) for name, row in zip(ids, frames, strict=True)},
-            rsu_all=verdict(frames[0]),
-            vut_and_rsus=verdict(frames[0]),
+        verdict = made_verdict(
+            frame_axis,
+            np.zeros(frame_axis.n_runs),
+            is_avoided=np.zeros(frame_axis.n_runs),
+            detected=np.ones(frame_axis.n_frames, dtype=bool),
         )
+        return made_evaluation(frame_axis, verdict, ids=ids)
 
     return build_evaluation
 

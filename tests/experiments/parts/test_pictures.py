@@ -23,7 +23,9 @@ def test_a_picture_is_the_whole_figure_whether_asked_by_it_or_by_its_axes():
     image = matplotlib.image.imread(io.BytesIO(base64.b64decode(picture.image)))
     assert image.shape[:2] == (picture.height_px, picture.width_px) == (320, 480)
     assert picture.width_in == 3.0
-    assert (picture.title, picture.caption, picture.alt) == ("t", "c", "a")
+    assert picture.title == "t"
+    assert picture.caption == "c"
+    assert picture.alt == "a"
 
 
 def test_axes_without_a_figure_are_no_picture():

@@ -41,7 +41,9 @@ def read(part, key="player_json"):
 
 @given(
     st.recursive(
-        st.text(), lambda inner: st.dictionaries(st.text(), inner), max_leaves=5
+        st.text(max_size=9),
+        lambda inner: st.dictionaries(st.text(max_size=9), inner, max_size=3),
+        max_leaves=3,
     )
 )
 def test_no_text_breaks_out_of_a_script_and_all_come_back(value):
@@ -135,7 +137,8 @@ def test_runs_asked_for_come_first_then_those_not_avoided_each_once(small_settin
         interactive_part(small_setting, {"a": evaluation}, first_runs=[first, first])
     )["runs"]
     assert sorted(run["id"] for run in runs) == sorted(axis.run_ids)
-    assert (runs[0]["id"], runs[0]["group"]) == (first, SHOWN_ABOVE)
+    assert runs[0]["id"] == first
+    assert runs[0]["group"] == SHOWN_ABOVE
     avoided = [
         bool(verdict.is_avoided[axis.run_ids.index(run["id"])]) for run in runs[1:]
     ]
@@ -150,7 +153,8 @@ def test_runs_that_do_not_fit_are_left_out(small_setting, evaluation, monkeypatc
     part = interactive_part(
         small_setting, {"a": evaluation}, first_runs=["CBLA/east/25"]
     )
-    assert (part["n_runs"], part["n_all"]) == (1, evaluation.axis.n_runs)
+    assert part["n_runs"] == 1
+    assert part["n_all"] == evaluation.axis.n_runs
     assert read(part)["runs"][0]["id"] == "CBLA/east/25"
 
 
@@ -201,6 +205,8 @@ def test_a_page_stays_whole_whatever_things_are_called(small_setting):
     assert "https://" not in page
 
 
+# Quickly: the other tests of this file.
+@pytest.mark.long
 def test_two_hundred_units_fit_into_the_page(part_of_many):
     assert len(part_of_many["player_json"]) < 0.5e6
     names = [party["name"] for party in read(part_of_many)["parties"]]

@@ -1,12 +1,11 @@
 from dataclasses import replace
 
 import numpy as np
+from made_verdicts import avoiding, made_evaluation
 from partial_pages import render_section, tables_of
 
 from experiments.parts.dangers import position_table, section
 from experiments.parts.section import Box
-from placement.evaluation import Evaluation, Verdict
-from placement.layout import Layout, load_carlancap_layout
 
 
 def test_shares_by_position_and_approach(frame_axis):
@@ -27,31 +26,15 @@ def test_shares_by_position_and_approach(frame_axis):
     ]
 
 
-def evaluation(axis, name, is_avoided):
-    units = load_carlancap_layout().units[:1]
-    n_runs = axis.n_runs
-    verdict = Verdict(
-        detected=np.zeros(axis.n_frames, dtype=bool),
-        confirmation_time_s=np.full(n_runs, np.inf),
-        onset_time_s=np.full(n_runs, np.inf),
-        is_avoided=is_avoided,
-    )
-    return Evaluation(
-        layout=Layout(name=name, units=units),
-        axis=axis,
-        vut=verdict,
-        units={units[0].id: verdict},
-        rsu_all=verdict,
-        vut_and_rsus=verdict,
-    )
-
-
 def test_the_first_and_the_last_layout_are_drawn_side_by_side(
     small_setting, with_blank_pictures
 ):
     axis = small_setting.axis
     avoided = np.arange(axis.n_runs) > 0
-    shown = {name: evaluation(axis, name, avoided) for name in ("<a>", "b", "c")}
+    shown = {
+        name: made_evaluation(axis, avoiding(axis, avoided), name=name)
+        for name in ("<a>", "b", "c")
+    }
     found = section(small_setting, shown, fusion="any")
     (box,) = [block for block in found.blocks if isinstance(block, Box)]
     assert [picture.title for picture in box.blocks] == [

@@ -4,12 +4,12 @@ from dataclasses import replace
 import geopandas
 import numpy as np
 import pytest
+from private_garden import write_garden
 from shapely import box
 from small_results import assemble_without_runs
 
 from experiments.parts.units import build_private_ground_record, private_ground_sentence
 from geometry.errors import InputError
-from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene
 from placement.forbidden_views import respects_private_ground
 from placement.layout import load_carlancap_layout
@@ -27,18 +27,8 @@ def scene():
 
 
 @pytest.fixture
-def garden(scene, tmp_path):
-    """Twenty metres of the north-eastern pavement, as GeoJSON."""
-    corners = np.array([[-110.0, 10.0], [-100.0, 10.0], [-100.0, 12.0], [-110.0, 12.0]])
-    ring = to_geographic(corners, scene.crs).tolist()
-    feature = {
-        "type": "Feature",
-        "properties": {"name": "garden"},
-        "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
-    }
-    path = tmp_path / "garden.geojson"
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-    return path
+def garden(tmp_path):
+    return write_garden(tmp_path)
 
 
 def test_polygons_come_into_the_world_frame(garden, scene):
@@ -68,6 +58,8 @@ def test_a_map_of_no_known_place_takes_its_own_coordinates(scene, tmp_path):
         load_private_ground(tmp_path / "b.gpkg", lost)
 
 
+# Quickly: tests/placement/test_ground.py
+@pytest.mark.long
 def test_poses_that_look_in_are_no_candidates(garden, scene):
     plan = assemble_without_runs(Question(budget=1, no_look=str(garden)), scene)
     everything = assemble_without_runs(Question(budget=1), scene)
@@ -107,19 +99,19 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
 
 def test_what_belongs_to_areas_needs_areas(run):
     option = "--no-look-share"
-    code, _, err = run("--budget", 1, option, "0.5")
+    code, _, err = run("--budget 1", option, "0.5")
     assert code == 2
     assert err.endswith(
         f"place-rsus: {option}: got it without --no-look; expected both\n"
     )
 
 
-@pytest.mark.parametrize("command", ["evaluate", "compare"])
+@pytest.mark.parametrize("command", ["compare"])
 def test_layouts_are_judged_by_what_they_see_of_private_ground(
     garden, run, small_study, command
 ):
     asked = ("--no-look", garden, "--quiet")
-    layouts = ("--layout", "carlancap-12")
+    layouts = ("--layout carlancap-12",)
     if command == "compare":
         layouts = ("carlancap-12", "carlancap-12")
     summary = json.loads(run(command, *layouts, *asked, "--json")[1])

@@ -23,7 +23,7 @@ OPEN = [
 PROVEN = [stage("apr", 0.9, 0.9, 0.0), stage("cost_eur", 6000.0, 6000.0, 0.0)]
 
 
-def test_after_an_open_objective_no_gap_and_no_bound_is_shown() -> None:
+def test_after_an_open_objective_no_gap_and_no_bound_is_shown():
     rows = {row[0]: row[1:] for row in stage_table(OPEN).rows}
     assert rows["APR if the most needed units fail"][:3] == [
         "89.3 %",
@@ -35,7 +35,7 @@ def test_after_an_open_objective_no_gap_and_no_bound_is_shown() -> None:
     assert rows["cost"][:3] == ["6,000", NOTHING, "open"]
 
 
-def test_one_sentence_says_what_the_rows_after_an_open_objective_depend_on() -> None:
+def test_one_sentence_says_what_the_rows_after_an_open_objective_depend_on():
     (sentence,) = stage_conditions(OPEN)
     assert (
         sentence
@@ -47,12 +47,12 @@ def test_one_sentence_says_what_the_rows_after_an_open_objective_depend_on() -> 
 
 
 @pytest.mark.parametrize("gap", [1.0001, 11.24, 495.0, math.inf, None])
-def test_a_gap_larger_than_the_value_is_called_open(gap: float | None) -> None:
+def test_a_gap_larger_than_the_value_is_called_open(gap):
     rows = stage_table([PROVEN[0], stage("smallest_margin_s", 0.2, 2.5, gap)]).rows
     assert rows[1][2:4] == ["2.500 s", "open"]
 
 
-def test_the_sentence_is_german_in_german() -> None:
+def test_the_sentence_is_german_in_german():
     with speaking("de"):
         (sentence,) = stage_conditions(OPEN)
         assert tr("open") in sentence

@@ -31,7 +31,7 @@ def folder(folder_of_one, small_study, without_figures, run, tmp_path, monkeypat
         study = load_carlancap_layout()
         few = replace(study, units=study.units[:2])
         monkeypatch.setattr(placement, "find_baseline", lambda scene: few)
-        code, _, errors = run("--budget", 2, "--out", folder_of_one, "--quiet")
+        code, _, errors = run("--budget 2 --out", folder_of_one, "--quiet")
         assert code == 0, errors
     shutil.copytree(folder_of_one, tmp_path / "result")
     return tmp_path / "result"
@@ -102,15 +102,10 @@ BROKEN = {
         lambda f: (f / "summary.json").unlink(),
         "summary.json: got No such file",
     ),
-    "no layout": (
-        lambda f: (f / "layout.json").unlink(),
-        "layout.json: got No such file",
-    ),
     "no runs": (
         lambda f: (f / "runs.parquet").unlink(),
         "runs.parquet: got No such file",
     ),
-    "no ratios": (lambda f: (f / "apr.csv").unlink(), "apr.csv: got No such file"),
     "half a summary": (
         cut_off("summary.json"),
         "expected a whole file, as place-rsus has",
@@ -118,10 +113,6 @@ BROKEN = {
     "no JSON": (
         change_text("summary.json", lambda text: "[" * 100_000),
         "nested too deep",
-    ),
-    "half a character": (
-        lambda f: (f / "summary.json").write_bytes(b"\xff"),
-        "can't decode",
     ),
     "a list": (
         change_text("summary.json", lambda text: "[]"),
@@ -146,10 +137,6 @@ BROKEN = {
         change_summary(lambda s: s.pop("name")),
         "name: got nothing; expected a value",
     ),
-    "no number": (
-        change_summary(lambda s: s.update(runs="6")),
-        "runs: got '6'; expected a whole",
-    ),
     "truth": (
         change_summary(lambda s: s.update(runs=True)),
         "runs: got True; expected a whole",
@@ -157,10 +144,6 @@ BROKEN = {
     "no units": (
         change_summary(lambda s: s.update(layout=[])),
         r"layout: got \[\]; expected a",
-    ),
-    "no ids": (
-        change_summary(lambda s: s.update(layout=[3])),
-        r"layout\[0\]: got 3; expected a",
     ),
     "other units": (
         change_summary(lambda s: s["layout"][0].update(id="U7")),
@@ -170,32 +153,12 @@ BROKEN = {
         cut_off("layout.json"),
         "layout.json: got .*; expected JSON in UTF-8",
     ),
-    "half the runs": (
-        cut_off("runs.parquet"),
-        "runs.parquet: got .*; expected a whole file",
-    ),
-    "empty runs": (
-        cut_off("runs.parquet", 0.0),
-        "runs.parquet: got .*; expected a whole file",
-    ),
     "a run less": (
         change_runs(lambda runs: runs.iloc[:-1]),
         (
             "runs.parquet: got 5 runs of carlancap-12, vut_and_rsus; expected each of"
             " the 6 runs of"
         ),
-    ),
-    "more runs": (
-        change_summary(lambda s: s.update(runs=7)),
-        "expected each of the 7 runs",
-    ),
-    "a run twice": (
-        change_runs(lambda runs: pd.concat([runs.iloc[[1]], runs.iloc[1:]])),
-        "got 5 runs of best-2, vut; expected each of the 6",
-    ),
-    "other names": (
-        change_runs(lambda runs: runs.assign(run=runs["run"] + runs["party"])),
-        "expected each of the 6 runs",
     ),
     "other results": (
         change_runs(lambda runs: runs[runs["layout"] != "best-2"]),
@@ -218,10 +181,6 @@ BROKEN = {
         cut_off("apr.csv", 0.999),
         "apr.csv: got no line break at the end; expected a",
     ),
-    "empty ratios": (
-        cut_off("apr.csv", 0.0),
-        "apr.csv: got no line break at the end; expected a",
-    ),
     "a row less": (
         change_text("apr.csv", drop_last_line),
         (
@@ -232,10 +191,6 @@ BROKEN = {
     "another party": (
         change_text("apr.csv", lambda text: text.replace(",rsu_all,", ",rsu_none,")),
         "not the same ones for every layout and party",
-    ),
-    "not a count": (
-        change_text("apr.csv", lambda text: text[:-1] + "x\n"),
-        "n_avoided: got object values; expected numbers",
     ),
     "another table": (
         change_text("apr.csv", lambda text: "a,b\n1,2\n"),

@@ -16,7 +16,7 @@ def test_what_the_evaluator_recommends_is_written_and_what_is_proven_still_verif
         alternatives, "recommend", lambda runners, mounted_wrongly: (1, "apr")
     )
     out = tmp_path / "out"
-    command = ("--budget", 2, "--give-up", 0, "--out", out, "--workers", 2)
+    command = ("--budget 2 --give-up 0 --out", out, "--workers 2")
     code, told, _ = run(*command, "--verbose")
     assert code == 0
     summary = json.loads((out / "summary.json").read_text())
@@ -43,9 +43,7 @@ def test_where_the_layout_found_is_recommended_nothing_is_written_beside_it(
     monkeypatch.setattr(
         alternatives, "recommend", lambda runners, mounted_wrongly: (0, "order")
     )
-    code, told, _ = run(
-        "--budget", 2, "--give-up", 0, "--out", tmp_path / "out", "--workers", 2
-    )
+    code, told, _ = run("--budget 2 --give-up 0 --out", tmp_path / "out", "--workers 2")
     assert code == 0
     assert not (tmp_path / "out/recommended.json").exists()
     assert "Recommended:" not in told

@@ -24,7 +24,6 @@ BOX = np.array([100.0, 200.0, 140.0, 300.0])
 N_UNITS = 6
 N_DRIVES = 5
 N_FRAMES = 14
-ALL = 2.0  # a share so large that everybody detects in every frame
 SPEEDS_MPS = (6.0, 7.0, 8.0, 9.0, 10.0)
 
 
@@ -175,7 +174,14 @@ def test_every_partys_apr_is_that_of_the_definition(recorded):
 
 
 @pytest.mark.parametrize("fusion", ["any", "single"])
-@pytest.mark.parametrize(("seed", "share"), [(1, 0.4), (2, 0.5), (3, 0.6)])
+@pytest.mark.parametrize(
+    ("seed", "share"),
+    [
+        (1, 0.4),
+        pytest.param(2, 0.5, marks=pytest.mark.long),
+        pytest.param(3, 0.6, marks=pytest.mark.long),
+    ],
+)
 def test_no_other_choice_of_units_prevents_more(recorded, fusion, seed, share):
     folder, detected, speeds = recorded(seed, share)
     for budget in (1, 2, 3, N_UNITS):
@@ -236,28 +242,10 @@ def test_the_chosen_units_are_evaluated_alone(recorded):
     assert len(summary["greedy"]["layout"]) == 2
 
 
-def test_a_budget_beyond_the_recorded_units_is_refused(recorded):
-    with pytest.raises(InputError) as caught:
-        _place(recorded()[0], budget_units=7)
-    assert (
-        str(caught.value) == "--budget: got 7; expected at most 6, the units recorded"
-    )
-
-
-def test_how_the_vut_confirms_and_brakes_is_asked_for(recorded):
-    folder, *_ = recorded(share=ALL)
-    assert _evaluate(folder)["apr"] == 1.0
-    # The third of 14 frames is at -1.1 s, the onset at -1.075: v / (2 * 3.5) is less to
-    # 7.525 m/s.
-    summary = _evaluate(folder, Question(deceleration_mps2=3.5))
-    assert summary["apr"] == pytest.approx(0.4)
-    assert [drive["is_avoided"] for drive in summary["drives"]].count(True) == 2
-
-
 def test_weak_detections_do_not_count(recorded, tmp_path):
-    for path in (
-        _with_own(recorded(share=ALL)[0], "Eval", tmp_path / "data") / "Eval"
-    ).iterdir():
+    # With a share of two, everybody detects in every frame.
+    folder = _with_own(recorded(share=2.0)[0], "Eval", tmp_path / "data") / "Eval"
+    for path in folder.iterdir():
         path.write_text(path.read_text().replace(" 1.0\n", " 0.3\n"))
     assert _evaluate(tmp_path / "data", min_confidence=0.3)["apr"] == 1.0
     assert _evaluate(tmp_path / "data", min_confidence=0.31)["apr"] == 0.0
@@ -277,18 +265,15 @@ def test_drives_frames_and_what_was_skipped_are_told(recorded, tmp_path):
         "frames without WorldData": 1,
         "frames between drives (bodies back at their starts)": 150,
     }
-    assert (summary["runs"], summary["weathers"]) == (5, ["recorded"])
+    assert summary["runs"] == 5
+    assert summary["weathers"] == ["recorded"]
     first = summary["drives"][0]
-    assert (first["run"], first["case"], first["motion"]) == (
-        "recording/0/22",
-        "scenario-0-pedestrian",
-        "crossing",
-    )
-    assert (first["first_frame"], first["frames"], first["missing_frames"]) == (
-        0,
-        N_FRAMES,
-        1,
-    )
+    assert first["run"] == "recording/0/22"
+    assert first["case"] == "scenario-0-pedestrian"
+    assert first["motion"] == "crossing"
+    assert first["first_frame"] == 0
+    assert first["frames"] == N_FRAMES
+    assert first["missing_frames"] == 1
     assert first["last_brake_time_s"] == pytest.approx(-6.0 / 15.44)
     assert first["closing_speed_mps"] == pytest.approx(6.0)
 

@@ -12,14 +12,13 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from private_garden import write_garden
 from small_results import build_small_baseline, build_small_grid, lay_runs_of
 
 from experiments.export.json import to_json, to_json_text
 from experiments.jobs import placement
 from experiments.parts.reading import load_result
 from experiments.parts.schema import SCHEMA_FILE, schema_text
-from geometry.frames import to_geographic
-from geometry.study_scene import load_study_scene
 from placement import candidates as poses
 from placement import pipeline
 from placement.explain.agreement import Disagreement
@@ -150,16 +149,7 @@ def test_every_key_of_the_schema_is_in_the_documentation_and_no_other():
 
 @pytest.fixture
 def garden(tmp_path):
-    corners = np.array([[-110.0, 10.0], [-100.0, 10.0], [-100.0, 12.0], [-110.0, 12.0]])
-    ring = to_geographic(corners, load_study_scene().crs).tolist()
-    feature = {
-        "type": "Feature",
-        "properties": {"name": "garden"},
-        "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
-    }
-    path = tmp_path / "garden.geojson"
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-    return path
+    return write_garden(tmp_path)
 
 
 @pytest.fixture
@@ -178,7 +168,7 @@ def layout_files(tmp_path):
 
 def written(run, out, *arguments):
     """A command's summary as it lies in the folder, which is what it prints."""
-    code, printed, errors = run(*arguments, "--out", out, "--json", "--quiet")
+    code, printed, errors = run(*arguments, "--out", out, "--json --quiet")
     assert code == 0, errors
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert json.loads(printed) == summary
@@ -210,6 +200,8 @@ def check_placement(run, out, options, expected):
     return summary
 
 
+# Quickly: tests/experiments/test_language.py asks for a refined placement.
+@pytest.mark.long
 def test_a_refined_placement_is_no_worse_and_as_the_schema_says(
     small_study, without_figures, run, tmp_path
 ):
@@ -229,7 +221,7 @@ def test_private_ground_is_in_the_schema(
     assert messages(summary) == []
     assert summary["private_ground"]["areas"][0]["name"] == "garden"
     code, printed, _ = run(
-        "compare", *layout_files, "--no-look", garden, "--json", "--quiet"
+        "compare", *layout_files, "--no-look", garden, "--json --quiet"
     )
     assert code == 0
     assert messages(json.loads(printed)) == []
@@ -269,7 +261,7 @@ def test_evaluations_and_comparisons_are_as_the_schema_says(
     one, two = layout_files
     summary = written(run, tmp_path / "one", "evaluate", "--layout", one)
     assert messages(summary) == []
-    code, printed, _ = run("evaluate", "--layout", one, "--json", "--quiet")
+    code, printed, _ = run("evaluate --layout", one, "--json --quiet")
     assert code == 0
     assert messages(json.loads(printed)) == []
     summary = written(run, tmp_path / "both", "compare", two, one, "--samples", 2)
@@ -280,6 +272,8 @@ def test_evaluations_and_comparisons_are_as_the_schema_says(
     assert set(result.runs["layout"]) == {"first-1", "first-2", "expert rule"}
 
 
+# Quickly: test_the_schema_is_one_and_leaves_nothing_open_or_unsaid
+@pytest.mark.long
 @pytest.mark.usefixtures("without_figures")
 def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     """Every key of it is needed or known, and every number is a number."""

@@ -74,19 +74,22 @@ def summary(judged):
 
 def test_the_summary_holds_the_numbers_of_the_judgement(summary, judged):
     summary = to_plain(summary)
-    assert (summary["samples"], summary["seed"], summary["tail"]) == (4, 7, 0.5)
+    assert summary["samples"] == 4
+    assert summary["seed"] == 7
+    assert summary["tail"] == 0.5
     ours, theirs = summary["layouts"]
-    assert (ours["name"], theirs["name"]) == ("best-3", "study")
-    assert (ours["planned"], ours["in_sample"]) == (1.0, 0.95)
-    assert (theirs["planned"], theirs["in_sample"]) == (0.55, None)
+    assert ours["name"] == "best-3"
+    assert theirs["name"] == "study"
+    assert ours["planned"] == 1.0
+    assert ours["in_sample"] == 0.95
+    assert theirs["planned"] == 0.55
+    assert theirs["in_sample"] is None
     assert ours["mean"] == pytest.approx(0.9)
     assert ours["cvar"] == pytest.approx(0.85)
     assert ours["worst"] == 0.8
     assert ours["apr_by_sample"] == [0.9, 0.8, 1.0, 0.9]
-    assert (ours["low"], ours["high"]) == (
-        judged[0].estimate.low,
-        judged[0].estimate.high,
-    )
+    assert ours["low"] == judged[0].estimate.low
+    assert ours["high"] == judged[0].estimate.high
     assert ours["least_sure_runs"] == [
         {"run": "B/north/20", "avoided_share": 0.25},
         {"run": "A/north/30", "avoided_share": 0.5},
@@ -134,11 +137,6 @@ def test_that_fresh_worlds_prefer_another_layout_is_said(judge):
     assert not told([pair[0], replace(pair[1], layout=larger)], tail=0.5, chosen_in=2)
 
 
-def test_the_summary_is_plain_json(summary):
-    summary = to_plain(summary)
-    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
-
-
 def test_what_is_uncertain_is_recorded_under_the_names_of_its_file(summary):
     record = to_plain(summary)["uncertainty"]
     assert record["name"] == "default"
@@ -147,7 +145,8 @@ def test_what_is_uncertain_is_recorded_under_the_names_of_its_file(summary):
         "pitch_sd_deg": 1.0,
         "height_sd_m": 0.05,
     }
-    assert (record["packet_loss"], record["draws_detections"]) == (0.05, True)
+    assert record["packet_loss"] == 0.05
+    assert record["draws_detections"]
     assert "vehicles" not in record["traffic"]
     assert (
         record["traffic"]["waiting_share"] == load_uncertainty().traffic.waiting_share
@@ -309,11 +308,9 @@ def test_every_pair_of_layouts_is_compared_world_by_world(judge):
     named = {(pair["first"], pair["second"]): pair for pair in summary["pairs"]}
     assert list(named) == [("a", "b"), ("a", "c"), ("b", "c")]
     first = named["a", "b"]
-    assert (first["more_share"], first["equal_share"], first["less_share"]) == (
-        0.5,
-        0.25,
-        0.25,
-    )
+    assert first["more_share"] == 0.5
+    assert first["equal_share"] == 0.25
+    assert first["less_share"] == 0.25
     assert first["mean"] == pytest.approx(np.mean([0.4, -0.1, 0.0, 0.4]))
     json.dumps(summary)
 

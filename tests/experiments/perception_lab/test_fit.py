@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_results import answer
 
 from experiments.export.json import to_json
 from experiments.perception_lab import fit as job
@@ -110,7 +111,7 @@ def coco(tmp_path):
 def test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call(
     run, recording
 ):
-    code, out, err = run("detector", "fit", "--recording", recording, "--out", "mine")
+    code, out, err = run("detector fit --recording", recording, "--out mine")
     assert code == 0, err
     assert {path.name for path in Path("mine").iterdir()} == {
         "response.toml",
@@ -121,7 +122,8 @@ def test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call(
     assert table.height_half_px == pytest.approx(35.0, rel=0.15)
     assert table.height_steepness == pytest.approx(4.0, rel=0.3)
     rate = table.false_tracks_per_hour
-    assert (rate.value, rate.low) == (0.0, 0.0)
+    assert rate.value == 0.0
+    assert rate.low == 0.0
     assert 0.0 < rate.high < 1000.0
     text = " ".join(out.split())
     assert "of 1080 frames with a road user are detected" in text
@@ -134,7 +136,7 @@ def test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call(
         table.height_half_px, rel=1e-5
     )
     assert told["false_alarms"]["alarms"] == 0
-    again = run("detector", "fit", "--recording", recording, "--json", "--quiet")[1]
+    again = run("detector fit --recording", recording, "--json --quiet")[1]
     assert json.loads(again)["table"] == told["table"]
 
 
@@ -151,13 +153,9 @@ def test_pictures_are_shared_out_evenly(wanted, there, shares):
     assert job._share_out(wanted, there) == shares
 
 
-def test_a_table_is_fitted_to_files_of_coco(run, coco):
+def test_a_table_is_fitted_to_files_of_coco(ask, coco):
     labels, results = coco
-    code, out, err = run(
-        "detector", "fit", "--labels", labels, "--results", results, "--json", "--quiet"
-    )
-    assert (code, err) == (0, "")
-    told = json.loads(out)
+    told = ask("detector fit --labels", labels, "--results", results)
     assert told["frames"] == 5 * N_FRAMES
     assert told["found"] == sum(
         one["score"] == 0.9 for one in json.loads(results.read_text())
@@ -173,6 +171,8 @@ def test_a_table_is_fitted_to_files_of_coco(run, coco):
     assert list(Path().glob("response.toml")) == []
 
 
+# Quickly: test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call
+@pytest.mark.long
 def test_a_table_is_fitted_to_tracks_and_detections_of_others(run, tmp_path):
     """Found in all frames but one of five; the correlation is that at 10 Hz."""
     tracks = []
@@ -187,24 +187,16 @@ def test_a_table_is_fitted_to_tracks_and_detections_of_others(run, tmp_path):
     results = tmp_path / "det.txt"
     labels.write_text("\n".join(tracks))
     results.write_text("\n".join(found))
-    command = (
-        "detector",
-        "fit",
-        "--labels",
-        labels,
-        "--results",
-        results,
-        "--json",
-        "--quiet",
-    )
+    command = ("detector fit --labels", labels, "--results", results, "--json --quiet")
     fits = []
     for more in ((), ("--frame-rate", "5")):
-        code, out, err = run(*command, *more)
-        assert (code, err) == (0, "")
+        out = answer(run(*command, *more))
         fits.append(json.loads(out))
     slow = fits[1]
     fast = fits[0]
-    assert (slow["frames"], slow["found"], slow["tracks"]) == (300, len(found), 3)
+    assert slow["frames"] == 300
+    assert slow["found"] == len(found)
+    assert slow["tracks"] == 3
     assert slow["unknown"] == ["contrast", "aspect"]
     correlation = [one["table"]["frame_correlation"]["value"] for one in (fast, slow)]
     assert correlation[1] == pytest.approx(correlation[0] ** 0.5)
@@ -217,14 +209,7 @@ def test_a_table_is_fitted_to_tracks_and_detections_of_others(run, tmp_path):
 def test_confidence_decides_what_counts(run, coco):
     labels, results = coco
     code, _, err = run(
-        "detector",
-        "fit",
-        "--labels",
-        labels,
-        "--results",
-        results,
-        "--min-confidence",
-        "0.2",
+        "detector fit --labels", labels, "--results", results, "--min-confidence 0.2"
     )
     assert code == 2
     assert (
@@ -241,14 +226,6 @@ def test_confidence_decides_what_counts(run, coco):
             "coco.json: categories: got car; expected",
         ),
         (
-            {
-                "annotations": [
-                    {"image_id": 999, "category_id": 1, "bbox": [0, 0, 1, 1]}
-                ]
-            },
-            "got 999",
-        ),
-        (
             {"annotations": [{"image_id": 1, "category_id": 1, "bbox": [0, 0, -1, 1]}]},
             "bbox[2]: got -1",
         ),
@@ -258,17 +235,19 @@ def test_confidence_decides_what_counts(run, coco):
 def test_files_of_coco_that_are_wrong_are_refused(run, coco, change, line):
     labels, results = coco
     labels.write_text(json.dumps(json.loads(labels.read_text()) | change))
-    code, out, err = run("detector", "fit", "--labels", labels, "--results", results)
-    assert (code, out) == (2, "")
+    code, out, err = run("detector fit --labels", labels, "--results", results)
+    assert code == 2
+    assert out == ""
     assert line in err.splitlines()[-1]
 
 
-@pytest.mark.parametrize("content", ["", "[", "{}", '[{"image_id": 1}]', "\x00"])
+@pytest.mark.parametrize("content", ["", "[", '[{"image_id": 1}]'])
 def test_results_that_are_wrong_are_refused(run, coco, content):
     labels, results = coco
     results.write_text(content)
-    code, out, err = run("detector", "fit", "--labels", labels, "--results", results)
-    assert (code, out) == (2, "")
+    code, out, err = run("detector fit --labels", labels, "--results", results)
+    assert code == 2
+    assert out == ""
     assert "found.json" in err.splitlines()[-1]
 
 
@@ -276,20 +255,11 @@ def test_results_that_are_wrong_are_refused(run, coco, content):
     ("options", "line"),
     [
         ([], "got no source; expected one of"),
-        (
-            ["--recording", "a", "--labels", "b", "--results", "c"],
-            "got --recording and --labels",
-        ),
         (["--labels", "b"], "--labels: got it without --results"),
-        (["--results", "b"], "--results: got it without --labels"),
         (["--recording", "nowhere"], "nowhere"),
         (
             ["--layout", "carlancap-12"],
             "--detector: got 'geometric'; expected cnn, or an .onnx",
-        ),
-        (
-            ["--layout", "carlancap-12", "--pictures", "3"],
-            "--pictures: got '3'; expected a number of pictures",
         ),
         (
             ["--recording", "a", "--pictures", "30"],
@@ -298,8 +268,9 @@ def test_results_that_are_wrong_are_refused(run, coco, content):
     ],
 )
 def test_contradictory_options_are_refused(run, options, line):
-    code, out, err = run("detector", "fit", *options)
-    assert (code, out) == (2, "")
+    code, out, err = run("detector fit", *options)
+    assert code == 2
+    assert out == ""
     assert line in err.splitlines()[-1]
 
 
@@ -386,7 +357,7 @@ def test_a_network_that_finds_nothing_is_told_in_a_line(run, tmp_path, monkeypat
     )
     (tmp_path / "two.json").write_text(to_json(load_carlancap_layout()))
     code, _, err = run(
-        "detector", "fit", "--layout", tmp_path / "two.json", "--pictures", "60", *ASKED
+        "detector fit --layout", tmp_path / "two.json", "--pictures 60", *ASKED
     )
     assert code == 2
     assert "0 of them found; expected at least 50, with 5 found" in err.splitlines()[-1]
@@ -402,6 +373,8 @@ class _Blind:
         )
 
 
+# Quickly: test_a_network_is_shown_the_frames_that_its_labels_are_of
+@pytest.mark.long
 def test_a_network_for_crops_is_shown_crops_and_now_and_then_whole_pictures(
     monkeypatch,
 ):

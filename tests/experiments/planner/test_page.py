@@ -20,8 +20,8 @@ from osm_text import OsmText
 from partial_pages import blank_pictures
 from PIL import Image
 from plan_sessions import few_poses, start_server  # noqa: F401
+from private_garden import write_garden
 from pyproj import Transformer
-from shapely import box
 
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
 
@@ -35,7 +35,6 @@ from experiments.planner.plan import Variant
 from experiments.planner.tasks import Tasks
 from experiments.planner.tiles import read_tile_server
 from experiments.results.numbers import percent
-from geometry.frames import to_geographic
 from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
@@ -51,12 +50,15 @@ from scenarios.weights import WEIGHT_WORDS
 pytestmark = [pytest.mark.system, pytest.mark.long]
 
 PATIENCE_MS = 120_000
+UNITS = load_carlancap_layout().units
 CROSSING = Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm"
 
 
 def expect(locator):
     """What playwright waits for; the tests are skipped where it is not installed."""
-    return pytest.importorskip("playwright.sync_api").expect(locator)
+    library = pytest.importorskip("playwright.sync_api")
+    library.expect.set_options(timeout=PATIENCE_MS)
+    return library.expect(locator)
 
 
 @pytest.fixture(scope="module", params=ENGINES)
@@ -84,18 +86,8 @@ def grey_pictures(request):
 
 
 @pytest.fixture
-def garden(tmp_path, small_setting):
-    """Private ground at the junction's corner."""
-    scene = small_setting.scene
-    x, y = scene.outline_m.mean(axis=0)
-    ring = to_geographic(
-        np.array(box(x - 20, y + 8, x - 4, y + 18).exterior.coords), scene.crs
-    )
-    shape = {"type": "Polygon", "coordinates": [ring.tolist()]}
-    feature = {"type": "Feature", "properties": {"name": "garden"}, "geometry": shape}
-    path = tmp_path / "garden.geojson"
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-    return path
+def garden(tmp_path):
+    return write_garden(tmp_path, (-146.4, 7.6, -130.4, 17.6))
 
 
 @pytest.fixture
@@ -166,17 +158,40 @@ def middle(locator):
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
+def pole(page, name):
+    return middle(page.locator(f'[data-site="{name}"]'))
+
+
+def aim(page):
+    return middle(page.locator("[data-aim]"))
+
+
+def drag(page, start, *places, steps=4):
+    page.mouse.move(*start)
+    page.mouse.down()
+    for place in places:
+        page.mouse.move(*place, steps=steps)
+
+
+def has_units(page, count):
+    expect(page.locator("#units button")).to_have_count(count)
+
+
+def has_value(page, field, value):
+    expect(page.locator(field)).to_have_value(value)
+
+
 def told(page, *sources):
     """What the page says once a source has answered about what is shown."""
     named = sources or ("evaluator",)
     answered = (f"p:has(> #apr:not(.old)) + #source.{source}" for source in named)
     page.wait_for_selector(", ".join(answered))
-    return page.locator("#apr").inner_text()
+    return page.inner_text("#apr")
 
 
 def downloaded(page, button, path):
     with page.expect_download() as download:
-        page.locator(button).click()
+        page.click(button)
     download.value.save_as(path)
     return path
 
@@ -206,28 +221,21 @@ def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_eval
     browser, serve, small_setting, tmp_path
 ):
     with opened(browser, serve()) as page:
-        assert page.locator("#apr").inner_text() in (
-            "No sensor yet",
-            "computing \u2026",
-        )
-        x, y = middle(page.locator('[data-site="corner-ne"]'))
-        page.mouse.move(x, y)
-        page.mouse.down()
-        page.mouse.move(x + 160, y - 20, steps=4)  # along the eastern arm
+        assert page.inner_text("#apr") in ("No sensor yet", "computing \u2026")
+        x, y = pole(page, "corner-ne")
+        drag(page, (x, y), (x + 160, y - 20))  # along the eastern arm
         page.mouse.up()
         page.wait_for_selector("[data-aim]")
         away = told(page)
-        yaw = page.locator("#yaw").input_value()
-        x, y = middle(page.locator("[data-aim]"))
-        site_x, site_y = middle(page.locator('[data-site="corner-ne"]'))
-        page.mouse.move(x, y)
-        page.mouse.down()
-        page.mouse.move(site_x - 60, site_y + 60, steps=12)
+        yaw = page.input_value("#yaw")
+        x, y = aim(page)
+        site_x, site_y = pole(page, "corner-ne")
+        drag(page, (x, y), (site_x - 60, site_y + 60), steps=12)
         page.mouse.up()
         south_west = re.compile(
             r"^-13[45]\b"
         )  # the last step's: others may be evaluated, too
-        expect(page.locator("#yaw")).to_have_value(south_west, timeout=PATIENCE_MS)
+        has_value(page, "#yaw", south_west)
         shown = told(page)
         assert shown != away
         layout = saved(page, tmp_path)
@@ -249,42 +257,37 @@ def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_eval
                 has_text=re.compile(f"^{group}")
             )
             assert row.locator("td").inner_text() == percent(share)
-        assert (
-            percent(record["vut_and_rsus"]["all"])
-            in page.locator("#beside").inner_text()
-        )
+        assert percent(record["vut_and_rsus"]["all"]) in page.inner_text("#beside")
         page.keyboard.press("Control+z")  # a drag is one step
-        expect(page.locator("#yaw")).to_have_value(yaw, timeout=PATIENCE_MS)
+        has_value(page, "#yaw", yaw)
         assert told(page) == away
 
 
 def test_everything_by_keyboard(browser, serve, tmp_path):
     with opened(browser, serve()) as page:
-        page.locator('[data-site="corner-sw"]').focus()
+        page.focus('[data-site="corner-sw"]')
         page.keyboard.press("Enter")
-        assert page.locator("#site").input_value() == "corner-sw"
-        page.locator("#hang").focus()
+        assert page.input_value("#site") == "corner-sw"
+        page.focus("#hang")
         page.keyboard.press("Enter")
         page.wait_for_selector('[data-unit="U1"]')
-        page.locator('[data-unit="U1"]').focus()
+        page.focus('[data-unit="U1"]')
         yaw, pitch = (
             float(page.locator(name).input_value()) for name in ("#yaw", "#pitch")
         )
         for key in ("ArrowLeft", "Shift+ArrowLeft", "ArrowDown", "PageDown"):
             page.keyboard.press(key)  # faster than answers come
-        expect(page.locator("#yaw")).to_have_value(
-            re.compile(rf"^{yaw + 11.0:.1f}"), timeout=PATIENCE_MS
-        )
+        has_value(page, "#yaw", re.compile(rf"^{yaw + 11.0:.1f}"))
         told(page)
         (unit,) = saved(page, tmp_path).units
         assert unit.pose.yaw_deg == pytest.approx(yaw + 11.0, abs=0.06)
         assert unit.pose.pitch_deg == pytest.approx(pitch - 1.0)
-        page.locator("#show-help").focus()
+        page.focus("#show-help")
         page.keyboard.press("Enter")
-        page.locator("#help-dialog").wait_for()
+        page.wait_for_selector("#help-dialog")
         page.keyboard.press("Escape")
-        page.locator("#help-dialog").wait_for(state="hidden")
-        page.locator('[data-unit="U1"]').focus()
+        page.wait_for_selector("#help-dialog", state="hidden")
+        page.focus('[data-unit="U1"]')
         page.keyboard.press("Delete")
         page.wait_for_selector('[data-unit="U1"]', state="detached")
         page.keyboard.press("Control+z")
@@ -294,81 +297,80 @@ def test_everything_by_keyboard(browser, serve, tmp_path):
 
 
 def test_complete_to_three_take_it_over_and_undo(browser, serve):
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+    with opened(browser, serve(UNITS[:1])) as page:
         write(page.locator("#complete-to"), "3")
-        page.locator('[data-ask="complete"]').click()
+        page.click('[data-ask="complete"]')
         card = page.locator("#proposals li")
         card.wait_for()
         assert "Completed to 3" in card.inner_text()
         card.get_by_text("Show on the plan").click()
         page.wait_for_selector("#proposals [aria-pressed=true]")
         page.locator("#proposals li").get_by_text("Take it over").click()
-        expect(page.locator("#units button")).to_have_count(3, timeout=PATIENCE_MS)
-        page.locator("#undo").click()
-        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+        has_units(page, 3)
+        page.click("#undo")
+        has_units(page, 1)
 
 
 def test_save_and_open_again_and_variants_side_by_side(browser, serve, tmp_path):
-    study = load_carlancap_layout()
-    with opened(browser, serve(study.units[:2]), may_complain=True) as page:
-        page.locator("#copy-variant").click()
-        expect(page.locator("#variants tbody tr")).to_have_count(2, timeout=PATIENCE_MS)
+    with opened(browser, serve(UNITS[:2]), may_complain=True) as page:
+        page.click("#copy-variant")
+        expect(page.locator("#variants tbody tr")).to_have_count(2)
         write(page.locator("#variant-name"), "fewer")
-        page.locator("#variant-name").press("Enter")
+        page.press("#variant-name", "Enter")
         page.locator("#variants").get_by_text("fewer").wait_for()
-        page.locator("#remove").click()
-        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+        page.click("#remove")
+        has_units(page, 1)
         plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
-        page.locator("#open-file").set_input_files(plan)
+        page.set_input_files("#open-file", plan)
         page.locator("#variants").get_by_text("plan: fewer").wait_for()
         notice = page.locator("#notice")  # comes by another way than the variants
-        expect(notice).to_contain_text("Opened: mine, fewer", timeout=PATIENCE_MS)
+        expect(notice).to_contain_text("Opened: mine, fewer")
         (tmp_path / "bad.json").write_text("{")
-        page.locator("#open-file").set_input_files(tmp_path / "bad.json")
+        page.set_input_files("#open-file", tmp_path / "bad.json")
         page.get_by_text(re.compile(r"^bad\.json: got")).wait_for()
 
 
 def test_private_areas_are_drawn_and_told_for_the_chosen_camera(browser, serve, garden):
-    units = load_carlancap_layout().units[:2]
+    units = UNITS[:2]
     with opened(browser, serve(units, asked={"no_look": str(garden)})) as page:
         told(page, "table", "evaluator")
         title = page.locator("#plan title").get_by_text("private: garden", exact=True)
         expect(title).to_have_count(1)
         shares = page.locator("#private-list li")
-        expect(shares).to_have_count(1, timeout=PATIENCE_MS)
+        expect(shares).to_have_count(1)
         seeing = re.search(
             r"(\S+) [\d.]+ % \(more than is allowed\)", shares.inner_text()
         )[1]
-        page.locator(f'[data-chip="{seeing}"]').click()
-        assert "garden" in page.locator("#unit-private").inner_text()
+        page.click(f'[data-chip="{seeing}"]')
+        assert "garden" in page.inner_text("#unit-private")
         page.wait_for_selector("#plan .seen", state="attached")
         write(page.locator("#pitch"), "-90")  # its own foot
-        page.locator("#pitch").press("Tab")
+        page.press("#pitch", "Tab")
         page.get_by_text("No private area in its picture.").wait_for()
         page.wait_for_selector("#plan .seen", state="detached")
 
 
 def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_path):
     Image.new("RGB", (200, 100), (90, 120, 90)).save(tmp_path / "aerial.png")
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
-        page.locator("#background").click()
-        page.locator("#image-file").set_input_files(tmp_path / "aerial.png")
-        page.locator("#image-shown").click(position={"x": 20, "y": 10})
-        assert float(page.locator("#x1").input_value()) == pytest.approx(20.0, abs=1.0)
+    with opened(browser, serve(UNITS[:1])) as page:
+        page.click("#background")
+        page.set_input_files("#image-file", tmp_path / "aerial.png")
+        page.click("#image-shown", position={"x": 20, "y": 10})
+        assert float(page.input_value("#x1")) == pytest.approx(20.0, abs=1.0)
         points = ((0.0, 0.0, -20.0, 10.0), (200.0, 0.0, 20.0, 10.0))
         for number, point in enumerate(points, start=1):
             for name, value in zip(("x", "y", "east", "north"), point, strict=True):
                 write(page.locator(f"#{name}{number}"), f"{value:g}")
-        page.locator("#image-lay").click()
+        page.click("#image-lay")
         image = page.locator('#plan image[href^="background"]')
         image.wait_for(state="attached")
         lies = "matrix(20 0 0 -20 -2000 1000)"  # 40 m over 200 pixels, in centimetres
         assert image.get_attribute("transform") == lies
         plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
-        page.locator("#background").click()
-        page.locator("#image-drop").click()
+        page.click("#background")
+        page.click("#image-drop")
         image.wait_for(state="detached")
-        page.locator("#open-file").set_input_files(plan)
+        page.set_input_files("#open-file", plan)
         image.wait_for(state="attached")
         page.reload()
         image.wait_for(state="attached")
@@ -398,24 +400,22 @@ def test_an_image_with_its_world_file_lies_at_its_place_and_fades(
         north + 10.0 - 0.1,
     )  # in the scene's own frame
     (tmp_path / "aerial.pgw").write_text("".join(f"{number}\n" for number in numbers))
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
-        assert page.locator("#opacity-row").is_hidden()
-        page.locator("#background").click()
+    with opened(browser, serve(UNITS[:1])) as page:
+        assert page.is_hidden("#opacity-row")
+        page.click("#background")
         page.locator("#image-crs").fill(scene.crs)
         both = [tmp_path / "aerial.png", tmp_path / "aerial.pgw"]
-        page.locator("#image-file").set_input_files(both)
+        page.set_input_files("#image-file", both)
         image = page.locator('#plan image[href^="background"]')
         image.wait_for(state="attached")
-        page.locator("#image-dialog").wait_for(state="hidden")
+        page.wait_for_selector("#image-dialog", state="hidden")
         words = (
             image.get_attribute("transform").removeprefix("matrix(").rstrip(")").split()
         )
         lies = [20.0, 0.0, 0.0, -20.0, 100.0 * (east - 20.0), 100.0 * (north + 10.0)]
         assert [float(word) for word in words] == pytest.approx(lies, abs=1e-3)
-        assert (image.get_attribute("width"), image.get_attribute("height")) == (
-            "200",
-            "100",
-        )
+        assert image.get_attribute("width") == "200"
+        assert image.get_attribute("height") == "100"
         page.locator("#opacity").fill("30")
         assert float(image.get_attribute("opacity")) == 0.3
 
@@ -426,7 +426,7 @@ def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(
     from experiments.planner import server as module
 
     monkeypatch.setattr(module, "LINGER_S", 3.0)
-    server = serve(load_carlancap_layout().units[:1], keeps_open=False)
+    server = serve(UNITS[:1], keeps_open=False)
     with opened(browser, server) as page:
         page.reload()
         page.wait_for_selector("[data-unit]")
@@ -444,7 +444,7 @@ def test_a_file_that_is_too_large_is_told_before_it_is_sent(
     monkeypatch.setattr(plan_files, "MAX_PLAN_BYTES", 1000)
     (tmp_path / "long.json").write_text("[" + " " * 1000 + "]")
     with opened(browser, serve()) as page:
-        page.locator("#open-file").set_input_files(tmp_path / "long.json")
+        page.set_input_files("#open-file", tmp_path / "long.json")
         page.get_by_text(
             "long.json: got 1,002 bytes; expected at most 1,000"
         ).wait_for()
@@ -453,16 +453,16 @@ def test_a_file_that_is_too_large_is_told_before_it_is_sent(
 def test_a_plan_that_is_in_no_file_is_not_closed_without_a_word(
     browser, serve, tmp_path
 ):
-    with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
+    with opened(browser, serve(UNITS[:2])) as page:
         asked = []
         page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
-        page.locator("#remove").click()
-        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+        page.click("#remove")
+        has_units(page, 1)
         page.reload()
         page.wait_for_selector("[data-unit]")
         assert asked == ["beforeunload"]
-        page.locator("#undo").click()
-        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+        page.click("#undo")
+        has_units(page, 2)
         downloaded(page, "#save-plan", tmp_path / "plan.json")
         page.reload()
         page.wait_for_selector("[data-unit]")
@@ -470,13 +470,13 @@ def test_a_plan_that_is_in_no_file_is_not_closed_without_a_word(
 
 
 def test_a_lost_run_is_told_and_played(browser, serve):
-    with opened(browser, serve(load_carlancap_layout().units[7:8])) as page:
+    with opened(browser, serve(UNITS[7:8])) as page:
         told(page)
         page.locator("#lost button").first.click()
-        page.locator("#played-why").click()
+        page.click("#played-why")
         page.locator("#run-why li").first.wait_for()
-        assert "frames come early enough" in page.locator("#run-why").inner_text()
-        page.locator("#play").click()
+        assert "frames come early enough" in page.inner_text("#run-why")
+        page.click("#play")
         frame = page.frame_locator("#player")
         frame.locator("#player-plan svg").wait_for()
         before = frame.locator("#player-status").inner_text()
@@ -486,21 +486,28 @@ def test_a_lost_run_is_told_and_played(browser, serve):
         page.keyboard.press("Escape")
 
 
-def test_a_map_is_dropped_and_a_junction_of_it_chosen(browser, serve):
-    text = CROSSING.read_text()
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
-        drop(page, "crossing.osm", text)
-        page.locator("#map-choice .junction-chooser").wait_for()
-        assert "crossing.osm has" in page.locator("#map-text").inner_text()
+def test_a_map_is_dropped_a_junction_of_it_chosen_and_undo_leads_back(browser, serve):
+    with opened(browser, serve(UNITS[:1])) as page:
+        drop(page, "crossing.osm", CROSSING.read_text())
+        page.wait_for_selector("#map-choice .junction-chooser")
+        said = page.inner_text("#map-text")
+        assert "crossing.osm has" in said
+        assert "Undo leads back to the plan at town05" in said
         assert page.locator("#map-choice circle").count() == 1
         assert page.locator("#map-choice circle.chosen").count() == 1
-        page.locator("#map-take").click()
-        page.locator("#map-dialog").wait_for(state="hidden")
-        assert "town05" not in page.locator("#scene-name").inner_text()
-        assert page.locator("#units button").count() == 0
-        page.locator("#hang").click()
-        page.locator('[data-unit="U1"]').wait_for()
+        street = page.locator("#map-choice li button").first.inner_text().split("\n")[0]
+        page.click("#map-take")
+        page.wait_for_selector("#map-dialog", state="hidden")
+        assert page.inner_text("#scene-name").startswith(f"at {street},")
+        has_units(page, 0)
+        page.click("#hang")
+        page.wait_for_selector('[data-unit="U1"]')
         assert "%" in told(page, "table", "evaluator")
+        page.click("#undo")
+        has_units(page, 0)
+        page.click("#undo")
+        expect(page.locator("#scene-name")).to_contain_text("town05")
+        has_units(page, 1)
 
 
 def test_a_lost_connection_is_told_and_mended(browser, serve):
@@ -516,23 +523,23 @@ def test_a_lost_connection_is_told_and_mended(browser, serve):
 
     with opened(
         browser,
-        serve(load_carlancap_layout().units[:1]),
+        serve(UNITS[:1]),
         before=lambda page: page.route_web_socket("**/live", route),
     ) as page:
         told(page)
         is_broken.append(True)
         lines[-1].close()
-        page.locator("#connection").wait_for()
-        assert "%" not in page.locator("#apr").inner_text()
+        page.wait_for_selector("#connection")
+        assert "%" not in page.inner_text("#apr")
         assert page.locator("#main").evaluate("element => element.inert")
         is_broken.clear()
-        page.locator("#connection").wait_for(state="hidden")
+        page.wait_for_selector("#connection", state="hidden")
         told(page)
         assert page.locator("#units button").count() == 1
 
 
 def test_two_hundred_units_are_shown_and_turned(browser, serve, small_setting):
-    camera = load_carlancap_layout().units[0].sensor
+    camera = UNITS[0].sensor
     rng = np.random.default_rng(0)
     units = [
         CandidatePose(
@@ -549,29 +556,23 @@ def test_two_hundred_units_are_shown_and_turned(browser, serve, small_setting):
         for site in [small_setting.scene.sites[index % 28]]
     ]
     with opened(browser, serve(units)) as page:
-        expect(page.locator("#units button")).to_have_count(200, timeout=PATIENCE_MS)
-        page.locator('[data-chip="U0"]').click()
+        has_units(page, 200)
+        page.click('[data-chip="U0"]')
         write(page.locator("#yaw"), "12")
-        page.locator("#yaw").press("Tab")
+        page.press("#yaw", "Tab")
         turned = page.locator('[data-unit="U0"] path').first
-        expect(turned).to_have_attribute(
-            "transform", "rotate(-12)", timeout=PATIENCE_MS
-        )
+        expect(turned).to_have_attribute("transform", "rotate(-12)")
         told(page, "table", "evaluator")
-        x, y = middle(page.locator("[data-aim]"))
-        page.mouse.move(x, y)
-        page.mouse.down()
-        page.mouse.move(x + 40, y + 40, steps=6)
+        x, y = aim(page)
+        drag(page, (x, y), (x + 40, y + 40), steps=6)
         page.mouse.up()
-        expect(turned).not_to_have_attribute(
-            "transform", "rotate(-12)", timeout=PATIENCE_MS
-        )
+        expect(turned).not_to_have_attribute("transform", "rotate(-12)")
 
 
 def test_a_unit_is_chosen_although_its_number_comes_while_the_button_is_pressed(
     browser, serve
 ):
-    with opened(browser, serve(load_carlancap_layout().units[6:8])) as page:
+    with opened(browser, serve(UNITS[6:8])) as page:
         told(page)
         first, second = page.locator("#units button").all()
         before = second.inner_text()
@@ -582,11 +583,11 @@ def test_a_unit_is_chosen_although_its_number_comes_while_the_button_is_pressed(
                 "Shift+ArrowLeft"
             )  # turns the last unit, which is still chosen
         expect(second).to_have_attribute("aria-pressed", "true")
-        expect(second).not_to_have_text(before, timeout=PATIENCE_MS)
+        expect(second).not_to_have_text(before)
         told(page)
-        expect(second).to_contain_text("%", timeout=PATIENCE_MS)
+        expect(second).to_contain_text("%")
         page.mouse.up()
-        expect(first).to_have_attribute("aria-pressed", "true", timeout=PATIENCE_MS)
+        expect(first).to_have_attribute("aria-pressed", "true")
 
 
 def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, garden):
@@ -594,7 +595,7 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
         "axe_playwright_python.sync_playwright",
         reason="axe-playwright-python is not installed",
     )
-    units = load_carlancap_layout().units[7:8]
+    units = UNITS[7:8]
     text = CROSSING.read_text()
     with opened(browser, serve(units, asked={"no_look": str(garden)})) as page:
         told(page)
@@ -620,38 +621,36 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
         ):
             page.locator(opens).click()
         page.locator("#danger-key").filter(has_text="within 2 m").wait_for()
-        page.locator('#seen[data-smooth="1"]').wait_for()
+        page.wait_for_selector('#seen[data-smooth="1"]')
         has_no_fault()
         for opens in ("#show-help", "#background"):
             page.locator(opens).click()
             has_no_fault()
-        page.locator("#copy-variant").click()
-        page.locator("#compare").select_option("mine")
+        page.click("#copy-variant")
+        page.select_option("#compare", "mine")
         page.locator("#compare-units li").first.wait_for()
         page.locator("#lost button").first.click()
-        page.locator("#played").wait_for()
+        page.wait_for_selector("#played")
         has_no_fault()
-        page.locator("#played-why").click()
+        page.click("#played-why")
         page.locator("#run-why li").first.wait_for()
-        page.locator("#picture-show").click()
-        page.locator("#picture").wait_for()
+        page.click("#picture-show")
+        page.wait_for_selector("#picture")
         has_no_fault()
         drop(page, "crossing.osm", text)
-        page.locator("#map-choice .junction-chooser").wait_for()
+        page.wait_for_selector("#map-choice .junction-chooser")
         has_no_fault()
 
 
 @pytest.mark.parametrize("width", [820, 390])
 def test_nothing_is_cut_off_on_tablets_and_phones(browser, serve, width):
-    with opened(browser, serve(load_carlancap_layout().units[:1]), width=width) as page:
+    with opened(browser, serve(UNITS[:1]), width=width) as page:
         told(page, "table", "evaluator")
         assert page.evaluate("document.documentElement.scrollWidth") <= width
-        page.locator("#remove").click()
+        page.click("#remove")
         page.locator("#plan").scroll_into_view_if_needed()
-        x, y = middle(page.locator('[data-site="corner-ne"]'))
-        page.mouse.move(x, y)
-        page.mouse.down()
-        page.mouse.move(x - 40, y + 40, steps=4)
+        x, y = pole(page, "corner-ne")
+        drag(page, (x, y), (x - 40, y + 40))
         page.mouse.up()
         page.wait_for_selector('[data-unit="U1"]')
 
@@ -659,93 +658,78 @@ def test_nothing_is_cut_off_on_tablets_and_phones(browser, serve, width):
 # ---------- hands
 
 
-def drag(page, start, *places):
-    page.mouse.move(*start)
-    page.mouse.down()
-    for place in places:
-        page.mouse.move(*place, steps=4)
-
-
 def number(page, field):
     return float(page.locator(field).input_value())
 
 
 def test_keys_work_after_a_slider_and_escape_gives_a_drag_up(browser, serve):
-    with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
-        page.locator('[data-chip="RSU0"]').click()
+    with opened(browser, serve(UNITS[:2])) as page:
+        page.click('[data-chip="RSU0"]')
         before = number(page, "#yaw")
         slider = page.locator("#yaw-slide")
         slider.focus()
         slider.press("ArrowRight")
-        expect(page.locator("#yaw")).not_to_have_value(
-            f"{before:g}", timeout=PATIENCE_MS
-        )
+        expect(page.locator("#yaw")).not_to_have_value(f"{before:g}")
         slider.press("Control+z")
-        expect(page.locator("#yaw")).to_have_value(f"{before:g}", timeout=PATIENCE_MS)
+        has_value(page, "#yaw", f"{before:g}")
         write(page.locator("#yaw"), "12")
-        page.locator("#yaw").press("Enter")
-        expect(page.locator("#yaw-slide")).to_have_value("12", timeout=PATIENCE_MS)
-        page.locator("#yaw").press("Control+z")  # what is typed is done
-        expect(page.locator("#yaw-slide")).not_to_have_value("12", timeout=PATIENCE_MS)
+        page.press("#yaw", "Enter")
+        has_value(page, "#yaw-slide", "12")
+        page.press("#yaw", "Control+z")  # what is typed is done
+        expect(page.locator("#yaw-slide")).not_to_have_value("12")
         page.locator("#plan").scroll_into_view_if_needed()
-        x, y = middle(page.locator("[data-aim]"))
+        x, y = aim(page)
         drag(page, (x, y), (x + 60, y + 60))
-        expect(page.locator("#yaw-slide")).not_to_have_value(
-            f"{round(before)}", timeout=PATIENCE_MS
-        )
+        expect(page.locator("#yaw-slide")).not_to_have_value(f"{round(before)}")
         page.keyboard.press("Escape")
-        expect(page.locator("#yaw-slide")).to_have_value(
-            f"{round(before)}", timeout=PATIENCE_MS
-        )
+        has_value(page, "#yaw-slide", f"{round(before)}")
         page.mouse.move(x + 90, y)
         page.mouse.up()
-        assert page.locator("#redo").is_disabled()  # the drag has left nothing
-        x, y = middle(page.locator('[data-site="corner-sw"]'))
+        assert page.is_disabled("#redo")  # the drag has left nothing
+        x, y = pole(page, "corner-sw")
         drag(page, (x, y), (x + 60, y - 60))
         page.keyboard.press("Escape")
         page.mouse.up()
         slider.focus()
         slider.press("Delete")
-        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+        has_units(page, 1)
 
 
 def test_a_pole_with_a_unit_takes_a_second_one_and_what_is_moved_keeps_its_aim(
     browser, serve, tmp_path
 ):
-    with opened(browser, serve(load_carlancap_layout().units[1:2])) as page:
-        x, y = middle(page.locator('[data-site="corner-ne"]'))
+    with opened(browser, serve(UNITS[1:2])) as page:
+        x, y = pole(page, "corner-ne")
         drag(page, (x, y), (x - 80, y + 20))
         page.mouse.up()
-        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+        has_units(page, 2)
         first, second = saved(page, tmp_path).units
         assert first.site_id == second.site_id == "corner-ne"
-        page.locator('[data-chip="RSU1"]').click()
+        page.click('[data-chip="RSU1"]')
         expect(page.locator("[data-aim]")).to_have_attribute("data-aim", "RSU1")
-        aim = middle(page.locator("[data-aim]"))
+        aimed = aim(page)
         drag(
             page,
             middle(page.locator('[data-unit="RSU1"] circle')),
-            middle(page.locator('[data-site="corner-sw"]')),
+            pole(page, "corner-sw"),
         )
         page.mouse.up()
-        expect(page.locator("#unit-site")).to_have_value(
-            "corner-sw", timeout=PATIENCE_MS
-        )
-        assert middle(page.locator("[data-aim]")) == pytest.approx(aim, abs=2.0)
+        has_value(page, "#unit-site", "corner-sw")
+        assert aim(page) == pytest.approx(aimed, abs=2.0)
 
 
 def test_a_lidar_that_scans_all_round_is_level_by_dragging_and_by_the_button(
     browser, serve, tmp_path
 ):
     with opened(browser, serve()) as page:
-        page.locator("#sensor").select_option("ouster-os1-128")
-        x, y = middle(page.locator('[data-site="corner-ne"]'))
+        page.select_option("#sensor", "ouster-os1-128")
+        x, y = pole(page, "corner-ne")
         drag(page, (x, y), (x - 80, y + 60))
         page.mouse.up()
-        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
-        page.locator("#site").select_option("corner-sw")
-        page.locator("#hang").click()
-        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+        has_units(page, 1)
+        page.select_option("#site", "corner-sw")
+        page.click("#hang")
+        has_units(page, 2)
         assert [unit.pose.pitch_deg for unit in saved(page, tmp_path).units] == [
             0.0,
             0.0,
@@ -798,63 +782,33 @@ def test_the_ground_between_two_fingers_stays_and_a_wheel_goes_the_way_it_is_tur
 # ---------- words and widths
 
 
-def test_views_are_drawn_and_say_how_far_they_reach(browser, serve):
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
-        page.locator('[data-view="RSU0"][d^="M"]').wait_for(state="attached")
-        page.get_by_text(re.compile(r"its detector reaches \d+ m")).wait_for()
-        before = page.locator('[data-view="RSU0"]').get_attribute("d")
-        write(page.locator("#yaw"), "0")
-        page.locator("#yaw").press("Tab")
-        expect(page.locator('[data-view="RSU0"]')).not_to_have_attribute(
-            "d", before, timeout=PATIENCE_MS
-        )
-        told(page)
-        assert "by the car's own sensors alone" in page.locator("#beside").inner_text()
-
-
-def test_a_server_that_does_not_answer_makes_numbers_old(browser, serve):
+def held_back(page, lines):
+    """Let no change reach the session until it is released."""
     held = []
-    lines = []
 
     def route(line):
         server = line.connect_to_server()
         line.on_message(
             lambda text: held.append(text) if "change" in text else server.send(text)
         )
-        lines.append(server)
+        lines.append((server, held))
 
+    page.route_web_socket("**/live", route)
+
+
+def test_a_server_that_does_not_answer_makes_numbers_old(browser, serve):
+    lines = []
     with opened(
-        browser,
-        serve(load_carlancap_layout().units[:1]),
-        before=lambda page: page.route_web_socket("**/live", route),
+        browser, serve(UNITS[:1]), before=lambda page: held_back(page, lines)
     ) as page:
         told(page)
         write(page.locator("#yaw"), "12")
-        page.locator("#silence").wait_for()
-        assert "has not answered for" in page.locator("#silence").inner_text()
-        assert "old" in page.locator("#apr").get_attribute("class")
-        lines[-1].send(held[-1])
-        page.locator("#silence").wait_for(state="hidden")
-
-
-def test_another_scene_is_asked_for_and_undo_leads_back(browser, serve):
-    text = CROSSING.read_text()
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
-        drop(page, "crossing.osm", text)
-        page.locator("#map-choice .junction-chooser").wait_for()
-        assert (
-            "Undo leads back to the plan at town05"
-            in page.locator("#map-text").inner_text()
-        )
-        street = page.locator("#map-choice li button").first.inner_text().split("\n")[0]
-        page.locator("#map-take").click()
-        page.locator("#map-dialog").wait_for(state="hidden")
-        assert page.locator("#scene-name").inner_text().startswith(f"at {street},")
-        page.locator("#undo").click()
-        expect(page.locator("#scene-name")).to_contain_text(
-            "town05", timeout=PATIENCE_MS
-        )
-        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+        page.wait_for_selector("#silence")
+        assert "has not answered for" in page.inner_text("#silence")
+        assert "old" in page.get_attribute("#apr", "class")
+        server, held = lines[-1]
+        server.send(held[-1])
+        page.wait_for_selector("#silence", state="hidden")
 
 
 @pytest.mark.parametrize("size", [(1280, 900), (820, 1180), (844, 390), (390, 844)])
@@ -862,9 +816,9 @@ def test_the_key_of_densities_and_the_page_are_no_wider_than_the_screen(
     browser, serve, size
 ):
     width, height = size
-    units = load_carlancap_layout().units[:1]
+    units = UNITS[:1]
     with opened(browser, serve(units), width=width, height=height) as page:
-        page.locator("#coverage").check()
+        page.check("#coverage")
         page.locator("#coverage-key .key").first.wait_for()
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         key = page.locator("#coverage-key").bounding_box()
@@ -907,13 +861,13 @@ def empty_place(page):
 def test_nothing_is_chosen_by_a_press_on_nothing_and_a_view_chooses_its_unit(
     browser, serve
 ):
-    with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
+    with opened(browser, serve(UNITS[:2])) as page:
         page.wait_for_selector('[data-view="RSU0"][d]', state="attached")
         page.wait_for_selector('[data-view="RSU1"][d]', state="attached")
-        page.locator('[data-chip="RSU0"]').click()
+        page.click('[data-chip="RSU0"]')
         last = page.locator("#plan [data-view]").last  # drawn above the other
         expect(last).to_have_attribute("data-view", "RSU0")
-        page.locator('[data-chip="RSU1"]').click()
+        page.click('[data-chip="RSU1"]')
         expect(last).to_have_attribute("data-view", "RSU1")
         page.mouse.click(*empty_place(page))
         expect(page.locator("#unit")).to_be_hidden()
@@ -922,9 +876,7 @@ def test_nothing_is_chosen_by_a_press_on_nothing_and_a_view_chooses_its_unit(
         x, y = (
             (a + b) / 2  # both look at the junction's middle
             for a, b in zip(
-                middle(page.locator('[data-site="corner-ne"]')),
-                middle(page.locator('[data-site="corner-sw"]')),
-                strict=True,
+                pole(page, "corner-ne"), pole(page, "corner-sw"), strict=True
             )
         )
         page.mouse.click(x, y)
@@ -937,61 +889,41 @@ def test_nothing_is_chosen_by_a_press_on_nothing_and_a_view_chooses_its_unit(
 
 
 def test_backspace_and_delete_take_down_and_nothing_is_chosen_then(browser, serve):
-    with opened(browser, serve(load_carlancap_layout().units[:3])) as page:
+    with opened(browser, serve(UNITS[:3])) as page:
         for key, left in (("Backspace", 2), ("Delete", 1)):
             page.locator("[data-chip]").first.click()
             page.keyboard.press(key)
-            expect(page.locator("#units button")).to_have_count(
-                left, timeout=PATIENCE_MS
-            )
+            has_units(page, left)
             assert chosen(page) == []
         page.keyboard.press("Delete")  # nothing is chosen
         page.locator("[data-chip]").first.click()
         write(page.locator("#yaw"), "12")
-        page.locator("#yaw").press("Backspace")  # of what is typed
-        expect(page.locator("#yaw")).to_have_value("1")
-        expect(page.locator("#units button")).to_have_count(1)
-
-
-def held_back(page, line_of):
-    """Let no change reach the session until it is released."""
-    held = []
-
-    def route(line):
-        server = line.connect_to_server()
-        line.on_message(
-            lambda text: held.append(text) if "change" in text else server.send(text)
-        )
-        line_of.append((server, held))
-
-    page.route_web_socket("**/live", route)
+        page.press("#yaw", "Backspace")  # of what is typed
+        has_value(page, "#yaw", "1")
+        has_units(page, 1)
 
 
 def test_ring_outline_compass_and_side_view_follow_before_any_answer(browser, serve):
     lines = []
     with opened(
-        browser,
-        serve(load_carlancap_layout().units[:1]),
-        before=lambda page: held_back(page, lines),
+        browser, serve(UNITS[:1]), before=lambda page: held_back(page, lines)
     ) as page:
         told(page)
-        x, y = middle(page.locator("[data-aim]"))
+        x, y = aim(page)
         drag(page, (x, y), (x + 90, y - 60))
-        assert middle(page.locator("[data-aim]")) == pytest.approx(
-            (x + 90, y - 60), abs=1.5
-        )
-        assert page.locator("#plan .open-view").get_attribute("d").startswith("M")
+        assert aim(page) == pytest.approx((x + 90, y - 60), abs=1.5)
+        assert page.get_attribute("#plan .open-view", "d").startswith("M")
         yaw = number(page, "#yaw")
-        bearing = float(page.locator("#compass").get_attribute("aria-valuenow"))
+        bearing = float(page.get_attribute("#compass", "aria-valuenow"))
         assert bearing == pytest.approx((90.0 - yaw) % 360.0, abs=0.1)
-        tilt = page.locator('#side [data-part="tilt"]').get_attribute("aria-valuenow")
+        tilt = page.get_attribute('#side [data-part="tilt"]', "aria-valuenow")
         assert float(tilt) == pytest.approx(number(page, "#pitch"), abs=0.06)
         page.mouse.up()
         server, held = lines[-1]
         assert len(held) == 1  # the others wait for its answer
         server.send(held[0])
-        page.locator("#plan .open-view").wait_for(
-            state="attached"
+        page.wait_for_selector(
+            "#plan .open-view", state="attached"
         )  # the newest step is next
 
 
@@ -999,7 +931,7 @@ def test_ring_outline_compass_and_side_view_follow_before_any_answer(browser, se
     "part", ["#yaw-slide", "#compass", '#side [data-part="height"]']
 )
 def test_escape_gives_up_a_drag_of_slider_compass_and_side_view(browser, serve, part):
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+    with opened(browser, serve(UNITS[:1])) as page:
         rested(page)
         fields = ("#yaw", "#pitch", "#height")
         before = [number(page, field) for field in fields]
@@ -1023,9 +955,9 @@ def test_escape_gives_up_a_drag_of_slider_compass_and_side_view(browser, serve, 
         page.mouse.move(away[0] + 5, away[1] - 5, steps=3)
         page.mouse.up()
         for field, value in zip(fields, before, strict=True):
-            expect(page.locator(field)).to_have_value(f"{value:g}", timeout=PATIENCE_MS)
-        assert page.locator("#redo").is_disabled()
-        assert page.locator("#undo").is_disabled()
+            expect(page.locator(field)).to_have_value(f"{value:g}")
+        assert page.is_disabled("#redo")
+        assert page.is_disabled("#undo")
 
 
 WHEEL = """([x, y, given]) => document.querySelector("#plan svg").dispatchEvent(
@@ -1068,7 +1000,7 @@ def test_a_trackpad_pans_while_notches_and_pinches_zoom_about_the_pointer(
 
 
 def test_height_and_tilt_are_dragged_in_the_side_view(browser, serve, tmp_path):
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+    with opened(browser, serve(UNITS[:1])) as page:
         rested(page)
         grip = page.locator('#side [data-part="height"]')
         grip.scroll_into_view_if_needed()
@@ -1079,27 +1011,21 @@ def test_height_and_tilt_are_dragged_in_the_side_view(browser, serve, tmp_path):
         x, y = middle(grip)
         drag(page, (x, y), (x, y + 24))
         page.mouse.up()
-        expect(page.locator("#height")).not_to_have_value(
-            f"{before:g}", timeout=PATIENCE_MS
-        )
+        expect(page.locator("#height")).not_to_have_value(f"{before:g}")
         height = number(page, "#height")
         assert low <= height < before
         assert middle(grip)[1] == pytest.approx(y + 24, abs=1.5)
         x, y = middle(grip)
         drag(page, (x, y), (x, y + 400))  # no lower than the pole carries
         page.mouse.up()
-        expect(page.locator("#height")).to_have_value(f"{low:g}", timeout=PATIENCE_MS)
+        has_value(page, "#height", f"{low:g}")
         grip.focus()
         grip.press("ArrowUp")
-        expect(page.locator("#height")).to_have_value(
-            f"{low + 0.25:g}", timeout=PATIENCE_MS
-        )
+        has_value(page, "#height", f"{low + 0.25:g}")
         (x, y), knob = middle(grip), page.locator('#side [data-part="tilt"]')
         drag(page, middle(knob), (x + 60, y + 60))
         page.mouse.up()
-        expect(page.locator("#pitch")).to_have_value(
-            re.compile("^-4[45]"), timeout=PATIENCE_MS
-        )
+        has_value(page, "#pitch", re.compile("^-4[45]"))
         told(page)
         (unit,) = saved(page, tmp_path).units
         assert unit.pose.pitch_deg == pytest.approx(-45.0, abs=1.5)
@@ -1107,14 +1033,14 @@ def test_height_and_tilt_are_dragged_in_the_side_view(browser, serve, tmp_path):
         pose = unit.pose
         half = 0.5 * unit.sensor.vertical_fov_deg
         away_m = (low + 0.25) / np.tan(np.radians(half - pose.pitch_deg))
-        ray = page.locator("#side .ray-lower").get_attribute("d")
+        ray = page.get_attribute("#side .ray-lower", "d")
         x, y, x2, y2 = (float(value) for value in re.findall(r"[\d.]+", ray))
         assert (x2 - x) / (y2 - y) == pytest.approx(away_m / (low + 0.25), rel=1e-3)
         assert high > low
 
 
 def test_the_compass_turns_in_steps_with_shift_or_by_the_switch(browser, serve):
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+    with opened(browser, serve(UNITS[:1])) as page:
         rested(page)
         compass = page.locator("#compass")
         compass.scroll_into_view_if_needed()
@@ -1130,9 +1056,9 @@ def test_the_compass_turns_in_steps_with_shift_or_by_the_switch(browser, serve):
             "60.0 degrees, north-east"
         )
         page.mouse.up()
-        expect(page.locator("#yaw")).to_have_value("30", timeout=PATIENCE_MS)
-        page.locator("#snap").check()
-        x, y = middle(page.locator("[data-aim]"))
+        has_value(page, "#yaw", "30")
+        page.check("#snap")
+        x, y = aim(page)
         drag(page, (x, y), (x + 33, y + 47), (x - 20, y + 90))
         page.mouse.up()
         told(page, "table", "evaluator")
@@ -1141,39 +1067,40 @@ def test_the_compass_turns_in_steps_with_shift_or_by_the_switch(browser, serve):
         compass.focus()
         yaw = number(page, "#yaw")
         compass.press("ArrowRight")  # clockwise
-        expect(page.locator("#yaw")).to_have_value(f"{yaw - 1:g}", timeout=PATIENCE_MS)
+        has_value(page, "#yaw", f"{yaw - 1:g}")
 
 
 def test_a_copy_keeps_angles_height_and_lens_on_another_pole(browser, serve, tmp_path):
-    (unit,) = load_carlancap_layout().units[:1]
+    (unit,) = UNITS[:1]
     with opened(browser, serve([unit])) as page:
-        page.locator('[data-chip="RSU0"]').click()
-        page.locator('[data-site="corner-nw"]').focus()
+        page.click('[data-chip="RSU0"]')
+        page.focus('[data-site="corner-nw"]')
         page.keyboard.press("Enter")
         page.keyboard.press("Control+c")
         page.locator("#notice").get_by_text("RSU0 is copied").wait_for()
         page.keyboard.press("Control+v")
-        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+        has_units(page, 2)
         first, second = saved(page, tmp_path).units
-        assert (first.site_id, second.site_id) == ("corner-se", "corner-nw")
+        assert first.site_id == "corner-se"
+        assert second.site_id == "corner-nw"
         assert second.sensor == first.sensor
         angles = [(each.pose.yaw_deg, each.pose.pitch_deg) for each in (first, second)]
         assert angles[0] == pytest.approx(angles[1])
         assert chosen(page)[0].startswith(second.id)
-        page.locator("#remove").click()
-        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
-        page.locator("#paste-unit").click()  # the copy outlives what it is of
-        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+        page.click("#remove")
+        has_units(page, 1)
+        page.click("#paste-unit")  # the copy outlives what it is of
+        has_units(page, 2)
 
 
 def test_a_ruler_measures_between_places_and_poles(browser, serve, small_setting):
     places = {site.id: site.position_m[:2] for site in small_setting.scene.sites}
     apart_m = np.hypot(*(places["corner-ne"] - places["corner-sw"]))
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
-        x, y = middle(page.locator('[data-site="corner-ne"]'))
+    with opened(browser, serve(UNITS[:1])) as page:
+        x, y = pole(page, "corner-ne")
         page.keyboard.press("m")
         expect(page.locator("#ruler")).to_have_attribute("aria-pressed", "true")
-        drag(page, (x + 3, y), middle(page.locator('[data-site="corner-sw"]')))
+        drag(page, (x + 3, y), pole(page, "corner-sw"))
         page.mouse.up()
         said = page.locator("#ruler-text")
         expect(said).to_have_text(f"{apart_m:.2f} m")  # poles are met exactly
@@ -1184,63 +1111,60 @@ def test_a_ruler_measures_between_places_and_poles(browser, serve, small_setting
             100.0 * scale_m(page), rel=0.01
         )
         for name in ("corner-ne", "corner-sw"):
-            page.locator(f'[data-site="{name}"]').focus()
+            page.focus(f'[data-site="{name}"]')
             page.keyboard.press("Enter")
         expect(said).to_have_text(f"{apart_m:.2f} m")
         page.keyboard.press("Escape")
         expect(page.locator("#ruler")).to_have_attribute("aria-pressed", "false")
-        expect(page.locator("#units button")).to_have_count(1)
+        has_units(page, 1)
 
 
 def test_what_is_locked_is_not_dragged_turned_or_taken_down(browser, serve, tmp_path):
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
-        page.locator('[data-chip="RSU0"]').click()
+    with opened(browser, serve(UNITS[:1])) as page:
+        page.click('[data-chip="RSU0"]')
         page.keyboard.press("l")
         expect(page.locator("#plan .lock")).to_have_count(1)
         assert page.locator("[data-aim]").count() == 0
-        assert "locked" in page.locator('[data-chip="RSU0"]').inner_text()
+        assert "locked" in page.inner_text('[data-chip="RSU0"]')
         for key in ("ArrowLeft", "Delete", "PageUp"):
             page.keyboard.press(key)
         drag(
             page,
             middle(page.locator('[data-unit="RSU0"] circle')),
-            middle(page.locator('[data-site="corner-sw"]')),
+            pole(page, "corner-sw"),
         )
         page.mouse.up()
         drag(page, middle(page.locator("#compass")), (900.0, 300.0))
         page.mouse.up()
         page.locator("#notice").get_by_text("RSU0 is locked").wait_for()
-        assert page.locator("#yaw").is_disabled()
-        assert page.locator("#remove").is_disabled()
-        (unit,), (before,) = (
-            saved(page, tmp_path).units,
-            load_carlancap_layout().units[:1],
-        )
+        assert page.is_disabled("#yaw")
+        assert page.is_disabled("#remove")
+        (unit,), (before,) = (saved(page, tmp_path).units, UNITS[:1])
         assert unit.site_id == before.site_id
         assert unit.pose.yaw_deg == before.pose.yaw_deg
-        assert page.locator("#undo").is_disabled()
-        page.locator("#lock").click()
-        page.locator("#remove").click()
-        expect(page.locator("#units button")).to_have_count(0, timeout=PATIENCE_MS)
+        assert page.is_disabled("#undo")
+        page.click("#lock")
+        page.click("#remove")
+        has_units(page, 0)
 
 
 def test_two_variants_are_compared_by_units_and_cases(browser, serve):
-    with opened(browser, serve(load_carlancap_layout().units[:3])) as page:
+    with opened(browser, serve(UNITS[:3])) as page:
         told(page)
-        page.locator("#copy-variant").click()
-        page.locator("#compare-row").wait_for()
-        page.locator("#compare").select_option("mine")
+        page.click("#copy-variant")
+        page.wait_for_selector("#compare-row")
+        page.select_option("#compare", "mine")
         page.locator("#compare-units").get_by_text("The same units").wait_for()
-        page.locator('[data-chip="RSU2"]').click()
-        page.locator("#remove").click()
-        page.locator('[data-chip="RSU1"]').click()
+        page.click('[data-chip="RSU2"]')
+        page.click("#remove")
+        page.click('[data-chip="RSU1"]')
         yaw = number(page, "#yaw")
         write(page.locator("#yaw"), f"{yaw - 40:g}")
-        page.locator("#yaw").press("Enter")
-        page.locator("#site").select_option("corner-sw")
-        page.locator("#hang").click()
+        page.press("#yaw", "Enter")
+        page.select_option("#site", "corner-sw")
+        page.click("#hang")
         said = page.locator("#compare-units li")
-        expect(said).to_have_count(3, timeout=PATIENCE_MS)
+        expect(said).to_have_count(3)
         told(page)
         expect(said.nth(0)).to_contain_text("only here, at corner-sw")
         expect(said.nth(1)).to_contain_text("RSU2: only in mine, at corner-nw")
@@ -1260,19 +1184,19 @@ def test_two_variants_are_compared_by_units_and_cases(browser, serve):
             float(here[:-2]) - float(there[:-2]), abs=0.051
         )
         write(page.locator("#variant-name"), "Mine!")  # reads like the other's
-        page.locator("#variant-name").press("Enter")
+        page.press("#variant-name", "Enter")
         page.locator("#notice").get_by_text('reads like "mine"').wait_for()
 
 
 def test_a_lost_run_is_shown_on_the_plan_over_time(browser, serve, small_setting):
-    with opened(browser, serve(load_carlancap_layout().units[7:8])) as page:
+    with opened(browser, serve(UNITS[7:8])) as page:
         told(page)
         page.locator("#lost button").first.click()
         strip = page.locator("#played")
         strip.wait_for()
-        run_id = page.locator("#lost [aria-pressed=true]").get_attribute("data-run")
+        run_id = page.get_attribute("#lost [aria-pressed=true]", "data-run")
         (run,) = (run for run in small_setting.runs if run.id == run_id)
-        assert run.case.title in page.locator("#played-title").inner_text()
+        assert run.case.title in page.inner_text("#played-title")
         assert re.search(r"(comes nearest|No unit|Lost whatever)", strip.inner_text())
         slider = page.locator("#played-frame")
         assert int(slider.get_attribute("max")) == len(run.time_s) - 1
@@ -1301,26 +1225,23 @@ def test_a_lost_run_is_shown_on_the_plan_over_time(browser, serve, small_setting
                 *(run.vut_position_m[frame] - run.vru_position_m[frame])[:2]
             )
             assert apart_m() == pytest.approx(true_m, abs=0.7)
-            assert (
-                f"{abs(run.time_s[frame]):.1f} s"
-                in page.locator("#played-time").inner_text()
-            )
-        page.locator("#played-play").click()
+            assert f"{abs(run.time_s[frame]):.1f} s" in page.inner_text("#played-time")
+        page.click("#played-play")
         page.wait_for_function(
             "() => document.querySelector('#played-frame').valueAsNumber > 3"
         )
-        page.locator("#played-play").click()
+        page.click("#played-play")
         row = page.locator('#played-rows [aria-label^="RSU7"]')
         assert re.search("sees the road user", row.get_attribute("aria-label"))
-        page.locator("#played-close").click()
+        page.click("#played-close")
         strip.wait_for(state="hidden")
-        assert page.locator(".played-car").is_hidden()
+        assert page.is_hidden(".played-car")
 
 
 def test_the_help_says_every_handling_and_every_colour(browser, serve):
-    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+    with opened(browser, serve(UNITS[:1])) as page:
         page.keyboard.press("?")
-        said = page.locator("#help-dialog").inner_text()
+        said = page.inner_text("#help-dialog")
         for word in (
             "compass",
             "side view",
@@ -1334,7 +1255,7 @@ def test_the_help_says_every_handling_and_every_colour(browser, serve):
         for colour in ("blue", "orange", "pink", "yellow", "violet"):
             assert colour in said
         page.keyboard.press("Escape")
-        unit_colour = page.locator('[data-view="RSU0"]').get_attribute("stroke")
+        unit_colour = page.get_attribute('[data-view="RSU0"]', "stroke")
         meanings = {"#0072B2", "#D55E00", "#CC79A7", "#F0E442", "#CC0000"}
         assert unit_colour.upper() not in meanings
 
@@ -1364,18 +1285,18 @@ def pixels_of(page):
 def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands(
     browser, serve, small_setting, tmp_path, drawn_pictures
 ):
-    unit = load_carlancap_layout().units[7]
+    unit = UNITS[7]
 
     with opened(browser, serve([unit])) as page:
         fine = page.locator('#seen[data-smooth="1"][aria-busy="false"]')
         fine.wait_for()
-        before = page.locator("#seen-image").get_attribute("src")
+        before = page.get_attribute("#seen-image", "src")
         x, y = middle(page.locator("#compass"))
         page.mouse.move(x, y - 30)
         page.mouse.down()
         page.mouse.move(x + 20, y - 20, steps=4)
-        page.locator('#seen[data-smooth="0"]').wait_for()  # the button is still pressed
-        during = page.locator("#seen-image").get_attribute("src")
+        page.wait_for_selector('#seen[data-smooth="0"]')  # the button is still pressed
+        during = page.get_attribute("#seen-image", "src")
         assert during != before
         page.mouse.move(x + 25, y + 5, steps=4)
         page.mouse.up()
@@ -1390,38 +1311,33 @@ def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands
         expected, run, _ = draw_view(small, small_setting, compute=Compute(workers=2))
         assert abs(shown - expected).mean() < 4.0  # JPEG's own loss
         title = small_setting.runs.index(run)
-        assert (
-            describe_run(small_setting.axis, title)
-            in page.locator("#seen-text").inner_text()
-        )
+        assert describe_run(small_setting.axis, title) in page.inner_text("#seen-text")
 
 
 def test_the_picture_has_the_road_user_of_the_run_on_the_plan_at_its_time(
     browser, serve
 ):
-    with opened(browser, serve(load_carlancap_layout().units[7:8])) as page:
+    with opened(browser, serve(UNITS[7:8])) as page:
         told(page)
         page.locator("#lost button").first.click()
-        page.locator("#played").wait_for()
+        page.wait_for_selector("#played")
         title = page.locator("#lost button").first.inner_text().rsplit(":", 1)[0]
         text = page.locator("#seen-text")
         slider = page.locator("#played-frame")
         slider.focus()
         page.keyboard.press("End")
-        expect(text).to_contain_text(f"{title}, at the impact", timeout=PATIENCE_MS)
-        page.locator('#seen[data-smooth="1"][aria-busy="false"]').wait_for()
-        before = page.locator("#seen-image").get_attribute("src")
+        expect(text).to_contain_text(f"{title}, at the impact")
+        page.wait_for_selector('#seen[data-smooth="1"][aria-busy="false"]')
+        before = page.get_attribute("#seen-image", "src")
         for _ in range(10):
             page.keyboard.press("ArrowLeft")
-        expect(text).to_contain_text(
-            f"{title}, 1.0 s before the impact", timeout=PATIENCE_MS
-        )
-        assert page.locator("#seen-image").get_attribute("src") != before
-        page.locator("#played-close").click()
-        expect(text).to_contain_text("nearest to where it looks", timeout=PATIENCE_MS)
-        page.locator("#unit-sensor").select_option(label="ouster-os1-128")
-        expect(text).to_have_text("A LiDAR takes no picture.", timeout=PATIENCE_MS)
-        assert page.locator("#seen-frame").is_hidden()
+        expect(text).to_contain_text(f"{title}, 1.0 s before the impact")
+        assert page.get_attribute("#seen-image", "src") != before
+        page.click("#played-close")
+        expect(text).to_contain_text("nearest to where it looks")
+        page.select_option("#unit-sensor", label="ouster-os1-128")
+        expect(text).to_have_text("A LiDAR takes no picture.")
+        assert page.is_hidden("#seen-frame")
 
 
 # ---------- what is driven and seen
@@ -1430,15 +1346,15 @@ def test_the_picture_has_the_road_user_of_the_run_on_the_plan_at_its_time(
 def test_weather_and_weights_are_controls_and_numbers_say_what_they_mean(
     browser, serve, small_setting
 ):
-    units = load_carlancap_layout().units[6:8]
+    units = UNITS[6:8]
     with opened(browser, serve(units)) as page:
         told(page)
-        assert page.locator("#apr").get_attribute("title").count("Mean over cases") == 1
+        assert page.get_attribute("#apr", "title").count("Mean over cases") == 1
         cells = page.locator("td.number:not([title])")
         expect(cells).to_have_count(0)
-        runs = page.locator("#scene-name").inner_text()
+        runs = page.inner_text("#scene-name")
         command = page.locator("#question-command")
-        page.locator("#question summary").click()
+        page.click("#question summary")
         assert "--weather" not in command.inner_text()
         page.evaluate(
             """() => {
@@ -1448,31 +1364,27 @@ def test_weather_and_weights_are_controls_and_numbers_say_what_they_mean(
                 new MutationObserver(note).observe(doing, { childList: true });
             }"""
         )  # it is said for a moment only
-        page.locator('#ask-weather input[value="night"]').check()
-        expect(command).to_contain_text("--weather day,night", timeout=PATIENCE_MS)
-        expect(page.locator("#question-doing")).to_have_text("", timeout=PATIENCE_MS)
+        page.check('#ask-weather input[value="night"]')
+        expect(command).to_contain_text("--weather day,night")
+        expect(page.locator("#question-doing")).to_have_text("")
         assert any("laid anew" in text for text in page.evaluate("window.said"))
-        assert page.locator("#scene-name").inner_text() != runs
-        expect(page.locator("#units button")).to_have_count(2)
+        assert page.inner_text("#scene-name") != runs
+        has_units(page, 2)
         told(page)
-        page.locator("#ask-weights").select_option("run")
-        expect(command).to_contain_text("--weights run", timeout=PATIENCE_MS)
+        page.select_option("#ask-weights", "run")
+        expect(command).to_contain_text("--weights run")
         expect(page.locator("#apr")).to_have_attribute(
-            "title",
-            re.compile("Share of all runs: each counts the same"),
-            timeout=PATIENCE_MS,
+            "title", re.compile("Share of all runs: each counts the same")
         )
         write(page.locator("#ask-cases"), "CPXX")
-        page.locator("#ask-cases").press("Tab")
-        expect(page.locator("#notice")).to_contain_text(
-            "cases: got 'CPXX'", timeout=PATIENCE_MS
-        )
-        expect(page.locator("#ask-cases")).to_have_value("CPNC-50")
-        page.locator("#undo").click()
-        expect(page.locator("#ask-weights")).to_have_value("", timeout=PATIENCE_MS)
-        page.locator("#undo").click()
-        expect(page.locator("#scene-name")).to_have_text(runs, timeout=PATIENCE_MS)
-        expect(command).not_to_contain_text("--weather", timeout=PATIENCE_MS)
+        page.press("#ask-cases", "Tab")
+        expect(page.locator("#notice")).to_contain_text("cases: got 'CPXX'")
+        has_value(page, "#ask-cases", "CPNC-50")
+        page.click("#undo")
+        has_value(page, "#ask-weights", "")
+        page.click("#undo")
+        expect(page.locator("#scene-name")).to_have_text(runs)
+        expect(command).not_to_contain_text("--weather")
 
 
 # ---------- poles of one's own
@@ -1503,20 +1415,18 @@ def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(
     scene = small_setting.scene
     corner = next(site for site in scene.sites if site.id == "corner-nw").position_m[:2]
     with opened(browser, serve(), may_complain=True) as page:
-        page.locator("#pole").click()
+        page.click("#pole")
         notice = page.locator("#notice")
         page.mouse.click(*screen_of(page, scene, scene.outline_m.mean(axis=0)))
-        expect(notice).to_contain_text(
-            "a place on the carriageway", timeout=PATIENCE_MS
-        )
+        expect(notice).to_contain_text("a place on the carriageway")
         page.mouse.click(*screen_of(page, scene, corner + [-8.0, 10.0]))
-        expect(notice).to_contain_text("a place inside building", timeout=PATIENCE_MS)
+        expect(notice).to_contain_text("a place inside building")
         page.mouse.click(*screen_of(page, scene, corner + [-4.0, 0.0]))
         own = page.locator('[data-site="own-1"]')
         own.wait_for()
-        expect(page.locator("#site")).to_have_value("own-1")
-        page.locator("#hang").click()
-        expect(page.locator("#unit-site")).to_have_value("own-1", timeout=PATIENCE_MS)
+        has_value(page, "#site", "own-1")
+        page.click("#hang")
+        has_value(page, "#unit-site", "own-1")
         told(page)
         (before,) = saved(page, tmp_path).units
         assert before.site_id == ""
@@ -1526,9 +1436,7 @@ def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(
         drag(page, middle(own), screen_of(page, scene, corner + [-7.0, 0.0]))
         page.mouse.up()
         east = page.locator("#pole-east")
-        expect(east).to_have_value(
-            re.compile(rf"^{corner[0] - 7.0:.0f}"), timeout=PATIENCE_MS
-        )
+        expect(east).to_have_value(re.compile(rf"^{corner[0] - 7.0:.0f}"))
         shown = told(page)
         after = saved(page, tmp_path)
         (unit,) = after.units
@@ -1538,20 +1446,20 @@ def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(
         evaluation = evaluate_layout(after, small_setting, compute=Compute(workers=2))
         assert shown == percent(apr(evaluation.rsu_all, evaluation.axis))
         page.keyboard.press("Escape")
-        assert page.locator("#pole").get_attribute("aria-pressed") == "false"
+        assert page.get_attribute("#pole", "aria-pressed") == "false"
         page.keyboard.press("Escape")  # no sensor is chosen
         page.keyboard.press("Delete")
-        expect(notice).to_contain_text("which carries U1 of", timeout=PATIENCE_MS)
+        expect(notice).to_contain_text("which carries U1 of")
         plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
-        page.locator('[data-chip="U1"]').click()
-        page.locator("#remove").click()
-        expect(page.locator("#units button")).to_have_count(0, timeout=PATIENCE_MS)
-        page.locator("#remove-pole").click()
+        page.click('[data-chip="U1"]')
+        page.click("#remove")
+        has_units(page, 0)
+        page.click("#remove-pole")
         own.wait_for(state="detached")
-        page.locator("#open-file").set_input_files(plan)  # all is there again
+        page.set_input_files("#open-file", plan)  # all is there again
         own.wait_for()
-        page.locator('[data-chip="U1"]').click()
-        expect(page.locator("#unit-site")).to_have_value("own-1", timeout=PATIENCE_MS)
+        page.click('[data-chip="U1"]')
+        has_value(page, "#unit-site", "own-1")
 
 
 # ---------- where it is still dangerous
@@ -1560,7 +1468,7 @@ def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(
 def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
     browser, serve, small_setting
 ):
-    units = load_carlancap_layout().units[6:7]
+    units = UNITS[6:7]
     evaluation = evaluate_layout(
         Layout(name="mine", units=units), small_setting, compute=Compute(workers=2)
     )
@@ -1585,8 +1493,8 @@ def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
     is_close = (np.abs(expected[..., None] - least) <= 1e-6).any(axis=-1)
     with opened(browser, serve(units)) as page:
         told(page)
-        assert page.locator("#danger-key").is_hidden()
-        page.locator("#danger").check()
+        assert page.is_hidden("#danger-key")
+        page.check("#danger")
         bands = page.locator("#plan [data-band]")
         page.locator("#danger-key").filter(has_text=f"{len(weight)}, with").wait_for()
         drawn = np.full(expected.shape, -1)
@@ -1612,7 +1520,7 @@ def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
         )
         grey = parts @ [0.2126, 0.7152, 0.0722]
         assert (np.diff(grey) > 10.0).all()  # told apart in grey: the darker the more
-        page.locator("#danger").uncheck()
+        page.uncheck("#danger")
         expect(bands).to_have_count(0)
 
 
@@ -1642,9 +1550,9 @@ def test_a_junction_is_chosen_on_a_map_of_streets_by_name_by_keyboard_and_again(
 
     named = MapFile(path=streets, name="tiny.osm")
     with opened(browser, serve(map_file=named)) as page:
-        page.locator("#another-junction").click()
-        page.locator("#map-choice .junction-chooser").wait_for()
-        assert page.locator("#map-text").inner_text() == "tiny.osm has 4 junctions."
+        page.click("#another-junction")
+        page.wait_for_selector("#map-choice .junction-chooser")
+        assert page.inner_text("#map-text") == "tiny.osm has 4 junctions."
         shown = page.locator("#map-choice text:not([display=none])").all_text_contents()
         assert {"Main Street", "A Lane", "B Lane", "C Lane"} <= set(shown)
         grey = page.locator("#map-choice circle.unusable")
@@ -1663,13 +1571,13 @@ def test_a_junction_is_chosen_on_a_map_of_streets_by_name_by_keyboard_and_again(
             arg=0.9 * whole[2],
         )
         assert view(page)[0] + view(page)[2] / 2 == pytest.approx(whole[2] / 2, abs=1.0)
-        page.locator("#map-choice .street-map").focus()
+        page.focus("#map-choice .street-map")
         before = view(page)
         page.keyboard.press("ArrowRight")
         assert view(page)[0] > before[0]
         page.keyboard.press("0")
         assert view(page) == whole
-        page.locator(".map-find").focus()  # all by keyboard from here on
+        page.focus(".map-find")  # all by keyboard from here on
         page.keyboard.type("lane main c")
         assert status.inner_text() == "1 / 4"
         page.keyboard.press("Enter")  # to the row, then choose it
@@ -1677,17 +1585,13 @@ def test_a_junction_is_chosen_on_a_map_of_streets_by_name_by_keyboard_and_again(
         row = page.locator("#map-choice li button[aria-pressed=true]")
         assert row.inner_text().split("\n")[0] == "C Lane / Main Street"
         assert page.locator("#map-choice circle.chosen").count() == 1
-        page.locator("#map-take").press("Enter")
-        page.locator("#map-dialog").wait_for(state="hidden")
-        assert (
-            page.locator("#scene-name")
-            .inner_text()
-            .startswith("at C Lane / Main Street,")
-        )
-        page.locator("#another-junction").click()
-        page.locator("#map-choice .junction-chooser").wait_for()
-        assert (
-            "Undo leads back" not in page.locator("#map-text").inner_text()
+        page.press("#map-take", "Enter")
+        page.wait_for_selector("#map-dialog", state="hidden")
+        assert page.inner_text("#scene-name").startswith("at C Lane / Main Street,")
+        page.click("#another-junction")
+        page.wait_for_selector("#map-choice .junction-chooser")
+        assert "Undo leads back" not in page.inner_text(
+            "#map-text"
         )  # nothing is mounted
 
 
@@ -1704,23 +1608,21 @@ def test_reading_a_map_tells_how_far_it_is_and_is_stopped(
     with opened(
         browser, serve(map_file=named), may_complain=True
     ) as page:  # of a request stopped
-        page.locator("#another-junction").click()
-        page.locator("#map-take:enabled").click()
+        page.click("#another-junction")
+        page.click("#map-take:enabled")
         doing = page.locator("#map-doing")
         said = (
             r"read buildings, \d+ of 300: \d+ s so far; this step takes about \d+ s"
             r" more\."
         )
-        expect(doing).to_have_text(re.compile(said), timeout=PATIENCE_MS)
+        expect(doing).to_have_text(re.compile(said))
         assert 0 < page.locator("#map-bar").evaluate("bar => bar.position") < 1
-        before = page.locator("#scene-name").inner_text()
-        page.locator("#map-stop").click()
-        page.locator("#map-dialog").wait_for(state="hidden")
-        assert page.locator("#scene-name").inner_text() == before
-        page.locator(
-            "#another-junction"
-        ).click()  # it is there again, without being read
-        page.locator("#map-take:enabled").wait_for()
+        before = page.inner_text("#scene-name")
+        page.click("#map-stop")
+        page.wait_for_selector("#map-dialog", state="hidden")
+        assert page.inner_text("#scene-name") == before
+        page.click("#another-junction")  # it is there again, without being read
+        page.wait_for_selector("#map-take:enabled")
 
 
 # ---------- tiles of a server
@@ -1787,7 +1689,7 @@ def test_tiles_lie_at_their_places_and_one_that_does_not_come_is_told(
             "() => { const all = [...document.querySelectorAll('[data-tile]')];"
             " return all.length && all.every(one => 'loaded' in one.dataset); }"
         )
-        assert page.locator("#attribution").inner_text() == "(c) the test's own"
+        assert page.inner_text("#attribution") == "(c) the test's own"
         drawn = page.locator("[data-tile]").evaluate_all(
             "all => all.map(one => [one.dataset.tile, one.getAttribute('transform')])"
         )
@@ -1827,13 +1729,13 @@ def test_tiles_lie_at_their_places_and_one_that_does_not_come_is_told(
         assert n_checked > 10
         # Tiles that do not come are told once.
         tile_server.is_down = True
-        page.locator("#farther").click(click_count=3)
+        page.click("#farther", click_count=3)
         expect(page.locator("#notice")).to_contain_text(
-            f"Some tiles of {host} do not come", timeout=PATIENCE_MS
+            f"Some tiles of {host} do not come"
         )
-        page.locator("#tiles").uncheck()
+        page.uncheck("#tiles")
         expect(page.locator("[data-tile]")).to_have_count(0)
-        assert page.locator("#attribution").is_hidden()
+        assert page.is_hidden("#attribution")
     assert tile_server.asked
 
 
@@ -1874,7 +1776,7 @@ def test_no_word_of_the_page_is_left_over(
     in it.
     """
     scene = small_setting.scene
-    units = load_carlancap_layout().units[6:8]
+    units = UNITS[6:8]
     texts = {}
 
     def look(page, moment):
@@ -1884,30 +1786,30 @@ def test_no_word_of_the_page_is_left_over(
     with speaking("de", Bracketed()):
         server = serve(units, asked={"no_look": str(garden)})
         with opened(browser, server, may_complain=True) as page:
-            assert page.locator("html").get_attribute("lang") == "de"
+            assert page.get_attribute("html", "lang") == "de"
             assert re.fullmatch(r"\d+,\d %", told(page))
             look(page, "first screen")
             page.locator("#lost button").first.click()
-            page.locator("#played").wait_for()
+            page.wait_for_selector("#played")
             look(page, "lost run")
-            page.locator("#played-why").click()
+            page.click("#played-why")
             page.locator("#run-why li").first.wait_for()
             look(page, "its reasons")
-            page.locator("#picture-show").click()
+            page.click("#picture-show")
             expect(page.locator("#picture")).to_be_visible(timeout=PATIENCE_MS)
             look(page, "its picture")
             page.keyboard.press("Escape")
-            page.locator("#copy-variant").click()
+            page.click("#copy-variant")
             write(page.locator("#variant-name"), "other")
-            page.locator("#variant-name").press("Enter")
-            page.locator("#compare").select_option("mine")
+            page.press("#variant-name", "Enter")
+            page.select_option("#compare", "mine")
             for name, by in (("yaw", 40), ("pitch", 5), ("height", -1)):
                 write(
                     page.locator(f"#{name}"), f"{round(number(page, f'#{name}') + by)}"
                 )
-                page.locator(f"#{name}").press("Enter")
-            page.locator("#site").select_option("corner-sw")
-            page.locator("#hang").click()
+                page.press(f"#{name}", "Enter")
+            page.select_option("#site", "corner-sw")
+            page.click("#hang")
             for box in ("#coverage", "#danger"):
                 page.locator(box).check()
             told(page)
@@ -1922,29 +1824,27 @@ def test_no_word_of_the_page_is_left_over(
             )
             page.locator("#coverage-key svg").first.wait_for()
             look(page, "variants, density and dangers")
-            page.locator('[data-ask="next"]').click()
+            page.click('[data-ask="next"]')
             page.locator("#proposals p").get_by_text("%").first.wait_for()
             look(page, "a proposal")
-            page.locator("#pole").click()
+            page.click("#pole")
             page.mouse.click(*screen_of(page, scene, scene.outline_m.mean(axis=0)))
             # An earlier notice may still stand there.
             refusal = re.compile("⟦pole⟧.*⟦a place on the carriageway⟧")
-            expect(page.locator("#notice")).to_contain_text(
-                refusal, timeout=PATIENCE_MS
-            )
+            expect(page.locator("#notice")).to_contain_text(refusal)
             look(page, "a refusal")
             page.keyboard.press("Escape")
-            page.locator("#lock").click()
+            page.click("#lock")
             page.keyboard.press("Delete")
-            page.locator("#lock").click()
+            page.click("#lock")
             page.keyboard.press("Control+c")
             look(page, "locks and copies")
             drop(page, "crossing.osm", CROSSING.read_text())
-            page.locator("#map-choice .junction-chooser").wait_for()
+            page.wait_for_selector("#map-choice .junction-chooser")
             look(page, "a map")
             page.keyboard.press("Escape")
             server.stop()
-            page.locator("#connection:not([hidden])").wait_for()
+            page.wait_for_selector("#connection:not([hidden])")
             look(page, "no connection")
     assert len(texts) > 300
     words = {text: set(left_over(text)) - NAMES for text in texts}

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from pyproj import Transformer
 
 from experiments.planner.changes import Stock, change_state
@@ -91,7 +92,7 @@ def test_a_unit_that_is_moved_to_another_pole_looks_where_it_looked(pitch_deg):
     for site in ("corner-sw", "signal-n"):
         after = changed(ChangeUnit(unit="U1", site=site), state=before)
         (one,), (other,) = before.variant.units, after.variant.units
-        np.testing.assert_allclose(target_m(other), target_m(one), atol=1e-3)
+        assert_allclose(target_m(other), target_m(one), atol=1e-3)
     level = changed(ChangeUnit(unit="U1", pitch_deg=0.0), state=ONE)
     (unit,) = changed(
         ChangeUnit(unit="U1", site="corner-sw"), state=level
@@ -273,7 +274,8 @@ def test_undo_and_redo_walk_through_what_was(steps):
                 now = future[0]
                 future = future[1:]
         assert history.state is now
-        assert (history.can_undo, history.can_redo) == (bool(past), bool(future))
+        assert history.can_undo == bool(past)
+        assert history.can_redo == bool(future)
 
 
 def test_a_drag_is_one_step():
@@ -287,7 +289,8 @@ def test_a_drag_is_one_step():
     for _ in range(3):
         other = other.went_on(ONE, gesture="drag 2")
     given_up = other.reverted("drag 2")
-    assert (given_up.state, given_up.can_redo) == (history.state, False)
+    assert given_up.state == history.state
+    assert not given_up.can_redo
     assert given_up.reverted("drag 2") is given_up
 
 
@@ -378,7 +381,9 @@ def test_an_own_pole_is_as_most_are_and_moves_with_what_hangs_on_it():
     added = AddUnit(site="own-1", sensor=CAMERA)
     state = on_pole(EMPTY, PutPole(east_m=east, north_m=north), added, AddVariant())
     (pole,) = state.poles
-    assert (pole.id, pole.kind, pole.capacity_units) == ("own-1", "lamp post", 2)
+    assert pole.id == "own-1"
+    assert pole.kind == "lamp post"
+    assert pole.capacity_units == 2
     assert pole.height_range_m.tolist() == [4.0, 8.5]
     moved = on_pole(
         state, PutPole(east_m=later_east, north_m=later_north, site="own-1")
@@ -489,10 +494,8 @@ def test_tiles_and_places_of_the_plan_lead_to_each_other_as_by_pyproj(crs):
         ]
         return np.stack(powers, 1) @ np.array(fit)
 
-    np.testing.assert_allclose(fitted(tiles, frame["toPlan"]), plan, atol=1e-3 / 1500.0)
-    np.testing.assert_allclose(
-        fitted(plan, frame["toTiles"]), tiles, atol=1e-3 / 1500.0
-    )
+    assert_allclose(fitted(tiles, frame["toPlan"]), plan, atol=1e-3 / 1500.0)
+    assert_allclose(fitted(plan, frame["toTiles"]), tiles, atol=1e-3 / 1500.0)
 
 
 def test_a_scene_of_no_known_place_has_no_tiles():

@@ -20,7 +20,7 @@ import pytest
 from osm_text import OsmText, crossing
 from PIL import Image
 from plan_sessions import InThread, few_poses, small_session, small_work  # noqa: F401
-from shapely import box
+from private_garden import write_garden
 from small_results import lay_runs_of
 
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
@@ -42,7 +42,6 @@ from experiments.planner.worker import Cancelled, DiedError
 from experiments.planner.workspace import Workspace
 from experiments.progress import StageProgress
 from experiments.results.numbers import percent
-from geometry.frames import to_geographic
 from geometry.scene_files import save_scene
 from geometry.sensors import project_points
 from geometry.study_scene import load_study_scene
@@ -56,6 +55,7 @@ from scenarios.weights import weight_per_run
 TOKEN = "a-token"
 HOST = "127.0.0.1:8000"
 ORIGIN = {"origin": f"http://{HOST}"}
+UNITS = load_carlancap_layout().units
 MAPS = Path(__file__).parents[3] / "docs" / "maps"
 
 
@@ -96,8 +96,18 @@ class Line:
                 return message
         raise AssertionError("it never came")
 
+    def next(self, kind, *present, **values):
+        """The next message of a type that has these fields, or these values of them."""
+        return self.until(
+            lambda message: (
+                message["type"] == kind
+                and all(message[name] for name in present)
+                and all(message[name] == value for name, value in values.items())
+            )
+        )
+
     def state(self):
-        return self.until(lambda message: message["type"] == "state")
+        return self.next("state")
 
     def numbers(self, *sources):
         def is_it(message):
@@ -126,6 +136,33 @@ def join():
     yield joined
     for socket in opened:
         socket.__exit__(None, None, None)
+
+
+def send_file(client, name, content):
+    headers = ORIGIN | {"x-file-name": name}
+    return client.post(f"/{TOKEN}/open", content=content, headers=headers)
+
+
+def take_junction(client, name=b""):
+    return client.post(f"/{TOKEN}/import", content=name, headers=ORIGIN)
+
+
+def saved_plan(client):
+    return client.get(f"/{TOKEN}/plan.json").content
+
+
+def evaluated(client, folder):
+    """Page's layout as the command evaluates it."""
+    path = folder / "mine.json"
+    path.write_text(client.get(f"/{TOKEN}/layout.json").text)
+    return run_evaluation(
+        Question(),
+        layout=load_layout(path),
+        out=None,
+        compute=Compute(workers=2),
+        command="",
+        progress=StageProgress(),
+    )
 
 
 # ---------- who is let in
@@ -220,16 +257,7 @@ def test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit(
         pass
     exact = line.numbers("evaluator")
 
-    response = client.get(f"/{TOKEN}/layout.json")
-    (tmp_path / "mine.json").write_text(response.text)
-    result = run_evaluation(
-        Question(),
-        layout=load_layout(tmp_path / "mine.json"),
-        out=None,
-        compute=Compute(workers=2),
-        command="",
-        progress=StageProgress(),
-    )
+    result = evaluated(client, tmp_path)
     told = json.loads(to_json_text(result.evaluation))
     assert exact["record"] == told
     assert exact["apr"] == f"{100.0 * told['rsu_all']['all']:.1f} %"
@@ -256,9 +284,9 @@ LENSES = {
 }
 
 
-@pytest.mark.parametrize(
-    "model", ["brown-conrady", pytest.param("fisheye", marks=pytest.mark.long)]
-)
+# Quickly: test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit
+@pytest.mark.long
+@pytest.mark.parametrize("model", LENSES)
 def test_a_camera_with_a_lens_is_planned_seen_and_judged(
     open_client, join, few_runs, tmp_path, monkeypatch, model
 ):
@@ -284,16 +312,7 @@ def test_a_camera_with_a_lens_is_planned_seen_and_judged(
     view = line.until(lambda told: told["type"] == "view" and told["reachM"] > 5.0)
     assert view["view"].startswith("M")
     exact = line.numbers("evaluator")
-    response = client.get(f"/{TOKEN}/layout.json")
-    (tmp_path / "mine.json").write_text(response.text)
-    result = run_evaluation(
-        Question(),
-        layout=load_layout(tmp_path / "mine.json"),
-        out=None,
-        compute=Compute(workers=2),
-        command="",
-        progress=StageProgress(),
-    )
+    result = evaluated(client, tmp_path)
     assert exact["record"] == json.loads(to_json_text(result.evaluation))
     assert result.evaluation.rsu_all.all > 0.0
     run_id = setting.axis.run_ids[0]
@@ -321,13 +340,10 @@ def test_what_cannot_be_done_is_told_to_who_asked_and_changes_nothing(
         ({"do": "sensors", "names": ["/etc/passwd"]}, "sensors: got '/etc/passwd'"),
     ):
         line.send(**message)
-        problem = line.until(lambda told: told["type"] == "problem")
+        problem = line.next("problem")
         assert said in problem["text"]
     line.socket.send_text("x" * 70_000)
-    assert (
-        "message: got 70000 bytes"
-        in line.until(lambda told: told["type"] == "problem")["text"]
-    )
+    assert "message: got 70000 bytes" in line.next("problem")["text"]
     line.send(do="rename-variant", name="still there")
     assert line.state()["revision"] == before + 1
 
@@ -349,31 +365,29 @@ def test_two_browsers_look_at_one_desk(open_client, join):
     assert [unit["id"] for unit in other.state()["units"]] == ["U1"]
     other.send(do="undo")
     one.state()
-    assert one.until(lambda told: told["type"] == "state")["units"] == []
+    assert one.next("state")["units"] == []
 
 
 def test_nothing_hangs_and_no_number_is_told(open_client, join):
     line = join(open_client())
-    numbers = line.until(lambda told: told["type"] == "numbers")
+    numbers = line.next("numbers")
     assert numbers["source"] == "none"
     assert "apr" not in numbers
 
 
 def test_pixel_density_is_told_when_asked_for(open_client, join):
-    line = join(open_client(load_carlancap_layout().units[:2]))
+    line = join(open_client(UNITS[:2]))
     line.send(do="coverage", is_shown=True)
-    found = line.until(lambda told: told["type"] == "coverage")
+    found = line.next("coverage")
     assert list(found["shares"])[-2:] == ["coarser", "unseen"]
 
 
 def test_the_optimiser_proposes_and_is_taken_over_or_dropped(
     open_client, join, tmp_path
 ):
-    line = join(open_client(load_carlancap_layout().units[:1]))
+    line = join(open_client(UNITS[:1]))
     line.send(do="ask", request="next")
-    told = line.until(
-        lambda message: message["type"] == "proposals" and message["proposals"]
-    )
+    told = line.next("proposals", "proposals")
     (proposal,) = told["proposals"]
     assert proposal["isProven"]
     assert len(proposal["drawn"]) == 2
@@ -385,9 +399,7 @@ def test_the_optimiser_proposes_and_is_taken_over_or_dropped(
     line.send(do="undo")
     assert len(line.state()["units"]) == 1
     line.send(do="ask", request="re-aim")
-    told = line.until(
-        lambda message: message["type"] == "proposals" and message["proposals"]
-    )
+    told = line.next("proposals", "proposals")
     number = told["proposals"][0]["number"]
     line.send(do="take", number=number, as_variant=True)
     state = line.state()
@@ -397,7 +409,7 @@ def test_the_optimiser_proposes_and_is_taken_over_or_dropped(
     ]
     assert state["current"] == 1
     line.send(do="ask", request="complete", units=1)
-    notice = line.until(lambda message: message["type"] == "notice")
+    notice = line.next("notice")
     assert (
         notice["text"]
         == "units in all: got 1; expected more than the 1 that are mounted already"
@@ -414,23 +426,21 @@ def test_a_proposal_is_evaluated_too(open_client, join):
 
     (proposal,) = line.until(is_evaluated)["proposals"]
     line.send(do="drop", number=proposal["number"])
-    assert line.until(lambda told: told["type"] == "proposals")["proposals"] == []
+    assert line.next("proposals")["proposals"] == []
 
 
 # ---------- files
 
 
 def test_plans_and_layouts_are_saved_and_opened_again(open_client, join):
-    client = open_client(load_carlancap_layout().units[:2])
+    client = open_client(UNITS[:2])
     line = join(client)
     line.send(do="add-variant", name="other")
     line.state()
-    plan = client.get(f"/{TOKEN}/plan.json").content
+    plan = saved_plan(client)
     layout = client.get(f"/{TOKEN}/layout.json").content
     for content, name in ((plan, "a plan.json"), (layout, "mine.json")):
-        response = client.post(
-            f"/{TOKEN}/open", content=content, headers=ORIGIN | {"x-file-name": name}
-        )
+        response = send_file(client, name, content)
         assert response.status_code == 200, response.text
         line.state()
     names = [each["name"] for each in line.last["state"]["variants"]]
@@ -452,9 +462,7 @@ def test_files_that_are_none_are_told_as_on_the_command_line(
     open_client, tmp_path, name, content, said
 ):
     client = open_client()
-    response = client.post(
-        f"/{TOKEN}/open", content=content, headers=ORIGIN | {"x-file-name": name}
-    )
+    response = send_file(client, name, content)
     assert response.status_code == 400
     assert said in response.json()["problem"]
     assert str(tmp_path) not in response.json()["problem"]
@@ -464,11 +472,7 @@ def test_files_that_are_none_are_told_as_on_the_command_line(
 def test_what_is_too_large_is_refused_and_not_kept(open_client, tmp_path, monkeypatch):
     monkeypatch.setattr(server, "MAX_PLAN_BYTES", 1000)
     client = open_client()
-    response = client.post(
-        f"/{TOKEN}/open",
-        content=b"x" * 1001,
-        headers=ORIGIN | {"x-file-name": "x.json"},
-    )
+    response = send_file(client, "x.json", b"x" * 1001)
     assert "more than 1,000 bytes" in response.json()["problem"]
     assert not list(tmp_path.glob("received*"))
 
@@ -500,20 +504,19 @@ def test_an_image_is_kept_in_the_plan_and_comes_back_with_it(
     client = open_client()
     line = join(client)
     assert lay(client).status_code == 200
-    message = line.until(lambda told: told["type"] == "background" and told["address"])
+    message = line.next("background", "address")
     assert message["points"] == [[0.0, 0.0, -20.0, 10.0], [200.0, 0.0, 20.0, 10.0]]
     image = client.get(f"/{TOKEN}/{message['address']}")
-    assert (image.content, image.headers["content-type"]) == (PNG, "image/png")
+    assert image.content == PNG
+    assert image.headers["content-type"] == "image/png"
     assert "default-src 'none'" in image.headers["content-security-policy"]
-    plan = client.get(f"/{TOKEN}/plan.json").content
+    plan = saved_plan(client)
     assert lay(client, b"").status_code == 200
     assert client.get(f"/{TOKEN}/background").status_code == 404
-    assert "background" not in json.loads(client.get(f"/{TOKEN}/plan.json").content)
-    client.post(
-        f"/{TOKEN}/open", content=plan, headers=ORIGIN | {"x-file-name": "p.json"}
-    )
+    assert "background" not in json.loads(saved_plan(client))
+    send_file(client, "p.json", plan)
     assert client.get(f"/{TOKEN}/background").content == PNG
-    again = client.get(f"/{TOKEN}/plan.json").content
+    again = saved_plan(client)
     assert json.loads(again)["background"] == json.loads(plan)["background"]
     assert not list(tmp_path.glob("received*"))
 
@@ -549,13 +552,9 @@ def test_what_is_no_image_or_lies_nowhere_is_told(open_client, content, points, 
 def test_a_plan_whose_image_is_damaged_is_refused(open_client, image):
     client = open_client()
     lay(client)
-    plan = json.loads(client.get(f"/{TOKEN}/plan.json").content)
+    plan = json.loads(saved_plan(client))
     plan["background"]["image"] = image
-    response = client.post(
-        f"/{TOKEN}/open",
-        content=json.dumps(plan).encode(),
-        headers=ORIGIN | {"x-file-name": "p.json"},
-    )
+    response = send_file(client, "p.json", json.dumps(plan).encode())
     assert response.status_code == 400
     assert "p.json: background: got" in response.json()["problem"]
 
@@ -565,20 +564,11 @@ def test_a_plan_whose_image_is_damaged_is_refused(open_client, image):
 
 @pytest.fixture
 def garden(tmp_path):
-    scene = load_study_scene()
-    x, y = scene.outline_m.mean(axis=0)
-    ring = to_geographic(
-        np.array(box(x - 20, y + 8, x - 4, y + 18).exterior.coords), scene.crs
-    )
-    path = tmp_path / "garden.geojson"
-    shape = {"type": "Polygon", "coordinates": [ring.tolist()]}
-    feature = {"type": "Feature", "properties": {"name": "garden"}, "geometry": shape}
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-    return path
+    return write_garden(tmp_path, (-146.4, 7.6, -130.4, 17.6))
 
 
 def test_private_areas_in_view_are_those_that_evaluate_tells(open_client, join, garden):
-    units = load_carlancap_layout().units[:2]
+    units = UNITS[:2]
     client = open_client(units, asked={"no_look": str(garden), "no_look_share": 0.5})
     line = join(client)
     numbers = line.numbers("table")
@@ -614,10 +604,8 @@ def test_private_areas_are_kept_when_another_scene_is_opened(open_client, join, 
     line.last.clear()
     response = client.post(f"/{TOKEN}/open", content=content, headers=headers)
     assert response.json()["isScene"], response.text
-    assert (
-        client.post(f"/{TOKEN}/import", content=b"", headers=ORIGIN).status_code == 200
-    )
-    scene = line.until(lambda told: told["type"] == "scene")
+    assert take_junction(client).status_code == 200
+    scene = line.next("scene")
     assert [area["name"] for area in scene["private"]] == ["garden"]
 
 
@@ -635,7 +623,7 @@ def test_an_evaluator_that_dies_is_told_and_asked_once_more(tmp_path, small_sett
         session = small_session(
             tmp_path,
             small_setting,
-            variants=[Variant(name="mine", units=load_carlancap_layout().units[:1])],
+            variants=[Variant(name="mine", units=UNITS[:1])],
             make_worker=lambda work: Dies(work, small_setting),
         )
         told, is_known = [], asyncio.Event()
@@ -661,7 +649,7 @@ def test_numbers_of_the_table_never_follow_those_of_the_evaluator(
     tmp_path, small_setting
 ):
     async def work():
-        units = load_carlancap_layout().units[:1]
+        units = UNITS[:1]
         variants = [Variant(name="mine", units=units)]
         session = small_session(tmp_path, small_setting, variants=variants)
         sources, calls, is_judged, is_done = (
@@ -703,40 +691,31 @@ def test_numbers_of_the_table_never_follow_those_of_the_evaluator(
 
 
 def test_a_map_is_dropped_and_a_junction_of_it_is_planned(open_client, join):
-    client = open_client(load_carlancap_layout().units[:1])
+    client = open_client(UNITS[:1])
     line = join(client)
     content = (MAPS / "crossing.osm").read_bytes()
-    response = client.post(
-        f"/{TOKEN}/open",
-        content=content,
-        headers=ORIGIN | {"x-file-name": "crossing.osm"},
-    )
+    response = send_file(client, "crossing.osm", content)
     told = response.json()
     assert told["map"] == "crossing.osm"
     assert told["junctions"][0]["arms"] >= 3
-    response = client.post(
-        f"/{TOKEN}/import", content=told["junctions"][0]["id"].encode(), headers=ORIGIN
-    )
+    response = take_junction(client, told["junctions"][0]["id"].encode())
     assert response.status_code == 200, response.text
     chosen = told["junctions"][0]
     assert response.json()["scene"] == chosen["name"]  # the streets that meet
-    scene = line.until(
-        lambda message: (
-            message["type"] == "scene" and message["title"] == chosen["name"]
-        )
-    )
+    scene = line.next("scene", title=chosen["name"])
     assert scene["name"] == f"crossing/{chosen['id']}"  # as `scene import` names it
     assert scene["runs"]
     state = line.state()
-    assert (state["units"], state["canUndo"]) == ([], True)
+    assert state["units"] == []
+    assert state["canUndo"]
     for junction in (b"no such", b"x" * 501, b"\xff\x00", b"../../etc"):
-        response = client.post(f"/{TOKEN}/import", content=junction, headers=ORIGIN)
+        response = take_junction(client, junction)
         assert response.status_code == 400
 
 
 def test_a_plan_is_not_lost_when_another_scene_is_opened(open_client, join, tmp_path):
     path = tmp_path / "kept.json"
-    client = open_client(load_carlancap_layout().units[:1], save=path)
+    client = open_client(UNITS[:1], save=path)
     line = join(client)
     line.send(do="change", unit="RSU0", yaw_deg=11.0)
     line.state()
@@ -747,10 +726,10 @@ def test_a_plan_is_not_lost_when_another_scene_is_opened(open_client, join, tmp_
     )
     headers = ORIGIN | {"x-file-name": "other.zip"}
     client.post(f"/{TOKEN}/open", content=archive.read_bytes(), headers=headers)
-    client.post(f"/{TOKEN}/import", content=b"", headers=ORIGIN)
-    line.until(lambda told: told["type"] == "scene" and told["name"] == "other")
+    take_junction(client)
+    line.next("scene", name="other")
     assert line.state()["units"] == []
-    notice = line.until(lambda told: told["type"] == "notice")["text"]
+    notice = line.next("notice")["text"]
     assert notice.startswith("The plan at town05 is in")
     kept = json.loads(path.read_text())
     assert kept["variants"][0]["layout"][0]["yaw_deg"] == 11.0
@@ -759,12 +738,12 @@ def test_a_plan_is_not_lost_when_another_scene_is_opened(open_client, join, tmp_
     line.send(do="undo")
     line.state()
     line.send(do="undo")  # beyond what was done here: back to the scene before
-    line.until(lambda told: told["type"] == "scene" and told["name"] == "town05")
+    line.next("scene", name="town05")
     state = line.state()
     assert [unit["yawDeg"] for unit in state["units"]] == [11.0]
     assert state["canRedo"]
     line.send(do="redo")
-    line.until(lambda told: told["type"] == "scene" and told["name"] == "other")
+    line.next("scene", name="other")
     line.send(do="redo")
     while not line.state()["units"]:
         pass
@@ -780,7 +759,7 @@ def test_a_plan_is_not_lost_when_another_scene_is_opened(open_client, join, tmp_
 
 def test_a_count_of_many_units_ends_when_nobody_waits_for_it(tmp_path, small_setting):
     place = Workspace(small_work(tmp_path), small_setting)
-    (unit,) = load_carlancap_layout().units[:1]
+    (unit,) = UNITS[:1]
     asked = []
 
     def detected(units):
@@ -796,10 +775,10 @@ def test_a_count_of_many_units_ends_when_nobody_waits_for_it(tmp_path, small_set
 
 
 def test_views_are_told_for_every_unit_and_follow_what_is_turned(open_client, join):
-    line = join(open_client(load_carlancap_layout().units[:2]))
+    line = join(open_client(UNITS[:2]))
 
     def view_of(unit):
-        return line.until(lambda told: told["type"] == "view" and told["unit"] == unit)
+        return line.next("view", unit=unit)
 
     before = {unit: view_of(unit) for unit in ("RSU0", "RSU1")}
     assert all(
@@ -810,8 +789,7 @@ def test_views_are_told_for_every_unit_and_follow_what_is_turned(open_client, jo
 
 
 def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
-    study = load_carlancap_layout()
-    client = open_client(study.units[7:8])
+    client = open_client(UNITS[7:8])
     run_id = small_setting.axis.run_ids[0]
     told = client.get(f"/{TOKEN}/explain", params={"run": run_id}).json()
     assert told["inTime"] > 0
@@ -828,8 +806,7 @@ def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
     assert "startPlayer" in page.text
     assert run_id in page.text
     picture = client.get(
-        f"/{TOKEN}/picture",
-        params={"run": run_id, "unit": study.units[7].id, "frame": "-5"},
+        f"/{TOKEN}/picture", params={"run": run_id, "unit": UNITS[7].id, "frame": "-5"}
     )
     assert picture.content[:2] == b"\xff\xd8"
     for values, said in (
@@ -845,20 +822,19 @@ def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
 def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(
     open_client, small_setting
 ):
-    unit = load_carlancap_layout().units[7]
+    unit = UNITS[7]
     client = open_client([unit])
     run = small_setting.runs[0]
     for frame in (0, len(run.time_s) - 1):
         values = {"unit": unit.id, "run": run.id, "frame": frame, "width": 320}
         found = client.get(f"/{TOKEN}/seen", params=values).json()
-        assert (found["run"], found["frame"], found["size"]) == (
-            run.id,
-            frame,
-            [320, 180],
-        )
+        assert found["run"] == run.id
+        assert found["frame"] == frame
+        assert found["size"] == [320, 180]
         assert found["timeS"] == run.time_s[frame]
         image = Image.open(io.BytesIO(base64.b64decode(found["image"])))
-        assert (image.format, image.size) == ("JPEG", (320, 180))
+        assert image.format == "JPEG"
+        assert image.size == (320, 180)
         waist_m = np.array([[*run.vru_position_m[frame], 0.9]])
         ((x_px, y_px, *_),) = project_points(waist_m, unit.pose, unit.sensor)
         at = x_px / unit.sensor.width_px, y_px / unit.sensor.height_px
@@ -895,7 +871,7 @@ def unit_of_width(unit, width_px):
 def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
     open_client, join, run, tmp_path
 ):
-    units = load_carlancap_layout().units[6:8]
+    units = UNITS[6:8]
     client = open_client(units)
     line = join(client)
     by_day = line.numbers("evaluator")
@@ -904,16 +880,12 @@ def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
     line.send(
         do="question", detector="response"
     )  # before the runs of the first are laid
-    line.until(
-        lambda message: message["type"] == "doing" and message["who"] == "setting"
-    )
-    line.until(lambda message: message["type"] == "question")
+    line.next("doing", who="setting")
+    line.next("question")
     now = line.last["question"]["now"]
-    assert (now["weather"], now["cars"], now["detector"]) == (
-        "night",
-        "see",
-        "response",
-    )
+    assert now["weather"] == "night"
+    assert now["cars"] == "see"
+    assert now["detector"] == "response"
     assert now["cases"] == "CPNC-50"
     assert [unit["id"] for unit in line.state()["units"]] == [unit.id for unit in units]
     by_night = line.numbers("evaluator")
@@ -922,15 +894,13 @@ def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
     layout.write_bytes(client.get(f"/{TOKEN}/layout.json").content)
     words = shlex.split(line.last["question"]["command"])
     assert words[:4] == ["place-rsus", "evaluate", "--layout", "layout.json"]
-    code, out, err = run("evaluate", "--layout", str(layout), *words[4:], "--json")
+    code, out, err = run("evaluate --layout", str(layout), *words[4:], "--json")
     assert code == 0, err
     assert json.loads(out)["evaluation"] == by_night["record"]
     line.send(do="question", weather="fog")
-    line.until(
-        lambda message: message["type"] == "doing" and message["who"] == "setting"
-    )
+    line.next("doing", who="setting")
     line.send(do="undo")  # it is not waited for any longer
-    line.until(lambda message: message["type"] == "question")
+    line.next("question")
     assert line.last["question"]["now"]["weather"] == "day"
     line.state()
     assert line.numbers("evaluator")["record"] == by_day["record"]
@@ -938,20 +908,19 @@ def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
         m["stage"] for m in line.seen if m["type"] == "doing" and m["who"] == "setting"
     ]
     if told[-1]:
-        line.until(
-            lambda m: m["type"] == "doing" and m["who"] == "setting" and not m["stage"]
-        )
+        line.next("doing", who="setting", stage="")
     assert line.last["question"]["now"]["weather"] == "day"
 
 
 def test_the_optimiser_may_use_a_pole_of_ones_own(open_client, join, small_setting):
     lamp = next(site for site in small_setting.scene.sites if site.id == "lamp-n1")
-    line = join(open_client(load_carlancap_layout().units[6:7]))
+    line = join(open_client(UNITS[6:7]))
     east = float(lamp.position_m[0])
     north = float(lamp.position_m[1]) + 2.0
     line.send(do="pole", east_m=east, north_m=north)
     (pole,) = line.state()["poles"]
-    assert (pole["id"], pole["isOwn"]) == ("own-1", True)
+    assert pole["id"] == "own-1"
+    assert pole["isOwn"]
     line.send(do="ask", request="why-not", site="own-1")
     answer = line.until(lambda m: m["type"] == "proposals" and len(m["proposals"]) == 2)
     one_more = answer["proposals"][0]
@@ -960,7 +929,7 @@ def test_the_optimiser_may_use_a_pole_of_ones_own(open_client, join, small_setti
     assert [unit["site"] for unit in line.state()["units"]][1:] == ["own-1"]
     assert line.numbers("evaluator")["apr"]  # what hangs there is judged
     line.send(do="remove-pole", site="own-1")
-    problem = line.until(lambda message: message["type"] == "problem")
+    problem = line.next("problem")
     assert "own-1, which carries" in problem["text"]
 
 
@@ -981,9 +950,9 @@ def test_the_optimiser_may_use_a_pole_of_ones_own(open_client, join, small_setti
     ],
 )
 def test_a_question_that_cannot_be_is_refused_at_once(open_client, join, changes, said):
-    line = join(open_client(load_carlancap_layout().units[:1]))
+    line = join(open_client(UNITS[:1]))
     line.send(do="question", **changes)
-    problem = line.until(lambda message: message["type"] == "problem")
+    problem = line.next("problem")
     assert problem["text"].replace("question: ", "").startswith(said)
     assert not any(
         message["type"] == "doing" and message["who"] == "setting"
@@ -994,7 +963,7 @@ def test_a_question_that_cannot_be_is_refused_at_once(open_client, join, changes
 def test_of_pictures_that_wait_only_the_newest_is_drawn(
     tmp_path, small_setting, monkeypatch
 ):
-    unit = load_carlancap_layout().units[7]
+    unit = UNITS[7]
     variants = [Variant(name="mine", units=(unit,))]
     session = small_session(tmp_path, small_setting, variants=variants)
     drawn = []
@@ -1023,7 +992,7 @@ def test_of_pictures_that_wait_only_the_newest_is_drawn(
 def test_report_and_sheet_are_those_of_the_command_line(
     open_client, few_runs, monkeypatch
 ):
-    client = open_client(load_carlancap_layout().units[:1])
+    client = open_client(UNITS[:1])
     sheet = client.get(f"/{TOKEN}/sheet.pdf")
     assert sheet.content.startswith(b"%PDF")
     from experiments.jobs import placement
@@ -1069,11 +1038,9 @@ def test_junctions_of_the_named_map_are_offered_and_its_file_is_left_alone(
     (junction,) = told["junctions"]
     assert "&lt;img src=x&gt;" in told["chooser"]
     assert "<img" not in told["chooser"]
-    response = client.post(
-        f"/{TOKEN}/import", content=junction["id"].encode(), headers=ORIGIN
-    )
+    response = take_junction(client, junction["id"].encode())
     assert response.status_code == 200, response.text
-    scene = line.until(lambda message: message["type"] == "scene" and message["map"])
+    scene = line.next("scene", "map")
     assert scene["title"] == junction["name"]
     content = (MAPS / "crossing.osm").read_bytes()
     headers = ORIGIN | {"x-file-name": "crossing.osm"}

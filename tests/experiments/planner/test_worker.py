@@ -14,6 +14,7 @@ from itertools import cycle
 from pathlib import Path
 
 import pytest
+from command_results import refusal
 from plan_sessions import small_work
 
 from experiments.export.json import to_json
@@ -25,6 +26,8 @@ ROOT = Path(__file__).parents[3]
 MAP = str(ROOT / "docs" / "maps" / "crossing.osm")
 
 
+# Quickly: the command below, whose tasks are done elsewhere, too
+@pytest.mark.long
 def test_tasks_are_done_elsewhere_by_a_process_that_may_be_stopped_or_die(tmp_path):
     """One story, for each process takes a second to begin."""
     worker = Worker(small_work(tmp_path))
@@ -74,9 +77,9 @@ def test_tasks_are_done_elsewhere_by_a_process_that_may_be_stopped_or_die(tmp_pa
         worker.stop()
 
 
-@pytest.mark.parametrize(
-    "is_closed", [False, True], ids=["by-ctrl-c", "by-closing-the-page"]
-)
+# Quickly, without a process: test_server.py
+@pytest.mark.long
+@pytest.mark.parametrize("is_closed", [False, True], ids=["ctrl-c", "closed"])
 def test_the_command_serves_until_it_ends_and_leaves_nothing_behind(
     tmp_path, is_closed
 ):
@@ -198,10 +201,6 @@ def look_at(address):
 
 
 def test_others_are_let_in_only_by_who_says_so(run):
-    code, out, err = run("plan", "--host", "0.0.0.0")
-    assert (code, out) == (2, "")
-    assert (
-        err
-        == "place-rsus: --host: got 0.0.0.0; expected --i-know beside it: others could"
-        " change the plan\n"
+    assert refusal(run("plan --host 0.0.0.0")) == (
+        "--host: got 0.0.0.0; expected --i-know beside it: others could change the plan"
     )

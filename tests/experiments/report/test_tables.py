@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_verdicts import avoiding, made_evaluation
 
 from experiments.parts.accidents import (
     apr_group_tables,
@@ -9,52 +10,36 @@ from experiments.parts.accidents import (
     run_table,
     unit_apr_table,
 )
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
-from placement.evaluation import Evaluation, Verdict
-from placement.layout import Layout
 
 NIGHT = ("day", "day", "night")
 
 
 def verdict(axis, is_avoided):
-    """What counts here is which of the runs, of weights 1/2, 1/4 and 1/4, are
-    avoided.
-    """
-    return Verdict(
-        detected=np.arange(axis.n_frames) < 5,
-        confirmation_time_s=np.where(is_avoided, -1.0, np.inf),
-        onset_time_s=np.where(is_avoided, -1.0, np.inf),
-        is_avoided=np.array(is_avoided),
-    )
+    return avoiding(axis, is_avoided, detected=np.arange(axis.n_frames) < 5)
 
 
 @pytest.fixture
-def build(frame_axis, camera):
+def build(frame_axis):
+    """Weights of the three runs are 1/2, 1/4 and 1/4."""
+
     def build_evaluation(
         name, all_sources=(), vam=(0, 1, 0), weathers=NIGHT, **changes
     ):
         axis = replace(frame_axis, weathers=weathers, **changes)
-        unit = CandidatePose(
-            id="RSU0",
-            site_id="",
-            pose=Pose(position_m=np.zeros(3), yaw_deg=0.0, pitch_deg=0.0),
-            sensor=camera,
-        )
         if all_sources:
-            others = {"vam": vam, "all_sources": all_sources}
+            others = {
+                "vam": verdict(axis, vam),
+                "all_sources": verdict(axis, all_sources),
+            }
         else:
             others = {}
-        return Evaluation(
-            layout=Layout(name=name, units=(unit,)),
-            axis=axis,
-            vut=verdict(axis, [False, False, True]),
-            units={"RSU0": verdict(axis, [True, False, False])},
-            rsu_all=verdict(axis, [True, False, False]),
-            vut_and_rsus=verdict(axis, [True, False, True]),
-            others={
-                key: verdict(axis, np.array(runs, bool)) for key, runs in others.items()
-            },
+        return made_evaluation(
+            axis,
+            verdict(axis, [1, 0, 0]),
+            name=name,
+            vut=verdict(axis, [0, 0, 1]),
+            vut_and_rsus=verdict(axis, [1, 0, 1]),
+            others=others,
         )
 
     return build_evaluation

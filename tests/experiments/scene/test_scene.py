@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from browser_pages import open_page, start_browser
 from city_maps import write_city
+from command_results import refusal
+from numpy.testing import assert_allclose
 from opendrive_text import crossing, document
 from osm_text import LAT_DEG, LON_DEG, OsmText
 from osm_text import crossing as crossing_streets
@@ -54,7 +56,13 @@ def command(run, monkeypatch):
 
 @pytest.fixture
 def scene_command(command):
-    return lambda *arguments: command("scene", *arguments)
+    return lambda first, *others: command(f"scene {first}", *others, "--quiet")
+
+
+@pytest.fixture
+def scene_answer(ask, command):
+    """What ``place-rsus scene`` answers as JSON."""
+    return lambda first, *others: ask(f"scene {first}", *others)
 
 
 @pytest.fixture
@@ -77,16 +85,16 @@ def roads(tmp_path):
 
 
 def test_a_map_becomes_a_scene_that_says_what_was_understood(
-    scene_command, city, tmp_path
+    scene_command, scene_answer, city, tmp_path
 ):
     out = tmp_path / "scene"
-    result = scene_command("import", str(city), "-o", str(out), "--json", "--quiet")
-    assert (result.code, result.err) == (0, "")
-    summary = json.loads(result.out)
+    summary = scene_answer("import", city, "-o", out)
     (junction,) = summary["junctions"]
-    assert (junction["arms"], junction["lanes"]) == (4, 8)
+    assert junction["arms"] == 4
+    assert junction["lanes"] == 8
     assert junction["name"] == "Street 0 / Street 1 / Street 2 / Street 3"
-    assert (summary["buildings"], summary["sites"]) == (1, 2)
+    assert summary["buildings"] == 1
+    assert summary["sites"] == 2
     assert summary["crs"] == "EPSG:4326"
     assert sorted(path.name for path in out.iterdir()) == [
         "plan.png",
@@ -99,20 +107,19 @@ def test_a_map_becomes_a_scene_that_says_what_was_understood(
     assert scene.instances[1].class_name == "building"
     assert house[..., 2].max() == pytest.approx(12.0, abs=1e-3)
     assert house[..., :2].min(axis=(0, 1)) == pytest.approx([14.0, 14.0], abs=1.0)
-    shown = scene_command("show", str(out), "--json", "--quiet")
-    again = json.loads(shown.out)
+    again = scene_answer("show", out)
     assert again["junctions"][0]["arms"] == 4
     assert again["skipped"] == summary["skipped"]
     assert [again["junctions"][0][key] for key in ("x_m", "y_m")] == pytest.approx(
         [junction[key] for key in ("x_m", "y_m")]
     )
     archive = tmp_path / "scene.zip"
-    assert scene_command("import", str(city), "-o", str(archive), "--quiet").code == 0
+    assert scene_command("import", city, "-o", archive).code == 0
     assert load_scene_folder(archive).instances == scene.instances
 
 
 def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
-    scene_command, tmp_path
+    scene_command, scene_answer, tmp_path
 ):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
@@ -127,23 +134,18 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
         osm.road([start, (east, north)], name=name, highway="residential")
     osm.road([middle, far], name="High Street", highway="residential")
     path = osm.write(tmp_path)
-    listed = json.loads(scene_command("show", str(path), "--json", "--quiet").out)
+    listed = scene_answer("show", path)
     assert [one["arms"] for one in listed["junctions"]] == [4, 3]
-    text = scene_command("show", str(path), "--quiet").out
+    text = scene_command("show", path).out
     assert max(map(len, text.splitlines())) <= 80
     assert "Church Lane" in text
     small = listed["junctions"][1]
     at = f"{small['x_m']:.6f},{small['y_m']:.6f}"
     for choice in (["--at", at], ["--junction", small["id"]], ["--junction", "church"]):
         out = tmp_path / "out"
-        result = scene_command(
-            "import", str(path), *choice, "-o", str(out), "--json", "--quiet"
-        )
-        assert json.loads(result.out)["junctions"][0]["id"] == small["id"]
-    result = scene_command(
-        "import", str(path), "-o", str(tmp_path / "out"), "--json", "--quiet"
-    )
-    summary = json.loads(result.out)
+        summary = scene_answer("import", path, *choice, "-o", out)
+        assert summary["junctions"][0]["id"] == small["id"]
+    summary = scene_answer("import", path, "-o", tmp_path / "out")
     assert summary["junctions"][0]["id"] == listed["junctions"][0]["id"]
     assert any("other junctions" in entry["what"] for entry in summary["skipped"])
     for wrong, message in (
@@ -153,27 +155,15 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
         (["--at", "1"], "--at: got '1'; expected two numbers: X,Y"),
         (["--at", at, "--junction", "x"], "--at: got it beside --junction"),
     ):
-        result = scene_command(
-            "import", str(path), *wrong, "-o", str(tmp_path / "x"), "--quiet"
-        )
+        result = scene_command("import", path, *wrong, "-o", tmp_path / "x")
         assert result.code == 2
         assert message in result.err
         assert not (tmp_path / "x").exists()
 
 
-def test_sites_are_poles_kerbs_or_a_list(scene_command, city, tmp_path):
+def test_sites_are_poles_kerbs_or_a_list(scene_command, scene_answer, city, tmp_path):
     def sites(*options):
-        result = scene_command(
-            "import",
-            str(city),
-            *options,
-            "-o",
-            str(tmp_path / "s"),
-            "--json",
-            "--quiet",
-        )
-        assert result.code == 0, result.err
-        return json.loads(result.out)["site_list"]
+        return scene_answer("import", city, *options, "-o", tmp_path / "s")["site_list"]
 
     assert {site["kind"] for site in sites()} == {"lamp post"}
     kerbs = sites("--sites", "kerb:20")
@@ -193,31 +183,31 @@ def test_sites_are_poles_kerbs_or_a_list(scene_command, city, tmp_path):
         f"pole 2;{lat + 0.0001:.8f};{lon:.8f};5;6;900;1;yes\n"
         f"far away;{lat + 0.1:.8f};{lon:.8f};5;6;900;1;no\n"
     )
-    found = sites("--sites", str(listed))
+    found = sites("--sites", listed)
     assert [site["id"] for site in found] == ["pole-1", "pole-2"]
     assert found[0]["height_range_m"] == [5.0, 6.0]
-    assert (found[0]["capacity_units"], found[1]["use"]) == (3, "forbidden")
+    assert found[0]["capacity_units"] == 3
+    assert found[1]["use"] == "forbidden"
     assert found[0]["x_m"] == pytest.approx(lamp["x_m"], abs=0.05)
     for wrong, message in (
         ("kerb:x", "--sites: got 'kerb:x'; expected kerb:SPACING in metres"),
         ("somewhere", "--sites: got 'somewhere'; expected auto, map, kerb:SPACING"),
         ("gone.csv", "gone.csv: got No such file"),
     ):
-        result = scene_command(
-            "import", str(city), "--sites", wrong, "-o", str(tmp_path / "x")
-        )
-        assert (result.code, message in result.err) == (2, True)
+        result = scene_command("import", city, "--sites", wrong, "-o", tmp_path / "x")
+        assert result.code == 2
+        assert message in result.err
 
 
-def test_buildings_come_from_another_file(scene_command, roads, tmp_path):
+def test_buildings_come_from_another_file(scene_command, scene_answer, roads, tmp_path):
     import trimesh
 
     box = trimesh.creation.box([10.0, 10.0, 8.0])
     box.apply_translation([25.0, 25.0, 4.0])
     (tmp_path / "house.stl").write_bytes(box.export(file_type="stl"))
-    files = [str(roads), str(tmp_path / "house.stl")]
+    files = [roads, tmp_path / "house.stl"]
     out = tmp_path / "scene"
-    refused = scene_command("import", *files, "-o", str(out))
+    refused = scene_command("import", *files, "-o", out)
     assert refused.code == 2
     assert "--unit" in refused.err
     result = scene_command(
@@ -239,16 +229,16 @@ def test_buildings_come_from_another_file(scene_command, roads, tmp_path):
     index = [thing.class_name for thing in scene.instances].index("building")
     corners = scene.vertices_m[scene.triangles[scene.triangle_instance == index]]
     assert corners.min(axis=(0, 1)) == pytest.approx([20.0, 20.0, 0.0], abs=1e-4)
-    checked = scene_command("check", str(out), "--quiet")
+    checked = scene_command("check", out)
     assert checked.code == 0
     assert "crosswalks: none" in checked.out
 
 
 def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
     out = tmp_path / "scene"
-    assert scene_command("import", "town05", "-o", str(out), "--quiet").code == 0
-    assert "nothing found" in scene_command("check", str(out), "--quiet").out
-    assert scene_command("check", "--quiet").code == 0
+    assert scene_command("import town05 -o", out).code == 0
+    assert "nothing found" in scene_command("check", out).out
+    assert scene_command("check").code == 0
     text = (out / "scene.toml").read_text()
     inside = load_study_scene()
     house = next(thing for thing in inside.instances if thing.class_name == "building")
@@ -262,7 +252,7 @@ def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
     (out / "scene.toml").write_text(
         text[:first] + f"position_m = [{x:.2f}, {y:.2f}, 0.0" + text[end:]
     )
-    result = scene_command("check", str(out), "--json", "--quiet")
+    result = scene_command("check", out, "--json")
     assert result.code == 1
     summary = json.loads(result.out)
     assert not summary["is_sound"]
@@ -272,48 +262,18 @@ def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
 
 
 def test_bad_maps_are_one_line(scene_command, roads, city, tmp_path):
-    text = roads.read_text()
-    for name, content, message in (
-        ("cut.xodr", text[: len(text) // 2], "OpenDRIVE: well-formed XML"),
-        ("other.xodr", "<html/>", "OpenDRIVE"),
-        ("empty.osm", "", "empty.osm"),
-        ("a.txt", "hello", "got another kind of file; expected .xodr"),
-        (
-            "bomb.xodr",
-            '<!DOCTYPE x [<!ENTITY a "b">]><OpenDRIVE>&a;</OpenDRIVE>',
-            "entities",
-        ),
-        (
-            "house.xml",
-            "<house/>",
-            (
-                "got <house>; expected OpenDRIVE, OpenStreetMap, Lanelet2, CommonRoad"
-                " or CityGML"
-            ),
-        ),
-        ("list.json", "[1, 2", "list.json"),
-    ):
-        (tmp_path / name).write_text(content)
-        result = scene_command(
-            "import", str(tmp_path / name), "-o", str(tmp_path / "x")
-        )
-        assert result.code == 2, name
-        line = result.err.strip().splitlines()[-1]
-        assert line.startswith("place-rsus: "), line
-        assert message in line, line
-        assert "Traceback" not in result.err
-        assert not (tmp_path / "x").exists()
+    (tmp_path / "a.txt").write_text("hello")
     for files, message in (
-        (
-            [str(tmp_path / "gone.osm")],
-            "gone.osm: got no such file; expected a map file",
-        ),
-        ([str(tmp_path)], "got a folder; expected a map file"),
+        (["a.txt"], "got another kind of file; expected .xodr"),
+        (["gone.osm"], "gone.osm: got no such file; expected a map file"),
+        ([""], "got a folder; expected a map file"),
         ([], "FILE: got nothing; expected a map"),
-        ([str(roads), str(city)], "expected roads in one of the files"),
+        ([roads, city], "expected roads in one of the files"),
     ):
-        result = scene_command("import", *files, "-o", str(tmp_path / "x"), "--quiet")
-        assert (result.code, message in result.err) == (2, True), result.err
+        paths = [tmp_path / file for file in files]
+        result = scene_command("import", *paths, "-o", tmp_path / "x")
+        assert message in refusal(result)
+        assert not (tmp_path / "x").exists()
 
 
 def test_other_peoples_folders_stay(scene_command, city, tmp_path):
@@ -324,10 +284,9 @@ def test_other_peoples_folders_stay(scene_command, city, tmp_path):
         ("mine", "which holds other things; expected a new folder, or a scene's"),
         ("file", "a file; expected a folder, or a .zip file"),
     ):
-        result = scene_command(
-            "import", str(city), "-o", str(tmp_path / out), "--quiet"
-        )
-        assert (result.code, message in result.err) == (2, True)
+        result = scene_command("import", city, "-o", str(tmp_path / out))
+        assert result.code == 2
+        assert message in result.err
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["letter.txt"]
 
 
@@ -337,16 +296,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
 ):
     out = tmp_path / "scene"
     for keeps in ("right", "left"):
-        asked = (
-            "scene",
-            "import",
-            str(city),
-            "--driving-side",
-            keeps,
-            "-o",
-            str(out),
-            "--quiet",
-        )
+        asked = ("scene import", city, "--driving-side", keeps, "-o", out, "--quiet")
         imported = command(*asked)
         assert imported.code == 0
         assert f"traffic keeps {keeps}" in " ".join(imported.out.split())
@@ -358,25 +308,10 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     )
     monkeypatch.setattr(poses, "load_candidate_grid", lambda **_: grid)
     results = tmp_path / "results"
-    question = [
-        "--cases",
-        "CPNA-25,CBNA,CPTAfs-50",
-        "--speeds",
-        "20,40",
-        "--approaches",
-        "north",
-    ]
+    question = ["--cases CPNA-25,CBNA,CPTAfs-50 --speeds 20,40 --approaches north"]
     question += ["--along-arms", "0"]
     result = command(
-        "--scene",
-        str(out),
-        "--budget",
-        "1",
-        *question,
-        "--json",
-        "--quiet",
-        "--out",
-        str(results),
+        "--scene", out, "--budget 1", *question, "--json --quiet --out", results
     )
     assert result.code == 0, result.err
     summary = json.loads(result.out)
@@ -394,16 +329,16 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     )
     assert rows[0]["map_crs"] == "EPSG:4326"
     layout = str(results / "layout.json")
-    elsewhere = command("evaluate", "--layout", layout, *question, "--quiet")
+    elsewhere = command("evaluate --layout", layout, *question, "--quiet")
     assert elsewhere.code == 2
     assert "expected one of town05, the scene that is looked at" in elsewhere.err
-    here = command("export", "--layout", layout, "--scene", str(out), "--format", "csv")
+    here = command("export --layout", layout, "--scene", out, "--format csv")
     assert here.out == (results / "layout.csv").read_text()
 
 
 def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
     out = tmp_path / "scene"
-    assert command("scene", "import", str(roads), "-o", str(out), "--quiet").code == 0
+    assert command("scene import", roads, "-o", out, "--quiet").code == 0
     layout = {
         "schema": "place-rsus/layout/1",
         "name": "mine",
@@ -421,9 +356,10 @@ def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
     }
     path = tmp_path / "mine.json"
     path.write_text(json.dumps(layout))
-    given = ["export", "--layout", str(path), "--scene", str(out), "--format"]
+    given = ["export --layout", path, "--scene", out, "--format"]
     result = command(*given, "geojson")
-    assert (result.code, "a scene without crs" in result.err) == (2, True)
+    assert result.code == 2
+    assert "a scene without crs" in result.err
     assert command(*given, "csv").code == 0
 
 
@@ -435,7 +371,7 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
     osm.node(9.0, -9.0, highway="street_lamp")
     out = tmp_path / "scene"
     path = str(osm.write(tmp_path))
-    assert command("scene", "import", path, "-o", str(out), "--quiet").code == 0
+    assert command("scene import", path, "-o", out, "--quiet").code == 0
     lamp = {
         "id": "a",
         "x_m": 9.0,
@@ -446,35 +382,28 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
     }
     layout = tmp_path / "mine.json"
     layout.write_text(json.dumps({"layout": [lamp | {"camera": "carla-ncap-rgb"}]}))
-    given = [
-        "evaluate",
-        "--layout",
-        str(layout),
-        "--scene",
-        str(out),
-        "--quiet",
-        "--json",
-    ]
+    given = ["evaluate --layout", layout, "--scene", out, "--quiet --json"]
     # Where a street ends in another one, nobody can cross it beyond the junction: some
     # cases remain, and those that do not are told.
-    few = ["--approaches", "east", "--cases"]
-    summary = json.loads(command(*given, *few, "study").out)
+    few = "--approaches east --cases"
+    summary = json.loads(command(*given, few, "study").out)
     refused = {entry["case"] for entry in summary["not_driven"]} - set(summary["cases"])
     assert summary["cases"]
     assert refused
     one = sorted(refused)[0]
     assert summary["possible_runs"] >= summary["runs"]
     assert one in " ".join(summary["driven"])
-    result = command(*given, *few, one)
+    result = command(*given, few, one)
     assert (result.code, "which no approach carries" in result.err) == (2, True), (
         result.err
     )
     both = f"{summary['cases'][0]},{one}"
-    told = json.loads(command(*given, *few, both).out)
+    told = json.loads(command(*given, few, both).out)
     assert told["cases"] == summary["cases"][:1]
     assert told["driven"][0].endswith(f"no {one} at all.")
 
 
+@pytest.mark.long
 def test_pictures_show_something():
     scene = load_study_scene()
     for figure in (plot_scene_plan(scene), plot_scene_view(scene)):
@@ -501,7 +430,7 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
     city = str(osm.write(tmp_path))
     for _ in range(2):
         result = command(
-            "--scene", city, "--junction", "Street 2 / Street 0", "--budget", "2"
+            "--scene", city, "--junction", "Street 2 / Street 0", "--budget 2"
         )
         assert result.code == 2
         assert "Imported Street 0 / Street 1 / Street 2: 3 arms, 24 sites" in result.err
@@ -510,21 +439,14 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
         str(next((tmp_path / "cache" / "scenes").iterdir()))
     }
     assert len(build_junction(load_scene_folder(Path(asked[0].scene))).arms) == 3
-    options = [
-        "--sites",
-        "kerb:30",
-        "--driving-side",
-        "left",
-        "--at",
-        f"{LON_DEG},{LAT_DEG}",
-    ]
-    assert command("--scene", city, *options, "--budget", "2", "--quiet").code == 2
+    options = ["--sites kerb:30 --driving-side left --at", f"{LON_DEG},{LAT_DEG}"]
+    assert command("--scene", city, *options, "--budget 2 --quiet").code == 2
     other = load_scene_folder(Path(asked[-1].scene))
     assert other.keeps_left
     assert len(other.sites) < 24
     assert set(assumed_sites(other.notes)) == {site.id for site in other.sites}
     for wrong in ([], ["--scene", str(tmp_path)], ["--scene", asked[0].scene]):
-        result = command(*wrong, "--junction", "Street 0", "--budget", "2", "--quiet")
+        result = command(*wrong, "--junction", "Street 0", "--budget 2 --quiet")
         assert result.code == 2
         assert "expected --scene FILE, a map with roads" in result.err
 
@@ -560,15 +482,7 @@ def test_lists_that_are_long_are_cut(monkeypatch):
 def chooser(scene_command, tmp_path):
     """The page on which a junction of a street with three is chosen."""
     path = write_city(tmp_path)
-    result = scene_command(
-        "show",
-        str(path),
-        "--staggered",
-        "40",
-        "--out",
-        str(tmp_path / "out"),
-        "--quiet",
-    )
+    result = scene_command("show", path, "--staggered 40 --out", tmp_path / "out")
     assert result.code == 0
     return tmp_path / "out" / "junctions.html"
 
@@ -582,8 +496,8 @@ def test_the_junctions_of_a_map_stand_on_a_page_with_streets_and_names(chooser):
     places = dict(zip(("n3", "n1", "n2"), np.array(circles, dtype=float), strict=True))
     # Junctions are drawn 250 m and 500 m east of the first, the last 10 m north: up on
     # the page.
-    np.testing.assert_allclose(places["n2"] - places["n1"], [250.0, 0.0], atol=6.0)
-    np.testing.assert_allclose(places["n3"] - places["n1"], [500.0, -10.0], atol=6.0)
+    assert_allclose(places["n2"] - places["n1"], [250.0, 0.0], atol=6.0)
+    assert_allclose(places["n3"] - places["n1"], [500.0, -10.0], atol=6.0)
     assert "--staggered 40 --junction" in page
 
 

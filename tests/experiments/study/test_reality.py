@@ -206,6 +206,8 @@ def measured(folder):
     return report.measure(folder)
 
 
+# Quickly: the other tests of this file.
+@pytest.mark.long
 def test_bodies_that_this_camera_drew_have_the_height_that_it_predicts(measured):
     heights = measured.heights
     assert np.quantile(heights.ratio, [0.05, 0.5, 0.95]) == pytest.approx(1.0, abs=0.02)
@@ -235,6 +237,8 @@ def test_a_camera_tilted_down_shows_the_same_point_higher_up(folder):
     )
 
 
+# Quickly: the other tests of this file.
+@pytest.mark.long
 def test_flags_by_the_middles_of_bodies_agree_with_the_lens_that_made_them(
     folder, measured
 ):
@@ -251,6 +255,8 @@ def test_flags_by_the_middles_of_bodies_agree_with_the_lens_that_made_them(
     )
 
 
+# Quickly: the other tests of this file.
+@pytest.mark.long
 def test_what_was_drawn_is_counted(folder, measured):
     det = folder / "sort" / "data" / "train" / "PETS09-S2L1" / "det" / "det.txt"
     n_found = len(det.read_text().splitlines())
@@ -291,6 +297,8 @@ def test_phi_is_that_of_two_states_and_their_chances():
     assert found.value == pytest.approx(0.5, abs=0.06)
 
 
+# Quickly: the other tests of this file.
+@pytest.mark.long
 def test_the_command_writes_page_figures_and_tables(
     folder, measured, tmp_path, monkeypatch
 ):

@@ -70,6 +70,8 @@ def test_quantities_are_shares_by_case(small):
         assert found["APR of RSU3", case] == apr(evaluation.units["RSU3"], axis, mask)
 
 
+# Quickly: the other tests of this file.
+@pytest.mark.long
 def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkeypatch):
     monkeypatch.setattr(reproduction, "build_variants", lambda: small)
     monkeypatch.setattr(reproduction, "build_additional_variants", lambda: small[:1])
@@ -119,6 +121,8 @@ def test_a_use_that_does_not_exist_is_named(monkeypatch):
     load_published.cache_clear()
 
 
+# Quickly: test_variants.py, of the other cases
+@pytest.mark.long
 def test_the_additional_cases_are_changed_in_one_thing_at_a_time():
     variants = {
         variant.name: variant.setting for variant in build_additional_variants()

@@ -43,9 +43,7 @@ def dual_carriageway(stub_m: float) -> OsmText:
 
 
 @pytest.mark.parametrize("stub_m", [1.5, 3.0, 6.0])
-def test_a_stub_between_crosswalk_and_junction_is_no_arm(
-    stub_m: float, tmp_path: Path
-) -> None:
+def test_a_stub_between_crosswalk_and_junction_is_no_arm(stub_m, tmp_path):
     source = read(dual_carriageway(stub_m), tmp_path)
     (junction,) = source.junctions
     assert arm_lanes(source, junction) == {
@@ -56,7 +54,7 @@ def test_a_stub_between_crosswalk_and_junction_is_no_arm(
     assert not list(compare_arms(arms_of(source, junction), junction.roads))
 
 
-def test_a_road_that_the_cut_out_clips_is_no_arm_and_told(tmp_path: Path) -> None:
+def test_a_road_that_the_cut_out_clips_is_no_arm_and_told(tmp_path):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     for point in ((100.0, 0.0), (-100.0, 0.0), (0.0, -100.0)):
@@ -73,9 +71,7 @@ def test_a_road_that_the_cut_out_clips_is_no_arm_and_told(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("keeps_left", [False, True])
-def test_carriageways_with_tracks_between_them_are_one_arm(
-    keeps_left: bool, tmp_path: Path
-) -> None:
+def test_carriageways_with_tracks_between_them_are_one_arm(keeps_left, tmp_path):
     osm = OsmText()
     if keeps_left:
         sign = -1.0
@@ -101,7 +97,7 @@ def road(
     )
 
 
-def test_what_arms_lack_is_told(tmp_path: Path) -> None:
+def test_what_arms_lack_is_told(tmp_path):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     for point in ((100.0, 0.0), (-100.0, 0.0), (0.0, -100.0)):
@@ -141,7 +137,7 @@ def town(tmp_path: Path) -> SourceMap:
     return read_openstreetmap(osm.write(tmp_path), keeps_left=False)
 
 
-def test_junctions_are_chosen_by_their_streets_in_any_order(town: SourceMap) -> None:
+def test_junctions_are_chosen_by_their_streets_in_any_order(town):
     surveyed = survey_junctions(town)
     for name in (
         "High Street / Church Lane",
@@ -153,7 +149,7 @@ def test_junctions_are_chosen_by_their_streets_in_any_order(town: SourceMap) -> 
     assert "Station Road" in whole.junction.name
 
 
-def test_streets_that_meet_twice_are_told_with_their_places(tmp_path: Path) -> None:
+def test_streets_that_meet_twice_are_told_with_their_places(tmp_path):
     osm = OsmText()
     nodes = [osm.node(300.0 * index, 0.0) for index in range(2)]
     osm.road([(-100.0, 0.0), *nodes, (400.0, 0.0)], name="High Street")
@@ -168,7 +164,7 @@ def test_streets_that_meet_twice_are_told_with_their_places(tmp_path: Path) -> N
         )
 
 
-def test_junctions_are_sorted_by_what_they_have(town: SourceMap) -> None:
+def test_junctions_are_sorted_by_what_they_have(town):
     surveyed = survey_junctions(town)
     by_name = sort_junctions(surveyed, "name")
     assert [one.junction.name for one in by_name] == sorted(

@@ -96,7 +96,8 @@ def test_what_lies_around_the_junction_is_taken_and_nothing_else():
     heights = found.things[0].vertices_m[:, 2]
     assert (heights.min(), heights.max()) == pytest.approx((0.0, 6.0))
     (pole,) = found.poles
-    assert (pole.id, pole.position_m[2]) == ("lamp-1", 0.0)
+    assert pole.id == "lamp-1"
+    assert pole.position_m[2] == 0.0
     assert len(found.crosswalks_m) == 1
     told = {skip.what: skip.why for skip in found.skipped}
     assert told["1 things in roads.xodr"] == "farther than 50 m from the junction"

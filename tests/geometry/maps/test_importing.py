@@ -23,7 +23,7 @@ def bare_map(tmp_path: Path) -> Path:
     return osm.write(tmp_path)
 
 
-def test_a_bare_map_tells_all_that_was_assumed(tmp_path: Path) -> None:
+def test_a_bare_map_tells_all_that_was_assumed(tmp_path):
     scene = import_scene([bare_map(tmp_path)], ImportOptions()).scene
     told = [(note.kind, note.what) for note in assumptions(scene.notes)]
     assert told[:3] == [
@@ -35,7 +35,7 @@ def test_a_bare_map_tells_all_that_was_assumed(tmp_path: Path) -> None:
     assert set(assumed_sites(scene.notes)) == {site.id for site in scene.sites}
 
 
-def test_signals_on_the_road_are_assumed_poles(tmp_path: Path) -> None:
+def test_signals_on_the_road_are_assumed_poles(tmp_path):
     osm = OsmText()
     middle = osm.node(0.0, 0.0, highway="traffic_signals")
     for east, north in FOUR:
@@ -49,7 +49,7 @@ def test_signals_on_the_road_are_assumed_poles(tmp_path: Path) -> None:
     assert all("4 poles at the kerbs are assumed" in why for why in assumed.values())
 
 
-def test_assumptions_are_kept_on_disk(tmp_path: Path) -> None:
+def test_assumptions_are_kept_on_disk(tmp_path):
     imported = import_scene([bare_map(tmp_path)], ImportOptions())
     folder = tmp_path / "scene"
     folder.mkdir()
@@ -57,12 +57,12 @@ def test_assumptions_are_kept_on_disk(tmp_path: Path) -> None:
     assert load_scene_folder(folder).notes == imported.scene.notes
 
 
-def test_listed_sites_are_not_assumed(tmp_path: Path) -> None:
+def test_listed_sites_are_not_assumed(tmp_path):
     poles = tmp_path / "poles.csv"
     poles.write_text(f"id,lat,lon,kind\na,{LAT_DEG + 1e-4},{LON_DEG + 2e-4},kerb\n")
     scene = import_scene([bare_map(tmp_path)], ImportOptions(sites=str(poles))).scene
     assert not assumed_sites(scene.notes)
 
 
-def test_a_note_reads_as_one_line() -> None:
+def test_a_note_reads_as_one_line():
     assert str(Note(what="way 1", why="no road")) == "way 1: no road"

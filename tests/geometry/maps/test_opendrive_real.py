@@ -10,12 +10,15 @@ from opendrive_text import arms_of
 from geometry.maps.opendrive import read_opendrive
 from geometry.study_scene import load_study_scene
 
+LONG = pytest.mark.long  # smaller files, quickly: test_arms_and_what_stands_there
+
 
 @pytest.fixture(scope="module")
 def town05(real_input):
     return read_opendrive(real_input("opendrive/Town05.xodr"))
 
 
+@LONG
 def test_town05_has_its_junctions(town05):
     assert len(town05.junctions) == 21
     assert town05.skipped == ()
@@ -27,6 +30,7 @@ def test_town05_has_its_junctions(town05):
     }
 
 
+@LONG
 def test_the_studys_junction_has_the_lanes_of_its_scene(town05):
     study = load_study_scene()
     middle = 0.5 * (study.outline_m.min(axis=0) + study.outline_m.max(axis=0))
@@ -54,6 +58,7 @@ def test_the_studys_junction_has_the_lanes_of_its_scene(town05):
                 assert max(gaps) < 0.1, lane.id
 
 
+@LONG
 def test_every_junction_of_town05_has_three_or_four_arms(town05):
     n_arms = {one.id: len(arms_of(town05, one)) for one in town05.junctions}
     three = {"224", "905", "924", "943", "1050", "1148", "1162", "1260"}
@@ -61,37 +66,28 @@ def test_every_junction_of_town05_has_three_or_four_arms(town05):
 
 
 @pytest.mark.parametrize(
-    ("name", "arms"),
+    ("name", "arms", "poles", "n_things", "n_crosswalks"),
     [
-        ("X-Intersection_NCAP", [4]),
-        ("X-Intersection_NCAP_noRoadmarks", [4]),
-        ("StraightRoad_NCAP_noRoadmarks_Streetlights", []),
-        ("fabriksgatan_traffic_lights", [4]),
-        ("multi_intersections", [4, 3, 4, 3, 3]),
-        ("Junction_with_building0", [3]),
-        ("parking_demo", [3]),
-        ("soderleden", []),
-        ("Town01", 12 * [3]),
+        ("X-Intersection_NCAP", [4], {}, 0, 0),
+        ("StraightRoad_NCAP_noRoadmarks_Streetlights", [], {"lamp post": 7}, 0, 0),
+        ("fabriksgatan_traffic_lights", [4], {"traffic light": 2}, 0, 0),
+        (
+            "multi_intersections",
+            [4, 3, 4, 3, 3],
+            {"traffic light": 34, "sign": 2},
+            0,
+            17,
+        ),
+        ("Town01", 12 * [3], {"traffic light": 36, "sign": 21}, 0, 0),
+        ("Junction_with_building0", [3], {}, 1, 0),
+        ("parking_demo", [3], {}, 10, 3),
     ],
 )
-def test_arms(real_input, name, arms):
+def test_arms_and_what_stands_there(
+    real_input, name, arms, poles, n_things, n_crosswalks
+):
     source = read_opendrive(real_input(f"opendrive/{name}.xodr"))
     assert [len(arms_of(source, one)) for one in source.junctions] == arms
-
-
-@pytest.mark.parametrize(
-    ("name", "poles", "n_things", "n_crosswalks"),
-    [
-        ("StraightRoad_NCAP_noRoadmarks_Streetlights", {"lamp post": 7}, 0, 0),
-        ("fabriksgatan_traffic_lights", {"traffic light": 2}, 0, 0),
-        ("multi_intersections", {"traffic light": 34, "sign": 2}, 0, 17),
-        ("Town01", {"traffic light": 36, "sign": 21}, 0, 0),
-        ("Junction_with_building0", {}, 1, 0),
-        ("parking_demo", {}, 10, 3),
-    ],
-)
-def test_what_stands_there(real_input, name, poles, n_things, n_crosswalks):
-    source = read_opendrive(real_input(f"opendrive/{name}.xodr"))
     assert Counter(pole.kind for pole in source.poles) == poles
     assert len(source.things) == n_things
     assert len(source.crosswalks_m) == n_crosswalks

@@ -7,9 +7,7 @@ import struct
 import sys
 import types
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
-from random import Random
 
 import numpy as np
 import pytest
@@ -22,8 +20,6 @@ from geometry.junction import distance_to_outline_m
 from geometry.maps.openstreetmap import fetch_openstreetmap, read_openstreetmap
 from geometry.maps.openstreetmap.elements import DEFAULTS
 from geometry.maps.source_map import SourceMap, parse_length_m
-
-RealInput = Callable[[str], Path]
 
 
 def small_map() -> OsmText:
@@ -74,7 +70,9 @@ def read_text(text: str | bytes, folder: Path, name: str = "map.osm") -> SourceM
 
 def test_the_content_of_a_file_tells_its_format(tmp_path: Path) -> None:
     plain = read_text(SMALL, tmp_path)
-    assert (len(plain.things), len(plain.poles), len(plain.junctions)) == (8, 3, 1)
+    assert len(plain.things) == 8
+    assert len(plain.poles) == 3
+    assert len(plain.junctions) == 1
     packed = SMALL.encode()
     for name, content in (
         ("map", packed),  # what it is shows in the file itself
@@ -89,7 +87,7 @@ def test_the_content_of_a_file_tells_its_format(tmp_path: Path) -> None:
             np.testing.assert_array_equal(one.centreline_m, two.centreline_m)
 
 
-def test_the_map_lies_around_its_roads_and_says_where(tmp_path: Path) -> None:
+def test_the_map_lies_around_its_roads_and_says_where(tmp_path):
     source = read_text(SMALL, tmp_path)
     assert source.source_crs == "EPSG:4326"
     assert source.heights == "above ground"
@@ -103,7 +101,7 @@ def test_the_map_lies_around_its_roads_and_says_where(tmp_path: Path) -> None:
     np.testing.assert_allclose(ends.min(axis=0) + ends.max(axis=0), 0.0, atol=10.0)
 
 
-def test_ids_are_unique(tmp_path: Path) -> None:
+def test_ids_are_unique(tmp_path):
     source = read_text(SMALL, tmp_path)
     for items in (source.lanes, source.things, source.poles, source.junctions):
         ids = [item.id for item in items]
@@ -114,18 +112,14 @@ def test_ids_are_unique(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("", "got something else; expected OpenStreetMap data, XML or PBF"),
-        ("hello", "got something else; expected OpenStreetMap data, XML or PBF"),
-        ('{"elements": []}', "got something else"),
         ("<gpx></gpx>", "got Unknown top-level element: gpx"),
         (SMALL[:500], "got XML parsing error at line 7"),
         (SMALL.replace('version="0.6"', ""), "without version"),
         (SMALL.replace('id="2"', 'id="two"'), "got illegal id: 'two'"),
-        (SMALL.replace('id="2"', f'id="{10**30}"'), "illegal id"),
         (
             re.sub(r'lat="52\.\d+"', 'lat="north"', SMALL, count=1),
             "coordinate: 'north'",
         ),
-        (re.sub(r'lat="52\.\d+"', 'lat="nan"', SMALL, count=1), "coordinate: 'nan'"),
         (
             re.sub(r'lat="52\.\d+"', 'lat="95"', SMALL, count=1),
             (
@@ -149,13 +143,6 @@ def test_ids_are_unique(tmp_path: Path) -> None:
         ),
         (
             (
-                '<osm version="0.6"><way id="1"><nd ref="1"/><nd ref="2"/>'
-                '<tag k="highway" v="primary"/></way></osm>'
-            ),
-            "got no nodes; expected a map with roads",
-        ),
-        (
-            (
                 '<osm version="0.6"><node id="1" lat="1" lon="1"/><way id="1"><nd'
                 ' ref="1"/><nd ref="1"/><tag k="highway" v="primary"/></way></osm>'
             ),
@@ -164,9 +151,7 @@ def test_ids_are_unique(tmp_path: Path) -> None:
         (SMALL.replace("Street 0", "S" * 70_000), "too long"),
     ],
 )
-def test_what_is_no_map_is_told_in_one_line(
-    text: str, message: str, tmp_path: Path
-) -> None:
+def test_what_is_no_map_is_told_in_one_line(text, message, tmp_path):
     with pytest.raises(InputError) as caught:
         read_text(text, tmp_path)
     assert message in str(caught.value)
@@ -182,21 +167,21 @@ def test_too_many_elements_are_refused(
         read_text(SMALL, tmp_path)
 
 
-def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_told(tmp_path):
     with pytest.raises(InputError, match="No such file"):
         read_openstreetmap(tmp_path / "none.osm")
     with pytest.raises(InputError, match="expected a readable file"):
         read_openstreetmap(tmp_path)
 
 
-def test_what_was_deleted_is_not_there(tmp_path: Path) -> None:
+def test_what_was_deleted_is_not_there(tmp_path):
     text = SMALL.replace('<way id="3"', '<way id="3" visible="false"')
     assert text != SMALL
     source = read_text(text, tmp_path)
     assert len(source.lanes) < len(read_text(SMALL, tmp_path).lanes)
 
 
-def test_of_a_node_that_comes_twice_the_last_counts(tmp_path: Path) -> None:
+def test_of_a_node_that_comes_twice_the_last_counts(tmp_path):
     text = '<osm version="0.6">' + "".join(
         f'<node id="{one}" lat="{lat}" lon="1"/>'
         for one, lat in ((1, 1.0), (2, 1.5), (2, 1.001))
@@ -209,14 +194,15 @@ def test_of_a_node_that_comes_twice_the_last_counts(tmp_path: Path) -> None:
     assert np.ptp(lane.centreline_m[:, 1]) == pytest.approx(110.6, abs=0.1)
 
 
-def test_elements_may_come_in_any_order(tmp_path: Path) -> None:
+def test_elements_may_come_in_any_order(tmp_path):
     head, *elements, tail = SMALL.strip().split("\n")[1:]
     backwards = "\n".join([head, *elements[::-1], tail])
     source = read_text(SMALL, tmp_path)
     other = read_text(backwards, tmp_path)
     assert {thing.id for thing in source.things} == {thing.id for thing in other.things}
     for one, two in zip(source.junctions, other.junctions, strict=True):
-        assert (one.id, one.name) == (two.id, two.name)
+        assert one.id == two.id
+        assert one.name == two.name
         areas = [_area_m2(junction.outline_m) for junction in (one, two)]
         assert areas[0] == pytest.approx(areas[1], rel=1e-3)
 
@@ -226,7 +212,7 @@ def _area_m2(outline_m: np.ndarray) -> float:
     return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
-def test_lengths_are_understood_as_people_write_them() -> None:
+def test_lengths_are_understood_as_people_write_them():
     for text, length_m in (
         ("3", 3.0),
         (" 3.5m ", 3.5),
@@ -291,28 +277,8 @@ def _read_or_refuse(content: bytes, folder: Path) -> None:
 
 
 @_FUZZ
-@given(
-    at=st.lists(
-        st.tuples(st.integers(0, len(SMALL) - 1), st.integers(0, 255)), max_size=8
-    ),
-    cut=st.integers(0, 2 * len(SMALL)),
-)
-def test_changed_bytes_are_read_or_refused(
-    at: list[tuple[int, int]], cut: int, tmp_path: Path
-) -> None:
-    content = bytearray(SMALL.encode())
-    for index, value in at:
-        content[index] = value
-    _read_or_refuse(
-        bytes(content[:cut]) if cut < len(content) else bytes(content), tmp_path
-    )
-
-
-@_FUZZ
 @given(data=st.data())
-def test_changed_attributes_are_read_or_refused(
-    data: st.DataObject, tmp_path: Path
-) -> None:
+def test_changed_attributes_are_read_or_refused(data, tmp_path):
     attributes = list(re.finditer(r'(k|v|ref|id|lat|lon|role|type)="([^"]*)"', SMALL))
     values = [match[2] for match in attributes] + _ODD
     text = SMALL
@@ -378,9 +344,7 @@ def test_changed_attributes_are_read_or_refused(
     ),
     seed=st.integers(0, 10**6),
 )
-def test_roads_that_lie_anyhow_are_read(
-    tags: dict[str, str], seed: int, tmp_path: Path
-) -> None:
+def test_roads_that_lie_anyhow_are_read(tags, seed, tmp_path):
     rng = np.random.default_rng(seed)
     osm = OsmText()
     nodes = [osm.node(*rng.uniform(-60.0, 60.0, 2)) for _ in range(12)]
@@ -416,16 +380,14 @@ def small_pbf(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return (folder / "map.osm.pbf").read_bytes()
 
 
-def test_pbf_is_the_same_map(small_pbf: bytes, tmp_path: Path) -> None:
+def test_pbf_is_the_same_map(small_pbf, tmp_path):
     one = read_text(SMALL, tmp_path)
     two = read_text(small_pbf, tmp_path, "map.osm.pbf")
     assert [lane.id for lane in one.lanes] == [lane.id for lane in two.lanes]
     assert [thing.id for thing in one.things] == [thing.id for thing in two.things]
 
 
-def test_a_zero_byte_in_a_text_never_reaches_osmium(
-    small_pbf: bytes, tmp_path: Path
-) -> None:
+def test_a_zero_byte_in_a_text_never_reaches_osmium(small_pbf, tmp_path):
     # It would read on behind its memory, and the process would end there.
     with pytest.raises(InputError, match="a zero byte in a text"):
         read_text(
@@ -433,33 +395,13 @@ def test_a_zero_byte_in_a_text_never_reaches_osmium(
         )
 
 
-def test_pbf_is_read_up_to_a_limit(
-    small_pbf: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pbf_is_read_up_to_a_limit(small_pbf, tmp_path, monkeypatch):
     monkeypatch.setitem(DEFAULTS["reading"], "max_unpacked_bytes", 1000)
     with pytest.raises(InputError, match="more than 1,000 bytes when unpacked"):
         read_text(small_pbf, tmp_path, "map.osm.pbf")
 
 
-@_FUZZ
-@given(
-    values=st.lists(st.integers(0, 255), min_size=1, max_size=4),
-    seed=st.integers(0, 10**6),
-)
-def test_changed_bytes_of_pbf_are_read_or_refused(
-    values: list[int], seed: int, small_pbf: bytes, tmp_path: Path
-) -> None:
-    content = bytearray(small_pbf)
-    for place, value in zip(
-        Random(seed).sample(range(len(content)), 4), values, strict=False
-    ):
-        content[place] = value
-    _read_or_refuse(bytes(content), tmp_path)
-
-
-def test_a_damaged_pbf_is_read_or_refused(
-    real_input: RealInput, tmp_path: Path
-) -> None:
+def test_a_damaged_pbf_is_read_or_refused(real_input, tmp_path):
     content = real_input("osm/test.osm.pbf").read_bytes()
     path = tmp_path / "map.osm.pbf"
     giant = struct.pack(">I", 0x7FFFFFFF) + content[4:]
@@ -494,7 +436,7 @@ def _check(source: SourceMap) -> Counter[int]:
     return counts
 
 
-def test_neukolln(real_input: RealInput) -> None:
+def test_neukolln(real_input):
     source = read_openstreetmap(real_input("osm/neukolln.osm"))
     assert not source.keeps_left
     assert Counter(pole.kind for pole in source.poles)["lamp post"] == 52
@@ -516,7 +458,7 @@ def test_neukolln(real_input: RealInput) -> None:
     }
 
 
-def test_seattle(real_input: RealInput) -> None:
+def test_seattle(real_input):
     source = read_openstreetmap(real_input("osm/seattle_triangle.osm"))
     assert _check(source) == {6: 1}
     assert source.junctions[0].name == "8th Avenue / Westlake Avenue / Lenora Street"
@@ -524,14 +466,8 @@ def test_seattle(real_input: RealInput) -> None:
     assert {thing.class_name for thing in source.things} == {"building"}
 
 
-def test_village(real_input: RealInput) -> None:
-    source = read_openstreetmap(real_input("osm/planet_10.068_48.135.osm"))
-    assert _check(source) == {3: 1}
-    assert len(source.things) == 31
-    assert not source.poles
-
-
-def test_town_in_pbf(real_input: RealInput) -> None:
+@pytest.mark.long  # smaller ones, quickly: test_neukolln, test_pbf_is_the_same_map
+def test_town_in_pbf(real_input):
     source = read_openstreetmap(real_input("osm/test.osm.pbf"))
     assert (
         len(source.junctions) == 109
@@ -569,9 +505,7 @@ def _stub(monkeypatch: pytest.MonkeyPatch, content: bytes) -> list[str]:
     return asked
 
 
-def test_a_fetched_map_can_be_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fetched_map_can_be_read(tmp_path, monkeypatch):
     asked = _stub(monkeypatch, SMALL.encode())
     path = tmp_path / "map.osm"
     fetch_openstreetmap((13.39, 52.49, 13.41, 52.51), path)
@@ -579,9 +513,7 @@ def test_a_fetched_map_can_be_read(
     assert len(read_openstreetmap(path).junctions) == 1
 
 
-def test_a_server_that_does_not_answer_with_a_map_leaves_no_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_server_that_does_not_answer_with_a_map_leaves_no_file(tmp_path, monkeypatch):
     for content in (b"", b"<html>busy</html>"):
         _stub(monkeypatch, content)
         with pytest.raises(InputError, match="https://"):
@@ -598,20 +530,18 @@ def test_a_server_that_does_not_answer_with_a_map_leaves_no_file(
         (1.0, 2.0),
     ],
 )
-def test_a_box_that_is_none_is_refused(bbox: tuple[float, ...], tmp_path: Path) -> None:
+def test_a_box_that_is_none_is_refused(bbox, tmp_path):
     with pytest.raises(InputError, match="bbox"):
         fetch_openstreetmap(bbox, tmp_path / "map.osm")
 
 
-def test_the_extra_is_named_where_it_is_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_extra_is_named_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "requests", None)
     with pytest.raises(MissingExtraError, match=r"pip install place-rsus\[online\]"):
         fetch_openstreetmap((13.39, 52.49, 13.41, 52.51), tmp_path / "map.osm")
 
 
-def test_garching(real_input: RealInput) -> None:
+def test_garching(real_input):
     source = read_openstreetmap(real_input("osm/garching_intersection.osm"))
     lines = source.crosswalks_m
     assert len(lines) == 5  # one way is an L over two arms

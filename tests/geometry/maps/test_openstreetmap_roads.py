@@ -1,12 +1,13 @@
 """Lanes, junctions and what lies beside roads, from small hand-made files."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from osm_tags import tags_of
 from osm_text import OsmText, arm_lanes, arms_of, as_drawn, crossing, scene_of
 
 from geometry.junction import distance_to_outline_m
@@ -51,7 +52,7 @@ def one_road(
     minus.
     """
     osm = OsmText()
-    osm.way([(-50.0, 0.0), (50.0, 0.0)], {"highway": "residential"} | tags)
+    osm.way([(-50.0, 0.0), (50.0, 0.0)], tags_of("highway=residential") | tags)
     source = read(osm, folder, **({"keeps_left": False} | options))
     strips = []
     for lane in source.lanes:
@@ -69,80 +70,55 @@ def one_road(
 @pytest.mark.parametrize(
     ("tags", "expected"),
     [
-        ({}, [("driving", -2.75, 1.4), ("driving", 2.75, -1.4)]),
-        ({"width": "7"}, [("driving", -3.5, 1.8), ("driving", 3.5, -1.8)]),
-        ({"width": "7,0 m"}, [("driving", -3.5, 1.8), ("driving", 3.5, -1.8)]),
-        ({"width": "6-8"}, [("driving", -3.5, 1.8), ("driving", 3.5, -1.8)]),
-        ({"width": "20 ft"}, [("driving", -3.048, 1.5), ("driving", 3.048, -1.5)]),
-        ({"est_width": "6"}, [("driving", -3.0, 1.5), ("driving", 3.0, -1.5)]),
-        ({"oneway": "yes"}, [("driving", 2.75, 0.0)]),
-        ({"oneway": "-1"}, [("driving", -2.75, 0.0)]),
+        ("", [("driving", -2.75, 1.4), ("driving", 2.75, -1.4)]),
+        ("width=7", [("driving", -3.5, 1.8), ("driving", 3.5, -1.8)]),
+        ("est_width=6", [("driving", -3.0, 1.5), ("driving", 3.0, -1.5)]),
+        ("oneway=yes", [("driving", 2.75, 0.0)]),
+        ("oneway=-1", [("driving", -2.75, 0.0)]),
+        ("oneway=yes; lanes=2", [("driving", 2.75, 1.4), ("driving", 2.75, -1.4)]),
         (
-            {"oneway": "yes", "lanes": "2"},
-            [("driving", 2.75, 1.4), ("driving", 2.75, -1.4)],
-        ),
-        (
-            {"lanes": "3", "lanes:forward": "1", "width": "9"},
+            "lanes=3; lanes:forward=1; width=9",
             [("driving", -3.0, 3.0), ("driving", -3.0, 0.0), ("driving", 3.0, -3.0)],
         ),
         (
-            {"turn:lanes:forward": "left|through", "lanes": "3", "width": "9"},
+            "turn:lanes:forward=left|through; lanes=3; width=9",
             [("driving", -3.0, 3.0), ("driving", 3.0, 0.0), ("driving", 3.0, -3.0)],
         ),
         (
-            {"lanes": "3", "lanes:both_ways": "1", "width": "9"},
+            "lanes=3; lanes:both_ways=1; width=9",
             [("driving", -3.0, 3.0), ("driving", 3.0, -3.0)],
         ),
         (  # from left to right in driving direction: the widest is the innermost
-            {"oneway": "yes", "lanes": "2", "width:lanes": "3.5|2.5"},
+            "oneway=yes; lanes=2; width:lanes=3.5|2.5",
             [("driving", 3.5, 1.2), ("driving", 2.5, -1.8)],
         ),
         (
-            {
-                "width:lanes:forward": "3",
-                "width:lanes:backward": "2.5|3.5",
-                "lanes": "3",
-                "lanes:backward": "2",
-            },
+            "width:lanes:forward=3; width:lanes:backward=2.5|3.5; lanes=3;"
+            " lanes:backward=2",
             [("driving", -3.5, 2.8), ("driving", -2.5, -0.2), ("driving", 3.0, -3.0)],
         ),
         # one for both
-        ({"width": "3.6"}, [("driving", -3.0, 0.3), ("driving", 3.0, -0.3)]),
+        ("width=3.6", [("driving", -3.0, 0.3), ("driving", 3.0, -0.3)]),
+        ("lanes=1; width=4", [("driving", -3.4, 0.3), ("driving", 3.4, -0.3)]),
+        ("highway=service", [("driving", -2.9, 0.3), ("driving", 2.9, -0.3)]),
         (
-            {"lanes": "1", "width": "4"},
-            [("driving", -3.4, 0.3), ("driving", 3.4, -0.3)],
-        ),
-        ({"highway": "service"}, [("driving", -2.9, 0.3), ("driving", 2.9, -0.3)]),
-        (
-            {"width": "10", "parking:right": "lane", "parking:right:width": "2"},
+            "width=10; parking:right=lane; parking:right:width=2",
             [("driving", -4.0, 3.0), ("driving", 4.0, -1.0), ("parking", 2.0, -4.0)],
         ),
         (
-            {
-                "width": "6",
-                "parking:left": "street_side",
-                "parking:left:orientation": "perpendicular",
-            },
+            "width=6; parking:left=street_side; parking:left:orientation=perpendicular",
             [("parking", -5.0, 5.5), ("driving", -3.0, 1.5), ("driving", 3.0, -1.5)],
         ),
         (
-            {
-                "width": "10",
-                "parking:lane:left": "parallel",
-                "parking:lane:right": "no_parking",
-            },
+            "width=10; parking:lane:left=parallel; parking:lane:right=no_parking",
             [("parking", -2.0, 4.0), ("driving", -4.0, 1.0), ("driving", 4.0, -3.0)],
         ),
         (
-            {
-                "width": "6",
-                "parking:both": "lane",
-                "parking:both:restriction": "no_stopping",
-            },
+            "width=6; parking:both=lane; parking:both:restriction=no_stopping",
             [("driving", -3.0, 1.5), ("driving", 3.0, -1.5)],
         ),
         (
-            {"width": "9", "cycleway": "lane"},
+            "width=9; cycleway=lane",
             [
                 ("cycling", -1.5, 3.8),
                 ("driving", -3.0, 1.5),
@@ -151,7 +127,7 @@ def one_road(
             ],
         ),
         (
-            {"width": "6", "cycleway:right": "track", "sidewalk": "right"},
+            "width=6; cycleway:right=track; sidewalk=right",
             [
                 ("driving", -3.0, 1.5),
                 ("driving", 3.0, -1.5),
@@ -160,63 +136,38 @@ def one_road(
             ],
         ),
         (
-            {
-                "width": "6",
-                "oneway": "yes",
-                "cycleway": "opposite_lane",
-                "cycleway:width": "1",
-            },
+            "width=6; oneway=yes; cycleway=opposite_lane; cycleway:width=1",
             [("cycling", -1.0, 2.5), ("driving", 5.0, -0.5)],
         ),
         (
             # left as the way is mapped
-            {"width": "6", "oneway": "-1", "sidewalk": "left"},
+            "width=6; oneway=-1; sidewalk=left",
             [("walking", -2.5, 4.2), ("driving", -6.0, 0.0)],
-        ),
-        (
-            {"sidewalk:both": "separate"},
-            [("driving", -2.75, 1.4), ("driving", 2.75, -1.4)],
         ),
     ],
 )
-def test_tags_say_what_lies_side_by_side(
-    tags: dict[str, str], expected: list[tuple[str, float, float]], tmp_path: Path
-) -> None:
-    found = one_road(tags, tmp_path)
+def test_tags_say_what_lies_side_by_side(tags, expected, tmp_path):
+    found = one_road(tags_of(tags), tmp_path)
     assert [strip[:2] for strip in found] == [strip[:2] for strip in expected]
     places = [strip[2] for strip in found]
-    np.testing.assert_allclose(places, [strip[2] for strip in expected], atol=0.11)
+    assert_allclose(places, [strip[2] for strip in expected], atol=0.11)
 
 
-@pytest.mark.parametrize("tags", [{"lanes": "3", "lanes:forward": "2"}, {"width": "8"}])
-def test_where_traffic_keeps_left_lanes_lie_as_in_a_mirror(
-    tags: dict[str, str], tmp_path: Path
-) -> None:
-    right = one_road(tags, tmp_path)
-    left = one_road(tags, tmp_path, keeps_left=True)
+@pytest.mark.parametrize("tags", ["lanes=3; lanes:forward=2"])
+def test_where_traffic_keeps_left_lanes_lie_as_in_a_mirror(tags, tmp_path):
+    right = one_road(tags_of(tags), tmp_path)
+    left = one_road(tags_of(tags), tmp_path, keeps_left=True)
     assert [strip[:2] for strip in left] == [strip[:2] for strip in right[::-1]]
     places = [-strip[2] for strip in right[::-1]]
-    np.testing.assert_allclose([strip[2] for strip in left], places, atol=0.03)
+    assert_allclose([strip[2] for strip in left], places, atol=0.03)
 
 
 @pytest.mark.parametrize(
-    "tags",
-    [
-        {"width": "wide"},
-        {"width": "-3"},
-        {"width": "900"},
-        {"lanes": "2;3"},
-        {"lanes": "99"},
-        {"lanes": "1.5"},
-        {"est_width": "ten"},
-        {"lanes:forward": "many"},
-    ],
+    "tags", ["width=wide", "width=900", "lanes=2;3", "lanes=99", "lanes:forward=many"]
 )
-def test_what_makes_no_sense_is_told_and_usual_sizes_stand_in(
-    tags: dict[str, str], tmp_path: Path
-) -> None:
+def test_what_makes_no_sense_is_told_and_usual_sizes_stand_in(tags, tmp_path):
     osm = OsmText()
-    way = osm.way([(-50.0, 0.0), (50.0, 0.0)], {"highway": "residential"} | tags)
+    way = osm.way([(-50.0, 0.0), (50.0, 0.0)], tags_of("highway=residential", tags))
     source = read(osm, tmp_path, keeps_left=False)
     assert [lane.width_m for lane in source.lanes] == [2.75, 2.75]
     (skipped,) = source.skipped
@@ -227,31 +178,25 @@ def test_what_makes_no_sense_is_told_and_usual_sizes_stand_in(
 @pytest.mark.parametrize(
     "tags",
     [
-        {"highway": "footway"},
-        {"highway": "track"},
-        {"highway": "construction"},
-        {"highway": "residential", "area": "yes"},
-        {"highway": "service", "service": "driveway"},
-        {"highway": "service", "service": "parking_aisle"},
-        {"highway": "cycleway"},
-        {"highway": "residential", "motor_vehicle": "no"},
-        {"highway": "service", "access": "no"},
-        {"railway": "tram"},
+        "highway=footway",
+        "highway=residential; area=yes",
+        "highway=service; service=driveway",
+        "highway=residential; motor_vehicle=no",
+        "highway=service; access=no",
+        "railway=tram",
     ],
 )
-def test_what_is_no_road_for_cars_has_no_lanes(
-    tags: dict[str, str], tmp_path: Path
-) -> None:
+def test_what_is_no_road_for_cars_has_no_lanes(tags, tmp_path):
     osm = OsmText()
     osm.road([(-50.0, 0.0), (50.0, 0.0)])
-    osm.way([(-50.0, 30.0), (50.0, 30.0)], tags)
+    osm.way([(-50.0, 30.0), (50.0, 30.0)], tags_of(tags))
     assert len(read(osm, tmp_path).lanes) == 2
 
 
 # ---------------------------------------------------------------- junctions
 
 
-def test_four_roads_of_two_lanes_meet(tmp_path: Path) -> None:
+def test_four_roads_of_two_lanes_meet(tmp_path):
     osm = OsmText()
     middle = crossing(osm, bearings=FOUR, width="6")
     source = read(osm, tmp_path)
@@ -268,9 +213,7 @@ def test_four_roads_of_two_lanes_meet(tmp_path: Path) -> None:
     for lane in source.lanes:
         tip = lane.centreline_m[0 if lane.from_junction else -1, :2]
         assert np.abs(tip).max() == pytest.approx(8.0, abs=0.55)
-        np.testing.assert_allclose(
-            np.abs(lane.centreline_m[:, :2]).min(axis=1), 1.5, atol=0.03
-        )
+        assert_allclose(np.abs(lane.centreline_m[:, :2]).min(axis=1), 1.5, atol=0.03)
     # Traffic keeps right: what leads east lies south of the axis.
     east = next(
         lane
@@ -282,9 +225,7 @@ def test_four_roads_of_two_lanes_meet(tmp_path: Path) -> None:
     assert not east.to_junction
 
 
-def test_where_traffic_keeps_left_a_crossing_is_its_mirror_image(
-    tmp_path: Path,
-) -> None:
+def test_where_traffic_keeps_left_a_crossing_is_its_mirror_image(tmp_path):
     osm = OsmText()
     crossing(osm, bearings=FOUR)
     left, right = (read(osm, tmp_path, keeps_left=side) for side in (True, False))
@@ -321,9 +262,7 @@ def test_where_traffic_keeps_left_a_crossing_is_its_mirror_image(
         ),
     ],
 )
-def test_roads_meet_under_any_angle(
-    bearings: Sequence[tuple[float, float]], names: set[str], tmp_path: Path
-) -> None:
+def test_roads_meet_under_any_angle(bearings, names, tmp_path):
     osm = OsmText()
     crossing(osm, bearings=bearings)
     source = read(osm, tmp_path)
@@ -333,7 +272,7 @@ def test_roads_meet_under_any_angle(
     assert np.hypot(*outline.T).max() <= 31.0
 
 
-def test_one_way_arms_have_lanes_in_one_direction(tmp_path: Path) -> None:
+def test_one_way_arms_have_lanes_in_one_direction(tmp_path):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     osm.road([(-80.0, 0.0), middle, (80.0, 0.0)], oneway="yes", lanes="2")
@@ -347,10 +286,10 @@ def test_one_way_arms_have_lanes_in_one_direction(tmp_path: Path) -> None:
     }
 
 
-def test_dual_carriageways_cross_in_one_junction(tmp_path: Path) -> None:
+def test_dual_carriageways_cross_in_one_junction(tmp_path):
     osm = OsmText()
     at = {(x, y): osm.node(x, y) for x in (-8.0, 8.0) for y in (-8.0, 8.0)}
-    tags = {"highway": "primary", "oneway": "yes", "lanes": "2"}
+    tags = tags_of("highway=primary; oneway=yes; lanes=2")
     for y in (-8.0, 8.0):  # eastwards in the south, as traffic that keeps right does
         line: list[int | tuple[float, float]] = [
             (-120.0, y),
@@ -358,10 +297,10 @@ def test_dual_carriageways_cross_in_one_junction(tmp_path: Path) -> None:
             at[8.0, y],
             (120.0, y),
         ]
-        osm.way(line[:: 1 if y < 0 else -1], tags | {"name": "Long Avenue"})
+        osm.way(line[:: 1 if y < 0 else -1], tags | tags_of("name=Long Avenue"))
     for x in (-8.0, 8.0):
         line = [(x, -120.0), at[x, -8.0], at[x, 8.0], (x, 120.0)]
-        osm.way(line[:: 1 if x > 0 else -1], tags | {"name": "Wide Street"})
+        osm.way(line[:: 1 if x > 0 else -1], tags | tags_of("name=Wide Street"))
     source = read(osm, tmp_path)
     assert not source.keeps_left
     assert not any(
@@ -376,9 +315,7 @@ def test_dual_carriageways_cross_in_one_junction(tmp_path: Path) -> None:
     check_ends(source)
 
 
-def test_offset_side_streets_are_one_junction_and_distant_ones_two(
-    tmp_path: Path,
-) -> None:
+def test_offset_side_streets_are_one_junction_and_distant_ones_two(tmp_path):
     counts = []
     for offset in (15.0, 60.0):
         osm = OsmText()
@@ -407,8 +344,8 @@ def test_offset_side_streets_are_one_junction_and_distant_ones_two(
     ],
 )
 def test_side_roads_35_m_apart_on_either_side_are_one_junction_if_asked_for(
-    sides: tuple[int, int], staggered_m: float, n_arms: list[int], tmp_path: Path
-) -> None:
+    sides, staggered_m, n_arms, tmp_path
+):
     osm = OsmText()
     nodes = [osm.node(east, 0.0) for east in (0.0, 35.0)]
     osm.road([(-90.0, 0.0), *nodes, (150.0, 0.0)], name="Main Street")
@@ -421,7 +358,7 @@ def test_side_roads_35_m_apart_on_either_side_are_one_junction_if_asked_for(
     assert sorted(found, reverse=True) == n_arms
 
 
-def test_a_roundabout_is_one_junction_and_shows_the_side(tmp_path: Path) -> None:
+def test_a_roundabout_is_one_junction_and_shows_the_side(tmp_path):
     for turn in (1, -1):
         osm = OsmText()
         ring = [
@@ -442,23 +379,24 @@ def test_a_roundabout_is_one_junction_and_shows_the_side(tmp_path: Path) -> None
         check_ends(source)
 
 
-def test_driving_side_tag_goes_before_everything(tmp_path: Path) -> None:
+def test_driving_side_tag_goes_before_everything(tmp_path):
     osm = OsmText()
     osm.road([(-50.0, 0.0), (50.0, 0.0)], driving_side="left")
     assert read(osm, tmp_path).keeps_left
     assert not read(osm, tmp_path, keeps_left=False).keeps_left
 
 
-def test_an_assumed_driving_side_is_told(tmp_path: Path) -> None:
+def test_an_assumed_driving_side_is_told(tmp_path):
     osm = OsmText()
     osm.road([(-50.0, 0.0), (50.0, 0.0)])
     (skipped,) = read(osm, tmp_path).skipped
-    assert (skipped.what, "keep right" in skipped.why) == ("side of the road", True)
+    assert skipped.what == "side of the road"
+    assert "keep right" in skipped.why
     assert not read(osm, tmp_path, keeps_left=False).skipped
 
 
-def test_yards_make_no_junction_unless_signals_stand_there(tmp_path: Path) -> None:
-    for tags, n_junctions in (({}, 0), ({"highway": "traffic_signals"}, 1)):
+def test_yards_make_no_junction_unless_signals_stand_there(tmp_path):
+    for tags, n_junctions in (({}, 0), (tags_of("highway=traffic_signals"), 1)):
         osm = OsmText()
         middle = osm.node(0.0, 0.0, **tags)
         osm.road([(-80.0, 0.0), middle, (80.0, 0.0)])
@@ -470,7 +408,7 @@ def test_yards_make_no_junction_unless_signals_stand_there(tmp_path: Path) -> No
             assert lengths[-2:] == pytest.approx([160.0, 160.0], abs=0.1)
 
 
-def test_roads_that_only_cross_do_not_meet(tmp_path: Path) -> None:
+def test_roads_that_only_cross_do_not_meet(tmp_path):
     osm = OsmText()
     osm.road([(-80.0, 0.0), (80.0, 0.0)])
     osm.road([(0.0, -80.0), (0.0, 80.0)], bridge="yes", layer="1")
@@ -480,15 +418,13 @@ def test_roads_that_only_cross_do_not_meet(tmp_path: Path) -> None:
     assert heights == [0.0, 5.0]
 
 
-def test_roads_that_meet_on_a_bridge_are_no_junction_on_the_ground(
-    tmp_path: Path,
-) -> None:
+def test_roads_that_meet_on_a_bridge_are_no_junction_on_the_ground(tmp_path):
     osm = OsmText()
     crossing(osm, bearings=FOUR, bridge="yes", layer="1")
     assert not read(osm, tmp_path).junctions
 
 
-def test_a_street_is_followed_over_nodes_where_only_tags_change(tmp_path: Path) -> None:
+def test_a_street_is_followed_over_nodes_where_only_tags_change(tmp_path):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     bend = osm.node(60.0, 0.0)
@@ -501,7 +437,7 @@ def test_a_street_is_followed_over_nodes_where_only_tags_change(tmp_path: Path) 
     for lane in east:
         assert 3.0 < lane.width_m < 4.0
         along = np.abs(np.interp([30.0, 120.0], *_rising(lane)))
-        np.testing.assert_allclose(along, [1.5, 2.0], atol=0.03)
+        assert_allclose(along, [1.5, 2.0], atol=0.03)
 
 
 def _rising(lane: MapLane) -> tuple[np.ndarray, np.ndarray]:
@@ -509,7 +445,7 @@ def _rising(lane: MapLane) -> tuple[np.ndarray, np.ndarray]:
     return lane.centreline_m[order, 0], lane.centreline_m[order, 1]
 
 
-def test_turning_lanes_begin_where_the_lane_before_them_ends(tmp_path: Path) -> None:
+def test_turning_lanes_begin_where_the_lane_before_them_ends(tmp_path):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     widens = osm.node(-50.0, 0.0)
@@ -541,7 +477,7 @@ def _with_rest(source: SourceMap) -> list[MapLane]:
     ]
 
 
-def test_carriageways_lead_on_into_the_road_they_become(tmp_path: Path) -> None:
+def test_carriageways_lead_on_into_the_road_they_become(tmp_path):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     fork = osm.node(60.0, 0.0)
@@ -557,17 +493,15 @@ def test_carriageways_lead_on_into_the_road_they_become(tmp_path: Path) -> None:
     assert min(gaps) < 0.01
 
 
-def test_where_one_lane_becomes_three_at_a_fork_all_stay_on_their_side(
-    tmp_path: Path,
-) -> None:
+def test_where_one_lane_becomes_three_at_a_fork_all_stay_on_their_side(tmp_path):
     osm = OsmText()
     south = osm.node(0.0, -7.0)
     north = osm.node(0.0, 7.0)
     fork = osm.node(-60.0, 0.0)
-    tags = {"highway": "primary", "name": "A"}
-    osm.way([(-160.0, 0.0), fork], tags | {"lanes": "2"})
-    osm.way([fork, (-45.0, -7.0), south], tags | {"oneway": "yes", "lanes": "3"})
-    osm.way([north, (-45.0, 7.0), fork], tags | {"oneway": "yes", "lanes": "2"})
+    tags = tags_of("highway=primary; name=A")
+    osm.way([(-160.0, 0.0), fork], tags | tags_of("lanes=2"))
+    osm.way([fork, (-45.0, -7.0), south], tags | tags_of("oneway=yes; lanes=3"))
+    osm.way([north, (-45.0, 7.0), fork], tags | tags_of("oneway=yes; lanes=2"))
     osm.road([(0.0, -80.0), south, north, (0.0, 80.0)])
     source = read(osm, tmp_path, keeps_left=False)
     scene = scene_of(source, source.junctions[0], source.lanes)
@@ -581,9 +515,7 @@ def test_where_one_lane_becomes_three_at_a_fork_all_stay_on_their_side(
 
 
 @pytest.mark.parametrize("keeps_left", [False, True])
-def test_turn_lanes_are_those_of_the_lanes_from_the_left(
-    keeps_left: bool, tmp_path: Path
-) -> None:
+def test_turn_lanes_are_those_of_the_lanes_from_the_left(keeps_left, tmp_path):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     marked = {
@@ -612,9 +544,7 @@ def test_turn_lanes_are_those_of_the_lanes_from_the_left(
     )
 
 
-def test_two_meetings_too_near_to_be_two_but_too_far_to_be_one_share_the_road(
-    tmp_path: Path,
-) -> None:
+def test_two_meetings_too_near_to_be_two_but_too_far_to_be_one_share_the_road(tmp_path):
     osm = OsmText()
     nodes = [osm.node(26.0 * index, 0.0) for index in range(4)]
     osm.road([(-90.0, 0.0), *nodes, (180.0, 0.0)], width="14", lanes="4")
@@ -627,7 +557,7 @@ def test_two_meetings_too_near_to_be_two_but_too_far_to_be_one_share_the_road(
         assert len(arms_of(source, junction).arms) == 3
 
 
-def test_a_road_that_only_bends_back_is_no_junction(tmp_path: Path) -> None:
+def test_a_road_that_only_bends_back_is_no_junction(tmp_path):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     osm.road([(-80.0, 0.0), middle])
@@ -638,7 +568,7 @@ def test_a_road_that_only_bends_back_is_no_junction(tmp_path: Path) -> None:
     assert any("fewer than three arms" in skipped.why for skipped in source.skipped)
 
 
-def test_nodes_that_the_file_does_not_have_cut_roads_short(tmp_path: Path) -> None:
+def test_nodes_that_the_file_does_not_have_cut_roads_short(tmp_path):
     osm = OsmText()
     osm.road([osm.node(0.0, 0.0), osm.node(50.0, 0.0), 999, osm.node(90.0, 0.0)])
     source = read(osm, tmp_path)
@@ -652,29 +582,25 @@ def test_nodes_that_the_file_does_not_have_cut_roads_short(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("tags", "limit_kmh"),
     [
-        ({"maxspeed": "50"}, 50.0),
-        ({"maxspeed": "20 mph"}, 32.2),
-        ({"maxspeed": "DE:zone:30"}, 30.0),
-        ({"maxspeed": "walk"}, 7.0),
-        ({"maxspeed": "none", "source:maxspeed": "DE:urban"}, None),
-        ({"source:maxspeed": "DE:urban"}, 50.0),
-        ({"maxspeed": "signals"}, None),
-        ({"maxspeed": "0"}, None),
-        ({"maxspeed": "50", "maxspeed:conditional": "30 @ (22:00-06:00)"}, 50.0),
-        ({}, None),
+        ("maxspeed=50", 50.0),
+        ("maxspeed=20 mph", 32.2),
+        ("maxspeed=DE:zone:30", 30.0),
+        ("maxspeed=walk", 7.0),
+        ("maxspeed=none; source:maxspeed=DE:urban", None),
+        ("source:maxspeed=DE:urban", 50.0),
+        ("maxspeed=50; maxspeed:conditional=30 @ (22:00-06:00)", 50.0),
+        ("", None),
         # The road leads away from the junction: cars come against it.
-        ({"maxspeed:forward": "50", "maxspeed:backward": "30"}, 30.0),
-        ({"maxspeed": "60", "maxspeed:backward": "40"}, 40.0),
-        ({"maxspeed:forward": "50"}, None),
-        ({"oneway": "-1", "maxspeed:backward": "30"}, 30.0),
+        ("maxspeed:forward=50; maxspeed:backward=30", 30.0),
+        ("maxspeed=60; maxspeed:backward=40", 40.0),
+        ("maxspeed:forward=50", None),
+        ("oneway=-1; maxspeed:backward=30", 30.0),
     ],
 )
-def test_an_arm_has_the_speed_limit_of_those_who_come(
-    tags: dict[str, str], limit_kmh: float | None, tmp_path: Path
-) -> None:
+def test_an_arm_has_the_speed_limit_of_those_who_come(tags, limit_kmh, tmp_path):
     osm = OsmText()
     middle = crossing(osm, bearings=FOUR[1:])
-    osm.road([middle, (90.0, 0.0)], **tags)
+    osm.road([middle, (90.0, 0.0)], **tags_of(tags))
     source = read(osm, tmp_path)
     arms = arms_of(source, source.junctions[0]).arms
     assert {name: arm.speed_limit_kmh for name, arm in arms.items()} == {
@@ -685,7 +611,7 @@ def test_an_arm_has_the_speed_limit_of_those_who_come(
     }
 
 
-def test_the_speed_limit_next_to_the_junction_counts(tmp_path: Path) -> None:
+def test_the_speed_limit_next_to_the_junction_counts(tmp_path):
     osm = OsmText()
     middle = crossing(osm, bearings=FOUR[1:])
     change = osm.node(60.0, 0.0)
@@ -701,27 +627,27 @@ def test_the_speed_limit_next_to_the_junction_counts(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("tags", "node", "is_junction"),
     [
-        ({"highway": "motorway_link"}, {}, False),
-        ({"highway": "motorway"}, {}, False),
-        ({"highway": "trunk", "motorroad": "yes"}, {}, False),
-        ({"highway": "motorway_link"}, {"highway": "traffic_signals"}, True),
-        ({"highway": "motorway_link", "sidewalk": "right"}, {}, True),
-        ({"highway": "trunk"}, {}, True),
-        ({"highway": "primary"}, {}, True),
+        ("highway=motorway_link", "", False),
+        ("highway=motorway", "", False),
+        ("highway=trunk; motorroad=yes", "", False),
+        ("highway=motorway_link", "highway=traffic_signals", True),
+        ("highway=motorway_link; sidewalk=right", "", True),
+        ("highway=trunk", "", True),
+        ("highway=primary", "", True),
     ],
 )
 def test_where_motorways_merge_and_part_is_no_junction(
-    tags: dict[str, str], node: dict[str, str], is_junction: bool, tmp_path: Path
-) -> None:
+    tags, node, is_junction, tmp_path
+):
     osm = OsmText()
-    middle = osm.node(0.0, 0.0, **node)
+    middle = osm.node(0.0, 0.0, **tags_of(node))
     for begin, end in (
         ((-150.0, 0.0), middle),
         ((-100.0, -90.0), middle),
         (middle, (150.0, 0.0)),
         (middle, (90.0, 120.0)),
     ):
-        osm.road([begin, end], oneway="yes", **tags)
+        osm.road([begin, end], oneway="yes", **tags_of(tags))
     source = read(osm, tmp_path)
     assert bool(source.junctions) == is_junction
     told = [note.why for note in source.skipped]
@@ -741,12 +667,7 @@ CROSSES = [
     ("kind", "roads", "is_junction"),
     [("trunk", PARTS, False), ("trunk", CROSSES, True), ("primary", PARTS, True)],
 )
-def test_trunk_roads_merge_only_where_no_ways_cross(
-    kind: str,
-    roads: list[tuple[tuple[float, float] | None, ...]],
-    is_junction: bool,
-    tmp_path: Path,
-) -> None:
+def test_trunk_roads_merge_only_where_no_ways_cross(kind, roads, is_junction, tmp_path):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     for begin, end in roads:

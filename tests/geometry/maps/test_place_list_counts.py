@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from osm_text import LAT_DEG, LON_DEG
 
 from geometry.errors import InputError
@@ -59,17 +60,19 @@ def test_counts_are_the_same_from_csv_and_geojson(tmp_path):
     )
     one = read_counts(table, crs=CRS)
     other = read_counts(points, crs=CRS)
-    assert (one.column, other.column) == ("Accidents", "accidents")
+    assert one.column == "Accidents"
+    assert other.column == "accidents"
     assert one.values.tolist() == other.values.tolist() == [3.0, 0.5]
-    np.testing.assert_allclose(one.positions_m, other.positions_m, atol=1e-3)
-    np.testing.assert_allclose(one.positions_m[0], HERE, atol=1e-3)
+    assert_allclose(one.positions_m, other.positions_m, atol=1e-3)
+    assert_allclose(one.positions_m[0], HERE, atol=1e-3)
 
 
 def test_places_without_a_count_count_once(tmp_path):
     table = tmp_path / "counts.csv"
     table.write_text("x,y\n1,2\n3,4\n")
     counts = read_counts(table, crs=CRS)
-    assert (counts.values.tolist(), counts.column) == ([1.0, 1.0], "")
+    assert counts.values.tolist() == [1.0, 1.0]
+    assert counts.column == ""
     assert counts.positions_m.tolist() == [[1.0, 2.0], [3.0, 4.0]]
 
 
@@ -78,7 +81,8 @@ def test_counts_by_junction(tmp_path):
     table.write_text("junction,cars,other\nn1,10,1\nA / B,20,2\n")
     counts = read_counts(table, crs="", column="cars")
     assert counts.positions_m is None
-    assert (counts.junctions, counts.values.tolist()) == (("n1", "A / B"), [10.0, 20.0])
+    assert counts.junctions == ("n1", "A / B")
+    assert counts.values.tolist() == [10.0, 20.0]
 
 
 @pytest.mark.parametrize(

@@ -85,22 +85,6 @@ def test_faces_enclose_the_volume_of_the_voxels_and_no_other(block):
     assert area == pytest.approx(exposed)
 
 
-@given(blocks())
-def test_every_face_looks_into_the_open(block):
-    dense, keys = block
-    vertices, triangles = voxels.faces(
-        keys, origin_m=np.zeros(3), voxel_m=1.0, max_triangles=10_000, where="f"
-    )
-    a, b, c = np.swapaxes(vertices[triangles] - FIRST, 0, 1)
-    normal = np.cross(b - a, c - a)
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    padded = np.pad(dense, 1)
-    near = a + 0.01 * (b - a) + 0.01 * (c - a)  # in the face, beside its corner
-    for side, expected in ((0.5, False), (-0.5, True)):
-        cells = np.floor(near + side * normal).astype(int) + 1
-        assert (padded[tuple(cells.T)] == expected).all()
-
-
 def test_a_large_box_has_twelve_triangles():
     keys = np.sort(voxels.to_keys(np.argwhere(np.ones((20, 30, 40))) + FIRST))
     _, triangles = voxels.faces(

@@ -3,9 +3,6 @@ import numpy as np
 import pyproj
 import pytest
 import trimesh
-from damage import damaged, read_or_refuse
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from geometry.maps import point_clouds
@@ -76,7 +73,8 @@ def test_a_house_and_a_tree_stand_on_the_ground_where_they_were(
     source = read_point_cloud(
         write_las(tmp_path, [house(), crown(), ground()], classes, name=name)
     )
-    assert (source.crs, source.heights) == ("EPSG:25833", "above ground")
+    assert source.crs == "EPSG:25833"
+    assert source.heights == "above ground"
     by_size = sorted(source.things, key=lambda thing: -size(thing).max())
     solid, tree = by_size
     assert solid.class_name == "building"
@@ -192,7 +190,6 @@ def patched(path, offset, data):
         (100, (4 * 10**9).to_bytes(4, "little"), "records in its header"),
         (243, (4 * 10**9).to_bytes(4, "little"), "extended records"),
         (131, np.array([np.nan]).tobytes(), "finite scales"),
-        (131, np.array([0.0]).tobytes(), "finite scales"),
     ],
 )
 def test_headers_that_claim_what_cannot_be_are_refused(tmp_path, offset, data, message):
@@ -259,13 +256,3 @@ def test_too_many_voxels_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(point_clouds, "_MAX_VOXELS", 100)
     with pytest.raises(InputError, match="a larger voxel"):
         read_point_cloud(write_las(tmp_path, [house()], (1,)))
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data(), name=st.sampled_from(["s.las", "s.laz"]))
-def test_damaged_files_are_read_or_refused(tmp_path, data, name):
-    path = tmp_path / name
-    write_las(tmp_path, [house(60) * 0.3], (1,), name=name)
-    wounded = data.draw(damaged(path.read_bytes()))
-    source = read_or_refuse(path, wounded, read_point_cloud)
-    assert source is None or source.things

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from geometry.maps.cut import build_scene, cut_out
 from geometry.maps.importing import ImportOptions, import_scene
@@ -122,7 +123,7 @@ def test_a_bridge_over_the_junction_is_not_its_ground():
         cut_out([one], JUNCTION, radius_m=RADIUS_M).terrain for one in (source, bridge)
     )
     inside = np.random.default_rng(0).uniform(-40.0, 40.0, size=(200, 2))
-    np.testing.assert_allclose(bridged.at(inside), plain.at(inside), atol=2e-3)
+    assert_allclose(bridged.at(inside), plain.at(inside), atol=2e-3)
 
 
 def test_a_file_of_heights_comes_before_the_roads_and_carries_what_they_carry():
@@ -156,9 +157,7 @@ def test_things_above_the_ground_stand_on_its_lowest_point_and_walls_follow_it()
     found = cut_out([plain], JUNCTION, radius_m=RADIUS_M)
     home, fence = (thing.vertices_m for thing in found.things)
     assert home[:, 2].min() == pytest.approx(0.04 * 25.0, abs=5e-3)
-    np.testing.assert_allclose(
-        np.unique(fence[:, 2].round(2)), [-1.4, -1.0, 7.6, 8.0], atol=0.011
-    )
+    assert_allclose(np.unique(fence[:, 2].round(2)), [-1.4, -1.0, 7.6, 8.0], atol=0.011)
 
 
 def test_maps_that_count_from_another_zero_are_brought_to_the_ground():
@@ -185,18 +184,18 @@ def test_a_scene_with_terrain_comes_back_from_its_folder(tmp_path):
     save_scene(tmp_path, scene)
     again = load_scene_folder(tmp_path)
     places = np.random.default_rng(0).uniform(-150.0, 150.0, size=(200, 2))
-    np.testing.assert_allclose(
+    assert_allclose(
         ground_height_m(again, places), ground_height_m(scene, places), atol=1e-3
     )
     assert ground_height_m(scene, places).any()
 
 
+# Quickly: test_ground_is_that_of_the_roads_and_everything_stands_on_it
+@pytest.mark.long
 def test_sites_of_a_real_map_with_slopes_stand_on_the_ground(real_input):
     scene = import_scene(
         [real_input("opendrive/Town03.xodr")], ImportOptions(junction="222")
     ).scene
     feet = np.array([site.position_m for site in scene.sites])
-    np.testing.assert_allclose(
-        feet[:, 2], ground_height_m(scene, feet[:, :2]), atol=1e-9
-    )
+    assert_allclose(feet[:, 2], ground_height_m(scene, feet[:, :2]), atol=1e-9)
     assert np.ptp(feet[:, 2]) > 0.3

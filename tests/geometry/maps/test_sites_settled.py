@@ -1,6 +1,5 @@
 """Poles and sites beside the road, wherever the map has them."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,9 +37,7 @@ def around(tmp_path_factory: pytest.TempPathFactory) -> CutSurroundings:
         max_size=8,
     )
 )
-def test_no_place_lies_on_a_lane_and_none_moves_without_need(
-    around: CutSurroundings, points: list[tuple[float, float]]
-) -> None:
+def test_no_place_lies_on_a_lane_and_none_moves_without_need(around, points):
     road = covered_area(around.outline_m, around.lanes)
     for point, place in zip(points, find_places(points, around), strict=True):
         is_on_road = road.distance(shapely.Point(point)) == 0.0
@@ -81,9 +78,7 @@ def with_parts(around: CutSurroundings, **parts: object) -> CutSurroundings:
     return replace(around, **parts)  # type: ignore[arg-type]
 
 
-def test_what_stands_in_a_wall_is_moved_out_of_it_or_refused(
-    around: CutSurroundings,
-) -> None:
+def test_what_stands_in_a_wall_is_moved_out_of_it_or_refused(around):
     thin = with_parts(around, things=(wall((30.0, 30.0), 0.5),))
     (place,) = find_places([(30.1, 30.0)], thin)
     assert place.position_m == pytest.approx([30.55, 30.0])
@@ -94,9 +89,7 @@ def test_what_stands_in_a_wall_is_moved_out_of_it_or_refused(
     assert place.why == "it stands inside wall w1, farther than 2 m from where it could"
 
 
-def test_a_signal_over_the_road_is_left_to_its_pole_and_others_go_to_the_kerb(
-    around: CutSurroundings,
-) -> None:
+def test_a_signal_over_the_road_is_left_to_its_pole_and_others_go_to_the_kerb(around):
     poles = (
         Pole(id="mast", kind="pole", position_m=np.array([16.0, 16.0, 0.0])),
         Pole(id="head", kind="traffic light", position_m=np.array([12.0, 5.0, 0.0])),
@@ -110,7 +103,7 @@ def test_a_signal_over_the_road_is_left_to_its_pole_and_others_go_to_the_kerb(
     assert told[1].why.startswith("it stood on a lane or in the junction: moved ")
 
 
-def test_an_import_has_no_site_in_a_lane_and_says_what_it_moved(tmp_path: Path) -> None:
+def test_an_import_has_no_site_in_a_lane_and_says_what_it_moved(tmp_path):
     osm = OsmText()
     crossing(osm, bearings=FOUR, lanes="4", highway="secondary")
     for place in ((1.0, 1.0), (30.0, 2.0), (-2.0, 40.0), (20.0, 20.0)):
@@ -148,12 +141,11 @@ def chosen(around: CutSurroundings, where: str = "auto") -> tuple[dict[str, Site
     )
 
 
-def test_masts_are_added_where_no_pole_is_near_the_middle(
-    around: CutSurroundings,
-) -> None:
+def test_masts_are_added_where_no_pole_is_near_the_middle(around):
     near = with_parts(around, poles=lamps((17.0, 17.0), (40.0, 17.0)))
     sites, told = chosen(near)
-    assert (set(sites), told) == ({"p0", "p1"}, "")
+    assert set(sites) == {"p0", "p1"}
+    assert told == ""
     far = with_parts(around, poles=lamps((20.0, 20.0), (40.0, 17.0)))
     sites, told = chosen(far)
     assert {"p0", "p1", "kerb-ne-1", "kerb-sw-1"} < set(sites)
@@ -164,9 +156,7 @@ def test_masts_are_added_where_no_pole_is_near_the_middle(
     assert set(chosen(far, "map")[0]) == {"p0", "p1"}
 
 
-def test_poles_of_another_junction_are_no_sites_by_default(
-    around: CutSurroundings,
-) -> None:
+def test_poles_of_another_junction_are_no_sites_by_default(around):
     square = np.array([[-8.0, -8.0], [8.0, -8.0], [8.0, 8.0], [-8.0, 8.0]])
     poles = lamps((17.0, 17.0), (30.0, 17.0), (45.0, 17.0))
     other = with_parts(around, poles=poles, neighbours_m=(square + [55.0, 0.0],))
@@ -180,7 +170,7 @@ def test_poles_of_another_junction_are_no_sites_by_default(
     assert set(chosen(other, "map")[0]) == {"p0", "p1", "p2"}
 
 
-def test_low_sign_posts_are_no_sites_by_default(around: CutSurroundings) -> None:
+def test_low_sign_posts_are_no_sites_by_default(around):
     lamp = lamps((17.0, 17.0))
     signs = (
         *lamps((17.0, -17.0), id="unknown", kind="sign"),
@@ -194,7 +184,7 @@ def test_low_sign_posts_are_no_sites_by_default(around: CutSurroundings) -> None
     assert set(chosen(posts, "map")[0]) == {"p0", "unknown", "low", "high"}
 
 
-def test_other_junctions_are_known_to_what_is_cut_out(tmp_path: Path) -> None:
+def test_other_junctions_are_known_to_what_is_cut_out(tmp_path):
     osm = OsmText()
     crossing(osm, bearings=FOUR)
     other = osm.node(70.0, -70.0)
@@ -213,9 +203,7 @@ def test_other_junctions_are_known_to_what_is_cut_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("bottom_m", "heights_m"), [(4.5, [4.0, 4.2]), (20.0, [4.0, 8.0]), (2.5, None)]
 )
-def test_sites_stand_below_roofs_but_not_inside_houses(
-    around: CutSurroundings, bottom_m: float, heights_m: list[float] | None
-) -> None:
+def test_sites_stand_below_roofs_but_not_inside_houses(around, bottom_m, heights_m):
     def house(name: str, position: tuple[float, float], bottom_m: float) -> Thing:
         body = wall(position, 8.0)
         up = [0.0, 0.0, bottom_m]
@@ -240,9 +228,7 @@ def test_sites_stand_below_roofs_but_not_inside_houses(
     assert sites["p1"].height_range_m.tolist() == [4.0, 8.0]
 
 
-def test_a_check_finds_every_site_on_the_road(
-    around: CutSurroundings, tmp_path: Path
-) -> None:
+def test_a_check_finds_every_site_on_the_road(around, tmp_path):
     from dataclasses import replace
 
     osm = OsmText()

@@ -25,7 +25,14 @@ def scene_of(path):
     return build_scene(around, name="made", source_crs="", sites=(), radius_m=80.0)
 
 
-@pytest.mark.parametrize("name", ["X-Intersection_NCAP", "Town03", "Town05"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "X-Intersection_NCAP",
+        pytest.param("Town03", marks=pytest.mark.long),
+        pytest.param("Town05", marks=pytest.mark.long),
+    ],
+)
 def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(
     real_input, actors, name
 ):

@@ -1,0 +1,15 @@
+"""Names of all cases for a test of each: quickly of one per family and impact face."""
+
+import pytest
+
+from scenarios.cases import load_cases
+
+
+def case_names():
+    quick = {}
+    for name, case in load_cases().items():
+        quick.setdefault((case.family, case.impact_face), name)
+    return [
+        name if name in quick.values() else pytest.param(name, marks=pytest.mark.long)
+        for name in load_cases()
+    ]

@@ -1,0 +1,46 @@
+"""Verdicts and evaluations made by hand."""
+
+import numpy as np
+
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.evaluation import Evaluation, Verdict
+from placement.layout import Layout, load_carlancap_layout
+
+
+def made_verdict(axis, onset_s, *, is_avoided=None, detected=None):
+    """Braking sets in at these times; without `is_avoided`, what is in time is."""
+    onset = np.array(onset_s, dtype=float)
+    if is_avoided is None:
+        is_avoided = onset <= axis.last_brake_time_s
+    if detected is None:
+        detected = np.zeros(axis.n_frames, dtype=bool)
+    return Verdict(
+        detected=detected,
+        confirmation_time_s=onset,
+        onset_time_s=onset,
+        is_avoided=np.asarray(is_avoided, dtype=bool),
+    )
+
+
+def avoiding(axis, is_avoided, detected=None):
+    """Avoids these runs, a second before the impact."""
+    avoided = np.array(is_avoided, dtype=bool)
+    onset_s = np.where(avoided, -1.0, np.inf)
+    return made_verdict(axis, onset_s, is_avoided=avoided, detected=detected)
+
+
+def made_evaluation(axis, together, *, name="mine", ids=("RSU0",), **others):
+    """Of cameras on one pole, all with the same verdict; of `others` another one."""
+    sensor = load_carlancap_layout().units[0].sensor
+    pose = Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0)
+    units = tuple(
+        CandidatePose(id=unit, site_id="", pose=pose, sensor=sensor) for unit in ids
+    )
+    verdicts = {"vut": together, "rsu_all": together, "vut_and_rsus": together}
+    return Evaluation(
+        layout=Layout(name=name, units=units),
+        axis=axis,
+        units=dict.fromkeys(ids, together),
+        **(verdicts | others),
+    )
