@@ -49,7 +49,8 @@ def test_the_list_as_json_has_one_last_moment_per_speed(ask):
 def test_the_list_fits_a_terminal(run):
     out = answer(
         run(
-            "scenarios list --cases CBTAns,CBLA-25 --approaches east,west --along-arms 0",
+            "scenarios list --cases CBTAns,CBLA-25 --approaches east,west",
+            "--along-arms 0",
             "--quiet",
         )
     )

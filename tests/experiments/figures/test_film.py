@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from refusals import refused_with
 
 from experiments.figures import film as film_figure
 from experiments.figures.film import plot_film, save_film
