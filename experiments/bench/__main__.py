@@ -9,9 +9,7 @@ ended when its time is up.
 
 import json
 import os
-import resource
 import signal
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -49,6 +47,8 @@ from placement.setting import Setting, build_setting
 from placement.visibility.build import N_POINTS, build_detection_table
 from placement.visibility.casting import World, build_world, cast_sight
 from placement.wishes import Wishes, build_problem
+
+from .main_job import measure_main_job
 
 Figures = dict[str, float | str | None]
 """Measured figures by their names."""
@@ -392,36 +392,8 @@ def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
     return float(solution[n_poses:] @ weight)
 
 
-def measure_command(budget: int) -> Figures:
-    """The main job cold and warm, its memory, and the start-up."""
-    with tempfile.TemporaryDirectory() as folder:
-        environment = os.environ | {"PLACE_RSUS_CACHE": str(Path(folder) / "cache")}
-
-        def seconds(*arguments: str) -> float:
-            began_s = time.perf_counter()
-            words = [sys.executable, "-m", "experiments.main", *arguments]
-            subprocess.run(
-                words, env=environment, stdout=subprocess.DEVNULL, check=True
-            )
-            return time.perf_counter() - began_s
-
-        job = ["--budget", str(budget), "--quiet", "--out", str(Path(folder) / "out")]
-        cold_s = seconds(*job)
-        warm_s = seconds(*job)
-        evaluate_s = seconds("evaluate", "--layout", "carlancap-12", "--quiet")
-        peak_kib = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-        help_s = statistics.median(seconds("--help") for _ in range(_REPEATS))
-    return {
-        "command: seconds, cold (under 120)": cold_s,
-        "command: seconds, warm": warm_s,
-        "command: seconds, evaluate carlancap-12 and VUT (under 60)": evaluate_s,
-        "command: peak memory, GiB (under 2)": peak_kib / 2**20,
-        "command: seconds, --help (under 0.5)": help_s,
-    }
-
-
 PARTS: dict[str, Callable[[int], Figures]] = {
-    "command": measure_command,
+    "main-job": measure_main_job,
     "rays": lambda _: measure_casting(),
     "table": lambda _: measure_table(),
     "evaluator": lambda _: measure_evaluation(),
@@ -438,7 +410,7 @@ def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "figures.json"
-        words = ["--parts", name, "--budget", str(budget), "--out", str(path)]
+        words = [name, "--budget", str(budget), "--out", str(path)]
         began_s = time.perf_counter()
         process = subprocess.Popen(
             [sys.executable, "-m", "experiments.bench", *words],
@@ -461,28 +433,23 @@ def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
 
 
 @click.command()
+@click.argument("parts", nargs=-1, metavar="[PART]...")
 @click.option("--budget", default=3, show_default=True, help="Units of the main job.")
 @click.option(
-    "--parts",
-    default=",".join(PARTS),
-    show_default=True,
-    help="To measure, commas between.",
-)
-@click.option(
     "--limit",
-    default=240.0,
+    default=600.0,
     show_default=True,
     help="Seconds after which a part is ended.",
 )
 @click.option(
     "--out", type=click.Path(path_type=Path), help="JSON file for the figures."
 )
-def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
-    """Measure the whole command, rays, evaluator and optimiser.
+def main(budget: int, parts: Sequence[str], limit: float, out: Path | None) -> None:
+    """Measure parts: main-job, rays, table, evaluator, optimiser, single; or all.
 
     Figures of parts that are not measured this time stay in the file as they are.
     """
-    names = [name.strip() for name in parts.split(",") if name.strip()]
+    names = parts or tuple(PARTS)
     for name in names:
         if name not in PARTS:
             raise click.BadParameter(f"{name}: expected some of {', '.join(PARTS)}")
