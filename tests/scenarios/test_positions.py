@@ -508,7 +508,7 @@ def test_a_frame_axis_knows_where_each_run_is(vut, rule):
     before_15_m = Position(is_behind=False, distance_m=15.0)
     speeds = (20.0, 30.0)
     runs, _ = laid(protocol_scene(), "CPLA-50", before_15_m, vut, rule, speeds=speeds)
-    assert len(runs) == 2
+    assert [run.id for run in runs] == ["CPLA-50/west-15/20", "CPLA-50/west-15/30"]
     weight = np.full(len(runs), 1.0 / len(runs))
     axis = build_frame_axis(runs, weight)
     assert axis.positions == tuple(run.position for run in runs)
