@@ -255,7 +255,6 @@ def refusal(capsys, *arguments: str) -> str:
             "--no-look-share 0.1",
             "--no-look-share: got it without --no-look; expected both",
         ),
-        ("--force", "--force: got it without --speeds; expected both"),
         (
             "--junction a",
             (
