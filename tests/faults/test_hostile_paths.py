@@ -263,7 +263,6 @@ def refusal(capsys, *arguments):
             "--no-look-share 0.1",
             "--no-look-share: got it without --no-look; expected both",
         ),
-        ("--force", "--force: got it without --speeds; expected both"),
         (
             "--junction a",
             (
