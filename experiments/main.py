@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from placement.question import Question
 
 _EXIT_BAD_INPUT = 2
-_EXIT_UNEXPECTED = 70  # EX_SOFTWARE of BSD's sysexits.h
+# EX_SOFTWARE of BSD's sysexits.h.
+_EXIT_UNEXPECTED = 70
 
 
 cli.add_entries(COMMANDS)

@@ -135,7 +135,8 @@ def transform(points: ArrayLike, from_crs: str, to_crs: str) -> FloatArray:
     return np.stack([x, y], axis=-1)
 
 
-@lru_cache(maxsize=16)  # to make one takes longer than to transform most maps
+# To make one takes longer than to transform most maps.
+@lru_cache(maxsize=16)
 def _transformer(from_crs: str, to_crs: str) -> "Transformer":
     """Transformer between two reference systems, made once."""
     from pyproj import Transformer

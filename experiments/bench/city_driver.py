@@ -32,7 +32,8 @@ _FEW_RUNS = Question(cases="CPNC-50", along_arms="0", speeds="50")
 _SEARCH = inputs.CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 _APART_M = 120.0
 _LAMP_M = 6.0
-_LATITUDE_M = 111_320.0  # of a degree; of longitude the same, at the equator
+# Of a degree; of longitude the same, at the equator.
+_LATITUDE_M = 111_320.0
 _ANSWER = "PLACE_RSUS_BENCH_ANSWER"
 
 

@@ -66,14 +66,19 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
     """``front.json``: what a junction may get, or why there is nothing."""
 
     schema: str = SCHEMA
-    key: str  # hash of all that it was made from
+    # Hash of all that it was made from.
+    key: str
     id: str
-    name: str  # streets that meet
+    # Streets that meet.
+    name: str
     map: str
     scene: str
-    reason: str = ""  # why there is no front, as the program says it
-    cause: str = ""  # the same as a kind of cause, where it is one of those foreseen
-    is_final: bool = True  # False where another try may end otherwise
+    # Why there is no front, as the program says it.
+    reason: str = ""
+    # The same as a kind of cause, where it is one of those foreseen.
+    cause: str = ""
+    # False where another try may end otherwise.
+    is_final: bool = True
     front: JunctionFront | None = None
     layouts: tuple[
         tuple[UnitRecord, ...], ...
@@ -81,7 +86,8 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
     sites: Count = 0
     poses: Count = 0
     runs: Count = 0
-    possible_runs: Count = 0  # these, and those for which there is no room
+    # These, and those for which there is no room.
+    possible_runs: Count = 0
     frames: Count = 0
     seconds: dict[str, float] = msgspec.field(
         default_factory=dict
@@ -175,7 +181,8 @@ class CityManifest(Record, frozen=True, kw_only=True):
 
     schema: str = SCHEMA
     maps: tuple[CityMapRecord, ...]
-    crs: str  # of the bounds; empty: the maps' own
+    # Of the bounds; empty: the maps' own.
+    crs: str
     bounds: tuple[
         float, float, float, float
     ]  # west, south, east and north of all junctions
@@ -197,20 +204,31 @@ class CityJunctionRecord(Record, frozen=True, kw_only=True):
     name: str
     map: str
     folder: str
-    x: float  # in the map's own coordinates: longitude, or metres
+    # In the map's own coordinates: longitude, or metres.
+    x: float
     y: float
-    weight: Amount  # its accidents, as a share of the city's
+    # Its accidents, as a share of the city's.
+    weight: Amount
     district: str = ""
-    reason: str = ""  # why it has no front, as the program says it
-    cause: str = ""  # the same as a kind of cause, where it is one of those foreseen
-    units: Count = 0  # new ones
-    cost_eur: Amount = 0.0  # of these and their sites
-    year: Count = 0  # in which it is ready, from 1; 0: not known, or nothing
-    apr_before: Share = 0.0  # of the existing units
+    # Why it has no front, as the program says it.
+    reason: str = ""
+    # The same as a kind of cause, where it is one of those foreseen.
+    cause: str = ""
+    # New ones.
+    units: Count = 0
+    # Of these and their sites.
+    cost_eur: Amount = 0.0
+    # In which it is ready, from 1; 0: not known, or nothing.
+    year: Count = 0
+    # Of the existing units.
+    apr_before: Share = 0.0
     apr: Share = 0.0
-    apr_one_failed: Share = 0.0  # if the unit fails that is needed most
-    layout: tuple[UnitRecord, ...] = ()  # all units
-    kept: Count = 0  # existing ones among them
+    # If the unit fails that is needed most.
+    apr_one_failed: Share = 0.0
+    # All units.
+    layout: tuple[UnitRecord, ...] = ()
+    # Existing ones among them.
+    kept: Count = 0
 
     @property
     def label(self) -> str:
@@ -234,17 +252,22 @@ class CityStepRecord(Record, frozen=True, kw_only=True):
     """A step of the city's front: a junction gets more."""
 
     junction: str
-    folder: str = ""  # of the junction
-    units: Count  # new ones at it from here on
-    taken: Amount  # by all junctions together: EUR, or units
-    apr: Share  # accidents prevented at all junctions together, by weight
+    # Of the junction.
+    folder: str = ""
+    # New ones at it from here on.
+    units: Count
+    # By all junctions together: EUR, or units.
+    taken: Amount
+    # Accidents prevented at all junctions together, by weight.
+    apr: Share
 
 
 class CityPurchaseRecord(Record, frozen=True, kw_only=True):
     """A line of what has to be ordered; its sum is 0 where no price is known."""
 
     part: Literal["sensor", "site"]
-    name: str  # the sensor's model, or the kind of site
+    # The sensor's model, or the kind of site.
+    name: str
     count: Annotated[int, Meta(ge=1)]
     sum_eur: Amount
 
@@ -264,15 +287,19 @@ class CityResult(Record, frozen=True, kw_only=True):
 
     schema: str = SCHEMA
     command: str = ""
-    language: str = "en"  # of its sentences and pages
+    # Of its sentences and pages.
+    language: str = "en"
     maps: tuple[CityMapRecord, ...]
     budget_units: int | None
     budget_eur: float | None
-    weights: str  # their source, in words
-    warnings: tuple[str, ...] = ()  # what must not be overlooked
+    # Their source, in words.
+    weights: str
+    # What must not be overlooked.
+    warnings: tuple[str, ...] = ()
     units: Count
     cost_eur: Amount
-    apr_before: Share  # of the existing units, by weight
+    # Of the existing units, by weight.
+    apr_before: Share
     stages: tuple[StageRecord, ...]
     bound_of_fronts: (
         Share  # of the first stage, for all choices among the points of the fronts
@@ -280,14 +307,21 @@ class CityResult(Record, frozen=True, kw_only=True):
     solver: str
     is_proven: bool
     junctions: tuple[CityJunctionRecord, ...]
-    not_done: Count  # junctions without a front
-    runs: Count = 0  # at all junctions with a front
-    possible_runs: Count = 0  # these, and those for which there is no room
-    computed: Count = 0  # fronts that this call has found
-    by: Literal["units", "cost"]  # counted by the city's front
+    # Junctions without a front.
+    not_done: Count
+    # At all junctions with a front.
+    runs: Count = 0
+    # These, and those for which there is no room.
+    possible_runs: Count = 0
+    # Fronts that this call has found.
+    computed: Count = 0
+    # Counted by the city's front.
+    by: Literal["units", "cost"]
     front: tuple[CityStepRecord, ...]
-    cheapest: str = ""  # useful choice, in words
-    gain_years: float | None = None  # gain times years of what is mounted earlier
+    # Useful choice, in words.
+    cheapest: str = ""
+    # Gain times years of what is mounted earlier.
+    gain_years: float | None = None
     # accidents, where it is known in how many years they were counted: of all
     # junctions, those prevented when all is mounted, and those prevented in the years
     # that were asked about

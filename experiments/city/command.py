@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 _MOUNTED = ("site_capacity", "site_cost_eur", "separation_m", "sensors")
 _SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
-_TIME_LIMIT_S = 30.0  # for the optimiser at each junction
+# For the optimiser at each junction.
+_TIME_LIMIT_S = 30.0
 _DRIVEN = tuple(
     name
     for name in options.JUDGED
@@ -34,7 +35,8 @@ _DRIVEN = tuple(
     )
 )
 _MAX_LISTED = 12
-_STAGGERED_M = 40.0  # a driver crosses both side roads in one go
+# A driver crosses both side roads in one go.
+_STAGGERED_M = 40.0
 
 
 _EXAMPLES = """\b

@@ -32,16 +32,20 @@ JUNCTIONS = "junctions"
 PROXY = Path("proxy")
 """In place of a file of counts: an estimate by roads, lanes and signals."""
 
-_SAME_M = 15.0  # two junctions of different maps that are one
+# Two junctions of different maps that are one.
+_SAME_M = 15.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CityWish:
     """Budget of a city, weights of junctions, and what has to be reached."""
 
-    budget_units: int | None = None  # new ones, at most
-    budget_eur: float | None = None  # for these and their sites, at most
-    within: Path | None = None  # areas in which junctions count
+    # New ones, at most.
+    budget_units: int | None = None
+    # For these and their sites, at most.
+    budget_eur: float | None = None
+    # Areas in which junctions count.
+    within: Path | None = None
     # ids or names with semicolons between, or a file with one a line
     junctions: str = ""
     min_arms: int = 3
@@ -51,17 +55,21 @@ class CityWish:
     weight_column: str = ""
     # in which the accidents of `weights_file` happened
     counted_years: float | None = None
-    snap_m: float = 50.0  # from a place that counts to its junction, at most
-    districts: Path | None = None  # areas that each reach `min_district_apr`
+    # From a place that counts to its junction, at most.
+    snap_m: float = 50.0
+    # Areas that each reach `min_district_apr`.
+    districts: Path | None = None
     min_district_apr: float = 0.0
     # with columns "weight" (a factor) or "min_apr" (of each junction)
     areas: Path | None = None
-    near_m: float = 0.0  # a junction belongs to such an area if it is no farther away
+    # A junction belongs to such an area if it is no farther away.
+    near_m: float = 0.0
     keep: tuple[
         Path, ...
     ] = ()  # layouts, or folders of a city, of the units mounted already
     units_per_year: int | None = None
-    years: int | None = None  # that money is for, and in which everything is mounted
+    # That money is for, and in which everything is mounted.
+    years: int | None = None
 
     def __post_init__(self) -> None:
         for name, other in _TOGETHER.items():
@@ -110,13 +118,16 @@ class CitySearch:
         Relative gap at which the city's choice counts as settled.
     """
 
-    is_coarse: bool = False  # a ninth of the poses
-    max_units: int = 6  # new ones at a junction
+    # A ninth of the poses.
+    is_coarse: bool = False
+    # New ones at a junction.
+    max_units: int = 6
     max_junction_s: float = 300.0
     radius_m: float = importing.DEFAULT_RADIUS_M
     sites: str = "auto"
     reading: importing.ReadingOptions = field(default_factory=importing.ReadingOptions)
-    gap: float = 0.0  # relative, at which the city's choice counts as settled
+    # Relative, at which the city's choice counts as settled.
+    gap: float = 0.0
 
 
 class CityMapRecord(Record, frozen=True, kw_only=True):
@@ -325,11 +336,15 @@ def _named(
 class CityValues:
     """Weights of junctions, their source, and what has to be reached."""
 
-    weight: FloatArray  # (n,): not all 0; 0: nothing is asked
+    # (n,): not all 0; 0: nothing is asked.
+    weight: FloatArray
     source: str
-    least_apr: FloatArray  # (n,)
-    districts: tuple[tuple[str, tuple[int, ...]], ...]  # names and junctions
-    notes: tuple[str, ...]  # Rows and districts that were not used
+    # (n,).
+    least_apr: FloatArray
+    # Names and junctions.
+    districts: tuple[tuple[str, tuple[int, ...]], ...]
+    # Rows and districts that were not used.
+    notes: tuple[str, ...]
     # (n,): accidents, where it is known in how many years
     per_year: FloatArray | None = None
 

@@ -37,7 +37,8 @@ MAX_ROWS = 400
 """Junctions and poles that are listed, and junctions that get pages."""
 
 _MAX_STEPS = 60
-_SAME = 0.5  # euros, or units
+# Euros, or units.
+_SAME = 0.5
 _ARROW_M = 9.0
 
 
@@ -243,7 +244,8 @@ def _plot_units(scene: Scene, layout: Layout) -> Axes:
     return plan
 
 
-_AREA_PT2 = (70.0, 380.0)  # of the smallest and the largest circle
+# Of the smallest and the largest circle.
+_AREA_PT2 = (70.0, 380.0)
 _MAX_NAMED = 12
 _DOT: Style = {"linestyle": "none", "marker": "o"}
 _CHOSEN: Style = {

@@ -88,7 +88,8 @@ SOLVE = "junctions"
 SERVE = "junctions with units"
 """The stage in which their layouts and pages are written."""
 
-_NEW_FOR_A_PROCESS = 8  # a process takes some seconds to start, a page half of one
+# A process takes some seconds to start, a page half of one.
+_NEW_FOR_A_PROCESS = 8
 
 
 def run_city(
@@ -408,7 +409,8 @@ def write_served(task: ServedTask) -> Served:
         if task.has_page:
             record = load_front(folder / FRONT)
             assert record is not None
-            with speaking(task.language):  # it may be in another process
+            # It may be in another process.
+            with speaking(task.language):
                 page = pages.render_junction_page(
                     one, record, scene, layout, question=QUESTION
                 )

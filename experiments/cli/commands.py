@@ -25,8 +25,7 @@ class CommandEntry:
 COMMANDS = {
     "certify": CommandEntry(
         place="experiments.cli.certify:certify",
-        line="The best layout over all worlds that may turn out to be, with a gap that"
-        " holds with 95 %.",
+        line="The best layout over all worlds that may turn out to be.",
     ),
     "city": CommandEntry(
         place="experiments.city.command:city",
@@ -42,13 +41,11 @@ COMMANDS = {
     ),
     "dataset": CommandEntry(
         place="experiments.perception_lab.commands:dataset",
-        line="Write a dataset: what the cameras of a layout see of all runs, with"
-        " labels.",
+        line="Write a dataset: what cameras see of all runs, with labels.",
     ),
     "detector": CommandEntry(
         place="experiments.perception_lab.commands:detector",
-        line="Response tables of detectors: what a detector finds, by height, cover,"
-        " class and light.",
+        line="Response tables of detectors.",
     ),
     "doctor": CommandEntry(
         place="experiments.cli.doctor:doctor",
@@ -56,8 +53,7 @@ COMMANDS = {
     ),
     "evaluate": CommandEntry(
         place="experiments.cli.evaluate:evaluate",
-        line="Evaluate a layout by full perception and emergency braking, or recorded"
-        " detections.",
+        line="Evaluate a layout by perception and braking, or recorded detections.",
     ),
     "export": CommandEntry(
         place="experiments.cli.export:export",
@@ -65,13 +61,11 @@ COMMANDS = {
     ),
     "latency": CommandEntry(
         place="experiments.cli.latency:latency",
-        line="How much latency a layout bears: accidents prevented against the time to"
-        " braking.",
+        line="How much latency a layout bears.",
     ),
     "pareto": CommandEntry(
         place="experiments.cli.pareto:pareto",
-        line="What each further unit, or more money, buys: the best layouts, each with"
-        " its proof.",
+        line="What each further unit, or more money, buys.",
     ),
     "plan": CommandEntry(
         place="experiments.planner.command:plan",
@@ -80,13 +74,11 @@ COMMANDS = {
     ),
     "render": CommandEntry(
         place="experiments.perception_lab.commands:render",
-        line="Render what a camera sees in one frame (colours, instances, depths), or"
-        " scan by LiDAR.",
+        line="Render what a camera sees in one frame (colours, instances, depths).",
     ),
     "retrofit": CommandEntry(
         place="experiments.cli.pareto:retrofit",
-        line="What to change about units that are mounted: remove, re-aim or add one,"
-        " each priced.",
+        line="What to change about units that are mounted.",
     ),
     "scenarios": CommandEntry(
         place="experiments.cli.scenarios:scenarios",

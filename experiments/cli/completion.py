@@ -21,5 +21,6 @@ def completion(context: click.Context, *, shell: str) -> None:
     """Print what makes a shell complete commands, options and their words."""
     root = context.find_root()
     script = get_completion_class(shell)
-    assert script is not None  # click has all three
+    # Click has all three.
+    assert script is not None
     click.echo(script(root.command, {}, "place-rsus", _COMPLETE_VARIABLE).source())

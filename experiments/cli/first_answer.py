@@ -6,12 +6,12 @@ from placement.candidates import CandidatePose, above_ground
 from placement.optimiser.problem import Objective, apr
 from placement.pipeline import Placement
 
-from ..jobs.search import Found
+from ..jobs.search import FoundLayout
 from ..language import tr, trn
 from ..results.numbers import percent
 
 
-def first_answer(found: Found) -> list[str]:
+def first_answer(found: FoundLayout) -> list[str]:
     """Lines that say what was found, on the detection table.
 
     A sentence, a line for each unit, and what comes next.

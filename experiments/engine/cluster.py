@@ -41,8 +41,10 @@ CONNECT_S = 10.0
 
 _WHERE = "--scheduler"
 _PLUGIN = "place-rsus"
-_RESTARTED = "worker-restart-memory"  # topic under which dask tells why
-_LOOK_S = 2.0  # workers are counted as often
+# Topic under which dask tells why.
+_RESTARTED = "worker-restart-memory"
+# Workers are counted as often.
+_LOOK_S = 2.0
 _SETTINGS = {
     "distributed.admin.large-graph-warning-threshold": "1TB",  # shared values are large
     # A process that is paused for its memory never goes on if that does not shrink.
@@ -62,7 +64,8 @@ _SETTINGS = {
 class Cluster(Engine):
     """Workers of a dask scheduler."""
 
-    tries = 1  # dask tries again
+    # Dask tries again.
+    tries = 1
 
     def __init__(
         self,
@@ -81,7 +84,8 @@ class Cluster(Engine):
         # A reference each, so that no other value gets its id.
         self._shared: dict[int, tuple[object, Any]] = {}
         self._looked_s = 0.0
-        self._alone_since_s = 0.0  # since when there is no worker; 0: there are some
+        # Since when there is no worker; 0: there are some.
+        self._alone_since_s = 0.0
 
     def submit(
         self, function: Callable[..., Any], shared: tuple[Any, ...], task: Any
@@ -137,7 +141,8 @@ class Cluster(Engine):
 
     def end(self) -> None:
         """Give up what is left, and ask no worker for this program any more."""
-        with suppress(Exception):  # the scheduler may have gone
+        # The scheduler may have gone.
+        with suppress(Exception):
             self._client.cancel([*self._sent.values()])
         with suppress(Exception):
             self._client.unregister_worker_plugin(_PLUGIN)
@@ -197,7 +202,8 @@ class Cluster(Engine):
         """Refuse workers that would die of their limit at the first task."""
         workers = self._client.scheduler_info(n_workers=-1)["workers"]
         for worker, known in workers.items():
-            limit_bytes = known["memory_limit"]  # 0: none
+            # 0: none.
+            limit_bytes = known["memory_limit"]
             if 0 < limit_bytes < LEAST_BYTES:
                 raise InputError(
                     _WHERE,
@@ -320,7 +326,8 @@ def start_local(
 
 @contextmanager
 def _connected(address: str, security: Security) -> Iterator[Client]:
-    for name in [*logging.root.manager.loggerDict]:  # errors are told by us
+    # Errors are told by us.
+    for name in [*logging.root.manager.loggerDict]:
         if name.startswith(("distributed", "tornado")):
             logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(_SETTINGS):

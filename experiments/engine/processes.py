@@ -22,7 +22,8 @@ from ..progress import follow_parent
 from .tasks import Engine, WorkerDiedError
 
 _CONTEXT = multiprocessing.get_context("spawn")
-_shared: tuple[Any, ...] = ()  # in a process of workers
+# In a process of workers.
+_shared: tuple[Any, ...] = ()
 
 
 class Processes(Engine):
@@ -43,7 +44,8 @@ class Processes(Engine):
         outer: Future[Any] = Future()
         while True:
             process = self._idle.pop() if self._idle else self._start(shared)
-            with suppress(BrokenProcessPool):  # it died while it had nothing to do
+            # It died while it had nothing to do.
+            with suppress(BrokenProcessPool):
                 if [*map(id, shared)] == [*map(id, process.shared)]:
                     inner = process.executor.submit(_call, sent)
                     inner.add_done_callback(partial(self._end, process, outer))
@@ -94,7 +96,8 @@ class _Process:
 
     def __init__(self, shared: tuple[Any, ...], sent: bytes) -> None:
         self.shared = shared
-        self.death = ""  # of what it was ended, if it was
+        # Of what it was ended, if it was.
+        self.death = ""
         self.executor = ProcessPoolExecutor(1, _CONTEXT, _get_ready, (sent,))
         self._pid = self.executor.submit(os.getpid)
 
@@ -117,7 +120,8 @@ class _Process:
 def _get_ready(sent: bytes) -> None:
     global _shared
     follow_parent()
-    logging.disable(logging.WARNING)  # the parent warns
+    # The parent warns.
+    logging.disable(logging.WARNING)
     _shared = pickle.loads(sent)
 
 

@@ -137,7 +137,8 @@ def memory_bytes(text: str) -> int:
     >>> memory_bytes("1.5GiB")
     1610612736
     """
-    amount = r"(\d+\.?\d*|\.\d+) *(?:(?:([kmgt])(i?))?b)?"  # such as 1.5GiB, or bytes
+    # Such as 1.5GiB, or bytes.
+    amount = r"(\d+\.?\d*|\.\d+) *(?:(?:([kmgt])(i?))?b)?"
     size = 0.0
     if found := re.fullmatch(amount, text.strip().lower(), re.ASCII):
         power = "kmgt".find(found[2] or "-") + 1
@@ -184,6 +185,7 @@ def _address_of(wish: EngineWish) -> str:
             "tls://, or --insecure-scheduler as well",
         )
     for path in (wish.tls_ca, wish.tls_cert, wish.tls_key):
-        if path is not None:  # a file that cannot be read is named before dask starts
+        # A file that cannot be read is named before dask starts.
+        if path is not None:
             read_bytes(path, max_bytes=_MAX_BYTES)
     return address

@@ -29,7 +29,8 @@ The smallest junction (one case at one speed, coarse poses) takes 344 MiB in a p
 that also read its map, of which 90 MiB.
 """
 
-_WATCH_S = 0.2  # engines look after their workers at least as often
+# Engines look after their workers at least as often.
+_WATCH_S = 0.2
 
 
 class WorkerDiedError(Exception):

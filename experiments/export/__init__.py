@@ -107,9 +107,12 @@ class ExportFormat:
     write: Callable[
         ..., str | bytes
     ]  # a layout and its scene to the content of the file
-    has_lidars: bool = True  # LiDARs are in it, too, and not only cameras
-    shows_runs: bool = False  # `write` takes a :class:`.watched.WatchedRun`, too
-    options: tuple[str, ...] = ()  # names of further arguments of `write`
+    # LiDARs are in it, too, and not only cameras.
+    has_lidars: bool = True
+    # `write` takes a :class:`.watched.WatchedRun`, too.
+    shows_runs: bool = False
+    # Names of further arguments of `write`.
+    options: tuple[str, ...] = ()
     # a sentence about the content that was written
     told: Callable[[bytes], str] | None = None
 

@@ -31,44 +31,61 @@ from .watched import WatchedRun
 RELEASES = ("2.1.1", "2.4.1")
 """Versions of the dictionary, ETSI TS 102 894-2, the usual one first."""
 _VERSION = 2
-_CPM = 14  # ItsPduHeader
-_PER_DEGREE = 1.0e7  # Latitude, Longitude
+# ItsPduHeader.
+_CPM = 14
+# Latitude, Longitude.
+_PER_DEGREE = 1.0e7
 _RSU_CONTAINER = 2
 _SENSOR_CONTAINER = 3
-_OBJECT_CONTAINER = 5  # CpmContainerId
+# CpmContainerId.
+_OBJECT_CONTAINER = 5
 _LIDAR = 2
-_MONOVIDEO = 3  # SensorType
-_MAX_SENSORS = 128  # SensorInformationContainer
-_SENSORS_EVERY_S = 1.0  # T_AddSensorInformation
-_MAX_RANGE = 4093  # StandardLength12b, in 0.1 m
-_MAX_OFFSET = 32766  # CartesianCoordinate, in 0.01 m
+# SensorType.
+_MONOVIDEO = 3
+# SensorInformationContainer.
+_MAX_SENSORS = 128
+# T_AddSensorInformation.
+_SENSORS_EVERY_S = 1.0
+# StandardLength12b, in 0.1 m.
+_MAX_RANGE = 4093
+# CartesianCoordinate, in 0.01 m.
+_MAX_OFFSET = 32766
 _MAX_COORDINATE = 131070
-_MAX_VELOCITY = 16381  # CartesianCoordinateLarge, VelocityComponentValue
-_TURN = 3600  # a full turn in 0.1 degrees: a value that is not used
+# CartesianCoordinateLarge, VelocityComponentValue.
+_MAX_VELOCITY = 16381
+# A full turn in 0.1 degrees: a value that is not used.
+_TURN = 3600
 _SEMI_AXIS_UNKNOWN = 4095
 _HEADING_UNKNOWN = 3601
 _ALTITUDE_UNKNOWN = 800001
 _COORDINATE_UNKNOWN = 4096
 _SPEED_UNKNOWN = 127
-_CLASS_UNKNOWN = 101  # confidences
-_ALTITUDES = -100_000, 800_000  # the first and the last stand for all beyond
-_SLACK = 1.0e-6  # of a unit: what rounding may add before it counts as the next one
-_STEP_S = 1.0e-3  # half of that over which a velocity is taken
+# Confidences.
+_CLASS_UNKNOWN = 101
+# The first and the last stand for all beyond.
+_ALTITUDES = -100_000, 800_000
+# Of a unit: what rounding may add before it counts as the next one.
+_SLACK = 1.0e-6
+# Half of that over which a velocity is taken.
+_STEP_S = 1.0e-3
 # by road user: kind, its profile as 2.1.1 names it, and as 2.4.1 counts it
 _VRU_CLASSES = {
     "on foot": ("pedestrian", "ordinary-pedestrian", 1),
     "bicycle": ("bicyclistAndLightVruVehicle", "bicyclist", 1),
     "motorcycle": ("motorcyclist", "motorcycle", 2),
 }
-_PASSENGER_CAR = 5  # TrafficParticipantType
+# TrafficParticipantType.
+_PASSENGER_CAR = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Station:
     """Messages of the units of a site."""
 
-    site: str  # empty: a unit without a site
-    units: tuple[str, ...]  # a sensor's id is its place here
+    # Empty: a unit without a site.
+    site: str
+    # A sensor's id is its place here.
+    units: tuple[str, ...]
     messages: tuple[
         dict[str, Any], ...
     ]  # CollectivePerceptionMessage each, as JSON writes it
@@ -340,7 +357,8 @@ def _radial_shape(
         half_deg = min(half_deg, math.degrees(SEEN_RAD))
     half_vertical_deg = 0.5 * sensor.vertical_fov_deg
     lowest_deg = highest_deg = unit.pose.pitch_deg
-    is_old = release == RELEASES[0]  # V2.2.1 turned the angles' zero and sense
+    # V2.2.1 turned the angles' zero and sense.
+    is_old = release == RELEASES[0]
     middle_deg = unit.pose.yaw_deg
     if is_old:
         middle_deg = float(to_carla_yaw(middle_deg)) + 90.0

@@ -34,7 +34,8 @@ def geopackage(
     import geopandas as gpd
     import pyogrio
 
-    with TemporaryDirectory() as folder:  # layers can be added to files alone
+    # Layers can be added to files alone.
+    with TemporaryDirectory() as folder:
         path = Path(folder) / "layers.gpkg"
         for name, kind, records, shapes in layers:
             pyogrio.write_dataframe(
@@ -65,7 +66,8 @@ def to_geopackage(
     import geopandas as gpd
 
     require_crs(scene.crs, "gpkg")
-    longitude_latitude(positions_m(layout), scene.crs)  # refuses what lies nowhere
+    # Refuses what lies nowhere.
+    longitude_latitude(positions_m(layout), scene.crs)
     position = map_points(positions_m(layout)[:, :2], scene)
     records = placed_records(layout, scene)
     points = gpd.points_from_xy(

@@ -24,8 +24,10 @@ CONTAINERS = {
 }
 _TIME_BYTES = 8
 _SIZE_BYTES = 4
-_STATION = slice(2, 6)  # bytes of a message: behind protocol version and message id
-_CHANNEL_MBPS = 6.0  # ITS-G5's default data rate: ETSI EN 302 663
+# Bytes of a message: behind protocol version and message id.
+_STATION = slice(2, 6)
+# ITS-G5's default data rate: ETSI EN 302 663.
+_CHANNEL_MBPS = 6.0
 
 
 @cache

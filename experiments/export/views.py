@@ -24,8 +24,10 @@ NOTE = (
 class View:
     """Area that a camera sees, or road that no camera sees."""
 
-    unit: str  # its id; empty: what no camera sees
-    area: Any  # shapely's polygons without overlap, in any coordinates
+    # Its id; empty: what no camera sees.
+    unit: str
+    # Shapely's polygons without overlap, in any coordinates.
+    area: Any
     area_m2: float
 
     def record(self) -> dict[str, Any]:

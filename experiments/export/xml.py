@@ -19,7 +19,8 @@ def xml_text(template: str, *, namespace: str = "", **values: Any) -> str:
     root = ET.fromstring(_templates().get_template(template).render(values))
     for element in root.iter():
         if not len(element) and not (element.text or "").strip():
-            element.text = None  # blanks of the template, where nothing was filled in
+            # Blanks of the template, where nothing was filled in.
+            element.text = None
     if namespace:
         root.set("xmlns", namespace)
     ET.indent(root)

@@ -56,7 +56,7 @@ from ..progress import WRITING, StageProgress
 from ..report.page import write_report
 from ..results import folders
 from ..results.tables import apr_table, csv_text, runs_table
-from .search import Found, Job, search
+from .search import FoundLayout, Job, search
 
 _log = logging.getLogger(__name__)
 
@@ -72,14 +72,18 @@ class Answered:
     """A result, and all that its files are written from."""
 
     job: Job
-    result: Result  # without seconds, and without what was asked
+    # Without seconds, and without what was asked.
+    result: Result
     evaluations: Mapping[
         str, Evaluation
     ]  # by display name; the first one is the subject
     bill: BillOfMaterials
-    placement: Placement | None = None  # of a layout that was searched for
-    candidates: Sequence[CandidatePose] = ()  # rows of the placement's table
-    recommended: Layout | None = None  # what the evaluator prefers
+    # Of a layout that was searched for.
+    placement: Placement | None = None
+    # Rows of the placement's table.
+    candidates: Sequence[CandidatePose] = ()
+    # What the evaluator prefers.
+    recommended: Layout | None = None
 
 
 def run_placement(
@@ -89,7 +93,7 @@ def run_placement(
     compute: Compute,
     command: str,
     progress: StageProgress,
-    found: Found | None = None,
+    found: FoundLayout | None = None,
     asked: Question | None = None,
     sign: Path | None = None,
 ) -> PlacementResult:
@@ -107,7 +111,7 @@ def run_placement(
         Command line that makes the result again, for the report.
     progress : StageProgress
         Is told the stages.
-    found : Found, optional
+    found : FoundLayout, optional
         The layout, where it has been searched for already.
     asked : Question, optional
         As it was asked, before its map was imported; by default `question`.
@@ -133,11 +137,12 @@ def run_placement(
         asked=build_asked_record(asked or question, compute, command),
         sign=sign,
     )
-    assert isinstance(result, PlacementResult)  # as answer_placement makes it
+    # As answer_placement makes it.
+    assert isinstance(result, PlacementResult)
     return result
 
 
-def answer_placement(found: Found) -> Answered:
+def answer_placement(found: FoundLayout) -> Answered:
     """Explain, evaluate and compare a layout that was found."""
     job = found.job
     question = job.question
@@ -238,7 +243,7 @@ def _named_layouts(
 
 
 def _evaluate(
-    found: Found, layouts: Mapping[str, Layout]
+    found: FoundLayout, layouts: Mapping[str, Layout]
 ) -> tuple[dict[str, Evaluation], list[Evaluation]]:
     """Layouts by display name, and those that lead, by the evaluator.
 
@@ -256,13 +261,14 @@ def _evaluate(
 
 
 def _in_fresh_worlds(
-    found: Found, evaluations: Mapping[str, Evaluation]
+    found: FoundLayout, evaluations: Mapping[str, Evaluation]
 ) -> SampledRecord:
     """Layouts by display name in sampled worlds in which none was chosen."""
     job = found.job
     n_worlds = max(job.question.n_samples, MIN_FRESH_WORLDS)
     uncertainty = found.plan.uncertainty
-    assert uncertainty is not None  # assemble reads it with every question
+    # Assemble reads it with every question.
+    assert uncertainty is not None
     layouts = [item.layout for item in evaluations.values()]
     looked: list[FreshWorlds] = []
     for first in range(0, n_worlds, _WORLDS_TOGETHER):
@@ -298,7 +304,7 @@ def _in_fresh_worlds(
     )
 
 
-def _front_below(found: Found) -> FrontRecord | None:
+def _front_below(found: FoundLayout) -> FrontRecord | None:
     """The best layout of each smaller size, too.
 
     None where the best was not what was asked.
@@ -441,11 +447,13 @@ def write_files(new: Path, answered: Answered, result: Result) -> None:
     evaluations = answered.evaluations
     placement = answered.placement
     asked = result.asked
-    assert asked is not None  # who writes a folder says what was asked
+    # Who writes a folder says what was asked.
+    assert asked is not None
     for name, text in answer_files(answered, result).items():
         write_atomically(new / name, text)
     layout = _subject(answered)
-    if setting.scene.crs:  # else nobody knows where on earth it lies
+    # Else nobody knows where on earth it lies.
+    if setting.scene.crs:
         geojson = to_geojson(layout, setting.scene.crs, setting.scene)
         write_atomically(new / "layout.geojson", geojson)
     if placement is not None:

@@ -20,7 +20,7 @@ from placement.setting import Setting, build_setting
 from ..language import mark
 from ..progress import StageProgress
 
-_TABLE_IS_KEPT = "nothing was written; the detection table is cached for the next call"
+_TABLE_IS_KEPT = "; the detection table is cached for the next call"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +53,7 @@ def begin_job(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Found:
+class FoundLayout:
     """The layout that was asked for, and how it was found.
 
     Attributes
@@ -83,7 +83,9 @@ class Found:
     growth: Growth | None
 
 
-def search(question: Question, *, compute: Compute, progress: StageProgress) -> Found:
+def search(
+    question: Question, *, compute: Compute, progress: StageProgress
+) -> FoundLayout:
     """Find a layout and prove it; refine it if that is asked for.
 
     Parameters
@@ -97,7 +99,7 @@ def search(question: Question, *, compute: Compute, progress: StageProgress) -> 
 
     Returns
     -------
-    found : Found
+    found : FoundLayout
         The layout, not judged by the evaluator yet.
 
     Raises
@@ -139,7 +141,7 @@ def search(question: Question, *, compute: Compute, progress: StageProgress) -> 
         )
         placement = refinement.placement
         poses = tuple(refinement.candidates)
-    return Found(
+    return FoundLayout(
         job=job,
         plan=plan,
         placement=placement,
@@ -155,8 +157,10 @@ def _saying_what_is_cached(job: Job) -> Progress:
 
     def report(stage: str, done: int, total: int) -> None:
         folder = job.compute.cache_folder
-        if stage == "optimise" and folder is not None and any(folder.glob("table-*")):
-            job.progress.kept = _TABLE_IS_KEPT
+        is_cached = folder is not None and any(folder.glob("table-*"))
+        is_told = _TABLE_IS_KEPT in job.progress.kept
+        if stage == "optimise" and is_cached and not is_told:
+            job.progress.kept += _TABLE_IS_KEPT
         job.progress(stage, done, total)
 
     return report

@@ -88,7 +88,8 @@ def draw_view(
     return rgb, run, float(run.time_s[frame])
 
 
-@lru_cache(maxsize=2)  # several cameras often show the same run
+# Several cameras often show the same run.
+@lru_cache(maxsize=2)
 def _pictures_of(scene: Scene, run: Run, *, seed: int, workers: int) -> PictureSource:
     return build_picture_source(scene, [run], seed=seed, workers=workers)
 

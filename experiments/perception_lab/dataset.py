@@ -73,10 +73,13 @@ _COCO_CLASSES = {
     "car": "car",
 }
 _ACTOR_TYPES = {**_COCO_CLASSES, "cyclist": "bicycle"}
-_TASK_PICTURES = 60  # drawn by one worker before it gives word
-_BYTES_PER_PIXEL = 1.75  # of a PNG with sensor noise, as measured by day
+# Drawn by one worker before it gives word.
+_TASK_PICTURES = 60
+# Of a PNG with sensor noise, as measured by day.
+_BYTES_PER_PIXEL = 1.75
 _BYTES_PER_POINT = 16
-_NOWHERE = Pose(position_m=np.zeros(3), yaw_deg=0.0)  # of the camera that drives
+# Of the camera that drives.
+_NOWHERE = Pose(position_m=np.zeros(3), yaw_deg=0.0)
 
 
 class DatasetUnit(Record, frozen=True):
@@ -96,8 +99,10 @@ class DatasetUnit(Record, frozen=True):
         R and t, x_camera = R x_world + t; None of the VUT's camera, which drives.
     """
 
-    folder: str  # name of its folder
-    id: str  # of the unit in its layout, or "VUT"
+    # Name of its folder.
+    folder: str
+    # Of the unit in its layout, or "VUT".
+    id: str
     # width_px, height_px: size of the pictures
     width_px: int
     height_px: int
@@ -125,8 +130,10 @@ class DatasetDrive(Record, frozen=True):
         Relative to the impact, which is the last frame; None: braking cannot help. [s]
     """
 
-    run: str  # id
-    weather: str  # of the run
+    # Id.
+    run: str
+    # Of the run.
+    weather: str
     # scenario, first_number, frames: of the names of its files; numbers run on
     scenario: int
     first_number: int
@@ -176,18 +183,27 @@ class DatasetRecord(Record, frozen=True):
         Who looks, and at what.
     """
 
-    schema: str  # name and version of the file's format
-    format: str  # one of ``FORMATS``
-    scene: str  # name of the junction
-    detector: str  # whose detections are in ``Eval``
-    every: int  # pictures are of every so many frames of a run
-    lidar: str  # model of the LiDAR next to each camera; "none" for none
+    # Name and version of the file's format.
+    schema: str
+    # One of ``FORMATS``.
+    format: str
+    # Name of the junction.
+    scene: str
+    # Whose detections are in ``Eval``.
+    detector: str
+    # Pictures are of every so many frames of a run.
+    every: int
+    # Model of the LiDAR next to each camera; "none" for none.
+    lidar: str
     # masks, depth: there are pictures of instances and of depths
     masks: bool
     depth: bool
-    vehicles: bool  # vehicles have labels, too, in frames with pictures
-    vary: bool  # clothes, paints and facades are others in each run
-    seed: int  # of noise, of what is left to chance
+    # Vehicles have labels, too, in frames with pictures.
+    vehicles: bool
+    # Clothes, paints and facades are others in each run.
+    vary: bool
+    # Of noise, of what is left to chance.
+    seed: int
     # units, drives: who looks, and at what
     units: tuple[DatasetUnit, ...]
     drives: tuple[DatasetDrive, ...]
@@ -210,7 +226,8 @@ class DatasetSummary(Record, frozen=True):
         For drawing.
     """
 
-    folder: str  # where the dataset is
+    # Where the dataset is.
+    folder: str
     # pictures, drawn: in it, and of these drawn by this call
     pictures: int
     drawn: int
@@ -218,8 +235,10 @@ class DatasetSummary(Record, frozen=True):
     frames: int
     runs: int
     units: int
-    size_bytes: int  # of pictures and clouds drawn by this call
-    seconds: float  # for drawing
+    # Of pictures and clouds drawn by this call.
+    size_bytes: int
+    # For drawing.
+    seconds: float
 
 
 def load_manifest(path: Path) -> DatasetRecord:
@@ -287,7 +306,8 @@ def run_dataset(
     n_missing = sum(len(task.frames) for task in tasks)
     tell(_size_sentence(n_pictures, n_missing, out, tasks, lidar))
     n_bytes = draw_all(setting.scene, setting.runs, tasks, engine, progress, tell)
-    for left in out.rglob(".*.tmp"):  # of workers that were killed while they wrote
+    # Of workers that were killed while they wrote.
+    for left in out.rglob(".*.tmp"):
         if is_abandoned(left, min_age_s=0.0):
             left.unlink(missing_ok=True)
     if record.vehicles and record.format == "coco":
@@ -334,7 +354,8 @@ def _build_record(
     wish: DatasetWish,
     seed: int,
 ) -> DatasetRecord:
-    refuse_lenses(layout, "dataset")  # its records have no place for them
+    # Its records have no place for them.
+    refuse_lenses(layout, "dataset")
     units = [
         DatasetUnit(
             folder=viewer.folder,

@@ -43,7 +43,8 @@ def live_picture(
         expected = mark("a camera: a LiDAR takes no picture")
         raise InputError(mark("unit"), unit.id, expected)
     if run_id:
-        from placement.evaluator.pictures import find_frame  # loads the compiler
+        # Loads the compiler.
+        from placement.evaluator.pictures import find_frame
 
         run = pick({run.id: run for run in setting.runs}, run_id, "run")
         frame = find_frame(run, frame)
@@ -74,6 +75,7 @@ def live_picture(
     }
 
 
-@lru_cache(maxsize=2)  # while a camera is aimed the run stays the same
+# While a camera is aimed the run stays the same.
+@lru_cache(maxsize=2)
 def _backdrop(scene: Scene, run: Run) -> Backdrop:
     return build_backdrop(scene, run.obstruction)

@@ -145,6 +145,10 @@ NO_USERS_FILES = {
     "placement.detectors.network.load_onnx_model": (
         "a network is a program: SECURITY.md"
     ),
+    "placement.detectors.network.load_network_file": (
+        "a network is a program: SECURITY.md"
+    ),
+    "geometry.study_scene.read_study_scene": "facts of the package",
     "geometry.archives.unpacked": "tests/geometry/test_archives.py",
     "geometry.gltf.check_gltf": "within read_mesh and load_scene",
     "geometry.pbf.check_pbf": "within read_elements",

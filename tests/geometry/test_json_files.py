@@ -16,6 +16,9 @@ READS_JSON = re.compile(
 OWN_TEXT = {
     "geometry/text_formats.py",  # the one place
     "experiments/bench/__main__.py",
+    "experiments/bench/main_job.py",
+    "experiments/bench/work.py",
+    "experiments/engine/start.py",
     "experiments/export/uper.py",
     "experiments/planner/numbers.py",
     "experiments/planner/page_files.py",

@@ -221,15 +221,6 @@ def test_perception_and_radio_are_those_of_the_question():
     assert other.radio == Radio(packet_loss=0.1, vam_rate=0.5)
 
 
-def test_forced_speeds_are_warned_about(caplog):
-    question = Question(cases="CBTAfs-100", approaches="east", speeds="25", force=True)
-    with caplog.at_level(logging.WARNING):
-        run = drive_one(question, load_study_scene())
-
-    assert run.vut_speed_kmh == 25.0
-    assert "CBTAfs-100: 25 km/h are not speeds of the protocol" in caplog.text
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -412,11 +403,10 @@ def test_one_run_must_be_named():
 
 def test_one_run_at_a_position_drives_the_speed_asked_for():
     scene = load_study_scene()
-    question = Question(cases="CPLA-50", approaches="east", speeds="33")
-    question = replace(question, force=True)
+    question = Question(cases="CPLA-50", approaches="east", speeds="35")
     run = drive_one(question, scene, position="-15")
 
-    assert (run.id, run.position) == ("CPLA-50/east-15/33", "-15")
+    assert (run.id, run.position) == ("CPLA-50/east-15/35", "-15")
     with pytest.raises(
         InputError, match="position: got '-15'; expected 0: CBNA is bound to"
     ):

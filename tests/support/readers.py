@@ -1129,6 +1129,7 @@ READERS: Mapping[str, Reader] = {
         seeds=_things,
         covers=(
             "geometry.maps.importing.read_map",
+            "geometry.maps.importing.load_map_scene",
             "geometry.maps.gis_files.read_features",
             "geometry.maps.gis_files.read_footprints",
             "geometry.maps.city_models.read_cityjson",
@@ -1166,6 +1167,7 @@ READERS: Mapping[str, Reader] = {
         seeds=_scenes,
         covers=(
             "geometry.scene_sources.load_scene",
+            "geometry.scene_files.read_saved_scene",
             "geometry.scene_files.load_scene_folder",
         ),
     ),
@@ -1202,12 +1204,22 @@ READERS: Mapping[str, Reader] = {
         ("placement.sampling.uncertainty.load_uncertainty",),
     ),
     "detector": Reader(
-        _read_detector, _detectors, ("placement.detectors.registry.load_detector",)
+        _read_detector,
+        _detectors,
+        (
+            "placement.detectors.registry.load_detector",
+            "placement.detectors.response.load_response_file",
+        ),
     ),
     "layout": Reader(
         _read_layout,
         _layouts,
-        ("placement.layout.load_layout", "placement.layout.find_layout"),
+        (
+            "placement.layout.load_layout",
+            "placement.layout.find_layout",
+            "placement.foreign_layouts.read_list",
+            "placement.foreign_layouts.read_calibrations",
+        ),
     ),
     "weights": Reader(
         _read_weights, _weights, ("scenarios.weight_tables.weight_from_csv",)
@@ -1218,7 +1230,10 @@ READERS: Mapping[str, Reader] = {
     "no-look areas": Reader(
         _read_private_ground,
         _private_ground,
-        ("placement.private_ground.load_private_ground",),
+        (
+            "placement.private_ground.load_private_ground",
+            "placement.forbidden_views.load_forbidden_areas",
+        ),
     ),
     "recordings": Reader(
         read=_read_recording,

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
 from typing import Any
 
 import click
@@ -52,6 +53,20 @@ class SectionedGroup(SectionedCommand, click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of all commands, loaded or not, in alphabetical order."""
         return sorted({*self._entries, *super().list_commands(ctx)})
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does; a name that there is not may be near that of any entry."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            # Click looks among commands that are loaded, if it looks at all.
+            near = get_close_matches(args[0], self._entries)
+            if near and "Did you mean" not in error.format_message():
+                words = f"{error.format_message()} Did you mean {near[0]!r}?"
+                raise click.UsageError(words, ctx) from None
+            raise
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Load a command; None where there is none of that name."""

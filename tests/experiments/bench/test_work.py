@@ -57,9 +57,10 @@ def test_calls_and_results_are_counted_and_functions_work_as_before():
 
     counter = WorkCounter()
     before = counter.watch(Caster, "cast", lambda _, rays, bodies: {"rays": len(rays)})
-    after = counter.watch_result(Caster, "cast", lambda found: {"hits": len(found)})
-    with before, after:
-        assert Caster().cast([1, 2], None) == [0.0, 0.0]
-        Caster().cast([1], bodies=None)
+    with before:
+        after = counter.watch_result(Caster, "cast", lambda found: {"hits": len(found)})
+        with after:
+            assert Caster().cast([1, 2], None) == [0.0, 0.0]
+            Caster().cast([1], bodies=None)
     Caster().cast([1], None)
     assert counter.counts == {"rays": 3, "hits": 3}

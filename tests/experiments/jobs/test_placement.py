@@ -82,6 +82,7 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
         *stages,
         "other priorities",
         "evaluate",
+        "study's cases",
         "tolerances",
         "write results",
         "total",

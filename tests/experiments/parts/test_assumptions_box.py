@@ -78,7 +78,7 @@ def test_the_report_counts_the_measured_figures_of_response_tables():
     figures = _figures(SimpleNamespace(detector=response, table_detector=response))
     assert figures == [response.figures_words]
     # A network's own table stands in for it; boxes alone have no such figures.
-    network = SimpleNamespace(name="cnn")
+    network = SimpleNamespace(name="cnn", figures_words=None)
     (told,) = _figures(SimpleNamespace(detector=network, table_detector=table))
     assert told.startswith(
         "Of the 14 figures of cnn-table 11 are measured; assumed: motorcyclist"

@@ -99,7 +99,7 @@ def test_nothing_is_said_twice(asked, part, expected):
 def test_the_block_is_shown_of_the_studys_cases_at_its_junction_alone(
     asked, monkeypatch
 ):
-    monkeypatch.setattr(study_cases, "evaluate_layouts", lambda *given, **options: [])
+    monkeypatch.setattr(study_cases, "evaluate_again", lambda *given, **options: [])
     monkeypatch.setattr(study_cases, "build_study_cases", lambda found: "told")
 
     def told(setting, **changes):
