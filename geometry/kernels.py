@@ -84,15 +84,6 @@ def kernel(function: F) -> F:
     return cast(F, call)
 
 
-def is_compiled(function: Callable[..., Any]) -> bool:
-    """True if a kernel's machine code is cached, for whatever types."""
-    on_disk: _OnDisk = cast(Any, function).on_disk
-    try:
-        return on_disk.read() is not None
-    except (OSError, ValueError):
-        return False
-
-
 @cache
 def compiled_folder() -> Path:
     """Folder in which machine code is cached.

@@ -87,51 +87,45 @@ class WorkCounter:
     def watch(
         self, owner: Any, name: str, measure: Callable[..., dict[str, int]]
     ) -> "mock._patch[Any]":
-        """Patch that counts what `measure` says of each call's arguments."""
-        function = getattr(owner, name)
+        """Patch that counts what `measure` says of each call.
 
-        def counted(*given: Any, **named: Any) -> Any:
-            for what, number in measure(*given, **named).items():
-                self.add(what, number)
-            return function(*given, **named)
-
-        return mock.patch.object(owner, name, counted)
-
-    def watch_result(
-        self, owner: Any, name: str, measure: Callable[[Any], dict[str, int]]
-    ) -> "mock._patch[Any]":
-        """Patch that counts what `measure` says of each call's result."""
+        `measure` gets the result, then the call's arguments.
+        """
         function = getattr(owner, name)
 
         def counted(*given: Any, **named: Any) -> Any:
             result = function(*given, **named)
-            for what, number in measure(result).items():
+            for what, number in measure(result, *given, **named).items():
                 self.add(what, number)
             return result
 
         return mock.patch.object(owner, name, counted)
 
 
-def _rays(_caster: object, origins_m: Any, _vectors_m: object) -> dict[str, int]:
+def _rays(_hits: object, _caster: object, origins_m: Any, *_: object) -> dict[str, int]:
     return {"rays": len(origins_m)}
 
 
-def _sight(surroundings: Any, *_given: object, **_named: object) -> dict[str, int]:
+def _sight(
+    _seen: object, surroundings: Any, *_: object, **__: object
+) -> dict[str, int]:
     return {"sights": 1, "frames seen": len(surroundings.draw_index)}
 
 
-def _layouts(layouts: Sequence[Any], *_: object, **__: object) -> dict[str, int]:
-    return {"layouts evaluated": len(layouts)}
+def _layouts(judged: Sequence[Any], *_: object, **__: object) -> dict[str, int]:
+    return {"layouts evaluated": len(judged)}
 
 
-def _picture(png: bytes) -> dict[str, int]:
+def _picture(png: bytes, *_: object, **__: object) -> dict[str, int]:
     """Of the head of a PNG file: its width and height, in pixels."""
     width_px = int.from_bytes(png[16:20], "big")
     height_px = int.from_bytes(png[20:24], "big")
     return {"figures": 1, "pixels of figures": width_px * height_px}
 
 
-def _view(drawn: tuple[Any, object, object]) -> dict[str, int]:
+def _view(
+    drawn: tuple[Any, object, object], *_: object, **__: object
+) -> dict[str, int]:
     height_px, width_px, _ = drawn[0].shape
     return {"views": 1, "pixels of views": width_px * height_px}
 
@@ -194,8 +188,8 @@ def _late_patches(counter: WorkCounter) -> "list[mock._patch[Any]]":
         counter.watch(perceive, "perceive_frames", _sight),
         counter.watch(placement, "evaluate_layouts", _layouts),
         counter.watch(study_cases, "evaluate_again", _layouts),
-        counter.watch_result(camera_views, "draw_view", _view),
-        counter.watch_result(section, "to_png", _picture),
+        counter.watch(camera_views, "draw_view", _view),
+        counter.watch(section, "to_png", _picture),
     ]
 
 

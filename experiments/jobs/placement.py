@@ -14,7 +14,7 @@ from geometry.phrases import Phrase
 from geometry.writing import is_about, write_atomically
 from placement.cache import cached_value
 from placement.candidates import CandidatePose
-from placement.compute import Compute, silent
+from placement.compute import Compute
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts
 from placement.layout import Layout, find_baseline, layout_records
@@ -23,12 +23,7 @@ from placement.optimiser.front import Front, front_below
 from placement.pipeline import Placement
 from placement.proof_files import build_certificate, build_mounts, save_certificate
 from placement.question import Question, question_values
-from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
-from placement.sampling.out_of_sample import (
-    FreshWorlds,
-    judge_layouts,
-    look_at_fresh_worlds,
-)
+from placement.sampling.out_of_sample import out_of_sample_layouts
 from placement.setting import build_setting
 from placement.wishes import assumed_prices
 
@@ -62,9 +57,6 @@ _log = logging.getLogger(__name__)
 
 MIN_FRESH_WORLDS = 60
 """Least number of worlds to judge a layout in: with fewer, intervals say little."""
-
-
-_WORLDS_TOGETHER = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -270,20 +262,14 @@ def _in_fresh_worlds(
     # Assemble reads it with every question.
     assert uncertainty is not None
     layouts = [item.layout for item in evaluations.values()]
-    looked: list[FreshWorlds] = []
-    for first in range(0, n_worlds, _WORLDS_TOGETHER):
-        job.progress(OUT_OF_SAMPLE, first, n_worlds)
-        looked.append(
-            look_at_fresh_worlds(
-                job.setting,
-                layouts,
-                uncertainty,
-                n_worlds=min(_WORLDS_TOGETHER, n_worlds - first),
-                first=first,
-                fusion=job.question.fusion,
-                compute=replace(job.compute, progress=silent),
-            )
-        )
+    judged = out_of_sample_layouts(
+        job.setting,
+        layouts,
+        uncertainty,
+        n_samples=n_worlds,
+        fusion=job.question.fusion,
+        compute=job.compute,
+    )
     placement = found.placement
     # Over all worlds, whatever was asked for: the least cost, the worst share, what is
     # left.
@@ -291,7 +277,7 @@ def _in_fresh_worlds(
         replace(placement.problem, tail=1.0), placement.pose_index
     )
     return build_sampled_record(
-        judge_layouts(job.setting, layouts, uncertainty, looked),
+        judged,
         uncertainty,
         tail=found.plan.wishes.tail,
         seed=job.compute.seed,

@@ -155,11 +155,14 @@ def search(
 def _saying_what_is_cached(job: Job) -> Progress:
     """Progress of a job that says, from the optimiser on, that the table is cached."""
 
-    def report(stage: str, done: int, total: int) -> None:
+    def is_cached() -> bool:
         folder = job.compute.cache_folder
-        is_cached = folder is not None and any(folder.glob("table-*"))
+        return folder is not None and any(folder.glob("table-*"))
+
+    def report(stage: str, done: int, total: int) -> None:
         is_told = _TABLE_IS_KEPT in job.progress.kept
-        if stage == "optimise" and is_cached and not is_told:
+        # The folder is looked into once, not at each step of the progress.
+        if stage == "optimise" and not is_told and is_cached():
             job.progress.kept += _TABLE_IS_KEPT
         job.progress(stage, done, total)
 

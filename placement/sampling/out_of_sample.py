@@ -284,7 +284,7 @@ def out_of_sample_layouts(
             [[replace(unit, id="") for unit in layout.units] for layout in layouts],
         ),
     )
-    return judge_layouts(setting, layouts, uncertainty, [worlds])
+    return judge_layouts(setting, layouts, uncertainty, worlds)
 
 
 def _look_in_parts(
@@ -304,14 +304,18 @@ def _look_in_parts(
         begin: worlds
         for (_, begin, _), worlds in run(_look_at_part, parts, shared=shared)
     }
-    found = [numbered[begin] for _, begin, _ in parts]
+    return join_worlds([numbered[begin] for _, begin, _ in parts])
+
+
+def join_worlds(parts: Sequence[FreshWorlds]) -> FreshWorlds:
+    """What the same layouts avoid in the worlds of all parts, in their order."""
     driving = TrafficCount()
-    for some in found:
+    for some in parts:
         driving += some.driving
     return FreshWorlds(
-        avoided=np.concatenate([some.avoided for some in found], axis=1),
+        avoided=np.concatenate([some.avoided for some in parts], axis=1),
         driving=driving,
-        alone=np.concatenate([some.alone for some in found]),
+        alone=np.concatenate([some.alone for some in parts]),
     )
 
 
@@ -424,16 +428,13 @@ def judge_layouts(
     setting: Setting,
     layouts: Sequence[Layout],
     uncertainty: Uncertainty,
-    worlds: Sequence[FreshWorlds],
+    worlds: FreshWorlds,
 ) -> list[SampledApr]:
     """Put together what layouts avoid in all worlds."""
-    driving = TrafficCount()
-    for some in worlds:
-        driving += some.driving
-    tell_traffic(driving, uncertainty)
+    tell_traffic(worlds.driving, uncertainty)
     # APR of each world, and share of the worlds that avoid each run.
     weight = setting.axis.weight
-    alone = np.concatenate([some.alone for some in worlds]).mean(axis=0)
+    alone = worlds.alone.mean(axis=0)
     return [
         SampledApr(
             layout=layout,
@@ -441,14 +442,10 @@ def judge_layouts(
             # Exactly 1 where every run with weight is avoided in every draw.
             apr_by_sample=1.0 - (1.0 - by_sample) @ (weight / weight.sum()),
             avoided_share=by_sample.mean(axis=0),
-            driving=driving,
+            driving=worlds.driving,
             alone=float(alone @ (weight / weight.sum())),
         )
-        for layout, by_sample in zip(
-            layouts,
-            np.concatenate([some.avoided for some in worlds], axis=1),
-            strict=True,
-        )
+        for layout, by_sample in zip(layouts, worlds.avoided, strict=True)
     ]
 
 

@@ -171,20 +171,6 @@ def test_damaged_code_is_compiled_anew(start, compiled, tmp_path, place, harm):
     assert _end(start(folder)) == (1, [])
 
 
-def test_whether_code_is_kept_is_known_before_it_is_loaded(start, compiled, tmp_path):
-    ask = """
-import sys, summing
-from geometry.kernels import is_compiled
-print(is_compiled(summing.total), file=sys.stderr)
-"""
-    folder = Path(shutil.copytree(compiled, tmp_path / "compiled"))
-    assert _end(start(folder, before=ask)) == (1, ["True"])
-    (file,) = folder.glob("*.kernel")
-    file.write_bytes(file.read_bytes()[:-9])
-    assert _end(start(folder, before=ask))[1][0] == "False"
-    assert _end(start(tmp_path / "new", before=ask)) == (0, ["False", *COMPILING])
-
-
 def test_code_is_compiled_anew_when_kernels_beside_it_change(start, tmp_path):
     twice, total = _MODULE.split("@kernel\ndef total")
     (tmp_path / "doubling_kernels.py").write_text(twice)

@@ -56,9 +56,13 @@ def test_calls_and_results_are_counted_and_functions_work_as_before():
             return [0.0] * len(rays)
 
     counter = WorkCounter()
-    before = counter.watch(Caster, "cast", lambda _, rays, bodies: {"rays": len(rays)})
+    before = counter.watch(
+        Caster, "cast", lambda found, _, rays, bodies: {"rays": len(rays)}
+    )
     with before:
-        after = counter.watch_result(Caster, "cast", lambda found: {"hits": len(found)})
+        after = counter.watch(
+            Caster, "cast", lambda found, *_, **__: {"hits": len(found)}
+        )
         with after:
             assert Caster().cast([1, 2], None) == [0.0, 0.0]
             Caster().cast([1], bodies=None)

@@ -10,6 +10,7 @@ from placement.layout import Layout
 from placement.sampling.out_of_sample import (
     N_DRAWS,
     SampledApr,
+    join_worlds,
     judge_layouts,
     look_at_fresh_worlds,
     out_of_sample_layouts,
@@ -146,7 +147,7 @@ def test_worlds_looked_at_in_parts_are_the_same_worlds(setting, layouts, judged)
         look_at_fresh_worlds(setting, layouts, LOSSY, n_worlds=n_worlds, first=first)
         for first, n_worlds in ((0, 5), (5, 4), (9, 3))
     ]
-    together = judge_layouts(setting, layouts, LOSSY, parts)
+    together = judge_layouts(setting, layouts, LOSSY, join_worlds(parts))
     for item, same in zip(together, judged, strict=True):
         assert item.apr_by_sample.tolist() == same.apr_by_sample.tolist()
         assert item.avoided_share == pytest.approx(same.avoided_share)
