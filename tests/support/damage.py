@@ -58,14 +58,12 @@ def read_or_refuse(path: Path, data: bytes, read: Callable[[Path], Any]) -> Any:
     file.
     """
     path.write_bytes(data)
-    refused: InputError | None = None
     try:
         return read(path)
     except InputError as error:
-        refused = error
-
-    assert "\n" not in str(refused)
-
+        refusal = str(error)
+    assert "\n" not in refusal
+    assert path.name in refusal
     return None
 
 

@@ -5,6 +5,7 @@ file.
 import random
 
 import pytest
+from damage import read_or_refuse
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from opendrive_text import (
@@ -312,16 +313,4 @@ def test_dropped_doubled_and_moved_elements_give_a_map_or_one_line(
         elif action == "move":
             inside = set(child.iter())
             rng.choice([one for one in root.iter() if one not in inside]).append(child)
-    _read_or_refuse(tmp_path, ET.tostring(root))
-
-
-def _read_or_refuse(tmp_path, content: bytes) -> None:
-    path = tmp_path / "made.xodr"
-    path.write_bytes(content)
-    message = "made.xodr"
-    try:
-        read_opendrive(path)
-    except InputError as error:
-        message = str(error)
-    assert message.count("\n") == 0
-    assert "made.xodr" in message
+    read_or_refuse(tmp_path / "made.xodr", ET.tostring(root), read_opendrive)

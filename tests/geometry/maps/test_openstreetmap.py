@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from damage import read_or_refuse
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from osm_text import OsmText, arm_lanes, arms_of, crossing
@@ -262,15 +263,8 @@ _ODD = [
 
 
 def _read_or_refuse(content: bytes, folder: Path) -> None:
-    path = folder / "fuzz.osm"
-    path.write_bytes(content)
-    refusal = ""
-    try:
-        source = read_openstreetmap(path)
-    except InputError as error:
-        refusal = str(error)
-    assert "\n" not in refusal
-    if refusal:
+    source = read_or_refuse(folder / "fuzz.osm", content, read_openstreetmap)
+    if source is None:
         return
     for lane in source.lanes:
         assert np.isfinite(lane.centreline_m).all()
