@@ -42,7 +42,7 @@ from scenarios.weights import weight_per_run
 
 from ..cli.options import engine_options
 from ..engine.start import EngineWish, start_engine
-from ..engine.tasks import map_tasks
+from ..engine.tasks import answers_in_order
 from ..figures.axes import to_png
 from ..figures.evaluation import plot_heatmaps
 from ..language import mark
@@ -393,9 +393,7 @@ def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
 def write_reproduction(
     folder: Path, *, compute: Compute, engine: EngineWish = _IN_THIS_PROCESS
 ) -> None:
-    """Evaluate all variants and weathers.
-
-    And write ``reproduction.md`` with its heatmaps.
+    """Evaluate all variants and weathers, and write ``reproduction.md``.
 
     With a scheduler, `engine` says where; else this process does, with its threads.
     """
@@ -406,18 +404,19 @@ def write_reproduction(
         question = replace(AS_STUDIED, weather=",".join(WEATHERS), detector=detector)
         setting = build_setting(question, variants[0].setting.scene)
         in_weathers.append(replace(variants[0], setting=setting))
-    tasks = [*enumerate([*variants, *in_weathers, *additional])]
-    found_by_task = {}
+    tasks = [*variants, *in_weathers, *additional]
+    told = mark("evaluate variants")
     with start_engine(engine, n_tasks=len(tasks), tell=tell) as started:
         n_threads = compute.workers if started.is_here else 1
         quiet = replace(compute, progress=silent, workers=n_threads)
-        answers = map_tasks(_evaluate_variant, tasks, engine=started, shared=(quiet,))
-        compute.progress(mark("evaluate variants"), 0, len(tasks))
-        for (number, _), evaluation in answers:
-            found_by_task[number] = evaluation
-            done = len(found_by_task)
-            compute.progress(mark("evaluate variants"), done, len(tasks))
-    all_found = [found_by_task[number] for number, _ in tasks]
+        compute.progress(told, 0, len(tasks))
+        all_found = answers_in_order(
+            _evaluate_variant,
+            tasks,
+            engine=started,
+            shared=(quiet,),
+            tell=lambda n_done: compute.progress(told, n_done, len(tasks)),
+        )
     n_weathers = len(variants) + len(DETECTORS)
     evaluations = all_found[: len(variants)]
     by_weather = dict(
@@ -447,8 +446,7 @@ def write_reproduction(
     write_atomically(folder / "reproduction.md", text)
 
 
-def _evaluate_variant(compute: Compute, task: tuple[int, StudyVariant]) -> Evaluation:
-    _, variant = task
+def _evaluate_variant(compute: Compute, variant: StudyVariant) -> Evaluation:
     return evaluate_layout(variant.layout, variant.setting, compute=compute)
 
 

@@ -18,14 +18,6 @@ def end_at_3(number):
     return square(number)
 
 
-def end_once(mark, number):
-    """Ends the first process that finds a file, which it takes away."""
-    if mark.exists():
-        mark.unlink(missing_ok=True)
-        os._exit(3)
-    return square(number)
-
-
 def count_calls(folder, text):
     """A text that is no number raises; how often is counted by files."""
     number = len(list(Path(folder).glob(f"{text}-*")))

@@ -102,14 +102,6 @@ def block_actor(
     )
 
 
-def random_places(
-    rng: np.random.Generator, reach_m: float, n: int, *, yaw_deg: float = 180.0
-) -> FloatArray:
-    """Places within a square around the origin, in any direction: (n, 3)."""
-    position_m = rng.uniform(-reach_m, reach_m, (n, 2))
-    return np.column_stack([position_m, rng.uniform(-yaw_deg, yaw_deg, n)])
-
-
 def run_of_frames(
     vru_poses: ArrayLike,
     vut_poses: ArrayLike | None = None,
