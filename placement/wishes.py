@@ -58,10 +58,13 @@ class SitePrices:
     kinds : dict of str to tuple of str
         Names of the parts that a site takes, by its kind; "pole" stands for all other
         kinds.
+    left_out : dict of str to PricedPart
+        What a junction takes that no bill has.
     """
 
     parts: dict[str, PricedPart]
     kinds: dict[str, tuple[str, ...]]
+    left_out: dict[str, PricedPart]
 
     def __post_init__(self) -> None:
         unknown = {name for kind in self.kinds.values() for name in kind} - set(

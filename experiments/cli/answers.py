@@ -15,7 +15,6 @@ from placement.explain.unavoided import Unavoided
 from ..language import localized, mark, tr, trn
 from ..parts import (
     Part,
-    added,
     answer,
     baselines,
     comparison,
@@ -29,10 +28,13 @@ from ..parts import (
 )
 from ..parts.assumptions import assumption_sentences
 from ..parts.baselines import Score
+from ..parts.bill_of_materials import left_out_sentence
 from ..parts.comparison import HIGHEST, Compared
+from ..parts.headline import headline
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from ..parts.section import Table
 from ..results.numbers import (
+    euros,
     first_of,
     grouped,
     layout_words,
@@ -269,14 +271,13 @@ def _head(result: Result) -> list[Part]:
     groups = result.road_users
     return [
         _said(
-            answer.lead(result),
-            *added.words(result.added),
+            *headline(result),
             *dangers.words(result.dangers, result.runs, cars=result.cars),
         ),
         _said(*answer.preferred(result), *answer.planned_only(result)),
         _said(*result.driven[:1], *result.without_effect),
         Part(notes=first_reasons(result.driven)),
-        *([_said(*road_users.words(groups))] if groups else []),
+        *([_said(" ".join(road_users.words(groups)))] if groups else []),
         *(
             [Part(table=road_users.table(groups))]
             if groups and len(groups.groups) > 1
@@ -402,33 +403,39 @@ def unit_notes(units: Sequence[UnitRecord]) -> list[str]:
 
 
 def _cost(result: Result) -> str:
-    """Cost of the sensors, and of making their sites ready as far as it is known."""
-    if result.sites_eur is None:
-        return tr(
-            "sensors {sensors:,.0f} EUR by the catalogue, without poles or mounting",
-            sensors=result.cost_eur,
-        )
-    n_sites = len({unit.site for unit in result.layout})
-    values = {"sensors": result.cost_eur, "sites": result.sites_eur}
-    values["total"] = result.cost_eur + result.sites_eur
-    if result.assumed_prices:
-        return trn(
-            "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the "
-            "catalogue, {n} site {sites:,.0f} EUR by prices assumed for their "
-            "kinds",
-            "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the "
-            "catalogue, {n} sites {sites:,.0f} EUR by prices assumed for "
-            "their kinds",
-            n_sites,
+    """Cost of what there is to buy, as far as it is known, and what it leaves out."""
+    n_existing = len(result.existing)
+    n_to_buy = len(result.layout) - n_existing
+    if not n_to_buy:
+        return tr("cost: nothing to buy; all {n} sensors exist", n=n_existing)
+    values = {"n": n_to_buy, "sensors": euros(result.sensors_eur)}
+    bought = trn(
+        "{n} sensor {sensors} (catalogue)",
+        "{n} sensors {sensors} (catalogue)",
+        n_to_buy,
+        **values,
+    )
+    if n_existing:
+        bought = trn(
+            "{n} new sensor {sensors} (catalogue; {n_existing} exist)",
+            "{n} new sensors {sensors} (catalogue; {n_existing} exist)",
+            n_to_buy,
+            n_existing=n_existing,
             **values,
         )
-    return trn(
-        "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the "
-        "catalogue, {n} site {sites:,.0f} EUR by their own prices",
-        "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the "
-        "catalogue, {n} sites {sites:,.0f} EUR by their own prices",
-        n_sites,
-        **values,
+    total = None
+    if result.sensors_eur is not None and result.sites_eur is not None:
+        total = result.sensors_eur + result.sites_eur
+    source = tr("own prices")
+    if result.assumed_prices:
+        source = tr("assumed")
+    return tr(
+        "cost: {total}: {bought}, poles {sites} ({source}). {left_out}",
+        total=euros(total),
+        bought=bought,
+        sites=euros(result.sites_eur),
+        source=source,
+        left_out=left_out_sentence(),
     )
 
 

@@ -195,6 +195,10 @@ def answer_placement(found: FoundLayout) -> Answered:
         next_unit=placement.next_unit,
         private_ground=private_ground,
         refinement=refinement,
+        existing=tuple(
+            unit.id for unit in layout.units if unit.id in plan.wishes.existing
+        ),
+        sensors_eur=bill.sensors_eur,
         sites_eur=bill.sites_eur,
         assumed_prices=assumed,
         explained=explained,

@@ -1,8 +1,6 @@
-"""What units add to cars.
+"""What units add, unit by unit: next to a car's own sensors, and without any."""
 
-The VUT by itself, with the units, the difference, and unit by unit.
-"""
-
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -22,7 +20,6 @@ from .section import Section, Table
 
 MAX_UNITS = 24
 """Of larger layouts units are not told one by one."""
-_MAX_TOLD = 4
 
 
 class AddedUnit(Record, frozen=True, kw_only=True):
@@ -58,6 +55,10 @@ class Added(Record, frozen=True, kw_only=True):
             " here as avoided where braking sets in before its last moment."
         ),
     ]
+    alone: Annotated[
+        tuple[AddedUnit, ...],
+        says("The same for cars that rely on the roadside alone."),
+    ] = ()
 
 
 def build_added(
@@ -95,23 +96,30 @@ def build_added(
             gain = both - alone
         return AddedGroup(kind=kind, name=name, vut=alone, with_units=both, gain=gain)
 
+    rule = setting.rule
+    own_s = np.where(evaluation.vut.detected, axis.time_s + rule.latency_s, np.inf)
+    blind_s = np.full(own_s.shape, np.inf)
     return Added(
         groups=tuple(group(*one) for one in groups),
-        units=_one_by_one(setting, evaluation, fusion),
+        units=_one_by_one(setting, evaluation, fusion, own_s),
+        alone=_one_by_one(setting, evaluation, fusion, blind_s),
     )
 
 
 def _one_by_one(
-    setting: Setting, evaluation: Evaluation, fusion: str
+    setting: Setting, evaluation: Evaluation, fusion: str, own_s: FloatArray
 ) -> tuple[AddedUnit, ...]:
-    """Units in the order of greedy choice next to the VUT."""
+    """Units in the order of greedy choice.
+
+    `own_s` (n_runs, n_frames) are the times at which the car's own detections arrive,
+    in seconds; infinite where it has none.
+    """
     axis = evaluation.axis
     rule = setting.rule
     names = [unit.id for unit in evaluation.layout.units]
     if len(names) > MAX_UNITS or not axis.weight.any():
         return ()
     arrivals_s = unit_arrivals_s(evaluation, rule)
-    own_s = np.where(evaluation.vut.detected, axis.time_s + rule.latency_s, np.inf)
 
     def in_time(arrival_s: FloatArray) -> BoolArray:
         return find_onsets(arrival_s, axis, rule=rule).is_in_time
@@ -137,48 +145,27 @@ def _one_by_one(
     return tuple(found)
 
 
-def words(record: Added | None) -> list[str]:
-    """What units add to a car that sees, one after the other, in one sentence."""
-    if record is None or record.groups[0].gain is None:
-        return []
-    everything = record.groups[0]
-    units = record.units
-    told = [f"{unit.unit} {in_points(unit.gain)}" for unit in units[:_MAX_TOLD]]
-    if len(units) > _MAX_TOLD:
-        rest = sum(unit.gain for unit in units[_MAX_TOLD:])
-        told.append(
-            tr("the other {n} {gain}", n=len(units) - _MAX_TOLD, gain=in_points(rest))
-        )
-    gain = in_points(everything.gain)
-    by_unit = ", ".join(told)
-    if len(units) > 1:
-        return [
-            tr(
-                "To a car that sees, these units add {gain} points ({by_unit}).",
-                gain=gain,
-                by_unit=by_unit,
-            )
-        ]
-    return [tr("To a car that sees, these units add {gain} points.", gain=gain)]
-
-
 def section(record: Added | None) -> Section | None:
-    """What the units add, one after the other.
+    """What the units add, one after the other, for both kinds of cars.
 
     None where that is not known, or they are many.
     """
     if record is None or not record.units:
         return None
-    of_units = Table(
-        caption=tr(
-            "One unit after the other next to a car that sees, the one first that adds"
-            " most"
-        ),
+    seeing = _unit_table(
+        tr("For cars with their own sensors, the most useful unit first"), record.units
+    )
+    blind = _unit_table(
+        tr("For cars that rely on the roadside alone, the most useful unit first"),
+        record.alone,
+    )
+    return Section("added", tr("What the units add"), [blind, seeing])
+
+
+def _unit_table(caption: str, units: Sequence[AddedUnit]) -> Table:
+    return Table(
+        caption=caption,
         columns=[tr("unit"), tr("APR with it"), tr("adds (points)")],
-        rows=[
-            [unit.unit, percent(unit.apr), in_points(unit.gain)]
-            for unit in record.units
-        ],
+        rows=[[unit.unit, percent(unit.apr), in_points(unit.gain)] for unit in units],
         numeric=(1, 2),
     )
-    return Section("added", tr("What the units add"), [*words(record), of_units])

@@ -1,7 +1,4 @@
-"""The answer of a placement, an evaluation or a comparison.
-
-Its title, and its few sentences.
-"""
+"""An answer's title, and the sentences that stand below its headline."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,9 +8,8 @@ from placement.evaluation import Evaluation
 from placement.question import N_JUDGED
 from placement.setting import Setting
 
-from ..language import tr, trn
-from ..results.numbers import capital, joined, percent, points
-from . import added, comparison, dangers, proof
+from ..language import tr
+from . import comparison, dangers, proof
 from .accidents import count_sensors
 from .alternatives import doubt_sentences, recommended_sentences
 from .explanation import next_unit_sentence, refinement_sentences
@@ -46,124 +42,6 @@ def title(
     return tr("Roadside sensors at {place}: {name}", place=place, name=name)
 
 
-def lead(result: Result) -> str:
-    """The first sentence of an answer, without codes.
-
-    What units prevent, and what cars do alone.
-
-    With fusion "single" runs are counted: a unit has to confirm by itself.
-    """
-    found = result.evaluation
-    layout = result.layout
-    share = percent(found.judged.all)
-    if result.fusion == "single":
-        n_avoided = result.runs - result.dangers.not_avoided
-        share = tr("{n} of {all}", n=n_avoided, all=result.runs)
-    values = {
-        "mounted": _mounted(result),
-        "share": share,
-        "best": _best(result) if isinstance(result, PlacementResult) else "",
-        "own": percent(found.vut.all),
-    }
-    if result.cars == 1.0:
-        return trn(
-            "{mounted} together with cars that see for themselves prevents "
-            "{share} of the simulated collisions, by telling cars when to "
-            "brake{best}. The cars' own sensors alone prevent {own}.",
-            "{mounted} together with cars that see for themselves prevent "
-            "{share} of the simulated collisions, by telling cars when to "
-            "brake{best}. The cars' own sensors alone prevent {own}.",
-            len(layout),
-            **values,
-        )
-    return trn(
-        "{mounted} prevents {share} of the simulated collisions, by "
-        "telling cars when to brake{best}. The cars' own sensors alone "
-        "prevent {own}, both together {both}.",
-        "{mounted} prevent {share} of the simulated collisions, by "
-        "telling cars when to brake{best}. The cars' own sensors alone "
-        "prevent {own}, both together {both}.",
-        len(layout),
-        both=percent(found.vut_and_rsus.all),
-        **values,
-    )
-
-
-def _mounted(result: Result) -> str:
-    """How many units on how many poles, small numbers as words."""
-    n_lidars = sum(bool(unit.lidar) for unit in result.layout)
-    n_cameras = len(result.layout) - n_lidars
-    n_poles = len({unit.site or unit.id for unit in result.layout})
-    cameras = trn("one camera", "{count} cameras", n_cameras, count=_spelled(n_cameras))
-    lidars = trn("one LiDAR", "{count} LiDARs", n_lidars, count=_spelled(n_lidars))
-    units = [words for n, words in ((n_cameras, cameras), (n_lidars, lidars)) if n]
-    poles = trn("one pole", "{count} poles", n_poles, count=_spelled(n_poles))
-    return capital(tr("{units} on {poles}", units=joined(units), poles=poles))
-
-
-def _best(result: PlacementResult) -> str:
-    """What is known of other choices, as the end of a sentence."""
-    highest = result.highest
-    if highest is None or highest.compared is None:
-        is_best = (
-            result.goal == "best"
-            and result.stages[0].name == "apr"
-            and is_proven(result)
-        )
-        is_best &= result.sampled is None
-        if is_best:
-            return tr(", and no other choice prevents more")
-        return ""
-    other = highest.compared.evaluation
-    values = {
-        "left": percent(result.evaluation.apr_without_worst_unit),
-        "most": percent(other.judged.all),
-        "others_left": percent(other.apr_without_worst_unit),
-        "given_up": points(highest.given_up),
-    }
-    if highest.stages[0].gap == 0.0:
-        return tr(
-            ", and {left} if one of them fails. The most that any choice "
-            "prevents is {most}, but only {others_left} if one fails: to keep "
-            "more then, up to {given_up} is given up",
-            **values,
-        )
-    return tr(
-        ", and {left} if one of them fails. The most that was found is "
-        "{most}, but only {others_left} if one fails: to keep more then, "
-        "up to {given_up} is given up",
-        **values,
-    )
-
-
-def is_proven(result: PlacementResult) -> bool:
-    """True if all that the answer begins with is proven.
-
-    That is the first objective, and the highest APR of which some may be given up.
-    """
-    first = [result.stages[0], *(result.highest.stages[:1] if result.highest else ())]
-    return all(stage.gap == 0.0 for stage in first)
-
-
-def _spelled(count: int) -> str:
-    words = [
-        tr("no"),
-        tr("one"),
-        tr("two"),
-        tr("three"),
-        tr("four"),
-        tr("five"),
-        tr("six"),
-        tr("seven"),
-        tr("eight"),
-        tr("nine"),
-        tr("ten"),
-    ]
-    if count < len(words):
-        return words[count]
-    return str(count)
-
-
 def words(result: Result) -> list[str]:
     """What the first screen leaves to say.
 
@@ -176,7 +54,6 @@ def words(result: Result) -> list[str]:
     elif isinstance(result, ComparisonResult):
         sentences = comparison.words(result.name, result.compared)
     return [
-        *added.words(result.added),
         *dangers.words(result.dangers, result.runs, cars=result.cars),
         *(f"{sentence}." for sentence in sentences if sentence),
         *doubts(result),

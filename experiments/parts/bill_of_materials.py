@@ -3,6 +3,7 @@
 As far as it is known.
 """
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
@@ -21,6 +22,12 @@ UNKNOWN = mark("unknown")
 FILE_NAME = "bill_of_materials.csv"
 _KINDS = {"camera": mark("camera"), "lidar": mark("LiDAR")}
 _NO_SITE = mark("no site of the scene")
+_LEFT_OUT = {
+    "edge-computer": mark("computer for detection"),
+    "radio-unit": mark("radio unit"),
+    "commissioning": mark("calibration"),
+}
+"""What no bill has, by its name in ``placement/data/prices.toml``."""
 _SOURCES = {
     "catalogue": mark("catalogue"),
     "told": mark("told"),
@@ -83,6 +90,11 @@ class BillOfMaterials:
     assumed: tuple[str, ...] = ()
 
     @property
+    def sensors_eur(self) -> float | None:
+        """Price of the sensors to buy; None where one is unknown."""
+        return total_eur(self.sensors)
+
+    @property
     def sites_eur(self) -> float | None:
         """Price of all sites; None where one is unknown."""
         return total_eur(self.sites)
@@ -94,6 +106,42 @@ def total_eur(items: Iterable[Item]) -> float | None:
     if None in sums:
         return None
     return sum(value for value in sums if value is not None)
+
+
+def to_buy(bill: BillOfMaterials) -> str:
+    """What there is to buy: "2 cameras and 1 LiDAR, and to prepare 3 poles"."""
+    counts = Counter[str]()
+    for item in bill.sensors:
+        counts[item.kind] += item.count
+    n_cameras = counts[_KINDS["camera"]]
+    n_lidars = counts[_KINDS["lidar"]]
+    n_sites = sum(item.count for item in bill.sites)
+    cameras = trn("{n} camera", "{n} cameras", n_cameras)
+    lidars = trn("{n} LiDAR", "{n} LiDARs", n_lidars)
+    found = [words for n, words in ((n_cameras, cameras), (n_lidars, lidars)) if n]
+    if not found:
+        return tr("nothing")
+    sensors = joined(found)
+    if not n_sites:
+        return sensors
+    return trn(
+        "{sensors}, and to prepare {n} pole",
+        "{sensors}, and to prepare {n} poles",
+        n_sites,
+        sensors=sensors,
+    )
+
+
+def left_out_sentence() -> str:
+    """What no bill has, with the sum that is assumed for it."""
+    left_out = load_prices().left_out
+    names = joined([tr(_LEFT_OUT[name]) for name in left_out])
+    total = sum(part.eur for part in left_out.values())
+    return tr(
+        "Not included: {names} (about {sum}, assumed).",
+        names=names,
+        sum=_euros(total),
+    )
 
 
 def build_bill(

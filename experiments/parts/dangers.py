@@ -120,44 +120,24 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
 
     `cars` is the share of cars that see.
     """
-    is_of_blind = 0.0 < cars < 1.0
     n_left = dangers.not_avoided
+    whose = ""
+    if 0.0 < cars < 1.0:
+        whose = tr(" for cars that rely on the roadside alone")
     if not n_left:
-        if is_of_blind:
-            return [
-                tr(
-                    "No simulated encounter (run) is left: all {n} are avoided by "
-                    "cars that do not see.",
-                    n=n_runs,
-                )
-            ]
-        return [
-            tr("No simulated encounter (run) is left: all {n} are avoided.", n=n_runs)
-        ]
+        return [tr("All {n} runs are avoided{whose}.", n=n_runs, whose=whose)]
     others = tr("in other cases")
     where = _most_left(dangers.by_case, lambda name: tr("in {case}", case=name), others)
     if dangers.by_position:
         places = _most_left(dangers.by_position, position_words, tr("elsewhere"))
         where = tr("{cases}. By place: {places}", cases=where, places=places)
-    all_runs = trn(
-        "{n} simulated encounter (run)", "{n} simulated encounters (runs)", n_runs
-    )
-    if is_of_blind:
-        return [
-            trn(
-                "{n} of {runs} is not avoided by cars that do not see: {where}.",
-                "{n} of {runs} are not avoided by cars that do not see: {where}.",
-                n_left,
-                runs=all_runs,
-                where=where,
-            )
-        ]
     return [
         trn(
-            "{n} of {runs} is not avoided: {where}.",
-            "{n} of {runs} are not avoided: {where}.",
+            "{n} of {all} runs (simulated collisions) is not avoided{whose}: {where}.",
+            "{n} of {all} runs (simulated collisions) are not avoided{whose}: {where}.",
             n_left,
-            runs=all_runs,
+            all=n_runs,
+            whose=whose,
             where=where,
         )
     ]

@@ -574,14 +574,9 @@ def next_unit_sentence(unit: NextUnit | None) -> str:
         return ""
     # What rounding leaves.
     if unit.gain < 0.5e-9:
-        return tr(
-            "One more unit among the candidates would avoid nothing more (on "
-            "the detection table, by greedy choice)"
-        )
-    values = {"points": points(unit.gain), "apr": percent(unit.apr)}
+        return tr("One more unit adds nothing in the planning model")
     return tr(
-        "One more unit would add {points} of APR: {apr} with {pose} "
-        "(on the detection table, by greedy choice)",
+        "One more unit adds {points} in the planning model: {pose}",
+        points=points(unit.gain),
         pose=unit.pose,
-        **values,
     )

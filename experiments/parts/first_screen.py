@@ -1,7 +1,4 @@
-"""The first screen of a report.
-
-One sentence, four figures, and where it is still dangerous.
-"""
+"""The first screen of a report: sentences, figures, and where it is dangerous."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,17 +9,19 @@ from geometry.scene import Scene
 from placement.candidates import above_ground
 from placement.evaluation import Evaluation
 from placement.setting import Setting
+from scenarios.runs import FrameAxis
 from scenarios.weights import weight_share
 
 from ..figures.axes import unit_labels
 from ..figures.plan import looking_words
 from ..language import mark, tr
 from ..results.numbers import NOTHING, euros, joined, number, percent, points
-from .accidents import case_title, count_sensors, is_weighted
-from .answer import is_proven, lead
-from .bill_of_materials import BillOfMaterials, total_eur
+from .accidents import case_title, is_weighted
+from .bill_of_materials import BillOfMaterials, left_out_sentence, to_buy, total_eur
 from .dangers import DangerGroup, avoided_runs, position_words
 from .explanation import causes_and_remedies
+from .headline import by_unit, headline, own_sensors
+from .proof import best_possible
 from .result import PlacementResult, Result
 from .section import Picture
 
@@ -45,7 +44,8 @@ class FirstScreen:
     Without codes, and without abbreviations.
     """
 
-    sentence: str
+    # The first one says what is prevented, and what is left if a sensor fails.
+    sentences: tuple[str, ...]
     # What must not be overlooked.
     warnings: tuple[str, ...]
     # What is mounted where, if they are few.
@@ -69,15 +69,19 @@ def build_first_screen(
 ) -> FirstScreen:
     """The first screen of a result.
 
-    `warnings` stand between its sentence and its figures.
+    `warnings` stand between its sentences and its figures.
     """
-    avoided = avoided_runs(subject, result.fusion)
-    first = (_prevented(subject, avoided), _if_one_fails(result, subject))
+    cards = (
+        *_for_cars(result, subject),
+        _if_one_fails(result, subject),
+        _cost(bill),
+        _proof(result),
+    )
     return FirstScreen(
-        sentence=lead(result),
+        sentences=tuple(headline(result)),
         warnings=tuple(warnings),
         units=_mounted(result, subject, setting.scene),
-        cards=(*first, _cost(bill, subject), _proof(result)),
+        cards=cards,
         dangers=tuple(_dangers(result, setting)),
         plan=plan,
         views=tuple(views),
@@ -97,48 +101,76 @@ def _mounted(result: Result, subject: Evaluation, scene: Scene) -> tuple[str, ..
         height_m = float(above_ground(unit, scene).pose.position_m[2])
         height = tr("{height} m high", height=number(height_m, 1))
         parts = (where, record.place and tr(record.place), height, looking_words(unit))
-        found.append(f"{labels[unit.id]}: {', '.join(filter(None, parts))}.")
+        words = ", ".join(filter(None, parts))
+        if record.id in result.existing:
+            words = tr("{where}; it is mounted already", where=words)
+        found.append(f"{labels[unit.id]}: {words}.")
     return tuple(found)
 
 
-def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
+def _for_cars(result: Result, subject: Evaluation) -> list[Card]:
+    """What is prevented for each kind of cars, and what each unit adds for them."""
+    found = result.evaluation
     axis = subject.axis
-    n_avoided = int(avoided.sum())
-    n_runs = axis.n_runs
-    words = tr("of the simulated collisions: {n} of {all}", n=n_avoided, all=n_runs)
-    if is_weighted(axis):
-        words = tr(
-            "of the simulated collisions, when each kind of them counts by "
-            "its weight, as all shares on this page do. Counted one by one, "
-            "{n} of {all} are prevented, {share}: some kinds were simulated "
-            "more often than others",
-            n=n_avoided,
-            all=n_runs,
-            share=percent(n_avoided / n_runs),
+    added = result.added
+    avoided = avoided_runs(subject, result.fusion)
+    if result.cars:
+        avoided = subject.rsu_all.is_avoided
+    words = [tr("of the simulated collisions.")]
+    units = by_unit(added.alone if added else ())
+    if units:
+        words.append(f"{units}.")
+    words.append(_counted(avoided, axis))
+    share = percent(weight_share(avoided, axis.weight))
+    cards = [Card(tr("Cars that rely on the roadside alone"), share, " ".join(words))]
+    own = own_sensors(result)
+    if not own:
+        return cards
+    words = [
+        tr(
+            "of the simulated collisions; {alone} without the roadside.",
+            alone=percent(found.vut.all),
         )
-    return Card(tr("Prevented"), percent(weight_share(avoided, axis.weight)), words)
+    ]
+    units = by_unit(added.units if added else ())
+    if units:
+        words.append(f"{units}.")
+    share = percent(found.vut_and_rsus.all)
+    cards.append(Card(tr("Cars with {own}", own=own), share, " ".join(words)))
+    return cards
+
+
+def _counted(avoided: BoolArray, axis: FrameAxis) -> str:
+    """How many runs that is, where not all count the same."""
+    n_avoided = int(avoided.sum())
+    if not is_weighted(axis):
+        return tr("{n} of {all} runs.", n=n_avoided, all=axis.n_runs)
+    return tr(
+        "All shares on this page are by weight; counted one by one, {n} of {all} are"
+        " prevented ({share}).",
+        n=n_avoided,
+        all=axis.n_runs,
+        share=percent(n_avoided / axis.n_runs),
+    )
 
 
 def _if_one_fails(result: Result, subject: Evaluation) -> Card:
     left = result.evaluation.apr_without_worst_unit
-    words = tr("are prevented even if the sensor that is needed most is out of order")
+    words = tr("are still prevented if the sensor that is needed most fails")
     if len(subject.units) == 1 and result.cars < 1.0:
         left = None
-        words = tr("there is but one: if it fails, only the car itself is left")
+        words = tr("there is only one: if it fails, only the car itself is left")
     return Card(tr("If a sensor fails"), percent(left), words)
 
 
-def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
+def _cost(bill: BillOfMaterials) -> Card:
+    """What there is to buy, and what is not in the sum."""
     total = total_eur((*bill.sensors, *bill.sites))
-    counted = count_sensors(subject.layout)
-    words = tr("to buy {sensors} and to make their poles ready", sensors=counted)
+    words = [tr("to buy {things}.", things=to_buy(bill))]
     if bill.assumed:
-        words = tr(
-            "to buy {sensors} and to make their poles ready; prices of poles are"
-            " assumed",
-            sensors=counted,
-        )
-    return Card(tr("Cost"), euros(total), words)
+        words.append(tr("Prices of poles are assumed."))
+    words.append(left_out_sentence())
+    return Card(tr("Cost"), euros(total), " ".join(words))
 
 
 _NO_OTHER = {
@@ -161,30 +193,25 @@ def _proof(result: Result) -> Card:
         "among {n:,} possible mountings (by a simpler model, for planning)",
         n=result.candidates,
     )
-    if is_proven(result):
-        if result.highest is None:
-            return Card(
-                tr("Proof"), tr("proven best"), tr(_NO_OTHER[result.goal], tried=tried)
-            )
-        given_up = points(result.highest.given_up)
-        words = tr(
-            "of all choices that prevent nearly as much as can be (up to "
-            "{points} less, given up on purpose), none keeps more when a "
-            "sensor fails, {tried}",
-            points=given_up,
-            tried=tried,
-        )
-        return Card(tr("Proof"), tr("proven"), words)
-    if result.bound is None:
+    better = best_possible(result)
+    if better is None:
         return Card(
             tr("Proof"), tr("none"), tr("the best that was found {tried}", tried=tried)
         )
+    if better > 0.0:
+        figure = tr("at most {points}", points=points(better))
+        words = tr("better is possible {tried}; that is not proven to be", tried=tried)
+        return Card(tr("Proof"), figure, words)
+    if result.highest is None:
+        words = tr(_NO_OTHER[result.goal], tried=tried)
+        return Card(tr("Proof"), tr("proven best"), words)
     words = tr(
-        "is the most that any choice could prevent {tried}; it is not proven to be"
-        " reached",
+        "of all choices within {points} of the most that can be prevented, none keeps"
+        " more when a sensor fails, {tried}",
+        points=points(result.highest.given_up),
         tried=tried,
     )
-    return Card(tr("Proof"), percent(result.bound), words)
+    return Card(tr("Proof"), tr("proven"), words)
 
 
 def _dangers(result: Result, setting: Setting) -> list[str]:
@@ -208,8 +235,7 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
             more = points(result.next_unit.gain)
             found.append(
                 tr(
-                    "One more sensor would prevent {more} more (by the planning"
-                    " model).",
+                    "One more sensor prevents {more} more in the planning model.",
                     more=more,
                 )
             )

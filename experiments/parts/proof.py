@@ -14,115 +14,127 @@ from .section import Block, Section, Table, tabulate
 
 
 def words(result: PlacementResult) -> str:
-    """The proof in a sentence without its full stop."""
-    stages = result.stages
+    """The proof in a sentence without its full stop: figures of the planning model."""
     if result.highest is not None:
         return _with_highest(result, result.highest)
-    of_apr = next(stage for stage in stages if stage.name == "apr")
-    within = _within(stages[0])
-    values = {"within": f" {within}" if within else "", "n": result.candidates}
-    if of_apr.gap == 0.0:
+    least = _least(result.stages[0])
+    if least:
+        return least
+    better = best_possible(result)
+    n_poses = result.candidates
+    if better == 0.0:
         return tr(
-            "Proven on the detection table:{within} no choice among {n} "
-            "candidate poses has a higher APR",
-            **values,
+            "Proven in the planning model: no choice among {n} candidate poses"
+            " prevents more",
+            n=n_poses,
         )
-    values["bound"] = percent(of_apr.bound)
     if result.preferred is not None and result.preferred.second == FOUND:
         return tr(
-            "Fresh worlds prefer this choice to the one with the highest APR "
-            "that was found: on the detection table, none among {n} candidate "
-            "poses can exceed an APR of {bound}",
+            "Fresh worlds prefer this choice to the one that prevents most in the"
+            " planning model: there, none of {n} candidate poses prevents more than"
+            " {bound}",
+            n=n_poses,
+            bound=percent(result.bound),
+        )
+    if better is None:
+        return tr(
+            "Not proven: the best of {n} candidate poses that was found in the time"
+            " given",
+            n=n_poses,
+        )
+    return tr(
+        "Not proven: in the planning model, a choice among {n} candidate poses may be"
+        " at most {points} better",
+        n=n_poses,
+        points=points(better),
+    )
+
+
+def best_possible(result: PlacementResult) -> float | None:
+    """How much better any other choice can be at most, in the planning model.
+
+    As a share of 1: of the highest APR, and of what is kept when a unit fails where
+    some APR may be given up for that. 0: proven best; None: no bound is known, or what
+    was asked for is not a share.
+    """
+    first = result.stages[:1]
+    if result.highest is not None:
+        first = (*result.highest.stages[:1], *first)
+    if all(stage.gap == 0.0 for stage in first):
+        return 0.0
+    better = []
+    for stage in first:
+        if not stage.name.startswith("apr") or stage.bound is None:
+            return None
+        better.append(stage.bound - stage.objective)
+    return max([0.0, *better])
+
+
+def _least(first: StageRecord) -> str:
+    """How little is needed for what was asked, where that is the first objective."""
+    values = {"found": first.objective, "least": or_nan(first.bound)}
+    if first.name == "units" and first.gap == 0.0:
+        return tr("Proven in the planning model: no choice needs fewer units")
+    if first.name == "units":
+        return tr(
+            "Not proven: in the planning model, at least {least:,.0f} units are"
+            " needed; {found:,.0f} were found",
             **values,
         )
-    return tr(
-        "The best choice among {n} candidate poses found in the time "
-        "given:{within} on the detection table, no other can exceed an "
-        "APR of {bound}",
-        **values,
-    )
-
-
-def _within(first: StageRecord) -> str:
-    """How little was needed, where that is the first objective."""
-    if first.name not in ("units", "cost_eur"):
-        return ""
-    found = first.objective
-    least = or_nan(first.bound)
-    is_proven = first.gap == 0.0
-    if first.name == "units":
-        if is_proven:
-            return tr(
-                "With {found:,.0f} units for what was asked, the least:", found=found
-            )
+    if first.name == "cost_eur" and first.gap == 0.0:
+        return tr("Proven in the planning model: no choice costs less")
+    if first.name == "cost_eur":
         return tr(
-            "With {found:,.0f} units for what was asked, no choice needs less than"
-            " {least:,.0f}:",
-            found=found,
-            least=least,
+            "Not proven: in the planning model, at least {least:,.0f} EUR are needed;"
+            " {found:,.0f} EUR were found",
+            **values,
         )
-    if is_proven:
-        return tr("With {found:,.0f} EUR for what was asked, the least:", found=found)
-    return tr(
-        "With {found:,.0f} EUR for what was asked, no choice needs less than"
-        " {least:,.0f}:",
-        found=found,
-        least=least,
-    )
+    return ""
 
 
 def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
     """The proof where some of the highest APR might be given up."""
     most = highest.stages[0]
     kept = result.stages[0]
-    values: dict[str, object] = {
+    values = {
         "n": result.candidates,
         "most": percent(most.objective),
-        "bound": percent(most.bound),
         "given_up": points(highest.given_up),
-        "kept": percent(kept.bound),
     }
-    is_proven = most.gap == 0.0 and kept.gap == 0.0
-    if is_proven:
-        begin = tr("Proven on the detection table:")
-    else:
-        begin = tr("Found in the time given:")
-    first = tr(
-        "a choice among {n} candidate poses has an APR of {most}, and none"
-        " exceeds {bound}",
-        **values,
-    )
     if most.gap == 0.0:
         first = tr(
-            "no choice among {n} candidate poses has a higher APR than {most}",
+            "Proven in the planning model: no choice among {n} candidate poses"
+            " prevents more than {most}",
             **values,
         )
-    is_kept = kept.gap == 0.0
-    if result.failing == "site":
-        then = tr(
-            "of those with at most {given_up} less, none keeps more than {kept} when a"
-            " pole fails",
-            **values,
-        )
-        if is_kept:
-            then = tr(
-                "of those with at most {given_up} less, none keeps more when a pole"
-                " fails",
-                **values,
-            )
     else:
-        then = tr(
-            "of those with at most {given_up} less, none keeps more than {kept} when a"
-            " unit fails",
+        more = or_nan(most.bound) - most.objective
+        first = tr(
+            "Not proven: in the planning model, the best found among {n} candidate"
+            " poses prevents {most}; at most {more} better is possible",
+            more=points(more),
             **values,
         )
-        if is_kept:
-            then = tr(
-                "of those with at most {given_up} less, none keeps more when a unit"
-                " fails",
-                **values,
-            )
-    return f"{begin} {first}; {then}"
+    if kept.gap == 0.0 and result.failing == "site":
+        then = tr(
+            "of those with at most {given_up} less, none keeps more when a pole fails",
+            **values,
+        )
+    elif kept.gap == 0.0:
+        then = tr(
+            "of those with at most {given_up} less, none keeps more when a sensor"
+            " fails",
+            **values,
+        )
+    else:
+        more = or_nan(kept.bound) - kept.objective
+        then = tr(
+            "of those with at most {given_up} less, none can keep more than {more}"
+            " above this one when one fails",
+            more=points(more),
+            **values,
+        )
+    return f"{first}; {then}"
 
 
 def section(result: PlacementResult) -> Section:

@@ -37,6 +37,7 @@ from ..results.record import (
     price_eur,
     says,
 )
+from .accidents import is_weighted
 from .added import Added, build_added
 from .alternatives import FrontRunners, HeavyRun, find_heavy_runs
 from .baselines import Baselines
@@ -78,6 +79,12 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
     cost_eur: Annotated[
         float, says("The units by the catalogue, without poles, in EUR.", ge=0)
     ]
+    existing: Annotated[
+        tuple[str, ...], says("Ids of units that are mounted already (--keep).")
+    ] = ()
+    sensors_eur: Annotated[
+        float | None, says("Sensors to buy, in EUR; null: a price is unknown.")
+    ] = None
     sites_eur: Annotated[
         float | None, says("Sites made ready, in EUR; null: unknown.")
     ] = None
@@ -92,6 +99,7 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
         ),
     ]
     runs: Annotated[int, says("Runs that every layout was evaluated on.", ge=1)]
+    is_weighted: Annotated[bool, says("Some runs count more than others.")] = False
     apr: Annotated[
         Share | None, says("Of a placement on the table, else by the evaluator.")
     ]
@@ -282,6 +290,7 @@ def build_answer(
         "cost_eur": price_eur(evaluation),
         "fusion": "any",
         "runs": evaluation.axis.n_runs,
+        "is_weighted": is_weighted(evaluation.axis),
         "apr": evaluated.judged.all,
         "assumptions": assumptions(setting.scene.notes),
         "evaluation": evaluated,

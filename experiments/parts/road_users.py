@@ -10,11 +10,19 @@ from placement.evaluation import Evaluation, Verdict, apr, mean_impact_speed_kmh
 from placement.setting import Setting
 from scenarios.cases import ROAD_USER_GROUPS
 
-from ..language import tr, trn
+from ..language import mark, tr, trn
 from ..results.drives import unprotected_cases
 from ..results.numbers import count_runs, finite_or_none, number, percent
 from ..results.record import Record, mixed, says
 from .section import Block, Section, Table, tabulate
+
+_WHO = {
+    "on foot": mark("Pedestrians"),
+    "bicycle": mark("Cyclists"),
+    "motorcycle": mark("Motorcyclists"),
+    "car": mark("Cars"),
+}
+"""Road users as sentences name them, by the group of ``ROAD_USER_GROUPS``."""
 
 
 class RoadUserScore(Record, frozen=True, kw_only=True):
@@ -102,31 +110,30 @@ def build_road_users(
 
 
 def words(record: RoadUserGroups) -> list[str]:
-    """Whose runs count, in one sentence.
+    """Shares prevented by road user, and who is left out.
 
-    None where all meet the same and nobody is left out.
+    None where all runs meet the same and nobody is left out.
     """
     if len(record.groups) < 2 and not record.unprotected:
         return []
-    counted = ", ".join(
+    sentences = [
         tr(
-            "{road_user} {runs} (APR {apr})",
-            road_user=tr(group.road_user),
+            "{road_user}: {share} of {runs}.",
+            road_user=tr(_WHO[group.road_user]),
+            share=percent(group.parties[0].apr),
             runs=count_runs(group.runs),
-            apr=percent(group.parties[0].apr),
         )
         for group in record.groups
-    )
-    if not record.unprotected:
-        return [tr("Whose runs count: {counted}.", counted=counted)]
-    return [
-        trn(
-            "Whose runs count: {counted}; left out: {n} case with a car.",
-            "Whose runs count: {counted}; left out: {n} cases with a car.",
-            len(record.unprotected),
-            counted=counted,
-        )
     ]
+    if record.unprotected:
+        sentences.append(
+            trn(
+                "Left out: {n} case in which a car is hit.",
+                "Left out: {n} cases in which a car is hit.",
+                len(record.unprotected),
+            )
+        )
+    return sentences
 
 
 def table(record: RoadUserGroups) -> Table:

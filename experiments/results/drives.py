@@ -132,28 +132,40 @@ def _without_effect(setting: Setting) -> Iterator[str]:
 def describe_driven(setting: Setting) -> list[str]:
     """What is missing of the possible runs, and why.
 
-    A line per reason, if anything is.
+    A line per reason, if anything is. The first line has the main reason.
     """
     limits = [*describe_limits(setting), *describe_left_out(setting)]
-    if not lacking_room(setting):
+    lacking = lacking_room(setting)
+    if not lacking:
         return limits
     n_runs = setting.axis.n_runs
     n_possible = _count_possible(setting)
-    first = tr("{n} of {all} possible runs could be driven", n=n_runs, all=n_possible)
-    if n_runs == n_possible:
-        first = tr("All {n} possible runs are driven", n=n_runs)
     gaps = list(_gaps(setting))
     n_left = len(gaps) - _MOST_GAPS
     if n_left > 0:
-        more = [tr("{n} more below", n=n_left)]
+        gaps = [*gaps[:_MOST_GAPS], tr("{n} more below", n=n_left)]
+    missing = "; ".join(gaps)
+    if n_runs == n_possible:
+        first = tr("All {n} runs that this junction allows are driven.", n=n_runs)
     else:
-        more = []
-    missing = "; ".join([*gaps[:_MOST_GAPS], *more])
-    return [
-        f"{first}: {missing}." if missing else f"{first}.",
-        *_reasons(setting),
-        *limits,
-    ]
+        first = tr(
+            "{n} of {all} possible runs are driven. The most frequent obstacle:"
+            " {reason}.",
+            n=n_runs,
+            all=n_possible,
+            reason=_main_reason(setting),
+        )
+    if missing:
+        first = f"{first} {tr('Not driven: {gaps}.', gaps=missing)}"
+    return [first, *_reasons(setting), *limits]
+
+
+def _main_reason(setting: Setting) -> str:
+    """The reason for which most possible runs are not driven."""
+    possible = [one for one in lacking_room(setting) if one.is_possible]
+    groups = grouped((one.reason, len(one.speeds_kmh)) for one in possible)
+    reason = max(groups, key=lambda name: sum(groups[name]))
+    return tr(reason).removesuffix(".")
 
 
 def describe_limits(setting: Setting) -> list[str]:
@@ -242,7 +254,7 @@ def _gaps(setting: Setting) -> Iterator[str]:
     missing = {pair: one for pair, one in refused.items() if pair not in driven}
     nowhere = [name for name, _ in missing if name not in for_speed]
     if nowhere:
-        yield tr("no {cases} at all", cases=joined(dict.fromkeys(nowhere)))
+        yield tr("{cases} anywhere", cases=joined(dict.fromkeys(nowhere)))
     left = {
         pair: one
         for pair, one in missing.items()
@@ -251,7 +263,7 @@ def _gaps(setting: Setting) -> Iterator[str]:
     from_arms = {arm for _, arm in driven}
     silent = dict.fromkeys(arm for _, arm in left if arm not in from_arms)
     if silent:
-        yield tr("nothing from the {arms}", arms=joined(map(tr, silent)))
+        yield tr("any case from the {arms}", arms=joined(map(tr, silent)))
     kinds = {run.case.name: run.case.vru.class_name for run in setting.runs}
     met = {(kinds[name], arm) for name, arm in driven}
     # Of a kind, or of a case; name; arms.
@@ -263,9 +275,9 @@ def _gaps(setting: Setting) -> Iterator[str]:
     for is_kind, name in sorted(told, key=lambda what: not what[0]):
         arms = joined(dict.fromkeys(told[is_kind, name]))
         if is_kind:
-            yield tr("no {kind} case from the {arms}", kind=tr(name), arms=arms)
+            yield tr("{kind} cases from the {arms}", kind=tr(name), arms=arms)
         else:
-            yield tr("no {case} from the {arms}", case=name, arms=arms)
+            yield tr("{case} from the {arms}", case=name, arms=arms)
 
 
 def _reasons(setting: Setting) -> Iterator[str]:

@@ -230,20 +230,19 @@ def test_road_users_that_announce_themselves_have_columns_where_there_are_any():
 def test_the_cost_is_that_of_all_units_and_of_their_sites_as_far_as_known():
     summary = evaluation_summary(1, ["U1", "U2", "U3"])
     text = evaluation_table(summary, None)
-    assert "  sensors 12,000 EUR by the catalogue, without poles or mounting\n" in text
-    summary["sites_eur"] = 7120.0
-    for prices, by in (
-        ((), "by their own prices"),
-        (("told",), "by prices assumed for their"),
-    ):
+    assert "cost: unknown: 3 sensors unknown (catalogue), poles unknown" in text
+    summary |= {"sensors_eur": 12_000.0, "sites_eur": 7120.0}
+    for prices, by in (((), "own prices"), (("told",), "assumed")):
         told = " ".join(
             evaluation_table(summary | {"assumed_prices": prices}, None).split()
         )
-        assert (
-            "cost: 19,120 EUR: sensors 12,000 EUR by the catalogue, 1 site 7,120 EUR"
-            in told
-        )
-        assert by in told
+        bought = "3 sensors 12,000 EUR (catalogue)"
+        assert f"cost: 19,120 EUR: {bought}, poles 7,120 EUR ({by})." in told
+    existing = {"existing": ("U1", "U2"), "sensors_eur": 4_000.0}
+    told = evaluation_table(summary | existing, None)
+    assert "1 new sensor 4,000 EUR (catalogue; 2 exist)" in told
+    summary |= {"existing": ("U1", "U2", "U3")}
+    assert "nothing to buy; all 3 sensors exist" in evaluation_table(summary, None)
 
 
 @pytest.mark.parametrize("n_cases", [1, 13, 25])
@@ -368,12 +367,12 @@ def test_in_short_every_answer_fits_on_a_screen(n_cases):
         assert len(lines) <= 40
         assert max(map(len, lines)) <= 100
         assert " of the simulated collisions" in f"{lines[0]} {lines[1]}"
-        assert "No simulated encounter (run) is left: all 240 are avoided." in lines
+        assert "All 240 runs are avoided." in lines
         assert lines[-1] == "--verbose prints why, APR by case, and all else."
         assert f"Written to {OUT}: report.html and more." in lines
         assert "VUT alone" in text
     for words in (
-        "Proven on the detection table",
+        "Proven in the planning model",
         "greedy",
         "carlancap-12",
         "U1",

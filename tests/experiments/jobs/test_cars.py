@@ -17,7 +17,7 @@ from experiments.jobs.evaluation import run_comparison
 from experiments.jobs.verify import run_verification
 from experiments.parts import baselines
 from experiments.parts.added import MAX_UNITS, build_added
-from experiments.parts.added import words as added_words
+from experiments.parts.headline import by_unit
 from experiments.progress import StageProgress
 from geometry.errors import InputError
 from placement import candidates as poses
@@ -189,15 +189,23 @@ def test_what_units_add_is_told_one_by_one(small_study):
         assert fusion == "single" or everything.with_units == pytest.approx(
             evaluation.vut_and_rsus.is_avoided @ small_study.axis.weight
         )
-        (sentence,) = added_words(found)
-        assert sentence.startswith("To a car that sees, these units add ")
+        first = found.units[0]
+        told = by_unit(found.units)
+        assert told.startswith(f"{first.unit} adds {100.0 * first.gain:.1f} points")
+        assert {unit.unit for unit in found.alone} == {unit.id for unit in layout.units}
+        blind = evaluation.rsu_all.is_avoided
+        if fusion == "single":
+            alone = [one.is_avoided for one in evaluation.units.values()]
+            blind = np.any(alone, axis=0)
+        gains = [unit.gain for unit in found.alone]
+        assert sum(gains) == pytest.approx(blind @ small_study.axis.weight, abs=1e-9)
         kinds = {group.kind for group in found.groups}
         assert kinds >= {"all", "case"}
     unit = layout.units[0]
     names = [f"unit {number}" for number in range(MAX_UNITS + 1)]
     many = replace(layout, units=tuple(replace(unit, id=name) for name in names))
     assert build_added(small_study, replace(evaluation, layout=many)).units == ()
-    assert added_words(None) == []
+    assert by_unit(()) == by_unit(found.units[:1]) == ""
 
 
 @pytest.mark.parametrize(

@@ -61,17 +61,15 @@ def danger_sentences(axis, is_avoided):
 
 def test_an_answer_begins_with_what_is_not_avoided(frame_axis):
     assert danger_sentences(frame_axis, [True, False, False]) == [
-        "2 of 3 simulated encounters (runs) are not avoided: in B 1 of 1 and in A 1"
+        "2 of 3 runs (simulated collisions) are not avoided: in B 1 of 1 and in A 1"
         " of 2."
     ]
     axis = replace(frame_axis, positions=("0", "-15", "+30"))
     assert danger_sentences(axis, [True, True, False]) == [
-        "1 of 3 simulated encounters (runs) is not avoided: in B 1 of 1. "
+        "1 of 3 runs (simulated collisions) is not avoided: in B 1 of 1. "
         "By place: 30 m beyond the crosswalk ahead 1 of 1."
     ]
-    assert danger_sentences(axis, [True] * 3) == [
-        "No simulated encounter (run) is left: all 3 are avoided."
-    ]
+    assert danger_sentences(axis, [True] * 3) == ["All 3 runs are avoided."]
 
 
 def test_of_many_groups_the_worst_are_named_and_the_others_counted(frame_axis):
@@ -91,7 +89,7 @@ def test_of_many_groups_the_worst_are_named_and_the_others_counted(frame_axis):
     )
     left = [True, False, False, False, True, False, False, True, True, True]
     assert danger_sentences(axis, left) == [
-        "5 of 10 simulated encounters (runs) are not avoided: "
+        "5 of 10 runs (simulated collisions) are not avoided: "
         "in B 2 of 2, in A 1 of 2, in C 1 of 2 and in other cases 1."
     ]
 

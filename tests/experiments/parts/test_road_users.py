@@ -81,13 +81,14 @@ def test_runs_of_all_groups_are_all_runs(evaluation):
     assert avoided == evaluation.rsu_all.is_avoided.sum()
 
 
-def test_one_sentence_says_whose_runs_count_and_who_is_left_out(evaluation):
+def test_each_road_user_has_a_sentence_and_so_has_who_is_left_out(evaluation):
     refusals = (refusal("CCCscp", "unprotected"), refusal("CPRA", "not laid"))
     record = build_road_users(setting_of(refusals=refusals), {"mine": evaluation})
     assert record.unprotected == ("CCCscp",)
     assert words(record) == [
-        "Whose runs count: on foot 2 runs (APR 66.7 %), bicycle 1 run (APR 100.0 %);"
-        " left out: 1 case with a car."
+        "Pedestrians: 66.7 % of 2 runs.",
+        "Cyclists: 100.0 % of 1 run.",
+        "Left out: 1 case in which a car is hit.",
     ]
     assert section(record) is not None
 

@@ -12,6 +12,7 @@ from msgspec.structs import replace as replace_fields
 from partial_pages import blank_pictures, build_result
 
 from experiments.jobs.evaluation import build_comparison_result
+from experiments.parts.accidents import is_weighted
 from experiments.parts.dangers import build_dangers
 from experiments.report.page import build_report, write_report
 from experiments.results.numbers import percent
@@ -146,8 +147,12 @@ def plain_result(evaluation, **changes):
         "versions": {"place-rsus": "0.1.0"},
     }
     layout = evaluation.layout
+    parts["vut_sensors"] = ["camera"]
+    parts["is_weighted"] = is_weighted(evaluation.axis)
     parts["evaluation"] = build_evaluation_record(evaluation, load_aeb_rule())
-    return build_result(layout.name, layout_records(layout), **(parts | changes))
+    result = build_result(layout.name, layout_records(layout), **(parts | changes))
+    dangers = build_dangers(evaluation.rsu_all.is_avoided, evaluation.axis)
+    return replace_fields(result, dangers=dangers)
 
 
 @pytest.fixture(scope="module")
@@ -268,10 +273,10 @@ def test_placement_page_opens_with_the_answer(placement_page, evaluations):
     n_avoided = int(found.rsu_all.is_avoided.sum())
     assert 0 < n_avoided < 104  # else this test is worth little
     in_full = words[words.index("The answer in full") :]
-    assert f"of the simulated collisions: {n_avoided} of 104" in words
+    assert f"of the simulated collisions ({n_avoided} of 104 runs)" in words
     proven = (
-        "Proven on the detection table: no choice among 4032 candidate poses has a"
-        " higher APR."
+        "Proven in the planning model: no choice among 4032 candidate poses prevents"
+        " more."
     )
     assert proven in in_full
 
@@ -283,7 +288,7 @@ def _first_screen(page):
     return " ".join(re.sub("<[^>]*>", " ", page[start:end]).split())
 
 
-def test_the_first_screen_has_one_sentence_and_four_figures(
+def test_the_first_screen_has_a_figure_for_each_kind_of_cars(
     placement_page, evaluations
 ):
     words = html.unescape(_first_screen(placement_page))
@@ -292,13 +297,20 @@ def test_the_first_screen_has_one_sentence_and_four_figures(
         f"{100.0 * apr(verdict, found.axis):.1f} %"
         for verdict in (found.rsu_all, found.vut, found.vut_and_rsus)
     )
-    assert (
-        f"Two cameras on two poles prevent {share} of the simulated collisions, by"
-        " telling cars when to brake, and no other choice prevents more. The cars' own"
-        f" sensors alone prevent {own}, both together {together}." in words
-    )
     n_avoided = int(found.rsu_all.is_avoided.sum())
-    assert f"Prevented {share} of the simulated collisions: {n_avoided} of 104" in words
+    assert (
+        "For cars that rely on the roadside alone, two cameras on two poles prevent"
+        f" {share} of the simulated collisions ({n_avoided} of 104 runs), and 75.0 %"
+        " if one sensor fails" in words
+    )
+    raised = f"they raise the share from {own} to {together}"
+    assert f"For cars with their own camera, {raised}" in words
+    assert "no other choice prevents more: proven." in words
+    for cars, figure in (
+        ("that rely on the roadside alone", share),
+        ("with their own camera", together),
+    ):
+        assert f"Cars {cars} {figure} of the simulated collisions" in words
     assert "If a sensor fails 75.0 %" in words
     assert (
         "Proof proven best no other choice does better among 4,032 possible mountings"
@@ -358,11 +370,11 @@ def test_the_first_screen_tells_weights_once_and_no_proof_that_there_is_not(
     )
     words = html.unescape(_first_screen(page))
     n_avoided = int(found.rsu_all.is_avoided.sum())
-    assert words.count("as all shares on this page do") == 1
-    said = f"{n_avoided} of 104 are prevented, {100.0 * n_avoided / 104:.1f} %"
-    assert f"Counted one by one, {said}" in words
+    assert words.count("All shares on this page are by weight;") == 1
+    said = f"{n_avoided} of 104 are prevented ({100.0 * n_avoided / 104:.1f} %)"
+    assert f"counted one by one, {said}" in words
     assert "no other choice" not in words
-    assert "Proof 99.0 % is the most that any choice could prevent" in words
+    assert "Proof at most 9.0 points better is possible" in words
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
@@ -423,8 +435,8 @@ def test_open_gap_is_not_called_proven(placement_result, setting, evaluations):
         command=COMMAND,
     )
     words = Page(page).words
-    assert "on the detection table, no other can exceed an APR of 95.0 %." in words
-    assert "Proven on the detection table" not in words
+    assert "may be at most 5.0 points better." in words
+    assert "Proven in the planning model" not in words
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
@@ -432,16 +444,13 @@ def test_each_by_itself_where_one_unit_must_confirm(
     placement_result, setting, evaluations
 ):
     found = evaluations["found"]
-    page = _page_of(
-        replace_fields(placement_result, fusion="single"),
-        setting,
-        {"found": found},
-        command=COMMAND,
+    avoided = np.any([unit.is_avoided for unit in found.units.values()], axis=0)
+    result = replace_fields(
+        placement_result, fusion="single", dangers=build_dangers(avoided, found.axis)
     )
-    n_avoided = int(
-        np.any([unit.is_avoided for unit in found.units.values()], axis=0).sum()
-    )
-    assert f"of the simulated collisions: {n_avoided} of 104" in Page(page).words
+    page = _page_of(result, setting, {"found": found}, command=COMMAND)
+    n_avoided = int(avoided.sum())
+    assert f"prevent {n_avoided} of 104 simulated collisions" in Page(page).words
 
 
 def test_page_without_optimisation_leaves_its_parts_out(
@@ -614,7 +623,7 @@ def test_unequal_weights_are_told_by_case_and_run(setting, layout):
     words = Page(page).words
     assert "is the share of the runs, by weight, in which the car brakes" in words
     share = percent(apr(evaluation.rsu_all, weighted.axis))
-    assert f"prevents {share} of the simulated collisions" in words
+    assert f"prevents {share} of the simulated collisions by weight" in words
     lightest = percent(weight[weight > 0.0].min())
     assert f"from {lightest} to {percent(weight.max())} of the whole each." in words
     assert (

@@ -14,6 +14,8 @@ KINDS = {
     "CBLA": "cyclist",
 }
 
+OBSTACLE = "The most frequent obstacle: too short."
+
 
 def case(name):
     return SimpleNamespace(name=name, vru=SimpleNamespace(class_name=KINDS[name]))
@@ -49,7 +51,8 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             [("CPNA", "north"), ("CBNA", "north")],
             [refused("CPNA", "south"), refused("CBNA", "south")],
             [
-                "2 of 20 possible runs could be driven: nothing from the south.",
+                f"2 of 20 possible runs are driven. {OBSTACLE}"
+                " Not driven: any case from the south.",
                 "18 runs: too short (CPNA and CBNA from the south).",
             ],
         ),
@@ -63,8 +66,8 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             [refused("CBNA", "south"), refused("CBLA", "south", "a house.", n=2)],
             [
                 (
-                    "4 of 15 possible runs could be driven: no cyclist case from the"
-                    " south."
+                    "4 of 15 possible runs are driven. The most frequent obstacle: too"
+                    " short. Not driven: cyclist cases from the south."
                 ),
                 "9 runs: too short (CBNA from the south).",
                 "2 runs: a house (CBLA from the south).",
@@ -79,8 +82,8 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             ],
             [
                 (
-                    "3 of 30 possible runs could be driven: no CBLA at all; no CPLA"
-                    " from the south."
+                    "3 of 30 possible runs are driven. The most frequent obstacle: too"
+                    " short. Not driven: CBLA anywhere; CPLA from the south."
                 ),
                 (
                     "27 runs: too short (CPLA from the south; CBLA from the north and"
@@ -92,7 +95,7 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             [("CPNA", "north"), ("CPNA", "south"), ("CPLA", "north")],
             [refused("CPLA", "south", "no lane", is_possible=False)],
             [
-                "All 3 possible runs are driven.",
+                "All 3 runs that this junction allows are driven.",
                 "Not possible, 9 runs: no lane (CPLA from the south).",
             ],
         ),
@@ -118,7 +121,7 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
                 refused("CPNA", "north", n=1, limit_kmh=30.0),
             ],
             [
-                "1 of 3 possible runs could be driven.",
+                f"1 of 3 possible runs are driven. {OBSTACLE}",
                 "2 runs: too short (CPNA from the north).",
                 (
                     "Left out: 1 run of the protocol faster than the map's speed"
@@ -130,7 +133,7 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             [("CPNA", "north")],
             [refused("CPNA", "north", n=2)],
             [
-                "1 of 3 possible runs could be driven.",
+                f"1 of 3 possible runs are driven. {OBSTACLE}",
                 "2 runs: too short (CPNA from the north).",
             ],
         ),
@@ -149,6 +152,7 @@ def test_every_weather_counts():
         )
     )
     assert told == [
-        "2 of 4 possible runs could be driven: nothing from the south.",
+        f"2 of 4 possible runs are driven. {OBSTACLE} Not driven: any case from the"
+        " south.",
         "2 runs: too short (CPNA from the south).",
     ]
