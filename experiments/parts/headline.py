@@ -9,8 +9,9 @@ from placement.question import BASELINE_NAME
 
 from ..language import mark, tr, trn
 from ..results.numbers import in_points, joined, layout_words, percent, points
+from ..results.record import EvaluationRecord
 from .added import AddedUnit
-from .result import EvaluationRecord, PlacementResult, Result
+from .result import PlacementResult, Result
 
 _LITTLE = 0.01
 """Units that add less together are named: they buy next to nothing. [share]"""
