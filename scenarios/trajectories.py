@@ -15,9 +15,8 @@ from msgspec import Struct
 
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray
-from geometry.csv_files import csv_rows
+from geometry.csv_files import csv_rows, read_csv_text
 from geometry.errors import InputError, Unquoted, check_one_of, refuse
-from geometry.opening import read_text
 from geometry.tables import read_data
 from geometry.text_formats import parse_number
 from geometry.xml_files import read_xml
@@ -240,7 +239,7 @@ def _csv_samples(
     path: Path, columns: Mapping[str, str], frame_rate_hz: float | None, class_name: str
 ) -> Iterator[_Sample]:
     """Samples of a CSV file, row by row."""
-    rows = csv_rows(read_text(path, "a CSV file"), str(path), noun="columns")
+    rows = csv_rows(read_csv_text(path), str(path), separators=",;\t", noun="columns")
     _, header = next(rows, ("", []))
     at = _find_columns(path, header, columns, frame_rate_hz)
     if "class" not in at and not class_name:

@@ -252,7 +252,7 @@ def _map_file(question: Question) -> "MapFile | None":
     path = Path(question.scene)
     if not path.is_file() or has_scene(path):
         return None
-    known = ("sites", "keeps_left")
+    known = ("sites", "sites_crs", "keeps_left")
     options = {
         key: value for key, value in map_options(question).items() if key in known
     }
