@@ -64,6 +64,8 @@ RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
 
 # From a scene's middle; beyond, a unit or a frame has been mixed up.
 _MAX_DISTANCE_M = 1000.0
+# Of a unit from the pole that carries it: a bracket's length.
+_AT_SITE_M = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -350,7 +352,8 @@ def load_layout(
     suffix = path.suffix.lower()
     if suffix in READERS:
         read: LayoutReader = load_entry(READERS[suffix])
-        return read(path, scene=scene, sensors=sensors or {})
+        layout = read(path, scene=scene, sensors=sensors or {})
+        return at_sites(layout, scene)
     text = read_text(path, "JSON")
     return read_layout(
         text, where=str(path), name=path.stem, scene=scene, sensors=sensors
@@ -385,7 +388,36 @@ def read_layout(
         convert = load_entry(LISTED_UNITS)
         records = convert(records, where, scene=scene, sensors=models)
     layout = layout_from_records(called, records, where, sensors=models)
-    return replace(layout, scene_name=str(document.get("scene", "")))
+    layout = replace(layout, scene_name=str(document.get("scene", "")))
+    return at_sites(layout, scene)
+
+
+def at_sites(layout: Layout, scene: Scene | None) -> Layout:
+    """The layout, with units that name no site at the site where they are, if any.
+
+    Such as existing cameras on poles of a list: the pole's capacity, failures, price
+    and name are theirs, too. A unit is at the nearest site within 0.5 m, seen from
+    above; without a scene nothing changes.
+    """
+    if scene is None or not scene.sites:
+        return layout
+    names = []
+    places = []
+    for site in scene.sites:
+        names.append(site.id)
+        places.append(site.position_m[:2])
+        if site.surveyed_m is not None:
+            names.append(site.id)
+            places.append(site.surveyed_m)
+    units = []
+    for unit in layout.units:
+        if not unit.site_id:
+            away_m = np.hypot(*(np.array(places) - unit.pose.position_m[:2]).T)
+            nearest = int(away_m.argmin())
+            if away_m[nearest] <= _AT_SITE_M:
+                unit = replace(unit, site_id=names[nearest])
+        units.append(unit)
+    return replace(layout, units=tuple(units))
 
 
 def _read_own_sensors(records: Any, where: str) -> dict[str, Sensor]:

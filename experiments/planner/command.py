@@ -288,11 +288,11 @@ def _begun_plan(
     begun = Plan(variants=())
     if save is not None and save.exists():
         begun = read_plan(read_bytes(save, max_bytes=MAX_PLAN_BYTES), str(save))
-        check_plan(begun, scene)
+        begun = check_plan(begun, scene)
     known = {key_of(variant.units) for variant in begun.variants}
     variants = [variant for variant in begun.variants if variant.units]
     for name in layout_names:
-        layout = find_layout(name, "--layout")
+        layout = find_layout(name, "--layout", scene=scene)
         check_count(len(layout.units), f"--layout {name}: units", MAX_UNITS)
         check_layout(layout, scene)
         if key_of(layout.units) not in known:

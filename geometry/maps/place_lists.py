@@ -220,12 +220,10 @@ def sites_of(
     sites: list[SiteWish] = []
     lines: dict[str, str] = {}
     for where, values in listed.rows:
-        if is_told and not _is_whole(values):
-            continue
-        site = _site(values, where, crs, own_crs, faults)
+        site = _site(values, where, crs, own_crs, faults, is_told=is_told)
         if site is None:
             continue
-        if site.id in lines:
+        if site.id in lines and site.id:
             expected = f"every id once: {lines[site.id]} has it, too"
             with gathering(faults):
                 raise InputError(f"{where}: id", site.id, expected)
@@ -283,12 +281,6 @@ def _columns_at(file: str | Path, names: Sequence[str]) -> str:
 def _headers(field: str) -> str:
     """Some names of a field's column, for messages."""
     return ", ".join(_FIELDS[field][:_MAX_HEADERS])
-
-
-def _is_whole(values: Mapping[str, Any]) -> bool:
-    """True if a row has columns for its id and its place."""
-    has_place = {"x", "y"} <= set(values) or {"lat", "lon"} <= set(values)
-    return "id" in values and has_place
 
 
 def known_columns(
@@ -564,13 +556,23 @@ def _declared_crs(table: Features, where: str) -> "CRS":
 
 
 def _site(
-    values: Mapping[str, Any], where: str, crs: str, own_crs: str, faults: Faults
+    values: Mapping[str, Any],
+    where: str,
+    crs: str,
+    own_crs: str,
+    faults: Faults,
+    *,
+    is_told: bool,
 ) -> SiteWish | None:
-    """Site of one row; None: a field is missing or wrong, which `faults` takes."""
+    """Site of one row; None: a field is missing or wrong, which `faults` takes.
+
+    `is_told`: columns are missing, and the file has been told about them.
+    """
     n_before = len(faults.found)
+    has_place = {"x", "y"} <= set(values) or {"lat", "lon"} <= set(values)
     site_id = str(values.get("id", "")).strip()
     with gathering(faults):
-        if not site_id:
+        if not site_id and ("id" in values or not is_told):
             refuse(f"{where}: id", "nothing", "a name")
         check_name(site_id, f"{where}: id")
     words = str(values.get("kind", "")).lower().replace("_", " ").split()
@@ -579,7 +581,8 @@ def _site(
         check_name(kind, f"{where}: kind")
     position = np.zeros(2)
     with gathering(faults):
-        position = read_position(values, where, crs, own_crs)
+        if has_place or not is_told:
+            position = read_position(values, where, crs, own_crs)
     numbers: dict[str, float | None] = {}
     for field, least in _SITE_NUMBERS.items():
         numbers[field] = None

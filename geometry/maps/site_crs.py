@@ -22,8 +22,8 @@ _LEFT_OUT: list[str] = load_data("geometry.maps", "words.toml")["places"]["crs"]
 _MARGIN_M = 100.0
 # No datum in use differs more from another (a few hundred metres).
 _DATUM_DEG = 0.1
-# Systems that differ less are one for poles.
-_SAME_M = 1.0
+# Systems that differ less are one: what leads from datum to datum is no more exact.
+_SAME_M = 5.0
 # Poles of streets stand as near to a lane's middle ...
 _NEAR_M = 20.0
 # ... and so do at least as many of a list.
@@ -32,7 +32,7 @@ _MAX_LISTED = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Trial:
+class _CrsTrial:
     """A reference system that may be the list's, and where the sites are then."""
 
     code: str
@@ -87,7 +87,7 @@ def find_sites_crs(listed: SiteRows, roads: SourceMap) -> tuple[str, tuple[Note,
             # No way between the two is known.
             continue
         if _is_within(moved, low, high).any():
-            trials.append(_Trial(code=code, points_m=moved))
+            trials.append(_CrsTrial(code=code, points_m=moved))
     where = f"{listed.path}: x and y"
     first = ", ".join(f"{number:.2f}" for number in points[0])
     if not trials:
@@ -177,9 +177,9 @@ def _systems_at(lonlat_deg: FloatArray) -> list[str]:
     return [f"EPSG:{code}" for code in sorted(ranked, key=ranked.__getitem__)]
 
 
-def _apart(trials: list[_Trial]) -> list[_Trial]:
+def _apart(trials: list[_CrsTrial]) -> list[_CrsTrial]:
     """The first of each group of trials that puts the sites at the same places."""
-    found: list[_Trial] = []
+    found: list[_CrsTrial] = []
     for trial in trials:
         for other in found:
             away_m = np.hypot(*(trial.points_m - other.points_m).T)
@@ -191,8 +191,8 @@ def _apart(trials: list[_Trial]) -> list[_Trial]:
 
 
 def _along_lanes(
-    trials: list[_Trial], roads: SourceMap, low: FloatArray, high: FloatArray
-) -> list[_Trial]:
+    trials: list[_CrsTrial], roads: SourceMap, low: FloatArray, high: FloatArray
+) -> list[_CrsTrial]:
     """Trials that put about as many sites on the map as any, most of them near lanes.
 
     `low` and `high` are corners of the map's box. [m]
