@@ -12,6 +12,10 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import Point3
+from geometry.calibration_formats import (
+    refuse_unread_calibration,
+    refuse_unread_suffix,
+)
 from geometry.catalogue import (
     SENSOR_KINDS,
     Sensor,
@@ -354,6 +358,7 @@ def load_layout(
         read: LayoutReader = load_entry(READERS[suffix])
         layout = read(path, scene=scene, sensors=sensors or {})
         return at_sites(layout, scene)
+    refuse_unread_suffix(path)
     text = read_text(path, "JSON")
     return read_layout(
         text, where=str(path), name=path.stem, scene=scene, sensors=sensors
@@ -372,12 +377,17 @@ def read_layout(
 
     It is called `name` if the text gives it no name.
     """
-    document = parse_json(text, where, "a layout")
+    try:
+        document = parse_json(text, where, "a layout")
+    except InputError:
+        _refuse_calibration(text, where)
+        raise
     known = (SCHEMA, *RESULT_SCHEMAS)
     if isinstance(document, dict) and document.get("schema", SCHEMA) not in known:
         expected = f"{', '.join(known)}, or none of it"
         raise InputError(f"{where}: schema", document["schema"], expected)
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
+        _refuse_calibration(text, where)
         refuse(where, "no list 'layout'", 'an object {"layout": [units]}')
     # Models in the file come with their own fields.
     own = _read_own_sensors(document.get("sensors", {}), f"{where}: sensors")
@@ -390,6 +400,13 @@ def read_layout(
     layout = layout_from_records(called, records, where, sensors=models)
     layout = replace(layout, scene_name=str(document.get("scene", "")))
     return at_sites(layout, scene)
+
+
+def _refuse_calibration(text: str | bytes, where: str) -> None:
+    """Raise InputError if what is no layout is a calibration that is not read."""
+    if isinstance(text, bytes):
+        text = text.decode("utf-8", errors="replace")
+    refuse_unread_calibration(text, where)
 
 
 def at_sites(layout: Layout, scene: Scene | None) -> Layout:
