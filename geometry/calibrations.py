@@ -17,7 +17,7 @@ from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, set_arrays
-from .calibration_formats import refuse_unread_calibration
+from .calibration_formats import refuse_unread_calibration, refuse_unread_suffix
 from .errors import InputError, Unquoted, refuse
 from .lenses import BrownConrady, Fisheye, Lens, TsaiRadial
 from .opening import read_text
@@ -171,6 +171,7 @@ def read_cameras(
         lens is of another model than Brown-Conrady's, OpenCV's fisheye and
         Tsai's.
     """
+    refuse_unread_suffix(path)
     text = read_text(path, "text")
     # XML is OpenCV's or Tsai's; the root element tells which.
     if text.lstrip().startswith("<"):

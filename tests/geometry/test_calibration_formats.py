@@ -57,20 +57,17 @@ def test_the_fisheye_of_opencvs_sample_is_equidistant(tmp_path, suffix, text):
     assert model.horizontal_fov_deg == pytest.approx(2.0 * np.degrees(960.0 / 500.0))
 
 
-@pytest.mark.parametrize("switch", ["", "fisheye_model: 0", "model_type: PINHOLE"])
+@pytest.mark.parametrize("switch", ["", "fisheye_model: 0", "lens_model: PINHOLE"])
 def test_without_the_switch_it_is_brown_conrady(tmp_path, switch):
     path = tmp_path / "camera.yml"
-    path.write_text(
-        OPENCV.replace("SWITCH", switch.replace("model_type", "lens_model"))
-    )
+    text = OPENCV.replace("SWITCH", switch)
+    path.write_text(text)
     (camera,) = read_cameras(path).values()
     assert camera.lens == BrownConrady()
-    path.write_text(
-        OPENCV.replace("SWITCH", switch.replace("model_type", "lens_model"))
-        .replace("camera_matrix", "Camera_Matrix")
-        .replace("distortion_co", "Distortion_Co")
-        .replace("image_w", "image_W")
-    )
+    # As old samples of OpenCV have written it.
+    for key in ("camera_matrix", "distortion_coefficients"):
+        text = text.replace(key, key.title())
+    path.write_text(text.replace("image_width", "image_Width"))
     assert read_cameras(path)["camera"].fx_px == 500.0
 
 
