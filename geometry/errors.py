@@ -79,7 +79,7 @@ class Faults:
     ...     faults.tell()
     ... except InputError as error:
     ...     print(error.expected)  # doctest: +ELLIPSIS
-    none: (1) line 2: x: got '?', expected a number; (2) line 2: y: got '?', ...
+    none: (1) line 2: x: got '?'; expected a number; (2) line 2: y: got '?'; ...
     """
 
     def __init__(self, where: str) -> None:
@@ -106,7 +106,7 @@ class Faults:
             first = group[0]
             where = first.where.removeprefix(self.where).removeprefix(": ")
             got = _shown(first.got)
-            text = f"({number}) {where}: got {got}, expected {first.expected}"
+            text = f"({number}) {where}: got {got}; expected {first.expected}"
             if len(group) > 1:
                 text += f", and {len(group) - 1} more of this kind"
             n_characters += len(text) + 2

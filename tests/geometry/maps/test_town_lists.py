@@ -279,12 +279,12 @@ def test_all_faults_of_a_list_are_told_at_once(tmp_path):
     assert "\n" not in message
     for words in (
         f"{path}: got 7 faults; expected none: ",
-        "line 4: got 4 fields, expected 6",
-        "column 'height_ft': got 'ft', expected metres and euros",
-        "got no id, expected one of id, site_id, pole_id, mastnummer, ",
-        "line 2: capacity: got '0', expected a finite number, at least 1, and 1 more",
-        "line 3: lat: got 99.0, expected -90 to 90 degrees",
-        "line 3: power: got 'perhaps', expected yes or no",
+        "line 4: got 4 fields; expected 6",
+        "column 'height_ft': got 'ft'; expected metres and euros",
+        "got no id; expected one of id, site_id, pole_id, mastnummer, ",
+        "line 2: capacity: got '0'; expected a finite number, at least 1, and 1 more",
+        "line 3: lat: got 99.0; expected -90 to 90 degrees",
+        "line 3: power: got 'perhaps'; expected yes or no",
     ):
         assert words in message
 
