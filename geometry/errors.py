@@ -100,7 +100,7 @@ class Faults:
         for fault in self.found:
             field = fault.where.rpartition(": ")[2]
             alike.setdefault((field, fault.expected), []).append(fault)
-        words = []
+        words: list[str] = []
         n_characters = 0
         for number, group in enumerate(alike.values(), start=1):
             first = group[0]

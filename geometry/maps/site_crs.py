@@ -144,7 +144,8 @@ def _may_fit(code: str, points: FloatArray, box_deg: FloatArray) -> bool:
     """
     from pyproj import Proj
 
-    lonlat = np.stack(Proj(code)(*points.T, inverse=True), axis=-1)
+    x, y = points.T
+    lonlat = np.stack(Proj(code)(x, y, inverse=True), axis=-1)
     low = box_deg.min(axis=0) - _DATUM_DEG
     high = box_deg.max(axis=0) + _DATUM_DEG
     return bool(_is_within(lonlat, low, high).any())
@@ -170,6 +171,8 @@ def _systems_at(lonlat_deg: FloatArray) -> list[str]:
     ranked = {}
     for one in found:
         if one.deprecated or any(word in one.name for word in _LEFT_OUT):
+            continue
+        if one.area_of_use is None:
             continue
         west, south, east, north = one.area_of_use.bounds
         size = (east - west) % 360.0 * (north - south)
