@@ -12,6 +12,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from dataclasses import dataclass, fields
 from dataclasses import replace as replace_field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -285,11 +286,13 @@ def _task_maker(
     search: inputs.CitySearch,
     grid: CandidateGrid,
     *,
-    sites_crs: dict[str, str],
     existing: dict[str, Layout],
     seed: int,
+    sites_crs: Mapping[str, str] = MappingProxyType({}),
 ) -> _TaskOf:
     """Function of a junction: its task, made when it is asked for.
+
+    `sites_crs` is the reference system of a list of sites by the name of the map.
 
     The key of each is a hash of all that the front depends on, the program's code
     included.
@@ -313,7 +316,7 @@ def _task_maker(
         listed,
         search.radius_m,
         search.sites,
-        sites_crs,
+        dict(sites_crs),
         question,
         grid,
         weighed,
@@ -338,7 +341,7 @@ def _task_maker(
             options=ImportOptions(
                 radius_m=search.radius_m,
                 sites=search.sites,
-                sites_crs=sites_crs[one.roads.name],
+                sites_crs=sites_crs.get(one.roads.name, search.sites_crs),
                 reading=search.reading,
                 name=one.scene_name,
             ),
