@@ -17,7 +17,8 @@ from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, set_arrays
-from .errors import InputError, Unquoted
+from .calibration_formats import refuse_unread_calibration, refuse_unread_suffix
+from .errors import InputError, Unquoted, refuse
 from .lenses import BrownConrady, Fisheye, Lens, TsaiRadial
 from .opening import read_text
 from .poses import Pose, camera_rotation
@@ -31,6 +32,19 @@ if TYPE_CHECKING:
 _CM = 0.01
 _MM = 1.0e-3
 _FISHEYES = ("fisheye", "equidistant")
+_PINHOLES = ("plumb_bob", "rational_polynomial")
+# Keys by which files of others name a camera's model, and values that are a pinhole's.
+_MODEL_KEYS = ("camera_model", "model_type", "projection_model", "lens_model")
+_PINHOLE_WORDS = ("pinhole", "perspective", "frame", "opencv")
+# Old files of OpenCV's sample have them with other capitals: Camera_Matrix.
+_OPENCV_KEYS = (
+    "camera_matrix",
+    "distortion_coefficients",
+    "distortion_model",
+    "fisheye_model",
+    "image_width",
+    "image_height",
+)
 _MOST = 1.0e9
 _Size = tuple[int, int]
 
@@ -157,15 +171,18 @@ def read_cameras(
         lens is of another model than Brown-Conrady's, OpenCV's fisheye and
         Tsai's.
     """
+    refuse_unread_suffix(path)
     text = read_text(path, "text")
     # XML is OpenCV's or Tsai's; the root element tells which.
     if text.lstrip().startswith("<"):
         root = read_xml(path, expected="a calibration of OpenCV or Tsai")
+        refuse_unread_calibration(text, path)
         if root.tag != "opencv_storage":
             return {path.stem: read_tsai(path)}
         return {path.stem: _camera(_xml_record(root), str(path), size_px)}
+    refuse_unread_calibration(text, path)
     # Of the text formats only KITTI's has no such key.
-    if "camera_matrix" not in text:
+    if "camera_matrix" not in text.lower():
         return {path.stem: read_kitti_camera(path, _size(size_px, str(path)))}
     records: list[tuple[str, Mapping[str, Any]]] = []
     for document in _yaml_documents(text, path):
@@ -235,6 +252,10 @@ def _camera(
     record: Mapping[str, Any], where: str, size_px: _Size | None
 ) -> CalibratedCamera:
     """A camera of OpenCV's or ROS's fields."""
+    for key, value in [*record.items()]:
+        plain = str(key).lower()
+        if plain in _OPENCV_KEYS and plain not in record:
+            record = {**record, plain: value}
     K = _numbers(record, "camera_matrix", (9,), where).reshape(3, 3)
     size_px = _size(size_px, where, record)
     rotation, position = _stand(record, where)
@@ -304,19 +325,50 @@ def _whole(record: Mapping[str, Any], key: str, where: str) -> int:
 
 def _lens(record: Mapping[str, Any], where: str) -> Lens:
     """Lens of OpenCV's coefficients: 4, 5 or 8, of which the last three are zero."""
+    for key in _MODEL_KEYS:
+        word = record.get(key, "pinhole")
+        if str(word).lower() not in _PINHOLE_WORDS:
+            expected = "pinhole; of a fisheye distortion_model: fisheye with four terms"
+            raise InputError(f"{where}: {key}", word, expected)
     terms = _numbers(record, "distortion_coefficients", (4, 5, 8), where).tolist()
-    model = record.get("distortion_model", "plumb_bob")
+    model = _distortion_model(record, where)
     if model in _FISHEYES and len(terms) == 4:
         return Fisheye(k1=terms[0], k2=terms[1], k3=terms[2], k4=terms[3])
-    if model not in ("plumb_bob", "rational_polynomial") or any(terms[5:]):
-        if model in _FISHEYES:
-            got = f"{model} with {len(terms)} terms"
-        else:
-            got = model
-        expected = "plumb_bob, or 4 terms of fisheye or equidistant"
+    expected = "plumb_bob, or 4 terms of fisheye or equidistant"
+    if model in _FISHEYES:
+        got = f"{model} with {len(terms)} terms"
         raise InputError(f"{where}: distortion_model", got, expected)
+    if model not in _PINHOLES:
+        raise InputError(f"{where}: distortion_model", model, expected)
+    if any(terms[5:]):
+        refuse(
+            f"{where}: distortion_model",
+            "a rational one, whose k4 to k6 are not 0",
+            "k1, k2, p1, p2, k3: calibrate without CALIB_RATIONAL_MODEL",
+        )
     k1, k2, p1, p2, k3 = (*terms, 0.0)[:5]
     return BrownConrady(k1=k1, k2=k2, p1=p1, p2=p2, k3=k3)
+
+
+def _distortion_model(record: Mapping[str, Any], where: str) -> str:
+    """Model of the lens by its name, or by the switch of OpenCV's own sample.
+
+    ``samples/cpp/tutorial_code/calib3d`` of OpenCV writes "fisheye_model: 1" where it
+    has called ``cv::fisheye::calibrate``.
+    """
+    named = record.get("distortion_model")
+    is_fisheye = False
+    if "fisheye_model" in record:
+        (switch,) = _numbers(record, "fisheye_model", (1,), where).tolist()
+        if switch not in (0.0, 1.0):
+            raise InputError(f"{where}: fisheye_model", switch, "0 or 1")
+        is_fisheye = switch == 1.0
+    if named is None:
+        return "fisheye" if is_fisheye else "plumb_bob"
+    if is_fisheye and named not in _FISHEYES:
+        expected = f"one lens: fisheye_model is 1, distortion_model is {named}"
+        refuse(f"{where}: fisheye_model", "1", expected)
+    return str(named)
 
 
 def _stand(record: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArray]:

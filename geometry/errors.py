@@ -68,6 +68,68 @@ def located(prefix: str) -> Iterator[None]:
         raise InputError(where, error.got, error.expected) from None
 
 
+class Faults:
+    """What is wrong with one file, gathered to be told all at once.
+
+    >>> faults = Faults("poles.csv")
+    >>> for field in "xy":
+    ...     with gathering(faults):
+    ...         raise InputError(f"poles.csv: line 2: {field}", "?", "a number")
+    >>> try:
+    ...     faults.tell()
+    ... except InputError as error:
+    ...     print(error.expected)  # doctest: +ELLIPSIS
+    none: (1) line 2: x: got '?'; expected a number; (2) line 2: y: got '?'; ...
+    """
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+        self.found: list[InputError] = []
+
+    def tell(self) -> None:
+        """Raise InputError if there are any; a single one as it is.
+
+        Several make one line, without the name of the file before each.
+        """
+        if not self.found:
+            return
+        if len(self.found) == 1:
+            raise self.found[0]
+        # Rows with the same fault make one entry, with the first of them.
+        alike: dict[tuple[str, str], list[InputError]] = {}
+        for fault in self.found:
+            field = fault.where.rpartition(": ")[2]
+            alike.setdefault((field, fault.expected), []).append(fault)
+        words: list[str] = []
+        n_characters = 0
+        for number, group in enumerate(alike.values(), start=1):
+            first = group[0]
+            where = first.where.removeprefix(self.where).removeprefix(": ")
+            got = _shown(first.got)
+            text = f"({number}) {where}: got {got}; expected {first.expected}"
+            if len(group) > 1:
+                text += f", and {len(group) - 1} more of this kind"
+            n_characters += len(text) + 2
+            # Room for how many more there are.
+            if n_characters > _MAX_WORDS - 50:
+                words.append(f"and {len(alike) - len(words)} more kinds")
+                break
+            words.append(text)
+        expected = "none: " + "; ".join(words)
+        raise InputError(self.where, Unquoted(f"{len(self.found)} faults"), expected)
+
+
+@contextmanager
+def gathering(faults: Faults | None) -> Iterator[None]:
+    """Add an InputError to the faults of a file; None: it is raised."""
+    try:
+        yield
+    except InputError as error:
+        if faults is None:
+            raise
+        faults.found.append(error)
+
+
 def check_one_of(where: str, got: object, known: Collection[str]) -> None:
     """Raise InputError unless a value is one of those known."""
     if got not in known:

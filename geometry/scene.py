@@ -54,6 +54,9 @@ class Site:
         anything. [EUR]
     use : {"free", "forced", "forbidden"}
         Whether it may carry units, must, or must not.
+    surveyed_m : (2,) float or None
+        Where it stands by its owner's survey, if that is inside a wall of the map and
+        the site was moved out of it. [m]
     """
 
     id: str
@@ -63,6 +66,7 @@ class Site:
     capacity_units: int
     cost_eur: float = 0.0
     use: str = "free"
+    surveyed_m: Point2 | None = None
 
     def __post_init__(self) -> None:
         where = f"site {self.id}"
@@ -71,6 +75,9 @@ class Site:
         check = partial(check_field, self, where)
         set_arrays(self, f"{where}.", position_m=(3,), height_range_m=(2,))
         _check_near(self.position_m, f"{where}.position_m")
+        if self.surveyed_m is not None:
+            set_arrays(self, f"{where}.", surveyed_m=(2,))
+            _check_near(self.surveyed_m, f"{where}.surveyed_m")
         limits = load_limits()
         low, high = self.height_range_m.tolist()
         if not 0.0 < low <= high <= limits.coordinate_m:

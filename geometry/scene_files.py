@@ -137,7 +137,7 @@ def save_scene(
             for lane in scene.lanes
         ],
         "crosswalks": [{"ends_m": _rounded(line)} for line in scene.crosswalks_m],
-        "sites": [_entry(site, *_SITE_FIELDS) for site in scene.sites],
+        "sites": [_site_entry(site) for site in scene.sites],
         "things": [
             {"id": thing.id, "class": thing.class_name}
             | ({"is_height_assumed": True} if thing.is_height_assumed else {})
@@ -321,6 +321,14 @@ def _unpack(member: IO[bytes], target: Path, archive: Path, max_bytes: int) -> N
                 refuse(f"{archive}/{target.name}", got, "a scene of one junction")
             refuse_bomb(n_bytes, str(archive))
             sink.write(chunk)
+
+
+def _site_entry(site: Site) -> dict[str, Any]:
+    """A site as ``scene.toml`` has it."""
+    names = [*_SITE_FIELDS]
+    if site.surveyed_m is not None:
+        names.append("surveyed_m")
+    return _entry(site, *names)
 
 
 def _entry(value: object, *names: str) -> dict[str, Any]:

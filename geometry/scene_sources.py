@@ -46,6 +46,7 @@ class SceneReader(Protocol):
         junction: str,
         at: tuple[float, float] | None,
         sites: str,
+        sites_crs: str,
         keeps_left: bool | None,
     ) -> Scene:
         """Read a scene; only maps have use for the options, see :func:`load_scene`.
@@ -60,6 +61,7 @@ def load_scene(
     junction: str = "",
     at: tuple[float, float] | None = None,
     sites: str = "auto",
+    sites_crs: str = "",
     keeps_left: bool | None = None,
 ) -> Scene:
     """Load the scene of a junction from wherever it is.
@@ -69,8 +71,8 @@ def load_scene(
     roads, such as "city.osm" or "city.xodr", of which one junction is cut out. Of a
     map, `junction` is an id, streets or "latitude,longitude", or `at` a point within
     100 m in the map's own coordinates; by default the one with the most arms and lanes.
-    `sites`: see :class:`geometry.maps.importing.ImportOptions`. `keeps_left`: by
-    default what the map says.
+    `sites` and `sites_crs`: see :class:`geometry.maps.importing.ImportOptions`.
+    `keeps_left`: by default what the map says.
 
     Raises
     ------
@@ -84,7 +86,14 @@ def load_scene(
     """
     path = Path(source)
     read: SceneReader = load_entry(READERS[_kind_of(source)])
-    return read(path, junction=junction, at=at, sites=sites, keeps_left=keeps_left)
+    return read(
+        path,
+        junction=junction,
+        at=at,
+        sites=sites,
+        sites_crs=sites_crs,
+        keeps_left=keeps_left,
+    )
 
 
 def _kind_of(source: str | Path) -> str:

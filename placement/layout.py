@@ -12,6 +12,10 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import Point3
+from geometry.calibration_formats import (
+    refuse_unread_calibration,
+    refuse_unread_suffix,
+)
 from geometry.catalogue import (
     SENSOR_KINDS,
     Sensor,
@@ -64,6 +68,8 @@ RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
 
 # From a scene's middle; beyond, a unit or a frame has been mixed up.
 _MAX_DISTANCE_M = 1000.0
+# Of a unit from the pole that carries it: a bracket's length.
+_AT_SITE_M = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -350,7 +356,9 @@ def load_layout(
     suffix = path.suffix.lower()
     if suffix in READERS:
         read: LayoutReader = load_entry(READERS[suffix])
-        return read(path, scene=scene, sensors=sensors or {})
+        layout = read(path, scene=scene, sensors=sensors or {})
+        return at_sites(layout, scene)
+    refuse_unread_suffix(path)
     text = read_text(path, "JSON")
     return read_layout(
         text, where=str(path), name=path.stem, scene=scene, sensors=sensors
@@ -369,12 +377,17 @@ def read_layout(
 
     It is called `name` if the text gives it no name.
     """
-    document = parse_json(text, where, "a layout")
+    try:
+        document = parse_json(text, where, "a layout")
+    except InputError:
+        _refuse_calibration(text, where)
+        raise
     known = (SCHEMA, *RESULT_SCHEMAS)
     if isinstance(document, dict) and document.get("schema", SCHEMA) not in known:
         expected = f"{', '.join(known)}, or none of it"
         raise InputError(f"{where}: schema", document["schema"], expected)
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
+        _refuse_calibration(text, where)
         refuse(where, "no list 'layout'", 'an object {"layout": [units]}')
     # Models in the file come with their own fields.
     own = _read_own_sensors(document.get("sensors", {}), f"{where}: sensors")
@@ -385,7 +398,43 @@ def read_layout(
         convert = load_entry(LISTED_UNITS)
         records = convert(records, where, scene=scene, sensors=models)
     layout = layout_from_records(called, records, where, sensors=models)
-    return replace(layout, scene_name=str(document.get("scene", "")))
+    layout = replace(layout, scene_name=str(document.get("scene", "")))
+    return at_sites(layout, scene)
+
+
+def _refuse_calibration(text: str | bytes, where: str) -> None:
+    """Raise InputError if what is no layout is a calibration that is not read."""
+    if isinstance(text, bytes):
+        text = text.decode("utf-8", errors="replace")
+    refuse_unread_calibration(text, where)
+
+
+def at_sites(layout: Layout, scene: Scene | None) -> Layout:
+    """The layout, with units that name no site at the site where they are, if any.
+
+    Such as existing cameras on poles of a list: the pole's capacity, failures, price
+    and name are theirs, too. A unit is at the nearest site within 0.5 m, seen from
+    above; without a scene nothing changes.
+    """
+    if scene is None or not scene.sites:
+        return layout
+    names = []
+    places = []
+    for site in scene.sites:
+        names.append(site.id)
+        places.append(site.position_m[:2])
+        if site.surveyed_m is not None:
+            names.append(site.id)
+            places.append(site.surveyed_m)
+    units = []
+    for unit in layout.units:
+        if not unit.site_id:
+            away_m = np.hypot(*(np.array(places) - unit.pose.position_m[:2]).T)
+            nearest = int(away_m.argmin())
+            if away_m[nearest] <= _AT_SITE_M:
+                unit = replace(unit, site_id=names[nearest])
+        units.append(unit)
+    return replace(layout, units=tuple(units))
 
 
 def _read_own_sensors(records: Any, where: str) -> dict[str, Sensor]:

@@ -32,7 +32,14 @@ from .forbidden_views import (
     load_forbidden_areas,
     respects_private_ground,
 )
-from .layout import Certificate, Layout, check_layout, find_baseline, find_layout
+from .layout import (
+    Certificate,
+    Layout,
+    at_sites,
+    check_layout,
+    find_baseline,
+    find_layout,
+)
 from .memory import check_memory
 from .optimiser import (
     Effort,
@@ -267,6 +274,8 @@ def assemble(
             scene = setting.scene
     if existing is None:
         existing = _named_layout(question.keep, "keep", scene, question.sensors)
+    if existing is not None:
+        existing = at_sites(existing, scene)
     # Poses to choose from, less those that look into private ground.
     units = () if existing is None else existing.units
     candidates = _candidates(question, scene, grid, units)

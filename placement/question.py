@@ -80,6 +80,7 @@ class Question:
     junction: str = ""
     at: str = ""
     sites: str = ""
+    sites_crs: str = ""
     driving_side: Literal["map", "left", "right"] = "map"
     cases: str = DEFAULT_CASES
     case_range: Literal["standard", "extended"] = "standard"
@@ -136,6 +137,8 @@ def map_options(question: Question) -> dict[str, Any]:
         options["at"] = read_point(question.at, "at")
     if question.sites:
         options["sites"] = question.sites
+    if question.sites_crs:
+        options["sites_crs"] = question.sites_crs
     if question.driving_side != "map":
         options["keeps_left"] = question.driving_side == "left"
     return options

@@ -3,7 +3,9 @@
 They are read from CSV and SUMO's floating car data.
 """
 
+import logging
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -15,13 +17,13 @@ from msgspec import Struct
 
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray
-from geometry.csv_files import csv_rows
+from geometry.csv_files import csv_rows, read_csv_text
 from geometry.errors import InputError, Unquoted, check_one_of, refuse
-from geometry.opening import read_text
 from geometry.tables import read_data
 from geometry.text_formats import parse_number
 from geometry.xml_files import read_xml
 
+_log = logging.getLogger(__name__)
 VEHICLE = "vehicle"
 """Class of whatever is replayed as the VUT."""
 
@@ -29,6 +31,7 @@ VEHICLE = "vehicle"
 class _Tracks(Struct, frozen=True, kw_only=True):
     """When samples make up a track; ``data/trajectories.toml`` says more."""
 
+    least_step_s: float
     step_tolerance: float
     max_gap_s: float
     velocity_s: float
@@ -54,6 +57,7 @@ class TrajectoryRules(Struct, frozen=True, kw_only=True):
     classes: dict[str, list[str]]
     bodies: dict[str, str]
     fastest_mps: dict[str, float]
+    time_units_s: dict[str, float]
     tracks: _Tracks
     encounters: EncounterRules
 
@@ -113,7 +117,10 @@ class Track:
 
 
 class _Sample(NamedTuple):
-    """Where somebody was at one time, as a file has it."""
+    """Where somebody was at one time, as a file has it.
+
+    Its time may be in another unit than seconds, see :func:`_time_unit`.
+    """
 
     # File, and line or element.
     place: str
@@ -140,31 +147,68 @@ def read_tracks(
     `path`: ``.csv``, or ``.xml`` of SUMO (floating car data). Of CSV
     files: `columns` gives their names by what they hold (id, time, frame, x, y,
     heading, heading_rad, class), in place of those that are recognised, `frame_rate_hz`
-    is for those that count frames, and `class_name` for those without classes. Raises
+    is for those that count frames, and `class_name` for those without classes. Times
+    are seconds of any clock, or milliseconds and the like where the column's name says
+    so or steps show it, which is logged. Raises
     InputError with file and line, or element: no such format or column, a number is
     missing or not finite, times of a track do not ascend or are not whole steps of the
     file (mixed frame rates), or a track jumps.
     """
     if class_name:
         check_one_of("class", class_name, load_trajectory_rules().classes)
+    unit_s: float | None = 1.0
     if path.suffix.lower() == ".csv":
-        samples = _csv_samples(path, columns or {}, frame_rate_hz, class_name)
+        rows = csv_rows(
+            read_csv_text(path), str(path), separators=",;\t", noun="columns"
+        )
+        _, header = next(rows, ("", []))
+        at = _find_columns(path, header, columns or {}, frame_rate_hz)
+        if "time" in at:
+            unit_s = _named_unit(header[at["time"]])
+        samples = _csv_samples(path, rows, header, at, frame_rate_hz, class_name)
     elif path.suffix.lower() == ".xml":
         samples = _xml_samples(path)
     else:
         raise InputError(str(path), path.suffix, ".csv, or .xml of SUMO")
-    return _gather(path, samples)
+    return _gather(path, samples, unit_s)
 
 
-def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], int]:
-    """Tracks of samples, and how many road users are left out."""
+def _named_unit(column: str) -> float | None:
+    """Unit of times in seconds by the end of a column's name; None: it has none."""
+    words = re.findall(r"[^\W_]+", column.lower())
+    return load_trajectory_rules().time_units_s.get(words[-1] if words else "")
+
+
+def _time_unit(path: Path, step: float) -> float:
+    """Unit of times in seconds by the file's step, which is told if it is none."""
+    rules = load_trajectory_rules()
+    if step <= rules.tracks.max_gap_s:
+        return 1.0
+    for name, unit_s in rules.time_units_s.items():
+        step_s = unit_s * step
+        if rules.tracks.least_step_s <= step_s <= rules.tracks.max_gap_s:
+            _log.warning("%s: times read as %s, in steps of %g s", path, name, step_s)
+            return unit_s
+    return 1.0
+
+
+def _gather(
+    path: Path, samples: Iterator[_Sample], unit_s: float | None
+) -> tuple[tuple[Track, ...], int]:
+    """Tracks of samples, and how many road users are left out.
+
+    `unit_s` is the unit of their times; None: the steps show it.
+    """
     rules = load_trajectory_rules()
     by_word = {word: name for name, words in rules.classes.items() for word in words}
     tracks: dict[str, list[_Sample]] = {}
+    # In messages about times before their unit is known.
+    told_s = unit_s or 1.0
     for sample in samples:
         before = tracks.setdefault(sample.id, [])
         if before and not sample.time_s > before[-1].time_s:
-            got = Unquoted(f"{sample.time_s:g} s after {before[-1].time_s:g} s")
+            here_s = told_s * sample.time_s
+            got = Unquoted(f"{here_s:.12g} s after {told_s * before[-1].time_s:.12g} s")
             raise InputError(
                 f"{sample.place}: time", got, f"times of {sample.id} that ascend"
             )
@@ -178,12 +222,16 @@ def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], 
         step_s = float(np.median(every))
     else:
         step_s = 1.0
+    if unit_s is None:
+        unit_s = _time_unit(path, step_s)
+    step_s *= unit_s
     found = []
     n_left_out = 0
-    for (name, own), dt in zip(tracks.items(), steps, strict=True):
+    for (name, own), raw in zip(tracks.items(), steps, strict=True):
         if not known[name]:
             n_left_out += 1
             continue
+        dt = unit_s * raw
         _check(own, dt, step_s, rules.fastest_mps[known[name]])
         # A long gap ends a track and begins another.
         cuts = np.flatnonzero(dt > rules.tracks.max_gap_s) + 1
@@ -195,7 +243,7 @@ def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], 
             track = Track(
                 id=name if len(parts) == 1 else f"{name}.{number}",
                 class_name=known[name],
-                time_s=part[:, 0],
+                time_s=unit_s * part[:, 0],
                 position_m=part[:, 1:3],
                 yaw_deg=part[:, 3],
             )
@@ -237,18 +285,20 @@ def _check(
 
 # ---------- CSV
 def _csv_samples(
-    path: Path, columns: Mapping[str, str], frame_rate_hz: float | None, class_name: str
+    path: Path,
+    rows: Iterator[tuple[str, list[str]]],
+    header: list[str],
+    at: Mapping[str, int],
+    frame_rate_hz: float | None,
+    class_name: str,
 ) -> Iterator[_Sample]:
-    """Samples of a CSV file, row by row."""
-    rows = csv_rows(read_text(path, "a CSV file"), str(path), noun="columns")
-    _, header = next(rows, ("", []))
-    at = _find_columns(path, header, columns, frame_rate_hz)
+    """Samples of the rows of a CSV file, whose columns stand at `at`."""
     if "class" not in at and not class_name:
         expected = "a column with the class, or `class`: what all in the file are"
         refuse(f"{path}: line 1", ", ".join(header), expected)
     for place, row in rows:
         value = {
-            name: _number(row[index], f"{place}: {header[index]}")
+            name: _number(row[index], f"{place}: {header[index]}", _largest(name))
             for name, index in at.items()
             if name not in ("id", "class")
         }
@@ -277,7 +327,8 @@ def _find_columns(
     where = f"{path}: line 1"
     for name in columns:
         check_one_of("columns", name, known)
-    lower = [name.lower() for name in header]
+    # "Timestamp [ms]" is timestamp_ms.
+    lower = ["_".join(re.findall(r"[^\W_]+", name.lower())) for name in header]
     at = {}
     for name, words in known.items():
         if name in columns:
@@ -300,18 +351,27 @@ def _find_columns(
     return at
 
 
-def _number(word: str | None, where: str) -> float:
+# Of metres: beyond it differences are rounded off.
+_LARGEST = 1.0e9
+# Of times in any unit: Unix time in nanoseconds is 1.8e18, and exact to 256 of them.
+_LATEST = 1.0e19
+
+
+def _largest(name: str) -> float:
+    """Largest number that makes sense in a column."""
+    if name == "time":
+        return _LATEST
+    return _LARGEST
+
+
+def _number(word: str | None, where: str, largest: float = _LARGEST) -> float:
     """The finite number that a word of a file is."""
     if word is None:
         raise InputError(where, Unquoted("nothing"), "a finite number")
     value = parse_number(word, where)
-    if abs(value) > _LARGEST:
-        raise InputError(where, word, "a finite number")
+    if abs(value) > largest:
+        raise InputError(where, word, f"a number, at most {largest:g}")
     return value
-
-
-# Of seconds or metres: beyond it differences are rounded off.
-_LARGEST = 1.0e9
 
 
 # ---------- XML

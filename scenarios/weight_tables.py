@@ -15,9 +15,8 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import FloatArray
-from geometry.csv_files import csv_rows
+from geometry.csv_files import csv_rows, read_csv_text
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
-from geometry.opening import read_text
 from geometry.tables import Text, read_data, read_table
 from geometry.text_formats import float_of, load_data
 
@@ -84,8 +83,8 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
 
 def _read_rows(path: Path) -> list[tuple[str, dict[str, str]]]:
     """Rows of a user's table: file and line, and cells by column."""
-    text = read_text(path, "a CSV file")
-    rows = [*csv_rows(text, str(path), separators=",;", noun="columns")]
+    text = read_csv_text(path)
+    rows = [*csv_rows(text, str(path), separators=",;\t", noun="columns")]
     expected = ", ".join(_COLUMNS) + f", and {' and '.join(_OPTIONAL)} if wanted"
     if not rows:
         refuse(str(path), "an empty file", f"columns {expected}")

@@ -12,7 +12,7 @@ from ..cli.running import QuestionCall, command_line
 from ..cli.terminal import sentences, table
 from ..language import localized, tr
 from ..results.numbers import percent
-from ..scene.command import reading_options
+from ..scene.command import reading_options, sites_crs_option
 
 if TYPE_CHECKING:
     from .answer import CityResult
@@ -271,11 +271,11 @@ Examples:
     default="auto",
     metavar="WHERE",
     help=(
-        "map, kerb:15, or a CSV or GeoJSON file, as in `scene import`; auto: map, "
-        "but for low sign posts and poles of other junctions, and kerb:15 where none "
-        "is within 25 m."
+        "map, kerb:15, or a list, as in `scene import`; auto: map, but for low sign "
+        "posts and poles of other junctions, and kerb:15 where none is within 25 m."
     ),
 )
+@sites_crs_option
 @options.option(
     "--worker-memory",
     default="1.5GiB",

@@ -112,6 +112,8 @@ class CitySearch:
         Of what is kept around a junction. [m]
     sites : str
         See :class:`geometry.maps.importing.ImportOptions`.
+    sites_crs : str
+        Of x and y in a list of sites that does not say.
     reading : ReadingOptions
         What map files do not say of themselves.
     gap : float
@@ -125,6 +127,7 @@ class CitySearch:
     max_junction_s: float = 300.0
     radius_m: float = importing.DEFAULT_RADIUS_M
     sites: str = "auto"
+    sites_crs: str = ""
     reading: importing.ReadingOptions = field(default_factory=importing.ReadingOptions)
     # Relative, at which the city's choice counts as settled.
     gap: float = 0.0

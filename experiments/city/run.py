@@ -12,6 +12,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from dataclasses import dataclass, fields
 from dataclasses import replace as replace_field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -22,6 +23,7 @@ from geometry.errors import refuse
 from geometry.frames import transform
 from geometry.maps.cut import Neighbourhoods
 from geometry.maps.importing import ImportOptions
+from geometry.maps.place_lists import list_files
 from geometry.maps.sites import check_sites
 from geometry.opening import read_bytes
 from geometry.scene import Scene
@@ -119,12 +121,19 @@ def run_city(
     check_question(question)
     progress(mark("read maps"), 0, 0)
     city = inputs.load_city(maps, search.reading, wish)
+    sites_crs: dict[str, str] = {}
     for source in city.roads:
-        check_sites(search.sites, crs=source.crs)
+        sites_crs[source.name], notes = check_sites(
+            search.sites, source, sites_crs=search.sites_crs
+        )
+        for note in notes:
+            tell(tr(note.words))
     values = inputs.load_values(city, wish)
     existing = inputs.load_existing(wish.keep, city)
     manifest = _begin(out, city)
-    task_of = _task_maker(city, question, search, grid, existing=existing, seed=seed)
+    task_of = _task_maker(
+        city, question, search, grid, sites_crs=sites_crs, existing=existing, seed=seed
+    )
     done = _find_done(out, city, task_of)
     n_todo = len(city.junctions) - len(done)
     said = {
@@ -279,8 +288,11 @@ def _task_maker(
     *,
     existing: dict[str, Layout],
     seed: int,
+    sites_crs: Mapping[str, str] = MappingProxyType({}),
 ) -> _TaskOf:
     """Function of a junction: its task, made when it is asked for.
+
+    `sites_crs` is the reference system of a list of sites by the name of the map.
 
     The key of each is a hash of all that the front depends on, the program's code
     included.
@@ -289,11 +301,9 @@ def _task_maker(
         source.name: Neighbourhoods([source, *city.others], radius_m=search.radius_m)
         for source in city.roads
     }
-    sites = Path(search.sites)
-    if sites.is_file():
-        listed = sha256(sites)
-    else:
-        listed = ""
+    listed: list[str] = []
+    if Path(search.sites).is_file():
+        listed = [sha256(path) for path in list_files(Path(search.sites))]
     weighed = [
         sha256(path) for path in weight_files(question.weights) if path.is_file()
     ]
@@ -306,6 +316,7 @@ def _task_maker(
         listed,
         search.radius_m,
         search.sites,
+        dict(sites_crs),
         question,
         grid,
         weighed,
@@ -330,6 +341,7 @@ def _task_maker(
             options=ImportOptions(
                 radius_m=search.radius_m,
                 sites=search.sites,
+                sites_crs=sites_crs.get(one.roads.name, search.sites_crs),
                 reading=search.reading,
                 name=one.scene_name,
             ),

@@ -62,7 +62,13 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
     if not quiet:
         tell(words, err=True)
     return replace(
-        question, scene=folder, junction="", at="", sites="", driving_side="map"
+        question,
+        scene=folder,
+        junction="",
+        at="",
+        sites="",
+        sites_crs="",
+        driving_side="map",
     )
 
 

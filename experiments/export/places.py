@@ -11,13 +11,31 @@ from geometry.frames import parse_crs, to_geographic, transform
 from geometry.notes import assumed_sites
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
-from placement.candidates import above_ground
+from placement.candidates import CandidatePose, above_ground
 from placement.layout import Layout, layout_records
 
 
 def positions_m(layout: Layout) -> FloatArray:
     """Positions of the units in metres, world frame, (n_units, 3)."""
     return np.array([unit.pose.position_m for unit in layout.units])
+
+
+def surveyed_positions_m(units: Sequence[CandidatePose], scene: Scene) -> FloatArray:
+    """Positions of units in metres, world frame, (n_units, 3), for who mounts them.
+
+    They are those of the units but for surveyed poles that the model has elsewhere:
+    beside a wall that the map has on the pole.
+    """
+    moved_m = {
+        site.id: site.surveyed_m - site.position_m[:2]
+        for site in scene.sites
+        if site.surveyed_m is not None
+    }
+    positions = np.array([unit.pose.position_m for unit in units]).reshape(-1, 3)
+    for index, unit in enumerate(units):
+        if unit.site_id in moved_m:
+            positions[index, :2] += moved_m[unit.site_id]
+    return positions
 
 
 def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
@@ -52,7 +70,7 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
         ]
     if scene is None or not (scene.source_crs or scene.source_origin_m.any()):
         return records
-    points_m = positions_m(layout)[:, :2]
+    points_m = surveyed_positions_m(layout.units, scene)[:, :2]
     if scene.crs:
         position = map_points(points_m, scene)
     else:

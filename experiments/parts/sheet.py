@@ -26,6 +26,7 @@ from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
+from ..export.places import surveyed_positions_m
 from ..figures.axes import (
     BLUE,
     VERMILION,
@@ -129,12 +130,14 @@ def _rows(
     unit: CandidatePose, scene: Scene, tolerance: Tolerance
 ) -> list[tuple[str, str]]:
     level = above_ground(unit, scene)
-    x, y, z = level.pose.position_m.tolist()
+    z = float(level.pose.position_m[2])
+    surveyed_m = surveyed_positions_m([unit], scene)
+    x, y = surveyed_m[0, :2].tolist()
     where = tr(
         "{x:.2f} m east, {y:.2f} m north in the junction's coordinates", x=x, y=y
     )
     if scene.crs:
-        lon_deg, lat_deg = to_geographic(unit.pose.position_m[None], scene.crs)[0]
+        lon_deg, lat_deg = to_geographic(surveyed_m, scene.crs)[0]
         where += "\n" + tr(
             "{lat:.6f}° latitude, {lon:.6f}° longitude",
             lat=float(lat_deg),

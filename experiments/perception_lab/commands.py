@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from geometry.errors import check_one_of
 from geometry.writing import is_about
 from placement.compute import Compute
-from placement.question import question_fields
+from placement.question import question_fields, split_names
 
 from ..cli import options
 from ..cli.running import QuestionCall, command_line, load_one_layout, unwritable
@@ -216,6 +217,15 @@ Examples:
     expected="a confidence, 0 to 1",
     help="Detections below do not count.",
 )
+@options.option(
+    "--classes",
+    default="",
+    metavar="NAMES",
+    help=(
+        "That the detector reports, with commas between: pedestrian, child, cyclist, "
+        "motorcyclist, car. Default: as its results show. Others are not fitted."
+    ),
+)
 @options.folder_option("response.toml, fit.json and calibration.png")
 @options.asking(*options.PICTURED, has_cache=False)
 def fit(
@@ -224,6 +234,7 @@ def fit(
     *,
     layout_names: tuple[str, ...],
     out: Path | None,
+    classes: str,
     **wish: Any,
 ) -> None:
     """Fit a response table to what a detector really finds.
@@ -237,9 +248,14 @@ def fit(
     else:
         layout = None
     job = job.begin()
+    from placement.detectors import VRU_CLASSES
+
     from .fit import FitWish, run_detector_fit
 
-    asked = FitWish(layout=layout, **wish)
+    names = split_names(classes, "--classes")
+    for name in names:
+        check_one_of("--classes", name, VRU_CLASSES)
+    asked = FitWish(layout=layout, classes=tuple(names), **wish)
     result = run_detector_fit(
         job.question, wish=asked, out=out, command=command_line(), **job.means
     )
@@ -299,6 +315,12 @@ def fit_text(result: "FitResult", out: Path | None) -> str:
         f"{share} of {result.frames} frames with a road user are detected"
         f" ({result.source})."
     )
+    for name, n_labels in result.not_reported.items():
+        lines += sentences(
+            f"The detector reports no {name}: {n_labels} labelled frames are left out,"
+            f" and how well a {name} is found is assumed. If it can report them, say so"
+            " with --classes."
+        )
     if result.unknown:
         lines += sentences(
             "Not known from them, and as in the built-in table:"

@@ -5,7 +5,8 @@ and files of labels and results, of COCO or of recordings in the formats of othe
 gives labelled pictures; what follows is the same.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -33,6 +34,7 @@ from placement.detectors.fitting import (
     at_frame_rate,
     fit_response,
     gather_sightings,
+    of_classes,
 )
 from placement.detectors.network import (
     VRU_KINDS,
@@ -101,6 +103,8 @@ class FitWish:
     frame_rate_hz: float | None = None
     # Boxes below do not count.
     min_confidence: float = 0.5
+    # Of VRU_CLASSES: those that the detector reports; by default as results show.
+    classes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,6 +114,8 @@ class _Source:
     words: str
     pictures: Iterator[LabelledPicture]
     unknown: tuple[str, ...] = ()
+    # Classes that the detector reports, as far as its results show.
+    reported: frozenset[str] = frozenset(VRU_CLASSES)
 
 
 class FitResult(Record, frozen=True, kw_only=True):
@@ -130,6 +136,8 @@ class FitResult(Record, frozen=True, kw_only=True):
     tracks: int
     # What the source does not say, and is as in the built-in table.
     unknown: tuple[str, ...]
+    # Labels of classes that the detector does not report, which are not fitted.
+    not_reported: Mapping[str, int]
     table: Mapping[str, Interval]
     groups: Mapping[str, tuple[Group, ...]]
     calibration: tuple[Group, ...]
@@ -181,8 +189,10 @@ def run_detector_fit(
     source = _open_source(question, wish, compute, progress)
     rule = build_rule(question)
     frame_rate_hz = wish.frame_rate_hz or rule.frame_rate_hz
+    reported = wish.classes or source.reported or VRU_CLASSES
+    not_reported: Counter[str] = Counter()
     sightings, alarms = gather_sightings(
-        source.pictures,
+        of_classes(source.pictures, reported, not_reported),
         n_confirmations=rule.n_confirmations,
         frame_rate_hz=frame_rate_hz,
     )
@@ -196,10 +206,12 @@ def run_detector_fit(
     unknown = source.unknown
     if not fit.is_contrast_fitted and "contrast" not in unknown:
         unknown = (*unknown, "contrast")
+    unknown = (*unknown, *sorted(not_reported))
     result = FitResult(
         name=fit.detector.name,
         source=source.words,
         unknown=unknown,
+        not_reported=dict(sorted(not_reported.items())),
         table=fit.intervals,
         false_alarms=alarms,
         **{key: getattr(fit, key) for key in _OF_FIT},
@@ -233,6 +245,7 @@ def _open_source(
             words=f"the detections of {recording.folder}, {recording.n_frames} frames",
             pictures=_recorded_pictures(recording, wish.min_confidence),
             unknown=("share that is seen", "contrast", "aspect"),
+            reported=_classes_of(_recorded_kinds(recording)),
         )
     if wish.labels is not None and wish.results is not None:
         progress(mark("read"), 0, 0)
@@ -265,7 +278,9 @@ def _from_network(
         f" {setting.scene.name}"
     )
     return _Source(
-        words=words, pictures=_look(setting, layout, network, wish, compute, progress)
+        words=words,
+        pictures=_look(setting, layout, network, wish, compute, progress),
+        reported=network.known_classes,
     )
 
 
@@ -421,6 +436,34 @@ def _recorded_pictures(
                 )
 
 
+def _recorded_kinds(recording: Recording) -> set[str]:
+    """Classes of a recording's detections."""
+    return {
+        one.class_name
+        for of_frame in recording.detections.values()
+        for found in of_frame.values()
+        for one in found
+    }
+
+
+def _classes_of(names: Iterable[str]) -> frozenset[str]:
+    """Classes of road users that results of these classes are of.
+
+    Who reports people reports children; empty: nothing is reported at all.
+    """
+    classes: set[str] = set()
+    for name in names:
+        classes.update(_REPORTED.get(name, ()))
+    return frozenset(classes)
+
+
+_REPORTED = {
+    "person": ("pedestrian", "child"),
+    "pedestrian": ("pedestrian", "child"),
+    "bicycle": ("cyclist",),
+    "cyclist": ("cyclist",),
+    "car": ("car",),
+}
 _RECORDED = {"pedestrian": _PEDESTRIAN, "bicycle": _CYCLIST}
 
 
@@ -464,7 +507,10 @@ def _from_boxes(labels: Path, results: Path, min_score: float) -> _Source:
     left_out = "".join(f" without {n} {what}" for what, n in annotated.left_out.items())
     words = f"{results} on the {len(paired.pictures)} frames of {labels}{left_out}"
     return _Source(
-        words=words, pictures=iter(paired.pictures), unknown=("contrast", "aspect")
+        words=words,
+        pictures=iter(paired.pictures),
+        unknown=("contrast", "aspect"),
+        reported=_classes_of(set(found.class_name)),
     )
 
 
@@ -539,6 +585,7 @@ def _from_coco(labels_path: Path, results_path: Path, min_confidence: float) -> 
         words=f"{results_path} on the {len(known)} pictures of {labels_path}",
         pictures=_coco_pictures(labels, results, kinds, min_confidence),
         unknown=(*unknown, "contrast", "aspect"),
+        reported=_classes_of({kinds.get(one.category_id) or "" for one in results}),
     )
 
 
@@ -585,6 +632,7 @@ _KEYS_OF = {
     "aspect": ("cyclist_end_on",),
     "contrast": ("contrast_half", "contrast_steepness"),
     "frame_correlation": ("frame_correlation",),
+    "cyclist": ("cyclist_end_on",),
 }
 """By what a source does not say, the keys whose figures are the built-in ones."""
 _FIGURES = (
@@ -607,7 +655,8 @@ def table_text(
     """
     table = fit.detector
     intervals = fit.intervals
-    figures = sorted(key for what in unknown for key in _KEYS_OF.get(what, ()))
+    of_unknown = {key for what in unknown for key in _KEYS_OF.get(what, ())}
+    figures = sorted(of_unknown)
     assumed = {*figures, *table.assumed}
 
     def said(key: str, *names: str) -> str:

@@ -252,7 +252,7 @@ def _map_file(question: Question) -> "MapFile | None":
     path = Path(question.scene)
     if not path.is_file() or has_scene(path):
         return None
-    known = ("sites", "keeps_left")
+    known = ("sites", "sites_crs", "keeps_left")
     options = {
         key: value for key, value in map_options(question).items() if key in known
     }
@@ -288,11 +288,11 @@ def _begun_plan(
     begun = Plan(variants=())
     if save is not None and save.exists():
         begun = read_plan(read_bytes(save, max_bytes=MAX_PLAN_BYTES), str(save))
-        check_plan(begun, scene)
+        begun = check_plan(begun, scene)
     known = {key_of(variant.units) for variant in begun.variants}
     variants = [variant for variant in begun.variants if variant.units]
     for name in layout_names:
-        layout = find_layout(name, "--layout")
+        layout = find_layout(name, "--layout", scene=scene)
         check_count(len(layout.units), f"--layout {name}: units", MAX_UNITS)
         check_layout(layout, scene)
         if key_of(layout.units) not in known:

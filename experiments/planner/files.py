@@ -25,8 +25,8 @@ class MapFile:
     name : str
         As its sender calls it.
     options : dict
-        Of maps: "sites" and "keeps_left", as :meth:`.tasks.Tasks.import_junction` takes
-        them.
+        Of maps: "sites", "sites_crs" and "keeps_left", as
+        :meth:`.tasks.Tasks.import_junction` takes them.
     found : dict
         As :meth:`.tasks.Tasks.survey` tells; empty: nobody has looked yet.
     """

@@ -1,7 +1,7 @@
 """Files of plans and layouts: read and written."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.tables import read_table
 from geometry.text_formats import parse_json
-from placement.layout import Layout, check_layout, read_layout
+from placement.layout import Layout, at_sites, check_layout, read_layout
 
 from ..export.json import to_json, to_json_text
 from ..language import mark
@@ -55,14 +55,21 @@ class Plan:
     poles: tuple[PolePlace, ...] = ()
 
 
-def check_plan(plan: Plan, scene: Scene) -> None:
-    """Raise InputError unless all variants of a plan can be mounted in a scene."""
+def check_plan(plan: Plan, scene: Scene) -> Plan:
+    """A plan whose units are at the sites of a scene, see :func:`.layout.at_sites`.
+
+    Raises InputError unless all of its variants can be mounted there.
+    """
+    variants = []
     for variant in plan.variants:
         if variant.units:
             layout = Layout(
                 name=variant.name, units=variant.units, scene_name=plan.scene_name
             )
             check_layout(layout, scene)
+            variant = replace(variant, units=at_sites(layout, scene).units)
+        variants.append(variant)
+    return replace(plan, variants=tuple(variants))
 
 
 def read_plan(text: bytes, where: str) -> Plan:

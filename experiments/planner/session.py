@@ -276,7 +276,7 @@ class Session:
         """
         workspace = self.shown.workspace
         scene = workspace.setting.scene
-        check_plan(opened, scene)
+        opened = check_plan(opened, scene)
         state = self.shown.state
         # An empty plan is what the page begins with: nobody wants it beside the file's.
         if len(state.variants) == 1 and not state.variant.units:

@@ -414,6 +414,7 @@ class Tasks:
         junction: str,
         out: str,
         sites: str = "auto",
+        sites_crs: str = "",
         keeps_left: bool | None = None,
     ) -> None:
         """Cut a junction out of a map, into a folder.
@@ -428,6 +429,8 @@ class Tasks:
             The folder, which must not exist yet.
         sites : str
             As of ``--sites``.
+        sites_crs : str
+            As of ``--sites-crs``.
         keeps_left : bool, optional
             The side of the road, by default what the map says.
 
@@ -440,9 +443,8 @@ class Tasks:
 
         maps, junctions = self._read_map(path, keeps_left)
         chosen = choose_junction(maps[0], junctions, name=junction)
-        imported = cut_scene(
-            maps, chosen, ImportOptions(sites=sites), progress=self._progress
-        )
+        options = ImportOptions(sites=sites, sites_crs=sites_crs)
+        imported = cut_scene(maps, chosen, options, progress=self._progress)
         Path(out).mkdir()
         save_scene(Path(out), imported.scene, sources=imported.sources)
 

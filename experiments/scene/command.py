@@ -103,6 +103,17 @@ def scene() -> None:
     """
 
 
+sites_crs_option = options.option(
+    "--sites-crs",
+    default="",
+    metavar="CRS",
+    is_common=False,
+    help=(
+        "Of x and y in the list of --sites, where its file does not say: EPSG:25832 "
+        "or another that pyproj knows; default: that of the map, or the only one in "
+        "use there that fits."
+    ),
+)
 _IMPORT_EXAMPLES = """\b
 Examples:
   place-rsus scene import city.osm -o scene
@@ -139,10 +150,11 @@ Examples:
     metavar="WHERE",
     help=(
         "map: its lamps, signals and poles; kerb:15: every 15 m along the kerbs; a "
-        "CSV or GeoJSON file; auto: map, but for low sign posts and poles of other "
-        "junctions, and kerb:15 where none is within 25 m."
+        "list (CSV, GeoJSON, GeoPackage, Shapefile); auto: map, but for low sign posts "
+        "and poles of other junctions, and kerb:15 where none is within 25 m."
     ),
 )
+@sites_crs_option
 @options.option(
     "--terrain",
     type=click.Path(path_type=Path),

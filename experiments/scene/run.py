@@ -23,6 +23,7 @@ from geometry.maps.importing import (
     sort_junctions,
 )
 from geometry.maps.place_lists import SUFFIXES as LISTS
+from geometry.maps.place_lists import list_files
 from geometry.maps.source_map import SourceMap
 from geometry.notes import Finding, Note
 from geometry.opening import MAX_FILE_BYTES, read_bytes
@@ -339,8 +340,10 @@ def import_into_cache(
     reading = ReadingOptions(keeps_left=options.pop("keeps_left", None))
     wanted = ImportOptions(**options, reading=reading)
     digest = hashlib.sha256(f"{IMPORT_VERSION}\n{wanted!r}\n".encode())
-    listed = Path(wanted.sites)
-    for file in (path, *([listed] if listed.suffix.lower() in LISTS else [])):
+    files = [path]
+    if Path(wanted.sites).suffix.lower() in LISTS:
+        files += list_files(Path(wanted.sites))
+    for file in files:
         content = read_bytes(file, max_bytes=MAX_FILE_BYTES)
         digest.update(f"{file.name}\n".encode() + content)
     folder = cache / "scenes" / digest.hexdigest()[:16]

@@ -1,6 +1,7 @@
 """Features, buildings and walls from GeoJSON, GeoPackage and Shapefile."""
 
 import glob
+import logging
 import re
 import sqlite3
 import sys
@@ -43,6 +44,7 @@ from .source_map import (
     unique_id,
 )
 
+_log = logging.getLogger(__name__)
 MAX_FEATURES = 200_000
 SUFFIXES = (".geojson", ".json", ".gpkg", ".shp")
 # First bytes of a file: GDAL would take other things under these names too, and follow
@@ -107,13 +109,19 @@ class Features:
     crs: str
 
 
-def read_features(path: Path) -> Features:
+def read_features(
+    path: Path, *, kinds: Sequence[str] = (), named: Sequence[str] = ()
+) -> Features:
     """Read the layer of a GIS file, or of a .zip with one.
 
     Parameters
     ----------
     path : Path
         GeoJSON, GeoPackage or Shapefile.
+    kinds : sequence of str
+        Types of geometries for which a layer of several is chosen; empty: any.
+    named : sequence of str
+        Names of which the first decides where several layers are left.
 
     Returns
     -------
@@ -129,11 +137,11 @@ def read_features(path: Path) -> Features:
     suffix = path.suffix.lower()
     if suffix == ".zip":
         with unpacked(path, SUFFIXES) as member:
-            return read_features(member)
+            return read_features(member, kinds=kinds, named=(*named, member.stem))
     if suffix in (".geojson", ".json"):
         return _read_geojson(path)
     if suffix in _MAGIC:
-        return _read_with_gdal(path)
+        return _read_with_gdal(path, kinds, named)
     raise InputError(str(path), suffix, "one of " + ", ".join((*SUFFIXES, ".zip")))
 
 
@@ -220,13 +228,15 @@ def _geojson_crs(table: Any, where: str) -> str:
     return name
 
 
-def _read_with_gdal(path: Path) -> Features:
+def _read_with_gdal(path: Path, kinds: Sequence[str], named: Sequence[str]) -> Features:
     """Read a GeoPackage or Shapefile through GDAL.
 
     Parameters
     ----------
     path : Path
         File to read.
+    kinds, named : sequence of str
+        Which of several layers is read, see :func:`read_features`.
 
     Returns
     -------
@@ -255,15 +265,15 @@ def _read_with_gdal(path: Path) -> Features:
         with warnings.catch_warnings():
             # Rings left open and the like, which GDAL mends.
             warnings.simplefilter("ignore")
-            layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
-            if len(layers) != 1:
-                refuse(where, f"{len(layers)} layers", "a file with one")
-            info = pyogrio.read_info(path)
+            layer = _choose_layer(where, pyogrio.list_layers(path), kinds, named)
+            info = pyogrio.read_info(path, layer=layer)
             if info["driver"] != _DRIVERS[path.suffix.lower()]:
                 refuse(where, f"a file for {info['driver']}", name)
             if info["geometry_type"] is None:
                 refuse(where, "a table without geometries", name)
-            table = pyogrio.read_dataframe(path, max_features=MAX_FEATURES + 1)
+            table = pyogrio.read_dataframe(
+                path, layer=layer, max_features=MAX_FEATURES + 1
+            )
     _refuse_many(len(table), where)
     # Cells that have a value, row by row.
     columns = {
@@ -288,6 +298,32 @@ def _read_with_gdal(path: Path) -> Features:
     if table.crs is not None:
         crs = table.crs.to_wkt()
     return Features(features=tuple(features), crs=crs)
+
+
+def _choose_layer(
+    where: str, layers: Any, kinds: Sequence[str], named: Sequence[str]
+) -> str:
+    """Layer to read: the only one, the only one of these kinds, or the named one.
+
+    `layers` are rows of name and type of geometry. Raises InputError if several are
+    left.
+    """
+    every = [(str(name), str(kind).removesuffix(" Z")) for name, kind in layers]
+    fitting = [name for name, kind in every if not kinds or kind in kinds]
+    if len(every) == 1:
+        return every[0][0]
+    if len(fitting) == 1:
+        return fitting[0]
+    for name in named:
+        if name in fitting:
+            if len(every) > 1:
+                _log.warning("%s: layer %s is read, of %d", where, name, len(every))
+            return name
+    names = ", ".join(name[:60] for name, _ in every[:20])
+    expected = "a file with one"
+    if named:
+        expected = f"one, or one that is called {' or '.join(dict.fromkeys(named))}"
+    refuse(where, f"{len(every)} layers: {names}", expected)
 
 
 def _check_tables(path: Path) -> None:

@@ -19,7 +19,7 @@ import shapely
 from ..archives import unpacked
 from ..arrays import FloatArray
 from ..errors import InputError, check_one_of, refuse
-from ..frames import WGS84, transform
+from ..frames import WGS84, check_crs, transform
 from ..junction import build_junction
 from ..notes import Note
 from ..opening import check_file, open_file, read_text
@@ -585,6 +585,9 @@ class ImportOptions:
         [m]
     sites : str
         Where sites come from, see :func:`geometry.maps.sites.choose_sites`.
+    sites_crs : str
+        Reference system of x and y in a list of sites that does not say; empty: see
+        :func:`geometry.maps.site_crs.find_sites_crs`.
     terrain : Path, optional
         Raster with the heights of the ground, see
         :func:`geometry.maps.relief.read_elevation`; by default heights are those of
@@ -599,6 +602,7 @@ class ImportOptions:
     at: tuple[float, float] | None = None
     radius_m: float = DEFAULT_RADIUS_M
     sites: str = "auto"
+    sites_crs: str = ""
     terrain: Path | None = None
     name: str = ""
     reading: ReadingOptions = field(default_factory=ReadingOptions)
@@ -609,6 +613,7 @@ class ImportOptions:
             raise InputError("radius_m", self.radius_m, f"metres, {low:g} to {high:g}")
         if self.junction and self.at is not None:
             refuse("at", "it beside `junction`", "one of them")
+        check_crs(self.sites_crs, "sites_crs")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -723,6 +728,7 @@ def load_map_scene(
     junction: str,
     at: tuple[float, float] | None,
     sites: str,
+    sites_crs: str,
     keeps_left: bool | None,
 ) -> Scene:
     """Scene of one junction of a map, as a :class:`geometry.scene_sources.SceneReader`.
@@ -731,7 +737,7 @@ def load_map_scene(
     ----------
     path : Path
         The map.
-    junction, at, sites, keeps_left
+    junction, at, sites, sites_crs, keeps_left
         As :func:`geometry.scene_sources.load_scene` takes them.
 
     Returns
@@ -745,7 +751,9 @@ def load_map_scene(
         As :func:`import_scene`.
     """
     reading = ReadingOptions(keeps_left=keeps_left)
-    options = ImportOptions(junction=junction, at=at, sites=sites, reading=reading)
+    options = ImportOptions(
+        junction=junction, at=at, sites=sites, sites_crs=sites_crs, reading=reading
+    )
     return import_scene([path], options).scene
 
 
@@ -807,6 +815,7 @@ def cut_scene(
         surroundings,
         roads,
         radius_m=radius_m,
+        sites_crs=options.sites_crs,
     )
     source_crs = ""
     if roads.crs:

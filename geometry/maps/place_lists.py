@@ -1,9 +1,13 @@
 """Lists of places: sites; areas of a city; counts such as accidents."""
 
+import glob
 import logging
 import re
+import unicodedata
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,12 +17,12 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
-from ..csv_files import csv_rows
-from ..errors import InputError, check_name, refuse
+from ..csv_files import csv_rows, read_csv_text
+from ..errors import Faults, InputError, check_name, gathering, refuse
 from ..frames import WGS84, parse_crs, transform
-from ..opening import read_text
 from ..text_formats import float_of, load_data
-from .georeferences import horizontal_crs
+from .georeferences import crs_name, horizontal_crs
+from .gis_files import SUFFIXES as GIS_SUFFIXES
 from .gis_files import Feature, Features, read_features
 
 if TYPE_CHECKING:
@@ -26,13 +30,29 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
-SUFFIXES = (".csv", ".geojson", ".json")
+SUFFIXES = (".csv", *GIS_SUFFIXES, ".zip")
 _MAX_SITES = 50_000
 _WORDS: dict[str, Any] = load_data("geometry.maps", "words.toml")["places"]
 PLACE_FIELDS: dict[str, list[str]] = _WORDS["fields"]
 _FIELDS: dict[str, list[str]] = PLACE_FIELDS | _WORDS["site_fields"]
+_FIRST_COUNTS: list[str] = _WORDS["first_counts"]
 _YES_NO: dict[str, bool] = _WORDS["answers"]
 _Row = tuple[str, dict[str, Any]]
+_POINTS = ("Point", "MultiPoint")
+# Numbers of a site, and the least that makes sense.
+_SITE_NUMBERS: dict[str, float | None] = {
+    "z": None,
+    "min_height": 0.0,
+    "max_height": 0.0,
+    "height": 0.0,
+    "cost": 0.0,
+    "capacity": 1.0,
+}
+_SPELLED = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
+# Names of columns that a message offers.
+_MAX_HEADERS = 12
+# Of a column, in a Shapefile.
+_MAX_SHAPEFILE_NAME = 10
 # A transverse Mercator around a junction has its origin there.
 _NEAR_M = 200_000.0
 
@@ -65,6 +85,8 @@ class SiteWish:
         A fibre is at hand.
     is_forbidden : bool
         Nothing may be mounted there.
+    surveyed_m : (2,) float or None
+        Where it stands by the list, if the site was moved. [m]
     """
 
     id: str
@@ -78,6 +100,7 @@ class SiteWish:
     has_power: bool | None = None
     has_fibre: bool | None = None
     is_forbidden: bool = False
+    surveyed_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
         set_arrays(self, f"site {self.id}.", position_m=(2,))
@@ -86,12 +109,34 @@ class SiteWish:
     def n_said(self) -> int:
         """Number of details that are given."""
         # But for id and position.
-        details = fields(self)[2:]
+        details = [one for one in fields(self)[2:] if one.name != "surveyed_m"]
         return sum(getattr(self, one.name) != one.default for one in details)
 
 
-def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
-    """Read a list of sites: CSV with a header, or GeoJSON with points.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SiteRows:
+    """Rows of a list of sites, before they are brought onto a map.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    rows : tuple of (str, dict of str to Any)
+        Where each row is, and its values by field; x and y are in `crs`.
+    crs : str
+        Reference system of x and y as the file declares it; empty: it does not.
+    faults : Faults
+        What is wrong so far.
+    """
+
+    path: Path
+    rows: tuple[_Row, ...]
+    crs: str
+    faults: Faults
+
+
+def read_sites(path: Path, *, crs: str, sites_crs: str = "") -> tuple[SiteWish, ...]:
+    """Read a list of sites: CSV with a header, or points of a GIS file.
 
     Columns are those of ``docs/formats.md``; case does not matter, nor do units
     at the end of a name, "height [m]"; a comma may stand for the decimal point.
@@ -100,9 +145,11 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     Parameters
     ----------
     path : Path
-        File to read.
+        CSV, GeoJSON, GeoPackage or Shapefile.
     crs : str
         Projected reference system of the scene; empty: it has none.
+    sites_crs : str
+        Reference system of x and y where the file declares none; empty: `crs`.
 
     Returns
     -------
@@ -112,41 +159,136 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     Raises
     ------
     InputError
-        The file cannot be read, or a field is missing or wrong.
+        The file cannot be read, or a field is missing or wrong; all that is wrong
+        stands in one message.
+    """
+    return sites_of(read_site_rows(path), crs=crs, sites_crs=sites_crs)
+
+
+def read_site_rows(path: Path) -> SiteRows:
+    """Rows of a list of sites with at least one row.
+
+    Parameters
+    ----------
+    path : Path
+        CSV, GeoJSON, GeoPackage or Shapefile.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has no rows.
     """
     suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        expected = "one of " + ", ".join(SUFFIXES) + "; of a spreadsheet, a CSV file"
+        raise InputError(str(path), suffix, expected)
+    faults = Faults(str(path))
+    declared = ""
     if suffix == ".csv":
-        rows = list(read_csv_rows(path))
+        table = list(read_csv_rows(path, faults=faults))
         names: list[str] = []
-        if rows:
-            names = list(rows[0][1])
-        fields = known_columns(names, str(path))
+        if table:
+            names = list(table[0][1])
+        fields = known_columns(names, str(path), faults=faults)
         tell_unknown(names, fields, path)
         rows = [
-            (here, {fields[name]: row[name] for name in fields}) for here, row in rows
+            (here, {fields[name]: row[name] for name in fields}) for here, row in table
         ]
-    elif suffix in SUFFIXES:
-        rows = list(_geojson_rows(path, crs))
+        if rows:
+            _check_fields(set(fields.values()), names, faults)
     else:
-        raise InputError(str(path), suffix, "one of " + ", ".join(SUFFIXES))
+        rows, declared = _gis_rows(path, faults)
     if not rows:
+        faults.tell()
         refuse(str(path), "no sites", "one per line")
-    # One site for each row; ids must be unique.
-    sites = []
-    seen: set[str] = set()
-    for where, values in rows:
-        site = _site(values, where, crs)
-        if site.id in seen:
-            raise InputError(f"{where}: id", site.id, "every id once")
-        seen.add(site.id)
+    return SiteRows(path=path, rows=tuple(rows), crs=declared, faults=faults)
+
+
+def sites_of(
+    listed: SiteRows, *, crs: str, sites_crs: str = ""
+) -> tuple[SiteWish, ...]:
+    """Sites of the rows of a list, see :func:`read_sites`."""
+    if listed.crs and sites_crs and parse_crs(sites_crs) != parse_crs(listed.crs):
+        expected = (
+            f"none: {listed.path.name} says that it is in {crs_words(listed.crs)}"
+        )
+        raise InputError("sites_crs", sites_crs, expected)
+    own_crs = listed.crs or sites_crs
+    faults = listed.faults
+    # Of a column that is missing, each row would tell.
+    is_told = bool(faults.found)
+    sites: list[SiteWish] = []
+    lines: dict[str, str] = {}
+    for where, values in listed.rows:
+        site = _site(values, where, crs, own_crs, faults, is_told=is_told)
+        if site is None:
+            continue
+        if site.id in lines and site.id:
+            expected = f"every id once: {lines[site.id]} has it, too"
+            with gathering(faults):
+                raise InputError(f"{where}: id", site.id, expected)
+        lines.setdefault(site.id, where.removeprefix(f"{listed.path}: "))
         sites.append(site)
+    faults.tell()
     return tuple(sites)
+
+
+def crs_words(crs: str) -> str:
+    """Code and title of a reference system, for messages.
+
+    >>> crs_words("EPSG:25832")
+    'EPSG:25832 (ETRS89 / UTM zone 32N)'
+    """
+    system = parse_crs(crs)
+    code = crs_name(system)
+    if code.startswith(("PROJCRS", "GEOGCRS", "BOUNDCRS", "COMPOUNDCRS")):
+        return system.name
+    return f"{code} ({system.name})"
+
+
+def _check_fields(found: set[str], names: Sequence[str], faults: Faults) -> None:
+    """Add faults for columns that a list of sites lacks."""
+    where = _columns_at(faults.where, names)
+    if "id" not in found:
+        with gathering(faults):
+            refuse(where, "no id", f"one of {_headers('id')}")
+    has_metres = {"x", "y"} <= found
+    has_degrees = {"lat", "lon"} <= found
+    if has_metres or has_degrees:
+        return
+    pair = ("x", "y")
+    if found & {"lat", "lon"}:
+        pair = ("lat", "lon")
+    missing = [name for name in pair if name not in found]
+    if len(missing) == 1:
+        expected = f"one of {_headers(missing[0])}"
+        with gathering(faults):
+            refuse(where, f"no {missing[0]}", expected)
+        return
+    expected = (
+        f"x and y ({_headers('x')}; {_headers('y')}), or lat and lon"
+        f" ({_headers('lat')}; {_headers('lon')})"
+    )
+    with gathering(faults):
+        refuse(where, "no place", expected)
+
+
+def _columns_at(file: str | Path, names: Sequence[str]) -> str:
+    """A file and its columns, for messages."""
+    return f"{file}: columns {', '.join(names)[:120]}".removesuffix(" ")
+
+
+def _headers(field: str) -> str:
+    """Some names of a field's column, for messages."""
+    return ", ".join(_FIELDS[field][:_MAX_HEADERS])
 
 
 def known_columns(
     names: Sequence[str],
     where: str,
     fields: Mapping[str, Sequence[str]] = _FIELDS,
+    *,
+    faults: Faults | None = None,
 ) -> dict[str, str]:
     """Field of every known column.
 
@@ -158,6 +300,8 @@ def known_columns(
         File and element at hand, for messages.
     fields : Mapping[str, Sequence[str]]
         Names under which each field is known.
+    faults : Faults or None
+        Takes what is wrong, and the column is left out; None: it is raised.
 
     Returns
     -------
@@ -169,36 +313,93 @@ def known_columns(
     InputError
         Two columns are one field, or one has another unit.
     """
-    found: dict[str, str] = {}
-    field_of: dict[str, str] = {}
-    for known_field, aliases in fields.items():
-        for alias in aliases:
-            field_of[alias] = known_field
+    table = _aliases(tuple((field, tuple(names)) for field, names in fields.items()))
+    found: dict[str, tuple[str, int]] = {}
+    column_of: dict[str, str] = {}
     for name in names:
-        # Drop units at the end of the name.
-        words = re.findall(r"[^\W\d_]+", name.strip().lower()[:60])
-        while words and words[-1] in _WORDS["units"] and len(words) > 1:
+        with gathering(faults):
+            match = _field_of(name, table, where)
+            if match is None:
+                continue
+            field, rank = match
+            other = column_of.get(field)
+            if other is None:
+                column_of[field] = name
+            elif field not in _FIRST_COUNTS or found[other][1] == rank:
+                expected = f"one of {other!r:.60} and {name!r:.60}"
+                refuse(f"{where}: column {name!r:.60}", f"a second {field}", expected)
+            elif rank < found[other][1]:
+                column_of[field] = name
+            found[name] = match
+    kept = set(column_of.values())
+    return {name: found[name][0] for name in names if name in kept}
+
+
+def plain_column(name: str) -> list[str]:
+    """Words of a column's name in lower case, without accents, digits and units.
+
+    >>> plain_column("Lichtpunkthöhe [m]")
+    ['lichtpunkthoehe']
+    >>> plain_column("N° de support")
+    ['numero', 'de', 'support']
+    """
+    text = re.sub(r"\bn[°º]", "numero ", name.strip().lower()[:60])
+    text = text.translate(_SPELLED)
+    text = "".join(
+        letter
+        for letter in unicodedata.normalize("NFKD", text)
+        if not unicodedata.combining(letter)
+    )
+    words = re.findall(r"[^\W\d_]+", text)
+    while len(words) > 1 and words[-1] in _WORDS["units"]:
+        words.pop()
+        if len(words) > 1 and words[-1] in _WORDS["before_units"]:
             words.pop()
-            # "height in m".
-            if words[-1] == "in" and len(words) > 1:
-                words.pop()
-        is_other = len(words) > 1 and words[-1] in _WORDS["other_units"]
-        if is_other and "_".join(words[:-1]) in field_of:
+    return words
+
+
+@lru_cache(maxsize=8)
+def _aliases(
+    fields: tuple[tuple[str, tuple[str, ...]], ...],
+) -> dict[str, tuple[str, int]]:
+    """Field, and rank among its names, of every name that a column may have.
+
+    Names of ten letters that begin one field's names alone are names of it, too:
+    Shapefiles cut names off.
+    """
+    table: dict[str, tuple[str, int]] = {}
+    for field, names in fields:
+        for rank, name in enumerate(names):
+            table[name.replace("_", "")] = (field, rank)
+    beginnings: dict[str, set[tuple[str, int]]] = {}
+    for name, match in table.items():
+        if len(name) > _MAX_SHAPEFILE_NAME:
+            beginnings.setdefault(name[:_MAX_SHAPEFILE_NAME], set()).add(match)
+    for name, matches in beginnings.items():
+        if len({field for field, _ in matches}) == 1:
+            table.setdefault(name, min(matches, key=lambda match: match[1]))
+    return table
+
+
+def _field_of(
+    name: str, table: Mapping[str, tuple[str, int]], where: str
+) -> tuple[str, int] | None:
+    """Field and rank of a column; InputError: it is in another unit."""
+    words = plain_column(name)
+    axis = [word for word in words if word not in _WORDS["qualifiers"]]
+    for kept in (words, axis):
+        match = table.get("".join(kept))
+        if match is not None:
+            return match
+        is_other = len(kept) > 1 and kept[-1] in _WORDS["other_units"]
+        if is_other and "".join(kept[:-1]) in table:
             raise InputError(
-                f"{where}: column {name!r:.60}",
-                words[-1],
-                "metres and euros",
+                f"{where}: column {name!r:.60}", kept[-1], "metres and euros"
             )
-        field = field_of.get("_".join(words))
-        if field is None:
-            continue
-        if field in found.values():
-            refuse(f"{where}: column {name!r:.60}", f"a second {field}", "one")
-        found[name] = field
-    return found
+    return None
 
 
-def read_csv_rows(path: Path) -> Iterator[_Row]:
+def read_csv_rows(path: Path, *, faults: Faults | None = None) -> Iterator[_Row]:
     """Rows of a CSV file with a header.
 
     Cells are separated by comma, semicolon or tab; empty lines are left out.
@@ -207,6 +408,8 @@ def read_csv_rows(path: Path) -> Iterator[_Row]:
     ----------
     path : Path
         File to read.
+    faults : Faults or None
+        Takes rows with other numbers of cells; None: they are raised.
 
     Yields
     ------
@@ -218,10 +421,15 @@ def read_csv_rows(path: Path) -> Iterator[_Row]:
     InputError
         The file is no CSV.
     """
-    rows = csv_rows(read_text(path, "CSV"), str(path), separators=";\t,")
-    _, names = next(rows, ("", []))
-    for number, (here, cells) in enumerate(rows, start=2):
-        if number > _MAX_SITES:
+    text = read_csv_text(path)
+    rows = csv_rows(text, str(path), separators=";\t,", faults=faults)
+    here, names = next(rows, ("", []))
+    for name, number in Counter(names).items():
+        if number > 1 and name:
+            with gathering(faults):
+                refuse(f"{here}: column {name!r:.60}", f"{number} of it", "one")
+    for count, (here, cells) in enumerate(rows, start=2):
+        if count > _MAX_SITES:
             refuse(str(path), f"more than {_MAX_SITES:,} lines", "fewer")
         yield here, dict(zip(names, cells, strict=True))
 
@@ -237,68 +445,101 @@ def tell_unknown(names: Iterable[str], known: Mapping[str, str], path: Path) -> 
         )
 
 
-def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
-    """Rows of a GeoJSON file of points, with the fields of sites.
+def list_files(path: Path) -> tuple[Path, ...]:
+    """A list and the files beside it that belong to it, in the order of their names.
+
+    A Shapefile has its names in a .dbf file, and its reference system in a .prj.
+    """
+    if path.suffix.lower() != ".shp":
+        return (path,)
+    beside = path.parent.glob(f"{glob.escape(path.stem)}.*")
+    parts = (".shp", ".shx", ".dbf", ".prj", ".cpg")
+    return tuple(sorted(one for one in beside if one.suffix.lower() in parts))
+
+
+def _gis_rows(path: Path, faults: Faults) -> tuple[list[_Row], str]:
+    """Rows of a GIS file of points, and the reference system of x and y.
 
     Parameters
     ----------
     path : Path
-        File to read.
-    crs : str
-        Reference system of the scene; empty: it has none.
+        GeoJSON, GeoPackage or Shapefile.
+    faults : Faults
+        Takes what is wrong with a row, which is left out then.
 
-    Yields
-    ------
-    row : (str, dict of str to Any)
-        Where the row is, and its values by field.
+    Returns
+    -------
+    rows : list of (str, dict of str to Any)
+        Where each row is, and its values by field.
+    crs : str
+        Empty: the file does not say, or has latitudes and longitudes.
 
     Raises
     ------
     InputError
-        A geometry is no point, or its coordinates fit no scene.
+        The file cannot be read, or pyproj does not know its reference system.
     """
-    table = read_features(path)
-    declared = _declared_crs(table, str(path))
+    table = read_features(path, kinds=_POINTS, named=("sites", path.stem))
+    is_in_degrees = False
+    crs = ""
+    if table.crs:
+        declared = _declared_crs(table, str(path))
+        is_in_degrees = declared.is_geographic and declared.to_authority() in (
+            None,
+            ("EPSG", "4326"),
+        )
+        if not is_in_degrees:
+            crs = crs_name(declared)
     if len(table.features) > _MAX_SITES:
         refuse(str(path), f"{len(table.features):,} features", "fewer")
-    known: dict[str, str] = {}
+    # Rows of a GeoJSON file may have different columns.
+    known_of: dict[tuple[str, ...], dict[str, str]] = {}
     for feature in table.features:
-        geometry = feature.geometry
-        where = feature.where
-        fields = known_columns(list(feature.values), where)
-        known |= fields
+        names = tuple(feature.values)
+        if names not in known_of:
+            known_of[names] = known_columns(names, feature.where, faults=faults)
+    known: dict[str, str] = {}
+    for own in known_of.values():
+        known |= own
+    every = [name for names in known_of for name in names]
+    tell_unknown(every, known, path)
+    if table.features and "id" not in known.values():
+        with gathering(faults):
+            refuse(_columns_at(path, every), "no id", f"one of {_headers('id')}")
+    rows: list[_Row] = []
+    for feature in table.features:
+        own = known_of[tuple(feature.values)]
         values = {
-            fields[name]: value
-            for name, value in feature.values.items()
-            if name in fields
+            own[name]: value for name, value in feature.values.items() if name in own
         }
-        if geometry is not None and not geometry.is_empty:
-            if geometry.geom_type != "Point":
-                raise InputError(f"{where}.geometry", geometry.geom_type, "a Point")
-            for name in ("x", "y", "lat", "lon"):
-                values.pop(name, None)
-            if declared.is_geographic and declared.to_authority() in (
-                None,
-                ("EPSG", "4326"),
-            ):
-                values |= {"lon": geometry.x, "lat": geometry.y}
-            elif not crs:
-                refuse(
-                    where,
-                    f"coordinates in {table.crs[:80]}",
-                    "x and y of the scene",
-                )
-            else:
-                place = transform([geometry.x, geometry.y], table.crs, crs)
-                values["x"], values["y"] = place.tolist()
-            if geometry.has_z:
-                values.setdefault("z", geometry.z)
-        yield where, values
-    tell_unknown(
-        (name for feature in table.features for name in feature.values),
-        known,
-        path,
-    )
+        with gathering(faults):
+            point = _point_of(feature)
+            if point is not None:
+                for name in ("x", "y", "lat", "lon"):
+                    values.pop(name, None)
+                pair = ("x", "y")
+                if is_in_degrees:
+                    pair = ("lon", "lat")
+                values |= dict(zip(pair, (point.x, point.y), strict=True))
+                if point.has_z:
+                    values.setdefault("z", point.z)
+            rows.append((feature.where, values))
+    return rows, crs
+
+
+def _point_of(feature: Feature) -> "shapely.Point | None":
+    """Point of a feature, or of its multipoint of one; None: it has no geometry.
+
+    Raises InputError if it is another geometry.
+    """
+    geometry = feature.geometry
+    if geometry is None or geometry.is_empty:
+        return None
+    parts = shapely.get_parts(geometry)
+    if geometry.geom_type not in _POINTS or len(parts) != 1:
+        raise InputError(f"{feature.where}.geometry", geometry.geom_type, "a Point")
+    point: shapely.Point = parts[0]
+    return point
 
 
 def _declared_crs(table: Features, where: str) -> "CRS":
@@ -314,44 +555,80 @@ def _declared_crs(table: Features, where: str) -> "CRS":
     return declared
 
 
-def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
-    """Site of one row; InputError: a field is missing or wrong."""
+def _site(
+    values: Mapping[str, Any],
+    where: str,
+    crs: str,
+    own_crs: str,
+    faults: Faults,
+    *,
+    is_told: bool,
+) -> SiteWish | None:
+    """Site of one row; None: a field is missing or wrong, which `faults` takes.
+
+    `is_told`: columns are missing, and the file has been told about them.
+    """
+    n_before = len(faults.found)
+    has_place = {"x", "y"} <= set(values) or {"lat", "lon"} <= set(values)
     site_id = str(values.get("id", "")).strip()
-    if not site_id:
-        refuse(f"{where}: id", "nothing", "a name")
-    check_name(site_id, f"{where}: id")
-    kind = " ".join(str(values.get("kind", "")).lower().replace("_", " ").split())
-    check_name(kind, f"{where}: kind")
-    low = read_number(values, "min_height", where, least=0.0)
-    high = read_number(values, "max_height", where, least=0.0)
+    with gathering(faults):
+        if not site_id and ("id" in values or not is_told):
+            refuse(f"{where}: id", "nothing", "a name")
+        check_name(site_id, f"{where}: id")
+    words = str(values.get("kind", "")).lower().replace("_", " ").split()
+    kind = " ".join(words)
+    with gathering(faults):
+        check_name(kind, f"{where}: kind")
+    position = np.zeros(2)
+    with gathering(faults):
+        if has_place or not is_told:
+            position = read_position(values, where, crs, own_crs)
+    numbers: dict[str, float | None] = {}
+    for field, least in _SITE_NUMBERS.items():
+        numbers[field] = None
+        with gathering(faults):
+            numbers[field] = read_number(values, field, where, least=least)
+    low = numbers["min_height"]
+    high = numbers["max_height"]
     if high is None:
-        high = read_number(values, "height", where, least=0.0)
+        high = numbers["height"]
     if low is not None and high is not None and low > high:
-        raise InputError(f"{where}: max_height", high, f"at least min_height, {low}")
-    capacity = read_number(values, "capacity", where, least=1.0)
-    if capacity is not None and capacity != int(capacity):
-        raise InputError(f"{where}: capacity", capacity, "a whole number, at least 1")
+        expected = f"at least min_height, {low}"
+        with gathering(faults):
+            raise InputError(f"{where}: max_height", high, expected)
+    capacity = numbers["capacity"]
     capacity_units = None
     if capacity is not None:
         capacity_units = int(capacity)
-    words = str(values.get("kind", "")).lower().replace("_", " ").split()
-    kind = " ".join(words)
+        if capacity != capacity_units:
+            expected = "a whole number, at least 1"
+            with gathering(faults):
+                raise InputError(f"{where}: capacity", capacity, expected)
+    answers: dict[str, bool | None] = {}
+    for field in ("power", "fibre", "forbidden"):
+        answers[field] = None
+        with gathering(faults):
+            answers[field] = _yes_no(values, field, where)
+    if len(faults.found) > n_before:
+        return None
     return SiteWish(
         id=site_id[:120],
-        position_m=read_position(values, where, crs),
+        position_m=position,
         kind=kind[:60],
-        z_m=read_number(values, "z", where),
+        z_m=numbers["z"],
         min_height_m=low,
         max_height_m=high,
-        cost_eur=read_number(values, "cost", where, least=0.0),
+        cost_eur=numbers["cost"],
         capacity_units=capacity_units,
-        has_power=_yes_no(values, "power", where),
-        has_fibre=_yes_no(values, "fibre", where),
-        is_forbidden=bool(_yes_no(values, "forbidden", where)),
+        has_power=answers["power"],
+        has_fibre=answers["fibre"],
+        is_forbidden=bool(answers["forbidden"]),
     )
 
 
-def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
+def read_position(
+    values: Mapping[str, Any], where: str, crs: str, own_crs: str = ""
+) -> FloatArray:
     """Position in a scene's system, by x and y, or by lat and lon.
 
     Parameters
@@ -362,6 +639,8 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
         File and element at hand, for messages.
     crs : str
         Reference system of the scene; empty: it has none.
+    own_crs : str
+        Reference system of x and y; empty: that of the scene.
 
     Returns
     -------
@@ -379,7 +658,7 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
     }
     x, y, lat, lon = given.values()
     if x is not None and y is not None:
-        return np.array([x, y])
+        return _in_scene(np.array([x, y]), where, crs, own_crs)
     if lat is None or lon is None:
         wanted = ("lat", "lon")
         if (x is None) != (y is None):
@@ -412,6 +691,20 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
     return position
 
 
+def _in_scene(position_m: FloatArray, where: str, crs: str, own_crs: str) -> FloatArray:
+    """Easting and northing of a list in the scene's system; see read_position."""
+    if not own_crs:
+        return position_m
+    if not crs:
+        expected = "x and y of the scene, which does not say where on earth it lies"
+        refuse(where, f"coordinates in {crs_words(own_crs)}", expected)
+    moved = transform(position_m, own_crs, crs)
+    if not np.isfinite(moved).all():
+        expected = f"a place in {crs_words(own_crs)}"
+        raise InputError(f"{where}: x and y", position_m.tolist(), expected)
+    return moved
+
+
 def _is_here(position_m: FloatArray, crs: str, lonlat_deg: list[float]) -> bool:
     """True if a position lies in a reference system's area.
 
@@ -435,7 +728,8 @@ def read_number(
 ) -> float | None:
     """Finite number of a field, or None where nothing is stated.
 
-    A comma may be the decimal point.
+    A comma may be the decimal point; points, apostrophes and spaces may part
+    thousands.
 
     Parameters
     ----------
@@ -461,18 +755,33 @@ def read_number(
     value = values.get(field)
     if value is None or value == "":
         return None
-    if isinstance(value, str) and "," in value:
-        thousands = ","
-        if value.rfind(",") > value.rfind("."):
-            thousands = "."
-        value = value.replace(thousands, "").replace(",", ".")
     number = float_of(value)
+    if isinstance(value, str):
+        number = float_of(_plain_number(value))
     if not np.isfinite(number) or (least is not None and number < least):
         expected = "a finite number" + (
             "" if least is None else f", at least {least:g}"
         )
         raise InputError(f"{where}: {field}", value, expected)
     return number
+
+
+def _plain_number(text: str) -> str:
+    """A number as people write it, with a decimal point and no marks of thousands.
+
+    >>> [_plain_number(text) for text in ("7,5", "1.250,50", "5 650 294.9")]
+    ['7.5', '1250.50', '5650294.9']
+    """
+    plain = re.sub(r"(?<=\d)[\s'\u2019](?=\d{3})", "", text.strip())
+    marks = [mark for mark in ",." if mark in plain]
+    if not marks:
+        return plain
+    # The last mark is the decimal one, unless it stands there several times.
+    decimal = max(marks, key=plain.rfind)
+    for mark in marks:
+        if mark != decimal or plain.count(mark) > 1:
+            plain = plain.replace(mark, "")
+    return plain.replace(",", ".")
 
 
 def _yes_no(values: Mapping[str, Any], field: str, where: str) -> bool | None:

@@ -25,7 +25,8 @@ from ..scene import HANGING_KINDS, Lane, Site, area_of, covered_area, flat_union
 from ..terrain import HEADROOM_M, headroom_m
 from ..text_formats import float_of, load_data
 from .cut import CutSurroundings
-from .place_lists import SUFFIXES, SiteWish, read_sites
+from .place_lists import SUFFIXES, SiteWish, read_site_rows, sites_of
+from .site_crs import find_sites_crs
 from .source_map import (
     MIN_POLE_M,
     Pole,
@@ -305,25 +306,52 @@ def _things_over(positions: FloatArray, things: Sequence[Thing]) -> dict[int, Th
 
 
 # ---------- the sites of a scene
-def check_sites(where: str, *, crs: str) -> None:
-    """Check where sites come from, before a junction is chosen.
+def check_sites(
+    where: str, roads: SourceMap, *, sites_crs: str
+) -> tuple[str, tuple[Note, ...]]:
+    """Check where sites come from, before a junction of a map is chosen.
 
     Parameters
     ----------
     where : str
         See :func:`choose_sites`.
-    crs : str
-        Reference system of the map with the roads.
+    roads : SourceMap
+        Map with the roads, whole.
+    sites_crs : str
+        See :func:`choose_sites`.
+
+    Returns
+    -------
+    sites_crs : str
+        That of x and y of a list, so that no junction has to find it by the lanes
+        around it; empty: the list declares its own, or there is none.
+    notes : tuple of Note
+        Tells a reference system that was found.
 
     Raises
     ------
     InputError
-        `where` cannot be read.
+        `where` cannot be read, or the reference system of a list is not clear.
     """
-    if _is_list(where):
-        read_sites(Path(where), crs=crs)
-    elif where.startswith(KERB):
-        _spacing_m(where)
+    if not _is_list(where):
+        _refuse_crs_of_no_list(where, sites_crs)
+        if where.startswith(KERB):
+            _spacing_m(where)
+        return "", ()
+    listed = read_site_rows(Path(where))
+    notes: tuple[Note, ...] = ()
+    if not sites_crs:
+        sites_crs, notes = find_sites_crs(listed, roads)
+    sites_of(listed, crs=roads.crs, sites_crs=sites_crs)
+    if not listed.crs:
+        sites_crs = sites_crs or roads.crs
+    return sites_crs, notes
+
+
+def _refuse_crs_of_no_list(where: str, sites_crs: str) -> None:
+    """Refuse the reference system of a list where none is given."""
+    if sites_crs:
+        raise InputError("sites_crs", sites_crs, f"`sites` with a list, not {where}")
 
 
 def _is_list(where: str) -> bool:
@@ -335,7 +363,7 @@ def _is_list(where: str) -> bool:
     raise InputError(
         "sites",
         where,
-        "auto, map, kerb:SPACING, or a .csv or .geojson file",
+        "auto, map, kerb:SPACING, or a list: a file " + ", ".join(SUFFIXES),
     )
 
 
@@ -345,14 +373,15 @@ def choose_sites(
     roads: SourceMap,
     *,
     radius_m: float,
+    sites_crs: str = "",
 ) -> tuple[tuple[Site, ...], tuple[Note, ...]]:
     """Sites of a scene, at least one, and notes on what was left out.
 
     Parameters
     ----------
     where : str
-        "map": the poles of the map; "kerb:SPACING"; a CSV or GeoJSON file (x
-        and y in the coordinates of `roads`); or "auto": the poles of the map
+        "map": the poles of the map; "kerb:SPACING"; a list, as
+        :func:`.place_lists.read_sites` reads it; or "auto": the poles of the map
         but for low sign posts and what belongs to another junction, and masts
         along the kerbs where none of them is near the middle, see
         ``data/sites.toml``.
@@ -362,6 +391,9 @@ def choose_sites(
         Map with the roads.
     radius_m : float
         Radius around the middle of the junction. [m]
+    sites_crs : str
+        Reference system of x and y in a list that does not say; empty: see
+        :func:`.site_crs.find_sites_crs`.
 
     Returns
     -------
@@ -376,8 +408,16 @@ def choose_sites(
         `where` cannot be read, or no site is left within `radius_m`.
     """
     notes: list[Note] = []
-    if _is_list(where):
-        wishes = _listed(Path(where), surroundings, roads, radius_m, notes)
+    is_list = _is_list(where)
+    if not is_list:
+        _refuse_crs_of_no_list(where, sites_crs)
+    if is_list:
+        listed = read_site_rows(Path(where))
+        if not sites_crs:
+            sites_crs, found = find_sites_crs(listed, roads)
+            notes += found
+        every = sites_of(listed, crs=roads.crs, sites_crs=sites_crs)
+        wishes = _listed(every, Path(where).name, surroundings, roads, radius_m, notes)
     elif where in (AUTO, MAP):
         wishes = _poles(surroundings, notes)
         if where == AUTO:
@@ -391,7 +431,10 @@ def choose_sites(
     ids = [unique_id(plain_id(wish.id) or "site", taken) for wish in wishes]
     wishes = [replace(wish, id=name) for wish, name in zip(wishes, ids, strict=True)]
     # Move them off the road, out of walls, and below roofs.
-    placed = _settled(wishes, surroundings, notes if is_asked_for else [])
+    told: list[Note] = []
+    if is_asked_for:
+        told = notes
+    placed = _settled(wishes, surroundings, told, is_surveyed=is_list)
     kept, dropped = tidy_sites(placed, things=standing_things(surroundings))
     left_out = [*dropped]
     sites = tuple(_site(wish) for wish in _below_roofs(kept, surroundings, left_out))
@@ -405,10 +448,14 @@ def _settled(
     wishes: Sequence[SiteWish],
     surroundings: CutSurroundings,
     notes: list[Note],
+    *,
+    is_surveyed: bool,
 ) -> list[SiteWish]:
     """Sites next to the road and out of walls; hanging ones stay.
 
-    Sites in buildings stay for :func:`tidy_sites`.
+    Sites in buildings stay for :func:`tidy_sites`. Surveyed ones stay on the road,
+    where the map is not as exact, and keep their coordinates if they are moved out of
+    a wall.
 
     Parameters
     ----------
@@ -418,6 +465,8 @@ def _settled(
         Surroundings of the junction.
     notes : list of Note
         Notes on what was changed or left out; entries are added.
+    is_surveyed : bool
+        The sites are those of a list.
 
     Returns
     -------
@@ -427,13 +476,27 @@ def _settled(
     kept = []
     places = find_places([wish.position_m for wish in wishes], surroundings)
     for wish, place in zip(wishes, places, strict=True):
+        what = Phrase("site {name}", name=wish.id)
         if not place.why or wish.kind in HANGING_KINDS:
             kept.append(wish)
+        elif is_surveyed and not place.is_in_wall:
+            kept.append(wish)
+            why = Phrase(
+                "it stands on a lane or in the junction of the map, which may be less"
+                " exact: kept where it was surveyed"
+            )
+            notes.append(Note(what, why, kind="sites"))
         elif place.position_m is None:
             notes.append(Note(f"site {wish.id}", place.why))
+        elif is_surveyed:
+            moved = replace(
+                wish, position_m=place.position_m, surveyed_m=wish.position_m
+            )
+            kept.append(moved)
+            why = Phrase("{why}; its coordinates stay as surveyed", why=place.why)
+            notes.append(Note(what, why, kind="sites"))
         else:
             kept.append(replace(wish, position_m=place.position_m))
-            what = Phrase("site {name}", name=wish.id)
             notes.append(Note(what, place.why, kind="sites", site_ids=(wish.id,)))
     return kept
 
@@ -615,14 +678,14 @@ def _kerbs(
 
 
 def _listed(
-    path: Path,
+    listed: Sequence[SiteWish],
+    name: str,
     surroundings: CutSurroundings,
     roads: SourceMap,
     radius_m: float,
     notes: list[Note],
 ) -> list[SiteWish]:
     """Sites of a planner's list within the radius; the others are noted."""
-    listed = read_sites(path, crs=roads.crs)
     frame = surroundings.frame
     every = [
         replace(wish, position_m=frame.take(wish.position_m, roads)) for wish in listed
@@ -631,7 +694,7 @@ def _listed(
     n_far = len(every) - len(wishes)
     if n_far:
         why = f"farther than {radius_m:g} m from the junction"
-        notes.append(Note(f"{n_far} sites in {path.name}", why))
+        notes.append(Note(f"{n_far} sites in {name}", why))
     n_dark = sum(wish.has_power is False or wish.has_fibre is False for wish in wishes)
     if n_dark:
         why = "only what cost_eur states is counted"
@@ -688,6 +751,7 @@ def _site(wish: SiteWish) -> Site:
         capacity_units=wish.capacity_units or _kind_of(wish).capacity_units,
         cost_eur=wish.cost_eur or 0.0,
         use=use,
+        surveyed_m=wish.surveyed_m,
     )
 
 
@@ -701,10 +765,13 @@ class Place(NamedTuple):
         None: nowhere near. [m]
     why : str
         Empty: it stays.
+    is_in_wall : bool
+        It was inside a wall or a building.
     """
 
     position_m: FloatArray | None
     why: str = ""
+    is_in_wall: bool = False
 
 
 def find_places(positions_m: ArrayLike, surroundings: CutSurroundings) -> list[Place]:
@@ -764,7 +831,7 @@ def find_places(positions_m: ArrayLike, surroundings: CutSurroundings) -> list[P
             if wall is not None:
                 where = f"inside {wall.class_name} {wall.id}"
             why = f"it stands {where}, farther than {most_m:g} m from where it could"
-            places.append(Place(None, why))
+            places.append(Place(None, why, wall is not None))
             continue
         nearest = np.asarray(shapely.shortest_line(point, edge).coords)[1]
         away_m = float(np.hypot(*(nearest - position)))
@@ -780,7 +847,7 @@ def find_places(positions_m: ArrayLike, surroundings: CutSurroundings) -> list[P
                 name=wall.id,
                 away=away_m,
             )
-        places.append(Place(np.round(nearest, 3), why))
+        places.append(Place(np.round(nearest, 3), why, wall is not None))
     return places
 
 

@@ -18,7 +18,7 @@ from geometry.scene import Scene
 
 from ..candidates import CandidateGrid, build_candidates, load_candidate_grid
 from ..compute import Compute
-from ..layout import Layout, check_layout
+from ..layout import Layout, at_sites, check_layout
 from ..optimiser import Effort, PlacementProblem, UnmetError, presolve
 from ..optimiser.cost_front import cost_front
 from ..optimiser.front import Front, largest_values, pareto_front
@@ -142,6 +142,8 @@ def solve_junction(
     existing = wishes.existing
     if existing is not None:
         check_layout(existing, scene)
+        existing = at_sites(existing, scene)
+        wishes = replace(wishes, existing=existing)
     watch.begin("lay runs")
     assembly = assemble(
         replace(question, budget=_most_units(scene, question, wishes)),

@@ -5,7 +5,8 @@ frames in which a road user could be detected, and was or was not. Frames of one
 and one run resemble one another, so that intervals count such tracks, not frames.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -146,6 +147,55 @@ class LabelledPicture:
     alone_px: FloatArray | None = None
     is_whole: bool = True
     label_track: IntArray | None = None
+
+
+def of_classes(
+    pictures: Iterable[LabelledPicture],
+    classes: Collection[str],
+    left_out: Counter[str],
+) -> Iterator[LabelledPicture]:
+    """Pictures without the labels of classes that a detector does not report.
+
+    A box on such a road user is no false alarm.
+
+    Parameters
+    ----------
+    pictures : iterable of LabelledPicture
+        Pictures with all labels.
+    classes : collection of str
+        Of ``VRU_CLASSES``: those that the detector reports.
+    left_out : Counter of str
+        Is given how many labels of which class are left out.
+    """
+    reported = [VRU_CLASSES.index(name) for name in classes]
+    for one in pictures:
+        stays = np.isin(one.label_class, reported)
+        if stays.all():
+            yield one
+            continue
+        left_out.update(VRU_CLASSES[kind] for kind in one.label_class[~stays].tolist())
+        alone = one.alone_px
+        if alone is None:
+            alone = one.found_px
+        on_others = iou(one.label_px[~stays][:, None], alone[None]) > 0.0
+        is_on_other = on_others.any(axis=0)
+        finds = one.finds
+        if finds is not None:
+            finds = finds[stays]
+        label_track = one.label_track
+        if label_track is not None:
+            label_track = label_track[stays]
+        yield replace(
+            one,
+            label_px=one.label_px[stays],
+            label_class=one.label_class[stays],
+            seen_share=one.seen_share[stays],
+            contrast=one.contrast[stays],
+            aspect_deg=one.aspect_deg[stays],
+            finds=finds,
+            alone_px=alone[~is_on_other],
+            label_track=label_track,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -636,9 +686,18 @@ def _fit(sightings: Sightings, free: BoolArray) -> FloatArray:
 
 
 def _whole(values: FloatArray, free: BoolArray) -> FloatArray:
-    """All parameters, of those that are free and the built-in ones."""
-    whole = _prior().copy()
+    """All parameters, of those that are free and the built-in ones.
+
+    A class of which nothing is known is to the best of the others as in the built-in
+    table.
+    """
+    prior = _prior()
+    whole = prior.copy()
     whole[free] = values
+    is_fitted = free[_CLASSES]
+    if is_fitted.any():
+        best = whole[_CLASSES][is_fitted].max()
+        whole[_CLASSES][~is_fitted] += best - prior[_CLASSES][is_fitted].max()
     return whole
 
 
@@ -688,7 +747,8 @@ def _table_spread(
         step = np.zeros(len(best))
         step[index] = _STEP
         above, below = (
-            _log_chance(best + way * step, evidence, found) for way in (1.0, -1.0)
+            _log_chance(_whole((best + way * step)[free], free), evidence, found)
+            for way in (1.0, -1.0)
         )
         columns.append((above - below) / (2.0 * _STEP))
     # The sandwich: curvature, from the scores of frames, around that of tracks.

@@ -884,6 +884,15 @@ class NetworkDetector:
         found = self.model.detect(crop.pixels)
         return replace(found, boxes_px=crop.to_image(found.boxes_px))
 
+    @property
+    def known_classes(self) -> frozenset[str]:
+        """Classes that it has learnt, of ``VRU_CLASSES``: riders also as persons."""
+        kinds = set(self.model.export.kinds.values())
+        kinds_of: dict[str, list[str]] = onnx_setting("kinds_of_class")
+        return frozenset(
+            name for name, words in kinds_of.items() if not kinds.isdisjoint(words)
+        )
+
     def check_classes(self, classes: Iterable[str]) -> None:
         """Raise InputError where the network has not learnt a class.
 
@@ -893,8 +902,8 @@ class NetworkDetector:
             Among ``VRU_CLASSES``.
         """
         for name in classes:
-            kinds = onnx_setting("kinds_of_class")[name]
-            if set(kinds).isdisjoint(self.model.export.kinds.values()):
+            if name not in self.known_classes:
+                kinds = onnx_setting("kinds_of_class")[name]
                 expected = f"a network that knows {' or '.join(kinds)}"
                 refuse(f"detector {self.name}", f"runs with a {name}", expected)
 

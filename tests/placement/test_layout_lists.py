@@ -14,6 +14,7 @@ from geometry.frames import WGS84, transform
 from geometry.study_scene import load_study_scene
 from placement.layout import find_layout, load_layout
 from placement.question import Question
+from placement.wishes import build_limits
 
 CRS = "EPSG:32633"
 HEAD = "Name;Mast;Breite (°);Länge (°);Höhe [m];Azimut (°);Neigung;Modell;Baujahr\n"
@@ -114,3 +115,30 @@ def test_wrong_names_and_numbers_are_refused(tmp_path, scene, row, old, new, mes
 
     with pytest.raises(InputError, match=message):
         load_layout(path, scene=scene)
+
+
+@pytest.mark.parametrize(("away_m", "hangs"), [(0.0, True), (0.45, True), (0.6, False)])
+def test_an_existing_camera_at_a_pole_hangs_on_it(tmp_path, scene, row, away_m, hangs):
+    pole = scene.sites[0]
+    place_m = pole.position_m[:2] + [0.0, away_m]
+    lon_deg, lat_deg = transform(place_m, CRS, WGS84)
+    path = tmp_path / "cameras.csv"
+    path.write_text(
+        HEAD + f"C1;;{lat_deg:.9f};{lon_deg:.9f};6,5;135;20;carla-ncap-rgb;2019\n",
+        encoding="utf-8",
+    )
+    plan = assemble_without_runs(Question(budget=1, keep=str(path)), scene)
+    (unit,) = plan.existing.units
+    assert unit.site_id == (pole.id if hangs else "")
+    # The pole has been made ready, and has room for less.
+    limits = build_limits(plan.wishes, scene, plan.candidates)
+    (own,) = np.flatnonzero(limits.is_forced)
+    at = limits.site_index[own]
+    mates = [
+        plan.candidates[i].site_id for i in np.flatnonzero(limits.site_index == at)
+    ]
+    assert set(mates) == {unit.site_id}
+    assert (len(mates) > 1) == hangs
+    if hangs:
+        assert limits.site_capacity[at] == pole.capacity_units
+        assert limits.site_cost_eur[at] == 0.0

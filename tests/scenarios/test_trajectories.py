@@ -46,6 +46,38 @@ def test_a_csv_file_gives_tracks_by_id_whatever_the_order_of_rows(tmp_path):
     assert_allclose(a.velocity_mps(np.array([0.0, 0.45, 0.9])), [[1.0, 0.0]] * 3)
 
 
+@pytest.mark.parametrize("scale", [1.0, 1.0e3, 1.0e6, 1.0e9])
+@pytest.mark.parametrize("start_s", [0.0, 23.0, 1_626_155_123.0])
+def test_times_are_of_any_clock_and_unit(tmp_path, caplog, scale, start_s):
+    rows = []
+    for name, time_s, *others in walk():
+        rows.append((name, f"{(start_s + time_s) * scale:.0f}", *others))
+        if scale == 1.0:
+            rows[-1] = (name, f"{start_s + time_s:.1f}", *others)
+    ((track,), n_left_out) = read(tmp_path, csv_of(rows))
+    assert n_left_out == 0
+    assert_allclose(track.time_s - start_s, 0.1 * np.arange(10), atol=1e-6)
+    assert_allclose(track.velocity_mps(track.time_s[5:6]), [[1.0, 0.0]], atol=1e-4)
+    word = {1.0: "s", 1.0e3: "ms", 1.0e6: "us", 1.0e9: "ns"}[scale]
+    told = f"{tmp_path / 'a.csv'}: times read as {word}, in steps of 0.1 s"
+    assert caplog.messages == ([] if scale == 1.0 else [told])
+    # A column that says its unit needs no guess.
+    caplog.clear()
+    head = HEADER.replace("time", f"Timestamp [{word}]")
+    ((named,), _) = read(tmp_path, csv_of(rows, head))
+    assert_allclose(named.time_s, track.time_s)
+    assert not caplog.messages
+
+
+def test_a_unit_that_is_named_is_believed(tmp_path):
+    rows = [(name, round(10.0 * time_s), *others) for name, time_s, *others in walk()]
+    ((track,), _) = read(tmp_path, csv_of(rows, HEADER.replace("time", "time_s")))
+    assert_allclose(track.time_s, range(10))
+    rows = [(name, 100 * one, *others) for name, one, *others in rows]
+    _, n_left_out = read(tmp_path, csv_of(rows, HEADER.replace("time", "time_s")))
+    assert n_left_out == 10
+
+
 def test_columns_frames_and_radians_of_dut_are_recognised(tmp_path):
     rows = [(7, 24 * n, "veh", 3.0 * n, 0.0, math.pi / 2, 3.0) for n in range(4)]
     text = csv_of(rows, "id,frame,label,x_est,y_est,psi_est,vel_est")

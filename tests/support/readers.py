@@ -1147,6 +1147,8 @@ READERS: Mapping[str, Reader] = {
         (
             "geometry.maps.place_lists.read_sites",
             "geometry.maps.place_lists.read_csv_rows",
+            "geometry.maps.place_lists.read_site_rows",
+            "geometry.csv_files.read_csv_text",
         ),
     ),
     "places of a city": Reader(

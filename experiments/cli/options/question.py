@@ -353,6 +353,13 @@ QUESTION_OPTIONS: dict[str, partial[Decorator]] = {
         section=DRIVEN,
         is_common=False,
     ),
+    "sites_crs": _field_option(
+        "sites_crs",
+        "--sites-crs",
+        metavar="CRS",
+        section=DRIVEN,
+        is_common=False,
+    ),
     "driving_side": _field_option(
         "driving_side",
         "--driving-side",
@@ -535,7 +542,7 @@ def fields_in(*sections: str, but: Sequence[str] = ()) -> tuple[str, ...]:
     )
 
 
-OF_SCENE = ("scene", "junction", "at", "sites", "driving_side")
+OF_SCENE = ("scene", "junction", "at", "sites", "sites_crs", "driving_side")
 """Fields that say which junction it is."""
 PLANNED = (*fields_in(ASKED, MOUNTED, SOUGHT), "fusion")
 """Fields of commands that look for layouts."""

@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from experiments.export import load_format
+from experiments.export.places import positions_m, surveyed_positions_m
 from geometry.notes import Note
 from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout
@@ -23,3 +25,20 @@ def test_assumed_sites_are_told_in_the_file(name):
     n_units = sum(unit.site_id == site for unit in layout.units)
     assert text.count("no mast in the map") == n_units
     assert "assumed" not in str(write(layout, study))
+
+
+def test_who_mounts_a_unit_on_a_surveyed_pole_gets_its_surveyed_place():
+    scene = load_study_scene()
+    layout = load_carlancap_layout()
+    carried = {unit.site_id for unit in layout.units}
+    moved_m = np.array([0.3, -0.4])
+    sites = []
+    for site in scene.sites:
+        if site.id in carried:
+            site = replace(site, surveyed_m=site.position_m[:2] + moved_m)
+        sites.append(site)
+    surveyed = surveyed_positions_m(layout.units, replace(scene, sites=tuple(sites)))
+    model = positions_m(layout)
+    assert surveyed[:, :2] == pytest.approx(model[:, :2] + moved_m)
+    assert surveyed[:, 2].tolist() == model[:, 2].tolist()
+    assert surveyed_positions_m(layout.units, scene).tolist() == model.tolist()

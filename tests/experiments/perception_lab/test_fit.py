@@ -5,6 +5,7 @@ refuses.
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from command_results import answer
 from experiments.export.json import to_json
 from experiments.perception_lab import fit as job
 from placement.compute import Compute
-from placement.detectors import load_detector
+from placement.detectors import VRU_CLASSES, load_detector
 from placement.detectors.network import ImageBoxes, NetworkDetector
+from placement.detectors.response import built_in_response
 from placement.layout import load_carlancap_layout
 from placement.question import Question
 from placement.recordings import WrittenDrive, write_recording
@@ -206,6 +208,86 @@ def test_a_table_is_fitted_to_tracks_and_detections_of_others(run, tmp_path):
     assert f"det.txt:{len(found)}: got 4 fields; expected 7 to 10 fields" in err
 
 
+def kitti_files(tmp_path):
+    """Labels of people and cyclists, and a detector of each file's classes."""
+    rng = np.random.default_rng(3)
+    body = "1.7 0.6 0.8 1.0 1.5 20.0 0.0"
+    labels = []
+    people = []
+    both = []
+    for frame in range(200):
+        for track, kind in enumerate(("Pedestrian", "Cyclist")):
+            left = 200.0 * track + 100.0
+            box = f"{left} 100 {left + 40} {180 + frame % 60}"
+            labels.append(f"{frame} {track} {kind} 0 0 0 {box} {body}")
+            if rng.random() > 0.1:
+                row = f"{box.replace(' ', ',')},0.9"
+                number = (1, 3)[track]
+                place = body.replace(" ", ",")
+                both.append(f"{frame},{number},{box.replace(' ', ',')},3.0,{place},0")
+                if track == 0:
+                    people.append(f"{frame},{row}")
+    paths = [tmp_path / name for name in ("labels.txt", "people.txt", "both.txt")]
+    for path, lines in zip(paths, (labels, people, both), strict=True):
+        path.write_text("\n".join(lines) + "\n")
+    return paths
+
+
+def test_classes_that_a_detector_does_not_report_stay_assumed(run, tmp_path):
+    labels, people, _ = kitti_files(tmp_path)
+    fit = ("detector fit --labels", labels, "--results")
+    out = answer(run(*fit, people, "--out", tmp_path / "people", "--quiet"))
+    words = " ".join(out.split())
+    assert "The detector reports no cyclist: 200 labelled frames are left out" in words
+    assert "built-in table: contrast, aspect, cyclist." in words
+    table = load_detector(str(tmp_path / "people" / "response.toml"))
+    built_in = built_in_response()
+    told = json.loads((tmp_path / "people" / "fit.json").read_text())
+    assert told["frames"] == 200
+    assert told["not_reported"] == {"cyclist": 200}
+    assert told["false_alarms"]["alarms"] == 0
+    # All factors are those of the built-in table but for the pedestrian's.
+    assert table.class_factor == pytest.approx(built_in.class_factor, rel=1e-5)
+    assert set(table.assumed) == {"child", "cyclist", "motorcyclist", "car"}
+    assert "cyclist_end_on" in table.assumed_figures
+    text = (tmp_path / "people" / "response.toml").read_text()
+    assert "# Not known from them, and as built in: contrast, aspect, cyclist." in text
+    # Who says that it can report them has them fitted.
+    fitted = answer(run(*fit, people, "--classes pedestrian,cyclist --json --quiet"))
+    assert json.loads(fitted)["not_reported"] == {}
+    assert json.loads(fitted)["table"]["cyclist"]["value"] < 0.2
+    code, _, err = run(*fit, people, "--classes pedestrian,tram")
+    assert code == 2
+    assert "--classes: got 'tram'; expected one of pedestrian, child, cyclist" in err
+
+
+def test_classes_that_nobody_labelled_keep_their_place(run, tmp_path):
+    labels, _, both = kitti_files(tmp_path)
+    fit = ("detector fit --labels", labels, "--results", both, "--json --quiet")
+    told = json.loads(answer(run(*fit)))
+    assert told["not_reported"] == {}
+    assert told["frames"] == 400
+    built_in = dict(zip(VRU_CLASSES, built_in_response().class_factor, strict=True))
+    best = max(told["table"][name]["value"] for name in ("pedestrian", "cyclist"))
+    best_built_in = max(built_in[name] for name in ("pedestrian", "cyclist"))
+    for name in ("child", "motorcyclist", "car"):
+        value = told["table"][name]["value"]
+        assert value / best == pytest.approx(built_in[name] / best_built_in)
+
+
+def test_results_of_coco_show_which_classes_are_reported(run, coco):
+    labels, results = coco
+    rows = json.loads(results.read_text())
+    results.write_text(json.dumps([one for one in rows if one["category_id"] == 1]))
+    told = json.loads(
+        answer(
+            run("detector fit --labels", labels, "--results", results, "--json --quiet")
+        )
+    )
+    assert list(told["not_reported"]) == ["cyclist"]
+    assert told["not_reported"]["cyclist"] + told["frames"] == 300
+
+
 def test_confidence_decides_what_counts(run, coco):
     labels, results = coco
     code, _, err = run(
@@ -364,6 +446,8 @@ def test_a_network_that_finds_nothing_is_told_in_a_line(run, tmp_path, monkeypat
 
 
 class _Blind:
+    export = SimpleNamespace(kinds={0: "person"})
+
     def detect(self, image):
         return ImageBoxes(
             boxes_px=np.zeros((0, 4)),

@@ -110,9 +110,10 @@ def test_sites_of_a_scene_from_nowhere_are_in_its_metres(tmp_path):
         ("id,x,y\na,1,2\na,1,2\n", "line 3: id"),
         ("id,x,y\na,one,2\n", "line 2: x"),
         ("id,x,y\na,nan,2\n", "line 2: x"),
-        ("id,x\na,1\n", "line 2: y"),
-        ("id,lat\na,1\n", "line 2: lon"),
-        ("id\na\n", "line 2: lat and lon"),
+        ("id,x\na,1\n", "columns id, x: got no y; expected one of y, northing, hochw"),
+        ("id,lat\na,1\n", "columns id, lat: got no lon; expected one of lon, lng"),
+        ("id\na\n", r"columns id: got no place; expected x and y \(x, easting, .*lat"),
+        ("x,y\n1,2\n", "columns x, y: got no id; expected one of id, .*mastnummer"),
         ("id,x,y,cost_eur\na,1,2,-3\n", "line 2: cost"),
         ("id,x,y,capacity\na,1,2,0\n", "line 2: capacity"),
         ("id,x,y,power\na,1,2,maybe\n", "line 2: power"),
@@ -137,7 +138,8 @@ def test_every_mistake_names_line_and_field(tmp_path, text, where, crs):
     [
         (point(LAT, LON, id="a"), "swapped"),
         (point(390_000.0, 5_819_000.0, id="a"), r"features\[0\]: lat"),
-        (point(LON, LAT), r"features\[0\]: id"),
+        (point(LON, LAT), "columns: got no id; expected one of id,"),
+        (point(LON, LAT, id=""), r"features\[0\]: id"),
         (point(LON, LAT, id="a", capacity="many"), r"features\[0\]: capacity"),
         (point(LON, LAT, id="a", cost=[1]), r"features\[0\]: cost"),
         (
