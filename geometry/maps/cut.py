@@ -500,9 +500,7 @@ def _lanes(
     # By the junction into which they lead.
     ends: dict[str, list[Lane]] = defaultdict(list)
     begins: dict[str, list[Lane]] = defaultdict(list)
-    for lane in (
-        lane for lane in roads.lanes if lane.kind in ("driving", "parking", "cycling")
-    ):
+    for lane in (lane for lane in roads.lanes if lane.kind != "walking"):
         whole = frame.take(lane.centreline_m[:, :2], roads)
         if junction.id in (lane.to_junction, lane.from_junction):
             points = _reaching(whole, reach_m, from_end=junction.id == lane.to_junction)

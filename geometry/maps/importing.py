@@ -20,7 +20,7 @@ from ..archives import unpacked
 from ..arrays import FloatArray
 from ..errors import InputError, check_one_of, refuse
 from ..frames import WGS84, transform
-from ..junction import build_junction
+from ..junction import CARRIAGEWAY_KINDS, build_junction
 from ..notes import Note
 from ..opening import check_file, open_file, read_text
 from ..phrases import Phrase
@@ -402,7 +402,7 @@ def _survey(
     # counts.
     near = []
     limits = load_limits()
-    for lane in (lane for lane in lanes if lane.kind in ("driving", "parking")):
+    for lane in (lane for lane in lanes if lane.kind in CARRIAGEWAY_KINDS):
         whole_m = lane.centreline_m[:, :2] - middle
         is_near = (np.abs(whole_m) <= limits.coordinate_m).all(axis=1)
         line_m = whole_m[is_near][: limits.line_points]

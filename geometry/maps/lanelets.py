@@ -44,6 +44,10 @@ from .source_map import (
 )
 
 _WORDS: dict[str, list[str]] = load_data("geometry.maps", "words.toml")["lanelets"]
+# Kinds of lanelets that belong to roads.
+_ROADS = ("driving", "bus")
+# How tags begin that say who may use a lanelet.
+_USERS = "participant:"
 _KINDS = {word: kind for kind, words in _WORDS.items() for word in words}
 # between the end of a lanelet and the beginning of the next one, at both bounds
 _JOINED_M = 0.5
@@ -175,7 +179,7 @@ def _build(
         Those that lanes lead to; the others are noted.
     """
     roads = _with_right_sides(
-        [one for one in lanelets if one.kind == "driving"], omissions
+        [one for one in lanelets if one.kind in _ROADS], omissions
     )
     roads += [one.turned() for one in roads if not one.is_oneway]
     # Lanelets that follow each other, and those whose ground meets.
@@ -349,7 +353,8 @@ def _lanes(
         if len(follows[one]) != 1:
             continue
         other = follows[one][0]
-        if before[other] == [one] and other not in junction_of:
+        is_alike = roads[one].kind == roads[other].kind
+        if before[other] == [one] and other not in junction_of and is_alike:
             joints[one] = other
     # Chains from lanelets that no joint leads to.
     done: set[int] = set()
@@ -378,7 +383,7 @@ def _connections(
     group: Sequence[int],
     name: str,
 ) -> list[MapLane]:
-    """Ways through a junction, from each lanelet that nothing leads to.
+    """Ways of cars through a junction, from each lanelet that nothing leads to.
 
     Parameters
     ----------
@@ -396,14 +401,14 @@ def _connections(
     lanes : list of MapLane
         At most 200.
     """
-    members = set(group)
+    members = {one for one in group if roads[one].kind == "driving"}
     onwards = {
-        one: [other for other in follows[one] if other in members] for one in group
+        one: [other for other in follows[one] if other in members] for one in members
     }
     led_to = {other for others in onwards.values() for other in others}
     found: list[MapLane] = []
     # Extend each way until nothing of the junction follows.
-    ways = [[one] for one in group if one not in led_to]
+    ways = [[one] for one in group if one in members and one not in led_to]
     while ways and len(found) < _MAX_WAYS:
         way = ways.pop()
         further = [other for other in onwards[way[-1]] if other not in way]
@@ -563,7 +568,7 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
         if relation.tags.get("type") == "lanelet":
             name = f"lanelet {relation.id}"
             bounds = [_bound(relation, side, ways) for side in ("left", "right")]
-            kind = _KINDS.get(relation.tags.get("subtype", ""), "")
+            kind = _kind_of(relation.tags)
             if not kind:
                 why = "no lane of cars, bicycles or people on the ground"
                 omissions.add("lanelets of other kinds", name, why)
@@ -605,6 +610,31 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
         things=tuple(_buildings(elements, ways, omissions)),
         ground_m=ground_m,
     )
+
+
+def _kind_of(tags: Mapping[str, str]) -> str:
+    """Kind of a lanelet by its subtype and by who may use it; empty: of others."""
+    kind = _KINDS.get(tags.get("subtype", ""), "")
+    if kind not in _ROADS:
+        return kind
+    of_vehicles = tags.get(f"{_USERS}vehicle")
+    of_cars = tags.get(f"{_USERS}vehicle:car", of_vehicles)
+    allowed = {
+        key.removeprefix(_USERS) for key, value in tags.items() if value == "yes"
+    }
+    if of_cars == "yes":
+        return kind
+    # Who is named is meant alone.
+    for users, theirs in (
+        ({"vehicle", "vehicle:bus", "vehicle:taxi"}, "bus"),
+        ({"bicycle"}, "cycling"),
+        ({"pedestrian"}, "walking"),
+    ):
+        if users & allowed:
+            return theirs
+    if of_cars == "no":
+        return ""
+    return kind
 
 
 def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
@@ -766,7 +796,10 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
             # A reference to one.
             continue
         types = [one.text or "" for one in element.iter("laneletType")]
-        kind = next((_KINDS[text] for text in types if text in _KINDS), "driving")
+        kinds = [_KINDS[text] for text in types if text in _KINDS]
+        kind = next(iter(kinds), "driving")
+        if "bus" in kinds:
+            kind = "bus"
         if any(len(bound) < 2 for bound in bounds):
             omissions.add(
                 "lanelets without bounds", f"lanelet {name}", "a bound has no points"

@@ -17,7 +17,7 @@ from shapely import Polygon
 
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
-from ..junction import compass_point
+from ..junction import CARRIAGEWAY_KINDS, compass_point
 from ..lines import along_m, apart, length_m, points_at, steps_m
 from ..notes import Note
 from ..phrases import Phrase
@@ -100,7 +100,7 @@ def kerb_sites(
         raise InputError("outline_m", len(outline), "at least three points")
     inside = area_of(outline)
     ring = shapely.LinearRing(outline)
-    roads = [lane for lane in lanes if lane.kind in ("driving", "parking")]
+    roads = [lane for lane in lanes if lane.kind in CARRIAGEWAY_KINDS]
     # Lanes from the outline outwards, and the ground beside them.
     arms = [(lane, line) for lane in roads for line in _outward(lane, roads, ring)]
     strips = shapely.STRtree(

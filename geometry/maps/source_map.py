@@ -33,7 +33,7 @@ _SAME_M = 1e-3
 _MIN_AREA_M2 = 1e-6
 _MIN_FOOTPRINT_M2 = 0.01
 NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
-LANE_KINDS = ("driving", "parking", "cycling", "walking")
+LANE_KINDS = ("driving", "bus", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
 Heights = Literal["above ground", "absolute"]
 # Of the things of a file.

@@ -19,8 +19,9 @@ from ..georeferences import local_crs
 from ..source_map import SourceMap, parse_length_m
 from .elements import DEFAULTS, Elements, Way, read_elements
 from .junctions import find_junctions
+from .lane_counts import is_oneway, runs_backward
 from .lane_lines import build_lanes
-from .network import build_network, is_for_cars, is_oneway, lines_of, runs_backward
+from .network import build_network, is_for_cars, lines_of
 from .things import (
     find_barriers,
     find_bridges,

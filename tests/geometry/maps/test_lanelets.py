@@ -146,3 +146,38 @@ def test_a_crossing_becomes_a_scene(tmp_path):
 def test_what_is_no_map_is_refused(tmp_path, text, name, told):
     with pytest.raises(InputError, match=told):
         read(tmp_path, text, name)
+
+
+@pytest.mark.parametrize(
+    ("tags", "kind"),
+    [
+        ({"subtype": "bus_lane"}, "bus"),
+        ({"participant:vehicle:bus": "yes", "participant:vehicle:taxi": "yes"}, "bus"),
+        ({"participant:bicycle": "yes"}, "cycling"),
+        ({"participant:vehicle": "yes", "participant:bicycle": "yes"}, "driving"),
+        ({"participant:vehicle": "yes", "participant:vehicle:car": "no"}, "bus"),
+        ({"participant:pedestrian": "no"}, "driving"),
+    ],
+)
+def test_who_may_use_a_lanelet_says_its_kind(tags, kind, tmp_path):
+    """The first one leads in from the west."""
+    road = "<tag k='subtype' v='road'/>"
+    known = {"subtype": "road"} | tags
+    told = "".join(f"<tag k='{key}' v='{value}'/>" for key, value in known.items())
+    source = read(tmp_path, lanelet2(crossing()).replace(road, told, 1))
+    kinds = {lane.id: lane.kind for lane in source.lanes}
+    assert kinds.pop("1") == kind
+    assert set(kinds.values()) == {"driving"}
+
+
+def test_a_bus_lane_of_commonroad_is_no_way_through_for_cars(tmp_path):
+    urban = "<laneletType>urban</laneletType>"
+    text = commonroad(crossing()).replace(
+        urban, f"{urban}<laneletType>busLane</laneletType>", 1
+    )
+    source = read(tmp_path, text, "a.xml")
+    (bus,) = (lane for lane in source.lanes if lane.kind == "bus")
+    (junction,) = source.junctions
+    assert bus.to_junction == junction.id
+    (surveyed,) = survey_junctions(source)
+    assert surveyed.n_driven == 3
