@@ -42,6 +42,7 @@ from ..terrain import GROUND
 from ..text_formats import load_data, parse_json
 from ..xml_files import local_name, read_xml_root
 from .cut import LANES_BEYOND_M, build_scene, cut_out
+from .elsewhere import check_maps_lie_here
 from .place_lists import SUFFIXES as LISTS
 from .relief import read_elevation
 from .sites import choose_sites, settle_poles
@@ -672,6 +673,7 @@ def read_maps(
         where = ", ".join(source.name for source in maps)
         refuse(where, f"roads in {names}", "roads in one of the files")
     roads = with_roads[0]
+    check_maps_lie_here(maps)
     progress(Phrase("find junctions"), 0, 0)
     return [roads, *(s for s in maps if s is not roads)], survey_junctions(roads)
 
