@@ -27,6 +27,9 @@ ARM_NAMES = (
 )
 """Names of arms: points of the compass, counter-clockwise."""
 COMPASS = ARM_NAMES[::2]
+# Kinds of lanes that are part of a road's carriageway.
+CARRIAGEWAY_KINDS = ("driving", "bus", "parking")
+_RIDDEN = ("driving", "bus")
 # Kind of a lane through the junction.
 CONNECTING = "connecting"
 # Kind of a lane that leads on where the map ends.
@@ -128,7 +131,7 @@ class Arm:
         Where it lies, seen from the junction: "north", "east", ...
     lanes_in, lanes_out : tuple of Lane
         Into the junction and out of it, whole as far as the map goes; from the kerb to
-        the road's axis, parking lanes too.
+        the road's axis, lanes for buses and for parking too.
     crosswalk : Line
         Where pedestrians cross the arm.
     cycleways_in, cycleways_out : tuple of Lane
@@ -147,6 +150,16 @@ class Arm:
     def entry_lanes(self) -> tuple[Lane, ...]:
         """Lanes that are driven into the junction, from the kerb to the axis."""
         return tuple(lane for lane in self.lanes_in if lane.kind == "driving")
+
+    @property
+    def ridden_in(self) -> tuple[Lane, ...]:
+        """Lanes into the junction that cyclists use, too: for cars and for buses."""
+        return tuple(lane for lane in self.lanes_in if lane.kind in _RIDDEN)
+
+    @property
+    def ridden_out(self) -> tuple[Lane, ...]:
+        """Lanes out of the junction that cyclists use, too: for cars and for buses."""
+        return tuple(lane for lane in self.lanes_out if lane.kind in _RIDDEN)
 
     @property
     def speed_limit_kmh(self) -> float | None:
@@ -254,7 +267,7 @@ def build_junction(scene: Scene) -> Junction:
     InputError
         No lane begins or ends at the outline of the junction's road surface.
     """
-    ends = _ends_at_outline(scene, ("driving", "parking"), _AT_OUTLINE_M)
+    ends = _ends_at_outline(scene, CARRIAGEWAY_KINDS, _AT_OUTLINE_M)
     if not ends:
         got = len(scene.lanes)
         raise InputError(

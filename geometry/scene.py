@@ -289,9 +289,10 @@ class Lane:
     id : str
         Name in the source.
     kind : str
-        "driving", "parking", "cycling"; "connecting": through a junction, from
-        the end of one lane to the start of another; or "assumed": straight on
-        from beyond the map to the start of one.
+        "driving", "parking", "cycling"; "bus": for buses, taxis and others, not
+        for cars; "connecting": through a junction, from the end of one lane to
+        the start of another; or "assumed": straight on from beyond the map to
+        the start of one.
     width_m : float
         Full width, within ``LANE_WIDTH_M``. [m]
     centreline_m : (n, 2) float

@@ -45,6 +45,35 @@ def read_xml_root(path: Path) -> Element:
     refuse(str(path), "no element", "well-formed XML")
 
 
+def read_xml_children(path: Path, *, expected: str, root: str) -> Iterator[Element]:
+    """Children of the root of an XML document, one after the other.
+
+    Each is forgotten when the next one is asked for. `root` is the name that the
+    first element must have.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_xml`, or the first element has another name.
+    """
+    from defusedxml.ElementTree import iterparse
+
+    with _open_xml(path, expected, f"{expected}: well-formed XML") as file:
+        parents: list[Element] = []
+        for event, element in iterparse(
+            file, events=("start", "end"), forbid_dtd=False
+        ):
+            if event == "start":
+                if not parents and local_name(element) != root:
+                    refuse(str(path), f"<{local_name(element)}>", f"<{root}>")
+                parents.append(element)
+                continue
+            parents.pop()
+            if len(parents) == 1:
+                yield element
+                parents[0].clear()
+
+
 @contextmanager
 def _open_xml(path: Path, expected: str, well_formed: str) -> Iterator[BinaryIO]:
     """Open an XML file; what its reader raises becomes an InputError."""

@@ -39,6 +39,8 @@ _ACROSS_STEP_M = 0.1
 # How names of walls begin.
 _WALL = "wall "
 _POLES = ("lamp post", "traffic light")
+# Kinds of lanes on which nobody parks.
+_DRIVEN = ("driving", "bus", CONNECTING)
 
 
 def make_room(staging: Staging, scene: Scene) -> Staging:
@@ -202,7 +204,7 @@ def _pieces(scene: Scene) -> tuple[Any, FloatArray]:
     directions = []
     parking = _areas(scene).parking
     for lane in scene.lanes:
-        if lane.kind == "driving":
+        if lane.kind in ("driving", "bus"):
             for begin, end in zip(
                 lane.centreline_m[:-1], lane.centreline_m[1:], strict=True
             ):
@@ -250,7 +252,7 @@ class _Areas(NamedTuple):
 @lru_cache(maxsize=8)
 def _areas(scene: Scene) -> _Areas:
     """Areas of a scene that cars may not, or need not, be parked on."""
-    lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
+    lanes = (lane for lane in scene.lanes if lane.kind in _DRIVEN)
     strips = strips_of(lanes, less_m=_MAY_OVERLAP_M)
     inside = area_of(scene.outline_m).buffer(-_INSIDE_OUTLINE_M)
     parking = shapely.union_all(

@@ -1,8 +1,9 @@
 """Cases laid on the approaches of any junction, by the rules of the protocol."""
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import takewhile
 
 import numpy as np
 import shapely
@@ -146,6 +147,8 @@ class _Place:
         The VUT meets the VRU so far ahead of the crosswalk. [m]
     is_checked : bool
         The way is known to follow its lanes.
+    near_buses_m, far_buses_m : float
+        Width of the bus lanes at the kerb on the near side, and at the far one. [m]
     """
 
     way: ways.Way
@@ -156,6 +159,8 @@ class _Place:
     end_m: float
     ahead_m: float
     is_checked: bool
+    near_buses_m: float = 0.0
+    far_buses_m: float = 0.0
 
     def meeting_point(self) -> tuple[float, FloatArray]:
         """Station and point (2,) where a crossing VRU is met.
@@ -211,6 +216,8 @@ def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
             end_m=np.inf,
             ahead_m=position.ahead_m - before_m,
             is_checked=False,
+            near_buses_m=_kerb_buses_m(arm.lanes_in),
+            far_buses_m=_kerb_buses_m(arm.lanes_out),
         )
 
     chain_m = followed.centreline_m
@@ -243,13 +250,19 @@ def _places_through(asked: _Asked, position: Position) -> Iterator[_Lay]:
     ahead = ways.arm_ahead(asked.junction, arm, asked.entry_line)
     if ahead is None or not ahead.exit_lanes:
         raise NoRoadError(Phrase("no lane leads straight on out of the junction"))
+    crosswalk = arm.crosswalk
+    kerbs = (arm.lanes_in, arm.lanes_out)
+    if position.is_behind:
+        crosswalk = ahead.crosswalk
+        kerbs = (ahead.lanes_out, ahead.lanes_in)
     yield from _ways_through(
         asked.junction,
         arm,
         ahead,
         asked.vut,
-        crosswalk=ahead.crosswalk if position.is_behind else arm.crosswalk,
+        crosswalk=crosswalk,
         ahead_m=position.ahead_m,
+        kerbs=kerbs,
     )
 
 
@@ -261,10 +274,12 @@ def _ways_through(
     *,
     crosswalk: Line | None = None,
     ahead_m: float = 0.0,
+    kerbs: tuple[Sequence[Lane], Sequence[Lane]] = ((), ()),
 ) -> Iterator[_Lay]:
     """Ways of a vehicle from one arm straight on into another.
 
-    They come by lane from the kerb.
+    They come by lane from the kerb. `kerbs` are the lanes from the near kerb, and
+    those from the far one, where it is met.
     """
 
     def place(
@@ -285,11 +300,19 @@ def _ways_through(
             end_m=lane_length_m(leaving),
             ahead_m=ahead_m,
             is_checked=True,
+            near_buses_m=_kerb_buses_m(kerbs[0]),
+            far_buses_m=_kerb_buses_m(kerbs[1]),
         )
 
     found = ways.joints(junction, arm, ahead, "through")
     for is_gentle in (False, True):
         yield from (partial(place, *joint, is_gentle=is_gentle) for joint in found)
+
+
+def _kerb_buses_m(lanes: Sequence[Lane]) -> float:
+    """Width of the bus lanes next to the kerb, in metres; `lanes` come from there."""
+    from_kerb = takewhile(lambda lane: lane.kind != "driving", lanes)
+    return sum(lane.width_m for lane in from_kerb if lane.kind == "bus")
 
 
 # ---------- crossing and longitudinal cases
@@ -356,7 +379,15 @@ def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> Stag
         vru_line=vru_way.tangent(vru_m),
         search_m=(0.0, 2.0 * behind_m),
     )
-    travel_m = _travel_m(case, vru_distance_m)
+    starts_at_kerb = case.vru_line is not None and case.vru_line.along == "crosswalk"
+    buses_m = place.near_buses_m
+    if case.vru_side == "far":
+        buses_m = place.far_buses_m
+    # Who sets off at the kerb has the bus lanes to cross, too.
+    before_m = 0.0
+    if starts_at_kerb and case.vru_side == "near" and case.start_distance_m is not None:
+        before_m = buses_m
+    travel_m = _travel_m(case, vru_distance_m + before_m)
     begin_s = -_travel_s(case, travel_m)
     driven_m = -begin_s * asked.vut_speed_kmh * MPS_PER_KMH
     place.check_straight(driven_m)
@@ -373,7 +404,7 @@ def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> Stag
         return park(
             encounter, obstruction, row_way=row_way, bumper_m=bumper_m, side=side
         )
-    return hide(
+    hidden = hide(
         encounter,
         obstruction,
         vut_way=vut_way,
@@ -381,6 +412,10 @@ def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> Stag
         vru_way=vru_way,
         vru_m=vru_m,
     )
+    if obstruction.kind == "beside-vut":
+        # Nobody parks on a bus lane: the kerb is beyond it.
+        return replace(hidden, max_aside_m=hidden.max_aside_m + buses_m)
+    return hidden
 
 
 def _set_off(
@@ -466,14 +501,14 @@ def _beside_road(
     assert row is not None
     bumper_m = vut_m - row.first_gap_m
     side = -1.0
-    lane = arm.entry_lanes[0]
+    lane = arm.ridden_in[0]
     is_in = True
     if asked.case.vru_side == "far":
         side = 1.0
-        if arm.exit_lanes:
-            lane, is_in = (arm.exit_lanes[0], False)
+        if arm.ridden_out:
+            lane, is_in = (arm.ridden_out[0], False)
         else:
-            lane, is_in = (arm.entry_lanes[-1], True)
+            lane, is_in = (arm.ridden_in[-1], True)
     row_m = sum(body.length_m + row.between_gap_m for body in row.bodies)
     if is_in:
         followed = asked.junction.followed(lane)
@@ -547,9 +582,9 @@ def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
     assert case.vru_line is not None
     if side.cycleways_in:
         return side.cycleways_in[0], 0.0
-    outer = side.entry_lanes[0]
+    outer = side.ridden_in[0]
     left_m = case.vru_line.left_m
-    if case.vru_line.lane == "inner" and len(side.entry_lanes) > 1:
+    if case.vru_line.lane == "inner" and len(side.ridden_in) > 1:
         # Not at the road's axis, with traffic on both sides.
         return (
             outer,

@@ -15,6 +15,7 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted, refuse
 from geometry.frames import transform
 from geometry.maps import importing
+from geometry.maps.elsewhere import check_maps_lie_here
 from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
 from geometry.maps.source_map import SourceMap
 from geometry.opening import read_text
@@ -206,6 +207,7 @@ def load_city(
     roads = tuple(source for source in maps if source.lanes)
     if not roads:
         refuse(", ".join(names), "no roads", "a map with roads")
+    check_maps_lie_here(maps)
     records = tuple(
         CityMapRecord(
             name=source.name, sha256=sha256(path), has_roads=bool(source.lanes)

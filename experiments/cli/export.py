@@ -9,10 +9,12 @@ from ..export import FORMAT_NAMES, FORMATS
 from ..language import localized, tr
 from ..progress import StageProgress, tell
 from . import options
-from .running import QuestionCall, load_one_layout, write_result
+from .running import QuestionCall, begin, load_one_layout, write_result
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
+    from placement.question import Question
+
     from ..parts.sheet import SheetResult
 
 
@@ -26,7 +28,8 @@ _EXPORT_EXAMPLES = """\b
 Examples:
   place-rsus export --layout carlancap-12 --format carla
   place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
-  place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg
+  place-rsus export --layout a.json --scene city.osm --junction "A St / B Ave" \\
+      --format gpkg --out a.gpkg
   place-rsus export --calibration tsai.xml --format ros
   place-rsus export --run CPNC-50/east/40 --layout a.json \\
       --format cpm-uper --out cpm.bin"""
@@ -77,7 +80,7 @@ class _ExportCommand(click.Command):
     metavar="FORMAT",
     help="One of those below.",
 )
-@options.scene_option
+@options.question_options(*options.OF_SCENE, has_file=False)
 @options.option(
     "--run",
     "run_id",
@@ -117,7 +120,7 @@ def export(
     calibration: Path | None,
     size: tuple[int, int] | None,
     format_name: str,
-    scene: str,
+    question: "Question",
     run_id: str,
     release: str | None,
     views: bool,
@@ -148,6 +151,7 @@ def export(
     if calibration is not None:
         content = _convert(calibration, format_name, size)
     else:
+        question = begin(progress, question, quiet=quiet)
         layout = load_one_layout(layout_names)
         compute = Compute(progress=progress)
         if pictures:
@@ -158,7 +162,7 @@ def export(
         content = export_layout(
             layout,
             format_name,
-            scene_path=scene,
+            scene_path=question.scene,
             run_id=run_id,
             compute=compute,
             options={

@@ -27,6 +27,7 @@ from .xml import xml_text
 
 _TYPES = {
     "driving": "driving",
+    "bus": "bus",
     CONNECTING: "driving",
     "parking": "parking",
     "cycling": "biking",

@@ -88,6 +88,7 @@ _DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0
 # Half its length.
 _DART_POINTS = 5.5
 _N_BEARINGS = 180
+_LANE_COLOURS = {"parking": "#ececec", "bus": "#e6d3c8"}
 _STEP_M = 0.1
 _HALF_SIZE_M = 45.0
 _MARGIN_M = 5.0
@@ -100,10 +101,7 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
     """
     axes.set_facecolor("#f4f2ee")
     for lane in scene.lanes:
-        if lane.kind == "parking":
-            colour = "#ececec"
-        else:
-            colour = "#dedede"
+        colour = _LANE_COLOURS.get(lane.kind, "#dedede")
         edge: Style = {"edgecolor": "white", "linewidth": 0.8}
         axes.add_patch(Polygon(_lane_polygon(lane), facecolor=colour, zorder=1, **edge))
     axes.add_patch(

@@ -294,6 +294,7 @@ def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
     half = float(np.clip(reach, _LEAST_HALF_M, 0.5 * _MAX_HALF_M))
     layers: list[tuple[str, str, Any]] = [
         ("parking lane", "#ececec", _areas(scene.lanes, "parking")),
+        ("bus lane", "#e6d3c8", _areas(scene.lanes, "bus")),
         ("lane", "#dedede", _areas(scene.lanes, "driving")),
         ("junction", "#dedede", shapely.make_valid(shapely.Polygon(scene.outline_m))),
     ]

@@ -325,6 +325,9 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
     else:
         names = ("distribution", "mean_s", "sd_s")
         drawn |= {name: getattr(latency, name) for name in names}
+    buses: dict[str, float] = {}
+    if traffic.bus_lane_share:
+        buses = {"bus_lane_share": traffic.bus_lane_share}
     return UncertaintyRecord(
         name=uncertainty.name,
         mounting=uncertainty.mounting,
@@ -333,8 +336,9 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
         traffic={
             one.name: getattr(traffic, one.name)
             for one in fields(traffic)
-            if one.name != "vehicles"
-        },
+            if one.name not in ("vehicles", "bus_lane_share")
+        }
+        | buses,
         vehicles={
             one.actor.name: {
                 name: getattr(one, name) for name in ("parked_share", "waiting_share")
@@ -630,6 +634,10 @@ def what_is_uncertain(found: SampledRecord) -> str:
                 "vehicles waiting in {waiting} of the lanes",
                 waiting=percent(traffic["waiting_share"]),
             )
+        )
+    if bus_lane_share := traffic.get("bus_lane_share"):
+        drawn.append(
+            tr("buses in {share} of the bus lanes", share=percent(bus_lane_share))
         )
     if record.road_users.measured:
         drawn.append(tr("people as fast as they were measured"))

@@ -13,10 +13,16 @@ import click
 from geometry.errors import check_one_of
 from geometry.writing import is_about
 from placement.compute import Compute
-from placement.question import question_fields, split_names
+from placement.question import Question, question_fields, split_names
 
 from ..cli import options
-from ..cli.running import QuestionCall, command_line, load_one_layout, unwritable
+from ..cli.running import (
+    QuestionCall,
+    begin,
+    command_line,
+    load_one_layout,
+    unwritable,
+)
 from ..cli.terminal import sentences, table
 from ..progress import StageProgress, tell
 from ..results.numbers import percent
@@ -439,7 +445,7 @@ Examples:
         "in results/renders."
     ),
 )
-@options.scene_option
+@options.question_options(*options.OF_SCENE, has_file=False)
 @options.quiet_option
 @options.compute_options()
 @click.pass_obj
@@ -452,7 +458,7 @@ def render(
     unit_id: str,
     weather: str | None,
     out: Path | None,
-    scene: str,
+    question: Question,
     quiet: bool,
     compute: Compute,
 ) -> None:
@@ -461,7 +467,7 @@ def render(
     Or scan by LiDAR.
     """
     layout = load_one_layout(layout_names)
-    progress.start(quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
     progress("lay the run", 0, 0)
     from geometry.scene_sources import load_scene
     from placement.evaluator.pictures import find_frame, find_viewpoint
@@ -471,7 +477,7 @@ def render(
     from ..export.watched import find_run
     from . import drawing as job
 
-    around = load_scene(scene)
+    around = load_scene(question.scene)
     check_layout(layout, around)
     run = find_run(run_id, around, weather=weather)
     frame_index = find_frame(run, frame)

@@ -317,10 +317,17 @@ def _junction_lines(junctions: "Sequence[JunctionRecord]") -> list[str]:
         return ["  no junctions"]
     if len(junctions) == 1 and junctions[0].arm_list is not UNSET:
         arms = [
-            [arm.name, str(arm.lanes_in), str(arm.lanes_out), str(arm.parking_lanes)]
+            [
+                arm.name,
+                str(arm.lanes_in),
+                str(arm.lanes_out),
+                str(arm.parking_lanes),
+                str(arm.bus_lanes),
+            ]
             for arm in junctions[0].arm_list
         ]
-        return table(["arm", "lanes in", "lanes out", "parking"], arms)
+        heads = ["arm", "lanes in", "lanes out", "parking", "bus"]
+        return table(heads, arms)
     heads = ["junction", "arms", "lanes", "signals", "crossings", "x", "y"]
     rows = [
         [one.id, *("-" if count is UNSET else str(count) for count in counts), *place]

@@ -49,7 +49,7 @@ JUNCTIONS_PAGE = "junctions.html"
 _STUDY = "town05"
 # A millimetre.
 _DIGITS = 3
-IMPORT_VERSION = 2
+IMPORT_VERSION = 3
 """Counts up when the same map gives another scene: older ones are not taken."""
 
 
@@ -60,6 +60,7 @@ class ArmRecord(Record, frozen=True, kw_only=True):
     lanes_in: int
     lanes_out: int
     parking_lanes: int
+    bus_lanes: int = 0
 
 
 class JunctionRecord(Record, frozen=True, kw_only=True):
@@ -143,6 +144,9 @@ def build_scene_result(scene: Scene) -> SceneResult:
             lanes_out=len(arm.exit_lanes),
             parking_lanes=sum(
                 lane.kind == "parking" for lane in (*arm.lanes_in, *arm.lanes_out)
+            ),
+            bus_lanes=sum(
+                lane.kind == "bus" for lane in (*arm.lanes_in, *arm.lanes_out)
             ),
         )
         for arm in junction.arms.values()

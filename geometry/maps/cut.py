@@ -2,7 +2,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -101,6 +101,8 @@ class CutSurroundings:
         Z counts from the road in the junction's middle; ids are unique.
     poles : tuple of Pole
         Feet at z = 0, whatever the ground; ids are unique.
+    paths : Any
+        Ground of ways beside the lanes, a shapely geometry. [m]
     keeps_left : bool
         Traffic keeps left.
     skipped : tuple of Note
@@ -127,6 +129,7 @@ class CutSurroundings:
     terrain: Terrain | None = None
     zero_height_m: float | None = None
     neighbours_m: tuple[FloatArray, ...] = ()
+    paths: Any = field(default_factory=shapely.Polygon)
 
 
 def cut_out(
@@ -208,6 +211,7 @@ def cut_out(
         crosswalks_m=_crosswalks(maps, frame, outline),
         things=tuple(things),
         poles=tuple(poles),
+        paths=_paths(maps, frame, radius_m),
         keeps_left=roads.keeps_left,
         skipped=tuple(skipped),
         roads=tuple(_moved(road, frame, roads) for road in junction.roads),
@@ -500,9 +504,7 @@ def _lanes(
     # By the junction into which they lead.
     ends: dict[str, list[Lane]] = defaultdict(list)
     begins: dict[str, list[Lane]] = defaultdict(list)
-    for lane in (
-        lane for lane in roads.lanes if lane.kind in ("driving", "parking", "cycling")
-    ):
+    for lane in (lane for lane in roads.lanes if lane.kind != "walking"):
         whole = frame.take(lane.centreline_m[:, :2], roads)
         if junction.id in (lane.to_junction, lane.from_junction):
             points = _reaching(whole, reach_m, from_end=junction.id == lane.to_junction)
@@ -727,6 +729,17 @@ def _crosswalks(
     return np.asarray(lines[(off_m <= _CROSSWALK_WITHIN_M) & is_length])
 
 
+def _paths(maps: Sequence[SourceMap], frame: LocalFrame, radius_m: float) -> Any:
+    """Ground of the paths of all maps within a radius, a shapely geometry."""
+    strips = []
+    for source in maps:
+        for path in source.paths:
+            line = shapely.LineString(frame.take(path.line_m, source))
+            if line.distance(shapely.Point(0.0, 0.0)) <= radius_m:
+                strips.append(line.buffer(0.5 * path.width_m, quad_segs=4))
+    return shapely.union_all(strips)
+
+
 def _near_things(
     source: SourceMap,
     frame: LocalFrame,
@@ -810,6 +823,7 @@ def _trees(source: SourceMap) -> dict[str, shapely.STRtree]:
         "junctions": [junction.outline_m for junction in source.junctions],
         "things": [thing.vertices_m for thing in source.things],
         "poles": [pole.position_m[None] for pole in source.poles],
+        "paths": [path.line_m for path in source.paths],
         "crosswalks_m": source.crosswalks_m.mean(axis=1, keepdims=True),
     }
     return {

@@ -261,7 +261,7 @@ def georeference(
     ------
     InputError
         Coordinates are not finite, are degrees instead of metres or the
-        reverse, or have latitude and longitude swapped.
+        reverse, or have latitude and longitude, or easting and northing, swapped.
     """
     from pyproj.exceptions import ProjError
 
@@ -310,6 +310,13 @@ def georeference(
             area = "its area"
             if crs.area_of_use:
                 area = crs.area_of_use.name
+            if not follows_authority and _is_meant_for(crs, middle[::-1]):
+                got = f"coordinates around {middle[0]:.0f}, {middle[1]:.0f}"
+                refuse(
+                    where,
+                    got,
+                    f"some in {area.removesuffix('.')}: easting and northing swapped?",
+                )
             why = (
                 f"the coordinates lie outside {area}: taken as metres without a place"
                 " on earth"

@@ -20,7 +20,7 @@ from ..archives import unpacked
 from ..arrays import FloatArray
 from ..errors import InputError, check_one_of, refuse
 from ..frames import WGS84, check_crs, transform
-from ..junction import build_junction
+from ..junction import CARRIAGEWAY_KINDS, build_junction
 from ..notes import Note
 from ..opening import check_file, open_file, read_text
 from ..phrases import Phrase
@@ -42,6 +42,7 @@ from ..terrain import GROUND
 from ..text_formats import load_data, parse_json
 from ..xml_files import local_name, read_xml_root
 from .cut import LANES_BEYOND_M, build_scene, cut_out
+from .elsewhere import check_maps_lie_here
 from .place_lists import SUFFIXES as LISTS
 from .relief import read_elevation
 from .sites import choose_sites, settle_poles
@@ -402,7 +403,7 @@ def _survey(
     # counts.
     near = []
     limits = load_limits()
-    for lane in (lane for lane in lanes if lane.kind in ("driving", "parking")):
+    for lane in (lane for lane in lanes if lane.kind in CARRIAGEWAY_KINDS):
         whole_m = lane.centreline_m[:, :2] - middle
         is_near = (np.abs(whole_m) <= limits.coordinate_m).all(axis=1)
         line_m = whole_m[is_near][: limits.line_points]
@@ -677,6 +678,7 @@ def read_maps(
         where = ", ".join(source.name for source in maps)
         refuse(where, f"roads in {names}", "roads in one of the files")
     roads = with_roads[0]
+    check_maps_lie_here(maps)
     progress(Phrase("find junctions"), 0, 0)
     return [roads, *(s for s in maps if s is not roads)], survey_junctions(roads)
 

@@ -30,7 +30,7 @@ from .opendrive.junctions import (
     largest_polygon,
     with_known_junctions,
 )
-from .openstreetmap.elements import Elements, Relation, read_elements
+from .openstreetmap.elements import Elements, Relation, read_loose_elements
 from .source_map import (
     MapJunction,
     MapLane,
@@ -44,6 +44,10 @@ from .source_map import (
 )
 
 _WORDS: dict[str, list[str]] = load_data("geometry.maps", "words.toml")["lanelets"]
+# Kinds of lanelets that belong to roads.
+_ROADS = ("driving", "bus")
+# How tags begin that say who may use a lanelet.
+_USERS = "participant:"
 _KINDS = {word: kind for kind, words in _WORDS.items() for word in words}
 # between the end of a lanelet and the beginning of the next one, at both bounds
 _JOINED_M = 0.5
@@ -53,6 +57,12 @@ _STEP_M = 2.0
 _SAME_M = 0.01
 # Lanelets that cross, merge or part share more ground.
 _MIN_OVERLAP_M2 = 2.0
+# Narrower or shorter lanelets are no lanes.
+_MIN_SIZE_M = 0.1
+# Latitudes and longitudes fit local coordinates within this, and this share of the
+# map's size: a projection's scale.
+_FITS_M = 1.0
+_FITS_SHARE = 2e-3
 # Around latitude 0, longitude 0, where maps without a place are drawn.
 _NOWHERE_DEG = 0.5
 # Between lanelets of both directions of a road.
@@ -149,6 +159,18 @@ def _lanelet(
     return Lanelet(id=name, left_m=left_m, right_m=right_m, **known)
 
 
+def _has_ground(one: Lanelet, name: str, omissions: Omissions) -> bool:
+    """True if a lanelet is long and wide enough to be a lane; others are noted."""
+    edges_m = one.edges_m
+    width_m = np.hypot(*(edges_m[0] - edges_m[1])[:, :2].T).mean()
+    long_m = length_m(edges_m.mean(axis=0)[:, :2])
+    if width_m >= _MIN_SIZE_M and long_m >= _MIN_SIZE_M:
+        return True
+    why = f"no lane: it is {width_m:.2g} m wide and {long_m:.2g} m long"
+    omissions.add("lanelets without ground", name, why)
+    return False
+
+
 # ---------- from lanelets to lanes and junctions
 def _build(
     lanelets: Sequence[Lanelet], omissions: Omissions
@@ -175,7 +197,7 @@ def _build(
         Those that lanes lead to; the others are noted.
     """
     roads = _with_right_sides(
-        [one for one in lanelets if one.kind == "driving"], omissions
+        [one for one in lanelets if one.kind in _ROADS], omissions
     )
     roads += [one.turned() for one in roads if not one.is_oneway]
     # Lanelets that follow each other, and those whose ground meets.
@@ -349,7 +371,8 @@ def _lanes(
         if len(follows[one]) != 1:
             continue
         other = follows[one][0]
-        if before[other] == [one] and other not in junction_of:
+        is_alike = roads[one].kind == roads[other].kind
+        if before[other] == [one] and other not in junction_of and is_alike:
             joints[one] = other
     # Chains from lanelets that no joint leads to.
     done: set[int] = set()
@@ -378,7 +401,7 @@ def _connections(
     group: Sequence[int],
     name: str,
 ) -> list[MapLane]:
-    """Ways through a junction, from each lanelet that nothing leads to.
+    """Ways of cars through a junction, from each lanelet that nothing leads to.
 
     Parameters
     ----------
@@ -396,14 +419,14 @@ def _connections(
     lanes : list of MapLane
         At most 200.
     """
-    members = set(group)
+    members = {one for one in group if roads[one].kind == "driving"}
     onwards = {
-        one: [other for other in follows[one] if other in members] for one in group
+        one: [other for other in follows[one] if other in members] for one in members
     }
     led_to = {other for others in onwards.values() for other in others}
     found: list[MapLane] = []
     # Extend each way until nothing of the junction follows.
-    ways = [[one] for one in group if one not in led_to]
+    ways = [[one] for one in group if one in members and one not in led_to]
     while ways and len(found) < _MAX_WAYS:
         way = ways.pop()
         further = [other for other in onwards[way[-1]] if other not in way]
@@ -527,9 +550,10 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
 
     Lanelets of roads become lanes and junctions, crosswalks, walkways and
     bicycle lanes theirs, traffic lights and signs poles, areas of buildings
-    things. Positions are those of ``local_x`` and ``local_y`` where nodes have
-    them, else latitude and longitude, in metres around the middle; a map around
-    0, 0 has no place on earth.
+    things. Distances are those of ``local_x`` and ``local_y`` where nodes have
+    them, and latitude and longitude say where on earth they lie; a map around
+    0, 0, or one in which they do not fit, has no place on earth. Files of
+    Autoware are read, too: without a version, and with empty latitudes.
 
     Parameters
     ----------
@@ -553,17 +577,21 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     .. [1] F. Poggenhans et al., "Lanelet2: A high-definition map framework", ITSC
        2018, and ``lanelet2_core/doc/LaneletPrimitives.md`` in its repository.
     """
-    elements = read_elements(path)
+    elements = read_loose_elements(path)
     omissions = Omissions()
-    points_m, crs, has_heights = _positions(elements, path)
-    ways = {way.id: points_m[way.rows[way.rows >= 0]] for way in elements.ways}
+    points_m, crs, has_heights = _positions(elements, path, omissions)
+    has_place = np.isfinite(points_m).all(axis=1)
+    ways = {}
+    for way in elements.ways:
+        rows = way.rows[way.rows >= 0]
+        ways[way.id] = points_m[rows[has_place[rows]]]
     lanelets = []
     # Each relation of type lanelet, unless it lacks a bound or is of another kind.
     for relation in elements.relations:
         if relation.tags.get("type") == "lanelet":
-            name = f"lanelet {relation.id}"
+            name = f"lanelet {relation.id} of {path.name}"
             bounds = [_bound(relation, side, ways) for side in ("left", "right")]
-            kind = _KINDS.get(relation.tags.get("subtype", ""), "")
+            kind = _kind_of(relation.tags)
             if not kind:
                 why = "no lane of cars, bicycles or people on the ground"
                 omissions.add("lanelets of other kinds", name, why)
@@ -572,18 +600,18 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
                     "lanelets without bounds", name, "a bound is missing, or in pieces"
                 )
             else:
-                lanelets.append(
-                    _lanelet(
-                        str(relation.id),
-                        *bounds,
-                        kind=kind,
-                        is_oneway=relation.tags.get("one_way", "yes") != "no",
-                        speed_limit_kmh=parse_speed_kmh(
-                            relation.tags.get("speed_limit", "")
-                        ),
-                        is_in_junction="turn_direction" in relation.tags,
-                    )
+                lanelet = _lanelet(
+                    str(relation.id),
+                    *bounds,
+                    kind=kind,
+                    is_oneway=relation.tags.get("one_way", "yes") != "no",
+                    speed_limit_kmh=parse_speed_kmh(
+                        relation.tags.get("speed_limit", "")
+                    ),
+                    is_in_junction="turn_direction" in relation.tags,
                 )
+                if _has_ground(lanelet, name, omissions):
+                    lanelets.append(lanelet)
     source_crs = ""
     if crs:
         source_crs = WGS84
@@ -607,8 +635,38 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     )
 
 
-def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
+def _kind_of(tags: Mapping[str, str]) -> str:
+    """Kind of a lanelet by its subtype and by who may use it; empty: of others."""
+    kind = _KINDS.get(tags.get("subtype", ""), "")
+    if kind not in _ROADS:
+        return kind
+    of_vehicles = tags.get(f"{_USERS}vehicle")
+    of_cars = tags.get(f"{_USERS}vehicle:car", of_vehicles)
+    allowed = {
+        key.removeprefix(_USERS) for key, value in tags.items() if value == "yes"
+    }
+    if of_cars == "yes":
+        return kind
+    # Who is named is meant alone.
+    for users, theirs in (
+        ({"vehicle", "vehicle:bus", "vehicle:taxi"}, "bus"),
+        ({"bicycle"}, "cycling"),
+        ({"pedestrian"}, "walking"),
+    ):
+        if users & allowed:
+            return theirs
+    if of_cars == "no":
+        return ""
+    return kind
+
+
+def _positions(
+    elements: Elements, path: Path, omissions: Omissions
+) -> tuple[FloatArray, str, bool]:
     """Positions of all nodes, their CRS, and whether they have heights.
+
+    Distances are those of ``local_x`` and ``local_y``, the place on earth and the
+    direction of north are those of latitude and longitude.
 
     Parameters
     ----------
@@ -616,37 +674,113 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
         Elements of the file.
     path : Path
         File, for messages.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
 
     Returns
     -------
     points_m : (n, 3) float
-        Heights are 0 where nodes have none. [m]
+        Heights are 0 where nodes have none; NaN: a node has no position. [m]
     crs : str
         Empty: the map has no place on earth.
     has_heights : bool
         Any node has a height.
+
+    Raises
+    ------
+    InputError
+        No node has a position.
     """
     tags = [elements.node_tags.get(row, {}) for row in range(len(elements.node_ids))]
     if not tags:
         raise InputError(str(path), Unquoted("no nodes"), "a map with lanelets")
     heights = np.array([float_of(some.get("ele", "")) for some in tags])
+    has_heights = bool(np.isfinite(heights).any())
     height_m = np.nan_to_num(heights)
-    # Positions in metres count, if all nodes have them.
-    local = np.array(
+    local_m = np.array(
         [[float_of(some.get(f"local_{axis}", "")) for axis in "xy"] for some in tags]
     )
-    if np.isfinite(local).all():
-        return np.column_stack([local, height_m]), "", bool(np.isfinite(heights).any())
-    # Otherwise project around the middle.
-    middle_deg = np.median(elements.lon_lat_deg, axis=0)
+    is_local = np.isfinite(local_m).all(axis=1)
+    is_geographic = np.isfinite(elements.lon_lat_deg).all(axis=1)
+    for row in np.flatnonzero(~is_local & ~is_geographic).tolist():
+        name = f"node {elements.node_ids[row]} of {path.name}"
+        why = "neither latitude and longitude nor local_x and local_y"
+        omissions.add("nodes", name, why)
+    plane_m, crs = _projected(elements.lon_lat_deg, path)
+    is_both = is_local & is_geographic
+    if not is_local.any() and not is_geographic.any():
+        raise InputError(str(path), Unquoted("no positions"), "a map with lanelets")
+    if not is_local.any():
+        return np.column_stack([plane_m, height_m]), crs, has_heights
+    moved_m = None
+    if crs and is_both.sum() >= 2:
+        moved_m = _laid_over(local_m, plane_m, is_both)
+        if moved_m is None:
+            why = "latitude and longitude do not fit local_x and local_y: not followed"
+            omissions.add("places on earth", f"place of {path.name}", why)
+    if moved_m is None:
+        # Nodes without local coordinates are of another frame.
+        return np.column_stack([local_m, height_m]), "", has_heights
+    points_m = np.where(is_local[:, None], moved_m, plane_m)
+    return np.column_stack([points_m, height_m]), crs, has_heights
+
+
+def _projected(lon_lat_deg: FloatArray, path: Path) -> tuple[FloatArray, str]:
+    """Places in metres around their middle, (n, 2), and the projection's name.
+
+    Places are NaN where longitude and latitude are. The name is empty around
+    latitude 0, longitude 0, and where there is no place at all.
+    """
+    plane_m = np.full(lon_lat_deg.shape, np.nan)
+    is_there = np.isfinite(lon_lat_deg).all(axis=1)
+    if not is_there.any():
+        return plane_m, ""
+    middle_deg = np.median(lon_lat_deg[is_there], axis=0)
     crs = local_crs(middle_deg, WGS84, where=str(path))
-    plane_m = transform(elements.lon_lat_deg, WGS84, crs)
-    found = np.column_stack([plane_m, height_m])
-    has_heights = bool(np.isfinite(heights).any())
+    plane_m[is_there] = transform(lon_lat_deg[is_there], WGS84, crs)
     is_nowhere = bool((np.abs(middle_deg) < _NOWHERE_DEG).all())
     if is_nowhere:
-        return found, "", has_heights
-    return found, crs, has_heights
+        crs = ""
+    return plane_m, crs
+
+
+def _laid_over(
+    local_m: FloatArray, plane_m: FloatArray, is_both: BoolArray
+) -> FloatArray | None:
+    """Local coordinates turned and moved to where they lie on earth.
+
+    Parameters
+    ----------
+    local_m : (n, 2) float
+        Local coordinates. [m]
+    plane_m : (n, 2) float
+        Projected latitudes and longitudes. [m]
+    is_both : (n,) bool
+        Which nodes have both.
+
+    Returns
+    -------
+    moved_m : (n, 2) float or None
+        None: they do not fit one another. [m]
+
+    References
+    ----------
+    .. [1] W. Kabsch, "A solution for the best rotation to relate two sets of
+       vectors", Acta Crystallographica A32, 1976.
+    """
+    local_middle_m = local_m[is_both].mean(axis=0)
+    plane_middle_m = plane_m[is_both].mean(axis=0)
+    from_m = local_m[is_both] - local_middle_m
+    onto_m = plane_m[is_both] - plane_middle_m
+    left, _, right = np.linalg.svd(from_m.T @ onto_m)
+    # Turned, never mirrored.
+    signs = np.array([1.0, np.linalg.det(left @ right)])
+    rotation = left @ np.diag(signs) @ right
+    off_m = np.hypot(*(from_m @ rotation - onto_m).T)
+    size_m = float(np.hypot(*np.ptp(from_m, axis=0)))
+    if np.median(off_m) > _FITS_M + _FITS_SHARE * size_m:
+        return None
+    return np.asarray((local_m - local_middle_m) @ rotation + plane_middle_m)
 
 
 def _bound(relation: Relation, side: str, ways: Mapping[int, FloatArray]) -> FloatArray:
@@ -766,10 +900,15 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
             # A reference to one.
             continue
         types = [one.text or "" for one in element.iter("laneletType")]
-        kind = next((_KINDS[text] for text in types if text in _KINDS), "driving")
+        kinds = [_KINDS[text] for text in types if text in _KINDS]
+        kind = next(iter(kinds), "driving")
+        if "bus" in kinds:
+            kind = "bus"
         if any(len(bound) < 2 for bound in bounds):
             omissions.add(
-                "lanelets without bounds", f"lanelet {name}", "a bound has no points"
+                "lanelets without bounds",
+                f"lanelet {name} of {path.name}",
+                "a bound has no points",
             )
             continue
         one_way = element.find("userBidirectional") is None
@@ -777,7 +916,8 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
         one = _lanelet(
             name, *bounds, kind=kind, is_oneway=one_way, is_in_junction=inside
         )
-        lanelets.append(one)
+        if _has_ground(one, f"lanelet {name} of {path.name}", omissions):
+            lanelets.append(one)
     poles = []
     for tag, kind in (("trafficLight", "traffic light"), ("trafficSign", "sign")):
         for element in root.iter(tag):

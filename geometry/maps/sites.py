@@ -17,7 +17,7 @@ from shapely import Polygon
 
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
-from ..junction import compass_point
+from ..junction import CARRIAGEWAY_KINDS, compass_point
 from ..lines import along_m, apart, length_m, points_at, steps_m
 from ..notes import Note
 from ..phrases import Phrase
@@ -57,6 +57,8 @@ _AUTO: dict[str, float] = load_data("geometry.maps", "sites.toml")["auto"]
 _SPACINGS_M = (2.0, 100.0)
 # Of a pole's middle from the kerb; assumption: the usual clearance of a carriageway.
 SETBACK_M = 0.5
+# Between a way of people or cyclists and what stands beside it; ERA: safety distance.
+_BESIDE_PATH_M = 0.25
 # From a lane or the middle of a junction to the kerb.
 _MAX_MOVE_M = 15.0
 # Farther inside, it hangs on the building.
@@ -101,7 +103,7 @@ def kerb_sites(
         raise InputError("outline_m", len(outline), "at least three points")
     inside = area_of(outline)
     ring = shapely.LinearRing(outline)
-    roads = [lane for lane in lanes if lane.kind in ("driving", "parking")]
+    roads = [lane for lane in lanes if lane.kind in CARRIAGEWAY_KINDS]
     # Lanes from the outline outwards, and the ground beside them.
     arms = [(lane, line) for lane in roads for line in _outward(lane, roads, ring)]
     strips = shapely.STRtree(
@@ -474,7 +476,10 @@ def _settled(
         Those that are too far from a place are noted.
     """
     kept = []
-    places = find_places([wish.position_m for wish in wishes], surroundings)
+    # Nothing is known to stand at kerbs: nobody walks or rides there either.
+    is_free = [wish.kind == "kerb" for wish in wishes]
+    positions = [wish.position_m for wish in wishes]
+    places = find_places(positions, surroundings, off_paths=is_free)
     for wish, place in zip(wishes, places, strict=True):
         what = Phrase("site {name}", name=wish.id)
         if not place.why or wish.kind in HANGING_KINDS:
@@ -767,14 +772,22 @@ class Place(NamedTuple):
         Empty: it stays.
     is_in_wall : bool
         It was inside a wall or a building.
+    is_beside_path : bool
+        It would stand on a footway or a cycle track, and nowhere else amiss.
     """
 
     position_m: FloatArray | None
     why: str = ""
     is_in_wall: bool = False
+    is_beside_path: bool = False
 
 
-def find_places(positions_m: ArrayLike, surroundings: CutSurroundings) -> list[Place]:
+def find_places(
+    positions_m: ArrayLike,
+    surroundings: CutSurroundings,
+    *,
+    off_paths: Sequence[bool] = (),
+) -> list[Place]:
     """Nearest places beside the road and outside walls.
 
     Parameters
@@ -782,7 +795,9 @@ def find_places(positions_m: ArrayLike, surroundings: CutSurroundings) -> list[P
     positions_m : (n, 2) float
         Where things would stand, in the scene's frame. [m]
     surroundings : CutSurroundings
-        Lanes, outline and things around the junction.
+        Lanes, outline, paths and things around the junction.
+    off_paths : sequence of bool
+        Which of them may not stand on footways and cycle tracks either; empty: none.
 
     Returns
     -------
@@ -795,6 +810,12 @@ def find_places(positions_m: ArrayLike, surroundings: CutSurroundings) -> list[P
     road = covered_area(surroundings.outline_m, surroundings.lanes)
     shapely.prepare(road)
     is_on_road = shapely.intersects_xy(road, *positions.T)
+    is_on_path = np.zeros(len(positions), dtype=bool)
+    paths = surroundings.paths
+    if any(off_paths):
+        paths = paths.buffer(_BESIDE_PATH_M, quad_segs=4)
+        on_any = shapely.intersects_xy(paths, *positions.T)
+        is_on_path = np.array(off_paths, dtype=bool) & on_any
     standing = [
         thing for thing in standing_things(surroundings) if len(thing.triangles)
     ]
@@ -804,11 +825,14 @@ def find_places(positions_m: ArrayLike, surroundings: CutSurroundings) -> list[P
     boxes = shapely.STRtree(
         [shapely.box(*low, *high) for low, high in map(_box, solid)]
     )
-    blocked = _without_gaps(shapely.buffer(road, SETBACK_M, quad_segs=4))
+    off_road = _without_gaps(shapely.buffer(road, SETBACK_M, quad_segs=4))
+    off_both = off_road
+    if any(off_paths):
+        off_both = _without_gaps(off_road.union(paths))
     places = []
     for index, position in enumerate(positions):
         wall = walls.get(index)
-        if not is_on_road[index] and wall is None:
+        if not is_on_road[index] and not is_on_path[index] and wall is None:
             places.append(Place(position))
             continue
         most_m = _MAX_MOVE_M
@@ -824,10 +848,15 @@ def find_places(positions_m: ArrayLike, surroundings: CutSurroundings) -> list[P
             for at in close
         ]
         around = shapely.box(*(position - most_m - 1.0), *(position + most_m + 1.0))
+        blocked = off_road
+        if index < len(off_paths) and off_paths[index]:
+            blocked = off_both
         here = _without_gaps(shapely.union_all([blocked.intersection(around), *near]))
         edge = here.boundary.difference(around.boundary.buffer(0.01))
         if edge.is_empty or edge.distance(point) > most_m:
             where = "on a lane or in the junction"
+            if is_on_path[index]:
+                where = "on a footway or a cycle track"
             if wall is not None:
                 where = f"inside {wall.class_name} {wall.id}"
             why = f"it stands {where}, farther than {most_m:g} m from where it could"
@@ -840,6 +869,13 @@ def find_places(positions_m: ArrayLike, surroundings: CutSurroundings) -> list[P
             " kerb",
             away=away_m,
         )
+        is_beside_path = bool(is_on_path[index] and not is_on_road[index])
+        if is_beside_path:
+            why = Phrase(
+                "it would stand on a footway or a cycle track: moved {away:.1f} m"
+                " beside it",
+                away=away_m,
+            )
         if wall is not None:
             why = Phrase(
                 "it stood inside {kind} {name}: moved {away:.1f} m out of it",
@@ -847,7 +883,14 @@ def find_places(positions_m: ArrayLike, surroundings: CutSurroundings) -> list[P
                 name=wall.id,
                 away=away_m,
             )
-        places.append(Place(np.round(nearest, 3), why, wall is not None))
+            is_beside_path = False
+        place = Place(
+            np.round(nearest, 3),
+            why,
+            is_in_wall=wall is not None,
+            is_beside_path=is_beside_path,
+        )
+        places.append(place)
     return places
 
 
@@ -952,7 +995,9 @@ def settle_poles(
     if not surroundings.poles:
         return surroundings, ()
     feet = np.array([pole.position_m[:2] for pole in surroundings.poles])
-    placed = [*zip(surroundings.poles, find_places(feet, surroundings), strict=True)]
+    is_assumed = [pole.assumed != "" for pole in surroundings.poles]
+    places = find_places(feet, surroundings, off_paths=is_assumed)
+    placed = [*zip(surroundings.poles, places, strict=True)]
     # Poles that stand beside the road already.
     masts = [pole for pole, place in placed if pole.kind == "pole" and not place.why]
     kept: list[Pole] = []
@@ -965,7 +1010,8 @@ def settle_poles(
             offset_m = (mast.position_m - pole.position_m)[:2]
             away_m[mast.id] = float(np.hypot(*offset_m))
         nearest = min(away_m, key=away_m.__getitem__, default="")
-        hangs = bool(place.why) and pole.kind in ("traffic light", "sign")
+        is_over = bool(place.why) and not place.is_beside_path
+        hangs = is_over and pole.kind in ("traffic light", "sign")
         if hangs and nearest and away_m[nearest] <= _MAST_ARM_M:
             notes.append(Note(what, f"it hangs over the road: its pole is {nearest}"))
             continue

@@ -33,7 +33,7 @@ _SAME_M = 1e-3
 _MIN_AREA_M2 = 1e-6
 _MIN_FOOTPRINT_M2 = 0.01
 NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
-LANE_KINDS = ("driving", "parking", "cycling", "walking")
+LANE_KINDS = ("driving", "bus", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
 Heights = Literal["above ground", "absolute"]
 # Of the things of a file.
@@ -553,6 +553,29 @@ class Pole:
         set_arrays(self, f"pole {self.id}.", position_m=(3,))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MapPath:
+    """Way beside the lanes on which nothing may stand, such as a footway.
+
+    Attributes
+    ----------
+    id : str
+        From the source; unique in the map.
+    line_m : (n, 2) float
+        Its middle. [m]
+    width_m : float
+        Full width. [m]
+    """
+
+    id: str
+    line_m: FloatArray
+    width_m: float
+
+    def __post_init__(self) -> None:
+        _clean_names(self, "id")
+        set_arrays(self, f"path {self.id}.", line_m=(-1, 2))
+
+
 @dataclass(frozen=True, slots=True)
 class Omissions:
     """Names of parts of a file that are left out, by kind and reason.
@@ -638,7 +661,7 @@ class SourceMap:
         The one that the file itself uses, such as "EPSG:4326".
     heights : {"above ground", "absolute"}
         Zero of the z axis.
-    lanes, junctions, things, poles : tuple
+    lanes, junctions, things, poles, paths : tuple
         The objects of the map.
     connections : tuple of MapLane
         Lanes through junctions, each from the end of a lane to the begin of another;
@@ -664,6 +687,7 @@ class SourceMap:
     junctions: tuple[MapJunction, ...] = ()
     things: tuple[Thing, ...] = ()
     poles: tuple[Pole, ...] = ()
+    paths: tuple[MapPath, ...] = ()
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
     ground_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     keeps_left: bool = False

@@ -70,9 +70,9 @@ def build_markings(scene: Scene, marks: Mapping[str, float]) -> FloatArray:
 
 
 def _lane_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float]]:
-    """Rectangles of the lines between lanes, both sides of every driving lane."""
+    """Rectangles of the lines between lanes, both sides of every lane."""
     for lane in scene.lanes:
-        if lane.kind != "driving":
+        if lane.kind not in ("driving", "bus"):
             continue
         line = lane.centreline_m
         # Left side, then right side.

@@ -242,8 +242,8 @@ class StandingRoom:
     ----------
     traffic : StandingTraffic
         How many, of which kinds.
-    parking, entries : tuple of Kerbside
-        Parking lanes, and lanes that lead into the junction.
+    parking, entries, bus_lanes : tuple of Kerbside
+        Parking lanes, and lanes that lead into the junction, for cars and for buses.
     solid : RayCaster
         Everything but the ground, relative to `origin_m`.
     origin_m : (3,) float
@@ -255,6 +255,7 @@ class StandingRoom:
     traffic: StandingTraffic
     parking: tuple[Kerbside, ...]
     entries: tuple[Kerbside, ...]
+    bus_lanes: tuple[Kerbside, ...]
     solid: RayCaster
     origin_m: FloatArray
     scene: Scene
@@ -273,6 +274,7 @@ class StandingRoom:
             for name, lanes, fill in (
                 ("parking", self.parking, _park),
                 ("waiting", self.entries, _queue),
+                ("bus", self.bus_lanes, _stop),
             )
             for side in lanes
             for placed in fill(side, self.traffic, rng(name, side.is_in, side.lane.id))
@@ -306,6 +308,7 @@ def build_street(scene: Scene, traffic: StandingTraffic) -> StandingRoom:
     """
     parking = []
     entries = []
+    bus_lanes = []
 
     def kerbside(lane: Lane, is_in: bool, first_m: float) -> Kerbside:
         end_m = min(traffic.along_arm_m, lane_length_m(lane))
@@ -323,6 +326,11 @@ def build_street(scene: Scene, traffic: StandingTraffic) -> StandingRoom:
             kerbside(lane, True, stop_line_m(arm, lane, traffic.crosswalk_gap_m))
             for lane in arm.entry_lanes
         ]
+        bus_lanes += [
+            kerbside(lane, True, stop_line_m(arm, lane, traffic.crosswalk_gap_m))
+            for lane in arm.lanes_in
+            if lane.kind == "bus"
+        ]
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     solid = [
         i for i, thing in enumerate(scene.instances) if thing.class_name != "ground"
@@ -332,6 +340,7 @@ def build_street(scene: Scene, traffic: StandingTraffic) -> StandingRoom:
         traffic=traffic,
         parking=tuple(parking),
         entries=tuple(entries),
+        bus_lanes=tuple(bus_lanes),
         # Some hundred rays: not worth the second that Open3D takes to load.
         solid=build_caster(scene.vertices_m - origin, triangles, library="embree"),
         origin_m=origin,
@@ -399,6 +408,17 @@ def _queue(
         yield side.at(near_m, actor)
         near_m += actor.length_m + traffic.waiting_gap_m
         share = traffic.following_share
+
+
+def _stop(
+    side: Kerbside, traffic: StandingTraffic, rng: np.random.Generator
+) -> Iterator[PlacedActor]:
+    """A bus at the stop line of a bus lane, or none."""
+    bus = traffic.bus
+    if bus is None or rng.random() >= traffic.bus_lane_share:
+        return
+    if side.first_m + bus.length_m <= side.end_m:
+        yield side.at(side.first_m, bus)
 
 
 def _pick(kinds: Sequence[VehicleKind], use: str, rng: np.random.Generator) -> Actor:

@@ -36,6 +36,8 @@ _REACH = dict.fromkeys(_SPEEDS, ("km/h", 50.0)) | {
 }
 _WAYS = ("heading_deg", "path_m")
 _SUM_TOLERANCE = 1.0e-6
+# Name of the kind of vehicle that waits in bus lanes.
+_BUS = "bus"
 # Standard deviations from a uniform distribution's mean to its end.
 _UNIFORM_REACH = np.sqrt(3.0)
 
@@ -219,6 +221,9 @@ class StandingTraffic:
     waiting_share, following_share : float
         Probability that somebody waits at the stop line of a lane; then, again and
         again, that another one stands behind. 0 .. 1
+    bus_lane_share : float
+        Probability that a bus, the kind of vehicle of that name, waits at the end of a
+        bus lane that leads into the junction. 0 .. 1
     vehicles : tuple of VehicleKind
         What stands there; shares of each use sum to 1.
     free_place_m : float
@@ -239,6 +244,7 @@ class StandingTraffic:
     taken_share: float = _up_to(1.0)
     waiting_share: float = _up_to(1.0)
     following_share: float = _up_to(1.0)
+    bus_lane_share: float = _up_to(1.0)
     free_place_m: float = _up_to(1000.0, "metres", default=5.5)
     parked_gap_m: float = _up_to(1000.0, "metres", default=0.8)
     clear_of_mouth_m: float = _up_to(1000.0, "metres", default=5.0)
@@ -258,6 +264,8 @@ class StandingTraffic:
         ):
             if getattr(self, name) > 0.0:
                 self._check_mix(use)
+        if self.bus_lane_share > 0.0 and self.bus is None:
+            refuse("vehicles", "no bus", f"one named {_BUS}: bus_lane_share > 0")
 
     def _check_mix(self, use: str) -> None:
         """Raise InputError unless the shares of one use sum to 1."""
@@ -270,7 +278,14 @@ class StandingTraffic:
     @property
     def is_empty(self) -> bool:
         """True if nobody stands anywhere."""
-        return self.taken_share == 0.0 == self.waiting_share
+        shares = (self.taken_share, self.waiting_share, self.bus_lane_share)
+        return not any(shares)
+
+    @property
+    def bus(self) -> Actor | None:
+        """The bus among the kinds of vehicles; None: there is none."""
+        actors = (kind.actor for kind in self.vehicles)
+        return next((actor for actor in actors if actor.name == _BUS), None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -462,13 +477,20 @@ def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Unce
 
     They replace the vehicles that wait at the stop lines.
     """
-    standing = replace(uncertainty.traffic, waiting_share=0.0, following_share=0.0)
+    standing = replace(
+        uncertainty.traffic,
+        waiting_share=0.0,
+        following_share=0.0,
+        bus_lane_share=0.0,
+    )
     return replace(uncertainty, moving=moving, traffic=standing)
 
 
 # ---------- reading
 UNCERTAINTY_NAMES = ("default", "robustness", "as-measured", "none")
 _FILE = "uncertainty.toml"
+# Numbers of a section that may be left out.
+_OPTIONAL = ("bus_lane_share",)
 _SECTIONS = (
     *("mounting", "latency", "messages", "detector", "outages", "blinding", "fleet"),
     *("choosing", "traffic", "vehicles", "road_users", "people"),
@@ -612,14 +634,15 @@ def _read_numbers(
 ) -> _T:
     """A value whose numbers a section has, all of them.
 
-    It is the default where the section is left out.
+    It is the default where the section, or a number of ``_OPTIONAL``, is left out.
     """
     names = [one.name for one in fields(kind) if one.metadata]  # type: ignore[arg-type]
     table = _section(document, key, names)
     if table is None:
         numbers = {}
     else:
-        numbers = {name: take_number(table, name, key) for name in names}
+        given = [name for name in names if name in table or name not in _OPTIONAL]
+        numbers = {name: take_number(table, name, key) for name in given}
     with located(f"{key}."):
         return kind(**numbers, **more)
 

@@ -8,7 +8,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from pyproj import Transformer
 
-from geometry.junction import Junction, build_junction
+from geometry.junction import CARRIAGEWAY_KINDS, Junction, build_junction
 from geometry.maps.source_map import MapJunction, MapLane, SourceMap
 from geometry.scene import Lane, Scene
 
@@ -178,7 +178,7 @@ def scene_of(
                 turns=lane.turns,
             )
             for lane in lanes
-            if lane.kind in ("driving", "parking")
+            if lane.kind in CARRIAGEWAY_KINDS
         ),
         crs=source.crs,
         crosswalks_m=source.crosswalks_m,

@@ -44,7 +44,6 @@ from .question import (
     one_run_options,
     option_of,
     question_options,
-    scene_option,
 )
 from .sections import SectionedCommand, SectionedGroup, with_option_names
 from .shared import (
@@ -98,7 +97,6 @@ __all__ = [
     "question_options",
     "quiet_option",
     "recording_options",
-    "scene_option",
     "sign_option",
     "with_option_names",
 ]

@@ -519,9 +519,6 @@ QUESTION_OPTIONS: dict[str, partial[Decorator]] = {
 }
 """What adds the option of each field; ``QUESTION_OPTIONS["samples"](default=8)``."""
 
-scene_option = QUESTION_OPTIONS["scene"]()
-
-
 # ---------- which fields a command asks
 
 

@@ -11,6 +11,7 @@ import shapely
 
 from ...arrays import FloatArray
 from ...errors import InputError, clean_name, refuse
+from ...junction import CARRIAGEWAY_KINDS
 from ...lines import along_m, unit
 from ...scene import LeadingRoad
 from ..source_map import MapJunction, MapLane, Omissions
@@ -22,7 +23,7 @@ _AHEAD_M = 10.0
 # A lane that begins or ends is narrower.
 _MIN_LANE_M = 1.0
 # A car parked at the corner hides who crosses.
-_ARM_KINDS = ("driving", "parking")
+_ARM_KINDS = CARRIAGEWAY_KINDS
 # Lanes end within 1.5 m of it; later steps may move it slightly.
 _AT_OUTLINE_M = 1.0
 # A lane that ends farther off does not end at the junction.
@@ -434,7 +435,7 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
     rings = []
     for section in sections:
         for lane in section.lanes.values():
-            if lane_kind(lane.record.type) != "driving":
+            if lane_kind(lane.record.type) not in ("driving", "bus"):
                 continue
             if not lane.width_m.max() > _MIN_WIDTH_M:
                 continue

@@ -765,12 +765,12 @@ def _driving_edges(
     sections: Sequence[SampledSection],
     s_m: float,
 ) -> list[tuple[float, float]]:
-    """Edges (right, left) of the driving lanes at a station, in metres."""
+    """Edges (right, left) of lanes for cars and buses at a station, in metres."""
     index = bisect_left(sections, s_m, key=lambda one: float(one.s_m[-1]))
     section = sections[min(index, len(sections) - 1)]
     edges = []
     for lane in section.lanes.values():
-        if lane_kind(lane.record.type) == "driving":
+        if lane_kind(lane.record.type) in ("driving", "bus"):
             sides = (lane.inner_m, lane.outer_m)
             right, left = sorted(
                 float(np.interp(s_m, section.s_m, side)) for side in sides

@@ -19,8 +19,10 @@ from ..georeferences import local_crs
 from ..source_map import SourceMap, parse_length_m
 from .elements import DEFAULTS, Elements, Way, read_elements
 from .junctions import find_junctions
+from .lane_counts import is_oneway, runs_backward
 from .lane_lines import build_lanes
-from .network import build_network, is_for_cars, is_oneway, lines_of, runs_backward
+from .network import build_network, is_for_cars, lines_of
+from .paths import find_paths
 from .things import (
     find_barriers,
     find_bridges,
@@ -218,6 +220,7 @@ def read_openstreetmap(
     reaches, junctions = find_junctions(network, staggered_m=staggered_m)
     lanes = build_lanes(reaches)
     poles = tuple(find_poles(network, reaches))
+    paths = tuple(find_paths(elements))
     crosswalks_m = find_crosswalks(network)
     n_buildings = sum("building" in way.tags for way in elements.ways)
     buildings = counted(
@@ -241,6 +244,7 @@ def read_openstreetmap(
         junctions=tuple(junctions),
         things=things,
         poles=poles,
+        paths=paths,
         crosswalks_m=crosswalks_m,
         ground_m=_heights(elements, rows),
         keeps_left=keeps_left,

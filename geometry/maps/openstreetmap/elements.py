@@ -1,5 +1,6 @@
 """Nodes, ways, relations, areas and tags of a file of OpenStreetMap data."""
 
+import math
 import re
 from array import array
 from collections import defaultdict
@@ -7,16 +8,18 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import osmium
 from shapely import Polygon, STRtree, make_valid
 
 from ...arrays import FloatArray, IntArray
-from ...errors import refuse
+from ...errors import InputError, refuse
 from ...opening import MAX_FILE_BYTES, open_file, reading
 from ...pbf import check_pbf
-from ...text_formats import load_data
+from ...text_formats import float_of, load_data
+from ...xml_files import read_xml_children
 from ..source_map import Omissions, parse_length_m
 
 DEFAULTS: dict[str, Any] = load_data("geometry.maps", "openstreetmap.toml")
@@ -29,6 +32,7 @@ TagNote = Callable[[str], None]
 _BOX_MARGIN_DEG = 1.0
 _EXPECTED = "OpenStreetMap data, XML or PBF"
 _BROKEN = "its outline is not closed, or misses nodes"
+_ELEMENTS = ("node", "way", "relation")
 OPPOSITE = {
     "left": "right",
     "right": "left",
@@ -143,6 +147,99 @@ def read_elements(path: Path) -> Elements:
         osmium.InvalidLocationError,
     ):
         return _collect(path, _file_format(path))
+
+
+def read_loose_elements(path: Path) -> Elements:
+    """Read OpenStreetMap XML as programs for other maps write it.
+
+    Its root may lack a version, unknown elements are passed over, and nodes may
+    lack latitude and longitude, as those of Lanelet2 maps in local metres.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    elements : Elements
+        Positions in metres are not set yet. Longitude and latitude are NaN where
+        the file has none.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is damaged or too large, or a node lies nowhere
+        on earth.
+    """
+    ids = array("q")
+    places = array("d")
+    tags_by_id: dict[int, Tags] = {}
+    ways: dict[int, tuple[list[int], Tags]] = {}
+    relations: dict[int, Relation] = {}
+    n_left = int(DEFAULTS["reading"]["max_nodes"])
+    for element in read_xml_children(path, expected=_EXPECTED, root="osm"):
+        is_deleted = element.get("action") == "delete"
+        if element.tag not in _ELEMENTS or is_deleted:
+            continue
+        if element.get("visible") == "false":
+            continue
+        where = f"{path}: {element.tag}"
+        element_id = _whole(element.get("id"), f"{where}: id")
+        tags = {tag.get("k", ""): tag.get("v", "") for tag in element.iter("tag")}
+        n_left -= 1 + len(element) // 10
+        if n_left < 0:
+            got = f"more than {DEFAULTS['reading']['max_nodes']:,} elements"
+            refuse(str(path), got, "fewer; cut it out first")
+        if element.tag == "node":
+            ids.append(element_id)
+            places.extend(_place_deg(element, f"{where} {element_id}"))
+            if tags:
+                tags_by_id[element_id] = tags
+        elif element.tag == "way":
+            nodes = [
+                _whole(one.get("ref"), f"{where} {element_id}: nd")
+                for one in element.iter("nd")
+            ]
+            ways[element_id] = (nodes, tags)
+        else:
+            members = [
+                (
+                    _whole(one.get("ref"), f"{where} {element_id}: member"),
+                    one.get("role", ""),
+                )
+                for one in element.iter("member")
+                if one.get("type") == "way"
+            ]
+            relations[element_id] = Relation(
+                id=element_id, members=tuple(members), tags=tags
+            )
+    return _assemble(ids, places, tags_by_id, ways, relations.values())
+
+
+def _whole(text: str | None, where: str) -> int:
+    """An id that an attribute states; InputError names the place of another text."""
+    if text is None or not re.fullmatch(r"-?[0-9]{1,18}", text.strip()):
+        raise InputError(where, text, "a whole number")
+    return int(text)
+
+
+def _place_deg(node: Element, where: str) -> tuple[float, float]:
+    """Longitude and latitude of a node in degrees; NaN where it has none."""
+    found = []
+    for key, most_deg in (("lon", 180.0), ("lat", 90.0)):
+        text = (node.get(key) or "").strip()
+        if not text:
+            found.append(math.nan)
+            continue
+        value = float_of(text)
+        if not abs(value) <= most_deg:
+            raise InputError(
+                f"{where}: {key}", text, f"-{most_deg:g} to {most_deg:g} degrees"
+            )
+        found.append(value)
+    lon_deg, lat_deg = found
+    return lon_deg, lat_deg
 
 
 def _file_format(path: Path) -> str:

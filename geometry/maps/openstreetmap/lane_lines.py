@@ -25,6 +25,8 @@ from .network import Strip, axis_points, has_no_knot, speed_limit_kmh, stations_
 # Between the end of one carriageway and the lane it leads into.
 _BESIDE_END_M = 12.0
 _MIN_LENGTH_M = 0.5
+# Kinds of lanes that are numbered together, from the kerb.
+_DRIVEN = ("driving", "bus")
 # Pieces of a lane whose ends are as near as this are one after the other.
 _SAME_POINT_M = 0.5
 # Cosine of the angle between them.
@@ -235,14 +237,12 @@ def _at_break(
         The other side has the same lane.
     """
 
-    def alike(side: Sequence[Strip]) -> list[Strip]:
-        """Strips of the lane's kind and place, from the kerb."""
-        kind = (strip.kind, strip.place)
-        found = [one for one in side if (one.kind, one.place) == kind]
+    def alike(side: Sequence[Strip], kinds: Sequence[str]) -> list[Strip]:
+        """Strips of some kinds at the lane's place, from the kerb."""
+        found = [one for one in side if one.kind in kinds and one.place == strip.place]
         return sorted(found, key=lambda one: one.number)
 
-    here = alike(own)
-    there = alike(others)
+    there = alike(others, [strip.kind])
     if not there:
         return strip.left_m, False
     if strip.kind != "driving":
@@ -251,10 +251,26 @@ def _at_break(
         if match:
             same_left_m = match[0].left_m
         return 0.5 * (strip.left_m + same_left_m), bool(match)
+    here = alike(own, ["driving"])
+    # Where a bus lane becomes one for cars, the lanes beside it go straight on.
+    here_all = alike(own, _DRIVEN)
+    there_all = alike(others, _DRIVEN)
+    if len(here_all) == len(there_all):
+        both = [
+            pair
+            for pair in zip(here_all, there_all, strict=True)
+            if pair[0].kind == pair[1].kind == "driving"
+        ]
+        if both:
+            here = [one for one, _ in both]
+            there = [other for _, other in both]
     # With fewer lanes on the other side, the last ones meet the last one there.
-    number = min(strip.number, len(here) - 1, len(there) - 1)
-    middle_left_m = 0.5 * (here[number].left_m + there[number].left_m)
-    return middle_left_m, len(here) == len(there)
+    numbers = [one.number for one in here]
+    at = int(np.argmin(np.abs(np.array(numbers) - strip.number)))
+    at = min(at, len(there) - 1)
+    middle_left_m = 0.5 * (here[at].left_m + there[at].left_m)
+    is_same = strip.number == here[at].number == there[at].number
+    return middle_left_m, is_same and len(here) == len(there)
 
 
 def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:

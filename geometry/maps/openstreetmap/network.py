@@ -31,10 +31,18 @@ from .elements import (
     Way,
     is_yes,
     numbered,
-    parse_count,
     reversed_tags,
     side_value,
     tagged_length_m,
+)
+from .lane_counts import (
+    LaneCounts,
+    LaneKinds,
+    count_lanes,
+    find_reserved,
+    is_closed_to_cars,
+    is_oneway,
+    runs_backward,
 )
 
 # Kind, width [m], whether it runs as the way does.
@@ -50,126 +58,6 @@ _MAX_STRAIGHT_ON_DEG = 60.0
 End = tuple[int, bool]
 # At sharp bends lines next to a street are cut off.
 _MAX_MITRE = 2.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LaneCounts:
-    """Numbers of lanes in each direction of a road.
-
-    Attributes
-    ----------
-    n_forward : int
-        Lanes along the nodes of the way.
-    n_backward : int
-        Lanes against them.
-    is_shared : bool
-        The only lane serves both directions; both counts are 1.
-    has_centre : bool
-        A lane in the middle is for turning from both directions.
-    is_counted : bool
-        Tags give the number of lanes.
-    """
-
-    n_forward: int
-    n_backward: int
-    is_shared: bool = False
-    has_centre: bool = False
-    is_counted: bool = False
-
-
-def is_oneway(tags: Tags) -> bool:
-    """True if cars drive one way only, along the nodes or against them."""
-    text = tags.get("oneway", "").strip().lower()
-    if text in ("yes", "true", "1", "-1", "reverse"):
-        return True
-    # No, alternating, reversible.
-    if text:
-        return False
-    return (
-        tags.get("junction") in ("roundabout", "circular")
-        or tags["highway"] == "motorway"
-    )
-
-
-def runs_backward(tags: Tags) -> bool:
-    """True if a one-way road is driven against the order of its nodes."""
-    return tags.get("oneway", "").strip().lower() in ("-1", "reverse")
-
-
-def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
-    """Numbers of lanes of a road; senseless tags are noted.
-
-    If it is a one-way road, its tags must be turned so that cars drive in the
-    order of its nodes.
-
-    Parameters
-    ----------
-    tags : Tags
-        Tags of the element, by key.
-    note : TagNote
-        Called with the reason where a tag is not followed.
-
-    Returns
-    -------
-    counts : LaneCounts
-        From tags, or the usual numbers of the road's class.
-    """
-    highest = int(DEFAULTS["cross_section"]["max_lanes"])
-    usual = DEFAULTS["roads"][tags["highway"]]
-
-    def number(key: str, at_most: int = highest) -> int | None:
-        """Number in a tag; None if it is missing or makes no sense."""
-        if key not in tags:
-            return None
-        count = parse_count(tags[key], highest=at_most)
-        if count is None and tags[key].strip() != "0":
-            note(f"{key} makes no sense; the usual number of lanes taken")
-        return count
-
-    def listed(key: str) -> int | None:
-        """Number of lanes in a list such as "left|through"; None: no list."""
-        text = tags.get(key)
-
-        if text and "|" in text:
-            return min(text.count("|") + 1, highest)
-        return None
-
-    total = number("lanes", 2 * highest)
-    if is_oneway(tags):
-        count = total or listed("turn:lanes") or listed("turn:lanes:forward")
-        n_forward = min(count or usual["oneway_lanes"], highest)
-        return LaneCounts(
-            n_forward=n_forward,
-            n_backward=0,
-            is_counted=count is not None,
-        )
-    # Both directions: take the lane in the middle off the total first.
-    has_centre = is_yes(tags.get("lanes:both_ways")) or "turn:lanes:both_ways" in tags
-    if has_centre and total is not None:
-        total = max(total - 1, 0) or None
-    forward = number("lanes:forward") or listed("turn:lanes:forward")
-    backward = number("lanes:backward") or listed("turn:lanes:backward")
-    if total == 1 and forward is None and backward is None:
-        return LaneCounts(n_forward=1, n_backward=1, is_shared=True, is_counted=True)
-    is_counted = any(count is not None for count in (total, forward, backward))
-    if total is not None and (forward is None) != (backward is None):
-        rest = max(total - (forward or backward or 0), 1)
-        forward = forward or rest
-        backward = backward or rest
-    elif total is not None and forward is None:
-        # An odd lane is a turning lane of an unknown direction.
-        forward = total - total // 2
-        backward = total // 2
-    if not is_counted and tags.get("lane_markings") == "no":
-        forward = backward = 1
-    is_shared = not is_counted and usual["is_shared"]
-    return LaneCounts(
-        n_forward=min(forward or usual["lanes"], highest),
-        n_backward=min(backward or usual["lanes"], highest),
-        is_shared=is_shared,
-        has_centre=has_centre and not is_shared,
-        is_counted=is_counted,
-    )
 
 
 # ---------- strips next to the driving lanes
@@ -304,9 +192,11 @@ class Strip:
     kind : str
         One of geometry.maps.source_map.LANE_KINDS.
     place : str
-        "forward" or "backward" for driving lanes, "left" or "right" for others.
+        "forward" or "backward" for lanes that are driven, "left" or "right" for
+        others.
     number : int
-        Among those of its kind and place; 0: next to the kerb.
+        Among those of its place, and of its kind where that is "left" or "right";
+        0: next to the kerb.
     width_m : float
         Full width. [m]
     left_m : float
@@ -395,6 +285,7 @@ def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> Cross
     left = roadside_strips(tags, note, side="left", keeps_left=keeps_left)
     right = roadside_strips(tags, note, side="right", keeps_left=keeps_left)
     counts = count_lanes(tags, note)
+    counts, kinds = find_reserved(tags, counts, note, keeps_left=keeps_left)
     beside_m = sum(width for _, width, _ in (*left[0], *right[0]))
     widths, counts = _lane_widths(tags, counts, beside_m, note)
     driving = _driving(widths, counts, keeps_left=keeps_left)
@@ -424,6 +315,7 @@ def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> Cross
         tags,
         driving,
         counts,
+        kinds,
         left_m,
         note,
         keeps_left=keeps_left,
@@ -436,12 +328,13 @@ def _driving_strips(
     tags: Tags,
     driving: Sequence[tuple[str, int, float]],
     counts: LaneCounts,
+    kinds: LaneKinds,
     left_m: float,
     note: TagNote,
     *,
     keeps_left: bool,
 ) -> Iterator[Strip]:
-    """Driving lanes from left to right; the centre lane is left out.
+    """Lanes that are driven from left to right; the centre lane is left out.
 
     Parameters
     ----------
@@ -451,6 +344,8 @@ def _driving_strips(
         Direction, number from the kerb and width of each lane. [m]
     counts : LaneCounts
         Numbers of lanes.
+    kinds : LaneKinds
+        Who may use them.
     left_m : float
         Left edge of the leftmost lane, to the left of the way. [m]
     note : TagNote
@@ -480,6 +375,7 @@ def _driving_strips(
             is_alone=False,
         ),
     }
+    kinds_of = {"forward": kinds.forward, "backward": kinds.backward}
     for place, number, width_m in driving:
         middle_m = left_m - 0.5 * width_m
         left_m -= width_m
@@ -504,7 +400,7 @@ def _driving_strips(
             if keeps_left:
                 place_in_list = number
             yield Strip(
-                kind="driving",
+                kind=kinds_of[direction][place_in_list],
                 place=direction,
                 number=number,
                 width_m=free_m,
@@ -889,7 +785,7 @@ def is_for_cars(tags: Tags) -> bool:
         return False
     # The most telling of the tags on access counts.
     access = next((tags[key] for key in WORDS["access"] if key in tags), "yes")
-    if access == "no":
+    if is_closed_to_cars(access):
         return False
     no_roads = ("parking_aisle", "driveway", "drive-through", "slipway")
     return tags.get("service") not in no_roads

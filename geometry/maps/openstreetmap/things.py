@@ -42,6 +42,7 @@ from .elements import (
 )
 from .junctions import Reach
 from .network import Edge, Network, axis_points, known_runs, level, lines_of
+from .paths import is_path
 
 # ---------- walls and hedges
 _TRUNK_SIDES = 8
@@ -255,7 +256,8 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
 
     Signals and signs that are mapped on a road stand at the kerb on the side of
     traffic: at the stop line, or where an arm begins if that is farther out;
-    those where roads meet at every arm.
+    those where roads meet at every arm. Places of poles that are nodes of other
+    ways are assumed, too.
 
     Parameters
     ----------
@@ -279,6 +281,11 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
         ):
             places[int(row)].append((reach, float(station_m)))
     elements = network.elements
+    # Nodes of other ways, such as footways: poles stand beside these.
+    path_rows: set[int] = set()
+    for way in elements.ways:
+        if is_path(way):
+            path_rows.update(way.rows.tolist())
     # One pole for each node at the roadside, or several where it lies on a road.
     for row, tags in elements.node_tags.items():
         kind = _kind(tags)
@@ -297,6 +304,8 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
         feet = [elements.positions_m[row]]
         assumed = ""
         is_on_road = row in network.ends or row in places
+        if row in path_rows and not is_on_road:
+            assumed = Phrase("mapped on a way: a pole beside it is assumed")
         if kind in ("traffic light", "sign") and is_on_road:
             feet = _at_kerbs(places.get(row, ()), tags, keeps_left=network.keeps_left)
             assumed = Phrase("mapped on the road: a pole at the kerb is assumed")

@@ -1,10 +1,12 @@
 """Maps of lanelets: a crossing drawn here, as Lanelet2 and as CommonRoad."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from lanelet_text import HALF_M, WIDTH_M, commonroad, crossing, lanelet2
+from pyproj import Transformer
 
 from geometry.errors import InputError
 from geometry.maps.importing import (
@@ -146,3 +148,165 @@ def test_a_crossing_becomes_a_scene(tmp_path):
 def test_what_is_no_map_is_refused(tmp_path, text, name, told):
     with pytest.raises(InputError, match=told):
         read(tmp_path, text, name)
+
+
+@pytest.mark.parametrize(
+    ("tags", "kind"),
+    [
+        ({"subtype": "bus_lane"}, "bus"),
+        ({"participant:vehicle:bus": "yes", "participant:vehicle:taxi": "yes"}, "bus"),
+        ({"participant:bicycle": "yes"}, "cycling"),
+        ({"participant:vehicle": "yes", "participant:bicycle": "yes"}, "driving"),
+        ({"participant:vehicle": "yes", "participant:vehicle:car": "no"}, "bus"),
+        ({"participant:pedestrian": "no"}, "driving"),
+    ],
+)
+def test_who_may_use_a_lanelet_says_its_kind(tags, kind, tmp_path):
+    """The first one leads in from the west."""
+    road = "<tag k='subtype' v='road'/>"
+    known = {"subtype": "road"} | tags
+    told = "".join(f"<tag k='{key}' v='{value}'/>" for key, value in known.items())
+    source = read(tmp_path, lanelet2(crossing()).replace(road, told, 1))
+    kinds = {lane.id: lane.kind for lane in source.lanes}
+    assert kinds.pop("1") == kind
+    assert set(kinds.values()) == {"driving"}
+
+
+def test_a_bus_lane_of_commonroad_is_no_way_through_for_cars(tmp_path):
+    urban = "<laneletType>urban</laneletType>"
+    text = commonroad(crossing()).replace(
+        urban, f"{urban}<laneletType>busLane</laneletType>", 1
+    )
+    source = read(tmp_path, text, "a.xml")
+    (bus,) = (lane for lane in source.lanes if lane.kind == "bus")
+    (junction,) = source.junctions
+    assert bus.to_junction == junction.id
+    (surveyed,) = survey_junctions(source)
+    assert surveyed.n_driven == 3
+
+
+# ---------- Autoware's files
+
+
+def with_places(text: str, *, turned_deg: float = 0.0) -> str:
+    """A map in local coordinates with the latitudes and longitudes that they mean.
+
+    Local (0, 0) lies at 48 degrees north, 11 degrees east; its x axis points
+    `turned_deg` north of east.
+    """
+    to_deg = Transformer.from_crs(
+        "+proj=tmerc +lat_0=48 +lon_0=11 +k=1 +datum=WGS84 +units=m", "EPSG:4326"
+    )
+    angle = np.radians(turned_deg)
+
+    def placed(match: re.Match[str]) -> str:
+        x, y = float(match[1]), float(match[2])
+        east = x * np.cos(angle) - y * np.sin(angle)
+        north = x * np.sin(angle) + y * np.cos(angle)
+        lat, lon = to_deg.transform(east, north)
+        local = f"<tag k='local_x' v='{x}'/><tag k='local_y' v='{y}'/>"
+        return f"lat='{lat:.9f}' lon='{lon:.9f}'>{local}"
+
+    pattern = (
+        r"lat='50' lon='8'><tag k='local_x' v='([-0-9.]+)'/>"
+        r"<tag k='local_y' v='([-0-9.]+)'/>"
+    )
+    return re.sub(pattern, placed, text)
+
+
+PLAIN = lanelet2(crossing())
+NO_VERSION = ("<osm version='0.6'>", "<osm generator='VMB'><MetaInfo map_version='1'/>")
+EMPTY = ("lat='50' lon='8'", "lat='' lon=''")
+MISSING = ("lat='50' lon='8'", "")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PLAIN.replace(*NO_VERSION),
+        PLAIN.replace(*EMPTY),
+        PLAIN.replace(*MISSING),
+        PLAIN.replace(*NO_VERSION).replace(*EMPTY),
+        with_places(PLAIN),
+        with_places(PLAIN).replace(*NO_VERSION),
+        with_places(PLAIN, turned_deg=30.0),
+    ],
+)
+def test_every_variant_of_a_map_has_the_same_arms_and_lanes(text, tmp_path):
+    source = read(tmp_path, text)
+    plain = read(tmp_path, PLAIN, "plain.osm")
+    (one,) = survey_junctions(source)
+    assert len(one.arms) == 4
+    assert one.n_lanes == 8
+    assert len(source.connections) == 4
+    for lane, same in zip(source.lanes, plain.lanes, strict=True):
+        steps_m = [
+            np.hypot(*np.diff(one.centreline_m[:, :2], axis=0).T)
+            for one in (lane, same)
+        ]
+        # The shape is that of the local coordinates.
+        np.testing.assert_allclose(*steps_m, atol=1e-6)
+        assert lane.width_m == pytest.approx(same.width_m, abs=1e-6)
+
+
+def test_latitudes_say_where_local_coordinates_lie(tmp_path):
+    """A frame that is turned against north by 30 degrees is turned back."""
+    source = read(tmp_path, with_places(PLAIN, turned_deg=30.0))
+    assert source.source_crs == "EPSG:4326"
+    (junction,) = source.junctions
+    place = Transformer.from_crs(source.crs, "EPSG:4326", always_xy=True)
+    lon_lat = place.transform(*junction.position_m)
+    assert lon_lat == pytest.approx((11.0, 48.0), abs=1e-6)
+    lane = source.lanes[0].centreline_m[:, :2]
+    east, north = lane[-1] - lane[0]
+    assert np.degrees(np.arctan2(north, east)) % 90.0 == pytest.approx(30.0, abs=0.01)
+
+
+def test_latitudes_that_do_not_fit_are_told_and_not_followed(tmp_path):
+    source = read(tmp_path, PLAIN)
+    assert source.crs == ""
+    notes = [str(note) for note in source.skipped]
+    expected = (
+        "place of map.osm: latitude and longitude do not fit local_x and local_y: not"
+        " followed"
+    )
+    assert expected in notes
+
+
+@pytest.mark.parametrize(
+    ("bounds", "why"),
+    [
+        (([(30.0, 30.0), (50.0, 30.0)],) * 2, "it is 0 m wide and 20 m long"),
+        (
+            ([(30.0, 30.0), (30.0, 30.01)], [(33.0, 30.0), (33.0, 30.01)]),
+            "m wide and 0.01 m long",
+        ),
+    ],
+)
+def test_a_lanelet_that_cannot_be_a_lane_is_told_with_its_file(bounds, why, tmp_path):
+    source = read(tmp_path, lanelet2(crossing() | {"odd": bounds}))
+    assert len(source.lanes) == 8
+    (note,) = (note for note in source.skipped if "lanelet" in str(note.what))
+    assert str(note.what) == "lanelet 13 of map.osm"
+    assert why in str(note.why)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            PLAIN.replace("lat='50'", "lat='95'", 1),
+            "node 1: lat: got '95'; expected -90",
+        ),
+        (PLAIN.replace("lat='50'", "lat='x'", 1), "node 1: lat: got 'x'; expected -90"),
+        (
+            PLAIN.replace("id='1' lat", "id='a' lat", 1),
+            "node: id: got 'a'; expected a w",
+        ),
+        (re.sub("<tag k='local_.*?/>", "", PLAIN.replace(*EMPTY)), "got no positions"),
+        (PLAIN[:-40], "well-formed XML"),
+    ],
+)
+def test_a_broken_map_of_lanelets_is_refused_in_a_line(text, message, tmp_path):
+    with pytest.raises(InputError, match=re.escape(message)):
+        read(tmp_path, text)

@@ -40,12 +40,11 @@ def test_a_reversed_lane_is_driven_the_other_way(tmp_path):
     [
         *(
             (name, "driving")
-            for name in ("driving", "entry", "exit", "onRamp", "offRamp", "bus")
+            for name in ("driving", "entry", "exit", "onRamp", "offRamp")
         ),
-        *(
-            (name, "driving")
-            for name in ("connectingRamp", "bidirectional", "taxi", "HOV")
-        ),
+        *((name, "driving") for name in ("connectingRamp", "bidirectional", "HOV")),
+        ("bus", "bus"),
+        ("taxi", "bus"),
         ("parking", "parking"),
         ("biking", "cycling"),
         ("sidewalk", "walking"),

@@ -3,11 +3,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from junctions import MOUTH_M, build_scene, protocol_scene
+from junctions import ARMS, MOUTH_M, build_scene, lanes_of, protocol_scene
+from shapely import Polygon
 
-from geometry.actors import load_actors
+from geometry.actors import load_actors, read_body
+from geometry.errors import InputError
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line, build_junction
+from geometry.scene import strips_of
 from geometry.study_scene import load_study_scene
 from placement.sampling.traffic import (
     build_street,
@@ -41,6 +44,59 @@ def _corners(placed):
 
 
 # Where they stand
+
+
+def _bus_scene():
+    """The protocol's junction with a second lane at every kerb, for buses."""
+    lanes = []
+    for arm, bearing in ARMS.items():
+        for lane in lanes_of(arm, bearing, n_lanes=2, arm_m=80.0):
+            if lane.id.endswith("-0"):
+                lane = replace(lane, kind="bus")
+            lanes.append(lane)
+    return build_scene(lanes)
+
+
+def _bus(waiting_share=1.0):
+    size = {"length_m": 12.0, "width_m": 2.55, "height_m": 3.1}
+    actor = read_body({"name": "bus", **size}, "bus")
+    return VehicleKind(actor=actor, parked_share=1.0, waiting_share=waiting_share)
+
+
+def test_a_bus_waits_in_each_bus_lane_if_asked_for():
+    scene = _bus_scene()
+    traffic = StandingTraffic(bus_lane_share=1.0, vehicles=(_bus(),))
+    vehicles = build_street(scene, traffic).draw(_rng())
+    strips = strips_of(
+        lane for lane in scene.lanes if lane.kind == "bus" and "-in-" in lane.id
+    )
+    assert len(vehicles) == len(strips) == 4
+    for strip in strips:
+        inside = [strip.contains(Polygon(body.footprint_m)) for body in vehicles]
+        assert sum(inside) == 1
+
+
+def test_no_bus_waits_in_a_bus_lane_by_default():
+    traffic = StandingTraffic(vehicles=(_bus(),))
+    assert traffic.is_empty
+    assert not build_street(_bus_scene(), traffic).draw(_rng())
+
+
+def test_nobody_but_a_bus_waits_or_parks_in_a_bus_lane():
+    scene = _bus_scene()
+    traffic = _traffic(taken_share=1.0, waiting_share=1.0, following_share=1.0)
+    buses = strips_of(lane for lane in scene.lanes if lane.kind == "bus")
+    vehicles = build_street(scene, traffic).draw(_rng())
+    assert vehicles
+    for body in vehicles:
+        footprint = Polygon(body.footprint_m)
+        assert not any(strip.intersects(footprint) for strip in buses)
+
+
+def test_a_bus_lane_share_needs_a_bus():
+    expected = "vehicles: got no bus; expected one named bus"
+    with pytest.raises(InputError, match=expected):
+        _traffic(bus_lane_share=0.5)
 
 
 def test_a_full_parking_lane_is_a_row_of_bumpers(junction_scene):

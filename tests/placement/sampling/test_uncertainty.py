@@ -35,6 +35,7 @@ def _kind(parked=1.0, waiting=1.0):
         (StandingTraffic, "taken_share"),
         (StandingTraffic, "waiting_share"),
         (StandingTraffic, "following_share"),
+        (StandingTraffic, "bus_lane_share"),
         (StandingTraffic, "free_place_m"),
         (StandingTraffic, "parked_gap_m"),
         (StandingTraffic, "clear_of_mouth_m"),

@@ -1,0 +1,99 @@
+"""Files whose content all lies somewhere else than the roads are refused."""
+
+import json
+from pathlib import Path
+
+import geopandas as gpd
+import pytest
+from osm_text import LAT_DEG, LON_DEG, OsmText, crossing
+from shapely import transform as moved
+from shapely.geometry import Polygon, box
+
+from experiments.city.inputs import CityWish, load_city
+from geometry.errors import InputError
+from geometry.maps.importing import ReadingOptions, read_maps
+
+FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
+HOUSE = box(LON_DEG, LAT_DEG, LON_DEG + 1e-4, LAT_DEG + 1e-4)
+
+
+def swapped(shape: Polygon) -> Polygon:
+    return moved(shape, lambda points: points[:, ::-1])
+
+
+def roads(folder: Path) -> Path:
+    osm = OsmText()
+    crossing(osm, bearings=FOUR)
+    return osm.write(folder)
+
+
+def houses(folder: Path, *shapes: Polygon, crs: str = "EPSG:4326") -> Path:
+    path = folder / "houses.gpkg"
+    gpd.GeoDataFrame(geometry=list(shapes), crs=crs).to_file(path, driver="GPKG")
+    return path
+
+
+def geojson(folder: Path, shape: Polygon) -> Path:
+    path = folder / "houses.geojson"
+    feature = {
+        "type": "Feature",
+        "properties": {},
+        "geometry": shape.__geo_interface__,
+    }
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    return path
+
+
+def refusal(folder: Path, path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        read_maps([roads(folder), path], ReadingOptions())
+    return str(caught.value)
+
+
+def test_latitude_and_longitude_swapped(tmp_path):
+    path = geojson(tmp_path, swapped(HOUSE))
+    assert refusal(tmp_path, path) == (
+        "houses.geojson: got all 1 things of houses.geojson lie 5,600 km away: latitude"
+        " and longitude swapped?; expected a file of the place that the roads are in"
+    )
+
+
+def test_easting_and_northing_swapped(tmp_path):
+    here = gpd.GeoSeries([HOUSE], crs="EPSG:4326").to_crs("EPSG:25833")[0]
+    path = houses(tmp_path, swapped(here), swapped(here), crs="EPSG:25833")
+    message = refusal(tmp_path, path)
+    assert "got coordinates around 5817861, 391394" in message
+    assert "easting and northing swapped?" in message
+
+
+def test_easting_and_northing_swapped_on_the_whole_earth(tmp_path):
+    """Web Mercator has no area outside of which coordinates make no sense."""
+    here = gpd.GeoSeries([HOUSE], crs="EPSG:4326").to_crs("EPSG:3857")[0]
+    message = refusal(tmp_path, houses(tmp_path, swapped(here), crs="EPSG:3857"))
+    assert "all 1 things of houses.gpkg lie" in message
+    assert "easting and northing swapped?" in message
+
+
+def test_the_neighbouring_zone(tmp_path):
+    here = gpd.GeoSeries([HOUSE], crs="EPSG:4326").to_crs("EPSG:25833")[0]
+    message = refusal(tmp_path, houses(tmp_path, here, crs="EPSG:25832"))
+    assert "lie 410 km away: coordinates of another place, or of another" in message
+
+
+def test_one_house_that_lies_here_is_enough(tmp_path):
+    path = houses(tmp_path, swapped(HOUSE), HOUSE)
+    maps, _ = read_maps([roads(tmp_path), path], ReadingOptions())
+    assert len(maps[1].things) == 2
+
+
+def test_a_tile_of_the_next_town_is_no_mistake(tmp_path):
+    """Nothing of it is near the junction, which a note says."""
+    tile = moved(HOUSE, lambda points: points + [0.1, 0.1])
+    maps, _ = read_maps([roads(tmp_path), houses(tmp_path, tile)], ReadingOptions())
+    assert len(maps[1].things) == 1
+
+
+def test_a_city_refuses_it_too(tmp_path):
+    path = geojson(tmp_path, swapped(HOUSE))
+    with pytest.raises(InputError, match="latitude and longitude swapped"):
+        load_city([roads(tmp_path), path], ReadingOptions(), CityWish())
