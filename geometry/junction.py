@@ -181,6 +181,8 @@ class Junction:
     beyond : tuple of Lane
         Lanes that are assumed, from beyond the map to the begin of an entry lane:
         straight ones of two points, or bent past buildings.
+    islands_m : tuple of (n, 2) float
+        Outlines of the islands that a roundabout leads around; empty: it is none. [m]
     """
 
     name: str
@@ -188,6 +190,7 @@ class Junction:
     keeps_left: bool = False
     connections: tuple[Lane, ...] = ()
     beyond: tuple[Lane, ...] = ()
+    islands_m: tuple[FloatArray, ...] = ()
 
     def is_led_on(self, entry: Lane) -> bool:
         """True if a lane is assumed to lead to the start of an entry lane.
@@ -281,6 +284,7 @@ def build_junction(scene: Scene) -> Junction:
         keeps_left=scene.keeps_left,
         connections=tuple(lane for lane in scene.lanes if lane.kind == CONNECTING),
         beyond=tuple(lane for lane in scene.lanes if lane.kind == ASSUMED),
+        islands_m=scene.islands_m,
     )
 
 
@@ -336,6 +340,7 @@ def mirrored(junction: Junction) -> Junction:
         keeps_left=not junction.keeps_left,
         connections=turn_over(junction.connections),
         beyond=turn_over(junction.beyond),
+        islands_m=tuple(one * [1.0, -1.0] for one in junction.islands_m),
     )
 
 

@@ -29,8 +29,8 @@ from .scene import (
     LeadingRoad,
     Scene,
     Site,
-    area_of,
     containing_instance,
+    paved_area,
     road_area,
     strips_of,
 )
@@ -243,7 +243,8 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
 def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
     """Errors for poles that stand on a lane or in the junction."""
     feet = np.array([site.position_m[:2] for site in sites])
-    junction = area_of(scene.outline_m).buffer(-_AT_KERB_M)
+    paved = paved_area(scene.outline_m, scene.islands_m)
+    junction = paved.buffer(-_AT_KERB_M)
     mapped = [
         lane
         for lane in scene.lanes

@@ -113,6 +113,8 @@ class CutSurroundings:
         Height of the junction's middle, as the map counts heights. [m]
     neighbours_m : tuple of (n, 2) float
         Outlines of the junctions around it. [m]
+    islands_m : tuple of (n, 2) float
+        Outlines of the islands that a roundabout leads around. [m]
     """
 
     frame: LocalFrame
@@ -127,6 +129,7 @@ class CutSurroundings:
     terrain: Terrain | None = None
     zero_height_m: float | None = None
     neighbours_m: tuple[FloatArray, ...] = ()
+    islands_m: tuple[FloatArray, ...] = ()
 
 
 def cut_out(
@@ -216,6 +219,7 @@ def cut_out(
         neighbours_m=tuple(
             one for one in others if _off_m(one) <= radius_m + _NEIGHBOURS_BEYOND_M
         ),
+        islands_m=tuple(frame.take(one, roads) for one in junction.islands_m),
     )
 
 
@@ -353,6 +357,7 @@ def build_scene(
         source_origin_m=surroundings.frame.origin_m,
         zero_height_m=surroundings.zero_height_m,
         roads=surroundings.roads,
+        islands_m=surroundings.islands_m,
     )
     return replace(scene, lanes=(*scene.lanes, *_lead_on(scene, reach_m=half)))
 

@@ -21,6 +21,7 @@ from .elements import DEFAULTS, Elements, Way, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
 from .network import build_network, is_for_cars, is_oneway, lines_of, runs_backward
+from .roundabouts import lay_roundabouts
 from .things import (
     find_barriers,
     find_bridges,
@@ -215,8 +216,14 @@ def read_openstreetmap(
     network = build_network(elements, keeps_left=keeps_left)
     if not network.edges:
         refuse(str(path), "no road with two nodes", "a map with roads")
-    reaches, junctions = find_junctions(network, staggered_m=staggered_m)
+    reaches, found, rings = find_junctions(network, staggered_m=staggered_m)
     lanes = build_lanes(reaches)
+    junctions, connections = lay_roundabouts(rings, found, lanes, keeps_left=keeps_left)
+    for junction in junctions:
+        if junction.fault:
+            elements.omissions.add(
+                "junctions", f"junction {junction.id}", junction.fault
+            )
     poles = tuple(find_poles(network, reaches))
     crosswalks_m = find_crosswalks(network)
     n_buildings = sum("building" in way.tags for way in elements.ways)
@@ -238,6 +245,7 @@ def read_openstreetmap(
         source_crs=WGS84,
         heights="above ground",
         lanes=lanes,
+        connections=tuple(connections),
         junctions=tuple(junctions),
         things=things,
         poles=poles,
