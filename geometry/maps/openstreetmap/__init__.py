@@ -21,6 +21,7 @@ from .elements import DEFAULTS, Elements, Way, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
 from .network import build_network, is_for_cars, is_oneway, lines_of, runs_backward
+from .rings import open_mini_roundabouts
 from .roundabouts import lay_roundabouts
 from .things import (
     find_barriers,
@@ -78,7 +79,7 @@ def _points(way: Way, elements: Elements) -> list[FloatArray]:
 def _roundabouts(ways: list[Way], elements: Elements) -> Counter[bool]:
     """Votes of roundabouts: driven clockwise if traffic keeps left.
 
-    Parts of a ring count, too.
+    Parts of a ring count, too, and directions of mini-roundabouts.
 
     Parameters
     ----------
@@ -93,6 +94,11 @@ def _roundabouts(ways: list[Way], elements: Elements) -> Counter[bool]:
         True: traffic keeps left.
     """
     votes: Counter[bool] = Counter()
+    for tags in elements.node_tags.values():
+        if tags.get("highway") == "mini_roundabout":
+            turn = tags.get("direction", "")
+            votes[True] += turn == "clockwise"
+            votes[False] += turn in ("anticlockwise", "counterclockwise")
     for way in ways:
         if way.tags.get("junction") not in ("roundabout", "circular"):
             continue
@@ -213,7 +219,8 @@ def read_openstreetmap(
     side = "given"
     if keeps_left is None:
         keeps_left, side = find_driving_side(elements)
-    network = build_network(elements, keeps_left=keeps_left)
+    mapped = build_network(elements, keeps_left=keeps_left)
+    network = open_mini_roundabouts(mapped)
     if not network.edges:
         refuse(str(path), "no road with two nodes", "a map with roads")
     reaches, found, rings = find_junctions(network, staggered_m=staggered_m)

@@ -443,7 +443,11 @@ def _join_near(network: Network, clusters: Clusters, staggered_m: float) -> None
             ]
             own_name = street.parts[0][0].name
             is_wide = bool(names[0] & names[1] - {own_name})
-            if any(one.is_roundabout for here in edges for one in here):
+            at_rings = [any(one.is_roundabout for one in here) for here in edges]
+            if all(at_rings):
+                # Two roundabouts are two junctions.
+                continue
+            if any(at_rings):
                 # What lies beyond a roundabout is a junction of its own.
                 most_m = _STUB_M
             elif is_wide:

@@ -955,6 +955,23 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
             )
             for number, rows in enumerate(parts)
         ]
+    return network_of(edges, elements, keeps_left=keeps_left)
+
+
+def network_of(
+    edges: Sequence[Edge], elements: Elements, *, keeps_left: bool
+) -> Network:
+    """Network of edges.
+
+    Parameters
+    ----------
+    edges : sequence of Edge
+        Roads for cars.
+    elements : Elements
+        What they are made of.
+    keeps_left : bool
+        Traffic keeps left.
+    """
     ends: dict[int, tuple[End, ...]] = defaultdict(tuple)
     for index, edge in enumerate(edges):
         ends[int(edge.rows[0])] += ((index, True),)

@@ -1,6 +1,8 @@
 """Rings of roundabouts as smooth closed lines."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,12 +10,24 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
-from ...lines import apart, length_m
-from .elements import DEFAULTS
-from .network import Street, surface
+from ...lines import along_m, apart, length_m, points_at
+from .elements import DEFAULTS, Tags, numbered
+from .network import (
+    Edge,
+    End,
+    Network,
+    Street,
+    build_cross_section,
+    network_of,
+    surface,
+)
 
 # Between points of the line, and nodes of a ring that are one.
 _STEP_M = 0.5
+# Of its length, a road may lose so much to a mini-roundabout at each end.
+_SHARE_OF_ROAD = 0.4
+_LEAST_ROADS = 3
+_MINI = "its ring is not mapped: a usual one is assumed around the node"
 _NOT_CLOSED = "a roundabout whose ring is not closed in the map"
 _BOTH_WAYS = "a roundabout whose ring is driven both ways"
 _SEVERAL = "several roundabouts in one junction"
@@ -198,3 +212,121 @@ def _round_line(nodes_m: FloatArray) -> FloatArray:
     n_points = max(64, int(length_m(closed) / _STEP_M))
     share = np.linspace(0.0, 1.0, n_points, endpoint=False)
     return np.stack(splev(share, spline), axis=1)
+
+
+# ---------- roundabouts that are mapped as a node
+def open_mini_roundabouts(network: Network) -> Network:
+    """A network in which mini-roundabouts are rings.
+
+    Of a node ``highway=mini_roundabout`` at which at least three roads meet, each
+    road ends at a ring around it. Where the roads are short, the ring is smaller.
+
+    Parameters
+    ----------
+    network : Network
+        As ways have it.
+
+    Returns
+    -------
+    network : Network
+        With rows for the nodes of the rings behind all others.
+    """
+    elements = network.elements
+    rows = [
+        row
+        for row, ends in network.ends.items()
+        if elements.node_tags.get(row, {}).get("highway") == "mini_roundabout"
+        and len(_roads_at(network, ends)) >= _LEAST_ROADS
+    ]
+    if not rows:
+        return network
+    edges = list(network.edges)
+    node_ids = elements.node_ids.tolist()
+    positions = elements.positions_m.tolist()
+    for row in rows:
+        roads = _roads_at(network, network.ends[row])
+        shortest_m = min(length_m(edges[index].points_m) for index, _ in roads)
+        usual_m = DEFAULTS["roundabout"]["mini_radius_m"]
+        radius_m = min(usual_m, _SHARE_OF_ROAD * shortest_m)
+        middle = elements.positions_m[row]
+        # Where each road meets the ring, and the new row there.
+        places: list[tuple[float, int]] = []
+        for end in roads:
+            index, is_start = end
+            points = network.points_from(end)
+            at = points_at(points, np.array([radius_m]))[0]
+            new = len(positions)
+            node_ids.append(node_ids[row])
+            positions.append(at.tolist())
+            east, north = at - middle
+            places.append((float(np.arctan2(north, east)), new))
+            edges[index] = _cut_edge(edges[index], radius_m, at, new, is_start=is_start)
+        places.sort(reverse=network.keeps_left)
+        tags = _ring_tags([edges[index].tags for index, _ in roads])
+        section = build_cross_section(tags, _no_note, keeps_left=network.keeps_left)
+        order = [new for _, new in places]
+        for number, pair in enumerate(pairwise([*order, order[0]])):
+            edge = Edge(
+                id=numbered(f"n{node_ids[row]}", number),
+                way_id=edges[roads[0][0]].way_id,
+                rows=np.array(pair),
+                points_m=np.array([positions[at] for at in pair]),
+                tags=tags,
+                section=section,
+            )
+            edges.append(edge)
+        elements.omissions.add("mini-roundabouts", f"node {node_ids[row]}", _MINI)
+    elements = replace(
+        elements,
+        node_ids=np.array(node_ids, dtype=elements.node_ids.dtype),
+        positions_m=np.array(positions),
+    )
+    return network_of(edges, elements, keeps_left=network.keeps_left)
+
+
+def _roads_at(network: Network, ends: Iterable[End]) -> list[End]:
+    """Ends of roads at a node that are no yards."""
+    return [end for end in ends if not network.edges[end[0]].is_service]
+
+
+def _ring_tags(tags: Iterable[Tags]) -> Tags:
+    """Tags of the ring of a mini-roundabout: the class of its busiest road."""
+    ranks = DEFAULTS["roads"]
+    busiest = min((one["highway"] for one in tags), key=lambda one: ranks[one]["rank"])
+    return {"highway": busiest, "junction": "roundabout", "lanes": "1"}
+
+
+def _no_note(why: str) -> None:
+    """Take no note: the tags are our own."""
+
+
+def _cut_edge(
+    edge: Edge, cut_m: float, at_m: FloatArray, row: int, *, is_start: bool
+) -> Edge:
+    """Edge without its first metres, or its last ones.
+
+    Parameters
+    ----------
+    edge : Edge
+        The edge.
+    cut_m : float
+        What is taken off. [m]
+    at_m : (2,) float
+        Where it begins or ends then. [m]
+    row : int
+        Row of the node there.
+    is_start : bool
+        It is cut at its first node.
+    """
+    points = edge.points_m
+    rows = edge.rows
+    if not is_start:
+        points = points[::-1]
+        rows = rows[::-1]
+    is_beyond = along_m(points) > cut_m + 1e-3
+    points = np.vstack([at_m, points[is_beyond]])
+    rows = np.append(row, rows[is_beyond])
+    if not is_start:
+        points = points[::-1]
+        rows = rows[::-1]
+    return replace(edge, points_m=points, rows=rows)
