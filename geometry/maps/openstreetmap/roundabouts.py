@@ -332,7 +332,7 @@ def _route(
     """
     if one.row == other.row:
         ahead = -one.arm.direction
-        aside = float(np.cross(ahead, other.arm.direction))
+        aside = _cross(ahead, other.arm.direction)
         if (aside > 0.0) == keeps_left:
             return []
     on_ring = {one.begin for one in stretches if one.is_ring}
@@ -608,7 +608,7 @@ def _corner(
     ways = [
         _way_at(line, at) for line, at in zip((before, after), meets_m, strict=True)
     ]
-    turn = float(np.arctan2(np.cross(*ways), ways[0] @ ways[1]))
+    turn = float(np.arctan2(_cross(*ways), ways[0] @ ways[1]))
     if abs(turn) < np.radians(_STRAIGHT_ON_DEG):
         return _Corner(meets_m[0], meets_m[1] - _AHEAD_M, place[None])
     least_m = DEFAULTS["roundabout"]["least_radius_m"]
@@ -633,6 +633,11 @@ def _corner(
         radius_m *= _TIGHTER
     why = f"a roundabout whose way {name} is tighter than {least_m:g} m"
     raise RingError(why)
+
+
+def _cross(one: FloatArray, other: FloatArray) -> float:
+    """Third component of the cross product of two vectors (2,)."""
+    return float(one[0] * other[1] - one[1] * other[0])
 
 
 def _station_m(line: Any, point_m: FloatArray) -> float:
