@@ -19,6 +19,7 @@ from .junction import (
     arm_of_road,
     build_junction,
     compass_point,
+    lane_beside,
     lane_length_m,
 )
 from .lines import unit
@@ -145,10 +146,13 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
     """
     junction = build_junction(scene)
     for name, arm in junction.arms.items():
-        ends_m = [
-            lane_length_m(lane) for lane in arm.entry_lanes if junction.is_led_on(lane)
+        ending = [
+            lane
+            for lane in arm.entry_lanes
+            if junction.is_led_on(lane) and lane_beside(lane, scene.lanes) is None
         ]
-        is_bent = any(junction.followed(lane) is not lane for lane in arm.entry_lanes)
+        ends_m = [lane_length_m(lane) for lane in ending]
+        is_bent = any(junction.followed(lane) is not lane for lane in ending)
         if not ends_m:
             continue
         why = Phrase(

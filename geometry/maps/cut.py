@@ -16,6 +16,7 @@ from ..junction import (
     build_junction,
     curve_between,
     distance_to_outline_m,
+    lane_beside,
     lane_line,
 )
 from ..lines import steps_m, true_runs, unit
@@ -365,9 +366,9 @@ def build_scene(
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
     """Lanes to the begins of entry lanes where the map has none.
 
-    They lead straight on, or where a building stands there round the gentlest
-    bend past it, the same for all lanes of an arm; where none does, straight up
-    to it.
+    To a lane that begins beside another one, that one leads. Others lead straight
+    on, or where a building stands there round the gentlest bend past it, the same for
+    all lanes of an arm; where none does, straight up to it.
 
     Parameters
     ----------
@@ -393,7 +394,21 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
     houses = None
     if any(arms):
         houses = houses_of(scene)
-    for lanes in filter(None, arms):
+    for ending in arms:
+        lanes = []
+        for lane in ending:
+            beside = lane_beside(lane, scene.lanes)
+            if beside is None:
+                lanes.append(lane)
+                continue
+            yield Lane(
+                id=f"{lane.id} from beside it",
+                kind=ASSUMED,
+                width_m=lane.width_m,
+                centreline_m=_reaching(beside, reach_m, from_end=True),
+            )
+        if not lanes:
+            continue
         # The gentlest bend that is free for all lanes of the arm, or else straight on.
         for bend_per_m in (*_BENDS_PER_M, 0.0):
             chains = [_beyond(lane, bend_per_m, reach_m) for lane in lanes]
