@@ -8,7 +8,7 @@ nothing changes.
 """
 
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Any
@@ -46,6 +46,8 @@ _Placed = dict[tuple[_Path, ...], list[float]]
 _BEYOND_M = 1.0
 # Beside the kerb of an arm, where a rounded corner is looked for.
 _BESIDE_KERB_M = 0.1
+# Over which lanes part.
+_PART_M = 15.0
 # Over which a direction is taken.
 _AHEAD_M = 10.0
 
@@ -574,8 +576,10 @@ def find_junctions(
         streets = trace_streets(network, clusters.of_row.__contains__)
         arms, inside = _arms_by_cluster(streets, clusters, known)
         stubs = _take_stubs(network, arms, inside)
-        if number_of_round < _MAX_ROUNDS and _take_in_forks(network, clusters, arms):
-            continue
+        if number_of_round < _MAX_ROUNDS:
+            around = {number for number in inside if is_roundabout(inside[number])}
+            if _take_in_forks(network, clusters, arms, around):
+                continue
         if not _drop_small(clusters, arms, elements):
             break
     for stub in stubs:
@@ -674,11 +678,13 @@ def _take_in_forks(
     network: Network,
     clusters: Clusters,
     arms: Mapping[int, Sequence[StreetArm]],
+    rings: Container[int],
 ) -> bool:
     """Join forks next to a junction to it; True if there were any.
 
     These are forks in an arm before it begins, and those at the tip of a
-    splitter island.
+    splitter island; next to one of the `rings` those soon after it begins, too,
+    where lanes would have no room to part.
     """
     island_m = DEFAULTS["junction"]["island_m"]
     taken = []
@@ -693,6 +699,9 @@ def _take_in_forks(
             for index, arm in enumerate(here)
             if arm.street.length_m <= island_m
         }
+        beyond_m = _BEYOND_M
+        if number in rings:
+            beyond_m = _PART_M
         for index, arm in enumerate(here):
             own = group_of[index]
             for row, station in zip(
@@ -701,7 +710,7 @@ def _take_in_forks(
                 strict=True,
             ):
                 is_island = station <= island_m and branches.get(row, own) != own
-                is_before_mouth = station <= arm.mouth_m + 1.0
+                is_before_mouth = station <= arm.mouth_m + beyond_m
                 is_free = row not in clusters.of_row
                 is_near = is_free and (is_before_mouth or is_island)
                 if is_near and is_fork(network, network.ends.get(row, ())):

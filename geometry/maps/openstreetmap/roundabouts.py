@@ -17,7 +17,7 @@ import shapely
 
 from ...arrays import FloatArray
 from ...lines import along_m, apart, length_m, points_at, unit
-from ...scene import paved_area
+from ...scene import area_of, paved_area
 from ..source_map import MapJunction, MapLane, polygons_of
 from .elements import DEFAULTS
 from .junctions import Ring, StreetArm, group_arms
@@ -128,12 +128,12 @@ def lay_roundabouts(
     for ring in rings:
         junction = of_id[ring.junction]
         try:
-            laid, islands_m = _lay(ring, junction, lanes, keeps_left=keeps_left)
+            whole, ways = _lay(ring, junction, lanes, keeps_left=keeps_left)
         except RingError as error:
             of_id[ring.junction] = replace(junction, fault=str(error))
             continue
-        connections += laid
-        of_id[ring.junction] = replace(junction, islands_m=islands_m)
+        connections += ways
+        of_id[ring.junction] = whole
     return [of_id[junction.id] for junction in junctions], connections
 
 
@@ -143,8 +143,8 @@ def _lay(
     lanes: Sequence[MapLane],
     *,
     keeps_left: bool,
-) -> tuple[list[MapLane], tuple[FloatArray, ...]]:
-    """Lanes around one roundabout, and its islands.
+) -> tuple[MapJunction, list[MapLane]]:
+    """A roundabout with its islands, and the lanes around it.
 
     Raises
     ------
@@ -154,26 +154,28 @@ def _lay(
     stretches = list(find_stretches(ring.inside))
     loop = _build_loop(stretches, keeps_left=keeps_left)
     mouths = _mouths(ring, lanes, keeps_left=keeps_left)
-    paved = paved_area(junction.outline_m, loop.islands_m)
-    roads = [surface(mouth.arm.street, 0.0, mouth.arm.mouth_m) for mouth in mouths]
-    free = shapely.union_all([paved, *roads]).buffer(_TOLERANCE_M)
-    shapely.prepare(free)
-    laid = []
+    ways: list[MapLane] = []
+    surfaces = [area_of(junction.outline_m)]
     for one in mouths:
         for other in mouths:
             if one.group == other.group or not one.lanes_in or not other.lanes_out:
                 continue
-            for way in _ways(one, other, stretches, loop, keeps_left=keeps_left):
-                car = shapely.LineString(way.centreline_m).buffer(
-                    _HALF_CAR_M, cap_style="flat"
-                )
-                if not shapely.contains(free, car):
-                    why = f"a roundabout whose way {way.id} leaves the carriageway"
-                    raise RingError(why)
-                laid.append(
-                    replace(way, from_junction=junction.id, to_junction=junction.id)
-                )
-    return laid, loop.islands_m
+            for way, legs in _ways(one, other, stretches, loop, keeps_left=keeps_left):
+                here = {"from_junction": junction.id, "to_junction": junction.id}
+                ways.append(replace(way, **here))
+                surfaces += legs
+    # Where carriageways part, the road is as wide as the lanes that part there.
+    outline = max(polygons_of(shapely.union_all(surfaces)), key=lambda one: one.area)
+    outline_m = np.asarray(shapely.simplify(outline.exterior, 0.02).coords)[:-1]
+    paved = paved_area(outline_m, loop.islands_m)
+    roads = [surface(mouth.arm.street, 0.0, mouth.arm.mouth_m) for mouth in mouths]
+    free = shapely.union_all([paved, *roads]).buffer(_TOLERANCE_M)
+    shapely.prepare(free)
+    for way in ways:
+        line = shapely.LineString(way.centreline_m)
+        if not shapely.contains(free, line.buffer(_HALF_CAR_M, cap_style="flat")):
+            raise RingError(f"a roundabout whose way {way.id} leaves the carriageway")
+    return replace(junction, outline_m=outline_m, islands_m=loop.islands_m), ways
 
 
 # ---------- the ring
@@ -272,8 +274,10 @@ def _ways(
     loop: _Loop,
     *,
     keeps_left: bool,
-) -> Iterator[MapLane]:
+) -> Iterator[tuple[MapLane, list[Any]]]:
     """Lanes from one arm into another, none of which crosses another one.
+
+    With them comes the surface of the ways between their arms and the ring.
 
     Raises
     ------
@@ -308,13 +312,21 @@ def _ways(
             line_m = _joined(leg_in, leg_out, name)
         tips_m = (entry.centreline_m[-1, :2], leaving.centreline_m[0, :2])
         line_m = _between(line_m, *tips_m)
-        width_m = min(entry.width_m, leaving.width_m, loop.width_m)
-        yield MapLane(
+        legs = []
+        for links, leg, lane in (
+            (links_in, leg_in, entry),
+            (links_out, leg_out, leaving),
+        ):
+            if links:
+                line = shapely.LineString(leg.line_m)
+                legs.append(line.buffer(0.5 * lane.width_m, cap_style="flat"))
+        way = MapLane(
             id=name,
             kind="driving",
-            width_m=width_m,
+            width_m=min(entry.width_m, leaving.width_m, loop.width_m),
             centreline_m=np.column_stack([line_m, np.zeros(len(line_m))]),
         )
+        yield way, legs
 
 
 def _route(
@@ -437,7 +449,7 @@ def _leg(
     Returns
     -------
     leg : _Leg
-        Its lane shifts aside within 10 m of where the cross-section changes.
+        Its lane shifts aside next to where the cross-section changes.
     """
     begin_m, end_m = span_m
     stations: list[float] = []
@@ -450,8 +462,12 @@ def _leg(
         if high - low < 1e-3 or not strips:
             continue
         strip = strips[min(number, len(strips) - 1)]
-        shift_m = min(0.5 * _SHIFT_M, 0.5 * (high - low))
-        stations += [low + shift_m, high - shift_m]
+        half_m = 0.5 * (high - low)
+        before_m, after_m = (
+            min(_shift_m(street, index, beside), half_m)
+            for beside in (index - 1, index + 1)
+        )
+        stations += [low + before_m, high - after_m]
         lefts += [strip.left_m, strip.left_m]
         radius_m = DEFAULTS["roundabout"]["corner_m"] + _from_kerb_m(
             section.width_m, strip, keeps_left=keeps_left
@@ -460,6 +476,21 @@ def _leg(
     middle, across = axis_points(street, at)
     left_m = np.interp(at, stations, lefts)
     return _Leg(middle + left_m[:, None] * across, radius_m)
+
+
+def _shift_m(street: Street, index: int, beside: int) -> float:
+    """Length over which lanes of a part shift towards those of the one beside it.
+
+    Where carriageways part, those of both directions stay, and the others shift.
+    """
+    if not 0 <= beside < len(street.sections):
+        return 0.0
+    is_two_way = len(street.sections[index].directions) > 1
+    if is_two_way == (len(street.sections[beside].directions) > 1):
+        return 0.5 * _SHIFT_M
+    if is_two_way:
+        return 0.0
+    return 2.0 * _SHIFT_M
 
 
 def _from_kerb_m(width_m: float, strip: Strip, *, keeps_left: bool) -> float:
