@@ -198,9 +198,7 @@ def opendrive_roundabout(
     inner_m = radius_m - HALF_M
     bend_m = shape.bend_m + HALF_M
     bend_length_m = bend_m * (quarter - meets)
-    arm_lanes = section(
-        left=[lane(1, width=WIDTH_M)], right=[lane(-1, width=WIDTH_M)]
-    )
+    arm_lanes = section(left=[lane(1, width=WIDTH_M)], right=[lane(-1, width=WIDTH_M)])
 
     def curve(
         s: float, far: float, angle: float, way: float, bend: float, length: float

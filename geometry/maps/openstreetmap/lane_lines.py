@@ -116,7 +116,18 @@ def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
                     settled.add((lane.id, is_begin))
             found.append((lane, is_two_way))
     two_way = {lane.id for lane, is_two_way in found if is_two_way}
-    return tuple(_lead_on([lane for lane, _ in found], two_way, settled))
+    lanes = [lane for lane, _ in found]
+    # Lanes that go on into a branch stay, too.
+    for lane in lanes:
+        for is_begin in (True, False):
+            if (lane.id, is_begin) not in settled:
+                continue
+            tip = _tip(lane, is_begin=is_begin)
+            for other in lanes:
+                away_m = np.hypot(*(_tip(other, is_begin=not is_begin) - tip)[:2])
+                if other.kind == lane.kind and away_m <= _SAME_POINT_M:
+                    settled.add((other.id, not is_begin))
+    return tuple(_lead_on(lanes, two_way, settled))
 
 
 # ---------- ramps and slip roads
