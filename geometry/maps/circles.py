@@ -123,7 +123,7 @@ def _rings(source: SourceMap) -> Iterator[tuple[str, ...]]:
         if (end, begin) not in links:
             one_way[begin].append(end)
     used: set[str] = set()
-    for start in one_way:
+    for start in list(one_way):
         paths = [(start,)]
         while paths and start not in used:
             path = paths.pop()
