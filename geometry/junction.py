@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, float_array, freeze, set_arrays
 from .errors import InputError
-from .lines import apart, length_m
+from .lines import along_m, apart, length_m, points_at, unit
 from .phrases import Phrase
 from .scene import Lane, LeadingRoad, Scene, Turn
 
@@ -63,6 +63,11 @@ _LANES_OF_ARM = ("lanes_in", "lanes_out", "cycleways_in", "cycleways_out")
 _MIRRORED: dict[Turn, Turn] = {"left": "right", "right": "left"}
 # From the outline of the junction's road surface.
 _CORNER_M = 15.0
+# From the edge of a lane to that of the one beside whose begin it lies.
+_BESIDE_M = 1.0
+# Over which cars change from one lane to the next, and what there is of it at least.
+_CHANGE_M = 25.0
+_LEAST_BEFORE_M = 10.0
 # Length of the sum of two arms' directions: an angle of 140 degrees and more.
 _STRAIGHT = 0.7
 
@@ -194,6 +199,8 @@ class Junction:
     beyond : tuple of Lane
         Lanes that are assumed, from beyond the map to the begin of an entry lane:
         straight ones of two points, or bent past buildings.
+    islands_m : tuple of (n, 2) float
+        Outlines of the islands that a roundabout leads around; empty: it is none. [m]
     """
 
     name: str
@@ -201,6 +208,7 @@ class Junction:
     keeps_left: bool = False
     connections: tuple[Lane, ...] = ()
     beyond: tuple[Lane, ...] = ()
+    islands_m: tuple[FloatArray, ...] = ()
 
     def is_led_on(self, entry: Lane) -> bool:
         """True if a lane is assumed to lead to the start of an entry lane.
@@ -294,6 +302,7 @@ def build_junction(scene: Scene) -> Junction:
         keeps_left=scene.keeps_left,
         connections=tuple(lane for lane in scene.lanes if lane.kind == CONNECTING),
         beyond=tuple(lane for lane in scene.lanes if lane.kind == ASSUMED),
+        islands_m=scene.islands_m,
     )
 
 
@@ -349,6 +358,7 @@ def mirrored(junction: Junction) -> Junction:
         keeps_left=not junction.keeps_left,
         connections=turn_over(junction.connections),
         beyond=turn_over(junction.beyond),
+        islands_m=tuple(one * [1.0, -1.0] for one in junction.islands_m),
     )
 
 
@@ -562,6 +572,50 @@ def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
         del pieces[0 if is_in else -1]
     points = np.concatenate([piece.centreline_m for piece in pieces])
     return replace(lane, centreline_m=apart(points, 1.0e-6))
+
+
+def lane_beside(lane: Lane, lanes: Sequence[Lane]) -> FloatArray | None:
+    """The way to the begin of a lane along the lane that runs beside it.
+
+    Parameters
+    ----------
+    lane : Lane
+        No lane ends where it begins.
+    lanes : sequence of Lane
+        All lanes of the scene.
+
+    Returns
+    -------
+    line_m : (n, 2) float or None
+        From where that lane begins, over to this one on its last metres. None: no lane
+        that leads the same way comes past its begin. [m]
+    """
+    begin = lane.centreline_m[0]
+    ahead = lane_line(lane, is_in=False, length_m=5.0)[0].direction
+    nearest: FloatArray | None = None
+    least_m = np.inf
+    for other in lanes:
+        reach_m = 0.5 * (lane.width_m + other.width_m) + _BESIDE_M
+        line = other.centreline_m
+        if other.kind != lane.kind or other.id == lane.id:
+            continue
+        away_m = float(shapely.LineString(line).distance(shapely.Point(begin)))
+        if away_m > min(reach_m, least_m):
+            continue
+        whole = _whole(other, lanes, is_in=True).centreline_m
+        path = shapely.LineString(whole)
+        at_m = float(path.project(shapely.Point(begin)))
+        before_m = max(at_m - _CHANGE_M, 0.0)
+        ends = shapely.line_interpolate_point(path, [max(at_m - 5.0, 0.0), at_m])
+        near, far = shapely.get_coordinates(ends)
+        way = unit(far - near)
+        if at_m < _LEAST_BEFORE_M or way @ ahead < np.cos(np.radians(_SAME_ARM_DEG)):
+            continue
+        along = along_m(whole)
+        (turn_off,) = points_at(whole, np.array([before_m]))
+        nearest = np.vstack([whole[along < before_m - 1.0], turn_off, begin])
+        least_m = away_m
+    return nearest
 
 
 def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:

@@ -195,6 +195,9 @@ class Scene:
         What was assumed or left out when it was made of maps.
     roads : tuple of LeadingRoad
         Roads that lead to the junction; empty: the map does not say.
+    islands_m : tuple of (n, 2) float
+        Outlines of the islands that a roundabout leads around; empty: the junction
+        is none. [m]
     """
 
     name: str
@@ -214,6 +217,7 @@ class Scene:
     zero_height_m: float | None = None
     notes: tuple[Note, ...] = ()
     roads: tuple[LeadingRoad, ...] = ()
+    islands_m: tuple[FloatArray, ...] = ()
 
     def __post_init__(self) -> None:
         check_name(self.name, "scene: name")
@@ -227,6 +231,10 @@ class Scene:
             _check_near(getattr(self, name), f"{self.name}: {name}")
         for road in self.roads:
             _check_near(road.point_m, f"{self.name}: road {road.name}.point_m")
+        islands = checked_islands(self.islands_m, f"{self.name}: islands_m")
+        object.__setattr__(self, "islands_m", islands)
+        for index, island_m in enumerate(self.islands_m):
+            _check_near(island_m, f"{self.name}: islands_m[{index}]")
         self._check_sizes()
         for name in ("triangles", "triangle_instance"):
             array = np.array(getattr(self, name), dtype=np.int32)
@@ -327,6 +335,24 @@ class Lane:
             raise InputError(
                 f"{where}.width_m", self.width_m, f"{low_m:g} to {high_m:g} metres"
             )
+
+
+def checked_islands(islands_m: Any, where: str) -> tuple[FloatArray, ...]:
+    """Outlines of islands as arrays (n, 2) that nothing changes.
+
+    Raises
+    ------
+    InputError
+        One of them has less than three points, or is no line of points.
+    """
+    islands = []
+    for index, island_m in enumerate(islands_m):
+        here = f"{where}[{index}]"
+        points = float_array(island_m, (-1, 2), here)
+        if len(points) < 3:
+            raise InputError(here, len(points), "at least three points")
+        islands.append(freeze(points))
+    return tuple(islands)
 
 
 def is_lane_width(width_m: float) -> bool:
@@ -431,15 +457,29 @@ def road_area(scene: Scene) -> Any:
 
     It is a shapely geometry in the world frame, in metres.
     """
-    return covered_area(scene.outline_m, scene.lanes)
+    return covered_area(scene.outline_m, scene.lanes, scene.islands_m)
 
 
-def covered_area(outline_m: FloatArray, lanes: Sequence[Lane]) -> Any:
-    """Area of lanes and of a junction's outline (n, 2).
+def covered_area(
+    outline_m: FloatArray,
+    lanes: Sequence[Lane],
+    islands_m: Sequence[FloatArray] = (),
+) -> Any:
+    """Area of lanes and of a junction's outline (n, 2) without its islands.
 
     It is a shapely geometry in metres.
     """
-    return shapely.union_all([area_of(outline_m), *strips_of(lanes)])
+    junction = paved_area(outline_m, islands_m)
+    return shapely.union_all([junction, *strips_of(lanes)])
+
+
+def paved_area(outline_m: FloatArray, islands_m: Sequence[FloatArray]) -> Any:
+    """Area within a junction's outline (n, 2), without its islands (n, 2).
+
+    It is a shapely geometry in metres.
+    """
+    islands = [area_of(island_m) for island_m in islands_m]
+    return shapely.difference(area_of(outline_m), shapely.union_all(islands))
 
 
 def area_of(outline_m: FloatArray) -> Any:

@@ -19,6 +19,7 @@ from .junction import (
     arm_of_road,
     build_junction,
     compass_point,
+    lane_beside,
     lane_length_m,
 )
 from .lines import unit
@@ -29,8 +30,8 @@ from .scene import (
     LeadingRoad,
     Scene,
     Site,
-    area_of,
     containing_instance,
+    paved_area,
     road_area,
     strips_of,
 )
@@ -145,10 +146,13 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
     """
     junction = build_junction(scene)
     for name, arm in junction.arms.items():
-        ends_m = [
-            lane_length_m(lane) for lane in arm.entry_lanes if junction.is_led_on(lane)
+        ending = [
+            lane
+            for lane in arm.entry_lanes
+            if junction.is_led_on(lane) and lane_beside(lane, scene.lanes) is None
         ]
-        is_bent = any(junction.followed(lane) is not lane for lane in arm.entry_lanes)
+        ends_m = [lane_length_m(lane) for lane in ending]
+        is_bent = any(junction.followed(lane) is not lane for lane in ending)
         if not ends_m:
             continue
         why = Phrase(
@@ -243,7 +247,8 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
 def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
     """Errors for poles that stand on a lane or in the junction."""
     feet = np.array([site.position_m[:2] for site in sites])
-    junction = area_of(scene.outline_m).buffer(-_AT_KERB_M)
+    paved = paved_area(scene.outline_m, scene.islands_m)
+    junction = paved.buffer(-_AT_KERB_M)
     mapped = [
         lane
         for lane in scene.lanes

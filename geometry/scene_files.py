@@ -92,6 +92,7 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     things: tuple[_Thing, ...]
     skipped: tuple[_SavedNote, ...]
     roads: tuple[LeadingRoad, ...] = ()
+    islands_m: tuple[Points2, ...] = ()
 
 
 def save_scene(
@@ -126,6 +127,7 @@ def save_scene(
         "road_network": scene.road_network,
         "sources": list(sources),
         "outline_m": _rounded(scene.outline_m),
+        **_island_entries(scene),
         "lanes": [
             _entry(lane, *_LANE_FIELDS)
             | (
@@ -218,6 +220,13 @@ def _named(path: Path) -> Iterator[None]:
             raise
         where = f"{path}/{SCENE_FILE}: {error.where}"
         raise InputError(where, error.got, error.expected) from None
+
+
+def _island_entries(scene: Scene) -> dict[str, Any]:
+    """Islands of a roundabout as ``scene.toml`` has them; other scenes have none."""
+    if not scene.islands_m:
+        return {}
+    return {"islands_m": [_rounded(island_m) for island_m in scene.islands_m]}
 
 
 def _note_entry(note: Note) -> dict[str, Any]:

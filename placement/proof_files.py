@@ -134,6 +134,8 @@ def scene_hash(scene: Scene) -> str:
     ):
         add(name, getattr(scene, name))
     add("source_origin_m", scene.source_origin_m)
+    for island_m in scene.islands_m:
+        add("island", island_m)
     for lane in scene.lanes:
         add("lane", lane.centreline_m)
     for site in scene.sites:

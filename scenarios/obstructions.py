@@ -59,6 +59,7 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     line. What the map does not show does not stand in the way.
     """
     encounter = staging.encounter
+    _check_islands(encounter, scene)
     # The VUT passes no pole, a VRU may.
     solid = _solid(scene, has_poles=True)
     others = _solid(scene, has_poles=False)
@@ -93,6 +94,20 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
         position_m = body.pose.position_m + [east, north, 0.0]
         moved.append(replace(body, pose=replace(body.pose, position_m=position_m)))
     return replace(staging, obstruction=tuple(moved))
+
+
+def _check_islands(encounter: Encounter, scene: Scene) -> None:
+    """Raise CannotCarryError if somebody moves over a roundabout's island."""
+    if not scene.islands_m:
+        return
+    islands = shapely.union_all([area_of(island_m) for island_m in scene.islands_m])
+    for motion, body in (
+        (encounter.vut_motion, encounter.vut),
+        (encounter.vru_motion, encounter.vru),
+    ):
+        middle = np.array_split(_way(motion, body), 3)[1]
+        if shapely.intersects(shapely.multilinestrings(middle), islands):
+            raise CannotCarryError(Phrase("the way leads over the roundabout's island"))
 
 
 def is_way_free(

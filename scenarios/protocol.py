@@ -84,7 +84,9 @@ def stage_by_protocol(
     if case.kind == "turning":
         return staging.first_that_fits(_turnings(asked), settle)
     is_met_head_on = case.kind == "longitudinal" and case.vru_direction == "opposite"
-    is_through = position.is_behind or is_met_head_on
+    # At a roundabout cyclists cross where the VUT's way bends towards the ring.
+    is_edge_met = asked.is_at_ring and case.kind == "crossing" and is_bound(case)
+    is_through = position.is_behind or is_met_head_on or is_edge_met
     places = (_places_through if is_through else _places_before)(asked, position)
     if _comes_through(case):
         return staging.first_that_fits(_crossings(asked, places), settle)
@@ -120,6 +122,11 @@ class _Asked:
     arm: Arm
     vut: Actor
     vut_speed_kmh: float
+
+    @property
+    def is_at_ring(self) -> bool:
+        """True if the junction is a roundabout."""
+        return bool(self.junction.islands_m)
 
     @property
     def entry_line(self) -> Line:
@@ -532,12 +539,32 @@ def _crossing(asked: _Asked, place: _Place) -> tuple[float, ways.Way, float]:
         left = vut_way.direction(vut_m).left
         line = Line(point_m=point, direction=left if case.vru_side == "near" else -left)
         return vut_m, ways.StraightWay(line=line), 0.0
+    if asked.is_at_ring:
+        return _across_edge(asked, place)
     lane, left_m = _cyclists_lane(case, _side(asked, vut_way.tangent(0.0)))
     ridden_m = _travel_m(case, 0.0)
     middle = ways.lane_way(lane, is_in=True, length_m=ridden_m)
     return _meet(vut_way, middle.offset(left_m, 0.0, back_m=ridden_m)[0])
 
 
+def _across_edge(asked: _Asked, place: _Place) -> tuple[float, ways.Way, float]:
+    """As :func:`_crossing`, of a cyclist who rides around a roundabout."""
+    outside_m = staging.load_way_rules().ring_edge_m
+    edge: ways.Way = ways.edge_way(asked.junction, asked.arm, outside_m)
+    if asked.case.vru_side == "near":
+        # Against the traffic of the ring.
+        edge = ways.reversed_way(edge)
+    assert isinstance(edge, ways.CurvedWay)
+    # From before the mouth to where the ring has surely been reached.
+    mouth_m = place.way.station_of(place.entry_lane.centreline_m[-1])
+    path = place.way.vru_path(mouth_m - _EDGE_SEARCH_M)
+    vru_m = ways.last_crossing(path, edge, 2.0 * _EDGE_SEARCH_M)
+    vut_m = place.way.station_of(edge.point(vru_m, 0.0))
+    return vut_m, edge, vru_m
+
+
+# Along the VUT's way, to both sides of its lane's end.
+_EDGE_SEARCH_M = 20.0
 # From the middle of a lane through it.
 _IN_JUNCTION_M = 1.0
 
@@ -712,6 +739,9 @@ def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning
         for before, connection, after in found
         if connection is not None
     ]
+    if asked.is_at_ring:
+        # The protocol's curve would lead over the island.
+        return lines
     for before, _, after in found:
         lines.append(partial(ways.on_straights, before, after, turn, vut))
         if ways.is_bent(before, is_in=True) or ways.is_bent(after, is_in=False):
@@ -828,6 +858,8 @@ def _turning_way(
             # Askew: across the lane, not along the other one.
             direction = exit_line.left * np.sign(direction @ exit_line.left)
         return ways.StraightWay(line=Line(point_m=point, direction=direction)), 0.0
+    if asked.is_at_ring:
+        return _ring_edge(asked, target, turning)
     ridden_m = _travel_m(case, 0.0)
     lane, is_in, left_m = _kerb(case, asked.arm)
     beside = ways.straight_line(lane, is_in=is_in)
@@ -837,6 +869,26 @@ def _turning_way(
         way = ways.StraightWay(line=line)
     _, way, vru_m = _meet(turning.exit_way, way)
     return way, vru_m
+
+
+def _ring_edge(
+    asked: _Asked, target: Arm, turning: ways.Turning
+) -> tuple[ways.Way, float]:
+    """As :func:`_turning_way`, of a cyclist who rides around a roundabout.
+
+    Who comes the VUT's way to its right, or towards it to its left, rides with the
+    traffic of the ring.
+    """
+    case = asked.case
+    assert case.vru_line is not None
+    outside_m = max(case.vru_line.left_m, staging.load_way_rules().ring_edge_m)
+    edge: ways.Way = ways.edge_way(asked.junction, target, outside_m)
+    if (case.turn == "near") != (case.vru_direction == "same"):
+        edge = ways.reversed_way(edge)
+    assert isinstance(edge, ways.CurvedWay)
+    exit_m = lane_length_m(target.exit_lanes[0])
+    length_m = turning.turn_m + min(exit_m, _EDGE_SEARCH_M)
+    return edge, ways.last_crossing(turning.path_with(0.0), edge, length_m)
 
 
 def _kerb(case: Case, arm: Arm) -> tuple[Lane, bool, float]:

@@ -367,6 +367,7 @@ class WayRules:
     max_skew_deg: float
     max_turn_skew_deg: float
     cyclist_inside_kerb_m: float
+    ring_edge_m: float
     max_recorded_away_m: float
 
 

@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+import shapely
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
@@ -16,6 +17,7 @@ from geometry.junction import (
     Arm,
     Junction,
     Line,
+    arm_mouth,
     curve_between,
     lane_length_m,
     lane_line,
@@ -35,6 +37,10 @@ _MAX_STEPS = 60
 _MEETS_M = 1.0e-3
 # In lanes that are narrower than the VUT, by the map.
 _LEAST_FREE_M = 0.1
+# Of a way along a roundabout, before and behind it.
+_EDGE_M = 40.0
+# Between looks for where two ways cross.
+_CROSSING_STEP_M = 0.25
 # Between the lanes, of the curve that has their directions.
 _CUT_OFF_M = 1.0
 
@@ -470,6 +476,86 @@ def joints(
             (lane, None, after[index]) for index in np.argsort(aside_m, kind="stable")
         ]
     return found
+
+
+def edge_way(junction: Junction, passed: Arm, outside_m: float) -> CurvedWay:
+    """The way of cyclists along the edge of a roundabout, across one of its arms.
+
+    Traffic keeps right. It leads beside the lanes from the arm before that one into
+    the arm behind it, in the direction of traffic.
+
+    Parameters
+    ----------
+    junction : Junction
+        A roundabout.
+    passed : Arm
+        The arm that it crosses.
+    outside_m : float
+        From the edge of the lanes. [m]
+
+    Raises
+    ------
+    NoRoadError
+        No lane passes the arm.
+    CannotCarryError
+        The lanes bend too sharply.
+    """
+    middle = np.mean([island.mean(axis=0) for island in junction.islands_m], axis=0)
+    bearings = {}
+    for arm in junction.arms.values():
+        east, north = arm_mouth(arm) - middle
+        bearings[arm.name] = np.arctan2(north, east)
+    # Counter-clockwise from the arm, the next one comes first.
+    others = sorted(
+        (arm for arm in junction.arms.values() if arm.name != passed.name),
+        key=lambda arm: (bearings[arm.name] - bearings[passed.name]) % (2.0 * np.pi),
+    )
+    leaving = [arm for arm in others if arm.exit_lanes]
+    entered = [arm for arm in reversed(others) if arm.entry_lanes]
+    if not leaving or not entered or leaving[0] is entered[0]:
+        raise NoRoadError(
+            Phrase("no lane passes the {arm} on the ring", arm=Phrase(passed.name))
+        )
+    before, connection, after = joints(junction, entered[0], leaving[0], "right")[0]
+    assert connection is not None
+    chains = (lane.centreline_m for lane in (before, connection, after))
+    course = courses.follow_connection(*chains, is_origin_behind=False)
+    width_m = max(before.width_m, connection.width_m)
+    beside_m = -(0.5 * width_m + outside_m)
+    reach_m = lane_length_m(connection)
+    whole = CurvedWay(course=course)
+    way, _ = whole.offset(beside_m, 0.0, back_m=_EDGE_M, ahead_m=reach_m + _EDGE_M)
+    assert isinstance(way, CurvedWay)
+    return way
+
+
+def last_crossing(path: Path, way: CurvedWay, length_m: float) -> float:
+    """Station of a way where a vehicle's path crosses it last.
+
+    Parameters
+    ----------
+    path : Path
+        Of the vehicle.
+    way : CurvedWay
+        The way.
+    length_m : float
+        So much of the path counts. [m]
+
+    Raises
+    ------
+    CannotCarryError
+        They do not cross.
+    """
+    distances = np.arange(0.0, length_m + _CROSSING_STEP_M, _CROSSING_STEP_M)
+    positions, _ = path.at(distances)
+    driven = shapely.LineString(positions)
+    stride = round(_CROSSING_STEP_M / 0.01)
+    ridden = shapely.LineString(way.course.points_m[::stride])
+    points = shapely.get_coordinates(shapely.intersection(driven, ridden))
+    if not len(points):
+        raise CannotCarryError(DO_NOT_MEET)
+    at_m = shapely.line_locate_point(driven, shapely.points(points))
+    return way.station_of(points[int(np.argmax(at_m))])
 
 
 def _has_connections(junction: Junction) -> bool:

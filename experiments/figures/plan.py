@@ -52,6 +52,8 @@ CLASS_STYLES: dict[str, Style] = {
     },
     "traffic light": {"facecolor": "#7a7a7a", "edgecolor": "#7a7a7a", "linewidth": 0.8},
 }
+# Where nobody drives.
+_GROUND = "#f4f2ee"
 _GREY_DOTS: Style = {"facecolor": "#f2f2f2", "edgecolor": "#8a8a8a"}
 PARKED_STYLE: Style = _GREY_DOTS | {"linewidth": 0.7, "hatch": "...."}
 _RING: Style = {"marker": "o", "markerfacecolor": "white", "markeredgecolor": "#444444"}
@@ -99,7 +101,7 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
 
     What comes later goes on top up to zorder 6.5.
     """
-    axes.set_facecolor("#f4f2ee")
+    axes.set_facecolor(_GROUND)
     for lane in scene.lanes:
         colour = _LANE_COLOURS.get(lane.kind, "#dedede")
         edge: Style = {"edgecolor": "white", "linewidth": 0.8}
@@ -107,6 +109,9 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
     axes.add_patch(
         Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1)
     )
+    for island_m in scene.islands_m:
+        style: Style = {"facecolor": _GROUND, "edgecolor": "white", "linewidth": 0.8}
+        axes.add_patch(Polygon(island_m, zorder=1.1, **style))
     for ends in scene.crosswalks_m:
         # Grey below the white bars: next to the road they would not be seen on a white
         # ground.

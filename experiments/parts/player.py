@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from geometry.arrays import FloatArray
 from geometry.catalogue import sensor_kind
 from geometry.junction import build_junction
-from geometry.scene import Lane, Scene, thing_footprint
+from geometry.scene import Lane, Scene, paved_area, thing_footprint
 from placement.candidates import CandidatePose, above_ground, is_ring
 from placement.evaluation import Evaluation
 from placement.layout import Layout
@@ -296,7 +296,7 @@ def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
         ("parking lane", "#ececec", _areas(scene.lanes, "parking")),
         ("bus lane", "#e6d3c8", _areas(scene.lanes, "bus")),
         ("lane", "#dedede", _areas(scene.lanes, "driving")),
-        ("junction", "#dedede", shapely.make_valid(shapely.Polygon(scene.outline_m))),
+        ("junction", "#dedede", paved_area(scene.outline_m, scene.islands_m)),
     ]
     for name, style in CLASS_STYLES.items():
         numbers = [

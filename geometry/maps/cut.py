@@ -16,6 +16,7 @@ from ..junction import (
     build_junction,
     curve_between,
     distance_to_outline_m,
+    lane_beside,
     lane_line,
 )
 from ..lines import steps_m, true_runs, unit
@@ -115,6 +116,8 @@ class CutSurroundings:
         Height of the junction's middle, as the map counts heights. [m]
     neighbours_m : tuple of (n, 2) float
         Outlines of the junctions around it. [m]
+    islands_m : tuple of (n, 2) float
+        Outlines of the islands that a roundabout leads around. [m]
     """
 
     frame: LocalFrame
@@ -130,6 +133,7 @@ class CutSurroundings:
     zero_height_m: float | None = None
     neighbours_m: tuple[FloatArray, ...] = ()
     paths: Any = field(default_factory=shapely.Polygon)
+    islands_m: tuple[FloatArray, ...] = ()
 
 
 def cut_out(
@@ -220,6 +224,7 @@ def cut_out(
         neighbours_m=tuple(
             one for one in others if _off_m(one) <= radius_m + _NEIGHBOURS_BEYOND_M
         ),
+        islands_m=tuple(frame.take(one, roads) for one in junction.islands_m),
     )
 
 
@@ -357,6 +362,7 @@ def build_scene(
         source_origin_m=surroundings.frame.origin_m,
         zero_height_m=surroundings.zero_height_m,
         roads=surroundings.roads,
+        islands_m=surroundings.islands_m,
     )
     return replace(scene, lanes=(*scene.lanes, *_lead_on(scene, reach_m=half)))
 
@@ -364,9 +370,9 @@ def build_scene(
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
     """Lanes to the begins of entry lanes where the map has none.
 
-    They lead straight on, or where a building stands there round the gentlest
-    bend past it, the same for all lanes of an arm; where none does, straight up
-    to it.
+    To a lane that begins beside another one, that one leads. Others lead straight
+    on, or where a building stands there round the gentlest bend past it, the same for
+    all lanes of an arm; where none does, straight up to it.
 
     Parameters
     ----------
@@ -392,7 +398,21 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
     houses = None
     if any(arms):
         houses = houses_of(scene)
-    for lanes in filter(None, arms):
+    for ending in arms:
+        lanes = []
+        for lane in ending:
+            beside = lane_beside(lane, scene.lanes)
+            if beside is None:
+                lanes.append(lane)
+                continue
+            yield Lane(
+                id=f"{lane.id} from beside it",
+                kind=ASSUMED,
+                width_m=lane.width_m,
+                centreline_m=_reaching(beside, reach_m, from_end=True),
+            )
+        if not lanes:
+            continue
         # The gentlest bend that is free for all lanes of the arm, or else straight on.
         for bend_per_m in (*_BENDS_PER_M, 0.0):
             chains = [_beyond(lane, bend_per_m, reach_m) for lane in lanes]

@@ -129,7 +129,7 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
     """All junctions of a map, the largest first.
 
     They are sorted by arms, driven arms, lanes, and nearness to the middle of
-    the map.
+    the map; those through which cars cannot be led come last.
 
     Parameters
     ----------
@@ -167,7 +167,8 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
     def rank(one: Surveyed) -> tuple[float, ...]:
         """Key for sorting, the largest junction first."""
         off_m = float(np.hypot(*(one.junction.position_m - middle)))
-        return (-len(one.arms), -one.n_driven, -one.n_lanes, off_m)
+        has_fault = bool(one.junction.fault)
+        return (has_fault, -len(one.arms), -one.n_driven, -one.n_lanes, off_m)
 
     return tuple(sorted(found, key=rank))
 
@@ -791,8 +792,10 @@ def cut_scene(
     """
     roads = maps[0]
     junction = chosen.junction
+    where = f"{roads.name}: junction {junction.id}"
+    if junction.fault:
+        refuse(where, junction.fault, "a junction that cars can be led through")
     if not chosen.n_driven:
-        where = f"{roads.name}: junction {junction.id}"
         refuse(where, "no lane that leads into it", "a junction that cars drive into")
     names = tuple(source.name for source in maps)
     radius_m = options.radius_m

@@ -23,6 +23,7 @@ from ..notes import Note
 from ..phrases import Phrase
 from ..text_formats import float_of, load_data
 from ..xml_files import local_name, read_xml
+from .circles import with_roundabouts
 from .georeferences import local_crs
 from .opendrive.junctions import (
     fit_outline,
@@ -532,7 +533,7 @@ def _source_map(
         notes = (Note(what=what, why=why, kind="side of the road"), *notes)
     walks = [one for one in lanelets if one.kind == "crosswalk"]
     crossings = [one.edges_m.mean(axis=0)[[0, -1], :2] for one in walks]
-    return SourceMap(
+    source = SourceMap(
         name=path.name,
         lanes=tuple(lanes),
         connections=tuple(connections),
@@ -542,6 +543,7 @@ def _source_map(
         skipped=notes,
         **known,
     )
+    return with_roundabouts(source)
 
 
 # ---------- Lanelet2

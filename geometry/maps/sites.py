@@ -807,7 +807,9 @@ def find_places(
         that would be farther than 15 m, or from inside a wall 2 m.
     """
     positions = np.asarray(positions_m, dtype=np.float64).reshape(-1, 2)
-    road = covered_area(surroundings.outline_m, surroundings.lanes)
+    road = covered_area(
+        surroundings.outline_m, surroundings.lanes, surroundings.islands_m
+    )
     shapely.prepare(road)
     is_on_road = shapely.intersects_xy(road, *positions.T)
     is_on_path = np.zeros(len(positions), dtype=bool)

@@ -21,7 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from ..arrays import FloatArray, float_array, freeze, set_arrays
 from ..errors import InputError, check_one_of, clean_name, refuse
 from ..notes import Note
-from ..scene import LeadingRoad, Mesh, Turn, join
+from ..scene import LeadingRoad, Mesh, Turn, checked_islands, join
 from ..tables import pick
 from ..text_formats import load_data
 
@@ -440,6 +440,10 @@ class MapJunction:
     roads : tuple of LeadingRoad
         Roads that lead to it, as the map's network has them: what its arms are compared
         with.
+    islands_m : tuple of (n, 2) float
+        Outlines of the islands that a roundabout leads around. [m]
+    fault : str
+        Why cars cannot be led through it, in words; empty: they can.
     """
 
     id: str
@@ -447,6 +451,8 @@ class MapJunction:
     outline_m: FloatArray
     height_m: float = 0.0
     roads: tuple[LeadingRoad, ...] = ()
+    islands_m: tuple[FloatArray, ...] = ()
+    fault: str = ""
 
     def __post_init__(self) -> None:
         _clean_names(self, "id", "name")
@@ -458,6 +464,8 @@ class MapJunction:
                 len(self.outline_m),
                 "at least three points",
             )
+        islands = checked_islands(self.islands_m, f"{where}islands_m")
+        object.__setattr__(self, "islands_m", islands)
 
     @property
     def position_m(self) -> FloatArray:

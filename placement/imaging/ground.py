@@ -404,7 +404,11 @@ def _scene_layers(
     if len(scene.outline_m):
         window, points = _window(low, layers, scene.outline_m, _ROAD_REACH_M)
         stored = layers[*window, ROAD]
-        stored[...] = np.minimum(stored, polygon_distance(points, scene.outline_m))
+        off_m = polygon_distance(points, scene.outline_m)
+        # On an island the road is as far as its kerb.
+        for island_m in scene.islands_m:
+            off_m = np.maximum(off_m, -polygon_distance(points, island_m))
+        stored[...] = np.minimum(stored, off_m)
     for rectangle in build_markings(scene, dict(marks)):
         keep_least(PAINT, rectangle, _PAINT_REACH_M)
     # Paint is on the road only.

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import InputError, refuse
 from ...xml_files import local_name, read_xml
+from ..circles import with_roundabouts
 from ..source_map import MapJunction, MapLane, Omissions, SourceMap
 from .junctions import (
     build_junctions,
@@ -110,7 +111,7 @@ def read_opendrive(path: Path) -> SourceMap:
             name,
             "traffic in a map keeps one side: that of most roads",
         )
-    return SourceMap(
+    source = SourceMap(
         name=where,
         crs=crs,
         source_crs=source_crs,
@@ -125,6 +126,7 @@ def read_opendrive(path: Path) -> SourceMap:
         ground_m=np.concatenate(surfaces_m),
         skipped=omissions.listed(),
     )
+    return with_roundabouts(source)
 
 
 def _read_roads(

@@ -21,8 +21,10 @@ from .elements import DEFAULTS, Elements, Way, read_elements
 from .junctions import find_junctions
 from .lane_counts import is_oneway, runs_backward
 from .lane_lines import build_lanes
-from .network import build_network, is_for_cars, lines_of
+from .network import build_network, is_for_cars, is_oneway, lines_of, runs_backward
 from .paths import find_paths
+from .rings import open_mini_roundabouts
+from .roundabouts import lay_roundabouts
 from .things import (
     find_barriers,
     find_bridges,
@@ -79,7 +81,7 @@ def _points(way: Way, elements: Elements) -> list[FloatArray]:
 def _roundabouts(ways: list[Way], elements: Elements) -> Counter[bool]:
     """Votes of roundabouts: driven clockwise if traffic keeps left.
 
-    Parts of a ring count, too.
+    Parts of a ring count, too, and directions of mini-roundabouts.
 
     Parameters
     ----------
@@ -94,6 +96,11 @@ def _roundabouts(ways: list[Way], elements: Elements) -> Counter[bool]:
         True: traffic keeps left.
     """
     votes: Counter[bool] = Counter()
+    for tags in elements.node_tags.values():
+        if tags.get("highway") == "mini_roundabout":
+            turn = tags.get("direction", "")
+            votes[True] += turn == "clockwise"
+            votes[False] += turn in ("anticlockwise", "counterclockwise")
     for way in ways:
         if way.tags.get("junction") not in ("roundabout", "circular"):
             continue
@@ -214,11 +221,18 @@ def read_openstreetmap(
     side = "given"
     if keeps_left is None:
         keeps_left, side = find_driving_side(elements)
-    network = build_network(elements, keeps_left=keeps_left)
+    mapped = build_network(elements, keeps_left=keeps_left)
+    network = open_mini_roundabouts(mapped)
     if not network.edges:
         refuse(str(path), "no road with two nodes", "a map with roads")
-    reaches, junctions = find_junctions(network, staggered_m=staggered_m)
+    reaches, found, rings = find_junctions(network, staggered_m=staggered_m)
     lanes = build_lanes(reaches)
+    junctions, connections = lay_roundabouts(rings, found, lanes, keeps_left=keeps_left)
+    for junction in junctions:
+        if junction.fault:
+            elements.omissions.add(
+                "junctions", f"junction {junction.id}", junction.fault
+            )
     poles = tuple(find_poles(network, reaches))
     paths = tuple(find_paths(elements))
     crosswalks_m = find_crosswalks(network)
@@ -241,6 +255,7 @@ def read_openstreetmap(
         source_crs=WGS84,
         heights="above ground",
         lanes=lanes,
+        connections=tuple(connections),
         junctions=tuple(junctions),
         things=things,
         poles=poles,

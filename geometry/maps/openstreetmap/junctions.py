@@ -8,7 +8,7 @@ nothing changes.
 """
 
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Any
@@ -26,6 +26,7 @@ from ...scene import LeadingRoad, area_of
 from ..source_map import MapJunction, polygons_of
 from .elements import DEFAULTS, Elements, Tags
 from .network import Edge, End, Network, Street, axis_points, surface, trace_streets
+from .rings import roundabout_surface
 
 _STEP_M = 0.5
 # As geometry.junction groups lanes.
@@ -43,6 +44,10 @@ _Path = tuple[tuple[str, bool], ...]
 _Placed = dict[tuple[_Path, ...], list[float]]
 # Of the outline, which is rounded.
 _BEYOND_M = 1.0
+# Beside the kerb of an arm, where a rounded corner is looked for.
+_BESIDE_KERB_M = 0.1
+# Over which lanes part.
+_PART_M = 15.0
 # Over which a direction is taken.
 _AHEAD_M = 10.0
 
@@ -111,10 +116,11 @@ def place_mouths(
     limits = DEFAULTS["junction"]
     directions = [arm.direction for arm in arms]
     most_m = limits["max_mouth_m"]
+    is_ring = is_roundabout(inside)
     surfaces = [
         surface(arm.street, 0.0, min(arm.street.length_m, most_m + 5.0)) for arm in arms
     ]
-    middle = [surface(street, 0.0, street.length_m) for street in inside]
+    middle = _surfaces_inside(inside)
 
     def is_in_way(one: int, other: int) -> bool:
         """True if one arm must begin beyond the carriageway of another one."""
@@ -133,8 +139,10 @@ def place_mouths(
             surfaces[other] for other in range(len(arms)) if is_in_way(index, other)
         ]
         in_way = shapely.union_all([*middle, *others])
-        clear_m = _clear_from_m(arm.street, in_way)
-        mouth_m = min(clear_m + limits["corner_m"], most_m)
+        clear_m = _clear_from_m(arm.street, in_way) + limits["corner_m"]
+        if is_ring:
+            clear_m = _corner_end_m(arm.street, in_way, surfaces[index])
+        mouth_m = min(clear_m, most_m)
         placed.append(replace(arm, mouth_m=mouth_m))
     # Carriageways of one arm: all as far out as the outermost of them.
     aligned = list(placed)
@@ -147,6 +155,55 @@ def place_mouths(
             mouth_m = min(placed[index].mouth_m + max(ahead_m) - own_m, most_m + 10.0)
             aligned[index] = replace(placed[index], mouth_m=mouth_m)
     return aligned
+
+
+def is_roundabout(inside: Iterable[Street]) -> bool:
+    """True if one of the streets inside a junction is part of a roundabout's ring."""
+    return any(edge.is_roundabout for street in inside for edge, _ in street.parts)
+
+
+def _surfaces_inside(inside: Sequence[Street]) -> list[BaseGeometry]:
+    """Road surfaces of the streets inside a junction; a roundabout's with islands."""
+    if is_roundabout(inside):
+        return [roundabout_surface(inside)]
+    return [surface(street, 0.0, street.length_m) for street in inside]
+
+
+def _corner_end_m(street: Street, ring: BaseGeometry, arm: BaseGeometry) -> float:
+    """Distance at which the rounded kerbs between a roundabout and an arm end.
+
+    Parameters
+    ----------
+    street : Street
+        The arm.
+    ring : BaseGeometry
+        Surface of the ring and of its other arms.
+    arm : BaseGeometry
+        Surface of the arm.
+
+    Returns
+    -------
+    distance_m : float
+        From the street's begin. [m]
+    """
+    radius_m = DEFAULTS["roundabout"]["corner_m"]
+    whole = ring.union(arm)
+    rounded = whole.buffer(radius_m, quad_segs=16).buffer(-radius_m, quad_segs=16)
+    shapely.prepare(rounded)
+    limit_m = DEFAULTS["junction"]["max_mouth_m"]
+    stations = np.arange(0.0, limit_m, _STEP_M)
+    half_m = np.array([0.5 * street.section_at(one).width_m for one in stations])
+    middle, across = axis_points(street, stations)
+    is_rounded = np.zeros(len(stations), dtype=bool)
+    for sign in (1.0, -1.0):
+        beside = middle + sign * (half_m + _BESIDE_KERB_M)[:, None] * across
+        is_rounded |= shapely.contains_xy(rounded, *beside.T)
+    # A circle that leaves a line is so far beside it soon after its begin.
+    run_m = float(np.sqrt(2.0 * radius_m * _BESIDE_KERB_M))
+    clear = np.flatnonzero(~is_rounded & (stations > 0.0))
+    if len(clear):
+        return float(stations[clear[0]]) + run_m + _STEP_M
+    return float(limit_m)
 
 
 def group_arms(arms: Sequence[StreetArm]) -> list[list[int]]:
@@ -388,7 +445,14 @@ def _join_near(network: Network, clusters: Clusters, staggered_m: float) -> None
             ]
             own_name = street.parts[0][0].name
             is_wide = bool(names[0] & names[1] - {own_name})
-            if is_wide:
+            at_rings = [any(one.is_roundabout for one in here) for here in edges]
+            if all(at_rings):
+                # Two roundabouts are two junctions.
+                continue
+            if any(at_rings):
+                # What lies beyond a roundabout is a junction of its own.
+                most_m = _STUB_M
+            elif is_wide:
                 most_m = limits["join_carriageways_m"]
             else:
                 most_m = limits["join_m"]
@@ -438,6 +502,25 @@ def _is_staggered(network: Network, street: Street) -> bool:
 
 # ---------- junctions
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ring:
+    """A junction around which traffic is led.
+
+    Attributes
+    ----------
+    junction : str
+        Its id.
+    arms : tuple of StreetArm
+        Streets that leave it.
+    inside : tuple of Street
+        Streets between its nodes: the ring, and ways that lead to it.
+    """
+
+    junction: str
+    arms: tuple[StreetArm, ...]
+    inside: tuple[Street, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reach:
     """Part of a street that has lanes, and the junctions at its ends.
 
@@ -467,8 +550,8 @@ def find_junctions(
     network: Network,
     *,
     staggered_m: float = 0.0,
-) -> tuple[list[Reach], list[MapJunction]]:
-    """Streets with the reach of their lanes, and all junctions.
+) -> tuple[list[Reach], list[MapJunction], list[Ring]]:
+    """Streets with the reach of their lanes, all junctions, and roundabouts.
 
     Parameters
     ----------
@@ -483,6 +566,8 @@ def find_junctions(
         Streets outside junctions.
     junctions : list of MapJunction
         Ascending by their ids, which are those of their lowest nodes.
+    rings : list of Ring
+        Junctions that are roundabouts.
     """
     elements = network.elements
     clusters = find_clusters(network, staggered_m=staggered_m)
@@ -491,8 +576,10 @@ def find_junctions(
         streets = trace_streets(network, clusters.of_row.__contains__)
         arms, inside = _arms_by_cluster(streets, clusters, known)
         stubs = _take_stubs(network, arms, inside)
-        if number_of_round < _MAX_ROUNDS and _take_in_forks(network, clusters, arms):
-            continue
+        if number_of_round < _MAX_ROUNDS:
+            around = {number for number in inside if is_roundabout(inside[number])}
+            if _take_in_forks(network, clusters, arms, around):
+                continue
         if not _drop_small(clusters, arms, elements):
             break
     for stub in stubs:
@@ -509,6 +596,7 @@ def find_junctions(
         mouths[index, True] = reach.begin_m
         mouths[index, False] = reach.street.length_m - reach.end_m
     junctions = []
+    rings = []
     for number, here in arms.items():
         final = [replace(arm, mouth_m=mouths[arm.index, arm.is_begin]) for arm in here]
         rows = clusters.members[number]
@@ -519,8 +607,14 @@ def find_junctions(
         junctions.append(
             MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads)
         )
+        if is_roundabout(streets_inside):
+            arms_here = tuple(final)
+            streets_here = tuple(streets_inside)
+            rings.append(
+                Ring(junction=ids[number], arms=arms_here, inside=streets_here)
+            )
     junctions.sort(key=lambda junction: int(junction.id[1:]))
-    return list(reaches.values()), junctions
+    return list(reaches.values()), junctions, rings
 
 
 def _arms_by_cluster(
@@ -584,11 +678,13 @@ def _take_in_forks(
     network: Network,
     clusters: Clusters,
     arms: Mapping[int, Sequence[StreetArm]],
+    rings: Container[int],
 ) -> bool:
     """Join forks next to a junction to it; True if there were any.
 
     These are forks in an arm before it begins, and those at the tip of a
-    splitter island.
+    splitter island; next to one of the `rings` those soon after it begins, too,
+    where lanes would have no room to part.
     """
     island_m = DEFAULTS["junction"]["island_m"]
     taken = []
@@ -603,6 +699,9 @@ def _take_in_forks(
             for index, arm in enumerate(here)
             if arm.street.length_m <= island_m
         }
+        beyond_m = _BEYOND_M
+        if number in rings:
+            beyond_m = _PART_M
         for index, arm in enumerate(here):
             own = group_of[index]
             for row, station in zip(
@@ -611,7 +710,7 @@ def _take_in_forks(
                 strict=True,
             ):
                 is_island = station <= island_m and branches.get(row, own) != own
-                is_before_mouth = station <= arm.mouth_m + 1.0
+                is_before_mouth = station <= arm.mouth_m + beyond_m
                 is_free = row not in clusters.of_row
                 is_near = is_free and (is_before_mouth or is_island)
                 if is_near and is_fork(network, network.ends.get(row, ())):
@@ -791,6 +890,8 @@ def _outline(
 ) -> FloatArray:
     """Outline of a junction's road surface, up to where its arms begin.
 
+    Islands inside it count as surface.
+
     Parameters
     ----------
     arms : sequence of StreetArm
@@ -806,7 +907,9 @@ def _outline(
         Open ring, with rounded kerbs. [m]
     """
     corner_m = DEFAULTS["junction"]["corner_m"]
-    surfaces = [surface(street, 0.0, street.length_m) for street in inside]
+    if is_roundabout(inside):
+        corner_m = DEFAULTS["roundabout"]["corner_m"]
+    surfaces = _surfaces_inside(inside)
     surfaces += [surface(arm.street, 0.0, arm.mouth_m) for arm in arms]
     radius_m = min((arm.half_width_m for arm in arms), default=1.0)
     surfaces += [Point(point).buffer(radius_m, quad_segs=4) for point in points_m]

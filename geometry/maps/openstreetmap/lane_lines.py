@@ -3,7 +3,8 @@
 A street is cut at the breaks between its edges. Each strip of a
 cross-section becomes a part on each stretch, and parts that continue each
 other become one lane. Where carriageways part or merge, the ends of their
-lanes are bent towards each other.
+lanes are bent towards each other. Lanes of a ramp or slip road begin beside
+the lane of the road that it leaves, or go on from lanes that end there.
 """
 
 from collections import defaultdict
@@ -13,6 +14,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
@@ -20,7 +22,14 @@ from ...lines import along_m, points_at, unit
 from ..source_map import MapLane
 from .elements import DEFAULTS
 from .junctions import Reach
-from .network import Strip, axis_points, has_no_knot, speed_limit_kmh, stations_between
+from .network import (
+    Street,
+    Strip,
+    axis_points,
+    has_no_knot,
+    speed_limit_kmh,
+    stations_between,
+)
 
 # Between the end of one carriageway and the lane it leads into.
 _BESIDE_END_M = 12.0
@@ -32,6 +41,13 @@ _SAME_POINT_M = 0.5
 # Cosine of the angle between them.
 _SAME_WAY = 0.5
 _BEND_M = 15.0
+# Along a branch and the road that it leaves, which tells their directions.
+_DIRECTION_M = 10.0
+_JUST_BEYOND_M = 0.1
+# As far as a branch is led beside the road that it leaves.
+_BESIDE_M = 120.0
+# Id of a lane, and whether its begin is meant.
+_LaneEnd = tuple[str, bool]
 # Lanes side by side by their common name, and whether their starts.
 _Group = tuple[str, bool]
 
@@ -86,12 +102,251 @@ def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
     lanes : tuple of MapLane
         Centrelines run in driving direction.
     """
-    found = [lane for reach in reaches for lane in _street_lanes(reach)]
+    branches = {one.end: one for one in _branches(reaches)}
+    dropped = {one.dropped_at: one.n_lanes for one in branches.values() if one.is_drop}
+    found: list[tuple[MapLane, bool]] = []
+    settled: set[_LaneEnd] = set()
+    for at, reach in enumerate(reaches):
+        for lane, is_two_way in _street_lanes(reach, at, dropped):
+            for is_begin in (True, False):
+                branch = branches.get((at, is_begin))
+                if branch is None or lane.kind != "driving":
+                    continue
+                beside = _beside(lane, branch, is_begin=is_begin)
+                if beside is not None:
+                    lane = beside
+                    settled.add((lane.id, is_begin))
+            found.append((lane, is_two_way))
     two_way = {lane.id for lane, is_two_way in found if is_two_way}
-    return tuple(_lead_on([lane for lane, _ in found], two_way))
+    lanes = [lane for lane, _ in found]
+    # Lanes that go on into a branch stay, too.
+    for lane in lanes:
+        for is_begin in (True, False):
+            if (lane.id, is_begin) not in settled:
+                continue
+            tip = _tip(lane, is_begin=is_begin)
+            for other in lanes:
+                away_m = np.hypot(*(_tip(other, is_begin=not is_begin) - tip)[:2])
+                if other.kind == lane.kind and away_m <= _SAME_POINT_M:
+                    settled.add((other.id, not is_begin))
+    return tuple(_lead_on(lanes, two_way, settled))
 
 
-def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
+# ---------- ramps and slip roads
+class _Branch(NamedTuple):
+    """End of a one-way road beside the lanes of another one that passes there.
+
+    Attributes
+    ----------
+    end : (int, bool)
+        Index of its reach, and whether cars drive away from this end.
+    road : Street
+        The road that passes.
+    station_m : float
+        Where, along that road. [m]
+    is_forward : bool
+        Cars of both drive along that road, not against it.
+    strips : tuple of Strip
+        Lanes of the road beside which it leads, from the kerb.
+    side : float
+        +1 to the left of that road, -1 to its right.
+    is_at_kerb : bool
+        It leads beside the kerb lane, not beside the other edge.
+    n_lanes : int
+        Its own lanes.
+    is_drop : bool
+        They go on from the road's lanes next to the kerb, which end here.
+    dropped_at : (int, int, bool)
+        Index of the road's reach, of its break there, and `is_forward`.
+    drop_m : tuple of float
+        Middles of the lanes that end, from the kerb, to the left of the road. [m]
+    """
+
+    end: tuple[int, bool]
+    road: Street
+    station_m: float
+    is_forward: bool
+    strips: tuple[Strip, ...]
+    side: float
+    is_at_kerb: bool
+    n_lanes: int
+    is_drop: bool
+    dropped_at: tuple[int, int, bool]
+    drop_m: tuple[float, ...]
+
+
+def _branches(reaches: Sequence[Reach]) -> Iterator[_Branch]:
+    """Ends of one-way roads at nodes that another road passes the same way."""
+    passing: dict[int, tuple[int, float]] = {}
+    for at, reach in enumerate(reaches):
+        street = reach.street
+        pairs = zip(street.rows[1:-1].tolist(), street.stations_m[1:-1], strict=True)
+        for row, station_m in pairs:
+            if reach.begin_m < station_m < reach.end_m:
+                passing[row] = (at, float(station_m))
+    for at, reach in enumerate(reaches):
+        street = reach.street
+        directions = frozenset.union(*(one.directions for one in street.sections))
+        if len(directions) != 1 or street.parts[0][0].is_service:
+            continue
+        (runs_along,) = directions
+        for index, junction in ((0, reach.from_junction), (-1, reach.to_junction)):
+            row = int(street.rows[index])
+            if junction or row not in passing:
+                continue
+            branch = _branch(reaches, at, index, runs_along, *passing[row])
+            if branch is not None:
+                yield branch
+
+
+def _branch(
+    reaches: Sequence[Reach],
+    at: int,
+    index: int,
+    runs_along: bool,
+    road_at: int,
+    station_m: float,
+) -> _Branch | None:
+    """A branch, or None if the other road leads another way.
+
+    Parameters
+    ----------
+    reaches : sequence of Reach
+        Parts of streets that have lanes.
+    at, index : int
+        The one-way road, and 0 for its begin, -1 for its end.
+    runs_along : bool
+        Cars drive from its begin to its end.
+    road_at : int
+        The road that passes there.
+    station_m : float
+        Where. [m]
+    """
+    own = reaches[at].street
+    road = reaches[road_at].street
+    is_away = runs_along == (index == 0)
+    near_m = 0.0
+    far_m = _DIRECTION_M
+    if index == -1:
+        near_m = own.length_m
+        far_m = own.length_m - _DIRECTION_M
+    (near, far), _ = axis_points(own, [near_m, far_m])
+    way = unit(far - near)
+    (before, after), _ = axis_points(
+        road, [station_m - _DIRECTION_M, station_m + _DIRECTION_M]
+    )
+    along = unit(after - before)
+    # Seen from the node, the branch lies on the side to which the road goes on, or
+    # from which it comes.
+    lies_ahead = bool(way @ along > 0.0)
+    if abs(way @ along) < _SAME_WAY:
+        return None
+    is_forward = lies_ahead == is_away
+    beyond_m = station_m + _JUST_BEYOND_M
+    behind_m = station_m - _JUST_BEYOND_M
+    near_section = road.section_at(beyond_m if lies_ahead else behind_m)
+    far_section = road.section_at(behind_m if lies_ahead else beyond_m)
+    strips = near_section.lanes(is_forward=is_forward)
+    others = far_section.lanes(is_forward=is_forward)
+    if not strips or not others:
+        return None
+    side = float(np.sign(along[0] * way[1] - along[1] * way[0]))
+    lefts = [strip.left_m for strip in strips]
+    is_at_kerb = side * lefts[0] >= side * lefts[-1]
+    is_oneway = len(near_section.directions) == 1
+    if not is_at_kerb and not is_oneway:
+        # Between the directions of a road there is no room for it.
+        return None
+    own_lanes = own.sections[index].lanes(is_forward=runs_along)
+    n_lanes = len(own_lanes)
+    part = road.part_at(beyond_m)
+    is_break = abs(float(road.breaks_m[part]) - station_m) < _JUST_BEYOND_M
+    is_drop = is_break and is_at_kerb and len(others) == len(strips) + n_lanes
+    return _Branch(
+        end=(at, is_away),
+        road=road,
+        station_m=station_m,
+        is_forward=is_forward,
+        strips=strips,
+        side=side,
+        is_at_kerb=is_at_kerb or len(lefts) == 1,
+        n_lanes=n_lanes,
+        is_drop=is_drop,
+        dropped_at=(road_at, part, is_forward),
+        drop_m=tuple(strip.left_m for strip in others[:n_lanes]),
+    )
+
+
+def _beside(lane: MapLane, branch: _Branch, *, is_begin: bool) -> MapLane | None:
+    """Lane of a branch that begins, or ends, beside the lanes of the road there.
+
+    It stays beside them until its own road has left them.
+
+    Parameters
+    ----------
+    lane : MapLane
+        As its own road has it.
+    branch : _Branch
+        The end of its road.
+    is_begin : bool
+        The lane begins there.
+
+    Returns
+    -------
+    lane : MapLane or None
+        None: it ends elsewhere, or its road never leaves the other one.
+    """
+    if (is_begin and lane.from_junction) or (not is_begin and lane.to_junction):
+        return None
+    number = int(lane.id.rpartition(" ")[2])
+    # Away from where the roads meet.
+    line = lane.centreline_m
+    if not is_begin:
+        line = line[::-1]
+    sign = 1.0
+    if branch.is_forward != is_begin:
+        sign = -1.0
+    stations = branch.station_m + sign * np.arange(0.0, _BESIDE_M, 1.0)
+    middle, across = axis_points(branch.road, stations)
+    away_m = np.hypot(*(middle[0] - line[0, :2]))
+    if away_m > _BESIDE_END_M:
+        return None
+    if branch.is_drop and number < len(branch.drop_m):
+        tip = middle[0] + branch.drop_m[number] * across[0]
+        moved = _bent(line, np.append(tip, line[0, 2]))
+    else:
+        strip = branch.strips[0 if branch.is_at_kerb else -1]
+        nth = number
+        if branch.is_at_kerb:
+            nth = branch.n_lanes - 1 - number
+        aside_m = 0.5 * strip.width_m + (nth + 0.5) * lane.width_m
+        edge = middle + (strip.left_m + branch.side * aside_m) * across
+        crossing = shapely.intersection(
+            shapely.LineString(edge), shapely.LineString(line[:, :2])
+        )
+        places = shapely.get_coordinates(crossing)
+        if not len(places):
+            return None
+        edge_line = shapely.LineString(edge)
+        own_line = shapely.LineString(line[:, :2])
+        # The last place where its road leaves the other one.
+        at_m = shapely.line_locate_point(own_line, shapely.points(places))
+        leaves_m = float(at_m.max())
+        place = places[int(at_m.argmax())]
+        along_edge_m = shapely.line_locate_point(edge_line, shapely.Point(place))
+        kept = edge[along_m(edge) < along_edge_m - _SAME_POINT_M]
+        first = np.vstack([edge[:1], kept[1:], place])
+        heights = np.full((len(first), 1), line[0, 2])
+        rest = line[along_m(line) > leaves_m + _SAME_POINT_M]
+        moved = np.vstack([np.hstack([first, heights]), rest])
+    if not is_begin:
+        moved = moved[::-1]
+    return replace(lane, centreline_m=moved)
+
+
+def _street_lanes(
+    reach: Reach, at_reach: int, dropped: Mapping[tuple[int, int, bool], int]
+) -> Iterator[tuple[MapLane, bool]]:
     """Lanes of one street, and whether cars drive both ways at their end.
 
     Walks along the parts of the street. A lane stays open as long as the next
@@ -102,6 +357,11 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
     ----------
     reach : Reach
         Part of the street that has lanes.
+    at_reach : int
+        Its index.
+    dropped : mapping of (int, int, bool) to int
+        Lanes next to the kerb that lead into a branch, or come from it, by index
+        of the reach, of the part behind the break there, and direction.
 
     Yields
     ------
@@ -129,8 +389,10 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
         # One part of a lane for each strip across this part of the street.
         following: dict[tuple[str, str, int], _Piece] = {}
         for strip in section.strips:
-            begin_m, is_continued = _at_break(strip, section.strips, before)
-            end_m, _ = _at_break(strip, section.strips, after)
+            n_begin = dropped.get((at_reach, index, strip.is_forward), 0)
+            n_end = dropped.get((at_reach, index + 1, strip.is_forward), 0)
+            begin_m, is_continued = _at_break(strip, section.strips, before, n_begin)
+            end_m, _ = _at_break(strip, section.strips, after, n_end)
             key = strip.kind, strip.place, strip.number
             limit_kmh = speed_limit_kmh(
                 edge.tags,
@@ -217,6 +479,7 @@ def _at_break(
     strip: Strip,
     own: Sequence[Strip],
     others: Sequence[Strip],
+    n_dropped: int,
 ) -> tuple[float, bool]:
     """Middle of a lane at a break, and whether the lane simply continues.
 
@@ -228,6 +491,9 @@ def _at_break(
         Strips on its side of the break.
     others : sequence of Strip
         Strips on the other side; empty: the street ends.
+    n_dropped : int
+        So many lanes next to the kerb are there on one side alone: a branch has them
+        on the other.
 
     Returns
     -------
@@ -264,6 +530,13 @@ def _at_break(
         if both:
             here = [one for one, _ in both]
             there = [other for _, other in both]
+    if n_dropped and abs(len(here) - len(there)) == n_dropped:
+        shifted = strip.number + n_dropped
+        if len(here) > len(there):
+            shifted = strip.number - n_dropped
+        if shifted < 0:
+            return strip.left_m, False
+        return 0.5 * (strip.left_m + there[shifted].left_m), False
     # With fewer lanes on the other side, the last ones meet the last one there.
     numbers = [one.number for one in here]
     at = int(np.argmin(np.abs(np.array(numbers) - strip.number)))
@@ -396,7 +669,9 @@ def _heights(parts: Sequence[_Part]) -> list[tuple[float, float]]:
     return heights
 
 
-def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
+def _lead_on(
+    lanes: Sequence[MapLane], two_way: Set[str], settled: Set[_LaneEnd]
+) -> list[MapLane]:
     """Lanes whose ends meet where carriageways part or merge.
 
     Parameters
@@ -406,6 +681,9 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
     two_way : Set[str]
         Ids of the lanes of two-way streets: their ends stay, and those of
         one-way carriageways move.
+    settled : set of (str, bool)
+        Ids of lanes, and whether their begins are meant: these ends stay, too, and
+        nothing is bent towards them.
 
     Returns
     -------
@@ -422,7 +700,7 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
                 (True, lane.from_junction),
                 (False, lane.to_junction),
             ):
-                if not junction:
+                if not junction and (lane.id, is_begin) not in settled:
                     groups[name, is_begin].append(index)
     for members in groups.values():
         members.sort(key=lambda index: int(lanes[index].id.rpartition(" ")[2]))

@@ -851,6 +851,23 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
             )
             for number, rows in enumerate(parts)
         ]
+    return network_of(edges, elements, keeps_left=keeps_left)
+
+
+def network_of(
+    edges: Sequence[Edge], elements: Elements, *, keeps_left: bool
+) -> Network:
+    """Network of edges.
+
+    Parameters
+    ----------
+    edges : sequence of Edge
+        Roads for cars.
+    elements : Elements
+        What they are made of.
+    keeps_left : bool
+        Traffic keeps left.
+    """
     ends: dict[int, tuple[End, ...]] = defaultdict(tuple)
     for index, edge in enumerate(edges):
         ends[int(edge.rows[0])] += ((index, True),)
@@ -1039,9 +1056,6 @@ def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, En
     pair : (End, End)
         The straightest ones first; each end is in one pair at most.
     """
-    if len(ends) == 2:
-        yield ends[0], ends[1]
-        return
     edges = network.edges
     bearings = {end: network.bearing_deg(end) for end in ends}
     # Every pair that may go on: no yards first, no ramps first, the straightest first.
@@ -1053,13 +1067,15 @@ def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, En
             n_service = sum(edge.is_service for edge in pair)
             n_links = sum(edge.tags["highway"].endswith("_link") for edge in pair)
             n_full = sum(not edges[end[0]].is_service for end in ends)
-            is_allowed = turn <= _MAX_STRAIGHT_ON_DEG or (
-                n_full == 2 and n_service == 0
-            )
+            # Where nothing else meets, a road goes on round any bend.
+            is_bend = len(ends) == 2 or (n_full == 2 and n_service == 0)
+            is_bend = is_bend and n_links != 1
+            is_allowed = turn <= _MAX_STRAIGHT_ON_DEG or is_bend
             # Two one-way roads that both lead here, or both away, do not follow each
             # other.
             leads_on = not all(edge.is_oneway for edge in pair) or one[1] != other[1]
-            if is_allowed and n_service != 1 and leads_on:
+            is_alike = n_service != 1 or len(ends) == 2
+            if is_allowed and is_alike and leads_on:
                 choices.append((n_service, n_links, turn, one, other))
     used: set[End] = set()
     for *_, one, other in sorted(choices):
