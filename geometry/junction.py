@@ -17,7 +17,7 @@ from .arrays import FloatArray, float_array, freeze, set_arrays
 from .errors import InputError
 from .lines import along_m, apart, length_m, points_at, unit
 from .phrases import Phrase
-from .scene import Lane, LeadingRoad, Scene, Turn
+from .scene import Lane, LeadingRoad, RoadUser, Scene, Turn
 
 ARM_NAMES = (
     *("east", "east-north-east", "north-east", "north-north-east"),
@@ -142,6 +142,8 @@ class Arm:
     cycleways_in, cycleways_out : tuple of Lane
         Where cyclists ride into the junction and out of it, beside or between the
         lanes; from the kerb to the road's axis.
+    has_own_crosswalk : bool
+        The map has the crosswalk; else it is assumed.
     """
 
     name: str
@@ -150,6 +152,22 @@ class Arm:
     crosswalk: Line
     cycleways_in: tuple[Lane, ...] = ()
     cycleways_out: tuple[Lane, ...] = ()
+    has_own_crosswalk: bool = False
+
+    @property
+    def closed_to(self) -> frozenset[RoadUser]:
+        """Road users to which all lanes of the arm are closed.
+
+        They may use its cycleways.
+        """
+        closed = [frozenset(lane.closed_to) for lane in self.ridden_in]
+        closed += [frozenset(lane.closed_to) for lane in self.ridden_out]
+        if not closed:
+            return frozenset()
+        users = frozenset.intersection(*closed)
+        if self.cycleways_in or self.cycleways_out:
+            return users - {"bicycle"}
+        return users
 
     @property
     def entry_lanes(self) -> tuple[Lane, ...]:
@@ -494,11 +512,13 @@ def _build_arm(
         return tuple(lanes[index] for index in order)
 
     lanes_in, lanes_out = (from_kerb(members, is_in=is_in) for is_in in (True, False))
+    crosswalk, has_own_crosswalk = _crosswalk(lanes_in, lanes_out, scene)
     return Arm(
         name=name,
         lanes_in=lanes_in,
         lanes_out=lanes_out,
-        crosswalk=_crosswalk(lanes_in, lanes_out, scene),
+        crosswalk=crosswalk,
+        has_own_crosswalk=has_own_crosswalk,
         cycleways_in=from_kerb(cycleways, is_in=True),
         cycleways_out=from_kerb(cycleways, is_in=False),
     )
@@ -506,8 +526,8 @@ def _build_arm(
 
 def _crosswalk(
     lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: Scene
-) -> Line:
-    """The scene's crosswalk over the arm's mouth.
+) -> tuple[Line, bool]:
+    """The scene's crosswalk over the arm's mouth, and True; or an assumed one.
 
     Where there is none, it is a line 2 m inside the mouth, as at Euro NCAP's
     junction. The line leads from the kerb of the entry lanes to the other one.
@@ -531,10 +551,10 @@ def _crosswalk(
                 np.radians(_ARM_SPREAD_DEG)
             ):
                 if along.direction @ inward.left > 0.0:
-                    return along
-                return along.turned(180.0)
+                    return along, True
+                return along.turned(180.0), True
     inside = replace(inward, point_m=middle).at(_CROSSWALK_INSIDE_MOUTH_M)
-    return replace(inward, point_m=inside).turned(90.0)
+    return replace(inward, point_m=inside).turned(90.0), False
 
 
 def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:

@@ -29,6 +29,8 @@ CLASS_NAMES = (
     "traffic light",
 )
 Turn = Literal["left", "through", "right", "reverse"]
+RoadUser = Literal["on foot", "bicycle", "motorcycle"]
+"""Road users to which a map may close a road."""
 _SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")
 _MIN_AREA_M2 = 1.0e-6
 
@@ -310,6 +312,8 @@ class Lane:
         is none. [km/h]
     turns : tuple of Turn
         Movements from its end, by its markings; empty: it bears none.
+    closed_to : tuple of RoadUser
+        Who may not use its road, nor cross it between junctions.
     """
 
     id: str
@@ -321,6 +325,7 @@ class Lane:
     # where it leads into the junction; None: unknown, or there is none
     speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
     turns: tuple[Turn, ...] = ()
+    closed_to: tuple[RoadUser, ...] = ()
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"

@@ -136,6 +136,7 @@ def save_scene(
                 else {}
             )
             | ({"turns": list(lane.turns)} if lane.turns else {})
+            | ({"closed_to": list(lane.closed_to)} if lane.closed_to else {})
             for lane in scene.lanes
         ],
         "crosswalks": [{"ends_m": _rounded(line)} for line in scene.crosswalks_m],

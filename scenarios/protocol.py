@@ -87,6 +87,10 @@ def stage_by_protocol(
     # At a roundabout cyclists cross where the VUT's way bends towards the ring.
     is_edge_met = asked.is_at_ring and case.kind == "crossing" and is_bound(case)
     is_through = position.is_behind or is_met_head_on or is_edge_met
+    if not position.is_behind:
+        _check_parking(case, arm)
+    if not position.is_behind and _is_met_on_arm(case):
+        _check_open(case, arm, is_at_mouth=position == AT_ZERO)
     places = (_places_through if is_through else _places_before)(asked, position)
     if _comes_through(case):
         return staging.first_that_fits(_crossings(asked, places), settle)
@@ -94,6 +98,57 @@ def stage_by_protocol(
     return staging.first_that_fits(
         (partial(lay, asked, place) for place in places), settle
     )
+
+
+_BESIDE_VUT = ("beside-vut", "beside-road")
+# Road users, as people call them.
+_PEOPLE = {
+    "on foot": Phrase("pedestrians"),
+    "bicycle": Phrase("cyclists"),
+    "motorcycle": Phrase("motorcyclists"),
+}
+
+
+def _check_open(case: Case, *arms: Arm, is_at_mouth: bool = False) -> None:
+    """Raise NoRoadError if the map closes an arm to whoever is met.
+
+    `is_at_mouth`: pedestrians cross there, as they may if the map has a crosswalk.
+    """
+    user = case.road_user
+    for arm in arms:
+        may_cross = is_at_mouth and user == "on foot" and arm.has_own_crosswalk
+        if user in arm.closed_to and not may_cross:
+            raise NoRoadError(
+                Phrase(
+                    "by the map the {arm} arm is closed to {users}",
+                    arm=Phrase(arm.name),
+                    users=_PEOPLE[user],
+                )
+            )
+
+
+def _check_parking(case: Case, arm: Arm, *, beside: str = "") -> None:
+    """Raise NoRoadError if cars would park on an arm that is closed to pedestrians.
+
+    `beside` is the kind of obstruction that stands there; by default beside the VUT's
+    way.
+    """
+    row = case.obstruction
+    if row is None or row.kind not in (beside or _BESIDE_VUT):
+        return
+    if not row.wall_size_m and "on foot" in arm.closed_to:
+        raise NoRoadError(
+            Phrase(
+                "nobody parks on the {arm} arm, where nobody may walk",
+                arm=Phrase(arm.name),
+            )
+        )
+
+
+def _is_met_on_arm(case: Case) -> bool:
+    """True if whoever is met crosses an arm, or moves along its lanes."""
+    crosses = case.vru_line is not None and case.vru_line.along == "crosswalk"
+    return crosses or case.kind == "longitudinal"
 
 
 def _comes_through(case: Case) -> bool:
@@ -260,6 +315,10 @@ def _places_through(asked: _Asked, position: Position) -> Iterator[_Lay]:
     crosswalk = arm.crosswalk
     kerbs = (arm.lanes_in, arm.lanes_out)
     if position.is_behind:
+        _check_parking(asked.case, ahead)
+        if _is_met_on_arm(asked.case):
+            is_at_mouth = position.ahead_m == 0.0
+            _check_open(asked.case, ahead, is_at_mouth=is_at_mouth)
         crosswalk = ahead.crosswalk
         kerbs = (ahead.lanes_out, ahead.lanes_in)
     yield from _ways_through(
@@ -361,6 +420,7 @@ def _crossings(
                 side=Phrase(asked.case.vru_side),
             )
         )
+    _check_open(asked.case, side, ahead)
     every = tuple(places)
     for across in _ways_through(asked.junction, side, ahead, asked.case.vru):
         yield from (partial(_lay_crossing, asked, place, across) for place in every)
@@ -541,7 +601,14 @@ def _crossing(asked: _Asked, place: _Place) -> tuple[float, ways.Way, float]:
         return vut_m, ways.StraightWay(line=line), 0.0
     if asked.is_at_ring:
         return _across_edge(asked, place)
-    lane, left_m = _cyclists_lane(case, _side(asked, vut_way.tangent(0.0)))
+    side = _side(asked, vut_way.tangent(0.0))
+    _check_open(case, side)
+    _check_parking(case, side, beside="beside-vru")
+    mouth, _ = lane_line(side.entry_lanes[0], is_in=True, length_m=_MOUTH_M)
+    across = ways.arm_ahead(asked.junction, side, mouth)
+    if across is not None:
+        _check_open(case, across)
+    lane, left_m = _cyclists_lane(case, side)
     ridden_m = _travel_m(case, 0.0)
     middle = ways.lane_way(lane, is_in=True, length_m=ridden_m)
     return _meet(vut_way, middle.offset(left_m, 0.0, back_m=ridden_m)[0])
@@ -705,6 +772,14 @@ def _turnings(asked: _Asked) -> Iterator[Callable[[], Staging]]:
                 side=Phrase(case.turn),
             )
         )
+    if _is_met_on_arm(case):
+        _check_open(case, target, is_at_mouth=True)
+    else:
+        # Whoever is met goes straight on past the turn, from either side.
+        ahead = ways.arm_ahead(junction, arm, entry)
+        _check_open(case, arm)
+        if ahead is not None:
+            _check_open(case, ahead)
     lines = _turnings_into(asked, target)
     if _comes_through(case):
         oncoming = tuple(_oncoming(asked, entry))

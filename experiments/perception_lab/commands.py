@@ -13,7 +13,7 @@ import click
 from geometry.errors import check_one_of
 from geometry.writing import is_about
 from placement.compute import Compute
-from placement.question import question_fields, split_names
+from placement.question import Question, question_fields, split_names
 
 from ..cli import options
 from ..cli.running import (

@@ -542,7 +542,12 @@ def _lanes(
             centreline_m=points,
         )
         found.append(
-            replace(cut, speed_limit_kmh=lane.speed_limit_kmh, turns=lane.turns)
+            replace(
+                cut,
+                speed_limit_kmh=lane.speed_limit_kmh,
+                turns=lane.turns,
+                closed_to=lane.closed_to,
+            )
         )
         if lane.kind == "driving":
             for others, at, name in (

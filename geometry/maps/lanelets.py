@@ -582,7 +582,7 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     elements = read_loose_elements(path)
     omissions = Omissions()
     points_m, crs, has_heights = _positions(elements, path, omissions)
-    has_place = np.isfinite(points_m).all(axis=1)
+    has_place = np.asarray(np.isfinite(points_m).all(axis=1))
     ways = {}
     for way in elements.ways:
         rows = way.rows[way.rows >= 0]

@@ -21,7 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from ..arrays import FloatArray, float_array, freeze, set_arrays
 from ..errors import InputError, check_one_of, clean_name, refuse
 from ..notes import Note
-from ..scene import LeadingRoad, Mesh, Turn, checked_islands, join
+from ..scene import LeadingRoad, Mesh, RoadUser, Turn, checked_islands, join
 from ..tables import pick
 from ..text_formats import load_data
 
@@ -396,6 +396,8 @@ class MapLane:
         By its markings, see :class:`geometry.scene.Lane`.
     road_class : str
         There, as OpenStreetMap calls it ("primary"); empty: not known.
+    closed_to : tuple of RoadUser
+        There, see :class:`geometry.scene.Lane`.
     """
 
     id: str
@@ -407,6 +409,7 @@ class MapLane:
     speed_limit_kmh: float | None = None
     turns: tuple[Turn, ...] = ()
     road_class: str = ""
+    closed_to: tuple[RoadUser, ...] = ()
 
     def __post_init__(self) -> None:
         _clean_names(self, "id", "from_junction", "to_junction")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...arrays import FloatArray
 from ...errors import InputError, refuse
 from ...lines import along_m, length_m, steps_m, true_runs
+from ...scene import RoadUser
 from ..source_map import MapLane
 from .roads import (
     MAX_COORDINATE_M,
@@ -437,6 +438,9 @@ def build_lanes(
         In driving direction.
     """
     used: Counter[str] = Counter()
+    closed: tuple[RoadUser, ...] = ()
+    if road.is_motorway:
+        closed = ("on foot", "bicycle")
     for chain in _chains(sections):
         first = next(iter(chain))
         record = sections[first].lanes[chain[first]].record
@@ -492,6 +496,7 @@ def build_lanes(
                 from_junction=before,
                 to_junction=after,
                 speed_limit_kmh=road.speed_limit_kmh(at_m, its_lane.record),
+                closed_to=closed,
             )
 
 

@@ -21,7 +21,7 @@ from .elements import DEFAULTS, Elements, Way, read_elements
 from .junctions import find_junctions
 from .lane_counts import is_oneway, runs_backward
 from .lane_lines import build_lanes
-from .network import build_network, is_for_cars, is_oneway, lines_of, runs_backward
+from .network import build_network, is_for_cars, lines_of
 from .paths import find_paths
 from .rings import open_mini_roundabouts
 from .roundabouts import lay_roundabouts

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
 from ...lines import along_m, points_at, unit
+from ...scene import RoadUser
 from ..source_map import MapLane
 from .elements import DEFAULTS
 from .junctions import Reach
@@ -26,6 +27,7 @@ from .network import (
     Street,
     Strip,
     axis_points,
+    closed_to,
     has_no_knot,
     speed_limit_kmh,
     stations_between,
@@ -71,6 +73,8 @@ class _Part(NamedTuple):
         Cars drive in both directions here.
     road_class : str
         Value of the tag ``highway``.
+    closed_to : tuple of RoadUser
+        Who may not use the road.
     """
 
     strip: Strip
@@ -80,6 +84,7 @@ class _Part(NamedTuple):
     limit_kmh: float | None
     is_two_way: bool
     road_class: str
+    closed_to: tuple[RoadUser, ...]
 
 
 # Id of a lane, and its parts one after the other.
@@ -406,6 +411,7 @@ def _street_lanes(
                 limit_kmh=limit_kmh,
                 is_two_way=is_two_way,
                 road_class=edge.tags["highway"],
+                closed_to=closed_to(edge.tags),
             )
             piece: _Piece | None = None
             if is_continued:
@@ -630,6 +636,7 @@ def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
         to_junction=to_junction,
         speed_limit_kmh=last_part.limit_kmh,
         road_class=last_part.road_class,
+        closed_to=last_part.closed_to,
         turns=parts[-1 if is_forward else 0].strip.turns,
     )
 

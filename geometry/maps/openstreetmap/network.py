@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...lines import points_at, steps_m, true_runs
-from ...scene import Turn
+from ...scene import RoadUser, Turn
 from ..source_map import parse_length_m, parse_speed_kmh
 from .elements import (
     DEFAULTS,
@@ -605,6 +605,40 @@ def _listed_turns(
     if text is not None:
         note("turn:lanes has another number of lanes: markings not followed")
     return [()] * count
+
+
+# ---------- who may not use a road
+_CLOSED = DEFAULTS["closed_roads"]
+
+
+def closed_to(tags: Tags) -> tuple[RoadUser, ...]:
+    """Road users to which a road is closed, by its tags and its class.
+
+    A road with a sidewalk or a cycle track of its own is not closed to those who
+    use that.
+
+    >>> closed_to({"highway": "motorway_link"})
+    ('on foot', 'bicycle')
+    >>> closed_to({"highway": "primary", "foot": "no", "sidewalk": "separate"})
+    ()
+    """
+    is_fast = tags["highway"] in _CLOSED["fast"] or tags.get("motorroad") == "yes"
+    found: list[RoadUser] = []
+    users: tuple[tuple[RoadUser, str, str], ...] = (
+        ("on foot", "foot", "sidewalk"),
+        ("bicycle", "bicycle", "cycleway"),
+    )
+    for user, key, beside in users:
+        sides = ("", ":left", ":right", ":both")
+        ways = [tags.get(f"{beside}{side}") for side in sides]
+        has_place = any(way in _CLOSED["beside"] for way in ways)
+        is_named = key in tags
+        is_closed = tags.get(key) in _CLOSED["no"] or (is_fast and not is_named)
+        if is_closed and not has_place:
+            found.append(user)
+    if tags.get("motorcycle") in _CLOSED["no"]:
+        found.append("motorcycle")
+    return tuple(found)
 
 
 # ---------- speed limits

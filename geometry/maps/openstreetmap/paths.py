@@ -36,7 +36,9 @@ def find_paths(elements: Elements) -> Iterator[MapPath]:
         Those that surround a square have none.
     """
     for way in elements.ways:
-        if not is_path(way) or way.tags.get("area") == "yes" or level(way.tags):
+        usual_m = _usual_width_m(way.tags)
+        is_square = way.tags.get("area") == "yes"
+        if usual_m is None or not is_path(way) or is_square or level(way.tags):
             continue
 
         def note(why: str, way_id: int = way.id) -> None:
@@ -44,7 +46,7 @@ def find_paths(elements: Elements) -> Iterator[MapPath]:
 
         width_m = tagged_length_m(way.tags, _WIDTH_KEYS, _WIDTHS_M, note)
         if width_m is None:
-            width_m = _usual_width_m(way.tags)
+            width_m = usual_m
         for number, line_m in enumerate(lines_of(way, elements)):
             name = numbered(f"w{way.id}", number)
             yield MapPath(id=name, line_m=line_m, width_m=width_m)
