@@ -65,4 +65,5 @@ def test_parts_that_are_not_in_the_table_are_refused():
         SitePrices(
             parts={"mounting": PricedPart(eur=1.0, source="")},
             kinds={"pole": ("mounting", "lift")},
+            left_out={},
         )
