@@ -124,7 +124,7 @@ def _rings(source: SourceMap) -> Iterator[tuple[str, ...]]:
             one_way[begin].append(end)
     used: set[str] = set()
     for start in list(one_way):
-        paths = [(start,)]
+        paths: list[tuple[str, ...]] = [(start,)]
         while paths and start not in used:
             path = paths.pop()
             for following in one_way[path[-1]]:

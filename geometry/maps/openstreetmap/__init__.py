@@ -225,9 +225,11 @@ def read_openstreetmap(
     network = open_mini_roundabouts(mapped)
     if not network.edges:
         refuse(str(path), "no road with two nodes", "a map with roads")
-    reaches, found, rings = find_junctions(network, staggered_m=staggered_m)
+    reaches, candidates, rings = find_junctions(network, staggered_m=staggered_m)
     lanes = build_lanes(reaches)
-    junctions, connections = lay_roundabouts(rings, found, lanes, keeps_left=keeps_left)
+    junctions, connections = lay_roundabouts(
+        rings, candidates, lanes, keeps_left=keeps_left
+    )
     for junction in junctions:
         if junction.fault:
             elements.omissions.add(

@@ -206,6 +206,7 @@ def _round_line(nodes_m: FloatArray) -> FloatArray:
     closed = np.vstack([nodes, nodes[:1]])
     if len(nodes) < 4:
         return nodes
+    spline: Any
     spline, _ = splprep(
         closed.T, s=len(nodes) * limits["smoothing_m"] ** 2, per=True, quiet=1
     )

@@ -161,8 +161,8 @@ def _lay(
             if one.group == other.group or not one.lanes_in or not other.lanes_out:
                 continue
             for way, legs in _ways(one, other, stretches, loop, keeps_left=keeps_left):
-                here = {"from_junction": junction.id, "to_junction": junction.id}
-                ways.append(replace(way, **here))
+                way = replace(way, from_junction=junction.id, to_junction=junction.id)
+                ways.append(way)
                 surfaces += legs
     # Where carriageways part, the road is as wide as the lanes that part there.
     outline = max(polygons_of(shapely.union_all(surfaces)), key=lambda one: one.area)
@@ -678,7 +678,9 @@ def _station_m(line: Any, point_m: FloatArray) -> float:
 
 def _point_at(line: Any, station_m: float) -> FloatArray:
     """Point (2,) of a line at a station."""
-    return shapely.get_coordinates(shapely.line_interpolate_point(line, station_m))[0]
+    point = shapely.line_interpolate_point(line, station_m)
+    place_m: FloatArray = shapely.get_coordinates(point)[0]
+    return place_m
 
 
 def _way_at(line: Any, station_m: float) -> FloatArray:
