@@ -308,6 +308,9 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
         "by_runs",
         "assumptions",
         "assumed_prices",
+        "existing",
+        "is_weighted",
+        "sensors_eur",
         "sites_eur",
         "asked",
     }
