@@ -434,6 +434,8 @@ def at_sites(layout: Layout, scene: Scene | None) -> Layout:
             if away_m[nearest] <= _AT_SITE_M:
                 unit = replace(unit, site_id=names[nearest])
         units.append(unit)
+    if all(one is other for one, other in zip(units, layout.units, strict=True)):
+        return layout
     return replace(layout, units=tuple(units))
 
 

@@ -204,7 +204,9 @@ def test_the_same_id_twice_becomes_two(tmp_path):
 def test_a_file_with_several_layers_is_refused(tmp_path):
     write(tmp_path, {"height": [2.0]}, [HOUSE], layer="houses")
     path = write(tmp_path, {"height": [4.0]}, [YARD], layer="yards", mode="a")
-    with pytest.raises(InputError, match="got 2 layers; expected a file with one"):
+    with pytest.raises(
+        InputError, match="got 2 layers: houses, yards; expected a file"
+    ):
         read_footprints(path)
 
 
