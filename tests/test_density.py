@@ -123,6 +123,7 @@ def test_counting_sees_each_kind_of_packing():
     assert figures.tokens == 23
 
 
+@pytest.mark.long
 def test_product_stays_readable():
     figures = count(read(*PACKAGES))
     assert figures.tokens / figures.lines <= 5.5
@@ -133,6 +134,7 @@ def test_product_stays_readable():
     assert figures.packed_calls == 0
 
 
+@pytest.mark.long
 def test_tests_stay_readable():
     figures = count(read("tests"))
     assert figures.tokens / figures.lines <= 7.2  # 6 is to be reached

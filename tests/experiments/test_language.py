@@ -345,6 +345,7 @@ def test_no_word_on_a_terminal_is_left_over(run, mine, few_runs, monkeypatch, as
     assert not page.exists() or not visible_words(page.read_text())
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("bracketed", "with_blank_pictures")
 def test_no_word_of_a_sheet_is_left_over(run, mine, small_setting, monkeypatch):
     monkeypatch.setattr(sheet, "build_setting", lambda *given, **options: small_setting)

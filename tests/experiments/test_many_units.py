@@ -90,6 +90,7 @@ def labels_of(axes):
     return {text.get_text() for text in axes.findobj(Text)} - {""}
 
 
+@pytest.mark.long
 def test_a_plan_counts_units_at_each_place_where_labels_would_hide_all(small_setting):
     layout = build_layout(MAX_LABELLED_UNITS + 1)
     pole = [

@@ -110,6 +110,7 @@ def shifted_roofs(path):
     return path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "name", "reader", "message"),
     [

@@ -54,6 +54,7 @@ def seconds(request):
     return float(request.config.getoption("--fuzz-seconds")) / shares
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", READERS)
 def test_damaged_files_are_read_or_refused(name, process, seconds, request, tmp_path):
     seeds = READERS[name].seeds()

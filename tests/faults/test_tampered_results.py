@@ -768,6 +768,7 @@ def test_verify_alone_names_what_only_deep_finds(results, deep, file, name):
     assert any(one.startswith(f"anew: {file}") for one in failed(found))
 
 
+@pytest.mark.long
 def test_every_value_of_a_summary_is_compared_with_the_one_made_anew(written):
     """Whatever is changed differs; times and versions do not count, what was asked is
     used.

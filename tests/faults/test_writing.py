@@ -82,6 +82,7 @@ def assert_whole(folder):
     return texts.pop()
 
 
+@pytest.mark.long
 def test_a_writer_killed_at_any_moment_leaves_the_old_or_the_new(folder, start, caplog):
     rng = random.Random(1)
     seen = set()
@@ -110,6 +111,7 @@ def test_a_writer_killed_at_any_moment_leaves_the_old_or_the_new(folder, start, 
     assert sorted(path.name for path in folder.iterdir()) == ["cache", "latest"]
 
 
+@pytest.mark.long
 def test_two_writers_at_once_leave_the_results_of_one(folder, start):
     writers = [start(), start()]
     end_s = time.monotonic() + 1.0

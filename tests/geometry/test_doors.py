@@ -129,6 +129,7 @@ SOURCES = sorted(
 )
 
 
+@pytest.mark.long
 def test_nothing_else_opens_a_file():
     found = {}
     for name in SOURCES:

@@ -134,6 +134,7 @@ def _end(wait):
 COMPILING = ["compiling for this machine, once: some seconds"]
 
 
+@pytest.mark.long
 def test_code_is_compiled_once_and_said_so_also_by_two_processes_at_once(
     start, tmp_path
 ):

@@ -72,6 +72,7 @@ def apr_of(setting):
     return apr
 
 
+@pytest.mark.long
 def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(
     adviser, weak, apr_of, setting
 ):

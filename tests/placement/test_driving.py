@@ -45,6 +45,7 @@ def test_all_cases_of_the_study_are_driven_from_all_approaches(study):
     assert {run.position for run in study.runs} == {"0"}
 
 
+@pytest.mark.long
 def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     question = Question(approaches="west")
     setting = build_setting(question, load_study_scene())
@@ -85,6 +86,7 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     assert plain.axis.weight == pytest.approx([1 / 60] * 60)
 
 
+@pytest.mark.long
 def test_a_map_bounds_the_speeds_unless_others_are_asked_for():
     free = t_junction()
     slow = replace(
@@ -111,6 +113,7 @@ def test_a_map_bounds_the_speeds_unless_others_are_asked_for():
     assert all(lane.speed_limit_kmh is None for lane in load_study_scene().lanes)
 
 
+@pytest.mark.long
 def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypatch):
     question = Question(cases="CPNC-50,CPLA-50,CBTAfs-100", approaches="west")
     scene = load_study_scene()

@@ -86,6 +86,7 @@ def test_the_setting_weighs_every_run_alike(setting):
     assert repr(setting) == "Setting('town05', 104 runs)"
 
 
+@pytest.mark.long
 def test_the_published_findings_come_out(setting, layout):
     """CarlaNCAP study, daylight: RSU2 and RSU3 reach 100 % in CPNC-50, one RSU in all
     three cases.

@@ -213,6 +213,7 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(
         assert distance_to_chain_m(run.vut_position_m[on_map], chain).max() < 0.7
 
 
+@pytest.mark.long
 @given(
     name=st.sampled_from(FREE),
     metres=st.sampled_from([0.0, 15.0, 40.0]),

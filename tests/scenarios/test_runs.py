@@ -116,6 +116,7 @@ def test_without_braking_every_run_of_every_case_first_touches_at_its_impact(all
         assert after < 0.0, run.id
 
 
+@pytest.mark.long
 def test_last_brake_times_of_every_case_are_the_last_ones(all_runs, rule):
     runs, _ = all_runs
     for run in runs:
@@ -148,6 +149,7 @@ def test_frames_hold_the_motions_and_the_gait(all_runs):
         assert (run.vru_shape[standing] == 0).all()
 
 
+@pytest.mark.long
 @given(
     name=st.sampled_from(sorted(load_cases())),
     angle_deg=st.floats(-180.0, 180.0),
@@ -263,6 +265,7 @@ def limited(scene, limits_kmh):
     return replace(scene, lanes=tuple(lanes))
 
 
+@pytest.mark.long
 def test_nothing_is_driven_faster_than_the_speed_limit(actors, rule):
     free = protocol_scene()
     scene = limited(free, {"east": 42.0, "north": 15.0})

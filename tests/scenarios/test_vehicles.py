@@ -568,6 +568,7 @@ def test_only_in_all_impact_points_take_turns():
         assert {case.impact_turn for case in pick_cases(name, "cases")} == {(0, 1)}
 
 
+@pytest.mark.long
 def test_in_all_a_place_and_speed_meet_one_impact_point(actors, rule):
     cases = [
         case

@@ -20,6 +20,7 @@ def solved_here(monkeypatch):
     monkeypatch.setattr(job, "_write_served", lambda *args: [])
 
 
+@pytest.mark.long
 def test_the_first_line_says_what_matters_and_json_says_all(
     run, ask, solved_here, tmp_path
 ):

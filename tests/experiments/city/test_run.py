@@ -194,6 +194,7 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     assert places.union_all().convex_hull.buffer(0.002).contains(units.union_all())
 
 
+@pytest.mark.long
 def test_only_what_is_missing_or_changed_is_computed(tiny, city, tmp_path, no_pages):
     first, second, *_ = sorted(
         path.parent for path in city.glob("junctions/*/front.json")

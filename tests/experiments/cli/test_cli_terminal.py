@@ -114,6 +114,7 @@ def test_completion_scripts_are_what_their_shell_reads(run, shell):
     assert checked.stderr == ""
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("without_figures", "own_cache")
 def test_verbose_tells_sizes_bounds_and_seconds(run, small_study, caplog):
     code, out, _ = run("--budget 1 --verbose --json --out found")

@@ -56,6 +56,7 @@ def runs():
     return [find_run(run_id, SCENE) for run_id in ids]
 
 
+@pytest.mark.long
 @given(
     yaw_deg=st.floats(-180.0, 180.0),
     pitch_deg=st.floats(-90.0, 45.0),

@@ -75,6 +75,7 @@ def test_bodies_stand_where_the_run_has_them(child, strip):
     assert vut.length_m > 4.0
 
 
+@pytest.mark.long
 def test_a_still_is_written_in_the_form_that_the_name_asks_for(child, tmp_path):
     path = tmp_path / "film.png"
     own = replace(

@@ -78,6 +78,7 @@ def answers(small_setting, tables, tmp_path_factory):
         }
 
 
+@pytest.mark.long
 def test_answers_are_judged_by_what_cars_see(answers):
     folder, summaries = answers
     for cars, summary in summaries.items():
@@ -102,6 +103,7 @@ def test_answers_are_judged_by_what_cars_see(answers):
     )
 
 
+@pytest.mark.long
 def test_another_share_of_cars_is_found_out(answers, tmp_path):
     shutil.copytree(answers[0], tmp_path, dirs_exist_ok=True)
     for cars, other in (("see", 0.5), ("0.3", 0.5), ("blind", 1.0)):
@@ -121,6 +123,7 @@ def test_another_share_of_cars_is_found_out(answers, tmp_path):
     assert "model in words" in failed(tmp_path / "see")
 
 
+@pytest.mark.long
 def test_the_table_has_what_the_evaluator_sees_from_the_car(small_study):
     question = Question(budget=2, cars="see")
     assembly = assemble(question)

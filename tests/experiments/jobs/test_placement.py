@@ -70,6 +70,7 @@ def named(name: str, n_units: int = 1) -> Layout:
     return Layout(name=name, units=load_carlancap_layout().units[:n_units])
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("own_cache")
 def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
     progress = StageProgress()
@@ -255,6 +256,7 @@ def test_an_evaluation_of_one_unit_is_that_of_all(small_study):
     assert evaluation["vut_and_rsus"]["all"] >= evaluation["rsu_all"]["all"]
 
 
+@pytest.mark.long
 def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     layouts = [named("twin", 2), named("twin", 1), named("other", 3)]
     summary = compare(layouts, tmp_path / "out")
@@ -270,6 +272,7 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     assert all(name in page for name in names)
 
 
+@pytest.mark.long
 def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(small_study, tmp_path):
     summary = compare([named("two", 2), named("one", 1)], tmp_path / "out", samples=3)
     pairs = summary["sampled"]["pairs"]
@@ -283,6 +286,7 @@ def test_a_layout_may_be_called_greedy(small_study):
     assert evaluate(named("greedy"))["name"] == "greedy (2)"
 
 
+@pytest.mark.long
 def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
     small_study, tmp_path, monkeypatch
 ):

@@ -81,6 +81,7 @@ def test_a_placement_is_shown_beside_random_layouts_and_an_experts(
     assert "\nexpert rule,rsu_all,all," in tables
 
 
+@pytest.mark.long
 def test_the_limits_hold_for_what_it_is_compared_with(small_study, tmp_path):
     asked = {"forbid_site": "corner-se", "separation_m": 30.0}
     expert = place(tmp_path / "out", **asked)["baselines"]["expert"]

@@ -22,6 +22,7 @@ def cameras():
     ]
 
 
+@pytest.mark.long
 def test_a_camera_shows_a_road_user_near_the_middle_of_its_picture(
     small_setting, cameras
 ):

@@ -48,6 +48,7 @@ def front_of(n_units):
     return problem, front_below(problem, solution.pose_index, solution.certificate)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n_units", [1, 8])
 def test_any_number_of_points_is_shown_with_its_proof(n_units, candidates):
     problem, front = front_of(n_units)

@@ -57,6 +57,7 @@ def draw_many_lines():
     return to_png(axes)
 
 
+@pytest.mark.long
 def test_a_large_picture_gets_a_palette_that_keeps_even_the_colour_of_a_small_mark():
     png = draw_many_lines()
     assert len(png) > MAX_TRUE_COLOUR_BYTES

@@ -106,6 +106,7 @@ def test_what_belongs_to_areas_needs_areas(run):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["compare"])
 def test_layouts_are_judged_by_what_they_see_of_private_ground(
     garden, run, small_study, command

@@ -232,6 +232,7 @@ def test_runs_that_are_cut_off_anywhere_are_refused(folder):
             load_result(folder)
 
 
+@pytest.mark.long
 def test_runs_with_a_wrong_byte_are_refused_or_read(folder):
     """Never anything else than one line; some bytes are of no consequence."""
     path = folder / "runs.parquet"

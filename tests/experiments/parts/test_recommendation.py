@@ -9,6 +9,7 @@ from placement.layout import load_layout
 from placement.optimiser import Effort
 
 
+@pytest.mark.long
 def test_what_the_evaluator_recommends_is_written_and_what_is_proven_still_verified(
     small_study, run, tmp_path, monkeypatch
 ):
@@ -36,6 +37,7 @@ def test_what_the_evaluator_recommends_is_written_and_what_is_proven_still_verif
     assert code == 0, verified
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("small_study")
 def test_where_the_layout_found_is_recommended_nothing_is_written_beside_it(
     run, tmp_path, monkeypatch

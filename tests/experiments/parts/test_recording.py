@@ -143,6 +143,7 @@ def record_of(summary):
     return msgspec.convert(summary, RecordedResult)
 
 
+@pytest.mark.long
 def test_every_partys_apr_is_that_of_the_definition(recorded):
     folder, detected, speeds = recorded()
     summary = _evaluate(folder)
@@ -228,6 +229,7 @@ def test_no_other_choice_of_units_prevents_more(recorded, fusion, seed, share):
         ]
 
 
+@pytest.mark.long
 def test_the_chosen_units_are_evaluated_alone(recorded):
     folder, detected, speeds = recorded(2, 0.5)
     summary = _place(folder, budget_units=2)
@@ -242,6 +244,7 @@ def test_the_chosen_units_are_evaluated_alone(recorded):
     assert len(summary["greedy"]["layout"]) == 2
 
 
+@pytest.mark.long
 def test_weak_detections_do_not_count(recorded, tmp_path):
     # With a share of two, everybody detects in every frame.
     folder = _with_own(recorded(share=2.0)[0], "Eval", tmp_path / "data") / "Eval"

@@ -82,6 +82,7 @@ def test_the_schema_is_that_of_the_types():
     assert SCHEMA_FILE.read_text(encoding="utf-8") == schema_text()
 
 
+@pytest.mark.long
 def test_the_schema_is_one_and_leaves_nothing_open_or_unsaid():
     jsonschema.Draft202012Validator.check_schema(DOCUMENT)
     kinds = [DOCUMENT["$defs"][kind] for kind in KINDS]
@@ -182,6 +183,7 @@ PLACEMENTS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", PLACEMENTS)
 def test_placements_are_as_the_schema_says(
     kind, small_study, without_figures, run, tmp_path
@@ -212,6 +214,7 @@ def test_a_refined_placement_is_no_worse_and_as_the_schema_says(
     assert refined["apr"] >= less["apr"]
 
 
+@pytest.mark.long
 def test_private_ground_is_in_the_schema(
     small_study, without_figures, run, tmp_path, garden, layout_files
 ):
@@ -228,6 +231,7 @@ def test_private_ground_is_in_the_schema(
     assert "private_ground" in json.loads(printed)["compared"][0]
 
 
+@pytest.mark.long
 def test_weights_weathers_and_announcements_are_in_the_schema(
     small_study, without_figures, run, tmp_path, monkeypatch, layout_files
 ):

@@ -110,6 +110,7 @@ def coco(tmp_path):
     return paths
 
 
+@pytest.mark.long
 def test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call(
     run, recording
 ):

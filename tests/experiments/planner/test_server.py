@@ -788,6 +788,7 @@ def test_views_are_told_for_every_unit_and_follow_what_is_turned(open_client, jo
     assert view_of("RSU1")["view"] != before["RSU1"]["view"]
 
 
+@pytest.mark.long
 def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
     client = open_client(UNITS[7:8])
     run_id = small_setting.axis.run_ids[0]
@@ -819,6 +820,7 @@ def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
         assert said in response.json()["problem"]
 
 
+@pytest.mark.long
 def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(
     open_client, small_setting
 ):
@@ -868,6 +870,7 @@ def unit_of_width(unit, width_px):
     )
 
 
+@pytest.mark.long
 def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
     open_client, join, run, tmp_path
 ):
@@ -912,6 +915,7 @@ def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
     assert line.last["question"]["now"]["weather"] == "day"
 
 
+@pytest.mark.long
 def test_the_optimiser_may_use_a_pole_of_ones_own(open_client, join, small_setting):
     lamp = next(site for site in small_setting.scene.sites if site.id == "lamp-n1")
     line = join(open_client(UNITS[6:7]))

@@ -118,6 +118,7 @@ def test_a_map_becomes_a_scene_that_says_what_was_understood(
     assert load_scene_folder(archive).instances == scene.instances
 
 
+@pytest.mark.long
 def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
     scene_command, scene_answer, tmp_path
 ):
@@ -161,6 +162,7 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
         assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.long
 def test_sites_are_poles_kerbs_or_a_list(scene_command, scene_answer, city, tmp_path):
     def sites(*options):
         return scene_answer("import", city, *options, "-o", tmp_path / "s")["site_list"]
@@ -234,6 +236,7 @@ def test_buildings_come_from_another_file(scene_command, scene_answer, roads, tm
     assert "crosswalks: none" in checked.out
 
 
+@pytest.mark.long
 def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
     out = tmp_path / "scene"
     assert scene_command("import town05 -o", out).code == 0
@@ -290,6 +293,7 @@ def test_other_peoples_folders_stay(scene_command, city, tmp_path):
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["letter.txt"]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     command, city, tmp_path, monkeypatch
@@ -363,6 +367,7 @@ def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
     assert command(*given, "csv").code == 0
 
 
+@pytest.mark.long
 def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
     command, tmp_path
 ):

@@ -139,6 +139,7 @@ def test_intervals_hold_their_figures(fit):
     assert fit.intervals["height_half_px"].low < fit.intervals["height_half_px"].high
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_table():
     few = drawn().take(SOME[:300])
     first, second = (fit_response(few, name="a", draws=2, seed=4) for _ in range(2))
@@ -159,6 +160,7 @@ def test_classes_and_light_that_never_appear_are_as_built_in():
     assert [group.name for group in fit.groups["class"]] == ["pedestrian"]
 
 
+@pytest.mark.long
 def test_a_fitted_table_says_of_which_classes_nothing_was_measured(fit):
     assert fit.detector.assumed == ()
 
@@ -167,6 +169,7 @@ def test_a_fitted_table_says_of_which_classes_nothing_was_measured(fit):
     assert few.detector.assumed == ("child", "car")
 
 
+@pytest.mark.long
 def test_frames_drawn_apart_show_no_correlation():
     apart = replace(TRUTH, frame_correlation=0.0)
     fit = fit_response(drawn(apart), name="a", draws=0)
@@ -174,6 +177,7 @@ def test_frames_drawn_apart_show_no_correlation():
     assert fit.detector.frame_correlation < 0.06
 
 
+@pytest.mark.long
 def test_frames_that_are_not_consecutive_tell_no_correlation():
     sightings = drawn().take(SOME)
     spread = replace(sightings, frame=2 * sightings.frame)

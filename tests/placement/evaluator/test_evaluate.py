@@ -345,6 +345,7 @@ def test_threads_and_company_do_not_change_a_verdict(build_layout, real, study_r
     assert [unit.id for unit in together[0].layout.units] == list(together[0].units)
 
 
+@pytest.mark.long
 def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
     setting, x_m = real
     setting = replace(

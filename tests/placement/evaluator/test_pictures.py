@@ -151,6 +151,7 @@ def render(scene, run, frame, pose, camera, **options):
 # Networks.
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "unit"), [(PEDESTRIAN, 0), (CYCLIST, 1)])
 def test_one_box_is_matched_in_the_frames_whose_visible_box_it_overlaps_by_half(
     name, unit, last_frames, visible, evaluate
@@ -182,6 +183,7 @@ def test_a_bicycle_may_be_a_cyclist_but_is_no_pedestrian(
     assert by_rsu.tolist() == [is_detected]
 
 
+@pytest.mark.long
 def test_a_network_that_knows_one_picture_detects_in_that_frame_of_that_unit_alone(
     last_frames, visible, evaluate, scene, camera
 ):
@@ -204,6 +206,7 @@ def tiny(camera):
     return replace(camera, width_px=160, height_px=90)
 
 
+@pytest.mark.long
 def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(
     last_frames, scene, tiny
 ):

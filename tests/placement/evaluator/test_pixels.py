@@ -199,6 +199,7 @@ def _cast(corners_m, camera, window):
     return nearest, is_sure
 
 
+@pytest.mark.long
 @given(
     corners_m=POINTS,
     window=st.sampled_from([(0, 0, 64, 48), (10, 5, 40, 30), (63, 47, 64, 48)]),
@@ -224,6 +225,7 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
         )
 
 
+@pytest.mark.long
 @given(
     corners_m=POINTS,
     plate_m=st.floats(0.4, 4.0),

@@ -184,6 +184,7 @@ def _plain_counts(scene, runs, pose, lidar):
     return np.array(counts)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "pose", [HIGH, replace(LOW, position_m=np.array([-9.0, 1.0, 1.6]))]
 )

@@ -3,6 +3,7 @@
 from itertools import combinations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kernel_cases import (
@@ -129,6 +130,7 @@ def drawn(seed):
     return rng, random_chains(rng)
 
 
+@pytest.mark.long
 @given(SEEDS, st.integers(0, 12))
 def test_chains_are_looked_through_until_too_much_is_lost(seed, most_lost):
     rng, chains = drawn(seed)
@@ -198,6 +200,7 @@ def missing_pieces(chains, chain, last, alone):
     return {frame for frame in pieces if not alone[frame]}
 
 
+@pytest.mark.long
 @given(SEEDS, st.sampled_from([3, 64, 66]), st.booleans())
 def test_poses_that_avoid_a_run_next_to_a_set_and_see_a_missing_piece(
     seed, n_poses, has_part
@@ -232,6 +235,7 @@ def test_poses_that_avoid_a_run_next_to_a_set_and_see_a_missing_piece(
             assert bits_of(part, n_poses) == helps
 
 
+@pytest.mark.long
 @given(SEEDS)
 def test_rows_next_to_a_set_are_those_of_poses_one_by_one(seed):
     rng, chains = drawn(seed)

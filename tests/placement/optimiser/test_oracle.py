@@ -16,6 +16,7 @@ from problems import random_problem
 from placement.verification.instances import load_problem
 
 
+@pytest.mark.long
 def test_every_solver_answers_as_the_enumeration_says():
     for number in range(12):
         problem = random_problem(np.random.default_rng([7, number]))

@@ -58,6 +58,7 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
     assert found == sorted(map(tuple, sets[share >= need - 1e-9].tolist()))
 
 
+@pytest.mark.long
 @given(problem=problems())
 def test_a_walk_for_more_meets_the_sets_that_reach_more(problem):
     reduced = presolve(problem)

@@ -103,6 +103,7 @@ def test_no_model_is_begun_that_takes_longer_to_state_than_the_time_left(
     assert early.look_for(Objective.APR, ()) == pytest.approx(1.0)
 
 
+@pytest.mark.long
 def test_all_stages_together_take_no_longer_than_the_limit(clock, monkeypatch):
     """Each model takes all the time that it is given, and finds nothing."""
 

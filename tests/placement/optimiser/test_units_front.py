@@ -39,6 +39,7 @@ def test_every_point_is_that_of_brute_force_or_refused_where_wishes_cannot_be_me
     check_points(problem, stages)
 
 
+@pytest.mark.long
 @given(problem=questions(), stages=ANY_STAGES)
 def test_models_find_the_same_points_without_enumeration(problem, stages):
     with solved_by_models():
@@ -133,6 +134,7 @@ def test_no_set_keeps_more_than_all_poses_but_one_reach(problem):
     assert limit <= apr(problem, range(n_poses)) + 1e-9
 
 
+@pytest.mark.long
 @given(problem=problems(), stages=ANY_STAGES)
 def test_points_of_large_tables_are_solved_by_themselves_and_never_fall(
     problem, stages
@@ -170,6 +172,7 @@ def test_a_front_asks_for_nothing_but_the_best(changes, max_units, message):
         pareto_front(problem, max_units=max_units)
 
 
+@pytest.mark.long
 @given(problem=questions())
 def test_a_front_below_a_solution_is_the_front_up_to_it(problem):
     problem = with_units(replace(problem, goal="best", survive=0), 3)

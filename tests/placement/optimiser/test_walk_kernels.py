@@ -158,6 +158,7 @@ def sets_of(choice):
     ]
 
 
+@pytest.mark.long
 @given(SEEDS)
 def test_the_best_poses_with_room_gain_as_much_as_any_set(seed):
     rng = np.random.default_rng(seed)
@@ -174,6 +175,7 @@ def test_the_best_poses_with_room_gain_as_much_as_any_set(seed):
     assert gain[list(chosen)].sum() == total
 
 
+@pytest.mark.long
 def test_money_that_is_short_lowers_the_bound_to_what_it_buys():
     choice = Choice(
         n_units=2,
@@ -202,6 +204,7 @@ def test_a_row_is_worth_its_reward_less_what_it_pays(
     assert values[units] == most
 
 
+@pytest.mark.long
 def test_steps_find_prices_that_prove_the_best_set():
     covers = np.array([[1, 1, 0, 0], [0, 0, 1, 1], [1, 0, 1, 0]], dtype=bool)
     choice = Choice(
@@ -269,6 +272,7 @@ def bits_by_pose(covers):
     return [bits_of(words, len(covers.weight)) for words in covers.covers]
 
 
+@pytest.mark.long
 @given(SEEDS, st.integers(-1, 3), st.integers(0, 14))
 def test_candidates_go_that_cannot_gain_enough_with_the_best_others(seed, n_more, need):
     rng = np.random.default_rng(seed)
@@ -297,6 +301,7 @@ def test_candidates_go_that_cannot_gain_enough_with_the_best_others(seed, n_more
         ]
 
 
+@pytest.mark.long
 @given(SEEDS)
 def test_rows_without_coverers_are_lost_and_the_hardest_is_covered_by_fewest(seed):
     rng = np.random.default_rng(seed)
@@ -428,6 +433,7 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
             assert found == total
 
 
+@pytest.mark.long
 @given(SEEDS, st.booleans(), st.integers(0, 9), st.integers(0, 6))
 def test_units_are_kept_if_they_lose_little_with_and_without_each(
     seed, with_failures, most, more

@@ -188,6 +188,7 @@ def test_a_recording_in_which_nobody_meets_is_refused_with_what_was_left_out(
     )
 
 
+@pytest.mark.long
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.sampled_from(["0/3_9.txt", "WorldData/3_9.txt", "Eval/3_9.txt"]),

@@ -242,6 +242,7 @@ def test_a_unit_is_turned_to_where_it_sees_earliest(
     assert move.lift_m == 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "lens", [None, BrownConrady(k1=-0.1, p1=0.002), Fisheye(k1=-0.02)]
 )

@@ -102,6 +102,7 @@ def assembly(setting, candidates):
     )
 
 
+@pytest.mark.long
 def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
     found = certify(assembly, n_blocks=3, n_judged=5)
     n_runs = assembly.setting.axis.n_runs
@@ -127,6 +128,7 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
     assert found.pool[0].estimate.mean == max(one.estimate.mean for one in found.pool)
 
 
+@pytest.mark.long
 def test_tasks_that_run_elsewhere_and_in_any_order_give_the_same(assembly, monkeypatch):
     monkeypatch.setattr(out_of_sample, "TOGETHER", 3)
     sent = []
@@ -156,6 +158,7 @@ def _apr(part, row):
     return apr(part.problem, [row])
 
 
+@pytest.mark.long
 def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
     found = certify(assembly, n_blocks=2, n_judged=4)
     chosen = found.pool[0].layout
@@ -352,6 +355,7 @@ LOW, MIDDLE, HIGH = (
 MAYBE = [0.45, 0.75, 0.65, 0.55]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("aprs", "seconds", "taken", "stopped"),
     [
@@ -398,6 +402,7 @@ def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone():
         assemble(SMALL)
 
 
+@pytest.mark.long
 def test_a_certificate_shares_no_world_with_how_many_are_enough(assembly, monkeypatch):
     seen = []
     monkeypatch.setattr(growing, "N_JUDGED", 2)

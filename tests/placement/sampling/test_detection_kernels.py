@@ -56,6 +56,7 @@ def test_random_bits_are_those_of_splitmix64():
     assert [int(random_bits(np.uint64(1234567), n)) for n in range(3)] == expected
 
 
+@pytest.mark.long
 def test_fresh_noise_is_standard_normal_also_in_its_tails():
     n = 2_000_000
     noise = _noise(2 * np.arange(n), 0.0, 3)
@@ -85,6 +86,7 @@ def test_linked_noise_is_what_a_recursive_filter_makes_of_fresh_noise(correlatio
         assert noise[1:] == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(5))
 def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed):
     """Also where they are out of order, show nothing, or leave nothing to chance."""

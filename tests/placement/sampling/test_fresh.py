@@ -178,6 +178,7 @@ def test_numbers_of_a_judgement_belong_together(setting, judged):
     assert repr(judged[0]).startswith("SampledApr('both': 0.")
 
 
+@pytest.mark.long
 def test_another_seed_is_another_judgement(setting, layouts, judged):
     other = out_of_sample(
         setting, layouts[0], LOSSY, n_samples=12, compute=Compute(seed=1)

@@ -67,6 +67,7 @@ def values_of(assembly):
     return [apr(assembly.problem, [row]) for row in range(len(assembly.candidates))]
 
 
+@pytest.mark.long
 def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
     before = place(asked(greedy=0))
     values = values_of(asked(greedy=0))
@@ -92,6 +93,7 @@ def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
     assert found.nominal.table.n_poses == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("changed", "is_asked"),
     [
@@ -145,6 +147,7 @@ def test_the_plan_is_overruled_where_it_cannot_tell_or_detections_are_drawn(
         assert stage.objective == pytest.approx(values[found.pose_index[0]])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("loses", ["little", "much"])
 def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
     asked, loses, monkeypatch

@@ -180,6 +180,7 @@ def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, a
     assert n_met >= 4
 
 
+@pytest.mark.long
 def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a_car(
     laid, rule
 ):
@@ -238,6 +239,7 @@ def test_whom_the_vut_does_not_reach_moves_as_planned(laid, rule):
     assert change_motion(run, rule, speed_mps=0.0) is None
 
 
+@pytest.mark.long
 def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
     by_class = {run.encounter.vru.class_name: run for run in laid}
     assert set(by_class) == {"pedestrian", "cyclist", "motorcyclist", "car"}

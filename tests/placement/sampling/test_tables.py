@@ -100,6 +100,7 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
         )
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_table_and_another_one_another(
     setting, candidates, default, stacked
 ):

@@ -319,6 +319,7 @@ def _swept(run, rule):
         )
 
 
+@pytest.mark.long
 def test_no_sampled_vehicle_stands_in_a_swept_path(
     many_ways, build_setting, default, rule
 ):

@@ -119,6 +119,7 @@ def brute_force_meets(run, body, clearance_m):
     return False
 
 
+@pytest.mark.long
 def test_who_meets_a_road_user_is_found_as_frame_by_frame(junction_runs):
     run = junction_runs["west"]
     n = len(run.time_s)

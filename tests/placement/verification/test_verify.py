@@ -210,6 +210,7 @@ def test_a_changed_table_is_found_even_if_the_hash_was_made_to_fit(
     assert "instance" not in found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("max_sets", [50_000, 45])
 def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(
     problem, tmp_path, max_sets

@@ -195,6 +195,7 @@ def _heights_px(run, vru_poses, candidate):
     return np.array(heights), np.array(inside)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("body", ["adult", "child", "cyclist"])
 def test_a_vru_in_the_open_is_detected_if_and_only_if_it_is_high_enough(
     build_scene, build_run, axis_of, mount, body

@@ -185,6 +185,7 @@ def test_a_table_made_from_other_inputs_is_not_used(stored, caplog):
     assert caplog.messages[0].endswith(": made from other inputs")
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")  # numpy warns of headers that it finds odd
 @pytest.mark.parametrize("bit", [0, 5])
 def test_whatever_bit_is_flipped_the_table_is_right_or_not_used(stored, caplog, bit):

@@ -171,6 +171,7 @@ def _random_runs(build_run, rng, n_frames, *, vut_between_of, obstruction=()):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(4))
 def test_sight_is_what_rays_one_by_one_see_in_the_world(build_scene, build_run, seed):
     rng = np.random.default_rng(seed)
@@ -340,6 +341,7 @@ def test_the_sieve_keeps_every_frame_in_which_the_vut_blocks_a_ray(
     assert 0 < len(sieved[1][0]) < 0.8 * n_frames
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_both_ray_libraries_see_the_same(build_scene, build_run):
     if raycast.open3d_problem() is not None:

@@ -212,6 +212,7 @@ def test_no_view_is_left_out_that_a_sensor_detects(
     assert len(sight.view_index) < len(every.sight.view_index)
 
 
+@pytest.mark.long
 @given(cameras(), angles_deg, pitches_deg, numbers(0.3, 12.0))
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_camera_gets_the_verdicts_of_numpy(

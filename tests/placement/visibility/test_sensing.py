@@ -249,6 +249,7 @@ def test_a_plate_gets_its_area_by_the_square_of_the_distance_times_the_density(
     assert found == pytest.approx(expected, rel=0.06, abs=1.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("body", ["adult", "child", "cyclist"])
 def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
     build_scene, build_run, mount, expected_points, monkeypatch, body
@@ -321,6 +322,7 @@ def test_a_lidars_table_leaves_of_those_with_enough_points_who_are_near_enough(
     assert (found < by_points).any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lidar", [STUDY, SURE], ids=["study", "sure"])
 def test_the_table_detects_in_the_frames_in_which_a_scan_does(
     build_scene, random_runs, mount, table_of, lidar

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -125,6 +126,7 @@ def test_a_lifted_world_looks_as_one_at_zero(
     assert sum(one.visible_px.any(axis=1).sum() for one in evidence[0]) >= 10
 
 
+@pytest.mark.long
 @settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, seed):

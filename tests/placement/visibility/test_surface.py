@@ -77,6 +77,7 @@ def test_in_any_direction_the_points_reach_nearly_as_far_as_the_body(surface):
     assert (body - points).mean() < 0.01
 
 
+@pytest.mark.long
 def test_points_are_evenly_spread(surface):
     n_extremes = 26
     assert pdist(surface.points_m[n_extremes:]).min() > 0.05
