@@ -99,6 +99,7 @@ class Question:
     vam_rate: float = 0.0
     n_confirmations: int | None = None
     track_memory_s: float | None = None
+    decision: str = ""
     latency_s: float | None = None
     latency_budget: str = ""
     deceleration_mps2: float | None = None
