@@ -263,6 +263,12 @@ class Feet:
     foot_m: FloatArray
     size_m: FloatArray
 
+    def of(self, frames: IntArray | None) -> "Feet":
+        """Those in some frames; None: in all."""
+        if frames is None:
+            return self
+        return Feet(foot_m=self.foot_m[frames], size_m=self.size_m[frames])
+
 
 def build_feet(runs: Sequence[Run]) -> Feet:
     """Feet of the road users of runs, laid end to end."""

@@ -55,6 +55,7 @@ class Question:
     min_case_apr: float = 0.0
     survive: str = "0"
     give_up: float | None = None
+    located_m: float | None = None
     keep: str = ""
     within: str = ""
     force_site: str = ""

@@ -173,6 +173,12 @@ QUESTION_OPTIONS: dict[str, partial[Decorator]] = {
         section=ASKED,
         is_common=False,
     ),
+    "located_m": _field_option(
+        "located_m",
+        "--located",
+        metavar="METRES",
+        section=ASKED,
+    ),
     # ---------- What may be mounted, and where
     "keep": _field_option(
         "keep",
