@@ -40,6 +40,7 @@ from .layout import (
     find_baseline,
     find_layout,
 )
+from .located import LocatedChoice, find_located
 from .memory import check_memory
 from .optimiser import (
     Effort,
@@ -458,6 +459,8 @@ class Placement:
     preferred : (SampledApr, SampledApr), optional
         `layout` and the one of the layout found and the greedy one that was not
         taken, in fresh worlds that decided it; None: they were not asked.
+    located : LocatedChoice, optional
+        `layout`, where it is the one of a pool that locates best; None: not asked.
     """
 
     layout: Layout
@@ -474,6 +477,7 @@ class Placement:
     next_unit: NextUnit | None = None
     highest: Highest | None = None
     preferred: tuple[SampledApr, SampledApr] | None = None
+    located: LocatedChoice | None = None
 
     def __repr__(self) -> str:
         proof = "not proven"
@@ -573,7 +577,11 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
     # Where failures cost less with another layout, that one is the answer.
     solution = found.first
     highest = None
+    located = None
     asked = problem
+    if wishes.located_m is not None:
+        found, located = _by_location(assembly, found, wishes.located_m)
+        solution = found.first
     if found.sturdy is not None:
         highest = Highest(
             layout=pick(solution.pose_index, f"highest-{len(solution.pose_index)}"),
@@ -599,6 +607,7 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
         next_unit=found.next_unit,
         highest=highest,
         preferred=preferred,
+        located=located,
         seconds={
             "detection_table": table_done - started,
             "optimise": optimised - table_done,
@@ -645,6 +654,46 @@ def _by_worlds(
         first = instead(problem, reduced, first, greedy)
     next_unit = find_next_unit(problem, reduced, (sturdy or first).pose_index)
     return _Answer(first, sturdy, greedy, next_unit), (of_greedy, of_found)
+
+
+def _by_location(
+    assembly: Assembly, found: _Answer, limit_m: float
+) -> tuple[_Answer, LocatedChoice | None]:
+    """Replace the layout by the one of a pool that locates road users in most runs.
+
+    Its certificate has what is proven of the layout that would be chosen otherwise.
+    """
+    problem = assembly.problem
+    wishes = assembly.wishes
+    first = found.first
+    usual = found.sturdy or first
+    least_apr = max(apr(problem, first.pose_index) - wishes.give_up, 0.0)
+    starts = [usual.pose_index, first.pose_index, found.greedy_index]
+    choice = cached_value(
+        assembly.compute.cache_folder,
+        "located",
+        lambda: find_located(
+            assembly.setting,
+            assembly.candidates,
+            problem,
+            starts,
+            limit_m=limit_m,
+            least_apr=least_apr,
+            compute=assembly.compute,
+        ),
+        kind=LocatedChoice,
+        made_from=(problem, starts, limit_m, least_apr, assembly.candidates),
+        packages=("geometry", "scenarios", "placement"),
+    )
+    asked = problem
+    reduced = assembly.presolved
+    if found.sturdy is not None:
+        asked = sturdy_problem(problem, first, wishes.give_up)
+    solution = instead(asked, reduced.for_problem(asked), usual, choice.pose_index)
+    next_unit = find_next_unit(problem, reduced, choice.pose_index)
+    if found.sturdy is None:
+        return _Answer(solution, None, found.greedy_index, next_unit), choice
+    return _Answer(first, solution, found.greedy_index, next_unit), choice
 
 
 def may_prefer(

@@ -55,6 +55,7 @@ class Question:
     min_case_apr: float = 0.0
     survive: str = "0"
     give_up: float | None = None
+    located_m: float | None = None
     keep: str = ""
     within: str = ""
     force_site: str = ""
@@ -100,6 +101,7 @@ class Question:
     vam_rate: float = 0.0
     n_confirmations: int | None = None
     track_memory_s: float | None = None
+    decision: str = ""
     latency_s: float | None = None
     latency_budget: str = ""
     deceleration_mps2: float | None = None

@@ -22,6 +22,7 @@ from geometry.scene_sources import load_scene
 from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import Case, Selection, select_cases
+from scenarios.decision import load_decision_rule
 from scenarios.paths import CoursePath, StraightPath, TowedPath, TurnPath
 from scenarios.positions import (
     AT_ZERO,
@@ -200,6 +201,8 @@ def check_question(question: Question) -> None:
     _words(question.weather, "weather", WEATHERS, at_least=1)
     build_rule(question)
     read_cars(question.cars)
+    if question.decision:
+        load_decision_rule(question.decision)
     if question.weights:
         check_weights(question.weights)
     if question.near:
@@ -347,6 +350,10 @@ def build_setting(
     rule = build_rule(question)
     detector = load_detector(question.detector, where="detector")
     cars = read_cars(question.cars)
+    if question.decision:
+        load_decision_rule(question.decision)
+        if 0.0 < cars < 1.0:
+            raise InputError("cars", cars, "blind or see beside `decision`")
     drives = drive(question, scene, cache_folder=compute.cache_folder)
     runs = drives.runs
     if not runs:

@@ -23,7 +23,7 @@ from .candidates import CandidatePose
 from .detection_table import DetectionTable
 from .optimiser import Failing, Floor, Goal, Limits, PlacementProblem, apr
 from .optimiser.problem import Fusion
-from .question import Question, read_number, split_names
+from .question import BLIND, Question, read_number, split_names
 from .setting import Setting
 
 # ---------- prices of sites without one: assumptions, each with its source
@@ -170,6 +170,9 @@ class Wishes:
         too; without these, the APR that is left is the first objective.
     give_up : float
         APR that may be given up so that more is left when a unit fails.
+    located_m : float, optional
+        So well the road user's place is to be known in most runs, in place of the
+        APR that is left when a unit fails. [m]
     failing : Failing
         What fails at once: a unit, or a site with all that it carries.
     existing : tuple of str
@@ -198,6 +201,7 @@ class Wishes:
     min_case_apr: float = 0.0
     survive: int = 0
     give_up: float = 0.0
+    located_m: float | None = None
     failing: Failing = "unit"
     existing: tuple[str, ...] = ()
     forced_sites: tuple[str, ...] = ()
@@ -436,6 +440,7 @@ def read_wishes(
         min_case_apr=question.min_case_apr,
         survive=survive,
         give_up=_give_up(question, survive),
+        located_m=_located_m(question, survive),
         failing=failing,
         existing=tuple(unit.id for unit in existing),
         forced_sites=split_names(question.force_site, "force_site"),
@@ -486,6 +491,29 @@ def _give_up(question: Question, survive: int) -> float:
     if asked:
         return 0.0
     return GIVE_UP
+
+
+def _located_m(question: Question, survive: int) -> float | None:
+    """How well road users are to be located; None: not asked.
+
+    Located APR is a choice among layouts of nearly the best APR: nothing else can be
+    asked for beside it.
+    """
+    if question.located_m is None:
+        return None
+    others = {
+        "target": bool(question.target),
+        "min_case_apr": question.min_case_apr > 0.0,
+        "survive": survive > 0,
+        "samples": question.n_samples > 0,
+        "refine": question.refine,
+        "fusion": question.fusion != "any",
+        "cars": question.cars != BLIND,
+    }
+    for name, is_asked in others.items():
+        if is_asked:
+            refuse("located_m", f"it beside `{name}`", "one of them")
+    return question.located_m
 
 
 def _failures(text: str) -> tuple[int, Failing]:

@@ -19,6 +19,7 @@ from ..parts import (
     baselines,
     comparison,
     dangers,
+    decision,
     explanation,
     front,
     proof,
@@ -223,6 +224,23 @@ def _judged(
         Part(title=title, table=summary, notes=notes, is_short=True),
         Part(table=_apr_table(parties), notes=[note]),
         _impacts(result, others),
+        *_decided(result),
+    ]
+
+
+def _decided(result: Result) -> list[Part]:
+    """The layouts by the decision to brake, where that was asked for."""
+    record = result.decision
+    if record is None:
+        return []
+    return [
+        Part(
+            title=tr("From detection to decision:"),
+            words=decision.words(record),
+            table=decision.table(record),
+            notes=decision.notes(record),
+            is_short=True,
+        )
     ]
 
 

@@ -28,7 +28,7 @@ Examples:
 @options.recording_options
 @options.folder_option("a report")
 @options.sign_option
-@options.asking("no_look", *options.JUDGED)
+@options.asking("no_look", "decision", *options.JUDGED)
 def evaluate(
     job: QuestionCall,
     *,
@@ -85,7 +85,9 @@ Examples:
     help="Folder for a report; else none.",
 )
 @options.sign_option
-@options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)
+@options.asking(
+    *("samples", "uncertainty", "traffic", "no_look", "decision"), *options.JUDGED
+)
 def compare(
     job: QuestionCall,
     *,

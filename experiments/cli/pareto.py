@@ -26,7 +26,7 @@ _SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
 _ASKED = options.fields_in(
     options.ASKED,
     options.MOUNTED,
-    but=("budget", "target", "least", "survive", "give_up"),
+    but=("budget", "target", "least", "survive", "give_up", "located_m"),
 )
 
 

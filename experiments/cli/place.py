@@ -58,7 +58,7 @@ wrong or cannot be met (one line says what), 130 interrupted, 143 terminated."""
 )
 @options.recording_options
 @options.sign_option
-@options.asking(*options.PLANNED, *options.JUDGED)
+@options.asking("decision", *options.PLANNED, *options.JUDGED)
 def cli(
     job: QuestionCall,
     *,

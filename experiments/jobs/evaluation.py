@@ -24,6 +24,7 @@ from placement.setting import Setting
 from ..parts.baselines import build_baselines, compare_layout
 from ..parts.bill_of_materials import build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST, build_compared, find_differences
+from ..parts.decision import judge_by_decision
 from ..parts.result import ComparisonResult, EvaluationResult, build_answer
 from ..parts.sampled_worlds import build_sampled_record
 from ..parts.units import PrivateGroundRecord, build_private_ground_record
@@ -73,6 +74,9 @@ def run_evaluation(
         sites_eur=bill.sites_eur,
         assumed_prices=bill.assumed,
         study_cases=None if out is None else judge_study_cases(job, evaluations),
+        decision=judge_by_decision(
+            question.decision, job.setting, evaluations, compute=compute
+        ),
     )
     answered = Answered(job=job, result=result, evaluations=evaluations, bill=bill)
     told = build_asked_record(asked or question, compute, command)
@@ -138,6 +142,9 @@ def run_comparison(
         sites_eur=bill.sites_eur,
         assumed_prices=bill.assumed,
         study_cases=judge_study_cases(job, evaluations),
+        decision=judge_by_decision(
+            question.decision, setting, evaluations, compute=compute
+        ),
         baselines=proposed
         and build_baselines(proposed, evaluations.get(EXPERT), setting),
         sampled=sampled,

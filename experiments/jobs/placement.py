@@ -35,6 +35,7 @@ from ..parts import alternatives, bill_of_materials
 from ..parts.baselines import build_baselines, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
+from ..parts.decision import judge_by_decision
 from ..parts.explanation import build_explained_record, build_refinement_record
 from ..parts.front import FrontRecord, describe_front
 from ..parts.result import (
@@ -207,6 +208,9 @@ def answer_placement(found: FoundLayout) -> Answered:
         front_runners=front_runners,
         mounting=mounting,
         study_cases=study_cases,
+        decision=judge_by_decision(
+            question.decision, setting, evaluations, compute=compute
+        ),
         baselines=build_baselines(proposed, evaluations.get(EXPERT), setting),
         sampled=sampled,
     )

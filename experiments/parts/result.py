@@ -43,6 +43,7 @@ from .alternatives import FrontRunners, HeavyRun, find_heavy_runs
 from .baselines import Baselines
 from .comparison import Compared, Difference, build_compared
 from .dangers import Dangers, avoided_runs, build_dangers
+from .decision import DecisionRecord
 from .explanation import ExplainedRecord, RefinementRecord
 from .front import FrontRecord
 from .road_users import RoadUserGroups, build_road_users
@@ -133,6 +134,10 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
             "The layouts on the study's cases; null where these are asked about, or"
             " cannot be."
         ),
+    ] = None
+    decision: Annotated[
+        DecisionRecord | None,
+        says("The layouts by what a car decides; only with --decision."),
     ] = None
     private_ground: Annotated[
         PrivateGroundRecord | None, says("Only with --no-look.")

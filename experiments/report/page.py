@@ -19,7 +19,16 @@ from placement.setting import Setting
 
 from ..figures.axes import unit_labels
 from ..language import language, mark, tr, trn
-from ..parts import added, answer, comparison, dangers, proof, road_users, study_cases
+from ..parts import (
+    added,
+    answer,
+    comparison,
+    dangers,
+    decision,
+    proof,
+    road_users,
+    study_cases,
+)
 from ..parts.accidents import (
     accidents_section,
     cases_section,
@@ -44,7 +53,7 @@ FILE_NAME = "report.html"
 # In the order of questions: what to mount, how sure that is, who remains at risk, what
 # if, what it costs, how it was made.
 _IN_SIGHT = (
-    *("units", "front", "proof", "comparison", "sampled"),
+    *("units", "front", "proof", "comparison", "decision", "sampled"),
     *("accidents", "dangers", "failures", "private-ground", "bill"),
 )
 _FOLDED = (
@@ -140,6 +149,7 @@ def build_report(
         dangers.section(setting, shown, fusion=result.fusion),
         front,
         study_cases.section(result.study_cases),
+        decision.section(result.decision),
         failures_section(subject, setting.rule, labels),
         Section(
             "alone",

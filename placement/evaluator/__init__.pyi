@@ -3,6 +3,7 @@
 from .evaluate import evaluate_again as evaluate_again
 from .evaluate import evaluate_layout as evaluate_layout
 from .evaluate import evaluate_layouts as evaluate_layouts
+from .evaluate import received as received
 from .evaluate import with_sight as with_sight
 from .perceive import perceive_frames as perceive_frames
 from .surroundings import Surroundings as Surroundings

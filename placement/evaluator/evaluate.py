@@ -696,28 +696,35 @@ def evaluate_layouts(
         times_s, axis.time_s
     ):
         refuse("axis", "frames of other runs", "the frame axis of these runs")
+    seen = received(layouts, setting, compute=compute)
+    judge = Judge(runs, axis, setting.rule)
+    if setting.radio.vam_rate > 0.0:
+        rng = build_rng(compute.seed, "vam")
+        known = known_frames(setting.runs, setting.radio, rng)
+        seen = [replace(one, vam=(known, setting.rule.latency_s)) for one in seen]
+    return judge_layouts(judge, seen, cars=setting.cars)
+
+
+def received(
+    layouts: Sequence[Layout], setting: Setting, *, compute: Compute
+) -> list[PartyDetections]:
+    """What the VUT gets to know from the units of layouts, and by itself.
+
+    Road users' own messages are not in it. Parameters are those of
+    :func:`evaluate_layouts`.
+    """
     compute.progress(STAGE, 0, 0)
     units = {unit_key(unit): unit for layout in layouts for unit in layout.units}
     with one_blas_thread():
         detected = watch(setting, units, compute=compute)
-    judge = Judge(runs, axis, setting.rule)
-    vam = None
-    if setting.radio.vam_rate > 0.0:
-        rng = build_rng(compute.seed, "vam")
-        vam = (known_frames(setting.runs, setting.radio, rng), setting.rule.latency_s)
-    return judge_layouts(
-        judge,
-        [
-            PartyDetections(
-                layout=layout,
-                units=_arriving(layout, setting, detected, compute.seed),
-                vut=(detected[VUT_KEY], setting.rule.latency_s),
-                vam=vam,
-            )
-            for layout in layouts
-        ],
-        cars=setting.cars,
-    )
+    return [
+        PartyDetections(
+            layout=layout,
+            units=_arriving(layout, setting, detected, compute.seed),
+            vut=(detected[VUT_KEY], setting.rule.latency_s),
+        )
+        for layout in layouts
+    ]
 
 
 def evaluate_again(

@@ -564,6 +564,14 @@ def _shipped() -> Table:
 
 
 @cache
+def load_aims() -> dict[str, MountingErrors]:
+    """Mounting errors by how units are aimed: "by eye" and "calibrated"."""
+    return {
+        name: MountingErrors(**table) for name, table in _shipped()["aimed"].items()
+    }
+
+
+@cache
 def _load_named(name: str) -> Uncertainty:
     return _read(take(_shipped(), name, _FILE), name, f"{_FILE}: {name}.")
 

@@ -570,6 +570,19 @@ def _latencies() -> Mapping[str, tuple[str, Files]]:
     return {"parts": (name, files)}
 
 
+def _read_decision_rule(path: Path) -> Any:
+    from scenarios.decision import load_decision_rule
+
+    return load_decision_rule(str(path))
+
+
+def _decision_rules() -> Mapping[str, tuple[str, Files]]:
+    from importlib.resources import files
+
+    text = (files("scenarios") / "data" / "decision.toml").read_text(encoding="utf-8")
+    return {"built in": _one("decision.toml", text)}
+
+
 def _read_uncertainty(path: Path) -> Any:
     from placement.sampling.uncertainty import load_uncertainty
 
@@ -1201,6 +1214,11 @@ READERS: Mapping[str, Reader] = {
     ),
     "latency budget": Reader(
         _read_latency, _latencies, ("placement.latency.load_latency_budget",)
+    ),
+    "decision rule": Reader(
+        _read_decision_rule,
+        _decision_rules,
+        ("scenarios.decision.load_decision_rule",),
     ),
     "uncertainty": Reader(
         _read_uncertainty,

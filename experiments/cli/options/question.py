@@ -173,6 +173,12 @@ QUESTION_OPTIONS: dict[str, partial[Decorator]] = {
         section=ASKED,
         is_common=False,
     ),
+    "located_m": _field_option(
+        "located_m",
+        "--located",
+        metavar="METRES",
+        section=ASKED,
+    ),
     # ---------- What may be mounted, and where
     "keep": _field_option(
         "keep",
@@ -488,6 +494,13 @@ QUESTION_OPTIONS: dict[str, partial[Decorator]] = {
         section=SEEN,
         is_common=False,
     ),
+    "decision": _field_option(
+        "decision",
+        "--decision",
+        metavar="RULE",
+        is_path=True,
+        section=SEEN,
+    ),
     "latency_s": _field_option(
         "latency_s",
         "--latency",
@@ -543,7 +556,7 @@ OF_SCENE = ("scene", "junction", "at", "sites", "sites_crs", "driving_side")
 """Fields that say which junction it is."""
 PLANNED = (*fields_in(ASKED, MOUNTED, SOUGHT), "fusion")
 """Fields of commands that look for layouts."""
-JUDGED = fields_in(DRIVEN, SEEN, but=("fusion",))
+JUDGED = fields_in(DRIVEN, SEEN, but=("fusion", "decision"))
 """Fields of commands that evaluate layouts."""
 _JUDGING = (
     "fusion",
@@ -554,6 +567,7 @@ _JUDGING = (
     "cars",
     "packet_loss",
     "vam_rate",
+    "decision",
 )
 PICTURED = fields_in(DRIVEN, SEEN, but=(*_JUDGING, "track_memory_s"))
 """Fields of commands that draw what each unit sees, whoever judges it."""

@@ -1,0 +1,427 @@
+"""Layouts by the decision to brake: avoided runs against false braking."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray
+from geometry.errors import InputError
+from geometry.phrases import Phrase
+from scenarios.aeb import AebRule
+from scenarios.decision import (
+    CarWays,
+    DecisionRule,
+    build_car_ways,
+    frames_in_time,
+    largest_of_runs,
+    located_sd_m,
+    overlap_probability,
+    track,
+)
+from scenarios.runs import Run, build_frame_axis
+from scenarios.twins import MAIN_KINDS, build_twins
+
+from .compute import DEFAULT_COMPUTE, Compute, threads
+from .evaluation import Evaluation, apr
+from .evaluator import received
+from .evaluator.evaluate import VUT_KEY, build_rng, unit_key
+from .layout import Layout
+from .positions import (
+    BY_EYE,
+    CALIBRATED,
+    GroundErrors,
+    aim_sd_deg,
+    build_feet,
+    unit_errors,
+    vut_errors,
+)
+from .setting import Setting
+
+STAGE = Phrase("decisions")
+AIMS = (CALIBRATED, BY_EYE)
+RESERVES_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 1.6)
+"""Reserves that are tried, beside the rule's own. [s]"""
+
+
+# ---------- encounters without a collision
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TwinSetting:
+    """The twins of a setting's runs.
+
+    Attributes
+    ----------
+    setting : Setting
+        Its runs are the twins: each has the weight of the run that it belongs to, as
+        a share of all.
+    is_main : (n_twins,) bool
+        True for whoever stops or moves aside; False for whoever turns off.
+    """
+
+    setting: Setting
+    is_main: BoolArray
+
+
+def build_twin_setting(setting: Setting, rule: DecisionRule) -> TwinSetting:
+    """Twins of a setting's runs.
+
+    InputError where none of the runs has one.
+    """
+    twins = build_twins(setting.runs, rule)
+    if not twins:
+        raise InputError("decision: clearance_m", rule.clearance_m, "room for a twin")
+    runs = tuple(twin.run for twin in twins)
+    weight = setting.axis.weight[[twin.of_run for twin in twins]]
+    axis = build_frame_axis(runs, weight / weight.sum())
+    return TwinSetting(
+        setting=replace(setting, runs=runs, axis=axis, seen_by_vut=None),
+        is_main=np.array([twin.kind in MAIN_KINDS for twin in twins]),
+    )
+
+
+# ---------- what a layout decides
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Decided:
+    """What cars decide by the reports of one layout, in drawn worlds.
+
+    Attributes
+    ----------
+    aimed : str
+        How the units are aimed.
+    reserves_s : (n_reserves,) float
+        Ascending. [s]
+    in_time : (n_reserves, n_worlds, n_runs) float
+        Largest probability of an overlap in a run's frames after which braking still
+        avoids: with a threshold up to that, the run is avoided.
+    in_twins : (n_reserves, n_worlds, n_twins) float
+        The same in all frames of the twins: with a threshold up to that, the car
+        brakes for nothing.
+    located_sd_m : (n_runs,) float
+        See :func:`scenarios.decision.located_sd_m`.
+    weight, twin_weight : (n_runs,), (n_twins,) float
+        Shares.
+    is_main : (n_twins,) bool
+        See :class:`TwinSetting`.
+    """
+
+    aimed: str
+    reserves_s: tuple[float, ...]
+    in_time: FloatArray
+    in_twins: FloatArray
+    located_sd_m: FloatArray
+    weight: FloatArray
+    twin_weight: FloatArray
+    is_main: BoolArray
+
+    def avoided(self, reserve_s: float, threshold: float) -> float:
+        """Share of the runs that a rule avoids, in the mean of the worlds."""
+        brakes = self.in_time[self._row(reserve_s)] >= threshold
+        return float((brakes @ self.weight).mean())
+
+    def braked_for(
+        self, reserve_s: float, threshold: float, *, main: bool = True
+    ) -> float:
+        """Share of the twins that a rule brakes for: the main ones, or the others.
+
+        NaN where there are none.
+        """
+        weight = self.twin_weight * (self.is_main == main)
+        brakes = self.in_twins[self._row(reserve_s)] >= threshold
+        return float((brakes @ weight).mean() / weight.sum())
+
+    def best_rule(self, limit: float) -> tuple[float, float, float]:
+        """Most that any rule avoids that brakes for so many of the main twins at most.
+
+        Returns the share avoided, the reserve and the threshold.
+        """
+        best = (0.0, self.reserves_s[0], 1.0)
+        n_worlds = self.in_twins.shape[1]
+        main_weight = self.twin_weight * self.is_main
+        weight = np.tile(main_weight / main_weight.sum(), n_worlds) / n_worlds
+        for reserve_s, values in zip(self.reserves_s, self.in_twins, strict=True):
+            order = np.argsort(values, axis=None)[::-1]
+            n_braked = np.searchsorted(np.cumsum(weight[order]), limit, side="right")
+            # Just above the first twin that is one too many.
+            if n_braked == len(order):
+                threshold = 0.0
+            else:
+                threshold = float(np.nextafter(values.ravel()[order[n_braked]], 1.1))
+            share = self.avoided(reserve_s, max(threshold, np.finfo(float).tiny))
+            if share > best[0]:
+                best = (share, reserve_s, threshold)
+        return best
+
+    def located(self, limit_m: float) -> float:
+        """Located APR: share of the runs with a place known so well."""
+        return float(self.weight @ (self.located_sd_m <= limit_m))
+
+    def _row(self, reserve_s: float) -> int:
+        return self.reserves_s.index(reserve_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LayoutDecisions:
+    """A layout by detection and by decision.
+
+    Attributes
+    ----------
+    layout : Layout
+        The layout.
+    detected_apr : float
+        Share of the runs in which it is detected in time: the first reading.
+    twins_detected : float
+        Share of the twins in which it is confirmed: so many would be braked for by a
+        car that brakes for whoever is detected.
+    by_aim : mapping of str to Decided
+        By how the units are aimed.
+    """
+
+    layout: Layout
+    detected_apr: float
+    twins_detected: float
+    by_aim: Mapping[str, Decided]
+
+
+def judge_decisions(
+    evaluations: Sequence[Evaluation],
+    setting: Setting,
+    rule: DecisionRule,
+    *,
+    aims: Sequence[str] = AIMS,
+    compute: Compute = DEFAULT_COMPUTE,
+) -> list[LayoutDecisions]:
+    """Judge evaluated layouts by what a car decides, in runs and in their twins.
+
+    Twins are looked at by the evaluator. With cars that see, the car's own track is one
+    more unit. Raises InputError where a share of the cars sees, or an error is none.
+    """
+    twins = build_twin_setting(setting, rule)
+    layouts = [one.layout for one in evaluations]
+    seen = [
+        {name: verdict.detected for name, verdict in one.units.items()}
+        for one in evaluations
+    ]
+    of_vut = [one.vut.detected for one in evaluations]
+    looked = received(layouts, twins.setting, compute=compute)
+    found = []
+    for number, layout in enumerate(layouts):
+        in_twins = looked[number]
+        in_runs = Reports(setting, layout, seen[number], of_vut[number], rule)
+        beside = Reports(
+            twins.setting,
+            layout,
+            {name: detected for name, (detected, _) in in_twins.units.items()},
+            in_twins.vut[0],
+            rule,
+        )
+        compute.progress(STAGE, number, len(layouts))
+        by_aim = {
+            aimed: _decide(in_runs, beside, twins.is_main, aimed, compute=compute)
+            for aimed in aims
+        }
+        calibrated = next(iter(by_aim.values()))
+        tiny = np.finfo(float).tiny
+        found.append(
+            LayoutDecisions(
+                layout=layout,
+                detected_apr=apr(evaluations[number].headline, setting.axis),
+                twins_detected=calibrated.braked_for(calibrated.reserves_s[-1], tiny),
+                by_aim=by_aim,
+            )
+        )
+    return found
+
+
+class Reports:
+    """What the units of a layout report of a setting's runs.
+
+    Parameters
+    ----------
+    setting : Setting
+        Runs and rule.
+    layout : Layout
+        The units.
+    detected : mapping of str to (n_frames,) bool
+        By the unit's id.
+    by_vut : (n_frames,) bool
+        What the VUT detects by itself; it counts where cars see.
+    rule : DecisionRule
+        Errors, tracks and decision.
+    """
+
+    def __init__(
+        self,
+        setting: Setting,
+        layout: Layout,
+        detected: Mapping[str, BoolArray],
+        by_vut: BoolArray,
+        rule: DecisionRule,
+    ) -> None:
+        self.setting = setting
+        self.layout = layout
+        self.rule = rule
+        rows = [detected[unit.id] for unit in layout.units]
+        if setting.cars:
+            rows.append(by_vut)
+        self.detected = np.array(rows)
+        latency_s = max(unit.latency(setting.rule) for unit in layout.units)
+        self.aeb = replace(setting.rule, latency_s=latency_s)
+
+    def errors(self, aim_deg: tuple[float, float]) -> list[GroundErrors]:
+        """Errors of each party's reports, the VUT's last where cars see."""
+        feet = build_feet(self.setting.runs)
+        errors = [
+            unit_errors(unit, self.setting, feet, rule=self.rule, aim_sd_deg=aim_deg)
+            for unit in self.layout.units
+        ]
+        if self.setting.cars:
+            errors.append(vut_errors(self.setting, feet, rule=self.rule))
+        return errors
+
+    def keys(self) -> list[object]:
+        """What the chance of each party hangs on: its pose, not the layout."""
+        keys: list[object] = [unit_key(unit) for unit in self.layout.units]
+        if self.setting.cars:
+            keys.append(VUT_KEY)
+        return keys
+
+
+def _decide(
+    in_runs: Reports,
+    in_twins: Reports,
+    is_main: BoolArray,
+    aimed: str,
+    *,
+    compute: Compute,
+) -> Decided:
+    """What cars decide in drawn worlds, with units aimed so."""
+    rule = in_runs.rule
+    reserves_s = tuple(sorted({*RESERVES_S, rule.reserve_s}))
+    aim_deg = aim_sd_deg(aimed)
+    found = []
+    for reports in (in_runs, in_twins):
+        axis = reports.setting.axis
+        is_run = reports is in_runs
+        counts = np.ones(axis.n_frames, dtype=bool)
+        if is_run:
+            counts = frames_in_time(axis, latency_s=reports.aeb.latency_s)
+        drawn = DrawnReports(reports, aim_deg, longest_reserve_s=reserves_s[-1])
+        with threads(compute.workers) as pool:
+            worlds = [
+                pool.submit(
+                    drawn.probability,
+                    reserves_s,
+                    world,
+                    stream="runs" if is_run else "twins",
+                    seed=compute.seed,
+                )
+                for world in range(rule.draws)
+            ]
+            values = [
+                largest_of_runs(np.where(counts, one.result(), 0.0), axis)
+                for one in worlds
+            ]
+        found.append(np.stack(values, axis=1))
+    return Decided(
+        aimed=aimed,
+        reserves_s=reserves_s,
+        in_time=found[0],
+        in_twins=found[1],
+        located_sd_m=located_runs_sd_m(in_runs, aim_deg),
+        weight=in_runs.setting.axis.weight,
+        twin_weight=in_twins.setting.axis.weight,
+        is_main=is_main,
+    )
+
+
+class DrawnReports:
+    """Reports of a layout with drawn errors, and what the car makes of them."""
+
+    def __init__(
+        self,
+        reports: Reports,
+        aim_deg: tuple[float, float],
+        *,
+        longest_reserve_s: float,
+    ) -> None:
+        runs = reports.setting.runs
+        self._reports = reports
+        self._errors = reports.errors(aim_deg)
+        self._covariance = np.stack([one.covariance_m2() for one in self._errors])
+        self._place_m = np.concatenate([run.vru_position_m for run in runs])
+        self._heading_rad = np.radians(
+            np.concatenate([run.vut_yaw_deg for run in runs])
+        )
+        self._ways: CarWays = build_car_ways(
+            runs, aeb=reports.aeb, longest_reserve_s=longest_reserve_s
+        )
+
+    def probability(
+        self, reserves_s: Sequence[float], world: int, *, stream: str, seed: int
+    ) -> FloatArray:
+        """Probability of an overlap in one world, (n_reserves, n_frames)."""
+        reports = self._reports
+        axis = reports.setting.axis
+        rule = reports.rule
+        position_m = np.empty((*reports.detected.shape, 2))
+        for row, (key, errors) in enumerate(
+            zip(reports.keys(), self._errors, strict=True)
+        ):
+            # A unit's aim is the same in runs and twins.
+            aims = build_rng(seed, key, "aim", world).standard_normal(2)
+            rng = build_rng(seed, key, stream, world)
+            position_m[row] = errors.draw_m(
+                aims, rng, axis.run_start, correlation=rule.box_correlation
+            )
+        position_m += self._place_m
+        # The car takes itself to be elsewhere: as if all else were moved the other way.
+        position_m -= self._car_errors_m(build_rng(seed, "car", stream, world))
+        tracks = track(
+            reports.detected,
+            position_m,
+            self._covariance,
+            axis,
+            aeb=reports.aeb,
+            rule=rule,
+        )
+        return overlap_probability(tracks, axis, self._ways, reserves_s, rule=rule)
+
+    def _car_errors_m(self, rng: np.random.Generator) -> FloatArray:
+        """Error of the car's own place, (n_frames, 2) in m, one in each run."""
+        axis = self._reports.setting.axis
+        rule = self._reports.rule
+        drawn = rng.standard_normal((axis.n_runs, 2))
+        drawn *= [rule.car_along_sd_m, rule.car_across_sd_m]
+        along, across = np.repeat(drawn, np.diff(axis.run_start), axis=0).T
+        cos = np.cos(self._heading_rad)
+        sin = np.sin(self._heading_rad)
+        return np.column_stack([along * cos - across * sin, along * sin + across * cos])
+
+
+def located_runs_sd_m(reports: Reports, aim_deg: tuple[float, float]) -> FloatArray:
+    """How well each run's place of impact is known, (n_runs,), in m."""
+    covariance = np.stack([one.covariance_m2() for one in reports.errors(aim_deg)])
+    return located_of_rows_sd_m(
+        reports.detected, covariance, reports.setting, reports.aeb, reports.rule
+    )
+
+
+def located_of_rows_sd_m(
+    detected: BoolArray,
+    covariance_m2: FloatArray,
+    setting: Setting,
+    aeb: AebRule,
+    rule: DecisionRule,
+) -> FloatArray:
+    """The same of detections and covariances of units, (n_units, n_frames, ..)."""
+    axis = setting.axis
+    nowhere = np.zeros((*detected.shape, 2))
+    tracks = track(detected, nowhere, covariance_m2, axis, aeb=aeb, rule=rule)
+    return located_sd_m(
+        tracks, axis, impact_heading_rad(setting.runs), aeb=aeb, rule=rule
+    )
+
+
+def impact_heading_rad(runs: Iterable[Run]) -> FloatArray:
+    """Heading of each run's car at the impact, (n_runs,), in rad."""
+    return np.radians([float(run.vut_yaw_deg[-1]) for run in runs])

@@ -1,0 +1,308 @@
+"""Tracks and the decision to brake, against closed forms and a plain filter."""
+
+import math
+from dataclasses import replace
+from math import erf
+
+import numpy as np
+import pytest
+
+from geometry.errors import InputError
+from scenarios.aeb import load_aeb_rule
+from scenarios.decision import (
+    CarWays,
+    frames_in_time,
+    largest_of_runs,
+    load_decision_rule,
+    located_sd_m,
+    overlap_probability,
+    track,
+)
+from scenarios.runs import FrameAxis
+
+AEB = replace(load_aeb_rule(), track_memory_s=1.0)
+RULE = load_decision_rule()
+RESERVES_S = (0.0, 0.33, 1.0)
+
+
+def axis_of(times, last_brake_s=None):
+    """Frame axis of runs with these times."""
+    n_runs = len(times)
+    if last_brake_s is None:
+        last_brake_s = np.zeros(n_runs)
+    return FrameAxis(
+        run_ids=tuple(map(str, range(n_runs))),
+        cases=("c",) * n_runs,
+        approaches=("east",) * n_runs,
+        weathers=("day",) * n_runs,
+        vut_speed_kmh=np.full(n_runs, 36.0),
+        weight=np.full(n_runs, 1.0 / n_runs),
+        last_brake_time_s=np.asarray(last_brake_s),
+        run_start=np.cumsum([0, *map(len, times)]),
+        time_s=np.concatenate(times),
+    )
+
+
+# ---------- a plain filter and decision: one run, matrices, no shortcuts
+
+
+def plain_track(time_s, detected, position_m, covariance_m2):
+    """State, covariance and whether a confirmed track lives, after each frame."""
+    found = []
+    state = cov = None
+    streak = 0
+    seen_s = -math.inf
+    is_confirmed = False
+    for frame, now_s in enumerate(time_s):
+        if now_s - seen_s > AEB.track_memory_s + 1e-9:
+            state = None
+            is_confirmed = False
+        if state is not None:
+            dt = now_s - time_s[frame - 1]
+            F = np.kron([[1.0, dt], [0.0, 1.0]], np.eye(2))
+            Q = np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(2))
+            state = F @ state
+            cov = F @ cov @ F.T + RULE.acceleration_noise_m2ps3 * Q
+        for unit in np.flatnonzero(detected[:, frame]):
+            z = position_m[unit, frame]
+            ee, en, nn = covariance_m2[unit, frame]
+            R = np.array([[ee, en], [en, nn]])
+            H = np.eye(2, 4)
+            if state is None:
+                state = np.concatenate([z, [0.0, 0.0]])
+                cov = np.zeros((4, 4))
+                cov[:2, :2] = R
+                cov[2:, 2:] = np.eye(2) * RULE.first_speed_sd_mps**2
+                continue
+            K = cov @ H.T @ np.linalg.inv(H @ cov @ H.T + R)
+            state = state + K @ (z - H @ state)
+            cov = (np.eye(4) - K @ H) @ cov
+        if detected[:, frame].any():
+            streak += 1
+            seen_s = now_s
+        else:
+            streak = 0
+        is_confirmed = is_confirmed or streak >= AEB.n_confirmations
+        is_live = state is not None and is_confirmed
+        found.append((state, cov, is_live))
+    return found
+
+
+def plain_probability(time_s, found, ways, run, reserve_s):
+    """Largest probability of an overlap within the time to stop, frame by frame."""
+    places = ways.place[ways.start[run] : ways.start[run + 1]]
+    place_s = time_s[0] + 0.1 * np.arange(len(places))
+    end_s = ways.time_to_stop_s[run] + reserve_s
+    steps = 0.1 * np.arange(100)
+    probabilities = []
+    for now_s, (state, cov, is_live) in zip(time_s, found, strict=True):
+        largest = 0.0
+        for tau in [*steps[steps < end_s], end_s] if is_live else ():
+            east, north, yaw = (
+                np.interp(now_s + tau, place_s, places[:, i]) for i in range(3)
+            )
+            F = np.kron([[1.0, tau]], np.eye(2))
+            mean = F @ state - [east, north]
+            spread = F @ cov @ F.T
+            spread += np.eye(2) * RULE.acceleration_noise_m2ps3 * tau**3 / 3
+            turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+            mean = turn @ mean
+            spread = np.diag(turn @ spread @ turn.T)
+            sd = np.sqrt(spread + [RULE.car_along_sd_m**2, RULE.car_across_sd_m**2])
+            angle = math.atan2(state[3], state[2]) - yaw
+            c, s = abs(math.cos(angle)), abs(math.sin(angle))
+            length, width = ways.half_vru_m[run]
+            half = ways.half_vut_m + [c * length + s * width, s * length + c * width]
+            inside = [
+                (erf((h - m) / (s * 2**0.5)) - erf((-h - m) / (s * 2**0.5))) / 2
+                for h, m, s in zip(half, mean, sd, strict=True)
+            ]
+            largest = max(largest, inside[0] * inside[1])
+        probabilities.append(largest)
+    return np.array(probabilities)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """200 random runs with three units, gaps longer than the memory among them."""
+    rng = np.random.default_rng(7)
+    times = []
+    places = []
+    for _ in range(200):
+        n_frames = int(rng.integers(1, 40))
+        times.append(np.arange(-n_frames + 1, 1) / 10.0)
+        way_s = 0.1 * np.arange(n_frames + 40)
+        yaw = rng.uniform(-3, 3) + rng.uniform(-0.3, 0.3) * way_s
+        steps = rng.uniform(3, 15) * 0.1 * np.column_stack([np.cos(yaw), np.sin(yaw)])
+        position = np.cumsum(steps, axis=0) - steps.sum(axis=0) * 0.5
+        places.append(np.column_stack([position, yaw]))
+    axis = axis_of(times)
+    seen = rng.random((3, axis.n_frames)) < rng.choice([0.05, 0.5, 0.9], axis.n_frames)
+    position_m = rng.normal(0.0, 8.0, (3, axis.n_frames, 2))
+    root = rng.normal(0.0, 0.7, (3, axis.n_frames, 2, 2))
+    error = root @ np.swapaxes(root, -1, -2) + 0.01 * np.eye(2)
+    covariance_m2 = error.reshape(3, -1, 4)[..., [0, 1, 3]]
+    ways = CarWays(
+        place=np.concatenate(places),
+        start=np.cumsum([0, *map(len, places)]),
+        time_to_stop_s=rng.uniform(0.1, 1.5, 200),
+        half_vut_m=np.array([2.2, 0.9]),
+        half_vru_m=rng.uniform(0.2, 1.0, (200, 2)),
+    )
+    return axis, seen, position_m, covariance_m2, ways
+
+
+@pytest.mark.long
+def test_tracks_and_decisions_equal_a_plain_filter_on_200_random_runs(drawn):
+    axis, seen, position_m, covariance_m2, ways = drawn
+    tracks = track(seen, position_m, covariance_m2, axis, aeb=AEB, rule=RULE)
+    ours = overlap_probability(tracks, axis, ways, RESERVES_S, rule=RULE)
+    n_live = 0
+    for run in range(axis.n_runs):
+        frames = axis.frames_of(run)
+        time_s = axis.time_s[frames]
+        found = plain_track(
+            time_s, seen[:, frames], position_m[:, frames], covariance_m2[:, frames]
+        )
+        is_live = [one[2] for one in found]
+        np.testing.assert_array_equal(tracks.is_live[frames], is_live)
+        for offset, (state, cov, lives) in enumerate(found):
+            if lives:
+                n_live += 1
+                at = frames.start + offset
+                np.testing.assert_allclose(tracks.state[at], state, atol=1e-9)
+                np.testing.assert_allclose(tracks.covariance[at], cov, atol=1e-9)
+        for row, reserve_s in enumerate(RESERVES_S):
+            plain = plain_probability(time_s, found, ways, run, reserve_s)
+            np.testing.assert_allclose(ours[row, frames], plain, atol=1e-9)
+    assert n_live > 500
+
+
+def test_a_longer_reserve_never_lowers_the_probability(drawn):
+    axis, seen, position_m, covariance_m2, ways = drawn
+    tracks = track(seen, position_m, covariance_m2, axis, aeb=AEB, rule=RULE)
+    # Ends that are steps, too.
+    ways = replace(ways, time_to_stop_s=ways.time_to_stop_s.round(1))
+    ours = overlap_probability(tracks, axis, ways, (0.0, 0.3, 1.0), rule=RULE)
+    assert (np.diff(ours, axis=0) >= -1e-6).all()
+    assert (np.diff(ours, axis=0) > 0.1).any()
+    assert ours.max() > 0.5
+    assert (ours[:, ~tracks.is_live] == 0.0).all()
+
+
+# ---------- closed forms: a car drives east at v, somebody crosses from the south
+SPEED_MPS = 10.0
+WALK_MPS = 1.5
+SURE = replace(
+    RULE,
+    car_along_sd_m=1e-9,
+    car_across_sd_m=1e-9,
+    acceleration_noise_m2ps3=0.0,
+    first_speed_sd_mps=1e3,
+)
+
+
+def crossing(noise_m2):
+    """Axis, tracks and car of a straight crossing seen by one sensor from 3 s on."""
+    time_s = np.arange(-300, 1) / 100.0
+    stop_s = SPEED_MPS / (2.0 * AEB.deceleration_mps2)
+    axis = axis_of([time_s], [-stop_s])
+    # The car's front meets the edge of a body that is far from both its corners.
+    place_m = np.column_stack([np.full(301, 2.25), WALK_MPS * time_s])
+    tracks = track(
+        np.ones((1, 301), dtype=bool),
+        place_m[None],
+        np.tile([noise_m2, 0.0, noise_m2], (1, 301, 1)),
+        axis,
+        aeb=AEB,
+        rule=SURE,
+    )
+    # Its middle is at 0 at the impact.
+    car_m = SPEED_MPS * (-3.0 + 0.1 * np.arange(60))
+    ways = CarWays(
+        place=np.column_stack([car_m, np.zeros(60), np.zeros(60)]),
+        start=np.array([0, 60]),
+        time_to_stop_s=np.array([stop_s + AEB.latency_s]),
+        half_vut_m=np.array([2.0, 0.9]),
+        half_vru_m=np.array([[0.25, 0.25]]),
+    )
+    return axis, tracks, ways
+
+
+def test_without_noise_the_car_brakes_at_the_last_brake_time_less_the_latency():
+    axis, tracks, ways = crossing(1e-16)
+    (probability,) = overlap_probability(tracks, axis, ways, [0.0], rule=SURE)
+    brakes_s = axis.time_s[np.argmax(probability >= 0.5)]
+    last_s = axis.last_brake_time_s[0] - AEB.latency_s
+    assert probability[-1] == pytest.approx(1.0)
+    # To a frame, which are 10 ms apart.
+    assert abs(brakes_s - last_s) <= 0.0101
+
+
+def test_with_infinite_noise_the_car_never_brakes():
+    axis, tracks, ways = crossing(1e12)
+    probability = overlap_probability(tracks, axis, ways, [0.0, 2.0], rule=SURE)
+    assert tracks.is_live.any()
+    assert probability.max() < 1e-6
+
+
+def test_the_place_of_the_impact_is_located_as_least_squares_say():
+    # Without noise of accelerations the filter is a line fitted to all places.
+    noise_m = 0.3
+    axis, tracks, _ = crossing(noise_m**2)
+    heading = np.zeros(1)
+    found_m = located_sd_m(tracks, axis, heading, aeb=AEB, rule=SURE)[0]
+    used_s = axis.time_s[frames_in_time(axis, latency_s=AEB.latency_s)]
+    design = np.column_stack([np.ones(len(used_s)), used_s])
+    at_impact = noise_m**2 * np.linalg.inv(design.T @ design)[0, 0]
+    assert found_m == pytest.approx(math.sqrt(at_impact), rel=1e-3)
+
+
+def test_nothing_is_located_where_no_track_lives():
+    axis = axis_of([np.arange(-9, 1) / 10.0], [-0.2])
+    nowhere = np.zeros((1, 10, 2))
+    never = np.zeros((1, 10), dtype=bool)
+    tracks = track(never, nowhere, np.ones((1, 10, 3)), axis, aeb=AEB, rule=RULE)
+    assert located_sd_m(tracks, axis, np.zeros(1), aeb=AEB, rule=RULE)[0] == np.inf
+
+
+def test_largest_of_runs_is_that_of_each_run():
+    axis = axis_of([np.arange(3.0), np.arange(2.0)])
+    values = np.array([[0.1, 0.5, 0.2, 0.0, 0.3]])
+    np.testing.assert_array_equal(largest_of_runs(values, axis), [[0.5, 0.3]])
+
+
+# ---------- rules of one's own
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "expected"),
+    [
+        ("body_sd_m = 0", "body_sd_m", "a finite number, more than 0"),
+        ("body_sd_m = inf", "body_sd_m", "a finite number"),
+        ("threshold = 1.5", "threshold", "at least 0 and at most 1"),
+        ("threshold = -0.1", "threshold", "at least 0 and at most 1"),
+        ("box_noise_share = 0.0", "box_noise_share", "more than 0 and at most 1"),
+        ("draws = 0", "draws", "more than 0"),
+        ("drawz = 3", "drawz", "one of"),
+    ],
+)
+def test_a_rule_that_cannot_be_is_refused_in_a_line(tmp_path, text, where, expected):
+    path = tmp_path / "rule.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_decision_rule(str(path))
+    assert where in str(caught.value)
+    assert expected in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_a_rule_of_ones_own_keeps_what_it_does_not_say(tmp_path):
+    path = tmp_path / "rule.toml"
+    path.write_text("threshold = 0.25\n")
+    assert load_decision_rule(str(path)) == replace(RULE, threshold=0.25)
+
+
+def test_an_unknown_rule_is_refused():
+    with pytest.raises(InputError, match="decision: got 'careful'; expected default"):
+        load_decision_rule("careful")
