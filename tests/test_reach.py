@@ -13,9 +13,11 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 START = "experiments.cli.place"
-MOST_MODULES = 180
+MOST_MODULES = 187
 MOST_TOKENS = 310_000
-"""Of today, so that it grows no further; 150 modules are to be reached."""
+"""Of today, so that it grows no further; 150 modules are to be reached. The decision to
+brake (positions, tracks, twins) brought seven.
+"""
 NO_TOKENS = {
     tokenize.COMMENT,
     tokenize.NL,

@@ -231,16 +231,21 @@ def _judged(
 def _decided(result: Result) -> list[Part]:
     """The layouts by the decision to brake, where that was asked for."""
     record = result.decision
+    located: list[str] = []
+    if isinstance(result, PlacementResult):
+        located = decision.located_words(result.located)
+    parts = [_said(*located)] if located else []
     if record is None:
-        return []
+        return parts
     return [
+        *parts,
         Part(
             title=tr("From detection to decision:"),
             words=decision.words(record),
             table=decision.table(record),
             notes=decision.notes(record),
             is_short=True,
-        )
+        ),
     ]
 
 

@@ -9,7 +9,7 @@ from placement.question import N_JUDGED
 from placement.setting import Setting
 
 from ..language import tr
-from . import comparison, dangers, proof
+from . import comparison, dangers, decision, proof
 from .accidents import count_sensors
 from .alternatives import doubt_sentences, recommended_sentences
 from .explanation import next_unit_sentence, refinement_sentences
@@ -50,7 +50,9 @@ def words(result: Result) -> list[str]:
     sentences: Sequence[str] = ()
     if isinstance(result, PlacementResult):
         further = next_unit_sentence(result.next_unit)
-        sentences = (further, proof.words(result))
+        located = decision.located_words(result.located)
+        further_words = [one.removesuffix(".") for one in located]
+        sentences = (*further_words, further, proof.words(result))
     elif isinstance(result, ComparisonResult):
         sentences = comparison.words(result.name, result.compared)
     return [

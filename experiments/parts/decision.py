@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from placement.compute import Compute
 from placement.decisions import Decided, LayoutDecisions, judge_decisions
 from placement.evaluation import Evaluation
+from placement.located import LocatedChoice
 from placement.positions import BY_EYE, CALIBRATED, aim_sd_deg
 from placement.setting import Setting
 from scenarios.decision import load_decision_rule, rule_values
@@ -34,15 +35,15 @@ class BestRule(Record, frozen=True, kw_only=True):
 
     limit: Annotated[Share, says("Twins that it may brake for.")]
     avoided: Annotated[Share, says("Of the runs.")]
-    reserve_s: Annotated[float, says("On top of the time to stop.")]
+    reserve_s: Annotated[float, says("On top of the time to stop, in seconds.")]
     threshold: Annotated[float, says("Least probability of an overlap.")]
 
 
 class AimedDecision(Record, frozen=True, kw_only=True):
     """What cars decide by a layout whose units are aimed in one way."""
 
-    yaw_sd_deg: Annotated[float, says("Error of the bearing.")]
-    pitch_sd_deg: Annotated[float, says("Error of the tilt.")]
+    yaw_sd_deg: Annotated[float, says("Error of the bearing, in degrees.")]
+    pitch_sd_deg: Annotated[float, says("Error of the tilt, in degrees.")]
     avoided: Annotated[Share, says("Of the runs, at the rule's threshold.")]
     braked_for: Annotated[
         Share, says("Of the twins whose road user stops or walks aside.")
@@ -156,6 +157,36 @@ def build_aimed(decided: Decided, reserve_s: float, threshold: float) -> AimedDe
 
 
 # ---------- words, table, figure
+def located_words(choice: LocatedChoice | None) -> list[str]:
+    """How many runs the chosen layout locates; none where that was not asked."""
+    if choice is None:
+        return []
+    values = {
+        "limit": choice.limit_m,
+        "share": percent(choice.share),
+        "before": percent(choice.share_before),
+        "n": choice.n_judged,
+    }
+    if choice.share <= choice.share_before:
+        return [
+            tr(
+                "With aims known to 1 degree, {share} of the runs are located within"
+                " {limit:g} m at the last moment. None of {n} layouts judged locates"
+                " more; that is not proven of all.",
+                **values,
+            )
+        ]
+    return [
+        tr(
+            "With aims known to 1 degree, {share} of the runs are located within"
+            " {limit:g} m at the last moment; {before} by the layout that keeps most"
+            " when a sensor fails. It is the best of {n} layouts judged; that is not"
+            " proven of all.",
+            **values,
+        )
+    ]
+
+
 def words(record: DecisionRecord) -> list[str]:
     """What the decision makes of the first layout."""
     first = record.layouts[0]

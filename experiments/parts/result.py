@@ -20,6 +20,7 @@ from placement.explain.agreement import Disagreement, find_disagreements
 from placement.explain.alternatives import ByRuns
 from placement.explain.contributions import NextUnit
 from placement.explain.tolerances import Standing
+from placement.located import LocatedChoice
 from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting
@@ -241,6 +242,9 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
     front_runners: Annotated[
         FrontRunners | None, says("What the evaluator recommends.")
     ] = None
+    located: Annotated[
+        LocatedChoice | None, says("How it was chosen; only with --located.")
+    ] = None
     refinement: Annotated[
         RefinementRecord | None, says("Gain by turning; --refine.")
     ] = None
@@ -383,6 +387,7 @@ def build_placement_result(
         failing=limits.failing,
         greedy=build_compared(found, greedy, rule),
         baseline=None if baseline is None else build_compared(found, baseline, rule),
+        located=placement.located,
         preferred=placement.preferred and build_pair_record(*placement.preferred),
         surrogate_disagreement=float(np.mean(disagreeing_runs(placement, found))),
         disagreements=find_disagreements(

@@ -314,6 +314,8 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
         "assumed_prices",
         "existing",
         "is_weighted",
+        "decision",
+        "located",
         "sensors_eur",
         "sites_eur",
         "asked",
