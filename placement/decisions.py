@@ -28,14 +28,13 @@ from .evaluator import received
 from .evaluator.evaluate import VUT_KEY, build_rng, unit_key
 from .layout import Layout
 from .positions import (
-    BY_EYE,
-    CALIBRATED,
     GroundErrors,
     aim_sd_deg,
     build_feet,
     unit_errors,
     vut_errors,
 )
+from .sampling.uncertainty import BY_EYE, CALIBRATED
 from .setting import Setting
 
 STAGE = Phrase("decisions")

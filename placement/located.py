@@ -17,12 +17,14 @@ from scenarios.decision import DecisionRule, load_decision_rule
 from .candidates import CandidatePose
 from .compute import Compute, threads
 from .decisions import located_of_rows_sd_m
+from .located_choice import LocatedChoice
 from .optimiser import PlacementProblem, ReducedProblem, presolve
 from .optimiser.allowed_sets import fitting, is_allowed
 from .optimiser.bitsets import shares_with_each, union_apr, unions_of
 from .optimiser.constants import TOLERANCE
 from .optimiser.presolve import ALL_RULES, Rule
-from .positions import BY_EYE, Feet, aim_sd_deg, build_feet, unit_errors
+from .positions import Feet, aim_sd_deg, build_feet, unit_errors
+from .sampling.uncertainty import BY_EYE
 from .setting import Setting
 
 STAGE = Phrase("locate")
@@ -36,35 +38,6 @@ _MOST_JUDGED = 800
 """No exchange is begun once the filter has judged so many layouts: about 60 s on two
 cores at the study's junction. A count, so that every machine finds the same.
 """
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LocatedChoice:
-    """The layout of the highest located APR of a pool.
-
-    Attributes
-    ----------
-    pose_index : tuple of int
-        Rows of the table.
-    limit_m : float
-        A run is located if its place is known so well, see
-        :func:`scenarios.decision.located_sd_m`. [m]
-    share : float
-        Located APR of the choice, units aimed by eye. 0 .. 1
-    share_before : float
-        The same of the layout that would be chosen otherwise.
-    least_apr : float
-        What every layout of the pool reaches at least. 0 .. 1
-    n_judged : int
-        Layouts of the pool that the filter judged.
-    """
-
-    pose_index: tuple[int, ...]
-    limit_m: float
-    share: float
-    share_before: float
-    least_apr: float
-    n_judged: int
 
 
 def find_located(

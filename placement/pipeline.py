@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
 from geometry.phrases import Phrase
+from geometry.registry import load_entry
 from geometry.scene import Scene
 from geometry.scene_sources import load_scene
 
@@ -40,7 +41,7 @@ from .layout import (
     find_baseline,
     find_layout,
 )
-from .located import LocatedChoice, find_located
+from .located_choice import LocatedChoice
 from .memory import check_memory
 from .optimiser import (
     Effort,
@@ -663,6 +664,8 @@ def _by_location(
 
     Its certificate has what is proven of the layout that would be chosen otherwise.
     """
+    # By name: a placement that does not ask for it loads none of it.
+    find_located = load_entry("placement.located:find_located")
     problem = assembly.problem
     wishes = assembly.wishes
     first = found.first

@@ -17,11 +17,9 @@ from scenarios.runs import Run
 
 from .candidates import CandidatePose
 from .evaluator.surroundings import load_vut_camera
-from .sampling.uncertainty import load_aims
+from .sampling.uncertainty import CALIBRATED, load_aims
 from .setting import Setting
 
-CALIBRATED = "calibrated"
-BY_EYE = "by eye"
 # Nearer, there is no line of sight along the ground.
 _LEAST_M = 0.1
 

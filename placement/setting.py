@@ -17,12 +17,12 @@ from geometry.errors import InputError, refuse
 from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES, build_junction
 from geometry.phrases import Phrase
+from geometry.registry import load_entry
 from geometry.scene import Scene
 from geometry.scene_sources import load_scene
 from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import Case, Selection, select_cases
-from scenarios.decision import load_decision_rule
 from scenarios.paths import CoursePath, StraightPath, TowedPath, TurnPath
 from scenarios.positions import (
     AT_ZERO,
@@ -202,7 +202,7 @@ def check_question(question: Question) -> None:
     build_rule(question)
     read_cars(question.cars)
     if question.decision:
-        load_decision_rule(question.decision)
+        load_entry("scenarios.decision:load_decision_rule")(question.decision)
     if question.weights:
         check_weights(question.weights)
     if question.near:
@@ -351,7 +351,7 @@ def build_setting(
     detector = load_detector(question.detector, where="detector")
     cars = read_cars(question.cars)
     if question.decision:
-        load_decision_rule(question.decision)
+        load_entry("scenarios.decision:load_decision_rule")(question.decision)
         if 0.0 < cars < 1.0:
             raise InputError("cars", cars, "blind or see beside `decision`")
     drives = drive(question, scene, cache_folder=compute.cache_folder)

@@ -229,24 +229,11 @@ def _judged(
 
 
 def _decided(result: Result) -> list[Part]:
-    """The layouts by the decision to brake, where that was asked for."""
-    record = result.decision
+    """Who is located, and the decision to brake, where that was asked for."""
     located: list[str] = []
     if isinstance(result, PlacementResult):
         located = decision.located_words(result.located)
-    parts = [_said(*located)] if located else []
-    if record is None:
-        return parts
-    return [
-        *parts,
-        Part(
-            title=tr("From detection to decision:"),
-            words=decision.words(record),
-            table=decision.table(record),
-            notes=decision.notes(record),
-            is_short=True,
-        ),
-    ]
+    return [_said(*located), decision.part(result.decision)]
 
 
 def _besides(result: PlacementResult | ComparisonResult) -> list[Part]:

@@ -66,10 +66,9 @@ def answer_text(parts: Iterable[Part], *, is_verbose: bool) -> str:
             is_plain = not (part.title or part.table)
             # It belongs to what stands above.
             is_note = is_plain and not part.words
-            if is_note or (is_plain and was_plain) or not lines:
-                lines += []
-            else:
-                lines += [""]
+            belongs_above = is_note or (is_plain and was_plain)
+            if lines and not belongs_above:
+                lines.append("")
             lines += _part_lines(part, width)
             was_plain = is_plain and not part.notes
     return "\n".join(lines)
@@ -213,8 +212,6 @@ def listing(
         is_long = len(row[0]) > first
         if is_long:
             lines += [f"  {row[0]}"]
-        else:
-            lines += []
         lines.append(line("" if is_long else row[0], row[1:]))
         if below and below[index]:
             lines += sentences(below[index], indent=4, width=width)
@@ -245,8 +242,6 @@ def wide_table(
         cells = zip(rows, *(columns[name] for name in widths), strict=True)
         if lines:
             lines += [""]
-        else:
-            lines += []
         lines += table(
             [head, *widths], cells, widths=[first, *widths.values()], width=width
         )

@@ -45,10 +45,8 @@ class Item:
     name: str
     # "camera", "LiDAR", "lamp post" and so on.
     kind: str
-    count: (
-        # Sensors to buy; of a site: 1 to be made ready, 0 if it has units already.
-        int
-    )
+    # Sensors to buy; of a site: 1 to be made ready, 0 if it has units already.
+    count: int
     # With those that are there already.
     n_units: int
     # Of one; None: unknown. [EUR]

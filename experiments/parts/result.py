@@ -20,7 +20,7 @@ from placement.explain.agreement import Disagreement, find_disagreements
 from placement.explain.alternatives import ByRuns
 from placement.explain.contributions import NextUnit
 from placement.explain.tolerances import Standing
-from placement.located import LocatedChoice
+from placement.located_choice import LocatedChoice
 from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting

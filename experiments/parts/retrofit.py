@@ -146,8 +146,6 @@ def table(result: RetrofitResult) -> Table:
     for kind, changes in _by_kind(result).items():
         if changes:
             rows += [[tr(_HEADS[kind]), *[""] * 6]]
-        else:
-            rows += []
         for change in changes:
             first, *others = [
                 line

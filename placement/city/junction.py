@@ -317,8 +317,6 @@ def _merge(
     layouts = [(placement_value(problem, layout), layout) for layout in others]
     if by_cost:
         layouts += [(found.value, found.pose_index) for found in by_cost.points]
-    else:
-        layouts += []
     for _, (by_units, by_sites) in tiers:
         layouts += [(found.value, found.pose_index) for found in by_units.points]
         layouts += [

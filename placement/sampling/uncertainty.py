@@ -563,6 +563,11 @@ def _shipped() -> Table:
     return load_data("placement", _FILE)
 
 
+CALIBRATED = "calibrated"
+BY_EYE = "by eye"
+"""How units may be aimed: names of :func:`load_aims`."""
+
+
 @cache
 def load_aims() -> dict[str, MountingErrors]:
     """Mounting errors by how units are aimed: "by eye" and "calibrated"."""

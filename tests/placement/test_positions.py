@@ -11,12 +11,11 @@ from geometry.lidar import load_lidars
 from geometry.poses import Pose, camera_rotation
 from geometry.sensors import picture_rays, project_points
 from placement.positions import (
-    BY_EYE,
-    CALIBRATED,
     aim_sd_deg,
     camera_errors,
     lidar_errors,
 )
+from placement.sampling.uncertainty import BY_EYE, CALIBRATED
 from scenarios.decision import load_decision_rule
 
 RULE = replace(load_decision_rule(), body_sd_m=1e-9)
