@@ -195,7 +195,7 @@ def test_the_first_screen_needs_no_script_and_is_on_the_first_screen(
     with open_page(browser, path.as_uri(), java_script_enabled=False) as page:
         lowest = page.locator(".overview").bounding_box()
         assert lowest["y"] + lowest["height"] < 1100
-        assert page.locator(".cards > div").count() == 4
+        assert page.locator(".cards > div").count() == 5
     text = path.read_text()
     assert text.index("</header>") < 1_500_000
 
