@@ -46,7 +46,7 @@ def words(record: DecisionRecord) -> list[str]:
         sentences.append(
             tr(
                 "A car that brakes from a probability of {threshold:g} on avoids"
-                " {avoided} with aims known to {aim:g} degrees ({aimed}), and brakes"
+                " {avoided} with aims known to {aim:g}° ({aimed}), and brakes"
                 " for {braked} of these people.",
                 threshold=record.rule["threshold"],
                 avoided=percent(one.avoided),
@@ -68,7 +68,7 @@ def table(record: DecisionRecord) -> Table:
             rows.append(
                 [
                     layout_words(layout.name),
-                    tr("{aim:g} degrees", aim=one.pitch_sd_deg),
+                    tr("{aim:g}°", aim=one.pitch_sd_deg),
                     percent(layout.detected),
                     percent(one.avoided),
                     percent(one.braked_for),
