@@ -178,6 +178,7 @@ QUESTION_OPTIONS: dict[str, partial[Decorator]] = {
         "--located",
         metavar="METRES",
         section=ASKED,
+        is_common=False,
     ),
     # ---------- What may be mounted, and where
     "keep": _field_option(
@@ -500,6 +501,7 @@ QUESTION_OPTIONS: dict[str, partial[Decorator]] = {
         metavar="RULE",
         is_path=True,
         section=SEEN,
+        is_common=False,
     ),
     "latency_s": _field_option(
         "latency_s",
