@@ -25,6 +25,7 @@ from scenarios.runs import Run
 
 from ..language import tr
 from .axes import Style, literal, root_figure, unit_labels, write_beside
+from .fonts import families_for
 
 HALO = withStroke(linewidth=3.0, foreground="white")
 _POINTS_PER_INCH = 72.0
@@ -227,17 +228,24 @@ def arm_names(
         away_m = np.abs(ways).max(axis=1)
         way = ways[np.argmin(np.abs(away_m - _NAMES_AT * half_size_m))]
         at = middle_m + way
+        text = tr("{approach} arm", approach=tr(name))
+        style: Style = {"color": "#333333", "style": "italic"}
+        # A street whose letters no font here has is named by its arm.
+        families = families_for(streets.get(name, ""))
+        if name in streets and families is not None:
+            text = f"{streets[name]} ({tr(name)})"
+        if families:
+            style["family"] = list(families)
+        toward_deg = 90.0
+        if abs(way[1]) > abs(way[0]):
+            toward_deg = 0.0
         labels.append(
             TextLabel(
-                text=(
-                    f"{streets[name]} ({tr(name)})"
-                    if name in streets
-                    else tr("{approach} arm", approach=tr(name))
-                ),
+                text=text,
                 point_m=(float(at[0]), float(at[1])),
-                toward_deg=0.0 if abs(way[1]) > abs(way[0]) else 90.0,
+                toward_deg=toward_deg,
                 gap=14.0,
-                style={"color": "#333333", "style": "italic"},
+                style=style,
             )
         )
     return labels
