@@ -433,6 +433,7 @@ def _cost(result: Result) -> str:
             n_existing=n_existing,
             **values,
         )
+    # A sum with an unknown part would look like the whole price.
     total = None
     if result.sensors_eur is not None and result.sites_eur is not None:
         total = result.sensors_eur + result.sites_eur

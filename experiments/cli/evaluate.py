@@ -22,6 +22,16 @@ Examples:
   place-rsus evaluate --layout results/latest/layout.json --out results/mine
   place-rsus evaluate --recording ncap_data"""
 
+_COMPARED = (
+    "samples",
+    "uncertainty",
+    "traffic",
+    "no_look",
+    "decision",
+    *options.JUDGED,
+)
+"""Fields of a question that layouts are compared under."""
+
 
 @click.command(cls=options.SectionedCommand, epilog=_EVALUATE_EXAMPLES)
 @options.layout_option
@@ -85,9 +95,7 @@ Examples:
     help="Folder for a report; else none.",
 )
 @options.sign_option
-@options.asking(
-    *("samples", "uncertainty", "traffic", "no_look", "decision"), *options.JUDGED
-)
+@options.asking(*_COMPARED)
 def compare(
     job: QuestionCall,
     *,

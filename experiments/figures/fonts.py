@@ -10,11 +10,9 @@ def families_for(text: str) -> tuple[str, ...] | None:
     Empty where the default font has all letters; the default and another one where
     this machine has a font with the others; None where it has none.
     """
-    # Nearly all names; it spares looking at fonts.
-    if text.isascii():
-        return ()
     from matplotlib.font_manager import FontProperties, findfont, fontManager
 
+    # matplotlib draws each letter with the first family that has it.
     default = FontProperties()
     missing = _letters(text) - _letters_of(findfont(default))
     if not missing:

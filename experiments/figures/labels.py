@@ -17,6 +17,7 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError
 from geometry.junction import arm_mouth, build_junction, street_names
 from geometry.notes import assumed_sites
+from geometry.registry import load_entry
 from geometry.scene import Scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout
@@ -25,7 +26,6 @@ from scenarios.runs import Run
 
 from ..language import tr
 from .axes import Style, literal, root_figure, unit_labels, write_beside
-from .fonts import families_for
 
 HALO = withStroke(linewidth=3.0, foreground="white")
 _POINTS_PER_INCH = 72.0
@@ -231,7 +231,11 @@ def arm_names(
         text = tr("{approach} arm", approach=tr(name))
         style: Style = {"color": "#333333", "style": "italic"}
         # A street whose letters no font here has is named by its arm.
-        families = families_for(streets.get(name, ""))
+        street = streets.get(name, "")
+        families: tuple[str, ...] | None = ()
+        # Looking at fonts takes long: nearly all names need no other one.
+        if not street.isascii():
+            families = load_entry("experiments.figures.fonts:families_for")(street)
         if name in streets and families is not None:
             text = f"{streets[name]} ({tr(name)})"
         if families:

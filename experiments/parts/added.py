@@ -98,6 +98,7 @@ def build_added(
 
     rule = setting.rule
     own_s = np.where(evaluation.vut.detected, axis.time_s + rule.latency_s, np.inf)
+    # Cars that rely on the roadside detect nothing by themselves.
     blind_s = np.full(own_s.shape, np.inf)
     return Added(
         groups=tuple(group(*one) for one in groups),

@@ -122,6 +122,7 @@ def _for_cars(result: Result, subject: Evaluation) -> list[Card]:
         words.append(f"{units}.")
     words.append(_counted(avoided, axis))
     share = percent(weight_share(avoided, axis.weight))
+    # Both kinds of cars have a card of the same size: neither figure hides the other.
     cards = [Card(tr("Cars that rely on the roadside alone"), share, " ".join(words))]
     own = own_sensors(result)
     if not own:

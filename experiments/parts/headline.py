@@ -63,6 +63,7 @@ def _prevented(result: Result) -> Iterator[str]:
     """What the units prevent: for the cars asked about first, then for the others."""
     own = own_sensors(result)
     seeing = _with_own_sensors(result, own)
+    # The cars that were asked about come first.
     if result.cars == 1.0:
         yield _prevents(result, tr("For cars with {own}", own=own), "")
         yield seeing
@@ -95,6 +96,7 @@ def _prevents(result: Result, cars: str, units: str) -> str:
         "left": percent(result.evaluation.apr_without_worst_unit),
         "units": f": {units}" if units else "",
     }
+    # Nothing is left of a single unit; cars with their own camera still have that.
     if n_units == 1 and result.cars == 0.0:
         return tr(
             "{cars}, {mounted} prevents {share}, and none if this sensor fails.",
@@ -116,6 +118,7 @@ def _share_words(result: Result) -> str:
     share = result.evaluation.judged.all
     n_avoided = result.runs - result.dangers.not_avoided
     counted = {"n": n_avoided, "all": result.runs}
+    # With one unit that must confirm alone, no weighted share is defined.
     if result.fusion == "single":
         return tr("{n} of {all} simulated collisions", **counted)
     if 0.0 < result.cars < 1.0:
@@ -170,6 +173,7 @@ def _little_for_seeing(result: Result) -> Iterator[str]:
     """Units that add next to nothing for cars that see, and the question to ask."""
     units = result.added.units if result.added else ()
     little: list[AddedUnit] = []
+    # From the least useful unit on, as long as all together add next to nothing.
     for unit in reversed(units):
         if sum(one.gain for one in little) + unit.gain >= _LITTLE:
             break
@@ -199,6 +203,7 @@ def _given_up(result: Result) -> Iterator[str]:
         if is_best and is_proven(result):
             yield tr("In the planning model no other choice prevents more: proven.")
         return
+    # The evaluator may see no gain where the planning model does.
     other = highest.compared.evaluation
     if (other.judged.all or 0.0) <= (result.evaluation.judged.all or 0.0):
         return
@@ -219,6 +224,7 @@ def _keeps_more(result: Result) -> Iterator[str]:
     n_units = len(result.layout)
     found = result.evaluation
     best_name = ""
+    # Only a layout that keeps much more is worth a sentence, of those the best one.
     best_left = (found.apr_without_worst_unit or 0.0) + _LEAST_MORE
     best_apr = 0.0
     for name, n_others, apr, left in _others(result):

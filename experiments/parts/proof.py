@@ -63,6 +63,7 @@ def best_possible(result: PlacementResult) -> float | None:
     if all(stage.gap == 0.0 for stage in first):
         return 0.0
     better = []
+    # Units and money are no shares: `_least` says what is known of them.
     for stage in first:
         if not stage.name.startswith("apr") or stage.bound is None:
             return None

@@ -145,6 +145,7 @@ def describe_driven(setting: Setting) -> list[str]:
     if n_left > 0:
         gaps = [*gaps[:_MOST_GAPS], tr("{n} more below", n=n_left)]
     missing = "; ".join(gaps)
+    # Nothing that could be driven is missing; what the map rules out still is.
     if n_runs == n_possible:
         first = tr("All {n} runs that this junction allows are driven.", n=n_runs)
     else:

@@ -2,7 +2,7 @@
 
 from matplotlib.font_manager import FontProperties, fontManager
 
-from experiments.figures import labels
+from experiments.figures import fonts
 from experiments.figures.fonts import families_for
 from experiments.figures.labels import arm_names
 from geometry.maps.importing import ImportOptions, import_scene
@@ -41,10 +41,10 @@ def test_another_font_is_asked_beside_the_default_one(monkeypatch):
 
 
 def test_a_street_that_cannot_be_drawn_is_named_by_its_arm(tmp_path, monkeypatch):
-    scene = crossing("Mill Street", tmp_path)
+    scene = crossing("Mühlenstraße", tmp_path)
     middle = scene.outline_m.mean(axis=0)
     drawn = {label.text for label in arm_names(scene, middle, 60.0)}
-    assert "Mill Street (north)" in drawn
-    monkeypatch.setattr(labels, "families_for", lambda text: None)
+    assert "Mühlenstraße (north)" in drawn
+    monkeypatch.setattr(fonts, "families_for", lambda text: None)
     drawn = {label.text for label in arm_names(scene, middle, 60.0)}
     assert drawn == {"north arm", "east arm", "south arm", "west arm"}

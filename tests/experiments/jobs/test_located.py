@@ -50,7 +50,7 @@ def test_a_located_layout_gives_up_no_more_than_may_be_and_is_the_same_again(tmp
         assert one.avoided <= decided.detected + 1.0e-9
     assert build_part(first.decision).table.rows
     assert build_section(first.decision).blocks[-1].width_px > 0
-    assert load_result(tmp_path / "first" / "summary.json").located == first.located
+    assert load_result(tmp_path / "first").summary.located == first.located
 
 
 def test_nothing_is_said_where_nothing_was_asked():
