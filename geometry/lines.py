@@ -42,6 +42,14 @@ def unit(vector: FloatArray) -> FloatArray:
     return np.asarray(vector / max(float(np.hypot(*vector)), 1e-9))
 
 
+def cross(one: FloatArray, other: FloatArray) -> float:
+    """Third component of the cross product of two vectors (2,).
+
+    Positive where the other one points to the left of the first.
+    """
+    return float(one[0] * other[1] - one[1] * other[0])
+
+
 def true_runs(mask: BoolArray) -> IntArray:
     """Begins and ends of the runs of True in a mask, (k, 2)."""
     # Runs begin and end where neighbours differ, the mask's ends included.

@@ -19,7 +19,7 @@ from scenarios.decision import (
     overlap_probability,
     track,
 )
-from scenarios.runs import Run, build_frame_axis
+from scenarios.runs import FrameAxis, Run, build_frame_axis
 from scenarios.twins import MAIN_KINDS, build_twins
 
 from .compute import DEFAULT_COMPUTE, Compute, threads
@@ -298,26 +298,29 @@ def _decide(
     reserves_s = tuple(sorted({*RESERVES_S, rule.reserve_s}))
     aim_deg = aim_sd_deg(aimed)
     found = []
-    for reports in (in_runs, in_twins):
-        axis = reports.setting.axis
-        is_run = reports is in_runs
-        counts = np.ones(axis.n_frames, dtype=bool)
-        if is_run:
-            counts = frames_in_time(axis, latency_s=reports.aeb.latency_s)
-        drawn = DrawnReports(reports, aim_deg, longest_reserve_s=reserves_s[-1])
+    # Of a run only frames count after which braking still avoids.
+    axis = in_runs.setting.axis
+    in_time = frames_in_time(axis, latency_s=in_runs.aeb.latency_s)
+    every = np.ones(in_twins.setting.axis.n_frames, dtype=bool)
+    drawn_runs = DrawnReports(in_runs, aim_deg, longest_reserve_s=reserves_s[-1])
+    drawn_twins = DrawnReports(in_twins, aim_deg, longest_reserve_s=reserves_s[-1])
+    for stream, drawn, counts in (
+        ("runs", drawn_runs, in_time),
+        ("twins", drawn_twins, every),
+    ):
         with threads(compute.workers) as pool:
             worlds = [
                 pool.submit(
                     drawn.probability,
                     reserves_s,
                     world,
-                    stream="runs" if is_run else "twins",
+                    stream=stream,
                     seed=compute.seed,
                 )
                 for world in range(rule.draws)
             ]
             values = [
-                largest_of_runs(np.where(counts, one.result(), 0.0), axis)
+                largest_of_runs(np.where(counts, one.result(), 0.0), drawn.axis)
                 for one in worlds
             ]
         found.append(np.stack(values, axis=1))
@@ -326,7 +329,7 @@ def _decide(
         reserves_s=reserves_s,
         in_time=found[0],
         in_twins=found[1],
-        located_sd_m=located_runs_sd_m(in_runs, aim_deg),
+        located_sd_m=drawn_runs.located_sd_m(),
         weight=in_runs.setting.axis.weight,
         twin_weight=in_twins.setting.axis.weight,
         is_main=is_main,
@@ -385,6 +388,22 @@ class DrawnReports:
         )
         return overlap_probability(tracks, axis, self._ways, reserves_s, rule=rule)
 
+    @property
+    def axis(self) -> FrameAxis:
+        """Frames of the runs."""
+        return self._reports.setting.axis
+
+    def located_sd_m(self) -> FloatArray:
+        """How well each run's place of impact is known, (n_runs,), in m."""
+        reports = self._reports
+        return located_of_rows_sd_m(
+            reports.detected,
+            self._covariance,
+            reports.setting,
+            reports.aeb,
+            reports.rule,
+        )
+
     def _car_errors_m(self, rng: np.random.Generator) -> FloatArray:
         """Error of the car's own place, (n_frames, 2) in m, one in each run."""
         axis = self._reports.setting.axis
@@ -397,14 +416,6 @@ class DrawnReports:
         return np.column_stack([along * cos - across * sin, along * sin + across * cos])
 
 
-def located_runs_sd_m(reports: Reports, aim_deg: tuple[float, float]) -> FloatArray:
-    """How well each run's place of impact is known, (n_runs,), in m."""
-    covariance = np.stack([one.covariance_m2() for one in reports.errors(aim_deg)])
-    return located_of_rows_sd_m(
-        reports.detected, covariance, reports.setting, reports.aeb, reports.rule
-    )
-
-
 def located_of_rows_sd_m(
     detected: BoolArray,
     covariance_m2: FloatArray,
@@ -412,7 +423,10 @@ def located_of_rows_sd_m(
     aeb: AebRule,
     rule: DecisionRule,
 ) -> FloatArray:
-    """The same of detections and covariances of units, (n_units, n_frames, ..)."""
+    """How well each run's place of impact is known, (n_runs,), in m.
+
+    By detections and covariances of units, (n_units, n_frames, ..).
+    """
     axis = setting.axis
     nowhere = np.zeros((*detected.shape, 2))
     tracks = track(detected, nowhere, covariance_m2, axis, aeb=aeb, rule=rule)

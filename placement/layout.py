@@ -426,10 +426,11 @@ def at_sites(layout: Layout, scene: Scene | None) -> Layout:
         if site.surveyed_m is not None:
             names.append(site.id)
             places.append(site.surveyed_m)
+    place_m = np.array(places)
     units = []
     for unit in layout.units:
         if not unit.site_id:
-            away_m = np.hypot(*(np.array(places) - unit.pose.position_m[:2]).T)
+            away_m = np.hypot(*(place_m - unit.pose.position_m[:2]).T)
             nearest = int(away_m.argmin())
             if away_m[nearest] <= _AT_SITE_M:
                 unit = replace(unit, site_id=names[nearest])

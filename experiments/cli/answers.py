@@ -230,10 +230,7 @@ def _judged(
 
 def _decided(result: Result) -> list[Part]:
     """Who is located, and the decision to brake, where that was asked for."""
-    located: list[str] = []
-    if isinstance(result, PlacementResult):
-        located = decision.located_words(result.located)
-    return [_said(*located), decision.part(result.decision)]
+    return [_said(*answer.located(result)), decision.part(result.decision)]
 
 
 def _besides(result: PlacementResult | ComparisonResult) -> list[Part]:

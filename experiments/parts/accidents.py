@@ -22,7 +22,7 @@ from scenarios.runs import FrameAxis, Run
 from ..figures.axes import unit_labels
 from ..language import localized, mark, tr, trn
 from ..results.drives import describe_driven
-from ..results.numbers import capital, joined, number, percent
+from ..results.numbers import capital, number, percent, sensor_words
 from ..results.tables import HEADS_OF_GROUPS, GroupedBy, RunGroup, groups_by, margin_s
 from .section import Block, Box, Bullets, Section, Sketch, Subheading, Table
 
@@ -40,14 +40,7 @@ def is_weighted(axis: FrameAxis) -> bool:
 def count_sensors(layout: Layout) -> str:
     """'1 camera', '2 cameras and 1 LiDAR' and so on."""
     kinds = [sensor_kind(unit.sensor) for unit in layout.units]
-    n_cameras = kinds.count("camera")
-    n_lidars = kinds.count("lidar")
-    cameras = trn("{n} camera", "{n} cameras", n_cameras)
-    lidars = trn("{n} LiDAR", "{n} LiDARs", n_lidars)
-    found = [words for n, words in ((n_cameras, cameras), (n_lidars, lidars)) if n]
-    if found:
-        return joined(found)
-    return ""
+    return sensor_words(kinds.count("camera"), kinds.count("lidar"))
 
 
 def accidents_section(

@@ -50,13 +50,12 @@ def words(result: Result) -> list[str]:
     sentences: Sequence[str] = ()
     if isinstance(result, PlacementResult):
         further = next_unit_sentence(result.next_unit)
-        located = decision.located_words(result.located)
-        further_words = [one.removesuffix(".") for one in located]
-        sentences = (*further_words, further, proof.words(result))
+        sentences = (further, proof.words(result))
     elif isinstance(result, ComparisonResult):
         sentences = comparison.words(result.name, result.compared)
     return [
         *dangers.words(result.dangers, result.runs, cars=result.cars),
+        *located(result),
         *(f"{sentence}." for sentence in sentences if sentence),
         *doubts(result),
         *private_ground(result),
@@ -124,6 +123,13 @@ def preferred(result: Result) -> list[str]:
         found = preferred_sentences(result.preferred, chosen_in)
         found += recommended_sentences(result.front_runners, is_proven=is_proven)
     return found + (overtaken_sentences(result.sampled) if result.sampled else [])
+
+
+def located(result: Result) -> list[str]:
+    """How many runs a layout locates; nothing where that was not asked."""
+    if isinstance(result, PlacementResult):
+        return decision.located_words(result.located)
+    return []
 
 
 def doubts(result: Result) -> list[str]:

@@ -14,7 +14,7 @@ from placement.layout import Layout
 from placement.wishes import assumed_prices, load_prices
 
 from ..language import localized, mark, tr, trn
-from ..results.numbers import grouped, joined
+from ..results.numbers import grouped, joined, sensor_words
 from ..results.tables import records_csv
 from .section import Block, Bullets, Section, Table
 
@@ -111,15 +111,10 @@ def to_buy(bill: BillOfMaterials) -> str:
     counts = Counter[str]()
     for item in bill.sensors:
         counts[item.kind] += item.count
-    n_cameras = counts[_KINDS["camera"]]
-    n_lidars = counts[_KINDS["lidar"]]
+    sensors = sensor_words(counts[_KINDS["camera"]], counts[_KINDS["lidar"]])
     n_sites = sum(item.count for item in bill.sites)
-    cameras = trn("{n} camera", "{n} cameras", n_cameras)
-    lidars = trn("{n} LiDAR", "{n} LiDARs", n_lidars)
-    found = [words for n, words in ((n_cameras, cameras), (n_lidars, lidars)) if n]
-    if not found:
+    if not sensors:
         return tr("nothing")
-    sensors = joined(found)
     if not n_sites:
         return sensors
     return trn(

@@ -11,6 +11,7 @@ from ..language import mark, tr, trn
 from ..results.numbers import in_points, joined, layout_words, percent, points
 from ..results.record import EvaluationRecord
 from .added import AddedUnit
+from .proof import is_proven
 from .result import PlacementResult, Result
 
 _LITTLE = 0.01
@@ -48,15 +49,6 @@ def own_sensors(result: Result) -> str:
     if names not in _OWN:
         return ""
     return tr(_OWN[names])
-
-
-def is_proven(result: PlacementResult) -> bool:
-    """True if all that the answer begins with is proven.
-
-    That is the first objective, and the highest APR of which some may be given up.
-    """
-    first = [result.stages[0], *(result.highest.stages[:1] if result.highest else ())]
-    return all(stage.gap == 0.0 for stage in first)
 
 
 def _prevented(result: Result) -> Iterator[str]:

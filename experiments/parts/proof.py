@@ -57,18 +57,28 @@ def best_possible(result: PlacementResult) -> float | None:
     some APR may be given up for that. 0: proven best; None: no bound is known, or what
     was asked for is not a share.
     """
-    first = result.stages[:1]
-    if result.highest is not None:
-        first = (*result.highest.stages[:1], *first)
-    if all(stage.gap == 0.0 for stage in first):
+    if is_proven(result):
         return 0.0
     better = []
     # Units and money are no shares: `_least` says what is known of them.
-    for stage in first:
+    for stage in _first_stages(result):
         if not stage.name.startswith("apr") or stage.bound is None:
             return None
         better.append(stage.bound - stage.objective)
     return max([0.0, *better])
+
+
+def is_proven(result: PlacementResult) -> bool:
+    """True if all that an answer begins with is proven."""
+    return all(stage.gap == 0.0 for stage in _first_stages(result))
+
+
+def _first_stages(result: PlacementResult) -> list[StageRecord]:
+    """The highest APR, where some of it may be given up, and the first objective."""
+    stages = [result.stages[0]]
+    if result.highest is not None:
+        stages.insert(0, result.highest.stages[0])
+    return stages
 
 
 def _least(first: StageRecord) -> str:

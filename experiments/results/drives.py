@@ -140,6 +140,7 @@ def describe_driven(setting: Setting) -> list[str]:
         return limits
     n_runs = setting.axis.n_runs
     n_possible = _count_possible(setting)
+    reasons = _by_reason(setting)
     gaps = list(_gaps(setting))
     n_left = len(gaps) - _MOST_GAPS
     if n_left > 0:
@@ -154,19 +155,11 @@ def describe_driven(setting: Setting) -> list[str]:
             " {reason}.",
             n=n_runs,
             all=n_possible,
-            reason=_main_reason(setting),
+            reason=_reason_words(reasons[0][0]),
         )
     if missing:
         first = f"{first} {tr('Not driven: {gaps}.', gaps=missing)}"
-    return [first, *_reasons(setting), *limits]
-
-
-def _main_reason(setting: Setting) -> str:
-    """The reason for which most possible runs are not driven."""
-    possible = [one for one in lacking_room(setting) if one.is_possible]
-    groups = grouped((one.reason, len(one.speeds_kmh)) for one in possible)
-    reason = max(groups, key=lambda name: sum(groups[name]))
-    return tr(reason).removesuffix(".")
+    return [first, *_reasons(setting, reasons), *limits]
 
 
 def describe_limits(setting: Setting) -> list[str]:
@@ -188,7 +181,7 @@ def describe_limits(setting: Setting) -> list[str]:
             "limits, {where} (--speeds all drives them).",
             "Left out: {n} runs of the protocol faster than the map's speed "
             "limits, {where} (--speeds all drives them).",
-            sum(len(one.speeds_kmh) for one in found) * _n_weathers(setting),
+            _count_speeds(found) * _n_weathers(setting),
             where=joined(where),
         )
     ]
@@ -281,20 +274,33 @@ def _gaps(setting: Setting) -> Iterator[str]:
             yield tr("{case} from the {arms}", case=name, arms=arms)
 
 
-def _reasons(setting: Setting) -> Iterator[str]:
-    """A line per reason, those of most possible runs first.
+def _by_reason(setting: Setting) -> list[tuple[str, list[Refusal]]]:
+    """Refusals for want of roads or room by reason, those of most runs first.
 
     What is not possible comes last.
     """
     groups = grouped((one.reason, one) for one in lacking_room(setting))
-
-    def count(group: Sequence[Refusal]) -> int:
-        return sum(len(one.speeds_kmh) for one in group) * _n_weathers(setting)
-
-    ranked = sorted(
-        groups.items(), key=lambda item: (not item[1][0].is_possible, -count(item[1]))
+    return sorted(
+        groups.items(),
+        key=lambda item: (not item[1][0].is_possible, -_count_speeds(item[1])),
     )
-    for reason, group in ranked:
+
+
+def _count_speeds(group: Sequence[Refusal]) -> int:
+    """Runs that some refusals take away in each weather."""
+    return sum(len(one.speeds_kmh) for one in group)
+
+
+def _reason_words(reason: str) -> str:
+    """A reason within a sentence."""
+    return tr(reason).removesuffix(".")
+
+
+def _reasons(
+    setting: Setting, reasons: Sequence[tuple[str, Sequence[Refusal]]]
+) -> Iterator[str]:
+    """A line per reason, in their order."""
+    for reason, group in reasons:
         places = grouped((one.case.name, (one.approach, one.position)) for one in group)
         cases = grouped(
             (describe_places(grouped(where)), name) for name, where in places.items()
@@ -304,8 +310,8 @@ def _reasons(setting: Setting) -> Iterator[str]:
             for found, names in cases.items()
         ]
         values = {
-            "runs": count_runs(count(group)),
-            "reason": tr(reason).removesuffix("."),
+            "runs": count_runs(_count_speeds(group) * _n_weathers(setting)),
+            "reason": _reason_words(reason),
             "where": "; ".join(where),
         }
         if group[0].is_possible:

@@ -126,6 +126,16 @@ def count_runs(n_runs: int) -> str:
     return trn("{n} run", "{n} runs", n_runs)
 
 
+def sensor_words(n_cameras: int, n_lidars: int) -> str:
+    """'1 camera', '2 cameras and 1 LiDAR' and so on; empty for none."""
+    cameras = trn("{n} camera", "{n} cameras", n_cameras)
+    lidars = trn("{n} LiDAR", "{n} LiDARs", n_lidars)
+    found = [words for n, words in ((n_cameras, cameras), (n_lidars, lidars)) if n]
+    if found:
+        return joined(found)
+    return ""
+
+
 def grouped(pairs: Iterable[tuple[_K, _V]]) -> dict[_K, list[_V]]:
     """Values by their keys, both in the order in which they come.
 

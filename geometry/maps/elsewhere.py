@@ -1,6 +1,7 @@
 """Refusal of files whose content all lies somewhere else than the map's roads."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +24,7 @@ def check_maps_lie_here(sources: Sequence[SourceMap]) -> None:
     sources : sequence of SourceMap
         Maps; at least one has lanes.
     """
-    roads = [source for source in sources if source.lanes]
+    roads = [_road_extent(source) for source in sources if source.lanes]
     for source in sources:
         if source.lanes:
             continue
@@ -42,8 +43,25 @@ def check_maps_lie_here(sources: Sequence[SourceMap]) -> None:
                 _check_points(points_m, source, roads, what)
 
 
+class _RoadExtent(NamedTuple):
+    """Where the roads of a map lie: the middle, how far they reach, and in what."""
+
+    middle_m: FloatArray
+    reach_m: float
+    crs: str
+
+
+def _road_extent(source: SourceMap) -> _RoadExtent:
+    """Extent of the lanes of a map that has some."""
+    lines_m = np.concatenate([lane.centreline_m[:, :2] for lane in source.lanes])
+    low_m = lines_m.min(axis=0)
+    high_m = lines_m.max(axis=0)
+    reach_m = 0.5 * float(np.hypot(*(high_m - low_m)))
+    return _RoadExtent(0.5 * (low_m + high_m), reach_m, source.crs)
+
+
 def _check_points(
-    points_m: FloatArray, source: SourceMap, roads: Sequence[SourceMap], what: str
+    points_m: FloatArray, source: SourceMap, roads: Sequence[_RoadExtent], what: str
 ) -> None:
     """Raise InputError if points of a map all lie more than 20 km from all roads.
 
@@ -53,8 +71,8 @@ def _check_points(
         At least one point. [m]
     source : SourceMap
         Their map.
-    roads : sequence of SourceMap
-        Maps with lanes.
+    roads : sequence of _RoadExtent
+        Where roads lie.
     what : str
         The points, in words.
     """
@@ -79,7 +97,7 @@ def _check_points(
     refuse(source.name, f"{what} lie {far}: {hint}", expected)
 
 
-def _away_m(points: FloatArray, crs: str, roads: SourceMap) -> float:
+def _away_m(points: FloatArray, crs: str, roads: _RoadExtent) -> float:
     """Distance of the nearest point from the middle of some roads, less their reach.
 
     Parameters
@@ -88,8 +106,8 @@ def _away_m(points: FloatArray, crs: str, roads: SourceMap) -> float:
         In metres or degrees, as `crs` has them.
     crs : str
         Their reference system; empty: that of the roads.
-    roads : SourceMap
-        Map with lanes.
+    roads : _RoadExtent
+        Where they lie.
 
     Returns
     -------
@@ -98,22 +116,17 @@ def _away_m(points: FloatArray, crs: str, roads: SourceMap) -> float:
     """
     from pyproj import Geod
 
-    lines_m = np.concatenate([lane.centreline_m[:, :2] for lane in roads.lanes])
-    low_m = lines_m.min(axis=0)
-    high_m = lines_m.max(axis=0)
-    middle_m = 0.5 * (low_m + high_m)
-    reach_m = 0.5 * float(np.hypot(*(high_m - low_m)))
     if not roads.crs:
         # Where one has a place on earth and the other has not, others say so.
         if crs:
             return 0.0
-        return float(np.hypot(*(points - middle_m).T).min()) - reach_m
+        return float(np.hypot(*(points - roads.middle_m).T).min()) - roads.reach_m
     lon_lat = transform(points, crs or roads.crs, WGS84)
     is_there = np.isfinite(lon_lat).all(axis=1) & (np.abs(lon_lat[:, 1]) <= 90.0)
     if not is_there.any():
         return float("inf")
     lon_lat = lon_lat[is_there]
-    here_deg = transform(middle_m[None], roads.crs, WGS84)
+    here_deg = transform(roads.middle_m[None], roads.crs, WGS84)
     here = np.broadcast_to(here_deg, lon_lat.shape)
     _, _, distances_m = Geod(ellps="WGS84").inv(*lon_lat.T, *here.T)
-    return float(np.min(distances_m)) - reach_m
+    return float(np.min(distances_m)) - roads.reach_m

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, Unquoted
 from ..frames import WGS84, transform
-from ..lines import along_m, apart, length_m, points_at
+from ..lines import along_m, apart, cross, length_m, points_at
 from ..notes import Note
 from ..phrases import Phrase
 from ..text_formats import float_of, load_data
@@ -494,7 +494,7 @@ def _keeps_left(roads: Sequence[Lanelet]) -> bool | None:
     votes = 0
     for one, other in cKDTree(middle_m).query_pairs(_BESIDE_M):
         apart_m = middle_m[other] - middle_m[one]
-        aside_m = _cross(ahead[one], apart_m)
+        aside_m = cross(ahead[one], apart_m)
         is_beside = abs(apart_m @ ahead[one]) < abs(aside_m)
         if is_beside and ahead[one] @ ahead[other] < _AGAINST:
             # Traffic keeps left if the other direction lies on the right.
@@ -505,11 +505,6 @@ def _keeps_left(roads: Sequence[Lanelet]) -> bool | None:
     if votes:
         return votes > 0
     return None
-
-
-def _cross(one: FloatArray, other: FloatArray) -> float:
-    """Third component of the cross product of two vectors (2,)."""
-    return float(one[0] * other[1] - one[1] * other[0])
 
 
 def _source_map(

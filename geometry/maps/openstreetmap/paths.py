@@ -5,6 +5,7 @@ trams and trains.
 """
 
 from collections.abc import Iterator
+from functools import partial
 
 from ..source_map import MapPath
 from .elements import DEFAULTS, Elements, Tags, Way, numbered, tagged_length_m
@@ -38,12 +39,10 @@ def find_paths(elements: Elements) -> Iterator[MapPath]:
     for way in elements.ways:
         usual_m = _usual_width_m(way.tags)
         is_square = way.tags.get("area") == "yes"
-        if usual_m is None or not is_path(way) or is_square or level(way.tags):
+        is_left_out = is_for_cars(way.tags) or is_square or level(way.tags)
+        if usual_m is None or is_left_out:
             continue
-
-        def note(why: str, way_id: int = way.id) -> None:
-            elements.omissions.add("ways", f"way {way_id}", why)
-
+        note = partial(elements.omissions.add, "ways", f"way {way.id}")
         width_m = tagged_length_m(way.tags, _WIDTH_KEYS, _WIDTHS_M, note)
         if width_m is None:
             width_m = usual_m

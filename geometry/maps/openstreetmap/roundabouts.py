@@ -16,7 +16,7 @@ import numpy as np
 import shapely
 
 from ...arrays import FloatArray
-from ...lines import along_m, apart, length_m, points_at, unit
+from ...lines import along_m, apart, cross, length_m, points_at, unit
 from ...scene import area_of, paved_area
 from ..source_map import MapJunction, MapLane, polygons_of
 from .elements import DEFAULTS
@@ -344,7 +344,7 @@ def _route(
     """
     if one.row == other.row:
         ahead = -one.arm.direction
-        aside = _cross(ahead, other.arm.direction)
+        aside = cross(ahead, other.arm.direction)
         if (aside > 0.0) == keeps_left:
             return []
     on_ring = {one.begin for one in stretches if one.is_ring}
@@ -558,8 +558,7 @@ def _opened(ring_m: FloatArray, begin_m: float, end_m: float) -> FloatArray:
 
 def _met_m(ring_m: FloatArray, point_m: FloatArray) -> float:
     """Station of a ring that is nearest to a point, in metres."""
-    line = shapely.LineString(ring_m)
-    return float(shapely.line_locate_point(line, shapely.Point(point_m)))
+    return _station_m(shapely.LineString(ring_m), point_m)
 
 
 def _joined(leg_in: _Leg, leg_out: _Leg, name: str) -> FloatArray:
@@ -639,7 +638,7 @@ def _corner(
     ways = [
         _way_at(line, at) for line, at in zip((before, after), meets_m, strict=True)
     ]
-    turn = float(np.arctan2(_cross(*ways), ways[0] @ ways[1]))
+    turn = float(np.arctan2(cross(*ways), ways[0] @ ways[1]))
     if abs(turn) < np.radians(_STRAIGHT_ON_DEG):
         return _Corner(meets_m[0], meets_m[1] - _AHEAD_M, place[None])
     least_m = DEFAULTS["roundabout"]["least_radius_m"]
@@ -664,11 +663,6 @@ def _corner(
         radius_m *= _TIGHTER
     why = f"a roundabout whose way {name} is tighter than {least_m:g} m"
     raise RingError(why)
-
-
-def _cross(one: FloatArray, other: FloatArray) -> float:
-    """Third component of the cross product of two vectors (2,)."""
-    return float(one[0] * other[1] - one[1] * other[0])
 
 
 def _station_m(line: Any, point_m: FloatArray) -> float:
