@@ -25,7 +25,15 @@ from ...lines import unit
 from ...scene import LeadingRoad, area_of
 from ..source_map import MapJunction, polygons_of
 from .elements import DEFAULTS, Elements, Tags
-from .network import Edge, End, Network, Street, axis_points, surface, trace_streets
+from .network import (
+    Edge,
+    End,
+    Network,
+    Street,
+    carriageway_points,
+    surface,
+    trace_streets,
+)
 from .rings import roundabout_surface
 
 _STEP_M = 0.5
@@ -77,13 +85,13 @@ class StreetArm:
     def direction(self) -> FloatArray:
         """Unit vector away from the junction where the arm begins, (2,)."""
         begin_m = min(self.mouth_m, max(self.street.length_m - 5.0, 0.0))
-        (near, far), _ = axis_points(self.street, [begin_m, begin_m + 10.0])
+        (near, far), _ = carriageway_points(self.street, [begin_m, begin_m + 10.0])
         return unit(far - near)
 
     @property
     def mouth_point_m(self) -> FloatArray:
         """Where the street crosses the outline, (2,)."""
-        (point,), _ = axis_points(self.street, [self.mouth_m])
+        (point,), _ = carriageway_points(self.street, [self.mouth_m])
         return np.asarray(point)
 
     @property
@@ -193,7 +201,7 @@ def _corner_end_m(street: Street, ring: BaseGeometry, arm: BaseGeometry) -> floa
     limit_m = DEFAULTS["junction"]["max_mouth_m"]
     stations = np.arange(0.0, limit_m, _STEP_M)
     half_m = np.array([0.5 * street.section_at(one).width_m for one in stations])
-    middle, across = axis_points(street, stations)
+    middle, across = carriageway_points(street, stations)
     is_rounded = np.zeros(len(stations), dtype=bool)
     for sign in (1.0, -1.0):
         beside = middle + sign * (half_m + _BESIDE_KERB_M)[:, None] * across
@@ -253,7 +261,7 @@ def _clear_from_m(street: Street, others: BaseGeometry) -> float:
     half = np.array([0.5 * street.section_at(one).width_m for one in stations])
     # Neighbours may touch.
     half -= 0.05
-    middle, across = axis_points(street, stations)
+    middle, across = carriageway_points(street, stations)
     ends = [middle + sign * half[:, None] * across for sign in (1.0, -1.0)]
     shapely.prepare(others)
     is_touching = shapely.intersects(

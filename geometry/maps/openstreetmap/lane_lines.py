@@ -63,8 +63,10 @@ class _Part(NamedTuple):
         Strip of the cross-section that the lane follows.
     span_m : (float, float)
         Begin and end of the part along the street. [m]
+    own_left_m : (float, float)
+        The middle of the strip at both ends, to the left of the street. [m]
     ends_left_m : (float, float)
-        The lane's middle at both ends, to the left of the street. [m]
+        The lane's middle there, where it meets what lies beyond. [m]
     level : int
         Layer of the edge; 0: on the ground.
     limit_kmh : float or None
@@ -79,6 +81,7 @@ class _Part(NamedTuple):
 
     strip: Strip
     span_m: tuple[float, float]
+    own_left_m: tuple[float, float]
     ends_left_m: tuple[float, float]
     level: int
     limit_kmh: float | None
@@ -249,16 +252,19 @@ def _branch(
     is_forward = lies_ahead == is_away
     beyond_m = station_m + _JUST_BEYOND_M
     behind_m = station_m - _JUST_BEYOND_M
-    near_section = road.section_at(beyond_m if lies_ahead else behind_m)
-    far_section = road.section_at(behind_m if lies_ahead else beyond_m)
-    strips = near_section.lanes(is_forward=is_forward)
-    others = far_section.lanes(is_forward=is_forward)
+    near_at_m = behind_m
+    far_at_m = beyond_m
+    if lies_ahead:
+        near_at_m = beyond_m
+        far_at_m = behind_m
+    strips = road.lanes_at(near_at_m, is_forward=is_forward)
+    others = road.lanes_at(far_at_m, is_forward=is_forward)
     if not strips or not others:
         return None
     side = float(np.sign(along[0] * way[1] - along[1] * way[0]))
     lefts = [strip.left_m for strip in strips]
     is_at_kerb = side * lefts[0] >= side * lefts[-1]
-    is_oneway = len(near_section.directions) == 1
+    is_oneway = len(road.section_at(near_at_m).directions) == 1
     if not is_at_kerb and not is_oneway:
         # Between the directions of a road there is no room for it.
         return None
@@ -385,19 +391,24 @@ def _street_lanes(
         edge, is_along = street.parts[index]
         section = street.sections[index]
         is_two_way = len(section.directions) > 1
+        low_m, high_m = spans[index]
         before: tuple[Strip, ...] = ()
         if at:
-            before = street.sections[parts[at - 1]].strips
+            before = street.strips_at(parts[at - 1], low_m)
         after: tuple[Strip, ...] = ()
         if at + 1 < len(parts):
-            after = street.sections[parts[at + 1]].strips
+            after = street.strips_at(parts[at + 1], high_m)
+        at_low = street.strips_at(index, low_m)
+        at_high = street.strips_at(index, high_m)
         # One part of a lane for each strip across this part of the street.
         following: dict[tuple[str, str, int], _Piece] = {}
-        for strip in section.strips:
+        for strip, strip_low, strip_high in zip(
+            section.strips, at_low, at_high, strict=True
+        ):
             n_begin = dropped.get((at_reach, index, strip.is_forward), 0)
             n_end = dropped.get((at_reach, index + 1, strip.is_forward), 0)
-            begin_m, is_continued = _at_break(strip, section.strips, before, n_begin)
-            end_m, _ = _at_break(strip, section.strips, after, n_end)
+            begin_m, is_continued = _at_break(strip_low, at_low, before, n_begin)
+            end_m, _ = _at_break(strip_high, at_high, after, n_end)
             key = strip.kind, strip.place, strip.number
             limit_kmh = speed_limit_kmh(
                 edge.tags,
@@ -406,6 +417,7 @@ def _street_lanes(
             part = _Part(
                 strip=strip,
                 span_m=spans[index],
+                own_left_m=(strip_low.left_m, strip_high.left_m),
                 ends_left_m=(begin_m, end_m),
                 level=edge.level,
                 limit_kmh=limit_kmh,
@@ -578,14 +590,16 @@ def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
     for part in parts:
         low, high = part.span_m
         begin_left, end_left = part.ends_left_m
-        own_left = part.strip.left_m
+        low_left, high_left = part.own_left_m
         half = 0.5 * (high - low)
-        first = min(max(taper * abs(begin_left - own_left), 1.0), half)
-        last = min(max(taper * abs(end_left - own_left), 1.0), half)
+        first = min(max(taper * abs(begin_left - low_left), 1.0), half)
+        last = min(max(taper * abs(end_left - high_left), 1.0), half)
+        # Between the tapers the lane may shift along the whole part.
+        shift = (high_left - low_left) / max(high - low, 1e-9)
         points_of_lefts += [
             (low, begin_left),
-            (low + first, own_left),
-            (high - last, own_left),
+            (low + first, low_left + first * shift),
+            (high - last, high_left - last * shift),
             (high, end_left),
         ]
     stations, lefts = zip(*points_of_lefts, strict=True)

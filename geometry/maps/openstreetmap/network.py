@@ -44,6 +44,7 @@ from .lane_counts import (
     is_oneway,
     runs_backward,
 )
+from .placement import carriageway_left_m
 
 # Kind, width [m], whether it runs as the way does.
 Part = tuple[str, float, bool]
@@ -218,19 +219,24 @@ class Strip:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossSection:
-    """Strips side by side along a way in the middle of the carriageway.
+    """Strips side by side along a way.
 
     Attributes
     ----------
     strips : tuple of Strip
-        From left to right.
+        From left to right; `left_m` of each is to the left of the carriageway's
+        middle.
     width_m : float
         From kerb to kerb, with parked cars and cycle lanes on the carriageway.
         [m]
+    begin_left_m, end_left_m : float
+        The carriageway's middle at both ends, to the left of the way. [m]
     """
 
     strips: tuple[Strip, ...]
     width_m: float
+    begin_left_m: float = 0.0
+    end_left_m: float = 0.0
 
     def lanes(self, *, is_forward: bool) -> tuple[Strip, ...]:
         """Driving lanes of one direction, from the kerb to the axis."""
@@ -260,10 +266,22 @@ class CrossSection:
             )
 
         strips = [turned(strip) for strip in self.strips[::-1]]
-        return replace(self, strips=tuple(strips))
+        return replace(
+            self,
+            strips=tuple(strips),
+            begin_left_m=-self.end_left_m,
+            end_left_m=-self.begin_left_m,
+        )
 
 
-def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> CrossSection:
+# Middle of the carriageway to the left of a way at its begin and end [m]; None: as
+# the road that it continues there has it.
+_Ends = tuple[float | None, float | None]
+
+
+def build_cross_section(
+    tags: Tags, note: TagNote, *, keeps_left: bool
+) -> tuple[CrossSection, _Ends]:
     """Cross-section of a road from its tags; senseless ones are noted.
 
     A one-way road must have its tags turned so that cars drive along its nodes.
@@ -281,6 +299,9 @@ def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> Cross
     -------
     section : CrossSection
         Strips from left to right.
+    ends_left_m : (float or None, float or None)
+        The carriageway's middle at the begin and end of the whole way, to the left of
+        it; None: as the road that it continues there has it. [m]
     """
     left = roadside_strips(tags, note, side="left", keeps_left=keeps_left)
     right = roadside_strips(tags, note, side="right", keeps_left=keeps_left)
@@ -321,7 +342,8 @@ def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> Cross
         keeps_left=keeps_left,
     )
     strips.sort(key=lambda strip: -strip.left_m)
-    return CrossSection(strips=tuple(strips), width_m=carriageway_m)
+    ends_left_m = carriageway_left_m(tags, driving, left_m, note)
+    return CrossSection(strips=tuple(strips), width_m=carriageway_m), ends_left_m
 
 
 def _driving_strips(
@@ -746,6 +768,14 @@ class Edge:
         """Its layer; 0: on the ground."""
         return level(self.tags)
 
+    @property
+    def middle_m(self) -> FloatArray:
+        """Middle of its carriageway beside each node, (n, 2) in m."""
+        if self.section.begin_left_m == self.section.end_left_m == 0.0:
+            return self.points_m
+        street = Street(parts=((self, True),))
+        return carriageway_points(street, street.stations_m)[0]
+
 
 def level(tags: Tags) -> int:
     """Layer of a way; 0: on the ground.
@@ -859,6 +889,8 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
         # Edges end where ways do.
         np.add.at(n_uses, rows[[0, -1]], 2)
     edges: list[Edge] = []
+    # Edges of each way, and its carriageway's middle where that is not the way.
+    placed: list[tuple[range, _Ends]] = []
     for way, found in runs:
         if not found:
             continue
@@ -868,7 +900,7 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
             tags = reversed_tags(tags) | {"oneway": "yes", "oneway:turned": "yes"}
             step = -1
         note = partial(elements.omissions.add, "ways", f"way {way.id}")
-        section = build_cross_section(tags, note, keeps_left=keeps_left)
+        section, ends_left_m = build_cross_section(tags, note, keeps_left=keeps_left)
         parts = []
         for run in found:
             rows = run[::step]
@@ -885,7 +917,83 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
             )
             for number, rows in enumerate(parts)
         ]
+        if ends_left_m != (0.0, 0.0):
+            own = range(len(edges) - len(parts), len(edges))
+            placed.append((own, ends_left_m))
+    network = network_of(edges, elements, keeps_left=keeps_left)
+    if not placed:
+        return network
+    edges = _place_edges(network, placed)
     return network_of(edges, elements, keeps_left=keeps_left)
+
+
+def _place_edges(network: Network, placed: Sequence[tuple[range, _Ends]]) -> list[Edge]:
+    """Edges of a network, with the middles of their carriageways beside the ways.
+
+    Along a way the middle goes straight from one end's place to the other's.
+
+    Parameters
+    ----------
+    network : Network
+        Its edges lie in the middle of the carriageway.
+    placed : sequence of (range, _Ends)
+        Edges of a way, and the carriageway's middle at the way's ends.
+    """
+    edges = list(network.edges)
+
+    def put(own: range, begin_m: float, end_m: float) -> None:
+        lengths_m = [steps_m(edges[at].points_m).sum() for at in own]
+        stations_m = np.append(0.0, np.cumsum(lengths_m))
+        lefts_m = np.interp(stations_m, [0.0, stations_m[-1]], [begin_m, end_m])
+        for at, (begin, end) in zip(own, pairwise(lefts_m.tolist()), strict=True):
+            section = replace(edges[at].section, begin_left_m=begin, end_left_m=end)
+            edges[at] = replace(edges[at], section=section)
+
+    # Ways without a place of their own come last: they take that of others.
+    for own, (begin_m, end_m) in placed:
+        if begin_m is not None and end_m is not None:
+            put(own, begin_m, end_m)
+    for own, (begin_m, end_m) in placed:
+        if begin_m is None:
+            begin_m = _continued_left_m(network, edges, (own[0], True))
+        if end_m is None:
+            end_m = _continued_left_m(network, edges, (own[-1], False))
+        put(own, begin_m, end_m)
+    return edges
+
+
+def _continued_left_m(network: Network, edges: Sequence[Edge], tip: End) -> float:
+    """Carriageway's middle of the road that an edge continues, left of that edge.
+
+    Parameters
+    ----------
+    network : Network
+        Which edges meet.
+    edges : sequence of Edge
+        The same edges, with the places of their carriageways.
+    tip : End
+        End of the edge.
+
+    Returns
+    -------
+    left_m : float
+        0 where it continues none. [m]
+    """
+    index, is_start = tip
+    row = int(edges[index].rows[0 if is_start else -1])
+    for pair in pair_ends(network, network.ends[row]):
+        if tip not in pair:
+            continue
+        other = pair[1 - pair.index(tip)]
+        section = edges[other[0]].section
+        left_m = section.end_left_m
+        if other[1]:
+            left_m = section.begin_left_m
+        # Two that both begin here, or both end, run against each other.
+        if other[1] == is_start:
+            return -left_m
+        return left_m
+    return 0.0
 
 
 def network_of(
@@ -1028,6 +1136,45 @@ class Street:
         """Cross-section at a distance along the street."""
         return self.sections[self.part_at(station_m)]
 
+    def left_m(self, part: int, stations_m: ArrayLike) -> FloatArray:
+        """Middle of a part's carriageway to the left of the street, in metres.
+
+        Parameters
+        ----------
+        part : int
+            Index of the part.
+        stations_m : (n,) float
+            Along the street; before the part it is as at its begin, behind it as at
+            its end. [m]
+        """
+        section = self.sections[part]
+        lefts_m = [section.begin_left_m, section.end_left_m]
+        stations = np.asarray(stations_m, dtype=np.float64)
+        return np.interp(stations, self.breaks_m[part : part + 2], lefts_m)
+
+    def strips_at(self, part: int, station_m: float) -> tuple[Strip, ...]:
+        """Strips of a part; `left_m` of each is to the left of the street here."""
+        strips = self.sections[part].strips
+        left_m = float(self.left_m(part, station_m))
+        if left_m == 0.0:
+            return strips
+        return tuple(replace(strip, left_m=strip.left_m + left_m) for strip in strips)
+
+    def lanes_at(self, station_m: float, *, is_forward: bool) -> tuple[Strip, ...]:
+        """Driving lanes of one direction here, from the kerb, as `strips_at` has them.
+
+        Parameters
+        ----------
+        station_m : float
+            Distance along the street. [m]
+        is_forward : bool
+            Those along the street.
+        """
+        part = self.part_at(station_m)
+        strips = self.strips_at(part, station_m)
+        section = replace(self.sections[part], strips=strips)
+        return section.lanes(is_forward=is_forward)
+
 
 def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street]:
     """Streets along the roads; every edge is part of exactly one.
@@ -1161,6 +1308,21 @@ def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, Floa
     return middle, across
 
 
+def carriageway_points(
+    street: Street, stations_m: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Points in the middle of a street's carriageway, and the step to the left.
+
+    As `axis_points`, which are those of the way.
+    """
+    middle, across = axis_points(street, stations_m)
+    if not any(one.begin_left_m or one.end_left_m for one in street.sections):
+        return middle, across
+    stations = np.asarray(stations_m, dtype=np.float64)
+    lefts_m = [float(street.left_m(street.part_at(one), one)) for one in stations]
+    return middle + np.array(lefts_m)[:, None] * across, across
+
+
 def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
     """Points of a line beside a street that run as the street does.
 
@@ -1249,7 +1411,10 @@ def surface(street: Street, begin_m: float, end_m: float) -> BaseGeometry:
         high = min(end_m, float(street.breaks_m[index + 1]))
         if high - low < 1e-3:
             continue
-        middle, across = axis_points(street, stations_between(street, low, high))
+        stations = stations_between(street, low, high)
+        middle, across = axis_points(street, stations)
+        if section.begin_left_m or section.end_left_m:
+            middle = middle + street.left_m(index, stations)[:, None] * across
         edges = [middle + sign * 0.5 * section.width_m * across for sign in (1.0, -1.0)]
         edges = [edge[has_no_knot(edge, middle)] for edge in edges]
         pieces.append(make_valid(Polygon(np.concatenate([edges[0], edges[1][::-1]]))))

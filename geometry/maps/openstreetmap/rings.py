@@ -264,7 +264,7 @@ def open_mini_roundabouts(network: Network) -> Network:
             edges[index] = _cut_edge(edges[index], radius_m, at, new, is_start=is_start)
         places.sort(reverse=network.keeps_left)
         tags = _ring_tags([edges[index].tags for index, _ in roads])
-        section = build_cross_section(tags, _no_note, keeps_left=network.keeps_left)
+        section, _ = build_cross_section(tags, _no_note, keeps_left=network.keeps_left)
         order = [new for _, new in places]
         for number, pair in enumerate(pairwise([*order, order[0]])):
             edge = Edge(

@@ -260,9 +260,8 @@ def _mouths(ring: Ring, lanes: Sequence[MapLane], *, keeps_left: bool) -> list[_
 
 def _places(arm: StreetArm, *, is_in: bool) -> Iterator[tuple[int, FloatArray]]:
     """Number from the kerb and middle (2,) of each lane at an arm's mouth."""
-    section = arm.street.section_at(arm.mouth_m)
     (middle,), (across,) = axis_points(arm.street, [arm.mouth_m])
-    for strip in section.lanes(is_forward=not is_in):
+    for strip in arm.street.lanes_at(arm.mouth_m, is_forward=not is_in):
         yield strip.number, middle + strip.left_m * across
 
 
@@ -468,7 +467,8 @@ def _leg(
             for beside in (index - 1, index + 1)
         )
         stations += [low + before_m, high - after_m]
-        lefts += [strip.left_m, strip.left_m]
+        for at_m in stations[-2:]:
+            lefts.append(strip.left_m + float(street.left_m(index, at_m)))
         radius_m = DEFAULTS["roundabout"]["corner_m"] + _from_kerb_m(
             section.width_m, strip, keeps_left=keeps_left
         )

@@ -41,7 +41,7 @@ from .elements import (
     tagged_length_m,
 )
 from .junctions import Reach
-from .network import Edge, Network, axis_points, known_runs, level, lines_of
+from .network import Edge, Network, carriageway_points, known_runs, level, lines_of
 from .paths import is_path
 
 # ---------- walls and hedges
@@ -386,7 +386,7 @@ def _at_kerbs(
             if is_forward == keeps_left:
                 sign = 1.0
             beside_m = 0.5 * section.width_m + DEFAULTS["pole"]["beyond_kerb_m"]
-            (middle,), (across,) = axis_points(reach.street, [at_m])
+            (middle,), (across,) = carriageway_points(reach.street, [at_m])
             foot = middle + sign * beside_m * across
             if all(np.hypot(*(foot - other)) > 1.0 for other in feet):
                 feet.append(foot)
@@ -538,7 +538,7 @@ def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]
     # The carriageways in the order in which the footway crosses them.
     crossed: list[tuple[LineString, BaseGeometry]] = []
     for edge in edges:
-        axis = LineString(edge.points_m)
+        axis = LineString(edge.middle_m)
         surface = axis.buffer(0.5 * edge.section.width_m, cap_style="flat")
         for part in _parts_over(walk, edge, surface):
             crossed.append((part, surface))
@@ -577,7 +577,7 @@ def _parts_over(
     part : LineString
         In the direction of the footway.
     """
-    axis = LineString(edge.points_m)
+    axis = LineString(edge.middle_m)
     on_road = shapely.line_merge(shapely.intersection(walk, carriageway))
     for part in shapely.get_parts(on_road):
         if not isinstance(part, LineString) or part.length <= _LEAST_M:
@@ -684,7 +684,7 @@ def _across(
         along = unit(along)
     half_m = 0.5 * edge.section.width_m + beyond_m
     left = np.array([-along[1], along[0]])
-    return np.asarray(points[at] + half_m * np.stack([-left, left]))
+    return np.asarray(edge.middle_m[at] + half_m * np.stack([-left, left]))
 
 
 # ---------- buildings, from the ground or above those who pass below
@@ -1008,7 +1008,7 @@ class _Passages:
         for edge in network.edges:
             if edge.level == 0:
                 self._add(
-                    edge.points_m,
+                    edge.middle_m,
                     edge.section.width_m,
                     edge.tags,
                     usual["clear_height_m"],
@@ -1124,7 +1124,7 @@ def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
             else:
                 yield from _deck(
                     edge.id,
-                    edge.points_m,
+                    edge.middle_m,
                     edge.section.width_m,
                     edge.level,
                 )
