@@ -31,7 +31,7 @@ let scene = null, state = null, numbers = null, proposals = [], selected, offere
 let mounting = null; // how many sensors there were when one more was asked for
 let isConnected = false, timer = 0, coverage = null, savedRevision = 0;
 
-const line = openLine({ onMessage: read, onState: connected, onSilence: silent });
+const line = openLine({ onMessage: receive, onState: connected, onSilence: silent });
 const map = createMap(find("plan"), {
   site: chooseSite,
   unit: chooseUnit,
@@ -80,6 +80,23 @@ window.addEventListener("beforeunload", (event) => {
 
 // ---------- messages of the session
 
+// Messages redraw lists, and a button that is replaced while it is pressed is never clicked: they wait for its release.
+let isPressed = false, waiting = [];
+document.addEventListener("pointerdown", (event) => { isPressed = event.target.closest("button") !== null; }, true);
+const release = () => setTimeout(() => { // after the click, which follows the release at once
+  const late = waiting;
+  isPressed = false;
+  waiting = [];
+  late.forEach(read);
+});
+for (const end of ["pointerup", "pointercancel"]) document.addEventListener(end, release, true);
+window.addEventListener("blur", release);
+
+function receive(message) {
+  if (isPressed) waiting.push(message);
+  else read(message);
+}
+
 function read(message) {
   const readers = {
     scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals, view: readView,
@@ -113,6 +130,13 @@ function notice(text) {
   find("notice").hidden = !text;
   clearTimeout(noticeTimer);
   if (text) noticeTimer = setTimeout(() => notice(""), 15000);
+}
+
+// New items of a list; the button that has the focus keeps it, by its data-key.
+function redraw(list, items) {
+  const focused = list.contains(document.activeElement) ? document.activeElement.dataset.key : undefined;
+  list.replaceChildren(...items);
+  if (focused !== undefined) list.querySelector(`[data-key="${CSS.escape(focused)}"]`)?.focus();
 }
 
 function options(select, values, chosen) {
@@ -337,7 +361,6 @@ function showCost() {
 
 // ---------- mounted sensors
 
-// Buttons stay as long as their units do: one that is replaced under a pressed pointer is never clicked.
 let shownUnits = "";
 function showUnits() {
   if (!state) return fillUnit();
@@ -345,13 +368,11 @@ function showUnits() {
   const list = find("units"), ids = JSON.stringify(state.units.map((unit) => unit.id));
   if (ids !== shownUnits) {
     shownUnits = ids;
-    const focused = document.activeElement?.dataset?.chip;
-    list.replaceChildren(...state.units.map(({ id }) => {
+    redraw(list, state.units.map(({ id }) => {
       const item = element("li", {});
-      element("button", { type: "button", "data-chip": id }, item).addEventListener("click", () => chooseUnit(id));
+      element("button", { type: "button", "data-chip": id, "data-key": id }, item).addEventListener("click", () => chooseUnit(id));
       return item;
     }));
-    if (focused) list.querySelector(`[data-chip="${CSS.escape(focused)}"]`)?.focus();
   }
   state.units.forEach(({ id, title }, index) => {
     const button = list.children[index].firstChild, unit = `${id}${alone[id] ? ` ${alone[id]}` : ""}`, text = locked.has(id) ? tr("{unit}, locked", { unit }) : unit;
@@ -570,10 +591,10 @@ function showLost() {
   if (shown.length > MOST_LOST) said.push(tr("Here are the first {most}.", counts));
   lostText = !isKnown ? "" : lost.length === 0 ? tr("None: every run is avoided.") : [...said, tr("Choose one to see it on the plan, and why.")].join(" ");
   find("lost-text").textContent = lostText;
-  list.replaceChildren(...shown.slice(0, MOST_LOST).map(([index, outcome]) => {
+  redraw(list, shown.slice(0, MOST_LOST).map(([index, outcome]) => {
     const item = element("li", {});
     const { id, title } = scene.runs[index], isPlayed = id === played.run();
-    const button = element("button", { type: "button", text: `${title}: ${outcome}`, title: scene.cases[title.split(" ")[0]] ?? "", "data-run": id, "aria-pressed": isPlayed }, item);
+    const button = element("button", { type: "button", text: `${title}: ${outcome}`, title: scene.cases[title.split(" ")[0]] ?? "", "data-run": id, "data-key": id, "aria-pressed": isPlayed }, item);
     button.addEventListener("click", () => play(index));
     return item;
   }));
@@ -645,13 +666,13 @@ function readProposals(message) {
   proposals = message.proposals;
   if (!proposals.some((each) => each.number === offered)) offered = null;
   map.showOffered(proposals.find((each) => each.number === offered)?.drawn);
-  find("proposals").replaceChildren(...proposals.map((each) => {
+  redraw(find("proposals"), proposals.map((each) => {
     const item = element("li", {});
     element("h3", { text: each.title }, item);
     element("p", { text: each.words }, item);
     element("p", { text: each.source === "evaluator" ? tr("By the evaluator: APR {apr}.", each) : each.problem || tr("By the evaluator: computing \u2026") }, item);
     const row = element("div", { class: "row" }, item);
-    const add = (text, act) => { const made = element("button", { type: "button", text, "aria-label": `${text}: ${each.title}` }, row); made.addEventListener("click", act); return made; };
+    const add = (text, act) => { const made = element("button", { type: "button", text, "aria-label": `${text}: ${each.title}`, "data-key": `${each.number} ${text}` }, row); made.addEventListener("click", act); return made; };
     add(tr("Show on the plan"), () => { offered = offered === each.number ? null : each.number; readProposals({ proposals }); }).setAttribute("aria-pressed", offered === each.number);
     add(tr("Take it over"), () => line.send({ do: "take", number: each.number }));
     add(tr("As a variant"), () => line.send({ do: "take", number: each.number, as_variant: true }));
@@ -671,17 +692,15 @@ function readVariants(message) {
   const meanings = ["", tr("mounted sensors"), tr("sensors and poles, once"), `${tr("share of the runs that is avoided.")} ${question.meaning()}`, tr("what is left of it when the unit fails that leaves least")];
   ["", tr("units"), tr("cost"), "APR", tr("one fails"), ...cases].forEach((text, column) => element("th", { scope: "col", text, title: meanings[column] ?? `${scene.cases[text] ?? ""}: ${OF_PART()}` }, head));
   const [body] = table.tBodies;
-  const focused = document.activeElement?.dataset?.variant;
-  body.replaceChildren();
-  rows.forEach((row, index) => {
-    const line_ = element("tr", {}, body);
+  redraw(body, rows.map((row, index) => {
+    const line_ = element("tr", {});
     const name = element("th", { scope: "row" }, line_);
-    const button = element("button", { type: "button", text: row.name, "data-variant": index, "aria-current": index === state?.current }, name);
+    const button = element("button", { type: "button", text: row.name, "data-key": index, "aria-current": index === state?.current }, name);
     button.addEventListener("click", () => line.send({ do: "select-variant", index }));
     const apr = { none: row.units ? row.problem || tr("computing \u2026") : "", table: tr("{apr} (table)", row), evaluator: row.apr }[row.source];
     [row.units, row.cost, apr, row.oneFails, ...cases.map((name_) => row.byCase[name_] ?? "")].forEach((text, column) => element("td", { text, title: meanings[column + 1] ?? OF_PART() }, line_));
-  });
-  if (focused !== undefined) body.querySelector(`[data-variant="${focused}"]`)?.focus();
+    return line_;
+  }));
   comparison.variantsChanged(rows);
 }
 find("copy-variant").addEventListener("click", () => line.send({ do: "add-variant" }));

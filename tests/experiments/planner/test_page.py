@@ -311,6 +311,29 @@ def test_complete_to_three_take_it_over_and_undo(browser, serve):
         has_units(page, 1)
 
 
+def test_a_button_is_clicked_although_its_list_is_drawn_anew_while_it_is_pressed(
+    browser, serve
+):
+    server = serve(UNITS[:1])
+    with opened(browser, server) as page, opened(browser, server) as other:
+        write(page.locator("#complete-to"), "2")
+        page.click('[data-ask="complete"]')
+        page.get_by_text("By the evaluator: APR").wait_for()
+        show = page.locator("#proposals").get_by_text("Show on the plan")
+        page.mouse.move(*middle(show))
+        page.mouse.down()
+        write(other.locator("#complete-to"), "3")
+        other.click('[data-ask="complete"]')
+        expect(other.locator("#proposals li")).to_have_count(2)
+        assert page.locator("#proposals li").count() == 1
+        page.mouse.up()
+        pressed = page.locator("#proposals [aria-pressed=true]")
+        pressed.wait_for()
+        expect(page.locator("#proposals li")).to_have_count(2)
+        # A window behind another one has no focus that `to_be_focused` accepts.
+        assert pressed.evaluate("button => button === document.activeElement")
+
+
 def test_save_and_open_again_and_variants_side_by_side(browser, serve, tmp_path):
     with opened(browser, serve(UNITS[:2]), may_complain=True) as page:
         page.click("#copy-variant")
