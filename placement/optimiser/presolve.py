@@ -11,6 +11,33 @@ frames in which the next detection must come" is a statement about one pose at a
 time, too, so that it is one more frame of the reduced problem: a *tail*. A
 window whose tails are all seen is *live*. As a later window has fewer tails,
 one that is not seen ends all windows of the run up to some number.
+
+Why each rule is allowed
+------------------------
+Let A(S) be the runs that layout S avoids, m(S) their margins, and B what the car sees
+by itself. A rule may be applied if the best value of no stage changes. Five rules
+change neither A(S) nor m(S):
+
+* Unusable poses: a pose that is forbidden, has no room, or alone exceeds the budget is
+  in no layout.
+* Unseen windows: a window with a frame or tail that no remaining pose sees is never
+  live.
+* Equal frames: what the same poses see is seen by the same S.
+* Needless tails: if all who see the run's next tail see this one, it is seen whenever
+  the next one is.
+* Dominated windows: an earlier window that needs no more is live whenever the later
+  one is.
+
+Needless poses: pose c sees nothing that counts beyond B. Then S without c sees the
+same, also after failures, and costs no more. So c may go unless it, or its site, is
+forced. The cheapest needless pose stays, since one layout must remain.
+
+Dominated poses: pose d sees all that c in S sees, costs no more, has room, and is bound
+by nothing that c is not (`is_dominated`). With d in place of c, the layout avoids A(S)
+and perhaps more, also after failures, with no smaller margin on A(S). If it avoids
+exactly A(S), no stage gets worse. If it avoids more, and each run weighs more than 4
+times the tolerance of ties, no later stage asks about S, for its APR no longer ties.
+For lighter runs, and for the mean over the worst worlds, the rule is not applied.
 """
 
 from collections.abc import Set

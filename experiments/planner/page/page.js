@@ -80,9 +80,10 @@ window.addEventListener("beforeunload", (event) => {
 
 // ---------- messages of the session
 
-// Messages redraw lists, and a button that is replaced while it is pressed is never clicked: they wait for its release.
+// Messages redraw these lists, and a button that is replaced while it is pressed is never clicked: they wait for its release.
+const REDRAWN = ["#proposals", "#lost", "#variants"].map((list) => `${list} button`).join(", ");
 let isPressed = false, waiting = [];
-document.addEventListener("pointerdown", (event) => { isPressed = event.target.closest("button") !== null; }, true);
+document.addEventListener("pointerdown", (event) => { isPressed = event.target.closest(REDRAWN) !== null; }, true);
 const release = () => setTimeout(() => { // after the click, which follows the release at once
   const late = waiting;
   isPressed = false;
@@ -361,6 +362,7 @@ function showCost() {
 
 // ---------- mounted sensors
 
+// These buttons stay as long as their units do, and numbers change in them.
 let shownUnits = "";
 function showUnits() {
   if (!state) return fillUnit();
