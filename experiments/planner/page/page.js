@@ -91,7 +91,8 @@ const release = () => setTimeout(() => { // after the click, which follows the r
   late.forEach(read);
 });
 for (const end of ["pointerup", "pointercancel"]) document.addEventListener(end, release, true);
-window.addEventListener("blur", release);
+// A release that another window gets is not told.
+document.addEventListener("pointermove", (event) => { if (isPressed && !event.buttons) release(); }, true);
 
 function receive(message) {
   if (isPressed) waiting.push(message);

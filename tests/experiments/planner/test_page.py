@@ -318,9 +318,8 @@ def test_a_button_is_clicked_although_its_list_is_drawn_anew_while_it_is_pressed
     with opened(browser, server) as page, opened(browser, server) as other:
         write(page.locator("#complete-to"), "2")
         page.click('[data-ask="complete"]')
-        page.get_by_text("By the evaluator: APR").wait_for()
-        show = page.locator("#proposals").get_by_text("Show on the plan")
-        page.mouse.move(*middle(show))
+        page.locator("#proposals").get_by_text("By the evaluator: APR").wait_for()
+        page.locator("#proposals").get_by_text("Show on the plan").hover()
         page.mouse.down()
         write(other.locator("#complete-to"), "3")
         other.click('[data-ask="complete"]')
