@@ -269,6 +269,7 @@ def _missing_in_module(file: Path, known_names: Iterable[str]) -> list[str]:
     return []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_files_and_modules_named_in_docstrings_and_comments_exist(folder):
     known = {

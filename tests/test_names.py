@@ -4,6 +4,8 @@ import ast
 from collections import defaultdict
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 
@@ -19,6 +21,7 @@ def places_of_classes():
     return places
 
 
+@pytest.mark.long
 def test_no_two_classes_have_the_same_name():
     places = places_of_classes()
     assert "Assembly" in places

@@ -10,6 +10,8 @@ import io
 import tokenize
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 START = "experiments.cli.place"
@@ -90,6 +92,7 @@ def n_tokens(module):
     return sum(token.type not in NO_TOKENS for token in tokens)
 
 
+@pytest.mark.long
 def test_the_main_job_reaches_no_more_modules_than_it_did():
     led_by = reach(START)
     assert len(led_by) > 100

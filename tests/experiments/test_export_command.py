@@ -49,6 +49,7 @@ def test_every_format_is_described():
     assert [name for name in FORMAT_NAMES if FORMATS[name].is_binary] == BINARY
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FORMAT_NAMES)
 @pytest.mark.parametrize(
     "build", [awkward_layout, pytest.param(large_layout, marks=pytest.mark.long)]
@@ -76,6 +77,7 @@ def test_notes_tell_the_truth(name, build):
         assert note.write(layout, placeless_scene())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FORMAT_NAMES)
 def test_every_format_is_written_to_a_file_whole(name, layout_path, tmp_path):
     out = tmp_path / f"out.{name}"

@@ -117,6 +117,7 @@ def names_in_braces(text):
     )
 
 
+@pytest.mark.long
 def test_every_message_has_a_translation():
     known = translations()
     messages = messages_of_code()
@@ -146,6 +147,7 @@ def test_translations_put_in_the_same_values_and_agree_between_files():
             assert set().union(*map(names_in_braces, texts)) == wanted, message
 
 
+@pytest.mark.long
 def test_no_translation_is_left_over():
     assert not set(translations()) - set(messages_of_code())
 
@@ -299,6 +301,7 @@ def mine(tmp_path):
     return [tmp_path / "mine-1.json", tmp_path / "mine-2.json", garden]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("bracketed", "small_study")
 @pytest.mark.parametrize(
     "asked",
@@ -363,6 +366,7 @@ def test_no_word_of_a_sheet_is_left_over(run, mine, small_setting, monkeypatch):
     assert not {text: left_over(text) for text in [*texts, text] if left_over(text)}
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("small_study")
 def test_the_language_is_that_of_the_option_else_of_the_environment(run, monkeypatch):
     asked = "pareto --max 1 --quiet"
@@ -380,6 +384,7 @@ def test_the_language_is_that_of_the_option_else_of_the_environment(run, monkeyp
     assert run(asked) == (2, "", wrong)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("few_runs", "bracketed")
 @pytest.mark.parametrize(
     "asked",

@@ -202,6 +202,7 @@ def test_signals_are_left_alone_outside_the_main_thread():
     assert held == [[]]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("prepare", "work"),
     [

@@ -182,6 +182,7 @@ def test_messages_without_a_known_altitude_say_so(hill, layout, changes, value):
     assert place["altitude"]["altitudeValue"] == value
 
 
+@pytest.mark.long
 def test_scenarios_drive_on_the_ground(small_setting, hill):
     terrain = terrain_of(hill)
     run = replace(small_setting.runs[0], terrain=terrain)

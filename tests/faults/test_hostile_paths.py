@@ -248,6 +248,7 @@ def refusal(capsys, *arguments):
     return told.splitlines()[-1].removeprefix("place-rsus: ")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

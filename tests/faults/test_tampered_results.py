@@ -46,6 +46,8 @@ from placement.proof_files import instance_of, save_problem
 from placement.question import Question
 from placement.verification.instances import load_stored_problem
 
+pytestmark = pytest.mark.long
+
 ASKED = Question(budget=2, give_up=0.0, time_limit_s=60.0)
 Change = Callable[[Path], None]
 Document = dict[str, Any]
@@ -736,7 +738,6 @@ def test_without_new_hashes_whatever_is_changed_is_found_by_its_hash(results, na
     assert f"file {name}" in failed(verified(results))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "change",
     [
@@ -755,7 +756,6 @@ def test_without_new_hashes_every_change_is_found(results, change):
     assert any(one.startswith("file ") for one in failed(found))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("file", "name"), [(file, name) for file in DEEP for name in DEEP[file]]
 )
@@ -768,7 +768,6 @@ def test_verify_alone_names_what_only_deep_finds(results, deep, file, name):
     assert any(one.startswith(f"anew: {file}") for one in failed(found))
 
 
-@pytest.mark.long
 def test_every_value_of_a_summary_is_compared_with_the_one_made_anew(written):
     """Whatever is changed differs; times and versions do not count, what was asked is
     used.

@@ -207,6 +207,7 @@ def test_the_rider_sits_on_the_motorcycle_and_the_motorcycle_is_as_high_as_its_b
 # Outlines
 
 
+@pytest.mark.long
 def test_cyclist_is_narrow_from_behind():
     for shape in load_actors()["cyclist"].shapes:
         assert _width_m(shape, 1) < 0.3 * _width_m(shape, 0)

@@ -56,6 +56,7 @@ def test_errors_within_name_the_archive(tmp_path):
     assert str(caught.value) == f"{path}/a.geojson: type: got 1; expected two"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("files", "message"),
     [

@@ -34,6 +34,7 @@ def _entry(**changes):
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", ["child", *(pytest.param(name, marks=pytest.mark.long) for name in TABLE)]
 )
@@ -52,6 +53,7 @@ def test_building_again_gives_the_shapes_on_disk(library, name):
         assert meshes[0].area == pytest.approx(meshes[1].area, rel=1e-4)
 
 
+@pytest.mark.long
 def test_what_is_saved_is_what_is_read(library, tmp_path):
     table = {name: TABLE[name] for name in ("child",)}
     save_shapes(tmp_path / "actors.npz", table)

@@ -160,6 +160,7 @@ def test_what_is_wrong_in_a_calibration_is_one_line(old, new, words, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.long
 @given(pose=poses(), terms=TERMS, is_fisheye=st.booleans(), roll=numbers(-20.0, 20.0))
 def test_a_calibration_as_a_layout_sees_what_the_camera_saw(
     pose, terms, is_fisheye, roll, tmp_path_factory

@@ -77,6 +77,7 @@ def test_a_byte_order_mark_is_no_part_of_the_content():
     assert parse_json(b'\xef\xbb\xbf{"a": 1}', "here", "") == {"a": 1}
 
 
+@pytest.mark.long
 def test_no_other_module_reads_json_of_others():
     root = Path(__file__).parents[2]
     readers = {

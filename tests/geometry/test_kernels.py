@@ -146,6 +146,7 @@ def test_code_is_compiled_once_and_said_so_also_by_two_processes_at_once(
     assert _end(start(folder)) == (1, [])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("place", "harm"),
     [
@@ -172,6 +173,7 @@ def test_damaged_code_is_compiled_anew(start, compiled, tmp_path, place, harm):
     assert _end(start(folder)) == (1, [])
 
 
+@pytest.mark.long
 def test_code_is_compiled_anew_when_kernels_beside_it_change(start, tmp_path):
     twice, total = _MODULE.split("@kernel\ndef total")
     (tmp_path / "doubling_kernels.py").write_text(twice)
@@ -221,6 +223,7 @@ def test_code_of_a_folder_into_which_others_may_write_is_not_run(
     assert _end(start(folder)) == (1, [])
 
 
+@pytest.mark.long
 def test_code_that_others_may_write_is_not_run(start, compiled, tmp_path):
     folder = Path(shutil.copytree(compiled, tmp_path / "compiled"))
     (file,) = folder.glob("*.kernel")
@@ -232,6 +235,7 @@ def test_code_that_others_may_write_is_not_run(start, compiled, tmp_path):
     assert _end(start(folder)) == (1, [])
 
 
+@pytest.mark.long
 @pytest.mark.skipif(
     not hasattr(os, "getuid") or os.getuid() != 0, reason="only root gives away"
 )
@@ -246,6 +250,7 @@ def test_code_of_another_user_is_not_run(start, compiled, tmp_path):
     assert _end(start(folder)) == (1, [])
 
 
+@pytest.mark.long
 def test_a_full_disk_costs_no_more_than_time(start, tmp_path):
     folder = tmp_path / "compiled"
     fill = """
@@ -262,6 +267,7 @@ geometry.kernels.write_atomically = full
     ]
 
 
+@pytest.mark.long
 def test_a_folder_that_goes_while_the_program_runs_costs_no_more_than_time(
     start, tmp_path
 ):
@@ -278,6 +284,7 @@ open({str(folder)!r}, "w").close()
     assert told[1:] == COMPILING
 
 
+@pytest.mark.long
 def test_numba_that_cannot_write_what_it_compiled_costs_no_more_than_time(
     start, tmp_path
 ):
@@ -306,6 +313,7 @@ def test_only_kernels_stay_in_the_folder_when_the_program_ends(start, tmp_path):
     assert [path.suffix for path in folder.iterdir()] == [".kernel"]
 
 
+@pytest.mark.long
 def test_folders_of_programs_that_were_killed_are_removed(start, compiled, tmp_path):
     folder = Path(shutil.copytree(compiled, tmp_path / "compiled"))
     left = folder / "running-killed"

@@ -273,6 +273,7 @@ def test_a_scene_is_loaded_from_wherever_it_is(folder, tmp_path):
         assert load_scene(path).instances == THINGS
 
 
+@pytest.mark.long
 def test_a_junction_of_a_map_is_loaded_by_name_by_place_or_as_the_largest(tmp_path):
     path = _two_crossings(tmp_path)
     packed = tmp_path / "map.zip"

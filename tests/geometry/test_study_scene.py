@@ -164,6 +164,7 @@ def test_no_solid_body_of_the_study_scene_stands_in_another(scene):
             assert apart.max() > 0.0, (scene.instances[first], scene.instances[second])
 
 
+@pytest.mark.long
 def test_every_path_of_every_run_is_clear_of_all_that_stands(scene, runs):
     """Footprints of VUT and VRU in every frame against the boxes of all instances."""
     nearest_m = np.inf

@@ -95,6 +95,7 @@ def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(
     assert found.bound == found.after.apr
 
 
+@pytest.mark.long
 def test_from_nothing_the_next_unit_is_the_best_one(adviser, apr_of):
     found = adviser.best_next(())
     assert len(found.units) == 1
@@ -116,6 +117,7 @@ def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_o
     assert found.n_compared == adviser.best_next(weak).n_compared
 
 
+@pytest.mark.long
 def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candidate(
     adviser, apr_of
 ):
@@ -196,6 +198,7 @@ def test_re_aiming_keeps_every_place_and_is_the_best_of_all_directions(
     assert found.is_proven
 
 
+@pytest.mark.long
 def test_the_cheapest_is_as_good_and_no_dearer(adviser, setting, apr_of):
     units = find_layout("carlancap-12").units[:3]
     found = adviser.cheapest(units)

@@ -70,6 +70,7 @@ def test_random_sets_are_within_all_limits(problem, n_units, seed):
         assert sets == ()
 
 
+@pytest.mark.long
 @given(problem=questions())
 def test_every_allowed_set_is_drawn_sooner_or_later_and_no_other(problem):
     limits = problem.limits
@@ -79,6 +80,7 @@ def test_every_allowed_set_is_drawn_sooner_or_later_and_no_other(problem):
     assert set(random_sets(limits, 2, n=400, rng=np.random.default_rng(1))) == allowed
 
 
+@pytest.mark.long
 def test_the_same_seed_draws_the_same_layouts_and_another_one_others(candidates):
     limits = limits_of(candidates)
     one, again = (drawn(candidates, limits, seed=3) for _ in range(2))

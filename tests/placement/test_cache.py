@@ -208,6 +208,7 @@ def test_a_folder_that_cannot_be_made_costs_a_line(tmp_path, caplog):
 # Bounds
 
 
+@pytest.mark.long
 def test_of_many_arrays_the_oldest_are_given_up(tmp_path):
     notes = opened(tmp_path)
     notes.add({f"{number}": np.zeros(1) for number in range(MAX_ARRAYS)})

@@ -34,6 +34,7 @@ def study():
     return drive(Question(cases="study"), load_study_scene())
 
 
+@pytest.mark.long
 def test_all_cases_of_the_study_are_driven_from_all_approaches(study):
     assert not study.refused
 
@@ -135,6 +136,7 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
         assert hash_of(found.runs) == hash_of(build_setting(other, scene).runs)
 
 
+@pytest.mark.long
 def test_how_far_along_the_arms_is_chosen():
     question = Question(cases="CPNA-25", approaches="north", along_arms="0, 20")
     runs = drive(question, load_study_scene()).runs
@@ -307,6 +309,7 @@ def test_what_some_approaches_do_not_carry_is_kept_with_its_reason():
     assert (refusal.approach, refusal.speeds_kmh) == ("west", (10.0, 15.0, 20.0))
 
 
+@pytest.mark.long
 def test_the_list_has_a_row_per_case_and_approach():
     rows = list_rows(
         drive(Question(cases="CPTAfs-50,CPNA-25", along_arms="0"), t_junction())
@@ -336,6 +339,7 @@ def test_the_list_has_a_row_per_case_and_approach():
     assert crossing.last_brake_time_s == pytest.approx(-speeds / (2.0 * 7.72), abs=1e-3)
 
 
+@pytest.mark.long
 def test_the_list_says_where_along_the_arms():
     question = Question(
         cases="CPNA-25,CBNA", approaches="north", along_arms="0,15,60,100"

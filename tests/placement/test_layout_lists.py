@@ -117,6 +117,7 @@ def test_wrong_names_and_numbers_are_refused(tmp_path, scene, row, old, new, mes
         load_layout(path, scene=scene)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("away_m", "hangs"), [(0.0, True), (0.45, True), (0.6, False)])
 def test_an_existing_camera_at_a_pole_hangs_on_it(tmp_path, scene, row, away_m, hangs):
     pole = scene.sites[0]

@@ -60,6 +60,7 @@ def zoomed(fov_deg):
     return replace(camera, horizontal_fov_deg=fov_deg, fov_range_deg=(20.0, 100.0))
 
 
+@pytest.mark.long
 @settings(max_examples=15)
 @given(
     site=st.integers(0, 3),

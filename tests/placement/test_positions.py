@@ -130,6 +130,7 @@ def test_covariances_have_the_errors_as_their_axes():
     assert np.linalg.det(matrix) == pytest.approx((along * across) ** 2)
 
 
+@pytest.mark.long
 def test_drawn_errors_have_these_covariances_and_link_frames_of_a_run():
     rng = np.random.default_rng(1)
     pose = pose_of(7.0, pitch_deg=-20.0)

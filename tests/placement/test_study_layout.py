@@ -55,6 +55,7 @@ def test_poses_are_the_published_ones_flipped_to_the_north(layout):
         assert pose.pitch_deg == pitch
 
 
+@pytest.mark.long
 def test_the_first_eight_look_at_the_junction_and_the_last_four_away(layout, setting):
     middle = setting.scene.outline_m.mean(axis=0)
     for index, unit in enumerate(layout.units):

@@ -95,6 +95,7 @@ def test_kinks_that_a_car_takes_within_its_lane_cost_no_run():
     assert not refusals
 
 
+@pytest.mark.long
 @given(angle_deg=st.floats(-30.0, 30.0), free_m=st.floats(0.1, 0.6))
 def test_a_gentle_course_bends_less_and_stays_as_near_as_it_must(angle_deg, free_m):
     chain = np.array(
@@ -110,6 +111,7 @@ def test_a_gentle_course_bends_less_and_stays_as_near_as_it_must(angle_deg, free
         assert gentle.max_bend_per_m <= follow_lane(chain, is_in=True).max_bend_per_m
 
 
+@pytest.mark.long
 def test_sharp_bends_of_a_scene_are_found_with_the_speed_that_they_allow():
     assert not list(find_sharp_bends(protocol_scene()))
     assert not list(find_sharp_bends(with_corner(10.0)[0]))

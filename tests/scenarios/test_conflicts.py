@@ -182,6 +182,7 @@ def random_tracks(rng):
     return tracks
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_pairs_are_those_that_brute_force_finds(seed):
     tracks = random_tracks(np.random.default_rng(seed))

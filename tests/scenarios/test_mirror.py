@@ -64,6 +64,7 @@ def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_on_the_ri
     assert not ours
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_left_handed", [False, True])
 def test_titles_say_to_which_side_the_vut_turns(is_left_handed):
     scene = protocol_scene()

@@ -120,6 +120,7 @@ def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(
     assert rolled @ _unit(yaw_deg) == pytest.approx(np.cos(lag), abs=2e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     [

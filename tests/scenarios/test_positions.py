@@ -152,6 +152,7 @@ def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(
 # Where
 
 
+@pytest.mark.long
 @given(
     name=st.sampled_from(FREE),
     metres=st.floats(0.5, 120.0),
@@ -307,6 +308,7 @@ def test_before_the_junction_a_lane_that_bends_is_followed(vut, rule, metres, na
     assert distance_to_chain_m(mapped, lane.centreline_m).max() < 0.4
 
 
+@pytest.mark.long
 def test_the_lane_of_the_map_leads_through_the_junction(vut, rule):
     lanes = [
         lane
@@ -381,6 +383,7 @@ def test_without_a_road_ahead_nothing_is_behind(vut, rule):
     assert refusal.position == "+0"
 
 
+@pytest.mark.long
 def test_a_change_of_lanes_that_is_too_sharp_for_the_speed_is_refused(vut, rule):
     scene, _ = _scene_with_exit(9.0, 0.0)  # too far aside to be eased
     speeds = (10.0, 60.0)
@@ -551,6 +554,7 @@ def test_a_fast_vut_eases_into_a_lane_that_is_not_in_line_and_stays_in_both(
             assert distance_to_chain_m(after, exit_lane.centreline_m).max() < 0.55
 
 
+@pytest.mark.long
 def test_a_change_of_lanes_is_eased_only_where_it_would_be_too_fast(vut, rule):
     scene, _ = _scene_with_exit(2.0, 0.0)
     position = Position(is_behind=True, distance_m=15.0)

@@ -95,6 +95,7 @@ def test_the_study_junction_has_104_runs_of_the_studys_own_cases_with_unique_ids
 # Every case, by the study's own starts or laid by the protocol
 
 
+@pytest.mark.long
 def test_every_case_is_carried_or_refused_with_a_reason(all_runs, asked):
     runs, refusals = all_runs
     told = {(run.case.name, run.approach, run.vut_speed_kmh) for run in runs} | {
@@ -106,6 +107,7 @@ def test_every_case_is_carried_or_refused_with_a_reason(all_runs, asked):
     assert all(refusal.reason for refusal in refusals)
 
 
+@pytest.mark.long
 def test_without_braking_every_run_of_every_case_first_touches_at_its_impact(all_runs):
     runs, _ = all_runs
     for run in runs:

@@ -21,6 +21,7 @@ def corners(actor, position_m, yaw_deg):
     )
 
 
+@pytest.mark.long
 def test_no_twin_comes_nearer_than_the_clearance_to_where_the_car_ever_is(twins):
     for twin in twins:
         run = twin.run

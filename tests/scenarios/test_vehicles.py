@@ -527,6 +527,7 @@ def test_cases_that_cannot_be_laid_are_named_and_refused_with_their_reason(
     assert not set(named) & set(load_cases())
 
 
+@pytest.mark.long
 def test_cases_that_are_left_out_count_every_pair_of_speeds():
     question = Question(cases="junction", approaches="north")
     drives = drive(question, load_study_scene())

@@ -154,6 +154,7 @@ def test_a_lane_that_bends_only_far_away_is_driven_straight(vut):
     assert isinstance(far.vut_motion.path, TowedPath)
 
 
+@pytest.mark.long
 def test_where_traffic_keeps_left_runs_are_the_mirror_image(vut):
     junction = mirrored(build_junction(CURVED))
     lanes = [
@@ -390,6 +391,7 @@ def test_a_cyclist_comes_from_a_road_that_exists(vut):
     assert staged("CBTAfs-100", vut, scene=build_scene(lanes)).encounter
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     [
@@ -429,6 +431,7 @@ def test_obstructions_stand_outside_the_carriageway(vut, name, scene):
             assert area <= 0.1 * body.actor.length_m + 1e-6
 
 
+@pytest.mark.long
 def test_parked_cars_give_way_to_a_pole_and_a_house_that_leaves_no_room_is_named(vut):
     free, _ = runs_on(protocol_scene(), ["CPNCO-50"], vut, approaches=["west"])
     first = free[0].obstruction[0].pose.position_m

@@ -316,6 +316,7 @@ def scores():
     }
 
 
+@pytest.mark.long
 def test_points_are_those_of_the_package_shared_by_the_runs_of_a_case_and_weather(
     scores,
 ):

@@ -50,6 +50,8 @@ from placement.city.fronts import Options
 from placement.layout import load_layout
 from placement.question import Question, load_question_values
 
+pytestmark = pytest.mark.long
+
 SEARCH = CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 LEAST_S = 1.0e-6
 
@@ -194,7 +196,6 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     assert places.union_all().convex_hull.buffer(0.002).contains(units.union_all())
 
 
-@pytest.mark.long
 def test_only_what_is_missing_or_changed_is_computed(tiny, city, tmp_path, no_pages):
     first, second, *_ = sorted(
         path.parent for path in city.glob("junctions/*/front.json")
@@ -453,7 +454,6 @@ def test_weights_decide_and_what_is_not_used_is_told(
 
 
 # Quickly: test_weights_decide_and_what_is_not_used_is_told
-@pytest.mark.long
 def test_accidents_around_each_junction_make_its_front(tiny, tmp_path, no_pages):
     table = tmp_path / "atlas.csv"
     head = "UTYP1;UART;IstFuss;IstRad;IstKrad;IstPKW;ULICHTVERH;XGCSWGS84;YGCSWGS84\n"
@@ -755,7 +755,6 @@ def test_a_junction_whose_worker_died_thrice_is_told(tmp_path):
     assert (answer.record.cause, answer.record.is_final) == ("memory", False)
 
 
-@pytest.mark.long
 def test_a_worker_that_is_killed_loses_nothing(tiny):
     tasks = tasks_of(tiny / "tiny.osm")
     workers = Processes(2, max_bytes=3 * 2**29)
@@ -796,7 +795,6 @@ def without_times(folder):
     return found
 
 
-@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")  # those of dask
 def test_the_answer_is_the_same_to_the_byte_wherever_it_is_found(tiny, tmp_path):
     pytest.importorskip("distributed")
@@ -851,7 +849,6 @@ def start_command(path, out):
     )
 
 
-@pytest.mark.long
 def test_killed_at_ten_moments_it_goes_on_and_answers_the_same(tiny, tmp_path):
     path = tiny / "tiny.osm"
     run(path, tmp_path / "one")
@@ -875,7 +872,6 @@ def test_killed_at_ten_moments_it_goes_on_and_answers_the_same(tiny, tmp_path):
             assert killed[name] == expected[name], name
 
 
-@pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="signals and processes as on Linux")
 def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     tiny, city, no_pages
@@ -970,7 +966,6 @@ def test_the_slider_has_each_step_of_the_front_and_the_choice(tiny, city, never)
 
 
 # Quickly: test_the_slider_has_each_step_of_the_front_and_the_choice
-@pytest.mark.long
 @pytest.mark.system
 def test_the_page_runs_by_itself_and_its_slider_says_who_gets_what(tiny):
     page_of = tiny / "city" / "report.html"

@@ -35,6 +35,7 @@ def refusal(result):
     return line.removeprefix("place-rsus: ")
 
 
+@pytest.mark.long
 def test_the_list_as_json_has_one_last_moment_per_speed(ask):
     rows = ask("scenarios list --cases study --approaches east")
     assert len(rows) == 13
@@ -59,6 +60,7 @@ def test_the_list_fits_a_terminal(run):
     assert out.splitlines()[-1] == "18 runs of 3 cases"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("case", "speed"),
     [("CCFtap", "10x30"), pytest.param("CMRs-50", "50", marks=pytest.mark.long)],
@@ -83,6 +85,7 @@ def test_a_run_away_from_the_junction_is_shown(run):
     )
 
 
+@pytest.mark.long
 def test_a_run_is_exported_as_openscenario(run):
     pytest.importorskip("scenariogeneration")
     arguments = "scenarios export CPTAns-50 --approach east --speed 10"
@@ -92,6 +95,7 @@ def test_a_run_is_exported_as_openscenario(run):
     assert Path("turn.xosc").read_text(encoding="utf-8") == text
 
 
+@pytest.mark.long
 def test_a_scene_without_a_road_network_has_it_written_beside_the_run(run):
     pytest.importorskip("scenariogeneration")
     Path("bare").mkdir()
@@ -113,6 +117,7 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
     assert "place-rsus[openscenario]" in line
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

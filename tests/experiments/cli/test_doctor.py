@@ -6,6 +6,7 @@ from experiments.cli import doctor
 from experiments.cli.doctor import doctor_text, examine
 
 
+@pytest.mark.long
 def test_what_is_installed_is_told(run, tmp_path):
     code, out, _ = run("doctor --json")
     summary = json.loads(out)

@@ -50,6 +50,7 @@ def loaded_by(script: str) -> tuple[int, set[str]]:
     return int(number), set(packages)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", [[], *([name] for name in COMMANDS)])
 def test_help_loads_little(words: list[str]) -> None:
     number, packages = loaded_by(_HELP.replace("ARGUMENTS", repr([*words, "--help"])))
@@ -58,6 +59,7 @@ def test_help_loads_little(words: list[str]) -> None:
     assert number <= MOST_FOR_HELP
 
 
+@pytest.mark.long
 def test_the_optimiser_of_the_main_job_loads_no_figures_tables_and_renderers() -> None:
     number, packages = loaded_by(_OPTIMISE)
     assert "numpy" in packages

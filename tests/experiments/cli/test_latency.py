@@ -79,6 +79,7 @@ def _mean_s(summary) -> float:
 # The whole command
 
 
+@pytest.mark.long
 def test_the_curve_at_the_studys_latency_is_what_evaluate_finds(
     run, run_latency, layout_file
 ):
@@ -101,6 +102,7 @@ def test_the_curve_at_the_studys_latency_is_what_evaluate_finds(
     assert len(set(parties["B"]["apr"])) == 1  # flat: it keeps its latency
 
 
+@pytest.mark.long
 def test_table_figure_and_csv(run_latency):
     folder = Path("there/mine")
     folder.mkdir(parents=True)

@@ -62,6 +62,7 @@ def test_every_command_with_a_scene_has_the_options_of_a_map():
     assert {name: missing for name, missing in lacking.items() if missing} == {}
 
 
+@pytest.mark.long
 def test_export_takes_a_map(run, map_path, layout_path):
     code, out, err = run(
         "export --format geojson --sites kerb:20 --driving-side left",

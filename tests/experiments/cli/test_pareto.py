@@ -48,6 +48,7 @@ def loosened_front():
 # The whole command
 
 
+@pytest.mark.long
 def test_every_number_of_units_has_a_proven_layout(run_pareto):
     folder = Path("there/front")
     folder.mkdir(parents=True)

@@ -100,6 +100,7 @@ def test_tables_are_printed(run, recording):
     )
 
 
+@pytest.mark.long
 def test_braking_and_confidence_are_heard(run, recording):
     # Unit 0 is confirmed at -1.7 s; 10 / (2 * 2.9) = 1.72 s.
     for arguments, apr in (

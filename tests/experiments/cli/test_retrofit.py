@@ -47,6 +47,7 @@ def run_retrofit(run, small_study, layout_file):
 # The whole command
 
 
+@pytest.mark.long
 def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
     folder = Path("there/retrofit")
     summary = json.loads(

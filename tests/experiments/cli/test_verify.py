@@ -59,6 +59,7 @@ def edit(path, change):
     path.write_text(json.dumps(document))
 
 
+@pytest.mark.long
 def test_what_was_written_is_verified_in_a_line_per_check(run, results):
     out = answer(run("verify", results, "--quiet"))
     assert max(map(len, out.splitlines())) <= 80 + len(str(results))
@@ -96,6 +97,7 @@ def test_json_says_the_same(ask, results):
     ]
 
 
+@pytest.mark.long
 def test_what_was_changed_fails_with_exit_code_1(run, results):
     def move(document):
         document["layout"][0]["yaw_deg"] += 1.0
@@ -175,6 +177,7 @@ def test_a_folder_that_does_not_say_what_was_asked_cannot_be_made_anew(run, resu
     )
 
 
+@pytest.mark.long
 def test_a_network_that_a_folder_names_is_not_run(run, results):
     edit(
         results / "summary.json",
@@ -238,6 +241,7 @@ SCENES = {
 QUICK_SCENES = ("a junction of a map by its streets", "OpenDRIVE", "an archive")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "kind",
     [

@@ -37,6 +37,7 @@ def test_a_process_takes_one_task_after_the_other_and_survives_errors(workers):
     assert pids(workers) == before
 
 
+@pytest.mark.long
 def test_a_process_that_dies_is_replaced(workers):
     with pytest.raises(WorkerDiedError, match=r"^$"):
         answers_of(workers, os._exit, [3])
@@ -56,6 +57,7 @@ def test_shared_values_are_sent_once_for_many_tasks():
     assert workers.n_bytes < 1_000
 
 
+@pytest.mark.long
 @pytest.mark.skipif(
     not Path("/proc/self/statm").exists(), reason="the system does not tell"
 )

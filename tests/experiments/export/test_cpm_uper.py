@@ -118,6 +118,7 @@ def test_objects_are_where_the_run_has_them(runs):
         assert np.diff(sensors).min() >= 1000 - 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("release", RELEASES)
 def test_a_message_by_hand(release):
     (station,) = build_stations(level_layout(90.0, -10.0), SCENE, release=release)
@@ -203,6 +204,7 @@ def random_layout(rng):
     return Layout(name="random", units=units, scene_name=SCENE.name)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [25, pytest.param(10_000, marks=pytest.mark.long)])
 def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs, count):
     """Places in centimetres, velocities in centimetres a second, angles in tenths of a

@@ -63,6 +63,7 @@ def test_geojson_lies_in_the_world_frame_within_a_centimetre():
     ] == layout_records(layout)
 
 
+@pytest.mark.long
 def test_geojson_says_which_crs_is_unknown(layout):
     with refused_with(
         "crs: got 'no such system'; expected a coordinate reference system that"

@@ -147,6 +147,7 @@ def test_the_scenes_meshes_are_whole(topics):
     assert triangles == len(SCENE.triangles)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("build", [awkward_layout, large_layout])
 def test_any_layout_is_written_without_a_run(build):
     layout = build()

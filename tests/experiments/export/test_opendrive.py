@@ -58,6 +58,7 @@ def with_ways(scene, source):
     return replace(scene, lanes=(*scene.lanes, *ways))
 
 
+@pytest.mark.long
 def test_lanes_are_read_back_where_they_are(tmp_path, scene):
     source = read_map(written(tmp_path, scene))
     ours = driving(scene.lanes)
@@ -68,6 +69,7 @@ def test_lanes_are_read_back_where_they_are(tmp_path, scene):
     assert set(one.arms) == set(build_junction(scene).arms)
 
 
+@pytest.mark.long
 def test_ways_of_the_map_are_read_back_and_none_is_assumed(tmp_path, scene):
     source = read_map(written(tmp_path, scene))
     some = with_ways(scene, replace(source, connections=source.connections[:5]))
@@ -78,6 +80,7 @@ def test_ways_of_the_map_are_read_back_and_none_is_assumed(tmp_path, scene):
     assert max(off_m(line, read) for line in ways) < 0.05
 
 
+@pytest.mark.long
 def test_a_mirrored_scene_keeps_left(tmp_path, scene):
     flip = np.array([1.0, -1.0])
     lanes = tuple(
@@ -92,6 +95,7 @@ def test_a_mirrored_scene_keeps_left(tmp_path, scene):
     assert max(off_m(line, theirs) for line in driving(turned.lanes)) < 0.01
 
 
+@pytest.mark.long
 def test_from_each_lane_a_way_to_each_other_arm_is_assumed(tmp_path, scene):
     arms = build_junction(scene).arms.values()
     source = read_map(written(tmp_path, scene))
@@ -100,6 +104,7 @@ def test_from_each_lane_a_way_to_each_other_arm_is_assumed(tmp_path, scene):
     )
 
 
+@pytest.mark.long
 def test_poles_stand_where_the_units_hang(tmp_path, scene):
     source = read_map(written(tmp_path, scene))
     read = {tuple(pole.position_m[:2].round(1)) for pole in source.poles}

@@ -173,6 +173,7 @@ def schema():
     return xmlschema.XMLSchema(str(path))
 
 
+@pytest.mark.long
 @needs_library
 @pytest.mark.parametrize(
     ("case", "weather"),

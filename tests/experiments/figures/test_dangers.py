@@ -70,6 +70,7 @@ def test_each_place_shows_its_share_by_weight_the_darker_the_more_is_left(
     assert len(marks(axes, "unit")) == 2
 
 
+@pytest.mark.long
 def test_places_that_do_not_count_are_left_out_and_a_narrow_figure_is_drawn(
     small_setting, layout
 ):

@@ -132,6 +132,7 @@ def test_a_heatmap_names_tracks_that_were_lost_again(evaluation):
     assert outcomes.get_yticklabels()[-1].get_text() == "lost again"
 
 
+@pytest.mark.long
 def test_figures_are_the_same_bytes_each_time(evaluation):
     assert to_png(plot_heatmaps(evaluation, [0])[0]) == to_png(
         plot_heatmaps(evaluation, [0])[0]
@@ -145,6 +146,7 @@ def test_figures_leave_no_trace_in_pyplot(evaluation):
     assert plt.get_fignums() == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["$x^{", "_hidden", "雪", "a\\b", "%s {}"])
 def test_any_name_can_be_drawn(frame_axis, camera, name):
     evaluation = build_evaluation(frame_axis, camera, name=name, ids=(name, f"{name}2"))

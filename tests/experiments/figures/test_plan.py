@@ -84,6 +84,7 @@ def test_footprint_is_empty_above_the_horizon():
     assert ground_footprint(unit, max_range_m=50.0).shape == (0, 2)
 
 
+@pytest.mark.long
 def test_plan_marks_every_unit_at_its_position(setting):
     layout = load_carlancap_layout()
     axes = plot_plan(setting, layout)
@@ -123,6 +124,7 @@ def test_plan_is_in_metres_north_up_around_the_junction(setting):
     assert "N" in [text.get_text() for text in axes.texts]
 
 
+@pytest.mark.long
 def test_plan_draws_a_scene_with_nothing_in_it(setting):
     bare = replace(setting.scene, lanes=(), sites=())
     axes = plot_plan(replace(setting, scene=bare), load_carlancap_layout())

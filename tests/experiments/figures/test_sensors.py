@@ -100,6 +100,7 @@ def test_the_words_say_that_it_scans_all_round():
     ]
 
 
+@pytest.mark.long
 def test_the_plan_marks_a_ring_by_a_disc_and_draws_its_blind_spot(small_setting):
     camera = _unit(next(iter(load_cameras().values())), pitch_deg=-30.0, unit_id="U2")
     axes = plot_plan(small_setting, Layout(name="two", units=(_unit(), camera)))

@@ -157,6 +157,7 @@ def test_blind_cars_are_asked_about_as_before(small_study):
     assert see.problem.seen_by_vut is not None
 
 
+@pytest.mark.long
 def test_comparisons_follow(small_study, tmp_path):
     layout = build_small_baseline(small_study.scene)
     assert layout is not None
@@ -268,6 +269,7 @@ def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector
     assert seeing.sum() > by_units.sum()
 
 
+@pytest.mark.long
 def test_nothing_is_lost_where_the_car_sees_all(small_study):
     layout = build_small_baseline(small_study.scene)
     everything = np.ones(small_study.axis.n_frames, dtype=bool)

@@ -114,6 +114,7 @@ def test_in_sampled_worlds_they_have_intervals_too(small_study, tmp_path, monkey
     assert worlds["worlds"] == 2
 
 
+@pytest.mark.long
 def test_a_comparison_has_them_as_well_with_as_many_units_as_the_first(small_study):
     layouts = [
         Layout(name="two", units=study_units(2)),

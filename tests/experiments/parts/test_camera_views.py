@@ -38,6 +38,7 @@ def test_a_camera_shows_a_road_user_near_the_middle_of_its_picture(
         assert (abs(at_px[:2] / (160.0, 90.0) - 0.5) < 0.35).all()
 
 
+@pytest.mark.long
 def test_each_camera_of_few_has_a_small_picture(small_setting, cameras):
     first, other = camera_views(small_setting, Layout(name="two", units=tuple(cameras)))
     image = Image.open(io.BytesIO(base64.b64decode(first.image)))

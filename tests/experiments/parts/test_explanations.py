@@ -114,6 +114,7 @@ def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
     assert "not avoided" not in answer_text(explanation_parts(found), is_verbose=True)
 
 
+@pytest.mark.long
 def test_sampled_worlds_are_explained_in_the_world_as_planned(
     placement, small_setting, candidates
 ):

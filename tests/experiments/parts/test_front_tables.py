@@ -99,6 +99,7 @@ def loosened(front, index, stage_index, bound):
     return replace(front, points=tuple(points))
 
 
+@pytest.mark.long
 def test_what_is_open_is_said_and_never_called_proven(candidates):
     problem, front = front_of(2)
     half = loosened(front, 1, 0, 0.875)

@@ -37,6 +37,7 @@ def folder(folder_of_one, small_study, without_figures, run, tmp_path, monkeypat
     return tmp_path / "result"
 
 
+@pytest.mark.long
 def test_a_result_is_read_back(folder):
     result = load_result(str(folder))
     assert result.folder == folder

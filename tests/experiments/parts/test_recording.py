@@ -174,6 +174,7 @@ def test_every_partys_apr_is_that_of_the_definition(recorded):
     assert summary["apr"] == summary["evaluation"]["rsu_all"]["all"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fusion", ["any", "single"])
 @pytest.mark.parametrize(
     ("seed", "share"),
@@ -254,6 +255,7 @@ def test_weak_detections_do_not_count(recorded, tmp_path):
     assert _evaluate(tmp_path / "data", min_confidence=0.31)["apr"] == 0.0
 
 
+@pytest.mark.long
 def test_drives_frames_and_what_was_skipped_are_told(recorded, tmp_path):
     _with_own(recorded()[0], "WorldData", tmp_path / "data")
     (tmp_path / "data/WorldData/0_3.txt").unlink()
@@ -281,6 +283,7 @@ def test_drives_frames_and_what_was_skipped_are_told(recorded, tmp_path):
     assert first["closing_speed_mps"] == pytest.approx(6.0)
 
 
+@pytest.mark.long
 def test_without_the_vuts_camera_there_is_no_verdict_of_it(tmp_path):
     _write(tmp_path / "data", _random(1, 0.4), vut=False)
     summary = _evaluate(tmp_path / "data")
@@ -289,6 +292,7 @@ def test_without_the_vuts_camera_there_is_no_verdict_of_it(tmp_path):
     assert "car" not in recording_text(record_of(summary), None).split("Read:")[0]
 
 
+@pytest.mark.long
 def test_nothing_is_written_unless_asked_for_and_then_little(
     recorded, tmp_path, monkeypatch
 ):
@@ -322,6 +326,7 @@ def test_a_folder_with_other_things_is_not_replaced(recorded):
     assert (folder / "Eval/0_0.txt").exists()
 
 
+@pytest.mark.long
 def test_tables_fit_80_columns_and_show_every_party(recorded):
     folder, *_ = recorded()
     evaluation = recording_text(record_of(_evaluate(folder)), None)
@@ -349,6 +354,7 @@ def test_tables_fit_80_columns_and_show_every_party(recorded):
     )  # what the numbers of this file stand on
 
 
+@pytest.mark.long
 def test_a_recorded_choice_has_a_certificate_that_holds(recorded, tmp_path):
     out = tmp_path / "out"
     summary = _place(recorded(3, 0.6)[0], out=out)

@@ -258,6 +258,7 @@ def test_weights_weathers_and_announcements_are_in_the_schema(
     assert set(result.runs["weather"]) == {"day", "fog"}
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("small_study", "without_figures")
 def test_evaluations_and_comparisons_are_as_the_schema_says(
     run, tmp_path, layout_files

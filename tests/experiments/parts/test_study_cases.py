@@ -71,6 +71,7 @@ def expected(part, layouts):
     )
 
 
+@pytest.mark.long
 def test_layouts_are_evaluated_as_if_the_studys_cases_were_asked_about(
     asked, part, evaluations, expected, monkeypatch
 ):

@@ -98,6 +98,7 @@ def _files(folder):
     }
 
 
+@pytest.mark.long
 def test_pictures_clouds_labels_and_a_manifest_are_written(dataset):
     code, out, err = dataset("--masks", "--depth", "--json")
     assert code == 0, err
@@ -124,6 +125,7 @@ def test_pictures_clouds_labels_and_a_manifest_are_written(dataset):
     assert len(cloud) > 1000
 
 
+@pytest.mark.long
 def test_a_calibration_projects_the_vru_into_its_label(dataset):
     from geometry.study_scene import load_study_scene
     from placement.question import Question
@@ -188,6 +190,7 @@ def test_read_back_it_gives_the_evaluators_verdicts(dataset, run, tmp_path):
     assert any(told.values())
 
 
+@pytest.mark.long
 def test_coco_is_read_by_its_own_library(dataset, capsys):
     coco = pytest.importorskip("pycocotools.coco")
     assert dataset("--format", "coco", "--lidar", "none")[0] == 0
@@ -253,6 +256,7 @@ def test_vehicles_are_labelled_where_they_are_seen(dataset, run):
     assert _files("data") == before
 
 
+@pytest.mark.long
 def test_vehicles_are_in_coco_once(dataset):
     asked = ("--format", "coco", "--lidar", "none", "--vehicles")
     assert dataset(*asked)[0] == 0
@@ -362,6 +366,7 @@ def test_varied_looks_differ_from_run_to_run_but_not_from_call_to_call(dataset):
     assert all(plain[name] == varied[name] for name in labels)
 
 
+@pytest.mark.long
 def test_it_goes_on_where_it_stopped_and_writes_nothing_twice(dataset, drawn):
     whole = _files("data")
     pictures = sorted(name for name in whole if name.endswith(".png"))
@@ -428,6 +433,7 @@ def test_a_folder_that_a_worker_does_not_see_is_one_line(tmp_path):
         _draw_task(None, (), task)
 
 
+@pytest.mark.long
 def test_a_full_disk_stops_it_and_leaves_what_is_drawn(dataset, monkeypatch):
     n_written = 0
     write = job.write_atomically

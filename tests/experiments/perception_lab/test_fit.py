@@ -156,6 +156,7 @@ def test_pictures_are_shared_out_evenly(wanted, there, shares):
     assert job._share_out(wanted, there) == shares
 
 
+@pytest.mark.long
 def test_a_table_is_fitted_to_files_of_coco(ask, coco):
     labels, results = coco
     told = ask("detector fit --labels", labels, "--results", results)
@@ -234,6 +235,7 @@ def kitti_files(tmp_path):
     return paths
 
 
+@pytest.mark.long
 def test_classes_that_a_detector_does_not_report_stay_assumed(run, tmp_path):
     labels, people, _ = kitti_files(tmp_path)
     fit = ("detector fit --labels", labels, "--results")
@@ -276,6 +278,7 @@ def test_classes_that_nobody_labelled_keep_their_place(run, tmp_path):
         assert value / best == pytest.approx(built_in[name] / best_built_in)
 
 
+@pytest.mark.long
 def test_results_of_coco_show_which_classes_are_reported(run, coco):
     labels, results = coco
     rows = json.loads(results.read_text())

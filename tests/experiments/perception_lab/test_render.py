@@ -141,6 +141,7 @@ def test_colours_of_things_differ_and_the_vrus_is_the_lightest():
     assert (colours[-1] == 0.0).all()
 
 
+@pytest.mark.long
 def test_a_lidar_writes_points_that_others_can_read(run, tmp_path):
     import trimesh
 

@@ -242,6 +242,7 @@ def test_hosts_that_are_answered():
 # ---------- planning
 
 
+@pytest.mark.long
 def test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit(
     open_client, join, few_runs, tmp_path
 ):
@@ -382,6 +383,7 @@ def test_pixel_density_is_told_when_asked_for(open_client, join):
     assert list(found["shares"])[-2:] == ["coarser", "unseen"]
 
 
+@pytest.mark.long
 def test_the_optimiser_proposes_and_is_taken_over_or_dropped(
     open_client, join, tmp_path
 ):
@@ -416,6 +418,7 @@ def test_the_optimiser_proposes_and_is_taken_over_or_dropped(
     )
 
 
+@pytest.mark.long
 def test_a_proposal_is_evaluated_too(open_client, join):
     line = join(open_client())
     line.send(do="ask", request="complete", units=1)
@@ -567,6 +570,7 @@ def garden(tmp_path):
     return write_garden(tmp_path, (-146.4, 7.6, -130.4, 17.6))
 
 
+@pytest.mark.long
 def test_private_areas_in_view_are_those_that_evaluate_tells(open_client, join, garden):
     units = UNITS[:2]
     client = open_client(units, asked={"no_look": str(garden), "no_look_share": 0.5})
@@ -591,6 +595,7 @@ def test_private_areas_in_view_are_those_that_evaluate_tells(open_client, join, 
     assert line.numbers("evaluator")["private"] == numbers["private"]
 
 
+@pytest.mark.long
 def test_private_areas_are_kept_when_another_scene_is_opened(open_client, join, garden):
     client = open_client(asked={"no_look": str(garden)})
     line = join(client)
@@ -609,6 +614,7 @@ def test_private_areas_are_kept_when_another_scene_is_opened(open_client, join, 
     assert [area["name"] for area in scene["private"]] == ["garden"]
 
 
+@pytest.mark.long
 def test_an_evaluator_that_dies_is_told_and_asked_once_more(tmp_path, small_setting):
     class Dies(InThread):
         deaths = 0
@@ -645,6 +651,7 @@ def test_an_evaluator_that_dies_is_told_and_asked_once_more(tmp_path, small_sett
     ]
 
 
+@pytest.mark.long
 def test_numbers_of_the_table_never_follow_those_of_the_evaluator(
     tmp_path, small_setting
 ):
@@ -690,6 +697,7 @@ def test_numbers_of_the_table_never_follow_those_of_the_evaluator(
 # ---------- maps
 
 
+@pytest.mark.long
 def test_a_map_is_dropped_and_a_junction_of_it_is_planned(open_client, join):
     client = open_client(UNITS[:1])
     line = join(client)
@@ -713,6 +721,7 @@ def test_a_map_is_dropped_and_a_junction_of_it_is_planned(open_client, join):
         assert response.status_code == 400
 
 
+@pytest.mark.long
 def test_a_plan_is_not_lost_when_another_scene_is_opened(open_client, join, tmp_path):
     path = tmp_path / "kept.json"
     client = open_client(UNITS[:1], save=path)
@@ -1015,6 +1024,7 @@ def test_nothing_hangs_and_there_is_no_layout_to_save(open_client):
     assert "no unit" in response.json()["problem"]
 
 
+@pytest.mark.long
 def test_the_plan_is_kept_in_a_file_when_it_rests(open_client, join, tmp_path):
     path = tmp_path / "kept.json"
     line = join(open_client(save=path))
@@ -1026,6 +1036,7 @@ def test_the_plan_is_kept_in_a_file_when_it_rests(open_client, join, tmp_path):
     )
 
 
+@pytest.mark.long
 def test_junctions_of_the_named_map_are_offered_and_its_file_is_left_alone(
     open_client, join, tmp_path
 ):

@@ -27,6 +27,8 @@ from scenarios.aeb import load_aeb_rule
 from scenarios.confirmation import is_in_time, live_confirmation_time_s
 from scenarios.runs import build_frame_axis
 
+pytestmark = pytest.mark.long
+
 VOID = {"source", "meta", "img", "br", "hr", "link", "input"}
 COMMAND = "place-rsus --budget 2 --out 'a <folder>'"
 EVIL = "<script>alert(1)</script>"
@@ -591,7 +593,6 @@ def test_a_case_that_some_approaches_do_not_carry_names_the_others(setting, layo
     }
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_what_no_braking_avoids_is_told(setting, layout):
     runs = tuple(
@@ -614,7 +615,6 @@ def test_equal_weights_are_told_and_take_no_column(evaluation_page):
     assert table_rows(evaluation_page, "Runs")[0][:2] == ["run", "last moment (s)"]
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_unequal_weights_are_told_by_case_and_run(setting, layout):
     is_counted = np.array([run.case.name != "CBNA" for run in setting.runs])

@@ -84,6 +84,7 @@ def roads(tmp_path):
     return path
 
 
+@pytest.mark.long
 def test_a_map_becomes_a_scene_that_says_what_was_understood(
     scene_command, scene_answer, city, tmp_path
 ):
@@ -201,6 +202,7 @@ def test_sites_are_poles_kerbs_or_a_list(scene_command, scene_answer, city, tmp_
         assert message in result.err
 
 
+@pytest.mark.long
 def test_buildings_come_from_another_file(scene_command, scene_answer, roads, tmp_path):
     import trimesh
 
@@ -416,6 +418,7 @@ def test_pictures_show_something():
         assert picture.std() > 20.0
 
 
+@pytest.mark.long
 def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkeypatch):
     from experiments.cli import first_answer
     from experiments.jobs import placement, search

@@ -56,6 +56,7 @@ def test_the_published_figures_are_those_of_the_study():
     assert {f.use for f in load_published().figures} == {"set by it", "compared"}
 
 
+@pytest.mark.long
 def test_quantities_are_shares_by_case(small):
     units = small[0].layout.units[2:4]
     evaluation = evaluate_layout(Layout(name="two", units=units), small[0].setting)

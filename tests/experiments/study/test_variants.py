@@ -36,6 +36,7 @@ def test_walls_move_towards_the_middle_and_nothing_else_does():
     assert back.vertices_m == pytest.approx(scene.vertices_m)
 
 
+@pytest.mark.long
 def test_every_variant_changes_one_thing_of_the_studys_own_cases(variants):
     base = variants["as it is"]
     assert set(base.setting.axis.cases) == set(OWN_CASES.split(","))

@@ -292,6 +292,7 @@ def test_references_in_a_circle_are_refused(tmp_path):
         read(tmp_path, city(ring))
 
 
+@pytest.mark.long
 def test_both_encodings_of_a_real_model_give_the_same_houses(real_input):
     gml = read_citygml(real_input("buildings/lod2_buildings_v3.gml"))
     in_json = {

@@ -35,6 +35,7 @@ def same(one, other):
     return one == other
 
 
+@pytest.mark.long
 def test_a_junctions_surroundings_make_the_scene_of_the_whole_map(city):
     maps, junctions = read_maps([city], ReadingOptions())
     around = Neighbourhoods(maps, radius_m=80.0)
@@ -54,6 +55,7 @@ def test_a_junctions_surroundings_make_the_scene_of_the_whole_map(city):
         assert cut.scene.roads
 
 
+@pytest.mark.long
 def test_lanes_through_other_junctions_come_along(real_input):
     maps, junctions = read_maps(
         [real_input("opendrive/multi_intersections.xodr")], ReadingOptions()

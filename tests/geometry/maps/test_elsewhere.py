@@ -58,6 +58,7 @@ def test_latitude_and_longitude_swapped(tmp_path):
     )
 
 
+@pytest.mark.long
 def test_easting_and_northing_swapped(tmp_path):
     here = gpd.GeoSeries([HOUSE], crs="EPSG:4326").to_crs("EPSG:25833")[0]
     path = houses(tmp_path, swapped(here), swapped(here), crs="EPSG:25833")

@@ -109,6 +109,7 @@ def test_data_beside_an_area_of_use_keep_their_reference_system():
     assert georeference(passau, "EPSG:25832", where="f").crs == "EPSG:25832"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "declared", ["EPSG:999999", "somewhere", "EPSG:5783", "+proj=nonsense"]
 )

@@ -83,6 +83,7 @@ def test_impossible_spacings_are_refused(spacing_m):
         kerb_sites([east("a", 0.0)], SQUARE[:2], 10.0)
 
 
+@pytest.mark.long
 @given(
     angles=st.lists(st.integers(0, 11), min_size=1, max_size=5, unique=True),
     spacing_m=st.floats(5.0, 40.0),

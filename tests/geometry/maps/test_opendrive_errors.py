@@ -292,6 +292,7 @@ def test_the_whole_file_is_read(tmp_path):
     assert source.crs == "+proj=utm +zone=32 +datum=WGS84"
 
 
+@pytest.mark.long
 @given(seed=st.integers(0, 2**32), n_changes=st.integers(1, 4))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_dropped_doubled_and_moved_elements_give_a_map_or_one_line(

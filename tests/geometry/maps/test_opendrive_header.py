@@ -53,6 +53,7 @@ def test_what_a_projection_says_about_heights_is_left_out(tmp_path):
     assert source.source_crs == reference
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("reference", "why"),
     [

@@ -65,6 +65,7 @@ def test_every_junction_of_town05_has_three_or_four_arms(town05):
     assert n_arms == {name: 3 if name in three else 4 for name in n_arms}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "arms", "poles", "n_things", "n_crosswalks"),
     [
@@ -93,6 +94,7 @@ def test_arms_and_what_stands_there(
     assert len(source.crosswalks_m) == n_crosswalks
 
 
+@pytest.mark.long
 def test_lanes_meet_their_continuation_at_the_roads_end(real_input):
     source = read_opendrive(real_input("opendrive/Town01.xodr"))
     inner = [one for one in source.lanes if one.kind == "driving"]

@@ -167,6 +167,7 @@ def test_merged_poles_are_the_groups_of_those_close_to_one_another(rows):
         )
 
 
+@pytest.mark.long
 def test_thousands_of_poles_at_one_place_are_one():
     poles = [
         Pole(id=str(index), kind="sign", position_m=[0.0, 0.0, 0.0])

@@ -270,6 +270,7 @@ def _read_or_refuse(content: bytes, folder: Path) -> None:
         assert np.isfinite(lane.centreline_m).all()
 
 
+@pytest.mark.long
 @_FUZZ
 @given(data=st.data())
 def test_changed_attributes_are_read_or_refused(data, tmp_path):
@@ -291,6 +292,7 @@ def test_changed_attributes_are_read_or_refused(data, tmp_path):
     _read_or_refuse(text.encode(), tmp_path)
 
 
+@pytest.mark.long
 @_FUZZ
 @given(
     tags=st.dictionaries(
@@ -430,6 +432,7 @@ def _check(source: SourceMap) -> Counter[int]:
     return counts
 
 
+@pytest.mark.long
 def test_neukolln(real_input):
     source = read_openstreetmap(real_input("osm/neukolln.osm"))
     assert not source.keeps_left

@@ -358,6 +358,7 @@ def test_side_roads_35_m_apart_on_either_side_are_one_junction_if_asked_for(
     assert sorted(found, reverse=True) == n_arms
 
 
+@pytest.mark.long
 def test_a_roundabout_is_one_junction_and_shows_the_side(tmp_path):
     for turn in (1, -1):
         osm = OsmText()

@@ -113,6 +113,7 @@ def test_a_slope_of_centimetres_is_a_plane():
     assert len(scene.triangles[scene.triangle_instance == 0]) == 2
 
 
+@pytest.mark.long
 def test_a_bridge_over_the_junction_is_not_its_ground():
     across = np.column_stack([np.full(60, 3.0), np.linspace(-160.0, 160.0, 60)])
     source = roads()
@@ -126,6 +127,7 @@ def test_a_bridge_over_the_junction_is_not_its_ground():
     assert_allclose(bridged.at(inside), plain.at(inside), atol=2e-3)
 
 
+@pytest.mark.long
 def test_a_file_of_heights_comes_before_the_roads_and_carries_what_they_carry():
     rng = np.random.default_rng(0)
     places = rng.uniform(-180.0, 180.0, size=(8000, 2))

@@ -165,6 +165,7 @@ def test_two_mini_roundabouts_side_by_side_stay_two(tmp_path):
 
 
 # ---------- the island
+@pytest.mark.long
 def test_the_island_is_no_carriageway_and_carries_poles(tmp_path):
     osm = roundabout()
     lamp = osm.node(2.0, 1.0, highway="street_lamp")

@@ -80,6 +80,7 @@ def frame_of(crs: str) -> geopandas.GeoDataFrame:
     return geopandas.GeoDataFrame(columns, geometry=points, crs=crs)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("crs", ["EPSG:25833", "EPSG:31468", "EPSG:4258", "EPSG:4326"])
 @pytest.mark.parametrize("name", ["sites.shp", "sites.gpkg"])
 def test_gis_files_are_lists_of_poles(street_map, tmp_path, name, crs):
@@ -103,6 +104,7 @@ def test_a_shapefile_without_its_system_is_told_it_or_finds_it(street_map, tmp_p
     assert_at_places(scene_with(street_map, path, "EPSG:25833"))
 
 
+@pytest.mark.long
 def test_of_several_layers_the_one_with_points_or_named_sites_is_read(
     street_map, tmp_path, caplog
 ):
@@ -121,6 +123,7 @@ def test_of_several_layers_the_one_with_points_or_named_sites_is_read(
     assert f"{path}: layer sites is read, of 4" in caplog.messages
 
 
+@pytest.mark.long
 def test_excel_says_the_separator_above_the_header(street_map, tmp_path):
     path = csv_of(tmp_path, "id;lon;lat;height", WGS84, digits=8)
     plain = path.read_text(encoding="utf-8")
@@ -147,6 +150,7 @@ def test_files_of_excel_are_read_whatever_their_encoding(
     assert told == (encoding == "cp1252")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("heads", "crs", "name"),
     [
@@ -190,6 +194,7 @@ def test_a_system_that_is_not_the_only_one_is_asked_for(tmp_path):
     assert check_sites(str(path), roads, sites_crs="EPSG:25833") == ("EPSG:25833", ())
 
 
+@pytest.mark.long
 def test_coordinates_that_fit_no_system_are_refused(street_map, tmp_path):
     path = tmp_path / "sites.csv"
     path.write_text("id;x;y\na;652381,2;6862047,3\n")

@@ -25,6 +25,7 @@ def scene_of(path):
     return build_scene(around, name="made", source_crs="", sites=(), radius_m=80.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     [

@@ -165,6 +165,7 @@ def test_the_choice_is_the_best_of_all_in_every_objective(
     assert choice.certificate.stages[0].gap == 0.0
 
 
+@pytest.mark.long
 @given(fronts(), st.integers(0, 6), st.integers(0, 12))
 def test_what_the_fronts_leave_open_is_in_the_bound(found, units, halves):
     """A layout within the junctions' bounds, which the fronts lack, does not exceed the

@@ -49,6 +49,7 @@ def junctions(draw):
     return replace(problem, limits=limits)
 
 
+@pytest.mark.long
 @given(junctions(), st.sampled_from([12_000, 3]))
 def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
     limits = problem.limits
@@ -133,6 +134,7 @@ def test_poses_that_see_alike_still_give_a_layout_for_each_number_of_sites():
         assert apr(problem, layout) <= bounds[n_sites - 1] + TOLERANCE
 
 
+@pytest.mark.long
 def test_a_front_is_no_worse_than_that_of_few_of_its_poses():
     problem = many_poses(np.random.default_rng(2))
     first = np.array([0, 1, 2, 3, 10, 11, 12, 13])

@@ -55,6 +55,7 @@ def test_the_choice_is_the_best_of_all(sizes, seed, n_rows, tightness):
     assert (problem.group[choice.chosen] == np.arange(len(sizes))).all()
 
 
+@pytest.mark.long
 @given(
     st.lists(st.integers(2, 4), min_size=4, max_size=6),
     st.integers(0, 10_000),

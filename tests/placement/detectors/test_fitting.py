@@ -69,6 +69,7 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [pytest.param(0.0, marks=pytest.mark.long), 0.4])
 def test_the_share_that_lasts_for_a_track_is_found(share):
     """Noise drawn as a sampled world draws it, of tracks that are found as often as
@@ -88,6 +89,7 @@ def test_the_share_that_lasts_for_a_track_is_found(share):
     assert fitted.high - fitted.low < 0.35
 
 
+@pytest.mark.long
 def test_without_consecutive_frames_nothing_is_known_of_what_lasts():
     sightings = replace(drawn(), frame=np.tile(200 * np.arange(N_FRAMES), N_TRACKS))
     with pytest.raises(
@@ -101,6 +103,7 @@ def fit():
     return fit_response(drawn(), name="mine", draws=8)
 
 
+@pytest.mark.long
 def test_the_table_that_was_drawn_from_is_found_again(fit):
     found = fit.detector
     truth = np.interp(found.seen_share, TRUTH.seen_share, TRUTH.recall)
@@ -147,6 +150,7 @@ def test_the_same_seed_gives_the_same_table():
     assert first.intervals == second.intervals
 
 
+@pytest.mark.long
 def test_classes_and_light_that_never_appear_are_as_built_in():
     fit = fit_response(
         drawn(classes=(0,), contrasts=(1.0,)).take(SOME), name="a", draws=0

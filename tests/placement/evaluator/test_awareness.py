@@ -140,6 +140,7 @@ def test_a_lost_message_leaves_what_was_known_until_the_next_must_come(walk):
     assert len(seen) == 8
 
 
+@pytest.mark.long
 def test_vrus_carry_devices_as_often_as_said_and_keep_them_for_a_run(walk):
     n_runs = 2000
     known = _known([walk([0.14] * 3) for _ in range(n_runs)], vam_rate=0.3).reshape(

@@ -89,6 +89,7 @@ def test_a_window_has_the_box_in_its_middle_but_stays_in_the_image(larger):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "weather", ["day", pytest.param("night", marks=pytest.mark.long)]
 )
@@ -178,6 +179,7 @@ def test_the_shadow_of_the_vut_belongs_to_it(last_frames, seen):
     assert near.key(0)[-1] == 0  # a frame of its own
 
 
+@pytest.mark.long
 def test_the_shipped_network_finds_most_cyclists_that_are_50_px_high(
     runs, seen, larger
 ):

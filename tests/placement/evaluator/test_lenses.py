@@ -152,6 +152,7 @@ def corners_in_camera(solid, road_pose, pose):
     return (world - pose.position_m) @ camera_rotation(pose.yaw_deg, pose.pitch_deg)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("every", [12, pytest.param(2, marks=pytest.mark.long)])
 @pytest.mark.parametrize(("model", "seed"), [("brown-conrady", 0), ("fisheye", 1)])
 def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every):
@@ -230,6 +231,7 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
 # ---------- table and evaluator
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))]

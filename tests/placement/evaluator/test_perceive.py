@@ -89,6 +89,7 @@ def surroundings(build_scene, build_run):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "mount",
     [MOUNTS[0], *(pytest.param(one, marks=pytest.mark.long) for one in MOUNTS[1:])],
@@ -110,6 +111,7 @@ def test_roadside_boxes_equal_the_plain_render_of_every_frame(
     )
 
 
+@pytest.mark.long
 def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(
     surroundings, camera, vut
 ):
@@ -138,6 +140,7 @@ STUDY_POSES = (  # two of the study's RSUs
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pose", STUDY_POSES)
 def test_boxes_and_shares_in_the_study_are_those_of_a_ray_per_pixel(study_runs, pose):
     """Every body and obstruction at full resolution, in frames all through the runs."""

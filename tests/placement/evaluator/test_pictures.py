@@ -170,6 +170,7 @@ def test_one_box_is_matched_in_the_frames_whose_visible_box_it_overlaps_by_half(
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "is_detected"), [(PEDESTRIAN, False), (CYCLIST, True)]
 )

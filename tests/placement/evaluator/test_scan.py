@@ -358,6 +358,7 @@ def _around(build_run, name, distance_m, n_frames=20):
     return build_run(pick_actor(name, "test"), vru, vut)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("lidar", "pitch_deg", "distance_m"),
     [
@@ -390,6 +391,7 @@ def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
         assert plain.max() > 20
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n_columns", [1, -67])
 def test_a_level_ring_sees_the_same_however_it_is_turned(
     build_scene, build_run, beams_on_vru, needs, n_columns

@@ -96,6 +96,7 @@ def test_on_a_slope_whoever_is_ahead_is_seen_at_the_row_of_the_level_road(
     assert box[[0, 2]].mean() == pytest.approx(160.0, abs=1.0)
 
 
+@pytest.mark.long
 def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_looks(
     build_scene, build_run, camera, block
 ):

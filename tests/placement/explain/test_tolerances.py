@@ -66,6 +66,7 @@ def moved(one, *, yaw_deg=0.0, pitch_deg=0.0, height_m=0.0):
     )
 
 
+@pytest.mark.long
 def test_within_its_tolerances_nothing_is_lost_and_a_step_beyond_something_is(setting):
     one = unit("a", -135.0)
     planned = avoided(setting, [one])
@@ -104,6 +105,7 @@ def test_a_twin_lets_a_unit_be_off_by_all_that_is_tried(setting):
         assert found.height_m == (LIFTS_M[-1], LIFTS_M[-1])
 
 
+@pytest.mark.long
 def test_usual_errors_cost_what_a_layout_built_so_has(setting):
     one = unit("a", -135.0)
     found = find_standing(setting, [one])

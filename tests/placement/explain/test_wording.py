@@ -82,6 +82,7 @@ TOGETHER = "got demands that no layout meets together; expected"
 TOO_MUCH = "got a demand that no layout meets; expected"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("wishes", "text"),
     [

@@ -54,6 +54,7 @@ def through_pinhole(draw, small):
     return pinhole, draw(pinhole)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", LENSES)
 def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(
     draw, through_pinhole, small, model
@@ -119,6 +120,7 @@ def test_a_dark_rim_does_not_lengthen_the_exposure_of_what_stands_still(
     assert bent == pytest.approx(straight, rel=0.5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["brown-conrady", "fisheye"])
 def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
     backdrop, study_run, small, draw, model
@@ -148,6 +150,7 @@ def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
     assert not (vru & ~mask).any()
 
 
+@pytest.mark.long
 def test_a_lens_of_zeros_has_the_pinholes_bits(draw, small):
     zero = replace(small, lens=BrownConrady(), principal_point=(0.5, 0.5), roll_deg=0.0)
     plain = draw(small)

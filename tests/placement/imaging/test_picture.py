@@ -47,6 +47,7 @@ def draw(backdrop, study_run, small):
     return draw_frame
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("weather", ["night", "rain"])
 def test_the_same_seed_gives_the_same_picture_whatever_the_threads(draw, weather):
     one = draw(weather, compute=Compute(seed=3))
@@ -87,6 +88,7 @@ def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
     assert {"ground", "building-ne", "parked-1"} <= set(picture.names)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("back", "with_vut"),
     [
@@ -209,6 +211,7 @@ def test_what_lies_in_the_shadow_is_darker(build_plain_scene, study_run, small, 
     assert np.percentile(shaded, 99) < np.percentile(lit, 1)
 
 
+@pytest.mark.long
 def test_night_without_lamps_is_dark_and_lamps_light_the_road(
     build_plain_scene, study_run, small
 ):
@@ -267,6 +270,7 @@ def test_the_vuts_own_camera_sees_its_headlights_not_itself(backdrop, study_run,
     assert pictures[0][below].mean() > 3.0 * pictures[1][below].mean()
 
 
+@pytest.mark.long
 def test_what_drives_by_is_in_the_picture(backdrop, study_run, small, day):
     vru_m = study_run.vru_position_m[0]
     towards = (CORNER.position_m[:2] - vru_m) / np.linalg.norm(

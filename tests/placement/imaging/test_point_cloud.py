@@ -42,6 +42,7 @@ def _scan(scene, run, pose, lidar=EXACT, weather=DAY, *, with_vut=True, **option
     return scan_mesh(mesh, run, pose, lidar, weather=weather, **options)
 
 
+@pytest.mark.long
 def test_points_lie_on_beams_at_most_as_far_as_the_range_and_no_beam_has_two(
     scene, run, pose
 ):

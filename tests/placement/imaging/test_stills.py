@@ -47,6 +47,7 @@ def pictures(request, backdrop, study_run, small):
     ]
 
 
+@pytest.mark.long
 def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(pictures):
     weather, pairs = pictures
     for anew, onto in pairs:

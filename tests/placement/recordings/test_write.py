@@ -207,6 +207,7 @@ def simulated(runs):
     return axis, drives, detected
 
 
+@pytest.mark.long
 def test_a_simulated_recording_gives_the_detected_frames_and_verdicts_of_the_simulator(
     simulated, tmp_path, rule
 ):
@@ -231,6 +232,7 @@ def test_a_simulated_recording_gives_the_detected_frames_and_verdicts_of_the_sim
     )
 
 
+@pytest.mark.long
 def test_the_last_moment_told_from_distances_is_never_later_than_the_swept_one(
     simulated, tmp_path, rule
 ):

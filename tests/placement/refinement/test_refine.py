@@ -82,6 +82,7 @@ NAMES = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_refinement_is_never_worse_in_the_order_of_the_stages(
     name, placements, refinements
@@ -196,6 +197,7 @@ def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
     assert refinement.after == refinement.before
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
     candidates, placement = placements["two units"]
     again = refine(meadow, placement, candidates, compute=Compute(workers=2))

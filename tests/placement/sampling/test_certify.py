@@ -175,6 +175,7 @@ def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
     assert found.judged.layout.units == chosen.units
 
 
+@pytest.mark.long
 def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
     assembly, tmp_path, monkeypatch
 ):

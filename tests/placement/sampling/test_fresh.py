@@ -88,6 +88,7 @@ def test_without_uncertainty_every_world_is_the_plan(setting, layouts):
     assert avoided.any()
 
 
+@pytest.mark.long
 def test_a_layout_is_worth_in_a_world_what_its_table_says(setting, layouts, judged):
     axis = setting.axis
     both = layouts[0]
@@ -206,6 +207,7 @@ def test_a_units_own_latency_counts(setting, layouts):
     assert result.estimate.mean == 0.0
 
 
+@pytest.mark.long
 def test_cars_that_see_are_judged_without_units_too(setting, layouts):
     seeing = replace(setting, cars=1.0)
     dirty = replace(LOSSY, blinding=Blinding(dirty_share=0.5))
@@ -225,6 +227,7 @@ def test_cars_that_see_are_judged_without_units_too(setting, layouts):
     assert out_of_sample(setting, layouts[1], LOSSY, n_samples=1).alone == 0.0
 
 
+@pytest.mark.long
 def test_a_share_of_cars_that_see_is_the_weighted_sum_of_both(setting, layouts):
     blind, mixed, see = (
         out_of_sample(replace(setting, cars=cars), layouts[1], LOSSY, n_samples=3)

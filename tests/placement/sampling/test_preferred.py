@@ -121,6 +121,7 @@ def test_what_was_found_stays_where_worlds_do_not_prefer_another(
     assert plain.preferred is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("chance", "takes_worse"),
     [({"cars": 1.0}, False), ({"detector": load_planning_detector("response")}, True)],

@@ -94,6 +94,7 @@ def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
     assert n_compared >= 5
 
 
+@pytest.mark.long
 def test_the_impact_stays_where_and_when_it_was(laid, rule):
     for index in range(5):
         drawn, n_kept = draw_road_users(
@@ -268,6 +269,7 @@ def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
             assert np.std(values) == pytest.approx(spread, rel=0.2)
 
 
+@pytest.mark.long
 def test_the_same_seed_draws_the_same_and_a_run_not_by_the_others(laid, rule):
     def speeds(runs, streams):
         drawn, _ = draw_road_users(runs, ROBUSTNESS, rule, streams.rng, SCENE)

@@ -147,6 +147,7 @@ def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planne
         )
 
 
+@pytest.mark.long
 def test_units_that_are_off_detect_otherwise(setting, candidates, planned):
     off = Uncertainty(mounting=MountingErrors(yaw_sd_deg=10.0))
     sampled = sampled_table(
@@ -187,6 +188,7 @@ def test_bits_are_appended_where_they_belong(worlds):
 # Cache and progress
 
 
+@pytest.mark.long
 def test_each_world_has_a_cached_table_of_its_own(
     setting, candidates, default, stacked, tmp_path
 ):
@@ -242,6 +244,7 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
 # What worlds share
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("planner", "lens"),
     [

@@ -130,6 +130,7 @@ def test_an_empty_street_is_empty(junction_scene):
     assert build_street(junction_scene, _traffic()).draw(_rng()) == ()
 
 
+@pytest.mark.long
 def test_the_share_of_places_taken_is_as_asked(junction_scene):
     # Places and vehicles are equally long here: every place is a coin of its own.
     traffic = _traffic(
@@ -165,6 +166,7 @@ def test_a_queue_begins_at_the_stop_line_and_goes_on_behind(junction_scene):
     } == {1.75}
 
 
+@pytest.mark.long
 def test_queues_are_as_long_as_the_shares_say(junction_scene):
     street = build_street(
         junction_scene,
@@ -204,6 +206,7 @@ def test_the_stop_line_is_at_the_mouth_or_before_the_crosswalk(junction_scene):
     assert stop_line_m(along, lane, 3.0) == 0.0
 
 
+@pytest.mark.long
 def test_kinds_come_as_often_as_their_shares_say(junction_scene):
     actors = load_actors()
     kinds = (

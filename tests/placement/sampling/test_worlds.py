@@ -55,6 +55,7 @@ def test_without_uncertainty_a_sample_is_the_plan(setting, candidates):
     assert sample.vehicles == ()
 
 
+@pytest.mark.long
 def test_the_same_seed_draws_the_same_worlds_and_another_one_others(
     setting, candidates, default
 ):
@@ -118,6 +119,7 @@ def test_errors_have_their_spread_and_no_bias(setting, look):
         )
 
 
+@pytest.mark.long
 def test_few_heights_stand_for_the_normal_distribution(setting, look):
     """Three, whose mean, variance and fourth moment are those of the normal
     distribution.

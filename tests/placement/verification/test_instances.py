@@ -254,6 +254,7 @@ def rewrite(path, problem, **changes):
 OPTIONAL = ("budget_units", "budget_eur", "sample_index", "track_memory_s")
 
 
+@pytest.mark.long
 def test_every_field_that_is_missing_is_named(problem, tmp_path):
     path = tmp_path / "a.npz"
     save_problem(path, problem)

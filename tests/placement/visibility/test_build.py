@@ -94,6 +94,7 @@ def _agreement(scene, runs, candidates, detector, detected):
     return np.array(shares)
 
 
+@pytest.mark.long
 def test_the_table_detects_in_the_frames_in_which_pixels_do(world, candidates, table):
     scene, runs, _ = world
     detected = _detected(table)
@@ -153,6 +154,7 @@ def test_two_workers_build_the_same_table_as_one(world, candidates, table):
     assert np.array_equal(two.packed, table.packed)
 
 
+@pytest.mark.long
 def test_the_table_is_the_same_every_time_for_a_seed(world, candidates, table):
     scene, runs, axis = world
     again, other = (

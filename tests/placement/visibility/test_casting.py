@@ -187,6 +187,7 @@ def test_sight_is_what_rays_one_by_one_see_in_the_world(build_scene, build_run, 
     assert (seen == 0.0).any() or (seen < 0.2).any()
 
 
+@pytest.mark.long
 def test_sight_is_the_naive_one_with_parked_bodies_of_one_run_only(
     build_scene, build_run, actors
 ):

@@ -87,6 +87,7 @@ def evidence_of(sensing, candidate):
     return boxes(columns, rows, hidden | out), boxes(columns, rows, out)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("seed", range(3))
 def test_boxes_through_lenses_are_those_of_numpy(
@@ -136,6 +137,7 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(world, mount, small_camera):
     assert sensing.packed(looks).any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", MODELS)
 def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, model):
     rng = np.random.default_rng(11)

@@ -84,6 +84,7 @@ def _random_looks(mount, rng, small_camera, n):
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("detector", DETECTORS)
 @pytest.mark.parametrize("seed", range(4))
 def test_every_verdict_is_that_of_numpy(world, mount, small_camera, detector, seed):

@@ -277,6 +277,7 @@ def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
     assert n_expected == pytest.approx(sum(n_beams), rel=0.08)
 
 
+@pytest.mark.long
 def test_only_the_part_inside_the_field_of_view_counts(
     mount, block_run, expected_points
 ):
@@ -376,6 +377,7 @@ def test_a_level_ring_has_the_same_row_however_it_is_turned(
     assert 0.2 < found[0].mean() < 0.9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pitch_deg", [0.0, -25.0])
 def test_the_table_of_a_ring_detects_in_the_frames_in_which_a_scan_does(
     build_scene, random_runs, mount, table_of, pitch_deg

@@ -49,6 +49,7 @@ def _distance_m(points, corners):
     return np.where(is_above, np.abs(height), best).min(axis=1)
 
 
+@pytest.mark.long
 def test_points_lie_on_the_mesh(surface):
     shape = _shape(surface)
     assert surface.points_m.shape == (N_POINTS, 3)
