@@ -119,7 +119,6 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
         for party in [parties[name]]
     ]
     lines = [
-        *driven_lines(summary.driven, summary.without_effect),
         *sentences(tr("{name} on {runs} runs:", name=summary.name, runs=summary.runs)),
         *table([tr("APR at a latency of"), *columns], at),
         "",
@@ -150,6 +149,9 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
             indent=2,
         ),
     ]
+    driven = driven_lines(summary.driven, summary.without_effect)
+    if driven:
+        lines += ["", *driven]
     if out is not None:
         files = joined(("latency.csv", "latency.png"))
         lines += ["", tr("Written to {out}: {files}.", out=out, files=files)]

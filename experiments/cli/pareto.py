@@ -114,21 +114,28 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
         ),
         Part(words=summary.sentences),
     ]
-    return _with_head(summary, parts, out, ("pareto.csv", "pareto.json", "pareto.png"))
+    return _with_driven(
+        summary, parts, out, ("pareto.csv", "pareto.json", "pareto.png")
+    )
 
 
-def _with_head(
+def _with_driven(
     summary: "FrontResult | RetrofitResult",
     parts: list[Part],
     out: Path | None,
     files: Sequence[str],
 ) -> str:
-    """An answer between what is driven and the files that were written."""
+    """An answer, then what is driven, and the files that were written."""
+    lines = [answer_text(parts, is_verbose=True)]
+    driven = driven_lines(summary.driven, summary.without_effect)
+    if driven:
+        lines += ["", *driven]
     if out is not None:
-        words = tr("Written to {out}: {files}.", out=out, files=joined(files))
-        parts.append(Part(words=[words]))
-    head = driven_lines(summary.driven, summary.without_effect)
-    return "\n".join([*head, "", answer_text(parts, is_verbose=True)])
+        lines += [
+            "",
+            tr("Written to {out}: {files}.", out=out, files=joined(files)),
+        ]
+    return "\n".join(lines)
 
 
 # Existing units are --layout; what is added is asked for by money alone.
@@ -209,4 +216,4 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
         ),
         Part(words=summary.sentences),
     ]
-    return _with_head(summary, parts, out, ("retrofit.csv", "retrofit.json"))
+    return _with_driven(summary, parts, out, ("retrofit.csv", "retrofit.json"))

@@ -16,6 +16,7 @@ from placement.detection_table import plain_axis
 from placement.optimiser import PlacementProblem
 from placement.optimiser.front import Front, FrontPoint
 from placement.optimiser.presolve import PresolveStatistics
+from placement.optimiser.problem import apr
 from placement.pipeline import pick_layout
 
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure
@@ -87,6 +88,9 @@ class FrontRecord(Record, frozen=True, kw_only=True):
     ]
     fusion: Annotated[Literal["any", "single"], says("As at the top.")]
     kept: Annotated[int, says("Units that are mounted already.", ge=0)]
+    cars_alone: Annotated[
+        float, says("APR of the cars' own sensors, without any unit; 0: none.")
+    ] = 0.0
     settled: Annotated[
         float | None, says("Units or EUR beyond which nothing grows; or null.")
     ]
@@ -117,8 +121,11 @@ def table(front: FrontRecord) -> Table:
         optimised = ["apr", "apr_one_failed"]
     optimised += ["cost_eur"] * (front.by == "cost")
     heads = [tr(head) + "*" * (name not in optimised) for name, head in _HEADS.items()]
-    before = [0.0, *(point.apr for point in front.points)]
+    before = [front.cars_alone, *(point.apr for point in front.points)]
     rows = []
+    if front.cars_alone > 0.0 and front.points and front.points[0].units > 0:
+        alone = percent(front.cars_alone)
+        rows.append(["0", alone, *[NOTHING] * 5, tr("the cars alone")])
     for less, point in zip(before, front.points, strict=False):
         gain = number(100.0 * (point.apr - less), 1)
         left = percent(point.apr_one_failed)
@@ -308,6 +315,7 @@ def describe_front(
         runs=plain_axis(problem.table.axis).n_runs,
         fusion=problem.fusion,
         kept=n_kept,
+        cars_alone=apr(problem, ()),
         settled=front.settled,
         is_proven=front.is_proven,
         presolve=front.presolve,

@@ -121,6 +121,18 @@ def test_gains_are_points_over_the_row_above(candidates):
     assert [row[shown.columns.index("gain")] for row in shown.rows] == ["12.5"] * 3
 
 
+def test_the_first_gain_is_over_what_cars_avoid_by_themselves(candidates):
+    blind, _ = front_of(2)
+    # Cars see what the last pose sees, which nobody mounts: one run of eight.
+    problem = replace(blind, seen_by_vut=blind.table.detected(slice(7, 8))[0])
+    front = pareto_front(problem, max_units=2)
+    record = describe_front(front, problem, candidates)
+    assert record.cars_alone == pytest.approx(0.125)
+    rows = [row[:3] for row in front_table(record).rows]
+    assert rows[0][:2] == ["0", "12.5 %"]
+    assert rows[1:] == [["1", "25.0 %", "12.5"], ["2", "37.5 %", "12.5"]]
+
+
 def test_a_settled_front_and_sizes_that_cannot_be_are_said(candidates):
     problem = avoiding_problem(["11", "11", "10"])
     found = pareto_front(problem, max_units=4)
