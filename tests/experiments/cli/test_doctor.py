@@ -1,9 +1,15 @@
 import json
+import re
+import tomllib
+from pathlib import Path
 
 import pytest
 
 from experiments.cli import doctor
 from experiments.cli.doctor import doctor_text, examine
+from geometry.text_formats import load_data
+
+PROJECT = Path(__file__).parents[3] / "pyproject.toml"
 
 
 @pytest.mark.long
@@ -18,6 +24,18 @@ def test_what_is_installed_is_told(run, tmp_path):
     code, text, _ = run("doctor")
     assert "mixed-integer solvers: HIGHS" in text
     assert max(map(len, text.splitlines())) <= 80
+
+
+def test_every_extra_is_looked_for_by_the_name_of_its_package():
+    project = tomllib.loads(PROJECT.read_text())["project"]
+    wanted = {}
+    for extra, requirements in project["optional-dependencies"].items():
+        names = [re.split(r"[<>=;~! ]", one, maxsplit=1)[0] for one in requirements]
+        wanted[extra] = names
+    listed = load_data("experiments", "installed.toml")["extras"]
+    assert {one["extra"] for one in listed} == wanted.keys()
+    for one in listed:
+        assert one["package"] in wanted[one["extra"]]
 
 
 def test_what_is_missing_is_told_with_what_it_costs(tmp_path, monkeypatch):
