@@ -980,7 +980,10 @@ def _continued_left_m(network: Network, edges: Sequence[Edge], tip: End) -> floa
         0 where it continues none. [m]
     """
     index, is_start = tip
-    row = int(edges[index].rows[0 if is_start else -1])
+    at = -1
+    if is_start:
+        at = 0
+    row = int(edges[index].rows[at])
     for pair in pair_ends(network, network.ends[row]):
         if tip not in pair:
             continue
