@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError, check_field, check_one_of
 from geometry.junction import Line
-from geometry.lines import along_m, apart, points_at
+from geometry.lines import along_m, apart, cross, points_at
 from geometry.tables import read_tables
 from geometry.text_formats import load_data
 
@@ -294,7 +294,7 @@ def _end_direction(chain_m: FloatArray) -> FloatArray:
     end, middle, begin = points_at(back, np.array([0.0, reach, 2.0 * reach]))
     last = end - middle
     before = middle - begin
-    turned = np.arctan2(before[0] * last[1] - before[1] * last[0], float(before @ last))
+    turned = np.arctan2(cross(before, last), float(before @ last))
     more = np.clip(0.5 * turned, -_MAX_END_BEND_RAD, _MAX_END_BEND_RAD)
     yaw = np.arctan2(last[1], last[0]) + more
     return np.array([np.cos(yaw), np.sin(yaw)])

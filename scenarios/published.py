@@ -10,6 +10,7 @@ from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray, Point2
 from geometry.errors import InputError, Unquoted
 from geometry.frames import from_carla_points, from_carla_yaw
+from geometry.lines import cross
 from geometry.study_scene import ParkedRow
 from geometry.tables import Text, pick, read_table
 from geometry.text_formats import load_data
@@ -116,7 +117,7 @@ def stage_published(
     # +1 if the VRU walks towards the VUT's left, -1 towards its right, 0 along its path
     ahead = placement.vut_path.direction
     walking = placement.vru_path.direction
-    sign = float(np.sign(ahead[0] * walking[1] - ahead[1] * walking[0]))
+    sign = float(np.sign(cross(ahead, walking)))
     sign *= case.kind != "longitudinal"
     vru_distance = placement.vru_meeting_m + impact_offset_m(case, vut) * sign
     vut_motion, vru_motion = (

@@ -10,8 +10,9 @@ from placement.question import N_BLOCKS, N_JUDGED, N_SAMPLES
 from ..language import tr
 from ..results.numbers import joined
 from . import options
+from .driven import driven_lines
 from .running import QuestionCall, command_line
-from .terminal import driven_lines, sentences, table
+from .terminal import sentences, table
 
 if TYPE_CHECKING:
     from ..parts.certified import CertifiedResult

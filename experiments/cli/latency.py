@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..language import localized, mark, tr
-from ..results.numbers import joined, percent
+from ..results.numbers import percent
 from . import options
+from .driven import closing_lines
 from .running import QuestionCall
-from .terminal import driven_lines, sentences, table
+from .terminal import sentences, table
 
 if TYPE_CHECKING:
     from placement.latency import LatencyBudget
@@ -149,12 +150,8 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
             indent=2,
         ),
     ]
-    driven = driven_lines(summary.driven, summary.without_effect)
-    if driven:
-        lines += ["", *driven]
-    if out is not None:
-        files = joined(("latency.csv", "latency.png"))
-        lines += ["", tr("Written to {out}: {files}.", out=out, files=files)]
+    files = ("latency.csv", "latency.png")
+    lines += closing_lines(summary.driven, summary.without_effect, out, files)
     return "\n".join(lines)
 
 

@@ -8,10 +8,10 @@ import click
 
 from ..language import mark, tr, trn
 from ..parts import Part
-from ..results.numbers import joined
 from . import options
+from .driven import closing_lines
 from .running import QuestionCall, command_line
-from .terminal import answer_text, basis, driven_lines
+from .terminal import answer_text, basis
 
 if TYPE_CHECKING:
     from ..jobs.pareto import FrontResult
@@ -126,16 +126,8 @@ def _with_driven(
     files: Sequence[str],
 ) -> str:
     """An answer, then what is driven, and the files that were written."""
-    lines = [answer_text(parts, is_verbose=True)]
-    driven = driven_lines(summary.driven, summary.without_effect)
-    if driven:
-        lines += ["", *driven]
-    if out is not None:
-        lines += [
-            "",
-            tr("Written to {out}: {files}.", out=out, files=joined(files)),
-        ]
-    return "\n".join(lines)
+    closing = closing_lines(summary.driven, summary.without_effect, out, files)
+    return "\n".join([answer_text(parts, is_verbose=True), *closing])
 
 
 # Existing units are --layout; what is added is asked for by money alone.

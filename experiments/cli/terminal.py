@@ -118,17 +118,6 @@ def basis(result: Any) -> dict[str, Any]:
     }
 
 
-def driven_lines(
-    driven: Sequence[str], without_effect: Sequence[str] = ()
-) -> list[str]:
-    """How many possible runs are driven, and why most others are not.
-
-    Also what was asked for and changes nothing.
-    """
-    reasons = sentences(*first_reasons(driven), indent=2, hanging=2)
-    return [*sentences(*driven[:1]), *reasons, *sentences(*without_effect)]
-
-
 def first_reasons(driven: Sequence[str]) -> list[str]:
     """Reasons why most of the other possible runs are not driven.
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import shapely
+from case_speeds import at_first_speed
 from junctions import ARMS, LANE_M, build_scene, lanes_of
 
 from geometry.scene import strips_of
@@ -36,12 +37,6 @@ def runs(scene, actors, rule):
     )
     assert {run.case.kind for run in laid} == {"crossing", "longitudinal", "turning"}
     return laid
-
-
-def at_first_speed(case):
-    return replace(
-        case, vut_speeds_kmh=case.vut_speeds_kmh[:1], pairs_kmh=case.pairs_kmh[:1]
-    )
 
 
 def test_no_run_comes_by_the_bus_lane(scene, runs):

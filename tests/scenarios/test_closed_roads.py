@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import shapely
+from case_speeds import at_first_speed
 from junctions import ARMS, MOUTH_M, build_scene, lanes_of
 
 from geometry.junction import build_junction
@@ -40,12 +41,6 @@ def lay(actors, rule):
         )
 
     return run_cases
-
-
-def at_first_speed(case):
-    return replace(
-        case, vut_speeds_kmh=case.vut_speeds_kmh[:1], pairs_kmh=case.pairs_kmh[:1]
-    )
 
 
 def area_of_arm(scene):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import shapely
+from case_speeds import at_first_speed
 
 from geometry.maps.importing import ImportOptions, import_scene
 from scenarios.cases import load_cases
@@ -53,12 +54,6 @@ def runs(scenes, actors, rule):
         )
         found[name] = laid
     return found
-
-
-def at_first_speed(case):
-    return replace(
-        case, vut_speeds_kmh=case.vut_speeds_kmh[:1], pairs_kmh=case.pairs_kmh[:1]
-    )
 
 
 @pytest.mark.parametrize("name", ["lanelets.osm", "ring.osm"])

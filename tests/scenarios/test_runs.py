@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from case_speeds import at_first_speed
 from dragged import has_contact
 from hypothesis import given
 from hypothesis import strategies as st
@@ -174,12 +175,8 @@ def test_a_junction_that_lies_otherwise_gives_the_same_runs(
         ),
         outline_m=turned(scene.outline_m, angle_deg) + [east_m, 0.0],
     )
-    case = load_cases()[name]
-    # One run an approach: of two vehicles in motion, too, the first pair of speeds
-    # alone.
-    case = replace(
-        case, vut_speeds_kmh=case.vut_speeds_kmh[:1], pairs_kmh=case.pairs_kmh[:1]
-    )
+    # One run an approach, also of two vehicles in motion.
+    case = at_first_speed(load_cases()[name])
     here, _ = build_runs(
         scene, [case], vut=actors["vut"], rule=rule, approaches=["west"]
     )

@@ -18,7 +18,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
-from ...lines import along_m, points_at, unit
+from ...lines import along_m, cross, points_at, unit
 from ...scene import RoadUser
 from ..source_map import MapLane
 from .elements import DEFAULTS
@@ -261,7 +261,7 @@ def _branch(
     others = road.lanes_at(far_at_m, is_forward=is_forward)
     if not strips or not others:
         return None
-    side = float(np.sign(along[0] * way[1] - along[1] * way[0]))
+    side = float(np.sign(cross(along, way)))
     lefts = [strip.left_m for strip in strips]
     is_at_kerb = side * lefts[0] >= side * lefts[-1]
     is_oneway = len(road.section_at(near_at_m).directions) == 1
@@ -402,12 +402,10 @@ def _street_lanes(
         at_high = street.strips_at(index, high_m)
         # One part of a lane for each strip across this part of the street.
         following: dict[tuple[str, str, int], _Piece] = {}
-        for strip, strip_low, strip_high in zip(
-            section.strips, at_low, at_high, strict=True
-        ):
+        for strip, strip_high in zip(at_low, at_high, strict=True):
             n_begin = dropped.get((at_reach, index, strip.is_forward), 0)
             n_end = dropped.get((at_reach, index + 1, strip.is_forward), 0)
-            begin_m, is_continued = _at_break(strip_low, at_low, before, n_begin)
+            begin_m, is_continued = _at_break(strip, at_low, before, n_begin)
             end_m, _ = _at_break(strip_high, at_high, after, n_end)
             key = strip.kind, strip.place, strip.number
             limit_kmh = speed_limit_kmh(
@@ -417,7 +415,7 @@ def _street_lanes(
             part = _Part(
                 strip=strip,
                 span_m=spans[index],
-                own_left_m=(strip_low.left_m, strip_high.left_m),
+                own_left_m=(strip.left_m, strip_high.left_m),
                 ends_left_m=(begin_m, end_m),
                 level=edge.level,
                 limit_kmh=limit_kmh,

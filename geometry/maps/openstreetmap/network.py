@@ -44,7 +44,7 @@ from .lane_counts import (
     is_oneway,
     runs_backward,
 )
-from .placement import carriageway_left_m
+from .placement import DrivingLane, carriageway_left_m
 
 # Kind, width [m], whether it runs as the way does.
 Part = tuple[str, float, bool]
@@ -238,6 +238,11 @@ class CrossSection:
     begin_left_m: float = 0.0
     end_left_m: float = 0.0
 
+    @property
+    def is_centred(self) -> bool:
+        """True if the way is the carriageway's middle."""
+        return self.begin_left_m == self.end_left_m == 0.0
+
     def lanes(self, *, is_forward: bool) -> tuple[Strip, ...]:
         """Driving lanes of one direction, from the kerb to the axis."""
         lanes = [
@@ -348,7 +353,7 @@ def build_cross_section(
 
 def _driving_strips(
     tags: Tags,
-    driving: Sequence[tuple[str, int, float]],
+    driving: Sequence[DrivingLane],
     counts: LaneCounts,
     kinds: LaneKinds,
     left_m: float,
@@ -362,8 +367,8 @@ def _driving_strips(
     ----------
     tags : Tags
         Tags of the element, by key.
-    driving : Sequence[tuple[str, int, float]]
-        Direction, number from the kerb and width of each lane. [m]
+    driving : sequence of DrivingLane
+        Driving lanes from left to right.
     counts : LaneCounts
         Numbers of lanes.
     kinds : LaneKinds
@@ -437,7 +442,7 @@ def _driving(
     counts: LaneCounts,
     *,
     keeps_left: bool,
-) -> list[tuple[str, int, float]]:
+) -> list[DrivingLane]:
     """Driving lanes from left to right.
 
     Parameters
@@ -451,14 +456,13 @@ def _driving(
 
     Returns
     -------
-    lanes : list of (str, int, float)
-        Direction ("both": shared, "centre": for turning), number from the kerb,
-        width. [m]
+    lanes : list of DrivingLane
+        From left to right.
     """
     if counts.is_shared:
         return [("both", 0, widths[0][0])]
 
-    def listed(place: str, lanes: Sequence[float]) -> list[tuple[str, int, float]]:
+    def listed(place: str, lanes: Sequence[float]) -> list[DrivingLane]:
         """Lanes of one direction from left to right, numbered from the kerb."""
         numbers = range(len(lanes))
         if not keeps_left:
@@ -468,7 +472,7 @@ def _driving(
 
     forward = listed("forward", widths[0])
     backward = listed("backward", widths[1])
-    centre: list[tuple[str, int, float]] = []
+    centre: list[DrivingLane] = []
     if counts.has_centre:
         centre_m = DEFAULTS["cross_section"]["centre_lane_width_m"]
         centre = [("centre", 0, centre_m)]
@@ -771,7 +775,7 @@ class Edge:
     @property
     def middle_m(self) -> FloatArray:
         """Middle of its carriageway beside each node, (n, 2) in m."""
-        if self.section.begin_left_m == self.section.end_left_m == 0.0:
+        if self.section.is_centred:
             return self.points_m
         street = Street(parts=((self, True),))
         return carriageway_points(street, street.stations_m)[0]
@@ -923,8 +927,7 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
     network = network_of(edges, elements, keeps_left=keeps_left)
     if not placed:
         return network
-    edges = _place_edges(network, placed)
-    return network_of(edges, elements, keeps_left=keeps_left)
+    return replace(network, edges=tuple(_place_edges(network, placed)))
 
 
 def _place_edges(network: Network, placed: Sequence[tuple[range, _Ends]]) -> list[Edge]:
@@ -950,10 +953,7 @@ def _place_edges(network: Network, placed: Sequence[tuple[range, _Ends]]) -> lis
             edges[at] = replace(edges[at], section=section)
 
     # Ways without a place of their own come last: they take that of others.
-    for own, (begin_m, end_m) in placed:
-        if begin_m is not None and end_m is not None:
-            put(own, begin_m, end_m)
-    for own, (begin_m, end_m) in placed:
+    for own, (begin_m, end_m) in sorted(placed, key=lambda way: None in way[1]):
         if begin_m is None:
             begin_m = _continued_left_m(network, edges, (own[0], True))
         if end_m is None:
@@ -1319,7 +1319,7 @@ def carriageway_points(
     As `axis_points`, which are those of the way.
     """
     middle, across = axis_points(street, stations_m)
-    if not any(one.begin_left_m or one.end_left_m for one in street.sections):
+    if all(one.is_centred for one in street.sections):
         return middle, across
     stations = np.asarray(stations_m, dtype=np.float64)
     lefts_m = [float(street.left_m(street.part_at(one), one)) for one in stations]
@@ -1416,7 +1416,7 @@ def surface(street: Street, begin_m: float, end_m: float) -> BaseGeometry:
             continue
         stations = stations_between(street, low, high)
         middle, across = axis_points(street, stations)
-        if section.begin_left_m or section.end_left_m:
+        if not section.is_centred:
             middle = middle + street.left_m(index, stations)[:, None] * across
         edges = [middle + sign * 0.5 * section.width_m * across for sign in (1.0, -1.0)]
         edges = [edge[has_no_knot(edge, middle)] for edge in edges]

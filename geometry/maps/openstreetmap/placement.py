@@ -64,7 +64,8 @@ def carriageway_left_m(
             )
             return 0.0, 0.0
         found.append(-way_m)
-    if found == [None, None] and _TRANSITION not in _values(tags):
+    is_transition = _TRANSITION in [tags.get(key, "").strip() for key in _keys(tags)]
+    if found == [None, None] and not is_transition:
         note(
             "placement of a road of two directions must be placement:forward or"
             " placement:backward: it is not followed"
@@ -73,12 +74,12 @@ def carriageway_left_m(
     return found[0], found[1]
 
 
-def _values(tags: Tags) -> list[str]:
-    """Values of the keys for whole ways that are followed."""
+def _keys(tags: Tags) -> list[str]:
+    """Keys for whole ways that are followed, those that name a direction first."""
     keys = ["placement:forward", "placement:backward"]
     if is_oneway(tags):
         keys.append("placement")
-    return [tags[key].strip() for key in keys if key in tags]
+    return keys
 
 
 def _value(tags: Tags, tip: str) -> tuple[str, str]:
@@ -98,12 +99,9 @@ def _value(tags: Tags, tip: str) -> tuple[str, str]:
     value : str
         Empty: none.
     """
-    plain = []
-    if is_oneway(tags):
-        plain = ["placement"]
     # What is said of one end goes before what is said of the whole way.
     for suffix in (f":{tip}", ""):
-        for key in ("placement:forward", "placement:backward", *plain):
+        for key in _keys(tags):
             value = tags.get(f"{key}{suffix}", "").strip()
             if value:
                 direction = "forward"

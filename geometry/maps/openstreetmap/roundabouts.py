@@ -467,8 +467,7 @@ def _leg(
             for beside in (index - 1, index + 1)
         )
         stations += [low + before_m, high - after_m]
-        for at_m in stations[-2:]:
-            lefts.append(strip.left_m + float(street.left_m(index, at_m)))
+        lefts += (strip.left_m + street.left_m(index, stations[-2:])).tolist()
         radius_m = DEFAULTS["roundabout"]["corner_m"] + _from_kerb_m(
             section.width_m, strip, keeps_left=keeps_left
         )
