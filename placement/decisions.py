@@ -8,18 +8,18 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
 from geometry.phrases import Phrase
-from scenarios.aeb import AebRule
 from scenarios.decision import (
     CarWays,
     DecisionRule,
     build_car_ways,
     frames_in_time,
     largest_of_runs,
+    load_decision_rule,
     located_sd_m,
     overlap_probability,
     track,
 )
-from scenarios.runs import FrameAxis, Run, build_frame_axis
+from scenarios.runs import Run, build_frame_axis
 from scenarios.twins import MAIN_KINDS, build_twins
 
 from .compute import DEFAULT_COMPUTE, Compute, threads
@@ -297,33 +297,16 @@ def _decide(
     rule = in_runs.rule
     reserves_s = tuple(sorted({*RESERVES_S, rule.reserve_s}))
     aim_deg = aim_sd_deg(aimed)
-    found = []
     # Of a run only frames count after which braking still avoids.
     axis = in_runs.setting.axis
     in_time = frames_in_time(axis, latency_s=in_runs.aeb.latency_s)
     every = np.ones(in_twins.setting.axis.n_frames, dtype=bool)
-    drawn_runs = DrawnReports(in_runs, aim_deg, longest_reserve_s=reserves_s[-1])
-    drawn_twins = DrawnReports(in_twins, aim_deg, longest_reserve_s=reserves_s[-1])
-    for stream, drawn, counts in (
-        ("runs", drawn_runs, in_time),
-        ("twins", drawn_twins, every),
-    ):
-        with threads(compute.workers) as pool:
-            worlds = [
-                pool.submit(
-                    drawn.probability,
-                    reserves_s,
-                    world,
-                    stream=stream,
-                    seed=compute.seed,
-                )
-                for world in range(rule.draws)
-            ]
-            values = [
-                largest_of_runs(np.where(counts, one.result(), 0.0), drawn.axis)
-                for one in worlds
-            ]
-        found.append(np.stack(values, axis=1))
+    drawn_runs = DrawnReports(in_runs, aim_deg, reserves_s, stream="runs")
+    drawn_twins = DrawnReports(in_twins, aim_deg, reserves_s, stream="twins")
+    found = [
+        drawn_runs.largest(in_time, compute=compute),
+        drawn_twins.largest(every, compute=compute),
+    ]
     return Decided(
         aimed=aimed,
         reserves_s=reserves_s,
@@ -343,11 +326,15 @@ class DrawnReports:
         self,
         reports: Reports,
         aim_deg: tuple[float, float],
+        reserves_s: Sequence[float],
         *,
-        longest_reserve_s: float,
+        stream: str,
     ) -> None:
         runs = reports.setting.runs
         self._reports = reports
+        self._reserves_s = reserves_s
+        # Names the chance of these runs, beside that of others.
+        self._stream = stream
         self._errors = reports.errors(aim_deg)
         self._covariance = np.stack([one.covariance_m2() for one in self._errors])
         self._place_m = np.concatenate([run.vru_position_m for run in runs])
@@ -355,13 +342,40 @@ class DrawnReports:
             np.concatenate([run.vut_yaw_deg for run in runs])
         )
         self._ways: CarWays = build_car_ways(
-            runs, aeb=reports.aeb, longest_reserve_s=longest_reserve_s
+            runs, aeb=reports.aeb, longest_reserve_s=reserves_s[-1]
         )
 
-    def probability(
-        self, reserves_s: Sequence[float], world: int, *, stream: str, seed: int
-    ) -> FloatArray:
-        """Probability of an overlap in one world, (n_reserves, n_frames)."""
+    def largest(self, counts: BoolArray, *, compute: Compute) -> FloatArray:
+        """Largest probability of an overlap, (n_reserves, n_worlds, n_runs).
+
+        Of each run in frames that count, (n_frames,).
+        """
+        reports = self._reports
+        axis = reports.setting.axis
+        rule = reports.rule
+        with threads(compute.workers) as pool:
+            drawn_m = pool.map(
+                lambda world: self._drawn_m(world, compute.seed), range(rule.draws)
+            )
+            tracks = track(
+                reports.detected,
+                np.stack([*drawn_m]),
+                self._covariance,
+                axis,
+                aeb=reports.aeb,
+                rule=rule,
+            )
+
+            def of_world(world: int) -> FloatArray:
+                found = overlap_probability(
+                    tracks, axis, self._ways, self._reserves_s, rule=rule, world=world
+                )
+                return largest_of_runs(np.where(counts, found, 0.0), axis)
+
+            return np.stack([*pool.map(of_world, range(rule.draws))], axis=1)
+
+    def _drawn_m(self, world: int, seed: int) -> FloatArray:
+        """Reported places in one world, (n_units, n_frames, 2), in m."""
         reports = self._reports
         axis = reports.setting.axis
         rule = reports.rule
@@ -371,38 +385,29 @@ class DrawnReports:
         ):
             # A unit's aim is the same in runs and twins.
             aims = build_rng(seed, key, "aim", world).standard_normal(2)
-            rng = build_rng(seed, key, stream, world)
+            rng = build_rng(seed, key, self._stream, world)
             position_m[row] = errors.draw_m(
                 aims, rng, axis.run_start, correlation=rule.box_correlation
             )
         position_m += self._place_m
         # The car takes itself to be elsewhere: as if all else were moved the other way.
-        position_m -= self._car_errors_m(build_rng(seed, "car", stream, world))
-        tracks = track(
-            reports.detected,
-            position_m,
-            self._covariance,
-            axis,
-            aeb=reports.aeb,
-            rule=rule,
-        )
-        return overlap_probability(tracks, axis, self._ways, reserves_s, rule=rule)
-
-    @property
-    def axis(self) -> FrameAxis:
-        """Frames of the runs."""
-        return self._reports.setting.axis
+        position_m -= self._car_errors_m(build_rng(seed, "car", self._stream, world))
+        return position_m
 
     def located_sd_m(self) -> FloatArray:
         """How well each run's place of impact is known, (n_runs,), in m."""
         reports = self._reports
-        return located_of_rows_sd_m(
-            reports.detected,
-            self._covariance,
-            reports.setting,
-            reports.aeb,
-            reports.rule,
+        setting = reports.setting
+        sd_m = located_sd_m(
+            reports.detected[None],
+            self._covariance[None],
+            setting.axis,
+            impact_heading_rad(setting.runs),
+            aeb=reports.aeb,
+            rule=reports.rule,
         )
+        of_layout: FloatArray = sd_m[0]
+        return of_layout
 
     def _car_errors_m(self, rng: np.random.Generator) -> FloatArray:
         """Error of the car's own place, (n_frames, 2) in m, one in each run."""
@@ -416,23 +421,38 @@ class DrawnReports:
         return np.column_stack([along * cos - across * sin, along * sin + across * cos])
 
 
-def located_of_rows_sd_m(
-    detected: BoolArray,
-    covariance_m2: FloatArray,
+def find_located_shares(
+    evaluations: Sequence[Evaluation],
     setting: Setting,
-    aeb: AebRule,
-    rule: DecisionRule,
-) -> FloatArray:
-    """How well each run's place of impact is known, (n_runs,), in m.
+    *,
+    limit_m: float,
+    aims: Sequence[str] = AIMS,
+) -> tuple[tuple[float, ...], ...]:
+    """Located APR of evaluated layouts, for each way of aiming: 0 .. 1.
 
-    By detections and covariances of units, (n_units, n_frames, ..).
+    Rows are layouts, columns `aims`. By the default rule; nothing is drawn, and no
+    twin is driven. With cars that see, the car's own track is one more unit. A run
+    counts if its place of impact is known to `limit_m`, in m.
     """
-    axis = setting.axis
-    nowhere = np.zeros((*detected.shape, 2))
-    tracks = track(detected, nowhere, covariance_m2, axis, aeb=aeb, rule=rule)
-    return located_sd_m(
-        tracks, axis, impact_heading_rad(setting.runs), aeb=aeb, rule=rule
-    )
+    rule = load_decision_rule()
+    heading_rad = impact_heading_rad(setting.runs)
+    found = []
+    for one in evaluations:
+        detected = {name: verdict.detected for name, verdict in one.units.items()}
+        reports = Reports(setting, one.layout, detected, one.vut.detected, rule)
+        errors = [reports.errors(aim_sd_deg(aimed)) for aimed in aims]
+        covariances_m2 = [[each.covariance_m2() for each in one] for one in errors]
+        sd_m = located_sd_m(
+            np.stack([reports.detected] * len(aims)),
+            np.array(covariances_m2),
+            setting.axis,
+            heading_rad,
+            aeb=reports.aeb,
+            rule=rule,
+        )
+        shares = (sd_m <= limit_m) @ setting.axis.weight
+        found.append(tuple(shares.tolist()))
+    return tuple(found)
 
 
 def impact_heading_rad(runs: Iterable[Run]) -> FloatArray:

@@ -4,6 +4,7 @@ Under fusion the located APR is no union of bits: nothing is proven about it. It
 highest of a pool of layouts, which grows by exchanges.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,11 +13,11 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.phrases import Phrase
-from scenarios.decision import DecisionRule, load_decision_rule
+from scenarios.decision import DecisionRule, load_decision_rule, located_sd_m
 
 from .candidates import CandidatePose
 from .compute import Compute, threads
-from .decisions import located_of_rows_sd_m
+from .decisions import impact_heading_rad
 from .located_choice import LocatedChoice
 from .optimiser import PlacementProblem, ReducedProblem, presolve
 from .optimiser.allowed_sets import fitting, is_allowed
@@ -32,6 +33,8 @@ AIMED = BY_EYE
 """Aims for which layouts are told apart: with good ones most locate alike."""
 # Exchanges of one unit that are judged by the filter, those of the best estimates.
 _N_JUDGED = 24
+# Layouts that are filtered together: enough that numpy's calls cost little.
+_IN_A_BATCH = 6
 # Before the last moment: what a unit sees then counts in the estimate.
 _LAST_S = 1.0
 _MOST_JUDGED = 800
@@ -173,8 +176,18 @@ class _Judge:
         for row in {row for one in new for row in one}:
             if row not in self._covariance:
                 self._covariance[row] = self._covariance_of(row)
-        with threads(self.compute.workers) as pool:
-            self.known.update(zip(new, pool.map(self._share, new), strict=True))
+        by_size: dict[int, list[tuple[int, ...]]] = defaultdict(list)
+        for one in new:
+            by_size[len(one)].append(one)
+        for sets_of_size in by_size.values():
+            batches = [
+                sets_of_size[begin : begin + _IN_A_BATCH]
+                for begin in range(0, len(sets_of_size), _IN_A_BATCH)
+            ]
+            with threads(self.compute.workers) as pool:
+                shares = pool.map(self._shares_of_batch, batches)
+                for batch, found in zip(batches, shares, strict=True):
+                    self.known.update(zip(batch, found, strict=True))
         self.compute.progress(STAGE, len(self.known), 0)
         return [self.known[one] for one in keys]
 
@@ -222,13 +235,19 @@ class _Judge:
         )
         return errors.covariance_m2()
 
-    def _share(self, rows: tuple[int, ...]) -> float:
-        covariance = np.stack([self._covariance[row] for row in rows])
-        sd_m = located_of_rows_sd_m(
-            self.problem.table.detected(list(rows)),
-            covariance,
-            self.setting,
-            self.setting.rule,
-            self.rule,
+    def _shares_of_batch(self, sets: Sequence[tuple[int, ...]]) -> list[float]:
+        """Located APR of sets of one size, filtered together."""
+        table = self.problem.table
+        covariances = [[self._covariance[row] for row in rows] for rows in sets]
+        sd_m = located_sd_m(
+            np.stack([table.detected(list(rows)) for rows in sets]),
+            np.array(covariances),
+            self.setting.axis,
+            impact_heading_rad(self.setting.runs),
+            aeb=self.setting.rule,
+            rule=self.rule,
         )
-        return float(self.setting.axis.weight @ (sd_m <= self.limit_m))
+        shares: list[float] = (
+            (sd_m <= self.limit_m) @ self.setting.axis.weight
+        ).tolist()
+        return shares

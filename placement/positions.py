@@ -20,7 +20,7 @@ from .evaluator.surroundings import load_vut_camera
 from .sampling.uncertainty import CALIBRATED, load_aims
 from .setting import Setting
 
-# Nearer, there is no line of sight along the ground.
+# Nearer, or lower, a line of sight meets the ground nowhere.
 _LEAST_M = 0.1
 
 
@@ -140,14 +140,13 @@ def camera_errors(
     aim_sd_deg : (float, float)
         Errors of bearing and tilt. [deg]
 
-    Raises
-    ------
-    InputError
-        The camera is not above the road user's feet.
+    Notes
+    -----
+    A lens that is not above the feet (a road that climbs) sees no place where the sight
+    meets the ground: the error along it is that of a lens 0.1 m above, which is large.
     """
     sight, distance, height = _line_of_sight(lens_m, foot_m)
-    body = np.minimum(size_m[:, 0], height)
-    angle = np.arctan2(height, distance) - np.arctan2(height - body, distance)
+    angle = np.arctan2(height, distance) - np.arctan2(height - size_m[:, 0], distance)
     metres_per_rad = (distance**2 + height**2) / height
     bearing_rad, tilt_rad = np.radians(aim_sd_deg)
     return GroundErrors(
@@ -196,10 +195,7 @@ def _line_of_sight(
     """Direction (n, 2), distance on the ground and height above the feet, (n,)."""
     offset = foot_m - lens_m
     distance = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), _LEAST_M)
-    height = -offset[:, 2]
-    if len(height) and height.min() <= 0.0:
-        got = float(height.min())
-        raise InputError("height above a road user's feet", got, "metres, above 0")
+    height = np.maximum(-offset[:, 2], _LEAST_M)
     return offset[:, :2] / distance[:, None], distance, height
 
 

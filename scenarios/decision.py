@@ -6,6 +6,7 @@ detected, but for whoever it will meet.
 """
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -20,6 +21,7 @@ from geometry.text_formats import load_data, load_toml
 
 from .aeb import TIME_TOLERANCE_S, AebRule, braking_distance_m, standstill_time_s
 from .runs import FrameAxis, Run
+from .tracks import Tracks, collect, follow
 
 DEFAULT_RULE = "default"
 _FILE = "decision.toml"
@@ -112,25 +114,6 @@ def load_decision_rule(name_or_path: str = DEFAULT_RULE) -> DecisionRule:
 
 
 # ---------- tracks
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tracks:
-    """The fused track of each run's road user, after each frame.
-
-    Attributes
-    ----------
-    state : (n_frames, 4) float
-        East, north and their rates. World frame. [m], [m/s]
-    covariance : (n_frames, 4, 4) float
-        Of the state.
-    is_live : (n_frames,) bool
-        A confirmed track is alive; elsewhere the numbers above mean nothing.
-    """
-
-    state: FloatArray
-    covariance: FloatArray
-    is_live: BoolArray
-
-
 def track(
     detected: BoolArray,
     position_m: FloatArray,
@@ -140,52 +123,18 @@ def track(
     aeb: AebRule,
     rule: DecisionRule,
 ) -> Tracks:
-    """Follow each run's road user by a Kalman filter of constant velocity.
-
-    Units are fused by their covariances, one after the other. A track is confirmed by
-    consecutive frames in which any unit detects, and lost after the track memory.
-
-    Parameters
-    ----------
-    detected : (n_units, n_frames) bool
-        Who detects when.
-    position_m : (n_units, n_frames, 2) float
-        Reported east and north; not read where nothing is detected. [m]
-    covariance_m2 : (n_units, n_frames, 3) float
-        Variance of east, covariance, variance of north. [m^2]
-    axis : FrameAxis
-        Runs and frames.
-    aeb : AebRule
-        Confirmation and memory.
-    rule : DecisionRule
-        Noise of accelerations, and of a first speed.
-
-    References
-    ----------
-    .. [1] Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to
-       Tracking and Navigation", 2001, 6.2.2: continuous white noise acceleration.
-    """
-    # Numba takes half a second to load.
-    from . import track_kernels
-
-    state = np.zeros((axis.n_frames, 4))
-    covariance = np.zeros((axis.n_frames, 4, 4))
-    is_live = np.zeros(axis.n_frames, dtype=bool)
-    track_kernels.follow(
-        axis.time_s,
-        axis.run_start,
+    """Follow the road users of an axis's runs; see :func:`scenarios.tracks.follow`."""
+    steps = follow(
         detected,
         position_m,
         covariance_m2,
-        aeb.n_confirmations,
-        aeb.track_memory_s + TIME_TOLERANCE_S,
-        rule.acceleration_noise_m2ps3,
-        rule.first_speed_sd_mps**2,
-        state,
-        covariance,
-        is_live,
+        axis.time_s,
+        axis.run_start,
+        aeb=aeb,
+        acceleration_noise_m2ps3=rule.acceleration_noise_m2ps3,
+        first_speed_sd_mps=rule.first_speed_sd_mps,
     )
-    return Tracks(state=state, covariance=covariance, is_live=is_live)
+    return collect(steps, n_frames=axis.n_frames, n_worlds=len(position_m))
 
 
 # ---------- the decision
@@ -250,6 +199,7 @@ def overlap_probability(
     reserves_s: Sequence[float],
     *,
     rule: DecisionRule,
+    world: int = 0,
 ) -> FloatArray:
     """Probability that the footprints overlap soon, (n_reserves, n_frames).
 
@@ -257,7 +207,8 @@ def overlap_probability(
     0.1 s and at the end. At each time the track's place, as foreseen with constant
     velocity, and the car's own are normal; along and across the car they are taken
     to be independent, and the road user's rectangle by its extent along and across.
-    0 where no confirmed track is alive. Reserves ascend. [s]
+    0 where no confirmed track is alive. Reserves ascend. [s] Of the tracks' worlds, one
+    is looked at.
     """
     from . import track_kernels
 
@@ -265,7 +216,7 @@ def overlap_probability(
     track_kernels.foresee(
         axis.time_s,
         axis.run_start,
-        tracks.state,
+        tracks.state[world],
         tracks.covariance,
         tracks.is_live,
         ways.place,
@@ -295,30 +246,75 @@ def largest_of_runs(values: FloatArray, axis: FrameAxis) -> FloatArray:
 
 
 def located_sd_m(
-    tracks: Tracks,
+    detected: BoolArray,
+    covariance_m2: FloatArray,
     axis: FrameAxis,
     heading_rad: FloatArray,
     *,
     aeb: AebRule,
     rule: DecisionRule,
 ) -> FloatArray:
-    """How well the place of the impact across the car's path is known, (n_runs,).
+    """How well the place of the impact across the car's path is known, in m.
 
     At the last moment, the standard deviation of the live track's place at the time of
-    the impact, across the car's heading `heading_rad` (n_runs,) there; infinite where
-    no confirmed track is alive then. It depends on covariances alone: nothing is drawn.
-    [m]
+    the impact, across the car's heading there; infinite where no confirmed track is
+    alive then. It depends on covariances alone: nothing is drawn.
+
+    Parameters
+    ----------
+    detected : (n_layouts, n_units, n_frames) bool
+        Who detects when, of several layouts.
+    covariance_m2 : (n_layouts, n_units, n_frames, 3) float
+        Of the reports: variance of east, covariance, variance of north. [m^2]
+    axis : FrameAxis
+        Runs and frames.
+    heading_rad : (n_runs,) float
+        Of the car at the impact. [rad]
+    aeb, rule : AebRule, DecisionRule
+        Confirmation and memory; noise of accelerations.
+
+    Returns
+    -------
+    sd_m : (n_layouts, n_runs) float
+        Standard deviations. [m]
     """
+    n_layouts, n_units, _ = detected.shape
+    n_runs = axis.n_runs
     in_time = frames_in_time(axis, latency_s=aeb.latency_s)
     n_in_time = np.add.reduceat(in_time.astype(np.int64), axis.run_start[:-1])
-    last = np.maximum(axis.run_start[:-1] + n_in_time - 1, 0)
-    is_live = (n_in_time > 0) & tracks.is_live[last]
-    covariance = tracks.covariance[last]
+    # Only frames up to the last moment are filtered: at least one of each run.
+    lengths = np.maximum(n_in_time, 1)
+    starts = np.append(0, np.cumsum(lengths))
+    frames = np.concatenate(
+        [
+            np.arange(begin, begin + length)
+            for begin, length in zip(axis.run_start[:-1], lengths, strict=True)
+        ]
+    )
+    # The runs of all layouts as one long row: they are filtered together.
+    n_frames = len(frames)
+    of_layouts = n_frames * np.arange(n_layouts)[:, None]
+    seen = detected[:, :, frames].transpose(1, 0, 2)
+    errors_m2 = covariance_m2[:, :, frames].transpose(1, 0, 2, 3)
+    n_all = n_layouts * n_frames
+    steps = follow(
+        seen.reshape(n_units, n_all),
+        np.zeros((0, n_units, n_all, 2)),
+        errors_m2.reshape(n_units, n_all, 3),
+        np.tile(axis.time_s[frames], n_layouts),
+        np.append(starts[:-1] + of_layouts, n_all),
+        aeb=aeb,
+        acceleration_noise_m2ps3=rule.acceleration_noise_m2ps3,
+        first_speed_sd_mps=rule.first_speed_sd_mps,
+    )
+    (end,) = deque(steps, maxlen=1)
+    covariance = end.covariance.reshape(4, 4, n_layouts, n_runs)
+    is_live = end.is_live.reshape(n_layouts, n_runs) & (n_in_time > 0)
     # Until the impact, at time 0.
-    ahead_s = -axis.time_s[last]
-    across = np.column_stack([-np.sin(heading_rad), np.cos(heading_rad)])
-    ahead = np.concatenate([across, ahead_s[:, None] * across], axis=1)
-    variance = np.einsum("ri,rij,rj->r", ahead, covariance, ahead)
+    ahead_s = -axis.time_s[frames[starts[1:] - 1]]
+    across = np.array([-np.sin(heading_rad), np.cos(heading_rad)])
+    ahead = np.concatenate([across, ahead_s * across])
+    variance = np.einsum("ir,ijlr,jr->lr", ahead, covariance, ahead)
     variance += rule.acceleration_noise_m2ps3 * ahead_s**3 / 3.0
     return np.where(is_live, np.sqrt(np.maximum(variance, 0.0)), np.inf)
 

@@ -74,7 +74,7 @@ def run_evaluation(
         sites_eur=bill.sites_eur,
         assumed_prices=bill.assumed,
         study_cases=None if out is None else judge_study_cases(job, evaluations),
-        decision=judge_by_decision(
+        **judge_by_decision(
             question.decision, job.setting, evaluations, compute=compute
         ),
     )
@@ -142,9 +142,7 @@ def run_comparison(
         sites_eur=bill.sites_eur,
         assumed_prices=bill.assumed,
         study_cases=judge_study_cases(job, evaluations),
-        decision=judge_by_decision(
-            question.decision, setting, evaluations, compute=compute
-        ),
+        **judge_by_decision(question.decision, setting, evaluations, compute=compute),
         baselines=proposed
         and build_baselines(proposed, evaluations.get(EXPERT), setting),
         sampled=sampled,

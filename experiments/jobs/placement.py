@@ -208,9 +208,7 @@ def answer_placement(found: FoundLayout) -> Answered:
         front_runners=front_runners,
         mounting=mounting,
         study_cases=study_cases,
-        decision=judge_by_decision(
-            question.decision, setting, evaluations, compute=compute
-        ),
+        **judge_by_decision(question.decision, setting, evaluations, compute=compute),
         baselines=build_baselines(proposed, evaluations.get(EXPERT), setting),
         sampled=sampled,
     )

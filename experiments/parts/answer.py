@@ -3,13 +3,14 @@
 from collections.abc import Mapping, Sequence
 
 from geometry.junction import street_names
+from geometry.registry import load_entry
 from placement.detectors.registry import is_drawn
 from placement.evaluation import Evaluation
-from placement.question import N_JUDGED
+from placement.question import BASELINE_NAME, N_JUDGED
 from placement.setting import Setting
 
 from ..language import tr
-from . import comparison, dangers, decision, proof
+from . import comparison, dangers, proof
 from .accidents import count_sensors
 from .alternatives import doubt_sentences, recommended_sentences
 from .explanation import next_unit_sentence, refinement_sentences
@@ -126,10 +127,10 @@ def preferred(result: Result) -> list[str]:
 
 
 def located(result: Result) -> list[str]:
-    """How many runs a layout locates; nothing where that was not asked."""
-    if isinstance(result, PlacementResult):
-        return decision.located_words(result.located)
-    return []
+    """How many runs the layouts locate, by how well their aims are known."""
+    say = load_entry("experiments.parts.aims:words")
+    choice = getattr(result, "located", None)
+    return [*say(result.aims, choice, baseline=BASELINE_NAME)]
 
 
 def doubts(result: Result) -> list[str]:

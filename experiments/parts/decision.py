@@ -1,16 +1,13 @@
 """Layouts by the decision to brake, next to their APR by detection."""
 
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Any
 
 from geometry.registry import load_entry
 from placement.compute import Compute
 from placement.evaluation import Evaluation
-from placement.located_choice import LocatedChoice
 from placement.setting import Setting
 
-from ..language import tr
-from ..results.numbers import percent
 from ..results.record import Record, Share, says
 from . import Part
 from .section import Section
@@ -69,6 +66,27 @@ class LayoutDecision(Record, frozen=True, kw_only=True):
     by_aim: Annotated[dict[str, AimedDecision], says("By how units are aimed.")]
 
 
+class LocatedRecord(Record, frozen=True, kw_only=True):
+    """How well a layout locates road users."""
+
+    name: Annotated[str, says("Display name.")]
+    located: Annotated[tuple[Share, ...], says("Of the runs, for each of tilt_sd_deg.")]
+
+
+class AimsRecord(Record, frozen=True, kw_only=True):
+    """Located APR of the layouts, by how well their aims are known."""
+
+    limit_m: Annotated[
+        float, says("What counts as located: one standard deviation, in metres.")
+    ]
+    tilt_sd_deg: Annotated[
+        tuple[float, ...], says("Error of the tilt in degrees: calibrated, by eye.")
+    ]
+    layouts: Annotated[
+        tuple[LocatedRecord, ...], says("The layout, and others that were asked about.")
+    ]
+
+
 class DecisionRecord(Record, frozen=True, kw_only=True):
     """Layouts by the decision to brake; only with --decision."""
 
@@ -82,49 +100,17 @@ def judge_by_decision(
     evaluations: Mapping[str, Evaluation],
     *,
     compute: Compute,
-) -> DecisionRecord | None:
-    """Judge evaluations, by display name, by a rule. None: no rule is named.
+) -> dict[str, Any]:
+    """What aims and decisions do to evaluations, by display name: parts of an answer.
 
-    Raises InputError if the rule cannot be read or used.
+    "decision" is None where no rule is named. Raises InputError if it cannot be read or
+    used.
     """
-    if not name_or_path:
-        return None
-    judge = load_entry("experiments.parts.decision_judging:judge_by_decision")
-    record: DecisionRecord = judge(name_or_path, setting, evaluations, compute=compute)
-    return record
+    judge = load_entry("experiments.parts.aims:judge_aims_and_decision")
+    return dict(judge(name_or_path, setting, evaluations, compute=compute))
 
 
 # ---------- words, table, figure
-def located_words(choice: LocatedChoice | None) -> list[str]:
-    """How many runs the chosen layout locates; none where that was not asked."""
-    if choice is None:
-        return []
-    values = {
-        "limit": choice.limit_m,
-        "share": percent(choice.share),
-        "before": percent(choice.share_before),
-        "n": choice.n_judged,
-    }
-    if choice.share <= choice.share_before:
-        return [
-            tr(
-                "With aims known to 1 degree, {share} of the runs are located within"
-                " {limit:g} m at the last moment. None of {n} layouts judged locates"
-                " more; that is not proven of all.",
-                **values,
-            )
-        ]
-    return [
-        tr(
-            "With aims known to 1 degree, {share} of the runs are located within"
-            " {limit:g} m at the last moment; {before} by the layout that keeps most"
-            " when a sensor fails. It is the best of {n} layouts judged; that is not"
-            " proven of all.",
-            **values,
-        )
-    ]
-
-
 def part(record: DecisionRecord | None) -> Part:
     """Words and table for a terminal; an empty part where nothing was asked."""
     if record is None:

@@ -44,7 +44,7 @@ from .alternatives import FrontRunners, HeavyRun, find_heavy_runs
 from .baselines import Baselines
 from .comparison import Compared, Difference, build_compared
 from .dangers import Dangers, avoided_runs, build_dangers
-from .decision import DecisionRecord
+from .decision import AimsRecord, DecisionRecord
 from .explanation import ExplainedRecord, RefinementRecord
 from .front import FrontRecord
 from .road_users import RoadUserGroups, build_road_users
@@ -139,6 +139,10 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
     decision: Annotated[
         DecisionRecord | None,
         says("The layouts by what a car decides; only with --decision."),
+    ] = None
+    aims: Annotated[
+        AimsRecord | None,
+        says("What the aims decide; null where a share of the cars sees."),
     ] = None
     private_ground: Annotated[
         PrivateGroundRecord | None, says("Only with --no-look.")

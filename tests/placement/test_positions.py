@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from geometry.catalogue import pick_camera
-from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.poses import Pose, camera_rotation
 from geometry.sensors import picture_rays, project_points
@@ -182,16 +181,21 @@ def test_a_lidar_knows_the_range_and_a_camera_the_bearing():
     assert by_lidar.box_across_m[0] == pytest.approx(30.0 * spacing / np.sqrt(12.0))
 
 
-def test_a_camera_below_the_feet_is_refused():
-    with pytest.raises(InputError, match=r"above a road user's feet: got -1\.0"):
+def test_a_camera_below_the_feet_does_not_know_how_far_away_they_are():
+    below, above = (
         camera_errors(
-            np.array([0.0, 0.0, 1.0]),
-            np.array([[5.0, 0.0, 2.0]]),
+            np.array([0.0, 0.0, height_m]),
+            np.array([[20.0, 0.0, 2.0]]),
             BODY_M[None],
             rule=RULE,
             box_noise_share=0.1,
             aim_sd_deg=(0.2, 0.2),
         )
+        for height_m in (1.0, 8.0)
+    )
+    assert 20.0 < below.box_along_m[0] < np.inf
+    assert above.box_along_m[0] < 1.0
+    assert below.box_across_m[0] == above.box_across_m[0]
 
 
 def test_aims_are_those_of_the_uncertainty():

@@ -155,8 +155,9 @@ def drawn():
 @pytest.mark.long
 def test_tracks_and_decisions_equal_a_plain_filter_on_200_random_runs(drawn):
     axis, seen, position_m, covariance_m2, ways = drawn
-    tracks = track(seen, position_m, covariance_m2, axis, aeb=AEB, rule=RULE)
-    ours = overlap_probability(tracks, axis, ways, RESERVES_S, rule=RULE)
+    worlds_m = np.stack([position_m + 1.0, position_m])
+    tracks = track(seen, worlds_m, covariance_m2, axis, aeb=AEB, rule=RULE)
+    ours = overlap_probability(tracks, axis, ways, RESERVES_S, rule=RULE, world=1)
     n_live = 0
     for run in range(axis.n_runs):
         frames = axis.frames_of(run)
@@ -170,7 +171,7 @@ def test_tracks_and_decisions_equal_a_plain_filter_on_200_random_runs(drawn):
             if lives:
                 n_live += 1
                 at = frames.start + offset
-                np.testing.assert_allclose(tracks.state[at], state, atol=1e-9)
+                np.testing.assert_allclose(tracks.state[1, at], state, atol=1e-9)
                 np.testing.assert_allclose(tracks.covariance[at], cov, atol=1e-9)
         for row, reserve_s in enumerate(RESERVES_S):
             plain = plain_probability(time_s, found, ways, run, reserve_s)
@@ -180,7 +181,7 @@ def test_tracks_and_decisions_equal_a_plain_filter_on_200_random_runs(drawn):
 
 def test_a_longer_reserve_never_lowers_the_probability(drawn):
     axis, seen, position_m, covariance_m2, ways = drawn
-    tracks = track(seen, position_m, covariance_m2, axis, aeb=AEB, rule=RULE)
+    tracks = track(seen, position_m[None], covariance_m2, axis, aeb=AEB, rule=RULE)
     # Ends that are steps, too.
     ways = replace(ways, time_to_stop_s=ways.time_to_stop_s.round(1))
     ours = overlap_probability(tracks, axis, ways, (0.0, 0.3, 1.0), rule=RULE)
@@ -211,7 +212,7 @@ def crossing(noise_m2):
     place_m = np.column_stack([np.full(301, 2.25), WALK_MPS * time_s])
     tracks = track(
         np.ones((1, 301), dtype=bool),
-        place_m[None],
+        place_m[None, None],
         np.tile([noise_m2, 0.0, noise_m2], (1, 301, 1)),
         axis,
         aeb=AEB,
@@ -249,21 +250,26 @@ def test_with_infinite_noise_the_car_never_brakes():
 def test_the_place_of_the_impact_is_located_as_least_squares_say():
     # Without noise of accelerations the filter is a line fitted to all places.
     noise_m = 0.3
-    axis, tracks, _ = crossing(noise_m**2)
-    heading = np.zeros(1)
-    found_m = located_sd_m(tracks, axis, heading, aeb=AEB, rule=SURE)[0]
-    used_s = axis.time_s[frames_in_time(axis, latency_s=AEB.latency_s)]
-    design = np.column_stack([np.ones(len(used_s)), used_s])
-    at_impact = noise_m**2 * np.linalg.inv(design.T @ design)[0, 0]
-    assert found_m == pytest.approx(math.sqrt(at_impact), rel=1e-3)
+    axis, _, _ = crossing(noise_m**2)
+    always = np.ones((2, 1, 301), dtype=bool)
+    always[1, 0, 200:] = False
+    error = np.tile([noise_m**2, 0.0, noise_m**2], (2, 1, 301, 1))
+    found_m = located_sd_m(always, error, axis, np.zeros(1), aeb=AEB, rule=SURE)
+    in_time = frames_in_time(axis, latency_s=AEB.latency_s)
+    for row, seen in enumerate(always):
+        used_s = axis.time_s[in_time & seen[0]]
+        design = np.column_stack([np.ones(len(used_s)), used_s])
+        at_impact = noise_m**2 * np.linalg.inv(design.T @ design)[0, 0]
+        assert found_m[row, 0] == pytest.approx(math.sqrt(at_impact), rel=1e-3)
+    assert found_m[1, 0] > found_m[0, 0]
 
 
 def test_nothing_is_located_where_no_track_lives():
     axis = axis_of([np.arange(-9, 1) / 10.0], [-0.2])
-    nowhere = np.zeros((1, 10, 2))
-    never = np.zeros((1, 10), dtype=bool)
-    tracks = track(never, nowhere, np.ones((1, 10, 3)), axis, aeb=AEB, rule=RULE)
-    assert located_sd_m(tracks, axis, np.zeros(1), aeb=AEB, rule=RULE)[0] == np.inf
+    never = np.zeros((1, 1, 10), dtype=bool)
+    error = np.ones((1, 1, 10, 3))
+    found_m = located_sd_m(never, error, axis, np.zeros(1), aeb=AEB, rule=RULE)
+    assert found_m[0, 0] == np.inf
 
 
 def test_largest_of_runs_is_that_of_each_run():

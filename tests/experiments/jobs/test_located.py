@@ -3,7 +3,7 @@
 import pytest
 
 from experiments.jobs import placement
-from experiments.parts.decision import located_words
+from experiments.parts.aims import words
 from experiments.parts.decision_section import build_part, build_section
 from experiments.parts.reading import load_result
 from experiments.progress import StageProgress
@@ -38,8 +38,11 @@ def test_a_located_layout_gives_up_no_more_than_may_be_and_is_the_same_again(tmp
     assert first.located.n_judged >= 1
     highest = usual.highest.stages[0].objective
     assert first.apr >= highest - 0.01 - 1.0e-9
-    (sentence,) = located_words(first.located)
-    assert "within 0.4 m at the last moment" in sentence
+    of_aims, of_choice = words(first.aims, first.located)
+    assert "within 0.4 m at the last moment" in of_choice
+    known, by_eye = first.aims.layouts[0].located
+    assert f"{100 * known:.1f} % of the runs with aims known to 0.2°" in of_aims
+    assert f"{100 * by_eye:.1f} % with aims known to 1°" in of_aims
     decided = first.decision.layouts[0]
     by_eye = decided.by_aim["by eye"]
     assert decided.by_aim["calibrated"].located["0.40"] >= by_eye.located["0.40"]
@@ -54,7 +57,7 @@ def test_a_located_layout_gives_up_no_more_than_may_be_and_is_the_same_again(tmp
 
 
 def test_nothing_is_said_where_nothing_was_asked():
-    assert located_words(None) == []
+    assert words(None, None) == []
 
 
 @pytest.mark.parametrize(

@@ -315,6 +315,7 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
         "assumed_prices",
         "existing",
         "is_weighted",
+        "aims",
         "decision",
         "located",
         "sensors_eur",
