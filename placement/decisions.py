@@ -270,7 +270,9 @@ class Reports:
         """Errors of each party's reports, the VUT's last where cars see."""
         feet = build_feet(self.setting.runs)
         errors = [
-            unit_errors(unit, self.setting, feet, rule=self.rule, aim_sd_deg=aim_deg)
+            unit_errors(
+                unit, self.setting.detector, feet, rule=self.rule, aim_sd_deg=aim_deg
+            )
             for unit in self.layout.units
         ]
         if self.setting.cars:

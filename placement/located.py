@@ -228,7 +228,7 @@ class _Judge:
         """Covariances of what a pose reports in all frames, or in some."""
         errors = unit_errors(
             self.candidates[row],
-            self.setting,
+            self.setting.detector,
             self._feet.of(frames),
             rule=self.rule,
             aim_sd_deg=aim_sd_deg(AIMED),

@@ -217,13 +217,13 @@ def aim_sd_deg(aimed: str) -> tuple[float, float]:
 
 def unit_errors(
     unit: CandidatePose,
-    setting: Setting,
+    detector: object,
     feet: "Feet",
     *,
     rule: DecisionRule,
     aim_sd_deg: tuple[float, float],
 ) -> GroundErrors:
-    """Errors of what a unit reports in all frames of a setting."""
+    """Errors of what a unit reports of road users, by its sensor and a detector."""
     if isinstance(unit.sensor, LidarModel):
         return lidar_errors(
             unit.pose.position_m,
@@ -237,7 +237,7 @@ def unit_errors(
         feet.foot_m,
         feet.size_m,
         rule=rule,
-        box_noise_share=box_noise_of(setting.detector, rule),
+        box_noise_share=box_noise_of(detector, rule),
         aim_sd_deg=aim_sd_deg,
     )
 

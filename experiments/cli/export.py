@@ -91,6 +91,17 @@ class _ExportCommand(click.Command):
     ),
 )
 @options.option(
+    "--aimed",
+    type=click.Choice(("calibrated", "by-eye")),
+    default="calibrated",
+    show_default=True,
+    metavar="HOW",
+    help=(
+        "With --run: how well the units' aims are known, calibrated or by-eye; it"
+        " decides what is told of the errors of positions."
+    ),
+)
+@options.option(
     "--release",
     metavar="V",
     help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.",
@@ -122,6 +133,7 @@ def export(
     format_name: str,
     question: "Question",
     run_id: str,
+    aimed: str,
     release: str | None,
     views: bool,
     pictures: bool,
@@ -164,6 +176,7 @@ def export(
             format_name,
             scene_path=question.scene,
             run_id=run_id,
+            aimed=aimed.replace("-", " "),
             compute=compute,
             options={
                 k: v for k, v in {**asked, "pictures": drawn}.items() if v is not None

@@ -26,7 +26,7 @@ from scenarios.runs import Run
 from . import ExportFormat
 from .json import to_json_text
 from .places import longitude_latitude, require_crs
-from .watched import WatchedRun
+from .watched import WatchedRun, follow_watched, report_covariances_m2
 
 RELEASES = ("2.1.1", "2.4.1")
 """Versions of the dictionary, ETSI TS 102 894-2, the usual one first."""
@@ -60,8 +60,14 @@ _HEADING_UNKNOWN = 3601
 _ALTITUDE_UNKNOWN = 800001
 _COORDINATE_UNKNOWN = 4096
 _SPEED_UNKNOWN = 127
-# Confidences.
 _CLASS_UNKNOWN = 101
+# Confidences are half the width of an interval of 95 %, in standard deviations.
+_SD_OF_95 = 1.96
+# CoordinateConfidence, SpeedConfidence: beyond what they can say.
+_COORDINATE_BEYOND = 4095
+_SPEED_BEYOND = 126
+# MatrixIncludedComponents: of 13 bits the first two, x and y of the position.
+_PLACE = "C000"
 # The first and the last stand for all beyond.
 _ALTITUDES = -100_000, 800_000
 # Of a unit: what rounding may add before it counts as the next one.
@@ -129,9 +135,11 @@ def build_stations(
     second one with the sensors. Reference times are milliseconds since the run's first
     frame, after the slowest unit's latency; the object's measurement is older by that.
     Position of the middle of its box [0.01 m] and velocity [0.01 m/s] are the run's
-    own, so their confidence is unavailable. Raises InputError if the scene has no crs;
-    a site carries more than 128 units, or units too far apart, or the run leaves the
-    standard's range; the release is unknown.
+    own. Confidences are what a receiver may rely on: of the position the errors of the
+    detections in this frame, fused, with their correlation; of the velocity that of the
+    station's track, once it is confirmed. Of heights none is known: unavailable. Raises
+    InputError if the scene has no crs; a site carries more than 128 units, or units too
+    far apart, or the run leaves the standard's range; the release is unknown.
 
     Notes
     -----
@@ -259,6 +267,8 @@ def _sent(
     time_s = watched.run.time_s
     latency_s = max(unit.latency(watched.rule) for unit in units)
     detected = np.array([watched.detected[unit.id] for unit in units])
+    covariance_m2 = report_covariances_m2(watched, units)
+    tracks = follow_watched(watched, units).tracks
     told_s = -np.inf
     for frame in range(len(time_s)):
         containers = []
@@ -272,6 +282,10 @@ def _sent(
                 "measurementDeltaTime": -round(1000.0 * latency_s),
                 "sensorIdList": seeing,
             }
+            _tell_place_error(described, fuse_m2(covariance_m2[seeing, frame]))
+            if tracks.is_live[frame]:
+                variance = np.diag(tracks.covariance[frame])[2:]
+                _tell_speed_error(described, np.sqrt(variance))
             data = {"numberOfPerceivedObjects": 1, "perceivedObjects": [described]}
             containers.append(_container(_OBJECT_CONTAINER, data))
         if containers:
@@ -317,6 +331,43 @@ def _object(
         },
         "classification": [{"objectClass": kind, "confidence": _CLASS_UNKNOWN}],
     }
+
+
+def fuse_m2(covariances_m2: FloatArray) -> FloatArray:
+    """Covariance (2, 2) of a place that several report with these, (n, 3), in m^2.
+
+    Inverses add up: (sum of R^-1)^-1.
+    """
+    east, both, north = covariances_m2.T
+    matrices = np.array([[east, both], [both, north]]).transpose(2, 0, 1)
+    fused: FloatArray = np.linalg.inv(np.linalg.inv(matrices).sum(axis=0))
+    return fused
+
+
+def _tell_place_error(described: dict[str, Any], covariance_m2: FloatArray) -> None:
+    """Put the confidence of east and north, and their correlation, into an object."""
+    sd_m = np.sqrt(np.diag(covariance_m2))
+    for axis, value_m in zip("xy", sd_m, strict=True):
+        confidence = int(_count_up(_SD_OF_95 * value_m, 100.0))
+        coordinate = described["position"][f"{axis}Coordinate"]
+        coordinate["confidence"] = min(max(confidence, 1), _COORDINATE_BEYOND)
+    correlation = covariance_m2[0, 1] / (sd_m[0] * sd_m[1])
+    described["lowerTriangularCorrelationMatrices"] = [
+        {
+            "componentsIncludedIntheMatrix": _PLACE,
+            "matrix": [[round(100.0 * float(correlation))]],
+        }
+    ]
+
+
+def _tell_speed_error(described: dict[str, Any], sd_mps: FloatArray) -> None:
+    """Put the confidence of the velocity east and north into an object."""
+    velocity = described["velocity"]["cartesianVelocity"]
+    for axis, value_mps in zip("xy", sd_mps, strict=True):
+        confidence = int(_count_up(_SD_OF_95 * value_mps, 100.0))
+        velocity[f"{axis}Velocity"]["confidence"] = min(
+            max(confidence, 1), _SPEED_BEYOND
+        )
 
 
 def _altitude_cm_at(scene: Scene, height_m: float) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from geometry.actors import Actor
+from geometry.arrays import FloatArray
 from geometry.calibrations import CalibratedCamera
 from geometry.errors import refuse
 from geometry.scene import Scene
@@ -25,7 +26,7 @@ from scenarios.runs import Run, build_frame_axis, find_onsets
 from ..language import mark
 from . import ExportFormat, load_extra
 from .calibration import calibrations, lens_coefficients, plain, sensor_quaternion
-from .watched import WatchedRun
+from .watched import Followed, WatchedRun, ellipse_points_m, follow_watched
 
 # Frame, as REP 105 calls it.
 WORLD = "map"
@@ -39,6 +40,8 @@ _COLOURS = {
     "vut": (0.2, 0.3, 0.8, 0.9),
     "vru": (0.9, 0.5, 0.1, 0.9),
     "seen": (0.1, 0.8, 0.2, 1.0),
+    "foreseen": (0.95, 0.8, 0.1, 1.0),
+    "braking": (0.9, 0.1, 0.1, 1.0),
     "other": (0.6, 0.6, 0.65, 1.0),
 }
 # How far ahead its far side is drawn.
@@ -48,6 +51,11 @@ _WIDEST_DEG = 150.0
 # Of pictures.
 _WIDEST_PX = 640
 _NANO = 1_000_000_000
+# Above the ground, so that lines on it are seen.
+_LINE_M = 0.05
+_WAY_POINTS = 36
+# Of a normal place in the plane, 95 % lie within so many standard deviations.
+_SD_OF_95 = 2.448
 
 
 def to_mcap(
@@ -62,8 +70,10 @@ def to_mcap(
     Topics: /scene (meshes), /units (a frustum per camera, a ball per LiDAR), /tf and
     /calibration/UNIT (cameras); of a run /bodies (boxes), /detections (a line from each
     unit that detects) and /state (JSON: time to the impact, units that detect, whether
-    a track is confirmed and braking would have begun). Frame "map": x east, y north, z
-    up. Nobody brakes in it. With `pictures`, what to draw with, /image/UNIT has what
+    a track is confirmed and braking would have begun, and whether the car would brake
+    by the decision) and /decision (the track's ellipse of 95 %, and the ways of both
+    for as long as the car looks ahead; red once it brakes). Frame "map": x east, y
+    north, z up. Nobody brakes in it. With `pictures`, what to draw with, /image/UNIT has what
     each camera sees of a run, reduced, and /calibration/UNIT is of these pictures. Not
     in it: point clouds. Raises InputError for pictures without a run, MissingExtraError
     if foxglove-sdk is not installed.
@@ -232,6 +242,7 @@ def _frames(
     onset_s = float(onsets.onset_s[0])
     met = run.encounter.vru
     last_s = run.last_brake_time_s
+    followed = follow_watched(watched, units)
     for frame, to_impact_s in enumerate(run.time_s.tolist()):
         time_s = to_impact_s - float(run.time_s[0])
         bodies: list[tuple[str, Actor, Any, float]] = [
@@ -272,15 +283,62 @@ def _frames(
         )
         seen = _entity(m, "detections", lines=[rays])
         yield "/detections", m.SceneUpdate(entities=[seen]), time_s
+        decided = list(_decision(m, run, followed, frame))
+        yield "/decision", m.SceneUpdate(entities=decided), time_s
         state = {
             "to_impact_s": to_impact_s,
             "n_detecting": len(seeing),
             "detecting": [unit.id for unit in seeing],
             "is_confirmed": to_impact_s >= confirmed_s,
             "would_brake": to_impact_s >= onset_s,
+            "overlap_probability": float(followed.probability[frame]),
+            "decides_to_brake": bool(followed.brakes[frame]),
             "last_brake_time_s": last_s if np.isfinite(last_s) else None,
         }
         yield "/state", state, time_s
+
+
+def _decision(m: Any, run: Run, followed: Followed, frame: int) -> Iterator[Any]:
+    """What the car knows and foresees in a frame; empty where no track is confirmed."""
+    if not followed.tracks.is_live[frame]:
+        # An entity without parts takes the place of that of the frame before.
+        yield _entity(m, "ellipse")
+        yield _entity(m, "ways")
+        return
+    name = "foreseen"
+    if followed.brakes[frame]:
+        name = "braking"
+    state = followed.tracks.state[0, frame]
+    ellipse_m = ellipse_points_m(
+        state[:2], followed.tracks.covariance[frame, :2, :2], n_sd=_SD_OF_95
+    )
+    ring = m.LinePrimitive(
+        type=m.LinePrimitiveLineType.LineLoop,
+        points=_points(m, _on_road_m(ellipse_m, run)),
+        thickness=0.05,
+        color=_colour(m, name),
+    )
+    yield _entity(m, "ellipse", lines=[ring])
+    ahead_s = np.linspace(0.0, followed.ahead_s, _WAY_POINTS)
+    vru_m = state[:2] + ahead_s[:, None] * state[2:]
+    vut_motion = run.encounter.vut_motion
+    vut_m, _ = vut_motion.path.at(vut_motion.distance_m(run.time_s[frame] + ahead_s))
+    ways = [
+        m.LinePrimitive(
+            type=m.LinePrimitiveLineType.LineStrip,
+            points=_points(m, _on_road_m(way_m, run)),
+            thickness=0.1,
+            color=_colour(m, name),
+        )
+        for way_m in (vru_m, vut_m)
+    ]
+    yield _entity(m, "ways", lines=ways)
+
+
+def _on_road_m(places_m: FloatArray, run: Run) -> FloatArray:
+    """Places (n, 2) just above the ground, (n, 3), in m."""
+    above: FloatArray = on_ground(places_m, run.terrain) + [0.0, 0.0, _LINE_M]
+    return above
 
 
 def _reduced(unit: CandidatePose) -> CandidatePose:

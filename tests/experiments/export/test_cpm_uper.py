@@ -1,6 +1,8 @@
 """Collective perception messages as bytes."""
 
 import json
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +12,15 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from pyproj import Transformer
 
-from experiments.export.cpm import RELEASES, build_stations, to_cpm
+from experiments.export.cpm import RELEASES, build_stations, fuse_m2, to_cpm
 from experiments.export.uper import decode, encode, split, tell_load, to_cpm_uper
-from experiments.export.watched import WatchedRun, find_run, watch_run
+from experiments.export.watched import (
+    WatchedRun,
+    find_run,
+    follow_watched,
+    report_covariances_m2,
+    watch_run,
+)
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
@@ -20,6 +28,7 @@ from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose, is_ring
 from placement.layout import Layout, load_carlancap_layout
+from placement.sampling.uncertainty import BY_EYE, CALIBRATED
 from scenarios.aeb import load_aeb_rule
 
 pytest.importorskip("asn1tools", reason="the extra v2x is not installed")
@@ -116,6 +125,50 @@ def test_objects_are_where_the_run_has_them(runs):
             if any(one["containerId"] == 3 for one in payload["cpmContainers"])
         ]
         assert np.diff(sensors).min() >= 1000 - 1
+
+
+def test_confidences_are_those_of_the_reports_and_of_the_track(runs):
+    """95 % of a normal error lies within 1.96 standard deviations."""
+    run = runs[0]
+    layout = level_layout(0.0)
+    told = {}
+    for aimed in (CALIBRATED, BY_EYE):
+        watched = replace(seen_in(run, 7, share=0.9), aimed=aimed)
+        (station,) = build_stations(layout, SCENE, watched)
+        frames = np.flatnonzero(watched.detected["one"])
+        found = [
+            one["payload"]["cpmContainers"][-1]["containerData"]["perceivedObjects"][0]
+            for one in station.messages
+            if one["payload"]["cpmContainers"][-1]["containerId"] == 5
+        ]
+        (errors_m2,) = report_covariances_m2(watched, layout.units)
+        tracks = follow_watched(watched, layout.units).tracks
+        for frame, one in zip(frames, found, strict=True):
+            ee, en, nn = errors_m2[frame]
+            axes = zip("xy", (ee, nn), (2, 3), strict=True)
+            for axis, variance, row in axes:
+                confidence = one["position"][f"{axis}Coordinate"]["confidence"]
+                expected = math.ceil(196.0 * math.sqrt(variance) - 1e-6)
+                # Beyond 40.94 m: out of range.
+                assert confidence == min(expected, 4095)
+                velocity = one["velocity"]["cartesianVelocity"][f"{axis}Velocity"]
+                sd_mps = math.sqrt(tracks.covariance[frame, row, row])
+                expected = min(math.ceil(196.0 * sd_mps - 1e-6), 126)
+                if not tracks.is_live[frame]:
+                    expected = 127
+                assert velocity["confidence"] == expected
+            (matrix,) = one["lowerTriangularCorrelationMatrices"]
+            assert matrix["matrix"] == [[round(100.0 * en / math.sqrt(ee * nn))]]
+            assert one["position"]["zCoordinate"]["confidence"] == 4096
+        assert tracks.is_live.any()
+        # The run ends near the mast.
+        told[aimed] = found[-1]["position"]["xCoordinate"]["confidence"]
+    assert told[CALIBRATED] < told[BY_EYE]
+
+
+def test_reports_of_several_units_are_fused_by_their_inverses():
+    fused = fuse_m2(np.array([[1.0, 0.0, 4.0], [1.0, 0.0, 4.0], [0.5, 0.0, 2.0]]))
+    np.testing.assert_allclose(fused, [[0.25, 0.0], [0.0, 1.0]], atol=1e-12)
 
 
 @pytest.mark.long

@@ -15,7 +15,7 @@ from PIL import Image
 from short_runs import cut_run
 
 from experiments.export.mcap import to_mcap
-from experiments.export.watched import WatchedRun, find_run
+from experiments.export.watched import WatchedRun, find_run, follow_watched
 from geometry.errors import InputError
 from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
@@ -115,6 +115,34 @@ def test_detections_confirmation_and_braking_follow_the_rule(topics, watched):
         assert state["is_confirmed"] == (frame >= 12)  # the third in a row
         assert state["would_brake"] == (frame >= 13)  # 25 ms later
     assert states[-1]["last_brake_time_s"] == watched.run.last_brake_time_s
+
+
+def test_the_track_has_an_ellipse_and_turns_red_when_the_car_decides(topics, watched):
+    followed = follow_watched(watched, load_carlancap_layout().units)
+    states = [state for _, state in topics["/state"]]
+    decides = [state["decides_to_brake"] for state in states]
+    assert decides == followed.brakes.tolist()
+    # Nobody brakes before a track is confirmed, and this run is braked for.
+    assert not decides[11]
+    assert decides[-1]
+    reds = []
+    for frame, (_, update) in enumerate(topics["/decision"]):
+        ring, ways = (entity.lines for entity in update.entities)
+        assert len(ring) == (frame >= 12)
+        if not ring:
+            continue
+        reds.append(ring[0].color.r > 0.8 and ring[0].color.g < 0.2)
+        points_m = np.array([[p.x, p.y] for p in ring[0].points])
+        off_m = points_m - followed.tracks.state[0, frame, :2]
+        inverse = np.linalg.inv(followed.tracks.covariance[frame, :2, :2])
+        # 95 % of a normal place in the plane: chi-square of two degrees, 5.991.
+        squared = np.einsum("ni,ij,nj->n", off_m, inverse, off_m)
+        assert_allclose(squared, 5.991, atol=0.01)
+        first, *_, last = ways[0].points
+        speed_mps = math.hypot(last.x - first.x, last.y - first.y) / followed.ahead_s
+        along_mps = np.hypot(*followed.tracks.state[0, frame, 2:])
+        assert speed_mps == pytest.approx(along_mps, abs=1e-9)
+    assert reds == decides[12:]
 
 
 def test_frusta_show_the_corners_of_the_image(topics):
