@@ -27,7 +27,13 @@ DEFAULT_RULE = "default"
 _FILE = "decision.toml"
 _STEP_S = 0.1
 # Fields that may be 0, and the most of those that have a limit.
-_MAY_BE_ZERO = ("box_correlation", "acceleration_noise_m2ps3", "reserve_s", "threshold")
+_MAY_BE_ZERO = (
+    "box_correlation",
+    "acceleration_noise_m2ps3",
+    "reserve_s",
+    "threshold",
+    "false_tracks_braked_for",
+)
 _MOST = {"box_correlation": 0.999, "threshold": 1.0, "box_noise_share": 1.0}
 
 
@@ -40,6 +46,8 @@ class DecisionRule:
     box_noise_share : float
         Error of each side of a box, as a share of its size, of detectors that have none
         of their own.
+    box_height_factor, box_width_factor : float
+        Errors of lower and of left and right sides, as multiples of that share.
     box_correlation : float
         Of that error between consecutive frames. 0 .. 0.999
     body_sd_m : float
@@ -53,6 +61,9 @@ class DecisionRule:
         stop and this reserve. [s], 0 .. 1
     car_along_sd_m, car_across_sd_m : float
         Of the car's own place. [m]
+    false_tracks, false_tracks_braked_for : int
+        Confirmed tracks of nothing on recordings, and those that the decision let
+        through.
     clearance_m, stop_mps2 : float
         How near to the car's way a twin comes, and how it slows down. [m], [m/s^2]
     draws : int
@@ -65,6 +76,8 @@ class DecisionRule:
     """
 
     box_noise_share: float
+    box_height_factor: float
+    box_width_factor: float
     box_correlation: float
     body_sd_m: float
     acceleration_noise_m2ps3: float
@@ -73,6 +86,8 @@ class DecisionRule:
     threshold: float
     car_along_sd_m: float
     car_across_sd_m: float
+    false_tracks: int
+    false_tracks_braked_for: int
     clearance_m: float
     stop_mps2: float
     draws: int
@@ -91,6 +106,12 @@ class DecisionRule:
                 expected = f"{expected} and at most {most:g}"
             if not is_valid:
                 raise InputError(name, value, expected)
+        if self.false_tracks_braked_for > self.false_tracks:
+            raise InputError(
+                "false_tracks_braked_for",
+                self.false_tracks_braked_for,
+                f"at most the {self.false_tracks} of false_tracks",
+            )
 
 
 def load_decision_rule(name_or_path: str = DEFAULT_RULE) -> DecisionRule:

@@ -73,7 +73,8 @@ def to_mcap(
     a track is confirmed and braking would have begun, and whether the car would brake
     by the decision) and /decision (the track's ellipse of 95 %, and the ways of both
     for as long as the car looks ahead; red once it brakes). Frame "map": x east, y
-    north, z up. Nobody brakes in it. With `pictures`, what to draw with, /image/UNIT has what
+    north, z up. Nobody brakes in it. With `pictures`, what to draw with, /image/UNIT
+    has what
     each camera sees of a run, reduced, and /calibration/UNIT is of these pictures. Not
     in it: point clouds. Raises InputError for pictures without a run, MissingExtraError
     if foxglove-sdk is not installed.

@@ -92,6 +92,13 @@ class DecisionRecord(Record, frozen=True, kw_only=True):
 
     rule: Annotated[dict[str, float], says("See scenarios/data/decision.toml.")]
     layouts: Annotated[tuple[LayoutDecision, ...], says("The layouts.")]
+    false_brakings_per_hour: Annotated[
+        dict[str, tuple[float, ...]],
+        says(
+            "For tracks of nothing, with a car always near: by one unit, and by layout;"
+            " figure and 95 % interval. Empty: unknown of this detector."
+        ),
+    ]
 
 
 def judge_by_decision(

@@ -8,12 +8,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from geometry.sensors import CameraModel
 from placement.compute import Compute
 from placement.decisions import Decided, LayoutDecisions, judge_decisions
+from placement.detectors.evidence import Interval
+from placement.detectors.fitting import wilson
 from placement.evaluation import Evaluation
 from placement.positions import aim_sd_deg
 from placement.setting import Setting
-from scenarios.decision import load_decision_rule, rule_values
+from scenarios.decision import DecisionRule, load_decision_rule, rule_values
 
 from .decision import (
     LIMITS,
@@ -25,6 +28,8 @@ from .decision import (
 )
 
 _N_THRESHOLDS = 51
+ONE_UNIT = "one unit"
+"""Key of what a single unit causes."""
 
 
 def judge_by_decision(
@@ -40,12 +45,40 @@ def judge_by_decision(
     """
     rule = load_decision_rule(name_or_path)
     decisions = judge_decisions([*evaluations.values()], setting, rule, compute=compute)
+    by_unit = false_brakings_per_hour(setting.detector, rule)
+    false_brakings = {}
+    if by_unit is not None:
+        false_brakings[ONE_UNIT] = by_unit
+        for name, one in evaluations.items():
+            sensors = [unit.sensor for unit in one.layout.units]
+            # Of LiDARs' tracks of nothing no rate is known.
+            if all(isinstance(sensor, CameraModel) for sensor in sensors):
+                false_brakings[name] = by_unit.times(len(sensors))
     return DecisionRecord(
+        false_brakings_per_hour={
+            name: (one.value, one.low, one.high) for name, one in false_brakings.items()
+        },
         rule=rule_values(rule),
         layouts=tuple(
             _build_layout(name, one, rule.reserve_s, rule.threshold)
             for name, one in zip(evaluations, decisions, strict=True)
         ),
+    )
+
+
+def false_brakings_per_hour(detector: object, rule: DecisionRule) -> Interval | None:
+    """How often a car brakes for nothing that one unit reports, in an hour.
+
+    Rate of the detector's tracks of nothing times the share that the decision let
+    through on recordings; ends of the interval are products of ends, so that it holds
+    with more than 95 %. None where the detector's rate is unknown.
+    """
+    rate = getattr(detector, "false_tracks_per_hour", None)
+    if rate is None:
+        return None
+    share = wilson(rule.false_tracks_braked_for, rule.false_tracks)
+    return Interval(
+        rate.value * share.value, rate.low * share.low, rate.high * share.high
     )
 
 

@@ -9,7 +9,7 @@ from placement.sampling.uncertainty import BY_EYE, CALIBRATED
 
 from ..figures.axes import UNIT_COLOURS, WIDTH_IN, finish_axes, literal, new_axes
 from ..language import mark, tr
-from ..results.numbers import layout_words, percent
+from ..results.numbers import layout_words, number, percent
 from . import Part
 from .decision import LIMITS, LOCATED_M, DecisionRecord, LayoutDecision
 from .section import Section, Table, build_picture
@@ -55,7 +55,44 @@ def words(record: DecisionRecord) -> list[str]:
                 braked=percent(one.braked_for),
             )
         )
+    sentences += _false_braking(record)
     return sentences
+
+
+def _false_braking(record: DecisionRecord) -> list[str]:
+    """How often a car brakes for nothing at all, where that is known."""
+    by_layout = record.false_brakings_per_hour
+    first = record.layouts[0].name
+    if first not in by_layout:
+        return [
+            tr(
+                "How often cars brake for tracks of nothing is not known: of this"
+                " detector no rate of them is measured."
+            )
+        ]
+    value, low, high = by_layout[first]
+    return [
+        tr(
+            "With a car always near, it brakes {value} times an hour for tracks of"
+            " nothing (95 %: {low} to {high}; one sensor: {one} to {most}): as often as"
+            " the detector reports them, times the share that the decision let through"
+            " on recordings ({braked} of {tracks}).",
+            value=_rate(value),
+            low=_rate(low),
+            high=_rate(high),
+            one=_rate(by_layout["one unit"][1]),
+            most=_rate(by_layout["one unit"][2]),
+            braked=record.rule["false_tracks_braked_for"],
+            tracks=record.rule["false_tracks"],
+        )
+    ]
+
+
+def _rate(per_hour: float) -> str:
+    """A rate, with a decimal only where it is small."""
+    if per_hour < 10.0:
+        return number(per_hour, 1)
+    return number(per_hour, 0)
 
 
 def table(record: DecisionRecord) -> Table:
@@ -112,8 +149,8 @@ def notes(record: DecisionRecord) -> list[str]:
 def plot_decisions(layouts: Sequence[LayoutDecision]) -> Axes:
     """Runs avoided against twins braked for, over the threshold, per layout."""
     axes = new_axes(WIDTH_IN, 4.2)
-    for number, layout in enumerate(layouts):
-        colour = UNIT_COLOURS[number % len(UNIT_COLOURS)]
+    for index, layout in enumerate(layouts):
+        colour = UNIT_COLOURS[index % len(UNIT_COLOURS)]
         for aimed, one in layout.by_aim.items():
             braked, avoided = 100.0 * np.array(one.curve).T
             name = literal(f"{layout_words(layout.name)}, {tr(AIM_WORDS[aimed])}")
@@ -130,7 +167,7 @@ def plot_decisions(layouts: Sequence[LayoutDecision]) -> Axes:
             axes.plot(
                 100.0 * one.braked_for,
                 100.0 * one.avoided,
-                marker=_MARKERS[number % len(_MARKERS)],
+                marker=_MARKERS[index % len(_MARKERS)],
                 color=colour,
                 markersize=5,
             )

@@ -376,17 +376,27 @@ def _lasting(before: _Last, alarms_px: FloatArray) -> list[int]:
 
     This picture included.
     """
-    lasted = [1] * len(alarms_px)
-    overlap = iou(alarms_px[:, None], before.alarms_px[None])
+    links = link_alarms(before.alarms_px, alarms_px)
+    return [before.lasted[old] + 1 if old >= 0 else 1 for old in links]
+
+
+def link_alarms(before_px: FloatArray, alarms_px: FloatArray) -> list[int]:
+    """Which box of the picture before (n, 4) each of some boxes goes on from.
+
+    -1 where there is none. Boxes of the same false track overlap by an IoU of more than
+    0.3.
+    """
+    links = [-1] * len(alarms_px)
+    overlap = iou(alarms_px[:, None], before_px[None])
     # The best pairs first, each box in one of them.
     for flat in np.argsort(-overlap, axis=None, kind="stable").tolist():
-        new, old = divmod(flat, len(before.alarms_px))
+        new, old = divmod(flat, len(before_px))
         if overlap[new, old] <= _SAME_ALARM_IOU:
             continue
-        lasted[new] = before.lasted[old] + 1
+        links[new] = old
         overlap[new] = -1.0
         overlap[:, old] = -1.0
-    return lasted
+    return links
 
 
 def wilson(n_found: int, n_all: int) -> Interval:

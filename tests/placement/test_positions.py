@@ -100,13 +100,14 @@ def test_errors_of_the_box_are_derivatives_of_the_camera_model(
     )
     head = foot + [0.0, 0.0, BODY_M[0]]
     bottom, top = project_points(np.stack([foot, head]), pose, CAMERA)
-    off_px = share * (bottom[1] - top[1])
+    height_share = RULE.box_height_factor * share
+    off_px = height_share * (bottom[1] - top[1])
     moved = on_ground((bottom[0], bottom[1] + off_px), pose) - foot[:2]
     # The formula takes angles to be small and the picture to be curved.
     assert abs(moved @ sight) == pytest.approx(found.box_along_m[0], rel=0.12)
     # Where the body is low against the height, as the text says.
     assert found.box_along_m[0] == pytest.approx(
-        share * BODY_M[0] * distance_m / height_m, rel=0.35
+        height_share * BODY_M[0] * distance_m / height_m, rel=0.35
     )
 
 

@@ -30,7 +30,7 @@ TILTS_DEG = np.linspace(-2.0, 2.0, 41)
 _DRAWS = 400
 # A box that comes nearer to the picture's edge may be cut off.
 _INSIDE_PX = 2.0
-_KITTI_SIZE = (1242, 375)
+KITTI_SIZE_PX = (1242, 375)
 _WILDTRACK_SIZE = (1920, 1080)
 _WILDTRACK_VIEWS = (
     "CVLab1",
@@ -254,11 +254,11 @@ def measure_kitti_heights(folder: Path, sequences: tuple[int, ...]) -> FloatArra
     Of those that no edge of the picture cuts off.
     """
     data = folder / "OpenTraj" / "datasets" / "KITTI" / "data"
-    width, height = _KITTI_SIZE
+    width, height = KITTI_SIZE_PX
     ratios = []
     for number in sequences:
         labels = read_boxes(data / "label" / f"{number:04d}.txt")
-        camera = read_kitti_camera(data / "calib" / f"{number:04d}.txt", _KITTI_SIZE)
+        camera = read_kitti_camera(data / "calib" / f"{number:04d}.txt", KITTI_SIZE_PX)
         box = labels.box_px
         whole = (box[:, :2] > _INSIDE_PX).all(axis=1) & (box[:, 2] < width - 20.0)
         labels = labels.take(

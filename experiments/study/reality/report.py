@@ -29,6 +29,7 @@ from ...figures.axes import BLUE, GREY, WIDTH_IN, finish_axes, new_figure
 from ...perception_lab.fit import draw_intervals, table_text
 from ...results.numbers import number, percent
 from ...results.tables import page_of
+from .places import FalseBraking, PlaceBand, decide_false_tracks, measure_places
 from .projection import (
     BODY,
     Heights,
@@ -84,6 +85,10 @@ class Measured:
     # Pedestrians.
     lidar: Watched
     lidar_cyclists: Watched
+    # Of PETS' detections.
+    places: list[PlaceBand]
+    # By what was watched.
+    false_braking: Mapping[str, FalseBraking]
 
     @property
     def watched(self) -> dict[str, Watched]:
@@ -167,14 +172,23 @@ def measure(folder: Path) -> Measured:
 
     Raises InputError if a file is missing, or is not what its format asks for.
     """
+    pole = watch_pets(folder)
     return Measured(
         heights=measure_pets_heights(folder),
         labels=measure_kitti_heights(folder, KITTI_SEQUENCES),
         flags=measure_flags(folder),
-        pole=watch_pets(folder),
+        pole=pole,
         car=watch_kitti(folder, name="car-2019", class_name="pedestrian"),
         lidar=watch_kitti(folder, name="pointrcnn-2019", class_name="pedestrian"),
         lidar_cyclists=watch_kitti(folder, name="pointrcnn-2019", class_name="cyclist"),
+        places=measure_places(folder, pole),
+        false_braking={
+            "KITTI, camera": decide_false_tracks(folder, "car-2019", "pedestrian"),
+            "KITTI, LiDAR": decide_false_tracks(folder, "pointrcnn-2019", "pedestrian"),
+            "KITTI, LiDAR, cyclists": decide_false_tracks(
+                folder, "pointrcnn-2019", "cyclist"
+            ),
+        },
     )
 
 
@@ -278,6 +292,13 @@ def text(m: Measured) -> str:
             for words, one in m.watched.items()
             for rows in [_recall_rows(m, words, one)]
         ],
+        places=_place_rows(m.places),
+        false_braking=[
+            [words, str(one.tracks), str(one.braked), _share(one.share)]
+            for words, one in m.false_braking.items()
+        ],
+        all_tracks=sum(one.tracks for one in m.false_braking.values()),
+        all_braked=sum(one.braked for one in m.false_braking.values()),
         reach_m=lidar_reach_m(),
         in_reach=share_by_track(seen.is_found[rows], seen.track[rows]),
     )
@@ -297,6 +318,17 @@ def _held_out_rows(m: Measured) -> list[list[str]]:
         for words, halves in m.held.items()
         for one in halves
     ]
+
+
+def _place_rows(bands: Sequence[PlaceBand]) -> list[list[str]]:
+    """By distance: measured errors, and how many times that is predicted."""
+    rows = []
+    for one in bands:
+        along = one.predicted_along_m / one.along_m
+        across = one.predicted_across_m / one.across_m
+        figures = [one.along_m, along, one.across_m, across]
+        rows.append([one.words, str(one.n), *map(number, figures)])
+    return rows
 
 
 def _ratio_rows(h: Heights) -> list[list[str]]:

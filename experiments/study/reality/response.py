@@ -62,6 +62,8 @@ class Watched:
     sightings: Sightings
     # (n,): from the sensor, on the ground.
     distance_m: FloatArray
+    # (n, 4): boxes as labelled.
+    label_px: FloatArray
     # (n,): KITTI's; -1: the share hidden is that of boxes.
     hidden_level: IntArray
     alarms: FalseAlarms
@@ -90,6 +92,7 @@ def watch_pets(folder: Path) -> Watched:
         frame_rate_hz=7.0,
         sightings=sightings,
         distance_m=np.hypot(*ground.T)[rows],
+        label_px=given.box_px[rows],
         hidden_level=given.hidden_level[rows],
         alarms=alarms,
         halves={
@@ -106,7 +109,7 @@ def watch_kitti(folder: Path, *, name: str, class_name: str) -> Watched:
 
     Nearly all boxes are those of sequence 16: it is a half of its own.
     """
-    detector, source, path, year, least = _KITTI[name]
+    detector, source, _, year, least = _KITTI[name]
     data = folder / "OpenTraj" / "datasets" / "KITTI" / "data"
     parts: list[PairedBoxes] = []
     labelled: list[RecordedBoxes] = []
@@ -115,9 +118,7 @@ def watch_kitti(folder: Path, *, name: str, class_name: str) -> Watched:
         given = read_boxes(data / "label" / f"{number:04d}.txt")
         if not (given.is_class(class_name) & (given.track >= 0)).any():
             continue
-        found = read_boxes(
-            folder / path.format(class_name.capitalize()) / f"{number:04d}.txt"
-        )
+        found = kitti_found(folder, name, class_name, number)
         n_frames = len(
             read_text(data / "oxts" / f"{number:04d}.txt", "text").splitlines()
         )
@@ -147,6 +148,7 @@ def watch_kitti(folder: Path, *, name: str, class_name: str) -> Watched:
         frame_rate_hz=TABLE_HZ,
         sightings=sightings,
         distance_m=np.hypot(place[:, 0], place[:, 2]),
+        label_px=np.concatenate([one.box_px for one in labelled])[order],
         hidden_level=np.concatenate([one.hidden_level for one in labelled])[order],
         alarms=alarms,
         halves={
@@ -172,6 +174,13 @@ _KITTI = {
         0.0,
     ),
 }
+
+
+def kitti_found(folder: Path, name: str, class_name: str, number: int) -> RecordedBoxes:
+    """What a detector found in one of KITTI's sequences."""
+    _, _, path, _, _ = _KITTI[name]
+    place = folder / path.format(class_name.capitalize())
+    return read_boxes(place / f"{number:04d}.txt")
 
 
 def _gather(

@@ -1,17 +1,22 @@
 """Layouts that locate road users, and layouts by the decision to brake."""
 
+from dataclasses import replace
+
 import pytest
 
 from experiments.jobs import placement
 from experiments.parts.aims import words
+from experiments.parts.decision_judging import false_brakings_per_hour
 from experiments.parts.decision_section import build_part, build_section
 from experiments.parts.reading import load_result
 from experiments.progress import StageProgress
 from geometry.errors import InputError
 from placement.compute import Compute
+from placement.detectors import load_detector
 from placement.question import Question
 from placement.setting import check_question
 from placement.wishes import read_wishes
+from scenarios.decision import load_decision_rule
 
 pytestmark = pytest.mark.usefixtures("small_study")
 
@@ -54,6 +59,25 @@ def test_a_located_layout_gives_up_no_more_than_may_be_and_is_the_same_again(tmp
     assert build_part(first.decision).table.rows
     assert build_section(first.decision).blocks[-1].width_px > 0
     assert load_result(tmp_path / "first").summary.located == first.located
+
+
+def test_tracks_of_nothing_brake_as_often_as_the_decision_lets_them_through():
+    rule = replace(load_decision_rule(), false_tracks=40, false_tracks_braked_for=10)
+    detector = load_detector("pole-2015")
+    rate = detector.false_tracks_per_hour
+    found = false_brakings_per_hour(detector, rule)
+    # Wilson's interval of 10 of 40: 14.2 to 40.2 %.
+    assert found.value == pytest.approx(0.25 * rate.value)
+    assert found.low == pytest.approx(0.142 * rate.low, rel=2e-3)
+    assert found.high == pytest.approx(0.402 * rate.high, rel=2e-3)
+    assert false_brakings_per_hour(load_detector(), rule) is None
+
+
+def test_more_tracks_of_nothing_than_there_are_cannot_be_braked_for(tmp_path):
+    path = tmp_path / "rule.toml"
+    path.write_text("false_tracks_braked_for = 88\n")
+    with pytest.raises(InputError, match="at most the 87 of false_tracks"):
+        load_decision_rule(str(path))
 
 
 def test_nothing_is_said_where_nothing_was_asked():

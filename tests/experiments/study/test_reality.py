@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from scipy.special import ndtr
 
 from experiments.study.reality import __main__ as command
-from experiments.study.reality import report, response
+from experiments.study.reality import places, report, response
 from experiments.study.reality.projection import (
     body_boxes,
     nearest_pinhole,
@@ -125,7 +125,7 @@ def kitti(folder, rng):
         name = f"{sequence:04d}.txt"
         put(data / "label" / name, "\n".join(labels))
         put(data / "calib" / name, "P2: 721.5 0 609.5 0 0 721.5 172.8 0 0 0 1 0\n")
-        put(data / "oxts" / name, "0\n" * 50)
+        put(data / "oxts" / name, "0 0 0 0 0 0 0 0 0\n" * 50)
         rrc = folder / "DeepFusionMOT/data/detections/2D/rrc/training/Pedestrian"
         put(rrc / name, "\n".join(pictures))
         for kind, lines in points.items():
@@ -195,7 +195,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module", autouse=True)
 def two_sequences():
     with pytest.MonkeyPatch.context() as patch:
-        for module in (report, response):
+        for module in (report, response, places):
             patch.setattr(module, "KITTI_SEQUENCES", (0, 16))
         yield
 
@@ -295,6 +295,42 @@ def test_phi_is_that_of_two_states_and_their_chances():
     found = response.phi(some)
     assert found.low <= 0.5 <= found.high
     assert found.value == pytest.approx(0.5, abs=0.06)
+
+
+@pytest.mark.long
+def test_where_detections_are_exact_no_error_is_measured(measured):
+    for band in measured.places:
+        assert band.along_m == pytest.approx(0.0, abs=1e-6)
+        assert 0.1 < band.predicted_along_m < 2.0
+
+
+@pytest.mark.parametrize(("right_m", "braked"), [(0.0, 1), (6.0, 0)])
+def test_a_car_brakes_for_nothing_only_where_it_drives(
+    tmp_path, monkeypatch, right_m, braked
+):
+    """A car at 10 m/s east; its camera finds nobody who stands 45 m ahead."""
+    monkeypatch.setattr(places, "KITTI_SEQUENCES", (0,))
+    data = tmp_path / "OpenTraj" / "datasets" / "KITTI" / "data"
+    found = []
+    car = []
+    for frame in range(40):
+        # A degree on the equator has 111,319.5 m.
+        car.append(f"0 {frame / 111319.49} 0 0 0 0 0 10 10")
+        ahead_m = 45.0 - frame
+        if 5 <= frame < 36:
+            foot = 172.8 + 721.5 * 1.65 / ahead_m
+            middle = 609.5 + 721.5 * right_m / ahead_m
+            height = 721.5 * 1.7 / ahead_m
+            sides = (middle - 0.2 * height, foot - height, middle + 0.2 * height, foot)
+            found.append(f"{frame}," + ",".join(f"{one:.3f}" for one in sides) + ",0.4")
+    label = "0 0 Pedestrian 0 0 0 1 1 20 60 1.8 0.5 0.5 -20 1.6 30 0"
+    put(data / "label" / "0000.txt", label)
+    put(data / "calib" / "0000.txt", "P2: 721.5 0 609.5 0 0 721.5 172.8 0 0 0 1 0\n")
+    put(data / "oxts" / "0000.txt", "\n".join(car))
+    rrc = tmp_path / "DeepFusionMOT/data/detections/2D/rrc/training/Pedestrian"
+    put(rrc / "0000.txt", "\n".join(found))
+    found = places.decide_false_tracks(tmp_path, "car-2019", "pedestrian")
+    assert (found.braked, found.tracks) == (braked, 1)
 
 
 # Quickly: the other tests of this file.
