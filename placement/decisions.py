@@ -85,8 +85,8 @@ class Decided:
 
     Attributes
     ----------
-    aimed : str
-        How the units are aimed.
+    aim_sd_deg : (float, float)
+        Errors of bearing and tilt. [deg]
     reserves_s : (n_reserves,) float
         Ascending. [s]
     in_time : (n_reserves, n_worlds, n_runs) float
@@ -103,7 +103,7 @@ class Decided:
         See :class:`TwinSetting`.
     """
 
-    aimed: str
+    aim_sd_deg: tuple[float, float]
     reserves_s: tuple[float, ...]
     in_time: FloatArray
     in_twins: FloatArray
@@ -186,14 +186,18 @@ def judge_decisions(
     setting: Setting,
     rule: DecisionRule,
     *,
-    aims: Sequence[str] = AIMS,
+    aims: Mapping[str, tuple[float, float]] | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> list[LayoutDecisions]:
     """Judge evaluated layouts by what a car decides, in runs and in their twins.
 
-    Twins are looked at by the evaluator. With cars that see, the car's own track is one
-    more unit. Raises InputError where a share of the cars sees, or an error is none.
+    `aims` are errors of bearing and tilt, in degrees, by their names; by default those
+    of AIMS. Twins are looked at by the evaluator. With cars that see, the car's own
+    track is one more unit. Raises InputError where a share of the cars sees, or an
+    error is none.
     """
+    if aims is None:
+        aims = {aimed: aim_sd_deg(aimed) for aimed in AIMS}
     twins = build_twin_setting(setting, rule)
     layouts = [one.layout for one in evaluations]
     seen = [
@@ -215,8 +219,8 @@ def judge_decisions(
         )
         compute.progress(STAGE, number, len(layouts))
         by_aim = {
-            aimed: _decide(in_runs, beside, twins.is_main, aimed, compute=compute)
-            for aimed in aims
+            aimed: _decide(in_runs, beside, twins.is_main, aim_deg, compute=compute)
+            for aimed, aim_deg in aims.items()
         }
         calibrated = next(iter(by_aim.values()))
         tiny = np.finfo(float).tiny
@@ -291,14 +295,13 @@ def _decide(
     in_runs: Reports,
     in_twins: Reports,
     is_main: BoolArray,
-    aimed: str,
+    aim_deg: tuple[float, float],
     *,
     compute: Compute,
 ) -> Decided:
     """What cars decide in drawn worlds, with units aimed so."""
     rule = in_runs.rule
     reserves_s = tuple(sorted({*RESERVES_S, rule.reserve_s}))
-    aim_deg = aim_sd_deg(aimed)
     # Of a run only frames count after which braking still avoids.
     axis = in_runs.setting.axis
     in_time = frames_in_time(axis, latency_s=in_runs.aeb.latency_s)
@@ -310,7 +313,7 @@ def _decide(
         drawn_twins.largest(every, compute=compute),
     ]
     return Decided(
-        aimed=aimed,
+        aim_sd_deg=aim_deg,
         reserves_s=reserves_s,
         in_time=found[0],
         in_twins=found[1],

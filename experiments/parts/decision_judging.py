@@ -14,7 +14,6 @@ from placement.decisions import Decided, LayoutDecisions, judge_decisions
 from placement.detectors.evidence import Interval
 from placement.detectors.fitting import wilson
 from placement.evaluation import Evaluation
-from placement.positions import aim_sd_deg
 from placement.setting import Setting
 from scenarios.decision import DecisionRule, load_decision_rule, rule_values
 
@@ -60,7 +59,7 @@ def judge_by_decision(
         },
         rule=rule_values(rule),
         layouts=tuple(
-            _build_layout(name, one, rule.reserve_s, rule.threshold)
+            build_layout(name, one, rule.reserve_s, rule.threshold)
             for name, one in zip(evaluations, decisions, strict=True)
         ),
     )
@@ -82,9 +81,10 @@ def false_brakings_per_hour(detector: object, rule: DecisionRule) -> Interval | 
     )
 
 
-def _build_layout(
+def build_layout(
     name: str, decisions: LayoutDecisions, reserve_s: float, threshold: float
 ) -> LayoutDecision:
+    """What a record has of a layout, by a rule of this reserve and threshold."""
     return LayoutDecision(
         name=name,
         units=len(decisions.layout.units),
@@ -99,7 +99,7 @@ def _build_layout(
 
 def build_aimed(decided: Decided, reserve_s: float, threshold: float) -> AimedDecision:
     """What a record has of decisions by a rule."""
-    yaw_deg, pitch_deg = aim_sd_deg(decided.aimed)
+    yaw_deg, pitch_deg = decided.aim_sd_deg
     thresholds = np.linspace(0.0, 1.0, _N_THRESHOLDS)[1:-1].tolist()
     others = decided.braked_for(reserve_s, threshold, main=False)
     best = []
