@@ -96,6 +96,14 @@ class _ExportCommand(click.Command):
     help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.",
 )
 @options.option(
+    "--crs",
+    metavar="CRS",
+    help=(
+        "dxf: coordinates in metres, EPSG:25832 or another that pyproj knows; default:"
+        " those of the map, or UTM for a map in degrees."
+    ),
+)
+@options.option(
     "--views",
     is_flag=True,
     help="geojson, gpkg, kml: what each camera sees, as polygons.",
@@ -123,6 +131,7 @@ def export(
     question: "Question",
     run_id: str,
     release: str | None,
+    crs: str | None,
     views: bool,
     pictures: bool,
     out: Path | None,
@@ -158,7 +167,11 @@ def export(
             drawn = compute
         else:
             drawn = None
-        asked = {"release": release, "views": find_views if views else None}
+        asked = {
+            "release": release,
+            "crs": crs,
+            "views": find_views if views else None,
+        }
         content = export_layout(
             layout,
             format_name,
