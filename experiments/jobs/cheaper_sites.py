@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geometry.arrays import FloatArray
+from geometry.arrays import FloatArray, IntArray
 from placement.cache import cached_value
 from placement.optimiser import (
     PlacementProblem,
@@ -41,7 +41,7 @@ class _Prices(NamedTuple):
 
     sensor_eur: FloatArray  # (n_poses,); 0 of those that exist
     site_eur: FloatArray  # (n_sites,); 0 of those that carry existing units
-    site_of: FloatArray  # (n_poses,) int: the site of each pose
+    site_of: IntArray  # (n_poses,): the site of each pose
 
     def of(self, poses: Sequence[int]) -> float:
         """Cost of a set of poses."""
