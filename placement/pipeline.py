@@ -194,9 +194,7 @@ class Assembly:
         if seen is not None and setting.cars < 1.0:
             table = mixed_table(table, setting.cars)
             seen = np.concatenate([seen, np.zeros_like(seen)])
-            if sample_index is None:
-                sample_index = None
-            else:
+            if sample_index is not None:
                 sample_index = np.tile(sample_index, 2)
         return build_problem(
             setting,

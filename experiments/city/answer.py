@@ -35,7 +35,7 @@ from placement.optimiser.constants import TOLERANCE
 from placement.recordings.files import json_of
 
 from ..language import language, tr, trn
-from ..results.numbers import euros, joined, percent
+from ..results.numbers import euros, joined, percent, points
 from ..results.record import Record, Share, StageRecord, UnitRecord, build_stage_records
 from ..scene import CAUSES
 from .inputs import (
@@ -294,6 +294,8 @@ class CityResult(Record, frozen=True, kw_only=True):
     budget_eur: float | None
     # Their source, in words.
     weights: str
+    # They were read from a file of accidents, not estimated or all alike.
+    has_accidents: bool = False
     # What must not be overlooked.
     warnings: tuple[str, ...] = ()
     units: Count
@@ -346,6 +348,21 @@ class CityResult(Record, frozen=True, kw_only=True):
     def of_all(self, name: str) -> float:
         """A share that each junction has, such as its APR, of all by weight."""
         return sum(one.weight * float(getattr(one, name)) for one in self.junctions)
+
+    @property
+    def of_what(self) -> str:
+        """Of what a share is: "of the accidents" only where some were read."""
+        if self.has_accidents:
+            return tr("of the accidents")
+        return tr("of the simulated collisions")
+
+    @property
+    def most_better(self) -> float:
+        """How much more another choice could prevent at most, as a share of all."""
+        apr = self.stages[0]
+        bound = 1.0 if apr.bound is None else apr.bound
+        done = sum(one.weight for one in self.junctions if not one.reason)
+        return done * max(bound - apr.objective, 0.0)
 
     @property
     def map_names(self) -> str:
@@ -408,6 +425,7 @@ def choose_for_city(
         budget_units=wish.budget_units,
         budget_eur=wish.budget_eur,
         weights=values.source,
+        has_accidents=wish.has_accidents,
         warnings=says("warnings", wish, search, wish.weights_file == PROXY),
         units=sum(one.units for one in junctions),
         cost_eur=sum(one.cost_eur for one in junctions),
@@ -424,7 +442,6 @@ def choose_for_city(
         front=_steps(
             city, solved, options, city_front(options, weight, by_cost=by_cost)
         ),
-        cheapest=_cheapest(city, options, solved, share, first),
         gain_years=None if phases is None else phases.gain_years,
         search=CitySearchRecord(
             poses="coarse" if search.is_coarse else "fine",
@@ -436,7 +453,9 @@ def choose_for_city(
         not_counted=city.notes,
         notes=(*city.notes, *values.notes),
     )
-    result = replace(result, **_accidents(values, junctions, wish.years))
+    cheapest = _cheapest(city, options, solved, share, first, of_what=result.of_what)
+    yearly = _accidents(values, junctions, wish.years)
+    result = replace(result, cheapest=cheapest, **yearly)
     head = " ".join([*says("head", result), *says("undone", result)])
     return replace(
         result, sentences=(head, *says("rest", result, wish, phases, TOLERANCE))
@@ -562,6 +581,8 @@ def _cheapest(
     solved: Sequence[int],
     share: FloatArray,
     first: IntArray,
+    *,
+    of_what: str,
 ) -> str:
     """Cost and benefit of the cheapest useful option, in words."""
     gain = share[options.junction] * (
@@ -569,18 +590,24 @@ def _cheapest(
     )
     useful = np.flatnonzero(gain > TOLERANCE)
     if not len(useful):
-        return says("cheapest", 0, "", 0.0, 0.0)[0]
+        return says("cheapest", 0, "", 0.0, 0.0, of_what)[0]
     order = np.lexsort((-gain[useful], options.units[useful], options.cost_eur[useful]))
     best = int(useful[order[0]])
     label = city.junctions[solved[int(options.junction[best])]].label
     sizes = int(options.units[best]), float(options.cost_eur[best]), float(gain[best])
-    return says("cheapest", sizes[0], label, *sizes[1:])[0]
+    return says("cheapest", sizes[0], label, *sizes[1:], of_what)[0]
 
 
 @cache
 def _templates() -> Any:
     loader = PackageLoader(__package__, "")
-    words = {"tr": tr, "trn": trn, "percent": percent, "euros": euros}
+    words = {
+        "tr": tr,
+        "trn": trn,
+        "percent": percent,
+        "points": points,
+        "euros": euros,
+    }
     environment = Environment(
         loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )

@@ -87,6 +87,11 @@ class CityWish:
                     name, getattr(self, name), "a file of --junction-weights"
                 )
 
+    @property
+    def has_accidents(self) -> bool:
+        """True if weights are read from a file, not estimated or all alike."""
+        return self.weights_file not in (None, PROXY)
+
 
 # Wishes that need another one.
 _TOGETHER = {

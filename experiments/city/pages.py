@@ -29,7 +29,7 @@ from ..figures.labels import TextLabel, draw_labels
 from ..language import localized, tr, trn
 from ..parts.section import Bullets, Code, Section, build_picture
 from ..report.page import page_environment, page_template
-from ..results.numbers import euros, number, percent
+from ..results.numbers import euros, joined, number, percent, points
 from ..scene.pictures import build_street_map, new_map_axes, plot_scene_plan
 from .answer import CityFrontRecord, CityJunctionRecord, CityResult, says
 
@@ -48,6 +48,8 @@ def _templates() -> Any:
     source = (files(__package__) / "sections.html.j2").read_text(encoding="utf-8")
     words = {
         **{"percent": percent, "euros": euros, "number": number, "most": MAX_ROWS},
+        "points": points,
+        "joined": lambda numbers: joined([str(number) for number in numbers]),
         "undone": partial(says, "undone"),
         "whole": lambda value: localized(f"{value:,.0f}"),
     }
@@ -307,7 +309,7 @@ def plot_city_map(
             axes,
             units[index],
             places[index],
-            fontsize=6.5,
+            fontsize=8.0,
             color="white" if dark else "black",
         )
     names = [
@@ -315,7 +317,7 @@ def plot_city_map(
             text=f"{rank} {junctions[index].label}",
             point_m=(float(places[index, 0]), float(places[index, 1])),
             gap=0.6 * float(np.sqrt(size[index])),
-            size=7.0,
+            size=9.0,
             style={"color": BLUE, "zorder": 8},
         )
         for rank, index in enumerate(order[:_MAX_NAMED], start=1)
@@ -350,7 +352,7 @@ def plot_city_map(
         loc="upper center",
         bbox_to_anchor=(0.5, -0.01),
         ncols=min(max(len(handles), 1), 6),
-        fontsize=7.5,
+        fontsize=9.0,
         frameon=False,
     )
     return axes
@@ -406,7 +408,7 @@ def plot_city_front(result: CityResult) -> Axes:
         label = tr("cost of sensors and poles (EUR)")
     else:
         label = tr("new sensors")
-    return _finish_front(axes, label, tr("accidents prevented (%)"), by_cost=by_cost)
+    return _finish_front(axes, label, tr("prevented (%)"), by_cost=by_cost)
 
 
 def plot_junction_front(front: JunctionFront, *, chosen: int) -> Axes:
@@ -443,7 +445,7 @@ def plot_junction_front(front: JunctionFront, *, chosen: int) -> Axes:
     axes.set_ylim(-8.0, 104.0)
     axes.set_xlim(-0.03 * end, end)
     label = tr("cost (EUR); below each point its sensors")
-    return _finish_front(axes, label, tr("accidents prevented (%)"), by_cost=True)
+    return _finish_front(axes, label, tr("prevented (%)"), by_cost=True)
 
 
 def _finish_front(axes: Axes, x: str, y: str, *, by_cost: bool) -> Axes:

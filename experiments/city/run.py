@@ -40,7 +40,7 @@ from ..engine.start import LOCAL, EngineWish, start_engine
 from ..engine.tasks import map_tasks
 from ..export.gpkg import geopackage
 from ..export.json import to_json, to_json_text
-from ..export.places import placed_records
+from ..export.places import drawn_records
 from ..figures.axes import NARROW_IN, to_png
 from ..language import mark, speaking, tr
 from ..parts.bill_of_materials import build_bill
@@ -429,7 +429,7 @@ def write_served(task: ServedTask) -> Served:
             files[REPORT] = page.encode()
         write_files(folder, files)
     head = {"junction": one.id, "name": one.name, "year": one.year}
-    placed = [head | unit for unit in placed_records(layout, scene)]
+    placed = [head | unit for unit in drawn_records(layout, scene)]
     return Served(
         items=tuple(items), units=tuple(placed), poles=tuple(_poles(one, scene, placed))
     )

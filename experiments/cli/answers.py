@@ -34,6 +34,7 @@ from ..parts.comparison import HIGHEST, Compared
 from ..parts.headline import headline
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from ..parts.section import Table
+from ..parts.units import tilt_words
 from ..results.numbers import (
     euros,
     first_of,
@@ -362,20 +363,11 @@ def _units_table(units: Sequence[UnitRecord]) -> Table:
             site = tr("{site} (assumed)", site=unit.site)
         else:
             site = unit.site
-        angle = abs(unit.pitch_deg)
-        if angle:
-            tilt = tr("{angle:.1f} up", angle=angle)
-        else:
-            tilt = tr("level")
-        if unit.pitch_deg < 0.0:
-            tilt = tr("{angle:.1f} down", angle=angle)
+        tilt = tilt_words(unit.pitch_deg)
         bearing = compass_bearing_deg(unit.yaw_deg)
         looks = [localized(f"{unit.z_m:.2f}"), localized(f"{bearing:.1f}"), tilt]
         stands = [localized(f"{unit.x_m:.2f}"), localized(f"{unit.y_m:.2f}")]
-        if unit.kind:
-            kind = tr(unit.kind)
-        else:
-            kind = "-"
+        kind = tr(unit.kind or "-")
         place = site
         if unit.place:
             if site:

@@ -107,6 +107,14 @@ class _ExportCommand(click.Command):
     help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.",
 )
 @options.option(
+    "--crs",
+    metavar="CRS",
+    help=(
+        "dxf: coordinates in metres, EPSG:25832 or another that pyproj knows; default:"
+        " those of the map, or UTM for a map in degrees."
+    ),
+)
+@options.option(
     "--views",
     is_flag=True,
     help="geojson, gpkg, kml: what each camera sees, as polygons.",
@@ -135,6 +143,7 @@ def export(
     run_id: str,
     aimed: str,
     release: str | None,
+    crs: str | None,
     views: bool,
     pictures: bool,
     out: Path | None,
@@ -170,7 +179,11 @@ def export(
             drawn = compute
         else:
             drawn = None
-        asked = {"release": release, "views": find_views if views else None}
+        asked = {
+            "release": release,
+            "crs": crs,
+            "views": find_views if views else None,
+        }
         content = export_layout(
             layout,
             format_name,

@@ -198,9 +198,11 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
             table=retrofit.table(summary),
             notes=[
                 tr(
-                    "One fails: APR that is left when the most needed unit fails; "
-                    "proven: nothing of its kind is better. A visit costs {cost:,.0f} "
-                    "EUR: {source}.",
+                    "Cars see: APR for cars with their own camera. One fails: APR that "
+                    "is left when the most needed unit fails. Bearings are clockwise "
+                    "from north. Nothing of its kind is better, but where a row is "
+                    "open. A visit costs "
+                    "{cost:,.0f} EUR: {source}.",
                     cost=labour.re_aim_eur,
                     source=tr(labour.source),
                 )

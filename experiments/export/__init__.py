@@ -63,7 +63,7 @@ FORMATS = {
     ),
     "dxf": FormatEntry(
         place="experiments.export.dxf:FORMAT",
-        content="poles, units, views as layers; CAD programs; extra: dxf",
+        content="roads, houses, poles, units, views as layers; CAD; extra: dxf",
     ),
     "carla": FormatEntry(
         place="experiments.export.carla:FORMAT",

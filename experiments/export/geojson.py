@@ -11,8 +11,8 @@ from .json import to_json_text
 from .places import (
     AreaFinder,
     SeenArea,
+    drawn_records,
     longitude_latitude,
-    placed_records,
     positions_m,
     require_crs,
 )
@@ -40,7 +40,7 @@ def to_geojson(
     require_crs(crs, "geojson")
     shapes = []
     places = longitude_latitude(positions_m(layout), crs).tolist()
-    for record, lon_lat in zip(placed_records(layout, scene), places, strict=True):
+    for record, lon_lat in zip(drawn_records(layout, scene), places, strict=True):
         height_m = record.get("map_z", record["z_m"])
         shapes.append((record, {"type": "Point", "coordinates": [*lon_lat, height_m]}))
     shapes += [(view.record(), view.area.__geo_interface__) for view in views]
@@ -61,10 +61,7 @@ def to_geojson(
 def _write(layout: Layout, scene: Scene, *, views: AreaFinder | None = None) -> str:
     require_crs(scene.crs, "geojson")
     place = partial(longitude_latitude, crs=scene.crs)
-    if views is None:
-        found: Sequence[SeenArea] = ()
-    else:
-        found = views(layout, scene, place)
+    found = () if views is None else views(layout, scene, place)
     return to_geojson(layout, scene.crs, scene, views=found)
 
 

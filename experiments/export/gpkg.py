@@ -12,9 +12,9 @@ from placement.layout import Layout
 from . import ExportFormat
 from .places import (
     AreaFinder,
+    drawn_records,
     longitude_latitude,
     map_points,
-    placed_records,
     positions_m,
     require_crs,
 )
@@ -69,7 +69,7 @@ def to_geopackage(
     # Refuses what lies nowhere.
     longitude_latitude(positions_m(layout), scene.crs)
     position = map_points(positions_m(layout)[:, :2], scene)
-    records = placed_records(layout, scene)
+    records = drawn_records(layout, scene)
     points = gpd.points_from_xy(
         position[:, 0],
         position[:, 1],

@@ -10,8 +10,8 @@ from placement.layout import Layout
 from . import ExportFormat
 from .places import (
     AreaFinder,
+    drawn_records,
     longitude_latitude,
-    placed_records,
     positions_m,
     require_crs,
 )
@@ -36,7 +36,7 @@ def to_kml(layout: Layout, scene: Scene, *, views: AreaFinder | None = None) -> 
        from north and whose tilt counts from straight down.
     """
     require_crs(scene.crs, "kml")
-    records = placed_records(layout, scene)
+    records = drawn_records(layout, scene)
     texts = [
         ("name", layout.name),
         *(field for record in records for field in record.items()),

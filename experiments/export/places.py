@@ -8,6 +8,7 @@ import numpy as np
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, refuse
 from geometry.frames import parse_crs, to_geographic, transform
+from geometry.junction import compass_bearing_deg
 from geometry.notes import assumed_sites
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
@@ -48,10 +49,7 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
     says what, and is empty for the others.
     """
     records = layout_records(layout)
-    if scene is None:
-        doubts = {}
-    else:
-        doubts = assumed_sites(scene.notes)
+    doubts = {} if scene is None else assumed_sites(scene.notes)
     if any(unit.site_id in doubts for unit in layout.units):
         records = [
             record | {"assumed": doubts.get(record["site"], "")} for record in records
@@ -60,11 +58,7 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
         zero_m = scene.zero_height_m
         records = [
             record
-            | {
-                "height_m": round(
-                    float(above_ground(unit, scene).pose.position_m[2]), 3
-                )
-            }
+            | {"height_m": round(above_ground(unit, scene).pose.position_m.item(2), 3)}
             | ({} if zero_m is None else {"map_z": round(record["z_m"] + zero_m, 3)})
             for record, unit in zip(records, layout.units, strict=True)
         ]
@@ -78,6 +72,18 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
     return [
         record | {"map_x": float(x), "map_y": float(y), "map_crs": scene.source_crs}
         for record, (x, y) in zip(records, position, strict=True)
+    ]
+
+
+def drawn_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
+    """As :func:`placed_records`, with bearing_deg clockwise from north.
+
+    For programs that draw maps. Tables of layouts have the yaw alone: they are read
+    back, and two directions of one unit could contradict each other.
+    """
+    return [
+        record | {"bearing_deg": compass_bearing_deg(record["yaw_deg"])}
+        for record in placed_records(layout, scene)
     ]
 
 

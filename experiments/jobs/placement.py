@@ -11,6 +11,7 @@ from msgspec.structs import replace as replace_fields
 
 from geometry.errors import InputError
 from geometry.phrases import Phrase
+from geometry.registry import load_entry
 from geometry.writing import is_about, write_atomically
 from placement.cache import cached_value
 from placement.candidates import CandidatePose
@@ -167,10 +168,7 @@ def answer_placement(found: FoundLayout) -> Answered:
         site_cost_eur=question.site_cost_eur,
         kept_ids=plan.wishes.existing,
     )
-    if prices is None:
-        assumed = bill.assumed
-    else:
-        assumed = assumed_prices(prices, scene.sites)
+    assumed = bill.assumed if prices is None else assumed_prices(prices, scene.sites)
     baseline = None
     if study is not None:
         baseline = evaluations[study.name]
@@ -211,6 +209,8 @@ def answer_placement(found: FoundLayout) -> Answered:
         **judge_by_decision(question.decision, setting, evaluations, compute=compute),
         baselines=build_baselines(proposed, evaluations.get(EXPERT), setting),
         sampled=sampled,
+        # By name: no part of what is asked for.
+        cheaper=load_entry("experiments.jobs.cheaper_sites:cheaper_sentence")(found),
     )
     return Answered(
         job=job,

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from geometry.errors import InputError
+from geometry.errors import InputError, Unquoted
 from geometry.phrases import Phrase
 from placement.optimiser import (
     Effort,
@@ -17,6 +17,7 @@ from placement.optimiser import (
     apr,
     cost_eur,
     solve_placement,
+    sturdy_problem,
 )
 from placement.optimiser.constants import SolverName
 from placement.verification.instances import load_problem
@@ -29,6 +30,13 @@ HIGHS = "HIGHS"
 _SEARCHES = ("auto", "exact", "relax", "greedy")
 _TARGETS = ("target", "--target")
 """Names of the floor that the command line's target takes the place of."""
+GIVEN_UP = "give_up"
+"""Name of the floor of :func:`placement.optimiser.sturdy_problem`."""
+_GOALS = {
+    "best": "the best layout",
+    "fewest": "the fewest units",
+    "cheapest": "the least cost",
+}
 
 
 class PlacementSolution(Record, frozen=True, kw_only=True):
@@ -89,6 +97,10 @@ def run_solve(
         raise InputError("--solver", solver, f"one of {', '.join(_SEARCHES)}, {HIGHS}")
     effort = Effort(solver=cast(SolverName, solver), time_limit_s=time_limit_s, gap=gap)
     began_s = time.perf_counter()
+    given_up = [floor for floor in own.floors if floor.name == GIVEN_UP]
+    if given_up and problem is not own:
+        progress(Phrase("solve: {goal}", goal=GIVEN_UP), 0, 0)
+        problem = _given_up_anew(own, problem, given_up[0].share, effort)
     solution = solve_placement(
         problem,
         effort=effort,
@@ -133,11 +145,17 @@ def _asked(
     reached with the fewest of them.
     """
     limits = problem.limits
+    for option, value in (("--budget", budget_units), ("--budget-cost", budget_cost)):
+        if value is not None and problem.goal != "best":
+            asks = f"a file that asks for {_GOALS[problem.goal]}"
+            expected = "--target, or a file that asks for the best layout"
+            raise InputError(option, Unquoted(f"it for {asks}"), expected)
     if budget_units is not None:
         limits = replace(limits, budget_units=budget_units)
     if budget_cost is not None:
         limits = replace(limits, budget_eur=budget_cost)
-    problem = replace(problem, limits=limits)
+    if limits is not problem.limits:
+        problem = replace(problem, limits=limits)
     if target is None:
         return problem
     usable = np.flatnonzero(~limits.is_forbidden).tolist()
@@ -157,14 +175,38 @@ def _asked(
     return replace(problem, limits=limits, goal="fewest", floors=(*others, floor))
 
 
+def _given_up_anew(
+    own: PlacementProblem, asked: PlacementProblem, share: float, effort: Effort
+) -> PlacementProblem:
+    """The problem that gives up as much of its highest APR as the file of its own.
+
+    A file holds the least APR, `share`, that was left of its own budget's highest. With
+    another budget the highest differs, and so does the least; a target is no highest,
+    and nothing is given up of it. Raises InputError if the file's highest is not found
+    within the time limit.
+    """
+    before = _without_giving_up(own)
+    plain = _without_giving_up(asked)
+    if plain.goal != "best" or plain.limits.max_units < 2:
+        return plain
+    highest = solve_placement(before, effort=effort, n_stages=1)
+    if not highest.certificate.is_proven:
+        got = Unquoted(f"{effort.time_limit_s:g} s")
+        raise InputError("--time-limit", got, "more, to find what the file gives up")
+    give_up = apr(before, highest.pose_index) - share
+    now_highest = solve_placement(plain, effort=effort, n_stages=1)
+    return sturdy_problem(plain, now_highest, give_up)
+
+
+def _without_giving_up(problem: PlacementProblem) -> PlacementProblem:
+    """The problem of the highest APR that a problem of `sturdy_problem` came from."""
+    floors = tuple(floor for floor in problem.floors if floor.name != GIVEN_UP)
+    return replace(problem, survive=0, floors=floors)
+
+
 def question_words(problem: PlacementProblem) -> tuple[str, ...]:
     """What a problem asks, a phrase for each demand."""
-    goals = {
-        "best": "the best layout",
-        "fewest": "the fewest units",
-        "cheapest": "the least cost",
-    }
-    words = [goals[problem.goal]]
+    words = [_GOALS[problem.goal]]
     if problem.survive:
         failure = _failure_words(problem, problem.survive)
         words.append(f"first the highest APR that is left when {failure}")

@@ -117,10 +117,7 @@ def preferred(result: Result) -> list[str]:
         is_proven = any(
             stage.name == "apr" and stage.gap == 0.0 for stage in result.stages
         )
-        if result.sampled:
-            chosen_in = result.sampled.chosen_in
-        else:
-            chosen_in = None
+        chosen_in = result.sampled.chosen_in if result.sampled else None
         found = preferred_sentences(result.preferred, chosen_in)
         found += recommended_sentences(result.front_runners, is_proven=is_proven)
     return found + (overtaken_sentences(result.sampled) if result.sampled else [])
@@ -149,10 +146,7 @@ def private_ground(result: Result) -> list[str]:
     """
     if result.private_ground is None:
         return []
-    if isinstance(result, ComparisonResult):
-        others = result.compared
-    else:
-        others = ()
+    others = result.compared if isinstance(result, ComparisonResult) else ()
     return [
         private_ground_sentence(result.private_ground),
         *(
@@ -168,12 +162,8 @@ def refinement(result: Result) -> list[str]:
 
     Nothing where not asked for.
     """
-    if isinstance(result, PlacementResult):
-        refined = result.refinement
-    else:
-        refined = None
-    if refined:
-        return refinement_sentences(refined)
+    if isinstance(result, PlacementResult) and result.refinement:
+        return refinement_sentences(result.refinement)
     return []
 
 

@@ -201,10 +201,7 @@ def _site_items(
                 price_eur = load_prices().cost_eur(site)
             else:
                 price_eur = site_cost_eur
-            if site.cost_eur > 0.0:
-                source = "told"
-            else:
-                source = "assumption"
+            source = "told" if site.cost_eur > 0.0 else "assumption"
         item = Item(
             part="site",
             name=name,
@@ -268,10 +265,7 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
     sites = bill.sites
     rows = []
     for one in sensors:
-        if one.price_eur is None:
-            price = tr(UNKNOWN)
-        else:
-            price = _amount(one.price_eur)
+        price = tr(UNKNOWN) if one.price_eur is None else _amount(one.price_eur)
         rows.append(
             [
                 one.name,
@@ -299,25 +293,12 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
         rows = [[*row[:3], *row[4:]] for row in rows]
     of_sites = []
     for one in sites:
-        if one.name == _NO_SITE:
-            name = tr(_NO_SITE)
-        else:
-            name = one.name
+        name = tr(_NO_SITE) if one.name == _NO_SITE else one.name
         if one.assumed:
             name = tr("{site} (assumed)", site=name)
-        if one.count == 0:
-            price = tr("there already")
-        else:
-            price = _sum([one])
-        if one.price_source:
-            source = tr(_SOURCES[one.price_source])
-        else:
-            source = ""
-        if one.kind == UNKNOWN:
-            kind = tr(UNKNOWN)
-        else:
-            kind = tr(one.kind)
-        of_sites.append([name, kind, str(one.n_units), price, source])
+        price = tr("there already") if one.count == 0 else _sum([one])
+        source = tr(_SOURCES[one.price_source]) if one.price_source else ""
+        of_sites.append([name, tr(one.kind), str(one.n_units), price, source])
     of_sites.append(
         [tr("all"), "", str(sum(one.n_units for one in sites)), _sum(sites), ""]
     )

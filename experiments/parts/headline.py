@@ -5,6 +5,7 @@ Every figure here is the evaluator's. The planning model's are told with the pro
 
 from collections.abc import Iterator, Sequence
 
+from geometry.registry import load_entry
 from placement.question import BASELINE_NAME
 
 from ..language import mark, tr, trn
@@ -33,9 +34,13 @@ _OWN = {
 def headline(result: Result) -> list[str]:
     """The first sentences: what is prevented for both kinds of cars, and at what risk.
 
-    The first one always says what is left if a sensor fails.
+    The first one always says what is left if a sensor fails; before it stands only what
+    existing cameras see of private ground.
     """
+    # By name: few results have private ground.
+    warnings = load_entry("experiments.parts.existing_views:warnings")
     return [
+        *warnings(result),
         *_prevented(result),
         *_given_up(result),
         *_keeps_more(result),
@@ -210,7 +215,10 @@ def _given_up(result: Result) -> Iterator[str]:
 
 
 def _keeps_more(result: Result) -> Iterator[str]:
-    """A layout that prevents little less and keeps much more when a sensor fails."""
+    """A layout that prevents little less and keeps much more when a sensor fails.
+
+    And what cheaper sites would give.
+    """
     if not isinstance(result, PlacementResult) or result.fusion == "single":
         return
     n_units = len(result.layout)
@@ -232,6 +240,8 @@ def _keeps_more(result: Result) -> Iterator[str]:
             apr=percent(best_apr),
             left=percent(best_left),
         )
+    if result.cheaper:
+        yield result.cheaper
 
 
 def _others(result: PlacementResult) -> Iterator[tuple[str, int, float, float]]:

@@ -260,6 +260,9 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
         ),
     ] = None
     sampled: Annotated[SampledRecord | None, says("Only with --samples.")] = None
+    cheaper: Annotated[
+        str, says("What cheaper sites would give, in words; empty: not known.")
+    ] = ""
 
 
 class EvaluationResult(

@@ -4,20 +4,24 @@ The best change of every kind, with its price and effect.
 """
 
 import textwrap
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
+from geometry.junction import compass_bearing_deg
 from geometry.poses import Pose
+from geometry.scene import Scene
 from geometry.scene_sources import load_scene
-from placement.candidates import build_grid
+from placement.candidates import above_ground, build_grid
 from placement.compute import Compute
+from placement.evaluator.evaluate import with_sight
 from placement.layout import Layout, check_layout
-from placement.optimiser import PlacementValue, is_better
+from placement.optimiser import PlacementValue, apr, is_better
 from placement.pipeline import assemble
 from placement.question import Question
 from placement.retrofit import (
@@ -39,19 +43,20 @@ from ..results.numbers import euros, percent
 from ..results.record import (
     LayoutValueRecord,
     Record,
+    Share,
     StageRecord,
     UnitRecord,
     build_stage_records,
     build_unit_records,
+    says,
 )
 from ..results.tables import csv_text
 from .section import Table
+from .units import tilt_words
 
 if TYPE_CHECKING:
     import pandas as pd
-_WORDS_WIDTH = 32
-_HEADS = {"remove": mark("remove:"), "re-aim": mark("re-aim:"), "add": mark("add:")}
-_HEADS |= {"combine": mark("together:")}
+_WORDS_WIDTH = 26
 CSV_NAME = "retrofit.csv"
 JSON_NAME = "retrofit.json"
 
@@ -64,7 +69,16 @@ class ActionRecord(Record, frozen=True, kw_only=True):
     words: str
 
 
-class ChangeRecord(LayoutValueRecord, frozen=True, kw_only=True):
+class RetrofitValueRecord(LayoutValueRecord, frozen=True, kw_only=True):
+    """Value of units, for cars that have their own camera too."""
+
+    apr_cars_see: Annotated[
+        Share | None,
+        says("APR of these units and the cars' own sensors; null: a share of cars."),
+    ]
+
+
+class ChangeRecord(RetrofitValueRecord, frozen=True, kw_only=True):
     """A change, its price, its gains and losses, and the layout afterwards."""
 
     actions: tuple[ActionRecord, ...]
@@ -87,7 +101,7 @@ class RetrofitResult(DrivesRecord, frozen=True, kw_only=True):
 
     name: str
     layout: tuple[UnitRecord, ...]
-    before: LayoutValueRecord
+    before: RetrofitValueRecord
     candidates: int
     removals: tuple[ChangeRecord, ...]
     re_aims: tuple[ChangeRecord, ...]
@@ -141,34 +155,26 @@ def _by_kind(result: RetrofitResult) -> dict[str, list[ChangeRecord]]:
 
 
 def table(result: RetrofitResult) -> Table:
-    """Possible changes: a row each, in groups, the best of each kind first."""
-    rows = [_row(tr("as it is"), 0.0, result.before, *[""] * 3)]
-    for kind, changes in _by_kind(result).items():
-        if changes:
-            rows += [[tr(_HEADS[kind]), *[""] * 6]]
-        for change in changes:
-            first, *others = [
-                line
-                for one in change.actions
-                for line in textwrap.wrap(one.words, _WORDS_WIDTH)
-            ]
-            counts = str(len(change.gained)), str(len(change.lost))
-            if change.is_proven:
-                proof = tr("proven")
-            else:
-                proof = tr("open")
-            rows.append(_row(f"  {first}", change.price_eur, change, *counts, proof))
-            rows += [[f"  {line}", *[""] * 6] for line in others]
+    """Possible changes: a row each, the best of each kind first."""
+    rows = [_row(tr("as it is"), 0.0, result.before, "", "")]
+    for change in (one for kind in _by_kind(result).values() for one in kind):
+        said = "; ".join(action.words for action in change.actions)
+        if not change.is_proven:
+            said = tr("{change} (open)", change=said)
+        first, *others = textwrap.wrap(said, _WORDS_WIDTH)
+        counts = str(len(change.gained)), str(len(change.lost))
+        rows.append(_row(first, change.price_eur, change, *counts))
+        rows += [[f"  {line}", *[""] * 6] for line in others]
     return Table(
         caption=tr("Changes"),
         columns=[
             "",
             "EUR",
             "APR",
+            tr("cars see"),
             tr("one fails"),
             tr("gained"),
             tr("lost"),
-            tr("proof"),
         ],
         rows=rows,
         numeric=range(1, 7),
@@ -176,10 +182,10 @@ def table(result: RetrofitResult) -> Table:
 
 
 def _row(
-    text: str, price_eur: float, value: LayoutValueRecord, *cells: str
+    text: str, price_eur: float, value: RetrofitValueRecord, *cells: str
 ) -> list[str]:
-    shares = (percent(value.apr), percent(value.apr_one_failed))
-    return [text, localized(f"{price_eur:,.0f}"), *shares, *cells]
+    shares = (value.apr, value.apr_cars_see, value.apr_one_failed)
+    return [text, localized(f"{price_eur:,.0f}"), *map(percent, shares), *cells]
 
 
 def run_retrofit(
@@ -244,13 +250,32 @@ def run_retrofit(
         effort=plan.effort,
     )
 
+    # A share of cars that see is in the APR already.
+    seeing = None
+    if setting.cars in (0.0, 1.0):
+        sighted = with_sight(replace(setting, cars=1.0), compute=compute)
+        seeing = replace(problem, seen_by_vut=sighted.seen_by_vut)
+
+    def apr_cars_see(pose_index: Sequence[int]) -> float | None:
+        if seeing is None:
+            return None
+        return apr(seeing, pose_index)
+
     def record(change: Change) -> ChangeRecord:
-        return _change_record(change, found.before, poses)
+        return _change_record(
+            change,
+            found.before,
+            poses,
+            scene=scene,
+            apr_cars_see=apr_cars_see(change.pose_index),
+        )
 
     result = RetrofitResult(
         name=layout.name,
         layout=build_unit_records(layout, setting.scene),
-        before=LayoutValueRecord(**found.before._asdict()),
+        before=RetrofitValueRecord(
+            **found.before._asdict(), apr_cars_see=apr_cars_see(range(poses.n_units))
+        ),
         candidates=len(poses.candidates),
         removals=tuple(record(change) for change in found.removals),
         re_aims=tuple(record(change) for change in found.re_aims),
@@ -286,8 +311,8 @@ def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
     -------
     table : DataFrame
         Columns kind, change, price_eur, apr, apr_one_failed, smallest_margin_s,
-        mean_margin_s, gained, lost (run ids with spaces between), is_better, is_proven.
-        The first row is what hangs.
+        mean_margin_s, apr_cars_see, gained, lost (run ids with spaces between),
+        is_better, is_proven. The first row is what is mounted.
     """
     import pandas as pd
 
@@ -324,7 +349,12 @@ def _at_price(visit_eur: float) -> Labour:
 
 
 def _change_record(
-    change: Change, before: PlacementValue, poses: RetrofitPoses
+    change: Change,
+    before: PlacementValue,
+    poses: RetrofitPoses,
+    *,
+    scene: Scene,
+    apr_cars_see: float | None,
 ) -> ChangeRecord:
     unit = poses.unit_index
     names = _names(change, poses)
@@ -340,7 +370,7 @@ def _change_record(
             actions.append(ActionRecord(action="remove", unit=name, words=words))
         else:
             words = tr(
-                "re-aim {unit} to yaw {yaw}, pitch {pitch}",
+                "re-aim {unit} to bearing {bearing}, tilt {tilt}",
                 unit=name,
                 **_aim_words(pose),
             )
@@ -349,11 +379,11 @@ def _change_record(
         if unit[row] < 0:
             new = poses.candidates[row]
             words = tr(
-                "add {unit} at {place}, {height_m:g} m, yaw {yaw}, pitch {pitch}"
-                " ({sensor})",
+                "add {unit} at {place}, {height_m:g} m above ground, bearing {bearing},"
+                " tilt {tilt} ({sensor})",
                 unit=name,
                 place=new.site_id or tr("a place of its own"),
-                height_m=float(new.pose.position_m[2]),
+                height_m=round(above_ground(new, scene).pose.position_m.item(2), 2),
                 sensor=new.sensor.name,
                 **_aim_words(new.pose),
             )
@@ -367,6 +397,7 @@ def _change_record(
         actions=tuple(actions),
         price_eur=change.price_eur,
         **change.value._asdict(),
+        apr_cars_see=apr_cars_see,
         gained=tuple(change.gained),
         lost=tuple(change.lost),
         is_better=is_better(
@@ -397,8 +428,6 @@ def _names(change: Change, poses: RetrofitPoses) -> dict[int, str]:
 
 
 def _aim_words(pose: Pose) -> dict[str, str]:
-    angles_deg = {"yaw": pose.yaw_deg, "pitch": pose.pitch_deg}
-    return {
-        name: localized(f"{round(angle, 1) + 0.0:g}")
-        for name, angle in angles_deg.items()
-    }
+    """Direction as the table of units has it: compass bearing, and tilt."""
+    bearing = localized(f"{compass_bearing_deg(pose.yaw_deg):.1f}")
+    return {"bearing": bearing, "tilt": tilt_words(pose.pitch_deg)}

@@ -67,6 +67,15 @@ def units_section(
     )
 
 
+def tilt_words(pitch_deg: float) -> str:
+    """How far a unit looks up or down, in degrees."""
+    if pitch_deg < 0.0:
+        return tr("{angle:.1f} down", angle=-pitch_deg)
+    if pitch_deg:
+        return tr("{angle:.1f} up", angle=pitch_deg)
+    return tr("level")
+
+
 def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
     """The units of a layout, a row each."""
     labels = unit_labels(layout)

@@ -127,6 +127,7 @@ def scene_message(
         models=[*shown.sensors.models.values()],
         chosen=shown.sensors.chosen,
         ground=workspace.ground,
+        site_cost_eur=workspace.work.question.site_cost_eur,
     )
     tiles_record = None
     if tiles is not None:
@@ -167,7 +168,8 @@ def question_message(shown: Shown, begun: Question) -> dict[str, Any]:
 
 def state_message(shown: Shown) -> dict[str, Any]:
     """Units of the variant that is worked on, names of all variants, and the revision."""
-    record = state_record(shown.history, shown.scene)
+    site_cost_eur = shown.workspace.work.question.site_cost_eur
+    record = state_record(shown.history, shown.scene, site_cost_eur=site_cost_eur)
     return {"type": "state", "revision": shown.revision, **record}
 
 

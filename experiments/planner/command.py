@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from geometry.errors import InputError
 from placement.compute import Compute
 from placement.question import Question, map_options
 
@@ -25,13 +26,16 @@ if TYPE_CHECKING:
     from .plan_files import Plan
     from .server import RunningServer
 
+_OF_ANSWER = ("keep", "within", "force_site")
 _ASKED = (
-    *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")),
+    *options.fields_in(options.MOUNTED, but=_OF_ANSWER),
     "solver",
     "time_limit_s",
     "gap",
     *options.JUDGED,
 )
+_JUDGED_ANEW = (*options.fields_in(options.MOUNTED, but=_OF_ANSWER), *options.JUDGED)
+"""Fields that a layout's own question gives the page; how it was looked for is not."""
 _LOCAL = "127.0.0.1"
 
 
@@ -133,13 +137,15 @@ def plan(
     The page is served from this computer, to this computer alone, and loads nothing
     from elsewhere but the tiles of a server that --tiles names. Numbers of a drag are
     by the detection table; the evaluator's follow, the same as `evaluate` gives. The
-    optimiser proposes what to do next. It ends when the page is closed, or by Ctrl-C.
+    optimiser proposes what to do next. A layout of a folder of results brings its own
+    question. It ends when the page is closed, or by Ctrl-C.
     """
     if host != _LOCAL and not i_know:
         raise click.UsageError(
             f"--host: got {host}; expected --i-know beside it: others could change the"
             " plan"
         )
+    question = _question_of(layout_names, question, quiet=quiet)
     asked = question
     tile_server = None
     # Refused before anything is read
@@ -152,7 +158,6 @@ def plan(
         progress.kept = "nothing was written"
     else:
         progress.kept = f"the plan is in {save}"
-    from geometry.errors import InputError
     from geometry.scene_sources import load_scene
     from geometry.writing import check_target
     from placement.evaluator import with_sight
@@ -241,6 +246,51 @@ def _last_words(saved: Sequence[str], *, is_closed: bool) -> str:
     if saved:
         return tr("Ended; the plan is in {files}.", files=files)
     return tr("Ended.")
+
+
+def _question_of(
+    layout_names: Sequence[str], question: Question, *, quiet: bool
+) -> Question:
+    """The question that the first layout of a folder of results was found for.
+
+    What the command line says counts more; so do all of its words about the scene,
+    where it has any. `question` itself where no layout lies in such a folder. Raises
+    InputError if the folder's question cannot be read, or has a network, which is a
+    program.
+    """
+    from ..jobs.verify import asked_question
+    from ..results.folders import LAYOUT_FILE, MARKER
+    from .numbers import question_words
+
+    folders = [
+        Path(name).parent
+        for name in layout_names
+        if Path(name).name in (LAYOUT_FILE, MARKER)
+    ]
+    for folder in folders:
+        found = asked_question(folder)
+        if found is None:
+            continue
+        given = {name for name in _ASKED if options.is_given(name)}
+        if given.intersection(options.OF_SCENE):
+            given.update(options.OF_SCENE)
+        taken = {
+            name: getattr(found, name) for name in _JUDGED_ANEW if name not in given
+        }
+        opened = replace(question, **taken)
+        if ".onnx" in taken.get("detector", ""):
+            expected = "it on the command line: a network is a program"
+            where = f"{folder / MARKER}: detector"
+            raise InputError(where, found.detector, expected)
+        if opened != question and not quiet:
+            said = tr(
+                "The page asks what {folder} was found for: {options}",
+                folder=folder,
+                options=question_words(opened),
+            )
+            tell(said, err=True)
+        return opened
+    return question
 
 
 def _map_file(question: Question) -> "MapFile | None":

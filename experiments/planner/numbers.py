@@ -23,6 +23,7 @@ from placement.layout import Layout
 from placement.private_ground import PrivateGround, PrivateSight
 from placement.question import BLIND, SEE, Question, question_fields, read_cars
 from placement.setting import Setting, check_question
+from placement.wishes import load_prices
 from scenarios.cases import load_case_sets
 from scenarios.runs import WEATHERS, FrameAxis, Run
 from scenarios.weights import WEIGHT_WORDS, default_weights
@@ -77,6 +78,7 @@ def scene_record(
     models: Sequence[Sensor],
     chosen: Sequence[str],
     ground: PrivateGround | None = None,
+    site_cost_eur: float | None = None,
 ) -> dict[str, Any]:
     """The constant part of a scene: plan, sites, runs, models of sensors.
 
@@ -90,6 +92,8 @@ def scene_record(
         Names of the models that the optimiser may mount.
     ground : PrivateGround, optional
         Areas that no camera may have in its picture.
+    site_cost_eur : float, optional
+        Of every site, where the question says it. [EUR]
     """
     scene = setting.scene
     private = []
@@ -98,7 +102,7 @@ def scene_record(
     return {
         "name": scene.name,
         "plan": plan_record(scene, np.zeros((0, 2))),
-        "sites": [_site_record(site) for site in scene.sites],
+        "sites": [_site_record(site, site_cost_eur) for site in scene.sites],
         "sensors": [_sensor_record(model) for model in models],
         "grid": list(chosen),
         "runs": _run_records(setting),
@@ -135,8 +139,16 @@ def _run_records(setting: Setting) -> list[dict[str, Any]]:
     return records
 
 
-def _site_record(site: Site, *, is_own: bool = False) -> dict[str, Any]:
+def _site_record(
+    site: Site, site_cost_eur: float | None, *, is_own: bool = False
+) -> dict[str, Any]:
     low_m, high_m = site.height_range_m.tolist()
+    price_eur = site_cost_eur
+    if price_eur is None:
+        price_eur = load_prices().cost_eur(site)
+    price = euros(price_eur)
+    if site_cost_eur is None and site.cost_eur == 0.0:
+        price = tr("{price} (assumed)", price=price)
     return {
         "id": site.id,
         "kind": tr(site.kind),
@@ -144,6 +156,7 @@ def _site_record(site: Site, *, is_own: bool = False) -> dict[str, Any]:
         "low": low_m,
         "high": high_m,
         "capacity": site.capacity_units,
+        "price": price,
         "isForbidden": site.use == "forbidden",
         "isOwn": is_own,
     }
@@ -289,7 +302,14 @@ def evaluate_command(question: Question) -> str:
     It has every option of what is driven and judged that differs from its default.
     """
     # The page saves the layout under this name.
-    words = ["place-rsus", "evaluate", "--layout", "layout.json"]
+    return (
+        f"place-rsus evaluate --layout layout.json {question_words(question)}".strip()
+    )
+
+
+def question_words(question: Question) -> str:
+    """Options of what is driven and judged that differ from their defaults."""
+    words = []
     for field in question_fields().values():
         value = getattr(question, field.name)
         if field.name not in ("no_look", *JUDGED) or value == field.default:
@@ -301,7 +321,9 @@ def evaluate_command(question: Question) -> str:
     return shlex.join(words)
 
 
-def state_record(history: History, scene: Scene) -> dict[str, Any]:
+def state_record(
+    history: History, scene: Scene, *, site_cost_eur: float | None = None
+) -> dict[str, Any]:
     """Units of the variant that is worked on, and the names of all variants.
 
     Parameters
@@ -310,6 +332,8 @@ def state_record(history: History, scene: Scene) -> dict[str, Any]:
         Its state is what is shown.
     scene : Scene
         With the poles of one's own.
+    site_cost_eur : float, optional
+        Of every site, where the question says it. [EUR]
     """
     state = history.state
     units = state.variant.units
@@ -325,10 +349,12 @@ def state_record(history: History, scene: Scene) -> dict[str, Any]:
             {"name": one.name, "units": len(one.units)} for one in state.variants
         ],
         "current": state.current,
-        "poles": [_site_record(pole, is_own=True) for pole in state.poles],
+        "poles": [
+            _site_record(pole, site_cost_eur, is_own=True) for pole in state.poles
+        ],
         "canUndo": history.can_undo,
         "canRedo": history.can_redo,
-        "cost": cost_record(units, scene),
+        "cost": cost_record(units, scene, site_cost_eur),
     }
 
 
@@ -354,7 +380,9 @@ def _unit_fields(unit: CandidatePose, scene: Scene) -> dict[str, Any]:
     }
 
 
-def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] | None:
+def cost_record(
+    units: Sequence[CandidatePose], scene: Scene, site_cost_eur: float | None = None
+) -> dict[str, Any] | None:
     """Cost of units and their sites in words, as the bill of materials has it.
 
     Parameters
@@ -363,6 +391,8 @@ def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] 
         What is mounted.
     scene : Scene
         Says what its sites cost.
+    site_cost_eur : float, optional
+        Of every site, where the question says it. [EUR]
 
     Returns
     -------
@@ -371,7 +401,8 @@ def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] 
     """
     if not units:
         return None
-    bill = build_bill(Layout(name="cost", units=tuple(units)), scene)
+    layout = Layout(name="cost", units=tuple(units))
+    bill = build_bill(layout, scene, site_cost_eur=site_cost_eur)
     sensors_eur = _sum([item.sum_eur for item in bill.sensors])
     sites_eur = _sum([item.sum_eur for item in bill.sites])
     return {

@@ -17,7 +17,7 @@ class AddUnit(_Request, tag="add"):
     """Mount a sensor at a site; by default it looks at the middle of the junction.
 
     A height that the site does not have is brought into its range: what is pasted may
-    be from another site.
+    be from another site. Its first steps are of the gesture that drags it from there.
     """
 
     site: str
@@ -26,6 +26,7 @@ class AddUnit(_Request, tag="add"):
     pitch_deg: float | None = None
     height_m: float | None = None
     fov_deg: float | None = None
+    gesture: str = ""
 
 
 class ChangeUnit(_Request, tag="change"):

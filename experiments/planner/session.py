@@ -212,7 +212,7 @@ class Session:
             case _:
                 state = change_state(self.shown.state, message, self.shown.stock)
                 gesture = ""
-                if isinstance(message, requests.ChangeUnit):
+                if isinstance(message, requests.AddUnit | requests.ChangeUnit):
                     gesture = message.gesture
                 self._go_to(history.went_on(state, gesture=gesture))
 

@@ -143,7 +143,7 @@ class Workspace:
         if evaluated:
             source = "evaluator"
             found = {name: evaluated[name] for name in found}
-        cost = cost_record(units, scene)
+        cost = cost_record(units, scene, self.work.question.site_cost_eur)
         return {
             "units": len(units),
             "cost": cost["all"] if cost else "",

@@ -14,8 +14,8 @@ CAUSES = {
     "no accident": mark(
         "No known accident near it is like one of its collisions: nothing weighs them."
     ),
-    "time": mark("It took longer than it was given (--max-junction-seconds)."),
-    "memory": mark("It took more memory than it was given (--worker-memory)."),
+    "time": mark("It took longer than it was given."),
+    "memory": mark("It took more memory than it was given."),
 }
 """Why a junction is left out, in plain words."""
 _CAUSE_OF = {

@@ -24,7 +24,7 @@ from refusals import refused_with
 from experiments.export.geojson import to_geojson
 from experiments.export.gpkg import to_geopackage
 from experiments.export.kml import to_kml
-from experiments.export.places import placed_records
+from experiments.export.places import drawn_records, placed_records
 from experiments.export.table import to_parquet
 from geometry.study_scene import load_study_scene
 from placement.layout import layout_records
@@ -85,7 +85,7 @@ def test_a_geopackage_lies_in_the_map_with_every_field(build, tmp_path):
     frame = gpd.read_file(path, layer="units")
     assert frame.crs == MAP_CRS
     assert_allclose(coordinates(frame), in_map(layout), atol=1e-6)
-    expected = pd.DataFrame(placed_records(layout, map_scene()))
+    expected = pd.DataFrame(drawn_records(layout, map_scene()))
     assert "map_x" in expected.columns
     assert_same(pd.DataFrame(frame.drop(columns="geometry")), expected)
     with sqlite3.connect(path) as database:
@@ -130,7 +130,7 @@ def test_geojson_is_read_by_geopandas(build, tmp_path):
     assert frame.crs == "EPSG:4979"  # WGS 84 with heights
     ground = frame.set_crs("EPSG:4326", allow_override=True).to_crs(MAP_CRS)
     assert_allclose(coordinates(ground), in_map(layout), atol=1e-6)
-    expected = pd.DataFrame(placed_records(layout, map_scene()))
+    expected = pd.DataFrame(drawn_records(layout, map_scene()))
     assert_same(pd.DataFrame(frame[expected.columns]), expected, rtol=1e-14)
 
 
@@ -146,7 +146,7 @@ def test_kml_is_read_by_gdal(build, tmp_path):
     assert frame.Name.tolist() == [unit.id for unit in layout.units]
     assert set(frame.altitudeMode) == {"relativeToGround"}
     for record, (_, row) in zip(
-        placed_records(layout, map_scene()), frame.iterrows(), strict=True
+        drawn_records(layout, map_scene()), frame.iterrows(), strict=True
     ):
         for key, value in record.items():
             assert type(value)(row[key]) == value, key

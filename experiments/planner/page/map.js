@@ -275,6 +275,8 @@ export function createMap(holder, on) {
       mark.setAttribute("aria-label", tr("Pole {id}, {kind}, {n} of {capacity} units", { ...site, n }));
     });
     if (focused) marked.units.querySelector(`[data-unit="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
+    const told = late;
+    if (told && addedSince(told)) { late = null; aimAdded(told); }
   }
 
   function drawMark(unit) {
@@ -409,7 +411,7 @@ export function createMap(holder, on) {
 
   // ---------- the pointer
 
-  let drag = null;
+  let drag = null, late = null; // `late`: a drag that ended before its sensor was told
   const pointers = new Map();
 
   function nearestSite(event, reach = SITE_REACH_PX) {
@@ -426,6 +428,7 @@ export function createMap(holder, on) {
     marked.drag.replaceChildren();
     if (given?.kind === "pan") { middle = given.middle; layOut(); }
     if (given?.kind === "aim" && given.isMoved) on.giveUp(given.unit, given.gesture);
+    if (given?.before) { late = null; on.giveUp(null, given.gesture); }
     if (given?.kind === "ruler" || ruler?.isOpen) { ruler = {}; drawRuler(); return true; }
     if (given || pickPoint) { pickPoint = null; return true; }
     if (ruler) { measure(false); return true; }
@@ -469,6 +472,24 @@ export function createMap(holder, on) {
     return event.shiftKey || unit.isRing ? { yaw: aim.yaw } : aim;
   }
 
+  const addedSince = (since) => units.find((unit) => !since.before.includes(unit.id));
+
+  function aimAdded(since) {
+    const added = addedSince(since);
+    if (added) on.aim(added.id, added.isRing ? { yaw: since.aim.yaw } : since.aim, since.gesture);
+    return Boolean(added);
+  }
+
+  // A new sensor is mounted when its drag begins, so that its number follows.
+  function aimNew(event) {
+    if (!drag.site.isForbidden) line(drag.site.place, groundOf(event));
+    drag.aim = aimAt(drag.site.place, on.heightOf(drag.site), groundOf(event));
+    drag.aim.yaw = on.snapped(drag.aim.yaw);
+    if (drag.before) { aimAdded(drag); return; }
+    drag.before = units.map((unit) => unit.id);
+    on.hang(drag.site.id, drag.aim, drag.gesture);
+  }
+
   function move(event) {
     if (!drag && ruler?.isOpen) { ruler.to = ruled(event); drawRuler(); }
     if (!drag || !pointers.has(event.pointerId)) return;
@@ -491,7 +512,7 @@ export function createMap(holder, on) {
       const aim = aimed(event);
       if (aim) on.aim(drag.unit, aim, drag.gesture);
     } else if (drag.kind === "pole" && drag.site.isOwn) line(drag.site.place, groundOf(event));
-    else if (drag.kind === "site" && !drag.site.isForbidden) line(drag.site.place, groundOf(event));
+    else if (drag.kind === "site") aimNew(event);
     else if (drag.kind === "unit") {
       const unit = units.find((item) => item.id === drag.unit);
       const site = nearestSite(event);
@@ -511,19 +532,17 @@ export function createMap(holder, on) {
     if (isPoling && done.kind === "pan" && !done.isMoved) { on.putPole(groundOf(event)); return; }
     if (done.kind === "pole") {
       if (done.isMoved && done.site.isOwn) on.putPole(groundOf(event), done.site.id);
-      else { on.unit(null); on.site(done.site.id); }
+      else on.unit(null);
+      on.site(done.site.id);
       return;
     }
     if (done.kind === "pan" && !done.isMoved) { on.unit(viewUnder(event)); return; }
     if (done.kind === "site") {
-      if (done.isMoved) {
-        const height = on.heightOf(done.site);
-        const aim = aimAt(done.site.place, height, groundOf(event));
-        on.hang(done.site.id, { ...aim, yaw: on.snapped(aim.yaw) });
-      } else on.site(done.site.id);
+      if (!done.isMoved) on.site(done.site.id);
+      else if (!addedSince(done)) late = done; // it is aimed when it is told
     } else if (done.kind === "unit" && done.isMoved) {
       const site = nearestSite(event);
-      if (site) on.move(done.unit, site.id);
+      if (site) { on.move(done.unit, site.id); on.site(site.id); }
     }
   }
 
@@ -557,7 +576,7 @@ export function createMap(holder, on) {
   new ResizeObserver(layOut).observe(holder);
 
   return {
-    showScene, showShares, showSeen, showCoverage, showDanger: (points) => drawDanger(layers.danger, points), showImage, showUnits, showView, showOffered, showOther, showSite, showSites, fade, turn, zoomBy, giveUp, measure, pole, run,
+    showScene, showShares, showSeen, showCoverage, showDanger: (points) => drawDanger(layers.danger, points), showImage, showUnits, showView, showOffered, showOther, showSite, showSites, fade, turn, zoomBy, giveUp, forgetLate: () => { late = null; }, measure, pole, run,
     isMeasuring: () => Boolean(ruler),
     isPoling: () => isPoling,
     select(id) { selected = id; showUnits(units); },

@@ -37,7 +37,7 @@ const map = createMap(find("plan"), {
   unit: chooseUnit,
   aim: (unit, aim, gesture) => change(unit, { yaw_deg: aim.yaw, ...(aim.pitch === undefined ? {} : { pitch_deg: Math.max(-90, aim.pitch) }) }, gesture),
   move: (unit, site) => line.send({ do: "change", unit, site }),
-  hang: (site, aim) => hang(site, aim),
+  hang: (site, aim, gesture) => { chooseSite(site); hang(site, aim, gesture); },
   giveUp,
   snapped,
   refused,
@@ -103,7 +103,7 @@ function read(message) {
   const readers = {
     scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals, view: readView,
     coverage: readCoverage, question: (message) => { question.read(message); tellMeanings(); }, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
-    problem: (message) => { settle(); question.refused(); mounting = null; awaitsPole = false; notice(message.text); }, notice: (message) => notice(message.text),
+    problem: (message) => { map.forgetLate(); settle(); question.refused(); mounting = null; awaitsPole = false; notice(message.text); }, notice: (message) => notice(message.text),
   };
   readers[message.type]?.(message);
 }
@@ -560,14 +560,14 @@ function showSiteText() {
   const site = scene?.sites.find((item) => item.id === find("site").value);
   if (!site) return;
   const n = state ? state.units.filter((unit) => unit.site === site.id).length : 0;
-  find("site-text").textContent = tr("{kind}, {low} to {high} m; {n} of {all} units are mounted there.", { kind: site.kind, low: number(site.low), high: number(site.high), n, all: site.capacity });
+  find("site-text").textContent = tr("{kind}, {low} to {high} m; {n} of {all} units are mounted there; {price} once.", { ...site, low: number(site.low), high: number(site.high), n, all: site.capacity });
   find("hang").disabled = site.isForbidden || n >= site.capacity;
   find("move-pole").disabled = find("remove-pole").disabled = !site.isOwn;
   if (site.isOwn) ["east", "north"].forEach((name, axis) => { find(`pole-${name}`).value = (site.place[axis] / 100).toFixed(2); });
 }
 
-function hang(site, aim) {
-  const message = { site, sensor: find("sensor").value };
+function hang(site, aim, gesture = "") {
+  const message = { site, sensor: find("sensor").value, gesture };
   const isRing = scene.sensors.find((model) => model.name === message.sensor)?.isRing;
   if (aim) Object.assign(message, { yaw_deg: aim.yaw }, isRing ? {} : { pitch_deg: Math.max(-90, aim.pitch) }); // what scans all round stays level
   add(message);

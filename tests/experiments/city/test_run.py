@@ -13,7 +13,7 @@ import threading
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from html import unescape
 from io import BytesIO
 from math import exp
@@ -31,6 +31,7 @@ from osm_text import OsmText
 from partial_pages import blank_png
 
 from experiments.city import answer as city_answer
+from experiments.city import pages as city_pages
 from experiments.city import run as job
 from experiments.city import tasks as city_tasks
 from experiments.city.answer import fronts_table, load_front
@@ -40,6 +41,7 @@ from experiments.engine.processes import Processes
 from experiments.engine.start import EngineWish, start_engine
 from experiments.engine.tasks import Engine, WorkerDiedError, map_tasks
 from experiments.language import speaking
+from experiments.parts.section import build_picture
 from experiments.progress import StageProgress
 from experiments.results.folders import changed_files
 from experiments.results.numbers import percent
@@ -244,7 +246,7 @@ def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, tmp_path,
     part = percent(result.stages[0].objective)
     of_all = percent(result.stages[0].objective / 3.0)
     assert (
-        f": {of_all} of the accidents at all of them are prevented"
+        f": {of_all} of the simulated collisions at all of them are prevented"
         in result.sentences[0]
     )
     assert result.sentences[0].endswith(" are prevented. 2 junctions are left out.")
@@ -288,12 +290,13 @@ def test_the_headline_says_what_was_left_out_not_driven_and_not_proven(
             *result.stages[1:],
         ),
     )
-    # A bound of 90 % at two of three junctions of the same weight is one of 60 % of all
-    # accidents.
+    # A bound at two of three junctions of the same weight counts two thirds of all.
+    gap = 100.0 * (0.9 - left.stages[0].objective) * 2.0 / 3.0
     assert city_answer.says("undone", left) == (
         "1 junction is left out.",
         "4,444 of 5,678 simulated collisions could not be driven: room is missing.",
-        "It is not proven that this is best: up to 60.0 % could be prevented.",
+        f"It is not proven that this is best: at most {gap:.1f} points better is"
+        " possible.",
     )
 
 
@@ -377,7 +380,8 @@ def test_where_no_accidents_are_known_a_wide_crossing_counts_most(
     tiny, city, never, tmp_path
 ):
     equal = run(tiny / "tiny.osm", city)
-    assert "--junction-weights proxy" in equal.warnings[0]
+    assert "every junction counts the same" in equal.warnings[0]
+    assert not equal.has_accidents
     page = unescape((city / "report.html").read_text())
     assert f'<p class="warning">{equal.warnings[0]}</p>' in page
     result = run(tiny / "tiny.osm", city, budget_units=1, weights_file=Path("proxy"))
@@ -538,6 +542,7 @@ def test_accidents_and_money_are_told_by_the_year(
         counts[one.id] / 5.0 * (one.apr - one.apr_before) for one in result.junctions
     )
     assert result.accidents_per_year == pytest.approx(12.0)
+    assert " of the accidents at all of them are prevented" in result.sentences[0]
     assert result.prevented_per_year == pytest.approx(by_hand)
     assert result.prevented_in_years is None
     said = (
@@ -595,12 +600,13 @@ def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
             for name in ("apr_one_failed", "smallest_margin_s", "mean_margin_s")
         },
     )
-    said = city_answer._cheapest(
-        city, options, [0, 1], np.array([0.5, 0.5]), np.array([0, 2])
-    )
+    share = np.array([0.5, 0.5])
+    first = np.array([0, 2])
+    of_what = "of the accidents"
+    said = city_answer._cheapest(city, options, [0, 1], share, first, of_what=of_what)
     assert said.startswith("The cheapest useful choice is 1 sensor at ")
     assert said.endswith(
-        "for 4,040 EUR: it would prevent 10.0 % of the city's accidents."
+        "for 4,040 EUR: it would prevent 10.0 % of the accidents of the city."
     )
 
 
@@ -963,6 +969,27 @@ def test_the_slider_has_each_step_of_the_front_and_the_choice(tiny, city, never)
         assert {shown["names"][key] for key in shown["spots"]} == {
             one.label for one in result.junctions
         }
+
+
+def test_a_step_that_takes_a_sensor_away_says_why(tiny, city, never, no_pages):
+    result = run(tiny / "tiny.osm", city, budget_eur=20_000.0)
+    first, *_ = result.front
+    fewer = [
+        msgspec.structs.replace(first, units=2),
+        msgspec.structs.replace(first, units=1, taken=first.taken + 1.0),
+    ]
+    streets = {"size_m": [1, 1], "streets": "", "junctions": [], "names": []}
+    sums = {"stops": [], "shown": {}, "chosen": 0, "streets": streets}
+
+    def page_of(steps):
+        draw = partial(build_picture, city_pages.plot_city_front(result))
+        return city_pages._templates().front(result, draw, steps, 1, sums)
+
+    why = "fewer sensors on dearer poles prevent more there."
+    assert why not in page_of(fewer[:1])
+    told = page_of(fewer)
+    assert f"Step 2 takes a sensor away from a junction: {why}" in told
+    assert "1 (before: 2)" in told
 
 
 # Quickly: test_the_slider_has_each_step_of_the_front_and_the_choice

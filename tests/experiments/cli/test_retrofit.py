@@ -62,8 +62,10 @@ def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
         labour.remove_eur
     }
     assert {change["price_eur"] for change in summary["re_aims"]} == {labour.re_aim_eur}
+    assert before["apr"] < before["apr_cars_see"] <= 1.0
     for change in summary["removals"]:
         assert change["apr"] <= before["apr"]
+        assert change["apr"] <= change["apr_cars_see"] <= before["apr_cars_see"]
         assert len(change["layout"]) == 1
         assert not change["gained"]
     for change in summary["re_aims"]:
@@ -72,6 +74,8 @@ def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
         assert moved["x_m"] == -115.0
         assert moved["y_m"] == 8.6
         assert moved["z_m"] == 8.0
+        bearing_deg = (90.0 - moved["yaw_deg"]) % 360.0
+        assert f"to bearing {bearing_deg:.1f}, tilt " in action["words"]
         assert change["compared"] == 2 * 4
     addition = summary["addition"]
     combination = summary["combination"]
@@ -137,6 +141,7 @@ def change(
         ],
         "price_eur": price_eur,
         "apr": apr,
+        "apr_cars_see": 0.95,
         "apr_one_failed": 0.8,
         "smallest_margin_s": 0.1,
         "mean_margin_s": 1.234,
@@ -161,6 +166,7 @@ def summary_of(**changes):
         "fusion": "any",
         "before": {
             "apr": 0.9,
+            "apr_cars_see": 0.95,
             "apr_one_failed": 0.8,
             "smallest_margin_s": 0.1,
             "mean_margin_s": 1.0,
@@ -215,12 +221,15 @@ def test_sentences_tell_where_nothing_is_better():
 def test_the_table_has_a_row_for_every_change():
     text = retrofit_text(msgspec.convert(summary_of(), RetrofitResult), Path("there"))
     assert re.search(
-        r"^    remove B +500 +90\.0 % +80\.0 % +0 +1 +proven$", text, re.MULTILINE
-    )
-    assert re.search(
-        r"^    add N1 at mast-e +1,500 +90\.0 % +80\.0 % +1 +0 +proven$",
+        r"^  remove B +500 +90\.0 % +95\.0 % +80\.0 % +0 +1$",
         text,
         re.MULTILINE,
     )
+    assert re.search(
+        r"^  add N1 at mast-e +1,500 +90\.0 % +95\.0 % +80\.0 % +1 +0$",
+        text,
+        re.MULTILINE,
+    )
+    assert "(open)" in text  # of what is combined
     assert text.endswith("Written to there: retrofit.csv and retrofit.json.")
     assert max(map(len, text.splitlines())) <= 80

@@ -58,9 +58,10 @@ def test_geojson_lies_in_the_world_frame_within_a_centimetre():
         # West of 8 degrees east: the study's junction has negative x.
         assert 7.99 < longitude < 8.0
         assert 48.99 < latitude < 49.01
-    assert [
-        feature["properties"] for feature in document["features"]
-    ] == layout_records(layout)
+    assert [feature["properties"] for feature in document["features"]] == [
+        record | {"bearing_deg": (90.0 - record["yaw_deg"]) % 360.0}
+        for record in layout_records(layout)
+    ]
 
 
 @pytest.mark.long

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 from dataclasses import replace
 
 import geopandas as gpd
@@ -14,6 +15,9 @@ from numpy.testing import assert_allclose
 from experiments.export import load_format
 from experiments.export.dxf import to_dxf
 from experiments.export.views import UNSEEN, find_views
+from geometry.errors import InputError
+from geometry.frames import transform
+from geometry.scene import road_area
 from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout
 
@@ -75,6 +79,13 @@ def test_other_programs_read_the_same_areas(name, views, tmp_path):
 ezdxf = pytest.importorskip("ezdxf", reason="the extra dxf is not installed")
 
 
+def rings_of(space, layer):
+    lines = space.query(f'LWPOLYLINE[layer=="{layer}"]')
+    return [
+        shapely.Polygon([point[:2] for point in line]) for line in lines if line.closed
+    ]
+
+
 def test_a_drawing_has_poles_units_and_views_on_their_layers(views):
     drawing = ezdxf.read(io.StringIO(to_dxf(TWO, SCENE)))
     assert drawing.audit().errors == []
@@ -95,13 +106,56 @@ def test_a_drawing_has_poles_units_and_views_on_their_layers(views):
             layer = f"VIEWS-{view.unit}"
         else:
             layer = "UNSEEN"
-        lines = space.query(f'LWPOLYLINE[layer=="{layer}"]')
-        rings = [shapely.Polygon([point[:2] for point in line]) for line in lines]
+        rings = rings_of(space, layer)
         # A hole's ring lies within another one's.
         area = shapely.Polygon()
         for ring in sorted(rings, key=lambda one: -one.area):
             area = area.symmetric_difference(ring)
         assert area.area == pytest.approx(view.area.area, rel=1e-6)
+
+
+def test_a_drawing_has_junction_kerbs_and_buildings_as_closed_lines_and_a_legend():
+    drawing = ezdxf.read(io.StringIO(to_dxf(TWO, SCENE)))
+    space = drawing.modelspace()
+    (junction,) = rings_of(space, "JUNCTION")
+    assert junction.area == pytest.approx(shapely.Polygon(SCENE.outline_m).area)
+    # One ring around all lanes: no line between two that touch.
+    (road,) = rings_of(space, "KERBS")
+    assert road.area == pytest.approx(road_area(SCENE).area, rel=2e-3)
+    buildings = rings_of(space, "BUILDING")
+    kinds = [thing.class_name for thing in SCENE.instances]
+    assert len(buildings) == kinds.count("building") == 4
+    texts = [text.dxf.text for text in space.query('TEXT[layer=="LEGEND"]')]
+    drawn = {entity.dxf.layer.partition("-")[0] for entity in space}
+    assert drawn <= {text.partition(":")[0] for text in texts}
+    assert texts[0].startswith("Coordinates: +proj=tmerc")
+
+
+def test_a_drawing_lies_in_the_coordinates_that_are_asked_for():
+    degrees = replace(SCENE, source_crs="EPSG:4326")
+    for scene, crs, expected in (
+        (SCENE, "EPSG:25832", "EPSG:25832"),
+        (degrees, "", "EPSG:32632"),  # the UTM zone of 8 degrees east
+        (map_scene(), "", map_scene().source_crs),
+    ):
+        drawing = ezdxf.read(io.StringIO(to_dxf(TWO, scene, crs=crs)))
+        poles = drawing.modelspace().query('CIRCLE[layer=="POLES"]')
+        feet = np.array([list(pole.dxf.center)[:2] for pole in poles])
+        where = np.array([site.position_m[:2] for site in scene.sites])
+        assert_allclose(feet, transform(where, scene.crs, expected), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("scene", "crs", "message"),
+    [
+        (SCENE, "EPSG:4326", "--crs: got 'EPSG:4326'; expected one in metres"),
+        (SCENE, "EPSG:1", "--crs: got 'EPSG:1'; expected one that pyproj knows"),
+        (placeless_scene(), "EPSG:25832", "--crs EPSG:25832: got a scene without crs"),
+    ],
+)
+def test_a_drawing_refuses_coordinates_that_it_cannot_have(scene, crs, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        to_dxf(TWO, scene, crs=crs)
 
 
 @pytest.mark.parametrize("scene", [map_scene(), placeless_scene()])

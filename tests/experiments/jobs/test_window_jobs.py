@@ -6,7 +6,14 @@ import pytest
 from command_results import answer, refusal
 
 from placement.detection_table import pack_table
-from placement.optimiser import Floor, Limits, PlacementProblem, apr
+from placement.optimiser import (
+    Floor,
+    Limits,
+    PlacementProblem,
+    apr,
+    solve_placement,
+    sturdy_problem,
+)
 from placement.proof_files import save_problem
 from scenarios.aeb import AebRule
 
@@ -242,4 +249,43 @@ def test_the_first_lines_say_what_is_asked_and_what_was_replaced(
         " left when any unit fails; at most 2 units; target: an APR of at least 20 %;"
         " min_case_apr in A: an APR of at least 100 % in 1 of 3 runs; fusion any in"
         " place of the file's own: at most 1 unit "
+    )
+
+
+def test_what_may_be_given_up_is_found_anew_for_another_budget(run, problem, tmp_path):
+    file = sturdy_problem(problem, solve_placement(problem), 0.1)
+    assert file.floors[0].share == pytest.approx(0.4)
+    save_problem(tmp_path / "one.npz", file)
+    # Two units reach 75 %: of these a tenth of the runs may be given up.
+    assert solve(run, tmp_path / "one.npz", "--budget", 2)["question"] == [
+        "the best layout",
+        "first the highest APR that is left when any unit fails",
+        "at most 2 units",
+        "give_up: an APR of at least 65 %",
+    ]
+    # Of a single unit nothing is given up.
+    one = solve(run, tmp_path / "one.npz", "--budget", 1)
+    assert one["question"] == ["the best layout", "at most 1 unit"]
+    assert one["chosen_names"] == ["east"]
+    shorter = solve(run, tmp_path / "one.npz", "--target", 0.5)
+    assert shorter["question"] == [
+        "the fewest units",
+        "--target: an APR of at least 50 %",
+    ]
+
+
+def test_a_budget_is_refused_for_a_file_that_asks_for_the_fewest_units(
+    run, problem, tmp_path
+):
+    floors = (Floor(name="target", share=0.5),)
+    fewest = replace(
+        problem,
+        goal="fewest",
+        floors=floors,
+        limits=replace(problem.limits, budget_units=None),
+    )
+    save_problem(tmp_path / "one.npz", fewest)
+    assert refusal(run("solve", tmp_path / "one.npz", "--budget 2 --quiet")) == (
+        "--budget: got it for a file that asks for the fewest units; expected"
+        " --target, or a file that asks for the best layout"
     )

@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import geopandas
 import numpy as np
@@ -8,7 +9,14 @@ from private_garden import write_garden
 from shapely import box
 from small_results import assemble_without_runs
 
-from experiments.parts.units import build_private_ground_record, private_ground_sentence
+from experiments.parts import existing_views
+from experiments.parts import headline as headlines
+from experiments.parts.units import (
+    PrivateAreaRecord,
+    PrivateGroundRecord,
+    build_private_ground_record,
+    private_ground_sentence,
+)
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
 from placement.forbidden_views import respects_private_ground
@@ -147,3 +155,29 @@ def test_files_without_areas_are_refused(scene, tmp_path, content, message):
     path.write_text(content)
     with pytest.raises(InputError, match=message):
         load_private_ground(path, scene)
+
+
+def test_what_an_existing_camera_looks_into_is_a_warning_before_all_else(monkeypatch):
+    areas = (PrivateAreaRecord(name="garden", area_m2=20.0),)
+    seen = {"A": {"garden": 0.25}, "B": {"garden": 0.5}, "C": {"garden": 0.0}}
+    ground = PrivateGroundRecord(areas=areas, units=seen)
+    result = SimpleNamespace(private_ground=ground, existing=("A", "C"))
+    assert existing_views.warnings(result) == [
+        "Warning: private ground is in view: A sees 25.0 % of garden; B sees 50.0 %"
+        " of garden."
+    ]
+    # In a placement B was chosen, within --no-look-share.
+    monkeypatch.setattr(existing_views, "PlacementResult", SimpleNamespace)
+    assert existing_views.warnings(result) == [
+        "Warning: an existing camera has private ground in view: A sees 25.0 % of"
+        " garden."
+    ]
+    result.existing = ("C",)
+    assert existing_views.warnings(result) == []
+    monkeypatch.setattr(headlines, "_prevented", lambda result: ["said"])
+    monkeypatch.setattr(headlines, "_given_up", lambda result: [])
+    monkeypatch.setattr(headlines, "_keeps_more", lambda result: [])
+    result.existing = ("A",)
+    first, second, *_ = headlines.headline(result)
+    assert first.startswith("Warning: ")
+    assert second == "said"

@@ -321,6 +321,7 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
         "sensors_eur",
         "sites_eur",
         "asked",
+        "cheaper",
     }
     for key in summary:
         less = {name: value for name, value in summary.items() if name != key}

@@ -16,6 +16,7 @@ from experiments.planner import command
 from experiments.planner.plan import PlanState, Variant
 from experiments.planner.plan_files import layout_text, plan_text
 from experiments.planner.server import RunningServer
+from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout
 
@@ -139,3 +140,46 @@ def test_tiles_of_no_server_are_refused_before_anything_is_read(run, tmp_path):
     assert err.startswith(
         "place-rsus: --tiles: got 'https://tiles.example'; expected an address"
     )
+
+
+@pytest.fixture
+def found(tmp_path):
+    """A folder of results that was found for cars that see."""
+    folder = tmp_path / "found"
+    folder.mkdir()
+    save_layout(folder / "layout.json", STUDY.units[:1])
+    question = {"cars": "see", "cases": "study", "site_cost": 500.0, "budget": 3}
+    summary = {"asked": {"question": question}}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return folder
+
+
+def test_a_layout_of_a_folder_of_results_opens_with_its_own_question(
+    run, found, monkeypatch
+):
+    asked = []
+
+    def begun(progress, question, *, quiet):
+        asked.append(question)
+        raise InputError("seen", 1, "no more")
+
+    monkeypatch.setattr(command, "begin", begun)
+    _, _, err = run("plan --no-open --layout", found / "layout.json")
+    words = " ".join(err.split())
+    assert f"The page asks what {found} was found for: " in words
+    assert "--cars see" in words
+    assert asked[0].cars == "see"
+    assert asked[0].cases == "study"
+    assert asked[0].site_cost_eur == 500.0
+    assert asked[0].budget is None  # the page asks for no number of units
+    run("plan --no-open --cars blind --layout", found / "layout.json")
+    assert asked[1].cars == "blind"
+    assert asked[1].cases == "study"
+
+
+def test_a_network_is_not_taken_from_a_folder_of_results(run, found):
+    summary = {"asked": {"question": {"detector": "mine.onnx"}}}
+    (found / "summary.json").write_text(json.dumps(summary))
+    code, _, err = run("plan --no-open --layout", found / "layout.json")
+    assert code == 2
+    assert "summary.json: detector: got 'mine.onnx'; expected it on the" in err

@@ -742,6 +742,28 @@ def test_a_pole_with_a_unit_takes_a_second_one_and_what_is_moved_keeps_its_aim(
         assert aim(page) == pytest.approx(aimed, abs=2.0)
 
 
+def test_a_number_follows_while_a_new_sensor_is_dragged_from_its_pole(browser, serve):
+    with opened(browser, serve()) as page:
+        x, y = pole(page, "corner-ne")
+        drag(page, (x, y), (x + 160, y - 20))
+        # The button is still pressed: the sensor is there, with a number.
+        has_units(page, 1)
+        expect(page.locator("#apr")).to_have_text(re.compile(r"\d %"))
+        first = page.input_value("#yaw")
+        page.mouse.move(x - 60, y + 60, steps=6)
+        expect(page.locator("#yaw")).not_to_have_value(first)
+        page.mouse.up()
+        has_value(page, "#site", "corner-ne")  # the pole that was in hand
+        expect(page.locator("#site-text")).to_contain_text("EUR (assumed) once")
+        page.keyboard.press("Control+z")  # all of the drag is one step
+        has_units(page, 0)
+        drag(page, (x, y), (x + 160, y - 20))
+        has_units(page, 1)
+        page.keyboard.press("Escape")
+        has_units(page, 0)
+        page.mouse.up()
+
+
 def test_a_lidar_that_scans_all_round_is_level_by_dragging_and_by_the_button(
     browser, serve, tmp_path
 ):
