@@ -8,7 +8,7 @@ from placement.candidates import CandidatePose
 from ..language import mark, tr, tr_error
 from .browsers import Browsers, variants_message
 from .files import save_plan
-from .numbers import coverage_record, key_of
+from .numbers import coverage_record, errors_record, key_of
 from .plan import Variant
 from .proposals import Proposals
 from .worker import Cancelled, DiedError, TaskError
@@ -54,6 +54,7 @@ class Counting:
         # There may be something to judge
         self.rests = asyncio.Event()
         self.shows_coverage = False
+        self.shows_errors = False
 
     # ---------- by the detection table
 
@@ -92,7 +93,7 @@ class Counting:
         self._browsers.tell_stage("rays", "")
 
     async def _count(self, shown: Shown) -> None:
-        """Tell numbers of a revision, and its ground coverage if nothing newer is there."""
+        """Tell numbers of a revision, and its layers if nothing newer is there."""
         workspace = shown.workspace
         units = shown.units
         key = key_of(units)
@@ -110,6 +111,12 @@ class Counting:
             self._browsers.send(
                 {"type": "coverage", "revision": shown.revision, **found}
             )
+        if self.shows_errors and not self.changed.is_set():
+            setting = shown.setting
+            found = await asyncio.to_thread(
+                errors_record, setting.scene, units, setting.detector
+            )
+            self._browsers.send({"type": "errors", "revision": shown.revision, **found})
 
     # ---------- by the evaluator
 

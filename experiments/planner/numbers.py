@@ -20,6 +20,7 @@ from placement.detectors import DETECTOR_NAMES
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, run_outcomes
 from placement.ground import BANDS, find_ground_coverage
 from placement.layout import Layout
+from placement.position_map import find_position_map
 from placement.private_ground import PrivateGround, PrivateSight
 from placement.question import BLIND, SEE, Question, question_fields, read_cars
 from placement.setting import Setting, check_question
@@ -613,6 +614,50 @@ def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, A
         "band": to_base64(band),
         "road": to_base64(found.is_road.astype(np.uint8)),
         "shares": {tr(name): percent(value) for name, value in found.shares().items()},
+    }
+
+
+ERROR_BANDS_M = (0.3, 0.4, 0.6, 1.0)
+"""Bands of position errors by their most: 0.4 m is the recommended limit. [m]"""
+_FAR_CM = 254
+
+
+def errors_record(
+    scene: Scene, units: Sequence[CandidatePose], detector: object
+) -> dict[str, Any]:
+    """Errors of reported places on the road, cell by cell.
+
+    Returns
+    -------
+    dict
+        As :func:`coverage_record`; "band" is by calibrated aims. "errors" has for each
+        way of aiming, calibrated first, a byte for each cell: centimetres, 254 for all
+        beyond, 255 where no camera sees an adult. "shares" are of the road's cells.
+    """
+    found = find_position_map(scene, units, detector)
+    seen = np.isfinite(found.sd_m)
+    centimetres_off = np.where(seen, 100.0 * found.sd_m, 0.0)
+    errors = np.minimum(np.ceil(centimetres_off), _FAR_CM).astype(np.uint8)
+    errors[~seen] = 255
+    band = np.full(found.is_road.shape, 255, dtype=np.uint8)
+    band[seen[0]] = 254
+    # The smallest last: it wins
+    for index in reversed(range(len(ERROR_BANDS_M))):
+        band[found.sd_m[0] <= ERROR_BANDS_M[index]] = index
+    west, east = _edges_m(found.east_m)
+    south, north = _edges_m(found.north_m)
+    words = [tr("up to {most:g} m", most=most) for most in ERROR_BANDS_M]
+    words += [tr("more"), tr("unseen")]
+    codes = [*range(len(ERROR_BANDS_M)), 254, 255]
+    road = band[found.is_road]
+    shares = [float((road == code).mean()) if len(road) else 0.0 for code in codes]
+    return {
+        "box": centimetres([west, south, east, north]),
+        "columns": len(found.east_m),
+        "band": to_base64(band),
+        "road": to_base64(found.is_road.astype(np.uint8)),
+        "errors": [to_base64(one) for one in errors],
+        "shares": dict(zip(words, map(percent, shares), strict=True)),
     }
 
 

@@ -147,6 +147,12 @@ class ShowCoverage(_Request, tag="coverage"):
     is_shown: bool
 
 
+class ShowErrors(_Request, tag="errors"):
+    """Show or hide errors of positions on the road."""
+
+    is_shown: bool
+
+
 class ChooseSensors(_Request, tag="sensors"):
     """Models that the optimiser may mount; none: the default grid's."""
 
@@ -176,6 +182,7 @@ Message = (
     | TakeProposal
     | DropProposal
     | ShowCoverage
+    | ShowErrors
     | ChooseSensors
 )
 """All that a browser can ask for."""

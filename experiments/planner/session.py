@@ -204,6 +204,9 @@ class Session:
             case requests.ShowCoverage(is_shown=is_shown):
                 self.counting.shows_coverage = is_shown
                 self.counting.changed.set()
+            case requests.ShowErrors(is_shown=is_shown):
+                self.counting.shows_errors = is_shown
+                self.counting.changed.set()
             case requests.ChooseSensors(names=names):
                 sensors = self.shown.sensors.choosing(names)
                 self.shown = replace(self.shown, sensors=sensors)

@@ -233,6 +233,15 @@ export function createMap(holder, on) {
     element("image", { href: canvas.toDataURL(), x: 0, y: 0, width: 1, height: 1, opacity: 0.8, preserveAspectRatio: "none", "image-rendering": "pixelated", transform: `matrix(${east - west} 0 0 ${south - north} ${west} ${north})` }, layers.coverage);
   }
 
+  // Number of a cell of a grid at a place; -1: outside.
+  function cellAt(found, [x, y]) {
+    const [west, south, east, north] = found.box;
+    const columns = found.columns, rows = atob(found.road).length / columns;
+    const column = Math.floor((x - west) / (east - west) * columns);
+    const row = Math.floor((y - south) / (north - south) * rows);
+    return column >= 0 && column < columns && row >= 0 && row < rows ? row * columns + column : -1;
+  }
+
   let opacity = 0.75;
   function fade(next) {
     opacity = next;
@@ -570,13 +579,15 @@ export function createMap(holder, on) {
 
   svg.addEventListener("pointerdown", begin);
   svg.addEventListener("pointermove", move);
+  svg.addEventListener("pointermove", (event) => on.hover(groundOf(event)));
+  svg.addEventListener("pointerleave", () => on.hover(null));
   svg.addEventListener("pointerup", end);
   svg.addEventListener("pointercancel", end);
   svg.addEventListener("wheel", (event) => { event.preventDefault(); wheel(event); }, { passive: false });
   new ResizeObserver(layOut).observe(holder);
 
   return {
-    showScene, showShares, showSeen, showCoverage, showDanger: (points) => drawDanger(layers.danger, points), showImage, showUnits, showView, showOffered, showOther, showSite, showSites, fade, turn, zoomBy, giveUp, forgetLate: () => { late = null; }, measure, pole, run,
+    showScene, showShares, showSeen, showCoverage, cellAt, showDanger: (points) => drawDanger(layers.danger, points), showImage, showUnits, showView, showOffered, showOther, showSite, showSites, fade, turn, zoomBy, giveUp, forgetLate: () => { late = null; }, measure, pole, run,
     isMeasuring: () => Boolean(ruler),
     isPoling: () => isPoling,
     select(id) { selected = id; showUnits(units); },

@@ -33,6 +33,7 @@ let isConnected = false, timer = 0, coverage = null, savedRevision = 0;
 
 const line = openLine({ onMessage: receive, onState: connected, onSilence: silent });
 const map = createMap(find("plan"), {
+  hover: tellError,
   site: chooseSite,
   unit: chooseUnit,
   aim: (unit, aim, gesture) => change(unit, { yaw_deg: aim.yaw, ...(aim.pitch === undefined ? {} : { pitch_deg: Math.max(-90, aim.pitch) }) }, gesture),
@@ -102,7 +103,7 @@ function receive(message) {
 function read(message) {
   const readers = {
     scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals, view: readView,
-    coverage: readCoverage, question: (message) => { question.read(message); tellMeanings(); }, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
+    coverage: (message) => readGrid(message, "coverage", [...scene.bands.keys(), 254, 255], tr("Of the road, by pixels per metre:")), errors: (message) => readGrid(message, "errors", [0, 1, 2, 3, 254, 255], tr("Of the road, by position error with calibrated aims (one standard deviation of a frame, cameras alone):")), question: (message) => { question.read(message); tellMeanings(); }, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
     problem: (message) => { map.forgetLate(); settle(); question.refused(); mounting = null; awaitsPole = false; notice(message.text); }, notice: (message) => notice(message.text),
   };
   readers[message.type]?.(message);
@@ -724,12 +725,31 @@ find("closer").addEventListener("click", () => map.zoomBy(1.4));
 find("farther").addEventListener("click", () => map.zoomBy(1 / 1.4));
 find("whole").addEventListener("click", () => map.whole());
 find("ruler").addEventListener("click", () => map.measure(!map.isMeasuring()));
-find("coverage").addEventListener("change", (event) => {
-  line.send({ do: "coverage", is_shown: event.target.checked });
-  if (!event.target.checked) { coverage = null; map.showCoverage(null); }
-  find("coverage-key").hidden = !event.target.checked;
-  find("coverage-key").textContent = tr("computing \u2026");
-});
+// Pixel density and position error colour the same ground: one of them at a time.
+const GRIDS = { coverage: "errors", errors: "coverage" };
+for (const [name, other] of Object.entries(GRIDS)) {
+  find(name).addEventListener("change", ({ target: { checked } }) => {
+    if (checked && find(other).checked) { find(other).checked = false; line.send({ do: other, is_shown: false }); }
+    line.send({ do: name, is_shown: checked });
+    coverage = null;
+    map.showCoverage(null);
+    find("coverage-key").hidden = !checked;
+    find("coverage-key").textContent = tr("computing \u2026");
+    tellError(null);
+  });
+}
+
+// What the position error is where the mouse is.
+function tellError(place) {
+  const isShown = find("errors").checked && coverage?.errors && place;
+  find("errors-here").hidden = !isShown;
+  if (!isShown) return;
+  const cell = map.cellAt(coverage, place);
+  const [known, byEye] = coverage.errors.map((bytes) => (cell < 0 ? 255 : atob(bytes).charCodeAt(cell)));
+  if (known === 255) { find("errors-here").textContent = tr("Here no camera sees an adult."); return; }
+  const metres = (byte) => (byte === 254 ? tr("more than {most} m", { most: number(2.53, 2) }) : tr("{n} m", { n: number(byte / 100, 2) }));
+  find("errors-here").textContent = tr("Position error here: {known} with calibrated aims, {byEye} with aims set by eye.", { known: metres(known), byEye: metres(byEye) });
+}
 
 // Until new numbers come, what is drawn stays, and the legend says that it is old.
 function showDanger() {
@@ -744,13 +764,12 @@ function showDanger() {
 }
 find("danger").addEventListener("change", showDanger);
 
-function readCoverage(message) {
-  if (!find("coverage").checked) return;
+function readGrid(message, name, codes, words) {
+  if (!find(name).checked) return;
   coverage = message;
   map.showCoverage(coverage);
   find("coverage-key").hidden = false;
-  const codes = [...scene.bands.keys(), 254, 255];
-  find("coverage-key").replaceChildren(`${tr("Of the road, by pixels per metre:")} `, ...Object.entries(coverage.shares).map(([name, share], index) => {
+  find("coverage-key").replaceChildren(`${words} `, ...Object.entries(coverage.shares).map(([name, share], index) => {
     const item = element("span", { class: "key" });
     const swatch = element("svg", { width: 12, height: 12, "aria-hidden": "true" }, item);
     element("rect", { width: 12, height: 12, fill: bandColour(codes[index]), stroke: "#333" }, swatch);

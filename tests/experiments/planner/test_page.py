@@ -873,6 +873,28 @@ def test_the_key_of_densities_and_the_page_are_no_wider_than_the_screen(
         assert page.locator("#plan").bounding_box()["height"] >= 0.4 * min(height, 600)
 
 
+def test_the_position_error_is_told_where_the_mouse_is(browser, serve):
+    with opened(browser, serve(UNITS[:1])) as page:
+        page.check("#coverage")
+        page.check("#errors")
+        # Both colour the same ground.
+        assert not page.is_checked("#coverage")
+        page.locator("#coverage-key .key").first.wait_for()
+        assert "by position error" in page.inner_text("#coverage-key")
+        plan = page.locator("#plan svg").bounding_box()
+        told = set()
+        for step in range(1, 12):
+            x = plan["x"] + plan["width"] * step / 12
+            page.mouse.move(x, plan["y"] + plan["height"] / 2)
+            told.add(page.inner_text("#errors-here"))
+        known = [text for text in told if re.search(r"here: \d\.\d\d m", text)]
+        assert known
+        assert "Here no camera sees an adult." in told
+        page.uncheck("#errors")
+        assert page.locator("#errors-here").is_hidden()
+        assert page.locator("#coverage-key").is_hidden()
+
+
 # ---------- handled as in the tools people know
 
 

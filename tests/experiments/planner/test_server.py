@@ -383,6 +383,21 @@ def test_pixel_density_is_told_when_asked_for(open_client, join):
     assert list(found["shares"])[-2:] == ["coarser", "unseen"]
 
 
+def test_position_errors_are_told_when_asked_for(open_client, join):
+    line = join(open_client(UNITS[:2]))
+    line.send(do="errors", is_shown=True)
+    found = line.next("errors")
+    assert list(found["shares"])[-2:] == ["more", "unseen"]
+    known, by_eye = (
+        np.frombuffer(base64.b64decode(one), np.uint8) for one in found["errors"]
+    )
+    assert len(known) == len(base64.b64decode(found["road"]))
+    seen = known < 255
+    assert seen.any()
+    assert (known[seen] <= by_eye[seen]).all()
+    line.send(do="errors", is_shown=False)
+
+
 @pytest.mark.long
 def test_the_optimiser_proposes_and_is_taken_over_or_dropped(
     open_client, join, tmp_path
@@ -843,7 +858,7 @@ def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(
         assert found["frame"] == frame
         assert found["size"] == [320, 180]
         assert found["timeS"] == run.time_s[frame]
-        image = Image.open(io.BytesIO(base64.b64decode(found["image"])))
+        image = Image.open(io.BytesIO(base64.base64.b64decode(found["image"])))
         assert image.format == "JPEG"
         assert image.size == (320, 180)
         waist_m = np.array([[*run.vru_position_m[frame], 0.9]])
