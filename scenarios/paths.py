@@ -547,8 +547,6 @@ def _tow(course: Course, wheelbase_m: float) -> FloatArray:
 
     Runge and Kutta's method gives it.
     """
-    from scipy.interpolate import CubicHermiteSpline
-
     stride = _TOW_STEPS
     # Two points to a step: its start, its middle.
     yaw = course.yaw_rad[:: stride // 2]
@@ -567,12 +565,32 @@ def _tow(course: Course, wheelbase_m: float) -> FloatArray:
         fourth = gain * sin(end - body - third)
         body += (first + 2.0 * (second + third) + fourth) / 6.0
         nodes.append(body)
-    at = np.arange(n_steps + 1) * stride
     slope = np.sin(yaw[: 2 * n_steps + 1 : 2] - nodes) * gain / stride
-    every = np.arange(len(course.yaw_rad))
-    inside = np.minimum(every, at[-1])
-    table: FloatArray = CubicHermiteSpline(at, nodes, slope)(inside)
-    return freeze(table)
+    return freeze(_hermite(np.array(nodes), slope, stride, len(course.yaw_rad)))
+
+
+def _hermite(
+    nodes: FloatArray, slope: FloatArray, stride: int, n_points: int
+) -> FloatArray:
+    """Cubics through nodes that are a stride apart, at 0, 1, 2 .., (n_points,).
+
+    With slopes (n_nodes,) at the nodes; constant behind the last one. It is SciPy's
+    CubicHermiteSpline, which takes longer to load than the whole question to read.
+    """
+    every = np.minimum(np.arange(n_points), stride * (len(nodes) - 1))
+    piece = np.minimum(every // stride, len(nodes) - 2)
+    offset = (every - stride * piece).astype(np.float64)
+    mean_slope = np.diff(nodes) / stride
+    twist = (slope[:-1] + slope[1:] - 2.0 * mean_slope) / stride
+    quadratic = (mean_slope - slope[:-1]) / stride - twist
+    cubic = twist / stride
+    found: FloatArray = (
+        nodes[piece]
+        + slope[piece] * offset
+        + quadratic[piece] * offset**2
+        + cubic[piece] * (offset**2 * offset)
+    )
+    return found
 
 
 def _check_axles(wheelbase_m: float, front_axle_ahead_m: float) -> None:

@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusals import refused_with
 from scipy.constants import kmh
+from scipy.interpolate import CubicHermiteSpline
 from strategies import angles_deg, coordinates_m, numbers
 
 from geometry.errors import InputError
 from scenarios.courses import LEFT, RIGHT, Turn, load_turns, pick_turn
-from scenarios.paths import Motion, StraightPath, TurnPath, travel_time_s
+from scenarios.paths import Motion, StraightPath, TurnPath, _hermite, travel_time_s
 
 TABLE_M = 1e-6  # what the table of a turn may be off
 WHEELBASE_M = 2.85
@@ -366,3 +367,14 @@ def test_a_travel_time_of_nonsense_is_refused(
         travel_time_s(
             distance_m, speed_mps=speed_mps, acceleration_distance_m=acceleration_m
         )
+
+
+@pytest.mark.parametrize(("n_nodes", "stride"), [(2, 4), (5, 4), (60, 8)])
+def test_headings_between_nodes_are_scipys_cubics(n_nodes, stride):
+    rng = np.random.default_rng(n_nodes)
+    nodes = np.cumsum(rng.normal(size=n_nodes))
+    slope = rng.normal(size=n_nodes)
+    at = stride * np.arange(n_nodes)
+    every = np.minimum(np.arange(at[-1] + 3), at[-1])
+    expected = CubicHermiteSpline(at, nodes, slope)(every)
+    np.testing.assert_array_equal(_hermite(nodes, slope, stride, len(every)), expected)
