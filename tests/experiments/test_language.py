@@ -562,4 +562,4 @@ def test_counted_runs_stand_in_german_where_the_nominative_does():
     for found in (both, replace(both, is_proven=False)):
         with speaking("de"):
             (text,) = doubt_sentences((), found, n_runs=107)
-        assert "65, diese hier 64 (insgesamt 107 Läufe, auf" in text
+        assert "65, diese hier 64 (insgesamt 107 Läufe, nach" in text
