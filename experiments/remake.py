@@ -8,7 +8,6 @@ temporary folder, with the cache of the product.
 """
 
 import difflib
-import json
 import os
 import re
 import shutil
@@ -25,7 +24,7 @@ from typing import Any
 import click
 
 from geometry.errors import InputError, refuse
-from geometry.text_formats import load_toml
+from geometry.text_formats import load_toml, parse_json
 
 ROOT = Path(__file__).parents[1]
 LIST = ROOT / "results/remake.toml"
@@ -102,7 +101,7 @@ class Quote:
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class Stale:
     """A quoted piece of a page, (start, end) in its text, and what is computed."""
 
     start: int
@@ -134,6 +133,7 @@ def run(command: str, folder: Path) -> str:
     bin_folder = Path(sys.executable).parent
     path = f"{bin_folder}{os.pathsep}{os.environ['PATH']}"
     env = os.environ | {"PATH": path, "PYTHONPATH": str(ROOT), "ROOT": str(ROOT)}
+    # A shell, for loops and redirections; -e, so that no failure is passed over.
     done = subprocess.run(
         ["bash", "-ec", command], cwd=folder, env=env, capture_output=True, text=True
     )
@@ -159,6 +159,7 @@ def spans(quote: Quote, text: str) -> list[tuple[int, int]]:
         if quote.block != _WITH_COMMANDS:
             found = found[:1]
     for sentence in quote.texts:
+        # Between the words stand pointer and factor of each figure.
         words = [re.escape(word) for word in _PLACEHOLDER.split(sentence)[::3]]
         # Lines may break at any space.
         pattern = re.sub(r"(?:\\ )+", r"\\s+", f"({_FIGURE})".join(words))
@@ -169,9 +170,9 @@ def spans(quote: Quote, text: str) -> list[tuple[int, int]]:
     return found
 
 
-def differences(
+def stale_pieces(
     quote: Quote, text: str, folder: Path, output: Callable[[str], str]
-) -> list[Difference]:
+) -> list[Stale]:
     """What a page quotes and is computed otherwise.
 
     Parameters
@@ -201,6 +202,7 @@ def differences(
     elif quote.block:
         computed.append(quoted_again(quoted[0], printed, quote.page))
     for placeholder in _PLACEHOLDER.finditer(" ".join(quote.texts)):
+        # What a command has just written goes before what the repository has.
         source = folder / quote.source
         if not source.exists():
             source = ROOT / quote.source
@@ -208,7 +210,7 @@ def differences(
         scaled = value * int(placeholder["factor"] or 1)
         computed.append(written(scaled, quoted[len(computed)]))
     return [
-        Difference(start, end, now)
+        Stale(start, end, now)
         for (start, end), now in zip(places, computed, strict=True)
         if now != text[start:end]
     ]
@@ -243,7 +245,7 @@ def value_at(document: str, pointer: str) -> float:
         if not document.startswith("{"):
             behind = document.partition(pointer[1:])[2]
             return float(re.findall(_FIGURE, behind)[0].replace(",", ""))
-        value = json.loads(document)
+        value = parse_json(document, "source of figures", "JSON")
         for step in pointer.split("/")[1:]:
             if isinstance(value, list):
                 value = value[int(step)]
@@ -283,13 +285,14 @@ def quoted_again(block: str, output: str, where: str) -> str:
 
     Examples
     --------
-    >>> quoted_again("APR 93 %\n...\n", "Scene\nAPR 94 %\nProven\n", "page.md")
+    >>> quoted_again("APR 93 %\n...\n", "Scene\nAPR 94 %\nProven\n", "page")
     'APR 94 %\n...\n'
     """
     lines = [line.rstrip() for line in output.splitlines()]
     again: list[str] = []
     piece: list[str] = []
     first = 0
+    # A gap at the end closes the last piece.
     for line in [*block.splitlines(), "..."]:
         if line.strip() != "...":
             piece.append(line)
@@ -325,6 +328,7 @@ def _make(result: Result, *, is_check: bool) -> Iterator[str]:
         run(result.command, folder)
         _forget_sums(folder, result)
         made = result.kept(folder)
+        # Files of the repository that nothing writes any more are told, too.
         for path in sorted({*made, *result.kept(ROOT)}):
             if path not in made:
                 yield f"{path}: the command does not write it"
@@ -370,6 +374,7 @@ def _unlike(path: Path, folder: Path) -> Iterator[str]:
 def _comparable_lines(path: Path) -> list[str]:
     """Lines of a text; of JSON, times, versions and hashes are blank."""
     text = path.read_text(encoding="utf-8")
+    # Line breaks stay, so that numbers of lines do.
     if path.suffix == ".json":
         text = _VARYING.sub(lambda found: "\n" * found[0].count("\n"), text)
     return _LONG_NUMBER.sub(lambda found: f"{float(found[0]):.6g}", text).splitlines()
@@ -381,21 +386,23 @@ def _quote(quote: Quote, *, is_check: bool) -> Iterator[str]:
     text = page.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as name:
         folder = _workplace(name)
-        found = differences(quote, text, folder, partial(run, folder=folder))
+        found = stale_pieces(quote, text, folder, partial(run, folder=folder))
     if is_check:
-        for difference in found:
-            yield from _unlike_lines(quote.page, text, difference)
+        for stale in found:
+            yield from _unlike_lines(quote.page, text, stale)
         return
-    for difference in sorted(found, key=lambda each: -each.start):
-        text = text[: difference.start] + difference.computed + text[difference.end :]
+    # From the end, so that the places before it stay where they are.
+    for stale in sorted(found, key=lambda each: -each.start):
+        text = text[: stale.start] + stale.computed + text[stale.end :]
     if found:
         page.write_text(text, encoding="utf-8")
 
 
-def _unlike_lines(page: str, text: str, difference: Difference) -> Iterator[str]:
-    number = text.count("\n", 0, difference.start) + 1
-    old = text[difference.start : difference.end].splitlines()
-    new = difference.computed.splitlines()
+def _unlike_lines(page: str, text: str, stale: Stale) -> Iterator[str]:
+    number = text.count("\n", 0, stale.start) + 1
+    old = text[stale.start : stale.end].splitlines()
+    new = stale.computed.splitlines()
+    # Blocks may have lines more or fewer: only those that differ are told.
     matcher = difflib.SequenceMatcher(None, old, new, autojunk=False)
     for tag, start, end, new_start, new_end in matcher.get_opcodes():
         if tag != "equal":

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from experiments import remake
-from experiments.remake import Quote, Result, differences, load_list, spans
+from experiments.remake import Quote, Result, load_list, spans, stale_pieces
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -164,5 +164,5 @@ def test_output_behind_each_command_of_a_page_is_compared(tmp_path):
     text = "```console\n$ a\n1 pole\n$ b\n...\n2 poles\n```\n"
     printed = {"a": "1 pole\n", "b": "scene\n3 poles\n"}
     quote = Quote(name="q", page="p.md", block="console")
-    (found,) = differences(quote, text, tmp_path, printed.__getitem__)
+    (found,) = stale_pieces(quote, text, tmp_path, printed.__getitem__)
     assert found.computed == "$ a\n1 pole\n$ b\n...\n3 poles\n"
