@@ -805,7 +805,7 @@ def street_names(scene: Scene) -> dict[str, str]:
 def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[Phrase]:
     """Places (n, 2) at a junction in words.
 
-    Such as "north-west corner, Mill Lane and High Street".
+    Such as "north-west corner, Mill Lane / High Street".
 
     Within 15 m of the junction's outline a corner, with the streets of the arms on
     either side; farther out the nearest arm, with its street. Empty where the scene has
@@ -849,7 +849,7 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[Phrase]:
                 here = Phrase(
                     "{point} corner, {streets}",
                     point=Phrase(side),
-                    streets=" and ".join(dict.fromkeys(known)),
+                    streets=" / ".join(dict.fromkeys(known)),
                 )
         else:
             point = shapely.Point(position)

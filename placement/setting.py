@@ -441,10 +441,8 @@ def _table_detector(detector: Detector) -> PlanningDetector:
     if not detector.plans_with:
         return cast(PlanningDetector, detector)
     _log.warning(
-        "detector %s: judged on rendered pictures, about %s each; poses are chosen by"
-        " the %s detector",
+        "detector %s: judged on rendered pictures; poses are chosen by the %s detector",
         detector.name,
-        detector.seconds_per_picture,
         detector.plans_with,
     )
     planner = load_planning_detector(detector.plans_with)

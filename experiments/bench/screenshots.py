@@ -41,7 +41,6 @@ _REPORT_SIZES_PX = {"desktop": (1280, 1600), "phone": (360, 1400)}
 _REPORT_PARTS = (
     "Where to mount",
     "What each unit buys",
-    "Time and distance to spare",
     "If a unit or a pole fails",
     "Watch a run",
     "Bill of materials",

@@ -12,7 +12,7 @@ from scenarios.cases import ROAD_USER_GROUPS
 
 from ..language import mark, tr, trn
 from ..results.drives import unprotected_cases
-from ..results.numbers import count_runs, finite_or_none, number, percent
+from ..results.numbers import finite_or_none, number, percent
 from ..results.record import Record, mixed, says
 from .section import Block, Section, Table, tabulate
 
@@ -117,11 +117,12 @@ def words(record: RoadUserGroups) -> list[str]:
     if len(record.groups) < 2 and not record.unprotected:
         return []
     sentences = [
-        tr(
-            "{road_user}: {share} of {runs}.",
+        trn(
+            "{road_user}: {share} of {n} run.",
+            "{road_user}: {share} of {n} runs.",
+            group.runs,
             road_user=tr(_WHO[group.road_user]),
             share=percent(group.parties[0].apr),
-            runs=count_runs(group.runs),
         )
         for group in record.groups
     ]

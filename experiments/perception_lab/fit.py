@@ -62,6 +62,7 @@ from ..results.drives import versions
 from ..results.folders import expect_files, save_files
 from ..results.record import Record
 from ..results.tables import page_of
+from .dataset import MANIFEST, load_manifest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -240,6 +241,7 @@ def _open_source(
         if find_format(wish.recording) == MOT_FOLDER:
             labels, results = (wish.recording / name for name in MOT_FILES)
             return _from_boxes(labels, results, wish.min_confidence)
+        _refuse_rule(wish.recording)
         recording = read_recording(wish.recording)
         return _Source(
             words=f"the detections of {recording.folder}, {recording.n_frames} frames",
@@ -253,6 +255,21 @@ def _open_source(
         return read(wish.labels, wish.results, wish.min_confidence)
     assert wish.layout is not None
     return _from_network(question, wish.layout, wish, compute, progress)
+
+
+def _refuse_rule(folder: Path) -> None:
+    """Refuse a folder that ``dataset`` has filled with the detections of a rule.
+
+    A table that is fitted to them says what the rule says.
+    """
+    manifest = folder / MANIFEST
+    if manifest.is_file():
+        refuse(
+            str(manifest),
+            f"detections of {load_manifest(manifest).detector}, a built-in rule",
+            f"those of a real detector: write them into {load_format().eval_folder} "
+            f"and take {MANIFEST} away",
+        )
 
 
 def _from_network(

@@ -145,7 +145,6 @@ def describe_driven(setting: Setting) -> list[str]:
     n_left = len(gaps) - _MOST_GAPS
     if n_left > 0:
         gaps = [*gaps[:_MOST_GAPS], tr("{n} more below", n=n_left)]
-    missing = "; ".join(gaps)
     # Nothing that could be driven is missing; what the map rules out still is.
     if n_runs == n_possible:
         first = tr("All {n} runs that this junction allows are driven.", n=n_runs)
@@ -157,8 +156,8 @@ def describe_driven(setting: Setting) -> list[str]:
             all=n_possible,
             reason=_reason_words(reasons[0][0]),
         )
-    if missing:
-        first = f"{first} {tr('Not driven: {gaps}.', gaps=missing)}"
+    if gaps:
+        first += " " + tr("Not driven: {gaps}.", gaps="; ".join(gaps))
     return [first, *_reasons(setting, reasons), *limits]
 
 

@@ -375,8 +375,8 @@ class Detector(Protocol):
         """Name of the detector by which poses are chosen; empty: itself."""
 
     @property
-    def seconds_per_picture(self) -> str:
-        """How long it looks at a picture, in words; empty: it needs none."""
+    def seconds_per_picture(self) -> float:
+        """Processor seconds to draw a picture and look at it; 0: it needs none."""
 
     @property
     def figures_words(self) -> Phrase:

@@ -46,7 +46,7 @@ class GeometricDetector:
 
     needs_pictures = False
     plans_with = ""
-    seconds_per_picture = ""
+    seconds_per_picture = 0.0
     is_drawn = False
 
     def __post_init__(self) -> None:

@@ -811,11 +811,11 @@ class NetworkDetector:
     needs_pictures = True
 
     @property
-    def seconds_per_picture(self) -> str:
-        """How long it looks at a picture, in words."""
+    def seconds_per_picture(self) -> float:
+        """Processor seconds to draw a picture and look at it, as measured."""
         if self.looks_at_crops:
-            return "a tenth of a second"
-        return "a second"
+            return 0.06
+        return 1.0
 
     @property
     def figures_words(self) -> Phrase:

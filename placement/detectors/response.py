@@ -157,7 +157,7 @@ class ResponseDetector:
 
     needs_pictures = False
     plans_with = ""
-    seconds_per_picture = ""
+    seconds_per_picture = 0.0
     is_drawn = True
 
     @property

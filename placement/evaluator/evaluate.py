@@ -1,5 +1,6 @@
 """From sights to verdicts: detections, messages, confirmation, braking, contact."""
 
+import logging
 import zlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, as_completed, wait
@@ -44,6 +45,7 @@ from .surroundings import (
 UnitKey = tuple[object, ...]
 VUT_KEY: UnitKey = ("vut",)
 STAGE = Phrase("evaluate")
+_log = logging.getLogger(__name__)
 
 # Parts of the VUT's frames: nothing repeats there, so that they take longer.
 _VUT_JOBS = 4
@@ -324,6 +326,11 @@ class _Watcher:
         heights = [box_height_px(evidence.visible_px) for evidence in looks.values()]
         least_px = max(detector.min_box_height_px, np.finfo(float).tiny)
         n_pictures = sum(int((height >= least_px).sum()) for height in heights)
+        _log.warning(
+            "%s pictures for the network: about %.0f minutes of processor time",
+            n_pictures,
+            n_pictures * detector.seconds_per_picture / 60.0,
+        )
         source = build_picture_source(
             self._setting.scene, self._setting.runs, seed=self._seed
         )

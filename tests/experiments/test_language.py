@@ -152,6 +152,22 @@ def test_no_translation_is_left_over():
     assert not set(translations()) - set(messages_of_code())
 
 
+@pytest.mark.long
+def test_no_message_stands_within_an_f_string_where_extraction_misses_it():
+    hidden = [
+        f"{path.relative_to(ROOT.parent)}:{text.lineno}"
+        for package in PACKAGES
+        for path in sorted(Path(package.__file__).parent.rglob("*.py"))
+        for text in ast.walk(ast.parse(path.read_text()))
+        if isinstance(text, ast.JoinedStr)
+        for call in ast.walk(text)
+        if isinstance(call, ast.Call)
+        and getattr(call.func, "id", "") in KEYWORDS
+        and isinstance(call.args[0], ast.Constant)
+    ]
+    assert hidden == []
+
+
 def test_numbers_among_the_values_are_written_as_the_language_does():
     assert tr("{a:.2f} of {b:,}", a=1.5, b=1200) == "1.50 of 1,200"
     assert localized("1,200.50") == "1,200.50"
@@ -562,4 +578,4 @@ def test_counted_runs_stand_in_german_where_the_nominative_does():
     for found in (both, replace(both, is_proven=False)):
         with speaking("de"):
             (text,) = doubt_sentences((), found, n_runs=107)
-        assert "65, diese hier 64 (insgesamt 107 Läufe, auf" in text
+        assert "65, diese hier 64 (insgesamt 107 Läufe, nach" in text

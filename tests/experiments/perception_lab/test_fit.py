@@ -7,12 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 from command_results import answer
 
 from experiments.export.json import to_json
 from experiments.perception_lab import fit as job
+from experiments.perception_lab.dataset import DatasetRecord
 from placement.compute import Compute
 from placement.detectors import VRU_CLASSES, load_detector
 from placement.detectors.network import ImageBoxes, NetworkDetector
@@ -358,6 +360,20 @@ def test_contradictory_options_are_refused(run, options, line):
     assert code == 2
     assert out == ""
     assert line in err.splitlines()[-1]
+
+
+def test_a_fit_to_the_detections_that_dataset_writes_is_refused(run, tmp_path):
+    made = dict.fromkeys(("every", "seed"), 0)
+    made |= dict.fromkeys(("masks", "depth", "vehicles", "vary"), False)
+    made |= dict.fromkeys(("schema", "format", "scene", "lidar"), "")
+    manifest = DatasetRecord(**made, detector="geometric", units=(), drives=())
+    (tmp_path / "Eval").mkdir()
+    (tmp_path / "dataset.json").write_bytes(msgspec.json.encode(manifest))
+    code, out, err = run("detector fit --recording", tmp_path)
+    assert (code, out) == (2, "")
+    line = err.splitlines()[-1]
+    assert "dataset.json: got detections of geometric, a built-in rule;" in line
+    assert "write them into Eval and take dataset.json away" in line
 
 
 class _Oracle:

@@ -2,6 +2,7 @@
 the same.
 """
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from geometry.lidar import load_lidars
 from geometry.weather import load_weathers
 from placement.compute import Compute
 from placement.detectors import load_detector
+from placement.detectors.evidence import Detections
 from placement.evaluator import evaluate as watch_module
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout
@@ -48,6 +50,23 @@ def runs(build_run):
 @pytest.fixture
 def setting(build_scene, build_setting, runs):
     return build_setting(build_scene(WALL), runs)
+
+
+class NeverFinds:
+    """A network that takes a minute for each picture, in which it finds nobody."""
+
+    name = "net"
+    needs_pictures = True
+    seconds_per_picture = 60.0
+    min_box_height_px = 1.0
+    lidar = None
+
+    def detect(self, evidence, rng):
+        return Detections(
+            row_index=np.zeros(0, dtype=np.int64),
+            boxes_px=np.zeros((0, 4)),
+            confidence=np.zeros(0),
+        )
 
 
 @pytest.fixture
@@ -185,12 +204,25 @@ def test_a_damaged_file_is_made_anew(setting, tmp_path, looked, caplog):
 
 
 def test_what_a_network_finds_is_not_kept(setting, tmp_path):
-    class Network:
-        needs_pictures = True
-
     kept = watch_module._open_cache(
-        replace(setting, detector=Network()), Compute(cache_folder=tmp_path)
+        replace(setting, detector=NeverFinds()), Compute(cache_folder=tmp_path)
     )
     kept.add({"a": np.zeros(1)})
 
     assert not list(tmp_path.iterdir())
+
+
+def test_how_long_a_network_will_look_is_told_before_it_begins(setting, caplog):
+    told = []
+
+    class Network(NeverFinds):
+        def detect(self, evidence, rng):
+            told.append(caplog.text)
+            return super().detect(evidence, rng)
+
+    evaluate_layout(LAYOUT, replace(setting, detector=Network()))
+
+    # A picture takes a minute.
+    line = r"([1-9]\d+) pictures for the network: about \1 minutes of processor time"
+    assert told
+    assert all(re.search(line, text) for text in told)
