@@ -325,7 +325,7 @@ def _explained(result: PlacementResult) -> list[Part]:
     if result.front is None:
         return explanation_parts(result.explained)
     bought = Part(
-        title=tr("What each unit buys:"),
+        title=tr("The highest APR with fewer units, nothing given up for failures:"),
         words=result.front.sentences,
         table=front.table(result.front),
         notes=front.notes(result.front),

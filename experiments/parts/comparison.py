@@ -40,6 +40,7 @@ from ..results.record import (
     says,
 )
 from ..results.tables import margin_s
+from .accidents import layouts_table
 from .baselines import Baselines
 from .baselines import words as baseline_words
 from .sampled_worlds import SampledPairRecord, SampledRecord, is_open
@@ -282,17 +283,15 @@ def section(
         side_by_side_table(evaluations, rule, baselines),
         _meaning(),
         *([Bullets(sentences)] if sentences else []),
-        Subheading(tr("Which runs differ")),
-        (
-            Table(
-                caption=tr("Runs that only one of two layouts avoids"),
-                columns=[tr("avoided by"), tr("not by"), tr("how many"), tr("which")],
-                rows=rows,
-            )
-            if rows
-            else tr("All layouts avoid the same runs.")
-        ),
+        layouts_table(evaluations),
     ]
+    if rows:
+        differ = tr("Runs that only one of two layouts avoids")
+        columns = [tr("avoided by"), tr("not by"), tr("how many"), tr("which")]
+        table = Table(caption=differ, columns=columns, rows=rows, summary=differ)
+        blocks.append(table)
+    else:
+        blocks.append(tr("All layouts avoid the same runs."))
     if sampled is not None and sampled.pairs:
         blocks += [
             Subheading(tr("Is the difference sure?")),

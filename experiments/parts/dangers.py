@@ -4,7 +4,7 @@ Runs that nobody avoids, by case and place, and their map.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -244,9 +244,11 @@ def section(
         )
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
     if len(groups_by(setting.axis, "position")) > 1:
-        blocks += [
+        of_subject, *of_others = [
             position_table(name, mask, setting.axis) for name, mask in avoided.items()
         ]
+        blocks.append(of_subject)
+        blocks += [replace(table, summary=table.caption) for table in of_others]
     return Section("dangers", tr("Where it is still dangerous"), blocks)
 
 

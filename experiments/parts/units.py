@@ -16,7 +16,7 @@ from placement.layout import Layout
 from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
-from ..figures.plan import compass_word, looking_words, plot_plan
+from ..figures.plan import looking_words, plot_plan
 from ..language import localized, tr, trn
 from ..results.numbers import NOTHING, number, percent
 from ..results.record import Record, Share, build_unit_records, says
@@ -53,10 +53,8 @@ def units_section(
             "coordinates; height is that above the ground below."
         )
     angles = tr(
-        "The bearing is that of a compass, clockwise from north; yaw is "
-        "counted counter-clockwise from east; pitch is negative where the "
-        "sensor looks down. An assumed site is one that the map does not "
-        "have, or not there."
+        "The bearing is that of a compass, clockwise from north. An assumed site is"
+        " one that the map does not have, or not there."
     )
     note = f"{heights} {angles}"
     tables = [unit_table(name, layout, scene) for name, layout in layouts.items()]
@@ -70,10 +68,12 @@ def units_section(
 def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
     """The units of a layout, a row each."""
     labels = unit_labels(layout)
+    # Short ids are marks themselves.
+    has_ids = any(mark != unit_id for unit_id, mark in labels.items())
     rows = [
         [
             labels[record.id],
-            record.id,
+            *([record.id] if has_ids else []),
             (
                 tr("{site} (assumed)", site=record.site)
                 if record.assumed
@@ -87,9 +87,6 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
             ),
             number(compass_bearing_deg(record.yaw_deg), 1),
             number(-record.pitch_deg, 1),
-            number(record.yaw_deg, 1),
-            number(record.pitch_deg, 1),
-            compass_word(unit),
             record.camera or record.lidar,
         ]
         for unit, record in zip(
@@ -101,8 +98,8 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
     return Table(
         caption=caption,
         columns=[
-            tr("mark"),
-            tr("id"),
+            tr("unit"),
+            *([tr("id")] if has_ids else []),
             tr("site"),
             tr("kind"),
             tr("where"),
@@ -111,13 +108,10 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
             tr("height (m)"),
             tr("bearing (°)"),
             tr("tilt down (°)"),
-            tr("yaw (°)"),
-            tr("pitch (°)"),
-            tr("looks to the"),
             tr("sensor"),
         ],
         rows=rows,
-        numeric=range(5, 12),
+        numeric=range(4 + has_ids, 9 + has_ids),
         summary=(
             tr("Units of {name}: all {n}", name=name, n=len(rows)) if is_long else ""
         ),

@@ -92,7 +92,6 @@ def test_every_kind_is_small_and_tells_what_it_is_about(browser, addresses):
             assert page.is_visible("#player-plan svg")
     assert {
         "Why these poses",
-        "What each unit buys",
     } <= set(headings["placement"])
     assert {"Side by side", "If the world is not as planned"} <= set(
         headings["comparison"]
