@@ -10,13 +10,13 @@ from typing import Annotated
 from geometry.junction import compass_bearing_deg
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
-from placement.candidates import CandidatePose, above_ground
+from placement.candidates import CandidatePose, above_ground, is_ring
 from placement.forbidden_views import ForbiddenAreas
 from placement.layout import Layout
 from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
-from ..figures.plan import looking_words, plot_plan
+from ..figures.plan import compass_word, looking_words, plot_plan
 from ..language import localized, tr, trn
 from ..results.numbers import NOTHING, number, percent
 from ..results.record import Record, Share, build_unit_records, says
@@ -85,7 +85,11 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
                 number(value)
                 for value in above_ground(unit, scene).pose.position_m.tolist()
             ),
-            number(compass_bearing_deg(record.yaw_deg), 1),
+            (
+                compass_word(unit)
+                if is_ring(unit.sensor)
+                else number(compass_bearing_deg(record.yaw_deg), 1)
+            ),
             number(-record.pitch_deg, 1),
             record.camera or record.lidar,
         ]
