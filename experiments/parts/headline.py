@@ -261,7 +261,11 @@ def _mounted(result: Result) -> str:
     lidars = trn("one LiDAR", "{count} LiDARs", n_lidars, count=_spelled(n_lidars))
     units = [words for n, words in ((n_cameras, cameras), (n_lidars, lidars)) if n]
     poles = trn("one pole", "{count} poles", n_poles, count=_spelled(n_poles))
-    return tr("{units} on {poles}", units=joined(units), poles=poles)
+    words = tr("{units} on {poles}", units=joined(units), poles=poles)
+    n_existing = len(result.existing)
+    if n_existing:
+        return tr("{mounted} ({n} exist)", mounted=words, n=_spelled(n_existing))
+    return words
 
 
 def _spelled(count: int) -> str:

@@ -3,7 +3,7 @@
 Tables of where they are, plans, and the private ground that they see.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Annotated
 
@@ -36,11 +36,14 @@ MAX_AREAS = 60
 
 
 def units_section(
-    layouts: Mapping[str, Layout], plans: Sequence[Picture], scene: Scene
+    layouts: Mapping[str, Layout],
+    plans: Sequence[Picture],
+    scene: Scene,
+    existing: Collection[str] = (),
 ) -> Section:
     """Places and directions of units, with a plan of each layout.
 
-    Layouts are given by display name.
+    Layouts are given by display name; `existing` are ids of mounted units.
     """
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
     heights = tr(
@@ -57,7 +60,9 @@ def units_section(
         " one that the map does not have, or not there."
     )
     note = f"{heights} {angles}"
-    tables = [unit_table(name, layout, scene) for name, layout in layouts.items()]
+    tables = [
+        unit_table(name, layout, scene, existing) for name, layout in layouts.items()
+    ]
     return Section(
         "units",
         tr("The units"),
@@ -65,38 +70,40 @@ def units_section(
     )
 
 
-def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
-    """The units of a layout, a row each."""
+def unit_table(
+    name: str, layout: Layout, scene: Scene, existing: Collection[str] = ()
+) -> Table:
+    """The units of a layout, a row each; `existing` are ids of mounted ones."""
     labels = unit_labels(layout)
     # Short ids are marks themselves.
     has_ids = any(mark != unit_id for unit_id, mark in labels.items())
-    rows = [
-        [
-            labels[record.id],
-            *([record.id] if has_ids else []),
-            (
-                tr("{site} (assumed)", site=record.site)
-                if record.assumed
-                else record.site or NOTHING
-            ),
-            tr(record.kind or NOTHING),
-            tr(record.place or NOTHING),
-            *(
-                number(value)
-                for value in above_ground(unit, scene).pose.position_m.tolist()
-            ),
-            (
-                compass_word(unit)
-                if is_ring(unit.sensor)
-                else number(compass_bearing_deg(record.yaw_deg), 1)
-            ),
-            number(-record.pitch_deg, 1),
-            record.camera or record.lidar,
-        ]
-        for unit, record in zip(
-            layout.units, build_unit_records(layout, scene), strict=True
+    rows = []
+    for unit, record in zip(
+        layout.units, build_unit_records(layout, scene), strict=True
+    ):
+        name_of_unit = labels[record.id]
+        if record.id in existing:
+            name_of_unit = tr("{unit} (existing)", unit=name_of_unit)
+        site = record.site or NOTHING
+        if record.assumed:
+            site = tr("{site} (assumed)", site=site)
+        bearing = number(compass_bearing_deg(record.yaw_deg), 1)
+        if is_ring(unit.sensor):
+            bearing = compass_word(unit)
+        position_m = above_ground(unit, scene).pose.position_m.tolist()
+        rows.append(
+            [
+                name_of_unit,
+                *([record.id] if has_ids else []),
+                site,
+                tr(record.kind or NOTHING),
+                tr(record.place or NOTHING),
+                *map(number, position_m),
+                bearing,
+                number(-record.pitch_deg, 1),
+                record.camera or record.lidar,
+            ]
         )
-    ]
     caption = tr("Units of {name}", name=name)
     is_long = len(rows) > _MAX_FLAT_ROWS
     return Table(
@@ -123,10 +130,17 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
 
 
 def build_plans(
-    setting: Setting, detailed: Mapping[str, Layout], others: Sequence[Layout]
+    setting: Setting,
+    detailed: Mapping[str, Layout],
+    others: Sequence[Layout],
+    existing: Collection[str] = (),
 ) -> list[Picture]:
-    """A plan of each layout, drawn narrower where several stand side by side."""
-    draw = partial(plot_plan, setting, others=others, max_range_m=_PLAN_RANGE_M)
+    """A plan of each layout, drawn narrower where several stand side by side.
+
+    `existing` are ids of mounted units.
+    """
+    same = {"others": others, "existing": existing, "max_range_m": _PLAN_RANGE_M}
+    draw = partial(plot_plan, setting, **same)
     are_few = all(
         len(layout.units) <= _MAX_NARROW_UNITS for layout in detailed.values()
     )

@@ -130,13 +130,18 @@ def build_report(
     if len(detailed) == 1:
         others = [item.layout for item in [*shown.values()][1:]]
     drawn = {name: item.layout for name, item in detailed.items()}
-    plan, *plans = build_plans(setting, drawn, others)
+    plan, *plans = build_plans(setting, drawn, others, result.existing)
     pictures = {"plan": plan}
     bill = bill or build_bill(subject.layout, setting.scene)
     labels = unit_labels(subject.layout)
     layouts = {name: item.layout for name, item in shown.items()}
     sections: list[Section | None] = [
-        units_section({name: layouts[name] for name in detailed}, plans, setting.scene),
+        units_section(
+            {name: layouts[name] for name in detailed},
+            plans,
+            setting.scene,
+            result.existing,
+        ),
         accidents_section(detailed, is_optimised=isinstance(result, PlacementResult)),
         added.section(result.added),
         road_users.section(result.road_users),
@@ -155,7 +160,13 @@ def build_report(
         cases_section(setting),
         runs_section(evaluations),
         again_section(result, command),
-        comparison.section(evaluations, setting.rule, result.baselines, result.sampled),
+        comparison.section(
+            evaluations,
+            setting.rule,
+            result.baselines,
+            result.sampled,
+            result.existing,
+        ),
     ]
     if isinstance(result, PlacementResult):
         sections += explanation_sections(result.explained, labels)

@@ -79,7 +79,7 @@ def test_heights_are_those_above_the_ground_below(hill, layout):
     for unit in layout.units:
         assert above_ground(unit, hill).pose.position_m[2] == pytest.approx(6.0)
         assert above_ground(unit, load_study_scene()) is unit
-    assert [row[7] for row in unit_table("hill", layout, hill).rows] == ["6.00"] * 4
+    assert [row[6] for row in unit_table("hill", layout, hill).rows] == ["6.00"] * 4
 
 
 def test_a_unit_may_hang_below_the_height_of_the_middle_but_not_in_the_ground(hill):
