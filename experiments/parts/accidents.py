@@ -14,8 +14,8 @@ from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
 from geometry.catalogue import sensor_kind
 from geometry.footprints import footprint_corners
+from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr, detected_share, run_outcome
-from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.cases import Case
 from scenarios.positions import load_position_rules
@@ -39,9 +39,9 @@ def is_weighted(axis: FrameAxis) -> bool:
     return not np.allclose(axis.weight, axis.weight[0], rtol=1.0e-9, atol=0.0)
 
 
-def count_sensors(layout: Layout) -> str:
+def count_sensors(units: Sequence[CandidatePose]) -> str:
     """'1 camera', '2 cameras and 1 LiDAR' and so on."""
-    kinds = [sensor_kind(unit.sensor) for unit in layout.units]
+    kinds = [sensor_kind(unit.sensor) for unit in units]
     return sensor_words(kinds.count("camera"), kinds.count("lidar"))
 
 
@@ -187,7 +187,7 @@ def _table_of_parties(
 def _layouts(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
     """All units of each layout together, by the heads of columns."""
     return {
-        f"{tr(name)}: {count_sensors(item.layout)}": item.rsu_all
+        f"{tr(name)}: {count_sensors(item.layout.units)}": item.rsu_all
         for name, item in evaluations.items()
     }
 
