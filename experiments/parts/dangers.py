@@ -193,22 +193,17 @@ def section(
         name: avoided_runs(shown[name], "any" if order else fusion)
         for order, name in enumerate(names)
     }
-    widths = (NARROW_IN,) if len(avoided) > 1 else (WIDTH_IN, NARROW_IN)
     places = find_places(setting)
     pictures = []
     for name, mask in avoided.items():
-        drawn = [
-            plot_dangers(
-                setting, shown[name].layout, mask, places=places, width_in=width
-            )
-            for width in widths
-        ]
+        drawn = plot_dangers(
+            setting, shown[name].layout, mask, places=places, width_in=NARROW_IN
+        )
         n_left = sum(
             place.share_avoided(mask, setting.axis.weight) < 1.0 for place in places
         )
         picture = build_picture(
-            drawn[0],
-            narrow=drawn[1] if len(drawn) > 1 else None,
+            drawn,
             title=tr("Where it is still dangerous with {name}", name=name),
             caption=tr(
                 "Places with runs that are not avoided: {n} of {all}.",

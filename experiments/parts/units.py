@@ -84,7 +84,8 @@ def unit_table(
         name_of_unit = labels[record.id]
         if record.id in existing:
             name_of_unit = tr("{unit} (existing)", unit=name_of_unit)
-        site = record.site or NOTHING
+        kind = record.kind and tr(record.kind)
+        site = " ".join(filter(None, (kind, record.site))) or NOTHING
         if record.assumed:
             site = tr("{site} (assumed)", site=site)
         bearing = number(compass_bearing_deg(record.yaw_deg), 1)
@@ -96,7 +97,6 @@ def unit_table(
                 name_of_unit,
                 *([record.id] if has_ids else []),
                 site,
-                tr(record.kind or NOTHING),
                 tr(record.place or NOTHING),
                 *map(number, position_m),
                 bearing,
@@ -112,7 +112,6 @@ def unit_table(
             tr("unit"),
             *([tr("id")] if has_ids else []),
             tr("site"),
-            tr("kind"),
             tr("where"),
             tr("east (m)"),
             tr("north (m)"),
@@ -122,7 +121,7 @@ def unit_table(
             tr("sensor"),
         ],
         rows=rows,
-        numeric=range(4 + has_ids, 9 + has_ids),
+        numeric=range(3 + has_ids, 8 + has_ids),
         summary=(
             tr("Units of {name}: all {n}", name=name, n=len(rows)) if is_long else ""
         ),

@@ -81,7 +81,7 @@ def test_heights_are_those_above_the_ground_below(hill, layout):
     for unit in layout.units:
         assert above_ground(unit, hill).pose.position_m[2] == pytest.approx(6.0)
         assert above_ground(unit, load_study_scene()) is unit
-    assert [row[6] for row in unit_table("hill", layout, hill).rows] == ["6.00"] * 4
+    assert [row[5] for row in unit_table("hill", layout, hill).rows] == ["6.00"] * 4
     assert [one.height_m for one in build_unit_records(layout, hill)] == [6.0] * 4
     flat = build_unit_records(layout, load_study_scene())
     assert [one.height_m for one in flat] == [None] * 4
