@@ -113,11 +113,13 @@ def mounting_sheet(
         for unit, tolerance, place in zip(
             layout.units, tolerances, placed, strict=True
         ):
-            rows = _rows(unit, setting.scene, tolerance, place)
+            rows = _rows(unit, setting.scene, place)
             label = labels[unit.id]
             title = label if label == unit.id else f"{label}: {unit.id}"
             if unit.id in existing:
                 title = tr("{unit}: existing, do not touch", unit=title)
+            else:
+                rows.append((tr("Aim to within"), _tolerance_text(tolerance)))
             what = tr(
                 "{scene}, layout {name}; place-rsus {version}, {date}; planned by"
                 " {blank}",
@@ -128,6 +130,7 @@ def mounting_sheet(
                 blank=16 * "_",
             )
             figure = Figure(figsize=_A4_IN)
+            # What must not be touched is seen at a glance.
             colour = VERMILION if unit.id in existing else "black"
             bold: Style = {"fontsize": 20, "fontweight": "bold", "color": colour}
             figure.text(_LEFT, 0.955, literal(title), **bold)
@@ -194,7 +197,7 @@ def _write_as_built(figure: Figure) -> None:
 
 
 def _rows(
-    unit: CandidatePose, scene: Scene, tolerance: Tolerance, place: Mapping[str, Any]
+    unit: CandidatePose, scene: Scene, place: Mapping[str, Any]
 ) -> list[tuple[str, str]]:
     level = above_ground(unit, scene)
     z = float(level.pose.position_m[2])
@@ -216,11 +219,8 @@ def _rows(
     ]
     if isinstance(unit.sensor, CameraModel):
         rows.append((tr("Aim"), _aim(unit, scene)))
-    return [
-        *rows,
-        (tr("Aim to within"), _tolerance_text(tolerance)),
-        (tr("Landmarks"), "\n".join(_landmarks(unit, scene)) or tr("none within 40 m")),
-    ]
+    landmarks = "\n".join(_landmarks(unit, scene)) or tr("none within 40 m")
+    return [*rows, (tr("Landmarks"), landmarks)]
 
 
 def _sensor(sensor: Sensor) -> str:

@@ -5,6 +5,8 @@ import msgspec
 import pytest
 from command_results import answer
 from kept_backdrops import kept_backdrop
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.text import Text
 
 from experiments.cli.export import sheet_text
 from experiments.parts import sheet
@@ -18,6 +20,8 @@ from placement.explain.tolerances import Tolerance
 from placement.layout import Layout
 from placement.question import Question
 
+savefig = PdfPages.savefig
+
 
 @pytest.fixture
 def run_sheet(run, small_setting, monkeypatch):
@@ -29,7 +33,16 @@ def run_sheet(run, small_setting, monkeypatch):
 
 # Quickly: test_no_word_of_a_sheet_is_left_over in tests/experiments/test_language.py
 @pytest.mark.long
-def test_a_page_for_each_unit(run_sheet, tmp_path):
+def test_a_page_for_each_unit(run_sheet, tmp_path, monkeypatch):
+    pages = []
+    monkeypatch.setattr(
+        PdfPages,
+        "savefig",
+        lambda self, figure: (
+            pages.append([text.get_text() for text in figure.findobj(Text)]),
+            savefig(self, figure),
+        ),
+    )
     unit = {"site": "", "z_m": 8.0, "yaw_deg": -135.0, "pitch_deg": -25.0}
     camera = unit | {
         "id": "a$b_雪",
@@ -40,11 +53,17 @@ def test_a_page_for_each_unit(run_sheet, tmp_path):
     lidar = unit | {"id": "L", "x_m": -113.5, "y_m": 8.6, "lidar": "carla-ncap-lidar"}
     layout = tmp_path / "layout.json"
     layout.write_text(json.dumps({"name": "mine", "layout": [camera, lidar]}))
+    kept = tmp_path / "kept.json"
+    kept.write_text(json.dumps({"name": "kept", "layout": [camera]}))
     out = tmp_path / "new/sheet.pdf"
-    summary = json.loads(
-        answer(run_sheet("--layout", layout, "--out", out, "--json --quiet"))
-    )
+    asked = ("--layout", layout, "--keep", kept, "--out", out, "--json --quiet")
+    summary = json.loads(answer(run_sheet(*asked)))
     assert [entry["unit_id"] for entry in summary["units"]] == ["a$b_雪", "L"]
+    first, second = pages
+    assert any(text.endswith("existing, do not touch") for text in first)
+    assert not any(text.endswith("existing, do not touch") for text in second)
+    # Nobody aims what is not to be touched.
+    assert ["Aim to within" in page for page in pages] == [False, True]
     pdf = out.read_bytes()
     assert pdf.startswith(b"%PDF")
     assert pdf.count(b"/Type /Page\n") == 2 or pdf.count(b"/Type /Page ") == 2
@@ -107,9 +126,9 @@ def test_rows_say_what_one_sees_on_site_and_where_in_metres_of_the_map():
     none = Tolerance(
         unit_id="U1", yaw_deg=(0.0, 0.5), pitch_deg=(0.0, 15.0), height_m=(0.0, 0.05)
     )
-    rows = dict(sheet._rows(unit, scene, none, {}))
+    rows = dict(sheet._rows(unit, scene, {}))
     assert "WGS 84 / UTM zone 32N" in rows["Where"]
-    assert rows["Aim to within"].splitlines()[:2] == [
+    assert sheet._tolerance_text(none).splitlines()[:2] == [
         "0.5\N{DEGREE SIGN} to the left, less than 0.5\N{DEGREE SIGN} to the right",
         "15\N{DEGREE SIGN} or more up, less than 0.5\N{DEGREE SIGN} down",
     ]
