@@ -138,8 +138,13 @@ def build_plans(
 
     `existing` are ids of mounted units.
     """
-    same = {"others": others, "existing": existing, "max_range_m": _PLAN_RANGE_M}
-    draw = partial(plot_plan, setting, **same)
+    draw = partial(
+        plot_plan,
+        setting,
+        others=others,
+        existing=existing,
+        max_range_m=_PLAN_RANGE_M,
+    )
     are_few = all(
         len(layout.units) <= _MAX_NARROW_UNITS for layout in detailed.values()
     )
