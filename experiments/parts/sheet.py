@@ -152,10 +152,9 @@ def _write_rows(figure: Figure, rows: Sequence[tuple[str, str]]) -> float:
             for line in textwrap.wrap(part, _LINE_LETTERS) or [""]
         ]
         figure.text(_LEFT, top, head, fontsize=9, fontweight="bold", va="top")
-        for line in lines:
-            figure.text(0.27, top, literal(line), fontsize=9, va="top")
-            top -= _LINE_HEIGHT
-        top -= 0.004
+        shown = literal("\n".join(lines))
+        figure.text(0.27, top, shown, fontsize=9, va="top", linespacing=1.23)
+        top -= _LINE_HEIGHT * len(lines) + 0.004
     return top
 
 
@@ -254,19 +253,17 @@ def _coordinates(unit: CandidatePose, scene: Scene, place: Mapping[str, Any]) ->
     x, y = surveyed_m[0, :2].tolist()
     lines = []
     crs = place.get("map_crs", "")
-    metres = (place.get("map_x"), place.get("map_y"))
     if scene.crs:
         lon_deg, lat_deg = to_geographic(surveyed_m, scene.crs)[0].tolist()
         if not crs or parse_crs(crs).is_geographic:
-            # The zones of UTM are 6 degrees wide, the first one begins at 180 west.
-            zone = int((lon_deg + 180.0) // 6.0) % 60 + 1
-            crs = f"EPSG:{(32600 if lat_deg >= 0.0 else 32700) + zone}"
-            metres = tuple(transform(surveyed_m[:, :2], scene.crs, crs)[0].tolist())
+            lines.append(_utm(surveyed_m[:, :2], scene.crs, lon_deg, lat_deg))
         lines.append(
             tr("{lat:.6f}° latitude, {lon:.6f}° longitude", lat=lat_deg, lon=lon_deg)
         )
-    if None not in metres:
-        of_map = tr("east {x:.2f} m, north {y:.2f} m", x=metres[0], y=metres[1])
+    if not lines[1:] and "map_x" in place:
+        of_map = tr(
+            "east {x:.2f} m, north {y:.2f} m", x=place["map_x"], y=place["map_y"]
+        )
         if crs:
             of_map = f"{of_map} ({parse_crs(crs).name})"
         lines.insert(0, of_map)
@@ -274,6 +271,24 @@ def _coordinates(unit: CandidatePose, scene: Scene, place: Mapping[str, Any]) ->
         tr("{x:.2f} m east, {y:.2f} m north in the junction's coordinates", x=x, y=y)
     )
     return "\n".join(lines)
+
+
+def _utm(place_m: FloatArray, crs: str, lon_deg: float, lat_deg: float) -> str:
+    """A place (1, 2) of a reference system in metres of its zone of UTM."""
+    # The zones are 6 degrees wide, and the first one begins at 180 degrees west.
+    zone = int((lon_deg + 180.0) // 6.0) % 60 + 1
+    is_north = lat_deg >= 0.0
+    first_code = 32600 if is_north else 32700
+    code = f"EPSG:{first_code + zone}"
+    x, y = transform(place_m, crs, code)[0].tolist()
+    hemisphere = "N" if is_north else "S"
+    return tr(
+        "UTM zone {zone}: east {x:.2f} m, north {y:.2f} m ({code})",
+        zone=f"{zone}{hemisphere}",
+        x=x,
+        y=y,
+        code=code,
+    )
 
 
 def _aim(unit: CandidatePose, scene: Scene) -> str:

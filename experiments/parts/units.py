@@ -161,10 +161,9 @@ def build_plans(
                 "Plan of {scene} with {name}", scene=setting.scene.name, name=name
             ),
             caption=tr(
-                "Coloured outlines: the ground in each sensor's field of view, up "
-                "to {range:g} m; they see farther. Walls and parked cars hide "
-                "parts of it, which is taken into account in the numbers but not "
-                "drawn here.",
+                "Coloured: the ground in each sensor's field of view up to {range:g} m;"
+                " it sees farther. What walls and parked cars hide of it counts in the"
+                " numbers, and is not drawn.",
                 range=_PLAN_RANGE_M,
             ),
             alt=tr("Plan of the junction, north up.") + " " + _units_in_words(layout),

@@ -127,7 +127,7 @@ def test_rows_say_what_one_sees_on_site_and_where_in_metres_of_the_map():
         unit_id="U1", yaw_deg=(0.0, 0.5), pitch_deg=(0.0, 15.0), height_m=(0.0, 0.05)
     )
     rows = dict(sheet._rows(unit, scene, {}))
-    assert "WGS 84 / UTM zone 32N" in rows["Where"]
+    assert rows["Where"].startswith("UTM zone 32N: east 426744.86 m, north 542792")
     assert sheet._tolerance_text(none).splitlines()[:2] == [
         "0.5\N{DEGREE SIGN} to the left, less than 0.5\N{DEGREE SIGN} to the right",
         "15\N{DEGREE SIGN} or more up, less than 0.5\N{DEGREE SIGN} down",
