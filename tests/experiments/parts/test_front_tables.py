@@ -8,13 +8,13 @@ import pytest
 from small_tables import avoiding_problem
 
 from experiments.export.json import to_json_text
-from experiments.figures.front import plot_front
 from experiments.parts.front import (
     FrontRecord,
     describe_front,
     notes,
 )
 from experiments.parts.front import table as front_table
+from experiments.parts.front_curves import plot_front
 from experiments.results.record import to_plain
 from geometry.poses import Pose
 from placement.candidates import CandidatePose

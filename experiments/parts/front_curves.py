@@ -9,9 +9,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure
 from ..language import mark, tr
-from ..parts.front import FrontPointRecord, FrontRecord, stage_of
-from .axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure
+from .front import FrontPointRecord, FrontRecord, stage_of
 
 _SETTLED = "#ececec"
 # Told apart by marker and dashes as well as by colour.
