@@ -583,9 +583,10 @@ def run_sheet(
     check_folder(out.parent)
     progress.kept = f"nothing was written to {out}"
     progress(mark("setting"), 0, 0)
-    setting = build_setting(question, load_scene(question.scene), compute=compute)
+    scene = load_scene(question.scene)
+    existing = _mounted_already(question, layout, scene)
+    setting = build_setting(question, scene, compute=compute)
     check_layout(layout, setting.scene)
-    existing = _mounted_already(question, layout, setting.scene)
     progress(mark("tolerances"), 0, 0)
     tolerances = find_tolerances(setting, layout.units, compute=compute)
     progress(WRITING, 0, 0)

@@ -86,6 +86,19 @@ def test_bad_input_is_one_line(run_sheet, tmp_path):
         ),
         (["--layout", "gone.json", "--out", tmp_path / "a.pdf"], "gone.json"),
         (["--layout", "carlancap-12"], "Missing option '--out'"),
+        (
+            [
+                *(
+                    "--layout",
+                    "carlancap-12",
+                    "--out",
+                    tmp_path / "a.pdf",
+                    "--keep",
+                    "no",
+                )
+            ],
+            "--keep: got 'no'",
+        ),
     ):
         code, _, err = run_sheet(*arguments, "--quiet")
         assert (code, message in err) == (2, True), err
