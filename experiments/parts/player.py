@@ -82,6 +82,9 @@ def interactive_part(
         n_bytes += len(to_script_json(records[-1]))
         if n_bytes > _MAX_BYTES:
             break
+    first = 0
+    if not firsts:
+        first = shows.index(max(shows))
     views = GroundViews(setting)
     seen = [{"view": svg_path(views.shape(unit))} for unit in units]
     known = unit_records(subject.layout, setting.scene)
@@ -90,7 +93,7 @@ def interactive_part(
         "units": [record | view for record, view in zip(known, seen, strict=True)],
         "parties": party_records(evaluations),
         "runs": records,
-        "first": 0 if firsts else shows.index(max(shows)),
+        "first": first,
     }
     return {
         "n_runs": len(records),
