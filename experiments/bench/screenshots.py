@@ -40,7 +40,6 @@ _GERMAN_SIZES_PX = {"desktop": (1280, 800), "phone": (390, 844)}
 _REPORT_SIZES_PX = {"desktop": (1280, 1600), "phone": (360, 1400)}
 _REPORT_PARTS = (
     "Where to mount",
-    "What each unit buys",
     "If a unit or a pole fails",
     "Watch a run",
     "Bill of materials",

@@ -4,7 +4,7 @@ Parts that are short fit on a screen together: what is not avoided, what to moun
 proof, and what it is compared with. With ``--verbose`` all are printed.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from geometry.junction import compass_bearing_deg
@@ -87,7 +87,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         *_head(result),
         Part(
             title=best,
-            table=_units_table(result.layout),
+            table=_units_table(result.layout, result.existing),
             notes=[*unit_notes(result.layout), _cost(result)],
             is_short=True,
         ),
@@ -148,7 +148,7 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
         *_head(result),
         Part(
             title=tr("{name} on {runs} runs{cars}:", name=result.name, **basis(result)),
-            table=_units_table(units),
+            table=_units_table(units, result.existing),
             notes=[*([more] if n_left else []), *unit_notes(units), cost],
             is_short=not is_long,
         ),
@@ -326,7 +326,7 @@ def _explained(result: PlacementResult) -> list[Part]:
     if result.front is None:
         return explanation_parts(result.explained)
     bought = Part(
-        title=tr("What each unit buys:"),
+        title=tr("The highest APR with fewer units, nothing given up for failures:"),
         words=result.front.sentences,
         table=front.table(result.front),
         notes=front.notes(result.front),
@@ -355,8 +355,8 @@ def _last(out: Path | None) -> Part:
     return _said(*written, tr("--verbose prints why, APR by case, and all else."))
 
 
-def _units_table(units: Sequence[UnitRecord]) -> Table:
-    """Units, where they are mounted and look."""
+def _units_table(units: Sequence[UnitRecord], existing: Collection[str]) -> Table:
+    """Units, where they are mounted and look; `existing` are ids of mounted ones."""
     rows = []
     for unit in units:
         if unit.assumed:
@@ -365,7 +365,8 @@ def _units_table(units: Sequence[UnitRecord]) -> Table:
             site = unit.site
         tilt = tilt_words(unit.pitch_deg)
         bearing = compass_bearing_deg(unit.yaw_deg)
-        looks = [localized(f"{unit.z_m:.2f}"), localized(f"{bearing:.1f}"), tilt]
+        height_m = unit.z_m if unit.height_m is None else unit.height_m
+        looks = [localized(f"{height_m:.2f}"), localized(f"{bearing:.1f}"), tilt]
         stands = [localized(f"{unit.x_m:.2f}"), localized(f"{unit.y_m:.2f}")]
         kind = tr(unit.kind or "-")
         place = site
@@ -374,6 +375,8 @@ def _units_table(units: Sequence[UnitRecord]) -> Table:
                 place = f"{site}, {tr(unit.place)}"
             else:
                 place = tr(unit.place)
+        if unit.id in existing:
+            place = tr("{place} (existing)", place=place)
         rows.append([unit.id, kind, *looks, *stands, place])
     columns = [
         tr("unit"),

@@ -244,7 +244,7 @@ Examples:
     required=True,
     help="PDF file to write.",
 )
-@options.asking(*options.JUDGED, has_cache=False)
+@options.asking(*options.JUDGED, "keep", has_cache=False)
 def sheet(job: QuestionCall, *, layout_names: tuple[str, ...], out: Path) -> None:
     """Write a PDF for whoever mounts the units: a page each.
 

@@ -1,7 +1,7 @@
 """Plan of the junction: where the units are, and what ground they look at."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -32,6 +32,7 @@ from ..results.numbers import layout_words, shortened
 from . import labels
 from .axes import (
     BLUE,
+    GREY,
     UNIT_COLOURS,
     VERMILION,
     WIDTH_IN,
@@ -81,6 +82,7 @@ _PATHS: dict[str, tuple[str, Any, float]] = {
     "car": (mark("other car, to the collision point"), (0, (9.0, 3.0)), 1.2),
 }
 _FOUND: Style = {"markerfacecolor": BLUE, "markeredgecolor": "black"}
+_EXISTING: Style = {"markerfacecolor": GREY}
 _OTHER: Style = {"markerfacecolor": "white", "markeredgecolor": "#555555"}
 _CROSS: Style = {"marker": "X", "markerfacecolor": "black", "markeredgecolor": "white"}
 _IMPACT_STYLE: Style = _CROSS | {"markersize": 4.5, "linestyle": "none"}
@@ -247,6 +249,7 @@ def plot_plan(
     layout: Layout,
     *,
     others: Sequence[Layout] = (),
+    existing: Collection[str] = (),
     half_size_m: float | None = None,
     max_range_m: float = 35.0,
     width_in: float = WIDTH_IN,
@@ -264,6 +267,8 @@ def plot_plan(
         Drawn with labels and fields of view.
     others : sequence of Layout
         Drawn lighter, without fields of view.
+    existing : collection of str
+        Ids of units of the layout that are mounted already: their marks are grey.
     half_size_m : float, optional
         Half the side of the square that is shown, around the middle of the junction; by
         default 45, or what shows all units and places along the arms. [m]
@@ -279,7 +284,7 @@ def plot_plan(
     axes : Axes
         In metres, north up.
     """
-    entries = _plan_legend(setting, layout, others)
+    entries = _plan_legend(setting, layout, others, existing)
     if width_in < WIDTH_IN:
         n_columns = 1
     else:
@@ -306,7 +311,7 @@ def plot_plan(
     _draw_paths(axes, setting.runs)
     for unit in [unit for other in others for unit in other.units]:
         axes.plot(*unit.pose.position_m[:2], zorder=7, **_camera_marker(unit), **_OTHER)
-    _draw_units(axes, layout, scene, max_range_m)
+    _draw_units(axes, layout, scene, max_range_m, existing)
     show_square(axes, middle, half_size_m)
     # Labels come last, where they hide nothing that is drawn.
     names = [
@@ -373,7 +378,13 @@ def _path_style(name: str) -> Style:
     return {"color": "black", "linestyle": dashes, "linewidth": width}
 
 
-def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) -> None:
+def _draw_units(
+    axes: Axes,
+    layout: Layout,
+    scene: Scene,
+    max_range_m: float,
+    existing: Collection[str],
+) -> None:
     n_units = len(layout.units)
     for index, unit in enumerate(layout.units):
         colour = UNIT_COLOURS[index % len(UNIT_COLOURS)]
@@ -395,6 +406,8 @@ def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) ->
             )
         rank = sum(labels.looks_alike(unit, other) for other in layout.units[:index])
         style = _camera_marker(unit, rank) | _FOUND | {"markerfacecolor": colour}
+        if unit.id in existing:
+            style |= _EXISTING
         axes.plot(*unit.pose.position_m[:2], zorder=8, gid=f"unit:{unit.id}", **style)
 
 
@@ -449,7 +462,10 @@ def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
 
 
 def _plan_legend(
-    setting: Setting, layout: Layout, others: Sequence[Layout]
+    setting: Setting,
+    layout: Layout,
+    others: Sequence[Layout],
+    existing: Collection[str],
 ) -> list[Any]:
     line = partial(Line2D, [], [])
     bodies = {"vut", *(run.case.vru.class_name for run in setting.runs)}
@@ -476,6 +492,9 @@ def _plan_legend(
     if any(rings):
         label = literal(tr("{layout}: LiDAR that scans all round", layout=own))
         units.append(line(label=label, markersize=8.0, **_FOUND, **_ROUND_MARKER))
+    if existing:
+        grey = _FOUND | camera | _EXISTING
+        units.append(line(label=tr("existing: mounted already"), **grey))
     for name in dict.fromkeys(other.name for other in others):
         label = literal(
             tr("{layout}: camera", layout=shortened(layout_words(name), _MAX_NAME))

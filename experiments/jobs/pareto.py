@@ -24,7 +24,8 @@ from placement.wishes import assumed_prices, load_prices
 from ..export.json import to_json_text
 from ..figures.axes import to_png
 from ..language import mark, tr
-from ..parts.front import FrontRecord, describe_front, plot_front, stage_of
+from ..parts.front import FrontRecord, describe_front, stage_of
+from ..parts.front_curves import plot_front
 from ..progress import StageProgress
 from ..results.drives import RefusalRecord, build_drives_record, versions
 from ..results.folders import expect_files, save_files

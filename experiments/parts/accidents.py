@@ -6,6 +6,7 @@ APR of every party and unit, what is driven, and how every run ends.
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,10 +14,11 @@ from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
 from geometry.catalogue import sensor_kind
 from geometry.footprints import footprint_corners
+from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr, detected_share, run_outcome
-from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.cases import Case
+from scenarios.positions import load_position_rules
 from scenarios.runs import FrameAxis, Run
 
 from ..figures.axes import unit_labels
@@ -37,9 +39,9 @@ def is_weighted(axis: FrameAxis) -> bool:
     return not np.allclose(axis.weight, axis.weight[0], rtol=1.0e-9, atol=0.0)
 
 
-def count_sensors(layout: Layout) -> str:
+def count_sensors(units: Sequence[CandidatePose]) -> str:
     """'1 camera', '2 cameras and 1 LiDAR' and so on."""
-    kinds = [sensor_kind(unit.sensor) for unit in layout.units]
+    kinds = [sensor_kind(unit.sensor) for unit in units]
     return sensor_words(kinds.count("camera"), kinds.count("lidar"))
 
 
@@ -93,7 +95,8 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
     caption = tr("Accident prevention ratio by case")
     if several_weathers(axis):
         caption = tr("Accident prevention ratio by case and weather")
-    return _table_of_parties(evaluations, caption, _cases(axis), _groups(axis))
+    parties = _parties(evaluations)
+    return _table_of_parties(axis, parties, caption, _cases(axis), _groups(axis))
 
 
 _APR_BY: dict[GroupedBy, str] = {
@@ -114,26 +117,65 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     Only what there are several of.
     """
     axis = next(iter(evaluations.values())).axis
+    parties = _parties(evaluations)
     by: tuple[GroupedBy, ...] = ("speed", "direction", "position")
     tables = []
     for what in by:
         groups = [(tr(name), mask) for name, mask in groups_by(axis, what)]
+        if what == "speed":
+            groups = speed_groups(axis)
         if len(groups) > 1:
             caption = tr(_APR_BY[what])
             head = tr(HEADS_OF_GROUPS[what])
-            tables.append(_table_of_parties(evaluations, caption, head, groups))
+            table = _table_of_parties(axis, parties, caption, head, groups)
+            tables.append(replace(table, summary=caption))
     return tables
 
 
+def speed_groups(axis: FrameAxis) -> list[RunGroup]:
+    """Groups of runs by the car's speed, ascending.
+
+    A group has one speed where each place drives all speeds of its case. Else it has as
+    many as lie between two that a place drives: each place counts once in each group,
+    so that speeds and not places are compared. The slowest group may have fewer.
+    """
+    groups = groups_by(axis, "speed")
+    speeds_kmh = axis.vut_speed_kmh.tolist()
+    driven: dict[tuple[str, ...], set[float]] = {}
+    wanted: dict[str, set[float]] = {}
+    runs = zip(axis.cases, axis.approaches, axis.positions, speeds_kmh, strict=True)
+    for case, approach, position, speed_kmh in runs:
+        driven.setdefault((case, approach, position), set()).add(speed_kmh)
+        wanted.setdefault(case, set()).add(speed_kmh)
+    if all(found == wanted[place[0]] for place, found in driven.items()):
+        return groups
+    size = load_position_rules().every_nth_speed
+    found = []
+    for end in range(len(groups), 0, -size):
+        part = groups[max(0, end - size) : end]
+        name = part[0][0]
+        if len(part) > 1:
+            name = tr("{low} to {high}", low=name, high=part[-1][0])
+        found.append((name, np.logical_or.reduce([mask for _, mask in part])))
+    return found[::-1]
+
+
+def layouts_table(evaluations: Mapping[str, Evaluation]) -> Table:
+    """APR of layouts on the same runs: the rows of :func:`apr_table`."""
+    axis = next(iter(evaluations.values())).axis
+    caption = tr("Accident prevention ratio by case")
+    parties = _layouts(evaluations)
+    return _table_of_parties(axis, parties, caption, _cases(axis), _groups(axis))
+
+
 def _table_of_parties(
-    evaluations: Mapping[str, Evaluation],
+    axis: FrameAxis,
+    parties: Mapping[str, Verdict],
     caption: str,
     head: str,
     groups: Sequence[RunGroup],
 ) -> Table:
     """A row per group of runs, a column per party."""
-    axis = next(iter(evaluations.values())).axis
-    parties = _parties(evaluations)
     return Table(
         caption=caption,
         columns=[head, *parties],
@@ -142,14 +184,19 @@ def _table_of_parties(
     )
 
 
+def _layouts(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
+    """All units of each layout together, by the heads of columns."""
+    return {
+        f"{tr(name)}: {count_sensors(item.layout.units)}": item.rsu_all
+        for name, item in evaluations.items()
+    }
+
+
 def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
     """Columns of a table of APR, by their heads."""
     subject = next(iter(evaluations.values()))
     layouts = [(tr(name), item) for name, item in evaluations.items()]
-    parties = {
-        f"{name}: {count_sensors(item.layout)}": item.rsu_all for name, item in layouts
-    }
-    parties |= {tr("car (VUT) alone"): subject.vut}
+    parties = _layouts(evaluations) | {tr("car (VUT) alone"): subject.vut}
     parties |= {
         tr("car (VUT) and {name}", name=name): item.vut_and_rsus
         for name, item in layouts

@@ -16,7 +16,7 @@ from ..language import tr
 from ..results.numbers import in_points, percent
 from ..results.record import Record, says
 from ..results.tables import groups_by
-from .section import Section, Table
+from .section import Box, Section, Table
 
 MAX_UNITS = 24
 """Of larger layouts units are not told one by one."""
@@ -160,7 +160,7 @@ def section(record: Added | None) -> Section | None:
         tr("For cars that rely on the roadside alone, the most useful unit first"),
         record.alone,
     )
-    return Section("added", tr("What the units add"), [blind, seeing])
+    return Section("added", tr("What the units add"), [Box("beside", [blind, seeing])])
 
 
 def _unit_table(caption: str, units: Sequence[AddedUnit]) -> Table:

@@ -5,6 +5,7 @@ Heavy runs, other priorities, the evaluator, mounting, failures.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -559,7 +560,8 @@ def failures_section(
     failures = find_failures(evaluation, rule)
     tables = [failure_table(failures.one_failed, labels, of="unit")]
     if len(failures.two_failed) > 1:
-        tables.append(failure_table(failures.two_failed, labels, of="pair"))
+        pairs = failure_table(failures.two_failed, labels, of="pair")
+        tables.append(replace(pairs, summary=pairs.caption))
     if any(len(item.unit_ids) > 1 for item in failures.site_failed):
         tables.append(failure_table(failures.site_failed, labels, of="pole"))
     whose = tr(

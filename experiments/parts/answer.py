@@ -32,7 +32,15 @@ def title(
     place = " / ".join(streets) or setting.scene.name
     if isinstance(result, PlacementResult):
         subject = next(iter(evaluations.values()))
-        sensors = count_sensors(subject.layout)
+        kept = result.existing
+        new = [unit for unit in subject.layout.units if unit.id not in kept]
+        if not new:
+            return tr("What exists at {place}, and what it prevents", place=place)
+        sensors = count_sensors(new)
+        if kept:
+            sensors = tr(
+                "{sensors} next to {n} that exist", sensors=sensors, n=len(kept)
+            )
         return tr("Where to mount {sensors} at {place}", sensors=sensors, place=place)
     if len(evaluations) > 1:
         names = tr(" and ").join(evaluations)

@@ -16,7 +16,7 @@ from placement.wishes import assumed_prices, load_prices
 from ..language import localized, mark, tr, trn
 from ..results.numbers import grouped, joined, sensor_words
 from ..results.tables import records_csv
-from .section import Block, Bullets, Section, Table
+from .section import Block, Section, Table
 
 UNKNOWN = mark("unknown")
 FILE_NAME = "bill_of_materials.csv"
@@ -324,37 +324,28 @@ def bill_section(bill: BillOfMaterials) -> Section:
     note = tr(
         "Prices are those of the sensor catalogue, for one outdoor unit "
         "with its housing; what comes with this program are orders of "
-        "magnitude. “Unknown” is not zero. Not in the bill:"
+        "magnitude. “Unknown” is not zero. Also not included:"
     )
+    missing = [
+        tr("brackets, cables and junction boxes beyond what a site's cost covers"),
+        tr("spare units"),
+        tr(
+            "planning, permits, traffic management while mounting, the lift and"
+            " the people"
+        ),
+        tr(
+            "electricity, data connection, cleaning, repair and replacement"
+            " over the years"
+        ),
+        tr("value added tax"),
+    ]
+    if not bill.assumed:
+        missing.insert(0, tr("new poles and foundations"))
     # Assumed costs are with poles.
     blocks: list[Block] = [
-        " ".join([*bill_sentences(bill), *map(tr, bill.assumed)]),
+        " ".join([*bill_sentences(bill), left_out_sentence(), *map(tr, bill.assumed)]),
         *bill_tables(bill),
-        note,
-        Bullets(
-            [
-                tr("new poles and foundations"),
-                tr(
-                    "brackets, cables and junction boxes beyond what a site's cost"
-                    " covers"
-                ),
-                tr(
-                    "the computer that detects, the radio unit that sends to "
-                    "cars, and their housing"
-                ),
-                tr("spare units"),
-                tr(
-                    "planning, permits, traffic management while mounting, the lift and"
-                    " the people"
-                ),
-                tr("calibration and acceptance"),
-                tr(
-                    "electricity, data connection, cleaning, repair and replacement"
-                    " over the years"
-                ),
-                tr("value added tax"),
-            ][bool(bill.assumed) :]
-        ),
+        f"{note} {'; '.join(missing)}.",
     ]
     return Section("bill", tr("Bill of materials"), blocks)
 

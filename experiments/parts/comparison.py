@@ -3,7 +3,7 @@
 Their worth, the runs on which they differ, how sure the difference is.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
 from typing import Annotated
 
@@ -40,6 +40,7 @@ from ..results.record import (
     says,
 )
 from ..results.tables import margin_s
+from .accidents import layouts_table
 from .baselines import Baselines
 from .baselines import words as baseline_words
 from .sampled_worlds import SampledPairRecord, SampledRecord, is_open
@@ -145,8 +146,12 @@ def side_by_side_table(
     evaluations: Mapping[str, Evaluation],
     rule: AebRule,
     baselines: Baselines | None = None,
+    existing: Collection[str] = (),
 ) -> Table:
-    """A row per layout, of the VUT alone, and of random layouts."""
+    """A row per layout, of the VUT alone, and of random layouts.
+
+    Units of `existing`, ids, are not paid for.
+    """
     subject = next(iter(evaluations.values()))
     axis = subject.axis
 
@@ -163,9 +168,8 @@ def side_by_side_table(
     rows = []
     for name, item in evaluations.items():
         first, last = of_verdict(item.headline, headline_apr(item))
-        money = localized(
-            f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}"
-        )
+        to_buy = [unit for unit in item.layout.units if unit.id not in existing]
+        money = localized(f"{sum(unit.sensor.price_eur for unit in to_buy):,.0f}")
         failed = percent(apr_one_failed(item, rule))
         rows.append(
             [
@@ -191,7 +195,7 @@ def side_by_side_table(
     columns = [
         tr("layout"),
         tr("units"),
-        tr("cost of the units (EUR)"),
+        tr("units to buy (EUR)"),
         tr("APR"),
         tr("runs avoided"),
         tr("APR if the most needed unit fails"),
@@ -267,10 +271,11 @@ def section(
     rule: AebRule,
     baselines: Baselines | None = None,
     sampled: SampledRecord | None = None,
+    existing: Collection[str] = (),
 ) -> Section | None:
     """Layouts by display name side by side, the subject first.
 
-    None where it stands alone.
+    None where it stands alone. `existing` are ids of mounted units.
     """
     if len(evaluations) < 2:
         return None
@@ -279,20 +284,18 @@ def section(
     rows = difference_rows(differences)
     sentences = baseline_words(baselines, n_units=n_units)
     blocks: list[Block] = [
-        side_by_side_table(evaluations, rule, baselines),
+        side_by_side_table(evaluations, rule, baselines, existing),
         _meaning(),
         *([Bullets(sentences)] if sentences else []),
-        Subheading(tr("Which runs differ")),
-        (
-            Table(
-                caption=tr("Runs that only one of two layouts avoids"),
-                columns=[tr("avoided by"), tr("not by"), tr("how many"), tr("which")],
-                rows=rows,
-            )
-            if rows
-            else tr("All layouts avoid the same runs.")
-        ),
+        layouts_table(evaluations),
     ]
+    if rows:
+        differ = tr("Runs that only one of two layouts avoids")
+        columns = [tr("avoided by"), tr("not by"), tr("how many"), tr("which")]
+        table = Table(caption=differ, columns=columns, rows=rows, summary=differ)
+        blocks.append(table)
+    else:
+        blocks.append(tr("All layouts avoid the same runs."))
     if sampled is not None and sampled.pairs:
         blocks += [
             Subheading(tr("Is the difference sure?")),

@@ -4,7 +4,7 @@ Runs that nobody avoids, by case and place, and their map.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -193,22 +193,17 @@ def section(
         name: avoided_runs(shown[name], "any" if order else fusion)
         for order, name in enumerate(names)
     }
-    widths = (NARROW_IN,) if len(avoided) > 1 else (WIDTH_IN, NARROW_IN)
     places = find_places(setting)
     pictures = []
     for name, mask in avoided.items():
-        drawn = [
-            plot_dangers(
-                setting, shown[name].layout, mask, places=places, width_in=width
-            )
-            for width in widths
-        ]
+        drawn = plot_dangers(
+            setting, shown[name].layout, mask, places=places, width_in=NARROW_IN
+        )
         n_left = sum(
             place.share_avoided(mask, setting.axis.weight) < 1.0 for place in places
         )
         picture = build_picture(
-            drawn[0],
-            narrow=drawn[1] if len(drawn) > 1 else None,
+            drawn,
             title=tr("Where it is still dangerous with {name}", name=name),
             caption=tr(
                 "Places with runs that are not avoided: {n} of {all}.",
@@ -244,9 +239,11 @@ def section(
         )
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
     if len(groups_by(setting.axis, "position")) > 1:
-        blocks += [
+        of_subject, *of_others = [
             position_table(name, mask, setting.axis) for name, mask in avoided.items()
         ]
+        blocks.append(of_subject)
+        blocks += [replace(table, summary=table.caption) for table in of_others]
     return Section("dangers", tr("Where it is still dangerous"), blocks)
 
 

@@ -50,6 +50,9 @@ class FirstScreen:
     warnings: tuple[str, ...]
     # What is mounted where, if they are few.
     units: tuple[str, ...]
+    # Of each kind of cars.
+    cars: tuple[Card, ...]
+    # If a sensor fails, cost, proof.
     cards: tuple[Card, ...]
     dangers: tuple[str, ...]
     plan: Picture
@@ -71,17 +74,12 @@ def build_first_screen(
 
     `warnings` stand between its sentences and its figures.
     """
-    cards = (
-        *_for_cars(result, subject),
-        _if_one_fails(result, subject),
-        _cost(bill),
-        _proof(result),
-    )
     return FirstScreen(
         sentences=tuple(headline(result)),
         warnings=tuple(warnings),
         units=_mounted(result, subject, setting.scene),
-        cards=cards,
+        cars=tuple(_for_cars(result, subject)),
+        cards=(_if_one_fails(result, subject), _cost(bill), _proof(result)),
         dangers=tuple(_dangers(result, setting)),
         plan=plan,
         views=tuple(views),

@@ -271,7 +271,11 @@ def _mounted(result: Result) -> str:
     lidars = trn("one LiDAR", "{count} LiDARs", n_lidars, count=_spelled(n_lidars))
     units = [words for n, words in ((n_cameras, cameras), (n_lidars, lidars)) if n]
     poles = trn("one pole", "{count} poles", n_poles, count=_spelled(n_poles))
-    return tr("{units} on {poles}", units=joined(units), poles=poles)
+    sensors = joined(units)
+    n_existing = len(result.existing)
+    if n_existing:
+        sensors = tr("{units} ({n} exist)", units=sensors, n=_spelled(n_existing))
+    return tr("{units} on {poles}", units=sensors, poles=poles)
 
 
 def _spelled(count: int) -> str:

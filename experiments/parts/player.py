@@ -56,7 +56,8 @@ def interactive_part(
     The first evaluation is the subject. Of the others, all units together are a row of
     the heatmap. Runs of `first_runs` come first, then those that are not avoided, then
     all others, each the later the more time is to spare, as many as fit: "n_runs" of
-    "n_all".
+    "n_all". The page opens with the first of `first_runs`, else with a run that shows
+    something: the one of those not avoided in which units detect most often.
     """
     subject = next(iter(evaluations.values()))
     axis = subject.axis
@@ -65,6 +66,7 @@ def interactive_part(
     firsts = [axis.run_ids.index(run_id) for run_id in dict.fromkeys(first_runs)]
     ordered = np.lexsort((margin_s(verdict, axis), verdict.is_avoided)).tolist()
     records: list[dict[str, Any]] = []
+    shows: list[tuple[bool, bool, int]] = []
     n_bytes = 0
     for index in dict.fromkeys([*firsts, *ordered]):
         if verdict.is_avoided[index]:
@@ -75,19 +77,23 @@ def interactive_part(
         records.append(
             record | {"group": tr(SHOWN_ABOVE if index in firsts else group)}
         )
+        n_seen = int(verdict.detected[axis.frames_of(index)].sum())
+        shows.append((n_seen > 0, group == NOT_AVOIDED, n_seen))
         n_bytes += len(to_script_json(records[-1]))
         if n_bytes > _MAX_BYTES:
             break
+    first = 0
+    if not firsts:
+        first = shows.index(max(shows))
     views = GroundViews(setting)
     seen = [{"view": svg_path(views.shape(unit))} for unit in units]
     known = unit_records(subject.layout, setting.scene)
     player = {
-        "plan": plan_record(
-            setting.scene, np.array([one.pose.position_m[:2] for one in units])
-        ),
+        "plan": plan_record(setting.scene),
         "units": [record | view for record, view in zip(known, seen, strict=True)],
         "parties": party_records(evaluations),
         "runs": records,
+        "first": first,
     }
     return {
         "n_runs": len(records),
@@ -277,20 +283,17 @@ def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
     ]
 
 
-def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
-    """The still part of the player's plan.
+def plan_record(scene: Scene) -> dict[str, Any]:
+    """The still part of a plan.
 
-    The window holds the units, at `unit_positions_m`, (n, 2), too, unless they are very
-    far. "middle" and "half" of the window, "classes" (name, colour, path), "sites",
-    "crosswalks", "arms" (name, place). Centimetres.
+    "middle" and "half" of a window that holds the junction, "classes" (name, colour,
+    path), "sites", "crosswalks", "arms" (name, place). Centimetres.
     """
     import shapely
 
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     window = shapely.box(*(middle - _MAX_HALF_M), *(middle + _MAX_HALF_M))
-    reach = (
-        np.abs(np.concatenate([scene.outline_m, unit_positions_m]) - middle).max() + 8.0
-    )
+    reach = np.abs(scene.outline_m - middle).max() + 8.0
     half = float(np.clip(reach, _LEAST_HALF_M, 0.5 * _MAX_HALF_M))
     layers: list[tuple[str, str, Any]] = [
         ("parking lane", "#ececec", _areas(scene.lanes, "parking")),

@@ -3,14 +3,14 @@
 Tables of where they are, plans, and the private ground that they see.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Annotated
 
 from geometry.junction import compass_bearing_deg
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
-from placement.candidates import CandidatePose, above_ground
+from placement.candidates import CandidatePose, above_ground, is_ring
 from placement.forbidden_views import ForbiddenAreas
 from placement.layout import Layout
 from placement.setting import Setting
@@ -36,11 +36,14 @@ MAX_AREAS = 60
 
 
 def units_section(
-    layouts: Mapping[str, Layout], plans: Sequence[Picture], scene: Scene
+    layouts: Mapping[str, Layout],
+    plans: Sequence[Picture],
+    scene: Scene,
+    existing: Collection[str] = (),
 ) -> Section:
     """Places and directions of units, with a plan of each layout.
 
-    Layouts are given by display name.
+    Layouts are given by display name; `existing` are ids of mounted units.
     """
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
     heights = tr(
@@ -53,13 +56,13 @@ def units_section(
             "coordinates; height is that above the ground below."
         )
     angles = tr(
-        "The bearing is that of a compass, clockwise from north; yaw is "
-        "counted counter-clockwise from east; pitch is negative where the "
-        "sensor looks down. An assumed site is one that the map does not "
-        "have, or not there."
+        "The bearing is that of a compass, clockwise from north. An assumed site is"
+        " one that the map does not have, or not there."
     )
     note = f"{heights} {angles}"
-    tables = [unit_table(name, layout, scene) for name, layout in layouts.items()]
+    tables = [
+        unit_table(name, layout, scene, existing) for name, layout in layouts.items()
+    ]
     return Section(
         "units",
         tr("The units"),
@@ -76,57 +79,58 @@ def tilt_words(pitch_deg: float) -> str:
     return tr("level")
 
 
-def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
-    """The units of a layout, a row each."""
+def unit_table(
+    name: str, layout: Layout, scene: Scene, existing: Collection[str] = ()
+) -> Table:
+    """The units of a layout, a row each; `existing` are ids of mounted ones."""
     labels = unit_labels(layout)
-    rows = [
-        [
-            labels[record.id],
-            record.id,
-            (
-                tr("{site} (assumed)", site=record.site)
-                if record.assumed
-                else record.site or NOTHING
-            ),
-            tr(record.kind or NOTHING),
-            tr(record.place or NOTHING),
-            *(
-                number(value)
-                for value in above_ground(unit, scene).pose.position_m.tolist()
-            ),
-            number(compass_bearing_deg(record.yaw_deg), 1),
-            number(-record.pitch_deg, 1),
-            number(record.yaw_deg, 1),
-            number(record.pitch_deg, 1),
-            compass_word(unit),
-            record.camera or record.lidar,
-        ]
-        for unit, record in zip(
-            layout.units, build_unit_records(layout, scene), strict=True
+    # Short ids are marks themselves.
+    has_ids = any(mark != unit_id for unit_id, mark in labels.items())
+    rows = []
+    for unit, record in zip(
+        layout.units, build_unit_records(layout, scene), strict=True
+    ):
+        name_of_unit = labels[record.id]
+        if record.id in existing:
+            name_of_unit = tr("{unit} (existing)", unit=name_of_unit)
+        kind = record.kind and tr(record.kind)
+        site = " ".join(filter(None, (kind, record.site))) or NOTHING
+        if record.assumed:
+            site = tr("{site} (assumed)", site=site)
+        bearing = number(compass_bearing_deg(record.yaw_deg), 1)
+        if is_ring(unit.sensor):
+            bearing = compass_word(unit)
+        position_m = above_ground(unit, scene).pose.position_m.tolist()
+        rows.append(
+            [
+                name_of_unit,
+                *([record.id] if has_ids else []),
+                site,
+                tr(record.place or NOTHING),
+                *map(number, position_m),
+                bearing,
+                number(-record.pitch_deg, 1),
+                record.camera or record.lidar,
+            ]
         )
-    ]
     caption = tr("Units of {name}", name=name)
     is_long = len(rows) > _MAX_FLAT_ROWS
     return Table(
         caption=caption,
         columns=[
-            tr("mark"),
-            tr("id"),
+            tr("unit"),
+            *([tr("id")] if has_ids else []),
             tr("site"),
-            tr("kind"),
             tr("where"),
             tr("east (m)"),
             tr("north (m)"),
             tr("height (m)"),
             tr("bearing (°)"),
             tr("tilt down (°)"),
-            tr("yaw (°)"),
-            tr("pitch (°)"),
-            tr("looks to the"),
             tr("sensor"),
         ],
         rows=rows,
-        numeric=range(5, 12),
+        numeric=range(3 + has_ids, 8 + has_ids),
         summary=(
             tr("Units of {name}: all {n}", name=name, n=len(rows)) if is_long else ""
         ),
@@ -134,10 +138,22 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
 
 
 def build_plans(
-    setting: Setting, detailed: Mapping[str, Layout], others: Sequence[Layout]
+    setting: Setting,
+    detailed: Mapping[str, Layout],
+    others: Sequence[Layout],
+    existing: Collection[str] = (),
 ) -> list[Picture]:
-    """A plan of each layout, drawn narrower where several stand side by side."""
-    draw = partial(plot_plan, setting, others=others, max_range_m=_PLAN_RANGE_M)
+    """A plan of each layout, drawn narrower where several stand side by side.
+
+    `existing` are ids of mounted units.
+    """
+    draw = partial(
+        plot_plan,
+        setting,
+        others=others,
+        existing=existing,
+        max_range_m=_PLAN_RANGE_M,
+    )
     are_few = all(
         len(layout.units) <= _MAX_NARROW_UNITS for layout in detailed.values()
     )
@@ -154,10 +170,9 @@ def build_plans(
                 "Plan of {scene} with {name}", scene=setting.scene.name, name=name
             ),
             caption=tr(
-                "Coloured outlines: the ground in each sensor's field of view, up "
-                "to {range:g} m; they see farther. Walls and parked cars hide "
-                "parts of it, which is taken into account in the numbers but not "
-                "drawn here.",
+                "Coloured: the ground in each sensor's field of view up to {range:g} m;"
+                " it sees farther. What walls and parked cars hide of it counts in the"
+                " numbers, and is not drawn.",
                 range=_PLAN_RANGE_M,
             ),
             alt=tr("Plan of the junction, north up.") + " " + _units_in_words(layout),

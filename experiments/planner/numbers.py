@@ -102,7 +102,7 @@ def scene_record(
         private = _private_areas(ground)
     return {
         "name": scene.name,
-        "plan": plan_record(scene, np.zeros((0, 2))),
+        "plan": plan_record(scene),
         "sites": [_site_record(site, site_cost_eur) for site in scene.sites],
         "sensors": [_sensor_record(model) for model in models],
         "grid": list(chosen),

@@ -42,7 +42,6 @@ from ..parts.camera_views import camera_views
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import explanation_sections
 from ..parts.first_screen import build_first_screen
-from ..parts.front import front_section
 from ..parts.player import interactive_part
 from ..parts.result import PlacementResult, Result
 from ..parts.sampled_worlds import sampled_picture, sampled_section
@@ -50,14 +49,14 @@ from ..parts.section import Picture, Section
 from ..parts.units import build_plans, private_ground_section, units_section
 
 FILE_NAME = "report.html"
-# In the order of questions: what to mount, how sure that is, who remains at risk, what
-# if, what it costs, how it was made.
+# What to mount where, what it adds to today's cars, what if a unit fails, what it
+# costs, who remains at risk; and what has to be asked for.
 _IN_SIGHT = (
-    *("units", "front", "proof", "comparison", "decision", "sampled"),
-    *("accidents", "dangers", "failures", "private-ground", "bill"),
+    *("units", "added", "failures", "bill", "accidents", "dangers"),
+    *("decision", "sampled", "private-ground"),
 )
 _FOLDED = (
-    *("why", "models", "study-cases", "missed", "added"),
+    *("proof", "comparison", "why", "models", "study-cases", "missed"),
     *("road-users", "alone", "assumptions", "cases", "runs", "again"),
 )
 
@@ -130,24 +129,23 @@ def build_report(
     others: list[Layout] = []
     if len(detailed) == 1:
         others = [item.layout for item in [*shown.values()][1:]]
-    front = None
-    if isinstance(result, PlacementResult):
-        front = front_section(result.front)
     drawn = {name: item.layout for name, item in detailed.items()}
-    plan, *plans = build_plans(setting, drawn, others)
+    plan, *plans = build_plans(setting, drawn, others, result.existing)
     pictures = {"plan": plan}
     bill = bill or build_bill(subject.layout, setting.scene)
     labels = unit_labels(subject.layout)
     layouts = {name: item.layout for name, item in shown.items()}
     sections: list[Section | None] = [
-        units_section({name: layouts[name] for name in detailed}, plans, setting.scene),
-        accidents_section(
-            evaluations, is_optimised=isinstance(result, PlacementResult)
+        units_section(
+            {name: layouts[name] for name in detailed},
+            plans,
+            setting.scene,
+            result.existing,
         ),
+        accidents_section(detailed, is_optimised=isinstance(result, PlacementResult)),
         added.section(result.added),
         road_users.section(result.road_users),
         dangers.section(setting, shown, fusion=result.fusion),
-        front,
         study_cases.section(result.study_cases),
         decision.section(result.decision),
         failures_section(subject, setting.rule, labels),
@@ -162,7 +160,13 @@ def build_report(
         cases_section(setting),
         runs_section(evaluations),
         again_section(result, command),
-        comparison.section(evaluations, setting.rule, result.baselines, result.sampled),
+        comparison.section(
+            evaluations,
+            setting.rule,
+            result.baselines,
+            result.sampled,
+            result.existing,
+        ),
     ]
     if isinstance(result, PlacementResult):
         sections += explanation_sections(result.explained, labels)

@@ -14,6 +14,7 @@ from geometry.notes import assumed_sites
 from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.tables import says as says
+from geometry.terrain import ground_height_m, terrain_of
 from placement.evaluation import (
     Evaluation,
     Verdict,
@@ -124,6 +125,10 @@ class UnitRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
         Annotated[float, Meta(ge=0)] | None,
         says("Of this unit, in seconds; missing: that of the rule."),
     ] = None
+    height_m: Annotated[
+        float | None,
+        says("Above the ground below, in metres; missing: z_m, the ground is flat."),
+    ] = None
     kind: Annotated[str | None, says("Of the site: lamp post, kerb and so on.")] = None
     place: Annotated[str | None, says("Corner, or arm and street; empty: unknown.")] = (
         None
@@ -164,15 +169,24 @@ def build_unit_records(
         return records
     kinds = {site.id: site.kind for site in scene.sites}
     assumed = assumed_sites(scene.notes)
-    places = whereabouts(scene, [unit.pose.position_m[:2] for unit in layout.units])
+    feet_m = np.array([unit.pose.position_m[:2] for unit in layout.units])
+    places = whereabouts(scene, feet_m)
+    heights_m: list[float | None] = [None] * len(records)
+    if terrain_of(scene) is not None:
+        ground_m = ground_height_m(scene, feet_m).tolist()
+        heights_m = [
+            round(record.z_m - below_m, 3)
+            for record, below_m in zip(records, ground_m, strict=True)
+        ]
     return tuple(
         replace(
             record,
+            height_m=height_m,
             kind=kinds.get(record.site),
             place=place,
             assumed=assumed.get(record.site),
         )
-        for record, place in zip(records, places, strict=True)
+        for record, height_m, place in zip(records, heights_m, places, strict=True)
     )
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
+from geometry.arrays import FloatArray
 from geometry.errors import InputError
 from geometry.footprints import footprint_corners
 from geometry.writing import write_atomically
@@ -62,9 +63,11 @@ DEFAULT = "default three"
 LOCATED = "located 0.40 m"
 CLOSER = "located 0.35 m"
 TWELVE = "the study's twelve"
+_METRES = {LOCATED: "0.4", CLOSER: "0.35"}
 _VARIED = (DEFAULT, LOCATED, TWELVE)
 _STRIP_RUN = "CPNC-50/east/40"
 _STRIP_S = (-2.4, -1.8, -1.2, -0.8, -0.4)
+_STRIP_HALF_M = 6.0
 _SD_OF_95 = 2.448
 
 
@@ -241,11 +244,12 @@ def _best(decisions: LayoutDecisions, aimed: str) -> float:
 # ---------- figures
 def plot_plans(studied: Studied) -> "Figure":
     """The default layout and the one that locates, side by side."""
-    figure = new_figure(2.0 * WIDTH_IN, WIDTH_IN + 1.2)
-    for axes, name in zip(figure.subplots(1, 2), (DEFAULT, LOCATED), strict=True):
+    figure = new_figure(2.0 * WIDTH_IN, WIDTH_IN + 2.4)
+    for axes, name in zip(figure.subplots(1, 2), (DEFAULT, CLOSER), strict=True):
         layout = studied.evaluations[name].layout
         plot_plan(studied.setting, layout, axes=axes)
         axes.set_title(name)
+        axes.set_anchor("N")
     return figure
 
 
@@ -279,7 +283,7 @@ def plot_strip(studied: Studied, *, compute: Compute) -> "Figure":
             frame = int(np.argmin(np.abs(run.time_s - time_s)))
             draw_scene(axes, setting.scene)
             _draw_moment(axes, run, followed, frame)
-            show_square(axes, middle_m, 14.0)
+            show_square(axes, middle_m, _STRIP_HALF_M)
             told = "brakes" if followed.brakes[frame] else "drives on"
             axes.set_title(f"{words}, {time_s:g} s: {told}", fontsize=8)
             axes.set_xticks([])
@@ -326,36 +330,60 @@ def text(
             figures += [decided.best_rule(limit)[0] for limit in LIMITS]
             figures.append(decided.located(0.40))
         rows.append([name, str(len(one.layout.units)), *map(percent, figures)])
-    by_name = {name: one.by_aim for name, one in studied.decisions.items()}
-
-    def gained(limit: float) -> float:
-        """What locating within 0.4 m is worth with aims by eye, as a share."""
-        located = by_name[LOCATED][BY_EYE].best_rule(limit)[0]
-        return located - by_name[DEFAULT][BY_EYE].best_rule(limit)[0]
-
+    names = (DEFAULT, LOCATED, CLOSER)
+    by_eye = {name: _at_limits(studied, name, BY_EYE) for name in names}
+    calibrated = {name: _at_limits(studied, name, CALIBRATED) for name in names}
+    gains = {name: 100.0 * (by_eye[name] - by_eye[DEFAULT]) for name in names[1:]}
+    at_limit = LIMITS.index(LIMIT)
+    recommended = max(gains, key=lambda name: float(gains[name][at_limit]))
+    calibrated_gain = calibrated[recommended] - calibrated[DEFAULT]
     return page_of(
         files(__package__) / "decision.md.j2",
         command=COMMAND,
         rule=load_decision_rule(),
         rows=rows,
+        limit=f"{100.0 * LIMIT:g} %",
+        default={
+            CALIBRATED: percent(float(calibrated[DEFAULT][at_limit])),
+            BY_EYE: percent(float(by_eye[DEFAULT][at_limit])),
+        },
+        gains={name: [f"{gain:+.0f}" for gain in gains[name]] for name in gains},
+        recommended=_METRES[recommended],
+        metres=_METRES,
+        calibrated_gain=f"{100.0 * calibrated_gain[at_limit]:+.0f}",
+        moved=_moved(studied, recommended),
+        errors={name: _median_error(studied, name) for name in (DEFAULT, recommended)},
         varied=_VARIED,
         variants=_rows(one for one in variants if len(one.avoided) > len(_VARIED)),
         by_aim=_rows(one for one in variants if len(one.avoided) == len(_VARIED)),
         others=_rows(others),
-        percent=percent,
-        limit=LIMIT,
-        default={
-            aimed: by_name[DEFAULT][aimed].best_rule(LIMIT)[0]
-            for aimed in by_name[DEFAULT]
-        },
-        gains=[100.0 * gained(limit) for limit in LIMITS],
-        calibrated_gain=100.0
-        * (
-            by_name[LOCATED][CALIBRATED].best_rule(LIMIT)[0]
-            - by_name[DEFAULT][CALIBRATED].best_rule(LIMIT)[0]
-        ),
         strip_run=_STRIP_RUN,
     )
+
+
+def _at_limits(studied: Studied, name: str, aimed: str) -> FloatArray:
+    """Shares avoided by the best rules at each of LIMITS, (n_limits,)."""
+    decided = studied.decisions[name].by_aim[aimed]
+    return np.array([decided.best_rule(limit)[0] for limit in LIMITS])
+
+
+def _median_error(studied: Studied, name: str) -> str:
+    """Median of how well the place of impact is known with aims by eye, in words.
+
+    Of the runs in which a track lives at the last moment.
+    """
+    sd_m = studied.decisions[name].by_aim[BY_EYE].located_sd_m
+    return f"{float(np.median(sd_m[np.isfinite(sd_m)])):.2f} m"
+
+
+def _moved(studied: Studied, name: str) -> str:
+    """Poles that a layout leaves and takes, against the default one."""
+    before = {unit.site_id for unit in studied.evaluations[DEFAULT].layout.units}
+    after = {unit.site_id for unit in studied.evaluations[name].layout.units}
+    left = ", ".join(sorted(before - after)) or "none"
+    taken = ", ".join(sorted(after - before)) or "none"
+    stays = ", ".join(sorted(before & after)) or "none"
+    return f"it keeps {stays}, leaves {left} and takes {taken}"
 
 
 def _rows(variants: Iterable[Variant]) -> list[list[str]]:

@@ -12,6 +12,7 @@ from interactive_pages import EVIL, build_evaluation, build_layout, with_evil_na
 from partial_pages import blank_pictures, build_result
 from small_results import lay_runs_of
 
+from experiments.figures.axes import NARROW_IN
 from experiments.jobs.evaluation import run_comparison, run_evaluation
 from experiments.progress import StageProgress
 from experiments.report.page import write_report
@@ -92,7 +93,6 @@ def test_every_kind_is_small_and_tells_what_it_is_about(browser, addresses):
             assert page.is_visible("#player-plan svg")
     assert {
         "Why these poses",
-        "What each unit buys",
     } <= set(headings["placement"])
     assert {"Side by side", "If the world is not as planned"} <= set(
         headings["comparison"]
@@ -194,7 +194,10 @@ def test_the_first_screen_needs_no_script_and_is_on_the_first_screen(
     path = addresses["placement"]
     with open_page(browser, path.as_uri(), java_script_enabled=False) as page:
         lowest = page.locator(".overview").bounding_box()
-        assert lowest["y"] + lowest["height"] < 1100
+        assert lowest["y"] + lowest["height"] < 1150
+        # Letters of the plan's legend, of 8 pt in a figure that is 4 inches wide.
+        plan = page.locator(".overview figure img").bounding_box()
+        assert 8.0 / 72.0 * plan["width"] / NARROW_IN >= 11.0
         assert page.locator(".cards > div").count() == 5
     text = path.read_text()
     assert text.index("</header>") < 1_500_000

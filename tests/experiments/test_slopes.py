@@ -9,12 +9,14 @@ import pytest
 from defusedxml import ElementTree
 from interactive_pages import build_layout
 
+from experiments.cli.answers import _units_table
 from experiments.export.cpm import to_cpm
 from experiments.export.geojson import to_geojson
 from experiments.export.kml import to_kml
 from experiments.export.openscenario import to_openscenario
 from experiments.export.places import placed_records
 from experiments.parts.units import unit_table
+from experiments.results.record import build_unit_records
 from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.scene_files import save_scene
@@ -79,7 +81,16 @@ def test_heights_are_those_above_the_ground_below(hill, layout):
     for unit in layout.units:
         assert above_ground(unit, hill).pose.position_m[2] == pytest.approx(6.0)
         assert above_ground(unit, load_study_scene()) is unit
-    assert [row[7] for row in unit_table("hill", layout, hill).rows] == ["6.00"] * 4
+    assert [row[5] for row in unit_table("hill", layout, hill).rows] == ["6.00"] * 4
+    assert [one.height_m for one in build_unit_records(layout, hill)] == [6.0] * 4
+    flat = build_unit_records(layout, load_study_scene())
+    assert [one.height_m for one in flat] == [None] * 4
+
+
+def test_the_terminal_tells_heights_above_the_ground_below(hill, layout):
+    table = _units_table(build_unit_records(layout, hill), [layout.units[0].id])
+    assert [row[2] for row in table.rows] == ["6.00"] * 4
+    assert ["(existing)" in row[-1] for row in table.rows] == [True] + [False] * 3
 
 
 def test_a_unit_may_hang_below_the_height_of_the_middle_but_not_in_the_ground(hill):

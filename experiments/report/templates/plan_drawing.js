@@ -55,6 +55,24 @@ function drawScale(scale, width, height, perCm) {
   element("text", { text: say("N"), x: width - 22, y: 47, "font-weight": 700 }, scale);
 }
 
+const MARGIN_CM = 600, LEAST_HALF_CM = 2000, MOST_HALF_CM = 6000;
+
+function squareAround(places) {
+  const range = (axis) => [Math.min(...places.map((place) => place[axis])), Math.max(...places.map((place) => place[axis]))];
+  const [[left, right], [bottom, top]] = [range(0), range(1)];
+  const half = 0.5 * Math.max(right - left, top - bottom) + MARGIN_CM;
+  return { middle: [(left + right) / 2, (bottom + top) / 2], half: Math.max(LEAST_HALF_CM, half) };
+}
+
+// The road user's way and the car from the last moment on; the units, too, unless all else becomes too small.
+function windowOf(run, units) {
+  const from = lastFrame(run);
+  const way = (motion, first) => motion.x.map((x, index) => [x, motion.y[index]]).slice(first);
+  const decisive = [...way(run.road, 0), ...way(run.car, from)];
+  const whole = squareAround([...decisive, ...units.map((unit) => unit.place)]);
+  return whole.half <= MOST_HALF_CM ? whole : squareAround(decisive);
+}
+
 function createPlan(holder, data) {
   const svg = element("svg", { role: "img", "aria-label": say("Plan of the junction with the run") }, holder);
   addPatterns(svg);
@@ -108,8 +126,9 @@ function createPlan(holder, data) {
     svg.setAttribute("width", width);
     svg.setAttribute("height", height);
     const final = run.time.length - 1;
-    const middle = zoom === 0 ? data.plan.middle : [run.road.x[final], run.road.y[final]];
-    const half = data.plan.half / 1.6 ** zoom;
+    const shown = windowOf(run, data.units);
+    const middle = zoom <= 0 ? shown.middle : [run.road.x[final], run.road.y[final]];
+    const half = shown.half / 1.6 ** zoom;
     perCm = 0.5 * Math.min(width, height) / half;
     origin = [0.5 * width - middle[0] * perCm, 0.5 * height + middle[1] * perCm];
     ground.setAttribute("transform", `matrix(${perCm} 0 0 ${-perCm} ${origin[0]} ${origin[1]})`);
@@ -123,6 +142,7 @@ function createPlan(holder, data) {
 
   function showRun(next) {
     run = next;
+    frame = Math.min(frame, run.time.length - 1);
     const way = (motion) => "M" + motion.x.map((x, index) => `${x} ${motion.y[index]}`).join("L");
     carWay.setAttribute("d", way(run.car));
     roadWay.setAttribute("d", way(run.road));
@@ -161,7 +181,7 @@ function createPlan(holder, data) {
 
   return {
     showRun, showFrame, layOut,
-    zoomBy(step) { zoom = Math.max(0, Math.min(6, zoom + step)); layOut(); },
+    zoomBy(step) { zoom = Math.max(-2, Math.min(6, zoom + step)); layOut(); },
   };
 }
 

@@ -12,7 +12,7 @@ function startPlayer(data) {
   const plan = createPlan(find("player-plan"), data);
   const heatmap = createHeatmap(find("player-heatmap"), parties, (frame) => { pause(); show(frame); });
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
-  let run = runs[0], frame = 0, timer = 0, startedAt = 0, startedFrom = 0;
+  let run = runs[data.first], frame = 0, timer = 0, startedAt = 0, startedFrom = 0;
 
   fillKey(find("player-key"), data);
   let group = null;
@@ -142,5 +142,6 @@ function startPlayer(data) {
   window.addEventListener("beforeprint", () => { pause(); before = frame; show(lastFrame(run)); });
   window.addEventListener("afterprint", () => show(before));
   pause();
-  chooseRun(0);
+  choice.value = data.first;
+  chooseRun(data.first);
 }

@@ -17,7 +17,8 @@ from small_tables import avoiding_problem
 from experiments import main
 from experiments.cli.pareto import front_text, pareto
 from experiments.jobs.pareto import FrontResult, front_table
-from experiments.parts.front import describe_front, plot_front
+from experiments.parts.front import describe_front
+from experiments.parts.front_curves import plot_front
 from experiments.results.drives import build_drives_record
 from placement.layout import layout_from_records
 from placement.optimiser.cost_front import cost_front

@@ -5,10 +5,22 @@ import msgspec
 import pytest
 from command_results import answer
 from kept_backdrops import kept_backdrop
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.text import Text
 
 from experiments.cli.export import sheet_text
 from experiments.parts import sheet
-from experiments.parts.sheet import SheetResult
+from experiments.parts.sheet import SheetResult, aiming_point_m
+from geometry.catalogue import load_cameras
+from geometry.poses import Pose
+from geometry.sensors import project_points
+from geometry.study_scene import load_study_scene
+from placement.candidates import CandidatePose
+from placement.explain.tolerances import Tolerance
+from placement.layout import Layout
+from placement.question import Question
+
+savefig = PdfPages.savefig
 
 
 @pytest.fixture
@@ -21,7 +33,16 @@ def run_sheet(run, small_setting, monkeypatch):
 
 # Quickly: test_no_word_of_a_sheet_is_left_over in tests/experiments/test_language.py
 @pytest.mark.long
-def test_a_page_for_each_unit(run_sheet, tmp_path):
+def test_a_page_for_each_unit(run_sheet, tmp_path, monkeypatch):
+    pages = []
+    monkeypatch.setattr(
+        PdfPages,
+        "savefig",
+        lambda self, figure: (
+            pages.append([text.get_text() for text in figure.findobj(Text)]),
+            savefig(self, figure),
+        ),
+    )
     unit = {"site": "", "z_m": 8.0, "yaw_deg": -135.0, "pitch_deg": -25.0}
     camera = unit | {
         "id": "a$b_雪",
@@ -32,11 +53,17 @@ def test_a_page_for_each_unit(run_sheet, tmp_path):
     lidar = unit | {"id": "L", "x_m": -113.5, "y_m": 8.6, "lidar": "carla-ncap-lidar"}
     layout = tmp_path / "layout.json"
     layout.write_text(json.dumps({"name": "mine", "layout": [camera, lidar]}))
+    kept = tmp_path / "kept.json"
+    kept.write_text(json.dumps({"name": "kept", "layout": [camera]}))
     out = tmp_path / "new/sheet.pdf"
-    summary = json.loads(
-        answer(run_sheet("--layout", layout, "--out", out, "--json --quiet"))
-    )
+    asked = ("--layout", layout, "--keep", kept, "--out", out, "--json --quiet")
+    summary = json.loads(answer(run_sheet(*asked)))
     assert [entry["unit_id"] for entry in summary["units"]] == ["a$b_雪", "L"]
+    first, second = pages
+    assert any(text.endswith("existing, do not touch") for text in first)
+    assert not any(text.endswith("existing, do not touch") for text in second)
+    # Nobody aims what is not to be touched.
+    assert ["Aim to within" in page for page in pages] == [False, True]
     pdf = out.read_bytes()
     assert pdf.startswith(b"%PDF")
     assert pdf.count(b"/Type /Page\n") == 2 or pdf.count(b"/Type /Page ") == 2
@@ -59,6 +86,82 @@ def test_bad_input_is_one_line(run_sheet, tmp_path):
         ),
         (["--layout", "gone.json", "--out", tmp_path / "a.pdf"], "gone.json"),
         (["--layout", "carlancap-12"], "Missing option '--out'"),
+        (
+            [
+                *(
+                    "--layout",
+                    "carlancap-12",
+                    "--out",
+                    tmp_path / "a.pdf",
+                    "--keep",
+                    "no",
+                )
+            ],
+            "--keep: got 'no'",
+        ),
     ):
         code, _, err = run_sheet(*arguments, "--quiet")
         assert (code, message in err) == (2, True), err
+
+
+CAMERA = load_cameras()["carla-ncap-rgb"]
+
+
+def camera_at(x_m, y_m, *, yaw_deg, pitch_deg, unit_id="U1"):
+    pose = Pose(position_m=[x_m, y_m, 8.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    return CandidatePose(id=unit_id, site_id="", pose=pose, sensor=CAMERA)
+
+
+def test_the_aiming_point_is_the_ground_in_the_middle_of_the_picture():
+    down = camera_at(-126.0, -1.0, yaw_deg=0.0, pitch_deg=-45.0)
+    aim_m = aiming_point_m(down, load_study_scene())
+    assert aim_m == pytest.approx([-118.0, -1.0, 0.0])
+
+
+def test_the_aiming_point_is_before_a_building_that_fills_the_middle_of_the_picture():
+    # The building at the north-west corner begins at (-142, 14).
+    unit = camera_at(-150.0, 5.0, yaw_deg=90.0, pitch_deg=-20.0)
+    aim_m = aiming_point_m(unit, load_study_scene())
+    assert 9.0 < aim_m[1] < 14.0
+    ((column, row, _),) = project_points(aim_m[None], unit.pose, CAMERA)
+    assert 0.0 <= column <= CAMERA.width_px
+    assert 0.5 * CAMERA.height_px < row <= CAMERA.height_px
+
+
+def test_a_camera_that_looks_up_has_no_aiming_point():
+    up = camera_at(-126.0, -1.0, yaw_deg=0.0, pitch_deg=40.0)
+    assert aiming_point_m(up, load_study_scene()) is None
+
+
+def test_rows_say_what_one_sees_on_site_and_where_in_metres_of_the_map():
+    scene = load_study_scene()
+    unit = camera_at(-113.05, -9.5, yaw_deg=-150.0, pitch_deg=-45.0)
+    none = Tolerance(
+        unit_id="U1", yaw_deg=(0.0, 0.5), pitch_deg=(0.0, 15.0), height_m=(0.0, 0.05)
+    )
+    rows = dict(sheet._rows(unit, scene, {}))
+    assert rows["Where"].startswith("UTM zone 32N: east 426744.86 m, north 542792")
+    assert sheet._tolerance_text(none).splitlines()[:2] == [
+        "0.5\N{DEGREE SIGN} to the left, less than 0.5\N{DEGREE SIGN} to the right",
+        "15\N{DEGREE SIGN} or more up, less than 0.5\N{DEGREE SIGN} down",
+    ]
+    assert "yaw" not in " ".join(rows.values())
+    names = {thing.id for thing in scene.instances}
+    assert not {word for word in rows["Landmarks"].split() if word in names}
+    assert "end of a crosswalk" in rows["Landmarks"]
+    mapped = {"map_x": 1.0, "map_y": 2.0, "map_crs": "EPSG:25832"}
+    where = sheet._coordinates(unit, scene, mapped)
+    assert where.startswith("east 1.00 m, north 2.00 m (ETRS89 / UTM zone 32N)")
+
+
+def test_units_are_existing_where_the_kept_file_has_them(tmp_path):
+    kept = camera_at(-126.0, -1.0, yaw_deg=0.0, pitch_deg=-45.0)
+    file = tmp_path / "kept.json"
+    unit = {"id": "U1", "site": "", "x_m": -126.0, "y_m": -1.0, "z_m": 8.0}
+    unit |= {"yaw_deg": 0.0, "pitch_deg": -45.0, "camera": CAMERA.name}
+    file.write_text(json.dumps({"name": "kept", "layout": [unit]}))
+    elsewhere = replace(kept, id="U2")
+    layout = Layout(name="both", units=(kept, elsewhere))
+    question = Question(keep=str(file))
+    assert sheet._mounted_already(question, layout, load_study_scene()) == {"U1"}
+    assert sheet._mounted_already(Question(), layout, load_study_scene()) == set()

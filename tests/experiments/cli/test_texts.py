@@ -241,6 +241,8 @@ def test_the_cost_is_that_of_all_units_and_of_their_sites_as_far_as_known():
     existing = {"existing": ("U1", "U2"), "sensors_eur": 4_000.0}
     told = evaluation_table(summary | existing, None)
     assert "1 new sensor 4,000 EUR (catalogue; 2 exist)" in told
+    assert told.count("(existing)") == 2
+    assert "three cameras (two exist) on one pole prevent" in " ".join(told.split())
     summary |= {"existing": ("U1", "U2", "U3")}
     assert "nothing to buy; all 3 sensors exist" in evaluation_table(summary, None)
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.path import Path
 
-from experiments.figures.axes import to_png
+from experiments.figures.axes import GREY, to_png
 from experiments.figures.plan import ground_footprint, plot_plan
 from geometry.catalogue import load_cameras
 from geometry.notes import Note
@@ -112,6 +112,16 @@ def test_plan_draws_other_layouts_but_labels_only_its_own(setting):
     assert "the study's 12 cameras (carlancap-12): camera" in [
         text.get_text() for text in legend.get_texts()
     ]
+
+
+def test_existing_units_are_grey_on_the_plan(setting):
+    mine = Layout(name="mine", units=load_carlancap_layout().units[:2])
+    axes = plot_plan(setting, mine, existing=["RSU1"])
+    marks = {line.get_gid(): line for line in axes.get_lines()}
+    assert marks["unit:RSU1"].get_markerfacecolor() == GREY
+    assert marks["unit:RSU0"].get_markerfacecolor() != GREY
+    words = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert "existing: mounted already" in words
 
 
 def test_plan_is_in_metres_north_up_around_the_junction(setting):

@@ -94,9 +94,9 @@ def test_the_words_say_that_it_scans_all_round():
         "looking to the north",
     ]
     layout = Layout(name="two", units=(_unit(), replace(camera, id="U2")))
-    assert [row[12] for row in unit_table("two", layout, load_study_scene()).rows] == [
+    assert [row[6] for row in unit_table("two", layout, load_study_scene()).rows] == [
         "all round",
-        "north",
+        "0.0",
     ]
 
 

@@ -94,6 +94,9 @@ def test_side_by_side_every_layout_has_its_own_numbers(evaluations, rule):
     assert [row[1] for row in rows] == ["1", "2", "3"]
     price = next(iter(evaluations.values())).layout.units[0].sensor.price_eur
     assert [row[2] for row in rows] == [f"{n * price:,.0f}" for n in (1, 2, 3)]
+    paid = next(iter(evaluations.values())).layout.units[0].id
+    kept = side_by_side_table(evaluations, rule, existing=[paid]).rows
+    assert kept[0][2] == "0"
     assert [row[3] for row in rows] == ["75.0 %", "75.0 %", "0.0 %"]
     assert [row[4] for row in rows] == ["2 of 3", "2 of 3", "0 of 3"]
     assert [row[6] for row in rows] == ["0.05", "0.05", "\N{EN DASH}"]
@@ -141,7 +144,7 @@ def test_the_section_shows_all_and_escapes_names(evaluations, sampled, rule):
     assert "<b>" not in page
     assert "Is the difference sure?" in page
     plain = render_section(section(evaluations, rule))
-    assert "Which runs differ" in plain
+    assert "Runs that only one of two layouts avoids" in plain
     assert "Is the difference sure?" not in plain
 
 

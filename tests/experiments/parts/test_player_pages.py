@@ -102,6 +102,31 @@ def test_the_player_shows_what_the_records_say(browser, address, part):
                 assert words.startswith("Impact." if ms == 0 else f"{seconds(ms)} s.")
 
 
+def test_car_road_user_and_collision_are_in_sight_in_every_run(browser, address, part):
+    data = json.loads(part["player_json"])
+    with open_page(browser, address) as page:
+        assert page.evaluate("document.getElementById('player-run').value") == str(
+            data["first"]
+        )
+        for index in range(len(data["runs"])):
+            page.select_option("#player-run", str(index))
+            for jump in ("", f"{FRAME}.value = {FRAME}.max;"):
+                outside = page.evaluate(
+                    f"""() => {{
+                    {jump} {FRAME}.dispatchEvent(new Event('input'));
+                    const svg = document.querySelector('#player-plan svg');
+                    const frame = svg.getBoundingClientRect();
+                    return [...svg.querySelectorAll('polygon')]
+                        .filter((body) => !body.querySelector('title'))
+                        .map((body) => body.getBoundingClientRect())
+                        .filter((box) => box.left < frame.left || box.top < frame.top
+                            || box.right > frame.right || box.bottom > frame.bottom)
+                        .length;
+                    }}"""
+                )
+                assert outside == 0, data["runs"][index]["id"]
+
+
 def test_units_light_up_in_just_the_frames_in_which_they_detect(browser, address, part):
     data = json.loads(part["player_json"])
     n_units = len(data["units"])
@@ -241,7 +266,8 @@ def test_without_scripts_a_line_says_what_is_missing(browser, address):
 
 
 def test_print_shows_the_last_moment_and_no_controls(browser, address, part):
-    run = json.loads(part["player_json"])["runs"][0]
+    data = json.loads(part["player_json"])
+    run = data["runs"][data["first"]]
     last = max(frame for frame, ms in enumerate(run["time"]) if ms <= run["last"])
     with open_page(browser, address) as page:
         go_to(page, 0)

@@ -31,7 +31,7 @@ def test_what_the_evaluator_recommends_is_written_and_what_is_proven_still_verif
     sentence = f"Recommended: {names[1]}, in recommended.json."
     assert sentence in told
     assert sentence in (out / "report.html").read_text()
-    assert 0 < told.index("Recommended:") < told.index("What each unit buys")
+    assert 0 < told.index("Recommended:") < told.index("The highest APR with fewer")
     assert summary["mounting"]["worst"]["unit_id"] in {"U1", "U2"}
     code, verified, _ = run("verify", out, "--quiet")
     assert code == 0, verified

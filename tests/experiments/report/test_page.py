@@ -688,3 +688,17 @@ def test_braking_and_the_moment_of_the_frames_are_told(
     slow = build_setting(question, load_study_scene())
     words = Page(page_of(slow, layout)[0]).words
     assert "reached linearly 0.3 s after the onset" in words
+
+
+def test_five_questions_are_answered_in_sight_and_all_else_is_folded(placement_page):
+    sections = set(re.findall(r'<h2 id="([a-z-]+)"', placement_page))
+    folded = set(
+        re.findall(
+            r'<details class="part">\s*<summary><h2 id="([a-z-]+)"', placement_page
+        )
+    )
+    in_sight = {"units", "failures", "bill", "accidents", "dangers"}
+    assert in_sight <= sections - folded
+    assert {"proof", "comparison", "runs", "cases"} <= folded
+    differ = "Runs that only one of two layouts avoids"
+    assert f"<summary>{differ}</summary>" in placement_page

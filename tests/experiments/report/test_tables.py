@@ -1,4 +1,5 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from experiments.parts.accidents import (
     apr_group_tables,
     apr_table,
     run_table,
+    speed_groups,
     unit_apr_table,
 )
 
@@ -111,9 +113,10 @@ def test_road_users_who_announce_themselves_have_columns_of_their_own(build):
 
 
 def test_apr_by_speed_and_direction_has_the_columns_of_the_apr_by_case(build):
+    (by_speed,) = apr_group_tables({name: build(name) for name in ("mine", "theirs")})
     approaches = ("west", "<east>", "west")
     both = {name: build(name, approaches=approaches) for name in ("mine", "theirs")}
-    by_speed, by_direction = apr_group_tables(both)
+    (by_direction,) = apr_group_tables(both)
     assert by_speed.columns == ["speed (km/h)", *apr_table(both).columns[1:]]
     assert by_direction.columns[1:] == by_speed.columns[1:]
     # Runs at 20, 30 and 20 km/h with weights 1/2, 1/4, 1/4; the units avoid the first,
@@ -126,6 +129,25 @@ def test_apr_by_speed_and_direction_has_the_columns_of_the_apr_by_case(build):
         ["west", "66.7 %", "66.7 %", "33.3 %", "100.0 %", "100.0 %"],
         ["<east>", "0.0 %", "0.0 %", "0.0 %", "0.0 %", "0.0 %"],
     ]
+
+
+def test_speeds_that_no_place_drives_all_of_are_taken_together():
+    # Of two places along an arm each drives every third speed, from another one on.
+    speeds = np.array([10.0, 15.0, 25.0, 30.0, 40.0, 45.0])
+    thinned = SimpleNamespace(
+        cases=["A"] * 6,
+        approaches=["west"] * 6,
+        positions=["-15", "+15"] * 3,
+        weathers=["day"] * 6,
+        vut_speed_kmh=speeds,
+    )
+    groups = {name: mask.tolist() for name, mask in speed_groups(thinned)}
+    assert groups == {
+        "10 to 25": [True] * 3 + [False] * 3,
+        "30 to 45": [False] * 3 + [True] * 3,
+    }
+    whole = SimpleNamespace(**(vars(thinned) | {"positions": ["0"] * 6}))
+    assert [name for name, _ in speed_groups(whole)] == [f"{v:g}" for v in speeds]
 
 
 def test_one_speed_or_one_direction_has_no_table(build):
