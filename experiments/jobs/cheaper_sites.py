@@ -6,6 +6,7 @@ once, and without a proof.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from placement.wishes import load_prices
 from ..language import tr
 from ..results.numbers import euros, joined, percent
 from .search import FoundLayout
+from .solve import GIVEN_UP
 
 LOSS_PER_EUR = 0.002 / 1000.0
 """A cheaper layout is named if each 1,000 EUR that it saves cost less than 0.2 points
@@ -66,6 +68,9 @@ def cheaper_sentence(found: FoundLayout) -> str:
     )
     if not is_asked:
         return ""
+    # The least APR is that of the highest: a layout may be worth less for the money.
+    floors = tuple(floor for floor in problem.floors if floor.name != GIVEN_UP)
+    problem = replace(problem, floors=floors)
     prices = _prices(found)
     reduce = placement.presolved
     assert reduce is not None
