@@ -16,11 +16,11 @@ from placement.cache import cached_value
 from placement.optimiser import (
     PlacementProblem,
     PlacementValue,
+    ReducedProblem,
     is_feasible,
     placement_value,
 )
 from placement.optimiser.bitsets import shares_with_each
-from placement.optimiser.presolve import presolve_freely
 from placement.optimiser.solve import units_of
 from placement.wishes import load_prices
 
@@ -64,6 +64,7 @@ def cheaper_sentence(found: FoundLayout) -> str:
         and problem.fusion == "any"
         and problem.sample_index is None
         and found.refinement is None
+        and placement.presolved is not None
     )
     if not is_asked:
         return ""
@@ -71,11 +72,14 @@ def cheaper_sentence(found: FoundLayout) -> str:
     floors = tuple(floor for floor in problem.floors if floor.name != GIVEN_UP)
     problem = replace(problem, floors=floors)
     prices = _prices(found)
+    # As it was solved: to presolve it anew takes longer than all else here.
+    reduce = placement.presolved
+    assert reduce is not None
     chosen = placement.pose_index
     after = cached_value(
         found.job.compute.cache_folder,
         "cheaper",
-        lambda: find_cheaper(problem, chosen, prices),
+        lambda: find_cheaper(problem, reduce(), chosen, prices),
         kind=tuple[int, ...],
         made_from=(problem, chosen, prices),
     )
@@ -99,6 +103,7 @@ def cheaper_sentence(found: FoundLayout) -> str:
 
 def find_cheaper(
     problem: PlacementProblem,
+    reduced: ReducedProblem,
     chosen: tuple[int, ...],
     prices: _Prices,
 ) -> tuple[int, ...]:
@@ -106,10 +111,8 @@ def find_cheaper(
 
     Unit after unit is exchanged for the pose that saves most, as long as the whole of
     what is saved is worth it. Limits and floors of the problem hold. `chosen` itself
-    where no exchange is.
+    where no exchange is. Only poses of the reduced problem are tried.
     """
-    # Poses of all sites: the optimiser's own presolve drops those that are no better.
-    reduced = presolve_freely(problem)
     best = placement_value(problem, chosen)
     cost_eur = prices.of(chosen)
     now = chosen

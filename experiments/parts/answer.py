@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from geometry.junction import street_names
+from geometry.registry import load_entry
 from placement.detectors.registry import is_drawn
 from placement.evaluation import Evaluation
 from placement.question import N_JUDGED
@@ -70,11 +71,19 @@ def warnings(result: Result) -> list[str]:
     Runs that were not driven, options that did nothing, doubts.
     """
     return [
+        *private_views(result),
         *result.driven[:1],
         *result.without_effect,
         *preferred(result),
         *planned_only(result),
     ]
+
+
+def private_views(result: Result) -> list[str]:
+    """What cameras that are there see of private ground."""
+    # By name: few results have private ground.
+    views: list[str] = load_entry("experiments.parts.existing_views:warnings")(result)
+    return views
 
 
 def planned_only(result: Result) -> list[str]:
@@ -168,6 +177,4 @@ def refinement(result: Result) -> list[str]:
 
 def uncertainty(result: Result) -> list[str]:
     """The layout in sampled worlds; nothing where none were asked for."""
-    if result.sampled:
-        return uncertainty_sentences(result.sampled)
-    return []
+    return uncertainty_sentences(result.sampled) if result.sampled else []

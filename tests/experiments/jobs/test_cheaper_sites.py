@@ -16,6 +16,7 @@ from placement.optimiser import (
     placement_value,
     solve_placement,
 )
+from placement.optimiser.presolve import presolve_freely
 from placement.question import Question
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
@@ -76,7 +77,8 @@ def is_worth_it(problem, prices, before, after):
 def test_what_is_found_is_worth_it_and_no_single_exchange_is_missed(problem, seed):
     chosen = tuple(solve_placement(problem).pose_index)
     prices = prices_of(problem, seed)
-    found = cheaper_sites.find_cheaper(problem, chosen, prices)
+    reduced = presolve_freely(problem)
+    found = cheaper_sites.find_cheaper(problem, reduced, chosen, prices)
     exchanges = [
         (*chosen[:place], row, *chosen[place + 1 :])
         for place in range(len(chosen))
@@ -108,6 +110,7 @@ def test_a_cheaper_pole_that_sees_the_same_is_told_in_one_line():
     )
     placement = SimpleNamespace(
         problem=problem,
+        presolved=lambda: presolve_freely(problem),
         pose_index=(0,),
         layout=SimpleNamespace(units=[SimpleNamespace(id="U1")]),
     )
