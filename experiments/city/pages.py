@@ -249,6 +249,8 @@ def _plot_units(scene: Scene, layout: Layout) -> Axes:
 # Of the smallest and the largest circle.
 _AREA_PT2 = (70.0, 380.0)
 _MAX_NAMED = 12
+# Of names, counts and the key on the map of a city.
+_NAME_PT = 12.0
 _DOT: Style = {"linestyle": "none", "marker": "o"}
 _CHOSEN: Style = {
     **{
@@ -278,6 +280,8 @@ def plot_city_map(
     """
     places = np.array(positions_m).reshape(-1, 2)
     junctions = result.junctions
+    # The wide figure stands in half of a page.
+    scale = max(width_in / WIDTH_IN, 0.7)
     axes = new_map_axes(maps, places, width_in=width_in)
     gain = np.array([max(one.gain, 0.0) for one in junctions])
     units = np.array([one.units for one in junctions])
@@ -309,7 +313,7 @@ def plot_city_map(
             axes,
             units[index],
             places[index],
-            fontsize=8.0,
+            fontsize=9.0 * scale,
             color="white" if dark else "black",
         )
     names = [
@@ -317,7 +321,7 @@ def plot_city_map(
             text=f"{rank} {junctions[index].label}",
             point_m=(float(places[index, 0]), float(places[index, 1])),
             gap=0.6 * float(np.sqrt(size[index])),
-            size=9.0,
+            size=_NAME_PT * scale,
             style={"color": BLUE, "zorder": 8},
         )
         for rank, index in enumerate(order[:_MAX_NAMED], start=1)
@@ -352,7 +356,7 @@ def plot_city_map(
         loc="upper center",
         bbox_to_anchor=(0.5, -0.01),
         ncols=min(max(len(handles), 1), 6),
-        fontsize=9.0,
+        fontsize=_NAME_PT * scale,
         frameon=False,
     )
     return axes

@@ -278,6 +278,7 @@ def _head(result: Result) -> list[Part]:
     """
     groups = result.road_users
     return [
+        _said(*answer.private_views(result)),
         _said(
             *headline(result),
             *dangers.words(result.dangers, result.runs, cars=result.cars),

@@ -55,10 +55,7 @@ def answer_text(parts: Iterable[Part], *, is_verbose: bool) -> str:
 
     With `is_verbose` all of it, 80 columns wide.
     """
-    if is_verbose:
-        width = WIDTH
-    else:
-        width = SCREEN
+    width = WIDTH if is_verbose else SCREEN
     lines: list[str] = []
     was_plain = True
     for part in parts:
@@ -75,10 +72,7 @@ def answer_text(parts: Iterable[Part], *, is_verbose: bool) -> str:
 
 
 def _part_lines(part: Part, width: int) -> list[str]:
-    if part.title:
-        indent = 2
-    else:
-        indent = 0
+    indent = 2 if part.title else 0
     return [
         *sentences(part.title, width=width),
         *sentences(*part.words, indent=indent, hanging=indent, width=width),

@@ -33,10 +33,7 @@ def to_json(layout: Layout, scene: Scene | None = None) -> str:
 
     With a scene, what is assumed of sites.
     """
-    if scene is None:
-        doubts = {}
-    else:
-        doubts = assumed_sites(scene.notes)
+    doubts = {} if scene is None else assumed_sites(scene.notes)
     units = [
         record
         | ({"assumed": doubts[record["site"]]} if record["site"] in doubts else {})

@@ -6,6 +6,7 @@ once, and without a proof.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from placement.wishes import load_prices
 from ..language import tr
 from ..results.numbers import euros, joined, percent
 from .search import FoundLayout
+from .solve import GIVEN_UP
 
 LOSS_PER_EUR = 0.002 / 1000.0
 """A cheaper layout is named if each 1,000 EUR that it saves cost less than 0.2 points
@@ -66,7 +68,11 @@ def cheaper_sentence(found: FoundLayout) -> str:
     )
     if not is_asked:
         return ""
+    # The least APR is that of the highest: a layout may be worth less for the money.
+    floors = tuple(floor for floor in problem.floors if floor.name != GIVEN_UP)
+    problem = replace(problem, floors=floors)
     prices = _prices(found)
+    # As it was solved: to presolve it anew takes longer than all else here.
     reduce = placement.presolved
     assert reduce is not None
     chosen = placement.pose_index
@@ -105,7 +111,7 @@ def find_cheaper(
 
     Unit after unit is exchanged for the pose that saves most, as long as the whole of
     what is saved is worth it. Limits and floors of the problem hold. `chosen` itself
-    where no exchange is.
+    where no exchange is. Only poses of the reduced problem are tried.
     """
     best = placement_value(problem, chosen)
     cost_eur = prices.of(chosen)

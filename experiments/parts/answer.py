@@ -79,11 +79,19 @@ def warnings(result: Result) -> list[str]:
     Runs that were not driven, options that did nothing, doubts.
     """
     return [
+        *private_views(result),
         *result.driven[:1],
         *result.without_effect,
         *preferred(result),
         *planned_only(result),
     ]
+
+
+def private_views(result: Result) -> list[str]:
+    """What cameras that are there see of private ground."""
+    # By name: few results have private ground.
+    views: list[str] = load_entry("experiments.parts.existing_views:warnings")(result)
+    return views
 
 
 def planned_only(result: Result) -> list[str]:
@@ -177,6 +185,4 @@ def refinement(result: Result) -> list[str]:
 
 def uncertainty(result: Result) -> list[str]:
     """The layout in sampled worlds; nothing where none were asked for."""
-    if result.sampled:
-        return uncertainty_sentences(result.sampled)
-    return []
+    return uncertainty_sentences(result.sampled) if result.sampled else []

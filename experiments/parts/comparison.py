@@ -183,10 +183,7 @@ def side_by_side_table(
         )
     first, last = of_verdict(subject.vut, apr(subject.vut, axis))
     rows.append([tr("VUT alone"), NOTHING, NOTHING, *first, NOTHING, *last])
-    if baselines is None:
-        random = None
-    else:
-        random = baselines.random
+    random = None if baselines is None else baselines.random
     # What is known is the APR on the table alone.
     if random is not None:
         mean = percent(random.mean)

@@ -1,8 +1,10 @@
 """Private ground in view of cameras that are there: a warning above all numbers."""
 
 from ..language import tr, trn
-from ..results.numbers import percent
+from ..results.numbers import first_of, percent
 from .result import PlacementResult, Result
+
+_MOST_TOLD = 4
 
 
 def warnings(result: Result) -> list[str]:
@@ -16,21 +18,27 @@ def warnings(result: Result) -> list[str]:
         return []
     units = result.private_ground.units
     is_chosen = isinstance(result, PlacementResult)
-    views = [
-        tr("{unit} sees {share} of {area}", unit=unit, share=percent(share), area=area)
+    found = [
+        (share, unit, area)
         for unit, shares in units.items()
         for area, share in shares.items()
         if share > 0.0 and not (is_chosen and unit not in result.existing)
     ]
-    if not views:
+    if not found:
         return []
-    seen = "; ".join(views)
+    # The most seen first, and no more than are read.
+    found.sort(key=lambda view: -view[0])
+    views = [
+        tr("{unit} sees {share} of {area}", unit=unit, share=percent(share), area=area)
+        for share, unit, area in found
+    ]
+    seen = first_of(views, _MOST_TOLD)
     if is_chosen:
         return [
             trn(
                 "Warning: an existing camera has private ground in view: {views}.",
                 "Warning: existing cameras have private ground in view: {views}.",
-                len(views),
+                len({unit for _, unit, _ in found}),
                 views=seen,
             )
         ]

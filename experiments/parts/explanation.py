@@ -186,10 +186,7 @@ def missed_sentences(explained: ExplainedRecord) -> list[str]:
         f"{count} {outcome_words(name)}" for name, count in counts.most_common()
     )
     if len(counts) == 1:
-        if len(missed) == 1:
-            only = "{outcome}"
-        else:
-            only = mark("all {outcome}")
+        only = "{outcome}" if len(missed) == 1 else mark("all {outcome}")
         outcomes = tr(only, outcome=outcome_words(missed[0].outcome))
     if missed:
         sentences = [
@@ -555,10 +552,7 @@ def _from_to(objective: Objective, before: float, after: float) -> str:
         scale, unit = (100.0, " %")
     else:
         scale, unit = (1.0, f" {objective.unit}".rstrip())
-    if objective.is_minimised:
-        first = 0
-    else:
-        first = 2
+    first = 0 if objective.is_minimised else 2
     for digits in range(first, _MAX_DIGITS + 1):
         one, other = (
             f"{number(scale * value, digits)}{unit}" for value in (before, after)

@@ -5,7 +5,6 @@ Every figure here is the evaluator's. The planning model's are told with the pro
 
 from collections.abc import Iterator, Sequence
 
-from geometry.registry import load_entry
 from placement.question import BASELINE_NAME
 
 from ..language import mark, tr, trn
@@ -34,13 +33,9 @@ _OWN = {
 def headline(result: Result) -> list[str]:
     """The first sentences: what is prevented for both kinds of cars, and at what risk.
 
-    The first one always says what is left if a sensor fails; before it stands only what
-    existing cameras see of private ground.
+    The first one always says what is left if a sensor fails.
     """
-    # By name: few results have private ground.
-    warnings = load_entry("experiments.parts.existing_views:warnings")
     return [
-        *warnings(result),
         *_prevented(result),
         *_given_up(result),
         *_keeps_more(result),

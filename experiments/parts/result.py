@@ -354,10 +354,7 @@ def build_placement_result(
     apr_stage = next(
         (stage for stage in certificate.stages if stage.name == "apr"), None
     )
-    if baseline is None:
-        others = {}
-    else:
-        others = {baseline.layout.name: baseline}
+    others = {} if baseline is None else {baseline.layout.name: baseline}
     answer = build_answer(setting, found, others) | {
         "fusion": problem.fusion,
         # Without what summing up many weights leaves over.

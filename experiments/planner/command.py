@@ -34,7 +34,7 @@ _ASKED = (
     "gap",
     *options.JUDGED,
 )
-_JUDGED_ANEW = (*options.fields_in(options.MOUNTED, but=_OF_ANSWER), *options.JUDGED)
+_TAKEN_OVER = (*options.fields_in(options.MOUNTED, but=_OF_ANSWER), *options.JUDGED)
 """Fields that a layout's own question gives the page; how it was looked for is not."""
 _LOCAL = "127.0.0.1"
 
@@ -275,7 +275,7 @@ def _question_of(
         if given.intersection(options.OF_SCENE):
             given.update(options.OF_SCENE)
         taken = {
-            name: getattr(found, name) for name in _JUDGED_ANEW if name not in given
+            name: getattr(found, name) for name in _TAKEN_OVER if name not in given
         }
         opened = replace(question, **taken)
         if ".onnx" in taken.get("detector", ""):

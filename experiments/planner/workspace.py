@@ -75,6 +75,7 @@ class Workspace:
         self, work: Work, setting: Setting, *, title: str = "", save: Path | None = None
     ) -> None:
         self.work = work
+        setting = _with_capacity(setting, work.question.site_capacity)
         self.setting = setting
         self.save = save
         self.title = title or setting.scene.name
@@ -182,6 +183,15 @@ class Workspace:
             "view": self.view_paths([unit])[0],
             "reachM": self.views.reach_m(unit.sensor),
         }
+
+
+def _with_capacity(setting: Setting, capacity_units: int | None) -> Setting:
+    """A setting whose sites carry as many units as the question says, if it does."""
+    if capacity_units is None:
+        return setting
+    scene = setting.scene
+    sites = tuple(replace(site, capacity_units=capacity_units) for site in scene.sites)
+    return replace(setting, scene=replace(scene, sites=sites))
 
 
 def build_workspace(

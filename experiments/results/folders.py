@@ -58,10 +58,7 @@ def _manifest_of(contents: Mapping[str, str | bytes]) -> str:
     """
     lines = []
     for name, content in sorted(contents.items()):
-        if isinstance(content, str):
-            data = content.encode()
-        else:
-            data = content
+        data = content.encode() if isinstance(content, str) else content
         lines.append(f"{hashlib.sha256(data).hexdigest()}  {name}\n")
     return "".join(lines)
 
@@ -241,10 +238,7 @@ def _check_existing(folder: Path, real: Path) -> None:
         raise InputError("--out", str(folder), "a folder, not a file")
     try:
         is_empty = not any(real.iterdir())
-        if is_empty:
-            changes = {}
-        else:
-            changes = changed_files(real)
+        changes = {} if is_empty else changed_files(real)
         has_manifest = (real / MANIFEST).exists()
     except OSError as error:
         raise unwritable(folder, error) from None

@@ -558,6 +558,7 @@ def test_what_the_planner_refuses_is_translated():
         "a free port",
         "blind or see: the page tells each run once",
     }
+    options |= {"it on the command line: a network is a program"}
     options |= {"--tiles", "an address such as https://HOST/{z}/{x}/{y}.png"}
     # Of the command line, in English; and numbers of variants, which the page gives.
     assert texts == {*options, "1:1: 1", "0 to 1"}

@@ -486,7 +486,6 @@ export function createMap(holder, on) {
   function aimAdded(since) {
     const added = addedSince(since);
     if (added) on.aim(added.id, added.isRing ? { yaw: since.aim.yaw } : since.aim, since.gesture);
-    return Boolean(added);
   }
 
   // A new sensor is mounted when its drag begins, so that its number follows.
@@ -494,7 +493,7 @@ export function createMap(holder, on) {
     if (!drag.site.isForbidden) line(drag.site.place, groundOf(event));
     drag.aim = aimAt(drag.site.place, on.heightOf(drag.site), groundOf(event));
     drag.aim.yaw = on.snapped(drag.aim.yaw);
-    if (drag.before) { aimAdded(drag); return; }
+    if (drag.before) return aimAdded(drag);
     drag.before = units.map((unit) => unit.id);
     on.hang(drag.site.id, drag.aim, drag.gesture);
   }

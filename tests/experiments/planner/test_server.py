@@ -577,6 +577,29 @@ def test_a_plan_whose_image_is_damaged_is_refused(open_client, image):
     assert "p.json: background: got" in response.json()["problem"]
 
 
+def test_capacity_and_price_of_poles_are_those_of_the_question(open_client, join):
+    asked = {"site_capacity": 1, "site_cost_eur": 250.0}
+    line = join(open_client(UNITS[:1], asked=asked))
+    sites = line.last["scene"]["sites"]
+    assert {(site["capacity"], site["price"]) for site in sites} == {(1, "250 EUR")}
+    assert line.last["state"]["cost"]["sites"] == "250 EUR"
+    sensor = line.last["scene"]["grid"][0]
+    line.send(do="add", site=UNITS[0].site_id, sensor=sensor)
+    assert "expected at most 1" in line.next("problem")["text"]
+
+
+def test_a_sensor_dragged_from_a_pole_is_one_step(open_client, join):
+    line = join(open_client())
+    sensor = line.last["scene"]["grid"][0]
+    line.send(do="add", site="corner-ne", sensor=sensor, gesture="drag 1")
+    (unit,) = line.state()["units"]
+    for yaw_deg in (10.0, 20.0):
+        line.send(do="change", unit=unit["id"], yaw_deg=yaw_deg, gesture="drag 1")
+        assert line.state()["units"][0]["yawDeg"] == yaw_deg
+    line.send(do="undo")
+    assert line.state()["units"] == []
+
+
 # ---------- private areas
 
 
