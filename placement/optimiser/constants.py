@@ -99,6 +99,8 @@ MAX_FEW_SETS = 60_000
 MAX_SETS_OF_MONEY = 1_000_000
 # Measured: two to three times as many; where less time is left, fewer sets are few.
 FEW_SETS_PER_SECOND = 30_000
+# Sets of sites behind which walks go: tens of seconds to find out what all poses reach
+MAX_SITE_SETS = 200_000
 # Sets whose limits are looked at to find out how many are allowed
 MAX_GROWN_SETS = 20_000_000
 # A walk through sets of more units does not end

@@ -30,6 +30,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.phrases import Phrase
+from geometry.registry import load_entry
 
 from . import constants
 from .allowed_sets import Limits, are_allowed, is_allowed, price_step_eur
@@ -63,6 +64,7 @@ from .problem import (
 )
 from .walk import (
     SetWalk,
+    SomeWalk,
     Tied,
     TieSearch,
     best_of_few,
@@ -516,20 +518,26 @@ class Walks:
         """
         search = self.search
         reduced = search.reduced
-        if not can_walk(reduced) or not search.is_exact or search.deadline.is_over:
+        if not search.is_exact or search.deadline.is_over:
             return False
         by_pairs = goes_by_pairs(reduced)
         n_forced = int(reduced.limits.is_forced.sum())
         # By pairs, nothing but ties that were met tells of failures.
         if n_failures and (by_pairs or n_forced):
             return False
-        if by_pairs:
+        contenders = None
+        if not can_walk(reduced):
+            find = load_entry("placement.optimiser.site_walk:tied_by_sites")
+            tied, contenders = find(search, n_failures, self._find_tied)
+            if tied is None:
+                return False
+        elif by_pairs:
             end = search.deadline.of("worlds")
             tied = walk_by_pairs(
                 reduced, search.found, deadline=end, on_better=search.improved
             )
         elif reduced.measure.is_mean:
-            tied = self._find_tied(n_failures)
+            tied = self._find_tied(n_failures, reduced, search.root, SetWalk)
         else:
             return False
         search.proofs[Phrase("branch and bound")] = None
@@ -538,14 +546,19 @@ class Walks:
             contenders = best_of_tied(
                 reduced, tied.sets, n_failures=n_failures, value=tied.value
             )
+        if contenders is not None:
             self.all_sets.add_all(reduced, contenders)
         return tied.is_finished
 
-    def _find_tied(self, n_failures: int) -> Tied:
+    def _find_tied(
+        self,
+        n_failures: int,
+        reduced: ReducedProblem,
+        root: Root,
+        walk_of: Callable[..., SomeWalk],
+    ) -> Tied:
         """Ties by a walk through the covering problem; the APR may be held already."""
         search = self.search
-        reduced = search.reduced
-        root = search.root
         held = None
         ahead = 0.0
         if n_failures:
@@ -555,8 +568,8 @@ class Walks:
             else:
                 held = search.least_apr
 
-        def walk_from(need: float, left: float) -> SetWalk:
-            return SetWalk(reduced, root, need=need, n_failures=n_failures, left=left)
+        def walk_from(need: float, left: float) -> SomeWalk:
+            return walk_of(reduced, root, need=need, n_failures=n_failures, left=left)
 
         def limit(least: float, deadline: Deadline) -> float:
             return failure_limit(root, n_failures, least, deadline=deadline)
@@ -681,6 +694,9 @@ class Stages:
         search = self.search
         bound = _cheapest_unit_eur(search.reduced.limits)
         self.all_sets.compare_few()
+        if not self.all_sets.are_known:
+            find = load_entry("placement.optimiser.site_walk:least_cost_eur")
+            bound = max(bound, find(search))
         cost = search.value.cost_eur
         if not self.all_sets.are_known and cost > bound + COST_TOLERANCE_EUR:
             bound = max(bound, search.look_for(Objective.COST, ()))

@@ -44,7 +44,7 @@ from .bitsets import (
     union_apr,
     unions_of,
 )
-from .bounds import Root, find_root, rounded_down, run_rows
+from .bounds import Root, Rows, find_root, rounded_down, run_rows
 from .constants import NEVER, TIES_OF_TIES, TOLERANCE, Deadline, deadline_in
 from .greedy import forced_units
 from .presolve import ReducedProblem, transposed, unpack_words
@@ -236,6 +236,8 @@ class SetWalk:
             may_lose=np.zeros(2),
             base=unions_of(reduced, self.forced[None, :])[0],
         )
+        # Sites behind which it walks, (n_sites,) each time; None: all together.
+        self.starts: Iterator[BoolArray] | None = None
         # Whether all sets were gone through.
         self.is_finished = False
         self.raise_needs(need, left)
@@ -311,6 +313,17 @@ class SetWalk:
 
         stop = max(min(constants.STOP_DEPTH, self.n_units - 2), 1)
         scout = _Task(self)
+
+        def begin() -> _Task:
+            task = spare.pop() if spare else _Task(self)
+            task.begin_at(scout.walk)
+            return task
+
+        if self.starts is not None:
+            for is_used in self.starts:
+                scout.walk.is_open[0] = is_used[self.covers.site]
+                yield begin()
+            return
         while True:
             state = grow(
                 self.covers,
@@ -323,12 +336,7 @@ class SetWalk:
             if state == DONE:
                 return
             if state == AT_STOP:
-                if spare:
-                    task = spare.pop()
-                else:
-                    task = _Task(self)
-                task.begin_at(scout.walk)
-                yield task
+                yield begin()
                 # The scout goes back up, as if it had been behind the node itself.
                 scout.walk.at[0].depth -= 1
                 scout.walk.at[0].is_new = 0
@@ -468,14 +476,7 @@ def find_of_size(
     if n_units <= len(forced):
         return _first_that_will_do(reduced, forced[None, :]), True
 
-    def hardness(floor: Requirement) -> float:
-        return floor.least / max(floor.measure.limit, constants.TINY)
-
-    # The mean over all worlds of what the hardest floor counts.
-    floor = max(reduced.floors, key=hardness)
-    counted = replace(reduced, measure=replace(floor.measure, tail=1.0))
-    rows = run_rows(counted)
-    rows = rows.of(rows.weight > 0.0)
+    floor, counted, rows = of_hardest_floor(reduced)
     root = find_root(counted, rows, n_units=n_units, deadline=deadline)
     if root.limit < floor.least - TOLERANCE:
         return None, True
@@ -491,6 +492,23 @@ def find_of_size(
         if units is not None:
             return units, False
     return None, walk.is_finished
+
+
+def of_hardest_floor(
+    reduced: ReducedProblem,
+) -> tuple[Requirement, ReducedProblem, Rows]:
+    """The hardest floor, and the problem and rows of what it counts.
+
+    That is the mean over all worlds.
+    """
+
+    def hardness(floor: Requirement) -> float:
+        return floor.least / max(floor.measure.limit, constants.TINY)
+
+    floor = max(reduced.floors, key=hardness)
+    counted = replace(reduced, measure=replace(floor.measure, tail=1.0))
+    rows = run_rows(counted)
+    return floor, counted, rows.of(rows.weight > 0.0)
 
 
 def _first_that_will_do(reduced: ReducedProblem, sets: IntArray) -> IntArray | None:
@@ -853,7 +871,12 @@ class TieSearch:
 
 
 def best_of_tied(
-    reduced: ReducedProblem, sets: IntArray, *, n_failures: int, value: float
+    reduced: ReducedProblem,
+    sets: IntArray,
+    *,
+    n_failures: int,
+    value: float,
+    among: Contenders | None = None,
 ) -> Contenders:
     """Tied sets and their parts that tie with them, within the limits.
 
@@ -870,8 +893,10 @@ def best_of_tied(
         Units that fail in the stage in which they tie.
     value : float
         The best value of that stage.
+    among : Contenders, optional
+        Others that they join.
     """
-    contenders = Contenders(reduced.objectives)
+    contenders = among or Contenders(reduced.objectives)
     while len(sets) and sets.shape[1] > 0:
         for start in range(0, len(sets), constants.BLOCK_SETS):
             part = sets[start : start + constants.BLOCK_SETS]

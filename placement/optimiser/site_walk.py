@@ -1,0 +1,396 @@
+"""Walks where money is short: behind one set of sites after the other.
+
+A site is paid once, however many units it carries: few sets of sites can be paid, and
+many of these do not reach enough even with all their poses. Behind each set of sites
+that is left, :class:`placement.optimiser.walk.SetWalk` goes through all sets of as many
+units as the rest of the money pays.
+
+A set at these sites that has fewer units is part of one that has more, until the next
+unit might be too dear. Where prices of units differ, all numbers between those that
+only the dearest and only the cheapest units make are gone through, and what is too dear
+drops out.
+
+The cheapest set is looked for in the order of what sites and units cost at least: what
+comes next bounds all that has not been looked at.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.phrases import Phrase
+
+from . import constants
+from .allowed_sets import Limits, are_allowed, build_choice, costs_eur
+from .bitsets import Contenders, set_values, union_apr
+from .bounds import Root, find_root, reward_of, run_rows, tightened
+from .constants import COST_TOLERANCE_EUR, TIES_OF_TIES, TOLERANCE, Deadline
+from .presolve import ReducedProblem
+from .walk import (
+    SetWalk,
+    SomeWalk,
+    Tied,
+    allowed_sets,
+    best_of_tied,
+    least_apr,
+    of_hardest_floor,
+)
+
+if TYPE_CHECKING:
+    from .proof import Search
+
+FindTied = Callable[[int, ReducedProblem, Root, Callable[..., SomeWalk]], Tied]
+
+
+class SiteSets(NamedTuple):
+    """Sets of sites that can be paid and reach enough with all their poses.
+
+    Attributes
+    ----------
+    is_used : (n_sets, n_sites) bool
+        Sites of each set; each carries at least one unit.
+    apr : (n_sets,) float
+        What all poses at these sites reach together.
+    cost_eur : (n_sets,) float
+        Price of the sites and of the forced units. [EUR]
+    unit_eur : (n_sets,) float
+        Price of the cheapest unit there. [EUR]
+    fewest, most : (n_sets,) int
+        Units that the sites carry, the forced ones among them: what has fewer than
+        `fewest` is part of a set that can be paid, more than `most` cannot be.
+    """
+
+    is_used: BoolArray
+    apr: FloatArray
+    cost_eur: FloatArray
+    unit_eur: FloatArray
+    fewest: IntArray
+    most: IntArray
+
+    def of(self, some: IntArray | BoolArray) -> "SiteSets":
+        """Some of the sets."""
+        return SiteSets._make(array[some] for array in self)
+
+
+def find_site_sets(
+    reduced: ReducedProblem, *, least: float, deadline: Deadline
+) -> SiteSets | None:
+    """Sets of sites within the limits whose poses together reach an APR.
+
+    None if they are too many, or the deadline is over.
+    """
+    limits = reduced.limits
+    prices = limits.unit_cost_eur
+    usable = np.flatnonzero(
+        ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
+    )
+    site = limits.site_index[usable]
+    n_usable = np.bincount(site, minlength=limits.n_sites)
+    room = np.minimum(n_usable, limits.site_capacity)
+    cheapest = np.full(limits.n_sites, np.inf)
+    np.minimum.at(cheapest, site, prices[usable])
+    dearest = np.zeros(limits.n_sites)
+    np.maximum.at(dearest, site, prices[usable])
+    words = np.zeros((limits.n_sites, reduced.words.shape[1]), dtype=np.uint64)
+    np.bitwise_or.at(words, site, reduced.words[usable])
+    sizes = allowed_sets(
+        _limits_of_sites(limits, room, cheapest), max_sets=constants.MAX_SITE_SETS
+    )
+    if sizes is None:
+        return None
+    used = []
+    reached = []
+    for sets in sizes:
+        for begin in range(0, len(sets), constants.BLOCK_SETS):
+            if deadline.is_over:
+                return None
+            part = sets[begin : begin + constants.BLOCK_SETS]
+            union = np.bitwise_or.reduce(words[part], axis=1) | reduced.base
+            apr = union_apr(reduced, union)
+            is_enough = apr >= least - TIES_OF_TIES * TOLERANCE
+            is_used = np.zeros((int(is_enough.sum()), limits.n_sites), dtype=bool)
+            np.put_along_axis(is_used, part[is_enough], True, axis=1)
+            used.append(is_used)
+            reached.append(apr[is_enough])
+    is_used = np.concatenate([np.zeros((0, limits.n_sites), dtype=bool), *used])
+    n_forced = int(limits.is_forced.sum())
+    of_forced = float(prices[limits.is_forced].sum())
+    cost_eur = is_used @ limits.site_cost_eur + of_forced
+    unit_eur = np.where(is_used, cheapest, np.inf).min(axis=1, initial=np.inf)
+    left_eur = np.inf
+    if limits.budget_eur is not None:
+        left_eur = limits.budget_eur + COST_TOLERANCE_EUR - cost_eur
+    n_most = np.minimum(is_used @ room, limits.max_units)
+
+    def n_units(price_eur: FloatArray) -> IntArray:
+        """Units that the money pays, at most as many as there may be."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            n_paid = np.where(price_eur > 0.0, left_eur // price_eur, np.inf)
+        n_paid = np.where(left_eur < 0.0, -np.inf, n_forced + n_paid)
+        return np.maximum(np.minimum(n_paid, n_most), 0).astype(np.int64)
+
+    dearest_eur = np.where(is_used, dearest, 0.0).max(axis=1, initial=0.0)
+    n_least = np.maximum(is_used.sum(axis=1), max(n_forced, 1))
+    found = SiteSets(
+        is_used=is_used,
+        apr=np.concatenate([np.zeros(0), *reached]),
+        cost_eur=cost_eur,
+        unit_eur=unit_eur,
+        fewest=np.maximum(n_units(dearest_eur), n_least),
+        most=n_units(unit_eur),
+    )
+    return found.of(found.most >= found.fewest)
+
+
+def _limits_of_sites(limits: Limits, room: IntArray, cheapest_eur: FloatArray) -> Limits:
+    """Limits on sites: each is a pose, with its price and that of its cheapest unit."""
+    is_forced = limits.is_forced_site.copy()
+    is_forced[limits.site_index[limits.is_forced]] = True
+    return Limits(
+        site_index=np.arange(limits.n_sites),
+        site_capacity=np.ones(limits.n_sites, dtype=np.int64),
+        budget_units=limits.budget_units,
+        budget_eur=limits.budget_eur,
+        unit_cost_eur=limits.site_cost_eur + np.where(room > 0, cheapest_eur, 0.0),
+        is_forced=is_forced,
+        is_forbidden=room == 0,
+        rivals=limits.rivals,
+    )
+
+
+class SiteWalk:
+    """A walk behind sets of sites: through their sets of poses within the limits.
+
+    Parameters
+    ----------
+    walk : SetWalk
+        Walks through sets of so many units.
+    limits : Limits
+        Sets must be within them.
+    sites : SiteSets
+        The sets of sites.
+    """
+
+    def __init__(self, walk: SetWalk, limits: Limits, sites: SiteSets) -> None:
+        self.walk = walk
+        self.limits = limits
+        self.sites = sites
+        self.is_finished = False
+
+    def raise_needs(self, need: float, left: float = 0.0) -> None:
+        """Ask for more from here on."""
+        self.walk.raise_needs(need, left)
+
+    def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
+        """Sets that meet the needs, many at a time, until the deadline.
+
+        Yields
+        ------
+        sets : (n_sets, n_units) int
+            Poses of the reduced problem; one set may come up more than once.
+        """
+        walk = self.walk
+        if walk.n_units == 0:
+            blocks = iter([walk.forced[None, :]])
+            walk.is_finished = True
+        else:
+            walk.starts = self._starts()
+            blocks = walk.blocks(deadline)
+        for block in blocks:
+            if len(block):
+                block = block[are_allowed(self.limits, block)]
+            yield block
+        self.is_finished = walk.is_finished
+
+    def _starts(self) -> Iterator[BoolArray]:
+        """Sites of the sets that reach what is needed when it is their turn."""
+        from .walk_kernels import WHOLE
+
+        walk = self.walk
+        for is_used, apr in zip(self.sites.is_used, self.sites.apr, strict=True):
+            if apr >= walk.total - walk.losses.may_lose[WHOLE]:
+                yield is_used
+
+
+def tied_by_sites(
+    search: "Search", n_failures: int, find_tied: FindTied
+) -> tuple[Tied | None, Contenders | None]:
+    """Sets that tie at the best value of a stage, by walks behind sets of sites.
+
+    Parameters
+    ----------
+    search : Search
+        The best set so far, which is replaced by better ones.
+    n_failures : int
+        Units that fail in this stage; 0 if it is the APR.
+    find_tied : callable
+        Looks for all ties of so many failures by walks through sets of one size.
+
+    Returns
+    -------
+    tied : Tied or None
+        Best value and bound; None if nothing was walked. Its sets are contenders.
+    contenders : Contenders or None
+        The sets that tie; None if they are too many, or were not all looked at.
+    """
+    reduced = search.reduced
+    limits = reduced.limits
+    is_floor_known = not reduced.floors or least_apr(reduced) is not None
+    is_open = limits.budget_eur is not None and not reduced.objectives[0].is_minimised
+    is_by_mean = reduced.measure.is_mean and len(reduced.weight) > 0
+    has_both = bool(limits.is_forced.any()) and reduced.survive > 0
+    if not (is_open and is_floor_known and is_by_mean) or has_both:
+        return None, None
+    deadline = search.deadline.of("walk")
+    least = search.value.apr
+    if n_failures:
+        least = search.least_apr
+        if reduced.survive:
+            least = least_apr(reduced) or 0.0
+    sites = find_site_sets(reduced, least=least, deadline=deadline)
+    if sites is None or not _may_walk(sites):
+        return None, None
+    root = find_root(
+        reduced, run_rows(reduced), n_units=len(search.found), deadline=deadline
+    )
+    limit = search.left(n_failures)
+    is_finished = True
+    tied_sets: list[IntArray] | None = []
+    for n_units in range(int(sites.most.max()), int(sites.fewest.min()) - 1, -1):
+        mine = sites.of((sites.fewest <= n_units) & (n_units <= sites.most))
+        part = replace(reduced, limits=replace(limits, budget_units=n_units))
+        of_size = _root_of_size(root, part, n_units)
+        if of_size.limit < least - TIES_OF_TIES * TOLERANCE or not len(mine.apr):
+            continue
+
+        def walk_of(
+            part: ReducedProblem, root: Root, *, mine: SiteSets = mine, **needs: Any
+        ) -> SomeWalk:
+            return SiteWalk(SetWalk(part, root, **needs), part.limits, mine)
+
+        tied = find_tied(n_failures, part, of_size, walk_of)
+        limit = max(limit, tied.limit)
+        is_finished &= tied.is_finished
+        if tied.sets is None:
+            tied_sets = None
+        elif tied_sets is not None:
+            tied_sets.append(tied.sets)
+    value = search.left(n_failures)
+    contenders = None
+    if tied_sets is not None:
+        contenders = Contenders(reduced.objectives)
+        for sets in tied_sets:
+            best_of_tied(
+                reduced, sets, n_failures=n_failures, value=value, among=contenders
+            )
+    return Tied(None, value, max(limit, value), is_finished), contenders
+
+
+def least_cost_eur(search: "Search") -> float:
+    """Lower bound of the cost of a set that reaches the floors, in euros.
+
+    The cheapest set that is found on the way is kept.
+    """
+    reduced = search.reduced
+    cost_eur = search.value.cost_eur
+    if not (search.is_exact and reduced.floors and len(reduced.weight)):
+        return 0.0
+    deadline = search.deadline.of("walk")
+    floor, counted, rows = of_hardest_floor(reduced)
+    need = floor.least - TOLERANCE
+    cheaper = _cheaper_than(cost_eur, reduced)
+    counted = replace(counted, limits=cheaper.limits)
+    sites = find_site_sets(counted, least=need, deadline=deadline)
+    if sites is None or not _may_walk(sites):
+        return 0.0
+    search.proofs[Phrase("branch and bound")] = None
+    n_forced = int(reduced.limits.is_forced.sum())
+    root = find_root(counted, rows, n_units=len(search.found), deadline=deadline)
+    walks: dict[int, SetWalk | None] = {}
+    for least_eur, n_units, some in _in_order_of_cost(sites, n_forced):
+        if least_eur >= cost_eur - COST_TOLERANCE_EUR:
+            break
+        if deadline.is_over:
+            return least_eur
+        if n_units not in walks:
+            walks[n_units] = None
+            of_size = _root_of_size(root, counted, n_units)
+            if of_size.limit >= need:
+                n_failures = 0
+                if floor.n_failures < n_units and not n_forced:
+                    n_failures = floor.n_failures
+                walks[n_units] = SetWalk(
+                    counted, of_size, need=need, n_failures=n_failures, left=need
+                )
+        walk = walks[n_units]
+        if walk is None:
+            continue
+        of_sites = SiteWalk(walk, cheaper.limits, sites.of(some))
+        for block in of_sites.blocks(deadline):
+            block = block[are_allowed(cheaper.limits, block)] if len(block) else block
+            if not len(block):
+                continue
+            block = block[set_values(reduced, block).lacking == 0.0]
+            if not len(block):
+                continue
+            search.keep(block[costs_eur(reduced.limits, block).argmin()])
+            cost_eur = search.value.cost_eur
+            cheaper = _cheaper_than(cost_eur, reduced)
+            if cost_eur <= least_eur + COST_TOLERANCE_EUR:
+                return cost_eur
+        if not of_sites.is_finished:
+            return least_eur
+    return cost_eur
+
+
+def _in_order_of_cost(
+    sites: SiteSets, n_forced: int
+) -> Iterator[tuple[float, int, IntArray]]:
+    """Sets of sites and numbers of units by what they cost at least.
+
+    Yields
+    ------
+    least_eur : float
+        Price of the sites and of so many cheapest units there. [EUR]
+    n_units : int
+        How many units.
+    some : (n,) int
+        Sets of sites of which it is true.
+    """
+    n_least = np.maximum(sites.is_used.sum(axis=1), max(n_forced, 1))
+    n_each = sites.most - n_least + 1
+    index = np.repeat(np.arange(len(n_each)), n_each)
+    first = np.repeat(np.cumsum(n_each) - n_each, n_each)
+    n_units = n_least[index] + np.arange(len(index)) - first
+    cost_eur = sites.cost_eur[index] + (n_units - n_forced) * sites.unit_eur[index]
+    cents = np.rint(cost_eur * 100.0)
+    order = np.lexsort((index, n_units, cents))
+    ends = np.flatnonzero((np.diff(cents[order]) != 0) | (np.diff(n_units[order]) != 0))
+    for some in np.split(order, ends + 1):
+        if len(some):
+            yield float(cost_eur[some].min()), int(n_units[some[0]]), index[some]
+
+
+def _cheaper_than(cost_eur: float, reduced: ReducedProblem) -> ReducedProblem:
+    """The problem for sets that cost less, by more than a tie."""
+    most_eur = max(cost_eur - 2.0 * COST_TOLERANCE_EUR, 0.0)
+    if reduced.limits.budget_eur is not None:
+        most_eur = min(most_eur, reduced.limits.budget_eur)
+    return replace(reduced, limits=replace(reduced.limits, budget_eur=most_eur))
+
+
+def _may_walk(sites: SiteSets) -> bool:
+    """True if a walk through the largest sets may end."""
+    return int(sites.most.max(initial=0)) <= constants.MAX_WALK_UNITS
+
+
+def _root_of_size(root: Root, reduced: ReducedProblem, n_units: int) -> Root:
+    """Prices for sets of so many units, from those for another number."""
+    choice = build_choice(reduced.limits, n_units)
+    reward = reward_of(choice.n_units, 0)
+    return tightened(
+        replace(root, choice=choice), reward, n_steps=constants.LATER_STEPS
+    )
