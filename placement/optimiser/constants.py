@@ -150,6 +150,8 @@ FIRST_STEPS = 250
 LATER_STEPS = 120
 # Rounds in which windows are asked for the frame seen least; most settle before
 ASK_ROUNDS = 8
+# Of one set of sites: most are bounded well enough by the first
+SITE_STEPS = (30, 120)
 # Relative: a round that lowers the bound by less is the last one
 SETTLED = 1.0e-5
 # Frames whose shares agree to so many places are alike: the first is asked for
@@ -187,6 +189,8 @@ NEAR_IN_WORLDS = 0.02
 # A walk for the best takes so many times as long as one for what is better by that;
 # measured.
 ALL_TIMES_NEAR = 6.0
+# Sets of sites that are bounded before a walk goes behind those that are left
+BLOCK_SITES = 256
 # Nodes of this depth are handed out to threads
 STOP_DEPTH = 2
 # Sets of classes that a walk finds before they are valued

@@ -16,6 +16,7 @@ comes next bounds all that has not been looked at.
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -24,10 +25,16 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.phrases import Phrase
 
 from . import constants
-from .allowed_sets import Limits, are_allowed, build_choice, costs_eur
+from .allowed_sets import Limits, are_allowed, costs_eur
 from .bitsets import Contenders, set_values, union_apr
 from .bounds import Root, find_root, reward_of, run_rows, tightened
-from .constants import COST_TOLERANCE_EUR, TIES_OF_TIES, TOLERANCE, Deadline
+from .constants import (
+    COST_TOLERANCE_EUR,
+    TIES_OF_TIES,
+    TOLERANCE,
+    Deadline,
+    share_out,
+)
 from .presolve import ReducedProblem
 from .walk import (
     SetWalk,
@@ -145,7 +152,9 @@ def find_site_sets(
     return found.of(found.most >= found.fewest)
 
 
-def _limits_of_sites(limits: Limits, room: IntArray, cheapest_eur: FloatArray) -> Limits:
+def _limits_of_sites(
+    limits: Limits, room: IntArray, cheapest_eur: FloatArray
+) -> Limits:
     """Limits on sites: each is a pose, with its price and that of its cheapest unit."""
     is_forced = limits.is_forced_site.copy()
     is_forced[limits.site_index[limits.is_forced]] = True
@@ -166,19 +175,31 @@ class SiteWalk:
 
     Parameters
     ----------
-    walk : SetWalk
-        Walks through sets of so many units.
-    limits : Limits
-        Sets must be within them.
+    reduced : ReducedProblem
+        The problem.
+    root : Root
+        Its covering problem, for sets of so many units.
     sites : SiteSets
         The sets of sites.
+    needs
+        What :class:`placement.optimiser.walk.SetWalk` is asked for.
     """
 
-    def __init__(self, walk: SetWalk, limits: Limits, sites: SiteSets) -> None:
-        self.walk = walk
-        self.limits = limits
+    def __init__(
+        self, reduced: ReducedProblem, root: Root, sites: SiteSets, **needs: Any
+    ) -> None:
+        self.limits = reduced.limits
+        self.root = root
         self.sites = sites
+        self.walk = SetWalk(reduced, root, **needs)
         self.is_finished = False
+
+    @property
+    def least(self) -> float:
+        """Value that whole sets must reach by now."""
+        from .walk_kernels import WHOLE
+
+        return self.walk.total - float(self.walk.losses.may_lose[WHOLE])
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
         """Ask for more from here on."""
@@ -192,27 +213,63 @@ class SiteWalk:
         sets : (n_sets, n_units) int
             Poses of the reduced problem; one set may come up more than once.
         """
-        walk = self.walk
-        if walk.n_units == 0:
-            blocks = iter([walk.forced[None, :]])
-            walk.is_finished = True
-        else:
-            walk.starts = self._starts()
-            blocks = walk.blocks(deadline)
-        for block in blocks:
+        for block in self._all_blocks(deadline):
             if len(block):
                 block = block[are_allowed(self.limits, block)]
             yield block
-        self.is_finished = walk.is_finished
+        self.is_finished = not deadline.is_over
 
-    def _starts(self) -> Iterator[BoolArray]:
-        """Sites of the sets that reach what is needed when it is their turn."""
-        from .walk_kernels import WHOLE
-
+    def _all_blocks(self, deadline: Deadline) -> Iterator[IntArray]:
+        """Blocks that may have sets that cannot be paid."""
         walk = self.walk
-        for is_used, apr in zip(self.sites.is_used, self.sites.apr, strict=True):
-            if apr >= walk.total - walk.losses.may_lose[WHOLE]:
-                yield is_used
+        if walk.n_units == 0:
+            yield walk.forced[None, :]
+            return
+        if walk.n_units == 1:
+            yield from walk.blocks(deadline)
+            return
+        n_sets = len(self.sites.apr)
+        for begin in range(0, n_sets, constants.BLOCK_SITES):
+            end = min(begin + constants.BLOCK_SITES, n_sets)
+            walk.starts = iter(self._reaching(begin, end, deadline))
+            yield from walk.blocks(deadline)
+
+    def _reaching(self, first: int, last: int, deadline: Deadline) -> BoolArray:
+        """Sites of sets first .. last - 1 whose relaxation reaches what is needed.
+
+        (n, n_sites). Prices that bound one set of sites are good for the next one.
+        """
+        covers = self.walk.covers
+        reward = reward_of(self.root.choice.n_units, 0)
+        least = self.least
+        may = self.sites.apr[first:last] >= least
+        is_used = self.sites.is_used[first:last][may]
+        kept = np.ones(len(is_used), dtype=bool)
+
+        def bound(begin: int, end: int) -> None:
+            price = self.root.price
+            for number in range(begin, end):
+                if deadline.is_over:
+                    return
+                here = is_used[number][covers.site]
+                choice = self.root.choice._replace(
+                    is_open=np.ones(int(here.sum()), dtype=np.int64),
+                    cost=np.empty(0),
+                    site=covers.site[here],
+                )
+                part = replace(
+                    self.root, covers=covers.covers[here], price=price, choice=choice
+                )
+                # Few steps suffice for most.
+                for n_steps in constants.SITE_STEPS:
+                    part = tightened(part, reward, n_steps=n_steps)
+                    kept[number] = part.limit >= least
+                    if not kept[number]:
+                        break
+                price = part.price
+
+        share_out(bound, len(is_used), workers=self.walk.reduced.workers, few=2)
+        return is_used[kept]
 
 
 def tied_by_sites(
@@ -253,25 +310,18 @@ def tied_by_sites(
     sites = find_site_sets(reduced, least=least, deadline=deadline)
     if sites is None or not _may_walk(sites):
         return None, None
-    root = find_root(
-        reduced, run_rows(reduced), n_units=len(search.found), deadline=deadline
-    )
+    rows = run_rows(reduced)
     limit = search.left(n_failures)
     is_finished = True
     tied_sets: list[IntArray] | None = []
     for n_units in range(int(sites.most.max()), int(sites.fewest.min()) - 1, -1):
         mine = sites.of((sites.fewest <= n_units) & (n_units <= sites.most))
         part = replace(reduced, limits=replace(limits, budget_units=n_units))
-        of_size = _root_of_size(root, part, n_units)
-        if of_size.limit < least - TIES_OF_TIES * TOLERANCE or not len(mine.apr):
+        root = find_root(part, rows, n_units=n_units, deadline=deadline)
+        if root.limit < least - TIES_OF_TIES * TOLERANCE:
             continue
-
-        def walk_of(
-            part: ReducedProblem, root: Root, *, mine: SiteSets = mine, **needs: Any
-        ) -> SomeWalk:
-            return SiteWalk(SetWalk(part, root, **needs), part.limits, mine)
-
-        tied = find_tied(n_failures, part, of_size, walk_of)
+        walk_of = partial(SiteWalk, sites=mine)
+        tied = find_tied(n_failures, part, root, walk_of)
         limit = max(limit, tied.limit)
         is_finished &= tied.is_finished
         if tied.sets is None:
@@ -308,8 +358,7 @@ def least_cost_eur(search: "Search") -> float:
         return 0.0
     search.proofs[Phrase("branch and bound")] = None
     n_forced = int(reduced.limits.is_forced.sum())
-    root = find_root(counted, rows, n_units=len(search.found), deadline=deadline)
-    walks: dict[int, SetWalk | None] = {}
+    walks: dict[int, SiteWalk | None] = {}
     for least_eur, n_units, some in _in_order_of_cost(sites, n_forced):
         if least_eur >= cost_eur - COST_TOLERANCE_EUR:
             break
@@ -317,20 +366,20 @@ def least_cost_eur(search: "Search") -> float:
             return least_eur
         if n_units not in walks:
             walks[n_units] = None
-            of_size = _root_of_size(root, counted, n_units)
-            if of_size.limit >= need:
+            root = find_root(counted, rows, n_units=n_units, deadline=deadline)
+            if root.limit >= need:
                 n_failures = 0
                 if floor.n_failures < n_units and not n_forced:
                     n_failures = floor.n_failures
-                walks[n_units] = SetWalk(
-                    counted, of_size, need=need, n_failures=n_failures, left=need
+                walks[n_units] = SiteWalk(
+                    counted, root, sites, need=need, n_failures=n_failures, left=need
                 )
         walk = walks[n_units]
         if walk is None:
             continue
-        of_sites = SiteWalk(walk, cheaper.limits, sites.of(some))
-        for block in of_sites.blocks(deadline):
-            block = block[are_allowed(cheaper.limits, block)] if len(block) else block
+        walk.sites = sites.of(some)
+        walk.limits = cheaper.limits
+        for block in walk.blocks(deadline):
             if not len(block):
                 continue
             block = block[set_values(reduced, block).lacking == 0.0]
@@ -339,9 +388,10 @@ def least_cost_eur(search: "Search") -> float:
             search.keep(block[costs_eur(reduced.limits, block).argmin()])
             cost_eur = search.value.cost_eur
             cheaper = _cheaper_than(cost_eur, reduced)
+            walk.limits = cheaper.limits
             if cost_eur <= least_eur + COST_TOLERANCE_EUR:
                 return cost_eur
-        if not of_sites.is_finished:
+        if not walk.is_finished:
             return least_eur
     return cost_eur
 
@@ -385,12 +435,3 @@ def _cheaper_than(cost_eur: float, reduced: ReducedProblem) -> ReducedProblem:
 def _may_walk(sites: SiteSets) -> bool:
     """True if a walk through the largest sets may end."""
     return int(sites.most.max(initial=0)) <= constants.MAX_WALK_UNITS
-
-
-def _root_of_size(root: Root, reduced: ReducedProblem, n_units: int) -> Root:
-    """Prices for sets of so many units, from those for another number."""
-    choice = build_choice(reduced.limits, n_units)
-    reward = reward_of(choice.n_units, 0)
-    return tightened(
-        replace(root, choice=choice), reward, n_steps=constants.LATER_STEPS
-    )
