@@ -66,6 +66,8 @@ TIME_SHARES = {
     "few sets": 0.5,
     # What it leaves is for the relaxation and HiGHS.
     "walk": 0.6,
+    # All later stages depend on it.
+    "least cost": 0.8,
     # Nothing else bounds drawn detections as well.
     "worlds": 0.9,
     # Settles within seconds.

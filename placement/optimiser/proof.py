@@ -70,7 +70,6 @@ from .walk import (
     best_of_few,
     best_of_tied,
     can_walk,
-    find_of_size,
     least_apr,
 )
 
@@ -525,6 +524,7 @@ class Walks:
         # By pairs, nothing but ties that were met tells of failures.
         if n_failures and (by_pairs or n_forced):
             return False
+        tied: Tied | None
         contenders = None
         if not can_walk(reduced):
             find = load_entry("placement.optimiser.site_walk:tied_by_sites")
@@ -585,30 +585,6 @@ class Walks:
             on_better=search.improved,
         )
         return ties.find(search.deadline.of("walk"))
-
-    def fewest_units(self, fewest: int) -> int:
-        """Lower bound of the units of a layout that reaches the floors.
-
-        `fewest` is such a bound. All sets of ever more units are walked through,
-        until some reach the floors, which is the best set then, or the time is up.
-        """
-        search = self.search
-        reduced = search.reduced
-        if not (search.is_exact and reduced.floors and len(reduced.weight)):
-            return fewest
-        deadline = search.deadline.of("walk")
-        fewest = max(fewest, int(reduced.limits.is_forced.sum()))
-        most = min(len(search.found) - 1, constants.MAX_WALK_UNITS)
-        while fewest <= most and not deadline.is_over:
-            search.proofs[Phrase("branch and bound")] = None
-            units, is_finished = find_of_size(reduced, fewest, deadline=deadline)
-            if units is not None:
-                search.keep(units)
-                break
-            if not is_finished:
-                break
-            fewest += 1
-        return fewest
 
 
 class Stages:
@@ -679,7 +655,8 @@ class Stages:
         if not self.all_sets.are_known:
             if len(search.found) > 1 and not _one_unit_does(search.reduced):
                 bound = 2.0
-            bound = float(self.walks.fewest_units(int(bound)))
+            find = load_entry("placement.optimiser.least:fewest_units")
+            bound = float(find(search, int(bound)))
             if len(search.found) > bound:
                 of_model = search.look_for(Objective.UNITS, ())
                 bound = max(bound, np.ceil(of_model - constants.SOLVER_TOLERANCE))
@@ -695,7 +672,7 @@ class Stages:
         bound = _cheapest_unit_eur(search.reduced.limits)
         self.all_sets.compare_few()
         if not self.all_sets.are_known:
-            find = load_entry("placement.optimiser.site_walk:least_cost_eur")
+            find = load_entry("placement.optimiser.least:least_cost_eur")
             bound = max(bound, find(search))
         cost = search.value.cost_eur
         if not self.all_sets.are_known and cost > bound + COST_TOLERANCE_EUR:

@@ -9,9 +9,6 @@ A set at these sites that has fewer units is part of one that has more, until th
 unit might be too dear. Where prices of units differ, all numbers between those that
 only the dearest and only the cheapest units make are gone through, and what is too dear
 drops out.
-
-The cheapest set is looked for in the order of what sites and units cost at least: what
-comes next bounds all that has not been looked at.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,11 +19,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.phrases import Phrase
 
 from . import constants
-from .allowed_sets import Limits, are_allowed, costs_eur
-from .bitsets import Contenders, set_values, union_apr
+from .allowed_sets import Limits, are_allowed
+from .bitsets import Contenders, union_apr
 from .bounds import Root, find_root, reward_of, run_rows, tightened
 from .constants import (
     COST_TOLERANCE_EUR,
@@ -43,7 +39,6 @@ from .walk import (
     allowed_sets,
     best_of_tied,
     least_apr,
-    of_hardest_floor,
 )
 
 if TYPE_CHECKING:
@@ -127,17 +122,18 @@ def find_site_sets(
     of_forced = float(prices[limits.is_forced].sum())
     cost_eur = is_used @ limits.site_cost_eur + of_forced
     unit_eur = np.where(is_used, cheapest, np.inf).min(axis=1, initial=np.inf)
-    left_eur = np.inf
+    left_eur = np.full(len(is_used), np.inf)
     if limits.budget_eur is not None:
         left_eur = limits.budget_eur + COST_TOLERANCE_EUR - cost_eur
     n_most = np.minimum(is_used @ room, limits.max_units)
 
-    def n_units(price_eur: FloatArray) -> IntArray:
+    def count_units(price_eur: FloatArray) -> IntArray:
         """Units that the money pays, at most as many as there may be."""
         with np.errstate(divide="ignore", invalid="ignore"):
             n_paid = np.where(price_eur > 0.0, left_eur // price_eur, np.inf)
         n_paid = np.where(left_eur < 0.0, -np.inf, n_forced + n_paid)
-        return np.maximum(np.minimum(n_paid, n_most), 0).astype(np.int64)
+        n_units: IntArray = np.clip(n_paid, 0, n_most).astype(np.int64)
+        return n_units
 
     dearest_eur = np.where(is_used, dearest, 0.0).max(axis=1, initial=0.0)
     n_least = np.maximum(is_used.sum(axis=1), max(n_forced, 1))
@@ -146,8 +142,8 @@ def find_site_sets(
         apr=np.concatenate([np.zeros(0), *reached]),
         cost_eur=cost_eur,
         unit_eur=unit_eur,
-        fewest=np.maximum(n_units(dearest_eur), n_least),
-        most=n_units(unit_eur),
+        fewest=np.maximum(count_units(dearest_eur), n_least),
+        most=count_units(unit_eur),
     )
     return found.of(found.most >= found.fewest)
 
@@ -308,7 +304,7 @@ def tied_by_sites(
         if reduced.survive:
             least = least_apr(reduced) or 0.0
     sites = find_site_sets(reduced, least=least, deadline=deadline)
-    if sites is None or not _may_walk(sites):
+    if sites is None or not may_walk(sites):
         return None, None
     rows = run_rows(reduced)
     limit = search.left(n_failures)
@@ -339,99 +335,6 @@ def tied_by_sites(
     return Tied(None, value, max(limit, value), is_finished), contenders
 
 
-def least_cost_eur(search: "Search") -> float:
-    """Lower bound of the cost of a set that reaches the floors, in euros.
-
-    The cheapest set that is found on the way is kept.
-    """
-    reduced = search.reduced
-    cost_eur = search.value.cost_eur
-    if not (search.is_exact and reduced.floors and len(reduced.weight)):
-        return 0.0
-    deadline = search.deadline.of("walk")
-    floor, counted, rows = of_hardest_floor(reduced)
-    need = floor.least - TOLERANCE
-    cheaper = _cheaper_than(cost_eur, reduced)
-    counted = replace(counted, limits=cheaper.limits)
-    sites = find_site_sets(counted, least=need, deadline=deadline)
-    if sites is None or not _may_walk(sites):
-        return 0.0
-    search.proofs[Phrase("branch and bound")] = None
-    n_forced = int(reduced.limits.is_forced.sum())
-    walks: dict[int, SiteWalk | None] = {}
-    for least_eur, n_units, some in _in_order_of_cost(sites, n_forced):
-        if least_eur >= cost_eur - COST_TOLERANCE_EUR:
-            break
-        if deadline.is_over:
-            return least_eur
-        if n_units not in walks:
-            walks[n_units] = None
-            root = find_root(counted, rows, n_units=n_units, deadline=deadline)
-            if root.limit >= need:
-                n_failures = 0
-                if floor.n_failures < n_units and not n_forced:
-                    n_failures = floor.n_failures
-                walks[n_units] = SiteWalk(
-                    counted, root, sites, need=need, n_failures=n_failures, left=need
-                )
-        walk = walks[n_units]
-        if walk is None:
-            continue
-        walk.sites = sites.of(some)
-        walk.limits = cheaper.limits
-        for block in walk.blocks(deadline):
-            if not len(block):
-                continue
-            block = block[set_values(reduced, block).lacking == 0.0]
-            if not len(block):
-                continue
-            search.keep(block[costs_eur(reduced.limits, block).argmin()])
-            cost_eur = search.value.cost_eur
-            cheaper = _cheaper_than(cost_eur, reduced)
-            walk.limits = cheaper.limits
-            if cost_eur <= least_eur + COST_TOLERANCE_EUR:
-                return cost_eur
-        if not walk.is_finished:
-            return least_eur
-    return cost_eur
-
-
-def _in_order_of_cost(
-    sites: SiteSets, n_forced: int
-) -> Iterator[tuple[float, int, IntArray]]:
-    """Sets of sites and numbers of units by what they cost at least.
-
-    Yields
-    ------
-    least_eur : float
-        Price of the sites and of so many cheapest units there. [EUR]
-    n_units : int
-        How many units.
-    some : (n,) int
-        Sets of sites of which it is true.
-    """
-    n_least = np.maximum(sites.is_used.sum(axis=1), max(n_forced, 1))
-    n_each = sites.most - n_least + 1
-    index = np.repeat(np.arange(len(n_each)), n_each)
-    first = np.repeat(np.cumsum(n_each) - n_each, n_each)
-    n_units = n_least[index] + np.arange(len(index)) - first
-    cost_eur = sites.cost_eur[index] + (n_units - n_forced) * sites.unit_eur[index]
-    cents = np.rint(cost_eur * 100.0)
-    order = np.lexsort((index, n_units, cents))
-    ends = np.flatnonzero((np.diff(cents[order]) != 0) | (np.diff(n_units[order]) != 0))
-    for some in np.split(order, ends + 1):
-        if len(some):
-            yield float(cost_eur[some].min()), int(n_units[some[0]]), index[some]
-
-
-def _cheaper_than(cost_eur: float, reduced: ReducedProblem) -> ReducedProblem:
-    """The problem for sets that cost less, by more than a tie."""
-    most_eur = max(cost_eur - 2.0 * COST_TOLERANCE_EUR, 0.0)
-    if reduced.limits.budget_eur is not None:
-        most_eur = min(most_eur, reduced.limits.budget_eur)
-    return replace(reduced, limits=replace(reduced.limits, budget_eur=most_eur))
-
-
-def _may_walk(sites: SiteSets) -> bool:
+def may_walk(sites: SiteSets) -> bool:
     """True if a walk through the largest sets may end."""
     return int(sites.most.max(initial=0)) <= constants.MAX_WALK_UNITS

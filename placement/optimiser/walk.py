@@ -25,7 +25,6 @@ asked for in the walk, too.
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
@@ -44,11 +43,11 @@ from .bitsets import (
     union_apr,
     unions_of,
 )
-from .bounds import Root, Rows, find_root, rounded_down, run_rows
+from .bounds import Root, rounded_down
 from .constants import NEVER, TIES_OF_TIES, TOLERANCE, Deadline, deadline_in
 from .greedy import forced_units
 from .presolve import ReducedProblem, transposed, unpack_words
-from .problem import Objective, Requirement
+from .problem import Objective
 
 if TYPE_CHECKING:
     from .walk_kernels import Classes, Walk
@@ -449,82 +448,6 @@ class _Task:
             )
             found.append(sets[:n_found])
         return found
-
-
-def find_of_size(
-    reduced: ReducedProblem, n_units: int, *, deadline: Deadline
-) -> tuple[IntArray | None, bool]:
-    """A set of exactly so many units within the limits that reaches the floors.
-
-    There is at least one floor, and no set has fewer units than there are forced
-    poses.
-
-    Returns
-    -------
-    units : (n_units,) int or None
-        Poses of the reduced problem; None if none was found.
-    is_complete : bool
-        True if all sets were gone through: then None proves that there is none.
-
-    Notes
-    -----
-    The walk is one for the hardest floor; what it asks for is necessary: the APR as
-    a mean over all worlds, and what is left when units fail, though sites may. What
-    it meets is looked at exactly.
-    """
-    forced = forced_units(reduced)
-    if n_units <= len(forced):
-        return _first_that_will_do(reduced, forced[None, :]), True
-
-    floor, counted, rows = of_hardest_floor(reduced)
-    root = find_root(counted, rows, n_units=n_units, deadline=deadline)
-    if root.limit < floor.least - TOLERANCE:
-        return None, True
-    need = floor.least - TOLERANCE
-    n_failures = 0
-    left = 0.0
-    if floor.n_failures < n_units and not len(forced):
-        n_failures = floor.n_failures
-        left = need
-    walk = SetWalk(counted, root, need=need, n_failures=n_failures, left=left)
-    for block in walk.blocks(deadline):
-        units = _first_that_will_do(reduced, block)
-        if units is not None:
-            return units, False
-    return None, walk.is_finished
-
-
-def of_hardest_floor(
-    reduced: ReducedProblem,
-) -> tuple[Requirement, ReducedProblem, Rows]:
-    """The hardest floor, and the problem and rows of what it counts.
-
-    That is the mean over all worlds.
-    """
-
-    def hardness(floor: Requirement) -> float:
-        return floor.least / max(floor.measure.limit, constants.TINY)
-
-    floor = max(reduced.floors, key=hardness)
-    counted = replace(reduced, measure=replace(floor.measure, tail=1.0))
-    rows = run_rows(counted)
-    return floor, counted, rows.of(rows.weight > 0.0)
-
-
-def _first_that_will_do(reduced: ReducedProblem, sets: IntArray) -> IntArray | None:
-    """First of some sets, (n_sets, n_units), that is allowed and reaches the floors."""
-    if not sets.size:
-        return None
-    for begin in range(0, len(sets), constants.BLOCK_SETS):
-        part = sets[begin : begin + constants.BLOCK_SETS]
-        part = part[are_allowed(reduced.limits, part)]
-        if not len(part):
-            continue
-        lacking = set_values(reduced, part).lacking
-        will_do = np.flatnonzero(lacking == 0.0)
-        if len(will_do):
-            return np.sort(part[will_do[0]])
-    return None
 
 
 def widest_poses(
