@@ -5,7 +5,7 @@ bounded, up to the first that settles it:
 
 ========================  =================================================
 few units, if asked for   few sets, one unit, walks, model
-least cost, if asked for  few sets, cheapest unit, model
+least cost, if asked for  few sets, cheapest unit, walks, model
 APR when units fail, if   few sets, walk, relaxation and models
 asked for
 APR                       few sets, walk, relaxation, model
@@ -666,7 +666,7 @@ class Stages:
     def bound_first_cost_eur(self) -> float:
         """Least cost at which the floors are reached; from here on none costs more.
 
-        Few sets, the cheapest unit, the model.
+        Few sets, the cheapest unit, walks behind sets of sites, the model.
         """
         search = self.search
         bound = _cheapest_unit_eur(search.reduced.limits)
