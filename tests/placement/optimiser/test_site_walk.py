@@ -14,6 +14,8 @@ from placement.optimiser.constants import NEVER
 from placement.optimiser.problem import Objective
 from placement.optimiser.site_walk import find_site_sets
 from placement.optimiser.walk import allowed_sets
+from placement.pipeline import assemble, place
+from placement.question import Question
 
 
 def money_problems(n_problems, *, goal):
@@ -131,3 +133,27 @@ def test_every_set_within_the_money_is_part_of_one_behind_its_sites():
 
                 assert mine.sum() == 1, seed
                 assert len(units) <= sites.most[mine], seed
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("question", "expected"),
+    [
+        (
+            Question(budget_cost=9000.0, site_cost_eur=2000.0, time_limit_s=600.0),
+            {Objective.APR_SURVIVED: 0.731312, Objective.COST: 8500.0},
+        ),
+        (
+            Question(target="0.99", least="cost", time_limit_s=600.0),
+            {Objective.COST: 19700.0},
+        ),
+    ],
+)
+def test_both_questions_of_the_help_about_money_are_proven(question, expected):
+    placement = place(assemble(question))
+    stages = {stage.name: stage for stage in placement.certificate.stages}
+
+    assert placement.is_proven
+    for objective, value in expected.items():
+        assert stages[objective].objective == pytest.approx(value, abs=1e-6)
+    assert "HiGHS" not in str(placement.certificate.solver)
