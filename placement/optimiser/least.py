@@ -205,10 +205,10 @@ def _in_order_of_cost(
     first = np.repeat(np.cumsum(n_each) - n_each, n_each)
     n_units = n_least[index] + np.arange(len(index)) - first
     cost_eur = sites.cost_eur[index] + (n_units - n_forced) * sites.unit_eur[index]
-    cents = np.rint(cost_eur * 100.0)
+    ties = np.rint(cost_eur / COST_TOLERANCE_EUR)
     # What reaches most alone is most likely to do with few units.
-    order = np.lexsort((-sites.apr[index], n_units, cents))
-    ends = np.flatnonzero((np.diff(cents[order]) != 0) | (np.diff(n_units[order]) != 0))
+    order = np.lexsort((-sites.apr[index], n_units, ties))
+    ends = np.flatnonzero((np.diff(ties[order]) != 0) | (np.diff(n_units[order]) != 0))
     for some in np.split(order, ends + 1):
         if len(some):
             yield float(cost_eur[some].min()), int(n_units[some[0]]), index[some]

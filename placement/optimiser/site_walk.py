@@ -304,7 +304,7 @@ def tied_by_sites(
         if reduced.survive:
             least = least_apr(reduced) or 0.0
     sites = find_site_sets(reduced, least=least, deadline=deadline)
-    if sites is None or not may_walk(sites):
+    if sites is None or not len(sites.apr) or not may_walk(sites):
         return None, None
     rows = run_rows(reduced)
     limit = search.left(n_failures)
