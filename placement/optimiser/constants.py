@@ -66,6 +66,8 @@ TIME_SHARES = {
     "few sets": 0.5,
     # What it leaves is for the relaxation and HiGHS.
     "walk": 0.6,
+    # All later stages depend on it.
+    "least cost": 0.8,
     # Nothing else bounds drawn detections as well.
     "worlds": 0.9,
     # Settles within seconds.
@@ -99,6 +101,8 @@ MAX_FEW_SETS = 60_000
 MAX_SETS_OF_MONEY = 1_000_000
 # Measured: two to three times as many; where less time is left, fewer sets are few.
 FEW_SETS_PER_SECOND = 30_000
+# Sets of sites behind which walks go: tens of seconds to find out what all poses reach
+MAX_SITE_SETS = 200_000
 # Sets whose limits are looked at to find out how many are allowed
 MAX_GROWN_SETS = 20_000_000
 # A walk through sets of more units does not end
@@ -148,6 +152,8 @@ FIRST_STEPS = 250
 LATER_STEPS = 120
 # Rounds in which windows are asked for the frame seen least; most settle before
 ASK_ROUNDS = 8
+# Of one set of sites: most are bounded well enough by the first
+SITE_STEPS = (30, 120)
 # Relative: a round that lowers the bound by less is the last one
 SETTLED = 1.0e-5
 # Frames whose shares agree to so many places are alike: the first is asked for
@@ -185,6 +191,8 @@ NEAR_IN_WORLDS = 0.02
 # A walk for the best takes so many times as long as one for what is better by that;
 # measured.
 ALL_TIMES_NEAR = 6.0
+# Sets of sites that are bounded before a walk goes behind those that are left
+BLOCK_SITES = 256
 # Nodes of this depth are handed out to threads
 STOP_DEPTH = 2
 # Sets of classes that a walk finds before they are valued

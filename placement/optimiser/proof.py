@@ -5,7 +5,7 @@ bounded, up to the first that settles it:
 
 ========================  =================================================
 few units, if asked for   few sets, one unit, walks, model
-least cost, if asked for  few sets, cheapest unit, model
+least cost, if asked for  few sets, cheapest unit, walks, model
 APR when units fail, if   few sets, walk, relaxation and models
 asked for
 APR                       few sets, walk, relaxation, model
@@ -30,6 +30,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.phrases import Phrase
+from geometry.registry import load_entry
 
 from . import constants
 from .allowed_sets import Limits, are_allowed, is_allowed, price_step_eur
@@ -63,12 +64,12 @@ from .problem import (
 )
 from .walk import (
     SetWalk,
+    SomeWalk,
     Tied,
     TieSearch,
     best_of_few,
     best_of_tied,
     can_walk,
-    find_of_size,
     least_apr,
 )
 
@@ -516,20 +517,27 @@ class Walks:
         """
         search = self.search
         reduced = search.reduced
-        if not can_walk(reduced) or not search.is_exact or search.deadline.is_over:
+        if not search.is_exact or search.deadline.is_over:
             return False
         by_pairs = goes_by_pairs(reduced)
         n_forced = int(reduced.limits.is_forced.sum())
         # By pairs, nothing but ties that were met tells of failures.
         if n_failures and (by_pairs or n_forced):
             return False
-        if by_pairs:
+        tied: Tied | None
+        contenders = None
+        if not can_walk(reduced):
+            find = load_entry("placement.optimiser.site_walk:tied_by_sites")
+            tied, contenders = find(search, n_failures, self._find_tied)
+            if tied is None:
+                return False
+        elif by_pairs:
             end = search.deadline.of("worlds")
             tied = walk_by_pairs(
                 reduced, search.found, deadline=end, on_better=search.improved
             )
         elif reduced.measure.is_mean:
-            tied = self._find_tied(n_failures)
+            tied = self._find_tied(n_failures, reduced, search.root, SetWalk)
         else:
             return False
         search.proofs[Phrase("branch and bound")] = None
@@ -538,14 +546,19 @@ class Walks:
             contenders = best_of_tied(
                 reduced, tied.sets, n_failures=n_failures, value=tied.value
             )
+        if contenders is not None:
             self.all_sets.add_all(reduced, contenders)
         return tied.is_finished
 
-    def _find_tied(self, n_failures: int) -> Tied:
+    def _find_tied(
+        self,
+        n_failures: int,
+        reduced: ReducedProblem,
+        root: Root,
+        walk_of: Callable[..., SomeWalk],
+    ) -> Tied:
         """Ties by a walk through the covering problem; the APR may be held already."""
         search = self.search
-        reduced = search.reduced
-        root = search.root
         held = None
         ahead = 0.0
         if n_failures:
@@ -555,8 +568,8 @@ class Walks:
             else:
                 held = search.least_apr
 
-        def walk_from(need: float, left: float) -> SetWalk:
-            return SetWalk(reduced, root, need=need, n_failures=n_failures, left=left)
+        def walk_from(need: float, left: float) -> SomeWalk:
+            return walk_of(reduced, root, need=need, n_failures=n_failures, left=left)
 
         def limit(least: float, deadline: Deadline) -> float:
             return failure_limit(root, n_failures, least, deadline=deadline)
@@ -572,30 +585,6 @@ class Walks:
             on_better=search.improved,
         )
         return ties.find(search.deadline.of("walk"))
-
-    def fewest_units(self, fewest: int) -> int:
-        """Lower bound of the units of a layout that reaches the floors.
-
-        `fewest` is such a bound. All sets of ever more units are walked through,
-        until some reach the floors, which is the best set then, or the time is up.
-        """
-        search = self.search
-        reduced = search.reduced
-        if not (search.is_exact and reduced.floors and len(reduced.weight)):
-            return fewest
-        deadline = search.deadline.of("walk")
-        fewest = max(fewest, int(reduced.limits.is_forced.sum()))
-        most = min(len(search.found) - 1, constants.MAX_WALK_UNITS)
-        while fewest <= most and not deadline.is_over:
-            search.proofs[Phrase("branch and bound")] = None
-            units, is_finished = find_of_size(reduced, fewest, deadline=deadline)
-            if units is not None:
-                search.keep(units)
-                break
-            if not is_finished:
-                break
-            fewest += 1
-        return fewest
 
 
 class Stages:
@@ -666,7 +655,8 @@ class Stages:
         if not self.all_sets.are_known:
             if len(search.found) > 1 and not _one_unit_does(search.reduced):
                 bound = 2.0
-            bound = float(self.walks.fewest_units(int(bound)))
+            find = load_entry("placement.optimiser.least:fewest_units")
+            bound = float(find(search, int(bound)))
             if len(search.found) > bound:
                 of_model = search.look_for(Objective.UNITS, ())
                 bound = max(bound, np.ceil(of_model - constants.SOLVER_TOLERANCE))
@@ -676,11 +666,14 @@ class Stages:
     def bound_first_cost_eur(self) -> float:
         """Least cost at which the floors are reached; from here on none costs more.
 
-        Few sets, the cheapest unit, the model.
+        Few sets, the cheapest unit, walks behind sets of sites, the model.
         """
         search = self.search
         bound = _cheapest_unit_eur(search.reduced.limits)
         self.all_sets.compare_few()
+        if not self.all_sets.are_known:
+            find = load_entry("placement.optimiser.least:least_cost_eur")
+            bound = max(bound, find(search))
         cost = search.value.cost_eur
         if not self.all_sets.are_known and cost > bound + COST_TOLERANCE_EUR:
             bound = max(bound, search.look_for(Objective.COST, ()))

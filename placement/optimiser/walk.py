@@ -25,7 +25,6 @@ asked for in the walk, too.
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
@@ -44,11 +43,11 @@ from .bitsets import (
     union_apr,
     unions_of,
 )
-from .bounds import Root, find_root, rounded_down, run_rows
+from .bounds import Root, rounded_down
 from .constants import NEVER, TIES_OF_TIES, TOLERANCE, Deadline, deadline_in
 from .greedy import forced_units
 from .presolve import ReducedProblem, transposed, unpack_words
-from .problem import Objective, Requirement
+from .problem import Objective
 
 if TYPE_CHECKING:
     from .walk_kernels import Classes, Walk
@@ -236,6 +235,8 @@ class SetWalk:
             may_lose=np.zeros(2),
             base=unions_of(reduced, self.forced[None, :])[0],
         )
+        # Sites behind which it walks, (n_sites,) each time; None: all together.
+        self.starts: Iterator[BoolArray] | None = None
         # Whether all sets were gone through.
         self.is_finished = False
         self.raise_needs(need, left)
@@ -311,6 +312,17 @@ class SetWalk:
 
         stop = max(min(constants.STOP_DEPTH, self.n_units - 2), 1)
         scout = _Task(self)
+
+        def begin() -> _Task:
+            task = spare.pop() if spare else _Task(self)
+            task.begin_at(scout.walk)
+            return task
+
+        if self.starts is not None:
+            for is_used in self.starts:
+                scout.walk.is_open[0] = is_used[self.covers.site]
+                yield begin()
+            return
         while True:
             state = grow(
                 self.covers,
@@ -323,12 +335,7 @@ class SetWalk:
             if state == DONE:
                 return
             if state == AT_STOP:
-                if spare:
-                    task = spare.pop()
-                else:
-                    task = _Task(self)
-                task.begin_at(scout.walk)
-                yield task
+                yield begin()
                 # The scout goes back up, as if it had been behind the node itself.
                 scout.walk.at[0].depth -= 1
                 scout.walk.at[0].is_new = 0
@@ -441,72 +448,6 @@ class _Task:
             )
             found.append(sets[:n_found])
         return found
-
-
-def find_of_size(
-    reduced: ReducedProblem, n_units: int, *, deadline: Deadline
-) -> tuple[IntArray | None, bool]:
-    """A set of exactly so many units within the limits that reaches the floors.
-
-    There is at least one floor, and no set has fewer units than there are forced
-    poses.
-
-    Returns
-    -------
-    units : (n_units,) int or None
-        Poses of the reduced problem; None if none was found.
-    is_complete : bool
-        True if all sets were gone through: then None proves that there is none.
-
-    Notes
-    -----
-    The walk is one for the hardest floor; what it asks for is necessary: the APR as
-    a mean over all worlds, and what is left when units fail, though sites may. What
-    it meets is looked at exactly.
-    """
-    forced = forced_units(reduced)
-    if n_units <= len(forced):
-        return _first_that_will_do(reduced, forced[None, :]), True
-
-    def hardness(floor: Requirement) -> float:
-        return floor.least / max(floor.measure.limit, constants.TINY)
-
-    # The mean over all worlds of what the hardest floor counts.
-    floor = max(reduced.floors, key=hardness)
-    counted = replace(reduced, measure=replace(floor.measure, tail=1.0))
-    rows = run_rows(counted)
-    rows = rows.of(rows.weight > 0.0)
-    root = find_root(counted, rows, n_units=n_units, deadline=deadline)
-    if root.limit < floor.least - TOLERANCE:
-        return None, True
-    need = floor.least - TOLERANCE
-    n_failures = 0
-    left = 0.0
-    if floor.n_failures < n_units and not len(forced):
-        n_failures = floor.n_failures
-        left = need
-    walk = SetWalk(counted, root, need=need, n_failures=n_failures, left=left)
-    for block in walk.blocks(deadline):
-        units = _first_that_will_do(reduced, block)
-        if units is not None:
-            return units, False
-    return None, walk.is_finished
-
-
-def _first_that_will_do(reduced: ReducedProblem, sets: IntArray) -> IntArray | None:
-    """First of some sets, (n_sets, n_units), that is allowed and reaches the floors."""
-    if not sets.size:
-        return None
-    for begin in range(0, len(sets), constants.BLOCK_SETS):
-        part = sets[begin : begin + constants.BLOCK_SETS]
-        part = part[are_allowed(reduced.limits, part)]
-        if not len(part):
-            continue
-        lacking = set_values(reduced, part).lacking
-        will_do = np.flatnonzero(lacking == 0.0)
-        if len(will_do):
-            return np.sort(part[will_do[0]])
-    return None
 
 
 def widest_poses(
@@ -853,7 +794,12 @@ class TieSearch:
 
 
 def best_of_tied(
-    reduced: ReducedProblem, sets: IntArray, *, n_failures: int, value: float
+    reduced: ReducedProblem,
+    sets: IntArray,
+    *,
+    n_failures: int,
+    value: float,
+    among: Contenders | None = None,
 ) -> Contenders:
     """Tied sets and their parts that tie with them, within the limits.
 
@@ -870,8 +816,10 @@ def best_of_tied(
         Units that fail in the stage in which they tie.
     value : float
         The best value of that stage.
+    among : Contenders, optional
+        Others that they join.
     """
-    contenders = Contenders(reduced.objectives)
+    contenders = among or Contenders(reduced.objectives)
     while len(sets) and sets.shape[1] > 0:
         for start in range(0, len(sets), constants.BLOCK_SETS):
             part = sets[start : start + constants.BLOCK_SETS]

@@ -80,6 +80,9 @@ def solved_by_models(*, is_poorly_begun: bool = False) -> Iterator[None]:
     proof = "placement.optimiser.proof"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(f"{proof}.can_walk", lambda _: False)
+        for name in ("least", "site_walk"):
+            place = f"placement.optimiser.{name}.find_site_sets"
+            patch.setattr(place, lambda *_, **__: None)
         patch.setattr(f"{proof}.best_of_few", lambda *_, **__: (None, False))
         if is_poorly_begun:
             patch.setattr(f"{proof}.search_from_many_starts", first_units)

@@ -19,8 +19,8 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.constants import NEVER
+from placement.optimiser.least import find_of_size
 from placement.optimiser.problem import Objective
-from placement.optimiser.walk import find_of_size
 from placement.verification.instances import load_problem
 
 ARMS = Path(__file__).parents[4] / "shared/inputs/placement/arms-388.npz"
