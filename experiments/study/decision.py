@@ -352,7 +352,10 @@ def text(
         metres=_METRES,
         calibrated_gain=f"{100.0 * calibrated_gain[at_limit]:+.0f}",
         moved=_moved(studied, recommended),
-        errors={name: _median_error(studied, name) for name in (DEFAULT, recommended)},
+        located={
+            name: _located(studied, name, float(_METRES[recommended]))
+            for name in (DEFAULT, recommended)
+        },
         varied=_VARIED,
         variants=_rows(one for one in variants if len(one.avoided) > len(_VARIED)),
         by_aim=_rows(one for one in variants if len(one.avoided) == len(_VARIED)),
@@ -367,13 +370,9 @@ def _at_limits(studied: Studied, name: str, aimed: str) -> FloatArray:
     return np.array([decided.best_rule(limit)[0] for limit in LIMITS])
 
 
-def _median_error(studied: Studied, name: str) -> str:
-    """Median of how well the place of impact is known with aims by eye, in words.
-
-    Of the runs in which a track lives at the last moment.
-    """
-    sd_m = studied.decisions[name].by_aim[BY_EYE].located_sd_m
-    return f"{float(np.median(sd_m[np.isfinite(sd_m)])):.2f} m"
+def _located(studied: Studied, name: str, limit_m: float) -> str:
+    """Share of the runs located so well with aims by eye, in per cent."""
+    return percent(studied.decisions[name].by_aim[BY_EYE].located(limit_m))
 
 
 def _moved(studied: Studied, name: str) -> str:
