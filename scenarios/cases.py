@@ -558,7 +558,7 @@ def _each_impact(
         else:
             which = {"range": "extended"}
         title = Phrase(
-            "{title}, met at {share} % of the VUT's width",
+            "{title}, impact at {share} % of the VUT's width",
             title=Phrase(str(entry.get("title"))),
             share=percent,
         )

@@ -49,8 +49,8 @@ def cars_words(cars: float) -> str:
     if not cars:
         return ""
     if cars == 1.0:
-        return tr(", cars see")
-    return tr(", {share} of the cars see", share=percent(cars))
+        return tr(", cars with own sensors")
+    return tr(", {share} of the cars with own sensors", share=percent(cars))
 
 
 def points(share: float) -> str:
