@@ -154,7 +154,7 @@ def test_every_weather_counts():
         )
     )
     assert told == [
-        f"2 of 4 possible runs are simulated. {OBSTACLE} Not simulated: any case from the"
-        " south.",
+        f"2 of 4 possible runs are simulated. {OBSTACLE} Not simulated: any case from"
+        " the south.",
         "2 runs: too short (CPNA from the south).",
     ]
