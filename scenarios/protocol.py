@@ -237,7 +237,7 @@ class _Place:
             return station_m, point_m
         station_m += self.ahead_m
         if not self.begin_m <= station_m <= self.end_m:
-            raise NoRoadError(Phrase("the mapped lane does not reach so far"))
+            raise NoRoadError(Phrase("the mapped lane does not reach that far"))
         return station_m, self.way.tangent(station_m).point_m
 
     def check_straight(self, driven_m: float) -> None:

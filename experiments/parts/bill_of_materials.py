@@ -107,7 +107,7 @@ def total_eur(items: Iterable[Item]) -> float | None:
 
 
 def to_buy(bill: BillOfMaterials) -> str:
-    """What there is to buy: "2 cameras and 1 LiDAR, and to prepare 3 poles"."""
+    """What there is to buy: "2 cameras and 1 LiDAR, and the preparation of 3 poles"."""
     counts = Counter[str]()
     for item in bill.sensors:
         counts[item.kind] += item.count
@@ -327,7 +327,7 @@ def bill_section(bill: BillOfMaterials) -> Section:
         "magnitude. “Unknown” is not zero. Also not included:"
     )
     missing = [
-        tr("brackets, cables and junction boxes beyond what a site's cost covers"),
+        tr("brackets, cables and junction boxes not covered by a site's cost"),
         tr("spare units"),
         tr(
             "planning, permits, traffic management while mounting, the lift and"

@@ -44,7 +44,7 @@ def cars_words(cars: float) -> str:
     Examples
     --------
     >>> cars_words(1.0), cars_words(0.3), cars_words(0.0)
-    (', cars see', ', 30.0 % of the cars see', '')
+    (', cars with own sensors', ', 30.0 % of the cars with own sensors', '')
     """
     if not cars:
         return ""

@@ -157,7 +157,7 @@ def test_how_far_along_the_arms_is_chosen():
     assert (
         str(caught.value)
         == "cases: got CPNA-25, which no approach carries; expected a case that can be"
-        " driven at town05 (from the north: the mapped lane does not reach so far)"
+        " driven at town05 (from the north: the mapped lane does not reach that far)"
     )
 
 

@@ -358,8 +358,8 @@ def test_positions_beyond_the_mapped_lanes_are_refused_with_the_reason(vut, rule
     # The crosswalk lies 2 m inside the mouth.
     assert [run.position for run in runs] == ["0", "-41.9", "+0", "+41.9"]
     assert [(one.position, one.reason, one.is_possible) for one in refusals] == [
-        ("-42.1", "the mapped lane does not reach so far", False),
-        ("+42.1", "the mapped lane does not reach so far", False),
+        ("-42.1", "the mapped lane does not reach that far", False),
+        ("+42.1", "the mapped lane does not reach that far", False),
     ]
     runs, (refusal,) = laid(scene, "CBLA-50", Position(distance_m=15.0), vut, rule)
     assert not runs
@@ -704,7 +704,7 @@ def test_where_the_map_ends_a_vru_sets_off_beyond_if_a_lane_is_assumed_there(vut
             same_frames(runs[0], same, tolerance_m=1e-9)
         # But nobody is met where the map has no road.
         _, (refusal,) = laid(scene, "CPNA-25", Position(distance_m=45.0), vut, rule)
-        assert refusal.reason == "the mapped lane does not reach so far"
+        assert refusal.reason == "the mapped lane does not reach that far"
         assert not refusal.is_possible
 
 
