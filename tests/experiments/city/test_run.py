@@ -574,7 +574,7 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
     result = run(tiny / "tiny.osm", city, budget_eur=10.0)
     assert result.units == 0
     assert result.cost_eur == 0.0
-    assert result.sentences[0] == "Nothing at 3 junctions for at most 10 EUR."
+    assert result.sentences[0] == "No sensors at 3 junctions for at most 10 EUR."
     assert result.sentences[1].startswith("The cheapest useful choice is 1 sensor at ")
     for nothing in ({"budget_units": 0}, {"budget_eur": 0.0}):
         result = run(tiny / "tiny.osm", city, **nothing)
