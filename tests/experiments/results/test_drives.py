@@ -127,7 +127,7 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
                 "2 runs: too short (CPNA from the north).",
                 (
                     "Left out: 1 run of the protocol above the map's speed limits,"
-                    " 30 km/h from the north (--speeds all includes them)."
+                    " 30 km/h from the north (--speeds all includes it)."
                 ),
             ],
         ),
