@@ -633,7 +633,9 @@ def _by_worlds(
         asked = sturdy_problem(problem, first, assembly.wishes.give_up)
     if not may_prefer(assembly, asked, chosen, greedy):
         return found, None
-    assembly.compute.progress(Phrase("found or greedy, in fresh worlds"), 0, 0)
+    assembly.compute.progress(
+        Phrase("optimised or greedy layout, in fresh worlds"), 0, 0
+    )
     names = {FOUND: chosen.pose_index, "greedy": greedy}
     both = [
         pick_layout(assembly.candidates, rows, name) for name, rows in names.items()

@@ -280,7 +280,7 @@ def drive(
         packages=("geometry", "scenarios"),
     )
     no_speed = Phrase(
-        "none of the speeds asked for ({speeds}) is one of this case",
+        "this case has none of the requested speeds ({speeds})",
         speeds=question.speeds,
     )
     reasons: list[tuple[Case, Phrase, LeftOut]] = [
@@ -297,7 +297,7 @@ def drive(
 
 def _unprotected(case: Case) -> Phrase:
     return Phrase(
-        "a {user} is met, and only vulnerable road users are protected",
+        "the target is a {user}, and only vulnerable road users are protected",
         user=Phrase(case.road_user),
     )
 

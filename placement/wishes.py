@@ -140,7 +140,7 @@ _PARTS = {
     "new-pole": Phrase("new pole {price:,.0f}"),
     "mounting": Phrase("mounting {price:,.0f}"),
     "new-power": Phrase("new power {price:,.0f}"),
-    "power-at-hand": Phrase("power at hand {price:,.0f}"),
+    "power-at-hand": Phrase("existing power {price:,.0f}"),
     "fibre-at-hand": Phrase("fibre at hand {price:,.0f}"),
     "data-link": Phrase("data link {price:,.0f}"),
 }

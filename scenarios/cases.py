@@ -309,8 +309,8 @@ def worded_for(case: Case, *, keeps_left: bool) -> Case:
     Titles are those of traffic that keeps right; where it keeps left, left and right
     are exchanged.
 
-    >>> worded_for(pick_cases("CPTAfs-50", "cases")[0], keeps_left=True).title
-    'VUT turns right, adult crosses from the far side, walking as the VUT drove'
+    >>> worded_for(pick_cases("CCFtap", "cases")[0], keeps_left=True).title
+    'VUT turns right across the way of an oncoming car'
     """
     if not keeps_left:
         return case
@@ -558,7 +558,7 @@ def _each_impact(
         else:
             which = {"range": "extended"}
         title = Phrase(
-            "{title}, met at {share} % of the VUT's width",
+            "{title}, impact at {share} % of the VUT's width",
             title=Phrase(str(entry.get("title"))),
             share=percent,
         )

@@ -107,7 +107,7 @@ def _check_islands(encounter: Encounter, scene: Scene) -> None:
     ):
         middle = np.array_split(_way(motion, body), 3)[1]
         if shapely.intersects(shapely.multilinestrings(middle), islands):
-            raise CannotCarryError(Phrase("the way leads over the roundabout's island"))
+            raise CannotCarryError(Phrase("the path crosses the roundabout's island"))
 
 
 def is_way_free(
@@ -171,7 +171,7 @@ def _find_room(
         thing = _first_met(solid, _sides(place[None]))
         if thing is not None:
             raise CannotCarryError(
-                Phrase("{thing} stands in the place of {body}", thing=thing, body=name)
+                Phrase("{thing} occupies the place of {body}", thing=thing, body=name)
             )
     raise CannotCarryError(
         Phrase("there is no room beside the road for {bodies}", bodies=all_names)

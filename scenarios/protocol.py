@@ -75,7 +75,7 @@ def stage_by_protocol(
         )
     if position != AT_ZERO and is_bound(case):
         raise CannotCarryError(
-            Phrase("the case is bound to the junction: it has no other positions")
+            Phrase("the case exists only at the junction: it has no other positions")
         )
     asked = _Asked(
         case=case, junction=junction, arm=arm, vut=vut, vut_speed_kmh=vut_speed_kmh
@@ -120,7 +120,7 @@ def _check_open(case: Case, *arms: Arm, is_at_mouth: bool = False) -> None:
         if user in arm.closed_to and not may_cross:
             raise NoRoadError(
                 Phrase(
-                    "by the map the {arm} arm is closed to {users}",
+                    "the map marks the {arm} arm as closed to {users}",
                     arm=Phrase(arm.name),
                     users=_PEOPLE[user],
                 )
@@ -139,7 +139,7 @@ def _check_parking(case: Case, arm: Arm, *, beside: str = "") -> None:
     if not row.wall_size_m and "on foot" in arm.closed_to:
         raise NoRoadError(
             Phrase(
-                "nobody parks on the {arm} arm, where nobody may walk",
+                "no cars park on the {arm} arm because nobody may walk there",
                 arm=Phrase(arm.name),
             )
         )
@@ -237,7 +237,7 @@ class _Place:
             return station_m, point_m
         station_m += self.ahead_m
         if not self.begin_m <= station_m <= self.end_m:
-            raise NoRoadError(Phrase("the mapped lane does not reach so far"))
+            raise NoRoadError(Phrase("the mapped lane does not reach that far"))
         return station_m, self.way.tangent(station_m).point_m
 
     def check_straight(self, driven_m: float) -> None:
@@ -546,9 +546,7 @@ def _set_off(
         raise CannotCarryError(Phrase("the bodies do not touch"))
     if abs(early_s) > _MAX_EARLY_S:
         raise CannotCarryError(
-            Phrase(
-                "the bodies would touch {time:.1f} s before they should", time=-early_s
-            )
+            Phrase("the bodies would touch {time:.1f} s too early", time=-early_s)
         )
     return later(-early_s)
 
@@ -650,7 +648,7 @@ def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
             and shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M
         ):
             raise NoRoadError(
-                Phrase("another junction lies there: nobody crosses in its middle")
+                Phrase("another junction is there: nobody crosses in its middle")
             )
 
 
@@ -1050,7 +1048,7 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
     travel_m = case.start_distance_m + vru_distance_m + case.vru_reference_m
     if travel_m <= 0.0:
         raise CannotCarryError(
-            Phrase("the VUT would come to the VRU's way before the VRU sets off")
+            Phrase("the VUT would reach the VRU's path before the VRU sets off")
         )
     return travel_m
 

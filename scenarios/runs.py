@@ -720,7 +720,7 @@ class _Drive:
         )
         if encounter is None:
             raise CannotCarryError(
-                Phrase("at these speeds the recorded ways do not lead to an impact")
+                Phrase("at these speeds, the recorded paths do not lead to an impact")
             )
         return Staging(encounter=encounter, obstruction=())
 

@@ -27,7 +27,7 @@ _SCAN_STEP_M = 0.1
 _NEVER_PARALLEL = 1.0e-6
 _MEETS_M = 1.0e-6
 _MAX_STEPS = 60
-DO_NOT_MEET = Phrase("the VUT's way and the VRU's do not meet")
+DO_NOT_MEET = Phrase("the paths of the VUT and the VRU do not meet")
 
 
 class CannotCarryError(Exception):
@@ -61,14 +61,15 @@ class TooFastError(NoRoadError):
     def __init__(self, limit_mps2: float, allowed_kmh: int, *, is_target: bool) -> None:
         self.allowed_kmh = allowed_kmh
         why = Phrase(
-            "its lanes bend: {limit:g} m/s^2 to the side allow {speed} km/h there",
+            "the lanes curve: a lateral acceleration of {limit:g} m/s^2 allows"
+            " {speed} km/h there",
             limit=limit_mps2,
             speed=allowed_kmh,
         )
         if is_target:
             why = Phrase(
-                "its lanes bend: {limit:g} m/s^2 to the side allow {speed} km/h "
-                "to the target there",
+                "the lanes curve: a lateral acceleration of {limit:g} m/s^2 allows"
+                " the target {speed} km/h there",
                 limit=limit_mps2,
                 speed=allowed_kmh,
             )
@@ -179,7 +180,7 @@ def find_crossing(
         station_m += ahead_m
         if abs(ahead_m) < _MEETS_M:
             return distance_m, station_m
-    raise CannotCarryError(Phrase("the VUT's way and the target's do not cross"))
+    raise CannotCarryError(Phrase("the paths of the VUT and the target do not cross"))
 
 
 def _front_axle_m(vut: Actor, path: Path, distance_m: ArrayLike) -> FloatArray:

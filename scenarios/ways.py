@@ -151,7 +151,7 @@ class CurvedWay:
             course = near.offset(left_m)
         except InputError:
             why = Phrase(
-                "the lane bends too sharply for a way {distance:.1f} m beside it",
+                "the lane curves too sharply for a path {distance:.1f} m beside it",
                 distance=abs(left_m),
             )
             raise CannotCarryError(why) from None
@@ -447,7 +447,7 @@ def joints(
         if not joined:
             raise NoRoadError(
                 Phrase(
-                    "by the map no lane leads from the {arm} to the {other}",
+                    "the map has no lane from the {arm} to the {other}",
                     arm=Phrase(arm.name),
                     other=Phrase(target.name),
                 )
@@ -459,7 +459,7 @@ def joints(
     if not free:
         raise NoRoadError(
             Phrase(
-                "by their markings no lane from the {arm} leads {where}",
+                "according to its markings, no lane from the {arm} leads {where}",
                 arm=Phrase(arm.name),
                 where=_LEADS[movement],
             )
@@ -514,7 +514,10 @@ def edge_way(junction: Junction, passed: Arm, outside_m: float) -> CurvedWay:
     entered = [arm for arm in reversed(others) if arm.entry_lanes]
     if not leaving or not entered or leaving[0] is entered[0]:
         raise NoRoadError(
-            Phrase("no lane passes the {arm} on the ring", arm=Phrase(passed.name))
+            Phrase(
+                "no lane of the roundabout passes the {arm} arm",
+                arm=Phrase(passed.name),
+            )
         )
     before, connection, after = joints(junction, entered[0], leaving[0], "right")[0]
     assert connection is not None

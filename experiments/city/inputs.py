@@ -398,15 +398,13 @@ def load_values(city: City, wish: CityWish) -> CityValues:
     notes = []
     if wish.weights_file == PROXY:
         weight = np.array([estimated_accidents(one.surveyed) for one in city.junctions])
-        source = tr(
-            "estimated from class and lanes of the roads and from traffic lights"
-        )
+        source = tr("estimated from road class, number of lanes and traffic lights")
         roads = [name for one in city.junctions for name, _ in one.surveyed.roads]
         if "" in roads:
             notes.append(
                 tr(
-                    "The map does not say the class of all roads: there lanes count"
-                    " alone."
+                    "The map does not give the class of every road: without a class,"
+                    " only lanes count."
                 )
             )
     elif wish.weights_file is not None:
@@ -438,7 +436,7 @@ def load_values(city: City, wish: CityWish) -> CityValues:
             if members:
                 districts.append((area.name, members))
             else:
-                notes.append(tr("District {name}: no junction in it.", name=area.name))
+                notes.append(tr("District {name} has no junction.", name=area.name))
         if not districts:
             raise InputError(
                 "--districts", str(wish.districts), "areas with junctions in them"
@@ -544,8 +542,9 @@ def _weights(
     if not is_near.all():
         notes.append(
             tr(
-                "{file}: {n} of {all} places, which count {lost:g} of {total:g}, are"
-                " farther than {snap_m:g} m from every junction that counts: not used.",
+                "{file}: {n} of {all} places ({lost:g} of {total:g} by weight) are"
+                " not used: they are more than {snap_m:g} m from every junction that"
+                " counts.",
                 n=int((~is_near).sum()),
                 all=len(is_near),
                 lost=float(counts.values[~is_near].sum()),
@@ -558,7 +557,7 @@ def _weights(
     if n_zero:
         notes.append(
             tr(
-                "Junctions without a weight, which get nothing for themselves: {n}.",
+                "Junctions without a weight, which get no sensors of their own: {n}.",
                 n=n_zero,
             )
         )

@@ -94,15 +94,15 @@ def render_city_report(
         _section(
             "front", more, result, partial(build_picture, front), steps, n_within, sums
         ),
-        _section("proof", tr("How good it is proven to be"), result),
+        _section("proof", tr("What is proven"), result),
         *(
             [_section("order", tr("What to order"), result, poles)]
             if result.purchases
             else []
         ),
         *([_section("not-done", tr("What was not done"), failed)] if failed else []),
-        _section("assumptions", tr("What this rests on"), result, result.search),
-        Section("again", tr("Make it again"), [Code(result.command)]),
+        _section("assumptions", tr("Basis of these results"), result, result.search),
+        Section("again", tr("Reproduce this result"), [Code(result.command)]),
     ]
     return page_template().render(
         title=tr("Roadside sensors for {maps}", maps=result.map_names),
@@ -398,7 +398,7 @@ def plot_city_front(result: CityResult) -> Axes:
         axes.vlines(
             taken, 100.0 * stage.objective, 100.0 * stage.bound, color=VERMILION, lw=2.0
         )
-        axes.plot([taken], [100.0 * stage.bound], label=tr("no choice is above"), **bar)
+        axes.plot([taken], [100.0 * stage.bound], label=tr("upper bound"), **bar)
     if by_cost:
         budget = result.budget_eur
     else:
@@ -431,7 +431,7 @@ def plot_junction_front(front: JunctionFront, *, chosen: int) -> Axes:
         color="#777777",
         lw=1.0,
         linestyle=(0, (3, 2)),
-        label=tr("no layout is above"),
+        label=tr("upper bound"),
     )
     axes.plot(
         cost, apr_percent, ms=5.0, color=BLUE, label=tr("layouts"), gid="points", **_DOT

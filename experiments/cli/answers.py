@@ -64,7 +64,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     if result.highest is not None and result.highest.compared is not None:
         others = {HIGHEST: result.highest.compared, **others}
     parties: dict[str, _Apr] = {
-        tr("these, fused"): result.evaluation.judged,
+        tr("this layout, fused"): result.evaluation.judged,
         **dict([_other_view(result.evaluation)]),
         tr(_VUT_ALONE): result.evaluation.vut,
         tr("greedy, fused"): result.greedy.evaluation.judged,
@@ -124,11 +124,12 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
     shown = dict(alone[:_MAX_UNITS])
     n_left = len(alone) - len(shown)
     more = tr(
-        "and {n} more units, none of a higher APR by itself: in apr.csv", n=n_left
+        "and {n} more units in apr.csv, none with a higher APR by itself", n=n_left
     )
     if out is None:
         more = tr(
-            "and {n} more units, none of a higher APR by itself: in apr.csv with --out",
+            "and {n} more units, none with a higher APR by itself (--out lists them"
+            " in apr.csv)",
             n=n_left,
         )
     units = [unit for unit in result.layout if unit.id in shown]
@@ -196,11 +197,15 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
             for name, other in others.items()
             for over, alone, runs in (
                 (
-                    mark("Runs gained over {name}:"),
+                    mark("Runs gained compared with {name}:"),
                     mark("Runs gained:"),
                     other.runs_gained,
                 ),
-                (mark("Runs lost over {name}:"), mark("Runs lost:"), other.runs_lost),
+                (
+                    mark("Runs lost compared with {name}:"),
+                    mark("Runs lost:"),
+                    other.runs_lost,
+                ),
             )
         ),
         _last(out),
@@ -218,7 +223,7 @@ def _judged(
     notes = failure_notes(result.evaluation)
     if isinstance(result, ComparisonResult):
         values = {"name": result.name, "names": ", ".join(others), **basis(result)}
-        title = tr("{name} against {names} on {runs} runs{cars}:", **values)
+        title = tr("{name} compared with {names} on {runs} runs{cars}:", **values)
         notes = []
     summary = _summary_table(result, others)
     return [
@@ -238,7 +243,7 @@ def _besides(result: PlacementResult | ComparisonResult) -> list[Part]:
     """What was asked for besides, and baselines."""
     without = baselines.words(result.baselines, n_units=len(result.layout))
     study = result.study_cases and study_cases.table(result.study_cases)
-    by_study = tr("On the study's cases, as the study reads them, by the evaluator:")
+    by_study = tr("On the study's cases, as the study defines them (evaluator):")
     return [
         _said(*answer.private_ground(result)),
         _said(*answer.refinement(result)),
@@ -260,7 +265,7 @@ def _impacts(result: Result, others: Mapping[str, Compared]) -> Part:
         for name, party in parties.items()
     )
     words = tr(
-        "Mean speed of the VUT at contact, avoided runs as 0: {speeds} km/h.",
+        "Mean speed of the VUT at contact (avoided runs count as 0): {speeds} km/h.",
         speeds=left,
     )
     return Part(words=[words])
@@ -305,13 +310,13 @@ def assumption_parts(result: Result) -> list[Part]:
     return [
         _said(
             trn(
-                "{n} thing is assumed of the map.",
-                "{n} things are assumed of the map.",
+                "{n} detail of the map is assumed.",
+                "{n} details of the map are assumed.",
                 len(assumed),
             )
         ),
         Part(
-            title=tr("Assumed, for the map does not say it:"),
+            title=tr("Assumed because the map does not give it:"),
             words=assumed[:_MOST_ASSUMED],
             notes=(
                 [tr("and {n} more: in the report and `scene show`", n=n_left)]
@@ -353,7 +358,10 @@ def _last(out: Path | None) -> Part:
         written = []
     else:
         written = [tr("Written to {out}: report.html and more.", out=out)]
-    return _said(*written, tr("--verbose prints why, APR by case, and all else."))
+    return _said(
+        *written,
+        tr("--verbose adds the reasons, the APR by case and all other details."),
+    )
 
 
 def _units_table(units: Sequence[UnitRecord], existing: Collection[str]) -> Table:
@@ -518,12 +526,12 @@ def _row(name: str, party: PartyAprRecord) -> list[str | None]:
 def _together(result: Result) -> str:
     """What it means that units are fused, and who else is one."""
     if not result.cars:
-        return tr("fused: in each frame, any of the units may detect")
+        return tr("fused: a frame counts as detected if any unit detects")
     if result.cars == 1.0:
-        return tr("fused: in each frame, any of the units may detect, and the VUT")
+        return tr("fused: a frame counts as detected if any unit or the VUT detects")
     return tr(
-        "fused: in each frame, any of the units may detect, and the VUT in {share} of"
-        " the cars",
+        "fused: a frame counts as detected if any unit detects or, in {share} of the"
+        " cars, the VUT",
         share=percent(result.cars),
     )
 
@@ -573,7 +581,8 @@ def failure_notes(evaluation: EvaluationRecord) -> list[str]:
         return []
     return [
         tr(
-            "if the worst pole fails with all its units, the others have {share}.",
+            "if the most important pole fails with all its units, the others reach"
+            " {share}.",
             share=percent(share),
         )
     ]
@@ -581,9 +590,9 @@ def failure_notes(evaluation: EvaluationRecord) -> list[str]:
 
 def _disagreements(found: Sequence[Disagreement]) -> list[str]:
     """Runs that table and evaluator see differently, the first few."""
-    by_table = mark("{one.party} in {one.run_id}: only the table avoids; {cause}")
+    by_table = mark("{one.party} in {one.run_id}: avoided only by the table; {cause}")
     by_evaluator = mark(
-        "{one.party} in {one.run_id}: only the evaluator avoids; {cause}"
+        "{one.party} in {one.run_id}: avoided only by the evaluator; {cause}"
     )
     lines = [
         tr(by_table if one.on_table else by_evaluator, one=one, cause=tr(one.cause))
@@ -649,11 +658,11 @@ def _missed_in_short(group: Sequence[Unavoided]) -> str:
     }
     if first.reasons and first.rescue:
         return tr(
-            "{runs}: {outcome}; for {unit} {cause}; would be saved by {rescue}",
+            "{runs}: {outcome}; for {unit} {cause}; avoidable with {rescue}",
             **values,
         )
     if first.reasons:
         return tr("{runs}: {outcome}; for {unit} {cause}", **values)
     if first.rescue:
-        return tr("{runs}: {outcome}; would be saved by {rescue}", **values)
+        return tr("{runs}: {outcome}; avoidable with {rescue}", **values)
     return tr("{runs}: {outcome}", **values)

@@ -280,7 +280,7 @@ def sheet_text(summary: "SheetResult") -> str:
     lines = [
         *sentences(
             tr(
-                "What the units of {name} may be off before a run is lost:",
+                "How far the units of {name} may be off before a run is lost:",
                 name=summary.layout,
             )
         ),
@@ -297,7 +297,7 @@ def sheet_text(summary: "SheetResult") -> str:
             rows,
         ),
         *sentences(
-            tr("One thing at a time; the largest of the steps tried."), indent=2
+            tr("One change at a time; the largest of the steps tried."), indent=2
         ),
         "",
         tr("Written to {file}.", file=summary.written),

@@ -123,16 +123,16 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
         *sentences(tr("{name} on {runs} runs:", name=summary.name, runs=summary.runs)),
         *table([tr("APR at a latency of"), *columns], at),
         "",
-        *table([tr("longest latency that leaves an APR of"), *columns], longest),
+        *table([tr("longest latency that still gives an APR of"), *columns], longest),
         "",
         *_budget_lines(budget),
         "",
         *table(
             [
                 tr("APR within the budget"),
-                tr("at the least"),
-                tr("at the mean"),
-                tr("at the most"),
+                tr("minimum"),
+                tr("mean"),
+                tr("maximum"),
             ],
             within,
         ),
@@ -140,9 +140,9 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
             " ".join(
                 [
                     tr(
-                        "fused: in each frame, any of the units may detect. A run"
-                        " counts as avoided if its last moment to brake is not over,"
-                        " and a confirmed track is alive then."
+                        "fused: a frame counts as detected if any unit detects. A"
+                        " run counts as avoided if its last moment to brake is not"
+                        " over and a confirmed track exists at that moment."
                     ),
                     *_own_latencies(summary),
                 ]
@@ -202,6 +202,9 @@ def _own_latencies(summary: "LatencyResult") -> list[str]:
     if own:
         words = ", ".join(f"{name} {_ms(latency_s)}" for name, latency_s in own.items())
         notes.append(
-            tr("Kept at every latency, as their own: {latencies}.", latencies=words)
+            tr(
+                "Units with a latency of their own keep it: {latencies}.",
+                latencies=words,
+            )
         )
     return notes

@@ -97,13 +97,13 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
     from ..parts import front
 
     title = mark(
-        "The best of {poses} poses on {runs} runs (fusion {fusion}{cars}), and what"
-        " more units buy:"
+        "The best of {poses} poses on {runs} runs (fusion {fusion}{cars}), and the"
+        " gain from more units:"
     )
     if summary.by == "cost":
         title = mark(
-            "The best of {poses} poses on {runs} runs (fusion "
-            "{fusion}{cars}), and what more money buys:"
+            "The best of {poses} poses on {runs} runs (fusion {fusion}{cars}), and"
+            " the gain from more money:"
         )
     title = tr(title, poses=summary.candidates, **basis(summary))
     parts = [
@@ -187,10 +187,10 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
     parts = [
         Part(
             title=trn(
-                "What to change about {name} ({n} unit) on {runs} runs, on the "
-                "detection table (fusion {fusion}{cars}):",
-                "What to change about {name} ({n} units) on {runs} runs, on the "
-                "detection table (fusion {fusion}{cars}):",
+                "Changes to {name} ({n} unit) on {runs} runs, on the detection table"
+                " (fusion {fusion}{cars}):",
+                "Changes to {name} ({n} units) on {runs} runs, on the detection"
+                " table (fusion {fusion}{cars}):",
                 len(summary.layout),
                 name=summary.name,
                 **basis(summary),
@@ -198,11 +198,10 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
             table=retrofit.table(summary),
             notes=[
                 tr(
-                    "Cars see: APR for cars with their own camera. One fails: APR that "
-                    "is left when the most needed unit fails. Bearings are clockwise "
-                    "from north. Nothing of its kind is better, but where a row is "
-                    "open. A visit costs "
-                    "{cost:,.0f} EUR: {source}.",
+                    "Cars see: APR for cars with their own camera. One fails:"
+                    " remaining APR if the most important unit fails. Bearings are"
+                    " clockwise from north. Except in open rows, no change of the"
+                    " same kind is better. A visit costs {cost:,.0f} EUR: {source}.",
                     cost=labour.re_aim_eur,
                     source=tr(labour.source),
                 )

@@ -127,8 +127,8 @@ def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
     """Lines on what was read, and what was left out and why."""
     frames = summary.frames
     read = tr(
-        "Read: {recorded} frames; {drives} drives with {frames} frames, "
-        "{missing} of them missing and so not detected.",
+        "Read: {recorded} frames; {drives} drives with {frames} frames, of which"
+        " {missing} are missing and count as not detected.",
         recorded=frames.recorded,
         drives=summary.runs,
         frames=frames.in_drives,
@@ -136,8 +136,8 @@ def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
     )
     if frames.several_vrus_in_view:
         read += " " + tr(
-            "In {n} frames a roadside unit has several VRUs of the drive's "
-            "class in view: they count only if each of them is detected.",
+            "In {n} frames, a roadside unit has several VRUs of the drive's class in"
+            " view: such a frame counts only if every VRU is detected.",
             n=frames.several_vrus_in_view,
         )
     reasons = "; ".join(
@@ -153,10 +153,10 @@ def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
             read,
             skipped,
             tr(
-                "Unit folder 3 is RSU3, car is the VUT's camera. In Eval, "
-                "cam_index is a unit's folder; 12 (where no unit has that number) "
-                "and -1 mean car, too. The last moment follows from speeds and "
-                "distances alone: a VUT that turns is taken as crossing."
+                "Unit folder 3 is RSU3, car is the VUT's camera. In Eval, cam_index"
+                " is a unit's folder; 12 (where no unit has that number) and -1 also"
+                " mean car. The last moment follows from speeds and distances alone:"
+                " a turning VUT is treated as crossing."
             ),
         ),
     ]

@@ -179,7 +179,7 @@ def _who_meets_whom(rows: Sequence[DrivenRow]) -> list[str]:
     )
     alike: dict[str, dict[str, None]] = {}
     for entry in rows:
-        title = entry.title.partition(", met at")[0]
+        title = entry.title.partition(", impact at")[0]
         at = _span(sorted(speeds.get(entry.case, [])), "g")
         if at:
             who = f"{entry.road_user}, {at} km/h"

@@ -20,16 +20,16 @@ from .views import find_views
 
 _LAYERS = {
     "JUNCTION": (7, mark("area of the junction")),
-    "KERBS": (30, mark("edges of the roads, by the widths of their lanes")),
-    "LANES": (8, mark("middles of lanes")),
-    "CROSSWALKS": (9, mark("ways across the road, from kerb to kerb")),
+    "KERBS": (30, mark("road edges, from the lane widths")),
+    "LANES": (8, mark("lane centrelines")),
+    "CROSSWALKS": (9, mark("crossing paths, from kerb to kerb")),
     "BUILDING": (42, mark("buildings, closed")),
     "WALL": (44, mark("walls, closed")),
     "VEGETATION": (92, mark("trees and hedges, closed")),
     "PARKED VEHICLE": (251, mark("parked vehicles, closed")),
     "POLES": (3, mark("poles that may carry a unit, with their ids")),
-    "UNITS": (6, mark("units; the line leads where they look")),
-    "VIEWS": (140, mark("what each camera sees: a layer per unit")),
+    "UNITS": (6, mark("units; the line shows the viewing direction")),
+    "VIEWS": (140, mark("area that each camera sees: one layer per unit")),
     "UNSEEN": (1, mark("road that no camera sees")),
     "LEGEND": (7, mark("this list")),
 }
@@ -157,7 +157,7 @@ def drawing_crs(scene: Scene, crs: str = "") -> str:
 def _coordinates(crs: str) -> str:
     """Line of the legend that names the coordinates."""
     if not crs:
-        return tr("Coordinates: of the model, in metres")
+        return tr("Coordinates: the model's own, in metres")
     name = parse_crs(crs).name
     if name == "unknown":
         return tr("Coordinates: {crs}, in metres", crs=crs)

@@ -290,9 +290,9 @@ def cases_section(setting: Setting) -> Section:
     """Cases that are driven, and those that cannot be."""
     note = [
         tr(
-            "Last moment: the latest time at which braking still avoids the "
-            "impact, which would be at 0; of each case's runs the earliest "
-            "and the latest."
+            "Last moment: the latest time at which braking still avoids the impact"
+            " (impact at 0 s). The table lists the earliest and latest among each"
+            " case's runs."
         ),
         *describe_hopeless(setting),
     ]
@@ -302,15 +302,15 @@ def cases_section(setting: Setting) -> Section:
     ]
     blocks += [
         tr(
-            "From above: the car drives upwards and hits where its line ends. "
-            "Dashed: whom it meets."
+            "Seen from above: the car drives upwards; the impact is where its line"
+            " ends. Dashed: the other road user."
         ),
         Box("beside sketches", sketches),
     ]
     missing = describe_driven(setting)
     if missing:
-        blocks += [Subheading(tr("Not driven")), Bullets(missing)]
-    return Section("cases", tr("What is driven"), blocks)
+        blocks += [Subheading(tr("Not simulated")), Bullets(missing)]
+    return Section("cases", tr("Simulated runs"), blocks)
 
 
 # Half the side of the ground that a sketch shows.
@@ -393,10 +393,9 @@ def _path(
 def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
     """How every run ends."""
     note = tr(
-        "Avoided, with the time to spare between the onset of braking and "
-        "the last moment; or hit, with the time by which braking comes "
-        "too late. Lost again: confirmed early enough, but not known any "
-        "more at the last moment."
+        "Avoided: the time to spare between the onset of braking and the last"
+        " moment. Hit: the time by which braking comes too late. Lost again:"
+        " confirmed early enough, but no longer tracked at the last moment."
     )
     return Section("runs", tr("Every run"), [note, run_table(evaluations)])
 
@@ -490,8 +489,8 @@ def describe_hopeless(setting: Setting) -> list[str]:
     names = [name for name in runs_by_case(setting) if n_runs[name]]
     return [
         trn(
-            "In {n} run of {case} no braking avoids the impact.",
-            "In {n} runs of {case} no braking avoids the impact.",
+            "Braking cannot avoid the impact in {n} run of {case}.",
+            "Braking cannot avoid the impact in {n} runs of {case}.",
             n_runs[name],
             case=name,
         )
@@ -541,10 +540,10 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
     ]
     columns = [tr("run"), *own, tr("last moment (s)"), *map(tr, evaluations), tr("VUT")]
     n_hit = int((~subject.headline.is_avoided).sum())
-    summary = tr("{n} runs: those with the least time to spare first", n=len(rows))
+    summary = tr("{n} runs, least time to spare first", n=len(rows))
     if n_hit:
         summary = tr(
-            "{n} runs, {hit} of them hit: those with the least time to spare first",
+            "{n} runs, {hit} with an impact, least time to spare first",
             n=len(rows),
             hit=n_hit,
         )

@@ -108,20 +108,18 @@ def planned_only(result: Result) -> list[str]:
     if result.preferred:
         return [
             tr(
-                "This plan takes for seen whatever is seen with a probability of "
-                "0.5 or more, and nothing is out of order in it. {n} sampled "
-                "worlds, where chance decides, chose between its best layout and "
-                "greedy choice's, and compared no other: --samples 8 chooses for "
-                "the mean of eight worlds.",
+                "This plan treats a detection as certain if its probability is 0.5"
+                " or more, and assumes that nothing fails. {n} sampled worlds"
+                " decided only between its best layout and the greedy one. --samples"
+                " 8 optimises the mean of eight worlds.",
                 n=N_JUDGED,
             )
         ]
     return [
         tr(
-            "This plan takes for seen whatever is seen with a probability of "
-            "0.5 or more, and nothing is out of order in it: in fresh worlds "
-            "such a choice can be behind a rule of thumb. --samples 8 chooses "
-            "for the mean of eight worlds."
+            "This plan treats a detection as certain if its probability is 0.5 or"
+            " more, and assumes that nothing fails. In fresh worlds, a rule of thumb"
+            " can do better. --samples 8 optimises the mean of eight worlds."
         )
     ]
 

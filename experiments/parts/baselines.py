@@ -258,9 +258,9 @@ def words(found: Baselines | None, *, n_units: int) -> list[str]:
     expert = found.expert
     if random is not None:
         text = tr(
-            "Random: {n} layouts drawn within the same limits, on the "
-            "detection table; 5 % of them have an APR of at most {low}, 5 % "
-            "of at least {high}.",
+            "Random: {n} layouts drawn within the same limits and scored on the"
+            " detection table; 5 % of them have an APR of at most {low}, 5 % have at"
+            " least {high}.",
             n=random.layouts,
             low=percent(random.low),
             high=percent(random.high),
@@ -274,13 +274,13 @@ def words(found: Baselines | None, *, n_units: int) -> list[str]:
         corners = ", ".join("/".join(map(tr, one.split("/"))) for one in expert.corners)
         corners = corners or tr("no corner fits")
         if len(expert.layout) != n_units:
-            corners = tr("{corners}, no unit for each of all", corners=corners)
+            corners = tr("{corners}; not a unit for every corner", corners=corners)
         sentences.append(
             tr(
-                "Expert rule: at each corner of the junction the nearest site, "
-                "there the pose that looks at the middle the most directly; the "
-                "corner whose camera prevents the most comes first ({corners}); "
-                "{share} on the detection table.",
+                "Expert rule: use the site nearest to each corner of the junction"
+                " and, there, the pose that looks most directly at the centre. The"
+                " corner whose camera prevents the most comes first ({corners}). APR"
+                " {share} on the detection table.",
                 corners=corners,
                 share=percent(expert.on_table),
             )

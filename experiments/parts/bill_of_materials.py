@@ -23,14 +23,14 @@ FILE_NAME = "bill_of_materials.csv"
 _KINDS = {"camera": mark("camera"), "lidar": mark("LiDAR")}
 _NO_SITE = mark("no site of the scene")
 _LEFT_OUT = {
-    "edge-computer": mark("computer for detection"),
+    "edge-computer": mark("detection computer"),
     "radio-unit": mark("radio unit"),
     "commissioning": mark("calibration"),
 }
 """What no bill has, by its name in ``placement/data/prices.toml``."""
 _SOURCES = {
     "catalogue": mark("catalogue"),
-    "told": mark("told"),
+    "told": mark("given"),
     "assumption": mark("assumption"),
 }
 
@@ -107,7 +107,7 @@ def total_eur(items: Iterable[Item]) -> float | None:
 
 
 def to_buy(bill: BillOfMaterials) -> str:
-    """What there is to buy: "2 cameras and 1 LiDAR, and to prepare 3 poles"."""
+    """What there is to buy: "2 cameras and 1 LiDAR, and the preparation of 3 poles"."""
     counts = Counter[str]()
     for item in bill.sensors:
         counts[item.kind] += item.count
@@ -118,8 +118,8 @@ def to_buy(bill: BillOfMaterials) -> str:
     if not n_sites:
         return sensors
     return trn(
-        "{sensors}, and to prepare {n} pole",
-        "{sensors}, and to prepare {n} poles",
+        "{sensors}, and the preparation of {n} pole",
+        "{sensors}, and the preparation of {n} poles",
         n_sites,
         sensors=sensors,
     )
@@ -251,8 +251,8 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
     what = [words for n, words in ((n_models, models), (n_places, places)) if n]
     return [
         tr(
-            "At least {sum}: the sum of what is known. The price of {what} is "
-            "unknown and comes on top.",
+            "At least {sum}, the sum of all known prices. The price of {what} is"
+            " unknown and comes on top.",
             sum=_euros(known),
             what=joined(what),
         )
@@ -296,7 +296,7 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
         name = tr(_NO_SITE) if one.name == _NO_SITE else one.name
         if one.assumed:
             name = tr("{site} (assumed)", site=name)
-        price = tr("there already") if one.count == 0 else _sum([one])
+        price = tr("already there") if one.count == 0 else _sum([one])
         source = tr(_SOURCES[one.price_source]) if one.price_source else ""
         of_sites.append([name, tr(one.kind), str(one.n_units), price, source])
     of_sites.append(
@@ -310,7 +310,7 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
                 tr("site"),
                 tr("kind"),
                 tr("units"),
-                tr("making it ready (EUR)"),
+                tr("preparation (EUR)"),
                 tr("price"),
             ],
             rows=of_sites,
@@ -327,7 +327,7 @@ def bill_section(bill: BillOfMaterials) -> Section:
         "magnitude. “Unknown” is not zero. Also not included:"
     )
     missing = [
-        tr("brackets, cables and junction boxes beyond what a site's cost covers"),
+        tr("brackets, cables and junction boxes not covered by a site's cost"),
         tr("spare units"),
         tr(
             "planning, permits, traffic management while mounting, the lift and"

@@ -48,7 +48,7 @@ def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
     assert isinstance(unit.sensor, CameraModel)
     small = with_width(unit.sensor, _WIDTH_PX)
     rgb, run, time_s = draw_view(replace(unit, sensor=small), setting)
-    title = tr("{unit}: what it will see", unit=label)
+    title = tr("{unit}: expected view", unit=label)
     values = {"what": case_title(run.case), "time": abs(time_s), "unit": label}
     return Picture(
         title=title,

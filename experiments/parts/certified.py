@@ -220,14 +220,14 @@ def words(result: CertifiedResult) -> list[str]:
     loose = sum(block.bound > block.apr + _SMALL for block in result.blocks)
     sentences = [
         trn(
-            "{n} unit at {sites} prevents {share} of the accidents in "
-            "{worlds} sampled worlds that nothing was chosen in; another "
-            "layout within the budget could prevent at most {gap:.2f} points "
-            "more (with 95 % confidence)",
-            "{n} units at {sites} prevent {share} of the accidents in "
-            "{worlds} sampled worlds that nothing was chosen in; another "
-            "layout within the budget could prevent at most {gap:.2f} points "
-            "more (with 95 % confidence)",
+            "{n} unit at {sites} prevents {share} of the accidents in {worlds}"
+            " sampled worlds that were not used for choosing; another layout within"
+            " the budget could prevent at most {gap:.2f} points more (with 95 %"
+            " confidence)",
+            "{n} units at {sites} prevent {share} of the accidents in {worlds}"
+            " sampled worlds that were not used for choosing; another layout within"
+            " the budget could prevent at most {gap:.2f} points more (with 95 %"
+            " confidence)",
             len(result.units),
             sites=", ".join(result.units),
             share=percent(result.apr),
@@ -235,10 +235,10 @@ def words(result: CertifiedResult) -> list[str]:
             gap=100.0 * result.gap,
         ),
         tr(
-            "Over all worlds it prevents at least {least:.2f} %, and no "
-            "layout more than {most:.2f} %: {bias:.2f} points of the gap "
-            "would go with larger blocks or a better layout, {chance:.2f} "
-            "with more worlds",
+            "Over all worlds, the layout prevents at least {least:.2f} %, and no"
+            " layout prevents more than {most:.2f} %. Larger blocks or a better"
+            " layout would close {bias:.2f} points of the gap, more worlds"
+            " {chance:.2f}",
             least=100.0 * result.least,
             most=100.0 * result.most,
             bias=100.0 * result.bias,
@@ -257,8 +257,8 @@ def words(result: CertifiedResult) -> list[str]:
     if loose:
         sentences.append(
             tr(
-                "In {n} of {blocks} blocks the bound was not reached in the time "
-                "given: with more time the limit may come down",
+                "In {n} of {blocks} blocks, the solver ran out of time before it"
+                " reached the bound: more time may lower the limit",
                 n=loose,
                 blocks=n_blocks,
             )
@@ -270,7 +270,7 @@ def table(result: CertifiedResult) -> Table:
     """A row per layout of the pool."""
     return Table(
         caption=tr(
-            "Layouts found, in {n} worlds that choose among them",
+            "Layouts found, compared in the {n} worlds used to choose among them",
             n=len(result.apr_by_world),
         ),
         columns=[tr("layout"), tr("APR"), tr("from"), tr("to")],

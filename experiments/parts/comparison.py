@@ -243,8 +243,8 @@ def significance_table(sampled: SampledRecord) -> Table:
             tr("95 % interval (points)"): lambda pair: tr(
                 "{low} to {high}", low=in_points(pair.low), high=in_points(pair.high)
             ),
-            tr("is that sure?"): lambda pair: (
-                tr("no sure difference") if is_open(pair) else tr("yes")
+            tr("significant?"): lambda pair: (
+                tr("no significant difference") if is_open(pair) else tr("yes")
             ),
         },
         numeric=range(2, 7),
@@ -295,12 +295,12 @@ def section(
         blocks.append(tr("All layouts avoid the same runs."))
     if sampled is not None and sampled.pairs:
         blocks += [
-            Subheading(tr("Is the difference sure?")),
+            Subheading(tr("Is the difference significant?")),
             tr(
-                "Paired on the same worlds: what is drawn hits all layouts alike, "
-                "so that the difference in each world counts, not the spread "
-                "between worlds. Each interval holds by itself: of twenty such, "
-                "one may miss the true difference."
+                "The comparison is paired: all layouts face the same random draws,"
+                " so the difference in each world counts, not the spread between"
+                " worlds. Each interval holds by itself: one in twenty may miss the"
+                " true difference."
             ),
             significance_table(sampled),
         ]
@@ -310,7 +310,7 @@ def section(
 def _meaning() -> str:
     """How speeds at contact are to be read."""
     return tr(
-        "Mean speed at contact: of the VUT when it touches the road user "
-        "although it brakes from the confirmation on, over all runs by "
-        "weight; a run that is avoided counts as 0."
+        "Mean speed at contact: the speed at which the VUT touches the road user"
+        " although it brakes from the confirmation on, averaged over all runs by"
+        " weight. Avoided runs count as 0."
     )

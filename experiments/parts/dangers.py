@@ -211,9 +211,8 @@ def section(
                 all=len(places),
             ),
             alt=tr(
-                "The junction from above: {all} places, {n} of them with runs "
-                "that are not avoided. The tables below have the shares by "
-                "position.",
+                "The junction from above: {all} places, {n} of them with runs that"
+                " are not avoided. The tables below list the shares by position.",
                 n=n_left,
                 all=len(places),
             ),
@@ -221,21 +220,19 @@ def section(
         pictures.append(picture)
     if is_weighted(setting.axis):
         note = tr(
-            "Every mark is a place where runs end in an impact if nobody "
-            "brakes: impacts at most 6 m apart are one place. The number is "
-            "the share of its runs, by weight, that the units avoid, in per "
-            "cent; the darker, the more is left. At small white squares all "
-            "are avoided. Triangles are units, rings are sites that could "
-            "carry some."
+            "Each mark is a place where runs end in an impact if nobody brakes;"
+            " impacts at most 6 m apart share a place. The number is the percentage"
+            " of its runs, by weight, that the units avoid; a darker mark means a"
+            " lower percentage. At small white squares, all runs are avoided."
+            " Triangles are units; rings are sites that could carry units."
         )
     else:
         note = tr(
-            "Every mark is a place where runs end in an impact if nobody "
-            "brakes: impacts at most 6 m apart are one place. The number is "
-            "the share of its runs that the units avoid, in per cent; the "
-            "darker, the more is left. At small white squares all are "
-            "avoided. Triangles are units, rings are sites that could carry "
-            "some."
+            "Each mark is a place where runs end in an impact if nobody brakes;"
+            " impacts at most 6 m apart share a place. The number is the percentage"
+            " of its runs that the units avoid; a darker mark means a lower"
+            " percentage. At small white squares, all runs are avoided. Triangles"
+            " are units; rings are sites that could carry units."
         )
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
     if len(groups_by(setting.axis, "position")) > 1:
@@ -264,7 +261,9 @@ def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
         each = [share(at & of_approach) for _, of_approach in approaches]
         rows.append([position_words(position), share(at), avoided, *each])
     return Table(
-        caption=tr("Where along the arms {name} avoids how much", name=name),
+        caption=tr(
+            "Share of runs that {name} avoids, by position along the arms", name=name
+        ),
         columns=[
             *(tr("where"), tr("APR"), tr("runs avoided")),
             *(tr("from the {arm}", arm=tr(arm)) for arm, _ in approaches),

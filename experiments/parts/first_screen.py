@@ -145,7 +145,7 @@ def _counted(avoided: BoolArray, axis: FrameAxis) -> str:
     if not is_weighted(axis):
         return tr("{n} of {all} runs.", n=n_avoided, all=axis.n_runs)
     return tr(
-        "All shares on this page are by weight; counted one by one, {n} of {all} are"
+        "All shares on this page are weighted; without weights, {n} of {all} are"
         " prevented ({share}).",
         n=n_avoided,
         all=axis.n_runs,
@@ -155,17 +155,17 @@ def _counted(avoided: BoolArray, axis: FrameAxis) -> str:
 
 def _if_one_fails(result: Result, subject: Evaluation) -> Card:
     left = result.evaluation.apr_without_worst_unit
-    words = tr("are still prevented if the sensor that is needed most fails")
+    words = tr("are still prevented if the most important sensor fails")
     if len(subject.units) == 1 and result.cars < 1.0:
         left = None
-        words = tr("there is only one: if it fails, only the car itself is left")
+        words = tr("there is only one sensor: if it fails, only the car itself remains")
     return Card(tr("If a sensor fails"), percent(left), words)
 
 
 def _cost(bill: BillOfMaterials) -> Card:
     """What there is to buy, and what is not in the sum."""
     total = total_eur((*bill.sensors, *bill.sites))
-    words = [tr("to buy {things}.", things=to_buy(bill))]
+    words = [tr("for {things}.", things=to_buy(bill))]
     if bill.assumed:
         words.append(tr("Prices of poles are assumed."))
     words.append(left_out_sentence())
@@ -174,39 +174,37 @@ def _cost(bill: BillOfMaterials) -> Card:
 
 _NO_OTHER = {
     "best": mark("no other choice does better {tried}"),
-    "fewest": mark(
-        "no other choice reaches what was asked for with fewer sensors {tried}"
-    ),
-    "cheapest": mark(
-        "no other choice reaches what was asked for with less money {tried}"
-    ),
+    "fewest": mark("no other choice meets the target with fewer sensors {tried}"),
+    "cheapest": mark("no other choice meets the target for less money {tried}"),
 }
 
 
 def _proof(result: Result) -> Card:
     if not isinstance(result, PlacementResult):
-        return Card(
-            tr("Proof"), NOTHING, tr("this layout was given, and not searched for")
-        )
+        return Card(tr("Proof"), NOTHING, tr("this layout was given, not optimised"))
     tried = tr(
-        "among {n:,} possible mountings (by a simpler model, for planning)",
+        "among {n:,} possible mountings (in the simpler planning model)",
         n=result.candidates,
     )
     better = best_possible(result)
     if better is None:
         return Card(
-            tr("Proof"), tr("none"), tr("the best that was found {tried}", tried=tried)
+            tr("Proof"), tr("none"), tr("the best choice found {tried}", tried=tried)
         )
     if better > 0.0:
         figure = tr("at most {points}", points=points(better))
-        words = tr("better is possible {tried}; that is not proven to be", tried=tried)
+        words = tr(
+            "could be gained by a better choice {tried}; whether one exists is not"
+            " proven",
+            tried=tried,
+        )
         return Card(tr("Proof"), figure, words)
     if result.highest is None:
         words = tr(_NO_OTHER[result.goal], tried=tried)
         return Card(tr("Proof"), tr("proven best"), words)
     words = tr(
-        "of all choices within {points} of the most that can be prevented, none keeps"
-        " more when a sensor fails, {tried}",
+        "of all choices within {points} of the maximum, none prevents more when a"
+        " sensor fails, {tried}",
         points=points(result.highest.given_up),
         tried=tried,
     )
@@ -227,7 +225,7 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
         places = joined(
             [f"{position_words(group.name)} ({_left(group)})" for group in where]
         )
-        found.append(tr("Most of it happens {places}.", places=places))
+        found.append(tr("Most of these collisions happen {places}.", places=places))
     if isinstance(result, PlacementResult):
         found += causes_and_remedies(result.explained.not_avoided)[:1]
         if result.next_unit is not None:

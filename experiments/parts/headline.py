@@ -200,9 +200,9 @@ def _given_up(result: Result) -> Iterator[str]:
     if (other.judged.all or 0.0) <= (result.evaluation.judged.all or 0.0):
         return
     yield tr(
-        "The choice planned for the highest share prevents {most}, but {left} if one"
-        " sensor fails: up to {given_up} may be given up to keep more"
-        " (--give-up 0 gives up none).",
+        "The layout planned for the highest share prevents {most}, but {left} if"
+        " one sensor fails. The plan may give up as much as {given_up} to prevent"
+        " more in that case (--give-up 0 gives up nothing).",
         most=percent(other.judged.all),
         left=percent(other.apr_without_worst_unit),
         given_up=points(highest.given_up),
@@ -246,7 +246,7 @@ def _others(result: PlacementResult) -> Iterator[tuple[str, int, float, float]]:
         return name, n, one.judged.all or 0.0, one.apr_without_worst_unit or 0.0
 
     greedy = result.greedy
-    yield of(tr("greedy choice's layout"), len(greedy.layout), greedy.evaluation)
+    yield of(tr("the greedy layout"), len(greedy.layout), greedy.evaluation)
     if result.baseline is not None:
         name = layout_words(BASELINE_NAME)
         yield of(name, len(result.baseline.layout), result.baseline.evaluation)

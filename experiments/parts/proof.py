@@ -30,15 +30,15 @@ def words(result: PlacementResult) -> str:
         )
     if result.preferred is not None and result.preferred.second == FOUND:
         return tr(
-            "Fresh worlds prefer this choice to the one that prevents most in the"
-            " planning model: there, none of {n} candidate poses prevents more than"
-            " {bound}",
+            "In fresh worlds, this choice is better than the one that prevents most"
+            " in the planning model. In that model, no choice among {n} candidate"
+            " poses prevents more than {bound}",
             n=n_poses,
             bound=percent(result.bound),
         )
     if better is None:
         return tr(
-            "Not proven: the best of {n} candidate poses that was found in the time"
+            "Not proven: the best choice among {n} candidate poses found in the time"
             " given",
             n=n_poses,
         )
@@ -128,20 +128,21 @@ def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
         )
     if kept.gap == 0.0 and result.failing == "site":
         then = tr(
-            "of those with at most {given_up} less, none keeps more when a pole fails",
+            "of the choices that prevent at most {given_up} less, none prevents more"
+            " when a pole fails",
             **values,
         )
     elif kept.gap == 0.0:
         then = tr(
-            "of those with at most {given_up} less, none keeps more when a sensor"
-            " fails",
+            "of the choices that prevent at most {given_up} less, none prevents more"
+            " when a sensor fails",
             **values,
         )
     else:
         more = or_nan(kept.bound) - kept.objective
         then = tr(
-            "of those with at most {given_up} less, none can keep more than {more}"
-            " above this one when one fails",
+            "of the choices that prevent at most {given_up} less, none can exceed"
+            " this one by more than {more} when a sensor fails",
             more=points(more),
             **values,
         )
@@ -154,11 +155,11 @@ def section(result: PlacementResult) -> Section:
     proof = tr("Yes: every objective's gap is closed.")
     if is_open:
         names = ", ".join(is_open)
-        proof = tr("Not in full: proven are all objectives but {names}.", names=names)
+        proof = tr("Partly: all objectives except {names} are proven.", names=names)
     note = tr(
-        "Solver: {solver}. The proof holds for the detection table: for "
-        "the candidate poses that were tried, on the runs listed below. "
-        "What is proven, no other choice among them exceeds.",
+        "Solver: {solver}. The proof holds for the detection table: for the"
+        " candidate poses that were tried, on the runs listed below. No other choice"
+        " among them exceeds a proven value.",
         solver=tr(result.solver) or NOTHING,
     )
     blocks: list[Block] = [proof, table(result), *conditions(result), note]
@@ -246,8 +247,8 @@ def _conditions(stages: Sequence[tuple[str, StageRecord]]) -> list[str]:
     name = stages[n_certain - 1][0]
     return [
         tr(
-            "{name} is open: the rows below it compare only with choices that are as "
-            "good in it, so that they show no gap.",
+            "{name} is not proven: the rows below it compare only with choices that"
+            " are equally good in it, so they show no gap.",
             name=name,
         )
     ]
@@ -261,8 +262,8 @@ def _label(name: str, result: PlacementResult) -> str:
 
 
 _OF_POLES = {
-    "apr_survived": mark("APR if the most needed poles fail"),
-    "apr_one_failed": mark("APR if the most needed pole fails"),
+    "apr_survived": mark("APR if the most important poles fail"),
+    "apr_one_failed": mark("APR if the most important pole fails"),
 }
 """Names of objectives where poles fail."""
 
@@ -301,11 +302,11 @@ def agreement_section(result: PlacementResult) -> Section:
     """How far detection table and evaluator differ."""
     share = result.surrogate_disagreement
     both = tr(
-        "They disagree on {share} of the runs whether this layout avoids it.",
+        "For this layout, they disagree on {share} of the runs.",
         share=percent(share),
     )
     if share == 0.0:
-        both = tr("For this layout both say the same of every run.")
+        both = tr("For this layout, both agree on every run.")
     text = tr(
         "The layout was chosen on a detection table, which looks at "
         "sample points on the road user's surface. The evaluator renders "
@@ -314,8 +315,8 @@ def agreement_section(result: PlacementResult) -> Section:
     )
     runs = tabulate(
         tr(
-            "Runs that only one of them calls avoided, for each unit by itself and for"
-            " all fused"
+            "Runs rated as avoided by only one of the two, for each unit by itself"
+            " and for all fused"
         ),
         result.disagreements,
         {
@@ -325,12 +326,12 @@ def agreement_section(result: PlacementResult) -> Section:
                 tr("table") if entry.on_table else tr("evaluator")
             ),
             tr("frames that differ"): lambda entry: entry.n_frames,
-            tr("what the evaluator sees in the first of them"): lambda entry: tr(
+            tr("evaluator's view in the first of these frames"): lambda entry: tr(
                 entry.cause
             ),
         },
         numeric=[3],
     )
-    none = tr("Nor do they differ on any run for any unit by itself.")
+    none = tr("They also agree on every run for each unit by itself.")
     blocks: list[Block] = [text, runs if result.disagreements else none]
     return Section("models", tr("Do the two models agree?"), blocks)

@@ -290,26 +290,25 @@ def growth_sentences(growth: Growth | None) -> list[str]:
 
 _WHY_NO_MORE_WORLDS = {
     "same": mark(
-        "{taken} worlds to choose in are enough (--samples {taken}): {tried} give the"
-        " same layout"
+        "Choosing in {taken} worlds is enough (--samples {taken}): {tried} worlds"
+        " give the same layout"
     ),
     "no better": mark(
-        "{taken} worlds to choose in are enough (--samples {taken}): in "
-        "{others} fresh ones the layout of {tried} prevents {low:+.2f} to "
-        "{high:+.2f} points more (95 %)"
+        "Choosing in {taken} worlds is enough (--samples {taken}): in {others} fresh"
+        " worlds, the layout from {tried} worlds prevents {low:+.2f} to {high:+.2f}"
+        " points more (95 %)"
     ),
     "time": mark(
-        "The layout was chosen in {taken} worlds (--samples {taken}), the "
-        "last ones that there was time for: with a longer --time-limit "
-        "more are tried"
+        "The layout was chosen in {taken} worlds (--samples {taken}); there was no"
+        " time for more. A longer --time-limit tries more worlds"
     ),
     "memory": mark(
         "The layout was chosen in {taken} worlds (--samples {taken}): "
         "twice as many do not fit into the memory of this machine"
     ),
     "most": mark(
-        "The layout was chosen in {taken} worlds (--samples {taken}), and "
-        "was still getting better: more are not tried"
+        "The layout was chosen in {taken} worlds (--samples {taken}) and was still"
+        " improving; no more worlds are tried"
     ),
 }
 """By what ended the search for the number of worlds."""
@@ -478,19 +477,18 @@ def preferred_sentences(
     if chosen_in is None:
         return [
             tr(
-                "The plan knows nothing of chance: in {n} sampled worlds greedy "
-                "choice's layout prevents {points:.2f} points more (95 %: "
-                "{low:.2f} to {high:.2f}) than the one found, so it is the "
-                "answer.",
+                "The answer is the greedy layout. The plan ignores chance, but in"
+                " {n} sampled worlds the greedy layout prevents {points:.2f} points"
+                " more (95 %: {low:.2f} to {high:.2f}) than the optimised one.",
                 **values,
             )
         ]
     return [
         tr(
-            "Greedy choice's layout is the answer, not the one found, which "
-            "is better in the {chosen} worlds to choose in: in {n} fresh ones "
-            "greedy choice's prevents {points:.2f} points more (95 %: "
-            "{low:.2f} to {high:.2f}).",
+            "The answer is the greedy layout. The optimised layout is better in the"
+            " {chosen} worlds used for choosing, but in {n} fresh worlds the greedy"
+            " layout prevents {points:.2f} points more (95 %: {low:.2f} to"
+            " {high:.2f}).",
             chosen=chosen_in,
             **values,
         )

@@ -353,7 +353,7 @@ def _mount(unit: CandidatePose, scene: Scene) -> str:
     words = [text for text in (unit.site_id, kind, tr(place)) if text]
     assumed = assumed_sites(scene.notes).get(unit.site_id)
     if assumed:
-        doubt = tr("ASSUMED, look on site first: {what}", what=tr(assumed))
+        doubt = tr("ASSUMED, check on site first: {what}", what=tr(assumed))
     else:
         doubt = ""
     return "\n".join(filter(None, (", ".join(words), doubt)))
@@ -376,7 +376,7 @@ def _direction(unit: CandidatePose) -> str:
     )
     turned = tr("all round")
     if is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg):
-        turned = tr("all round: turned it sees the same, only its axes turn with it")
+        turned = tr("all round: turning it changes its axes, not what it sees")
     return f"{turned}\n{front}"
 
 
@@ -385,8 +385,8 @@ def _tilt(unit: CandidatePose) -> str:
     if is_ring(unit.sensor):
         if pitch_deg == 0.0:
             return tr("none: level, its axis upright")
-        down = mark("its front {angle:.1f}° down, its back as much the other way")
-        up = mark("its front {angle:.1f}° up, its back as much the other way")
+        down = mark("front {angle:.1f}° down, back equally far up")
+        up = mark("front {angle:.1f}° up, back equally far down")
         return tr(down if pitch_deg < 0.0 else up, angle=abs(pitch_deg))
     if pitch_deg >= 0.0:
         return tr("{angle:.1f}° above level", angle=pitch_deg)
@@ -412,7 +412,7 @@ def _tolerance_text(tolerance: Tolerance) -> str:
     )
     return tr(
         "{left} to the left, {right} to the right\n{up} up, {down} down\n{higher}"
-        " higher, {lower} lower\none thing at a time, the other units as planned;"
+        " higher, {lower} lower\none change at a time, other units as planned;"
         " beyond, a run is lost",
         left=left,
         right=right,
@@ -533,7 +533,7 @@ def _draw_picture(
             cross: Style = {"marker": "+", "markersize": 22, "color": colour}
             axes.plot([column], [row], markeredgewidth=width, **cross)
     title = tr(
-        "What it will see, rendered: {run}, {time:.1f} s before the impact",
+        "Rendered view: {run}, {time:.1f} s before the impact",
         run=run.id,
         time=abs(time_s),
     )

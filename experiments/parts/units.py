@@ -47,13 +47,13 @@ def units_section(
     """
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
     heights = tr(
-        "East, north and height are metres in the junction's own "
-        "coordinates; the road is at height 0."
+        "East, north and height are in metres in the junction's own coordinates; the"
+        " road is at height 0."
     )
     if terrain_of(scene) is not None:
         heights = tr(
-            "East, north and height are metres in the junction's own "
-            "coordinates; height is that above the ground below."
+            "East, north and height are in metres in the junction's own coordinates;"
+            " heights are above the ground at that point."
         )
     angles = tr(
         "The bearing is that of a compass, clockwise from north. An assumed site is"
@@ -183,7 +183,9 @@ def build_plans(
 
 def _units_in_words(layout: Layout) -> str:
     if len(layout.units) > _MAX_UNITS_IN_WORDS:
-        return tr("{n} units: where each is says the table above.", n=len(layout.units))
+        return tr(
+            "{n} units; the table above gives their positions.", n=len(layout.units)
+        )
     labels = unit_labels(layout)
     return " ".join(
         tr(
@@ -244,7 +246,7 @@ def private_ground_sentence(found: PrivateGroundRecord) -> str:
             "No camera has any of the {n} private areas in its picture.",
             n_areas,
         )
-    return tr("Of private ground, {views}.", views="; ".join(seen))
+    return tr("Private ground: {views}.", views="; ".join(seen))
 
 
 def private_ground_section(
@@ -270,14 +272,14 @@ def private_ground_section(
     caption = tr("Share of each private area that a unit sees")
     if len(shown) < len(units):
         caption += tr(
-            "; of {all} units the {n} that matter most", all=len(units), n=len(shown)
+            "; the {n} most important of {all} units", all=len(units), n=len(shown)
         )
     if len(told) < len(areas):
         caption += tr(
-            "; of {all} areas the {n} that matter most", all=len(areas), n=len(told)
+            "; the {n} most important of {all} areas", all=len(areas), n=len(told)
         )
     columns = [
-        *[tr("area"), tr("size (m²)"), tr("most, by one unit")],
+        *[tr("area"), tr("size (m²)"), tr("largest share seen by one unit")],
         *(labels.get(unit_id, unit_id) for unit_id in shown),
     ]
     rows = []
@@ -293,8 +295,8 @@ def private_ground_section(
         caption=caption, columns=columns, rows=rows, numeric=range(1, 3 + len(shown))
     )
     note = tr(
-        "Seen is what lies in a camera's picture with nothing in between, "
-        "at the height of people's eyes. LiDARs take no pictures."
+        "A point counts as seen if it is in a camera's image at eye level with"
+        " nothing in between. LiDARs take no images."
     )
     blocks: list[Block] = [_short_sentence(found, most_seen), table, note]
     return Section("private-ground", tr("Private ground"), blocks)
@@ -308,8 +310,8 @@ def _short_sentence(found: PrivateGroundRecord, most_seen: Mapping[str, float]) 
         return private_ground_sentence(found)
     worst = max(most_seen, key=lambda name: most_seen[name])
     return tr(
-        "{seeing} of {units} units see something of {seen} of {areas} "
-        "private areas; the most is {share} of {worst}.",
+        "{seeing} of {units} units see part of {seen} of {areas} private areas; the"
+        " largest share seen is {share} of {worst}.",
         seeing=n_seeing,
         units=len(found.units),
         seen=n_seen,

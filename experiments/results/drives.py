@@ -119,10 +119,10 @@ def _without_effect(setting: Setting) -> Iterator[str]:
     if alike:
         names = [tr(name) for name in alike]
         yield trn(
-            "{weathers} changes nothing for cameras here: the {detector} "
-            "detector knows no light. --detector response does.",
-            "{weathers} change nothing for cameras here: the {detector} "
-            "detector knows no light. --detector response does.",
+            "{weathers} has no effect on cameras here: the {detector} detector does"
+            " not model light. --detector response does.",
+            "{weathers} have no effect on cameras here: the {detector} detector does"
+            " not model light. --detector response does.",
             len(alike),
             weathers=capital(joined(names)),
             detector=detector.name,
@@ -147,17 +147,17 @@ def describe_driven(setting: Setting) -> list[str]:
         gaps = [*gaps[:_MOST_GAPS], tr("{n} more below", n=n_left)]
     # Nothing that could be driven is missing; what the map rules out still is.
     if n_runs == n_possible:
-        first = tr("All {n} runs that this junction allows are driven.", n=n_runs)
+        first = tr("All {n} runs that this junction allows are simulated.", n=n_runs)
     else:
         first = tr(
-            "{n} of {all} possible runs are driven. The most frequent obstacle:"
+            "{n} of {all} possible runs are simulated. The most frequent obstacle:"
             " {reason}.",
             n=n_runs,
             all=n_possible,
             reason=_reason_words(reasons[0][0]),
         )
     if gaps:
-        first += " " + tr("Not driven: {gaps}.", gaps="; ".join(gaps))
+        first += " " + tr("Not simulated: {gaps}.", gaps="; ".join(gaps))
     return [first, *_reasons(setting, reasons), *limits]
 
 
@@ -176,10 +176,10 @@ def describe_limits(setting: Setting) -> list[str]:
     ]
     return [
         trn(
-            "Left out: {n} run of the protocol faster than the map's speed "
-            "limits, {where} (--speeds all drives them).",
-            "Left out: {n} runs of the protocol faster than the map's speed "
-            "limits, {where} (--speeds all drives them).",
+            "Left out: {n} run of the protocol above the map's speed limits, {where}"
+            " (--speeds all includes it).",
+            "Left out: {n} runs of the protocol above the map's speed limits,"
+            " {where} (--speeds all includes them).",
             _count_speeds(found) * _n_weathers(setting),
             where=joined(where),
         )
@@ -203,10 +203,10 @@ def describe_left_out(setting: Setting) -> Iterator[str]:
     names = unprotected_cases(setting)
     if names:
         yield trn(
-            "Only vulnerable road users are protected: {cases}, where a car "
-            "is met, does not count (--protect all counts cars, too).",
-            "Only vulnerable road users are protected: {cases}, where a car "
-            "is met, do not count (--protect all counts cars, too).",
+            "Only vulnerable road users are protected: {cases} does not count"
+            " because the target is a car (--protect all also counts cars).",
+            "Only vulnerable road users are protected: {cases} do not count because"
+            " the target is a car (--protect all also counts cars).",
             len(names),
             cases=joined(names),
         )
@@ -217,7 +217,7 @@ def describe_left_out(setting: Setting) -> Iterator[str]:
             f"{joined(dict.fromkeys(names))}: {tr(why).removesuffix('.')}"
             for why, names in reasons.items()
         ]
-        yield tr("Not laid at any junction: {cases}.", cases="; ".join(listed))
+        yield tr("Not simulated at any junction: {cases}.", cases="; ".join(listed))
 
 
 def unprotected_cases(setting: Setting) -> list[str]:

@@ -44,13 +44,13 @@ def cars_words(cars: float) -> str:
     Examples
     --------
     >>> cars_words(1.0), cars_words(0.3), cars_words(0.0)
-    (', cars see', ', 30.0 % of the cars see', '')
+    (', cars with own sensors', ', 30.0 % of the cars with own sensors', '')
     """
     if not cars:
         return ""
     if cars == 1.0:
-        return tr(", cars see")
-    return tr(", {share} of the cars see", share=percent(cars))
+        return tr(", cars with own sensors")
+    return tr(", {share} of the cars with own sensors", share=percent(cars))
 
 
 def points(share: float) -> str:

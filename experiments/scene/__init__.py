@@ -5,17 +5,19 @@ from geometry.errors import InputError
 from ..language import mark
 
 CAUSES = {
-    "no lane": mark("No car can drive into it: the map has no lane that leads in."),
-    "no road": mark("On the map no road ends at it."),
+    "no lane": mark("No car can enter the junction: the map has no lane into it."),
+    "no road": mark("On the map, no road ends at the junction."),
     "no site": mark("There is no pole or other place that could carry another sensor."),
     "no run": mark(
-        "None of the collisions asked for can happen there: roads or room are missing."
+        "None of the requested collisions is possible there: roads or space are"
+        " missing."
     ),
     "no accident": mark(
-        "No known accident near it is like one of its collisions: nothing weighs them."
+        "No known accident nearby resembles one of its collisions, so they have no"
+        " weight."
     ),
-    "time": mark("It took longer than it was given."),
-    "memory": mark("It took more memory than it was given."),
+    "time": mark("It exceeded its time limit."),
+    "memory": mark("It exceeded its memory limit."),
 }
 """Why a junction is left out, in plain words."""
 _CAUSE_OF = {

@@ -136,7 +136,7 @@ def _cause(
     time_s = float(setting.axis.time_s[frame])
     if isinstance(unit.sensor, LidarModel):
         return Phrase(
-            "{unit} at {time:.1f} s: about as many points as it takes",
+            "{unit} at {time:.1f} s: about as many points as needed",
             unit=unit.id,
             time=time_s,
         )
@@ -156,8 +156,9 @@ def _cause(
     }
     if setting.detector.needs_pictures:
         return Phrase(
-            "{unit} at {time:.1f} s: {detector} judges the picture otherwise than "
-            "boxes ({height:.1f} px high, {share:.0f} % seen, IoU {iou:.2f})",
+            "{unit} at {time:.1f} s: {detector} judges the image differently from"
+            " the box model ({height:.1f} px high, {share:.0f} % seen, IoU"
+            " {iou:.2f})",
             detector=setting.detector.name,
             **seen,
         )

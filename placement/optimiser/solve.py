@@ -484,8 +484,8 @@ def _unmet_by_pool(
 ) -> UnmetError:
     """What is refused when the time is up before all poses were looked at."""
     expected = Phrase(
-        "more time than the limit: among {n_looked_at} of {n_poses} poses no layout was"
-        " found that meets it",
+        "more time than the limit: no layout that meets the requirement was found"
+        " among {n_looked_at} of {n_poses} poses",
         n_looked_at=len(pool),
         n_poses=every.n_poses,
     )

@@ -105,7 +105,7 @@ def test_every_kind_is_small_and_tells_what_it_is_about(browser, addresses):
 def test_runs_that_are_missed_are_told_where_there_are_any(browser, addresses):
     for kind, is_told in (("missed", True), ("many", False)):
         with open_page(browser, addresses[kind].as_uri()) as page:
-            assert ("of them hit" in " ".join(texts(page, "summary"))) == is_told
+            assert ("with an impact" in " ".join(texts(page, "summary"))) == is_told
 
 
 def test_on_a_phone_letters_are_large_and_nothing_scrolls_sideways(browser, address):

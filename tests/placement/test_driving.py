@@ -157,7 +157,7 @@ def test_how_far_along_the_arms_is_chosen():
     assert (
         str(caught.value)
         == "cases: got CPNA-25, which no approach carries; expected a case that can be"
-        " driven at town05 (from the north: the mapped lane does not reach so far)"
+        " driven at town05 (from the north: the mapped lane does not reach that far)"
     )
 
 
@@ -377,12 +377,13 @@ def test_speeds_that_a_case_does_not_have_are_listed_as_not_driven():
     row = list_rows(drives)[-1]
 
     assert row.case == "CPTAns-50"
-    assert row.reason == "none of the speeds asked for (40) is one of this case"
+    assert row.reason == "this case has none of the requested speeds (40)"
 
     text = scenario_table(list_rows(drives))
 
-    assert "south not driven: none of the speeds asked for (40)" in " ".join(
-        text.split()
+    assert (
+        "south not driven: this case has none of the requested speeds (40)"
+        in " ".join(text.split())
     )
     assert max(map(len, text.splitlines())) <= 80
     assert text.endswith("4 runs of 2 cases")

@@ -44,7 +44,7 @@ def test_what_is_assumed_is_told_for_each_kind():
     assert assumed_prices(load_prices(), sites) == (
         (
             "No price is known for 2 sites of the kind lamp post: 3,560 EUR each are"
-            " assumed (mounting 900, power at hand 400, data link 2,260)."
+            " assumed (mounting 900, existing power 400, data link 2,260)."
         ),
         (
             "No price is known for 1 site of the kind kerb: 7,060 EUR each are assumed"

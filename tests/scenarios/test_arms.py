@@ -74,7 +74,8 @@ def test_markings_decide_who_may_go_where():
 def test_what_no_lane_is_marked_for_is_not_driven(actors):
     junction = junction_with([("right",), ("through",), ("through",)])
     with pytest.raises(
-        NoRoadError, match="by their markings no lane from the west leads to the l"
+        NoRoadError,
+        match="according to its markings, no lane from the west leads to the l",
     ):
         stage_by_protocol(
             load_cases()["CPTAfs-50"],
@@ -98,7 +99,7 @@ def test_lanes_through_the_junction_decide_where_the_map_has_them():
     assert entries(junction, "through") == ["west-in-1"]
     assert entries(junction, "left") == ["west-in-2"]
     with pytest.raises(
-        NoRoadError, match="by the map no lane leads from the west to the south"
+        NoRoadError, match="the map has no lane from the west to the south"
     ):
         entries(junction, "right")
 

@@ -83,7 +83,7 @@ def test_a_corner_is_driven_no_faster_than_it_can_be(angle_deg):
         mapped = front[front[:, 0] > -60.0]
         assert distance_to_chain_m(mapped, lane.centreline_m).max() < 0.7
     for one in refusals:
-        assert one.reason.startswith("its lanes bend")
+        assert one.reason.startswith("the lanes curve")
         assert not one.is_possible
         allowed_kmh = float(one.reason.rsplit(" ", 3)[1])
         assert min(one.speeds_kmh) >= allowed_kmh
@@ -119,4 +119,6 @@ def test_sharp_bends_of_a_scene_are_found_with_the_speed_that_they_allow():
     assert finding.level == "warning"
     assert finding.what == "arm west"
     assert finding.why.startswith("lane west-in-0 bends 4")
-    assert "m from the junction: 4 m/s^2 to the side allow 1" in finding.why
+    assert (
+        "m from the junction: a lateral acceleration of 4 m/s^2 allows 1" in finding.why
+    )

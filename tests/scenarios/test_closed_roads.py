@@ -74,7 +74,7 @@ def test_nobody_is_met_on_an_arm_that_is_closed_to_them(closed_to, lay):
     runs, refused = lay(scene)
     everybody = {"on foot", "bicycle", "motorcycle", "car"}
     assert met_there(runs, scene) == everybody - set(closed_to)
-    closed = [one for one in refused if "arm is closed to" in str(one.reason)]
+    closed = [one for one in refused if "arm as closed to" in str(one.reason)]
     assert {one.case.road_user for one in closed} == set(closed_to)
     # Counted as not possible, not as lacking room.
     assert not any(one.is_possible for one in closed)
@@ -95,7 +95,7 @@ def test_nobody_parks_where_nobody_may_walk(lay):
         place = shapely.Polygon(body.footprint_m)
         assert place.centroid.y > -MOUTH_M or not road.intersects(place)
     whys = {str(one.reason) for one in refused if not one.is_possible}
-    assert "nobody parks on the south arm, where nobody may walk" in whys
+    assert "no cars park on the south arm because nobody may walk there" in whys
 
 
 def test_people_cross_a_closed_arm_on_the_maps_own_crosswalk_alone(lay):

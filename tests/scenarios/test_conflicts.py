@@ -266,7 +266,7 @@ def test_recorded_cases_stay_where_they_were(cases_file):
     apart = replace(case.recorded, vru=_moved(case.recorded.vru))
     _, (refusal,) = lay([replace(case, recorded=apart)])
     assert (
-        refusal.reason == "at these speeds the recorded ways do not lead to an impact"
+        refusal.reason == "at these speeds, the recorded paths do not lead to an impact"
     )
 
 

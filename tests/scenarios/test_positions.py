@@ -231,7 +231,7 @@ def test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line(
     scene, exit_lane = _scene_with_exit(aside_m, turned_deg)
     position = Position(is_behind=True, distance_m=metres)
     runs, refusals = laid(scene, name, position, vut, rule, speeds=(25.0,))
-    reasons = ("its lanes bend", "bends too sharply", "parked")
+    reasons = ("the lanes curve", "curves too sharply", "parked")
     for refusal in refusals:  # the rest may be too sharp, or parked cars on the road
         assert any(reason in refusal.reason for reason in reasons)
     for run in runs:
@@ -358,8 +358,8 @@ def test_positions_beyond_the_mapped_lanes_are_refused_with_the_reason(vut, rule
     # The crosswalk lies 2 m inside the mouth.
     assert [run.position for run in runs] == ["0", "-41.9", "+0", "+41.9"]
     assert [(one.position, one.reason, one.is_possible) for one in refusals] == [
-        ("-42.1", "the mapped lane does not reach so far", False),
-        ("+42.1", "the mapped lane does not reach so far", False),
+        ("-42.1", "the mapped lane does not reach that far", False),
+        ("+42.1", "the mapped lane does not reach that far", False),
     ]
     runs, (refusal,) = laid(scene, "CBLA-50", Position(distance_m=15.0), vut, rule)
     assert not runs
@@ -392,7 +392,8 @@ def test_a_change_of_lanes_that_is_too_sharp_for_the_speed_is_refused(vut, rule)
     assert [run.vut_speed_kmh for run in runs] == [10.0]
     assert refusal.speeds_kmh == (60.0,)
     assert re.fullmatch(
-        r"its lanes bend: 4 m/s\^2 to the side allow [1-5][05] km/h there",
+        r"the lanes curve: a lateral acceleration of 4 m/s\^2 allows [1-5][05] km/h"
+        r" there",
         refusal.reason,
     )
     assert not refusal.is_possible
@@ -541,7 +542,7 @@ def test_a_fast_vut_eases_into_a_lane_that_is_not_in_line_and_stays_in_both(
     scene, exit_lane = _scene_with_exit(aside_m, turned_deg)
     position = Position(is_behind=True, distance_m=5.0)
     runs, refusals = laid(scene, "CPFA-50", position, vut, rule, speeds=(50.0,))
-    assert all(refusal.reason.startswith("its lanes bend") for refusal in refusals)
+    assert all(refusal.reason.startswith("the lanes curve") for refusal in refusals)
     assert runs or abs(aside_m) + 0.2 * abs(turned_deg) > 2.0
     for run in runs:
         motion = run.encounter.vut_motion
@@ -669,7 +670,7 @@ def test_nobody_crosses_in_the_middle_of_another_junction(vut, rule):
     position = Position(distance_m=NEXT_M + 8.0)
     runs, (refusal,) = laid(scene, "CPNA-25", position, vut, rule)
     assert not runs
-    assert refusal.reason == "another junction lies there: nobody crosses in its middle"
+    assert refusal.reason == "another junction is there: nobody crosses in its middle"
     assert not refusal.is_possible
     assert laid(scene, "CBLA-50", position, vut, rule)[0]
 
@@ -703,7 +704,7 @@ def test_where_the_map_ends_a_vru_sets_off_beyond_if_a_lane_is_assumed_there(vut
             same_frames(runs[0], same, tolerance_m=1e-9)
         # But nobody is met where the map has no road.
         _, (refusal,) = laid(scene, "CPNA-25", Position(distance_m=45.0), vut, rule)
-        assert refusal.reason == "the mapped lane does not reach so far"
+        assert refusal.reason == "the mapped lane does not reach that far"
         assert not refusal.is_possible
 
 

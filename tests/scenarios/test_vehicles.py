@@ -389,9 +389,9 @@ def test_a_target_that_its_lanes_bend_is_too_slow_for_is_refused(golf):
         "CCCscp-far", golf, bent_road(radius_m=30.0), speed_kmh=20, vru_kmh=60
     )
     assert isinstance(error, NoRoadError)
-    assert (
-        str(error)
-        == "its lanes bend: 4 m/s^2 to the side allow 35 km/h to the target there"
+    assert str(error) == (
+        "the lanes curve: a lateral acceleration of 4 m/s^2 allows the target"
+        " 35 km/h there"
     )
     junction = build_junction(build_scene(bent_road(radius_m=30.0)))
     slow = stage("CCCscp-far", golf, 20, 30, junction=junction).encounter
@@ -408,7 +408,7 @@ def test_parked_cars_that_do_not_fit_are_refused_with_the_reason(actors, rule):
         scene, [case], vut=actors["vut"], rule=rule, approaches=["west"]
     )
     assert not runs
-    assert refusal.reason == "wall stands in the place of parked-car-large"
+    assert refusal.reason == "wall occupies the place of parked-car-large"
     assert refusal.speeds_text == "30x30"
     assert refusal.is_possible
 

@@ -227,7 +227,7 @@ def test_a_turn_follows_the_junctions_own_lane_where_there_is_one(vut):
     assert distance_to_chain_m(front, arc).max() < 0.15
     # Where the map has lanes through the junction, no other way is driven.
     with pytest.raises(
-        NoRoadError, match="by the map no lane leads from the west to the south"
+        NoRoadError, match="the map has no lane from the west to the south"
     ):
         staged("CPTAns-50", vut, scene=scene)
 
@@ -410,7 +410,7 @@ def test_obstructions_stand_outside_the_carriageway(vut, name, scene):
     import shapely
 
     runs, refusals = runs_on(scene, [name], vut, approaches=["west"])
-    assert all(one.reason.startswith("its lanes bend") for one in refusals)
+    assert all(one.reason.startswith("the lanes curve") for one in refusals)
     carriageway = shapely.union_all(
         [
             shapely.LineString(lane.centreline_m).buffer(
@@ -448,7 +448,7 @@ def test_parked_cars_give_way_to_a_pole_and_a_house_that_leaves_no_room_is_named
     )
     assert not runs
     assert {refusal.reason for refusal in refusals} == {
-        "house stands in the place of parked-car-small"
+        "house occupies the place of parked-car-small"
     }
 
 

@@ -28,7 +28,7 @@ from .worded import PROGRAM, Decorator, combined, option
 ASKED = "What is asked"
 MOUNTED = "What may be mounted, and where"
 SOUGHT = "How it is looked for"
-DRIVEN = "What is driven"
+DRIVEN = "Simulated runs"
 SEEN = "What is seen, told and braked"
 SECTIONS = (ASKED, MOUNTED, SOUGHT, DRIVEN, SEEN)
 """Titles in the help, in its order."""

@@ -251,7 +251,7 @@ def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, tmp_path,
     )
     assert result.sentences[0].endswith(" are prevented. 2 junctions are left out.")
     assert any(
-        f"of those at the others {part} are prevented" in one
+        f"At the other junctions, {part} are prevented" in one
         for one in result.sentences
     )
     rows = pd.read_csv(tmp_path / "new" / "junctions.csv")
@@ -294,9 +294,9 @@ def test_the_headline_says_what_was_left_out_not_driven_and_not_proven(
     gap = 100.0 * (0.9 - left.stages[0].objective) * 2.0 / 3.0
     assert city_answer.says("undone", left) == (
         "1 junction is left out.",
-        "4,444 of 5,678 simulated collisions could not be driven: room is missing.",
-        f"It is not proven that this is best: at most {gap:.1f} points better is"
-        " possible.",
+        "There was no room to simulate 4,444 of 5,678 collisions.",
+        "This choice is not proven to be best: a better one could gain at most"
+        f" {gap:.1f} points.",
     )
 
 
@@ -442,7 +442,7 @@ def test_weights_decide_and_what_is_not_used_is_told(
     assert served.weight == pytest.approx(8 / 9)
     assert "C Lane" in served.name
     assert any(
-        "1 of 3 places, which count 5 of 14, are farther than 50 m" in n
+        "1 of 3 places (5 of 14 by weight) are not used: they are more than 50 m" in n
         for n in result.notes
     )
     table.write_text("lat,lon\n10,20\n")
@@ -574,7 +574,7 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
     result = run(tiny / "tiny.osm", city, budget_eur=10.0)
     assert result.units == 0
     assert result.cost_eur == 0.0
-    assert result.sentences[0] == "Nothing at 3 junctions for at most 10 EUR."
+    assert result.sentences[0] == "No sensors at 3 junctions for at most 10 EUR."
     assert result.sentences[1].startswith("The cheapest useful choice is 1 sensor at ")
     for nothing in ({"budget_units": 0}, {"budget_eur": 0.0}):
         result = run(tiny / "tiny.osm", city, **nothing)
@@ -650,7 +650,7 @@ def test_what_hangs_there_is_kept_and_paid(tiny, tmp_path, no_pages):
     assert (
         sum(one.count for one in after.purchases if one.part == "sensor") == after.units
     )
-    assert any("mounted already prevent" in sentence for sentence in after.sentences)
+    assert any("Existing sensors prevent" in sentence for sentence in after.sentences)
     with pytest.raises(
         InputError, match=r"scene: got 'tiny/n\d'; expected a junction that counts"
     ):
@@ -985,10 +985,10 @@ def test_a_step_that_takes_a_sensor_away_says_why(tiny, city, never, no_pages):
         draw = partial(build_picture, city_pages.plot_city_front(result))
         return city_pages._templates().front(result, draw, steps, 1, sums)
 
-    why = "fewer sensors on dearer poles prevent more there."
+    why = "fewer sensors on more expensive poles prevent more there."
     assert why not in page_of(fewer[:1])
     told = page_of(fewer)
-    assert f"Step 2 takes a sensor away from a junction: {why}" in told
+    assert f"Step 2 removes a sensor from a junction: {why}" in told
     assert "1 (before: 2)" in told
 
 

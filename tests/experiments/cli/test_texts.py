@@ -185,7 +185,7 @@ def test_a_placement_shows_every_ratio_once_in_80_columns(n_cases):
         summary["baseline"]["evaluation"]["rsu_all"],
     )
     assert "disagree on <0.1 % of the runs." in text
-    assert "fused: in each frame, any of the units may detect; greedy: " in text
+    assert "fused: a frame counts as detected if any unit detects; greedy: " in text
 
 
 def test_the_first_five_disagreements_are_told_and_how_many_more_there_are():
@@ -204,9 +204,9 @@ def test_the_first_five_disagreements_are_told_and_how_many_more_there_are():
         text = placement_table(placement_summary(1) | {"disagreements": entries}, OUT)
         assert all(len(line) <= 80 for line in text.splitlines())
         words = " ".join(text.split())
-        told = "corner-ne/5m/-135/-45 in CBTAfs-100/north/20: only the"
+        told = "corner-ne/5m/-135/-45 in CBTAfs-100/north/20: avoided only by the"
         assert words.count(told) == min(n_entries, 5)
-        assert words.count(f"{told} table avoids; {entry['cause']}") == min(
+        assert words.count(f"{told} table; {entry['cause']}") == min(
             (n_entries + 1) // 2, 3
         )
         assert ("and 2 more in summary.json" in words) == (n_entries == 7)
@@ -351,7 +351,7 @@ def test_what_is_left_after_a_failure_is_told_for_units_and_for_poles():
     assert failure_notes(two) == []  # the table of all layouts has it
     on_one_pole = msgspec.structs.replace(two, apr_without_worst_site=0.0)
     assert failure_notes(on_one_pole) == [
-        "if the worst pole fails with all its units, the others have 0.0 %."
+        "if the most important pole fails with all its units, the others reach 0.0 %."
     ]
 
 
@@ -370,7 +370,10 @@ def test_in_short_every_answer_fits_on_a_screen(n_cases):
         assert max(map(len, lines)) <= 100
         assert " of the simulated collisions" in f"{lines[0]} {lines[1]}"
         assert "All 240 runs are avoided." in lines
-        assert lines[-1] == "--verbose prints why, APR by case, and all else."
+        assert (
+            lines[-1]
+            == "--verbose adds the reasons, the APR by case and all other details."
+        )
         assert f"Written to {OUT}: report.html and more." in lines
         assert "VUT alone" in text
     for words in (

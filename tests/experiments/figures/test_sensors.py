@@ -130,13 +130,12 @@ def test_the_plan_marks_a_ring_by_a_disc_and_draws_its_blind_spot(small_setting)
 def test_the_sheet_says_how_a_ring_hangs_and_draws_an_arrow_only_where_it_helps():
     level = _unit(yaw_deg=90.0)
     tilted = _unit(yaw_deg=90.0, pitch_deg=-12.0)
-    assert _direction(level).startswith("all round: turned it sees the same")
+    assert _direction(level).startswith(
+        "all round: turning it changes its axes, not what it sees"
+    )
     assert _direction(tilted).startswith("all round\nits front to the north")
     assert _tilt(level) == "none: level, its axis upright"
-    assert (
-        _tilt(tilted)
-        == "its front 12.0\N{DEGREE SIGN} down, its back as much the other way"
-    )
+    assert _tilt(tilted) == "front 12.0° down, back equally far up"
     arrows = []
     for unit in (level, tilted):
         axes = new_axes(4.0, 4.0)

@@ -45,9 +45,9 @@ def test_sites_of_which_the_same_is_assumed_share_a_sentence():
 def test_the_terminal_tells_the_first_few_and_counts_the_others():
     notes = [Note(kind="roads", what=f"road {i}", why="straight on") for i in range(6)]
     parts = assumption_parts(result(*notes))
-    assert answer_text(parts, is_verbose=False) == "6 things are assumed of the map."
+    assert answer_text(parts, is_verbose=False) == "6 details of the map are assumed."
     lines = answer_text(parts, is_verbose=True).splitlines()[2:]
-    assert lines[0] == "Assumed, for the map does not say it:"
+    assert lines[0] == "Assumed because the map does not give it:"
     assert lines[1:5] == [f"  road {i}: straight on." for i in range(4)]
     assert lines[5] == "  and 2 more: in the report and `scene show`"
     assert not any(assumption_parts(result()))

@@ -123,7 +123,7 @@ def test_what_hangs_there_already_is_not_paid_for(build, scene):
     assert [site.sum_eur for site in bill.sites] == [0.0, 100.0]
     sensors, sites = bill_tables(bill)
     assert sensors.columns[2:4] == ["units", "to buy"]
-    assert sites.rows[0][3] == "there already"
+    assert sites.rows[0][3] == "already there"
 
 
 def test_the_file_has_the_same_items(build, scene):

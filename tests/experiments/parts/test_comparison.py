@@ -134,7 +134,7 @@ def test_what_is_sure_is_said(evaluations):
     )
     rows = {(row[0], row[1]): row[7] for row in significance_table(sampled).rows}
     assert rows["<b>", "a $1_"] == "yes"
-    assert rows["a $1_", "c"] == "no sure difference"
+    assert rows["a $1_", "c"] == "no significant difference"
 
 
 def test_the_section_shows_all_and_escapes_names(evaluations, sampled, rule):
@@ -142,10 +142,10 @@ def test_the_section_shows_all_and_escapes_names(evaluations, sampled, rule):
     page = render_section(part)
     assert "&lt;b&gt;" in page
     assert "<b>" not in page
-    assert "Is the difference sure?" in page
+    assert "Is the difference significant?" in page
     plain = render_section(section(evaluations, rule))
     assert "Runs that only one of two layouts avoids" in plain
-    assert "Is the difference sure?" not in plain
+    assert "Is the difference significant?" not in plain
 
 
 def test_layouts_that_agree_and_a_layout_alone(evaluation_of, rule):

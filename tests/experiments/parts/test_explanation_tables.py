@@ -229,7 +229,7 @@ def test_a_terminal_shows_it_in_80_columns():
     words = " ".join(text.split())
     for expected in (
         "Why these units, on the detection table:",
-        "r5, r6: never seen; for a hidden by wall-ne-1; would be saved by c",
+        "r5, r6: never seen; for a hidden by wall-ne-1; avoidable with c",
         "r7: confirmed too late; for a image of",
         "and 5 more in summary.json",
     ):

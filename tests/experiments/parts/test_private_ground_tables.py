@@ -35,7 +35,13 @@ def test_areas_are_rows_and_units_columns_what_is_seen_most_first():
         {"A": "#1", "B": "#2"},
     )
     (table,) = tables_of(part)
-    assert table.columns == ["area", "size (m²)", "most, by one unit", "#1", "#2"]
+    assert table.columns == [
+        "area",
+        "size (m²)",
+        "largest share seen by one unit",
+        "#1",
+        "#2",
+    ]
     assert table.rows == [
         ["<yard>", "11", "50.0 %", "25.0 %", "50.0 %"],
         ["lawn", "10", "10.0 %", "0.0 %", "10.0 %"],
@@ -56,12 +62,11 @@ def test_of_many_units_and_areas_those_that_matter_are_shown_and_it_is_told():
     assert [row[0] for row in table.rows] == [
         f"area{area}" for area in range(99, 99 - MAX_AREAS, -1)
     ]
-    assert "of 200 units the 12" in table.caption
-    assert "of 100 areas the 60" in table.caption
-    assert (
-        part.blocks[0]
-        == "199 of 200 units see something of 99 of 100 private areas; the most is 49.3"
-        " % of area99."
+    assert "the 12 most important of 200 units" in table.caption
+    assert "the 60 most important of 100 areas" in table.caption
+    assert part.blocks[0] == (
+        "199 of 200 units see part of 99 of 100 private areas; the largest"
+        " share seen is 49.3 % of area99."
     )
 
 

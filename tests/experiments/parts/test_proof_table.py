@@ -37,10 +37,10 @@ def test_after_an_open_objective_no_gap_and_no_bound_is_shown():
 
 def test_one_sentence_says_what_the_rows_after_an_open_objective_depend_on():
     (sentence,) = stage_conditions(OPEN)
-    assert (
-        sentence
-        == "APR if the most needed units fail is open: the rows below it compare only"
-        " with choices that are as good in it, so that they show no gap."
+    assert sentence == (
+        "APR if the most needed units fail is not proven: the rows below it"
+        " compare only with choices that are equally good in it, so they show"
+        " no gap."
     )
     assert stage_conditions(PROVEN) == []
     assert stage_conditions([*PROVEN[:1], OPEN[-1]]) == []  # nothing stands below

@@ -345,8 +345,9 @@ def test_tables_fit_80_columns_and_show_every_party(recorded):
         "Skipped: 150 frames between drives (bodies back at their starts)."
         in evaluation
     )
-    assert "12 (where no unit has that number) and -1 mean car" in evaluation.replace(
-        "\n", " "
+    assert (
+        "12 (where no unit has that number) and -1 also mean car"
+        in evaluation.replace("\n", " ")
     )
     assert "proven" in placement
     assert (

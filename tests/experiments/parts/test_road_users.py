@@ -108,8 +108,8 @@ def test_cars_and_cases_laid_nowhere_are_not_called_impossible():
     driven = describe_driven(build_setting(question))
     text = " ".join(driven)
     assert "Only vulnerable road users are protected: CCFtap" in text
-    assert "--protect all counts cars, too" in text
-    assert "Not laid at any junction: CPRA" in text
+    assert "--protect all also counts cars" in text
+    assert "Not simulated at any junction: CPRA" in text
     assert not any(
         "CCFtap" in one or "CPRA" in one for one in driven if "possible" in one.lower()
     )

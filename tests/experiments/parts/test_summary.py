@@ -208,13 +208,13 @@ def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
         # Two speeds in two weathers.
         "possible_runs": N_RUNS + 4,
         "driven": [
-            f"{N_RUNS} of {N_RUNS + 4} possible runs are driven. The most frequent"
-            " obstacle: no room. Not driven: C anywhere.",
+            f"{N_RUNS} of {N_RUNS + 4} possible runs are simulated. The most frequent"
+            " obstacle: no room. Not simulated: C anywhere.",
             "4 runs: no room (C from the north).",
         ],
         "without_effect": [
-            "Night changes nothing for cameras here: the geometric detector knows no"
-            " light. --detector response does."
+            "Night has no effect on cameras here: the geometric detector does not"
+            " model light. --detector response does."
         ],
     }
 
@@ -228,7 +228,7 @@ def test_fog_and_other_detectors_are_not_said_to_change_nothing(axis):
 
     assert said("geometric", "fog") == said("response", "night") == said() == ()
     (text,) = said("geometric", "night", "rain", "fog")
-    assert text.startswith("Night and rain change nothing for cameras here:")
+    assert text.startswith("Night and rain have no effect on cameras here:")
 
 
 def test_a_result_says_what_was_driven(evaluation_of, axis):

@@ -1638,7 +1638,7 @@ def test_a_junction_is_chosen_on_a_map_of_streets_by_name_by_keyboard_and_again(
         expect(grey).to_have_count(1)
         grey.click()
         status = page.locator("#map-choice .map-count")
-        assert status.inner_text().startswith("No car can drive into it")
+        assert status.inner_text().startswith("No car can enter the junction")
         assert page.locator("#map-choice circle.chosen:not(.unusable)").count() == 1
         whole = view(page)
         middle_ = middle(page.locator("#map-choice .street-map"))

@@ -372,9 +372,9 @@ def test_the_first_screen_tells_weights_once_and_no_proof_that_there_is_not(
     )
     words = html.unescape(_first_screen(page))
     n_avoided = int(found.rsu_all.is_avoided.sum())
-    assert words.count("All shares on this page are by weight;") == 1
+    assert words.count("All shares on this page are weighted;") == 1
     said = f"{n_avoided} of 104 are prevented ({100.0 * n_avoided / 104:.1f} %)"
-    assert f"counted one by one, {said}" in words
+    assert f"without weights, {said}" in words
     assert "no other choice" not in words
     assert "Proof at most 9.0 points better is possible" in words
 
@@ -393,14 +393,12 @@ def test_a_plan_by_a_detector_that_misses_by_chance_says_so(
         command=COMMAND,
     )
     assert (
-        "--samples 8 chooses for the mean of eight worlds" in _first_screen(page)
+        "--samples 8 optimises the mean of eight worlds" in _first_screen(page)
     ) == is_told
 
 
 def test_a_layout_that_was_given_is_not_said_to_be_proven(evaluation_page):
-    assert "this layout was given, and not searched for" in _first_screen(
-        evaluation_page
-    )
+    assert "this layout was given, not optimised" in _first_screen(evaluation_page)
 
 
 def test_at_most_ten_sections_are_in_sight(page):
@@ -411,7 +409,7 @@ def test_at_most_ten_sections_are_in_sight(page):
 
 def test_placement_page_shows_the_certificate(placement_page):
     words = Page(placement_page).words
-    assert "Not in full: proven are all objectives but smallest time to spare." in words
+    assert "Partly: all objectives except smallest time to spare are proven." in words
     assert "HiGHS 1.15.1" in words
     assert "97.0 %" in words
     assert "They disagree on 1.9 % of the runs" in words
@@ -603,7 +601,7 @@ def test_what_no_braking_avoids_is_told(setting, layout):
         setting, runs=runs, axis=build_frame_axis(runs, setting.axis.weight)
     )
     page, _ = page_of(hopeless, layout)
-    assert "In 1 run of CBNA no braking avoids the impact." in Page(page).words
+    assert "Braking cannot avoid the impact in 1 run of CBNA." in Page(page).words
     assert "inf" not in "".join(table_rows(page, "Cases")[2])
     assert "no braking avoids" not in Page(page_of(setting, layout)[0]).words
 
@@ -654,7 +652,7 @@ def test_runs_that_are_hit_come_first_and_are_counted(evaluation_page, evaluatio
     n_hit = int((~evaluations["found"].rsu_all.is_avoided).sum())
     assert 0 < n_hit < len(rows)
     assert outcomes == ["HIT"] * n_hit + ["avoided"] * (len(rows) - n_hit)
-    assert f"{len(rows)} runs, {n_hit} of them hit: " in Page(evaluation_page).words
+    assert f"{len(rows)} runs, {n_hit} with an impact, " in Page(evaluation_page).words
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
@@ -668,7 +666,7 @@ def test_several_weathers_are_told_and_have_a_column(evaluation_page):
     )
     words = Page(page).words
     assert "day, night. It takes contrast from cameras and pulses from LiDARs." in words
-    assert "No recording at night, in rain or in fog was compared" in words
+    assert "No recordings at night, in rain or in fog were compared" in words
     head, *rows = table_rows(page, "Runs")
     assert head[1] == "weather"
     assert {row[1] for row in rows} == {"day", "night"}

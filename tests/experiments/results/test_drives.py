@@ -51,8 +51,8 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             [("CPNA", "north"), ("CBNA", "north")],
             [refused("CPNA", "south"), refused("CBNA", "south")],
             [
-                f"2 of 20 possible runs are driven. {OBSTACLE}"
-                " Not driven: any case from the south.",
+                f"2 of 20 possible runs are simulated. {OBSTACLE}"
+                " Not simulated: any case from the south.",
                 "18 runs: too short (CPNA and CBNA from the south).",
             ],
         ),
@@ -66,8 +66,9 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             [refused("CBNA", "south"), refused("CBLA", "south", "a house.", n=2)],
             [
                 (
-                    "4 of 15 possible runs are driven. The most frequent obstacle: too"
-                    " short. Not driven: cyclist cases from the south."
+                    "4 of 15 possible runs are simulated. The most frequent"
+                    " obstacle: too short. Not simulated: cyclist cases from the"
+                    " south."
                 ),
                 "9 runs: too short (CBNA from the south).",
                 "2 runs: a house (CBLA from the south).",
@@ -82,8 +83,9 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             ],
             [
                 (
-                    "3 of 30 possible runs are driven. The most frequent obstacle: too"
-                    " short. Not driven: CBLA anywhere; CPLA from the south."
+                    "3 of 30 possible runs are simulated. The most frequent"
+                    " obstacle: too short. Not simulated: CBLA anywhere; CPLA from"
+                    " the south."
                 ),
                 (
                     "27 runs: too short (CPLA from the south; CBLA from the north and"
@@ -95,7 +97,7 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             [("CPNA", "north"), ("CPNA", "south"), ("CPLA", "north")],
             [refused("CPLA", "south", "no lane", is_possible=False)],
             [
-                "All 3 runs that this junction allows are driven.",
+                "All 3 runs that this junction allows are simulated.",
                 "Not possible, 9 runs: no lane (CPLA from the south).",
             ],
         ),
@@ -108,9 +110,9 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             ],
             [
                 (
-                    "Left out: 12 runs of the protocol faster than the map's speed"
-                    " limits, 50 km/h from the north and east and 32.2 km/h from the"
-                    " south (--speeds all drives them)."
+                    "Left out: 12 runs of the protocol above the map's speed"
+                    " limits, 50 km/h from the north and east and 32.2 km/h from"
+                    " the south (--speeds all includes them)."
                 )
             ],
         ),
@@ -121,11 +123,11 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
                 refused("CPNA", "north", n=1, limit_kmh=30.0),
             ],
             [
-                f"1 of 3 possible runs are driven. {OBSTACLE}",
+                f"1 of 3 possible runs are simulated. {OBSTACLE}",
                 "2 runs: too short (CPNA from the north).",
                 (
-                    "Left out: 1 run of the protocol faster than the map's speed"
-                    " limits, 30 km/h from the north (--speeds all drives them)."
+                    "Left out: 1 run of the protocol above the map's speed limits,"
+                    " 30 km/h from the north (--speeds all includes it)."
                 ),
             ],
         ),
@@ -133,7 +135,7 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             [("CPNA", "north")],
             [refused("CPNA", "north", n=2)],
             [
-                f"1 of 3 possible runs are driven. {OBSTACLE}",
+                f"1 of 3 possible runs are simulated. {OBSTACLE}",
                 "2 runs: too short (CPNA from the north).",
             ],
         ),
@@ -152,7 +154,7 @@ def test_every_weather_counts():
         )
     )
     assert told == [
-        f"2 of 4 possible runs are driven. {OBSTACLE} Not driven: any case from the"
-        " south.",
+        f"2 of 4 possible runs are simulated. {OBSTACLE} Not simulated: any case from"
+        " the south.",
         "2 runs: too short (CPNA from the south).",
     ]

@@ -407,7 +407,7 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
     both = f"{summary['cases'][0]},{one}"
     told = json.loads(command(*given, few, both).out)
     assert told["cases"] == summary["cases"][:1]
-    assert told["driven"][0].endswith(f"Not driven: {one} anywhere.")
+    assert told["driven"][0].endswith(f"Not simulated: {one} anywhere.")
 
 
 @pytest.mark.long
