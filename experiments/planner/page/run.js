@@ -20,7 +20,7 @@ export function createRunDrawing({ ground, marks, at, put }) {
   const user = element("polygon", { fill: ROAD_USER_COLOUR, class: "played-user", ...outlined }, moving);
   const lines = element("g", {}, marks);
   const last = element("path", { d: "M-7 -7L7 7M-7 7L7 -7", stroke: "#000", "stroke-width": 3 }, marks);
-  element("title", { text: tr("middle of the car at the last moment to brake") }, last);
+  element("title", { text: tr("centre of the car at the last moment to brake") }, last);
   const ring = element("circle", { r: 11, fill: "none", stroke: ROAD_USER_COLOUR, "stroke-width": 3 }, marks);
   const edge = element("circle", { r: 13, fill: "none", stroke: "#000", "stroke-width": 1.2 }, marks);
 
