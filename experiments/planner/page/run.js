@@ -107,7 +107,7 @@ export function sayWhy(message, isLost, idOf) {
     const first = units.filter((party) => party.isAvoided).sort((a, b) => a.confirmed - b.confirmed)[0];
     return first ? tr("Avoided now: {what}.", { what: sayParty(first, record) }) : tr("Avoided now.");
   }
-  if (!inTime) return tr("Lost whatever is mounted: no frame comes early enough to brake for.");
+  if (!inTime) return tr("Lost with any layout: no frame comes early enough to brake.");
   const reasonsOf = (party) => explained.find((one) => one.unit === idOf(party.name))?.reasons ?? [];
   const rank = (party) => {
     if (!countOf(party)) return 1e7 + (reasonsOf(party).find((why) => why.cause === "out of view")?.frames ?? 0); // it looks elsewhere

@@ -409,8 +409,8 @@ def test_a_table_says_which_of_its_figures_are_measured(write):
     listed = TABLE + 'assumed_figures = ["recall"]\n'
 
     assert (
-        "11 of the 14 values of mine.toml are measured; assumed: recall, motorcyclist, car."
-        in (load_detector(str(write(listed))).figures_words)
+        "11 of the 14 values of mine.toml are measured; assumed: recall, "
+        "motorcyclist, car." in (load_detector(str(write(listed))).figures_words)
     )
     assert (
         "mine.toml:18: assumed_figures: got 'x'; expected one of recall, pedestrian"
