@@ -145,7 +145,7 @@ def tasks_of(folder):
 def test_an_aerial_image_lies_where_it_says(tmp_path, turn_deg):
     path = tmp_path / "aerial.tif"
     grid, _ = aerial(path, driver="GTiff", turn_deg=turn_deg)
-    with pytest.raises(InputError, match="that says where it lies"):
+    with pytest.raises(InputError, match="georeferenced image of the junction"):
         tasks_of(tmp_path).lay_raster(str(path), UTM)
     _, places = aerial(path, driver="GTiff", turn_deg=turn_deg, crs=UTM, transform=grid)
     assert_lies_right(tasks_of(tmp_path).lay_raster(str(path), ""), places)
@@ -161,7 +161,7 @@ def test_an_image_with_a_world_file_lies_where_that_says(tmp_path):
     assert_lies_right(tasks_of(tmp_path).lay_raster(str(path), UTM), places)
     for crs, said in (
         ("EPSG:0", "systems that pyproj knows"),
-        ("", "that says where it lies"),
+        ("", "georeferenced image of the junction"),
     ):
         with pytest.raises(InputError, match=said):
             tasks_of(tmp_path).lay_raster(str(path), crs)
@@ -170,5 +170,5 @@ def test_an_image_with_a_world_file_lies_where_that_says(tmp_path):
     with pytest.raises(InputError, match="an image of another place"):
         tasks_of(tmp_path).lay_raster(str(path), UTM)
     beside.write_text("1 2 3")
-    with pytest.raises(InputError, match="that says where it lies"):
+    with pytest.raises(InputError, match="georeferenced image of the junction"):
         tasks_of(tmp_path).lay_raster(str(path), UTM)
