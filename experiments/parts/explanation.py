@@ -167,11 +167,11 @@ def _dependence(explained: ExplainedRecord) -> list[str]:
             )
         ]
     if len(needed) == len(parts):
-        return [tr("Each unit saves runs that no other one saves.")]
+        return [tr("Each unit avoids runs that no other unit avoids.")]
     return [
         trn(
-            "Of {n_units} units, {n} saves runs that no other one saves.",
-            "Of {n_units} units, {n} save runs that no other one saves.",
+            "{n} of the {n_units} units avoids runs that no other unit avoids.",
+            "{n} of the {n_units} units avoid runs that no other unit avoids.",
             len(needed),
             n_units=len(parts),
         )
@@ -224,16 +224,16 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
     if n_saved and n_saved == len(missed):
         sentences.append(
             trn(
-                "One additional unit could save it.",
-                "One additional unit could save each of them.",
+                "It could be avoided with one more unit.",
+                "Each of them could be avoided with one more unit.",
                 n_saved,
             )
         )
     elif n_saved:
         sentences.append(
             trn(
-                "One additional unit could save {n} run.",
-                "One additional unit could save each of {n} runs.",
+                "{n} run could be avoided with one more unit.",
+                "{n} runs could each be avoided with one more unit.",
                 n_saved,
             )
         )
@@ -289,7 +289,7 @@ def contribution_table(
         caption=tr("What each unit contributes (on the detection table)"),
         columns=[
             tr("unit"),
-            tr("runs that only it saves"),
+            tr("runs that only this unit avoids"),
             tr("APR it adds"),
             tr("APR without it"),
             tr("smallest time to spare without it (s)"),
@@ -319,11 +319,11 @@ def missed_table(explained: ExplainedRecord) -> Table:
                 else outcome_words(entry.outcome)
             ),
             tr("why"): _why,
-            tr("nearest additional unit that would save it"): _rescue,
+            tr("nearest additional unit that would avoid it"): _rescue,
         },
         summary=trn(
-            "{n} run: why, and what would save it",
-            "{n} runs: why, and what would save them",
+            "{n} run: why, and what would avoid it",
+            "{n} runs: why, and what would avoid them",
             n_runs,
         ),
         is_open=n_runs <= _MAX_UNFOLDED,

@@ -55,7 +55,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
 
   find("picture-show").addEventListener("click", async () => {
     const asked = run;
-    find("picture-text").textContent = tr("It is being rendered \u2026");
+    find("picture-text").textContent = tr("Rendering \u2026");
     try {
       const values = { run: run.id, unit: find("picture-unit").value, frame: find("picture-frame").value };
       const picture = await ask("picture", values);
@@ -82,7 +82,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   async function open(file) {
     const headers = { "X-File-Name": encodeURIComponent(file.name) };
     if (!PLANS.some((end) => file.name.toLowerCase().endsWith(end))) { junctions.read(file, headers); return; }
-    notice(tr("{file} is being read \u2026", { file: file.name }));
+    notice(tr("Reading {file} \u2026", { file: file.name }));
     try {
       const message = await give("open", file, { headers, most: scene().mostBytes.plan });
       notice(tr("Opened: {names}.", { names: message.opened.join(", ") }));
@@ -146,7 +146,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   const IS_WORLD = /\.(pgw|jgw|wld|pngw|jpgw|tfw)$/i, IS_TIFF = /\.tiff?$/i;
   async function laidByItself(file, world) {
     const numbers = world ? (await world.text()).trim().split(/\s+/).join(" ") : "";
-    find("image-text").textContent = tr("{file} is being laid on the plan \u2026", { file: file.name });
+    find("image-text").textContent = tr("Placing {file} on the plan \u2026", { file: file.name });
     const headers = { "X-File-Name": encodeURIComponent(file.name), "X-World": numbers.slice(0, 500), "X-Crs": find("image-crs").value };
     try {
       await give("background", file, { headers, most: scene().mostBytes.map });

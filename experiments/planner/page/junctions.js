@@ -105,7 +105,7 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
   // A file with a map or a scene.
   async function read(file, headers) {
     forget();
-    say(tr("{file} is being read \u2026", { file: file.name }));
+    say(tr("Reading {file} \u2026", { file: file.name }));
     open();
     const message = await carryOut(() => give("open", file, { headers, most: scene().mostBytes.map }), fail);
     if (!message) return;
@@ -115,7 +115,7 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
 
   async function take() {
     const asked = chosen;
-    if (find("map-choice").hidden) say(tr("The scene is being read \u2026"));
+    if (find("map-choice").hidden) say(tr("Reading the scene \u2026"));
     const message = await carryOut(() => give("import", asked.id), (text) => {
       say(text);
       if (!asked.id) return;
@@ -131,7 +131,7 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
   find("another-junction").addEventListener("click", async () => {
     if (last && !last.isScene && [last.map, ""].includes(scene().map)) { offer(last); return; }
     forget();
-    say(tr("{file} is being read \u2026", { file: scene().map }));
+    say(tr("Reading {file} \u2026", { file: scene().map }));
     open();
     const message = await carryOut(() => ask("junctions"));
     if (message) offer(message);

@@ -612,7 +612,7 @@ let asked = ""; // the run and the layout that the plan waits for
 
 async function play(index) {
   const run = scene.runs[index], wanted = asked = `${run.id} ${state.revision}`;
-  if (played.run() !== run.id) find("lost-text").textContent = tr("{run} is being looked up \u2026", { run: run.title });
+  if (played.run() !== run.id) find("lost-text").textContent = tr("Looking up {run} \u2026", { run: run.title });
   try {
     const message = await ask("explain", { run: run.id });
     if (asked !== wanted) return;
@@ -678,9 +678,9 @@ function readProposals(message) {
     const row = element("div", { class: "row" }, item);
     const add = (text, act) => { const made = element("button", { type: "button", text, "aria-label": `${text}: ${each.title}`, "data-key": `${each.number} ${text}` }, row); made.addEventListener("click", act); return made; };
     add(tr("Show on the plan"), () => { offered = offered === each.number ? null : each.number; readProposals({ proposals }); }).setAttribute("aria-pressed", offered === each.number);
-    add(tr("Take it over"), () => line.send({ do: "take", number: each.number }));
+    add(tr("Accept"), () => line.send({ do: "take", number: each.number }));
     add(tr("As a variant"), () => line.send({ do: "take", number: each.number, as_variant: true }));
-    add(tr("Drop"), () => line.send({ do: "drop", number: each.number }));
+    add(tr("Discard"), () => line.send({ do: "drop", number: each.number }));
     return item;
   }));
 }

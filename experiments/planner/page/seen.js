@@ -25,7 +25,7 @@ export function createSeen({ unitNow, runNow, scene }) {
     const key = keyOf(unit, runNow());
     if (key !== wanted) { wanted = key; changedAt = performance.now(); }
     if (key !== shown.key) holder.setAttribute("aria-busy", "true");
-    if (key !== shown.key && !image.src) say(tr("It is being drawn \u2026"));
+    if (key !== shown.key && !image.src) say(tr("Drawing \u2026"));
     next();
   }
 

@@ -79,13 +79,13 @@ MISSED = [
 def test_units_that_something_hangs_on_are_counted():
     both = explained()
     assert contribution_sentences(both) == [
-        "Of 2 units, 1 saves runs that no other one saves."
+        "1 of the 2 units avoids runs that no other unit avoids."
     ]
     first = FIRST
     other = OTHER
     each = explained(contributions=[first, first])
     assert contribution_sentences(each) == [
-        "Each unit saves runs that no other one saves."
+        "Each unit avoids runs that no other unit avoids."
     ]
     none = explained(contributions=[other, other])
     assert contribution_sentences(none)[0].startswith("No run depends on a single unit")
@@ -141,7 +141,7 @@ def test_runs_that_are_not_avoided_are_told_with_causes_and_remedies():
             " too late, 1 too short for any unit."
         ),
         "The most frequent cause: hidden by wall-ne-1, in 2 runs.",
-        "One additional unit could save each of 2 runs.",
+        "2 runs could each be avoided with one more unit.",
     ]
     assert missed_sentences(explained()) == [
         "On the detection table, every run is avoided."
@@ -180,7 +180,7 @@ HIDDEN = [("hidden", "wall-ne-1", 20)]
             [
                 "1 run is not avoided: never seen.",
                 "The main cause: hidden by wall-ne-1.",
-                "One additional unit could save it.",
+                "It could be avoided with one more unit.",
             ],
         ),
         (
@@ -190,7 +190,7 @@ HIDDEN = [("hidden", "wall-ne-1", 20)]
             ],
             [
                 "2 runs are not avoided: all never seen.",
-                "One additional unit could save 1 run.",
+                "1 run could be avoided with one more unit.",
             ],
         ),
         (
@@ -198,7 +198,7 @@ HIDDEN = [("hidden", "wall-ne-1", 20)]
             [
                 "2 runs are not avoided: all never seen.",
                 "The most frequent cause: hidden by wall-ne-1, in 1 run.",
-                "One additional unit could save each of them.",
+                "Each of them could be avoided with one more unit.",
             ],
         ),
     ],
@@ -258,7 +258,7 @@ def test_the_report_has_a_section_for_each_question():
     assert "Runs that are not avoided</h2>" in page
     assert "hidden by wall-ne-1 in 20 of 30 frames" in page
     assert page.count("<table>") == page.count("</table>") == 2
-    assert "4 runs: why, and what would save them" in page
-    assert "1 run: why, and what would save it" in render(
+    assert "4 runs: why, and what would avoid them" in page
+    assert "1 run: why, and what would avoid it" in render(
         explained(not_avoided=MISSED[:1]), {}
     )

@@ -305,7 +305,7 @@ def test_complete_to_three_take_it_over_and_undo(browser, serve):
         assert "Completed to 3" in card.inner_text()
         card.get_by_text("Show on the plan").click()
         page.wait_for_selector("#proposals [aria-pressed=true]")
-        page.locator("#proposals li").get_by_text("Take it over").click()
+        page.locator("#proposals li").get_by_text("Accept").click()
         has_units(page, 3)
         page.click("#undo")
         has_units(page, 1)
