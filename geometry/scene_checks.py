@@ -156,16 +156,15 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
         if not ends_m:
             continue
         why = Phrase(
-            "the map leads no farther than {far:.0f} m from the junction: whoever "
-            "comes from beyond comes straight on, and nothing is known that could "
-            "hide them",
+            "the map ends {far:.0f} m from the junction: road users from beyond are "
+            "assumed to come straight on, with nothing to hide them",
             far=min(ends_m),
         )
         if is_bent:
             why = Phrase(
-                "the map leads no farther than {far:.0f} m from the junction: whoever "
-                "comes from beyond comes round a bend, past the buildings there, and "
-                "nothing is known that could hide them",
+                "the map ends {far:.0f} m from the junction: road users from beyond "
+                "are assumed to come round a bend, past the buildings there, with "
+                "nothing else to hide them",
                 far=min(ends_m),
             )
         yield name, why

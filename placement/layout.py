@@ -464,7 +464,7 @@ def check_layout(layout: Layout, scene: Scene) -> None:
         refuse(
             f"layout {layout.name}",
             got,
-            Phrase("one of {scene}, the scene that is looked at", scene=scene.name),
+            Phrase("one of {scene}, the scene in use", scene=scene.name),
         )
     # Each unit is above the ground, near the scene, in the open, at a known site.
     sites = {site.id for site in scene.sites}

@@ -760,7 +760,7 @@ def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:
             is_worth_it=lambda found: found.is_proven,
         )
     except UnmetError as error:
-        assembly.compute.progress(Phrase("what has to give way"), 0, 0)
+        assembly.compute.progress(Phrase("find conflicting requirements"), 0, 0)
         limit_s = effort.time_limit_s
         at = (assembly.scene, assembly.candidates)
         refusal = find_refusal(problem, wishes, *at, time_limit_s=limit_s)

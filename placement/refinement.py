@@ -423,8 +423,7 @@ class _Search:
             self.values,
             solution.certificate,
             Phrase(
-                "{solver}, over {n} candidates of the grid and {n_tried} tried beside"
-                " them",
+                "{solver}, over {n} grid candidates and {n_tried} further poses tried",
                 solver=solution.certificate.solver,
                 n=self.grid.table.n_poses,
                 n_tried=len(self.new),

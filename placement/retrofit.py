@@ -624,14 +624,14 @@ class Adviser:
         """
         if not units:
             refuse(
-                Phrase("the cheapest that keeps this"),
+                Phrase("the cheapest with at least this APR"),
                 Phrase("no unit"),
                 Phrase("a unit"),
             )
         share = apr(self._problem(units, self._wishes), range(len(units)))
         if share <= 0.0:
             refuse(
-                Phrase("the cheapest that keeps this"),
+                Phrase("the cheapest with at least this APR"),
                 Phrase("an APR of {apr}", apr=0),
                 Phrase("more"),
             )

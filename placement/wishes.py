@@ -129,7 +129,7 @@ def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]
         sentences.append(
             Phrase(
                 "Sources are in {file}; a site cost in the question, or cost_eur in "
-                "the scene, takes their place.",
+                "the scene, overrides them.",
                 file=_FILE,
             )
         )
@@ -141,7 +141,7 @@ _PARTS = {
     "mounting": Phrase("mounting {price:,.0f}"),
     "new-power": Phrase("new power {price:,.0f}"),
     "power-at-hand": Phrase("existing power {price:,.0f}"),
-    "fibre-at-hand": Phrase("fibre at hand {price:,.0f}"),
+    "fibre-at-hand": Phrase("existing fibre {price:,.0f}"),
     "data-link": Phrase("data link {price:,.0f}"),
 }
 """What a part of a site's price is, by its name in ``data/prices.toml``."""

@@ -595,7 +595,7 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
                 raise InputError(
                     where,
                     name,
-                    Phrase("the name of a case, or what several begin with"),
+                    Phrase("a case name, or the beginning of several"),
                 )
             if speeds:
                 found = tuple(

@@ -332,7 +332,9 @@ def _explained(result: PlacementResult) -> list[Part]:
     if result.front is None:
         return explanation_parts(result.explained)
     bought = Part(
-        title=tr("The highest APR with fewer units, nothing given up for failures:"),
+        title=tr(
+            "The highest APR with fewer units, without giving up APR for failures:"
+        ),
         words=result.front.sentences,
         table=front.table(result.front),
         notes=front.notes(result.front),

@@ -101,7 +101,7 @@ def _draw_heatmap(
 def _draw_last_moment(axes: Axes, last_brake_s: float) -> None:
     first_s, last_s = axes.get_xlim()
     if last_brake_s < first_s:
-        words = tr("no braking in this run comes early enough")
+        words = tr("in this run, any braking is too late")
         style: Style = {"xycoords": "axes fraction", "va": "baseline", "color": _RED}
         write_beside(axes, words, (0.0, 1.0), away_pt=(0.0, 3.0), **style)
         return

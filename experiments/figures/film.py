@@ -341,14 +341,14 @@ def _draw_legend(figure: Figure, run: Run, **options: Any) -> None:
     handles: list[Any] = [
         Patch(label=tr("car under test (VUT)"), **_VUT),
         Patch(label=tr(run.case.vru.class_name), **_VRU),
-        line(color="black", linewidth=1.8, label=tr("way so far, thin: to come")),
-        line(label=tr("middle of the VUT where it must brake"), **_BRAKE_STYLE),
-        Patch(facecolor=SKY, alpha=0.3, label=tr("what the VUT's camera looks at")),
+        line(color="black", linewidth=1.8, label=tr("path so far (thin: path ahead)")),
+        line(label=tr("centre of the VUT at the last moment to brake"), **_BRAKE_STYLE),
+        Patch(facecolor=SKY, alpha=0.3, label=tr("field of view of the VUT's camera")),
         line(label=tr("in sight"), **_FREE_STYLE),
-        line(label=tr("nothing of it in sight"), **_BLOCKED_STYLE),
+        line(label=tr("completely hidden"), **_BLOCKED_STYLE),
     ]
     if run.obstruction:
         handles.append(
-            Patch(label=tr("parked body or wall of this case"), **PARKED_STYLE)
+            Patch(label=tr("parked vehicle or wall of this case"), **PARKED_STYLE)
         )
     figure.legend(handles=handles, loc="outside lower center", frameon=False, **options)

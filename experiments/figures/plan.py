@@ -510,13 +510,13 @@ def _plan_legend(
     ]
     if any(run.obstruction for run in setting.runs):
         things.append(
-            Patch(label=tr("parked body or wall of single cases"), **PARKED_STYLE)
+            Patch(label=tr("parked vehicle or wall of some cases"), **PARKED_STYLE)
         )
     doubts = assumed_sites(setting.scene.notes)
     sites = [line(label=tr("pole or mast: possible site"), **SITE_STYLE)]
     if doubts:
         is_all = all(one.id in doubts for one in setting.scene.sites)
-        assumed = line(label=tr("assumed site: not in the map there"), **ASSUMED_STYLE)
+        assumed = line(label=tr("assumed site: not mapped there"), **ASSUMED_STYLE)
         if is_all:
             sites = [assumed]
         else:

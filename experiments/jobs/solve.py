@@ -246,8 +246,8 @@ def _limit_words(limits: Limits) -> list[str]:
     if existing:
         words.append(
             trn(
-                "{n} unit that is there already",
-                "{n} units that are there already",
+                "{n} existing unit",
+                "{n} existing units",
                 existing,
             )
         )

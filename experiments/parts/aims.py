@@ -128,15 +128,15 @@ def _aims_sentence(aims: AimsRecord, baseline: str) -> str:
         )
     if known - by_eye < _CALIBRATE:
         return tr(
-            "Cars know at the last moment where the impact would be, within"
-            " {limit:g} m, in {known} of the runs with aims known to {small:g}° and in"
-            " {by_eye} with aims known to {large:g}°{beside}.",
+            "With aims known to {small:g}°, cars locate the impact within {limit:g} "
+            "m at the last moment in {known} of the runs; with aims known to "
+            "{large:g}°, in {by_eye}{beside}.",
             **values,
         )
     return tr(
-        "Calibrate the aims: cars know at the last moment where the impact would be,"
-        " within {limit:g} m, in {known} of the runs with aims known to {small:g}°, but"
-        " only in {by_eye} with aims known to {large:g}°{beside}.",
+        "Calibrate the aims: with aims known to {small:g}°, cars locate the "
+        "impact within {limit:g} m at the last moment in {known} of the runs; "
+        "with aims known to {large:g}°, only in {by_eye}{beside}.",
         **values,
     )
 
@@ -151,15 +151,15 @@ def _choice_sentence(choice: LocatedChoice) -> str:
     }
     if choice.share <= choice.share_before:
         return tr(
-            "With aims known to 1 degree, {share} of the runs are located within"
-            " {limit:g} m at the last moment. None of {n} layouts judged locates"
-            " more; that is not proven of all.",
+            "With aims known to 1 degree, the impact is located within {limit:g} m "
+            "at the last moment in {share} of the runs. None of the {n} layouts "
+            "evaluated locates more; this is not proven for all layouts.",
             **values,
         )
     return tr(
-        "With aims known to 1 degree, {share} of the runs are located within"
-        " {limit:g} m at the last moment; {before} by the layout that keeps most"
-        " when a sensor fails. It is the best of {n} layouts judged; that is not"
-        " proven of all.",
+        "With aims known to 1 degree, the impact is located within {limit:g} m "
+        "at the last moment in {share} of the runs; the layout that keeps most "
+        "when a sensor fails reaches {before}. This layout is the best of the "
+        "{n} evaluated; this is not proven for all layouts.",
         **values,
     )

@@ -263,7 +263,7 @@ def _why_better(best: LeadingLayout, first: LeadingLayout, decided_by: Deciding)
         )
     worst = [percent(one.mounting.worst.apr) for one in (best, first) if one.mounting]
     return tr(
-        "the same APR, and a unit mounted 1 degree or 5 cm off leaves {leaves}",
+        "the same APR, and {leaves} if a unit is mounted 1 degree or 5 cm off",
         leaves=tr(" against ").join(worst),
     )
 
@@ -326,8 +326,8 @@ def _by_runs(found: ByRuns, n_runs: int) -> str:
             "If every run counted the same, no layout would be better than this one."
         )
     return tr(
-        "If every run counted the same, no better layout was found in the "
-        "time for it; that there is none is not proven."
+        "No layout was found that would be better if every run counted the same. "
+        "The search ran out of time, so one may exist."
     )
 
 
@@ -351,25 +351,25 @@ def _mounting(found: Standing) -> str:
     )
     if found.aim_deg and found.height_m:
         text = tr(
-            "A unit may be {aim} off its aim or 5 cm too high or low, and no run is"
-            " lost.",
+            "No run is lost if a unit is {aim} off its aim, or 5 cm too high or too "
+            "low.",
             aim=aim,
         )
     elif found.aim_deg:
         text = tr(
-            "A unit may be {aim} off its aim and no run is lost; 5 cm too "
-            "high or low already loses one.",
+            "No run is lost if a unit is {aim} off its aim, but a height error of 5 "
+            "cm already loses one.",
             aim=aim,
         )
     elif found.height_m:
         text = tr(
-            "Mount exactly: half a degree off the aim of a unit already loses "
-            "a run; 5 cm too high or low loses none."
+            "Mount exactly: an aiming error of half a degree already loses a run; a "
+            "height error of 5 cm loses none."
         )
     else:
         text = tr(
-            "Mount exactly: half a degree off the aim of a unit, or 5 cm too "
-            "high or low, already loses a run."
+            "Mount exactly: an aiming error of half a degree or a height error of 5 "
+            "cm already loses a run."
         )
     worst = found.worst
     if not worst.lost_run_ids:
@@ -379,7 +379,8 @@ def _mounting(found: Standing) -> str:
     less, more = _OFF[worst.kind]
     off = tr(more if worst.step > 0.0 else less, step=abs(worst.step))
     at_worst = mark(
-        "At worst, 1 degree or 5 cm cost {runs}: with {unit} {off} the APR is {apr}."
+        "In the worst case, an error of 1 degree or 5 cm loses {runs}: with "
+        "{unit} {off}, the APR is {apr}."
     )
     at_worst = tr(at_worst, runs=runs, unit=worst.unit_id, off=off, apr=apr)
     return f"{text} {at_worst}"
@@ -395,8 +396,8 @@ def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str
     if n_units == 1:
         return [
             tr(
-                "There is one unit. If it fails, nothing is left of the {apr} "
-                "that it prevents but what the car prevents by itself.",
+                "There is only one unit; it prevents {apr}. If it fails, only what the "
+                "car prevents by itself remains.",
                 apr=percent(whole.apr),
             )
         ]
@@ -417,12 +418,12 @@ def _if_one_fails(failures: Failures, labels: Mapping[str, str]) -> str:
         # There is no such run.
         if math.isnan(least_s):
             return tr(
-                "Whichever one fails, the others avoid every run that all avoid"
-                " together."
+                "If any one unit fails, the others still avoid every run that all "
+                "units avoid together."
             )
         return tr(
-            "Whichever one fails, the others avoid every run that all avoid "
-            "together; the least time to spare is then {time}.",
+            "If any one unit fails, the others still avoid every run that all units "
+            "avoid together. The smallest time to spare is then {time}.",
             time=milliseconds(least_s),
         )
     values = {
@@ -431,13 +432,11 @@ def _if_one_fails(failures: Failures, labels: Mapping[str, str]) -> str:
         "lost": _runs_lost(worst),
     }
     text = tr(
-        "If {unit} fails, the others still prevent {apr}; {lost}. No single failure"
-        " leaves less.",
+        "If {unit} fails, the others still prevent {apr}; {lost}. No other "
+        "single failure is worse.",
         **values,
     )
-    harmless = mark(
-        "{n} of the {n_units} units can fail by themselves and no run is lost."
-    )
+    harmless = mark("{n} of the {n_units} units can fail alone without losing a run.")
     if n_harmless:
         return f"{text} {tr(harmless, n=n_harmless, n_units=n_units)}"
     return text
@@ -448,35 +447,38 @@ def _if_two_fail(failures: Failures, labels: Mapping[str, str]) -> str:
     pairs = failures.two_failed
     n_harmless = sum(not item.lost_run_ids for item in pairs)
     if not pairs:
-        pairs_up_to = mark("Pairs are looked at for up to {most} units; there are {n}.")
+        pairs_up_to = mark(
+            "Failures of two units are analysed for layouts of up to {most} units; "
+            "this layout has {n}."
+        )
         return tr(pairs_up_to, most=MAX_PAIR_UNITS, n=n_units)
     if n_units == 2:
         return tr("If both fail, only the car itself is left.")
     if n_harmless == len(pairs):
-        return tr("Any two may fail at once, and no run is lost.")
-    values = {
-        "units": _names(pairs[0], labels),
-        "apr": percent(pairs[0].apr),
-        "n": n_harmless,
-    }
-    return tr(
-        "Of two that fail at once, {units} matter most: {apr} are left. "
-        "{n} of the {n_pairs} pairs can fail and no run is lost.",
-        n_pairs=len(pairs),
-        **values,
+        return tr("Any two units can fail at once without losing a run.")
+    worst = tr(
+        "If two units fail at once, {units} matter most: {apr} remain.",
+        units=_names(pairs[0], labels),
+        apr=percent(pairs[0].apr),
     )
+    harmless = mark("Any two failures together lose runs.")
+    if n_harmless:
+        harmless = mark(
+            "{n} of the {n_pairs} pairs of units can fail without losing a run."
+        )
+    return f"{worst} {tr(harmless, n=n_harmless, n_pairs=len(pairs))}"
 
 
 def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
     worst = failures.site_failed[0]
     if all(len(item.unit_ids) == 1 for item in failures.site_failed):
         return tr(
-            "No two units share a pole: a pole that fails takes one unit with it."
+            "No two units share a pole, so the failure of a pole affects only one unit."
         )
     if not worst.lost_run_ids:
         return tr(
-            "A pole fails with all its units (power, a crash). Whichever one does, no"
-            " run is lost."
+            "A pole fails with all its units (power cut, crash). Any one pole can "
+            "fail without losing a run."
         )
     values = {
         "units": _names(worst, labels),
@@ -484,9 +486,8 @@ def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
         "lost": _runs_lost(worst),
     }
     return tr(
-        "A pole fails with all its units (power, a crash). If that of "
-        "{units} does, {apr} are left and {lost}; no other pole leaves "
-        "less.",
+        "A pole fails with all its units (power cut, crash). If the pole of "
+        "{units} fails, {apr} remain and {lost}. No other pole failure is worse.",
         **values,
     )
 
@@ -565,18 +566,18 @@ def failures_section(
     if any(len(item.unit_ids) > 1 for item in failures.site_failed):
         tables.append(failure_table(failures.site_failed, labels, of="pole"))
     whose = tr(
-        "Roadside units only, from what the evaluator sees with each; "
-        "what the car sees by itself comes on top."
+        "Roadside units only, computed from what the evaluator detects with "
+        "each. What the car detects by itself is additional."
     )
     if evaluation.cars == 1.0:
         whose = tr(
-            "What the evaluator sees with each unit, and with the car's own "
-            "sensors, which never fail."
+            "Computed from what the evaluator detects with each unit and with the "
+            "car's own sensors, which never fail."
         )
     sentences = " ".join(failure_sentences(failures, labels))
     lost = tr(
-        "A run is lost if all units together avoid it and those that are "
-        "left do not; the fastest ones are named first."
+        "A run is lost if all units together avoid it but the remaining units do "
+        "not. The fastest runs are listed first."
     )
     note = f"{whose} {lost}"
     return Section(

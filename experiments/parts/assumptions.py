@@ -128,7 +128,7 @@ def again_section(result: Result, command: str) -> Section:
         ),
     ]
     boxes = Box("beside tables", [Box("", [table]) for table in tables if table.rows])
-    return Section("again", tr("To make it again"), [Code(command), boxes])
+    return Section("again", tr("Reproduce this result"), [Code(command), boxes])
 
 
 def _detection_words(setting: Setting) -> str:

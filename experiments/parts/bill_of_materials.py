@@ -322,9 +322,9 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
 def bill_section(bill: BillOfMaterials) -> Section:
     """The bill, and what is not in it."""
     note = tr(
-        "Prices are those of the sensor catalogue, for one outdoor unit "
-        "with its housing; what comes with this program are orders of "
-        "magnitude. “Unknown” is not zero. Also not included:"
+        "Prices are from the sensor catalogue, for one outdoor unit with its "
+        "housing; those supplied with this program are orders of magnitude. "
+        "“Unknown” does not mean zero. Also not included:"
     )
     missing = [
         tr("brackets, cables and junction boxes not covered by a site's cost"),

@@ -35,9 +35,9 @@ def words(record: DecisionRecord) -> list[str]:
     first = record.layouts[0]
     sentences = [
         tr(
-            "Detected in time are {detected} of the runs. A car that braked for whoever"
-            " is detected would brake for {twins} of the people who stop before its way"
-            " or walk beside it.",
+            "Road users are detected in time in {detected} of the runs. A car that "
+            "braked for every detected person would also brake for {twins} of the "
+            "people who stop short of its path or walk beside it.",
             detected=percent(first.detected),
             twins=percent(first.twins_detected),
         )
@@ -45,9 +45,9 @@ def words(record: DecisionRecord) -> list[str]:
     for aimed, one in first.by_aim.items():
         sentences.append(
             tr(
-                "A car that brakes from a probability of {threshold:g} on avoids"
-                " {avoided} with aims known to {aim:g}° ({aimed}), and brakes"
-                " for {braked} of these people.",
+                "A car that brakes at a probability of {threshold:g} or more avoids "
+                "{avoided} with aims known to {aim:g}° ({aimed}), and brakes for "
+                "{braked} of these people.",
                 threshold=record.rule["threshold"],
                 avoided=percent(one.avoided),
                 aim=one.pitch_sd_deg,
@@ -66,17 +66,17 @@ def _false_braking(record: DecisionRecord) -> list[str]:
     if first not in by_layout:
         return [
             tr(
-                "How often cars brake for tracks of nothing is not known: of this"
-                " detector no rate of them is measured."
+                "How often cars brake for false tracks is not known: the rate of this "
+                "detector has not been measured."
             )
         ]
     value, low, high = by_layout[first]
     return [
         tr(
-            "With a car always near, it brakes {value} times an hour for tracks of"
-            " nothing (95 %: {low} to {high}; one sensor: {one} to {most}): as often as"
-            " the detector reports them, times the share that the decision let through"
-            " on recordings ({braked} of {tracks}).",
+            "If a car is always near, it brakes {value} times an hour for false "
+            "tracks (95 %: {low} to {high}; one sensor: {one} to {most}). This is "
+            "the detector's rate of false tracks times the share that passed the "
+            "decision on recordings ({braked} of {tracks}).",
             value=_rate(value),
             low=_rate(low),
             high=_rate(high),
@@ -136,10 +136,10 @@ def notes(record: DecisionRecord) -> list[str]:
     """How the table is to be read."""
     return [
         tr(
-            "avoided, braked for: by the rule, with a reserve of {reserve:g} s and from"
-            " a probability of {threshold:g} on; at most ..: avoided by the best rule"
-            " that brakes for so many of the twins; within ..: runs whose impact is"
-            " located so well at the last moment.",
+            "avoided, braked for: by the rule, with a reserve of {reserve:g} s and a "
+            "probability of at least {threshold:g}; at most ..: avoided by the best "
+            "rule that brakes for at most this share of the twins; within ..: runs "
+            "whose impact is located within this distance at the last moment.",
             reserve=record.rule["reserve_s"],
             threshold=record.rule["threshold"],
         )
@@ -184,20 +184,21 @@ def build_section(record: DecisionRecord) -> Section:
     """Words, table and figure."""
     picture = build_picture(
         plot_decisions(record.layouts),
-        title=tr("Avoided against false braking"),
+        title=tr("Avoided runs versus false braking"),
         caption=tr(
-            "Each line has all thresholds of one layout; marks are at the rule's own."
-            " Up and to the left is better."
+            "Each line shows one layout at all thresholds; the mark is at the rule's "
+            "threshold. Up and to the left is better."
         ),
-        alt=tr("Runs avoided against twins braked for, a line for each layout."),
+        alt=tr("Runs avoided versus twins braked for, one line per layout."),
     )
     how = tr(
-        "A detection is not a decision: people stand at kerbs, stop and walk beside the"
-        " road. Here the car brakes if the reported position and motion say that paths"
-        " cross. Twins are the same encounters without a collision: whoever would cross"
-        " stops a metre before the car's way, whoever walks along it walks aside."
-        " Tracks are those of a Kalman filter of constant velocity; errors of"
-        " positions, aims and the car's own place are drawn."
+        "A detection is not a decision: people stand at kerbs, stop and walk "
+        "beside the road. Here the car brakes if the reported position and "
+        "motion indicate that the paths cross. Twins are the same encounters "
+        "without a collision: a person who would cross stops one metre short of "
+        "the car's path; a person who would walk along it walks beside it. "
+        "Tracks come from a Kalman filter with constant velocity; errors of "
+        "positions, aims and the car's own position are drawn at random."
     )
     return Section(
         "decision",

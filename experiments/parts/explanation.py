@@ -145,7 +145,7 @@ def _dependence(explained: ExplainedRecord) -> list[str]:
         ]
     if len(parts) == 1:
         if parts[0].without.apr == 0.0:
-            return [tr("Everything that is avoided depends on this one unit.")]
+            return [tr("Every avoided run depends on this one unit.")]
         n = len(parts[0].only_runs)
         return [
             trn(
@@ -157,20 +157,21 @@ def _dependence(explained: ExplainedRecord) -> list[str]:
     if not needed:
         return [
             trn(
-                "No run depends on a single unit: whichever fails, the other "
-                "avoids all that they avoid together. What each unit adds is "
-                "time.",
-                "No run depends on a single unit: whichever fails, the others "
-                "avoid all that they avoid together. What each unit adds is time.",
+                "No run depends on a single unit: if either fails, the other still "
+                "avoids every run that both avoid together. Each unit adds time to "
+                "spare.",
+                "No run depends on a single unit: if any one fails, the others still "
+                "avoid every run that all avoid together. Each unit adds time to "
+                "spare.",
                 len(parts) - 1,
             )
         ]
     if len(needed) == len(parts):
-        return [tr("Each unit saves runs that no other one saves.")]
+        return [tr("Each unit avoids runs that no other unit avoids.")]
     return [
         trn(
-            "Of {n_units} units, {n} saves runs that no other one saves.",
-            "Of {n_units} units, {n} save runs that no other one saves.",
+            "{n} of the {n_units} units avoids runs that no other unit avoids.",
+            "{n} of the {n_units} units avoid runs that no other unit avoids.",
             len(needed),
             n_units=len(parts),
         )
@@ -223,16 +224,16 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
     if n_saved and n_saved == len(missed):
         sentences.append(
             trn(
-                "It could be saved by a further unit.",
-                "Each of them could be saved by a further unit.",
+                "It could be avoided with one more unit.",
+                "Each of them could be avoided with one more unit.",
                 n_saved,
             )
         )
     elif n_saved:
         sentences.append(
             trn(
-                "{n} run could be saved by a further unit.",
-                "{n} runs could each be saved by a further unit.",
+                "{n} run could be avoided with one more unit.",
+                "{n} runs could each be avoided with one more unit.",
                 n_saved,
             )
         )
@@ -244,7 +245,7 @@ _CAUSES: dict[Cause, str] = {
     "out of view": mark("out of view"),
     "cut off": mark("cut off by the edge of the view"),
     "too dark": mark("too little contrast in light and weather"),
-    "too far": mark("image of the road user too small, or too little of it seen"),
+    "too far": mark("road user too small in the image, or too little of it visible"),
     "otherwise": mark("not detected on the table"),
 }
 _OUTCOMES = {
@@ -285,10 +286,10 @@ def contribution_table(
         n_saved = str(len(part.only_runs))
         rows.append([name, n_saved, *shares, *shown])
     return Table(
-        caption=tr("What each unit is there for, on the detection table"),
+        caption=tr("What each unit contributes (on the detection table)"),
         columns=[
             tr("unit"),
-            tr("runs that only it saves"),
+            tr("runs that only this unit avoids"),
             tr("APR it adds"),
             tr("APR without it"),
             tr("smallest time to spare without it (s)"),
@@ -318,11 +319,11 @@ def missed_table(explained: ExplainedRecord) -> Table:
                 else outcome_words(entry.outcome)
             ),
             tr("why"): _why,
-            tr("nearest further unit that would save it"): _rescue,
+            tr("nearest additional unit that would avoid it"): _rescue,
         },
         summary=trn(
-            "{n} run: why, and what would save it",
-            "{n} runs: why, and what would save them",
+            "{n} run: why, and what would avoid it",
+            "{n} runs: why, and what would avoid them",
             n_runs,
         ),
         is_open=n_runs <= _MAX_UNFOLDED,
@@ -331,7 +332,7 @@ def missed_table(explained: ExplainedRecord) -> Table:
 
 def _why(entry: Unavoided) -> str:
     if entry.outcome == "hopeless":
-        return tr("the road user is there too late for any confirmation in time")
+        return tr("the road user appears too late to be confirmed in time")
     seen = mark("{cause} in {n} of {n_frames} frames")
     reasons = "; ".join(
         tr(seen, cause=cause(reason), n=reason.frames, n_frames=entry.frames_in_time)
@@ -363,7 +364,7 @@ def explanation_sections(
     """
     if not explained:
         return []
-    why = [tr("Each unit is taken away in turn, on the detection table.")]
+    why = [tr("Each unit is removed in turn (on the detection table).")]
     why += contribution_sentences(explained)
     table = contribution_table(explained, labels)
     missed: list[Block] = [" ".join(missed_sentences(explained))]
@@ -371,12 +372,11 @@ def explanation_sections(
         missed += [
             missed_table(explained),
             tr(
-                "Reasons of the unit nearest to the road user that looks there, "
-                "in frames from which braking in time could follow. “Hidden by” "
-                "names what most of the blocked rays meet first; without it the "
-                "road user would be detected. A further unit is one of the "
-                "candidate poses, mounted next to these; its price is not asked "
-                "for."
+                "Reasons are those of the nearest unit that looks towards the road "
+                "user, in frames early enough to brake. “Hidden by” names the object "
+                "that most blocked rays hit first; without it, the road user would be "
+                "detected. An additional unit is one more of the candidate poses, "
+                "next to those chosen; its price is ignored."
             ),
         ]
     return [
@@ -463,20 +463,19 @@ def refinement_sentences(found: RefinementRecord) -> list[str]:
             )
         ]
     better = tr(
-        "It is better than the best choice among the {n} candidates of "
-        "the grid that was found in the time given.",
+        "It is better than the best choice found in time among the {n} grid "
+        "candidates.",
         n=n_grid,
     )
     if found.grid_is_proven:
         better = tr(
-            "No choice among the {n} candidates of the grid is as good: that is"
-            " proven.",
+            "Proven: no choice among the {n} grid candidates is as good.",
             n=n_grid,
         )
     deeds = joined([_deed(move) for move in found.moves])
     bounds = tr(
-        "The bounds of the refined layout hold for these and the {n} "
-        "poses tried between them, not for every pose there is.",
+        "The bounds of the refined layout hold for these and the {n} poses tried "
+        "between them, but not for every possible pose.",
         n=n_tried,
     )
     return [

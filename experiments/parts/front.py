@@ -130,20 +130,20 @@ def table(front: FrontRecord) -> Table:
 
 def notes(front: FrontRecord) -> list[str]:
     """How the table is to be read."""
-    star = tr("* of this layout; not optimised: --all-stages does.")
+    star = tr("* of this layout, but not optimised; --all-stages optimises it.")
     columns = tr(
-        "gain: points of APR over the row above; one fails: APR that is "
-        "left when the most needed unit fails; least, mean: time to spare "
-        "in the runs avoided, in s."
+        "gain: percentage points of APR over the row above; one fails: APR if "
+        "the most needed unit fails; least, mean: time to spare in the avoided "
+        "runs, in s."
     )
     if front.by == "cost":
         columns = tr(
-            "gain: points of APR over the row above; one fails: APR that is "
-            "left when the most needed unit fails; least, mean: time to spare "
-            "in the runs avoided, in s; each EUR is the least that buys this."
+            "gain: percentage points of APR over the row above; one fails: APR if "
+            "the most needed unit fails; least, mean: time to spare in the avoided "
+            "runs, in s; EUR: the lowest price of this result."
         )
     fewer = mark(
-        "Where more units add nothing, a layout has fewer than its row allows."
+        "A layout has fewer units than its row allows if more would add nothing."
     )
     is_fewer = any(len(point.layout) < point.units for point in front.points)
     return [f"{star} {columns}" if front.optimised == "first" else columns] + [
@@ -176,15 +176,15 @@ def words(front: FrontRecord) -> list[str]:
     n_proven = sum(point.is_proven for point in front.points)
     is_all = front.optimised == "all"
     by_units = front.by == "units"
-    better = tr("better, in APR, then in what is left when the most needed unit fails")
+    better = tr("better (by APR, then by the APR left if the most needed unit fails)")
     if is_all:
         better = tr(
-            "better, in APR, then in what is left when the most needed unit "
-            "fails, then in time to spare and cost"
+            "better (by APR, then by the APR left if the most needed unit fails, "
+            "then by time to spare and cost)"
         )
     proof = tr(
-        "{n} of {n_all} points are proven; of the others another choice "
-        "may be {better}: the table says what is open.",
+        "{n} of {n_all} points are proven. For the others, another choice may be "
+        "{better}; the table shows what is open.",
         n=n_proven,
         n_all=n_points,
         better=better,
@@ -205,17 +205,19 @@ def words(front: FrontRecord) -> list[str]:
     if front.settled is not None:
         where = tr("Beyond {price}", price=euros(front.settled))
         if by_units:
-            where = tr("From {n:g} units", n=front.settled)
+            where = tr("From {n:g} units on", n=front.settled)
         settled = mark(
-            "{where} on nothing grows: no layout of any size avoids more, also when one"
-            " unit fails."
+            "{where}, nothing improves: no layout of any size avoids more runs, even "
+            "when one unit fails."
         )
         if is_all:
-            settled = mark("{where} on nothing grows: no layout of any size is better.")
+            settled = mark(
+                "{where}, nothing improves: no layout of any size is better."
+            )
         sentences.append(tr(settled, where=where))
     return sentences + [
         tr(
-            "With {n} the wishes cannot be met: {why}.",
+            "With {n}, the requirements cannot be met: {why}.",
             n=size.units,
             why=tr(size.reason),
         )

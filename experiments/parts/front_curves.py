@@ -67,11 +67,11 @@ def plot_front(front: FrontRecord) -> Axes:
             "ms": 9.0,
             "linestyle": "none",
         }
-        label = tr("open: bound that no layout exceeds")
+        label = tr("not proven: upper bound for any layout")
         handles.append(Line2D([], [], marker="o", label=label, **style))
     if front.settled is not None:
         handles.append(
-            Patch(facecolor=_SETTLED, label=tr("nothing grows any more: proven"))
+            Patch(facecolor=_SETTLED, label=tr("proven: no further improvement"))
         )
     place: Style = {"loc": "outside upper center", "ncols": 2}
     figure.legend(handles=handles, fontsize=8, frameon=False, **place)

@@ -128,17 +128,17 @@ def words(result: RetrofitResult) -> list[str]:
         )
         sentences.append(only)
     if result.re_aims and not result.re_aims[0].is_better:
-        sentences.append(tr("No re-aim is better than to leave all as it is."))
+        sentences.append(tr("No re-aiming improves the current layout."))
     if result.addition is None and result.budget_eur is None:
-        sentences.append(tr("No unit that can be added is better than none."))
+        sentences.append(tr("No additional unit improves the current layout."))
     elif result.addition is None:
-        none = mark("No unit that can be added within {price} is better than none.")
+        none = mark("No additional unit within {price} improves the current layout.")
         sentences.append(tr(none, price=euros(result.budget_eur)))
     if result.budget_eur is not None and result.combination is None:
         sentences.append(
             tr(
-                "Re-aims and additions together are no better than to leave all as"
-                " it is."
+                "No combination of re-aiming and additional units improves the current "
+                "layout."
             )
         )
     return sentences

@@ -140,12 +140,12 @@ def words(record: RoadUserGroups) -> list[str]:
 def table(record: RoadUserGroups) -> Table:
     """A row per group and sensing party."""
     return tabulate(
-        tr("Accidents prevented by the road user that is met, by the evaluator"),
+        tr("Accidents prevented by type of road user (evaluator)"),
         [(group, party) for group in record.groups for party in group.parties],
         {
-            tr("met"): lambda row: tr(row[0].road_user),
+            tr("road user"): lambda row: tr(row[0].road_user),
             tr("runs"): lambda row: str(row[0].runs),
-            tr("of the weight"): lambda row: percent(row[0].weight),
+            tr("share of weight"): lambda row: percent(row[0].weight),
             tr("by"): lambda row: tr(row[1].name),
             tr("avoided"): lambda row: str(row[1].runs_avoided),
             "APR": lambda row: percent(row[1].apr),
@@ -168,9 +168,9 @@ def section(record: RoadUserGroups | None) -> Section | None:
     if record.unprotected:
         blocks.append(
             tr(
-                "By default the runs count that meet people on foot, cyclists and "
-                "motorcyclists. Left out, since a car is met: {cases}. --protect "
-                "all counts them.",
+                "By default, runs with pedestrians, cyclists and motorcyclists count. "
+                "Left out because the other party is a car: {cases}. Use --protect all "
+                "to count them.",
                 cases=", ".join(record.unprotected),
             )
         )

@@ -431,25 +431,23 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         if chosen > or_nan(subject.mean):
             sentences.append(
                 tr(
-                    "In the worlds that it was chosen in, it avoids {chosen}: a "
-                    "choice looks better where it was made",
+                    "In the worlds used to choose it, it avoids {chosen}; a layout "
+                    "looks better in those worlds than in others",
                     **values,
                 )
             )
         else:
             sentences.append(
-                tr("In the worlds that it was chosen in, it avoids {chosen}", **values)
+                tr("In the worlds used to choose it, it avoids {chosen}", **values)
             )
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
         values |= {"n_all": n_all, "n": max(n_worst, 1.0)}
         sentences.append(
             trn(
-                "The worst {tail} of the {n_all} worlds that it was chosen in is "
-                "{n:g}: too few to choose by; ask for more with --samples, or for "
-                "the mean",
-                "The worst {tail} of the {n_all} worlds that it was chosen in are "
-                "{n:g}: too few to choose by; ask for more with --samples, or for "
-                "the mean",
+                "The worst {tail} of the {n_all} worlds used to choose it is {n:g} "
+                "world, too few to choose by: raise --samples, or optimise the mean",
+                "The worst {tail} of the {n_all} worlds used to choose it are {n:g} "
+                "worlds, too few to choose by: raise --samples, or optimise the mean",
                 1 if n_worst <= 1.0 else 2,
                 **values,
             )
@@ -461,7 +459,9 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         listed = ", ".join(
             f"{run.run} ({percent(run.avoided_share)})" for run in unsure
         )
-        least = mark("Least sure, with the share of worlds that avoid them: {runs}")
+        least = mark(
+            "Least certain runs, with the share of worlds that avoid them: {runs}"
+        )
         sentences.append(tr(least, runs=listed))
     return [f"{sentence}." for sentence in sentences]
 
@@ -534,13 +534,13 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
         found.samples,
         **values,
     )
-    worst = mark("in the worst {tail} of them {apr}, not {layout_apr}")
+    worst = mark("in the worst {tail} of them, {apr} instead of {layout_apr}")
     worst = tr(worst, layout_apr=percent(subject.cvar), **values)
     few = trn(
-        "the {n} world that {layout} was chosen in is too few: ask for "
-        "more with --samples, or take {other}.",
-        "the {n} worlds that {layout} was chosen in are too few: ask for "
-        "more with --samples, or take {other}.",
+        "the {n} world used to choose {layout} is too few: raise --samples, or "
+        "use {other}.",
+        "the {n} worlds used to choose {layout} are too few: raise --samples, or "
+        "use {other}.",
         found.chosen_in,
         **values,
     )
@@ -638,7 +638,7 @@ def what_is_uncertain(found: SampledRecord) -> str:
             tr("buses in {share} of the bus lanes", share=percent(bus_lane_share))
         )
     if record.road_users.measured:
-        drawn.append(tr("people as fast as they were measured"))
+        drawn.append(tr("people at measured speeds"))
     if replace(record.road_users, measured={}) != RoadUsers():
         drawn.append(tr("road users faster or slower, from nearer starts"))
     if found.moving:
@@ -662,9 +662,9 @@ def moving_sentence(found: SampledRecord) -> str:
     values: dict[str, Any] = {"n": moving.n_vehicles, "n_left_out": moving.n_left_out}
     values |= {"per_run": per_run, "source": found.traffic_source, "share": share}
     text = tr(
-        "{per_run:.0f} vehicles drive by in a run ({source}); "
-        "{n_left_out} of {n} ({share}) are left out of theirs, for they "
-        "would come into the way of car or road user",
+        "{per_run:.0f} vehicles drive by in a run ({source}); {n_left_out} of "
+        "{n} ({share}) are left out of their run because they would get in the "
+        "way of the car or the road user",
         **values,
     )
     if not n_waiting:

@@ -295,10 +295,11 @@ def _aim(unit: CandidatePose, scene: Scene) -> str:
     """The aiming point in words."""
     aim_m = aiming_point_m(unit, scene)
     if aim_m is None:
-        return tr("no point of the ground ahead is in sight: aim by angles alone")
+        return tr("no ground ahead is in view: aim by angles alone")
     away_m = float(np.hypot(*(aim_m - unit.pose.position_m)[:2]))
     return tr(
-        "at a point of the ground {away:.1f} m away: the cross in the picture",
+        "at the point on the ground {away:.1f} m away, marked by the cross in "
+        "the picture",
         away=away_m,
     )
 

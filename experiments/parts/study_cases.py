@@ -134,10 +134,11 @@ def section(record: StudyCases | None) -> Section | None:
         tr("On the study's cases"),
         [
             tr(
-                "What the CarlaNCAP study drives, as it reads it: its cases by "
-                "day, each at its one place, every run alike, and a track that is "
-                "confirmed once lives for ever. All else is as in the question "
-                "above. By the evaluator; layouts were not chosen for these runs."
+                "The cases of the CarlaNCAP study under its own rules: by day, each "
+                "case at one place, every run with equal weight, and a track that "
+                "never expires once confirmed. Everything else is as in the question "
+                "above. Computed by the evaluator; layouts were not chosen for these "
+                "runs."
             ),
             table(record),
         ],

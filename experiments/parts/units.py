@@ -56,8 +56,8 @@ def units_section(
             " heights are above the ground at that point."
         )
     angles = tr(
-        "The bearing is that of a compass, clockwise from north. An assumed site is"
-        " one that the map does not have, or not there."
+        "Bearings are compass bearings, clockwise from north. An assumed site is "
+        "not in the map, or the map has it elsewhere."
     )
     note = f"{heights} {angles}"
     tables = [
@@ -170,9 +170,9 @@ def build_plans(
                 "Plan of {scene} with {name}", scene=setting.scene.name, name=name
             ),
             caption=tr(
-                "Coloured: the ground in each sensor's field of view up to {range:g} m;"
-                " it sees farther. What walls and parked cars hide of it counts in the"
-                " numbers, and is not drawn.",
+                "Coloured: the ground in each sensor's field of view up to {range:g} "
+                "m; the sensors see farther. The numbers account for what walls and "
+                "parked cars hide; the drawing does not show it.",
                 range=_PLAN_RANGE_M,
             ),
             alt=tr("Plan of the junction, north up.") + " " + _units_in_words(layout),

@@ -21,9 +21,7 @@ from .background import Background, Lie, LiePoint
 _AROUND_M = 150.0
 # Least size of a pixel of the image on the ground
 _FINEST_M = 0.1
-_EXPECTED = mark(
-    "an image of the junction in 8 bits per colour that says where it lies"
-)
+_EXPECTED = mark("a georeferenced image of the junction with 8 bits per colour")
 _DRIVERS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 
 
@@ -48,7 +46,7 @@ def lay_raster(path: str, crs: str, scene: Scene) -> Background:
         import rasterio
     except ImportError:
         expected = mark("rasterio to read it: pip install place-rsus[terrain]")
-        raise InputError(path, Phrase("an image with a place"), expected) from None
+        raise InputError(path, Phrase("an image with coordinates"), expected) from None
     file = Path(path)
     driver = _DRIVERS.get(file.suffix.lower(), "GTiff")
     unplaced = rasterio.errors.NotGeoreferencedWarning
@@ -73,14 +71,14 @@ def _cut(raster: Any, path: str, crs: str, scene: Scene) -> Background:
         raster.dtypes[0] == "uint8" and raster.colorinterp[0].name != "palette"
     )
     if raster.transform.is_identity or not (own_crs and scene.crs and is_coloured):
-        refuse(path, mark("another one, or a scene at no place"), _EXPECTED)
+        refuse(path, mark("another image, or a scene without coordinates"), _EXPECTED)
     low_m, high_m = _extent_m(raster, own_crs, scene.crs)
     step_m = max(float(high_m[0] - low_m[0]) / raster.width, _FINEST_M)
     centre_m = scene.outline_m.mean(axis=0)
     west, south = np.maximum(low_m, centre_m - _AROUND_M).tolist()
     east, north = np.minimum(high_m, centre_m + _AROUND_M).tolist()
     if not (west < east and south < north):
-        refuse(path, mark("an image of elsewhere"), _EXPECTED)
+        refuse(path, mark("an image of another place"), _EXPECTED)
     width_px = int(np.ceil((east - west) / step_m))
     height_px = int(np.ceil((north - south) / step_m))
     has_alpha = any(band.name == "alpha" for band in raster.colorinterp)

@@ -112,7 +112,7 @@ def read_background(record: Any, where: str) -> Background:
         found = msgspec.convert(record, Background)
     except msgspec.ValidationError as error:
         raise InputError(
-            where, Unquoted(error), mark("an image and how it lies")
+            where, Unquoted(error), mark("an image and its position")
         ) from None
     return _checked(found, where)
 

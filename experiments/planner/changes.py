@@ -362,7 +362,7 @@ def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Si
     # Each unit takes one place.
     n_there = sum(unit.site_id == site_id for unit in units)
     if n_there >= site.capacity_units:
-        got = Phrase("a unit more than the {n} there", n=n_there)
+        got = Phrase("one unit more than the {n} there", n=n_there)
         where = Phrase("site {name}", name=site_id)
         refuse(where, got, Phrase("at most {n}", n=site.capacity_units))
     return site

@@ -172,7 +172,7 @@ def plan(
         check_target(save)
     if 0.0 < read_cars(question.cars) < 1.0:
         raise InputError(
-            "--cars", question.cars, "blind or see: the page tells each run once"
+            "--cars", question.cars, "blind or see: the page shows each run once"
         )
     scene = load_scene(question.scene)
     map_file = _map_file(asked)
@@ -208,13 +208,13 @@ def _serve_page(server: "RunningServer", *, opens: bool, folder: Path) -> None:
     """Serve until the page is closed or by Ctrl-C; a page that leads to it is in the folder."""
     server.start()
     try:
-        ends = tr("It ends when the page is closed, or Ctrl-C.")
+        ends = tr("Close the page or press Ctrl-C to stop.")
         if server.keeps_open:
-            ends = tr("Ctrl-C ends it.")
+            ends = tr("Press Ctrl-C to stop.")
         tell(tr("The page is at {address}", address=server.address) + f"\n{ends}")
         if server.host != _LOCAL:
             warning = tr(
-                "--host {host}: whoever has this address can change the plan.",
+                "--host {host}: anyone who has this address can change the plan.",
                 host=server.host,
             )
             tell(warning, err=True)
@@ -284,7 +284,7 @@ def _question_of(
             raise InputError(where, found.detector, expected)
         if opened != question and not quiet:
             said = tr(
-                "The page asks what {folder} was found for: {options}",
+                "The page uses the question of {folder}: {options}",
                 folder=folder,
                 options=question_words(opened),
             )

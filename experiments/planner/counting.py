@@ -173,7 +173,7 @@ class Counting:
         except TaskError as error:
             if isinstance(error, DiedError) and key not in workspace.died:
                 workspace.died.add(key)
-                self._browsers.notice(tr("{reason}; it is tried again", reason=error))
+                self._browsers.notice(tr("{reason}; trying again", reason=error))
                 self.rests.set()
                 return
             workspace.failed[key] = str(error)

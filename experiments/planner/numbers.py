@@ -224,7 +224,7 @@ def change_question(
     changed = replace(question, **given)
     if 0.0 < read_cars(changed.cars) < 1.0:
         expected = Phrase(
-            "{one} or {other}: the page tells each run once", one=BLIND, other=SEE
+            "{one} or {other}: the page shows each run once", one=BLIND, other=SEE
         )
         raise InputError(mark("cars"), changed.cars, expected)
     # The detector is one of the choices, and may be a network that is slow to load.
@@ -248,17 +248,18 @@ def _choices(begun: Question) -> dict[str, list[str]]:
 
 _MEANINGS = {
     "case": mark(
-        "Mean over cases, in each over approaches, positions and runs; not over all"
-        " runs."
+        "Mean over cases, each averaged over approaches, positions and runs; not "
+        "a mean over all runs."
     ),
     "run": mark(
         "Share of all runs: each counts the same, so cases with more runs count more."
     ),
     "fhwa-crash-types": mark(
-        "Cases count by how often cars hit people so, not by their runs."
+        "Cases are weighted by how often cars hit people in this way, not by "
+        "their number of runs."
     ),
     "euroncap-rating-2026": mark(
-        "Cases count by Euro NCAP's points, not by their runs."
+        "Cases are weighted by Euro NCAP points, not by their number of runs."
     ),
 }
 """What weights mean, by their names."""
@@ -281,7 +282,7 @@ def question_record(question: Question, begun: Question) -> dict[str, Any]:
     """
     names = msgspec.structs.fields(ChangeQuestion)
     weights = question.weights or default_weights(question.cases)
-    meaning = tr("Runs count by the weights of {name}.", name=weights)
+    meaning = tr("Runs are weighted by {name}.", name=weights)
     if weights in WEIGHT_WORDS:
         meaning = tr(_MEANINGS[weights])
     return {

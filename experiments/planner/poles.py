@@ -75,7 +75,7 @@ def build_pole(scene: Scene, name: str, place_m: tuple[float, float]) -> Site:
         refuse(
             mark("pole"),
             mark("a scene without any"),
-            mark("one whose poles it can be like"),
+            mark("a scene with poles to copy the height from"),
         )
     # The first of those that are alike the most often
     kinds = [

@@ -163,9 +163,7 @@ class Guard:
         if scope["path"].startswith("/"):
             token = scope["path"].split("/")[1]
         if not secrets.compare_digest(token.encode(), self._token.encode()):
-            return tr(
-                "no such page; the address is the one that place-rsus plan has printed"
-            )
+            return tr("no such page; use the address that place-rsus plan printed")
         return ""
 
 
@@ -424,7 +422,7 @@ class Pages:
             refuse(
                 mark("map"),
                 mark("none"),
-                mark("one that was dropped on the page before"),
+                mark("one that was dropped on the page earlier"),
             )
         return self._session.map_file
 

@@ -304,7 +304,11 @@ class Tasks:
             return [_answer(tr("All re-aimed, poles kept"), advice, costs="")]
         if request == "cheapest":
             advice = adviser.cheapest(units)
-            return [_answer(tr("The cheapest that keeps this"), advice, costs=_IN_ALL)]
+            return [
+                _answer(
+                    tr("The cheapest with at least this APR"), advice, costs=_IN_ALL
+                )
+            ]
         one_more, instead = adviser.why_not(units, site)
         best = tr("The best {n} with {site}", n=len(units), site=site)
         return [
@@ -479,7 +483,7 @@ def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:
     share = tr("APR {apr}", apr=percent(after.apr))
     if before is not None:
         if abs(after.apr - before.apr) <= LEAST_GAIN:
-            than = tr("as much as now")
+            than = tr("same as now")
         else:
             than = tr("now {amount}", amount=percent(before.apr))
         share += f" ({than})"
@@ -507,27 +511,26 @@ def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:
 def _proof(advice: Advice) -> str:
     """The proof of an answer in words; bounds are those of the detection table."""
     if advice.n_compared:
-        return tr("the best of {n} tried, all that there are", n=advice.n_compared)
+        return tr("the best of all {n} possible ones", n=advice.n_compared)
     if advice.is_all_proven:
         return tr("proven: nothing of its kind is better")
     certificate = advice.certificate
     if certificate is not None and certificate.stages[0].name == "cost_eur":
         if advice.is_proven:
             return tr(
-                "proven: none costs less; of those with the same price not all "
-                "were compared in time"
+                "proven: none costs less; not all with the same price were compared in "
+                "time"
             )
         return tr(
-            "not proven in the time given: nothing for less than {bound} is possible"
-            " there",
+            "not proven in the time given; it is only proven that none costs less "
+            "than {bound}",
             bound=euros(certificate.stages[0].bound),
         )
     if advice.is_proven:
         return tr(
-            "proven: no APR is higher; of those with the same APR not all were compared"
-            " in time"
+            "proven: no APR is higher; not all with the same APR were compared in time"
         )
     return tr(
-        "not proven in the time given: no APR above {bound} is possible there",
+        "not proven in the time given; it is only proven that no APR exceeds {bound}",
         bound=percent(advice.bound),
     )

@@ -94,7 +94,8 @@ class Worker:
             if was_stopped:
                 raise Cancelled
             text = tr(
-                "the process that did it ({name}) was ended from outside", name=method
+                "the process that computed this ({name}) was stopped from outside",
+                name=method,
             )
             raise DiedError(text)
         raise TaskError(*value)

@@ -203,7 +203,7 @@ def cut_out(
     ]
     if through:
         what = Phrase("other junctions around it")
-        why = Phrase("lanes are led straight on through them on smooth curves: assumed")
+        why = Phrase("assumed: lanes run straight on through them on smooth curves")
         skipped.append(Note(what, why, kind="roads"))
     zero_height_m = None
     if relief.terrain is not None:
@@ -279,7 +279,7 @@ def _lowered(
             yield thing, vertices
     if n_floating:
         what = Phrase("{n} buildings in {name}", n=n_floating, name=source.name)
-        why = Phrase("they would float above the ground below them: set down on it")
+        why = Phrase("they would float above the ground: lowered onto it")
         skipped.append(Note(what, why, kind="heights"))
     for name, count in is_low.items():
         skipped.append(Note(f"{count} x {name} in {source.name}", "not above the road"))

@@ -876,7 +876,7 @@ def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
     every = Counter(thing.class_name for thing in things)
     if not every["building"]:
         why = Phrase(
-            "none within {radius:g} m in the map: none is taken to hide anybody",
+            "the map has none within {radius:g} m: none is assumed to hide anybody",
             radius=radius_m,
         )
         yield Note(Phrase("buildings"), why, kind="buildings")

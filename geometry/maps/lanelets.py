@@ -524,7 +524,7 @@ def _source_map(
         keeps_left = _keeps_left([one for one in lanelets if one.kind == "driving"])
     if keeps_left is None:
         what = Phrase("side of the road")
-        why = Phrase("no lanelets side by side show it: taken to keep right")
+        why = Phrase("no lanelets side by side show it: right-hand traffic is assumed")
         notes = (Note(what=what, why=why, kind="side of the road"), *notes)
     walks = [one for one in lanelets if one.kind == "crosswalk"]
     crossings = [one.edges_m.mean(axis=0)[[0, -1], :2] for one in walks]

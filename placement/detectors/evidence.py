@@ -256,9 +256,9 @@ class LidarTable:
     def description(self) -> Phrase:
         """When it detects, in a sentence."""
         return Phrase(
-            "What LiDARs find of those on whom there are enough points is drawn by "
-            "{name}, by class and distance; the detection table counts on frames "
-            "with a probability of at least {least:g}.",
+            "For LiDARs, {name} draws at random which road users with enough points "
+            "are detected, by class and distance. The detection table counts a frame "
+            "as detected if its probability is at least {least:g}.",
             name=self.name,
             least=self.plan_probability,
         )

@@ -65,10 +65,11 @@ class GeometricDetector:
     def description(self) -> Phrase:
         """When it detects."""
         words = Phrase(
-            "A road user counts as detected in a frame if the box around its "
-            "visible part overlaps the box around all of it by more than {iou:g} "
-            "(intersection over union), is at least {height:g} pixels high, and "
-            "light and air leave it a contrast of at least {contrast:g} %.",
+            "A road user counts as detected in a frame if the box around its visible "
+            "part overlaps the box around the whole road user by more than {iou:g} "
+            "(intersection over union) and is at least {height:g} pixels high, and "
+            "if the contrast that remains in the light and air is at least "
+            "{contrast:g} %.",
             iou=self.min_iou,
             height=self.min_box_height_px,
             contrast=100.0 * self.min_contrast,

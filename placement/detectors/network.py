@@ -835,17 +835,17 @@ class NetworkDetector:
             "iou": load_min_iou(),
         }
         looks = Phrase(
-            "The network {name} looks at rendered pictures; its boxes count from a "
-            "confidence of {least:g} on where they overlap the road user's visible "
-            "part by more than {iou:g} (intersection over union).",
+            "The network {name} processes rendered pictures. A box counts if its "
+            "confidence is at least {least:g} and it overlaps the road user's "
+            "visible part by more than {iou:g} (intersection over union).",
             **values,
         )
         if self.looks_at_crops:
             looks = Phrase(
-                "The network {name} looks at rendered pictures, around the road user; "
-                "its boxes count from a confidence of {least:g} on where they overlap "
-                "the road user's visible part by more than {iou:g} (intersection over "
-                "union).",
+                "The network {name} processes rendered pictures of the area around "
+                "the road user. A box counts if its confidence is at least {least:g} "
+                "and it overlaps the road user's visible part by more than {iou:g} "
+                "(intersection over union).",
                 **values,
             )
         words = [looks, _CHOSEN_BY[self.plans_with]]

@@ -165,15 +165,15 @@ class ResponseDetector:
         """When it detects."""
         words = [
             Phrase(
-                "Whether a road user is detected in a frame is drawn by the response"
-                " model {name}: the probability depends on its height in pixels, the"
-                " share that is seen, its class, the side that it shows and its"
-                " contrast in light and weather.",
+                "The response model {name} draws at random whether a road user is "
+                "detected in a frame. The probability depends on the road user's "
+                "height in pixels, visible share, class, visible side, and contrast "
+                "in the light and weather.",
                 name=self.name,
             ),
             Phrase(
-                "The detection table counts on frames with a probability of at least"
-                " {least:g}.",
+                "The detection table counts a frame as detected if its probability is "
+                "at least {least:g}.",
                 least=self.plan_probability,
             ),
         ]
@@ -206,7 +206,7 @@ class ResponseDetector:
                 others=words,
             )
         return Phrase(
-            "Nothing is measured of {classes}: how well they are found is assumed.",
+            "Assumed, not measured: how well the detector finds {classes}.",
             classes=words,
         )
 
@@ -215,7 +215,7 @@ class ResponseDetector:
         """How many of its figures are measured, and which are assumed."""
         if self.assumed_figures is None:
             return Phrase(
-                "{name} does not say which of its figures are measured.", name=self.name
+                "{name} does not say which of its values are measured.", name=self.name
             )
         names = [
             one for one in _FIGURES if one in (*self.assumed, *self.assumed_figures)
@@ -223,13 +223,13 @@ class ResponseDetector:
         n_measured = len(_FIGURES) - len(names)
         if not names:
             return Phrase(
-                "Of the {n} figures of {name} {measured} are measured.",
+                "{measured} of the {n} values of {name} are measured.",
                 n=len(_FIGURES),
                 name=self.name,
                 measured=n_measured,
             )
         return Phrase(
-            "Of the {n} figures of {name} {measured} are measured; assumed: {names}.",
+            "{measured} of the {n} values of {name} are measured; assumed: {names}.",
             n=len(_FIGURES),
             name=self.name,
             measured=n_measured,
@@ -246,10 +246,9 @@ class ResponseDetector:
         if rate is None:
             return Phrase("")
         return Phrase(
-            "As measured on its pictures, a unit confirms {rate:.3g} tracks of "
-            "nothing per hour (95 %: {low:.3g} to {high:.3g}), each of which may "
-            "brake a car that it seems to cross the path of; they are no part of "
-            "the verdicts.",
+            "In measurements on its pictures, a unit confirms {rate:.3g} false "
+            "tracks per hour (95 %: {low:.3g} to {high:.3g}). Each may brake a car "
+            "whose path it seems to cross. The verdicts do not include them.",
             rate=rate.value,
             low=rate.low,
             high=rate.high,

@@ -106,7 +106,7 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
                 floor.name,
                 Unquoted(f"{floor.share:g}"),
                 Phrase(
-                    "at most {share}, what all candidate poses together reach",
+                    "at most {share}, which all candidate poses together reach",
                     share=_rounded_down(reached),
                 ),
             )

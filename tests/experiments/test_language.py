@@ -556,7 +556,7 @@ def test_what_the_planner_refuses_is_translated():
         "--port",
         "--cars",
         "a free port",
-        "blind or see: the page tells each run once",
+        "blind or see: the page shows each run once",
     }
     options |= {"it on the command line: a network is a program"}
     options |= {"--tiles", "an address such as https://HOST/{z}/{x}/{y}.png"}

@@ -371,7 +371,7 @@ def test_paper_has_every_section_and_what_was_folded_but_not_what_is_long(
     words = " ".join(printed.split())
     assert all(heading in words for heading in headings)
     assert "How far each assumption is varied, and why" in words
-    for unwanted in ("Enlarge", "Contents", "Play", "Scripts are switched"):
+    for unwanted in ("Enlarge", "Contents", "Play", "Scripts are disabled"):
         assert unwanted not in words
 
 

@@ -234,7 +234,9 @@ def test_why_not_a_pole_says_what_it_can_do_beside_and_instead(adviser, weak, ap
 def test_where_nothing_hangs_there_is_nothing_to_turn_or_to_keep(adviser):
     with pytest.raises(InputError, match="re-aim: got no unit"):
         adviser.re_aim(())
-    with pytest.raises(InputError, match="the cheapest that keeps this: got no unit"):
+    with pytest.raises(
+        InputError, match="the cheapest with at least this APR: got no unit"
+    ):
         adviser.cheapest(())
     with pytest.raises(InputError, match="why not corner-ne: got no unit"):
         adviser.why_not((), "corner-ne")

@@ -395,4 +395,4 @@ def test_wishes_that_contradict_each_other_are_named_with_ways_out(asked):
         " meets together; expected one of them to give way: `budget` 2 or"
         " `force_site` without corner-ne"
     )
-    assert told[-1] == "what has to give way"
+    assert told[-1] == "find conflicting requirements"

@@ -52,7 +52,7 @@ def test_what_is_assumed_is_told_for_each_kind():
         ),
         (
             "Sources are in prices.toml; a site cost in the question, or cost_eur in"
-            " the scene, takes their place."
+            " the scene, overrides them."
         ),
     )
     assert assumed_prices(load_prices(), [site("pole", 10.0)]) == ()

@@ -92,7 +92,7 @@ export function compareVariants({ map, state, cases }) {
       ...removed.map(({ id, site }) => (site ? tr("{id}: only in {variant}, at {site}", { id, site, variant: chosen }) : tr("{id}: only in {variant}", { id, variant: chosen }))),
       ...changed.map(({ unit, other, words }) => `${unit.id === other.id ? unit.id : tr("{id} (there {other})", { id: unit.id, other: other.id })}: ${words.join(", ")}`),
     ];
-    find("compare-units").replaceChildren(...(said.length ? said : [tr("The same units, aimed alike.")]).map((text) => element("li", { text })));
+    find("compare-units").replaceChildren(...(said.length ? said : [tr("The same units with the same aims.")]).map((text) => element("li", { text })));
     map.showOther([...removed, ...changed.map(({ other }) => other)].map((unit) => ({ place: [100 * unit.x_m, 100 * unit.y_m], yawDeg: unit.yaw_deg, text: tr("{id} in {variant}", { id: unit.id, variant: chosen }) })));
     showPoints(mine);
   }
@@ -104,7 +104,7 @@ export function compareVariants({ map, state, cases }) {
     body.replaceChildren();
     const isKnown = here && there && here.source !== "none" && there.source !== "none";
     const isSameSource = isKnown && here.source === there.source;
-    find("compare-note").textContent = !isKnown ? tr("Numbers come once both are computed.") : isSameSource ? "" : tr("One is by the detection table, the other by the evaluator: not to be compared yet.");
+    find("compare-note").textContent = !isKnown ? tr("Numbers appear when both are computed.") : isSameSource ? "" : tr("One is from the detection table, the other from the evaluator: they cannot be compared yet.");
     if (!isSameSource) return;
     const names = [...new Set([...Object.keys(here.byCase), ...Object.keys(there.byCase)])];
     const lines = [["APR", here.apr, there.apr], [tr("APR if one fails"), here.oneFails, there.oneFails], ...names.map((name) => [name, here.byCase[name], there.byCase[name]])];

@@ -37,7 +37,7 @@ export function fillDangerKey(holder, points) {
   const percent = (share) => `${number(Number((100 * share).toFixed(1)))} %`;
   const all = points.reduce((sum, point) => sum + point[2], 0);
   if (!points.length) { holder.textContent = tr("No run is lost: nothing is drawn."); return; }
-  const lost = tr("Lost runs by where they end: {n}, with {share} of the weight of all. Of that weight, within {reach} m of a place:", { n: points.length, share: percent(all), reach: REACH_CM / 100 });
+  const lost = tr("Lost runs by where they end: {n}, with {share} of the total weight. Share of their weight within {reach} m of a point:", { n: points.length, share: percent(all), reach: REACH_CM / 100 });
   holder.replaceChildren(`${lost} `, ...BANDS.map(([least, fill], band) => {
     const item = element("span", { class: "key" });
     element("rect", { width: 12, height: 12, fill, stroke: "#333" }, element("svg", { width: 12, height: 12, "aria-hidden": "true" }, item));

@@ -44,7 +44,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   function explain(message) {
     const holder = find("run-why");
     holder.replaceChildren();
-    element("p", { text: message.inTime ? trn("{n} frame comes early enough to brake for. In it:", "{n} frames come early enough to brake for. In these:", message.inTime) : tr("No frame comes early enough: no sensor could help.") }, holder);
+    element("p", { text: message.inTime ? trn("{n} frame comes early enough to brake. In it:", "{n} frames come early enough to brake. In these:", message.inTime) : tr("No frame comes early enough: no sensor could help.") }, holder);
     const list = element("ul", {}, holder);
     if (message.inTime) message.units.forEach((unit) => element("li", { text: tr("{unit} detects the road user in {detected}; in the others: {reasons}.", { ...unit, reasons: unit.reasons.map((reason) => `${reason.words} (${reason.frames})`).join(", ") }) }, list));
     // A frame that matters most, of those in time: the last one.
@@ -55,7 +55,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
 
   find("picture-show").addEventListener("click", async () => {
     const asked = run;
-    find("picture-text").textContent = tr("It is being rendered \u2026");
+    find("picture-text").textContent = tr("Rendering \u2026");
     try {
       const values = { run: run.id, unit: find("picture-unit").value, frame: find("picture-frame").value };
       const picture = await ask("picture", values);
@@ -82,7 +82,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   async function open(file) {
     const headers = { "X-File-Name": encodeURIComponent(file.name) };
     if (!PLANS.some((end) => file.name.toLowerCase().endsWith(end))) { junctions.read(file, headers); return; }
-    notice(tr("{file} is being read \u2026", { file: file.name }));
+    notice(tr("Reading {file} \u2026", { file: file.name }));
     try {
       const message = await give("open", file, { headers, most: scene().mostBytes.plan });
       notice(tr("Opened: {names}.", { names: message.opened.join(", ") }));
@@ -106,7 +106,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   for (const [id, path, name] of [["make-report", "report.zip", tr("The report")], ["make-sheet", "sheet.pdf", tr("The mounting sheet")]]) {
     find(id).addEventListener("click", async () => {
       find(id).disabled = true;
-      notice(tr("{what} is being made \u2026", { what: name }));
+      notice(tr("{what} is being prepared \u2026", { what: name }));
       try {
         const address = URL.createObjectURL(await ask(path));
         const link = element("a", { href: address, download: path });
@@ -134,11 +134,11 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
     preview = address.startsWith("blob:") ? address : "";
     Object.assign(find("image-shown"), { src: address, hidden: false });
   }
-  find("image-shown").addEventListener("error", () => { find("image-text").textContent = tr("This is no image that the browser can show."); find("image-shown").hidden = true; image = null; });
+  find("image-shown").addEventListener("error", () => { find("image-text").textContent = tr("The browser cannot show this image."); find("image-shown").hidden = true; image = null; });
   function showImage(file) {
     image = file;
     preparePreview(URL.createObjectURL(file));
-    find("image-text").textContent = tr("Click on the first point in the image.");
+    find("image-text").textContent = tr("Click the first point in the image.");
     turn = 1;
     if (!find("image-dialog").open) find("image-dialog").showModal();
   }
@@ -146,7 +146,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   const IS_WORLD = /\.(pgw|jgw|wld|pngw|jpgw|tfw)$/i, IS_TIFF = /\.tiff?$/i;
   async function laidByItself(file, world) {
     const numbers = world ? (await world.text()).trim().split(/\s+/).join(" ") : "";
-    find("image-text").textContent = tr("{file} is being laid on the plan \u2026", { file: file.name });
+    find("image-text").textContent = tr("Placing {file} on the plan \u2026", { file: file.name });
     const headers = { "X-File-Name": encodeURIComponent(file.name), "X-World": numbers.slice(0, 500), "X-Crs": find("image-crs").value };
     try {
       await give("background", file, { headers, most: scene().mostBytes.map });
@@ -185,7 +185,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   find("image-lay").addEventListener("click", async () => {
     const numbers = [1, 2].map((n) => POINT_FIELDS.map((name) => find(`${name}${n}`).valueAsNumber));
     const { src, naturalWidth, naturalHeight, hidden } = find("image-shown");
-    if (hidden || !naturalWidth || !numbers.flat().every(Number.isFinite)) { find("image-text").textContent = tr("An image, and all eight numbers, are needed."); return; }
+    if (hidden || !naturalWidth || !numbers.flat().every(Number.isFinite)) { find("image-text").textContent = tr("Choose an image and enter all eight numbers."); return; }
     const points = numbers.map(([x_px, y_px, east_m, north_m]) => ({ x_px, y_px, east_m, north_m }));
     try {
       const content = image || await (await fetch(src)).blob();

@@ -19,7 +19,7 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
     const now = performance.now(), past = (now - begun) / 1000, { name, done, total } = step;
     const values = { step: name, n: done, all: total, seconds: number(past, 0) };
     const stepPast = (now - step.begun) / 1000, left = number(stepPast / done * (total - done), 0);
-    find("map-doing").textContent = !name ? tr("Beginning: {seconds} s so far.", values)
+    find("map-doing").textContent = !name ? tr("Starting: {seconds} s so far.", values)
       : !total ? tr("{step}: {seconds} s so far.", values)
       : done && stepPast > LEAST_S ? tr("{step}, {n} of {all}: {seconds} s so far; this step takes about {left} s more.", { ...values, left })
       : tr("{step}, {n} of {all}: {seconds} s so far.", values);
@@ -61,7 +61,7 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
     find("another-junction").hidden = message.isScene;
     const n = message.junctions.length;
     const has = message.isScene ? tr("{map} is the scene {name}.", message) : trn("{map} has {n} junction.", "{map} has {n} junctions.", n, message);
-    const leads = tr("Planning there begins with nothing mounted; Undo leads back to the plan at {scene}.", { scene: scene().title });
+    const leads = tr("The plan there starts with no sensors; Undo returns to the plan at {scene}.", { scene: scene().title });
     say(hasUnits() ? `${has} ${leads}` : has);
     open();
     if (message !== last) build(message);
@@ -105,7 +105,7 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
   // A file with a map or a scene.
   async function read(file, headers) {
     forget();
-    say(tr("{file} is being read \u2026", { file: file.name }));
+    say(tr("Reading {file} \u2026", { file: file.name }));
     open();
     const message = await carryOut(() => give("open", file, { headers, most: scene().mostBytes.map }), fail);
     if (!message) return;
@@ -115,7 +115,7 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
 
   async function take() {
     const asked = chosen;
-    if (find("map-choice").hidden) say(tr("The scene is being read \u2026"));
+    if (find("map-choice").hidden) say(tr("Reading the scene \u2026"));
     const message = await carryOut(() => give("import", asked.id), (text) => {
       say(text);
       if (!asked.id) return;
@@ -131,7 +131,7 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
   find("another-junction").addEventListener("click", async () => {
     if (last && !last.isScene && [last.map, ""].includes(scene().map)) { offer(last); return; }
     forget();
-    say(tr("{file} is being read \u2026", { file: scene().map }));
+    say(tr("Reading {file} \u2026", { file: scene().map }));
     open();
     const message = await carryOut(() => ask("junctions"));
     if (message) offer(message);

@@ -323,7 +323,7 @@ export function createMap(holder, on) {
     element("circle", { r: 16, fill: "transparent" }, mark);
     element("circle", { r: 9, fill: "#fff", "fill-opacity": 0.8, stroke: "#000", "stroke-width": 2 }, mark);
     element("circle", { r: 2.5, fill: "#000" }, mark);
-    element("title", { text: tr("drag to turn and tilt; with Shift to turn alone") }, mark);
+    element("title", { text: tr("drag to turn and tilt; with Shift, turn only") }, mark);
     handle = { unit, aim, mark };
     putHandle();
   }

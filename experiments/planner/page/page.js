@@ -47,12 +47,12 @@ const map = createMap(find("plan"), {
   poling: (isOn) => {
     find("pole").setAttribute("aria-pressed", isOn);
     if (isOn) find("own-poles").open = true;
-    find("ruler-text").textContent = isOn ? tr("Press where a pole is to stand; drag a square one to move it; Escape ends it.") : "";
+    find("ruler-text").textContent = isOn ? tr("Click where a pole should stand; drag a square one to move it; press Escape to finish.") : "";
   },
   measured: (metres) => { find("ruler-text").textContent = `${number(metres, 2)} m`; },
   measuring: (isOn) => {
     find("ruler").setAttribute("aria-pressed", isOn);
-    find("ruler-text").textContent = isOn ? tr("Press on two places, or drag from one to the other; Escape ends it.") : "";
+    find("ruler-text").textContent = isOn ? tr("Click two points, or drag from one to the other; press Escape to finish.") : "";
   },
 });
 const onHandles = {
@@ -103,7 +103,7 @@ function receive(message) {
 function read(message) {
   const readers = {
     scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals, view: readView,
-    coverage: (message) => readGrid(message, "coverage", [...scene.bands.keys(), 254, 255], tr("Of the road, by pixels per metre:")), errors: (message) => readGrid(message, "errors", [0, 1, 2, 3, 254, 255], tr("Of the road, by position error with calibrated aims (one standard deviation of a frame, cameras alone):")), question: (message) => { question.read(message); tellMeanings(); }, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
+    coverage: (message) => readGrid(message, "coverage", [...scene.bands.keys(), 254, 255], tr("Share of the road by pixels per metre:")), errors: (message) => readGrid(message, "errors", [0, 1, 2, 3, 254, 255], tr("Share of the road by position error with calibrated aims (one standard deviation of a frame, cameras only):")), question: (message) => { question.read(message); tellMeanings(); }, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
     problem: (message) => { map.forgetLate(); settle(); question.refused(); mounting = null; awaitsPole = false; notice(message.text); }, notice: (message) => notice(message.text),
   };
   readers[message.type]?.(message);
@@ -268,10 +268,10 @@ const OF_PART = () => `${tr("Share of the runs of this row that is avoided, with
 function tellMeanings() {
   const meaning = question.meaning();
   find("apr").title = `${tr("APR, the share of the runs that all mounted sensors together avoid.")} ${meaning}`;
-  find("beside").title = tr("Shares of the same runs with the same weights. {meaning} The worst unit is the one whose failure leaves least.", { meaning });
-  find("source").title = tr("By the detection table: rays to points of each road user, at once. By the evaluator: every frame rendered, as place-rsus evaluate does it.");
+  find("beside").title = tr("Shares of the same runs with the same weights. {meaning} The most needed unit is the one whose failure leaves the least.", { meaning });
+  find("source").title = tr("The detection table gives numbers at once, from rays to points on each road user. The evaluator renders every frame, as place-rsus evaluate does.");
   for (const id of ["by-case", "by-approach", "by-road-user"]) find(id).title = OF_PART();
-  find("lost-text").title = tr("Numbers of runs, not their weights: each run counts once here.");
+  find("lost-text").title = tr("These are numbers of runs, not weights: each run counts once.");
   showUnits();
 }
 
@@ -294,7 +294,7 @@ function showNumbers() {
   const isExact = isKnown && numbers.source === "evaluator";
   // While it waits it keeps its lines: what is dragged below does not move away from the pointer.
   find("beside").classList.toggle("waiting", !isExact);
-  if (isExact || !state?.units.length) find("beside").textContent = isExact ? [tr("Together with the car's own sensors {withVut}; by the car's own sensors alone {vut}.", numbers), ...(numbers.oneFails ? [tr("If the worst unit fails, {oneFails} are left.", numbers)] : [])].join(" ") : "";
+  if (isExact || !state?.units.length) find("beside").textContent = isExact ? [tr("Together with the car's own sensors {withVut}; by the car's own sensors alone {vut}.", numbers), ...(numbers.oneFails ? [tr("If the most needed unit fails, {oneFails} remain.", numbers)] : [])].join(" ") : "";
   fillShares("by-case", isKnown ? numbers.byCase : null);
   fillShares("by-approach", isKnown ? numbers.byApproach : null);
   fillShares("by-road-user", isKnown ? numbers.byRoadUser : null);
@@ -359,7 +359,7 @@ function fillShares(id, shares) {
 function showCost() {
   const cost = state.cost;
   find("cost").textContent = cost ? tr("Costs {all}: sensors {sensors}, poles {sites}.", cost) : "";
-  find("cost").title = cost ? [tr("Each mounted sensor, and each pole that carries any, once."), ...cost.assumed].join(" ") : "";
+  find("cost").title = cost ? [tr("Each mounted sensor and each pole in use counts once."), ...cost.assumed].join(" ") : "";
 }
 
 // ---------- mounted sensors
@@ -381,7 +381,7 @@ function showUnits() {
   state.units.forEach(({ id, title }, index) => {
     const button = list.children[index].firstChild, unit = `${id}${alone[id] ? ` ${alone[id]}` : ""}`, text = locked.has(id) ? tr("{unit}, locked", { unit }) : unit;
     if (button.textContent !== text) button.textContent = text;
-    button.title = alone[id] ? `${tr("{unit}; {share}: what it avoids alone.", { unit: title, share: alone[id] })} ${question.meaning()}` : title;
+    button.title = alone[id] ? `${tr("{unit}; avoids {share} on its own.", { unit: title, share: alone[id] })} ${question.meaning()}` : title;
     button.setAttribute("aria-pressed", id === selected);
   });
   fillUnit();
@@ -542,7 +542,7 @@ function copy() {
   if (!unit) return;
   copied = { sensor: unit.sensor, yaw_deg: unit.yawDeg, pitch_deg: unit.pitchDeg, height_m: unit.heightM, ...(unit.fovRange ? { fov_deg: unit.fovDeg } : {}) };
   find("paste-unit").disabled = false;
-  notice(tr("{unit} is copied; Ctrl+V hangs the copy on the pole that is chosen.", { unit: unit.id }));
+  notice(tr("{unit} is copied; press Ctrl+V to paste the copy on the chosen pole.", { unit: unit.id }));
 }
 
 function paste() {
@@ -591,9 +591,9 @@ function showLost() {
   const words = find("lost-filter").value.toLowerCase().split(/[\s,]+/).filter(Boolean);
   const shown = lost.filter(([index, outcome]) => words.every((word) => `${scene.runs[index].title} ${outcome}`.toLowerCase().includes(word)));
   const counts = { n: lost.length, all: scene.runs.length, shown: shown.length, most: MOST_LOST };
-  const said = [words.length ? tr("{n} of {all}, {shown} of them as asked for.", counts) : tr("{n} of {all}.", counts)];
+  const said = [words.length ? tr("{n} of {all}; {shown} match the filter.", counts) : tr("{n} of {all}.", counts)];
   if (shown.length > MOST_LOST) said.push(tr("Here are the first {most}.", counts));
-  lostText = !isKnown ? "" : lost.length === 0 ? tr("None: every run is avoided.") : [...said, tr("Choose one to see it on the plan, and why.")].join(" ");
+  lostText = !isKnown ? "" : lost.length === 0 ? tr("None: every run is avoided.") : [...said, tr("Click a run to see it on the plan, and why it is lost.")].join(" ");
   find("lost-text").textContent = lostText;
   redraw(list, shown.slice(0, MOST_LOST).map(([index, outcome]) => {
     const item = element("li", {});
@@ -612,7 +612,7 @@ let asked = ""; // the run and the layout that the plan waits for
 
 async function play(index) {
   const run = scene.runs[index], wanted = asked = `${run.id} ${state.revision}`;
-  if (played.run() !== run.id) find("lost-text").textContent = tr("{run} is being looked up \u2026", { run: run.title });
+  if (played.run() !== run.id) find("lost-text").textContent = tr("Looking up {run} \u2026", { run: run.title });
   try {
     const message = await ask("explain", { run: run.id });
     if (asked !== wanted) return;
@@ -658,7 +658,7 @@ function readDoing(message) {
     find("cancel").hidden = !text;
     document.querySelectorAll("[data-ask]").forEach((button) => { button.disabled = Boolean(text); });
   } else if (message.who === "rays") {
-    const preparing = tr("Rays are being prepared; the first time on a machine that takes a minute.");
+    const preparing = tr("Preparing rays; this takes a minute the first time on a machine.");
     if (text) notice(preparing);
     else if (find("notice").textContent === preparing) notice(""); // a later notice stays
   } else if (isCurrent() && numbers.source === "table") {
@@ -678,9 +678,9 @@ function readProposals(message) {
     const row = element("div", { class: "row" }, item);
     const add = (text, act) => { const made = element("button", { type: "button", text, "aria-label": `${text}: ${each.title}`, "data-key": `${each.number} ${text}` }, row); made.addEventListener("click", act); return made; };
     add(tr("Show on the plan"), () => { offered = offered === each.number ? null : each.number; readProposals({ proposals }); }).setAttribute("aria-pressed", offered === each.number);
-    add(tr("Take it over"), () => line.send({ do: "take", number: each.number }));
+    add(tr("Accept"), () => line.send({ do: "take", number: each.number }));
     add(tr("As a variant"), () => line.send({ do: "take", number: each.number, as_variant: true }));
-    add(tr("Drop"), () => line.send({ do: "drop", number: each.number }));
+    add(tr("Discard"), () => line.send({ do: "drop", number: each.number }));
     return item;
   }));
 }
@@ -693,7 +693,7 @@ function readVariants(message) {
   const table = find("variants");
   table.tHead.replaceChildren();
   const head = element("tr", {}, table.tHead);
-  const meanings = ["", tr("mounted sensors"), tr("sensors and poles, once"), `${tr("share of the runs that is avoided.")} ${question.meaning()}`, tr("what is left of it when the unit fails that leaves least")];
+  const meanings = ["", tr("mounted sensors"), tr("sensors and poles, once"), `${tr("share of the runs that is avoided.")} ${question.meaning()}`, tr("APR that remains if the most needed unit fails")];
   ["", tr("units"), tr("cost"), "APR", tr("one fails"), ...cases].forEach((text, column) => element("th", { scope: "col", text, title: meanings[column] ?? `${scene.cases[text] ?? ""}: ${OF_PART()}` }, head));
   const [body] = table.tBodies;
   redraw(body, rows.map((row, index) => {
@@ -713,7 +713,7 @@ find("variant-name").addEventListener("change", (event) => {
   const plain = (name) => name.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, " ").trim();
   const like = state.variants.find((one, index) => index !== state.current && plain(one.name) === plain(event.target.value));
   if (!like) { line.send({ do: "rename-variant", name: event.target.value }); return; }
-  notice(tr("\"{name}\" reads like \"{other}\": take a name that nobody mistakes for it.", { name: event.target.value, other: like.name }));
+  notice(tr("\"{name}\" is too similar to \"{other}\": choose a clearly different name.", { name: event.target.value, other: like.name }));
   event.target.value = state.variants[state.current].name;
 });
 

@@ -53,7 +53,7 @@ export function createQuestion({ send }) {
     read,
     refused() { if (told) read(told); }, // what was asked for cannot be: the controls say what is so
     doing(text) {
-      find("question-doing").textContent = text ? tr("The runs are laid anew ({step}); until then all is as before.", { step: text }) : "";
+      find("question-doing").textContent = text ? tr("Recomputing the runs ({step}); everything stays as before until then.", { step: text }) : "";
       find("question-form").setAttribute("aria-busy", String(Boolean(text)));
     },
     meaning: () => told?.meaning ?? "",

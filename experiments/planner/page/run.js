@@ -20,7 +20,7 @@ export function createRunDrawing({ ground, marks, at, put }) {
   const user = element("polygon", { fill: ROAD_USER_COLOUR, class: "played-user", ...outlined }, moving);
   const lines = element("g", {}, marks);
   const last = element("path", { d: "M-7 -7L7 7M-7 7L7 -7", stroke: "#000", "stroke-width": 3 }, marks);
-  element("title", { text: tr("middle of the car at the last moment to brake") }, last);
+  element("title", { text: tr("centre of the car at the last moment to brake") }, last);
   const ring = element("circle", { r: 11, fill: "none", stroke: ROAD_USER_COLOUR, "stroke-width": 3 }, marks);
   const edge = element("circle", { r: 13, fill: "none", stroke: "#000", "stroke-width": 1.2 }, marks);
 
@@ -107,7 +107,7 @@ export function sayWhy(message, isLost, idOf) {
     const first = units.filter((party) => party.isAvoided).sort((a, b) => a.confirmed - b.confirmed)[0];
     return first ? tr("Avoided now: {what}.", { what: sayParty(first, record) }) : tr("Avoided now.");
   }
-  if (!inTime) return tr("Lost whatever is mounted: no frame comes early enough to brake for.");
+  if (!inTime) return tr("Lost with any layout: no frame comes early enough to brake.");
   const reasonsOf = (party) => explained.find((one) => one.unit === idOf(party.name))?.reasons ?? [];
   const rank = (party) => {
     if (!countOf(party)) return 1e7 + (reasonsOf(party).find((why) => why.cause === "out of view")?.frames ?? 0); // it looks elsewhere

@@ -25,7 +25,7 @@ export function createSeen({ unitNow, runNow, scene }) {
     const key = keyOf(unit, runNow());
     if (key !== wanted) { wanted = key; changedAt = performance.now(); }
     if (key !== shown.key) holder.setAttribute("aria-busy", "true");
-    if (key !== shown.key && !image.src) say(tr("It is being drawn \u2026"));
+    if (key !== shown.key && !image.src) say(tr("Drawing \u2026"));
     next();
   }
 
@@ -67,7 +67,7 @@ export function createSeen({ unitNow, runNow, scene }) {
     const told = { run: run.title, time: seconds(Math.abs(1000 * found.timeS), 1) };
     const what = found.timeS === 0 ? tr("{run}, at the impact", told) : tr("{run}, {time} s before the impact", told);
     image.alt = tr("What {unit} sees: {what}", { unit: unit.id, what });
-    const said = [runNow() ? `${what}.` : tr("{what}, the road user nearest to where it looks; choose a run to see another.", { what })];
+    const said = [runNow() ? `${what}.` : tr("{what}: the road user nearest to where the camera looks. Choose a run to see another.", { what })];
     if (!found.box) said.push(tr("The road user is not in the picture."));
     say(said.join(" "));
     image.title = scene().cases[run.title.split(" ")[0]] ?? "";

@@ -46,7 +46,7 @@ export function createTiles({ map, notice }) {
     failed.add(key);
     if (isTold) return;
     isTold = true;
-    notice(tr("Some tiles of {server} do not come: nothing is drawn there.", { server: new URL(server.template).host }));
+    notice(tr("Some tiles from {server} did not load: nothing is drawn there.", { server: new URL(server.template).host }));
   }
 
   function put([depth, column, row], key) {

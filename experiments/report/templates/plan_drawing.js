@@ -93,7 +93,7 @@ function createPlan(holder, data) {
   const arms = data.plan.arms.map((arm) => ({ place: arm.place, mark: element("text", { text: arm.name, "font-size": 12, "text-anchor": "middle", "paint-order": "stroke", stroke: "#fff", "stroke-width": 3, fill: "#333" }, marks) }));
   const lines = element("g", { stroke: "#000", "stroke-width": 1.1 }, marks);
   const lastMark = element("path", { d: "M-7 -7L7 7M-7 7L7 -7", stroke: LAST_COLOUR, "stroke-width": 3 }, marks);
-  element("title", { text: say("middle of the car at the last moment to brake") }, lastMark);
+  element("title", { text: say("centre of the car at the last moment to brake") }, lastMark);
   const ring = element("circle", { r: 10, fill: "none", stroke: ROAD_USER_COLOUR, "stroke-width": 2, "stroke-dasharray": "4 2" }, marks);
   const units = data.units.map((unit) => {
     const mark = element("g", { class: "unit" }, marks);
@@ -211,6 +211,6 @@ function fillKey(list, data) {
     });
   }
   add(say("has confirmed"), path({ d: "M0 -6L6 0L0 6L-6 0Z", fill: "#fff" }));
-  add(say("middle of the car at the last moment"), path({ d: "M-7 -7L7 7M-7 7L7 -7", stroke: LAST_COLOUR, "stroke-width": 3 }));
-  if (data.runs.some((run) => run.parked.length)) add(say("parked body or wall of the case"), path({ d: "M-11 -6H11V6H-11Z", fill: "#f2f2f2", "stroke-dasharray": "2 2" }));
+  add(say("centre of the car at the last moment"), path({ d: "M-7 -7L7 7M-7 7L7 -7", stroke: LAST_COLOUR, "stroke-width": 3 }));
+  if (data.runs.some((run) => run.parked.length)) add(say("parked vehicle or wall of the case"), path({ d: "M-11 -6H11V6H-11Z", fill: "#f2f2f2", "stroke-dasharray": "2 2" }));
 }

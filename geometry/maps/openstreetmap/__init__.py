@@ -248,7 +248,8 @@ def read_openstreetmap(
     if not side:
         what = Phrase("side of the road")
         why = Phrase(
-            "no tag, roundabout or pair of carriageways shows it: taken to keep right"
+            "no tag, roundabout or pair of carriageways shows it: right-hand traffic "
+            "is assumed"
         )
         skipped = (Note(what, why, kind="side of the road"), *skipped)
     return SourceMap(

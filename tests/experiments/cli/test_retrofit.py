@@ -212,9 +212,9 @@ def test_sentences_tell_where_nothing_is_better():
     nothing = {"re_aims": [useless], "addition": None, "combination": None}
     assert said(removals=[change(["remove A"])], **nothing) == [
         "A is the only unit: without it, only the car itself is left.",
-        "No re-aim is better than to leave all as it is.",
-        "No unit that can be added within 3,000 EUR is better than none.",
-        "Re-aims and additions together are no better than to leave all as it is.",
+        "No re-aiming improves the current layout.",
+        "No additional unit within 3,000 EUR improves the current layout.",
+        "No combination of re-aiming and additional units improves the current layout.",
     ]
 
 

@@ -93,7 +93,7 @@ def test_heatmap_says_so_where_no_braking_helps(evaluation):
     assert not [
         line for line in axes.get_lines() if line.get_gid() == "last brake time"
     ]
-    assert any("no braking" in text for text in texts(axes.figure))
+    assert any("any braking is too late" in text for text in texts(axes.figure))
 
 
 def test_heatmap_marks_confirmations_and_names_outcomes(evaluation):

@@ -182,6 +182,6 @@ def test_assumed_sites_and_arms_are_named(setting):
     axes = plot_plan(replace(setting, scene=scene), layout)
     texts = {text.get_text() for text in axes.texts}
     assert {"U1 (assumed)", "north arm", "west arm"} <= texts
-    assert "assumed site: not in the map there" in {
+    assert "assumed site: not mapped there" in {
         text.get_text() for text in axes.get_legend().get_texts()
     }

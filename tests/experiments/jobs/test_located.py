@@ -46,8 +46,8 @@ def test_a_located_layout_gives_up_no_more_than_may_be_and_is_the_same_again(tmp
     of_aims, of_choice = words(first.aims, first.located)
     assert "within 0.4 m at the last moment" in of_choice
     known, by_eye = first.aims.layouts[0].located
-    assert f"{100 * known:.1f} % of the runs with aims known to 0.2°" in of_aims
-    assert f"{100 * by_eye:.1f} % with aims known to 1°" in of_aims
+    assert f"{100 * known:.1f} % of the runs; with aims known to 1°, " in of_aims
+    assert f"{100 * by_eye:.1f} %." in of_aims
     decided = first.decision.layouts[0]
     by_eye = decided.by_aim["by eye"]
     assert decided.by_aim["calibrated"].located["0.40"] >= by_eye.located["0.40"]

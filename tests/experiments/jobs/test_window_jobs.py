@@ -84,7 +84,7 @@ def test_another_question_may_be_asked(run, problem, tmp_path):
 def test_a_question_without_an_answer_says_the_best_there_is(run, problem, tmp_path):
     save_problem(tmp_path / "one.npz", problem)
     assert refusal(run("solve", tmp_path / "one.npz", "--target 0.9 --quiet")) == (
-        "--target: got 0.9; expected at most 0.75, what all candidate"
+        "--target: got 0.9; expected at most 0.75, which all candidate"
         " poses together reach"
     )
 

@@ -57,8 +57,8 @@ def test_heavy_runs_are_named_the_heaviest_first():
             435,
             False,
             (
-                "If every run counted the same, no better layout was found in the time"
-                " for it; that there is none is not proven."
+                "No layout was found that would be better if every run counted the "
+                "same. The search ran out of time, so one may exist."
             ),
         ),
         (
@@ -85,24 +85,24 @@ def test_what_errors_of_mounting_cost_is_said():
 
     assert (
         of_mounting(2.0, 0.05)
-        == "A unit may be 2 degrees off its aim or 5 cm too high or low, and no run is"
-        " lost."
+        == "No run is lost if a unit is 2 degrees off its aim, or 5 cm too high or too"
+        " low."
     )
     assert (
         of_mounting(0.0, 0.0, 0.931, ("a", "b"))
-        == "Mount exactly: half a degree off the aim of a unit, or 5 cm too high or"
-        " low, already loses a run. At worst, 1 degree or 5 cm cost 2 runs: with U3"
-        " tilted 1 degree up the APR is 93.1 %."
+        == "Mount exactly: an aiming error of half a degree or a height error of 5 cm"
+        " already loses a run. In the worst case, an error of 1 degree or 5 cm loses 2"
+        " runs: with U3 tilted 1 degree up, the APR is 93.1 %."
     )
     assert of_mounting(0.0, 0.05, 0.9, ("a",), "yaw", -1.0).endswith(
-        "5 cm too high or low loses none. At worst, 1 degree or 5 cm cost 1 run: with"
-        " U3 turned 1 degree to the right the APR is 90.0 %."
+        "a height error of 5 cm loses none. In the worst case, an error of 1 degree or"
+        " 5 cm loses 1 run: with U3 turned 1 degree to the right, the APR is 90.0 %."
     )
     assert (
         of_mounting(1.0, 0.0, 0.9, ("a",), "height", -0.05)
-        == "A unit may be 1 degree off its aim and no run is lost; 5 cm too high or low"
-        " already loses one. At worst, 1 degree or 5 cm cost 1 run: with U3 5 cm too"
-        " low the APR is 90.0 %."
+        == "No run is lost if a unit is 1 degree off its aim, but a height error of 5 "
+        "cm already loses one. In the worst case, an error of 1 degree or 5 cm "
+        "loses 1 run: with U3 5 cm too low, the APR is 90.0 %."
     )
 
 
@@ -123,8 +123,8 @@ def test_what_errors_of_mounting_cost_is_said():
         (
             "mounting",
             (
-                "the same APR, and a unit mounted 1 degree or 5 cm off leaves 95.0 %"
-                " against 93.0 %"
+                "the same APR, and 95.0 % against 93.0 % if a unit is mounted 1 degree"
+                " or 5 cm off"
             ),
         ),
     ],

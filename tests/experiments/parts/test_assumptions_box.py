@@ -81,7 +81,7 @@ def test_the_report_counts_the_measured_figures_of_response_tables():
     network = SimpleNamespace(name="cnn", figures_words=None)
     (told,) = _figures(SimpleNamespace(detector=network, table_detector=table))
     assert told.startswith(
-        "Of the 14 figures of cnn-table 11 are measured; assumed: motorcyclist"
+        "11 of the 14 values of cnn-table are measured; assumed: motorcyclist"
     )
     rule = load_detector()
     assert _figures(SimpleNamespace(detector=rule, table_detector=rule)) == []

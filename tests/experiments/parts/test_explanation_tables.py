@@ -79,25 +79,31 @@ MISSED = [
 def test_units_that_something_hangs_on_are_counted():
     both = explained()
     assert contribution_sentences(both) == [
-        "Of 2 units, 1 saves runs that no other one saves."
+        "1 of the 2 units avoids runs that no other unit avoids."
     ]
     first = FIRST
     other = OTHER
     each = explained(contributions=[first, first])
     assert contribution_sentences(each) == [
-        "Each unit saves runs that no other one saves."
+        "Each unit avoids runs that no other unit avoids."
     ]
     none = explained(contributions=[other, other])
     assert contribution_sentences(none)[0].startswith("No run depends on a single unit")
-    assert "whichever fails, the other avoids all" in contribution_sentences(none)[0]
+    assert (
+        "if either fails, the other still avoids every run"
+        in contribution_sentences(none)[0]
+    )
     more = explained(contributions=[other, other, other])
-    assert "whichever fails, the others avoid all" in contribution_sentences(more)[0]
+    assert (
+        "if any one fails, the others still avoid every run"
+        in contribution_sentences(more)[0]
+    )
     beside_a_car = explained(contributions=[first])
     assert contribution_sentences(beside_a_car) == ["4 runs depend on this one unit."]
     alone = first | {"without": first["without"] | {"apr": 0.0}}
     one = explained(contributions=[alone])
     assert contribution_sentences(one) == [
-        "Everything that is avoided depends on this one unit."
+        "Every avoided run depends on this one unit."
     ]
     idle = other | {"without": other["without"] | {"apr": 0.0}}
     assert contribution_sentences(explained(contributions=[idle])) == [
@@ -108,7 +114,7 @@ def test_units_that_something_hangs_on_are_counted():
     ]
     in_worlds = explained(contributions=[alone | {"only_runs": ["r1#0", "r1#1"]}])
     assert contribution_sentences(in_worlds) == [
-        "Everything that is avoided depends on this one unit.",
+        "Every avoided run depends on this one unit.",
         "Runs count once in each of the sampled worlds.",
     ]
     table = contribution_table(both, {"a": "#1"})
@@ -135,7 +141,7 @@ def test_runs_that_are_not_avoided_are_told_with_causes_and_remedies():
             " too late, 1 too short for any unit."
         ),
         "The most frequent cause: hidden by wall-ne-1, in 2 runs.",
-        "2 runs could each be saved by a further unit.",
+        "2 runs could each be avoided with one more unit.",
     ]
     assert missed_sentences(explained()) == [
         "On the detection table, every run is avoided."
@@ -151,12 +157,12 @@ def test_runs_that_are_not_avoided_are_told_with_causes_and_remedies():
     assert rows[2][1:] == [
         "confirmed too late, by 0.12 s",
         (
-            "for a: image of the road user too small, or too little of it seen in 28 of"
-            " 30 frames"
+            "for a: road user too small in the image, or too little of it visible in 28"
+            " of 30 frames"
         ),
         "\N{EN DASH}",
     ]
-    assert rows[3][2] == "the road user is there too late for any confirmation in time"
+    assert rows[3][2] == "the road user appears too late to be confirmed in time"
 
 
 HIDDEN = [("hidden", "wall-ne-1", 20)]
@@ -174,7 +180,7 @@ HIDDEN = [("hidden", "wall-ne-1", 20)]
             [
                 "1 run is not avoided: never seen.",
                 "The main cause: hidden by wall-ne-1.",
-                "It could be saved by a further unit.",
+                "It could be avoided with one more unit.",
             ],
         ),
         (
@@ -184,7 +190,7 @@ HIDDEN = [("hidden", "wall-ne-1", 20)]
             ],
             [
                 "2 runs are not avoided: all never seen.",
-                "1 run could be saved by a further unit.",
+                "1 run could be avoided with one more unit.",
             ],
         ),
         (
@@ -192,7 +198,7 @@ HIDDEN = [("hidden", "wall-ne-1", 20)]
             [
                 "2 runs are not avoided: all never seen.",
                 "The most frequent cause: hidden by wall-ne-1, in 1 run.",
-                "Each of them could be saved by a further unit.",
+                "Each of them could be avoided with one more unit.",
             ],
         ),
     ],
@@ -252,7 +258,7 @@ def test_the_report_has_a_section_for_each_question():
     assert "Runs that are not avoided</h2>" in page
     assert "hidden by wall-ne-1 in 20 of 30 frames" in page
     assert page.count("<table>") == page.count("</table>") == 2
-    assert "4 runs: why, and what would save them" in page
-    assert "1 run: why, and what would save it" in render(
+    assert "4 runs: why, and what would avoid them" in page
+    assert "1 run: why, and what would avoid it" in render(
         explained(not_avoided=MISSED[:1]), {}
     )

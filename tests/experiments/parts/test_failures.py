@@ -38,7 +38,7 @@ def test_one_unit_leaves_nothing():
         build_failures([left("A", 0.0, ["r"], math.nan)]), LABELS
     )
     assert sentence.startswith(
-        "There is one unit. If it fails, nothing is left of the 100.0 %"
+        "There is only one unit; it prevents 100.0 %. If it fails, only what"
     )
 
 
@@ -50,8 +50,8 @@ def test_units_that_can_fail_without_a_loss_are_told_so():
     assert failure_sentences(failures, LABELS) == [
         "All 2 units together prevent 100.0 %.",
         (
-            "Whichever one fails, the others avoid every run that all avoid together;"
-            f" the least time to spare is then 250{space}ms."
+            "If any one unit fails, the others still avoid every run that all units"
+            f" avoid together. The smallest time to spare is then 250{space}ms."
         ),
         "If both fail, only the car itself is left.",
     ]
@@ -68,7 +68,7 @@ def test_where_nothing_is_avoided_there_is_no_time_to_spare():
     failures = build_failures(
         [left(name, 0.0, margin_s=math.nan) for name in "AB"], apr=0.0
     )
-    assert failure_sentences(failures, LABELS)[1].endswith("all avoid together.")
+    assert failure_sentences(failures, LABELS)[1].endswith("units avoid together.")
 
 
 def test_the_worst_unit_and_pair_are_named_by_their_labels():
@@ -78,16 +78,19 @@ def test_the_worst_unit_and_pair_are_named_by_their_labels():
     )
     _, one, two = failure_sentences(failures, LABELS)
     assert (
-        one
-        == "If #2 fails, the others still prevent 75.0 %; 2 runs are lost. No single"
-        " failure leaves less. 2 of the 3 units can fail by themselves and no run is"
-        " lost."
+        one == "If #2 fails, the others still prevent 75.0 %; 2 runs are lost. No other"
+        " single failure is worse. 2 of the 3 units can fail alone without losing a"
+        " run."
     )
     assert (
         two
-        == "Of two that fail at once, #2 and #3 matter most: 50.0 % are left. 1 of the"
-        " 3 pairs can fail and no run is lost."
+        == "If two units fail at once, #2 and #3 matter most: 50.0 % remain. 1 of the 3"
+        " pairs of units can fail without losing a run."
     )
+    losing = [left(pair, 0.5, ["r"]) for pair in ("AB", "AC", "BC")]
+    failures = build_failures([left(unit, 1.0) for unit in "ABC"], losing)
+    two = failure_sentences(failures, LABELS)[2]
+    assert two.endswith(" 50.0 % remain. Any two failures together lose runs.")
 
 
 def test_a_table_lists_the_first_runs_and_says_how_many_are_left_out():
@@ -114,7 +117,7 @@ def test_of_many_failures_the_worst_are_shown_and_it_is_told():
     pairs = [left(["a", "b"], 0.5)] * 13
     assert failure_table(pairs, {}, of="pair").caption.endswith("12 worst of 13 pairs")
     assert any(
-        "up to 12 units; there are 200" in sentence
+        "up to 12 units; this layout has 200" in sentence
         for sentence in failure_sentences(build_failures(units), {})
     )
 
@@ -180,8 +183,8 @@ def test_a_pole_with_two_units_is_told_beside_the_units():
     )
     assert (
         failure_sentences(failures, LABELS)[-1]
-        == "A pole fails with all its units (power, a crash). If that of #1 and #2"
-        " does, 25.0 % are left and 1 run is lost; no other pole leaves less."
+        == "A pole fails with all its units (power cut, crash). If the pole of #1 and "
+        "#2 fails, 25.0 % remain and 1 run is lost. No other pole failure is worse."
     )
     assert [
         row[:3] for row in failure_table(failures.site_failed, LABELS, of="pole").rows

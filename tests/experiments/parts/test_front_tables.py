@@ -65,7 +65,7 @@ def test_a_row_with_fewer_units_than_it_allows_says_so(candidates):
     enough = avoiding_problem(["11", "11", "11"], budget_units=3)
     front = describe_front(pareto_front(enough, max_units=3), enough, candidates)
     assert [len(point.layout) for point in front.points] == [1, 2, 2]
-    note = "Where more units add nothing, a layout has fewer than its row allows."
+    note = "A layout has fewer units than its row allows if more would add nothing."
     assert notes(front)[1:] == [note]
     problem, full = front_of(3)
     assert len(notes(describe_front(full, problem, candidates))) == 1
@@ -132,5 +132,5 @@ def test_a_settled_front_and_sizes_that_cannot_be_are_said(candidates):
     refused = replace(found, refused=((1, "a reason"),))
     proof, settled, reason = describe_front(refused, problem, candidates).sentences
     assert proof.startswith("Proven: for each number of units no other choice")
-    assert settled.startswith("From 2 units on nothing grows")
-    assert reason == "With 1 the wishes cannot be met: a reason."
+    assert settled.startswith("From 2 units on, nothing improves")
+    assert reason == "With 1, the requirements cannot be met: a reason."

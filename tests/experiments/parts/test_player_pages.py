@@ -260,7 +260,7 @@ def test_tables_and_the_player_speak_german(browser, part, tmp_path):
 
 def test_without_scripts_a_line_says_what_is_missing(browser, address):
     with open_page(browser, address, java_script_enabled=False) as page:
-        assert "Scripts are switched off" in page.inner_text("main")
+        assert "Scripts are disabled" in page.inner_text("main")
         assert not page.is_visible("#watch")
         assert page.is_visible("#sorted")
 

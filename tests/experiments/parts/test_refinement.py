@@ -69,10 +69,9 @@ def test_a_turned_unit_is_told_with_all_objectives_that_changed():
         " s to 0.43 s, mean time to spare 3.81 s to 3.74 s."
     )
     assert (
-        proof
-        == "No choice among the 5772 candidates of the grid is as good: that is proven."
+        proof == "Proven: no choice among the 5772 grid candidates is as good."
         " The bounds of the refined layout hold for these and the 760 poses tried"
-        " between them, not for every pose there is."
+        " between them, but not for every possible pose."
     )
 
 
@@ -85,8 +84,8 @@ def test_a_grid_that_is_not_proven_is_not_said_to_be():
     )
     assert "proven" not in _sentences(found)[1]
     assert _sentences(found)[1].startswith(
-        "It is better than the best choice among the 5772 candidates of the grid that"
-        " was found in the time given."
+        "It is better than the best choice found in time among the 5772 grid"
+        " candidates."
     )
 
 

@@ -125,8 +125,8 @@ def test_that_fresh_worlds_prefer_another_layout_is_said(judge):
     assert sentence.startswith(
         "greedy-3 does better in 4 fresh worlds: 10.0 points of APR more"
     )
-    assert "in the worst 50.0 % of them 85.0 %, not 74.0 %" in sentence
-    assert "the 2 worlds that best-3 was chosen in are too few" in sentence
+    assert "in the worst 50.0 % of them, 85.0 % instead of 74.0 %" in sentence
+    assert "the 2 worlds used to choose best-3 are too few" in sentence
     assert "worst" not in told(pair, tail=1.0, chosen_in=2)[0]
     assert not told(pair, tail=0.5)  # nobody chose it in worlds
     assert not told(pair[::-1], tail=0.5, chosen_in=2)
@@ -169,13 +169,13 @@ def test_sentences_say_mean_interval_plan_and_what_is_least_sure(summary):
     )
     assert (
         chosen
-        == "In the worlds that it was chosen in, it avoids 95.0 %: a choice looks"
-        " better where it was made."
+        == "In the worlds used to choose it, it avoids 95.0 %; a layout looks better in"
+        " those worlds than in others."
     )
     assert (
         unsure
-        == "Least sure, with the share of worlds that avoid them: B/north/20 (25.0 %), "
-        "A/north/30 (50.0 %)."
+        == "Least certain runs, with the share of worlds that avoid them: B/north/20 "
+        "(25.0 %), A/north/30 (50.0 %)."
     )
 
 
@@ -199,7 +199,7 @@ def test_a_tail_of_few_worlds_is_warned_of(judged):
         return " ".join(uncertainty_sentences(found))
 
     said = (
-        "The worst 25.0 % of the 8 worlds that it was chosen in are 2: too few to"
+        "The worst 25.0 % of the 8 worlds used to choose it are 2 worlds, too few to"
         " choose by"
     )
     assert said in sentences(0.25, 8)
@@ -244,7 +244,7 @@ def test_nothing_is_least_sure_where_all_is_avoided(judge, frame_axis):
     sure = judge("a", [1.0, 1.0], avoided_share=(1.0, 1.0, 1.0))
     summary = summarise([sure], Uncertainty(), tail=1.0, seed=0)
     assert summary.layouts[0].least_sure_runs == ()
-    assert not any("Least sure" in s for s in uncertainty_sentences(summary))
+    assert not any("Least certain" in s for s in uncertainty_sentences(summary))
     # A run of no weight is nobody's worry.
     free = replace(frame_axis, weight=np.array([0.5, 0.5, 0.0]))
     item = replace(

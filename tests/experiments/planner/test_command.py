@@ -99,8 +99,7 @@ def test_what_cannot_be_begun_with_is_refused_and_stays_as_it_is(run, tmp_path):
     assert code == 2
     assert other.read_text() == before
     assert err.endswith(
-        "got one made for elsewhere; expected one of town05, the scene that is looked"
-        " at\n"
+        "got one made for elsewhere; expected one of town05, the scene in use\n"
     )
     code, _, err = run("plan --no-open --save /dev/zero")
     assert code == 2
@@ -166,7 +165,7 @@ def test_a_layout_of_a_folder_of_results_opens_with_its_own_question(
     monkeypatch.setattr(command, "begin", begun)
     _, _, err = run("plan --no-open --layout", found / "layout.json")
     words = " ".join(err.split())
-    assert f"The page asks what {found} was found for: " in words
+    assert f"The page uses the question of {found}: " in words
     assert "--cars see" in words
     assert asked[0].cars == "see"
     assert asked[0].cases == "study"

@@ -305,7 +305,7 @@ def test_complete_to_three_take_it_over_and_undo(browser, serve):
         assert "Completed to 3" in card.inner_text()
         card.get_by_text("Show on the plan").click()
         page.wait_for_selector("#proposals [aria-pressed=true]")
-        page.locator("#proposals li").get_by_text("Take it over").click()
+        page.locator("#proposals li").get_by_text("Accept").click()
         has_units(page, 3)
         page.click("#undo")
         has_units(page, 1)
@@ -1262,9 +1262,9 @@ def test_two_variants_are_compared_by_units_and_cases(browser, serve):
         assert difference == pytest.approx(
             float(here[:-2]) - float(there[:-2]), abs=0.051
         )
-        write(page.locator("#variant-name"), "Mine!")  # reads like the other's
+        write(page.locator("#variant-name"), "Mine!")  # similar to the other's
         page.press("#variant-name", "Enter")
-        page.locator("#notice").get_by_text('reads like "mine"').wait_for()
+        page.locator("#notice").get_by_text('is too similar to "mine"').wait_for()
 
 
 def test_a_lost_run_is_shown_on_the_plan_over_time(browser, serve, small_setting):
@@ -1413,7 +1413,7 @@ def test_the_picture_has_the_road_user_of_the_run_on_the_plan_at_its_time(
         expect(text).to_contain_text(f"{title}, 1.0 s before the impact")
         assert page.get_attribute("#seen-image", "src") != before
         page.click("#played-close")
-        expect(text).to_contain_text("nearest to where it looks")
+        expect(text).to_contain_text("nearest to where the camera looks")
         page.select_option("#unit-sensor", label="ouster-os1-128")
         expect(text).to_have_text("A LiDAR takes no picture.")
         assert page.is_hidden("#seen-frame")
@@ -1446,7 +1446,9 @@ def test_weather_and_weights_are_controls_and_numbers_say_what_they_mean(
         page.check('#ask-weather input[value="night"]')
         expect(command).to_contain_text("--weather day,night")
         expect(page.locator("#question-doing")).to_have_text("")
-        assert any("laid anew" in text for text in page.evaluate("window.said"))
+        assert any(
+            "Recomputing the runs" in text for text in page.evaluate("window.said")
+        )
         assert page.inner_text("#scene-name") != runs
         has_units(page, 2)
         told(page)
@@ -1810,7 +1812,7 @@ def test_tiles_lie_at_their_places_and_one_that_does_not_come_is_told(
         tile_server.is_down = True
         page.click("#farther", click_count=3)
         expect(page.locator("#notice")).to_contain_text(
-            f"Some tiles of {host} do not come"
+            f"Some tiles from {host} did not load"
         )
         page.uncheck("#tiles")
         expect(page.locator("[data-tile]")).to_have_count(0)

@@ -221,7 +221,7 @@ def test_a_pole_carries_two_units_and_no_third():
     two = changed(add, state=ONE)
     assert [unit.id for unit in two.variant.units] == ["U1", "U2"]
     with pytest.raises(
-        InputError, match="site corner-ne: got a unit more than the 2 there"
+        InputError, match="site corner-ne: got one unit more than the 2 there"
     ):
         changed(add, state=two)
     elsewhere = changed(AddUnit(site="corner-sw", sensor=CAMERA), state=two)

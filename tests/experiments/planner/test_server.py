@@ -684,9 +684,7 @@ def test_an_evaluator_that_dies_is_told_and_asked_once_more(tmp_path, small_sett
         return [message["text"] for message in told if message["type"] == "notice"]
 
     notices = asyncio.run(work())
-    assert notices == [
-        "the process that did it was ended from outside; it is tried again"
-    ]
+    assert notices == ["the process that did it was ended from outside; trying again"]
 
 
 @pytest.mark.long

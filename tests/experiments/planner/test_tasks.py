@@ -44,31 +44,34 @@ def advice(*stages, n_compared=0):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (advice(n_compared=7), "the best of 7 tried, all that there are"),
+        (advice(n_compared=7), "the best of all 7 possible ones"),
         (advice(("apr", 0.9, 0.0)), "proven: nothing of its kind is better"),
         (
             advice(("apr", 0.9, 0.0), ("mean_margin_s", 2.0, 0.5)),
             (
-                "proven: no APR is higher; of those with the same APR not all were"
-                " compared in time"
+                "proven: no APR is higher; not all with the same APR were compared in "
+                "time"
             ),
         ),
         (
             advice(("cost_eur", 4040.0, 0.0), ("apr", 0.9, 0.5)),
             (
-                "proven: none costs less; of those with the same price not all were"
-                " compared in time"
+                "proven: none costs less; not all with the same price were compared in "
+                "time"
             ),
         ),
         (
             advice(("apr", 0.837, 0.1)),
-            "not proven in the time given: no APR above 83.7 % is possible there",
+            (
+                "not proven in the time given; it is only proven that no APR exceeds"
+                " 83.7 %"
+            ),
         ),
         (
             advice(("cost_eur", 4040.0, 0.1)),
             (
-                "not proven in the time given: nothing for less than 4,040 EUR is"
-                " possible there"
+                "not proven in the time given; it is only proven that none costs less"
+                " than 4,040 EUR"
             ),
         ),
     ],
@@ -142,7 +145,7 @@ def tasks_of(folder):
 def test_an_aerial_image_lies_where_it_says(tmp_path, turn_deg):
     path = tmp_path / "aerial.tif"
     grid, _ = aerial(path, driver="GTiff", turn_deg=turn_deg)
-    with pytest.raises(InputError, match="that says where it lies"):
+    with pytest.raises(InputError, match="georeferenced image of the junction"):
         tasks_of(tmp_path).lay_raster(str(path), UTM)
     _, places = aerial(path, driver="GTiff", turn_deg=turn_deg, crs=UTM, transform=grid)
     assert_lies_right(tasks_of(tmp_path).lay_raster(str(path), ""), places)
@@ -158,14 +161,14 @@ def test_an_image_with_a_world_file_lies_where_that_says(tmp_path):
     assert_lies_right(tasks_of(tmp_path).lay_raster(str(path), UTM), places)
     for crs, said in (
         ("EPSG:0", "systems that pyproj knows"),
-        ("", "that says where it lies"),
+        ("", "georeferenced image of the junction"),
     ):
         with pytest.raises(InputError, match=said):
             tasks_of(tmp_path).lay_raster(str(path), crs)
     world[4] += 5000.0
     beside.write_text("\n".join(map(str, world)))
-    with pytest.raises(InputError, match="an image of elsewhere"):
+    with pytest.raises(InputError, match="an image of another place"):
         tasks_of(tmp_path).lay_raster(str(path), UTM)
     beside.write_text("1 2 3")
-    with pytest.raises(InputError, match="that says where it lies"):
+    with pytest.raises(InputError, match="georeferenced image of the junction"):
         tasks_of(tmp_path).lay_raster(str(path), UTM)

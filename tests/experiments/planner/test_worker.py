@@ -63,7 +63,9 @@ def test_tasks_are_done_elsewhere_by_a_process_that_may_be_stopped_or_die(tmp_pa
         task, another = await begin_what_takes_long()
         assert another.pid != process.pid
         os.kill(another.pid, signal.SIGKILL)
-        with pytest.raises(DiedError, match=r"\(open_setting\) was ended from outside"):
+        with pytest.raises(
+            DiedError, match=r"\(open_setting\) was stopped from outside"
+        ):
             await task
         # So the next is done by a third, which ends when it is told to.
         assert (await worker.call("survey", MAP, on_progress=silent))["junctions"]

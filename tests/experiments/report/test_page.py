@@ -627,7 +627,7 @@ def test_unequal_weights_are_told_by_case_and_run(setting, layout):
     lightest = percent(weight[weight > 0.0].min())
     assert f"from {lightest} to {percent(weight.max())} of the whole each." in words
     assert (
-        f"{int((~is_counted).sum())} runs of weight 0 are driven, but not counted."
+        f"{int((~is_counted).sum())} runs of weight 0 are simulated but not counted."
         in words
     )
     head, *rows = table_rows(page, "Cases")
@@ -665,14 +665,14 @@ def test_several_weathers_are_told_and_have_a_column(evaluation_page):
         setting, Layout(name="found", units=load_carlancap_layout().units[:1])
     )
     words = Page(page).words
-    assert "day, night. It takes contrast from cameras and pulses from LiDARs." in words
+    assert "day, night. Bad weather reduces the contrast that cameras see" in words
     assert "No recordings at night, in rain or in fog were compared" in words
     head, *rows = table_rows(page, "Runs")
     assert head[1] == "weather"
     assert {row[1] for row in rows} == {"day", "night"}
     assert all(("/night" in row[0]) == (row[1] == "night") for row in rows)
     assert "weather" not in table_rows(evaluation_page, "Runs")[0]
-    assert "It takes contrast" not in Page(evaluation_page).words
+    assert "Bad weather reduces" not in Page(evaluation_page).words
 
 
 @pytest.mark.usefixtures("with_blank_pictures")

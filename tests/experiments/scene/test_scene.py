@@ -337,7 +337,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     layout = str(results / "layout.json")
     elsewhere = command("evaluate --layout", layout, *question, "--quiet")
     assert elsewhere.code == 2
-    assert "expected one of town05, the scene that is looked at" in elsewhere.err
+    assert "expected one of town05, the scene in use" in elsewhere.err
     here = command("export --layout", layout, "--scene", out, "--format csv")
     assert here.out == (results / "layout.csv").read_text()
 

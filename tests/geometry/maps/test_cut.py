@@ -259,7 +259,7 @@ def test_where_the_map_ends_a_lane_is_assumed_and_told():
     assert assumed.centreline_m[0] == pytest.approx(entry[0] - 60.0 * ahead)
     ((name, why),) = arms_that_end(scene)
     assert name == "east"
-    assert why.startswith("the map leads no farther than 20 m from the junction")
+    assert why.startswith("the map ends 20 m from the junction")
     assert [f.level for f in check_scene(scene) if f.why == why] == ["warning"]
 
 
@@ -348,7 +348,7 @@ def test_an_assumed_road_bends_past_a_house(side, radius_m):
         entry.centreline_m
     )
     ((_, why),) = arms_that_end(scene)
-    assert "comes round a bend, past the buildings there" in why
+    assert "come round a bend, past the buildings there" in why
 
 
 def test_an_assumed_road_ends_where_no_bend_leads_past_houses():

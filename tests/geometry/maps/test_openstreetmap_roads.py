@@ -392,7 +392,7 @@ def test_an_assumed_driving_side_is_told(tmp_path):
     osm.road([(-50.0, 0.0), (50.0, 0.0)])
     (skipped,) = read(osm, tmp_path).skipped
     assert skipped.what == "side of the road"
-    assert "keep right" in skipped.why
+    assert "right-hand traffic" in skipped.why
     assert not read(osm, tmp_path, keeps_left=False).skipped
 
 

@@ -109,7 +109,7 @@ def test_a_users_table_is_read_number_by_number(write):
     assert (detector.contrast_half, detector.contrast_steepness) == (0.2, 1.5)
     assert (detector.box_noise_share, detector.frame_correlation) == (0.0, 0.25)
     assert detector.plan_probability == 0.6
-    assert "the response model mine.toml" in detector.description
+    assert "The response model mine.toml" in detector.description
 
 
 def test_what_a_table_assumes_is_said(write):
@@ -128,13 +128,13 @@ def test_what_a_table_assumes_is_said(write):
     assert detector.assumed == ("child", "car")
 
     words = (
-        " Nothing is measured of child (factor 0.9) and car (factor 0.7): "
-        "how well they are found is assumed."
+        " Assumed, not measured: how well the detector finds child (factor 0.9) and "
+        "car (factor 0.7)."
     )
 
     assert words in detector.description
     assert detector.assumed_words(["car"]).startswith(
-        "Nothing is measured of car (factor 0.7):"
+        "Assumed, not measured: how well the detector finds car (factor 0.7)."
     )
     assert detector.assumed_words(["pedestrian"]) == ""
 
@@ -231,15 +231,13 @@ def test_a_table_that_cannot_be_used_names_file_line_and_field(
 def test_a_table_may_tell_how_often_nothing_is_confirmed(write):
     silent = load_detector(str(write(TABLE)))
     assert silent.false_tracks_per_hour is None
-    assert "tracks of nothing" not in silent.description
+    assert "false tracks" not in silent.description
 
     rate = "\n[false_tracks_per_hour]\nvalue = 12.5\nlow = 3\nhigh = 31\n"
     told = load_detector(str(write(TABLE + rate)))
 
     assert told.false_tracks_per_hour == Interval(12.5, 3.0, 31.0)
-    assert (
-        "confirms 12.5 tracks of nothing per hour (95 %: 3 to 31)" in told.description
-    )
+    assert "confirms 12.5 false tracks per hour (95 %: 3 to 31)" in told.description
     # What it plans with is the same.
     assert told.fingerprint() == silent.fingerprint()
 
@@ -393,26 +391,26 @@ def test_a_table_says_which_of_its_figures_are_measured(write):
     """So do the built-in ones; a file without the list does not say."""
     assert (
         load_detector("response").figures_words
-        == "Of the 14 figures of response 4 are measured; assumed: child, cyclist,"
+        == "4 of the 14 values of response are measured; assumed: child, cyclist,"
         " motorcyclist, car, height_half_px, height_steepness, min_box_height_px,"
         " contrast_half, contrast_steepness, cyclist_end_on."
     )
     assert load_detector("pole-2015").figures_words.startswith(
-        "Of the 14 figures of pole-2015 7 are measured; assumed: child, cyclist,"
+        "7 of the 14 values of pole-2015 are measured; assumed: child, cyclist,"
         " motorcyclist, car,"
     )
 
     mine = load_detector(str(write(TABLE)))
 
     assert (
-        mine.figures_words
-        == "mine.toml does not say which of its figures are measured."
+        mine.figures_words == "mine.toml does not say which of its values are measured."
     )
 
     listed = TABLE + 'assumed_figures = ["recall"]\n'
 
-    assert "11 are measured; assumed: recall, motorcyclist, car." in (
-        load_detector(str(write(listed))).figures_words
+    assert (
+        "11 of the 14 values of mine.toml are measured; assumed: recall, "
+        "motorcyclist, car." in (load_detector(str(write(listed))).figures_words)
     )
     assert (
         "mine.toml:18: assumed_figures: got 'x'; expected one of recall, pedestrian"

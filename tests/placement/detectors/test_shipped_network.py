@@ -86,7 +86,7 @@ def test_runs_with_it_are_checked_before_anything_is_built(caplog):
     build_setting(replace(met, detector="cnn-table"))
 
     assert (
-        "Nothing is measured of motorcyclist (factor 1) and car (factor 1)"
+        "how well the detector finds motorcyclist (factor 1) and car (factor 1)"
         in caplog.text
     )
 

@@ -417,7 +417,7 @@ def test_limits_that_pass_the_check_are_not_refused_for_one_reason_alone(problem
         (
             [Floor(name="--target", share=0.9)],
             (
-                "--target: got 0.9; expected at most 0.75, what all candidate poses"
+                "--target: got 0.9; expected at most 0.75, which all candidate poses"
                 " together reach"
             ),
         ),
@@ -441,8 +441,8 @@ def test_limits_that_pass_the_check_are_not_refused_for_one_reason_alone(problem
                 )
             ],
             (
-                "--case: got 1; expected at most 0.5, what all candidate poses together"
-                " reach"
+                "--case: got 1; expected at most 0.5, which all candidate poses "
+                "together reach"
             ),
         ),
     ],

@@ -158,7 +158,8 @@ def test_most_questions_have_a_better_answer_between_the_poses_of_this_grid(
         n_tried = refinements[name].n_tried
 
         assert (
-            f"over 17 candidates of the grid and {n_tried} tried" in certificate.solver
+            f"over 17 grid candidates and {n_tried} further poses tried"
+            in certificate.solver
         )
         assert len(refinements[name].candidates) == 17 + n_tried
 
