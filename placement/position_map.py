@@ -59,6 +59,7 @@ def find_position_map(
     # Sums of inverse covariances, of each aim and cell.
     information = np.zeros((len(AIMS), len(feet_m), 2, 2))
     for unit in units:
+        # Of LiDARs no pixel density is known.
         if not isinstance(unit.sensor, CameraModel):
             continue
         height_px = survey.density(unit).ravel() * body.height_m

@@ -147,6 +147,7 @@ def follow(
                 cov[3, 3, begins] = first_speed_variance
                 is_tracked = is_tracked | begins
             is_seen |= sees[unit]
+        # Runs that have ended keep their count: nothing confirms them any more.
         n_in_a_row = np.where(goes_on & ~is_seen, 0, n_in_a_row + is_seen)
         seen_s = np.where(is_seen, now_s, seen_s)
         is_confirmed |= n_in_a_row >= aeb.n_confirmations
@@ -207,7 +208,9 @@ def _update(
     s_en = cov[0, 1] + error[1]
     s_nn = cov[1, 1] + error[2]
     determinant = s_ee * s_nn - s_en * s_en
+    # A gain of 0 leaves a run that does not count as it is.
     scale = np.divide(1.0, determinant, out=np.zeros_like(s_ee), where=counts)
+    # Rows are read while they are written.
     before = cov[:2].copy()
     gain_east = (before[0] * s_nn - before[1] * s_en) * scale
     gain_north = (before[1] * s_ee - before[0] * s_en) * scale

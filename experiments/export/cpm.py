@@ -283,6 +283,7 @@ def _sent(
                 "sensorIdList": seeing,
             }
             _tell_place_error(described, fuse_m2(covariance_m2[seeing, frame]))
+            # A speed is known only once a track has lasted.
             if tracks.is_live[frame]:
                 variance = np.diag(tracks.covariance[frame])[2:]
                 _tell_speed_error(described, np.sqrt(variance))

@@ -44,6 +44,7 @@ def judge_by_decision(
     """
     rule = load_decision_rule(name_or_path)
     decisions = judge_decisions([*evaluations.values()], setting, rule, compute=compute)
+    # By one unit, and by as many as a layout has.
     by_unit = false_brakings_per_hour(setting.detector, rule)
     false_brakings = {}
     if by_unit is not None:

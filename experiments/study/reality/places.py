@@ -308,6 +308,7 @@ def _brakes(ghost: _Ghost, car: FloatArray, rule: DecisionRule) -> bool:
         aeb=aeb,
         rule=rule,
     )
+    # The car drives as it was recorded, from the track's first frame on.
     way = car[ghost.frames[0] :, :3]
     # Beyond the recording's end the car goes straight on at its last speed.
     *_, yaw_rad, speed_mps = car[-1]

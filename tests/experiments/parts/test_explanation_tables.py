@@ -236,7 +236,7 @@ def test_a_terminal_shows_it_in_80_columns():
     for expected in (
         "Why these units, on the detection table:",
         "r5, r6: never seen; for a hidden by wall-ne-1; avoidable with c",
-        "r7: confirmed too late; for a image of",
+        "r7: confirmed too late; for a road user too",
         "and 5 more in summary.json",
     ):
         assert expected in words

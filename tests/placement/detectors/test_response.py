@@ -270,7 +270,7 @@ def test_boxes_are_off_by_the_noise_asked_for_and_are_still_correct():
 def test_the_response_looks_at_shares_and_at_no_picture():
     assert not DETECTOR.needs_pictures
     assert DETECTOR.name == "response"
-    assert "probability of at least 0.5" in DETECTOR.description
+    assert "probability is at least 0.5" in DETECTOR.description
 
 
 def test_every_number_but_the_name_changes_the_fingerprint():
