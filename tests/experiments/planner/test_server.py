@@ -879,7 +879,7 @@ def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(
         assert found["frame"] == frame
         assert found["size"] == [320, 180]
         assert found["timeS"] == run.time_s[frame]
-        image = Image.open(io.BytesIO(base64.base64.b64decode(found["image"])))
+        image = Image.open(io.BytesIO(base64.b64decode(found["image"])))
         assert image.format == "JPEG"
         assert image.size == (320, 180)
         waist_m = np.array([[*run.vru_position_m[frame], 0.9]])
