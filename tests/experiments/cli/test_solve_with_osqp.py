@@ -5,7 +5,7 @@ import osqp
 import pytest
 from synthetic_instances import SyntheticSize, build_synthetic_instance
 
-from placement.optimiser import Limits, PlacementProblem
+from placement.optimiser import Limits, PlacementProblem, constants
 from placement.proof_files import save_problem
 from scenarios.aeb import AebRule
 
@@ -21,12 +21,13 @@ SIZE = SyntheticSize(
 
 
 @pytest.fixture
-def instance(tmp_path, solver):
+def instance(tmp_path, monkeypatch, solver):
     """A file with a made-up placement of which four units cannot see everything.
 
-    Where money is limited, sets cannot be walked through, and also "auto" goes by
-    OSQP's prices.
+    Where money is limited and sites that can be paid are too many to walk behind, also
+    "auto" goes by OSQP's prices.
     """
+    monkeypatch.setattr(constants, "MAX_SITE_SETS", 0)
     made = build_synthetic_instance(SIZE, seed=3)
     problem = PlacementProblem(
         table=made.to_table(),

@@ -132,7 +132,7 @@ def test_layouts_are_judged_by_what_they_see_of_private_ground(
     if command == "compare":
         assert summary["compared"][0]["private_ground"] == summary["private_ground"]
     _, text, _ = run(command, *layouts, *asked)
-    assert "Of private ground, RSU" in text
+    assert "Warning: private ground is in view: RSU" in text
 
 
 @pytest.mark.parametrize(

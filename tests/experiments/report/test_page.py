@@ -376,7 +376,7 @@ def test_the_first_screen_tells_weights_once_and_no_proof_that_there_is_not(
     said = f"{n_avoided} of 104 are prevented ({100.0 * n_avoided / 104:.1f} %)"
     assert f"without weights, {said}" in words
     assert "no other choice" not in words
-    assert "Proof at most 9.0 points better is possible" in words
+    assert "Proof at most 9.0 points could be gained by a better choice" in words
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
@@ -412,7 +412,7 @@ def test_placement_page_shows_the_certificate(placement_page):
     assert "Partly: all objectives except smallest time to spare are proven." in words
     assert "HiGHS 1.15.1" in words
     assert "97.0 %" in words
-    assert "They disagree on 1.9 % of the runs" in words
+    assert "they disagree on 1.9 % of the runs" in words
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
