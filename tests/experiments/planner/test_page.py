@@ -516,7 +516,7 @@ def test_a_map_is_dropped_a_junction_of_it_chosen_and_undo_leads_back(browser, s
         page.wait_for_selector("#map-choice .junction-chooser")
         said = page.inner_text("#map-text")
         assert "crossing.osm has" in said
-        assert "Undo leads back to the plan at town05" in said
+        assert "Undo returns to the plan at town05" in said
         assert page.locator("#map-choice circle").count() == 1
         assert page.locator("#map-choice circle.chosen").count() == 1
         street = page.locator("#map-choice li button").first.inner_text().split("\n")[0]
