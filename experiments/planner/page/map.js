@@ -236,7 +236,7 @@ export function createMap(holder, on) {
   // Number of a cell of a grid at a place; -1: outside.
   function cellAt(found, [x, y]) {
     const [west, south, east, north] = found.box;
-    const columns = found.columns, rows = atob(found.road).length / columns;
+    const columns = found.columns, rows = found.errors[0].length / columns;
     const column = Math.floor((x - west) / (east - west) * columns);
     const row = Math.floor((y - south) / (north - south) * rows);
     return column >= 0 && column < columns && row >= 0 && row < rows ? row * columns + column : -1;

@@ -29,6 +29,7 @@ const FIELDS = {
 // `selected`: null is none, undefined the newest one, as soon as it is told.
 let scene = null, state = null, numbers = null, proposals = [], selected, offered = null;
 let mounting = null; // how many sensors there were when one more was asked for
+let chosenBefore = null, backTo = null; // the choice when a drag mounted a sensor; the same once that drag is given up
 let isConnected = false, timer = 0, coverage = null, savedRevision = 0;
 
 const line = openLine({ onMessage: receive, onState: connected, onSilence: silent });
@@ -38,7 +39,7 @@ const map = createMap(find("plan"), {
   unit: chooseUnit,
   aim: (unit, aim, gesture) => change(unit, { yaw_deg: aim.yaw, ...(aim.pitch === undefined ? {} : { pitch_deg: Math.max(-90, aim.pitch) }) }, gesture),
   move: (unit, site) => line.send({ do: "change", unit, site }),
-  hang: (site, aim, gesture) => { chooseSite(site); hang(site, aim, gesture); },
+  hang: (site, aim, gesture) => { chosenBefore = selected; chooseSite(site); hang(site, aim, gesture); },
   giveUp,
   snapped,
   refused,
@@ -236,7 +237,10 @@ function readState(message) {
   const last = state.units.at(-1)?.id ?? null;
   if (selected === undefined) selected = last;
   if (mounting !== null && state.units.length > mounting) { selected = last; mounting = null; } // the new one
-  else if (!state.units.some((unit) => unit.id === selected)) selected = null;
+  else if (!state.units.some((unit) => unit.id === selected)) {
+    selected = state.units.some((unit) => unit.id === backTo) ? backTo : null;
+    backTo = null;
+  }
   if (!line.isAsking()) live.clear();
   find("undo").disabled = !state.canUndo;
   find("redo").disabled = !state.canRedo;
@@ -502,6 +506,7 @@ function settle() {
 }
 
 function giveUp(unit, gesture) {
+  if (unit === null) backTo = chosenBefore;
   line.send({ do: "revert", gesture });
   settle();
 }
@@ -745,7 +750,7 @@ function tellError(place) {
   find("errors-here").hidden = !isShown;
   if (!isShown) return;
   const cell = map.cellAt(coverage, place);
-  const [known, byEye] = coverage.errors.map((bytes) => (cell < 0 ? 255 : atob(bytes).charCodeAt(cell)));
+  const [known, byEye] = coverage.errors.map((bytes) => (cell < 0 ? 255 : bytes.charCodeAt(cell)));
   if (known === 255) { find("errors-here").textContent = tr("Here no camera sees an adult."); return; }
   const metres = (byte) => (byte === 254 ? tr("more than {most} m", { most: number(2.53, 2) }) : tr("{n} m", { n: number(byte / 100, 2) }));
   find("errors-here").textContent = tr("Position error here: {known} with calibrated aims, {byEye} with aims set by eye.", { known: metres(known), byEye: metres(byEye) });
@@ -766,7 +771,8 @@ find("danger").addEventListener("change", showDanger);
 
 function readGrid(message, name, codes, words) {
   if (!find(name).checked) return;
-  coverage = message;
+  // Decoded once: the mouse asks at each step.
+  coverage = { ...message, errors: message.errors?.map(atob) };
   map.showCoverage(coverage);
   find("coverage-key").hidden = false;
   find("coverage-key").replaceChildren(`${words} `, ...Object.entries(coverage.shares).map(([name, share], index) => {
