@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from .evaluator import received
 from .evaluator.evaluate import VUT_KEY, build_rng, unit_key
 from .layout import Layout
 from .positions import (
+    Feet,
     GroundErrors,
     aim_sd_deg,
     build_feet,
@@ -270,9 +272,13 @@ class Reports:
         latency_s = max(unit.latency(setting.rule) for unit in layout.units)
         self.aeb = replace(setting.rule, latency_s=latency_s)
 
+    @cached_property
+    def _feet(self) -> Feet:
+        return build_feet(self.setting.runs)
+
     def errors(self, aim_deg: tuple[float, float]) -> list[GroundErrors]:
         """Errors of each party's reports, the VUT's last where cars see."""
-        feet = build_feet(self.setting.runs)
+        feet = self._feet
         errors = [
             unit_errors(
                 unit, self.setting.detector, feet, rule=self.rule, aim_sd_deg=aim_deg
@@ -445,8 +451,10 @@ def find_located_shares(
     for one in evaluations:
         detected = {name: verdict.detected for name, verdict in one.units.items()}
         reports = Reports(setting, one.layout, detected, one.vut.detected, rule)
-        errors = [reports.errors(aim_sd_deg(aimed)) for aimed in aims]
-        covariances_m2 = [[each.covariance_m2() for each in one] for one in errors]
+        covariances_m2 = [
+            [each.covariance_m2() for each in reports.errors(aim_sd_deg(aimed))]
+            for aimed in aims
+        ]
         sd_m = located_sd_m(
             np.stack([reports.detected] * len(aims)),
             np.array(covariances_m2),

@@ -15,7 +15,12 @@ from scenarios.decision import load_decision_rule
 from .candidates import CandidatePose
 from .decisions import AIMS
 from .ground import GroundSurvey
-from .positions import aim_sd_deg, box_noise_of, camera_errors
+from .positions import (
+    aim_sd_deg,
+    box_noise_of,
+    camera_errors,
+    covariance_matrices_m2,
+)
 
 _BODY = "adult"
 
@@ -73,9 +78,8 @@ def find_position_map(
                 box_noise_share=box_noise_of(detector, rule),
                 aim_sd_deg=aim_sd_deg(aimed),
             )
-            east, both, north = errors.covariance_m2().T
-            matrices = np.array([[east, both], [both, north]]).transpose(2, 0, 1)
-            information[number, seen] += np.linalg.inv(matrices)
+            matrices_m2 = covariance_matrices_m2(errors.covariance_m2())
+            information[number, seen] += np.linalg.inv(matrices_m2)
     # The least information is in the direction of the largest error.
     least = np.linalg.eigvalsh(information)[..., 0]
     with np.errstate(divide="ignore"):

@@ -84,6 +84,13 @@ class GroundErrors:
         return drawn
 
 
+def covariance_matrices_m2(covariances_m2: FloatArray) -> FloatArray:
+    """Covariances (n, 3) of :class:`GroundErrors` as matrices, (n, 2, 2), in m^2."""
+    east, both, north = covariances_m2.T
+    matrices: FloatArray = np.array([[east, both], [both, north]]).transpose(2, 0, 1)
+    return matrices
+
+
 def _linked(noise: FloatArray, run_start: IntArray, correlation: float) -> FloatArray:
     """Link normal numbers (2, n) to those before, anew in each run."""
     # Takes a while to load.

@@ -98,6 +98,13 @@ def load_prices() -> SitePrices:
     return read_data(__package__, _FILE, SitePrices)
 
 
+def site_price_eur(site: Site, site_cost_eur: float | None) -> float:
+    """Cost of a site: what was asked for all, else by :func:`load_prices`, in euros."""
+    if site_cost_eur is not None:
+        return site_cost_eur
+    return load_prices().cost_eur(site)
+
+
 def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]:
     """Assumed prices of sites without one, a sentence for each kind."""
     # Frequent kinds come first.

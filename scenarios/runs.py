@@ -226,6 +226,23 @@ class FrameAxis:
         return slice(int(self.run_start[run_index]), int(self.run_start[run_index + 1]))
 
 
+def frames_at(encounter: Encounter, time_s: FloatArray) -> dict[str, Any]:
+    """Fields of a :class:`Run` that its frames decide, at times (n_frames,) in s."""
+    vut = encounter.vut_motion
+    vru = encounter.vru_motion
+    vut_position_m, vut_yaw_deg = vut.path.at(vut.distance_m(time_s))
+    vru_distance_m = vru.distance_m(time_s)
+    vru_position_m, vru_yaw_deg = vru.path.at(vru_distance_m)
+    return {
+        "time_s": freeze(time_s),
+        "vut_position_m": freeze(vut_position_m),
+        "vut_yaw_deg": freeze(vut_yaw_deg),
+        "vru_position_m": freeze(vru_position_m),
+        "vru_yaw_deg": freeze(vru_yaw_deg),
+        "vru_shape": freeze(encounter.vru.shape_index(vru_distance_m)),
+    }
+
+
 def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
     """Lay the frames of runs end to end, with weights (n_runs,) that sum to 1.
 
@@ -737,9 +754,6 @@ class _Drive:
         # The last frame is at the impact; the first one after both have set off.
         n_steps = int(-first_s * rate_hz + _GRID_TOLERANCE)
         time_s = np.arange(-n_steps, 1) / rate_hz
-        vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))
-        vru_distance = vru.distance_m(time_s)
-        vru_position, vru_yaw = vru.path.at(vru_distance)
         place = self.approach + ("" if self.position == AT_ZERO else self.position.name)
         if case.pairs_kmh:
             speeds = f"{speed_kmh:g}x{case.vru_speed_kmh:g}"
@@ -753,12 +767,7 @@ class _Drive:
             weather="day",
             vut_speed_kmh=speed_kmh,
             encounter=encounter,
-            time_s=freeze(time_s),
-            vut_position_m=freeze(vut_position),
-            vut_yaw_deg=freeze(vut_yaw),
-            vru_position_m=freeze(vru_position),
-            vru_yaw_deg=freeze(vru_yaw),
-            vru_shape=freeze(encounter.vru.shape_index(vru_distance)),
+            **frames_at(encounter, time_s),
             obstruction=set_down(staging.obstruction, self.scene),
             terrain=terrain_of(self.scene),
             last_brake_time_s=last_brake_time_s(encounter, self.rule),

@@ -21,12 +21,13 @@ from geometry.terrain import on_ground, terrain_of
 from placement.candidates import CandidatePose, is_ring
 from placement.detectors import load_detector
 from placement.layout import Layout
+from placement.positions import covariance_matrices_m2
 from scenarios.runs import Run
 
 from . import ExportFormat
 from .json import to_json_text
 from .places import longitude_latitude, require_crs
-from .watched import WatchedRun, follow_watched, report_covariances_m2
+from .watched import WatchedRun, report_covariances_m2, track_watched
 
 RELEASES = ("2.1.1", "2.4.1")
 """Versions of the dictionary, ETSI TS 102 894-2, the usual one first."""
@@ -268,7 +269,7 @@ def _sent(
     latency_s = max(unit.latency(watched.rule) for unit in units)
     detected = np.array([watched.detected[unit.id] for unit in units])
     covariance_m2 = report_covariances_m2(watched, units)
-    tracks = follow_watched(watched, units).tracks
+    tracks = track_watched(watched, units, covariance_m2)
     told_s = -np.inf
     for frame in range(len(time_s)):
         containers = []
@@ -339,9 +340,8 @@ def fuse_m2(covariances_m2: FloatArray) -> FloatArray:
 
     Inverses add up: (sum of R^-1)^-1.
     """
-    east, both, north = covariances_m2.T
-    matrices = np.array([[east, both], [both, north]]).transpose(2, 0, 1)
-    fused: FloatArray = np.linalg.inv(np.linalg.inv(matrices).sum(axis=0))
+    information = np.linalg.inv(covariance_matrices_m2(covariances_m2)).sum(axis=0)
+    fused: FloatArray = np.linalg.inv(information)
     return fused
 
 

@@ -54,8 +54,6 @@ _NANO = 1_000_000_000
 # Above the ground, so that lines on it are seen.
 _LINE_M = 0.05
 _WAY_POINTS = 36
-# Of a normal place in the plane, 95 % lie within so many standard deviations.
-_SD_OF_95 = 2.448
 
 
 def to_mcap(
@@ -310,9 +308,8 @@ def _decision(m: Any, run: Run, followed: Followed, frame: int) -> Iterator[Any]
     if followed.brakes[frame]:
         name = "braking"
     state = followed.tracks.state[0, frame]
-    ellipse_m = ellipse_points_m(
-        state[:2], followed.tracks.covariance[frame, :2, :2], n_sd=_SD_OF_95
-    )
+    covariance_m2 = followed.tracks.covariance[frame, :2, :2]
+    ellipse_m = ellipse_points_m(state[:2], covariance_m2)
     ring = m.LinePrimitive(
         type=m.LinePrimitiveLineType.LineLoop,
         points=_points(m, _on_road_m(ellipse_m, run)),

@@ -39,6 +39,8 @@ _RUN_ID = (
 )
 
 _ELLIPSE_POINTS = 36
+# Of a normal place in the plane, 95 % lie within so many standard deviations.
+_SD_OF_95 = 2.448
 
 
 def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
@@ -147,6 +149,26 @@ def report_covariances_m2(
     return np.array([one.covariance_m2() for one in errors])
 
 
+def track_watched(
+    watched: WatchedRun, units: Sequence[CandidatePose], covariance_m2: FloatArray
+) -> Tracks:
+    """Track of a watched run's road user, with reports of these covariances.
+
+    They are those of :func:`report_covariances_m2`.
+    """
+    run = watched.run
+    axis = build_frame_axis((run,), np.ones(1))
+    reported_m = np.broadcast_to(run.vru_position_m, (1, len(units), axis.n_frames, 2))
+    return track(
+        np.array([watched.detected[unit.id] for unit in units]),
+        reported_m,
+        covariance_m2,
+        axis,
+        aeb=watched.rule,
+        rule=load_decision_rule(),
+    )
+
+
 def follow_watched(watched: WatchedRun, units: Sequence[CandidatePose]) -> Followed:
     """Follow the road user of a watched run, and decide by the default rule."""
     run = watched.run
@@ -154,15 +176,7 @@ def follow_watched(watched: WatchedRun, units: Sequence[CandidatePose]) -> Follo
     latency_s = max(unit.latency(watched.rule) for unit in units)
     aeb = replace(watched.rule, latency_s=latency_s)
     axis = build_frame_axis((run,), np.ones(1))
-    reported_m = np.broadcast_to(run.vru_position_m, (1, len(units), axis.n_frames, 2))
-    tracks = track(
-        np.array([watched.detected[unit.id] for unit in units]),
-        reported_m,
-        report_covariances_m2(watched, units),
-        axis,
-        aeb=aeb,
-        rule=rule,
-    )
+    tracks = track_watched(watched, units, report_covariances_m2(watched, units))
     ways = build_car_ways((run,), aeb=aeb, longest_reserve_s=rule.reserve_s)
     (probability,) = overlap_probability(
         tracks, axis, ways, [rule.reserve_s], rule=rule
@@ -176,12 +190,10 @@ def follow_watched(watched: WatchedRun, units: Sequence[CandidatePose]) -> Follo
     )
 
 
-def ellipse_points_m(
-    middle_m: FloatArray, covariance_m2: FloatArray, *, n_sd: float
-) -> FloatArray:
-    """Points of an ellipse of so many standard deviations, (n, 2), in m."""
+def ellipse_points_m(middle_m: FloatArray, covariance_m2: FloatArray) -> FloatArray:
+    """Points (n, 2) of the ellipse in which a place lies with 95 %, in m."""
     variances_m2, axes = np.linalg.eigh(covariance_m2)
-    half_m = n_sd * np.sqrt(np.maximum(variances_m2, 0.0))
+    half_m = _SD_OF_95 * np.sqrt(np.maximum(variances_m2, 0.0))
     angles = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_POINTS, endpoint=False)
     circle = np.column_stack([np.cos(angles), np.sin(angles)])
     points_m: FloatArray = middle_m + (half_m * circle) @ axes.T

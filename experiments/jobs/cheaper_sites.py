@@ -22,7 +22,7 @@ from placement.optimiser import (
 )
 from placement.optimiser.bitsets import shares_with_each
 from placement.optimiser.solve import units_of
-from placement.wishes import load_prices
+from placement.wishes import site_price_eur
 
 from ..language import tr
 from ..results.numbers import euros, joined, percent
@@ -152,18 +152,16 @@ def _prices(found: FoundLayout) -> _Prices:
     """Prices of all poses: what sites say, or else what is assumed of their kind."""
     limits = found.placement.problem.limits
     site_cost_eur = found.job.question.site_cost_eur
-    sites = {site.id: site for site in found.job.scene.sites}
+    prices_eur = {
+        site.id: site_price_eur(site, site_cost_eur) for site in found.job.scene.sites
+    }
+    # A mount of its own costs what was asked for all.
+    own_eur = site_cost_eur or 0.0
     sensor_eur = np.array([pose.sensor.price_eur for pose in found.poses])
     sensor_eur[limits.is_forced] = 0.0
     site_eur = np.zeros(limits.n_sites)
-    for row, pose in enumerate(found.poses):
-        site = sites.get(pose.site_id)
-        if site_cost_eur is not None:
-            price_eur = site_cost_eur
-        elif site is None:
-            price_eur = 0.0
-        else:
-            price_eur = load_prices().cost_eur(site)
-        site_eur[limits.site_index[row]] = price_eur
+    site_eur[limits.site_index] = [
+        prices_eur.get(pose.site_id, own_eur) for pose in found.poses
+    ]
     site_eur[limits.site_index[limits.is_forced]] = 0.0
     return _Prices(sensor_eur=sensor_eur, site_eur=site_eur, site_of=limits.site_index)

@@ -22,9 +22,7 @@ from .comparison import EXPERT, GREEDY, HIGHEST
 from .decision import AimsRecord, DecisionRecord, LocatedRecord
 
 LIMIT_M = 0.4
-"""Located so well, a layout prevents about as much by decision as by detection:
-``results/decision.md``.
-"""
+"""What every answer calls located, as one standard deviation. [m]"""
 _CALIBRATE = 0.05
 """From this loss on, the sentence begins with what there is to do. [share]"""
 
@@ -60,6 +58,9 @@ def judge_aims(
             feet.foot_m,
             feet.size_m,
             impact_heading_rad(setting.runs),
+            # The car's own camera counts where cars see.
+            [run.vut_position_m for run in setting.runs],
+            [run.vut_yaw_deg for run in setting.runs],
             setting.axis,
             setting.rule,
             setting.cars,

@@ -11,7 +11,7 @@ from geometry.catalogue import sensor_kind
 from geometry.notes import assumed_sites
 from geometry.scene import Scene
 from placement.layout import Layout
-from placement.wishes import assumed_prices, load_prices
+from placement.wishes import assumed_prices, load_prices, site_price_eur
 
 from ..language import localized, mark, tr, trn
 from ..results.numbers import grouped, joined, sensor_words
@@ -197,10 +197,7 @@ def _site_items(
             name = site_id
             kind = site.kind
             count = int(not kept)
-            if site_cost_eur is None:
-                price_eur = load_prices().cost_eur(site)
-            else:
-                price_eur = site_cost_eur
+            price_eur = site_price_eur(site, site_cost_eur)
             source = "told" if site.cost_eur > 0.0 else "assumption"
         item = Item(
             part="site",

@@ -15,6 +15,8 @@ from .section import Section
 LIMITS = (0.05, 0.10, 0.25)
 """Shares of the twins that a rule may brake for, where the best one is sought."""
 LOCATED_M = (0.35, 0.40)
+ONE_UNIT = "one unit"
+"""Key of the false brakings that a single unit causes."""
 
 
 class BestRule(Record, frozen=True, kw_only=True):

@@ -20,6 +20,7 @@ from scenarios.decision import DecisionRule, load_decision_rule, rule_values
 from .decision import (
     LIMITS,
     LOCATED_M,
+    ONE_UNIT,
     AimedDecision,
     BestRule,
     DecisionRecord,
@@ -27,8 +28,6 @@ from .decision import (
 )
 
 _N_THRESHOLDS = 51
-ONE_UNIT = "one unit"
-"""Key of what a single unit causes."""
 
 
 def judge_by_decision(

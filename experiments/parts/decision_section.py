@@ -11,7 +11,7 @@ from ..figures.axes import UNIT_COLOURS, WIDTH_IN, finish_axes, literal, new_axe
 from ..language import mark, tr
 from ..results.numbers import layout_words, number, percent
 from . import Part
-from .decision import LIMITS, LOCATED_M, DecisionRecord, LayoutDecision
+from .decision import LIMITS, LOCATED_M, ONE_UNIT, DecisionRecord, LayoutDecision
 from .section import Section, Table, build_picture
 
 _MARKERS = "osD^v*"
@@ -80,8 +80,8 @@ def _false_braking(record: DecisionRecord) -> list[str]:
             value=_rate(value),
             low=_rate(low),
             high=_rate(high),
-            one=_rate(by_layout["one unit"][1]),
-            most=_rate(by_layout["one unit"][2]),
+            one=_rate(by_layout[ONE_UNIT][1]),
+            most=_rate(by_layout[ONE_UNIT][2]),
             braked=record.rule["false_tracks_braked_for"],
             tracks=record.rule["false_tracks"],
         )

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor, sensor_kind
@@ -18,13 +19,13 @@ from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose, is_ring
 from placement.detectors import DETECTOR_NAMES
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, run_outcomes
-from placement.ground import BANDS, find_ground_coverage
+from placement.ground import BANDS, GroundCoverage, find_ground_coverage
 from placement.layout import Layout
-from placement.position_map import find_position_map
+from placement.position_map import PositionMap, find_position_map
 from placement.private_ground import PrivateGround, PrivateSight
 from placement.question import BLIND, SEE, Question, question_fields, read_cars
 from placement.setting import Setting, check_question
-from placement.wishes import load_prices
+from placement.wishes import site_price_eur
 from scenarios.cases import load_case_sets
 from scenarios.runs import WEATHERS, FrameAxis, Run
 from scenarios.weights import WEIGHT_WORDS, default_weights
@@ -144,10 +145,7 @@ def _site_record(
     site: Site, site_cost_eur: float | None, *, is_own: bool = False
 ) -> dict[str, Any]:
     low_m, high_m = site.height_range_m.tolist()
-    price_eur = site_cost_eur
-    if price_eur is None:
-        price_eur = load_prices().cost_eur(site)
-    price = euros(price_eur)
+    price = euros(site_price_eur(site, site_cost_eur))
     if site_cost_eur is None and site.cost_eur == 0.0:
         price = tr("{price} (assumed)", price=price)
     return {
@@ -607,19 +605,14 @@ def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, A
     for index in reversed(range(len(BANDS))):
         _, least = BANDS[index]
         band[found.density >= least] = index
-    west, east = _edges_m(found.east_m)
-    south, north = _edges_m(found.north_m)
     return {
-        "box": centimetres([west, south, east, north]),
-        "columns": len(found.east_m),
-        "band": to_base64(band),
-        "road": to_base64(found.is_road.astype(np.uint8)),
+        **_grid_record(found, band),
         "shares": {tr(name): percent(value) for name, value in found.shares().items()},
     }
 
 
 ERROR_BANDS_M = (0.3, 0.4, 0.6, 1.0)
-"""Bands of position errors by their most: 0.4 m is the recommended limit. [m]"""
+"""Bands of position errors by their most. [m]"""
 _FAR_CM = 254
 
 
@@ -645,20 +638,29 @@ def errors_record(
     # The smallest last: it wins
     for index in reversed(range(len(ERROR_BANDS_M))):
         band[found.sd_m[0] <= ERROR_BANDS_M[index]] = index
-    west, east = _edges_m(found.east_m)
-    south, north = _edges_m(found.north_m)
     words = [tr("up to {most:g} m", most=most) for most in ERROR_BANDS_M]
     words += [tr("more"), tr("unseen")]
     codes = [*range(len(ERROR_BANDS_M)), 254, 255]
     road = band[found.is_road]
     shares = [float((road == code).mean()) if len(road) else 0.0 for code in codes]
     return {
+        **_grid_record(found, band),
+        "errors": [to_base64(one) for one in errors],
+        "shares": dict(zip(words, map(percent, shares), strict=True)),
+    }
+
+
+def _grid_record(
+    found: GroundCoverage | PositionMap, band: NDArray[np.uint8]
+) -> dict[str, Any]:
+    """Cells of a layer: box in centimetres, columns, bands and which are road."""
+    west, east = _edges_m(found.east_m)
+    south, north = _edges_m(found.north_m)
+    return {
         "box": centimetres([west, south, east, north]),
         "columns": len(found.east_m),
         "band": to_base64(band),
         "road": to_base64(found.is_road.astype(np.uint8)),
-        "errors": [to_base64(one) for one in errors],
-        "shares": dict(zip(words, map(percent, shares), strict=True)),
     }
 
 

@@ -27,7 +27,7 @@ from placement.question import Question
 from placement.sampling.uncertainty import BY_EYE, CALIBRATED
 from placement.setting import Setting
 from scenarios.decision import DecisionRule, load_decision_rule
-from scenarios.runs import Run, build_frame_axis
+from scenarios.runs import Run, build_frame_axis, frames_at
 from scenarios.twins import MAIN_KINDS, build_twins
 
 from ..export.watched import (
@@ -68,7 +68,6 @@ _VARIED = (DEFAULT, LOCATED, TWELVE)
 _STRIP_RUN = "CPNC-50/east/40"
 _STRIP_S = (-2.4, -1.8, -1.2, -0.8, -0.4)
 _STRIP_HALF_M = 6.0
-_SD_OF_95 = 2.448
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,7 +80,7 @@ class Studied:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Variant:
+class DecisionVariant:
     """A change, and what layouts avoid with it.
 
     Attributes
@@ -137,7 +136,7 @@ def study(*, compute: Compute, progress: StageProgress) -> Studied:
 
 
 # ---------- what is varied
-def find_variants(studied: Studied, *, compute: Compute) -> list[Variant]:
+def find_variants(studied: Studied, *, compute: Compute) -> list[DecisionVariant]:
     """One thing changed at a time, for the layouts that are varied."""
     setting = studied.setting
     rule = load_decision_rule()
@@ -145,7 +144,7 @@ def find_variants(studied: Studied, *, compute: Compute) -> list[Variant]:
     aims = {f"{aim:g}": (aim, aim) for aim in AIMS_DEG}
     by_aim = judge_decisions(evaluations, setting, rule, aims=aims, compute=compute)
     found = [
-        Variant(
+        DecisionVariant(
             words=f"aims known to {aim}°",
             avoided=tuple(_best(one, aim) for one in by_aim),
         )
@@ -185,25 +184,12 @@ def at_frame_rate(run: Run, frame_rate_hz: float) -> Run:
     """The same run, seen in frames that are as far apart as another rate says."""
     n_steps = round(-float(run.time_s[0]) * frame_rate_hz)
     time_s = np.arange(-n_steps, 1) / frame_rate_hz
-    vut = run.encounter.vut_motion
-    vru = run.encounter.vru_motion
-    vut_position_m, vut_yaw_deg = vut.path.at(vut.distance_m(time_s))
-    vru_distance_m = vru.distance_m(time_s)
-    vru_position_m, vru_yaw_deg = vru.path.at(vru_distance_m)
-    return replace(
-        run,
-        time_s=time_s,
-        vut_position_m=vut_position_m,
-        vut_yaw_deg=vut_yaw_deg,
-        vru_position_m=vru_position_m,
-        vru_yaw_deg=vru_yaw_deg,
-        vru_shape=run.encounter.vru.shape_index(vru_distance_m),
-    )
+    return replace(run, **frames_at(run.encounter, time_s))
 
 
 def find_others(
     studied: Studied, *, compute: Compute, progress: StageProgress
-) -> list[Variant]:
+) -> list[DecisionVariant]:
     """Other units in place of the default three: fewer, and LiDARs."""
     questions = {
         "one camera": Question(budget=1),
@@ -230,10 +216,10 @@ def _variant(
     rule: DecisionRule,
     *,
     compute: Compute,
-) -> Variant:
+) -> DecisionVariant:
     judged = judge_decisions(evaluations, setting, rule, compute=compute)
     shares = [_best(one, aimed) for one in judged for aimed in (CALIBRATED, BY_EYE)]
-    return Variant(words=words, avoided=tuple(shares))
+    return DecisionVariant(words=words, avoided=tuple(shares))
 
 
 def _best(decisions: LayoutDecisions, aimed: str) -> float:
@@ -310,7 +296,7 @@ def _draw_moment(axes: "Axes", run: Run, followed: Followed, frame: int) -> None
         return
     state = followed.tracks.state[0, frame]
     covariance_m2 = followed.tracks.covariance[frame, :2, :2]
-    ellipse_m = ellipse_points_m(state[:2], covariance_m2, n_sd=_SD_OF_95)
+    ellipse_m = ellipse_points_m(state[:2], covariance_m2)
     closed_m = np.concatenate([ellipse_m, ellipse_m[:1]])
     axes.plot(*closed_m.T, color=BLUE, lw=1.0, zorder=7)
     foreseen_m = state[:2] + ahead_s[:, None] * state[2:]
@@ -319,7 +305,9 @@ def _draw_moment(axes: "Axes", run: Run, followed: Followed, frame: int) -> None
 
 # ---------- the page
 def text(
-    studied: Studied, variants: Sequence[Variant], others: Sequence[Variant]
+    studied: Studied,
+    variants: Sequence[DecisionVariant],
+    others: Sequence[DecisionVariant],
 ) -> str:
     """The page, as Markdown."""
     rows = []
@@ -385,7 +373,7 @@ def _moved(studied: Studied, name: str) -> str:
     return f"it keeps {stays}, leaves {left} and takes {taken}"
 
 
-def _rows(variants: Iterable[Variant]) -> list[list[str]]:
+def _rows(variants: Iterable[DecisionVariant]) -> list[list[str]]:
     return [[one.words, *map(percent, one.avoided)] for one in variants]
 
 

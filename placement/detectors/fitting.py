@@ -294,10 +294,7 @@ def gather_sightings(
             continue
         # False alarms: boxes that overlap no label.
         n_pictures += 1
-        alone = one.alone_px
-        if alone is None:
-            alone = one.found_px
-        alarms = alone[~(iou(one.label_px[:, None], alone[None]) > 0.0).any(axis=0)]
+        alarms = find_alarms_px(one)
         n_alarms += len(alarms)
         # False tracks go on from the picture before, if that is the one before.
         before = last.get(one.track)
@@ -337,6 +334,15 @@ def gather_sightings(
         per_hour=per_hour,
     )
     return sightings, alarms_found
+
+
+def find_alarms_px(picture: LabelledPicture) -> FloatArray:
+    """Boxes of a picture that are on nothing and nobody, (n, 4), in pixels."""
+    alone_px = picture.alone_px
+    if alone_px is None:
+        alone_px = picture.found_px
+    overlap = iou(picture.label_px[:, None], alone_px[None])
+    return alone_px[~(overlap > 0.0).any(axis=0)]
 
 
 def _errors(picture: LabelledPicture, overlap: FloatArray) -> FloatArray:

@@ -1,5 +1,6 @@
 """Where detectors place people, and whether a car would brake for tracks of nothing."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -8,10 +9,14 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.calibrations import CalibratedCamera, ground_points, read_kitti_camera
-from geometry.image_boxes import iou
 from geometry.lidar import load_lidars
 from placement.detectors.evidence import Interval
-from placement.detectors.fitting import link_alarms, wilson
+from placement.detectors.fitting import (
+    LabelledPicture,
+    find_alarms_px,
+    link_alarms,
+    wilson,
+)
 from placement.positions import GroundErrors, aim_sd_deg, camera_errors, lidar_errors
 from placement.recordings.files import read_lines
 from placement.recordings.formats import RecordedBoxes, read_boxes
@@ -180,7 +185,7 @@ def decide_false_tracks(folder: Path, name: str, class_name: str) -> FalseBrakin
             n_frames=len(car),
         ).pictures
         ghosts = []
-        for boxes in _false_tracks([(one.label_px, one.alone_px) for one in pictures]):
+        for boxes in _false_tracks(pictures):
             ghosts.append(_place(boxes, found, car, camera, rule))
         tracks += len(ghosts)
         braked += sum(_brakes(ghost, car, rule) for ghost in ghosts)
@@ -188,17 +193,15 @@ def decide_false_tracks(folder: Path, name: str, class_name: str) -> FalseBrakin
 
 
 def _false_tracks(
-    pictures: list[tuple[FloatArray, FloatArray | None]],
+    pictures: Sequence[LabelledPicture],
 ) -> list[list[tuple[int, FloatArray]]]:
     """Frames and boxes of confirmed tracks of nothing; see FalseAlarms."""
     finished = []
     # Tracks that end in the picture before, in the order of its alarms.
     open_tracks: list[list[tuple[int, FloatArray]]] = []
     before_px = np.zeros((0, 4))
-    for frame, (label_px, alone_px) in enumerate(pictures):
-        assert alone_px is not None
-        on_somebody = (iou(label_px[:, None], alone_px[None]) > 0.0).any(axis=0)
-        alarms_px = alone_px[~on_somebody]
+    for frame, picture in enumerate(pictures):
+        alarms_px = find_alarms_px(picture)
         links = link_alarms(before_px, alarms_px)
         goes_on = []
         for box_px, old in zip(alarms_px, links, strict=True):
