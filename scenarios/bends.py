@@ -41,8 +41,8 @@ def find_sharp_bends(scene: Scene) -> Iterator[Finding]:
         if speed_kmh < _limit_kmh(lane):
             why = (
                 f"lane {lane.id} bends {distance_m:.0f} m from the junction:"
-                f" {rules.max_lateral_mps2:g} m/s^2 to the side allow"
-                f" {speed_kmh:.0f} km/h there, and what is faster is not driven past it"
+                f" a lateral acceleration of {rules.max_lateral_mps2:g} m/s^2 allows"
+                f" {speed_kmh:.0f} km/h there, and faster runs are not driven"
             )
             yield Finding(level="warning", what=f"arm {arm.name}", why=why)
 
