@@ -61,6 +61,13 @@ _LINE_HEIGHT = 0.0155
 _FOOT = 0.105
 _LINE_LETTERS = 76
 _LANDMARK_WITHIN_M = 40.0
+_EYE_HEIGHT_M = 1.6
+# Marks on the road are looked at a little above it, so that it does not hide them.
+_PAINT_HEIGHT_M = 0.1
+# Rays end so far before a landmark's axis or corner.
+_BEFORE_LANDMARK_M = 0.3
+# What is nearer to who stands at the mount, such as its own pole, hides nothing.
+_ARM_LENGTH_M = 0.5
 # Farther away nobody finds a point on the road.
 _FARTHEST_AIM_M = 40.0
 _CORNERS = {
@@ -425,47 +432,33 @@ def _tolerance_text(tolerance: Tolerance) -> str:
 
 
 def _landmarks(unit: CandidatePose, scene: Scene) -> list[str]:
-    """The nearest things that one sees on site, with distance and bearing.
+    """The nearest things that one sees from the mount, with distance and bearing.
 
-    Of each kind the nearest: corners of buildings and walls, poles, ends of crosswalks
-    and the carriageway's edge. Names of the map are on none of them.
+    Of each kind the nearest that nothing hides from who stands there. Names of the map
+    are on none of them.
     """
-    import shapely
-    import shapely.ops
-
     here = unit.pose.position_m[:2]
-    # Points (n, 2) by what is there.
-    points: dict[str, list[FloatArray]] = {}
-    for index, thing in enumerate(scene.instances):
-        shape = thing_footprint(scene, index)
-        if thing.id == unit.site_id or shape.is_empty:
-            continue
-        if thing.class_name in _CORNERS:
-            corners = shapely.get_coordinates(shape)
-            points.setdefault(_CORNERS[thing.class_name], []).append(corners)
-        elif thing.class_name in _POLES:
-            foot = shapely.get_coordinates(shape.centroid)
-            points.setdefault(thing.class_name, []).append(foot)
-    if len(scene.crosswalks_m):
-        points[_CROSSWALK] = [scene.crosswalks_m.reshape(-1, 2)]
-    lanes = [
-        shapely.LineString(lane.centreline_m).buffer(
-            0.5 * lane.width_m, cap_style="flat"
-        )
-        for lane in scene.lanes
-    ]
-    paved = shapely.union_all([*lanes, paved_area(scene.outline_m, scene.islands_m)])
-    edge = shapely.ops.nearest_points(paved.boundary, shapely.Point(here))[0]
-    points[_KERB] = [np.array([[edge.x, edge.y]])]
+    eye_m = np.append(here, ground_height_m(scene, here) + _EYE_HEIGHT_M)
+    # Near the origin, where rays of single precision are exact enough.
+    caster = build_caster(scene.vertices_m - eye_m, scene.triangles)
     found = []
-    for what, several in points.items():
-        ways = np.concatenate(several) - here
+    for what, (places, height_m) in _landmark_points(unit, scene).items():
+        ways = places - here
         away_m = np.hypot(*ways.T)
         # Its own pole is nearer than that.
-        away_m[away_m <= 0.3] = np.inf
-        nearest = int(away_m.argmin())
-        if away_m[nearest] > _LANDMARK_WITHIN_M:
+        is_near = (away_m > 0.3) & (away_m <= _LANDMARK_WITHIN_M)
+        ways = ways[is_near]
+        away_m = away_m[is_near]
+        heights_m = ground_height_m(scene, places[is_near]) + height_m - eye_m[2]
+        # The thing itself must not hide its own axis or corner.
+        before = np.maximum(1.0 - _BEFORE_LANDMARK_M / away_m, 0.0)
+        points_m = np.column_stack([ways * before[:, None], heights_m])
+        is_seen = is_in_sight(caster, np.zeros(3), points_m, near_m=_ARM_LENGTH_M)
+        # One can touch what is so near.
+        is_seen |= away_m <= _ARM_LENGTH_M + _BEFORE_LANDMARK_M
+        if not is_seen.any():
             continue
+        nearest = int(np.where(is_seen, away_m, np.inf).argmin())
         bearing_deg = math.degrees(math.atan2(ways[nearest, 1], ways[nearest, 0]))
         words = tr(
             "{distance:.2f} m to the {point}: {what}",
@@ -475,6 +468,47 @@ def _landmarks(unit: CandidatePose, scene: Scene) -> list[str]:
         )
         found.append((float(away_m[nearest]), words))
     return [words for _, words in sorted(found)[:_N_LANDMARKS]]
+
+
+def _landmark_points(
+    unit: CandidatePose, scene: Scene
+) -> dict[str, tuple[FloatArray, float]]:
+    """Points (n, 2) in metres of each kind of landmark, and their height to look at.
+
+    Corners of buildings and walls, poles, ends of crosswalks and the carriageway's
+    edge. Heights are metres above the ground.
+    """
+    import shapely
+    import shapely.ops
+
+    upright: dict[str, list[FloatArray]] = {}
+    for index, thing in enumerate(scene.instances):
+        shape = thing_footprint(scene, index)
+        if thing.id == unit.site_id or shape.is_empty:
+            continue
+        if thing.class_name in _CORNERS:
+            corners = shapely.get_coordinates(shape)
+            upright.setdefault(_CORNERS[thing.class_name], []).append(corners)
+        elif thing.class_name in _POLES:
+            foot = shapely.get_coordinates(shape.centroid)
+            upright.setdefault(thing.class_name, []).append(foot)
+    points = {
+        what: (np.concatenate(places), _EYE_HEIGHT_M)
+        for what, places in upright.items()
+    }
+    if len(scene.crosswalks_m):
+        points[_CROSSWALK] = (scene.crosswalks_m.reshape(-1, 2), _PAINT_HEIGHT_M)
+    lanes = [
+        shapely.LineString(lane.centreline_m).buffer(
+            0.5 * lane.width_m, cap_style="flat"
+        )
+        for lane in scene.lanes
+    ]
+    paved = shapely.union_all([*lanes, paved_area(scene.outline_m, scene.islands_m)])
+    here = shapely.Point(unit.pose.position_m[:2])
+    edge = shapely.ops.nearest_points(paved.boundary, here)[0]
+    points[_KERB] = (np.array([[edge.x, edge.y]]), _PAINT_HEIGHT_M)
+    return points
 
 
 def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> None:

@@ -7,6 +7,7 @@ from command_results import answer
 from kept_backdrops import kept_backdrop
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.text import Text
+from tiny_worlds import scene_of_boxes
 
 from experiments.cli.export import sheet_text
 from experiments.parts import sheet
@@ -165,3 +166,24 @@ def test_units_are_existing_where_the_kept_file_has_them(tmp_path):
     question = Question(keep=str(file))
     assert sheet._mounted_already(question, layout, load_study_scene()) == {"U1"}
     assert sheet._mounted_already(Question(), layout, load_study_scene()) == set()
+
+
+def test_a_landmark_is_one_that_nothing_hides_from_the_mount():
+    building = ((10, -5, 0), (14, 3, 10))
+    left_wall = ((5.9, 1, 0), (6.1, 6, 3))
+    long_wall = ((5.9, -9, 0), (6.1, 6, 3))
+    kinds = ("building", "wall")
+    unit = camera_at(0.0, 0.0, yaw_deg=0.0, pitch_deg=-30.0)
+    alone = scene_of_boxes(building, classes=kinds[:1])
+    assert corner_of(unit, alone) == "10.44 m to the east: corner of a building"
+    beside = scene_of_boxes(building, left_wall, classes=kinds)
+    assert corner_of(unit, beside) == "11.18 m to the south-east: corner of a building"
+    behind = scene_of_boxes(building, long_wall, classes=kinds)
+    assert corner_of(unit, behind) == ""
+
+
+def corner_of(unit, scene):
+    """The landmark that is a corner of a building; empty if there is none."""
+    words = [text for text in sheet._landmarks(unit, scene) if "a building" in text]
+    assert len(words) <= 1
+    return "".join(words)
