@@ -230,6 +230,48 @@ def change_question(
     return changed
 
 
+_OF_LAYOUT = (
+    "case_range",
+    "protect",
+    "along_arms",
+    "speeds",
+    "approaches",
+    "packet_loss",
+    "n_confirmations",
+    "track_memory_s",
+    "latency_s",
+    "deceleration_mps2",
+    "build_up_s",
+)
+"""What a layout's own question says of runs and braking beside what the page can change.
+
+None of it names a file: one that is sent must not make the server read another.
+"""
+
+
+def take_question(question: Question, found: Question, begun: Question) -> Question:
+    """A question with what is driven, seen and judged in another one.
+
+    Parameters
+    ----------
+    question : Question
+        What the page asks now; its scene, sensors and prices stay.
+    found : Question
+        The one that a layout was found for, as a browser sent it.
+    begun : Question
+        The question of the command line: browsers choose no other files than it names.
+
+    Raises
+    ------
+    InputError
+        The page cannot ask this.
+    """
+    taken = {name: getattr(found, name) for name in _OF_LAYOUT}
+    fields = ChangeQuestion.__struct_fields__
+    change = ChangeQuestion(**{name: getattr(found, name) for name in fields})
+    return change_question(replace(question, **taken), change, begun)
+
+
 def _choices(begun: Question) -> dict[str, list[str]]:
     """Words that a browser may choose of, by field: those known, and the session's own."""
     known = {

@@ -13,6 +13,7 @@ from geometry.scene import Scene
 from geometry.tables import read_table
 from geometry.text_formats import parse_json
 from placement.layout import Layout, at_sites, check_layout, read_layout
+from placement.question import Question, read_question
 
 from ..export.json import to_json, to_json_text
 from ..language import mark
@@ -47,12 +48,15 @@ class Plan:
         Image below the plan.
     poles : tuple of PolePlace
         Of one's own.
+    question : Question, optional
+        The one that the layout was found for; ``summary.json`` has it.
     """
 
     variants: tuple[Variant, ...]
     scene_name: str = ""
     background: Background | None = None
     poles: tuple[PolePlace, ...] = ()
+    question: Question | None = None
 
 
 def check_plan(plan: Plan, scene: Scene) -> Plan:
@@ -73,7 +77,7 @@ def check_plan(plan: Plan, scene: Scene) -> Plan:
 
 
 def read_plan(text: bytes, where: str) -> Plan:
-    """A plan from the contents of a plan's file, or of a layout's.
+    """A plan from the contents of a plan's file, a layout's, or a summary's.
 
     Parameters
     ----------
@@ -103,7 +107,16 @@ def read_plan(text: bytes, where: str) -> Plan:
         scene_name=str(document.get("scene", "")),
         background=background,
         poles=tuple(poles),
+        question=_read_question(document, where),
     )
+
+
+def _read_question(document: dict[str, Any], where: str) -> Question | None:
+    """The question of a summary's file; None for other files. InputError: it is none."""
+    asked = document.get("asked")
+    if not isinstance(asked, dict) or not isinstance(asked.get("question"), dict):
+        return None
+    return read_question(asked["question"], f"{where}: asked")
 
 
 def _read_variants(records: Any, where: str) -> list[Variant]:

@@ -23,7 +23,7 @@ from .browsers import (
 from .changes import change_state
 from .counting import Counting
 from .files import MapFile, plan_bytes, save_plan
-from .numbers import change_question
+from .numbers import change_question, take_question
 from .opening import MAX_WORKSPACES, OpenedScene, QuestionChange, SceneOpening
 from .plan import History, Variant, add_variant, begin_history
 from .plan_files import Plan, check_plan
@@ -265,6 +265,8 @@ class Session:
     def open_plan(self, opened: Plan, source: str) -> None:
         """Add variants from a file; an only one that is empty gives way to them.
 
+        A question that the file brings is asked from here on.
+
         Parameters
         ----------
         opened : Plan
@@ -275,11 +277,15 @@ class Session:
         Raises
         ------
         InputError
-            A unit cannot be mounted in this scene, or there are too many.
+            A unit cannot be mounted in this scene, there are too many, or the page
+            cannot ask the file's question.
         """
         workspace = self.shown.workspace
         scene = workspace.setting.scene
         opened = check_plan(opened, scene)
+        question = self.question_change.newest
+        if opened.question is not None:
+            question = take_question(question, opened.question, self._begun)
         state = self.shown.state
         # An empty plan is what the page begins with: nobody wants it beside the file's.
         if len(state.variants) == 1 and not state.variant.units:
@@ -292,6 +298,8 @@ class Session:
         if opened.background is not None:
             self.lay_background(opened.background)
         self._go_to(self.shown.history.went_on(state))
+        if question != self.question_change.newest:
+            self.question_change.ask(question)
 
     # ---------- the optimiser
 

@@ -465,6 +465,26 @@ def test_plans_and_layouts_are_saved_and_opened_again(open_client, join):
     assert names == ["mine", "other", "a plan: mine", "a plan: other", "mine: other"]
 
 
+def test_a_summary_that_is_opened_brings_the_question_of_its_layout(open_client, join):
+    client = open_client(UNITS[:1])
+    line = join(client)
+    layout = json.loads(client.get(f"/{TOKEN}/layout.json").content)
+    question = {"cars": "see", "weather": "night", "latency": 0.1, "budget": 1}
+    summary = layout | {"asked": {"question": question}}
+    response = send_file(client, "summary.json", json.dumps(summary).encode())
+    assert response.status_code == 200, response.text
+    line.next("question")
+    now = line.last["question"]["now"]
+    assert (now["cars"], now["weather"]) == ("see", "night")
+    assert "--latency 0.1" in line.last["question"]["command"]
+    variants = [each["name"] for each in line.last["state"]["variants"]]
+    summary["asked"]["question"] = {"cars": "0.5"}
+    refused = send_file(client, "summary.json", json.dumps(summary).encode())
+    assert refused.status_code == 400
+    assert "the page shows each run once" in refused.json()["problem"]
+    assert [each["name"] for each in line.last["state"]["variants"]] == variants
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
