@@ -89,8 +89,14 @@ class CityWish:
 
     @property
     def has_accidents(self) -> bool:
-        """True if weights are read from a file, not estimated or all alike."""
-        return self.weights_file not in (None, PROXY)
+        """True if weights are accidents, not traffic, estimated, or all alike.
+
+        Points that are counted one by one are accidents. A column may be traffic as
+        well, unless it was counted in some years.
+        """
+        if self.weights_file in (None, PROXY):
+            return False
+        return not self.weight_column or self.counted_years is not None
 
 
 # Wishes that need another one.

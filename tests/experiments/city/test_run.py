@@ -430,6 +430,27 @@ def test_where_no_accidents_are_known_a_wide_crossing_counts_most(
         CityWish(weights_file=Path("proxy"), weight_column="n")
 
 
+@pytest.mark.parametrize(
+    ("given", "are_accidents"),
+    [
+        ({}, False),
+        ({"weights_file": Path("proxy")}, False),
+        ({"weights_file": Path("points.csv")}, True),
+        ({"weights_file": Path("counts.gpkg"), "weight_column": "aadt"}, False),
+        (
+            {
+                "weights_file": Path("points.csv"),
+                "weight_column": "n",
+                "counted_years": 5.0,
+            },
+            True,
+        ),
+    ],
+)
+def test_traffic_is_not_called_accidents(given, are_accidents):
+    assert CityWish(**given).has_accidents == are_accidents
+
+
 def test_weights_decide_and_what_is_not_used_is_told(
     tiny, city, never, tmp_path, no_pages
 ):
