@@ -27,7 +27,6 @@ POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_de
 PEDESTRIAN = "CPNC-50/west/30"
 CYCLIST = "CBLA/west/25"
 PERSON = 1
-BICYCLE = 2  # of COCO's 91
 N_FRAMES = 5
 
 
@@ -121,25 +120,6 @@ def build_network(
     )
 
 
-def build_network_that_knows(picture, box):
-    """It finds its box in this picture, to the last bit of the last pixel, and in no
-    other.
-    """
-    image = picture.transpose(2, 0, 1)[None].astype(np.float32) / np.float32(255.0)
-    nodes = [
-        constant("known", image),
-        constant("tolerance", np.float32([0.5 / 255.0])),
-        helper.make_node("Sub", ["images", "known"], ["difference"]),
-        helper.make_node("Abs", ["difference"], ["size"]),
-        helper.make_node(
-            "ReduceMax", ["size"], ["largest"], axes=(1, 2, 3), keepdims=0
-        ),
-        helper.make_node("Less", ["largest", "tolerance"], ["is_known"]),
-        helper.make_node("Cast", ["is_known"], ["scores"], to=TensorProto.FLOAT),
-    ]
-    return build_network(box, nodes=nodes, shape=image.shape)
-
-
 def render(scene, run, frame, pose, camera, **options):
     weather = pick_weather(run.weather, "test")
     backdrop = build_backdrop(scene, run.obstruction)
@@ -168,35 +148,6 @@ def test_one_box_is_matched_in_the_frames_whose_visible_box_it_overlaps_by_half(
     assert [frames.tolist() for frames in detected] == [
         frames.tolist() for frames in expected
     ]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("name", "is_detected"), [(PEDESTRIAN, False), (CYCLIST, True)]
-)
-def test_a_bicycle_may_be_a_cyclist_but_is_no_pedestrian(
-    name, is_detected, last_frames, visible, evaluate
-):
-    runs = last_frames(name, n_frames=1)
-    box = visible(runs)[0][0]
-    by_rsu, _ = evaluate(build_network(box, label=BICYCLE), runs)
-
-    assert by_rsu.tolist() == [is_detected]
-
-
-@pytest.mark.long
-def test_a_network_that_knows_one_picture_detects_in_that_frame_of_that_unit_alone(
-    last_frames, visible, evaluate, scene, camera
-):
-    runs = last_frames(PEDESTRIAN, CYCLIST, n_frames=2)
-    frame = 2 + 1
-    picture = render(scene, runs[1], 1, POSE, camera)
-    by_rsu, by_vut = evaluate(
-        build_network_that_knows(picture, visible(runs)[0][frame]), runs
-    )
-
-    assert np.flatnonzero(by_rsu).tolist() == [frame]
-    assert not by_vut.any()
 
 
 # Pictures.

@@ -257,20 +257,6 @@ def test_worlds_that_share_a_scene_are_seen_as_each_alone(
     assert len(n_hidden) > 3
 
 
-@pytest.mark.long
-def test_sight_is_the_naive_one_at_the_studys_junction(study_runs):
-    scene = load_study_scene()
-    rng = np.random.default_rng(3)
-    n_frames = sum(len(run.time_s) for run in study_runs)
-
-    for site in rng.choice(len(scene.sites), 3, replace=False):
-        eye = scene.sites[site].position_m + [0.3, 0.2, 7.0]
-        same, grazing, _ = _compare(
-            scene, study_runs, eye, rng.choice(n_frames, 10, replace=False)
-        )
-        _assert_same(same, grazing)
-
-
 def test_no_entry_is_a_frame_in_which_nothing_is_seen(build_scene, build_run):
     wall = ((3.0, -20.0, 0.0), (3.4, 20.0, 9.0))
     run = build_run(
