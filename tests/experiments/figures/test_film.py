@@ -52,12 +52,6 @@ def test_the_parked_cars_hide_the_child_until_late(strip):
 
 
 @pytest.mark.long
-def test_an_open_crossing_is_in_sight_all_along():
-    titles = captions(plot_film(load_study_scene(), run_of("CPFA-50")))
-    assert all(": 100 %" in title for title in titles[:-1])
-
-
-@pytest.mark.long
 def test_a_cyclist_beside_a_turning_vut_is_not_in_its_image():
     panels = plot_film(load_study_scene(), run_of("CBTAfs-side", "south", "15"))
     assert [title.split(": ")[1].split()[0] for title in captions(panels)] == ["0"] * 6

@@ -113,17 +113,6 @@ def test_a_mix_that_nobody_is_drawn_from_may_be_anything():
     assert StandingTraffic(following_share=1.0).is_empty
 
 
-def test_by_default_nothing_is_uncertain():
-    nothing = Uncertainty()
-    assert nothing.traffic.is_empty
-    assert nothing.packet_loss == 0.0
-    assert not nothing.draws_detections
-
-    drawn = nothing.latency.draw_s(np.random.default_rng(0), 5, rule_latency_s=0.025)
-
-    assert drawn.tolist() == [0.0] * 5
-
-
 # Latency
 
 
