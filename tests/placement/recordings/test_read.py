@@ -1,7 +1,5 @@
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from placement.recordings import read_recording
@@ -186,30 +184,3 @@ def test_a_recording_in_which_nobody_meets_is_refused_with_what_was_left_out(
         " nothing approaches; expected frames in which the VUT and a VRU come"
         " together"
     )
-
-
-@pytest.mark.long
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    st.sampled_from(["0/3_9.txt", "WorldData/3_9.txt", "Eval/3_9.txt"]),
-    st.one_of(
-        st.binary(max_size=60),
-        st.lists(
-            st.sampled_from(
-                ["car", "bycicle", "0", "-1", "1e9", "nan", "7", "\n", "x"]
-            ),
-            max_size=14,
-        ).map(lambda words: " ".join(words).encode()),
-    ),
-)
-def test_whatever_a_file_holds_is_read_or_refused_by_its_name(
-    small, tmp_path_factory, name, content
-):
-    folder = small.write(tmp_path_factory.mktemp("fuzzed"))
-    (folder / name).write_bytes(content)
-    try:
-        recording = read_recording(folder)
-    except InputError as error:
-        assert str(error).startswith(f"{folder}/{name}")  # noqa: PT017
-    else:
-        assert recording.drives
