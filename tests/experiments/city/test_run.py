@@ -11,7 +11,6 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import Future
-from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 from html import unescape
@@ -37,7 +36,6 @@ from experiments.city import tasks as city_tasks
 from experiments.city.answer import fronts_table, load_front
 from experiments.city.command import city_text
 from experiments.city.inputs import CitySearch, CityWish, estimated_accidents
-from experiments.engine.processes import Processes
 from experiments.engine.start import EngineWish, start_engine
 from experiments.engine.tasks import Engine, WorkerDiedError, map_tasks
 from experiments.language import speaking
@@ -761,24 +759,6 @@ def test_a_junction_whose_worker_died_thrice_is_told(tmp_path):
     assert (answer.record.cause, answer.record.is_final) == ("memory", False)
 
 
-def test_a_worker_that_is_killed_loses_nothing(tiny):
-    tasks = tasks_of(tiny / "tiny.osm")
-    workers = Processes(2, max_bytes=3 * 2**29)
-    killer = threading.Timer(1.0, lambda: next(iter(workers._all)).kill())
-    killer.start()
-    try:
-        answers = [
-            answer.record
-            for _, answer in map_tasks(city_tasks.run_junction, tasks, engine=workers)
-        ]
-    finally:
-        killer.join()
-        workers.close()
-    assert workers.n_tasks > 3  # one was handed over again
-    assert [record.reason for record in answers] == [""] * 3
-    assert {record.id for record in answers} == {"n1", "n2", "n3"}
-
-
 def without_times(folder):
     """Contents of a city's files, less what says when and how long.
 
@@ -853,29 +833,6 @@ def start_command(path, out):
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-
-
-def test_killed_at_ten_moments_it_goes_on_and_answers_the_same(tiny, tmp_path):
-    path = tiny / "tiny.osm"
-    run(path, tmp_path / "one")
-    rng = np.random.default_rng(49)
-    n_done = []
-    for delay_s in rng.uniform(0.5, 15.0, 10):
-        main = start_command(path, tmp_path / "killed")
-        with suppress(subprocess.TimeoutExpired):
-            main.wait(delay_s)
-        main.kill()
-        main.wait()
-        n_done.append(len([*(tmp_path / "killed").glob("junctions/*/front.json")]))
-    assert sorted(n_done) == n_done  # nothing is lost
-    run(path, tmp_path / "killed")
-    killed = without_times(tmp_path / "killed")
-    expected = without_times(tmp_path / "one")
-    assert killed.keys() == expected.keys()
-    # Pages are not compared: one that the command had drawn before it was killed stays.
-    for name in expected:
-        if not name.endswith("report.html"):
-            assert killed[name] == expected[name], name
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="signals and processes as on Linux")

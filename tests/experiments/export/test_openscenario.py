@@ -440,20 +440,6 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
 
 
 @needs_library
-@pytest.mark.parametrize("case", JUNCTION_2026)
-def test_both_speeds_of_the_new_cases_stand_in_the_file(written, case):
-    root = ET.fromstring(written(case))
-    said = {
-        p.get("name"): p.get("value") for p in root.find("FileHeader").iter("Property")
-    }
-    speeds_kmh = float(said["vut_speed_kmh"]), float(said["vru_speed_kmh"])
-    assert speeds_kmh == JUNCTION_2026[case]
-    assert init_speed_mps(root, "vru") == pytest.approx(
-        JUNCTION_2026[case][1] / 3.6, abs=2e-3
-    )
-
-
-@needs_library
 def test_a_run_that_no_braking_avoids_has_no_last_brake_time(some_runs):
     run = replace(some_runs["CPNA-25", "day"], last_brake_time_s=-np.inf)
     root = ET.fromstring(to_openscenario(run, road_network="Town05.xodr"))

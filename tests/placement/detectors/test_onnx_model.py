@@ -295,28 +295,6 @@ def test_inputs_may_be_half_floats_or_bytes(path, kind, threshold):
     assert found.boxes_px.tolist() == [[11.0, 13.0, 37.0, 41.0]]
 
 
-def test_letterbox_worked_by_hand():
-    # 100 x 50 into 64 x 64: scale 0.64, so 64 x 32 with 16 rows of grey above and
-    # below.
-    fitted = letterbox(
-        np.full((50, 100, 3), 200, dtype=np.uint8),
-        width_px=64,
-        height_px=64,
-        scale=0.64,
-    )
-    assert (fitted.pixels[16:48] == 200).all()
-    assert (fitted.pixels[:16] == 114).all()
-    assert (fitted.pixels[48:] == 114).all()
-
-    boxes = fitted.to_image(
-        np.array([[0.0, 16.0, 64.0, 48.0], [16.0, 24.0, 32.0, 40.0]])
-    )
-
-    np.testing.assert_allclose(
-        boxes, [[0.0, 0.0, 100.0, 50.0], [25.0, 12.5, 50.0, 37.5]]
-    )
-
-
 def test_letterbox_goes_back_by_the_scale_of_whole_pixels():
     # 30 x 50 into 64 x 64: scale 1.28, 38.4 columns become 38; 13 columns of grey on
     # each side.
@@ -433,12 +411,6 @@ def test_the_mask_that_detr_asks_for_is_given(path):
 # Classes.
 
 COCO80 = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle"}
-COCO91 = {1: "person", 2: "bicycle", 3: "car", 4: "motorcycle"}
-
-
-def test_labels_are_cocos_91(path):
-    save_constants(path, as_torchvision([PERSON], [0], [0.75]))
-    assert load_onnx_model(path).detect(GREY).kinds == COCO91
 
 
 @pytest.mark.parametrize(
