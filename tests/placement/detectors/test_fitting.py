@@ -143,14 +143,6 @@ def test_intervals_hold_their_figures(fit):
 
 
 @pytest.mark.long
-def test_the_same_seed_gives_the_same_table():
-    few = drawn().take(SOME[:300])
-    first, second = (fit_response(few, name="a", draws=2, seed=4) for _ in range(2))
-
-    assert first.intervals == second.intervals
-
-
-@pytest.mark.long
 def test_classes_and_light_that_never_appear_are_as_built_in():
     fit = fit_response(
         drawn(classes=(0,), contrasts=(1.0,)).take(SOME), name="a", draws=0
@@ -162,23 +154,6 @@ def test_classes_and_light_that_never_appear_are_as_built_in():
     assert fit.detector.contrast_half == pytest.approx(built_in.contrast_half)
     assert fit.detector.contrast_steepness == pytest.approx(built_in.contrast_steepness)
     assert [group.name for group in fit.groups["class"]] == ["pedestrian"]
-
-
-@pytest.mark.long
-def test_a_fitted_table_says_of_which_classes_nothing_was_measured(fit):
-    assert fit.detector.assumed == ()
-
-    few = fit_response(drawn(classes=(0, 2, 3)).take(SOME), name="a", draws=0)
-
-    assert few.detector.assumed == ("child", "car")
-
-
-@pytest.mark.long
-def test_frames_drawn_apart_show_no_correlation():
-    apart = replace(TRUTH, frame_correlation=0.0)
-    fit = fit_response(drawn(apart), name="a", draws=0)
-
-    assert fit.detector.frame_correlation < 0.06
 
 
 @pytest.mark.long

@@ -47,19 +47,6 @@ def pictures(request, backdrop, study_run, small):
     ]
 
 
-@pytest.mark.long
-def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(pictures):
-    weather, pairs = pictures
-    for anew, onto in pairs:
-        assert np.array_equal(onto.depth_m, anew.depth_m)
-        assert onto.names == anew.names
-        levels = np.abs(onto.rgb.astype(int) - anew.rgb.astype(int)).max(axis=2)
-        if weather == "night":  # headlights on edges are those on the pixels' middles
-            assert (levels > 1).mean() < 0.02
-        else:
-            assert (levels > 1).mean() < 1e-3
-
-
 def test_the_road_users_are_in_both_at_the_same_pixels(pictures):
     _, pairs = pictures
     for anew, onto in pairs:

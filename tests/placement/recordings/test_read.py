@@ -37,12 +37,6 @@ def test_units_are_in_the_order_of_their_numbers(small, tmp_path):
     assert read_recording(small.write(tmp_path)).units == ("0", "1", "2", "10")
 
 
-def test_images_and_points_beside_the_labels_are_no_news(small, tmp_path):
-    for suffix in ("png", "bin"):
-        small.files[f"0/3_0.{suffix}"] = "x"
-    assert list(read_recording(small.write(tmp_path)).skipped.values()) == [60]
-
-
 def test_what_is_left_out_is_counted_by_its_reason(small, tmp_path):
     small.add("0/3_0.txt", f"car {BOX} 5")
     small.add("0/3_0.txt", f"motorcycle {BOX} 5")
@@ -148,14 +142,6 @@ def test_a_folder_without_a_frame_is_named(small, tmp_path, name):
     message = f"F/{name}: got no frame; expected files SCENARIO_FRAME.txt"
 
     assert _refusal(small.write(tmp_path)) == message
-
-
-def test_a_line_that_is_wrong_is_named_by_file_and_number(small, tmp_path):
-    small.add("1/3_7.txt", "pedestrian 1 2 nan 4 5")
-    assert (
-        _refusal(small.write(tmp_path))
-        == "F/1/3_7.txt:2: max_x: got 'nan'; expected a finite number"
-    )
 
 
 def test_a_folder_that_is_not_there_or_no_folder_is_named(tmp_path):

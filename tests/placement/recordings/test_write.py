@@ -230,25 +230,3 @@ def test_a_simulated_recording_gives_the_detected_frames_and_verdicts_of_the_sim
     assert np.array_equal(
         recorded_table(result).detected([0, 1]), [detected["2"], detected["9"]]
     )
-
-
-@pytest.mark.long
-def test_the_last_moment_told_from_distances_is_never_later_than_the_swept_one(
-    simulated, tmp_path, rule
-):
-    # From the paths themselves: a crossing VRU may leave the way in time, which a
-    # recording does not tell; behind a cyclist both are (v - u) / (2 a).
-    axis, drives, _ = simulated
-    write_recording(tmp_path / "data", drives)
-    told = evaluate_recording(
-        read_recording(tmp_path / "data"), rule
-    ).axis.last_brake_time_s
-
-    assert (told <= axis.last_brake_time_s + 1e-4).all()
-    assert told == pytest.approx(axis.last_brake_time_s, abs=0.25)
-
-    longitudinal = [index for index, name in enumerate(axis.cases) if name == "CBLA"]
-
-    assert told[longitudinal] == pytest.approx(
-        axis.last_brake_time_s[longitudinal], abs=1e-3
-    )
