@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 from html import unescape
@@ -833,6 +834,29 @@ def start_command(path, out):
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
+
+
+def test_killed_at_ten_moments_it_goes_on_and_answers_the_same(tiny, tmp_path):
+    path = tiny / "tiny.osm"
+    run(path, tmp_path / "one")
+    rng = np.random.default_rng(49)
+    n_done = []
+    for delay_s in rng.uniform(0.5, 15.0, 10):
+        main = start_command(path, tmp_path / "killed")
+        with suppress(subprocess.TimeoutExpired):
+            main.wait(delay_s)
+        main.kill()
+        main.wait()
+        n_done.append(len([*(tmp_path / "killed").glob("junctions/*/front.json")]))
+    assert sorted(n_done) == n_done  # nothing is lost
+    run(path, tmp_path / "killed")
+    killed = without_times(tmp_path / "killed")
+    expected = without_times(tmp_path / "one")
+    assert killed.keys() == expected.keys()
+    # Pages are not compared: one that the command had drawn before it was killed stays.
+    for name in expected:
+        if not name.endswith("report.html"):
+            assert killed[name] == expected[name], name
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="signals and processes as on Linux")
