@@ -670,17 +670,9 @@ REFUSED = {
 }
 
 
-def quickly(changes):
-    """One change for each check that finds it; the others are long."""
-    params = []
-    for expected, of_check in changes.items():
-        first, *others = of_check
-        params.append(pytest.param(expected, first))
-        params += [
-            pytest.param(expected, name, marks=pytest.mark.long) for name in others
-        ]
-
-    return params
+def each_change(changes):
+    """Pairs of a check and the name of a change that it must find."""
+    return [(check, name) for check, names in changes.items() for name in names]
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -704,7 +696,7 @@ def test_a_file_that_is_listed_twice_is_refused(results):
         verified(results)
 
 
-@pytest.mark.parametrize(("file", "name"), quickly(DEEP))
+@pytest.mark.parametrize(("file", "name"), each_change(DEEP))
 def test_what_the_files_agree_about_is_found_when_it_is_made_anew(
     results, deep, file, name
 ):
@@ -834,7 +826,7 @@ def test_what_nobody_has_changed_is_verified(results):
     assert len(set(names)) == len(names)
 
 
-@pytest.mark.parametrize(("expected", "name"), quickly(FOUND))
+@pytest.mark.parametrize(("expected", "name"), each_change(FOUND))
 def test_what_was_changed_is_found_or_named(results, expected, name):
     change = FOUND[expected][name]
     change(results)
@@ -856,10 +848,7 @@ def test_what_was_changed_is_found_or_named(results, expected, name):
     "name",
     [
         "report.html",
-        *(
-            pytest.param(name, marks=pytest.mark.long)
-            for name in ("bill_of_materials.csv", "layout.geojson")
-        ),
+        *("bill_of_materials.csv", "layout.geojson"),
     ],
 )
 def test_whoever_forgets_the_list_of_hashes_is_found_out(results, name):

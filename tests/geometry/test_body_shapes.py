@@ -35,9 +35,7 @@ def _entry(**changes):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "name", ["child", *(pytest.param(name, marks=pytest.mark.long) for name in TABLE)]
-)
+@pytest.mark.parametrize("name", TABLE)
 def test_building_again_gives_the_shapes_on_disk(library, name):
     built = build_shapes(TABLE[name], name)
     kept = load_actors()[name].shapes

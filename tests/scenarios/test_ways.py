@@ -362,10 +362,7 @@ def test_a_cyclist_comes_from_a_road_that_exists(vut):
     [
         "CPNCO-50",
         "CBNA",
-        *(
-            pytest.param(name, marks=pytest.mark.long)
-            for name in ("CBNA-50", "CBFA-50", "CBNAO-50")
-        ),
+        *("CBNA-50", "CBFA-50", "CBNAO-50"),
     ],
 )
 @pytest.mark.parametrize(

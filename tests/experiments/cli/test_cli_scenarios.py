@@ -63,7 +63,7 @@ def test_the_list_fits_a_terminal(run):
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("case", "speed"),
-    [("CCFtap", "10x30"), pytest.param("CMRs-50", "50", marks=pytest.mark.long)],
+    [("CCFtap", "10x30"), ("CMRs-50", "50")],
 )
 def test_both_speeds_of_a_run_make_a_file_name(run, case, speed):
     arguments = ("scenarios show", case, "--approach east --speed", speed, "--quiet")

@@ -237,15 +237,14 @@ def random_layout(rng):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("count", [25, pytest.param(10_000, marks=pytest.mark.long)])
-def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs, count):
+def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs):
     """Places in centimetres, velocities in centimetres a second, angles in tenths of a
     degree.
     """
-    rng = np.random.default_rng(count)
+    rng = np.random.default_rng(10_000)
     to_local = Transformer.from_crs("EPSG:4326", SCENE.crs, always_xy=True)
     moving = [(run, run.encounter.vru_motion) for run in runs]
-    for _ in range(count):
+    for _ in range(10_000):
         layout = random_layout(rng)
         release = RELEASES[rng.integers(2)]
         run, motion = moving[rng.integers(len(moving))]

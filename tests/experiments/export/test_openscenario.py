@@ -178,16 +178,8 @@ def schema():
 @pytest.mark.parametrize(
     ("case", "weather"),
     [
-        ("CPNCO-50", "night"),
-        ("CMRb-50", "day"),
-        *(
-            pytest.param(case, "day", marks=pytest.mark.long)
-            for case in (*CASES, *MET, *JUNCTION_2026)
-        ),
-        *(
-            pytest.param("CPNCO-50", weather, marks=pytest.mark.long)
-            for weather in WEATHERS[1:]
-        ),
+        *((case, "day") for case in (*CASES, *MET, *JUNCTION_2026)),
+        *(("CPNCO-50", weather) for weather in WEATHERS[1:]),
     ],
 )
 def test_the_schema_accepts_every_kind_of_run(schema, some_runs, case, weather):

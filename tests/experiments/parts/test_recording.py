@@ -149,8 +149,8 @@ def record_of(summary):
     ("seed", "share"),
     [
         (1, 0.4),
-        pytest.param(2, 0.5, marks=pytest.mark.long),
-        pytest.param(3, 0.6, marks=pytest.mark.long),
+        (2, 0.5),
+        (3, 0.6),
     ],
 )
 def test_no_other_choice_of_units_prevents_more(recorded, fusion, seed, share):

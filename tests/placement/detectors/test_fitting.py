@@ -70,7 +70,7 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("share", [pytest.param(0.0, marks=pytest.mark.long), 0.4])
+@pytest.mark.parametrize("share", [0.0, 0.4])
 def test_the_share_that_lasts_for_a_track_is_found(share):
     """Noise drawn as a sampled world draws it, of tracks that are found as often as
     missed.

@@ -90,9 +90,7 @@ def test_a_window_has_the_box_in_its_middle_but_stays_in_the_image(larger):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "weather", ["day", pytest.param("night", marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize("weather", ["day", "night"])
 def test_a_crop_is_that_part_of_the_whole_picture(last_frames, seen, larger, weather):
     run = replace(last_frames("CPNC-50/west/30", 1), weather=weather)
     crops, picture, evidence = seen([run], camera=larger)

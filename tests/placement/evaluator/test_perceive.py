@@ -79,7 +79,7 @@ def surroundings(build_scene, build_run):
 @pytest.mark.long
 @pytest.mark.parametrize(
     "mount",
-    [MOUNTS[0], *(pytest.param(one, marks=pytest.mark.long) for one in MOUNTS[1:])],
+    MOUNTS,
 )
 def test_roadside_boxes_equal_the_plain_render_of_every_frame(
     surroundings, camera, mount

@@ -361,15 +361,7 @@ def _around(build_run, name, distance_m, n_frames=20):
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("lidar", "pitch_deg", "distance_m"),
-    [
-        pytest.param(RING, 0.0, 1.5, id="ring"),
-        pytest.param(WIDE, -35.0, 1.5, id="wide"),
-        pytest.param(SECTOR, -35.0, 9.0, id="sector"),
-        *(
-            pytest.param(*given, marks=pytest.mark.long)
-            for given in product((RING, WIDE, SECTOR), (0.0, -35.0), (1.5, 9.0))
-        ),
-    ],
+    [*product((RING, WIDE, SECTOR), (0.0, -35.0), (1.5, 9.0))],
 )
 def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
     build_scene, build_run, beams_on_vru, lidar, pitch_deg, distance_m

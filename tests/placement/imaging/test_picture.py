@@ -95,7 +95,7 @@ def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
         (5, True),
         (0, False),
         *(
-            pytest.param(back, with_vut, marks=pytest.mark.long)
+            (back, with_vut)
             for back, with_vut in ((0, True), (12, True), (5, False), (12, False))
         ),
     ],

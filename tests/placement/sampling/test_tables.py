@@ -213,7 +213,7 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
         ("response", None),
         ("geometric", None),
         ("response", BrownConrady(k1=-0.1, p1=0.002)),
-        pytest.param("geometric", Fisheye(k1=-0.02), marks=pytest.mark.long),
+        ("geometric", Fisheye(k1=-0.02)),
     ],
 )
 def test_a_world_beside_others_is_as_it_is_alone(
