@@ -18,6 +18,9 @@ BOX_M = np.array([2.0, 3.0, 4.0])
 BOX = trimesh.creation.box(extents=2.0 * BOX_M)
 
 
+OPEN3D = (pytest.mark.long, pytest.mark.system)  # Open3D takes long to load
+
+
 @pytest.fixture(scope="module")
 def open3d():
     """Skips where Open3D cannot load; to collect tests, which loads it not, is
@@ -27,9 +30,7 @@ def open3d():
         pytest.skip(problem)
 
 
-@pytest.fixture(
-    scope="module", params=[pytest.param("open3d", marks=pytest.mark.system), "embree"]
-)
+@pytest.fixture(scope="module", params=[pytest.param("open3d", marks=OPEN3D), "embree"])
 def library(request):
     if request.param == "open3d":
         request.getfixturevalue("open3d")
@@ -72,6 +73,7 @@ def test_rays_against_a_box_are_those_of_the_slab_formula(library, seed):
     assert not blocked[is_missed].any()
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.usefixtures("open3d")
 @given(seed=st.integers(0, 2**32 - 1))
@@ -91,6 +93,7 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
     assert_allclose(hits, other.first_triangle(origins, vectors)[0], rtol=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.usefixtures("open3d")
 @given(seed=st.integers(0, 2**32 - 1))
@@ -287,6 +290,7 @@ def test_embreex_casts_where_it_loads_and_open3d_is_not_imported(break_open3d):
     assert isinstance(build_caster(BOX.vertices, BOX.faces), raycast.EmbreexCaster)
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.usefixtures("open3d")
 def test_open3d_casts_where_embreex_cannot_load_or_it_is_asked_for(monkeypatch):

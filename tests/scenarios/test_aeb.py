@@ -419,15 +419,14 @@ def test_last_brake_time_matches_a_simulation_in_small_steps(encounter, share):
 
 
 @pytest.mark.parametrize(
-    ("side", "speed_kmh", "is_same"),
+    ("side", "speed_kmh", "is_same", "build_up_s"),
     [
-        ("far", 10.0, True),
-        ("far", 15.0, False),
-        ("far", 20.0, True),
-        ("near", 10.0, False),
+        ("far", 10.0, True, 0.0),
+        ("far", 15.0, False, 0.3),
+        ("far", 20.0, True, 0.3),
+        ("near", 10.0, False, 0.0),
     ],
 )
-@pytest.mark.parametrize("build_up_s", [0.0, 0.3])
 def test_last_brake_time_on_a_turn_matches_a_simulation_in_small_steps(
     side, speed_kmh, is_same, build_up_s
 ):

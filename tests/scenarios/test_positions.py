@@ -167,8 +167,15 @@ def test_on_straight_lanes_a_run_is_that_of_zero_moved_along(
             assert one.pose.yaw_deg == pytest.approx(other.pose.yaw_deg)
 
 
-@pytest.mark.parametrize("approach", ["east", "north", "west", "south"])
-@pytest.mark.parametrize("name", ["CPNA-25", "CPFA-50", "CPLA-50", "CBLA-50"])
+@pytest.mark.parametrize(
+    ("name", "approach"),
+    [
+        ("CPNA-25", "east"),
+        ("CPFA-50", "north"),
+        ("CPLA-50", "west"),
+        ("CBLA-50", "south"),
+    ],
+)
 def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(
     vut, rule, name, approach
 ):

@@ -179,11 +179,11 @@ def test_bicycles_beside_a_turning_vut_ride_on_the_protocols_line(golf, name):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        name
-        for name, case in load_cases().items()
-        if case.impact_face == "front" and case.family not in ("CCFtap", "CMFtap")
-    ],
+    case_names(
+        lambda case: (
+            case.impact_face == "front" and case.family not in ("CCFtap", "CMFtap")
+        )
+    ),
 )
 def test_every_case_meets_the_front_at_its_share_of_the_width(golf, name):
     case = load_cases()[name]

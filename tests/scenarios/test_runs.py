@@ -24,10 +24,14 @@ from scenarios.weights import weight_per_run
 
 
 def asked_of(approach, *, is_thorough):
-    """What is driven from an arm: every case from one arm, at its lowest and highest
-    speed by turns; thoroughly: from all of them, at both.
+    """What is driven from an arm: a case of every family from one arm, at its lowest
+    and highest speed by turns; thoroughly: every case from all of them, at both.
     """
-    for number, (name, case) in enumerate(load_cases().items()):
+    cases = load_cases()
+    if not is_thorough:
+        names = {case.family: name for name, case in cases.items()}.values()
+        cases = {name: cases[name] for name in names}
+    for number, (name, case) in enumerate(cases.items()):
         low_kmh, high_kmh = case.speed_limits_kmh
         if is_thorough:
             yield name, sorted({low_kmh, high_kmh})

@@ -43,6 +43,10 @@ JUNCTION_2026 = {
     "CCRb-2026-50": (50.0, 50.0),
     "CCFhos-2026-50": (30.0, 50.0),
 }
+EVERY_CASE = [
+    *(*CASES, *MET),
+    *(pytest.param(case, marks=pytest.mark.long) for case in JUNCTION_2026),
+]
 needs_library = pytest.mark.skipif(
     importlib.util.find_spec("scenariogeneration") is None,
     reason="the extra openscenario is not installed",
@@ -191,7 +195,7 @@ def test_the_schema_accepts_every_kind_of_run(schema, some_runs, case, weather):
 
 
 @needs_library
-@pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
+@pytest.mark.parametrize("case", EVERY_CASE)
 def test_trajectories_read_back_are_the_frames_to_a_millimetre(
     some_runs, written, case
 ):
@@ -230,7 +234,7 @@ def test_a_run_whose_last_frame_is_before_the_impact_still_ends_at_the_impact(
 
 
 @needs_library
-@pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
+@pytest.mark.parametrize("case", EVERY_CASE)
 def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, written, case):
     run = some_runs[case, "day"]
     text = written(case)
@@ -250,7 +254,7 @@ def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, written
 
 
 @needs_library
-@pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
+@pytest.mark.parametrize("case", EVERY_CASE)
 def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(
     some_runs, written, case
 ):

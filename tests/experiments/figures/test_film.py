@@ -42,6 +42,7 @@ def test_a_strip_leads_over_the_last_useful_frame_to_the_impact(child, strip):
     assert titles[5].startswith("impact: ")
 
 
+@pytest.mark.long
 def test_the_parked_cars_hide_the_child_until_late(strip):
     titles = captions(strip)
     shares = [int(title.split(": ")[1].split()[0]) for title in titles]

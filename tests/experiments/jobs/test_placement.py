@@ -207,6 +207,7 @@ def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
     assert "25.0 % of the messages lost" in page
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "asked",
     [

@@ -90,6 +90,7 @@ def test_the_limits_hold_for_what_it_is_compared_with(small_study, tmp_path):
     assert np.hypot(*(places[0] - places[-1])) >= 30.0
 
 
+@pytest.mark.long
 def test_an_experts_layout_is_told_from_one_that_is_called_so(small_study):
     layouts = [
         Layout(name="expert-1", units=study_units(1)),

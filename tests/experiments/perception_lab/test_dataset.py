@@ -446,6 +446,7 @@ def test_what_cannot_be_written_is_said_in_a_line(dataset, more, message):
     assert not Path("data").exists()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("drawn")
 def test_a_folder_of_another_dataset_or_of_something_else_is_left_alone(dataset):
     before = _files("data")

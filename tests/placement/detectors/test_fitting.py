@@ -118,6 +118,7 @@ def test_the_table_that_was_drawn_from_is_found_again(fit):
     assert found.name == "mine"
 
 
+@pytest.mark.long
 def test_calibration_counts_every_frame_and_fits(fit):
     assert (
         sum(group.frames for group in fit.calibration)
@@ -130,12 +131,14 @@ def test_calibration_counts_every_frame_and_fits(fit):
         assert group.recall.value == pytest.approx(group.expected, abs=0.12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["height", "seen", "class", "aspect", "contrast"])
 def test_groups_count_every_frame_once(fit, kind):
     assert sum(group.frames for group in fit.groups[kind]) == fit.frames
     assert sum(group.found for group in fit.groups[kind]) == fit.found
 
 
+@pytest.mark.long
 def test_intervals_hold_their_figures(fit):
     for interval in fit.intervals.values():
         assert interval.low <= interval.value <= interval.high

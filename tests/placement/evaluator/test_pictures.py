@@ -183,6 +183,7 @@ def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(
         assert np.array_equal(source.pictures(mount)(index), by_vut)
 
 
+@pytest.mark.long
 def test_each_run_is_drawn_behind_its_own_obstruction(last_frames, scene, tiny):
     (hidden,) = last_frames(PEDESTRIAN, n_frames=1)
     free = replace(hidden, obstruction=())
