@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused_with
 
-from geometry.errors import InputError
 from placement.optimiser import Floor, PlacementValue, is_better
 from placement.optimiser.problem import (
     VALUE_OBJECTIVES,
@@ -116,9 +116,8 @@ def test_ratios_have_a_step_where_all_weights_are_multiples(weights, tail, step)
     ],
 )
 def test_a_measure_says_what_is_wrong(change, message):
-    with pytest.raises(InputError) as told:
+    with refused_with(message):
         build_measure(np.array([0.5, 0.5]), **change)
-    assert str(told.value) == message
 
 
 @pytest.mark.parametrize(
@@ -133,9 +132,8 @@ def test_a_measure_says_what_is_wrong(change, message):
     ],
 )
 def test_a_floor_says_what_is_wrong(change, message):
-    with pytest.raises(InputError) as told:
+    with refused_with(message):
         Floor(**{"name": "--target", "share": 0.5, **change})
-    assert str(told.value) == message
 
 
 # ---------- requirements

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused_with
 
 from geometry.errors import InputError
 from placement.sampling.out_of_sample import cvar, estimate_mean, resampled_cvar
@@ -33,9 +34,8 @@ def test_cvar_grows_with_the_tail_from_the_worst_to_the_mean(samples, a, b):
 
 
 def test_nothing_has_no_mean():
-    with pytest.raises(InputError) as caught:
+    with refused_with("samples: got none; expected at least one"):
         estimate_mean([])
-    assert str(caught.value) == "samples: got none; expected at least one"
 
 
 # Mean and interval
