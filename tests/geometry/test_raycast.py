@@ -18,9 +18,6 @@ BOX_M = np.array([2.0, 3.0, 4.0])
 BOX = trimesh.creation.box(extents=2.0 * BOX_M)
 
 
-OPEN3D = (pytest.mark.long, pytest.mark.system)  # Open3D takes long to load
-
-
 @pytest.fixture(scope="module")
 def open3d():
     """Skips where Open3D cannot load; to collect tests, which loads it not, is
@@ -30,7 +27,9 @@ def open3d():
         pytest.skip(problem)
 
 
-@pytest.fixture(scope="module", params=[pytest.param("open3d", marks=OPEN3D), "embree"])
+@pytest.fixture(
+    scope="module", params=[pytest.param("open3d", marks=pytest.mark.system), "embree"]
+)
 def library(request):
     if request.param == "open3d":
         request.getfixturevalue("open3d")
@@ -73,7 +72,35 @@ def test_rays_against_a_box_are_those_of_the_slab_formula(library, seed):
     assert not blocked[is_missed].any()
 
 
-@pytest.mark.long
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_segment_ends_where_it_ends(library, side):
+    caster = _wall(library)
+    origins = np.array([[10.0 - 10.0 * side, 0.3, 0.2]] * 3, dtype=np.float32)
+    ways = np.array([[9.999 * side, 0, 0], [10.001 * side, 0, 0], [-9.0 * side, 0, 0]])
+    blocked = caster.is_blocked(origins, ways.astype(np.float32))
+    assert blocked.tolist() == [
+        False,
+        True,
+        False,
+    ]  # just before, just after, away from it
+
+
+def test_the_nearest_of_several_triangles_is_hit_at_its_share_of_the_vector(library):
+    walls = [
+        np.array([[x, -5, -5], [x, 5, -5], [x, 5, 5], [x, -5, 5]], dtype=float)
+        for x in (9, 3, 6)
+    ]
+    faces = np.concatenate([[[i, i + 1, i + 2], [i, i + 2, i + 3]] for i in (0, 4, 8)])
+    caster = build_caster(np.concatenate(walls), faces, library=library)
+    origins = np.array([[0, 0.1, 0.2]] * 3 + [[4, 0.1, 0.2]], dtype=np.float32)
+    vectors = np.array(
+        [[1, 0, 0], [12, 0, 0], [-1, 0, 0], [0.5, 0, 0]], dtype=np.float32
+    )
+    assert caster.first_triangle(origins, vectors)[0] == pytest.approx(
+        [3.0, 0.25, np.inf, 4.0], rel=1e-6
+    )
+
+
 @pytest.mark.system
 @pytest.mark.usefixtures("open3d")
 @given(seed=st.integers(0, 2**32 - 1))
@@ -93,7 +120,6 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
     assert_allclose(hits, other.first_triangle(origins, vectors)[0], rtol=1e-5)
 
 
-@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.usefixtures("open3d")
 @given(seed=st.integers(0, 2**32 - 1))
@@ -290,7 +316,6 @@ def test_embreex_casts_where_it_loads_and_open3d_is_not_imported(break_open3d):
     assert isinstance(build_caster(BOX.vertices, BOX.faces), raycast.EmbreexCaster)
 
 
-@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.usefixtures("open3d")
 def test_open3d_casts_where_embreex_cannot_load_or_it_is_asked_for(monkeypatch):
