@@ -21,12 +21,11 @@ from placement.layout import Layout
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
-from onnx import TensorProto, helper, numpy_helper  # noqa: E402
+from onnx import parser  # noqa: E402
 
 POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
 PEDESTRIAN = "CPNC-50/west/30"
 CYCLIST = "CBLA/west/25"
-PERSON = 1
 N_FRAMES = 5
 
 
@@ -83,40 +82,19 @@ def visible(scene, camera):
     return boxes_of
 
 
-def constant(name, value):
-    return helper.make_node(
-        "Constant", [], [name], value=numpy_helper.from_array(value, name)
-    )
-
-
-def build_network(
-    boxes, *, label=PERSON, nodes=(), shape=("batch", 3, "height", "width")
-):
-    """Torchvision's outputs: the same boxes always, surely unless `nodes` compute the
-    scores.
-    """
-    boxes = np.float32(boxes).reshape(-1, 4)
-    nodes = nodes or [constant("scores", np.full(len(boxes), 0.75, dtype=np.float32))]
-    kinds = {
-        "boxes": TensorProto.FLOAT,
-        "labels": TensorProto.INT64,
-        "scores": TensorProto.FLOAT,
-    }
-    graph = helper.make_graph(
-        [
-            constant("boxes", boxes),
-            constant("labels", np.full(len(boxes), label, dtype=np.int64)),
-            *nodes,
-        ],
-        "tiny",
-        [helper.make_tensor_value_info("images", TensorProto.FLOAT, shape)],
-        [
-            helper.make_tensor_value_info(name, kind, None)
-            for name, kind in kinds.items()
-        ],
-    )
-    return helper.make_model(
-        graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9
+def build_network(box):
+    """Torchvision's outputs: always a person in the same box."""
+    corners = ", ".join(f"{float(corner)!r}" for corner in box)
+    return parser.parse_model(
+        f"""<ir_version: 9, opset_import: ["": 17]>
+        tiny (float[batch, 3, height, width] images)
+        => (float[] boxes, int64[] labels, float[] scores)
+        <float[1, 4] box = {{{corners}}}, int64[1] person = {{1}},
+        float[1] sure = {{0.75}}> {{
+            boxes = Identity(box)
+            labels = Identity(person)
+            scores = Identity(sure)
+        }}"""
     )
 
 
