@@ -2,11 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kept_backdrops import kept_backdrop
+from kept_backdrops import CORNER, kept_backdrop
 from short_runs import cut_run
 
 from geometry.image_boxes import iou
-from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose
@@ -23,7 +22,6 @@ onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 from onnx import parser  # noqa: E402
 
-POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
 PEDESTRIAN = "CPNC-50/west/30"
 CYCLIST = "CBLA/west/25"
 N_FRAMES = 5
@@ -60,7 +58,7 @@ def evaluate(tmp_path, build_setting, scene, camera):
         onnx.save(model, tmp_path / "x.onnx")
         detector = load_detector(str(tmp_path / "x.onnx"))
         setting = build_setting(scene, runs, detector=detector, vut_camera=camera)
-        unit = CandidatePose(id="rsu", site_id="", pose=POSE, sensor=camera)
+        unit = CandidatePose(id="rsu", site_id="", pose=CORNER, sensor=camera)
         evaluation = evaluate_layout(Layout(name="test", units=(unit,)), setting)
         return evaluation.units["rsu"].detected, evaluation.vut.detected
 
@@ -75,7 +73,7 @@ def visible(scene, camera):
         surroundings = build_surroundings(scene, runs)
         mount = replace(load_vut_camera(), camera=camera)
         return (
-            perceive_frames(surroundings, (POSE, camera)).visible_px,
+            perceive_frames(surroundings, (CORNER, camera)).visible_px,
             perceive_frames(surroundings, mount).visible_px,
         )
 
@@ -150,8 +148,8 @@ def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(
         (N_FRAMES, second, 0),
         (2 * N_FRAMES - 1, second, N_FRAMES - 1),
     ):
-        by_rsu = render(scene, run, frame, POSE, tiny, compute=Compute(seed=5))
-        assert np.array_equal(source.pictures((POSE, tiny))(index), by_rsu)
+        by_rsu = render(scene, run, frame, CORNER, tiny, compute=Compute(seed=5))
+        assert np.array_equal(source.pictures((CORNER, tiny))(index), by_rsu)
 
         pose = vut_camera_pose(mount, run, frame)
         by_vut = render(
@@ -166,7 +164,7 @@ def test_each_run_is_drawn_behind_its_own_obstruction(last_frames, scene, tiny):
     (hidden,) = last_frames(PEDESTRIAN, n_frames=1)
     free = replace(hidden, obstruction=())
     picture = RenderedPictures(scene, [hidden, free, hidden], seed=0).pictures(
-        (POSE, tiny)
+        (CORNER, tiny)
     )
     assert np.array_equal(picture(0), picture(2))
     assert not np.array_equal(picture(0), picture(1))

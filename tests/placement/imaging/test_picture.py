@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kept_backdrops import CORNER
 from ray_renderer import render_frame
 
 from geometry.actors import MovingActor, pick_actor
@@ -15,9 +16,6 @@ from placement.evaluator.surroundings import build_surroundings
 from placement.imaging import build_backdrop, draw_picture
 
 # Near the study's RSU3.
-CORNER = Pose(
-    position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3
-)
 ABOVE = Pose(position_m=np.array([0.0, -12.0, 9.0]), yaw_deg=90.0, pitch_deg=-40.0)
 
 

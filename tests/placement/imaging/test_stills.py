@@ -2,17 +2,14 @@
 
 import numpy as np
 import pytest
+from kept_backdrops import CORNER
 
-from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
 from placement.compute import Compute
 from placement.imaging import build_backdrop, draw_picture
 from placement.imaging.stills import draw_onto, draw_still
 
-CORNER = Pose(
-    position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3
-)
 COMPUTE = Compute(seed=2, workers=1)
 
 

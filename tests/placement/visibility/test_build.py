@@ -6,6 +6,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import angles_deg, cameras, numbers, pitches_deg
+from tiny_worlds import WALLS
 
 from geometry.poses import Pose, camera_rotation
 from geometry.sensors import CameraModel, project_points
@@ -22,11 +23,6 @@ from placement.visibility.build import at_each_mount
 from placement.visibility.sensing import max_distance_m
 
 DETECTOR = GeometricDetector(min_iou=0.5, min_box_height_px=15.0)
-WALLS = (
-    ((4, -6, 0), (4.3, 1, 2.2)),
-    ((-9, 3, 0), (-2, 3.4, 1.2)),
-    ((8, -9, 0), (12, -5, 6)),
-)
 
 
 def _detected(table):

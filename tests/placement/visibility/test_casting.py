@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiny_worlds import WALLS
 
 from geometry import raycast
 from geometry.actors import PlacedActor, load_actors
@@ -136,14 +137,6 @@ def _assert_same(same, grazing):
     assert same.mean() >= 0.995
     assert grazing.mean() <= 0.2  # or else nothing would be compared
     assert same[~grazing].all()
-
-
-# What hides: boxes that reach from beside the VRU to far above it, and a low wall.
-WALLS = (
-    ((4, -6, 0), (4.3, 1, 2.2)),
-    ((-9, 3, 0), (-2, 3.4, 1.2)),
-    ((8, -9, 0), (12, -5, 6)),
-)
 
 
 def _random_runs(build_run, rng, n_frames, *, vut_between_of, obstruction=()):

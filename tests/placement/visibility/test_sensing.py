@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from tiny_worlds import WALLS
 
 from geometry.actors import Actor, Shape
 from geometry.lidar import (
@@ -22,11 +23,6 @@ from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.sensing import build_sensing
 
-WALLS = (
-    ((4, -6, 0), (4.3, 1, 2.2)),
-    ((-9, 3, 0), (-2, 3.4, 1.2)),
-    ((8, -9, 0), (12, -5, 6)),
-)
 WEATHERS = ("day", "night", "rain", "fog")
 STUDY = load_lidars()["carla-ncap-lidar"]
 SURE = replace(STUDY, reference_range_m=1.0e6)  # whatever it hits comes back
