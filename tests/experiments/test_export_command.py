@@ -51,9 +51,7 @@ def test_every_format_is_described():
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", FORMAT_NAMES)
-@pytest.mark.parametrize(
-    "build", [awkward_layout, pytest.param(large_layout, marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize("build", [awkward_layout, large_layout])
 def test_notes_tell_the_truth(name, build):
     layout = build()
     note = load_format(name)

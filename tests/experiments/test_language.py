@@ -322,30 +322,19 @@ def mine(tmp_path):
 @pytest.mark.parametrize(
     "asked",
     [
-        pytest.param("--budget 2 --verbose", marks=pytest.mark.long),
-        pytest.param(
-            "--budget 2 --cars 0.5 --give-up 0.01 --vam-rate 0.5 --verbose",
-            marks=pytest.mark.long,
-        ),
-        pytest.param("--budget 2 --samples 4 --cars blind", marks=pytest.mark.long),
+        "--budget 2 --verbose",
+        "--budget 2 --cars 0.5 --give-up 0.01 --vam-rate 0.5 --verbose",
+        "--budget 2 --samples 4 --cars blind",
         "--budget 2 --cars see --fusion single --detector response --verbose",
         ("--target 0.5 --least cost --site-cost 100 --cars blind --verbose"),
         "evaluate --layout MINE-1 --cars blind --verbose",
-        pytest.param(
-            "evaluate --layout MINE-2 --no-look GARDEN-1 --verbose",
-            marks=pytest.mark.long,
-        ),
-        pytest.param(
-            "compare MINE-2 MINE-1 --samples 4 --verbose", marks=pytest.mark.long
-        ),
+        "evaluate --layout MINE-2 --no-look GARDEN-1 --verbose",
+        "compare MINE-2 MINE-1 --samples 4 --verbose",
         "compare MINE-2 MINE-1 carlancap-12",
-        pytest.param("pareto --max 2", marks=pytest.mark.long),
+        "pareto --max 2",
         "pareto --max 2 --by cost --site-cost 500",
-        pytest.param(
-            "retrofit --layout MINE-2 --site-cost 500 --budget-cost 3000",
-            marks=pytest.mark.long,
-        ),
-        pytest.param("latency --layout MINE-2", marks=pytest.mark.long),
+        "retrofit --layout MINE-2 --site-cost 500 --budget-cost 3000",
+        "latency --layout MINE-2",
         "latency --layout MINE-1 --budget cpm-100ms",
     ],
 )
@@ -406,7 +395,7 @@ def test_the_language_is_that_of_the_option_else_of_the_environment(run, monkeyp
     "asked",
     [
         "--budget 1 --refine --detector response",
-        pytest.param("--budget 2 --samples 2 --cars 0.3", marks=pytest.mark.long),
+        "--budget 2 --samples 2 --cars 0.3",
     ],
 )
 def test_no_word_of_a_report_is_left_over(

@@ -207,8 +207,8 @@ def test_signals_are_left_alone_outside_the_main_thread():
     ("prepare", "work"),
     [
         pytest.param(*THREADS, id="threads"),
-        pytest.param(*SOLVER, id="solver", marks=pytest.mark.long),
-        pytest.param(*KERNEL, id="kernel", marks=pytest.mark.long),
+        pytest.param(*SOLVER, id="solver"),
+        pytest.param(*KERNEL, id="kernel"),
     ],
 )
 def test_what_does_not_listen_is_ended(prepare, work, tmp_path):

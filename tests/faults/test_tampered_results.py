@@ -10,11 +10,9 @@ import base64
 import json
 import re
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -49,8 +47,6 @@ from placement.verification.instances import load_stored_problem
 pytestmark = pytest.mark.long
 
 ASKED = Question(budget=2, give_up=0.0, time_limit_s=60.0)
-Change = Callable[[Path], None]
-Document = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
@@ -304,12 +300,6 @@ def row_of_equal_value(folder):
     instance(change)(folder)
     name = load_stored_problem(folder / "instance.npz").problem.table.pose_ids[other]
     certificate("layout", 0, row=other, pose=name)(folder)
-
-
-def flip(array, row=0):
-    copy = array.copy()
-    copy[0, 0] ^= np.uint8(1)
-    return copy
 
 
 def another_bit(stored, row):
@@ -670,17 +660,9 @@ REFUSED = {
 }
 
 
-def quickly(changes):
-    """One change for each check that finds it; the others are long."""
-    params = []
-    for expected, of_check in changes.items():
-        first, *others = of_check
-        params.append(pytest.param(expected, first))
-        params += [
-            pytest.param(expected, name, marks=pytest.mark.long) for name in others
-        ]
-
-    return params
+def each_change(changes):
+    """Pairs of a check and the name of a change that it must find."""
+    return [(check, name) for check, names in changes.items() for name in names]
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -702,17 +684,6 @@ def test_a_file_that_is_listed_twice_is_refused(results):
         InputError, match=re.escape("got 'report.html'; expected every")
     ):
         verified(results)
-
-
-@pytest.mark.parametrize(("file", "name"), quickly(DEEP))
-def test_what_the_files_agree_about_is_found_when_it_is_made_anew(
-    results, deep, file, name
-):
-    DEEP[file][name](results)
-    write_manifest(results)
-    failures = deeply_failed(results)
-
-    assert any(one.startswith(f"anew: {file}") for one in failures), failures
 
 
 def test_what_nobody_has_changed_is_the_same_when_it_is_made_anew(results, deep):
@@ -834,7 +805,7 @@ def test_what_nobody_has_changed_is_verified(results):
     assert len(set(names)) == len(names)
 
 
-@pytest.mark.parametrize(("expected", "name"), quickly(FOUND))
+@pytest.mark.parametrize(("expected", "name"), each_change(FOUND))
 def test_what_was_changed_is_found_or_named(results, expected, name):
     change = FOUND[expected][name]
     change(results)
@@ -856,10 +827,7 @@ def test_what_was_changed_is_found_or_named(results, expected, name):
     "name",
     [
         "report.html",
-        *(
-            pytest.param(name, marks=pytest.mark.long)
-            for name in ("bill_of_materials.csv", "layout.geojson")
-        ),
+        *("bill_of_materials.csv", "layout.geojson"),
     ],
 )
 def test_whoever_forgets_the_list_of_hashes_is_found_out(results, name):

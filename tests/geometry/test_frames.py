@@ -57,12 +57,6 @@ def test_pitch_is_kept():
     assert pose.pitch_deg == -26.64
 
 
-def test_town05_origin_is_8_east_49_north():
-    assert to_geographic([[0.0, 0.0]], TOWN05_CRS) == pytest.approx(
-        np.array([[8.0, 49.0]]), abs=1e-11
-    )
-
-
 def test_to_geographic_agrees_with_the_radii_of_the_wgs84_ellipsoid():
     a = 6378137.0
     f = 1.0 / 298.257223563

@@ -192,6 +192,7 @@ def test_code_is_compiled_anew_when_kernels_beside_it_change(start, tmp_path):
     ]
 
 
+@pytest.mark.long
 def test_where_no_folder_can_be_made_a_private_temporary_one_has_the_code(
     start, tmp_path
 ):

@@ -172,24 +172,6 @@ def test_a_fisheye_agrees_with_opencv_wherever_the_lens_keeps_the_order(terms, t
 
 
 @given(LENSES, st.integers(0, 2**32 - 1))
-def test_to_distort_what_is_undistorted_changes_nothing_over_the_picture(lens, seed):
-    shown = np.random.default_rng(seed).uniform(-1.5, 1.5, (200, 2))
-    rays = lens.undistort(shown)
-    lit = np.isfinite(rays).all(axis=1)
-    assert np.abs(lens.distort(rays[lit]) - shown[lit]).max(initial=0.0) < 1e-9
-    # And all the picture has rays up to where the edge of what the lens shows comes
-    # nearest.
-    turn = np.linspace(0.0, 2.0 * np.pi, 720)
-    edge = (
-        min(lens.reach, 14.0)
-        * (1.0 - 1e-9)
-        * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    )
-    nearest = np.hypot(*lens.distort(edge).T).min()
-    assert lit[np.hypot(*shown.T) < 0.98 * nearest].all()
-
-
-@given(LENSES, st.integers(0, 2**32 - 1))
 def test_to_undistort_what_is_distorted_finds_the_ray_again(lens, seed):
     rng = np.random.default_rng(seed)
     radius = 0.98 * min(lens.reach, 3.0) * rng.random(200)
@@ -215,12 +197,6 @@ def test_large_terms_show_the_whole_picture_and_endless_ones_are_refused():
         InputError, match=r"carla-ncap-rgb.lens: got .*1e\+300.*; expected terms"
     ):
         replace(wide, lens=BrownConrady(k1=1e300))
-
-
-@given(LENSES, numbers(0.05, 0.9))
-def test_the_angle_of_what_a_lens_shows_is_the_one_it_shows(lens, share):
-    angle = share * min(lens.widest_rad, 1.3)
-    assert lens.angle_of(lens.shown_at(angle)) == pytest.approx(angle, abs=1e-8)
 
 
 @given(

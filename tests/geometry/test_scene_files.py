@@ -7,7 +7,6 @@ import trimesh
 from osm_text import LAT_DEG, LON_DEG, OsmText
 
 from geometry.errors import InputError
-from geometry.frames import from_gltf_points, to_gltf_points
 from geometry.junction import build_junction
 from geometry.notes import Note
 from geometry.phrases import Phrase
@@ -107,12 +106,6 @@ def test_other_programs_see_things_upright(folder):
         high[1] - low[1] < 30.0
     )  # y is up: the highest building, not the street's length
     assert min(high[0] - low[0], high[2] - low[2]) > 100.0
-
-
-def test_gltfs_frame_and_back():
-    points = np.array([[1.0, 2.0, 3.0]])
-    assert to_gltf_points(points).tolist() == [[1.0, 3.0, -2.0]]
-    assert from_gltf_points(to_gltf_points(points)).tolist() == points.tolist()
 
 
 @pytest.mark.parametrize(

@@ -122,21 +122,6 @@ def test_the_study_scene_is_made_of_closed_bodies_on_the_road(scene):
             assert _vertices(scene, index)[:, 2].min() < 0.2
 
 
-def test_buildings_have_the_stated_sizes(scene):
-    indices = _of_class(scene, "building")
-    assert len(indices) == len(TOWN05["buildings"])
-    for index, entry in zip(indices, TOWN05["buildings"], strict=True):
-        low = _vertices(scene, index).min(axis=0)
-        high = _vertices(scene, index).max(axis=0)
-        east, north = from_carla_points(entry["position_m"])
-        assert (high - low).tolist() == pytest.approx(
-            [entry["length_m"], entry["width_m"], entry["height_m"]]
-        )
-        assert (0.5 * (low + high)).tolist() == pytest.approx(
-            [east, north, 0.5 * high[2]]
-        )
-
-
 def test_walls_go_from_end_to_end_and_close_the_corner(scene):
     for index, entry in zip(_of_class(scene, "wall"), TOWN05["walls"], strict=True):
         ends = from_carla_points([entry["from_m"], entry["to_m"]])
@@ -294,35 +279,6 @@ def _load(tmp_path, table):
     return load_box_scene(path)
 
 
-def test_parked_rows_have_the_stated_gaps_and_begin_at_the_first_bumper(tmp_path):
-    scene = _load(tmp_path, SMALL)
-    by_id = {instance.id: index for index, instance in enumerate(scene.instances)}
-    for row in SMALL["parked_rows"]:
-        yaw = np.radians(-row["yaw_deg"])
-        ahead, left = np.array(
-            [[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]
-        )
-        first = from_carla_points(row["first_m"])
-        bodies = [
-            _vertices(scene, by_id[f"{row['id']}-{number}"])[:, :2] - first
-            for number in range(1, len(row["actors"]) + 1)
-        ]
-        fronts = [(body @ ahead).max() for body in bodies]
-        rears = [(body @ ahead).min() for body in bodies]
-        assert fronts[0] == pytest.approx(0.0, abs=1e-6)
-        for rear, front in zip(rears[:-1], fronts[1:], strict=True):
-            assert rear - front == pytest.approx(row["gap_m"], abs=1e-6)
-        for body, name in zip(bodies, row["actors"], strict=True):
-            actor = load_actors()[name]
-            assert np.ptp(body @ ahead) == pytest.approx(actor.length_m)
-            across = body @ left
-            assert across.max() == pytest.approx(0.5 * actor.width_m)
-            assert across.min() == pytest.approx(-0.5 * actor.width_m)
-    assert len(_of_class(scene, "parked vehicle")) == sum(
-        len(row["actors"]) for row in SMALL["parked_rows"]
-    )
-
-
 def _changed(key, value):
     """`key` like "walls.0.height_m"; None leaves it out."""
     table = copy.deepcopy(SMALL)
@@ -370,18 +326,6 @@ def test_a_scene_is_built_as_its_file_says(tmp_path):
     assert np.hypot(*(pole[:, :2] - [3.0, 4.0]).T).max() == pytest.approx(0.1)
     assert (arm[:, 1].min(), arm[:, 1].max()) == pytest.approx((0.0, 4.0))
     assert arm[:, 2].mean() == pytest.approx(7.0, abs=1e-6)
-
-
-def test_a_scene_of_ground_only_is_allowed(tmp_path):
-    table = {key: SMALL[key] for key in ("name", "frame", "crs", "outline_m", "ground")}
-    scene = _load(tmp_path, table)
-    assert len(scene.triangles) == 2
-    assert scene.sites == ()
-    assert scene.lanes == ()
-
-
-def test_the_study_scene_is_read_once():
-    assert load_study_scene() is load_study_scene()
 
 
 @pytest.mark.parametrize(

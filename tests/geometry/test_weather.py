@@ -1,7 +1,6 @@
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -93,11 +92,6 @@ def test_two_ways_through_the_air_take_what_each_of_them_takes(
     assert 0.0 <= both <= min(first, second) <= 1.0
 
 
-def test_ways_may_have_any_shape():
-    ways_m = np.arange(6.0).reshape(2, 3)
-    assert CLEAR.transmission(ways_m).shape == (2, 3)
-
-
 @pytest.mark.parametrize(
     ("rate_mmph", "db_per_km"),
     [(0.0, 0.0), (1.0, 1.076), (10.0, 5.0329), (100.0, 23.541)],
@@ -147,13 +141,6 @@ def test_haze_takes_less_of_long_waves_by_kims_exponent(
     visibility_m, exponent, wavelength_nm
 ):
     assert _exponent(visibility_m, wavelength_nm) == pytest.approx(exponent, abs=1e-9)
-
-
-@pytest.mark.parametrize("corner_m", [500.0, 1000.0, 6000.0])
-def test_kims_exponent_is_continuous_but_at_50_km(corner_m):
-    below, above = (_exponent(corner_m + step_m) for step_m in (-1e-3, 1e-3))
-    assert below == pytest.approx(above, abs=1e-5)
-    assert _exponent(50_000.001) - _exponent(50_000.0) == pytest.approx(0.3, abs=1e-9)
 
 
 @given(visibilities_m, st.floats(0.0, 100.0))

@@ -95,18 +95,6 @@ def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(
     assert found.bound == found.after.apr
 
 
-@pytest.mark.long
-def test_from_nothing_the_next_unit_is_the_best_one(adviser, apr_of):
-    found = adviser.best_next(())
-    assert len(found.units) == 1
-    assert found.before is None
-
-    best = max(apr_of([one]) for one in adviser._assembly.candidates)
-
-    assert found.after.apr == pytest.approx(best)
-    assert found.is_proven
-
-
 def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_of):
     found = adviser.complete(weak, n_units=3)
     assert {unit.id for unit in weak} <= {unit.id for unit in found.units}

@@ -80,16 +80,6 @@ def test_every_allowed_set_is_drawn_sooner_or_later_and_no_other(problem):
     assert set(random_sets(limits, 2, n=400, rng=np.random.default_rng(1))) == allowed
 
 
-@pytest.mark.long
-def test_the_same_seed_draws_the_same_layouts_and_another_one_others(candidates):
-    limits = limits_of(candidates)
-    one, again = (drawn(candidates, limits, seed=3) for _ in range(2))
-
-    assert one.random == again.random
-    assert len(one.random) == 100
-    assert drawn(candidates, limits, seed=4).random != one.random
-
-
 # ---------- corners and the middle
 
 

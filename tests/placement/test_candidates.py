@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused_with
 from tiny_worlds import unit_at
 
 from geometry.catalogue import load_cameras
-from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.scene import Scene, Site
 from placement.candidates import (
@@ -166,9 +166,8 @@ def test_the_default_grid_hangs_rings_level():
     ],
 )
 def test_a_grid_says_what_is_wrong(change, message):
-    with pytest.raises(InputError) as caught:
+    with refused_with(message):
         _grid(**change)
-    assert str(caught.value) == message
 
 
 def test_heights_are_brought_into_the_sites_range_and_count_once():
@@ -213,18 +212,12 @@ def test_poses_by_name_come_last():
 
 
 def test_a_repeated_id_is_named():
-    with pytest.raises(InputError) as caught:
+    with refused_with("candidates: got 'RSU0'; expected every id once"):
         build_candidates(
             _scene([5, 9]), _grid(), extra=(_extra("RSU0"), _extra("RSU0"))
         )
 
-    assert str(caught.value) == "candidates: got 'RSU0'; expected every id once"
-
 
 def test_a_scene_without_sites_is_refused():
-    with pytest.raises(InputError) as caught:
+    with refused_with("junction: sites: got none; expected at least one mount site"):
         build_candidates(_scene(), _grid())
-    assert (
-        str(caught.value)
-        == "junction: sites: got none; expected at least one mount site"
-    )

@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from junctions import protocol_scene
+from refusals import refused_with
 from shapely import MultiPolygon, Polygon, box
 
 from geometry.catalogue import load_cameras
@@ -141,8 +142,7 @@ def test_every_reader_of_areas_loads(suffix):
 
 def test_areas_of_an_unknown_kind_are_refused(tmp_path):
     path = tmp_path / "areas.dwg"
-    with pytest.raises(InputError) as refused:
-        forbidden_views.load_forbidden_areas(path, load_study_scene())
-    assert str(refused.value) == (
+    with refused_with(
         f"{path}: got '.dwg'; expected one of .geojson, .json, .gpkg, .shp, .zip"
-    )
+    ):
+        forbidden_views.load_forbidden_areas(path, load_study_scene())

@@ -29,7 +29,7 @@ def scene():
 def runs(scene, actors, rule):
     laid, _ = build_runs(
         scene,
-        [at_first_speed(case) for case in load_cases().values()],
+        {case.family: at_first_speed(case) for case in load_cases().values()}.values(),
         vut=actors["vut"],
         rule=rule,
         approaches=["west"],

@@ -67,20 +67,6 @@ def test_two_bodies_on_a_circle_touch_when_their_corners_do(actors):
     assert first_contact_s(encounter) == pytest.approx(contact_s, abs=2e-3)
 
 
-def test_a_towed_body_on_a_circle_lags_by_the_angle_of_its_wheelbase():
-    radius_m = 15.0
-    path = TowedPath(
-        course=follow_lane(circle(radius_m, step_m=0.25), is_in=True),
-        start_m=0.0,
-        **AXLES,
-    )
-    front, path_yaw_rad = path.course.at(-18.0)
-    middle, body_deg = path.at(-18.0)
-    lag = path_yaw_rad - np.radians(body_deg)
-    assert np.sin(lag) == pytest.approx(AXLES["wheelbase_m"] / radius_m, rel=5e-3)
-    assert np.hypot(*(front - middle)) == pytest.approx(AXLES["front_axle_ahead_m"])
-
-
 @pytest.mark.parametrize(
     ("side", "speed_kmh"), [("near", 10.0), ("far", 10.0), ("far", 20.0)]
 )

@@ -240,13 +240,6 @@ def test_without_noise_the_car_brakes_at_the_last_brake_time_less_the_latency():
     assert abs(brakes_s - last_s) <= 0.0101
 
 
-def test_with_infinite_noise_the_car_never_brakes():
-    axis, tracks, ways = crossing(1e12)
-    probability = overlap_probability(tracks, axis, ways, [0.0, 2.0], rule=SURE)
-    assert tracks.is_live.any()
-    assert probability.max() < 1e-6
-
-
 def test_the_place_of_the_impact_is_located_as_least_squares_say():
     # Without noise of accelerations the filter is a line fitted to all places.
     noise_m = 0.3

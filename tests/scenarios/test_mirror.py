@@ -36,7 +36,7 @@ def drive(scene):
     return build_runs(scene, cases, vut=pick_actor("vut", "vut"), rule=load_aeb_rule())
 
 
-@pytest.mark.long  # of fewer cases, quickly: tests/scenarios/test_ways.py
+@pytest.mark.long
 def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_on_the_right():
     corner = ("corner", 18.0, 18.0, 6.0, 6.0, 3.0)
     scene = protocol_scene(boxes=[corner], crosswalks_m=[[[14.0, -6.0], [14.0, 6.0]]])

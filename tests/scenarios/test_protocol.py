@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from junctions import ARMS, build_scene, lanes_of, protocol_scene, turned
 
 from geometry.junction import build_junction
-from scenarios.cases import load_case_sets, load_cases
+from scenarios.cases import load_cases
 from scenarios.protocol import stage_by_protocol
 from scenarios.staging import CannotCarryError, impact_offset_m
 
@@ -179,11 +179,11 @@ def test_bicycles_beside_a_turning_vut_ride_on_the_protocols_line(golf, name):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        name
-        for name, case in load_cases().items()
-        if case.impact_face == "front" and case.family not in ("CCFtap", "CMFtap")
-    ],
+    case_names(
+        lambda case: (
+            case.impact_face == "front" and case.family not in ("CCFtap", "CMFtap")
+        )
+    ),
 )
 def test_every_case_meets_the_front_at_its_share_of_the_width(golf, name):
     case = load_cases()[name]
@@ -294,48 +294,6 @@ def test_a_turn_that_ends_beyond_the_mapped_lane_cannot_be_carried(golf):
         CannotCarryError, match="would end beyond the mapped lane north-out-0"
     ):
         stage("CPTAfs-50", golf, speed_kmh=20.0, junction=junction)
-
-
-def test_arms_that_meet_askew_still_carry_turns_with_their_own_angle(golf):
-    lanes = [*arms_without("north"), *lanes_of("north", 75.0)]
-    encounter = stage(
-        "CPTAfs-50", golf, speed_kmh=15.0, junction=build_junction(build_scene(lanes))
-    ).encounter
-    path = encounter.vut_motion.path
-    _, tangent_deg = front_axle_at(path, path.straight_m + path.turn.length_m + 5.0)
-    assert tangent_deg == pytest.approx(75.0)
-
-
-def test_sets_hold_the_protocols_cases_and_the_studys_speeds():
-    sets = load_case_sets()
-    assert len(sets["protocol-4.5.1"]) == 20 + 2  # and two that are not laid: CPRA
-    assert {case.name for case in sets["protocol-4.5.1"]} >= {
-        "CPNA-25",
-        "CPNA-75",
-        "CPFA-50",
-        "CPNCO-50",
-        "CPLA-25",
-        "CPLA-50",
-        "CPTAfs-50",
-        "CPTAfo-50",
-        "CPTAns-50",
-        "CPTAno-50",
-        "CBNA-50",
-        "CBNAO-50",
-        "CBFA-50",
-        "CBLA-25",
-        "CBLA-50",
-    }
-    study = {case.name: case.vut_speeds_kmh for case in sets["study"]}
-    every_five = tuple(np.arange(20.0, 61.0, 5.0))
-    for name in ("CPNC-50", "CPNCO-50", "CPLA-50", "CBNA"):
-        assert study[name] == every_five
-    assert study["CBLA"] == every_five[1:]
-    for name, speeds in study.items():
-        if name.startswith(("CPTAf", "CBTAf")):
-            assert speeds == (10.0, 15.0, 20.0)
-        if name.startswith(("CPTAn", "CBTAn")):
-            assert speeds == (10.0,)
 
 
 def test_a_wall_hides_the_studys_cyclist_until_17_m_before_without_published_starts(

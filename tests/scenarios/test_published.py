@@ -79,15 +79,6 @@ def test_published_vrus_are_at_the_collision_point_at_the_impact(
         )
 
 
-@pytest.mark.parametrize("golden", GOLDEN, ids=lambda golden: str(golden["index"]))
-def test_published_vuts_drive_over_the_collision_point(placements, golden):
-    path = _placement(placements, golden).vut_path
-    start = np.array(golden["vut_start"])
-    collision = np.array(golden["collision_point"])
-    nearest, _ = path.at(math.dist(start, collision))
-    assert to_carla_points(nearest) == pytest.approx(collision, abs=1e-6)
-
-
 # Placements from TOML
 
 CROSSING = {

@@ -30,7 +30,6 @@ from scenarios.cases import (
     select_cases,
 )
 from scenarios.paths import Motion, StraightPath
-from scenarios.positions import build_positions
 from scenarios.protocol import stage_by_protocol
 from scenarios.runs import build_runs
 from scenarios.staging import CannotCarryError, NoRoadError
@@ -538,28 +537,6 @@ def test_cases_that_are_left_out_count_every_pair_of_speeds():
     assert not any(refusal.is_possible for refusal in drives.left_out)
 
 
-def test_in_all_what_2026_drives_as_2023_did_is_driven_once():
-    """Protocol 4.5.1 drives CPNA-25 at 10 to 60 km/h, CPLA-50 from 20, CBLA-50 from
-    25.
-    """
-    cases = {case.name: case for case in pick_cases("all", "cases")}
-    assert not {
-        "CPNA-2026-25",
-        "CPNA-2026-75",
-        "CPNCO-2026-50",
-        "CPTAfs-2026-50",
-    } & set(cases)
-    assert cases["CPLA-2026-50"].vut_speeds_kmh == (10.0,)
-    assert cases["CBLA-2026-50"].vut_speeds_kmh == (20.0,)
-    assert cases["CPNA-2026-50"].vut_speeds_kmh == (10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
-    # it begins 18 m before the impact, that of 2023 10 m
-    assert cases["CPLA-FCW-2026-25"].vut_speeds_kmh == (50.0, 60.0, 70.0, 80.0)
-    extended = {
-        case.name: case for case in pick_cases("all", "cases", case_range="extended")
-    }
-    assert extended["CPTAfs-2026-50"].vut_speeds_kmh == (25.0,)
-
-
 def test_only_in_all_impact_points_take_turns():
     cases = {case.name: case for case in pick_cases("all", "cases")}
     turns = [cases[f"CCRs-2026-{point}"].impact_turn for point in (0, 25, 50, 75, 100)]
@@ -567,25 +544,3 @@ def test_only_in_all_impact_points_take_turns():
     assert cases["CPNA-2026-50"].impact_turn == cases["CPFA-50"].impact_turn == (0, 1)
     for name in ("default", "study", "protocol-4.5.1", "junction", "protocol-2026"):
         assert {case.impact_turn for case in pick_cases(name, "cases")} == {(0, 1)}
-
-
-@pytest.mark.long
-def test_in_all_a_place_and_speed_meet_one_impact_point(actors, rule):
-    cases = [
-        case
-        for case in pick_cases("all", "cases")
-        if case.name.startswith(("CCRs", "CMRs"))
-    ]
-    runs, _ = build_runs(
-        load_study_scene(),
-        cases,
-        vut=actors["vut"],
-        rule=rule,
-        positions=build_positions([0.0, 30.0]),
-    )
-    places = [
-        (run.case.family, run.approach, run.position, run.vut_speed_kmh) for run in runs
-    ]
-    assert len(set(places)) == len(places) > 0
-    standing = {run.case.name for run in runs}
-    assert standing == {case.name for case in cases}

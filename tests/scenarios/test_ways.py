@@ -20,12 +20,11 @@ from junctions import (
 from oracles import distance_to_chain_m
 
 from geometry.footprints import footprint_corners
-from geometry.junction import build_junction, mirrored
+from geometry.junction import build_junction
 from geometry.scene import Lane
 from placement.question import Question
 from placement.setting import build_rule
 from scenarios.cases import load_cases
-from scenarios.courses import follow_lane
 from scenarios.paths import CoursePath, StraightPath, TowedPath
 from scenarios.positions import Position
 from scenarios.protocol import stage_by_protocol
@@ -152,40 +151,6 @@ def test_a_lane_that_bends_only_far_away_is_driven_straight(vut):
     # As far as the bend, the lane is followed.
     far = staged("CBLA-50", vut, scene=scene, speed_kmh=45.0).encounter
     assert isinstance(far.vut_motion.path, TowedPath)
-
-
-@pytest.mark.long
-def test_where_traffic_keeps_left_runs_are_the_mirror_image(vut):
-    junction = mirrored(build_junction(CURVED))
-    lanes = [
-        lane
-        for arm in junction.arms.values()
-        for lane in (*arm.lanes_in, *arm.lanes_out)
-    ]
-    scene = replace(CURVED, lanes=tuple(lanes), keeps_left=True)
-    cases = ["CPNCO-50", "CPLA-50", "CPTAns-50", "CBTAfo-50"]
-    right, left = (
-        runs_on(one, cases, vut, speeds_kmh=(10.0, 20.0), approaches=["west"])[0]
-        for one in (CURVED, scene)
-    )
-    assert [run.id for run in left] == [run.id for run in right]
-    flip = np.array([1.0, -1.0])
-    for one, other in zip(right, left, strict=True):
-        assert other.encounter.vut_motion.path.is_mirrored
-        assert one.vut_position_m * flip == pytest.approx(
-            other.vut_position_m, abs=1e-6
-        )
-        assert one.vru_position_m * flip == pytest.approx(
-            other.vru_position_m, abs=1e-6
-        )
-        assert np.cos(np.radians(one.vut_yaw_deg + other.vut_yaw_deg)) == pytest.approx(
-            1.0
-        )
-        assert one.last_brake_time_s == pytest.approx(other.last_brake_time_s, abs=1e-4)
-        for body, image in zip(one.obstruction, other.obstruction, strict=True):
-            assert body.pose.position_m[:2] * flip == pytest.approx(
-                image.pose.position_m[:2], abs=1e-6
-            )
 
 
 @pytest.mark.parametrize("bearing_deg", [35.0, 55.0, 125.0])
@@ -397,10 +362,7 @@ def test_a_cyclist_comes_from_a_road_that_exists(vut):
     [
         "CPNCO-50",
         "CBNA",
-        *(
-            pytest.param(name, marks=pytest.mark.long)
-            for name in ("CBNA-50", "CBFA-50", "CBNAO-50")
-        ),
+        *("CBNA-50", "CBFA-50", "CBNAO-50"),
     ],
 )
 @pytest.mark.parametrize(
@@ -476,10 +438,3 @@ def test_a_turn_that_no_curve_makes_is_refused(vut):
     lanes = [back if lane.id == "north-out-0" else lane for lane in lanes]
     with pytest.raises(CannotCarryError, match="lane"):
         staged("CPTAfs-50", vut, scene=build_scene(lanes), speed_kmh=20.0)
-
-
-def test_the_course_of_a_lane_is_found_once():
-    (lane,) = (lane for lane in CURVED.lanes if lane.id == "west-in-0")
-    assert follow_lane(lane.centreline_m, is_in=True) is follow_lane(
-        lane.centreline_m.copy(), is_in=True
-    )

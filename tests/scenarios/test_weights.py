@@ -59,15 +59,6 @@ def test_every_run_counts_the_same_and_all_sum_to_one(runs):
     assert weight.sum() == pytest.approx(1.0, abs=1e-12)
 
 
-def test_every_case_counts_the_same_and_within_it_every_approach_position_and_run():
-    assert weight_per_case(DRIVEN) == pytest.approx([1 / 8, 1 / 8, 1 / 8, 1 / 2, 1 / 8])
-    north = [run("CPLA-50", position=position) for position in ("0", "0", "-15", "+15")]
-    weight = weight_per_case(
-        [*north, run("CPLA-50", "south", position="+0"), run("CBNA")]
-    )
-    assert weight == pytest.approx([1 / 24, 1 / 24, 1 / 12, 1 / 12, 1 / 4, 1 / 2])
-
-
 PLACES = st.tuples(
     st.sampled_from(["CBNA", "CPLA-50", "CBLA"]),
     st.sampled_from(["north", "south"]),
@@ -151,11 +142,6 @@ def test_what_has_no_room_takes_its_share_away_and_what_no_map_shows_does_not():
 )
 def test_the_runs_of_the_study_count_the_same_and_else_the_cases_do(cases, word):
     assert default_weights(cases) == word
-
-
-@pytest.mark.parametrize("how", ["run", "case"])
-def test_words_choose_the_weights(how):
-    assert weigh(DRIVEN, how).sum() == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("how", ["speed", "", "no/such.csv"])

@@ -7,13 +7,9 @@ import json
 import random
 import re
 import zipfile
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from hypothesis import strategies as st
-
-from geometry.errors import InputError
 
 _TEXTS = [
     b"",
@@ -51,20 +47,6 @@ def damaged(draw: st.DrawFn, sound: bytes) -> bytes:
         data = data[:first] + piece + data[last:]
 
     return data
-
-
-def read_or_refuse(path: Path, data: bytes, read: Callable[[Path], Any]) -> Any:
-    """What a reader makes of bytes; None if it refuses them in one line that names the
-    file.
-    """
-    path.write_bytes(data)
-    try:
-        return read(path)
-    except InputError as error:
-        refusal = str(error)
-    assert "\n" not in refusal
-    assert path.name in refusal
-    return None
 
 
 # ---------- many wounds in a second, drawn by a generator: for the fuzz tests

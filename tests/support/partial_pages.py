@@ -19,7 +19,7 @@ from experiments.figures import plan
 from experiments.figures.axes import root_figure
 from experiments.parts import camera_views, dangers, section
 from experiments.parts.result import KINDS, Result
-from experiments.parts.section import Bullets, Section, Table
+from experiments.parts.section import Section, Table
 from experiments.report.page import page_environment
 from experiments.scene import pictures
 from geometry.poses import Pose
@@ -88,12 +88,6 @@ def render_section(section: Section | None) -> str:
 def tables_of(section: Section) -> list[Table]:
     """Its tables."""
     return [block for block in section.blocks if isinstance(block, Table)]
-
-
-def bullets_of(section: Section) -> list[str]:
-    """The sentences of its lists."""
-    blocks = [block for block in section.blocks if isinstance(block, Bullets)]
-    return [sentence for block in blocks for sentence in block.sentences]
 
 
 A_UNIT = {

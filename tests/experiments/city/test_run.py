@@ -37,7 +37,6 @@ from experiments.city import tasks as city_tasks
 from experiments.city.answer import fronts_table, load_front
 from experiments.city.command import city_text
 from experiments.city.inputs import CitySearch, CityWish, estimated_accidents
-from experiments.engine.processes import Processes
 from experiments.engine.start import EngineWish, start_engine
 from experiments.engine.tasks import Engine, WorkerDiedError, map_tasks
 from experiments.language import speaking
@@ -780,24 +779,6 @@ def test_a_junction_whose_worker_died_thrice_is_told(tmp_path):
         " --worker-memory, or fewer poses"
     )
     assert (answer.record.cause, answer.record.is_final) == ("memory", False)
-
-
-def test_a_worker_that_is_killed_loses_nothing(tiny):
-    tasks = tasks_of(tiny / "tiny.osm")
-    workers = Processes(2, max_bytes=3 * 2**29)
-    killer = threading.Timer(1.0, lambda: next(iter(workers._all)).kill())
-    killer.start()
-    try:
-        answers = [
-            answer.record
-            for _, answer in map_tasks(city_tasks.run_junction, tasks, engine=workers)
-        ]
-    finally:
-        killer.join()
-        workers.close()
-    assert workers.n_tasks > 3  # one was handed over again
-    assert [record.reason for record in answers] == [""] * 3
-    assert {record.id for record in answers} == {"n1", "n2", "n3"}
 
 
 def without_times(folder):

@@ -416,6 +416,7 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         assert "100.0 %" in out
 
 
+@pytest.mark.long
 def test_layouts_of_one_name_are_named_by_their_folders(ask, small_study, layout_file):
     path = layout_file()
     other = Path("other/mine.json")
@@ -429,6 +430,7 @@ def test_layouts_of_one_name_are_named_by_their_folders(ask, small_study, layout
     ]
 
 
+@pytest.mark.long
 def test_comparison_of_a_layout_with_itself_finds_no_difference(
     ask, small_study, layout_file
 ):
@@ -525,6 +527,7 @@ def interrupt_at(monkeypatch):
     return arm
 
 
+@pytest.mark.long
 def test_a_damaged_cache_file_is_made_anew(
     run, small_study, own_cache, caplog, interrupt_at
 ):
@@ -548,6 +551,7 @@ def test_a_damaged_cache_file_is_made_anew(
     assert np.array_equal(np.load(table)["packed"], good)
 
 
+@pytest.mark.long
 def test_a_cache_that_cannot_be_written_to_is_done_without(
     run, small_study, monkeypatch, caplog, interrupt_at
 ):

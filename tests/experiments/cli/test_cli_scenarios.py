@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_results import answer
+from command_results import answer, refusal
 
 from experiments.export.openscenario import load_xosc
 from geometry.scene_files import save_scene
@@ -23,16 +23,6 @@ KEYS = {
     ),
     *("n_runs", "last_brake_time_s", "reason"),
 }
-
-
-def refusal(result):
-    """The one line of a refused call."""
-    code, out, err = result
-    assert code == 2
-    assert out == ""
-    (line,) = err.splitlines()
-    assert line.startswith("place-rsus: ")
-    return line.removeprefix("place-rsus: ")
 
 
 @pytest.mark.long
@@ -63,7 +53,7 @@ def test_the_list_fits_a_terminal(run):
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("case", "speed"),
-    [("CCFtap", "10x30"), pytest.param("CMRs-50", "50", marks=pytest.mark.long)],
+    [("CCFtap", "10x30"), ("CMRs-50", "50")],
 )
 def test_both_speeds_of_a_run_make_a_file_name(run, case, speed):
     arguments = ("scenarios show", case, "--approach east --speed", speed, "--quiet")

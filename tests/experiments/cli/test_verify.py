@@ -238,16 +238,10 @@ SCENES = {
 }
 
 
-QUICK_SCENES = ("a junction of a map by its streets", "OpenDRIVE", "an archive")
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     "kind",
-    [
-        kind if kind in QUICK_SCENES else pytest.param(kind, marks=pytest.mark.long)
-        for kind in SCENES
-    ],
+    SCENES,
 )
 def test_the_scene_is_read_as_the_job_read_it(
     kind, run, results, tmp_path, monkeypatch

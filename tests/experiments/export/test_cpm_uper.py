@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from export_layouts import level_layout
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from pyproj import Transformer
 
@@ -63,25 +61,6 @@ def runs():
         "CCFtap/north/10x30",
     )
     return [find_run(run_id, SCENE) for run_id in ids]
-
-
-@pytest.mark.long
-@given(
-    yaw_deg=st.floats(-180.0, 180.0),
-    pitch_deg=st.floats(-90.0, 45.0),
-    kind=st.sampled_from(["camera", "lidar"]),
-    release=st.sampled_from(RELEASES),
-    run_index=st.integers(0, 3),
-    seed=st.integers(0, 1000),
-)
-def test_messages_are_read_back_from_their_bytes(
-    runs, yaw_deg, pitch_deg, kind, release, run_index, seed
-):
-    layout = level_layout(yaw_deg, pitch_deg, kind=kind)
-    watched = seen_in(runs[run_index], seed, share=0.2)
-    (station,) = build_stations(layout, SCENE, watched, release=release)
-    content = split(to_cpm_uper(layout, SCENE, watched, release=release))
-    assert [decode(data, release) for _, data in content] == list(station.messages)
 
 
 def test_objects_are_where_the_run_has_them(runs):
@@ -258,15 +237,14 @@ def random_layout(rng):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("count", [25, pytest.param(10_000, marks=pytest.mark.long)])
-def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs, count):
+def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs):
     """Places in centimetres, velocities in centimetres a second, angles in tenths of a
     degree.
     """
-    rng = np.random.default_rng(count)
+    rng = np.random.default_rng(10_000)
     to_local = Transformer.from_crs("EPSG:4326", SCENE.crs, always_xy=True)
     moving = [(run, run.encounter.vru_motion) for run in runs]
-    for _ in range(count):
+    for _ in range(10_000):
         layout = random_layout(rng)
         release = RELEASES[rng.integers(2)]
         run, motion = moving[rng.integers(len(moving))]

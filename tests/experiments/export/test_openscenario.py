@@ -43,6 +43,10 @@ JUNCTION_2026 = {
     "CCRb-2026-50": (50.0, 50.0),
     "CCFhos-2026-50": (30.0, 50.0),
 }
+EVERY_CASE = [
+    *(*CASES, *MET),
+    *(pytest.param(case, marks=pytest.mark.long) for case in JUNCTION_2026),
+]
 needs_library = pytest.mark.skipif(
     importlib.util.find_spec("scenariogeneration") is None,
     reason="the extra openscenario is not installed",
@@ -178,16 +182,8 @@ def schema():
 @pytest.mark.parametrize(
     ("case", "weather"),
     [
-        ("CPNCO-50", "night"),
-        ("CMRb-50", "day"),
-        *(
-            pytest.param(case, "day", marks=pytest.mark.long)
-            for case in (*CASES, *MET, *JUNCTION_2026)
-        ),
-        *(
-            pytest.param("CPNCO-50", weather, marks=pytest.mark.long)
-            for weather in WEATHERS[1:]
-        ),
+        *((case, "day") for case in (*CASES, *MET, *JUNCTION_2026)),
+        *(("CPNCO-50", weather) for weather in WEATHERS[1:]),
     ],
 )
 def test_the_schema_accepts_every_kind_of_run(schema, some_runs, case, weather):
@@ -199,7 +195,7 @@ def test_the_schema_accepts_every_kind_of_run(schema, some_runs, case, weather):
 
 
 @needs_library
-@pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
+@pytest.mark.parametrize("case", EVERY_CASE)
 def test_trajectories_read_back_are_the_frames_to_a_millimetre(
     some_runs, written, case
 ):
@@ -238,7 +234,7 @@ def test_a_run_whose_last_frame_is_before_the_impact_still_ends_at_the_impact(
 
 
 @needs_library
-@pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
+@pytest.mark.parametrize("case", EVERY_CASE)
 def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, written, case):
     run = some_runs[case, "day"]
     text = written(case)
@@ -258,7 +254,7 @@ def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, written
 
 
 @needs_library
-@pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
+@pytest.mark.parametrize("case", EVERY_CASE)
 def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(
     some_runs, written, case
 ):
@@ -437,20 +433,6 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
     (condition,) = stop.iter("SimulationTimeCondition")
     assert condition.get("rule") == "greaterThan"
     assert float(condition.get("value")) == times_s["impact_time_s"]
-
-
-@needs_library
-@pytest.mark.parametrize("case", JUNCTION_2026)
-def test_both_speeds_of_the_new_cases_stand_in_the_file(written, case):
-    root = ET.fromstring(written(case))
-    said = {
-        p.get("name"): p.get("value") for p in root.find("FileHeader").iter("Property")
-    }
-    speeds_kmh = float(said["vut_speed_kmh"]), float(said["vru_speed_kmh"])
-    assert speeds_kmh == JUNCTION_2026[case]
-    assert init_speed_mps(root, "vru") == pytest.approx(
-        JUNCTION_2026[case][1] / 3.6, abs=2e-3
-    )
 
 
 @needs_library

@@ -42,6 +42,7 @@ def test_a_strip_leads_over_the_last_useful_frame_to_the_impact(child, strip):
     assert titles[5].startswith("impact: ")
 
 
+@pytest.mark.long
 def test_the_parked_cars_hide_the_child_until_late(strip):
     titles = captions(strip)
     shares = [int(title.split(": ")[1].split()[0]) for title in titles]
@@ -49,12 +50,6 @@ def test_the_parked_cars_hide_the_child_until_late(strip):
     # At the impact the child is too near to fit into the image.
     assert shares[:-1] == sorted(shares[:-1])
     assert shares[-2] == 100
-
-
-@pytest.mark.long
-def test_an_open_crossing_is_in_sight_all_along():
-    titles = captions(plot_film(load_study_scene(), run_of("CPFA-50")))
-    assert all(": 100 %" in title for title in titles[:-1])
 
 
 @pytest.mark.long

@@ -24,14 +24,13 @@ from placement import candidates as poses
 from placement import pipeline
 from placement.compute import Compute, silent
 from placement.detectors import load_detector, load_planning_detector
-from placement.evaluation import apr_one_failed, headline_apr
+from placement.evaluation import apr_one_failed
 from placement.evaluator import evaluate_layout, with_sight
-from placement.evaluator.evaluate import VUT_KEY, watch
 from placement.explain.contributions import find_failures
 from placement.explain.tolerances import find_standing
 from placement.layout import Layout
 from placement.live import table_verdict
-from placement.pipeline import assemble, place
+from placement.pipeline import assemble
 from placement.question import Question
 from placement.sampling.out_of_sample import out_of_sample_layouts
 from placement.sampling.uncertainty import load_drawn
@@ -121,26 +120,6 @@ def test_another_share_of_cars_is_found_out(answers, tmp_path):
     del document["model"]["in_words"]["cars"]
     certificate.write_text(json.dumps(document))
     assert "model in words" in failed(tmp_path / "see")
-
-
-@pytest.mark.long
-def test_the_table_has_what_the_evaluator_sees_from_the_car(small_study):
-    question = Question(budget=2, cars="see")
-    assembly = assemble(question)
-    seen = watch(small_study, {}, compute=Compute())[VUT_KEY]
-    assert np.array_equal(assembly.problem.seen_by_vut, seen)
-    found = place(assembly)
-    evaluation = evaluate_layout(found.layout, assembly.setting)
-    assert np.array_equal(evaluation.vut.detected, seen)
-    assert headline_apr(evaluation) == pytest.approx(
-        found.certificate.stages[0].objective, abs=0.05
-    )
-    rows = assembly.table.detected(list(found.pose_index))
-    on_table = table_verdict(found.layout.units, rows, assembly.setting, with_vut=True)
-    axis = small_study.axis
-    assert on_table.is_avoided @ axis.weight == pytest.approx(
-        found.certificate.stages[0].objective
-    )
 
 
 def test_blind_cars_are_asked_about_as_before(small_study):

@@ -1,28 +1,20 @@
 import json
 import re
 from dataclasses import fields, replace
-from itertools import combinations
 
-import numpy as np
 import pytest
-from small_results import lay_runs_of
 
 from experiments.cli.running import cache_folder
 from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.jobs.evaluation import run_comparison, run_evaluation
 from experiments.jobs.verify import run_verification
-from experiments.parts import answer, proof
 from experiments.progress import StageProgress
 from geometry.errors import InputError
 from placement import certify, pipeline
 from placement.compute import Compute
-from placement.detectors import load_planning_detector
 from placement.layout import Layout, load_carlancap_layout, load_layout
-from placement.optimiser import apr, apr_one_failed, is_feasible
-from placement.pipeline import Assembly
 from placement.question import Question
-from placement.sampling.out_of_sample import SampledApr
 
 
 def place(out, **options):
@@ -115,92 +107,6 @@ def test_the_number_of_worlds_is_told_and_gives_the_same_answer(tmp_path, monkey
     assert again["sampled"] == found["sampled"] | {"growth": None}
 
 
-# Quickly: what is said of it, in parts/test_uncertainty_summary.py
-@pytest.mark.long
-@pytest.mark.usefixtures("small_study", "without_figures")
-@pytest.mark.parametrize(
-    ("samples", "cars", "detector"),
-    [(0, "see", "geometric"), (2, "blind", "geometric"), (0, "blind", "response")],
-)
-def test_greedy_choice_is_the_answer_where_fresh_worlds_prefer_it(
-    tmp_path, monkeypatch, small_setting, samples, cars, detector
-):
-    asked = {"samples": samples, "budget": 2, "cars": cars, "detector": detector}
-    named = load_planning_detector(detector)
-    lay_runs_of(
-        monkeypatch, replace(small_setting, detector=named, table_detector=named)
-    )
-    is_tied = cars == "see"
-    results = []
-    run = placement.run_placement
-    monkeypatch.setattr(
-        placement,
-        "run_placement",
-        lambda *a, **b: results.append(run(*a, **b)) or results[-1],
-    )
-    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
-    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "first"))
-    before = place(tmp_path / "before", **asked)
-    stored = json.loads((tmp_path / "before/certificate.json").read_text())
-    found = tuple(unit["row"] for unit in stored["layout"])
-    aprs = iter([[0.5, 0.6, 0.5], [0.8, 0.9, 0.9]])  # greedy choice's is ahead
-
-    def other_pair(problem, reduced):
-        """Another pair: for cars that see one as good, also if one fails; else a bad
-        one.
-        """
-
-        def value(pair):
-            return apr(problem, pair), apr_one_failed(problem, pair)
-
-        rows = range(0, problem.table.n_poses, 1 if is_tied else 8)
-        pairs = (pair for pair in combinations(rows, 2) if is_feasible(problem, pair))
-        if not is_tied:
-            return min(pairs, key=value)
-        best = value(found)
-        return next(pair for pair in pairs if pair != found and value(pair) == best)
-
-    monkeypatch.setattr(pipeline, "solve_greedy", other_pair)
-    monkeypatch.setattr(
-        Assembly,
-        "in_fresh_worlds",
-        lambda self, layouts, **_: [
-            SampledApr(
-                layout=layout,
-                axis=self.setting.axis,
-                apr_by_sample=next(aprs),
-                avoided_share=np.ones(self.setting.axis.n_runs),
-            )
-            for layout in layouts
-        ],
-    )
-    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "second"))
-    summary = place(tmp_path / "out", **asked)
-    assert summary["layout"] != before["layout"]
-    assert summary["preferred"]["first"] == "greedy"
-    assert summary["preferred"]["second"] == "found"
-    names = [one["name"] for one in before["stages"]]
-    if detector == "response":  # more is given up than a point: it is not called sturdy
-        assert summary["highest"] is None
-        names.remove("apr_survived")
-    assert [one["name"] for one in summary["stages"]] == names
-    assert (summary["stages"][0]["gap"] == 0.0) == is_tied
-    assert ("In fresh worlds, this choice is better" in proof.words(results[-1])) == (
-        not is_tied
-    )
-    told = " ".join(answer.warnings(results[-1]))
-    assert ("60 sampled worlds decided only" in told) == (detector == "response")
-    assert (
-        "The plan ignores chance" in told
-        if not samples
-        else "The optimised layout is better" in told
-    )
-    assert (summary["apr"] == before["apr"]) == is_tied
-    assert summary["bound"] >= before["bound"] - 1e-9
-    checked = run_verification(tmp_path / "out", progress=StageProgress())
-    assert [check for check in checked.checks if not check.passed] == []
-
-
 @pytest.mark.usefixtures("small_study", "without_figures")
 def test_a_layout_brings_its_own_sensors_along(tmp_path, monkeypatch):
     monkeypatch.setattr(
@@ -269,16 +175,6 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     assert all(name in page for name in names)
 
 
-@pytest.mark.long
-def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(small_study, tmp_path):
-    summary = compare([named("two", 2), named("one", 1)], tmp_path / "out", samples=3)
-    pairs = summary["sampled"]["pairs"]
-    gains = {pair["second"]: pair for pair in pairs if pair["first"] == summary["name"]}
-    assert list(gains) == ["one", "expert-2"]
-    assert all(gain["low"] <= gain["mean"] <= gain["high"] for gain in gains.values())
-    assert (tmp_path / "out/sampled_apr.png").exists()
-
-
 def test_a_layout_may_be_called_greedy(small_study):
     assert evaluate(named("greedy"))["name"] == "greedy (2)"
 
@@ -311,6 +207,7 @@ def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
     assert "25.0 % of the messages lost" in page
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "asked",
     [

@@ -90,46 +90,7 @@ def test_the_limits_hold_for_what_it_is_compared_with(small_study, tmp_path):
     assert np.hypot(*(places[0] - places[-1])) >= 30.0
 
 
-# Quickly: tests/placement/test_baselines.py
 @pytest.mark.long
-def test_in_sampled_worlds_they_have_intervals_too(small_study, tmp_path, monkeypatch):
-    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
-    summary = place(tmp_path / "out", samples=2)
-    judged = {item["name"]: item for item in summary["sampled"]["layouts"]}
-    assert {"best-2", "greedy-2", "expert-2"} <= set(judged)
-    assert (
-        judged["expert-2"]["low"]
-        <= judged["expert-2"]["mean"]
-        <= judged["expert-2"]["high"]
-    )
-    assert (
-        judged["expert-2"]["planned"] == summary["baselines"]["expert"]["score"]["all"]
-    )
-    random = summary["baselines"]["random"]
-    worlds = random["in_worlds"]
-    assert worlds["low"] <= worlds["mean"] <= worlds["high"]
-    assert worlds["mean"] == pytest.approx(
-        random["mean"]
-    )  # of two worlds that weigh alike
-    assert worlds["worlds"] == 2
-
-
-@pytest.mark.long
-def test_a_comparison_has_them_as_well_with_as_many_units_as_the_first(small_study):
-    layouts = [
-        Layout(name="two", units=study_units(2)),
-        Layout(name="one", units=study_units(1)),
-    ]
-    summary = compare(layouts)
-    random = summary["baselines"]["random"]
-    expert = summary["baselines"]["expert"]
-    assert random["layouts"] == 100
-    assert random["units"] == 2
-    assert [unit["camera"] for unit in expert["layout"]] == ["carla-ncap-rgb"] * 2
-    assert {unit["site"][:7] for unit in expert["layout"]} == {"corner-"}
-    assert [other["name"] for other in summary["compared"]] == ["one"]
-
-
 def test_an_experts_layout_is_told_from_one_that_is_called_so(small_study):
     layouts = [
         Layout(name="expert-1", units=study_units(1)),

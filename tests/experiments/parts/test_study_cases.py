@@ -84,6 +84,7 @@ def test_layouts_are_evaluated_as_if_the_studys_cases_were_asked_about(
     assert record.runs == part.axis.n_runs == 2
 
 
+@pytest.mark.long
 def test_nothing_is_said_twice(asked, part, expected):
     same = on_study_cases(
         PART, part, expected, build=lambda question: part, compute=COMPUTE

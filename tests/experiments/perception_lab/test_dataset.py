@@ -335,20 +335,6 @@ def test_a_car_and_a_motorcyclist_are_labelled_as_such(dataset):
     assert min(seen.values()) > 5
 
 
-# Quickly: test_vehicles_are_in_coco_once
-@pytest.mark.long
-def test_a_car_and_a_motorcyclist_are_categories_of_coco(dataset):
-    assert dataset("--format", "coco", "--lidar", "none", asked=MET, every=10)[0] == 0
-    coco = json.loads(Path("data/coco.json").read_text())
-    names = {one["id"]: one["name"] for one in coco["categories"]}
-    runs = {image["id"]: image["run"].split("/")[0] for image in coco["images"]}
-    found = {
-        (runs[one["image_id"]], names[one["category_id"]])
-        for one in coco["annotations"]
-    }
-    assert found == set(KINDS.items())
-
-
 # Quickly: test_pictures_clouds_labels_and_a_manifest_are_written
 @pytest.mark.long
 @pytest.mark.usefixtures("drawn")
@@ -411,19 +397,6 @@ def _die_once(scene, runs, task):
 _draw_task = job.draw_task
 
 
-@pytest.mark.long
-@pytest.mark.filterwarnings("ignore")  # those of dask
-def test_workers_of_a_cluster_draw_the_same(dataset, drawn, tmp_path):
-    pytest.importorskip("distributed")
-    from dask_cluster import dask_processes
-
-    (tmp_path / "dask").mkdir()
-    with dask_processes(tmp_path / "dask", n=2) as cluster:
-        code, _, err = dataset("--lidar", "none", *cluster.options, out="other")
-    assert code == 0, err
-    assert _files("other") == _files(drawn)
-
-
 # Quickly: tests/experiments/engine, and below what a worker says
 def test_a_folder_that_a_worker_does_not_see_is_one_line(tmp_path):
     fields = dict.fromkeys(("frames", "viewer", "lidar", "wish", "seed"), ())
@@ -473,6 +446,7 @@ def test_what_cannot_be_written_is_said_in_a_line(dataset, more, message):
     assert not Path("data").exists()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("drawn")
 def test_a_folder_of_another_dataset_or_of_something_else_is_left_alone(dataset):
     before = _files("data")

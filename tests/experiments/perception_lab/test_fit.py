@@ -280,20 +280,6 @@ def test_classes_that_nobody_labelled_keep_their_place(run, tmp_path):
         assert value / best == pytest.approx(built_in[name] / best_built_in)
 
 
-@pytest.mark.long
-def test_results_of_coco_show_which_classes_are_reported(run, coco):
-    labels, results = coco
-    rows = json.loads(results.read_text())
-    results.write_text(json.dumps([one for one in rows if one["category_id"] == 1]))
-    told = json.loads(
-        answer(
-            run("detector fit --labels", labels, "--results", results, "--json --quiet")
-        )
-    )
-    assert list(told["not_reported"]) == ["cyclist"]
-    assert told["not_reported"]["cyclist"] + told["frames"] == 300
-
-
 def test_confidence_decides_what_counts(run, coco):
     labels, results = coco
     code, _, err = run(

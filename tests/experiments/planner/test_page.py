@@ -35,9 +35,7 @@ from experiments.planner.plan import Variant
 from experiments.planner.tasks import Tasks
 from experiments.planner.tiles import read_tile_server
 from experiments.results.numbers import percent
-from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
-from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.evaluation import apr, run_outcomes
 from placement.evaluator import evaluate_layout
@@ -354,26 +352,6 @@ def test_save_and_open_again_and_variants_side_by_side(browser, serve, tmp_path)
         page.get_by_text(re.compile(r"^bad\.json: got")).wait_for()
 
 
-def test_private_areas_are_drawn_and_told_for_the_chosen_camera(browser, serve, garden):
-    units = UNITS[:2]
-    with opened(browser, serve(units, asked={"no_look": str(garden)})) as page:
-        told(page, "table", "evaluator")
-        title = page.locator("#plan title").get_by_text("private: garden", exact=True)
-        expect(title).to_have_count(1)
-        shares = page.locator("#private-list li")
-        expect(shares).to_have_count(1)
-        seeing = re.search(
-            r"(\S+) [\d.]+ % \(more than is allowed\)", shares.inner_text()
-        )[1]
-        page.click(f'[data-chip="{seeing}"]')
-        assert "garden" in page.inner_text("#unit-private")
-        page.wait_for_selector("#plan .seen", state="attached")
-        write(page.locator("#pitch"), "-90")  # its own foot
-        page.press("#pitch", "Tab")
-        page.get_by_text("No private area in its picture.").wait_for()
-        page.wait_for_selector("#plan .seen", state="detached")
-
-
 def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_path):
     Image.new("RGB", (200, 100), (90, 120, 90)).save(tmp_path / "aerial.png")
     with opened(browser, serve(UNITS[:1])) as page:
@@ -408,42 +386,6 @@ def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_pa
         assert fetched == [200, 100]
 
 
-def test_an_image_with_its_world_file_lies_at_its_place_and_fades(
-    browser, serve, tmp_path
-):
-    pytest.importorskip("rasterio", reason="place-rsus[terrain] is not installed")
-    scene = load_study_scene()
-    east, north = scene.outline_m.mean(axis=0)
-    Image.new("RGB", (200, 100), (90, 120, 90)).save(tmp_path / "aerial.png")
-    numbers = (
-        0.2,
-        0,
-        0,
-        -0.2,
-        east - 20.0 + 0.1,
-        north + 10.0 - 0.1,
-    )  # in the scene's own frame
-    (tmp_path / "aerial.pgw").write_text("".join(f"{number}\n" for number in numbers))
-    with opened(browser, serve(UNITS[:1])) as page:
-        assert page.is_hidden("#opacity-row")
-        page.click("#background")
-        page.locator("#image-crs").fill(scene.crs)
-        both = [tmp_path / "aerial.png", tmp_path / "aerial.pgw"]
-        page.set_input_files("#image-file", both)
-        image = page.locator('#plan image[href^="background"]')
-        image.wait_for(state="attached")
-        page.wait_for_selector("#image-dialog", state="hidden")
-        words = (
-            image.get_attribute("transform").removeprefix("matrix(").rstrip(")").split()
-        )
-        lies = [20.0, 0.0, 0.0, -20.0, 100.0 * (east - 20.0), 100.0 * (north + 10.0)]
-        assert [float(word) for word in words] == pytest.approx(lies, abs=1e-3)
-        assert image.get_attribute("width") == "200"
-        assert image.get_attribute("height") == "100"
-        page.locator("#opacity").fill("30")
-        assert float(image.get_attribute("opacity")) == 0.3
-
-
 def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(
     browser, serve, monkeypatch
 ):
@@ -458,20 +400,6 @@ def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(
         assert server.is_alive
     server.wait()
     assert not server.is_alive
-
-
-def test_a_file_that_is_too_large_is_told_before_it_is_sent(
-    browser, serve, monkeypatch, tmp_path
-):
-    from experiments.planner import plan_files
-
-    monkeypatch.setattr(plan_files, "MAX_PLAN_BYTES", 1000)
-    (tmp_path / "long.json").write_text("[" + " " * 1000 + "]")
-    with opened(browser, serve()) as page:
-        page.set_input_files("#open-file", tmp_path / "long.json")
-        page.get_by_text(
-            "long.json: got 1,002 bytes; expected at most 1,000"
-        ).wait_for()
 
 
 def test_a_plan_that_is_in_no_file_is_not_closed_without_a_word(
@@ -562,37 +490,6 @@ def test_a_lost_connection_is_told_and_mended(browser, serve):
         assert page.locator("#units button").count() == 1
 
 
-def test_two_hundred_units_are_shown_and_turned(browser, serve, small_setting):
-    camera = UNITS[0].sensor
-    rng = np.random.default_rng(0)
-    units = [
-        CandidatePose(
-            id=f"U{index}",
-            site_id="",
-            pose=Pose(
-                position_m=site.position_m + [0.0, 0.0, 5.0],
-                yaw_deg=float(rng.uniform(-180.0, 180.0)),
-                pitch_deg=-15.0,
-            ),
-            sensor=camera,
-        )
-        for index in range(200)
-        for site in [small_setting.scene.sites[index % 28]]
-    ]
-    with opened(browser, serve(units)) as page:
-        has_units(page, 200)
-        page.click('[data-chip="U0"]')
-        write(page.locator("#yaw"), "12")
-        page.press("#yaw", "Tab")
-        turned = page.locator('[data-unit="U0"] path').first
-        expect(turned).to_have_attribute("transform", "rotate(-12)")
-        told(page, "table", "evaluator")
-        x, y = aim(page)
-        drag(page, (x, y), (x + 40, y + 40), steps=6)
-        page.mouse.up()
-        expect(turned).not_to_have_attribute("transform", "rotate(-12)")
-
-
 def test_a_unit_is_chosen_although_its_number_comes_while_the_button_is_pressed(
     browser, serve
 ):
@@ -664,19 +561,6 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
         drop(page, "crossing.osm", text)
         page.wait_for_selector("#map-choice .junction-chooser")
         has_no_fault()
-
-
-@pytest.mark.parametrize("width", [820, 390])
-def test_nothing_is_cut_off_on_tablets_and_phones(browser, serve, width):
-    with opened(browser, serve(UNITS[:1]), width=width) as page:
-        told(page, "table", "evaluator")
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-        page.click("#remove")
-        page.locator("#plan").scroll_into_view_if_needed()
-        x, y = pole(page, "corner-ne")
-        drag(page, (x, y), (x - 40, y + 40))
-        page.mouse.up()
-        page.wait_for_selector('[data-unit="U1"]')
 
 
 # ---------- hands
@@ -762,24 +646,6 @@ def test_a_number_follows_while_a_new_sensor_is_dragged_from_its_pole(browser, s
         page.keyboard.press("Escape")
         has_units(page, 0)
         page.mouse.up()
-
-
-def test_a_lidar_that_scans_all_round_is_level_by_dragging_and_by_the_button(
-    browser, serve, tmp_path
-):
-    with opened(browser, serve()) as page:
-        page.select_option("#sensor", "ouster-os1-128")
-        x, y = pole(page, "corner-ne")
-        drag(page, (x, y), (x - 80, y + 60))
-        page.mouse.up()
-        has_units(page, 1)
-        page.select_option("#site", "corner-sw")
-        page.click("#hang")
-        has_units(page, 2)
-        assert [unit.pose.pitch_deg for unit in saved(page, tmp_path).units] == [
-            0.0,
-            0.0,
-        ]
 
 
 TOUCH = """([kind, fingers]) => {
@@ -1317,28 +1183,6 @@ def test_a_lost_run_is_shown_on_the_plan_over_time(browser, serve, small_setting
         assert page.is_hidden(".played-car")
 
 
-def test_the_help_says_every_handling_and_every_colour(browser, serve):
-    with opened(browser, serve(UNITS[:1])) as page:
-        page.keyboard.press("?")
-        said = page.inner_text("#help-dialog")
-        for word in (
-            "compass",
-            "side view",
-            "Ruler",
-            "Ctrl+V",
-            "lock",
-            "Backspace",
-            "trackpad",
-        ):
-            assert word in said
-        for colour in ("blue", "orange", "pink", "yellow", "violet"):
-            assert colour in said
-        page.keyboard.press("Escape")
-        unit_colour = page.get_attribute('[data-view="RSU0"]', "stroke")
-        meanings = {"#0072B2", "#D55E00", "#CC79A7", "#F0E442", "#CC0000"}
-        assert unit_colour.upper() not in meanings
-
-
 # ---------- what a camera sees
 
 
@@ -1393,79 +1237,7 @@ def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands
         assert describe_run(small_setting.axis, title) in page.inner_text("#seen-text")
 
 
-def test_the_picture_has_the_road_user_of_the_run_on_the_plan_at_its_time(
-    browser, serve
-):
-    with opened(browser, serve(UNITS[7:8])) as page:
-        told(page)
-        page.locator("#lost button").first.click()
-        page.wait_for_selector("#played")
-        title = page.locator("#lost button").first.inner_text().rsplit(":", 1)[0]
-        text = page.locator("#seen-text")
-        slider = page.locator("#played-frame")
-        slider.focus()
-        page.keyboard.press("End")
-        expect(text).to_contain_text(f"{title}, at the impact")
-        page.wait_for_selector('#seen[data-smooth="1"][aria-busy="false"]')
-        before = page.get_attribute("#seen-image", "src")
-        for _ in range(10):
-            page.keyboard.press("ArrowLeft")
-        expect(text).to_contain_text(f"{title}, 1.0 s before the impact")
-        assert page.get_attribute("#seen-image", "src") != before
-        page.click("#played-close")
-        expect(text).to_contain_text("nearest to where the camera looks")
-        page.select_option("#unit-sensor", label="ouster-os1-128")
-        expect(text).to_have_text("A LiDAR takes no picture.")
-        assert page.is_hidden("#seen-frame")
-
-
 # ---------- what is driven and seen
-
-
-def test_weather_and_weights_are_controls_and_numbers_say_what_they_mean(
-    browser, serve, small_setting
-):
-    units = UNITS[6:8]
-    with opened(browser, serve(units)) as page:
-        told(page)
-        assert page.get_attribute("#apr", "title").count("Mean over cases") == 1
-        cells = page.locator("td.number:not([title])")
-        expect(cells).to_have_count(0)
-        runs = page.inner_text("#scene-name")
-        command = page.locator("#question-command")
-        page.click("#question summary")
-        assert "--weather" not in command.inner_text()
-        page.evaluate(
-            """() => {
-                const doing = document.getElementById("question-doing");
-                window.said = [];
-                const note = () => window.said.push(doing.textContent);
-                new MutationObserver(note).observe(doing, { childList: true });
-            }"""
-        )  # it is said for a moment only
-        page.check('#ask-weather input[value="night"]')
-        expect(command).to_contain_text("--weather day,night")
-        expect(page.locator("#question-doing")).to_have_text("")
-        assert any(
-            "Recomputing the runs" in text for text in page.evaluate("window.said")
-        )
-        assert page.inner_text("#scene-name") != runs
-        has_units(page, 2)
-        told(page)
-        page.select_option("#ask-weights", "run")
-        expect(command).to_contain_text("--weights run")
-        expect(page.locator("#apr")).to_have_attribute(
-            "title", re.compile("Share of all runs: each counts the same")
-        )
-        write(page.locator("#ask-cases"), "CPXX")
-        page.press("#ask-cases", "Tab")
-        expect(page.locator("#notice")).to_contain_text("cases: got 'CPXX'")
-        has_value(page, "#ask-cases", "CPNC-50")
-        page.click("#undo")
-        has_value(page, "#ask-weights", "")
-        page.click("#undo")
-        expect(page.locator("#scene-name")).to_have_text(runs)
-        expect(command).not_to_contain_text("--weather")
 
 
 # ---------- poles of one's own

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from osm_text import OsmText, crossing
 from PIL import Image
 from plan_sessions import InThread, few_poses, small_session, small_work  # noqa: F401
 from private_garden import write_garden
@@ -34,7 +33,6 @@ from experiments.jobs.evaluation import run_evaluation
 from experiments.parts.camera_views import draw_view
 from experiments.parts.units import build_private_ground_record
 from experiments.planner import server
-from experiments.planner.files import MapFile
 from experiments.planner.plan import Variant
 from experiments.planner.server import build_app
 from experiments.planner.tiles import read_tile_server
@@ -56,7 +54,6 @@ TOKEN = "a-token"
 HOST = "127.0.0.1:8000"
 ORIGIN = {"origin": f"http://{HOST}"}
 UNITS = load_carlancap_layout().units
-MAPS = Path(__file__).parents[3] / "docs" / "maps"
 
 
 @pytest.fixture
@@ -242,38 +239,6 @@ def test_hosts_that_are_answered():
 # ---------- planning
 
 
-@pytest.mark.long
-def test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit(
-    open_client, join, few_runs, tmp_path
-):
-    client = open_client()
-    line = join(client)
-    assert line.last["state"]["units"] == []
-    line.send(do="add", site="corner-ne", sensor="carla-ncap-rgb")
-    assert [unit["id"] for unit in line.state()["units"]] == ["U1"]
-    line.numbers("table")
-    line.send(do="change", unit="U1", yaw_deg=-150.5, pitch_deg=-17.25, gesture="g")
-    line.send(do="change", unit="U1", yaw_deg=-140.5, pitch_deg=-18.25, gesture="g")
-    while line.state()["units"][0]["yawDeg"] != -140.5:
-        pass
-    exact = line.numbers("evaluator")
-
-    result = evaluated(client, tmp_path)
-    told = json.loads(to_json_text(result.evaluation))
-    assert exact["record"] == told
-    assert exact["apr"] == f"{100.0 * told['rsu_all']['all']:.1f} %"
-
-    line.send(do="undo")
-    state = line.state()
-    assert state["units"][0]["yawDeg"] != -140.5
-    assert state["canRedo"]
-    line.numbers("table", "evaluator")
-    line.send(do="redo")
-    line.state()
-    again = line.numbers("evaluator")  # known already
-    assert again["record"] == told
-
-
 LENSES = {
     "brown-conrady": (
         480,
@@ -285,7 +250,6 @@ LENSES = {
 }
 
 
-# Quickly: test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit
 @pytest.mark.long
 @pytest.mark.parametrize("model", LENSES)
 def test_a_camera_with_a_lens_is_planned_seen_and_judged(
@@ -431,20 +395,6 @@ def test_the_optimiser_proposes_and_is_taken_over_or_dropped(
         notice["text"]
         == "units in all: got 1; expected more than the 1 that are mounted already"
     )
-
-
-@pytest.mark.long
-def test_a_proposal_is_evaluated_too(open_client, join):
-    line = join(open_client())
-    line.send(do="ask", request="complete", units=1)
-
-    def is_evaluated(message):
-        known = [each["source"] for each in message.get("proposals", [])]
-        return message["type"] == "proposals" and known == ["evaluator"]
-
-    (proposal,) = line.until(is_evaluated)["proposals"]
-    line.send(do="drop", number=proposal["number"])
-    assert line.next("proposals")["proposals"] == []
 
 
 # ---------- files
@@ -754,30 +704,6 @@ def test_numbers_of_the_table_never_follow_those_of_the_evaluator(
 
 
 @pytest.mark.long
-def test_a_map_is_dropped_and_a_junction_of_it_is_planned(open_client, join):
-    client = open_client(UNITS[:1])
-    line = join(client)
-    content = (MAPS / "crossing.osm").read_bytes()
-    response = send_file(client, "crossing.osm", content)
-    told = response.json()
-    assert told["map"] == "crossing.osm"
-    assert told["junctions"][0]["arms"] >= 3
-    response = take_junction(client, told["junctions"][0]["id"].encode())
-    assert response.status_code == 200, response.text
-    chosen = told["junctions"][0]
-    assert response.json()["scene"] == chosen["name"]  # the streets that meet
-    scene = line.next("scene", title=chosen["name"])
-    assert scene["name"] == f"crossing/{chosen['id']}"  # as `scene import` names it
-    assert scene["runs"]
-    state = line.state()
-    assert state["units"] == []
-    assert state["canUndo"]
-    for junction in (b"no such", b"x" * 501, b"\xff\x00", b"../../etc"):
-        response = take_junction(client, junction)
-        assert response.status_code == 400
-
-
-@pytest.mark.long
 def test_a_plan_is_not_lost_when_another_scene_is_opened(open_client, join, tmp_path):
     path = tmp_path / "kept.json"
     client = open_client(UNITS[:1], save=path)
@@ -851,38 +777,6 @@ def test_views_are_told_for_every_unit_and_follow_what_is_turned(open_client, jo
     )
     line.send(do="change", unit="RSU1", yaw_deg=0.0)
     assert view_of("RSU1")["view"] != before["RSU1"]["view"]
-
-
-@pytest.mark.long
-def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
-    client = open_client(UNITS[7:8])
-    run_id = small_setting.axis.run_ids[0]
-    told = client.get(f"/{TOKEN}/explain", params={"run": run_id}).json()
-    assert told["inTime"] > 0
-    for unit in told["units"]:
-        missed = sum(reason["frames"] for reason in unit["reasons"])
-        assert missed + unit["detected"] == told["inTime"]
-    record = told["record"]
-    run = small_setting.runs[0]
-    assert record["car"]["x"] == np.rint(100.0 * run.vut_position_m[:, 0]).tolist()
-    assert record["road"]["y"] == np.rint(100.0 * run.vru_position_m[:, 1]).tolist()
-    assert [party["kind"] for party in told["parties"]][:2] == ["vut", "unit"]
-    page = client.get(f"/{TOKEN}/watch", params={"run": run_id})
-    assert page.status_code == 200
-    assert "startPlayer" in page.text
-    assert run_id in page.text
-    picture = client.get(
-        f"/{TOKEN}/picture", params={"run": run_id, "unit": UNITS[7].id, "frame": "-5"}
-    )
-    assert picture.content[:2] == b"\xff\xd8"
-    for values, said in (
-        ({"run": "x"}, "run: got 'x'"),
-        ({"run": run_id, "unit": "nobody"}, "unit_id: got 'nobody'"),
-        ({"run": run_id, "unit": "VUT", "frame": "x"}, "frame: got 'x'"),
-    ):
-        response = client.get(f"/{TOKEN}/picture", params=values)
-        assert response.status_code == 400
-        assert said in response.json()["problem"]
 
 
 @pytest.mark.long
@@ -1078,48 +972,6 @@ def test_nothing_hangs_and_there_is_no_layout_to_save(open_client):
     response = open_client().get(f"/{TOKEN}/layout.json")
     assert response.status_code == 400
     assert "no unit" in response.json()["problem"]
-
-
-@pytest.mark.long
-def test_the_plan_is_kept_in_a_file_when_it_rests(open_client, join, tmp_path):
-    path = tmp_path / "kept.json"
-    line = join(open_client(save=path))
-    line.send(do="add", site="corner-ne", sensor="carla-ncap-rgb")
-    line.state()
-    line.numbers("evaluator")
-    assert (
-        json.loads(path.read_text())["variants"][0]["layout"][0]["site"] == "corner-ne"
-    )
-
-
-@pytest.mark.long
-def test_junctions_of_the_named_map_are_offered_and_its_file_is_left_alone(
-    open_client, join, tmp_path
-):
-    osm = OsmText()
-    crossing(osm, bearings=[(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)])
-    osm.parts = [part.replace("Street 1", "&lt;img src=x&gt;") for part in osm.parts]
-    path = osm.write(tmp_path, "own.osm")
-    client = open_client(
-        map_file=MapFile(path=path, name="own.osm", options={"keeps_left": True})
-    )
-    line = join(client)
-    assert line.last["scene"]["map"] == "own.osm"
-    told = client.get(f"/{TOKEN}/junctions").json()
-    (junction,) = told["junctions"]
-    assert "&lt;img src=x&gt;" in told["chooser"]
-    assert "<img" not in told["chooser"]
-    response = take_junction(client, junction["id"].encode())
-    assert response.status_code == 200, response.text
-    scene = line.next("scene", "map")
-    assert scene["title"] == junction["name"]
-    content = (MAPS / "crossing.osm").read_bytes()
-    headers = ORIGIN | {"x-file-name": "crossing.osm"}
-    assert (
-        client.post(f"/{TOKEN}/open", content=content, headers=headers).status_code
-        == 200
-    )
-    assert path.exists()
 
 
 def test_the_page_asks_its_own_server_and_that_of_tiles_alone(open_client):

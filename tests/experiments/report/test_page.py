@@ -5,7 +5,6 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
-import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace as replace_fields
@@ -14,7 +13,7 @@ from partial_pages import blank_pictures, build_result
 from experiments.jobs.evaluation import build_comparison_result
 from experiments.parts.accidents import is_weighted
 from experiments.parts.dangers import build_dangers
-from experiments.report.page import build_report, write_report
+from experiments.report.page import build_report
 from experiments.results.numbers import percent
 from experiments.results.record import StageRecord, build_evaluation_record
 from geometry.study_scene import load_study_scene
@@ -416,30 +415,6 @@ def test_placement_page_shows_the_certificate(placement_page):
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
-def test_open_gap_is_not_called_proven(placement_result, setting, evaluations):
-    stages = [
-        {
-            "name": "apr",
-            "objective": 0.9,
-            "bound": 0.95,
-            "gap": 0.055556,
-            "seconds": 60.0,
-        }
-    ]
-    page = _page_of(
-        replace_fields(
-            placement_result, stages=(msgspec.convert(stages[0], StageRecord),)
-        ),
-        setting,
-        {"found": evaluations["found"]},
-        command=COMMAND,
-    )
-    words = Page(page).words
-    assert "may be at most 5.0 points better." in words
-    assert "Proven in the planning model" not in words
-
-
-@pytest.mark.usefixtures("with_blank_pictures")
 def test_each_by_itself_where_one_unit_must_confirm(
     placement_result, setting, evaluations
 ):
@@ -469,21 +444,6 @@ def test_page_without_optimisation_leaves_its_parts_out(
             assert part not in words
 
 
-def test_comparison_shows_both_layouts(comparison_page, evaluations):
-    parsed = Page(comparison_page)
-    ours, theirs = (
-        evaluations[name].rsu_all.is_avoided for name in ("found", "carlancap-12")
-    )
-    assert (
-        f"found avoids {int((ours & ~theirs).sum())} that carlancap-12 does not, "
-        f"and carlancap-12 avoids {int((theirs & ~ours).sum())} that found does not."
-        in parsed.words
-    )
-    plans = [image for image in parsed.images if image["alt"].startswith("Plan")]
-    assert len(plans) == 2
-    assert all(f"RSU{index}" in parsed.words for index in range(12))
-
-
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_names_are_escaped(setting, evaluations):
     unit = load_carlancap_layout().units[0]
@@ -505,16 +465,6 @@ def test_names_are_escaped(setting, evaluations):
     parsed = Page(plain)
     assert parsed.text.count(EVIL) > 5
     assert page.count("<script") == page.count("</script>")
-
-
-@pytest.mark.usefixtures("with_blank_pictures")
-def test_write_report_writes_the_page(tmp_path, setting, evaluations, evaluation_page):
-    one = {"found": evaluations["found"]}
-    path = write_report(
-        tmp_path, plain_result(one["found"]), setting, one, command=COMMAND
-    )
-    assert path == tmp_path / "report.html"
-    assert path.read_text(encoding="utf-8") == evaluation_page
 
 
 def table_rows(page, caption):

@@ -55,6 +55,7 @@ def test_every_variant_changes_one_thing_of_the_studys_own_cases(variants):
     assert {unit.sensor.horizontal_fov_deg for unit in narrow.layout.units} == {90.0}
 
 
+@pytest.mark.long
 def test_the_parked_row_moves_to_the_right_of_the_vut(variants):
     moved = variants["parked row 1 m beside the VUT, not 0.5 m"].setting.runs
     for old, new in zip(variants["as it is"].setting.runs, moved, strict=True):

@@ -2,12 +2,7 @@
 file.
 """
 
-import random
-
 import pytest
-from damage import read_or_refuse
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from opendrive_text import (
     crossing,
     cubic,
@@ -290,28 +285,3 @@ def test_the_whole_file_is_read(tmp_path):
     }
     assert len(source.crosswalks_m) == 1
     assert source.crs == "+proj=utm +zone=32 +datum=WGS84"
-
-
-@pytest.mark.long
-@given(seed=st.integers(0, 2**32), n_changes=st.integers(1, 4))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_dropped_doubled_and_moved_elements_give_a_map_or_one_line(
-    tmp_path, seed, n_changes
-):
-    from xml.etree import ElementTree as ET
-
-    rng = random.Random(seed)
-    root = ET.fromstring(_WHOLE)
-    for _ in range(n_changes):
-        parents = [element for element in root.iter() if len(element)]
-        parent = rng.choice(parents)
-        child = rng.choice(list(parent))
-        action = rng.choice(["drop", "double", "move"])
-        if action != "double":
-            parent.remove(child)
-        if action == "double":
-            parent.append(child)
-        elif action == "move":
-            inside = set(child.iter())
-            rng.choice([one for one in root.iter() if one not in inside]).append(child)
-    read_or_refuse(tmp_path / "made.xodr", ET.tostring(root), read_opendrive)

@@ -3,7 +3,6 @@ made.
 """
 
 import re
-import struct
 import sys
 import types
 from collections import Counter
@@ -11,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from damage import read_or_refuse
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from osm_text import OsmText, arm_lanes, arms_of, crossing
@@ -262,36 +260,6 @@ _ODD = [
 ]
 
 
-def _read_or_refuse(content: bytes, folder: Path) -> None:
-    source = read_or_refuse(folder / "fuzz.osm", content, read_openstreetmap)
-    if source is None:
-        return
-    for lane in source.lanes:
-        assert np.isfinite(lane.centreline_m).all()
-
-
-@pytest.mark.long
-@_FUZZ
-@given(data=st.data())
-def test_changed_attributes_are_read_or_refused(data, tmp_path):
-    attributes = list(re.finditer(r'(k|v|ref|id|lat|lon|role|type)="([^"]*)"', SMALL))
-    values = [match[2] for match in attributes] + _ODD
-    text = SMALL
-    shift = 0
-    chosen = sorted(
-        data.draw(st.sets(st.integers(0, len(attributes) - 1), max_size=12))
-    )
-    for index in chosen:
-        match = attributes[index]
-        value = data.draw(st.sampled_from(values)).replace('"', "&quot;")
-        new = data.draw(st.sampled_from([f'{match[1]}="{value}"', ""]))
-        begin = match.start() + shift
-        end = match.end() + shift
-        text = text[:begin] + new + text[end:]
-        shift += len(new) - (match.end() - match.start())
-    _read_or_refuse(text.encode(), tmp_path)
-
-
 @pytest.mark.long
 @_FUZZ
 @given(
@@ -395,22 +363,6 @@ def test_pbf_is_read_up_to_a_limit(small_pbf, tmp_path, monkeypatch):
     monkeypatch.setitem(DEFAULTS["reading"], "max_unpacked_bytes", 1000)
     with pytest.raises(InputError, match="more than 1,000 bytes when unpacked"):
         read_text(small_pbf, tmp_path, "map.osm.pbf")
-
-
-def test_a_damaged_pbf_is_read_or_refused(real_input, tmp_path):
-    content = real_input("osm/test.osm.pbf").read_bytes()
-    path = tmp_path / "map.osm.pbf"
-    giant = struct.pack(">I", 0x7FFFFFFF) + content[4:]
-    broken = [
-        content[:5000],
-        content[:200],
-        giant,
-        content[:400] + bytes(900) + content[1300:],
-    ]
-    for damaged in broken:
-        path.write_bytes(damaged)
-        with pytest.raises(InputError, match="expected OpenStreetMap data, XML or PBF"):
-            read_openstreetmap(path)
 
 
 # ---------------------------------------------------- maps that nobody here made

@@ -225,21 +225,6 @@ def test_four_roads_of_two_lanes_meet(tmp_path):
     assert not east.to_junction
 
 
-def test_where_traffic_keeps_left_a_crossing_is_its_mirror_image(tmp_path):
-    osm = OsmText()
-    crossing(osm, bearings=FOUR)
-    left, right = (read(osm, tmp_path, keeps_left=side) for side in (True, False))
-    assert left.keeps_left
-    assert not right.keeps_left
-    assert {
-        (lane.from_junction, *lane.centreline_m[:, :2].round(6).ravel())
-        for lane in left.lanes
-    } == {
-        (lane.to_junction, *lane.centreline_m[::-1, :2].round(6).ravel())
-        for lane in right.lanes
-    }
-
-
 @pytest.mark.parametrize(
     ("bearings", "names"),
     [
@@ -356,28 +341,6 @@ def test_side_roads_35_m_apart_on_either_side_are_one_junction_if_asked_for(
     source = read_map(path, ReadingOptions(staggered_m=staggered_m))
     found = [len(one.arms) for one in survey_junctions(source)]
     assert sorted(found, reverse=True) == n_arms
-
-
-@pytest.mark.long
-def test_a_roundabout_is_one_junction_and_shows_the_side(tmp_path):
-    for turn in (1, -1):
-        osm = OsmText()
-        ring = [
-            osm.node(20.0 * math.cos(angle), turn * 20.0 * math.sin(angle))
-            for angle in np.radians(np.arange(0, 360, 30))
-        ]
-        osm.road([*ring, ring[0]], junction="roundabout")
-        for index, (east, north) in zip(
-            (0, 3, 6, 9), (EAST, NORTH, WEST, SOUTH), strict=True
-        ):
-            osm.road([ring[index], (100.0 * east, turn * 100.0 * north)])
-        source = read(osm, tmp_path)
-        assert source.keeps_left == (turn < 0)
-        assert lane_counts(source) == dict.fromkeys(
-            ("east", "north", "west", "south"), (1, 1)
-        )
-        assert not any("side" in skipped.what for skipped in source.skipped)
-        check_ends(source)
 
 
 def test_driving_side_tag_goes_before_everything(tmp_path):

@@ -59,7 +59,9 @@ def clearance_m(scene: Scene, position_m: np.ndarray) -> float:
         ("railway=tram", 1.5),
     ],
 )
-@pytest.mark.parametrize("sites", ["auto", "kerb:5"])
+@pytest.mark.parametrize(
+    "sites", ["auto", pytest.param("kerb:5", marks=pytest.mark.long)]
+)
 def test_assumed_poles_stand_beside_every_way(tags, half_m, sites, tmp_path):
     osm, _ = beside_road(tags)
     scene = scene_of(osm, tmp_path, sites)

@@ -30,8 +30,8 @@ def scene_of(path):
     "name",
     [
         "X-Intersection_NCAP",
-        pytest.param("Town03", marks=pytest.mark.long),
-        pytest.param("Town05", marks=pytest.mark.long),
+        "Town03",
+        "Town05",
     ],
 )
 def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(

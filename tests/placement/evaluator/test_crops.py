@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kept_backdrops import kept_backdrop
+from kept_backdrops import CORNER, kept_backdrop
 from short_runs import cut_run
 
 from geometry.image_boxes import box_height_px
-from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from geometry.weather import pick_weather
 from placement.detectors import is_matched, load_detector, load_min_iou
@@ -17,8 +16,6 @@ from placement.evaluator.perceive import perceive_frames
 from placement.evaluator.pictures import RenderedPictures
 from placement.imaging.picture import Window
 from placement.imaging.stills import window_around
-
-POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
 
 
 @pytest.fixture(autouse=True)
@@ -60,9 +57,9 @@ def seen(scene, camera):
                 source.pictures(mount),
                 evidence,
             )
-        evidence = perceive_frames(surroundings, (POSE, camera))
-        crops = source.crops((POSE, camera), evidence.amodal_px)
-        return crops, source.pictures((POSE, camera)), evidence
+        evidence = perceive_frames(surroundings, (CORNER, camera))
+        crops = source.crops((CORNER, camera), evidence.amodal_px)
+        return crops, source.pictures((CORNER, camera)), evidence
 
     return look
 
@@ -90,9 +87,7 @@ def test_a_window_has_the_box_in_its_middle_but_stays_in_the_image(larger):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "weather", ["day", pytest.param("night", marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize("weather", ["day", "night"])
 def test_a_crop_is_that_part_of_the_whole_picture(last_frames, seen, larger, weather):
     run = replace(last_frames("CPNC-50/west/30", 1), weather=weather)
     crops, picture, evidence = seen([run], camera=larger)

@@ -2,11 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from camera_rays import pixel_rays
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from ray_renderer import STATIC, build_lens, cast_crops, render_frame, render_view
+from ray_renderer import build_lens, cast_crops, render_frame
 
 from geometry.actors import pick_actor
 from geometry.poses import Pose
@@ -18,13 +17,10 @@ from placement.evaluator.pixels import (
     draw,
     find_box,
     find_crop,
-    hide,
 )
 from placement.evaluator.surroundings import (
     BodyMesh,
     build_body,
-    build_scene_mesh,
-    build_static,
     build_surroundings,
 )
 
@@ -225,38 +221,6 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
         )
 
 
-@pytest.mark.long
-@given(
-    corners_m=POINTS,
-    plate_m=st.floats(0.4, 4.0),
-    yaw_deg=st.floats(-180.0, 180.0),
-    up_m=st.floats(0.1, 3.0),
-)
-def test_what_reaches_into_the_beam_hides_what_rays_find_hidden(
-    corners_m, plate_m, yaw_deg, up_m
-):
-    """A plate across the view, behind triangles anywhere: what the tree leaves out
-    hides nothing.
-
-    No height limits the beam here.
-    """
-    pose = Pose(
-        position_m=np.array([0.3, -0.2, up_m]), yaw_deg=yaw_deg, pitch_deg=-20.0
-    )
-    window = (20, 10, 50, 40)
-    placed = _place(pose, np.zeros((1, 4)), np.zeros(1))
-    depth = np.full((30, 30), plate_m)
-    beam = (placed.turn[0], placed.shift[0], window, plate_m, -np.inf, np.inf)
-    hide(_image(TINY, up_m), build_tree(corners_m), 0, *beam, depth.reshape(-1))
-    is_before = hide(_image(TINY, up_m), build_tree(corners_m), 0, *beam, np.empty(0))
-    in_camera = corners_m @ placed.turn[0].T + placed.shift[0]
-    before, is_sure = _cast(in_camera, TINY, window)
-    is_sure &= np.abs(before - plate_m) > 1.0e-6
-
-    assert (np.isinf(depth) == (before < plate_m))[is_sure].all()
-    assert is_before == np.isinf(depth).any()
-
-
 @given(corners_m=POINTS, n_copies=st.integers(1, 40))
 def test_tree_holds_every_triangle_once_and_each_box_its_own(corners_m, n_copies):
     tree = build_tree(np.tile(corners_m, (n_copies, 1, 1)))
@@ -291,17 +255,6 @@ def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
     tree = build_tree(corners_m)
 
     assert sorted(tree.corners_m[:, 0, 0]) == sorted(corners_m[:, 0, 0])
-
-
-def test_tree_of_nothing_hides_nothing():
-    empty = BodyMesh(
-        vertices_m=np.empty((0, 3)), triangles=np.empty((0, 3), dtype=np.int64)
-    ).tree
-    placed = _place(LEVEL, np.zeros((1, 4)), np.zeros(1))
-    args = (placed.turn[0], placed.shift[0], (0, 0, 9, 9), 5.0, 0.0, 2.0, np.ones(81))
-
-    assert not hide(_image(TINY), empty, 0, *args)
-    assert not hide(_image(TINY), empty, 0, *args[:-1], np.empty(0))
 
 
 # ---------- bodies
@@ -378,23 +331,3 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
 
 
 # ---------- the oracle
-
-
-def test_depth_of_a_plane_is_that_of_the_pixel_rays(build_scene, camera, block):
-    pose = Pose(position_m=np.array([3.0, -2.0, 7.0]), yaw_deg=35.0, pitch_deg=-40.0)
-    middle_m = np.array([20.0, 10.0])
-    scene = build_scene(((-300.0, -300.0, -1.0), (300.0, 300.0, 0.0)))
-    ground = build_static(
-        build_scene_mesh(scene, middle_m=middle_m), (), middle_m=middle_m
-    )
-    view = render_view(
-        build_lens(pose, camera),
-        static=(ground, np.array([*middle_m, 0.0, 0.0])),
-        vru=(build_body(block.shapes[0]), np.array([-50.0, -50.0, 0.0, 0.0])),
-    )
-    rows, columns = np.indices(view.depth_m.shape)
-    rays = pixel_rays(columns.ravel(), rows.ravel(), pose, camera)
-    expected = -7.0 / rays[:, 2].reshape(view.depth_m.shape)
-
-    assert np.allclose(view.depth_m, expected, rtol=1e-4)
-    assert (view.instance == STATIC).all()

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from camera_rays import pixel_rays
+from kept_backdrops import CORNER
 
 from geometry.lenses import BrownConrady, Fisheye, TsaiRadial
-from geometry.poses import Pose
 from geometry.sensors import pixel_grid, project_points
 from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
@@ -19,9 +19,6 @@ from placement.imaging.mesh import place_mesh
 from placement.imaging.picture import whole_image
 from placement.imaging.stills import draw_onto, draw_still, meter, silhouette
 
-CORNER = Pose(
-    position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3
-)
 LENSES = {
     "brown-conrady": (BrownConrady(k1=-0.12, k2=0.01, p1=0.004), 100.0),
     "tsai": (TsaiRadial(kappa=0.2), 80.0),

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kept_backdrops import CORNER
 from ray_renderer import render_frame
 
 from geometry.actors import MovingActor, pick_actor
@@ -15,9 +16,6 @@ from placement.evaluator.surroundings import build_surroundings
 from placement.imaging import build_backdrop, draw_picture
 
 # Near the study's RSU3.
-CORNER = Pose(
-    position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3
-)
 ABOVE = Pose(position_m=np.array([0.0, -12.0, 9.0]), yaw_deg=90.0, pitch_deg=-40.0)
 
 
@@ -95,7 +93,7 @@ def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
         (5, True),
         (0, False),
         *(
-            pytest.param(back, with_vut, marks=pytest.mark.long)
+            (back, with_vut)
             for back, with_vut in ((0, True), (12, True), (5, False), (12, False))
         ),
     ],
@@ -135,58 +133,6 @@ def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
     is_same = np.isclose(picture.depth_m, view.depth_m, rtol=1e-4)
 
     assert is_same.mean() > 0.9995
-
-
-@pytest.mark.parametrize(("name", "away_m"), [("motorcyclist", 4.0), ("car", 7.0)])
-def test_a_motorcyclist_and_a_car_look_like_themselves_from_the_side(
-    build_plain_scene, study_run, small, day, name, away_m
-):
-    actor = pick_actor(name, "test")
-    camera = replace(small, width_px=640, height_px=400)
-    n_frames = len(study_run.time_s)
-    run = replace(
-        study_run,
-        encounter=replace(study_run.encounter, vru=actor),
-        vru_shape=np.zeros(n_frames, dtype=np.int64),
-        obstruction=(),
-    )
-    yaw_deg = float(run.vru_yaw_deg[0])
-    left = np.radians(yaw_deg + 90.0)
-    eye_m = np.append(
-        run.vru_position_m[0] + away_m * np.array([np.cos(left), np.sin(left)]),
-        0.5 * actor.height_m,
-    )
-    pose = Pose(position_m=eye_m, yaw_deg=yaw_deg - 90.0, pitch_deg=0.0)
-    picture = render_picture(
-        build_plain_scene(), run, 0, pose, camera, weather=day, with_vut=False
-    )
-    rows, columns = np.nonzero(picture.instance == picture.names.index("vru"))
-    # Ahead is to the left: from the left side the front is there.
-    per_m = camera.focal_length_px / away_m
-    ahead_m = (0.5 * camera.width_px - columns) / per_m
-    up_m = 0.5 * actor.height_m + (0.5 * camera.height_px - rows) / per_m
-
-    assert np.ptp(ahead_m) == pytest.approx(actor.length_m, rel=0.12)
-
-    light = picture.rgb[rows, columns].mean(axis=1)
-    axles_m = (actor.front_axle_ahead_m, actor.front_axle_ahead_m - actor.wheelbase_m)
-    from_hub = np.min(
-        [np.hypot(ahead_m - axle, up_m - 0.315) for axle in axles_m], axis=0
-    )
-    tyres = light[(from_hub > 0.24) & (from_hub < 0.27)]
-    rims = light[from_hub < 0.1]
-
-    assert len(tyres) > 50
-    assert np.median(tyres) < 0.7 * np.median(rims)
-
-    if name == "motorcyclist":
-        helmet = light[up_m > 1.62]
-        jacket = light[(up_m > 1.15) & (up_m < 1.35)]
-        assert np.median(helmet) > 2.0 * np.median(jacket)
-    else:
-        is_behind = np.abs(ahead_m + 0.6) < 0.5
-        pane, door = (light[is_behind & (np.abs(up_m - z) < 0.05)] for z in (1.1, 0.7))
-        assert np.median(pane) < np.median(door)
 
 
 def test_what_lies_in_the_shadow_is_darker(build_plain_scene, study_run, small, day):

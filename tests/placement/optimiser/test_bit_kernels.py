@@ -3,20 +3,15 @@
 from itertools import combinations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kernel_cases import (
     N_FRAMES,
-    bits_of,
     columns_of,
     first_live,
     n_chains_of,
-    needed,
     random_chains,
-    random_rows,
     random_sights,
-    tails_of,
 )
 
 from placement.optimiser import bit_kernels as kernels
@@ -130,32 +125,6 @@ def drawn(seed):
     return rng, random_chains(rng)
 
 
-@pytest.mark.long
-@given(SEEDS, st.integers(0, 12))
-def test_chains_are_looked_through_until_too_much_is_lost(seed, most_lost):
-    rng, chains = drawn(seed)
-    seen = rng.random(N_FRAMES) < 0.6
-    n_chains = n_chains_of(chains)
-    lost = rng.integers(0, 6, (n_chains, 6)).astype(np.float64)
-    order = rng.permutation(n_chains)
-    first = np.full(n_chains, -1)
-    rank = kernels.look_through(
-        pack_words(seen), chains, order, lost, float(most_lost), first
-    )
-    expected = n_chains
-    total = 0.0
-    for place, chain in enumerate(order.tolist()):
-        live = first_live(chains, chain, np.flatnonzero(seen).tolist())
-        assert first[chain] == live
-        total += lost[chain, live]
-        if total > most_lost:
-            expected = place
-            break
-
-    assert rank == expected
-    assert (first[order[rank + 1 :]] == -1).all()  # those behind were not looked at
-
-
 @given(SEEDS)
 def test_the_first_live_window_has_all_frames_and_tails(seed):
     rng, chains = drawn(seed)
@@ -186,74 +155,3 @@ def test_first_live_windows_with_each_pose_are_those_of_the_unions(seed, n_poses
         for pose in range(n_poses):
             frames = np.flatnonzero(sees[pose] | alone).tolist()
             assert first[chain, pose] == first_live(chains, chain, frames)
-
-
-def avoids(chains, chain, last, seen):
-    return first_live(chains, chain, np.flatnonzero(seen).tolist()) < last
-
-
-def missing_pieces(chains, chain, last, alone):
-    """Frames and tails of the windows of a run that a set does not see by itself."""
-    pieces = {frame for frame, _ in tails_of(chains, chain)}
-    for link in range(last):
-        pieces |= needed(chains, chain, link)[0]
-    return {frame for frame in pieces if not alone[frame]}
-
-
-@pytest.mark.long
-@given(SEEDS, st.sampled_from([3, 64, 66]), st.booleans())
-def test_poses_that_avoid_a_run_next_to_a_set_and_see_a_missing_piece(
-    seed, n_poses, has_part
-):
-    rng, chains = drawn(seed)
-    sees = random_sights(rng, n_poses, share=0.4)
-    alone = rng.random(N_FRAMES) < 0.4
-    row_chain, row_last = random_rows(rng, chains)
-    columns = columns_of(sees)
-    n_words = columns.shape[1]
-
-    for chain, last in zip(row_chain.tolist(), row_last.tolist(), strict=True):
-        space = np.empty((2, n_words), dtype=np.uint64)
-        avoided = np.empty(n_words, dtype=np.uint64)
-        part = np.full(n_words if has_part else 0, 5, dtype=np.uint64)
-        kernels.avoid_with_each(
-            columns, alone, chains, chain, last, space, avoided, part
-        )
-        expected = {
-            p for p in range(n_poses) if avoids(chains, chain, last, sees[p] | alone)
-        }
-
-        assert bits_of(avoided, n_poses) == expected
-
-        if has_part:
-            pieces = missing_pieces(chains, chain, last, alone)
-            helps = {
-                p
-                for p in range(n_poses)
-                if pieces & set(np.flatnonzero(sees[p]).tolist())
-            }
-            assert bits_of(part, n_poses) == helps
-
-
-@pytest.mark.long
-@given(SEEDS)
-def test_rows_next_to_a_set_are_those_of_poses_one_by_one(seed):
-    rng, chains = drawn(seed)
-    sees = random_sights(rng, 5)
-    alone = rng.random(N_FRAMES) < 0.3
-    row_chain, row_last = random_rows(rng, chains)
-    found = np.zeros((2, len(row_chain), 1), dtype=np.uint64)
-    kernels.avoid_beside(
-        columns_of(sees), alone, chains, row_chain, row_last, found[0], found[1]
-    )
-
-    for row, (chain, last) in enumerate(
-        zip(row_chain.tolist(), row_last.tolist(), strict=True)
-    ):
-        pieces = missing_pieces(chains, chain, last, alone)
-        for pose in range(5):
-            is_part = bool(pieces & set(np.flatnonzero(sees[pose]).tolist()))
-            assert (pose in bits_of(found[0, row], 5)) == avoids(
-                chains, chain, last, sees[pose] | alone
-            )
-            assert (pose in bits_of(found[1, row], 5)) == is_part

@@ -71,6 +71,7 @@ def test_steps_are_those_of_brute_force(problem, stages):
     check_steps(problem, stages)
 
 
+@pytest.mark.long
 @given(problem=questions().map(asked_for_nothing_but_the_best))
 def test_models_find_the_same_steps_without_enumeration(problem):
     with solved_by_models():

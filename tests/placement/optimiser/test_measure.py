@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused_with
 
-from geometry.errors import InputError
 from placement.optimiser import Floor, PlacementValue, is_better
 from placement.optimiser.problem import (
     VALUE_OBJECTIVES,
@@ -58,21 +58,6 @@ def test_the_measure_is_the_mean_over_the_worst_worlds(seed, tail):
 
     assert by_world.sum(axis=1) == pytest.approx(is_avoided @ measure.weight)
     assert measure.of_worlds(by_world) == pytest.approx(expected, abs=1e-12)
-
-
-@given(SEEDS, TAILS)
-def test_the_worst_worlds_are_never_better_than_all_and_more_is_never_worse(seed, tail):
-    measure, rng = drawn_measure(seed, tail)
-    mean, _ = drawn_measure(seed, 1.0)
-    is_avoided = rng.random(8) < 0.5
-    more = is_avoided | (rng.random(8) < 0.3)
-
-    assert measure.of(is_avoided) <= mean.of(is_avoided) + 1e-12
-    assert measure.of(is_avoided) <= measure.of(more) + 1e-12
-    assert measure.of(more) <= measure.limit + 1e-12
-    assert measure.limit == pytest.approx(1.0)
-    assert mean.is_mean
-    assert measure.is_mean == (tail == 1.0)
 
 
 @given(SEEDS, TAILS)
@@ -131,9 +116,8 @@ def test_ratios_have_a_step_where_all_weights_are_multiples(weights, tail, step)
     ],
 )
 def test_a_measure_says_what_is_wrong(change, message):
-    with pytest.raises(InputError) as told:
+    with refused_with(message):
         build_measure(np.array([0.5, 0.5]), **change)
-    assert str(told.value) == message
 
 
 @pytest.mark.parametrize(
@@ -148,9 +132,8 @@ def test_a_measure_says_what_is_wrong(change, message):
     ],
 )
 def test_a_floor_says_what_is_wrong(change, message):
-    with pytest.raises(InputError) as told:
+    with refused_with(message):
         Floor(**{"name": "--target", "share": 0.5, **change})
-    assert str(told.value) == message
 
 
 # ---------- requirements

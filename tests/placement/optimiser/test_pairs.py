@@ -58,29 +58,6 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
     assert found == sorted(map(tuple, sets[share >= need - 1e-9].tolist()))
 
 
-@pytest.mark.long
-@given(problem=problems())
-def test_a_walk_for_more_meets_the_sets_that_reach_more(problem):
-    reduced = presolve(problem)
-    n_units = reduced.limits.max_units
-    if not 2 <= n_units <= 3 or not len(reduced.weight) or reduced.n_poses < n_units:
-        return
-    sets = allowed_sets(reduced, n_units)
-    if not len(sets):
-        return
-    share = union_apr(reduced, unions_of(reduced, sets))
-    first = PairWalk(reduced, need=0.0)
-    list(first.blocks(NEVER))
-    again = first.again(float(share.max()))
-    met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *again.blocks(NEVER)])
-
-    assert len(met) == (share >= share.max() - 1e-9).sum()
-
-    again.raise_needs(0.0)
-
-    assert again.need == share.max()  # needs never fall
-
-
 @given(problem=problems(), tail=st.sampled_from([1.0, 0.5]))
 def test_worlds_are_proven_by_their_mean_and_bounded_by_it(problem, tail):
     reduced = presolve(replace(in_two_worlds(problem), tail=tail))

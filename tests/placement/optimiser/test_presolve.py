@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -103,32 +101,6 @@ def test_poses_are_dominated_as_one_by_one(seed, max_units):
     assert (
         is_dominated(pack_words(bits), limits, max_units=max_units).tolist() == expected
     )
-
-
-def test_a_pose_that_sees_more_dominates_only_where_it_costs_no_more():
-    words = pack_words(np.array([[1, 1], [1, 0]], dtype=bool))
-    limits = Limits(site_index=np.array([0, 0]), site_capacity=np.array([1]))
-    for prices, expected in (((5.0, 5.0), [False, True]), ((6.0, 5.0), [False, False])):
-        priced = replace(limits, unit_cost_eur=np.array(prices))
-        assert is_dominated(words, priced, max_units=1).tolist() == expected
-    forced = replace(limits, is_forced=np.array([False, True]))
-
-    assert is_dominated(words, forced, max_units=1).tolist() == [False, False]
-
-
-def test_a_site_that_must_be_paid_does_not_dominate_another():
-    words = pack_words(np.array([[1, 1], [1, 0]], dtype=bool))
-    limits = Limits(site_index=np.array([0, 1]), site_capacity=np.array([1, 1]))
-
-    assert is_dominated(words, limits, max_units=1).tolist() == [False, True]
-
-    paid = replace(limits, site_cost_eur=np.array([9.0, 0.0]))
-
-    assert is_dominated(words, paid, max_units=1).tolist() == [False, False]
-
-    asked = replace(limits, is_forced_site=np.array([False, True]))
-
-    assert is_dominated(words, asked, max_units=1).tolist() == [False, False]
 
 
 def test_statistics_read_as_sizes_before_and_after():

@@ -21,7 +21,7 @@ from scenarios.runs import FrameAxis
 
 TAKES_USABLE = {Rule.NEEDLESS_POSES, Rule.DOMINATED_POSES}
 """Rules that take it for granted that poses are usable."""
-N_PROBLEMS = 60
+N_PROBLEMS = 30
 N_LONG = 200
 """So many problems in the long group."""
 SUBSETS = [

@@ -65,6 +65,7 @@ def test_every_question_matches_brute_force(problem):
     check(problem)
 
 
+@pytest.mark.long
 @given(problem=questions(), is_poorly_begun=st.booleans())
 def test_models_answer_every_question_without_enumeration(problem, is_poorly_begun):
     with solved_by_models(is_poorly_begun=is_poorly_begun):

@@ -1,9 +1,8 @@
 """Kernels of bounds and walks against a few lines of plain Python each."""
 
-from itertools import combinations, combinations_with_replacement, product
+from itertools import combinations_with_replacement, product
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kernel_cases import (
@@ -21,7 +20,6 @@ from kernel_cases import (
 )
 
 from placement.optimiser import walk_kernels as kernels
-from placement.optimiser.allowed_sets import Choice
 from placement.optimiser.bounds import byte_table, reward_of
 from placement.optimiser.presolve import pack_words
 
@@ -58,7 +56,6 @@ def keeps(losses, sees, alone, *, with_failures):
 
 
 SEEDS = st.integers(0, 2**32 - 1)
-STEERING = np.array([0.7, 0.6, 0.7, 0.97, 6.0])
 
 # ---------- what is asked for
 
@@ -133,65 +130,6 @@ def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
 # ---------- prices
 
 
-def random_choice(rng, *, has_money=False):
-    """Six poses at three sites, of which some have no room."""
-    return Choice(
-        n_units=int(rng.integers(1, 4)),
-        room=rng.integers(0, 3, 3),
-        is_open=(rng.random(6) < 0.8).astype(np.int64),
-        cost=rng.integers(0, 5, 6) / 6.0 if has_money else np.empty(0),
-        site=rng.integers(0, 3, 6),
-    )
-
-
-def sets_of(choice):
-    """All sets of up to so many units that fit into sites and money."""
-    sets = [one for n in range(choice.n_units + 1) for one in combinations(range(6), n)]
-    return [
-        one
-        for one in sets
-        if all(
-            sum(choice.site[list(one)] == site) <= choice.room[site]
-            for site in range(3)
-        )
-        and (not len(choice.cost) or choice.cost[list(one)].sum() <= 1.0 + 1e-12)
-    ]
-
-
-@pytest.mark.long
-@given(SEEDS)
-def test_the_best_poses_with_room_gain_as_much_as_any_set(seed):
-    rng = np.random.default_rng(seed)
-    choice = random_choice(rng)
-    gain = rng.integers(-1, 5, 6).astype(np.float64)
-    picked = np.full(3, -1)
-    total, n_picked = kernels.pick_best(gain, choice, picked)
-
-    assert total == max(gain[list(one)].sum() for one in sets_of(choice))
-
-    chosen = tuple(sorted(picked[:n_picked].tolist()))
-
-    assert chosen in sets_of(choice)
-    assert gain[list(chosen)].sum() == total
-
-
-@pytest.mark.long
-def test_money_that_is_short_lowers_the_bound_to_what_it_buys():
-    choice = Choice(
-        n_units=2,
-        room=np.array([2]),
-        is_open=np.ones(3, dtype=np.int64),
-        cost=np.array([0.75, 0.75, 0.25]),
-        site=np.zeros(3, dtype=np.int64),
-    )
-    total, _ = kernels.pick_affordable(
-        np.array([3.0, 3.0, 1.0]), choice, np.empty(2, dtype=np.int64)
-    )
-
-    # 3 and 1: half of another 3 is no more.
-    assert total == pytest.approx(4.0, abs=1e-3)
-
-
 @given(st.integers(1, 5), st.integers(0, 3), st.floats(0.0, 4.0), st.floats(0.1, 4.0))
 def test_a_row_is_worth_its_reward_less_what_it_pays(
     n_units, n_failures, price, weight
@@ -202,28 +140,6 @@ def test_a_row_is_worth_its_reward_less_what_it_pays(
 
     assert most == max(values)
     assert values[units] == most
-
-
-@pytest.mark.long
-def test_steps_find_prices_that_prove_the_best_set():
-    covers = np.array([[1, 1, 0, 0], [0, 0, 1, 1], [1, 0, 1, 0]], dtype=bool)
-    choice = Choice(
-        n_units=2,
-        room=np.array([3]),
-        is_open=np.ones(3, dtype=np.int64),
-        cost=np.empty(0),
-        site=np.zeros(3, dtype=np.int64),
-    )
-    price = np.zeros(4)
-    share = np.zeros(3)
-    rows = pack_words(covers).view(np.uint8)
-    reward = reward_of(2, 0)
-    bound = kernels.tighten_prices(
-        rows, choice, np.ones(4), reward, price, 200, STEERING, share
-    )
-
-    assert bound == pytest.approx(4.0, rel=1e-3)
-    assert (share[:2] > 10.0 * share[2]).all()
 
 
 # ---------- the walk
@@ -270,70 +186,6 @@ def build_walk(covers, n_units, room, may_lose):
 
 def bits_by_pose(covers):
     return [bits_of(words, len(covers.weight)) for words in covers.covers]
-
-
-@pytest.mark.long
-@given(SEEDS, st.integers(-1, 3), st.integers(0, 14))
-def test_candidates_go_that_cannot_gain_enough_with_the_best_others(seed, n_more, need):
-    rng = np.random.default_rng(seed)
-    gain = rng.integers(0, 6, 6).astype(np.float64)
-    is_open = rng.random(6) < 0.8
-    before = is_open.copy()
-    has_any = kernels.drop_hopeless(
-        gain, is_open, n_more, float(need), np.zeros(4, dtype=np.int64)
-    )
-    if n_more <= 0:
-        assert has_any == (need <= 0)
-        assert (is_open == before).all()
-        return
-    poses = np.flatnonzero(before).tolist()
-    sets = list(combinations(poses, min(n_more, len(poses))))
-    most = {
-        pose: max(gain[list(one)].sum() for one in sets if pose in one)
-        for pose in poses
-    }
-
-    assert has_any == (max(most.values(), default=0.0) >= need)
-
-    if has_any:
-        assert np.flatnonzero(is_open).tolist() == [
-            pose for pose in poses if most[pose] >= need
-        ]
-
-
-@pytest.mark.long
-@given(SEEDS)
-def test_rows_without_coverers_are_lost_and_the_hardest_is_covered_by_fewest(seed):
-    rng = np.random.default_rng(seed)
-    covers = build_covers(rng)
-    walk = build_walk(covers, 2, np.array([1, 2, 0]), [0.0, 0.0])
-    once, gone = rng.random((2, len(covers.weight))) < 0.2
-    walk.covered[0], walk.given_up[0], walk.weight_given_up[0] = (
-        pack_words(once),
-        pack_words(gone),
-        2.0,
-    )
-    rows = np.full(1, 9, dtype=np.uint64)
-    hardest = kernels.give_up_rows(covers, walk, rows)
-    bits = bits_by_pose(covers)
-    count = np.array(
-        [
-            sum(row in bits[p] for p in np.flatnonzero(walk.is_open[0]))
-            for row in range(len(once))
-        ]
-    )
-    left = ~once & ~gone
-
-    assert bits_of(rows, len(once)) == set(np.flatnonzero(left & (count > 0)).tolist())
-    assert walk.weight_given_up[0] == 2.0 + covers.weight[left & (count == 0)].sum()
-    assert bits_of(walk.given_up[0], len(once)) == set(
-        np.flatnonzero(gone | (left & (count == 0)))
-    )
-
-    if (left & (count > 0)).any():
-        assert count[hardest] == count[left & (count > 0)].min()
-    else:
-        assert hardest == -1
 
 
 def lost_of(covers, units):
@@ -431,26 +283,6 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
 
         if found <= may_lose:
             assert found == total
-
-
-@pytest.mark.long
-@given(SEEDS, st.booleans(), st.integers(0, 9), st.integers(0, 6))
-def test_units_are_kept_if_they_lose_little_with_and_without_each(
-    seed, with_failures, most, more
-):
-    rng = np.random.default_rng(seed)
-    chains = random_chains(rng)
-    alone = rng.random(N_FRAMES) < 0.2
-    losses = build_losses(rng, chains, alone, [float(most), float(most + more)])
-    before = losses.order.copy()
-    sees = random_sights(rng, 3)
-    found = kernels.can_keep(pack_words(sees), losses, with_failures)
-
-    assert found == keeps(losses, sees, alone, with_failures=with_failures)
-    assert sorted(losses.order) == sorted(before)  # still all chains
-
-    if found:
-        assert (losses.order == before).all()
 
 
 @given(SEEDS, st.booleans(), st.integers(0, 12), st.sampled_from([1, 50]))

@@ -1,7 +1,5 @@
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from placement.recordings import read_recording
@@ -37,12 +35,6 @@ def test_units_are_in_the_order_of_their_numbers(small, tmp_path):
     for unit in ("10", "2"):
         small.add(f"{unit}/3_0.txt", f"car {BOX} 5")
     assert read_recording(small.write(tmp_path)).units == ("0", "1", "2", "10")
-
-
-def test_images_and_points_beside_the_labels_are_no_news(small, tmp_path):
-    for suffix in ("png", "bin"):
-        small.files[f"0/3_0.{suffix}"] = "x"
-    assert list(read_recording(small.write(tmp_path)).skipped.values()) == [60]
 
 
 def test_what_is_left_out_is_counted_by_its_reason(small, tmp_path):
@@ -152,14 +144,6 @@ def test_a_folder_without_a_frame_is_named(small, tmp_path, name):
     assert _refusal(small.write(tmp_path)) == message
 
 
-def test_a_line_that_is_wrong_is_named_by_file_and_number(small, tmp_path):
-    small.add("1/3_7.txt", "pedestrian 1 2 nan 4 5")
-    assert (
-        _refusal(small.write(tmp_path))
-        == "F/1/3_7.txt:2: max_x: got 'nan'; expected a finite number"
-    )
-
-
 def test_a_folder_that_is_not_there_or_no_folder_is_named(tmp_path):
     refused = _refusal(tmp_path / "x")
     assert refused == "F: got No such file or directory; expected a recording"
@@ -186,30 +170,3 @@ def test_a_recording_in_which_nobody_meets_is_refused_with_what_was_left_out(
         " nothing approaches; expected frames in which the VUT and a VRU come"
         " together"
     )
-
-
-@pytest.mark.long
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    st.sampled_from(["0/3_9.txt", "WorldData/3_9.txt", "Eval/3_9.txt"]),
-    st.one_of(
-        st.binary(max_size=60),
-        st.lists(
-            st.sampled_from(
-                ["car", "bycicle", "0", "-1", "1e9", "nan", "7", "\n", "x"]
-            ),
-            max_size=14,
-        ).map(lambda words: " ".join(words).encode()),
-    ),
-)
-def test_whatever_a_file_holds_is_read_or_refused_by_its_name(
-    small, tmp_path_factory, name, content
-):
-    folder = small.write(tmp_path_factory.mktemp("fuzzed"))
-    (folder / name).write_bytes(content)
-    try:
-        recording = read_recording(folder)
-    except InputError as error:
-        assert str(error).startswith(f"{folder}/{name}")  # noqa: PT017
-    else:
-        assert recording.drives

@@ -7,8 +7,6 @@ from tiny_worlds import run_of_frames, scene_of_boxes, setting_of
 from geometry.scene import Site
 from geometry.sensors import CameraModel
 from placement.candidates import CandidateGrid, build_candidates
-from placement.pipeline import Assembly, place
-from placement.wishes import Wishes
 
 N_FRAMES = 40
 
@@ -102,10 +100,3 @@ def meadow_grid(meadow, narrow_camera):
         sensors=(narrow_camera,),
     )
     return build_candidates(meadow.scene, grid)
-
-
-@pytest.fixture(scope="session")
-def meadow_placement(meadow, meadow_grid):
-    return place(
-        Assembly(setting=meadow, candidates=meadow_grid, wishes=Wishes(budget_units=1))
-    )

@@ -288,26 +288,6 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
 # Messages
 
 
-@pytest.fixture(scope="module")
-def all_seen(setting):
-    """A table in which every pose detects in every frame."""
-    n = setting.axis.n_frames
-    return lambda poses: pack_table(
-        tuple(p.id for p in poses), setting.axis, np.ones((len(poses), n), dtype=bool)
-    )
-
-
-def test_no_message_and_every_message_may_be_lost(setting, candidates, all_seen):
-    table = all_seen(candidates)
-    sample = _first(setting, candidates, Uncertainty())
-
-    assert silence(sample, table) is table
-
-    silent = _first(setting, candidates, Uncertainty(packet_loss=1.0))
-
-    assert not silence(silent, table).packed.any()
-
-
 def test_the_same_messages_are_lost_in_all_weathers(watched):
     setting, poses = watched
     sample = _first(setting, poses, Uncertainty(packet_loss=0.5))

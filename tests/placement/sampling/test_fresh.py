@@ -179,14 +179,6 @@ def test_numbers_of_a_judgement_belong_together(setting, judged):
     assert repr(judged[0]).startswith("SampledApr('both': 0.")
 
 
-@pytest.mark.long
-def test_another_seed_is_another_judgement(setting, layouts, judged):
-    other = out_of_sample(
-        setting, layouts[0], LOSSY, n_samples=12, compute=Compute(seed=1)
-    )
-    assert not np.array_equal(other.apr_by_sample, judged[0].apr_by_sample)
-
-
 def test_alone_a_unit_confirms_no_more_than_all_together(setting, layouts, judged):
     single = out_of_sample(setting, layouts[0], LOSSY, n_samples=12, fusion="single")
     one, other = judged[1:]
@@ -225,19 +217,6 @@ def test_cars_that_see_are_judged_without_units_too(setting, layouts):
         assert judged[0].alone <= judged[0].estimate.mean
 
     assert out_of_sample(setting, layouts[1], LOSSY, n_samples=1).alone == 0.0
-
-
-@pytest.mark.long
-def test_a_share_of_cars_that_see_is_the_weighted_sum_of_both(setting, layouts):
-    blind, mixed, see = (
-        out_of_sample(replace(setting, cars=cars), layouts[1], LOSSY, n_samples=3)
-        for cars in (0.0, 0.25, 1.0)
-    )
-    assert see.apr_by_sample.sum() > blind.apr_by_sample.sum()
-
-    for name in ("apr_by_sample", "avoided_share", "alone"):
-        expected = 0.25 * getattr(see, name) + 0.75 * getattr(blind, name)
-        assert getattr(mixed, name) == pytest.approx(expected)
 
 
 def test_progress_counts_worlds(setting, layouts):

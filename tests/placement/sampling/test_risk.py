@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import linprog
+from refusals import refused_with
 
 from geometry.errors import InputError
 from placement.sampling.out_of_sample import cvar, estimate_mean, resampled_cvar
@@ -25,23 +25,6 @@ def test_cvar_is_the_mean_of_the_worst_of_many_equal_parts(samples, a, b):
     assert cvar(samples, count / of) == pytest.approx(expected, abs=1e-9)
 
 
-@given(shares, st.floats(0.05, 1.0))
-def test_cvar_is_the_optimum_of_rockafellar_and_uryasevs_programme(samples, tail):
-    """Maximise t - sum s / (tail n) with s >= t - apr, s >= 0; t is free."""
-    n = len(samples)
-    solved = linprog(
-        [-1.0] + [1.0 / (tail * n)] * n,
-        A_ub=np.hstack([np.ones((n, 1)), -np.eye(n)]),
-        b_ub=samples,
-        bounds=[(-10.0, 10.0)] + [(0.0, None)] * n,
-    )
-    if tail * n >= 1.0:
-        assert cvar(samples, tail) == pytest.approx(-solved.fun, abs=1e-7)
-    else:
-        # the programme would go below the worst sample: there is no smaller part of it
-        assert cvar(samples, tail) == min(samples)
-
-
 @given(shares, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_cvar_grows_with_the_tail_from_the_worst_to_the_mean(samples, a, b):
     small, large = sorted((a, b))
@@ -50,16 +33,9 @@ def test_cvar_grows_with_the_tail_from_the_worst_to_the_mean(samples, a, b):
     assert cvar(samples, 1.0) == pytest.approx(np.mean(samples))
 
 
-def test_a_sample_may_count_in_part():
-    assert cvar([0.0, 1.0, 1.0, 1.0], 0.5) == 0.5
-    assert cvar([0.0, 0.4, 1.0, 1.0], 0.375) == pytest.approx((0.0 + 0.5 * 0.4) / 1.5)
-    assert cvar([0.3, 0.2, 0.9], 1.0 / 3.0) == pytest.approx(0.2)
-
-
 def test_nothing_has_no_mean():
-    with pytest.raises(InputError) as caught:
+    with refused_with("samples: got none; expected at least one"):
         estimate_mean([])
-    assert str(caught.value) == "samples: got none; expected at least one"
 
 
 # Mean and interval
@@ -93,26 +69,6 @@ def test_without_spread_a_few_worlds_may_still_differ():
 
     assert math.isnan(one.standard_error)
     assert (one.low, one.high) == (pytest.approx(0.025), pytest.approx(0.975))
-
-
-@pytest.mark.parametrize(
-    "draw",
-    [
-        lambda rng, n: rng.beta(8.0, 2.0, n),
-        lambda rng, n: rng.uniform(0.0, 1.0, n),
-        lambda rng, n: 0.9 + 0.1 * (rng.random(n) < 0.5),
-    ],
-    ids=["beta", "uniform", "two values"],
-)
-def test_the_interval_holds_the_mean_about_as_often_as_it_says(draw):
-    truth = draw(np.random.default_rng(5), 1_000_000).mean()
-    rng = np.random.default_rng(6)
-    estimates = [estimate_mean(draw(rng, 20)) for _ in range(1500)]
-    covered = np.mean(
-        [estimate.low <= truth <= estimate.high for estimate in estimates]
-    )
-
-    assert 0.93 <= covered <= 0.975
 
 
 def test_the_interval_holds_the_mean_where_most_samples_are_equal():

@@ -94,37 +94,6 @@ def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
     assert n_compared >= 5
 
 
-@pytest.mark.long
-def test_the_impact_stays_where_and_when_it_was(laid, rule):
-    for index in range(5):
-        drawn, n_kept = draw_road_users(
-            laid, STRAIGHT, rule, _streams(index).rng, SCENE
-        )
-        assert n_kept == 0
-        for run, other in zip(laid, drawn, strict=True):
-            assert other.time_s is run.time_s
-            assert first_contact_s(other.encounter) == pytest.approx(0.0, abs=1e-6)
-
-            for body in ("vut_motion", "vru_motion"):
-                motions = [getattr(one.encounter, body) for one in (run, other)]
-                (there, yaw), (here, turned) = (
-                    m.path.at(m.distance_m(0.0)) for m in motions
-                )
-                assert np.hypot(*(there - here)) < 0.3, run.id
-                assert abs(yaw - turned) < 1.0
-            # The road user stays on its way.
-            offsets = np.abs(
-                other.vru_position_m[:, None] - _dense(run.encounter.vru_motion)[None]
-            ).sum(axis=2)
-
-            assert offsets.min(axis=1).max() < 0.02
-
-
-def _dense(motion):
-    positions, _ = motion.path.at(np.linspace(0.0, float(motion.distance_m(0.3)), 4000))
-    return positions
-
-
 def test_a_nearer_start_is_nearer_by_its_share(laid, rule):
     for run in laid:
         speed_mps = run.encounter.vru_motion.speed_mps
@@ -295,21 +264,6 @@ def test_a_run_is_the_same_in_all_weathers(laid, rule):
 
 
 # Worlds
-
-
-def test_off_it_changes_nothing(setting, candidates):
-    plain = Uncertainty()
-    (sample,) = draw_samples(setting, candidates, plain, n_samples=1, seed=0)
-
-    assert sample.setting.runs == setting.runs
-
-    default = load_uncertainty("default")
-    robust = load_uncertainty("robustness")
-
-    assert default.road_users.are_as_planned
-
-    for name in ("mounting", "latency", "packet_loss", "draws_detections"):
-        assert getattr(robust, name) == getattr(default, name)
 
 
 def test_worlds_differ_in_what_people_do_and_in_nothing_else(setting, candidates):

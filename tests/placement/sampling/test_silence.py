@@ -335,13 +335,3 @@ def test_what_cannot_be_names_file_and_field(tmp_path, text, message):
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
     assert str(caught.value).startswith(f"{path}: {message}")
-
-
-def test_mounting_by_name_is_that_of_the_table(tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text('as = "default"\nmounting = "calibrated"')
-    calibrated = load_uncertainty(str(path))
-    by_eye = load_uncertainty()
-
-    assert (calibrated.mounting.yaw_sd_deg, by_eye.mounting.yaw_sd_deg) == (0.2, 1.0)
-    assert calibrated.outages == by_eye.outages != Outages()

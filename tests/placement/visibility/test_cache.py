@@ -1,7 +1,6 @@
 import logging
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -185,29 +184,6 @@ def test_a_table_made_from_other_inputs_is_not_used(stored, caplog):
     assert caplog.messages[0].endswith(": made from other inputs")
 
 
-@pytest.mark.long
-@pytest.mark.filterwarnings("ignore")  # numpy warns of headers that it finds odd
-@pytest.mark.parametrize("bit", [0, 5])
-def test_whatever_bit_is_flipped_the_table_is_right_or_not_used(stored, caplog, bit):
-    table, path, _ = stored
-    good = path.read_bytes()
-    n_refused = 0
-    for index in range(len(good)):
-        bad = bytearray(good)
-        bad[index] ^= 1 << (index + bit) % 8
-        path.write_bytes(bad)
-        caplog.clear()
-        loaded = _load(stored)
-        if loaded is None:
-            n_refused += 1
-            _assert_one_line(caplog, path)
-        else:  # a date or a right of access in the archive
-            assert np.array_equal(loaded.packed, table.packed), index
-            assert not caplog.records
-
-    assert n_refused > 0.7 * len(good)
-
-
 def _saved_again(**changes):
     """The file saved anew by a program that knows no hash of its content, or not
     which.
@@ -255,28 +231,6 @@ def test_bits_that_were_changed_and_saved_under_the_same_name_are_not_used(
     assert caplog.messages[0].endswith(": its content is not what was written")
 
 
-def test_a_new_folder_is_the_users_own(stored):
-    _, path, _ = stored
-    assert path.parent.stat().st_mode & 0o777 == 0o700
-
-
-@pytest.mark.parametrize("mode", [0o777, 0o1777, 0o755])
-def test_a_table_where_others_may_write_is_not_believed_which_is_told_once(
-    stored, caplog, mode
-):
-    _, path, _ = stored
-    path.parent.chmod(mode)
-    cache._is_usable.cache_clear()
-
-    assert [_load(stored) is not None for _ in range(2)] == [mode == 0o755] * 2
-
-    told = [f"nothing is cached: {path.parent} can be written to by other users"]
-
-    assert caplog.messages == (told if mode != 0o755 else [])
-
-    cache._is_usable.cache_clear()
-
-
 @pytest.mark.skipif(
     not hasattr(os, "getuid") or os.getuid() != 0, reason="only root gives away"
 )
@@ -308,21 +262,6 @@ def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypa
     ]
     assert path.read_bytes() == before
     assert os.listdir(path.parent) == ["table.npz"]  # noqa: PTH208
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
-def test_an_interruption_leaves_nothing_half_written(stored, monkeypatch, error):
-    table, path, _ = stored
-    path.unlink()
-
-    def stop(*names):
-        raise error
-
-    monkeypatch.setattr(Path, "replace", stop)
-
-    with pytest.raises(error):
-        save_table(path, table, fingerprint=FINGERPRINT)
-    assert list(path.parent.iterdir()) == []
 
 
 # Fingerprints

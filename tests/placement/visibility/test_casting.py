@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiny_worlds import WALLS
 
 from geometry import raycast
 from geometry.actors import PlacedActor, load_actors
@@ -138,14 +139,6 @@ def _assert_same(same, grazing):
     assert same[~grazing].all()
 
 
-# What hides: boxes that reach from beside the VRU to far above it, and a low wall.
-WALLS = (
-    ((4, -6, 0), (4.3, 1, 2.2)),
-    ((-9, 3, 0), (-2, 3.4, 1.2)),
-    ((8, -9, 0), (12, -5, 6)),
-)
-
-
 def _random_runs(build_run, rng, n_frames, *, vut_between_of, obstruction=()):
     """Random places; the VUT stands between eye and VRU in about half of the frames."""
     vru = np.column_stack(
@@ -255,20 +248,6 @@ def test_worlds_that_share_a_scene_are_seen_as_each_alone(
             n_hidden.add(int((~cached.is_visible).sum()))
 
     assert len(n_hidden) > 3
-
-
-@pytest.mark.long
-def test_sight_is_the_naive_one_at_the_studys_junction(study_runs):
-    scene = load_study_scene()
-    rng = np.random.default_rng(3)
-    n_frames = sum(len(run.time_s) for run in study_runs)
-
-    for site in rng.choice(len(scene.sites), 3, replace=False):
-        eye = scene.sites[site].position_m + [0.3, 0.2, 7.0]
-        same, grazing, _ = _compare(
-            scene, study_runs, eye, rng.choice(n_frames, 10, replace=False)
-        )
-        _assert_same(same, grazing)
 
 
 def test_no_entry_is_a_frame_in_which_nothing_is_seen(build_scene, build_run):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from lens_cameras import MODELS, random_camera
 from numpy_sensing import boxes
+from tiny_worlds import WALLS
 
 from geometry.actors import PlacedActor
 from geometry.image_boxes import box_height_px
@@ -19,11 +20,6 @@ from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.sensing import build_sensing, cast_for
 
-WALLS = (
-    ((4, -6, 0), (4.3, 1, 2.2)),
-    ((-9, 3, 0), (-2, 3.4, 1.2)),
-    ((8, -9, 0), (12, -5, 6)),
-)
 DETECTOR = GeometricDetector(min_iou=0.5, min_box_height_px=12.0, min_contrast=0.05)
 MOUNT = (1.0, -2.0, 6.0)
 

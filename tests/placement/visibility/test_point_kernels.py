@@ -2,9 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
 from numpy_sensing import NumpySensing
-from strategies import angles_deg, cameras, numbers, pitches_deg
+from tiny_worlds import WALLS
 
 from geometry.actors import PlacedActor
 from geometry.image_boxes import box_height_px
@@ -16,11 +15,6 @@ from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.sensing import build_sensing, cast_for
 
-WALLS = (
-    ((4, -6, 0), (4.3, 1, 2.2)),
-    ((-9, 3, 0), (-2, 3.4, 1.2)),
-    ((8, -9, 0), (12, -5, 6)),
-)
 DETECTORS = {
     "far-sighted": GeometricDetector(
         min_iou=0.5, min_box_height_px=3.0, min_contrast=0.05
@@ -211,19 +205,3 @@ def test_no_view_is_left_out_that_a_sensor_detects(
 
     # One camera looks one way.
     assert len(sight.view_index) < len(every.sight.view_index)
-
-
-@pytest.mark.long
-@given(cameras(), angles_deg, pitches_deg, numbers(0.3, 12.0))
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_camera_gets_the_verdicts_of_numpy(
-    world, mount, camera, yaw_deg, pitch_deg, height_m
-):
-    look = mount(
-        "a", [1.0, -9.0, height_m], yaw_deg=yaw_deg, pitch_deg=pitch_deg, camera=camera
-    )
-    assume(camera.near_m < 5.0)
-    sensing = _sensing(world, [look], DETECTORS["far-sighted"])
-    expected = NumpySensing(sensing).detected(look)
-
-    assert np.array_equal(sensing.detected([look])[0], expected)
