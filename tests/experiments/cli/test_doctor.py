@@ -58,7 +58,9 @@ def test_what_is_missing_is_told_with_what_it_costs(tmp_path, monkeypatch):
     assert max(map(len, text.splitlines())) <= 80
 
 
-@pytest.mark.parametrize("folder", ["file/below", "gone/deep"])
+@pytest.mark.parametrize(
+    "folder", ["file/below", pytest.param("gone/deep", marks=pytest.mark.long)]
+)
 def test_a_cache_that_cannot_be_is_told(tmp_path, folder):
     (tmp_path / "file").write_text("")
     summary = examine(tmp_path / folder)

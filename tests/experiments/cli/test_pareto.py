@@ -85,6 +85,8 @@ def test_every_number_of_units_has_a_proven_layout(run_pareto):
         assert picture.width == 1088
 
 
+# Quickly: what is written, below, and placement/optimiser/test_cost_front.py
+@pytest.mark.long
 def test_money_and_kept_units_and_the_text(run_pareto):
     code, out, _ = run_pareto("--by cost --site-cost 1000 --max 2 --json")
     assert code == 0

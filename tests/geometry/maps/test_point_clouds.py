@@ -65,8 +65,10 @@ def size(thing):
     return np.ptp(thing.vertices_m, axis=0)
 
 
-@pytest.mark.parametrize("name", ["a.las", "a.laz"])
-@pytest.mark.parametrize("classes", [(6, 5, 2), (1, 1, 1), (0, 0, 2)])
+@pytest.mark.parametrize(
+    ("name", "classes"),
+    [("a.las", (6, 5, 2)), ("a.laz", (1, 1, 1)), ("a.las", (0, 0, 2))],
+)
 def test_a_house_and_a_tree_stand_on_the_ground_where_they_were(
     tmp_path, name, classes
 ):

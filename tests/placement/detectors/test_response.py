@@ -160,8 +160,9 @@ def test_the_same_seed_finds_the_same_boxes_and_another_others():
     )
 
 
-@pytest.mark.parametrize("correlation", [0.0, 0.7, 1.0])
-@pytest.mark.parametrize("height_px", [20.0, 40.0, 120.0])
+@pytest.mark.parametrize(
+    ("correlation", "height_px"), [(0.0, 40.0), (0.7, 20.0), (0.7, 120.0), (1.0, 40.0)]
+)
 def test_the_share_of_detections_is_the_probability(correlation, height_px):
     """Of runs of five frames the first and the last: five standard deviations of a
     binomial.

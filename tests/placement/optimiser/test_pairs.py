@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from all_layouts import allowed_sets
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems import problems
 
@@ -58,6 +58,7 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
     assert found == sorted(map(tuple, sets[share >= need - 1e-9].tolist()))
 
 
+@settings(max_examples=30)
 @given(problem=problems(), tail=st.sampled_from([1.0, 0.5]))
 def test_worlds_are_proven_by_their_mean_and_bounded_by_it(problem, tail):
     reduced = presolve(replace(in_two_worlds(problem), tail=tail))
