@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 
 from msgspec.structs import replace as replace_fields
@@ -18,6 +19,7 @@ from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts
+from placement.fingerprints import ALL_PACKAGES
 from placement.layout import Layout, find_baseline, layout_records
 from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below
@@ -463,8 +465,9 @@ def write_files(new: Path, answered: Answered, result: Result) -> None:
         save_certificate(new, document, placement.problem, mounts)
     bill_text = bill_of_materials_csv(answered.bill)
     write_atomically(new / bill_of_materials.FILE_NAME, bill_text)
-    write_atomically(new / folders.APR_FILE, csv_text(apr_table(evaluations)))
-    write_atomically(new / folders.RUNS_FILE, runs_table(evaluations).to_parquet())
+    apr_csv, runs_parquet = _tables(evaluations, job.compute.cache_folder)
+    write_atomically(new / folders.APR_FILE, apr_csv)
+    write_atomically(new / folders.RUNS_FILE, runs_parquet)
     write_report(
         new,
         result,
@@ -472,6 +475,27 @@ def write_files(new: Path, answered: Answered, result: Result) -> None:
         evaluations,
         command=asked.command,
         bill=answered.bill,
+        cache_folder=job.compute.cache_folder,
+    )
+
+
+def _tables(
+    evaluations: Mapping[str, Evaluation], cache_folder: Path | None
+) -> tuple[str, bytes]:
+    """Contents of ``apr.csv`` and ``runs.parquet``.
+
+    Cached, for pandas takes longer to load than either to write.
+    """
+    return cached_value(
+        cache_folder,
+        "tables",
+        lambda: (
+            csv_text(apr_table(evaluations)),
+            runs_table(evaluations).to_parquet(),
+        ),
+        kind=tuple[str, bytes],
+        made_from=(version("pandas"), version("pyarrow"), evaluations),
+        packages=(*ALL_PACKAGES, "experiments"),
     )
 
 

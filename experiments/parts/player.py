@@ -21,8 +21,7 @@ from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
 
-from ..figures.axes import UNIT_COLOURS, describe_run, unit_labels
-from ..figures.plan import CLASS_STYLES
+from ..figures.axes import CLASS_STYLES, UNIT_COLOURS, describe_run, unit_labels
 from ..figures.views import GroundViews
 from ..language import mark, tr
 from ..results.numbers import layout_words

@@ -6,15 +6,22 @@ A heading, and below it text, tables and figures.
 import base64
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from io import BytesIO
-from typing import Any, ClassVar, Literal, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from PIL import Image
+
+from placement.cache import cached_value
+from placement.fingerprints import ALL_PACKAGES
 
 from ..figures.axes import root_figure, to_png
+from ..language import language
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _T = TypeVar("_T")
 MAX_TRUE_COLOUR_BYTES = 300_000
@@ -23,6 +30,8 @@ _N_COLOURS = 256
 _LARGEST_ERROR = 32.0
 # Of 255, of any one channel: not seen by eye.
 _LARGEST_MEAN_ERROR = 1.5
+# Decide what a picture looks like, besides those that decide the answer.
+_DRAWING_LIBRARIES = ("matplotlib", "pillow", "shapely", "trimesh")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,18 +169,43 @@ class Section:
     is_folded: bool = False
 
 
+def cached_pictures(
+    folder: Path | None,
+    name: str,
+    draw: Callable[[], Iterable[Picture]],
+    *,
+    made_from: Sequence[object],
+) -> tuple[Picture, ...]:
+    """Pictures in the language that is spoken, or the same from an earlier call.
+
+    `draw` uses nothing but `made_from`; see
+    :func:`placement.cache.cached_value`.
+    """
+    libraries = [version(library) for library in _DRAWING_LIBRARIES]
+    return cached_value(
+        folder,
+        name,
+        lambda: tuple(draw()),
+        kind=tuple[Picture, ...],
+        made_from=(language(), libraries, *made_from),
+        packages=(*ALL_PACKAGES, "experiments"),
+    )
+
+
 def build_picture(
-    drawn: Figure | Axes,
+    drawn: "Figure | Axes",
     *,
     title: str,
     caption: str,
     alt: str,
-    narrow: Figure | Axes | None = None,
+    narrow: "Figure | Axes | None" = None,
 ) -> Picture:
     """A figure with its words.
 
     Equal ones give equal pictures. `narrow` is drawn for a phone.
     """
+    from PIL import Image
+
     figure = root_figure(drawn)
     png = with_palette(to_png(figure))
     width_px, height_px = Image.open(BytesIO(png)).size
@@ -194,6 +228,8 @@ def with_palette(png: bytes) -> bytes:
     It is the same file where that is small, would not become smaller, or would look
     different.
     """
+    from PIL import Image
+
     if len(png) <= MAX_TRUE_COLOUR_BYTES:
         return png
     image = Image.open(BytesIO(png)).convert("RGB")
