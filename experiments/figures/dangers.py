@@ -14,7 +14,7 @@ from placement.setting import Setting
 from scenarios.weights import weight_share
 
 from ..language import tr
-from ..parts.section import Picture, build_picture
+from ..parts.section import Pictures, build_picture
 from .axes import NARROW_IN, WIDTH_IN, Style, new_axes, root_figure, show_square
 from .plan import draw_scene
 
@@ -36,7 +36,7 @@ _UNIT_STYLE: Style = _RED | {"markersize": 7.0, "linestyle": "none"}
 
 def draw_dangers(
     setting: Setting, layouts: Mapping[str, Layout], avoided: Mapping[str, BoolArray]
-) -> list[Picture]:
+) -> Pictures:
     """A picture of each layout, by display name, with the runs that it avoids."""
     places = find_places(setting)
     pictures = []
@@ -63,7 +63,7 @@ def draw_dangers(
             ),
         )
         pictures.append(picture)
-    return pictures
+    return tuple(pictures)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -5,7 +5,6 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 
 from msgspec.structs import replace as replace_fields
@@ -19,7 +18,6 @@ from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts
-from placement.fingerprints import ALL_PACKAGES
 from placement.layout import Layout, find_baseline, layout_records
 from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below
@@ -54,6 +52,7 @@ from ..parts.units import build_private_ground_record
 from ..progress import WRITING, StageProgress
 from ..report.page import write_report
 from ..results import folders
+from ..results.cached import cached_part
 from ..results.tables import apr_table, csv_text, runs_table
 from .search import FoundLayout, Job, search
 
@@ -150,7 +149,7 @@ def answer_placement(found: FoundLayout) -> Answered:
     placement = found.placement
     layout = placement.layout
     study = find_baseline(scene)
-    proposed = compare_placement(placement, found.poses, setting, seed=compute.seed)
+    proposed = compare_placement(placement, found.poses, setting, compute=compute)
     layouts = _named_layouts(placement, proposed.expert, study)
     progress(mark("explain"), 0, 0)
     explained = build_explained_record(placement, setting, found.poses, compute=compute)
@@ -486,7 +485,7 @@ def _tables(
 
     Cached, for pandas takes longer to load than either to write.
     """
-    return cached_value(
+    return cached_part(
         cache_folder,
         "tables",
         lambda: (
@@ -494,8 +493,7 @@ def _tables(
             runs_table(evaluations).to_parquet(),
         ),
         kind=tuple[str, bytes],
-        made_from=(version("pandas"), version("pyarrow"), evaluations),
-        packages=(*ALL_PACKAGES, "experiments"),
+        made_from=[evaluations],
     )
 
 

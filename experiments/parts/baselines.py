@@ -23,6 +23,7 @@ from placement.wishes import Wishes
 from scenarios.runs import FrameAxis
 
 from ..language import mark, tr
+from ..results.cached import cached_part
 from ..results.numbers import percent
 from ..results.record import Record, UnitRecord, build_unit_records, mixed, says
 
@@ -140,7 +141,7 @@ def compare_placement(
     candidates: Sequence[CandidatePose],
     setting: Setting,
     *,
-    seed: int,
+    compute: Compute,
 ) -> Proposed:
     """Baselines of as many units as a layout found.
 
@@ -148,10 +149,21 @@ def compare_placement(
     """
     problem = placement.problem
     n_units = len(placement.pose_index)
-    rng = np.random.default_rng(seed)
     scene = setting.scene
-    proposals = propose(problem.limits, candidates, scene, n_units=n_units, rng=rng)
-    return _judge(problem, proposals, candidates)
+    seed = compute.seed
+
+    def find() -> Proposed:
+        rng = np.random.default_rng(seed)
+        proposals = propose(problem.limits, candidates, scene, n_units=n_units, rng=rng)
+        return _judge(problem, proposals, candidates)
+
+    return cached_part(
+        compute.cache_folder,
+        "proposed",
+        find,
+        kind=Proposed,
+        made_from=(problem, candidates, scene, n_units, seed),
+    )
 
 
 def compare_layout(

@@ -27,8 +27,9 @@ from scenarios.runs import Run
 
 from ..figures.axes import unit_labels
 from ..language import tr
+from ..results.cached import cached_part
 from .accidents import case_title
-from .section import Picture, cached_pictures
+from .section import Picture, Pictures
 
 _WIDTH_IN = 3.2
 _WIDTH_PX = 512
@@ -38,16 +39,17 @@ _MOST_CAMERAS = 4
 
 def camera_views(
     setting: Setting, layout: Layout, *, cache_folder: Path | None = None
-) -> tuple[Picture, ...]:
+) -> Pictures:
     """A picture of each camera of a layout, if they are few."""
     cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
     if len(cameras) > _MOST_CAMERAS:
         return ()
     labels = unit_labels(layout)
-    return cached_pictures(
+    return cached_part(
         cache_folder,
         "cameras",
-        lambda: [_view(unit, labels[unit.id], setting) for unit in cameras],
+        lambda: tuple(_view(unit, labels[unit.id], setting) for unit in cameras),
+        kind=Pictures,
         made_from=(setting.scene, setting.runs, cameras, labels),
     )
 

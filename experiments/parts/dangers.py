@@ -19,11 +19,12 @@ from scenarios.runs import FrameAxis
 from scenarios.weights import weight_share
 
 from ..language import tr, trn
+from ..results.cached import cached_part
 from ..results.numbers import joined, percent
 from ..results.record import Record, says
 from ..results.tables import RunGroup, groups_by
 from .accidents import is_weighted
-from .section import Block, Box, Section, Table, cached_pictures
+from .section import Block, Box, Pictures, Section, Table
 
 _MAX_GROUPS = 3
 
@@ -174,12 +175,13 @@ def section(
     }
     layouts = {name: shown[name].layout for name in names}
     # By name: what draws is loaded only where the pictures are not cached.
-    pictures = cached_pictures(
+    pictures = cached_part(
         cache_folder,
         "dangers",
         lambda: load_entry("experiments.figures.dangers:draw_dangers")(
             setting, layouts, avoided
         ),
+        kind=Pictures,
         made_from=(setting.scene, setting.runs, setting.axis, layouts, avoided),
     )
     if is_weighted(setting.axis):

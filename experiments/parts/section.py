@@ -6,18 +6,12 @@ A heading, and below it text, tables and figures.
 import base64
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from io import BytesIO
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 
-from placement.cache import cached_value
-from placement.fingerprints import ALL_PACKAGES
-
 from ..figures.axes import root_figure, to_png
-from ..language import language
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,8 +24,6 @@ _N_COLOURS = 256
 _LARGEST_ERROR = 32.0
 # Of 255, of any one channel: not seen by eye.
 _LARGEST_MEAN_ERROR = 1.5
-# Decide what a picture looks like, besides those that decide the answer.
-_DRAWING_LIBRARIES = ("matplotlib", "pillow", "shapely", "trimesh")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,6 +143,7 @@ class Sketch:
     paths: Sequence[tuple[str, str]]
 
 
+Pictures = tuple[Picture, ...]
 Block = str | Table | Bullets | Subheading | Filled | Code | Box | Picture | Sketch
 """A text is a paragraph; `Markup`, what a template has made, is shown as it is."""
 
@@ -167,29 +160,6 @@ class Section:
     blocks: Sequence[Block]
     # Its title alone is in sight.
     is_folded: bool = False
-
-
-def cached_pictures(
-    folder: Path | None,
-    name: str,
-    draw: Callable[[], Iterable[Picture]],
-    *,
-    made_from: Sequence[object],
-) -> tuple[Picture, ...]:
-    """Pictures in the language that is spoken, or the same from an earlier call.
-
-    `draw` uses nothing but `made_from`; see
-    :func:`placement.cache.cached_value`.
-    """
-    libraries = [version(library) for library in _DRAWING_LIBRARIES]
-    return cached_value(
-        folder,
-        name,
-        lambda: tuple(draw()),
-        kind=tuple[Picture, ...],
-        made_from=(language(), libraries, *made_from),
-        packages=(*ALL_PACKAGES, "experiments"),
-    )
 
 
 def build_picture(

@@ -21,16 +21,17 @@ from placement.setting import Setting
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
 from ..figures.outlines import compass_word, looking_words
 from ..language import localized, tr, trn
+from ..results.cached import cached_part
 from ..results.numbers import NOTHING, number, percent
 from ..results.record import Record, Share, build_unit_records, says
 from .section import (
     Block,
     Box,
     Picture,
+    Pictures,
     Section,
     Table,
     build_picture,
-    cached_pictures,
 )
 
 _PLAN_RANGE_M = 35.0
@@ -155,7 +156,7 @@ def build_plans(
     existing: Collection[str] = (),
     *,
     cache_folder: Path | None = None,
-) -> tuple[Picture, ...]:
+) -> Pictures:
     """A plan of each layout, drawn narrower where several stand side by side.
 
     `existing` are ids of mounted units.
@@ -164,10 +165,11 @@ def build_plans(
     # What another font of this machine looks like is in no key.
     if _needs_other_fonts(setting.scene):
         folder = None
-    return cached_pictures(
+    return cached_part(
         folder,
         "plans",
         lambda: _draw_plans(setting, detailed, others, existing),
+        kind=Pictures,
         made_from=(setting.scene, setting.runs, detailed, others, sorted(existing)),
     )
 
@@ -188,7 +190,7 @@ def _draw_plans(
     detailed: Mapping[str, Layout],
     others: Sequence[Layout],
     existing: Collection[str],
-) -> list[Picture]:
+) -> Pictures:
     draw = partial(
         # By name: what draws is loaded only where the plans are not cached.
         load_entry("experiments.figures.plan:plot_plan"),
@@ -201,7 +203,7 @@ def _draw_plans(
         len(layout.units) <= _MAX_NARROW_UNITS for layout in detailed.values()
     )
     are_side_by_side = len(detailed) > 1 and are_few
-    return [
+    return tuple(
         build_picture(
             draw(layout, width_in=NARROW_IN if are_side_by_side else WIDTH_IN),
             narrow=(
@@ -221,7 +223,7 @@ def _draw_plans(
             alt=tr("Plan of the junction, north up.") + " " + _units_in_words(layout),
         )
         for name, layout in detailed.items()
-    ]
+    )
 
 
 def _units_in_words(layout: Layout) -> str:

@@ -193,7 +193,7 @@ def build_report(
         answer=answer.words(result),
         assumed=assumption_sentences(result),
         sections=_in_order(sections),
-        interactive=interactive_part(setting, shown),
+        interactive=interactive_part(setting, shown, cache_folder=cache_folder),
     )
     return page, pictures
 
