@@ -47,15 +47,16 @@ class Fingerprints:
         self._feed(digest.update, values)
         return digest.hexdigest()
 
-    def _digest(self, value: Any) -> bytes:
+    def _digest(self, value: object) -> bytes:
         """Digest of a dataclass and of everything inside it, 16 bytes."""
         if id(value) in self._known:
             return self._known[id(value)][1]
-        lasts = _can_last(type(value))
+        kind: Any = type(value)
+        lasts = _can_last(kind)
         if lasts and value in _lasting:
             return _lasting[value]
         digest = hashlib.blake2b(digest_size=16)
-        for name in _field_names(type(value)):
+        for name in _field_names(kind):
             digest.update(name.encode())
             self._feed(digest.update, getattr(value, name))
         found = digest.digest()
@@ -99,7 +100,7 @@ _lasting: WeakKeyDictionary[object, bytes] = WeakKeyDictionary()
 @cache
 def _can_last(kind: Any) -> bool:
     """True for frozen classes that are compared by identity, and can be held weakly."""
-    is_itself: bool = kind.__eq__ is object.__eq__  # type: ignore[comparison-overlap]
+    is_itself: bool = kind.__eq__ is object.__eq__
     return is_itself and kind.__weakrefoffset__ != 0
 
 

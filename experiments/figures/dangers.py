@@ -1,6 +1,6 @@
 """The junction with the share of runs that are avoided at each place."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +14,7 @@ from placement.setting import Setting
 from scenarios.weights import weight_share
 
 from ..language import tr
-from ..parts.section import Pictures, build_picture
-from .axes import NARROW_IN, WIDTH_IN, Style, new_axes, root_figure, show_square
+from .axes import WIDTH_IN, Style, new_axes, root_figure, show_square
 from .plan import draw_scene
 
 SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
@@ -32,38 +31,6 @@ _RED: Style = {
     "markeredgewidth": 0.6,
 }
 _UNIT_STYLE: Style = _RED | {"markersize": 7.0, "linestyle": "none"}
-
-
-def draw_dangers(
-    setting: Setting, layouts: Mapping[str, Layout], avoided: Mapping[str, BoolArray]
-) -> Pictures:
-    """A picture of each layout, by display name, with the runs that it avoids."""
-    places = find_places(setting)
-    pictures = []
-    for name, mask in avoided.items():
-        drawn = plot_dangers(
-            setting, layouts[name], mask, places=places, width_in=NARROW_IN
-        )
-        n_left = sum(
-            place.share_avoided(mask, setting.axis.weight) < 1.0 for place in places
-        )
-        picture = build_picture(
-            drawn,
-            title=tr("Where it is still dangerous with {name}", name=name),
-            caption=tr(
-                "Places with runs that are not avoided: {n} of {all}.",
-                n=n_left,
-                all=len(places),
-            ),
-            alt=tr(
-                "The junction from above: {all} places, {n} of them with runs that"
-                " are not avoided. The tables below list the shares by position.",
-                n=n_left,
-                all=len(places),
-            ),
-        )
-        pictures.append(picture)
-    return tuple(pictures)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

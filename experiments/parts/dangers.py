@@ -13,18 +13,20 @@ import numpy as np
 from geometry.arrays import BoolArray
 from geometry.registry import load_entry
 from placement.evaluation import Evaluation
+from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.positions import AT_ZERO, read_position
 from scenarios.runs import FrameAxis
 from scenarios.weights import weight_share
 
+from ..figures.axes import NARROW_IN
 from ..language import tr, trn
 from ..results.cached import cached_part
 from ..results.numbers import joined, percent
 from ..results.record import Record, says
 from ..results.tables import RunGroup, groups_by
 from .accidents import is_weighted
-from .section import Block, Box, Pictures, Section, Table
+from .section import Block, Box, Pictures, Section, Table, build_picture
 
 _MAX_GROUPS = 3
 
@@ -174,13 +176,10 @@ def section(
         for order, name in enumerate(names)
     }
     layouts = {name: shown[name].layout for name in names}
-    # By name: what draws is loaded only where the pictures are not cached.
     pictures = cached_part(
         cache_folder,
         "dangers",
-        lambda: load_entry("experiments.figures.dangers:draw_dangers")(
-            setting, layouts, avoided
-        ),
+        lambda: _draw(setting, layouts, avoided),
         kind=Pictures,
         made_from=(setting.scene, setting.runs, setting.axis, layouts, avoided),
     )
@@ -208,6 +207,38 @@ def section(
         blocks.append(of_subject)
         blocks += [replace(table, summary=table.caption) for table in of_others]
     return Section("dangers", tr("Where it is still dangerous"), blocks)
+
+
+def _draw(
+    setting: Setting, layouts: Mapping[str, Layout], avoided: Mapping[str, BoolArray]
+) -> Pictures:
+    """A picture of each layout, by display name, with the runs that it avoids."""
+    # By name: what draws is loaded only where the pictures are not cached.
+    places = load_entry("experiments.figures.dangers:find_places")(setting)
+    plot = load_entry("experiments.figures.dangers:plot_dangers")
+    pictures = []
+    for name, mask in avoided.items():
+        drawn = plot(setting, layouts[name], mask, places=places, width_in=NARROW_IN)
+        n_left = sum(
+            place.share_avoided(mask, setting.axis.weight) < 1.0 for place in places
+        )
+        picture = build_picture(
+            drawn,
+            title=tr("Where it is still dangerous with {name}", name=name),
+            caption=tr(
+                "Places with runs that are not avoided: {n} of {all}.",
+                n=n_left,
+                all=len(places),
+            ),
+            alt=tr(
+                "The junction from above: {all} places, {n} of them with runs that"
+                " are not avoided. The tables below list the shares by position.",
+                n=n_left,
+                all=len(places),
+            ),
+        )
+        pictures.append(picture)
+    return tuple(pictures)
 
 
 def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
