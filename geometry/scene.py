@@ -154,7 +154,8 @@ class LeadingRoad:
         set_arrays(self, "", point_m=(2,), direction=(2,))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+# Held weakly: it is part of many fingerprints.
+@dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True, eq=False)
 class Scene:
     """Everything that stands still. World frame, metres.
 

@@ -15,7 +15,8 @@ from geometry.errors import refuse
 from scenarios.runs import FrameAxis
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+# Held weakly: it is part of many fingerprints.
+@dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True, eq=False)
 class DetectionTable:
     """Detections of every candidate pose in every frame.
 

@@ -2,12 +2,14 @@
 
 import hashlib
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import msgspec
 import numpy as np
@@ -19,6 +21,8 @@ ALL_PACKAGES = (
     "placement",
 )
 _PLAIN = frozenset((str, bytes, bool, int, float, type(None)))
+# Whose text tells all; of sequences, if all their items are plain.
+_WRITTEN = (str, bytes, int, float, np.generic, tuple, list)
 _LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "highspy", "osqp")
 
 
@@ -39,40 +43,70 @@ class Fingerprints:
         Raises TypeError for anything but these, Structs, mappings, sequences, text,
         bytes and numbers.
         """
-        return self._digest(values).hex()
+        digest = hashlib.blake2b(digest_size=16)
+        self._feed(digest.update, values)
+        return digest.hexdigest()
 
     def _digest(self, value: object) -> bytes:
-        """Digest of one value and of everything inside it, 16 bytes."""
-        is_data = is_dataclass(value) and not isinstance(value, type)
-        if is_data and id(value) in self._known:
+        """Digest of a dataclass and of everything inside it, 16 bytes."""
+        if id(value) in self._known:
             return self._known[id(value)][1]
+        kind: Any = type(value)
+        lasts = _can_last(kind)
+        if lasts and value in _lasting:
+            return _lasting[value]
+        digest = hashlib.blake2b(digest_size=16)
+        for name in _field_names(kind):
+            digest.update(name.encode())
+            self._feed(digest.update, getattr(value, name))
+        found = digest.digest()
+        self._known[id(value)] = (value, found)
+        if lasts:
+            _lasting[value] = found
+        return found
+
+    def _feed(self, update: Callable[[bytes], object], value: object) -> None:
+        """Hash a value: its type, how long what follows is, and what it holds."""
         # The type is part of the hash: 1 and True differ.
-        digest = hashlib.blake2b(type(value).__name__.encode() + b"\0", digest_size=16)
+        name = type(value).__name__
         if isinstance(value, np.ndarray):
-            digest.update(f"{value.dtype}{value.shape}".encode())
-            digest.update(np.ascontiguousarray(value).tobytes())
-        elif is_data:
-            for field in fields(value):  # type: ignore[arg-type]
-                digest.update(
-                    field.name.encode() + self._digest(getattr(value, field.name))
-                )
-            self._known[id(value)] = (value, digest.digest())
+            update(f"{name} {value.dtype.str}{value.shape}\0".encode())
+            update(np.ascontiguousarray(value).tobytes())
+        elif hasattr(type(value), "__dataclass_fields__"):
+            update(f"{name}\0".encode() + self._digest(value))
         elif isinstance(value, msgspec.Struct):
-            digest.update(self._digest(msgspec.structs.asdict(value)))
+            update(f"{name}\0".encode())
+            self._feed(update, msgspec.structs.asdict(value))
         elif isinstance(value, Mapping):
-            for key, item in value.items():
-                digest.update(self._digest(key) + self._digest(item))
-        elif isinstance(value, tuple | list) and _are_plain(value):
-            # In one go: thousands of names and numbers, each hashed, take long.
-            digest.update(repr(value).encode())
-        elif isinstance(value, tuple | list):
+            update(f"{name} {len(value)}\0".encode())
+            for item in value.items():
+                self._feed(update, item)
+        elif isinstance(value, tuple | list) and not _are_plain(value):
+            update(f"{name} {len(value)}\0".encode())
             for item in value:
-                digest.update(self._digest(item))
-        elif value is None or isinstance(value, str | bytes | int | float | np.generic):
-            digest.update(repr(value).encode())
+                self._feed(update, item)
+        elif value is None or isinstance(value, _WRITTEN):
+            # Plain sequences in one go: thousands of names and numbers take long.
+            text = repr(value)
+            update(f"{name} {len(text)}\0{text}".encode(errors="surrogatepass"))
         else:
             raise TypeError(f"a value of a kind that has no hash: {value!r}")
-        return digest.digest()
+
+
+# Digests of values that several hashes are made of, while they live.
+_lasting: WeakKeyDictionary[object, bytes] = WeakKeyDictionary()
+
+
+@cache
+def _can_last(kind: Any) -> bool:
+    """True for frozen classes that are compared by identity, and can be held weakly."""
+    is_itself: bool = kind.__eq__ is object.__eq__
+    return is_itself and kind.__weakrefoffset__ != 0
+
+
+@cache
+def _field_names(kind: Any) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
 
 
 def _are_plain(values: Sequence[object]) -> bool:
@@ -85,8 +119,14 @@ def hash_of_code(packages: Sequence[str] = ALL_PACKAGES) -> str:
 
     It has 32 hexadecimal digits.
     """
-    code = (sys.version, *map(version, _LIBRARIES), *map(hash_of_files, packages))
+    code = (sys.version, *map(version_of, _LIBRARIES), *map(hash_of_files, packages))
     return Fingerprints().of(code)
+
+
+@cache
+def version_of(library: str) -> str:
+    """Version of a library that is installed: asked of its files once."""
+    return version(library)
 
 
 @cache

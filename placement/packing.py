@@ -22,14 +22,15 @@ _PLACE = 1
 _PHRASE = 2
 # Stands in place of a class's name.
 _ARRAY = ""
-_PLAIN = (bool, int, float, str, NoneType)
+_PLAIN = (bool, int, float, str, bytes, NoneType)
 
 
 def to_bytes(value: object) -> bytes:
     """Bytes of a value.
 
     Raises TypeError unless it is made of what this module's docstring names.
-    Besides those these are tuples, numbers, text and None; arrays are of numbers.
+    Besides those these are tuples, numbers, text, bytes and None; arrays are of
+    numbers.
     """
     # The last one is the value itself.
     parts: list[Any] = []

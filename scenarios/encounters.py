@@ -35,7 +35,8 @@ _PART_MIDDLES = (2.0 * np.arange(_N_PARTS) + 1.0) / _N_PARTS - 1.0
 _N_TOGETHER = 1024
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+# Held weakly: it is part of many fingerprints.
+@dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True, eq=False)
 class Encounter:
     """Two bodies on collision course: without braking they first touch at time 0.
 

@@ -99,7 +99,6 @@ class TurnPath:
     wheelbase_m: float
     front_axle_ahead_m: float
     _direction: FloatArray = field(init=False, repr=False)
-    _table: "_TurnTable" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         set_arrays(self, "", start_m=(2,))
@@ -107,9 +106,6 @@ class TurnPath:
         if not 0.0 <= self.straight_m < np.inf:
             raise InputError("straight_m", self.straight_m, "metres, at least 0")
         _check_axles(self.wheelbase_m, self.front_axle_ahead_m)
-        object.__setattr__(
-            self, "_table", _build_table(self.turn, float(self.wheelbase_m))
-        )
 
     @property
     def max_turn_rad_per_m(self) -> float:
@@ -133,7 +129,8 @@ class TurnPath:
 
         See :meth:`StraightPath.at`.
         """
-        table = self._table
+        # Built here, not with the path: who reads a cached path may never drive it.
+        table = _build_table(self.turn, float(self.wheelbase_m))
         on_turn = np.asarray(distance_m, dtype=np.float64) - self.straight_m
         # On the turn by the table, before it and after it in closed form.
         inside = np.minimum(np.maximum(on_turn, 0.0), table.distance_m[-1])

@@ -51,7 +51,8 @@ _GRID_TOLERANCE = 1.0e-6
 _ROWS_TOGETHER = 64
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+# Held weakly: it is part of many fingerprints.
+@dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True, eq=False)
 class Run:
     """One drive.
 
@@ -129,7 +130,8 @@ class Run:
         return self.case.road_user
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+# Held weakly: it is part of many fingerprints.
+@dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True, eq=False)
 class FrameAxis:
     """All frames of some runs, laid end to end.
 

@@ -7,12 +7,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
-from typing import Any
-
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import ScalarFormatter
+from typing import TYPE_CHECKING, Any
 
 from geometry.arrays import FloatArray
 from placement.layout import Layout
@@ -20,6 +15,10 @@ from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis
 
 from ..language import language, localized, tr
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008): distinct with any colour vision.
 BLUE = "#0072B2"
@@ -38,17 +37,37 @@ NARROW_IN = 4.0
 Style = dict[str, Any]
 """Properties of a matplotlib artist by name, as its method takes them."""
 
+CLASS_STYLES: dict[str, Style] = {
+    "building": {"facecolor": "#c9c4bb", "edgecolor": "#8d887f", "linewidth": 0.8},
+    "wall": {"facecolor": "#5b5b5b", "edgecolor": "#5b5b5b", "linewidth": 1.2},
+    "vegetation": {"facecolor": "#b7d3ae", "edgecolor": "#7d9c73", "linewidth": 0.6},
+    "parked vehicle": {
+        "facecolor": "#a9a9a9",
+        "edgecolor": "#6e6e6e",
+        "linewidth": 0.6,
+    },
+    "traffic light": {"facecolor": "#7a7a7a", "edgecolor": "#7a7a7a", "linewidth": 0.8},
+}
+"""Of things by their class."""
+
 _DPI = 160
 _MAX_LABEL_LENGTH = 8
 
 
 def new_figure(
     width_in: float, height_in: float, *, dpi: float | None = None
-) -> Figure:
+) -> "Figure":
     """An empty figure, drawn by Agg, in inches.
 
-    A narrow one has as many pixels as a usual one.
+    A narrow one has as many pixels as a usual one. It looks the same whatever a user's
+    own matplotlibrc says.
     """
+    # Takes longer to load than to draw: cached pictures do without.
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    mpl.rcdefaults()
     if dpi is None:
         if width_in == NARROW_IN:
             dpi = WIDTH_IN * _DPI / width_in
@@ -59,13 +78,13 @@ def new_figure(
     return figure
 
 
-def new_axes(width_in: float, height_in: float) -> Axes:
+def new_axes(width_in: float, height_in: float) -> "Axes":
     """One pair of axes in a figure of its own; sizes in inches."""
     return new_figure(width_in, height_in).add_subplot()
 
 
 def finish_axes(
-    axes: Axes,
+    axes: "Axes",
     *,
     x: str | None = None,
     y: str | None = None,
@@ -90,7 +109,7 @@ def finish_axes(
 
 
 def write_beside(
-    axes: Axes,
+    axes: "Axes",
     text: str,
     at: tuple[float, float],
     *,
@@ -102,14 +121,14 @@ def write_beside(
     axes.annotate(text, xy=at, xytext=away_pt, textcoords="offset points", **drawn)
 
 
-def show_square(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
+def show_square(axes: "Axes", middle_m: FloatArray, half_size_m: float) -> None:
     """Show a square of the ground, as long in east as in north."""
     axes.set_aspect("equal")
     axes.set_xlim(middle_m[0] - half_size_m, middle_m[0] + half_size_m)
     axes.set_ylim(middle_m[1] - half_size_m, middle_m[1] + half_size_m)
 
 
-def root_figure(drawn: Axes | Figure) -> Figure:
+def root_figure(drawn: "Axes | Figure") -> "Figure":
     """The figure that some axes are in."""
     figure = drawn.get_figure(root=True)
     if figure is None:
@@ -125,11 +144,13 @@ def drawing_any_name() -> Iterator[None]:
         yield
 
 
-def to_png(drawn: Axes | Figure) -> bytes:
+def to_png(drawn: "Axes | Figure") -> bytes:
     """A figure, or the one that some axes are in, as a PNG file.
 
     Equal ones give equal bytes.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     figure = root_figure(drawn)
     if language() != "en":
         _localize_ticks(figure)
@@ -146,13 +167,14 @@ def to_png(drawn: Axes | Figure) -> bytes:
     return buffer.getvalue()
 
 
-class _Localized(ScalarFormatter):
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        return localized(super().__call__(x, pos))
-
-
-def _localize_ticks(figure: Figure) -> None:
+def _localize_ticks(figure: "Figure") -> None:
     """Write numbers at the axes as the language that is spoken does."""
+    from matplotlib.ticker import ScalarFormatter
+
+    class _Localized(ScalarFormatter):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return localized(super().__call__(x, pos))
+
     for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
         if type(axis.get_major_formatter()) is ScalarFormatter:
             axis.set_major_formatter(_Localized())

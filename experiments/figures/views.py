@@ -22,7 +22,7 @@ from placement.candidates import CandidatePose, above_ground
 from placement.detectors import VRU_CLASSES, Evidence, vru_class
 from placement.setting import Setting
 
-from .plan import ground_footprint, ground_rings, is_wide
+from .outlines import ground_footprint, ground_rings, is_wide
 
 MAX_RANGE_M = 150.0
 """Views are drawn up to here: no run starts farther from a junction's poles."""

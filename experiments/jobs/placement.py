@@ -52,6 +52,7 @@ from ..parts.units import build_private_ground_record
 from ..progress import WRITING, StageProgress
 from ..report.page import write_report
 from ..results import folders
+from ..results.cached import cached_part
 from ..results.tables import apr_table, csv_text, runs_table
 from .search import FoundLayout, Job, search
 
@@ -148,7 +149,7 @@ def answer_placement(found: FoundLayout) -> Answered:
     placement = found.placement
     layout = placement.layout
     study = find_baseline(scene)
-    proposed = compare_placement(placement, found.poses, setting, seed=compute.seed)
+    proposed = compare_placement(placement, found.poses, setting, compute=compute)
     layouts = _named_layouts(placement, proposed.expert, study)
     progress(mark("explain"), 0, 0)
     explained = build_explained_record(placement, setting, found.poses, compute=compute)
@@ -463,8 +464,9 @@ def write_files(new: Path, answered: Answered, result: Result) -> None:
         save_certificate(new, document, placement.problem, mounts)
     bill_text = bill_of_materials_csv(answered.bill)
     write_atomically(new / bill_of_materials.FILE_NAME, bill_text)
-    write_atomically(new / folders.APR_FILE, csv_text(apr_table(evaluations)))
-    write_atomically(new / folders.RUNS_FILE, runs_table(evaluations).to_parquet())
+    apr_csv, runs_parquet = _tables(evaluations, job.compute.cache_folder)
+    write_atomically(new / folders.APR_FILE, apr_csv)
+    write_atomically(new / folders.RUNS_FILE, runs_parquet)
     write_report(
         new,
         result,
@@ -472,6 +474,26 @@ def write_files(new: Path, answered: Answered, result: Result) -> None:
         evaluations,
         command=asked.command,
         bill=answered.bill,
+        cache_folder=job.compute.cache_folder,
+    )
+
+
+def _tables(
+    evaluations: Mapping[str, Evaluation], cache_folder: Path | None
+) -> tuple[str, bytes]:
+    """Contents of ``apr.csv`` and ``runs.parquet``.
+
+    Cached, for pandas takes longer to load than either to write.
+    """
+    return cached_part(
+        cache_folder,
+        "tables",
+        lambda: (
+            csv_text(apr_table(evaluations)),
+            runs_table(evaluations).to_parquet(),
+        ),
+        kind=tuple[str, bytes],
+        made_from=[evaluations],
     )
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from placement import evaluation
-from placement.baselines import BaselineRows, RandomLayouts, judge_proposals, propose
+from placement.baselines import JudgedBaselines, RandomLayouts, judge_proposals, propose
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute
 from placement.layout import Layout
@@ -23,6 +23,7 @@ from placement.wishes import Wishes
 from scenarios.runs import FrameAxis
 
 from ..language import mark, tr
+from ..results.cached import cached_part
 from ..results.numbers import percent
 from ..results.record import Record, UnitRecord, build_unit_records, mixed, says
 
@@ -140,7 +141,7 @@ def compare_placement(
     candidates: Sequence[CandidatePose],
     setting: Setting,
     *,
-    seed: int,
+    compute: Compute,
 ) -> Proposed:
     """Baselines of as many units as a layout found.
 
@@ -148,10 +149,28 @@ def compare_placement(
     """
     problem = placement.problem
     n_units = len(placement.pose_index)
-    rng = np.random.default_rng(seed)
     scene = setting.scene
-    proposals = propose(problem.limits, candidates, scene, n_units=n_units, rng=rng)
-    return _judge(problem, proposals, candidates)
+    seed = compute.seed
+    poses = [unit.pose for unit in candidates]
+
+    def find() -> JudgedBaselines:
+        rng = np.random.default_rng(seed)
+        proposals = propose(problem.limits, candidates, scene, n_units=n_units, rng=rng)
+        return judge_proposals(problem, proposals)
+
+    found = cached_part(
+        compute.cache_folder,
+        "proposed",
+        find,
+        kind=JudgedBaselines,
+        made_from=(
+            *(problem, scene, n_units, seed),
+            # The problem has the poses' ids, but not where they look.
+            np.array([pose.position_m for pose in poses]),
+            np.array([(pose.yaw_deg, pose.pitch_deg) for pose in poses]),
+        ),
+    )
+    return _with_layout(problem, found, candidates)
 
 
 def compare_layout(
@@ -185,16 +204,16 @@ def compare_layout(
     compute.progress(STAGE, 0, 0)
     drawn = [candidates[row] for row in rows]
     problem = replace(plan, candidates=drawn, compute=compute.within(STAGE)).problem
-    return _judge(problem, proposals.among(rows), drawn)
+    found = judge_proposals(problem, proposals.among(rows))
+    return _with_layout(problem, found, drawn)
 
 
-def _judge(
+def _with_layout(
     problem: PlacementProblem,
-    proposals: BaselineRows,
+    found: JudgedBaselines,
     candidates: Sequence[CandidatePose],
 ) -> Proposed:
-    """Proposals on a detection table, of which the candidates are the rows."""
-    found = judge_proposals(problem, proposals)
+    """Judged proposals, with the expert's layout; candidates are the table's rows."""
     rows = found.expert
     return Proposed(
         random=found.random,

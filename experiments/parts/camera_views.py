@@ -7,6 +7,7 @@ import base64
 import math
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,9 @@ from scenarios.runs import Run
 
 from ..figures.axes import unit_labels
 from ..language import tr
+from ..results.cached import cached_part
 from .accidents import case_title
-from .section import Picture
+from .section import Picture, Pictures
 
 _WIDTH_IN = 3.2
 _WIDTH_PX = 512
@@ -35,13 +37,21 @@ _WIDTH_PX = 512
 _MOST_CAMERAS = 4
 
 
-def camera_views(setting: Setting, layout: Layout) -> list[Picture]:
+def camera_views(
+    setting: Setting, layout: Layout, *, cache_folder: Path | None = None
+) -> Pictures:
     """A picture of each camera of a layout, if they are few."""
     cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
     if len(cameras) > _MOST_CAMERAS:
-        return []
+        return ()
     labels = unit_labels(layout)
-    return [_view(unit, labels[unit.id], setting) for unit in cameras]
+    return cached_part(
+        cache_folder,
+        "cameras",
+        lambda: tuple(_view(unit, labels[unit.id], setting) for unit in cameras),
+        kind=Pictures,
+        made_from=(setting.scene, setting.runs, cameras, labels),
+    )
 
 
 def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:

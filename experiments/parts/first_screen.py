@@ -13,7 +13,7 @@ from scenarios.runs import FrameAxis
 from scenarios.weights import weight_share
 
 from ..figures.axes import unit_labels
-from ..figures.plan import looking_words
+from ..figures.outlines import looking_words
 from ..language import mark, tr
 from ..results.numbers import NOTHING, euros, joined, number, percent, points
 from .accidents import case_title, is_weighted

@@ -6,6 +6,7 @@ In whole centimetres and milliseconds, and packed bits.
 import base64
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,10 @@ from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
 
-from ..figures.axes import UNIT_COLOURS, describe_run, unit_labels
-from ..figures.plan import CLASS_STYLES
+from ..figures.axes import CLASS_STYLES, UNIT_COLOURS, describe_run, unit_labels
 from ..figures.views import GroundViews
 from ..language import mark, tr
+from ..results.cached import cached_part
 from ..results.numbers import layout_words
 from ..results.tables import margin_s, parties
 
@@ -50,6 +51,7 @@ def interactive_part(
     evaluations: Mapping[str, Evaluation],
     *,
     first_runs: Sequence[str] = (),
+    cache_folder: Path | None = None,
 ) -> dict[str, Any]:
     """Values for ``templates/interactive.html.j2``.
 
@@ -59,6 +61,25 @@ def interactive_part(
     "n_all". The page opens with the first of `first_runs`, else with a run that shows
     something: the one of those not avoided in which units detect most often.
     """
+    n_runs, player_json = cached_part(
+        cache_folder,
+        "player",
+        lambda: _build_player(setting, evaluations, first_runs),
+        kind=tuple[int, str],
+        made_from=(
+            *(setting.scene, setting.runs, setting.axis),
+            setting.table_detector.fingerprint(),
+            *(evaluations, first_runs),
+        ),
+    )
+    n_all = setting.axis.n_runs
+    return {"n_runs": n_runs, "n_all": n_all, "player_json": player_json}
+
+
+def _build_player(
+    setting: Setting, evaluations: Mapping[str, Evaluation], first_runs: Sequence[str]
+) -> tuple[int, str]:
+    """Number of runs, and the player's data as JSON for a script."""
     subject = next(iter(evaluations.values()))
     axis = subject.axis
     units = subject.layout.units
@@ -95,11 +116,7 @@ def interactive_part(
         "runs": records,
         "first": first,
     }
-    return {
-        "n_runs": len(records),
-        "n_all": axis.n_runs,
-        "player_json": to_script_json(player),
-    }
+    return len(records), to_script_json(player)
 
 
 def to_script_json(value: Any) -> str:

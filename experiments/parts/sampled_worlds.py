@@ -3,10 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, astuple, fields, replace
 from itertools import combinations
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from geometry.arrays import FloatArray
 from placement.growth import Growth
@@ -40,6 +39,9 @@ from ..language import localized, mark, tr, trn
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _MAX_LEAST_SURE_RUNS = 5
 # worlds that a tail must have: with fewer, choosing for the mean has better tails
@@ -729,7 +731,7 @@ def sampled_section(found: SampledRecord, picture: Picture) -> Section:
     )
 
 
-def plot_sampled_apr(found: SampledRecord) -> Axes:
+def plot_sampled_apr(found: SampledRecord) -> "Axes":
     """A row per layout: its mean with the 95 % interval.
 
     Thin line: from worst to best world.

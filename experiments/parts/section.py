@@ -7,14 +7,15 @@ import base64
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from PIL import Image
 
 from ..figures.axes import root_figure, to_png
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _T = TypeVar("_T")
 MAX_TRUE_COLOUR_BYTES = 300_000
@@ -142,6 +143,7 @@ class Sketch:
     paths: Sequence[tuple[str, str]]
 
 
+Pictures = tuple[Picture, ...]
 Block = str | Table | Bullets | Subheading | Filled | Code | Box | Picture | Sketch
 """A text is a paragraph; `Markup`, what a template has made, is shown as it is."""
 
@@ -161,17 +163,19 @@ class Section:
 
 
 def build_picture(
-    drawn: Figure | Axes,
+    drawn: "Figure | Axes",
     *,
     title: str,
     caption: str,
     alt: str,
-    narrow: Figure | Axes | None = None,
+    narrow: "Figure | Axes | None" = None,
 ) -> Picture:
     """A figure with its words.
 
     Equal ones give equal pictures. `narrow` is drawn for a phone.
     """
+    from PIL import Image
+
     figure = root_figure(drawn)
     png = with_palette(to_png(figure))
     width_px, height_px = Image.open(BytesIO(png)).size
@@ -194,6 +198,8 @@ def with_palette(png: bytes) -> bytes:
     It is the same file where that is small, would not become smaller, or would look
     different.
     """
+    from PIL import Image
+
     if len(png) <= MAX_TRUE_COLOUR_BYTES:
         return png
     image = Image.open(BytesIO(png)).convert("RGB")

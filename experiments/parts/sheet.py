@@ -43,7 +43,8 @@ from ..figures.axes import (
     literal,
     unit_labels,
 )
-from ..figures.plan import blind_footprint, draw_scene, ground_footprint, ring_path
+from ..figures.outlines import blind_footprint, ground_footprint
+from ..figures.plan import draw_scene, ring_path
 from ..language import localized, mark, tr
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder

@@ -5,9 +5,12 @@ Tables of where they are, plans, and the private ground that they see.
 
 from collections.abc import Collection, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Annotated
 
-from geometry.junction import compass_bearing_deg
+from geometry.errors import InputError
+from geometry.junction import compass_bearing_deg, street_names
+from geometry.registry import load_entry
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
 from placement.candidates import CandidatePose, above_ground, is_ring
@@ -16,11 +19,20 @@ from placement.layout import Layout
 from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
-from ..figures.plan import compass_word, looking_words, plot_plan
+from ..figures.outlines import compass_word, looking_words
 from ..language import localized, tr, trn
+from ..results.cached import cached_part
 from ..results.numbers import NOTHING, number, percent
 from ..results.record import Record, Share, build_unit_records, says
-from .section import Block, Box, Picture, Section, Table, build_picture
+from .section import (
+    Block,
+    Box,
+    Picture,
+    Pictures,
+    Section,
+    Table,
+    build_picture,
+)
 
 _PLAN_RANGE_M = 35.0
 _MAX_UNITS_IN_WORDS = 40
@@ -142,13 +154,46 @@ def build_plans(
     detailed: Mapping[str, Layout],
     others: Sequence[Layout],
     existing: Collection[str] = (),
-) -> list[Picture]:
+    *,
+    cache_folder: Path | None = None,
+) -> Pictures:
     """A plan of each layout, drawn narrower where several stand side by side.
 
     `existing` are ids of mounted units.
     """
+    folder = cache_folder
+    # What another font of this machine looks like is in no key.
+    if _needs_other_fonts(setting.scene):
+        folder = None
+    return cached_part(
+        folder,
+        "plans",
+        lambda: _draw_plans(setting, detailed, others, existing),
+        kind=Pictures,
+        made_from=(setting.scene, setting.runs, detailed, others, sorted(existing)),
+    )
+
+
+def _needs_other_fonts(scene: Scene) -> bool:
+    """True if a street's name has letters that the figures' own font lacks."""
+    try:
+        streets = street_names(scene).values()
+    except InputError:
+        # No lane ends at the junction.
+        return False
+    families_for = load_entry("experiments.figures.fonts:families_for")
+    return any(families_for(name) != () for name in streets if not name.isascii())
+
+
+def _draw_plans(
+    setting: Setting,
+    detailed: Mapping[str, Layout],
+    others: Sequence[Layout],
+    existing: Collection[str],
+) -> Pictures:
     draw = partial(
-        plot_plan,
+        # By name: what draws is loaded only where the plans are not cached.
+        load_entry("experiments.figures.plan:plot_plan"),
         setting,
         others=others,
         existing=existing,
@@ -158,7 +203,7 @@ def build_plans(
         len(layout.units) <= _MAX_NARROW_UNITS for layout in detailed.values()
     )
     are_side_by_side = len(detailed) > 1 and are_few
-    return [
+    return tuple(
         build_picture(
             draw(layout, width_in=NARROW_IN if are_side_by_side else WIDTH_IN),
             narrow=(
@@ -178,7 +223,7 @@ def build_plans(
             alt=tr("Plan of the junction, north up.") + " " + _units_in_words(layout),
         )
         for name, layout in detailed.items()
-    ]
+    )
 
 
 def _units_in_words(layout: Layout) -> str:

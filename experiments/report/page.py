@@ -116,13 +116,14 @@ def build_report(
     *,
     command: str,
     bill: BillOfMaterials | None = None,
+    cache_folder: Path | None = None,
 ) -> tuple[str, dict[str, Picture]]:
     """A result as one HTML page, and its pictures worth a file, by name.
 
     The page loads nothing.
 
     The first evaluation is the subject. `command` makes the result again; `bill` knows
-    more of the costs than the scene.
+    more of the costs than the scene; pictures are kept in `cache_folder`.
     """
     shown, detailed = _shown(result, evaluations)
     subject = next(iter(evaluations.values()))
@@ -130,7 +131,9 @@ def build_report(
     if len(detailed) == 1:
         others = [item.layout for item in [*shown.values()][1:]]
     drawn = {name: item.layout for name, item in detailed.items()}
-    plan, *plans = build_plans(setting, drawn, others, result.existing)
+    plan, *plans = build_plans(
+        setting, drawn, others, result.existing, cache_folder=cache_folder
+    )
     pictures = {"plan": plan}
     bill = bill or build_bill(subject.layout, setting.scene)
     labels = unit_labels(subject.layout)
@@ -145,7 +148,9 @@ def build_report(
         accidents_section(detailed, is_optimised=isinstance(result, PlacementResult)),
         added.section(result.added),
         road_users.section(result.road_users),
-        dangers.section(setting, shown, fusion=result.fusion),
+        dangers.section(
+            setting, shown, fusion=result.fusion, cache_folder=cache_folder
+        ),
         study_cases.section(result.study_cases),
         decision.section(result.decision),
         failures_section(subject, setting.rule, labels),
@@ -182,13 +187,13 @@ def build_report(
             subject,
             bill=bill,
             plan=plan,
-            views=camera_views(setting, subject.layout),
+            views=camera_views(setting, subject.layout, cache_folder=cache_folder),
             warnings=answer.warnings(result),
         ),
         answer=answer.words(result),
         assumed=assumption_sentences(result),
         sections=_in_order(sections),
-        interactive=interactive_part(setting, shown),
+        interactive=interactive_part(setting, shown, cache_folder=cache_folder),
     )
     return page, pictures
 

@@ -7,6 +7,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, as_completed, wait
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from scenarios.aeb import AebRule, find_contacts
 from scenarios.paths import MPS_PER_KMH
 from scenarios.runs import FrameAxis, Run, build_frame_axis, find_onsets
 
-from ..cache import CachedArrays
+from ..cache import CachedArrays, cached_value
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, one_blas_thread, threads
 from ..detectors import Evidence, is_matched, load_min_iou
@@ -406,6 +407,8 @@ class Judge:
         Their frames.
     rule : AebRule
         Confirmation, latency and braking.
+    cache_folder : Path, optional
+        Where verdicts are kept for the next call; by default nowhere.
     """
 
     def __init__(
@@ -413,16 +416,18 @@ class Judge:
         runs: Sequence[Run],
         axis: FrameAxis,
         rule: AebRule,
+        cache_folder: Path | None = None,
     ) -> None:
         self.axis = axis
         self._runs = runs
         self._rule = rule
+        self._cache_folder = cache_folder
         # By encounter, which runs that differ by weather alone share, then by onset.
         self._contacts: dict[int, dict[float, _Contact]] = {
             id(run.encounter): {} for run in runs
         }
 
-    def verdicts(self, fused: Sequence[Sequence[Party]]) -> list[Verdict]:
+    def verdicts(self, fused: Sequence[Sequence[Party]]) -> tuple[Verdict, ...]:
         """Verdicts on groups of parties.
 
         In each frame any one party of a group may be the detector. Braking begins
@@ -430,12 +435,27 @@ class Judge:
         the last moment; whether it avoids contact is asked of the bodies, not of
         the last moment.
         """
+        return cached_value(
+            self._cache_folder,
+            "verdicts",
+            lambda: self._find_verdicts(fused),
+            kind=tuple[Verdict, ...],
+            made_from=(
+                [run.encounter for run in self._runs],
+                self.axis,
+                self._rule,
+                fused,
+            ),
+        )
+
+    def _find_verdicts(self, fused: Sequence[Sequence[Party]]) -> tuple[Verdict, ...]:
+        """Verdicts on groups of parties, found anew."""
         arrivals = [earliest_arrival_s(parties, self.axis) for parties in fused]
         onsets = [
             find_onsets(arrival, self.axis, rule=self._rule) for arrival in arrivals
         ]
         contacts = self._find_contacts(np.array([each.onset_s for each in onsets]))
-        return [
+        return tuple(
             Verdict(
                 detected=np.isfinite(arrival),
                 confirmation_time_s=each.confirmation_s,
@@ -446,7 +466,7 @@ class Judge:
             for arrival, each, (time_s, speed_mps) in zip(
                 arrivals, onsets, contacts, strict=True
             )
-        ]
+        )
 
     def _find_contacts(self, onset_s: FloatArray) -> FloatArray:
         """Time and speed at contact after onsets of braking.
@@ -704,7 +724,7 @@ def evaluate_layouts(
     ):
         refuse("axis", "frames of other runs", "the frame axis of these runs")
     seen = received(layouts, setting, compute=compute)
-    judge = Judge(runs, axis, setting.rule)
+    judge = Judge(runs, axis, setting.rule, compute.cache_folder)
     if setting.radio.vam_rate > 0.0:
         rng = build_rng(compute.seed, "vam")
         known = known_frames(setting.runs, setting.radio, rng)
@@ -792,7 +812,7 @@ def evaluate_again(
         if further is not None:
             parts.append(further[index])
         seen.append(_seen_in_frames(parts, frames, setting.rule))
-    judge = Judge(setting.runs, setting.axis, setting.rule)
+    judge = Judge(setting.runs, setting.axis, setting.rule, compute.cache_folder)
     return judge_layouts(judge, seen, cars=setting.cars)
 
 

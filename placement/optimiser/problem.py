@@ -329,7 +329,8 @@ class Floor:
         return f"Floor({self.name!r}, {self.share:g}, {self.n_failures} failures)"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+# Held weakly: it is part of many fingerprints.
+@dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True, eq=False)
 class PlacementProblem:
     """Which poses to mount, given what each detects.
 

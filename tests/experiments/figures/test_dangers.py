@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.figures.axes import NARROW_IN, root_figure, to_png
-from experiments.parts.dangers import SHADES, find_places, plot_dangers
+from experiments.figures.dangers import SHADES, find_places, plot_dangers
 from placement.layout import Layout, load_carlancap_layout
 
 

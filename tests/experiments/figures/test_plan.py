@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from matplotlib.path import Path
 
 from experiments.figures.axes import GREY, to_png
-from experiments.figures.plan import ground_footprint, plot_plan
+from experiments.figures.outlines import ground_footprint
+from experiments.figures.plan import plot_plan
 from geometry.catalogue import load_cameras
 from geometry.notes import Note
 from geometry.poses import Pose

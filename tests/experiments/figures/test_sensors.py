@@ -12,7 +12,7 @@ from matplotlib.patches import PathPatch
 from numpy.testing import assert_allclose
 
 from experiments.figures.axes import new_axes
-from experiments.figures.plan import (
+from experiments.figures.outlines import (
     blind_footprint,
     compass_word,
     ground_footprint,

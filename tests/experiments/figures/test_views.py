@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 
-from experiments.figures.plan import ground_footprint
+from experiments.figures.outlines import ground_footprint
 from experiments.figures.views import MAX_RANGE_M, GroundViews
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
