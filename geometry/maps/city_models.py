@@ -93,14 +93,14 @@ class CityObject:
     height_m: float | None = None
 
 
-class _Transform(msgspec.Struct, frozen=True, kw_only=True):
+class _CityTransform(msgspec.Struct, frozen=True, kw_only=True):
     """From the integers of a file to its coordinates."""
 
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     translate: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-class _Geometry(msgspec.Struct, frozen=True, kw_only=True):
+class _CityGeometry(msgspec.Struct, frozen=True, kw_only=True):
     """A geometry of an object, in one level of detail."""
 
     type: str
@@ -108,21 +108,21 @@ class _Geometry(msgspec.Struct, frozen=True, kw_only=True):
     boundaries: Any = None
 
 
-class _Entry(msgspec.Struct, frozen=True, kw_only=True):
+class _CityEntry(msgspec.Struct, frozen=True, kw_only=True):
     """An object of a city."""
 
     type: str
-    geometry: tuple[_Geometry, ...] = ()
+    geometry: tuple[_CityGeometry, ...] = ()
     children: tuple[str, ...] = ()
     attributes: dict[str, Any] | None = None
 
 
-class _City(msgspec.Struct, frozen=True, kw_only=True):
+class _CityDocument(msgspec.Struct, frozen=True, kw_only=True):
     """A document."""
 
     type: Literal["CityJSON"]
     version: Literal["1.0", "1.1", "2.0"]
-    transform: _Transform = _Transform()
+    transform: _CityTransform = _CityTransform()
     metadata: dict[str, Any] | None = None
     vertices: tuple[tuple[float, float, float], ...] = ()
     CityObjects: dict[str, dict[str, Any]] = {}
@@ -156,7 +156,7 @@ def read_cityjson(path: Path) -> SourceMap:
     """
     where = str(path)
     document = parse_object(read_text(path, "CityJSON"), where, "CityJSON")
-    city = read_table(document, _City, where)
+    city = read_table(document, _CityDocument, where)
     crs = (city.metadata or {}).get("referenceSystem")
     if not isinstance(crs, str):
         crs = ""
@@ -180,7 +180,7 @@ def read_cityjson(path: Path) -> SourceMap:
 
 
 def _objects(
-    city: _City,
+    city: _CityDocument,
     vertices: FloatArray,
     where: str,
     left_out: Counter[str],
@@ -190,7 +190,7 @@ def _objects(
 
     Parameters
     ----------
-    city : _City
+    city : _CityDocument
         The document.
     vertices : (n, 3) float
         Its vertices, in the file's coordinates.
@@ -208,7 +208,7 @@ def _objects(
     """
     for name, table in city.CityObjects.items():
         here = f"{where}: {name}"
-        entry = read_table(table, _Entry, here)
+        entry = read_table(table, _CityEntry, here)
         if entry.type not in CLASS_OF_TYPE:
             left_out[entry.type[:_MAX_NAME]] += 1
             continue
@@ -251,7 +251,7 @@ def _height_m(attributes: _Table) -> float | None:
 
 
 def _best(
-    geometries: Sequence[_Geometry], vertices: FloatArray, where: str
+    geometries: Sequence[_CityGeometry], vertices: FloatArray, where: str
 ) -> tuple[list[Polygon3D], float]:
     """Surfaces of the most useful level of detail, and that level."""
     # The most useful geometry that has surfaces.
@@ -271,14 +271,16 @@ def _rank(level: float) -> float:
     return 0.99
 
 
-def _polygons(geometry: _Geometry, vertices: FloatArray, where: str) -> list[Polygon3D]:
+def _polygons(
+    geometry: _CityGeometry, vertices: FloatArray, where: str
+) -> list[Polygon3D]:
     """Surfaces of a geometry; points, lines and copies of templates have none.
 
     Of solids these are the surfaces of the outer shells.
 
     Parameters
     ----------
-    geometry : _Geometry
+    geometry : _CityGeometry
         Geometry of an object.
     vertices : (n, 3) float
         Vertices of the document.
