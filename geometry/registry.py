@@ -7,7 +7,6 @@ looks it up depends on no implementation.
 
 from collections.abc import Mapping
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 from .errors import InputError
@@ -39,16 +38,3 @@ def pick_entry(
     if name not in entries:
         raise InputError(where, name, expected or "one of " + ", ".join(entries))
     return load_entry(entries[name])
-
-
-def suffix_in(entries: Mapping[str, str], path: Path) -> str | None:
-    """The longest suffix of a file's name, in any case, that has an entry.
-
-    >>> suffix_in({".json": "a:b", ".city.json": "c:d"}, Path("A.City.JSON"))
-    '.city.json'
-    """
-    name = path.name.lower()
-    known = [suffix for suffix in entries if name.endswith(suffix)]
-    if not known:
-        return None
-    return max(known, key=len)
