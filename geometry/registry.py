@@ -22,13 +22,10 @@ def load_entry(place: str) -> Any:
     return getattr(import_module(module), attribute)
 
 
-def pick_entry(
-    entries: Mapping[str, str], name: str, *, where: str, expected: str = ""
-) -> Any:
+def pick_entry(entries: Mapping[str, str], name: str, *, where: str) -> Any:
     """Load the entry of a name.
 
-    Raises InputError, which says what is expected, or else lists the known names: there
-    is none of that name.
+    Raises InputError, which lists the known names: there is none of that name.
 
     >>> pick_entry({"length": "math:hypot"}, "width", where="measure")
     Traceback (most recent call last):
@@ -36,5 +33,5 @@ def pick_entry(
     geometry.errors.InputError: measure: got 'width'; expected one of length
     """
     if name not in entries:
-        raise InputError(where, name, expected or "one of " + ", ".join(entries))
+        raise InputError(where, name, "one of " + ", ".join(entries))
     return load_entry(entries[name])

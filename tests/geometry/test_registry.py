@@ -16,11 +16,6 @@ def test_an_unknown_name_is_refused_with_the_known_ones():
     assert str(refused.value) == "m: got 'width'; expected one of length, size"
 
 
-def test_an_unknown_name_is_refused_with_what_is_expected():
-    with pytest.raises(InputError, match="m: got 'width'; expected a known measure"):
-        pick_entry({}, "width", where="m", expected="a known measure")
-
-
 @pytest.mark.parametrize("name", [*scene_sources.READERS, *importing.READERS])
 def test_every_reader_of_scenes_and_maps_loads(name):
     for entries in (scene_sources.READERS, importing.READERS):
