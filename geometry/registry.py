@@ -7,7 +7,6 @@ looks it up depends on no implementation.
 
 from collections.abc import Mapping
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 from .errors import InputError
@@ -23,13 +22,10 @@ def load_entry(place: str) -> Any:
     return getattr(import_module(module), attribute)
 
 
-def pick_entry(
-    entries: Mapping[str, str], name: str, *, where: str, expected: str = ""
-) -> Any:
+def pick_entry(entries: Mapping[str, str], name: str, *, where: str) -> Any:
     """Load the entry of a name.
 
-    Raises InputError, which says what is expected, or else lists the known names: there
-    is none of that name.
+    Raises InputError, which lists the known names: there is none of that name.
 
     >>> pick_entry({"length": "math:hypot"}, "width", where="measure")
     Traceback (most recent call last):
@@ -37,18 +33,5 @@ def pick_entry(
     geometry.errors.InputError: measure: got 'width'; expected one of length
     """
     if name not in entries:
-        raise InputError(where, name, expected or "one of " + ", ".join(entries))
+        raise InputError(where, name, "one of " + ", ".join(entries))
     return load_entry(entries[name])
-
-
-def suffix_in(entries: Mapping[str, str], path: Path) -> str | None:
-    """The longest suffix of a file's name, in any case, that has an entry.
-
-    >>> suffix_in({".json": "a:b", ".city.json": "c:d"}, Path("A.City.JSON"))
-    '.city.json'
-    """
-    name = path.name.lower()
-    known = [suffix for suffix in entries if name.endswith(suffix)]
-    if not known:
-        return None
-    return max(known, key=len)

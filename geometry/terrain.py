@@ -27,8 +27,6 @@ GROUND = "ground"
 HEADROOM_M = 2.0
 """People, cyclists and cars pass below what begins higher above the ground."""
 GRID_DECIMALS = 3
-# Of half a metre.
-_HALVINGS = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,37 +81,6 @@ class Terrain:
             south_west + u * (south_east - south_west) + v * (north_east - south_east),
             south_west + v * (north_west - south_west) + u * (north_east - north_west),
         )
-
-    def distances(
-        self, origin_m: ArrayLike, directions: ArrayLike, *, max_range_m: float
-    ) -> FloatArray:
-        """Distance to the ground along unit vectors, (n,), in metres.
-
-        Vectors are (n, 3), from a point above the ground.
-
-        At most `max_range_m`; what the ground does within half a metre may be missed.
-
-        >>> slope = Terrain(east_m=[0, 10], north_m=[0, 10], height_m=[[0, 1], [0, 1]])
-        >>> down = [[0.0, 0.0, -1.0]]
-        >>> slope.distances([5.0, 5.0, 3.0], down, max_range_m=9.0).round(3).tolist()
-        [2.5]
-        """
-        origin = np.asarray(origin_m, dtype=np.float64)
-        ways = np.asarray(directions)
-        steps = np.linspace(0.0, max_range_m, int(2.0 * max_range_m) + 2)
-        points = origin + steps[:, None, None] * ways
-        # The first step below the ground, then halved.
-        is_below = points[..., 2] <= self.at(points[..., :2])
-        first = np.where(is_below.any(axis=0), is_below.argmax(axis=0), len(steps) - 1)
-        near = steps[np.maximum(first - 1, 0)]
-        far = steps[first]
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (near + far)
-            point = origin + middle[:, None] * ways
-            below = point[:, 2] <= self.at(point[:, :2])
-            near = np.where(below, near, middle)
-            far = np.where(below, middle, far)
-        return far
 
     def mesh(self) -> tuple[FloatArray, NDArray[np.int32]]:
         """Vertices (n, 3) and triangles (m, 3), seen from above counter-clockwise."""

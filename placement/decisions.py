@@ -437,11 +437,10 @@ def find_located_shares(
     setting: Setting,
     *,
     limit_m: float,
-    aims: Sequence[str] = AIMS,
 ) -> tuple[tuple[float, ...], ...]:
     """Located APR of evaluated layouts, for each way of aiming: 0 .. 1.
 
-    Rows are layouts, columns `aims`. By the default rule; nothing is drawn, and no
+    Rows are layouts, columns ``AIMS``. By the default rule; nothing is drawn, and no
     twin is driven. With cars that see, the car's own track is one more unit. A run
     counts if its place of impact is known to `limit_m`, in m.
     """
@@ -453,10 +452,10 @@ def find_located_shares(
         reports = Reports(setting, one.layout, detected, one.vut.detected, rule)
         covariances_m2 = [
             [each.covariance_m2() for each in reports.errors(aim_sd_deg(aimed))]
-            for aimed in aims
+            for aimed in AIMS
         ]
         sd_m = located_sd_m(
-            np.stack([reports.detected] * len(aims)),
+            np.stack([reports.detected] * len(AIMS)),
             np.array(covariances_m2),
             setting.axis,
             heading_rad,

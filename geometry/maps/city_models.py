@@ -1,4 +1,4 @@
-"""City models: CityJSON 1.0 to 2.0 and sequences of it; CityGML 1.0 to 3.0."""
+"""City models: CityJSON 1.0 to 2.0 and CityGML 1.0 to 3.0."""
 
 import re
 import sys
@@ -8,18 +8,18 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 from xml.etree.ElementTree import Element
 
 import msgspec
 import numpy as np
 
-from ..arrays import FloatArray, float_array
-from ..errors import InputError, Unquoted, check_one_of, refuse
+from ..arrays import FloatArray
+from ..errors import InputError, Unquoted, refuse
 from ..notes import Note
 from ..opening import read_text
 from ..scene import join
-from ..tables import read_table
+from ..tables import read_table, says
 from ..text_formats import load_data, parse_object
 from ..xml_files import local_name, read_xml
 from .georeferences import crs_name, georeference, horizontal_crs
@@ -39,7 +39,6 @@ from .source_map import (
     unique_id,
 )
 
-_VERSIONS = ("1.0", "1.1", "2.0")
 # Rings of indices of vertices.
 _Surfaces = list[list[list[Annotated[int, msgspec.Meta(ge=0)]]]]
 _BOUNDARIES: dict[str, Any] = {
@@ -94,16 +93,51 @@ class CityObject:
     height_m: float | None = None
 
 
-def read_cityjson(path: Path) -> SourceMap:
-    """Read a CityJSON file, or a CityJSONSeq.
+class _CityTransform(msgspec.Struct, frozen=True, kw_only=True):
+    """From the integers of a file to its coordinates."""
 
-    A CityJSONSeq has a first line with the transform, then features. Each
-    object is read in its highest level of detail below 3, or else in level 3;
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    translate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class _CityGeometry(msgspec.Struct, frozen=True, kw_only=True):
+    """A geometry of an object, in one level of detail."""
+
+    type: str
+    lod: Annotated[str, says("0 to 3.3", pattern=r"^[0-9](\.[0-9])?$")] | float = 1.0
+    boundaries: Any = None
+
+
+class _CityEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """An object of a city."""
+
+    type: str
+    geometry: tuple[_CityGeometry, ...] = ()
+    children: tuple[str, ...] = ()
+    attributes: dict[str, Any] | None = None
+
+
+class _CityDocument(msgspec.Struct, frozen=True, kw_only=True):
+    """A document."""
+
+    type: Literal["CityJSON"]
+    version: Literal["1.0", "1.1", "2.0"]
+    transform: _CityTransform = _CityTransform()
+    metadata: dict[str, Any] | None = None
+    vertices: tuple[tuple[float, float, float], ...] = ()
+    CityObjects: dict[str, dict[str, Any]] = {}
+
+
+def read_cityjson(path: Path) -> SourceMap:
+    """Read a CityJSON file.
+
+    Each object is read in its highest level of detail below 3, or else in level 3;
     if there is only level 0, its footprint is raised by the measured height.
     Buildings and their parts become buildings, plants become vegetation, other
     constructions walls; furniture becomes a wall too, unless its name says lamp
     or tree. Bridges are left out with tunnels and ground: the scene's road is
-    one plane, and a bridge deck would lie on it.
+    one plane, and a bridge deck would lie on it. So are objects that are copies of a
+    template.
 
     Parameters
     ----------
@@ -121,25 +155,18 @@ def read_cityjson(path: Path) -> SourceMap:
         The file cannot be read, is no CityJSON, or has nothing solid.
     """
     where = str(path)
-    head = parse_object(read_text(path, "CityJSON"), where, "CityJSON")
-    if head.get("type") != "CityJSON":
-        raise InputError(f"{where}: type", head.get("type"), "CityJSON")
-    check_one_of(f"{where}: version", head.get("version"), _VERSIONS)
-    metadata = head.get("metadata")
-    crs: Any = ""
-    if isinstance(metadata, Mapping):
-        crs = metadata.get("referenceSystem")
+    document = parse_object(read_text(path, "CityJSON"), where, "CityJSON")
+    city = read_table(document, _CityDocument, where)
+    crs = (city.metadata or {}).get("referenceSystem")
     if not isinstance(crs, str):
         crs = ""
     left_out: Counter[str] = Counter()
     empty: Counter[str] = Counter()
-    scale, translate = _transform(head.get("transform"), where)
-    templates = _Templates(head.get("geometry-templates"), where)
+    corners = np.array(city.vertices, dtype=np.float64).reshape(-1, 3)
     # _city_map refuses what is not finite.
     with np.errstate(over="ignore"):
-        corners = _vertices(head.get("vertices", []), f"{where}: vertices")
-        vertices = corners * scale + translate
-    objects = [*_objects(head, vertices, templates, where, left_out, empty)]
+        vertices = corners * city.transform.scale + city.transform.translate
+    objects = [*_objects(city, vertices, where, left_out, empty)]
     skipped = counted(left_out, "no building, plant, wall or furniture")
     skipped += counted(empty, "without a surface of level of detail 0 to 3")
     # Easting comes first, whatever the reference system says.
@@ -152,92 +179,9 @@ def read_cityjson(path: Path) -> SourceMap:
     )
 
 
-def _transform(table: Any, where: str) -> list[FloatArray]:
-    """Scale and translation of vertices, (3,) each; 1 and 0 where the file has none."""
-    if table is None:
-        table = {"scale": [1.0] * 3, "translate": [0.0] * 3}
-    if not isinstance(table, Mapping):
-        raise InputError(f"{where}: transform", table, "scale and translate")
-    keys = ("scale", "translate")
-    return [
-        float_array(table.get(key, ()), (3,), f"{where}: transform.{key}")
-        for key in keys
-    ]
-
-
-def _vertices(values: Any, where: str) -> FloatArray:
-    """Vertices of a document, (n, 3)."""
-    if values == []:
-        values = np.empty((0, 3))
-    return float_array(values, (-1, 3), where)
-
-
-class _Templates:
-    """Shapes that are used more than once, such as trees and lamps."""
-
-    def __init__(self, table: Any, where: str) -> None:
-        if not isinstance(table, Mapping):
-            table = {}
-        self.where = f"{where}: geometry-templates"
-        self.templates = read_table(table.get("templates", []), list[Any], self.where)
-        values = table.get("vertices-templates", [])
-        self.vertices = _vertices(values, f"{self.where}.vertices-templates")
-
-    def place(
-        self,
-        geometry: _Table,
-        vertices: FloatArray,
-        where: str,
-    ) -> list[Polygon3D]:
-        """Polygons of a template, moved to its place.
-
-        Parameters
-        ----------
-        geometry : _Table
-            The GeometryInstance.
-        vertices : (n, 3) float
-            Vertices of the document, one of which is its place.
-        where : str
-            File and element at hand, for messages.
-
-        Returns
-        -------
-        polygons : list of Polygon3D
-            In the file's coordinates.
-
-        Raises
-        ------
-        InputError
-            The template does not exist, or its matrix makes no sense.
-        """
-        index: Any = geometry.get("template")
-        here = f"{self.where}.templates[{index}]"
-        template = _at(self.templates, index, f"{where}.template")
-        anchor: Any = geometry.get("boundaries")
-        if isinstance(anchor, list) and len(anchor) == 1:
-            anchor = anchor[0]
-        foot = _at(vertices, anchor, f"{where}.boundaries")
-        values = geometry.get("transformationMatrix", np.eye(4).reshape(-1))
-        matrix = float_array(values, (16,), f"{where}.transformationMatrix").reshape(
-            4, 4
-        )
-        if (
-            not isinstance(template, Mapping)
-            or template.get("type") == "GeometryInstance"
-        ):
-            refuse(here, "no geometry", "one")
-        turn = matrix[:3, :3].T
-        shift = matrix[:3, 3]
-        polygons = _polygons(template, self.vertices, here)
-        return [
-            [ring @ turn + shift + foot for ring in polygon] for polygon in polygons
-        ]
-
-
 def _objects(
-    document: _Table,
+    city: _CityDocument,
     vertices: FloatArray,
-    templates: _Templates,
     where: str,
     left_out: Counter[str],
     empty: Counter[str],
@@ -246,14 +190,12 @@ def _objects(
 
     Parameters
     ----------
-    document : _Table
-        Parsed document.
+    city : _CityDocument
+        The document.
     vertices : (n, 3) float
-        Its vertices.
-    templates : _Templates
-        Shapes that are used more than once.
+        Its vertices, in the file's coordinates.
     where : str
-        File and element at hand, for messages.
+        File at hand, for messages.
     left_out : Counter[str]
         Counts of objects of other types; extended.
     empty : Counter[str]
@@ -264,41 +206,23 @@ def _objects(
     item : CityObject
         An object whose parts have the surfaces is left out.
     """
-    # Every object of the document, by its id.
-    table = document.get("CityObjects", {})
-    if not isinstance(table, Mapping):
-        raise InputError(
-            f"{where}: CityObjects",
-            type(table).__name__,
-            "a table of objects",
-        )
-    for name, entry in table.items():
+    for name, table in city.CityObjects.items():
         here = f"{where}: {name}"
-        if not isinstance(entry, Mapping):
-            raise InputError(here, entry, "an object")
-        type_name = str(entry.get("type"))
-        if type_name not in CLASS_OF_TYPE:
-            left_out[type_name[:_MAX_NAME]] += 1
+        entry = read_table(table, _CityEntry, here)
+        if entry.type not in CLASS_OF_TYPE:
+            left_out[entry.type[:_MAX_NAME]] += 1
             continue
-        polygons, level = _best(entry.get("geometry", []), vertices, templates, here)
-        children = entry.get("children", [])
-        named: list[Any] = []
-        if isinstance(children, list):
-            named = children
+        polygons, level = _best(entry.geometry, vertices, here)
         # Objects whose parts have the surfaces are left to those.
-        parts = [table.get(one) for one in named if isinstance(one, str)]
-        has_parts = any(
-            isinstance(part, Mapping) and part.get("geometry") for part in parts
-        )
+        parts = [city.CityObjects.get(one, {}) for one in entry.children]
+        has_parts = any(part.get("geometry") for part in parts)
         if level < 1.0 and has_parts:
             continue
         if not polygons:
-            if not children:
-                empty[type_name] += 1
+            if not entry.children:
+                empty[entry.type] += 1
             continue
-        attributes = entry.get("attributes")
-        if not isinstance(attributes, Mapping):
-            attributes = {}
+        attributes = entry.attributes or {}
         words = [
             str(attributes[key])[:_MAX_NAME]
             for key in _TYPES["words"]
@@ -306,7 +230,7 @@ def _objects(
         ]
         yield CityObject(
             id=name,
-            type_name=type_name,
+            type_name=entry.type,
             polygons=tuple(polygons),
             words=" ".join(words),
             is_footprint=level < 1.0,
@@ -327,36 +251,14 @@ def _height_m(attributes: _Table) -> float | None:
 
 
 def _best(
-    geometries: Any,
-    vertices: FloatArray,
-    templates: _Templates,
-    where: str,
+    geometries: Sequence[_CityGeometry], vertices: FloatArray, where: str
 ) -> tuple[list[Polygon3D], float]:
     """Surfaces of the most useful level of detail, and that level."""
-    if not isinstance(geometries, list):
-        raise InputError(f"{where}.geometry", geometries, "a list")
     # The most useful geometry that has surfaces.
     best: tuple[list[Polygon3D], float] = ([], -1.0)
     for index, geometry in enumerate(geometries):
-        here = f"{where}.geometry[{index}]"
-        if not isinstance(geometry, Mapping):
-            raise InputError(here, geometry, "a geometry")
-        kind = str(geometry.get("type"))
-        level = 1.0
-        if kind == "GeometryInstance":
-            polygons = templates.place(geometry, vertices, here)
-        else:
-            # Points and lines have none.
-            polygons = _polygons(geometry, vertices, here)
-            try:
-                if kind in _BOUNDARIES:
-                    level = float(str(geometry.get("lod", "1")))
-            except ValueError:
-                raise InputError(
-                    f"{here}.lod",
-                    geometry.get("lod"),
-                    "0 to 3.3",
-                ) from None
+        polygons = _polygons(geometry, vertices, f"{where}.geometry[{index}]")
+        level = float(geometry.lod)
         if polygons and _rank(level) > _rank(best[1]):
             best = (polygons, level)
     return best
@@ -369,14 +271,16 @@ def _rank(level: float) -> float:
     return 0.99
 
 
-def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
-    """Surfaces of a geometry; points and lines have none.
+def _polygons(
+    geometry: _CityGeometry, vertices: FloatArray, where: str
+) -> list[Polygon3D]:
+    """Surfaces of a geometry; points, lines and copies of templates have none.
 
     Of solids these are the surfaces of the outer shells.
 
     Parameters
     ----------
-    geometry : _Table
+    geometry : _CityGeometry
         Geometry of an object.
     vertices : (n, 3) float
         Vertices of the document.
@@ -393,11 +297,11 @@ def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygo
     InputError
         An index is no vertex, or the nesting does not fit the type.
     """
-    kind = str(geometry.get("type"))
+    kind = geometry.type
     here = f"{where}.boundaries"
     if kind not in _BOUNDARIES:
         return []
-    nested: Any = read_table(geometry.get("boundaries"), _BOUNDARIES[kind], here)
+    nested: Any = read_table(geometry.boundaries, _BOUNDARIES[kind], here)
     if kind.endswith("Solid"):
         solids = nested
         if kind == "Solid":
@@ -414,17 +318,6 @@ def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygo
         [vertices[np.array(ring, dtype=np.int64)] for ring in rings]
         for rings in surfaces
     ]
-
-
-def _at(values: Any, index: Any, where: str) -> Any:
-    """Value at an index that a file gives; InputError: there is none."""
-    if (
-        not isinstance(index, int)
-        or isinstance(index, bool)
-        or not 0 <= index < len(values)
-    ):
-        raise InputError(where, index, f"an index, 0 to {len(values) - 1}")
-    return values[index]
 
 
 def _city_map(

@@ -31,14 +31,6 @@ UP_AXES: dict[str, list[list[int]]] = load_data("geometry.maps", "words.toml")[
 ]
 _MIN_SIZE_M = 0.1
 _MAX_SIZE_M = 20_000.0
-# Upward part of a unit normal: of roofs, not of walls, floors, flat roofs.
-_SLANTED = (
-    0.1,
-    0.98,
-)
-# Of all area: less is no roof to judge by.
-_MIN_SLANTED_SHARE = 0.02
-_SURE_SHARE = 0.9
 _Part = tuple[str, FloatArray, NDArray[np.int32]]
 
 
@@ -73,8 +65,8 @@ def read_mesh(
     Raises
     ------
     InputError
-        The file is damaged; has no triangles, or more than five million; has a
-        size that no junction has; or all its roofs face down.
+        The file is damaged; has no triangles, or more than five million; or has a
+        size that no junction has.
     """
     where = str(path)
     suffix = path.suffix.lower()
@@ -106,7 +98,6 @@ def read_mesh(
             Thing.of(unique_id(name, ids), its_class, (vertices @ axes.T, triangles))
         )
     _check_size(things, where, unit)
-    _check_roofs(things, where, up)
     skipped = tuple(counted(left_out, "no mesh"))
     return SourceMap(name=path.name, crs="", things=tuple(things), skipped=skipped)
 
@@ -265,30 +256,3 @@ def _check_size(things: list[Thing], where: str, unit: str) -> None:
         got = f"a mesh {size_m:.3g} m across, taken in {unit}"
         limits = f"{_MIN_SIZE_M} m to {_MAX_SIZE_M / 1000:.0f} km"
         refuse(where, got, f"{limits}; another `unit` ({', '.join(UNITS_M)})")
-
-
-def _check_roofs(things: list[Thing], where: str, up: str) -> None:
-    """Refuse buildings whose slanted roofs look down: they stand on their heads.
-
-    Only closed buildings are judged, and no boxes with flat roofs: they look
-    the same both ways.
-    """
-    houses = [thing for thing in things if thing.class_name == "building"]
-    solid = [house for house in houses if _is_solid(house.vertices_m, house.triangles)]
-    corners = [house.vertices_m[house.triangles] for house in solid]
-    a, b, c = np.moveaxis(np.concatenate([np.empty((0, 3, 3)), *corners]), 1, 0)
-    # Area and upward part of each triangle's normal.
-    normals = 0.5 * np.cross(b - a, c - a)
-    areas = np.linalg.norm(normals, axis=1)
-    rise = normals[:, 2] / np.where(areas > 0.0, areas, 1.0)
-    is_slanted = (np.abs(rise) > _SLANTED[0]) & (np.abs(rise) < _SLANTED[1])
-    up_m2 = float(areas[is_slanted & (rise > 0.0)].sum())
-    down_m2 = float(areas[is_slanted & (rise < 0.0)].sum())
-    slanted_m2 = up_m2 + down_m2
-    has_roofs = slanted_m2 > _MIN_SLANTED_SHARE * areas.sum()
-    if has_roofs and down_m2 > _SURE_SHARE * slanted_m2:
-        other = f"-{up}"
-        if up.startswith("-"):
-            other = up[1:]
-        got = f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down"
-        refuse(where, got, f"an upright mesh; is up the other way: `up`={other}?")

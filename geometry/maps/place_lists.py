@@ -135,7 +135,7 @@ class SiteRows:
     faults: Faults
 
 
-def read_sites(path: Path, *, crs: str, sites_crs: str = "") -> tuple[SiteWish, ...]:
+def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     """Read a list of sites: CSV with a header, or points of a GIS file.
 
     Columns are those of ``docs/formats.md``; case does not matter, nor do units
@@ -148,8 +148,6 @@ def read_sites(path: Path, *, crs: str, sites_crs: str = "") -> tuple[SiteWish, 
         CSV, GeoJSON, GeoPackage or Shapefile.
     crs : str
         Projected reference system of the scene; empty: it has none.
-    sites_crs : str
-        Reference system of x and y where the file declares none; empty: `crs`.
 
     Returns
     -------
@@ -162,7 +160,7 @@ def read_sites(path: Path, *, crs: str, sites_crs: str = "") -> tuple[SiteWish, 
         The file cannot be read, or a field is missing or wrong; all that is wrong
         stands in one message.
     """
-    return sites_of(read_site_rows(path), crs=crs, sites_crs=sites_crs)
+    return sites_of(read_site_rows(path), crs=crs)
 
 
 def read_site_rows(path: Path) -> SiteRows:

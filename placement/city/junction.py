@@ -3,7 +3,6 @@
 Bounds hold for all sums.
 """
 
-import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -39,8 +38,6 @@ from .fronts import (
     price_tiers_eur,
     rooms_of,
 )
-
-_log = logging.getLogger(__name__)
 
 _SHARE = 0.5
 """Of the optimiser's time that is left: for each part; most leave some of it."""

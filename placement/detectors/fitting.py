@@ -943,7 +943,6 @@ def fit_lasting_share(
     sightings: Sightings,
     probability: FloatArray,
     *,
-    seed: int = 0,
     draws: int = _SHARE_DRAWS,
 ) -> Interval:
     """Share of the variance behind a frame that lasts through its track.
@@ -959,8 +958,8 @@ def fit_lasting_share(
         The frames.
     probability : (n,) float
         Of a detection in each frame.
-    seed, draws : int
-        Of the tracks that are drawn with repetition, for the interval.
+    draws : int
+        Number of samples of tracks, drawn with repetition, for the interval.
 
     Returns
     -------
@@ -987,7 +986,7 @@ def fit_lasting_share(
         likely += [np.interp(correlation, _CORRELATIONS, row) for row in by_correlation]
     if not likely.any():
         refuse("frames", "none consecutive", "consecutive frames of a track")
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     drawn = rng.multinomial(
         len(tracks), np.full(len(tracks), 1.0 / len(tracks)), size=draws
     )

@@ -16,10 +16,10 @@ from geometry.arrays import FloatArray, IntArray, freeze
 from geometry.poses import Pose
 from geometry.scene import Scene
 from scenarios.aeb import AebRule, last_brake_time_s
-from scenarios.encounters import Encounter, first_contact_s
+from scenarios.encounters import first_contact_s
 from scenarios.obstructions import is_way_free
 from scenarios.paths import MPS_PER_KMH, Motion, MovedPath, rotated, travel_time_s
-from scenarios.runs import Run, build_frame_axis
+from scenarios.runs import Run, build_frame_axis, frames_at
 
 from ..candidates import CandidatePose
 from ..compute import check_whole
@@ -612,7 +612,8 @@ def change_motion(
         vru_motion=_later(changed.vru_motion, -early_s),
     )
     last_s = last_brake_time_s(changed, rule)
-    return replace(run, **_moved(changed, run.time_s), last_brake_time_s=last_s)
+    frames = frames_at(changed, run.time_s)
+    return replace(run, encounter=changed, last_brake_time_s=last_s, **frames)
 
 
 def _later(motion: Motion, seconds: float) -> Motion:
@@ -622,23 +623,6 @@ def _later(motion: Motion, seconds: float) -> Motion:
         start_time_s=motion.start_time_s + seconds,
         brake_time_s=motion.brake_time_s + seconds,
     )
-
-
-def _moved(encounter: Encounter, time_s: FloatArray) -> dict[str, Any]:
-    """Fields of a run that follow from its motions."""
-    vut = encounter.vut_motion
-    vru = encounter.vru_motion
-    vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))
-    vru_distance = vru.distance_m(time_s)
-    vru_position, vru_yaw = vru.path.at(vru_distance)
-    return {
-        "encounter": encounter,
-        "vut_position_m": freeze(vut_position),
-        "vut_yaw_deg": freeze(vut_yaw),
-        "vru_position_m": freeze(vru_position),
-        "vru_yaw_deg": freeze(vru_yaw),
-        "vru_shape": freeze(encounter.vru.shape_index(vru_distance)),
-    }
 
 
 _MOVED = (

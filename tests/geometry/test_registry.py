@@ -1,14 +1,10 @@
-from pathlib import Path
-
 import pytest
 from refusals import refused_with
 
 from geometry import scene_sources
 from geometry.errors import InputError
 from geometry.maps import importing
-from geometry.registry import load_entry, pick_entry, suffix_in
-
-ENTRIES = {".json": "json:loads", ".city.json": "math:hypot"}
+from geometry.registry import load_entry, pick_entry
 
 
 def test_an_entry_is_the_attribute_of_its_module():
@@ -18,24 +14,6 @@ def test_an_entry_is_the_attribute_of_its_module():
 def test_an_unknown_name_is_refused_with_the_known_ones():
     with refused_with("m: got 'width'; expected one of length, size"):
         pick_entry({"length": "math:hypot", "size": "os:fstat"}, "width", where="m")
-
-
-def test_an_unknown_name_is_refused_with_what_is_expected():
-    with pytest.raises(InputError, match="m: got 'width'; expected a known measure"):
-        pick_entry({}, "width", where="m", expected="a known measure")
-
-
-@pytest.mark.parametrize(
-    ("name", "suffix"),
-    [
-        ("a.json", ".json"),
-        ("a.city.json", ".city.json"),
-        ("A.City.JSON", ".city.json"),
-        ("a.toml", None),
-    ],
-)
-def test_the_longest_suffix_of_a_file_counts(name, suffix):
-    assert suffix_in(ENTRIES, Path(name)) == suffix
 
 
 @pytest.mark.parametrize("name", [*scene_sources.READERS, *importing.READERS])

@@ -179,12 +179,6 @@ def _city_json() -> dict[str, Any]:
     surfaces = [[face] for face in _FACES]
     solid = {"type": "Solid", "lod": "2", "boundaries": [surfaces]}
     flat = {"type": "MultiSurface", "lod": "1.2", "boundaries": surfaces[:2]}
-    placed = {
-        "type": "GeometryInstance",
-        "template": 0,
-        "boundaries": [0],
-        "transformationMatrix": [1, 0, 0, 5, 0, 1, 0, 5, 0, 0, 1, 0, 0, 0, 0, 1],
-    }
     return {
         "type": "CityJSON",
         "version": "2.0",
@@ -193,9 +187,8 @@ def _city_json() -> dict[str, Any]:
         "CityObjects": {
             "a": {"type": "Building", "geometry": [solid], "children": ["b"]},
             "b": {"type": "BuildingPart", "geometry": [flat], "parents": ["a"]},
-            "c": {"type": "SolitaryVegetationObject", "geometry": [placed]},
+            "c": {"type": "SolitaryVegetationObject", "geometry": [flat]},
         },
-        "geometry-templates": {"templates": [flat], "vertices-templates": _CORNERS},
         "vertices": _CORNERS,
     }
 

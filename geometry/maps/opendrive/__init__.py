@@ -26,7 +26,7 @@ from .lanes import (
     join_stubs,
     sample_road,
 )
-from .objects import build_rows, cross_paths, merge_poles, read_objects, read_signals
+from .objects import build_rows, merge_poles, read_objects, read_signals
 from .roads import (
     NO_JUNCTION,
     Offset,
@@ -95,8 +95,8 @@ def read_opendrive(path: Path) -> SourceMap:
     found = read_objects(roads, omissions)
     for road_id, spaces in found.spaces.items():
         lanes += build_rows(roads[road_id], spaces)
-    poles, painted = read_signals(roads, sampled, offset, omissions)
-    crosswalks = [*found.crosswalks_m, *painted, *cross_paths(records, roads)]
+    poles, painted = read_signals(roads, sampled, omissions)
+    crosswalks = [*found.crosswalks_m, *painted]
     for element in root.iter("include"):
         name = f"include {element.get('file', '')[:80]}"
         omissions.add("included files", name, "other files are not read")

@@ -58,15 +58,12 @@ class OpendriveJunction:
         By its type it has connecting roads.
     incoming : tuple of str
         Ids of the roads that lead to it.
-    element : Element
-        For further content.
     """
 
     id: str
     name: str
     has_surface: bool
     incoming: tuple[str, ...]
-    element: Element
 
 
 def read_junction_records(
@@ -114,7 +111,6 @@ def read_junction_records(
             name=element.get("name", "").strip(),
             has_surface=kind not in without_surface,
             incoming=tuple(dict.fromkeys(road for road in roads if road)),
-            element=element,
         )
     return found
 

@@ -86,8 +86,6 @@ class Outline:
     height_m: FloatArray
     # It surrounds an area.
     is_closed: bool
-    # That area is part of the object, not cut out of it.
-    is_outer: bool
 
 
 def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
@@ -291,7 +289,7 @@ def read_outlines(
     Yields
     ------
     outline : Outline
-        Without corners that repeat the one before.
+        Without corners that repeat the one before; those of courtyards are left out.
 
     Raises
     ------
@@ -303,7 +301,8 @@ def read_outlines(
         found += numbered(group, "outline", here)
     for outline, here in found:
         rows = _read_corners(outline, element, road, spot, here)
-        if not len(rows):
+        is_courtyard = not _is_true(outline, "outer")
+        if is_courtyard or not len(rows):
             continue
         # How far its corners lie from the place, in height, along and across the road.
         foot, _ = place(road, spot)
@@ -327,7 +326,6 @@ def read_outlines(
             bottom_m=rows[:, 2],
             height_m=np.maximum(rows[:, 3], 0.0),
             is_closed=_is_true(outline, "closed"),
-            is_outer=_is_true(outline, "outer"),
         )
 
 
@@ -430,13 +428,12 @@ def build_prism(
     *,
     bottom_m: FloatArray,
     top_m: FloatArray,
-    holes_m: Sequence[FloatArray] = (),
     where: str,
 ) -> Mesh:
     """Closed solid over an outline, with its own heights at each corner.
 
-    With holes, or if the outline crosses itself, floor and roof are level at
-    the lowest and highest corner.
+    If the outline crosses itself, floor and roof are level at the lowest and highest
+    corner.
 
     Parameters
     ----------
@@ -446,8 +443,6 @@ def build_prism(
         Height of the floor at each corner. [m]
     top_m : (n,) float
         Height of the roof at each corner. [m]
-    holes_m : sequence of (k, 2) float
-        Outlines of holes. [m]
     where : str
         File and element at hand, for messages.
 
@@ -462,14 +457,13 @@ def build_prism(
         The outline has no area, or the solid no height.
     """
     is_flat = max(np.ptp(bottom_m), np.ptp(top_m)) < _FLAT_M or len(outline_m) < 3
-    if is_flat or len(holes_m) or not shapely.Polygon(outline_m).is_valid:
+    if is_flat or not shapely.Polygon(outline_m).is_valid:
         low_m = float(bottom_m.min())
         high_m = float(top_m.max())
         return extrude(
             outline_m,
             bottom_m=low_m,
             top_m=high_m,
-            holes_m=holes_m,
             where=where,
         )
     if not (top_m > bottom_m).any():
@@ -644,10 +638,7 @@ def build_body(
         None: the object has no extent.
     """
     height_m = spot.height_m
-    has_outline = any(outline.is_outer for outline in outlines)
-    has_corner_heights = has_outline and any(
-        outline.height_m.any() for outline in outlines
-    )
+    has_corner_heights = any(outline.height_m.any() for outline in outlines)
     says_height = height_m is not None or has_corner_heights
     if kind == "obstacle" and not says_height:
         return None
@@ -659,7 +650,7 @@ def build_body(
     solid: Mesh | None
     if spot.end is not None:
         solid = _sweep(road, spot, spot.end, height_m)
-    elif has_outline:
+    elif outlines:
         solid = _from_outlines(outlines, height_m, where)
     else:
         solid = _simple(road, kind, spot, height_m, turn_rad)
@@ -669,7 +660,7 @@ def build_body(
 
 
 def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> Mesh:
-    """Solids over all outer outlines of an object; open ones become walls.
+    """Solids over all outlines of an object; open ones become walls.
 
     Parameters
     ----------
@@ -685,11 +676,8 @@ def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> 
     mesh : Mesh
         One mesh of all of them.
     """
-    holes = [outline.points_m for outline in outlines if not outline.is_outer]
     solids = []
     for outline in outlines:
-        if not outline.is_outer:
-            continue
         points = outline.points_m
         bottom_m = outline.bottom_m
         heights = outline.height_m
@@ -707,32 +695,14 @@ def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> 
                 top_m=top_m,
             )
         else:
-            inside = _holes_inside(points, holes)
             solid = build_prism(
                 points,
                 bottom_m=bottom_m,
                 top_m=top_m,
-                holes_m=inside,
                 where=where,
             )
         solids.append(solid)
     return join(solids)
-
-
-def _holes_inside(
-    outline_m: FloatArray,
-    holes: Sequence[FloatArray],
-) -> list[FloatArray]:
-    """Holes that lie within one outline of an object."""
-    if not holes or len(outline_m) < 3:
-        return []
-    shape = shapely.Polygon(outline_m).buffer(0.0)
-    rings = [hole for hole in holes if len(hole) > 2]
-    return [
-        one
-        for one in rings
-        if shape.intersects(shapely.Polygon(one).representative_point())
-    ]
 
 
 def _left_of(line_m: FloatArray) -> FloatArray:

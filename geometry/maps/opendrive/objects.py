@@ -20,7 +20,6 @@ from scipy.spatial import cKDTree
 from ...arrays import FloatArray
 from ...errors import InputError, refuse
 from ..source_map import POLE_KINDS, MapLane, Omissions, Pole, Thing, has_word, words_of
-from .junctions import OpendriveJunction
 from .lanes import SampledSection, lane_kind
 from .object_shapes import (
     Outline,
@@ -33,7 +32,6 @@ from .object_shapes import (
     read_places,
 )
 from .roads import (
-    Offset,
     Road,
     RoadElement,
     load_facts,
@@ -226,44 +224,12 @@ def _corners(
     road_m : (n, 2) float
         The same as s and t. [m]
     """
-    outer = next((outline for outline in outlines if outline.is_outer), None)
-    if outer is not None:
-        return outer.points_m, outer.road_m
+    if outlines:
+        return outlines[0].points_m, outlines[0].road_m
     if spot.length_m is None or spot.width_m is None:
         return None
     box = box_corners(spot, spot.length_m, spot.width_m, turn_rad)
     return road.place(*box.T)[0][:, :2], box
-
-
-def cross_paths(
-    records: Mapping[str, OpendriveJunction],
-    roads: Mapping[str, Road],
-) -> Iterator[FloatArray]:
-    """Lines of the paths on which pedestrians cross junctions.
-
-    Parameters
-    ----------
-    records : Mapping[str, OpendriveJunction]
-        Junctions of the file, by id.
-    roads : Mapping[str, Road]
-        Roads of the file, by id.
-
-    Yields
-    ------
-    line_m : (2, 2) float
-        Begin and end. [m]
-
-    References
-    ----------
-    .. [1] ASAM OpenDRIVE 1.8, element <crossPath>.
-    """
-    for record in records.values():
-        for path in record.element.findall("crossPath"):
-            road = roads.get(path.get("crossingRoad", ""))
-            if road is not None:
-                ends, _ = road.place(np.array([0.0, road.length_m]), np.zeros(2))
-                if np.hypot(*(ends[1] - ends[0])[:2]) > _MIN_LENGTH_M:
-                    yield ends[:, :2]
 
 
 # ---------- parking spaces
@@ -593,7 +559,6 @@ def _take(
 def read_signals(
     roads: Mapping[str, Road],
     sampled: Mapping[str, Sequence[SampledSection]],
-    offset: Offset,
     omissions: Omissions,
 ) -> tuple[list[Pole], list[FloatArray]]:
     """Poles of signals, and crosswalks that are written as signals.
@@ -607,8 +572,6 @@ def read_signals(
         Roads of the file, by id.
     sampled : Mapping[str, Sequence[SampledSection]]
         Sampled lane sections of each road, by its id.
-    offset : Offset
-        Offset of the file's header.
     omissions : Omissions
         Record of what is left out, and why; entries are added.
 
@@ -649,14 +612,14 @@ def read_signals(
         elif kind is None:
             omissions.add("painted signals", one.name, _PAINT)
         else:
-            foot_m, top_m, at = _find_position(one, s_m, t_m, roads, offset)
+            foot_m = one.road.place(np.array([s_m]), np.array([t_m]))[0][0]
+            top_m = take_size(one.element, "height", one.where) or 0.0
+            top_m += take_number_or(one.element, "zOffset", one.where, 0.0)
             is_light = kind == "traffic light"
-            edges = []
-            if at is not None:
-                edges = _driving_edges(sampled[at[0]], at[1])
+            edges = _driving_edges(sampled[one.road.id], s_m)
             if not is_light and top_m < facts["min_sign_top_m"]:
                 omissions.add(f"signals ({kind})", one.name, _PAINT)
-            elif at is not None and any(right < at[2] < left for right, left in edges):
+            elif any(right < t_m < left for right, left in edges):
                 why = "it hangs over a lane: there is no pole below it"
                 omissions.add(f"signals ({kind})", one.name, why)
             else:
@@ -708,57 +671,6 @@ def _painted_line(
     across = np.array([np.cos(angle), np.sin(angle)])
     half = 0.5 * length_m * np.array([[-1.0], [1.0]]) * across
     return np.asarray(points[0, :2] + half)
-
-
-def _find_position(
-    one: RoadElement,
-    s_m: float,
-    t_m: float,
-    roads: Mapping[str, Road],
-    offset: Offset,
-) -> tuple[FloatArray, float, tuple[str, float, float] | None]:
-    """Foot below a signal, its top above the foot, and its place.
-
-    Parameters
-    ----------
-    one : RoadElement
-        The signal.
-    s_m : float
-        Where it lies along its road. [m]
-    t_m : float
-        To the left of the reference line. [m]
-    roads : Mapping[str, Road]
-        Roads of the file, by id.
-    offset : Offset
-        Offset of the file's header.
-
-    Returns
-    -------
-    foot_m : (3,) float
-        On the road's surface. [m]
-    top_m : float
-        Above the foot. [m]
-    place : (str, float, float) or None
-        Road, s and t; None: the file gives x, y and z instead. [m]
-    """
-    height_m = take_size(one.element, "height", one.where) or 0.0
-    road = one.road
-    z_m = take_number_or(one.element, "zOffset", one.where, 0.0)
-    on_road = one.element.find("positionRoad")
-    if on_road is not None and on_road.get("roadId", "") in roads:
-        here = f"{one.where} positionRoad"
-        road = roads[on_road.get("roadId", "")]
-        s_m, t_m = (take_number(on_road, key, here) for key in "st")
-        z_m = take_number_or(on_road, "zOffset", here, z_m)
-    foot = road.place(np.array([s_m]), np.array([t_m]))[0][0]
-    inertial = one.element.find("positionInertial")
-    if inertial is None:
-        return foot, z_m + height_m, (road.id, s_m, t_m)
-    x, y, z = (
-        take_number(inertial, key, f"{one.where} positionInertial") for key in "xyz"
-    )
-    foot[:2] = offset.apply(np.array([[x, y]]))[0]
-    return foot, z + offset.z_m - float(foot[2]) + height_m, None
 
 
 def _driving_edges(

@@ -19,11 +19,6 @@ def box(size, foot):
     return solid
 
 
-def gabled():
-    low = [[x, y, z] for x in (0.0, 10.0) for y in (0.0, 8.0) for z in (0.0, 5.0)]
-    return trimesh.convex.convex_hull([*low, [0.0, 4.0, 8.0], [10.0, 4.0, 8.0]])
-
-
 def street():
     scene = trimesh.Scene()
     for name, solid in (
@@ -148,24 +143,6 @@ def test_primitives_of_one_node_have_names_that_stay(tmp_path):
     path = write_gltf(tmp_path, meshes=[{"name": "m", "primitives": primitives}])
     names = [[thing.id for thing in read_mesh(path).things] for _ in range(2)]
     assert names[0] == names[1] == ["sheet", "sheet-2", "sheet-3"]
-
-
-def test_houses_on_their_heads_are_refused(tmp_path):
-    path = tmp_path / "a.ply"
-    gabled().export(path)
-    assert len(read_mesh(path, unit="m", up="z").things) == 1
-    with pytest.raises(InputError, match=r"facing down.*`up`=z"):
-        read_mesh(path, unit="m", up="-z")
-
-
-def test_boxes_and_trees_are_not_judged_by_their_roofs(tmp_path):
-    street().to_geometry().export(tmp_path / "a.ply")
-    assert read_mesh(tmp_path / "a.ply", unit="m", up="-z").things
-    cone = trimesh.creation.cone(2, 5)
-    trimesh.Scene({"tree": cone}).export(tmp_path / "b.obj")
-    assert read_mesh(
-        tmp_path / "b.obj", unit="m", up="-z", class_name="vegetation"
-    ).things
 
 
 @pytest.mark.parametrize(

@@ -245,21 +245,6 @@ def test_sidewalks_are_no_part_of_the_surface(tmp_path):
     assert np.abs(junction.outline_m[:, 1]).max() == pytest.approx(3.5, abs=0.1)
 
 
-def test_paths_across_a_junction_are_crosswalks(tmp_path):
-    walk = road(
-        "30",
-        plan=geometry(x=12.0, y=-4.0, hdg=np.pi / 2, length=8.0),
-        length=8.0,
-        junction="9",
-        sections=section(right=[lane(-1, "walking")]),
-    )
-    text = document(crossing(), walk).replace(
-        "</junction>", '<crossPath crossingRoad="30" id="0"/></junction>'
-    )
-    source = read_text(tmp_path, text)
-    assert_allclose(source.crosswalks_m, [[[12.0, -4.0], [12.0, 4.0]]], atol=1e-9)
-
-
 @pytest.mark.parametrize("length_m", [2.0e-7, 5.0e-4])
 def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, length_m):
     def crossroads(*, joint):

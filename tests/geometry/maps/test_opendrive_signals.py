@@ -111,23 +111,6 @@ def test_several_signals_at_one_place_are_one_pole_as_high_as_the_highest(tmp_pa
     assert_allclose(poles[0].position_m, [50.1, -6, 0])
 
 
-def test_where_a_signal_stands_may_be_said_apart(tmp_path):
-    header = '<offset x="1000" y="0" z="10" hdg="0"/>'
-    inside = '<positionInertial x="40" y="-9" z="3" hdg="0"/>'
-    (pole,) = _read(tmp_path, _signal(inside=inside), header=header).poles
-    assert_allclose(pole.position_m, [1040, -9, 10])
-    assert pole.height_m == pytest.approx(4.0)
-
-
-def test_where_a_signal_stands_may_be_on_another_road(tmp_path):
-    inside = '<positionRoad roadId="2" s="10" t="8" zOffset="4"/>'
-    other = road("2", elevation=cubic("elevation", 0.0, 20.0))
-    text = document(road("1", signals=_signal(inside=inside)), other)
-    (pole,) = read_text(tmp_path, text).poles
-    assert_allclose(pole.position_m, [10, 8, 20])
-    assert pole.height_m == pytest.approx(5.0)
-
-
 _POLES = st.lists(
     st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 3.0), st.sampled_from(POLE_KINDS)),
     max_size=12,
