@@ -40,7 +40,7 @@ from ..parts.assumptions import again_section, assumption_sentences, assumptions
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
 from ..parts.camera_views import camera_views
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
-from ..parts.explanation import explanation_sections
+from ..parts.explanation import missed_section
 from ..parts.first_screen import build_first_screen
 from ..parts.player import interactive_part
 from ..parts.result import PlacementResult, Result
@@ -56,7 +56,7 @@ _IN_SIGHT = (
     *("decision", "sampled", "private-ground"),
 )
 _FOLDED = (
-    *("proof", "comparison", "why", "models", "study-cases", "missed"),
+    *("proof", "comparison", "models", "study-cases", "missed"),
     *("road-users", "alone", "assumptions", "cases", "runs", "again"),
 )
 
@@ -169,8 +169,11 @@ def build_report(
         ),
     ]
     if isinstance(result, PlacementResult):
-        sections += explanation_sections(result.explained, labels)
-        sections += [proof.section(result), proof.agreement_section(result)]
+        sections += [
+            missed_section(result.explained),
+            proof.section(result),
+            proof.agreement_section(result),
+        ]
     if result.sampled:
         pictures["sampled_apr"] = sampled_picture(result.sampled)
         sections.append(sampled_section(result.sampled, pictures["sampled_apr"]))

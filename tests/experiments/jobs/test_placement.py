@@ -92,9 +92,8 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
     assert "place-rsus --budget 1 &lt;&amp;&gt;" in page
     assert "1 <&>" not in page
     assert len(summary["front"]["sentences"]) == 1
-    (part,) = summary["explained"]["contributions"]
-    assert part["unit"] == summary["layout"][0]["id"]
-    assert "Why these poses" in page
+    assert summary["explained"]["runs_without_weight"] == 0
+    assert "Runs that are not avoided" in page
     assert progress.kept == f"the results are in {tmp_path}/out"
 
 
