@@ -195,21 +195,10 @@ _ENGINE = (
             "and on its workers."
         ),
     ),
-    option(
-        "--dashboard",
-        is_flag=True,
-        needs="scheduler",
-        section=PROGRAM,
-        is_common=False,
-        help=(
-            "With --scheduler local: serve dask's page about its workers to this "
-            "machine."
-        ),
-    ),
 )
 _ENGINE_NAMES = (
     *("scheduler", "tls_ca", "tls_cert", "tls_key"),
-    *("scheduler_timeout", "insecure_scheduler", "dashboard"),
+    *("scheduler_timeout", "insecure_scheduler"),
 )
 
 
