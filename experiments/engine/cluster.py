@@ -312,7 +312,8 @@ def start_local(
             },
             local_directory=folder,
             silence_logs=logging.CRITICAL,
-        ) as cluster,_connected(cluster.scheduler_address, security) as client
+        ) as cluster,
+        _connected(cluster.scheduler_address, security) as client,
     ):
         yield from _served(client, "local", timeout_s, tell)
 
