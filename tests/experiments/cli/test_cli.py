@@ -143,7 +143,7 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         (
             "export --layout carlancap-12 --format xml",
             (
-                "--format: got 'xml'; expected one of json, csv, parquet, geojson,"
+                "--format: got 'xml'; expected one of json, csv, geojson,"
                 " gpkg, kml, dxf, carla, opencv, ros, cpm, cpm-uper, mcap, opendrive"
             ),
         ),
