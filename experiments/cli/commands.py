@@ -92,6 +92,10 @@ COMMANDS = {
         place="experiments.cli.export:sheet",
         line="Write a PDF for whoever mounts the units: a page each.",
     ),
+    "solve": CommandEntry(
+        place="experiments.cli.solve:solve",
+        line="Solve a placement problem from a file, and prove it.",
+    ),
     "verify": CommandEntry(
         place="experiments.cli.verify:verify",
         line="Check a folder of results, without the optimiser.",

@@ -27,14 +27,13 @@ from placement.wishes import site_price_eur
 from ..language import tr
 from ..results.numbers import euros, joined, percent
 from .search import FoundLayout
+from .solve import GIVEN_UP
 
 LOSS_PER_EUR = 0.002 / 1000.0
 """A cheaper layout is named if each 1,000 EUR that it saves cost less than 0.2 points
 of the APR, and of what is left when a unit fails.
 """
 LEAST_SAVED_EUR = 500.0
-# Name of the floor of :func:`placement.optimiser.sturdy_problem`.
-_GIVEN_UP = "give_up"
 # The cheapest exchanges of a unit that are looked at closely: each takes a millisecond.
 _MOST_TRIED = 60
 
@@ -70,7 +69,7 @@ def cheaper_sentence(found: FoundLayout) -> str:
     if not is_asked:
         return ""
     # The least APR is that of the highest: a layout may be worth less for the money.
-    floors = tuple(floor for floor in problem.floors if floor.name != _GIVEN_UP)
+    floors = tuple(floor for floor in problem.floors if floor.name != GIVEN_UP)
     problem = replace(problem, floors=floors)
     prices = _prices(found)
     # As it was solved: to presolve it anew takes longer than all else here.

@@ -1,17 +1,12 @@
-"""OSQP takes part in what the optimiser proves."""
+"""OSQP takes part in what commands prove."""
 
 import numpy as np
 import osqp
 import pytest
 from synthetic_instances import SyntheticSize, build_synthetic_instance
 
-from placement.optimiser import (
-    Effort,
-    Limits,
-    PlacementProblem,
-    constants,
-    solve_placement,
-)
+from placement.optimiser import Limits, PlacementProblem, constants
+from placement.proof_files import save_problem
 from scenarios.aeb import AebRule
 
 SIZE = SyntheticSize(
@@ -26,15 +21,15 @@ SIZE = SyntheticSize(
 
 
 @pytest.fixture
-def instance(monkeypatch, solver):
-    """A made-up placement of which four units cannot see everything.
+def instance(tmp_path, monkeypatch, solver):
+    """A file with a made-up placement of which four units cannot see everything.
 
     Where money is limited and sites that can be paid are too many to walk behind, also
     "auto" goes by OSQP's prices.
     """
     monkeypatch.setattr(constants, "MAX_SITE_SETS", 0)
     made = build_synthetic_instance(SIZE, seed=3)
-    return PlacementProblem(
+    problem = PlacementProblem(
         table=made.to_table(),
         limits=Limits(
             site_index=made.site_index,
@@ -51,6 +46,9 @@ def instance(monkeypatch, solver):
             frame_rate_hz=10.0,
         ),
     )
+    path = tmp_path / "instance.npz"
+    save_problem(path, problem)
+    return path
 
 
 @pytest.fixture
@@ -71,12 +69,12 @@ def calls(monkeypatch):
 @pytest.mark.parametrize(
     "solver", ["relax", pytest.param("auto", marks=pytest.mark.long)]
 )
-def test_the_apr_is_bounded_by_osqp(instance, calls, solver):
-    certificate = solve_placement(instance, effort=Effort(solver=solver)).certificate
+def test_the_solve_command_bounds_the_apr_by_osqp(ask, instance, calls, solver):
+    summary = ask("solve", instance, "--solver", solver)
     assert sum(calls) > 0
-    assert f"OSQP {osqp.__version__}" in certificate.solver
-    first = certificate.stages[0]
-    assert first.name == "apr"
-    assert first.objective <= first.bound < 1.0
+    assert f"OSQP {osqp.__version__}" in summary["solver"]
+    first = summary["stages"][0]
+    assert first["name"] == "apr"
+    assert first["objective"] <= first["bound"] < 1.0
     if solver == "auto":
-        assert first.gap == 0.0
+        assert first["gap"] == 0.0
