@@ -30,6 +30,7 @@ Examples:
   place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
   place-rsus export --layout a.json --scene city.osm --junction "A St / B Ave" \\
       --format gpkg --out a.gpkg
+  place-rsus export --calibration tsai.xml --format ros
   place-rsus export --run CPNC-50/east/40 --layout a.json \\
       --format cpm-uper --out cpm.bin"""
 
@@ -53,6 +54,24 @@ class _ExportCommand(click.Command):
     epilog=_NOTE + _EXPORT_EXAMPLES,
 )
 @options.layout_option
+@options.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help=(
+        "Real cameras with their lenses, in place of a layout: of OpenCV, ROS, KITTI or"
+        " Tsai."
+    ),
+)
+@options.option(
+    "--size",
+    type=click.IntRange(min=1),
+    nargs=2,
+    metavar="WIDTH HEIGHT",
+    needs="calibration",
+    expected="two numbers of pixels, at least 1",
+    help="With --calibration: of pictures, where the file does not tell.",
+)
 @options.option(
     "--format",
     "format_name",
@@ -117,6 +136,8 @@ def export(
     progress: StageProgress,
     *,
     layout_names: tuple[str, ...],
+    calibration: Path | None,
+    size: tuple[int, int] | None,
     format_name: str,
     question: "Question",
     run_id: str,
@@ -142,25 +163,42 @@ def export(
         raise click.UsageError(
             f"--out: got nothing; expected a file: {format_name} is no text"
         )
-    question = begin(progress, question, quiet=quiet)
-    layout = load_one_layout(layout_names)
-    compute = Compute(progress=progress)
-    asked = {
-        "release": release,
-        "crs": crs,
-        "views": find_views if views else None,
-        "pictures": compute if pictures else None,
-    }
-    content = export_layout(
-        layout,
-        format_name,
-        scene_path=question.scene,
-        run_id=run_id,
-        aimed=aimed.replace("-", " "),
-        compute=compute,
-        options={k: v for k, v in asked.items() if v is not None},
-    )
-    missing = [] if chosen.has_lidars else lidar_ids(layout)
+    missing: list[str] = []
+    if calibration is not None and layout_names:
+        raise click.UsageError(
+            "--calibration: got it with --layout; expected one of them"
+        )
+    content: str | bytes
+    if calibration is not None:
+        content = _convert(calibration, format_name, size)
+    else:
+        question = begin(progress, question, quiet=quiet)
+        layout = load_one_layout(layout_names)
+        compute = Compute(progress=progress)
+        if pictures:
+            drawn = compute
+        else:
+            drawn = None
+        asked = {
+            "release": release,
+            "crs": crs,
+            "views": find_views if views else None,
+        }
+        content = export_layout(
+            layout,
+            format_name,
+            scene_path=question.scene,
+            run_id=run_id,
+            aimed=aimed.replace("-", " "),
+            compute=compute,
+            options={
+                k: v for k, v in {**asked, "pictures": drawn}.items() if v is not None
+            },
+        )
+        if chosen.has_lidars:
+            missing = []
+        else:
+            missing = lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     write_result(out, content)
@@ -171,6 +209,22 @@ def export(
         and not quiet
     ):
         tell(chosen.told(content), err=True)
+
+
+def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> str:
+    """Cameras of a calibration in another format."""
+    from geometry.calibrations import read_cameras
+
+    from ..export.opencv import opencv_text
+    from ..export.ros import ros_text
+
+    if format_name not in ("opencv", "ros"):
+        got = f"got {format_name} beside --calibration; expected opencv or ros"
+        raise click.UsageError(f"--format: {got}")
+    found = read_cameras(path, size_px=size_px or None)
+    if format_name == "opencv":
+        return opencv_text(found, path.stem)
+    return ros_text(found)
 
 
 # ---------- for whoever mounts the units

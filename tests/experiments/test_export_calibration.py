@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from command_results import answer
 from export_layouts import awkward_layout, large_layout, level_layout
 from hypothesis import given
 from hypothesis import strategies as st
@@ -189,6 +190,42 @@ def test_yaml_texts_come_back(value):
     unit = replace(level_layout(0.0).units[0], id=value)
     text = to_ros(Layout(name="names", units=(unit,)))
     assert yaml.safe_load(text)["unit"] == value
+
+
+def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
+    path = tmp_path / "north.xml"
+    path.write_text(
+        "<opencv_storage><camera_matrix><data>1743 0 934 0 1735 444 0 0"
+        " 1</data></camera_matrix><distortion_coefficients><data>-0.4 0.6 0.008 0.001"
+        " -0.6</data></distortion_coefficients></opencv_storage>"
+    )
+    asked = ("export --calibration", path, "--size 1920 1080 --quiet --format")
+    out = answer(run(*asked, "ros"))
+    (document,) = yaml.safe_load_all(out)
+    assert document["distortion_coefficients"]["data"] == [
+        -0.4,
+        0.6,
+        0.008,
+        0.001,
+        -0.6,
+    ]
+    assert document["unit"] == "north"
+    assert document["distortion_model"] == "plumb_bob"
+    (tmp_path / "north.yaml").write_text(run(*asked, "opencv")[1])
+    again = run("export --calibration", tmp_path / "north.yaml", "--quiet --format ros")
+    assert again == (0, out, "")
+    assert run(*asked, "carla")[::2] == (
+        2,
+        (
+            "place-rsus: --format: got carla beside --calibration; expected opencv or"
+            " ros\n"
+        ),
+    )
+    both = run(*asked, "ros", "--layout carlancap-12")
+    assert (
+        both[2]
+        == "place-rsus: --calibration: got it with --layout; expected one of them\n"
+    )
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 90.0, 170.0, 190.0, 270.0])
