@@ -623,18 +623,15 @@ def _who_sees(evaluation: Evaluation, run_index: int) -> str:
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True
 )
-@click.option("--workers", type=int, default=2, show_default=True, help="Threads.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
-def main(out: Path, workers: int, quiet: bool) -> None:
+def main(out: Path) -> None:
     """Write reproduction.md.
 
     The study's figures, ours, and what ours depend on.
     """
     progress = StageProgress()
-    progress.start(quiet=quiet)
+    progress.start(quiet=False)
     try:
-        compute = Compute(workers=workers, progress=progress)
-        write_reproduction(out, compute=compute)
+        write_reproduction(out, compute=Compute(progress=progress))
     except InputError as error:
         click.echo(str(error), err=True)
         raise SystemExit(2) from None
