@@ -152,8 +152,6 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
     except OSError:
         # The disk is full, perhaps: then the text goes to the terminal.
         message += f". Please report it:\n{report}"
-    if progress.shows_tracebacks:
-        return f"{message}\n{text}"
     return message
 
 

@@ -99,8 +99,6 @@ class StageProgress:
         What is on disk if the program ends now, in words.
     is_verbose : bool
         Whether the seconds of each stage are told when it ends.
-    shows_tracebacks : bool
-        Whether an unexpected error is shown in full.
     """
 
     def __init__(self) -> None:
@@ -114,7 +112,6 @@ class StageProgress:
         self._prints_lines = False
         self._bar: Any = None
         self.is_verbose = False
-        self.shows_tracebacks = False
         # The signal that came.
         self.signum = 0
 

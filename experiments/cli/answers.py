@@ -328,7 +328,7 @@ def assumption_parts(result: Result) -> list[Part]:
 
 
 def _explained(result: PlacementResult) -> list[Part]:
-    """Why these units, and what each buys."""
+    """What fewer units give, and what is missed."""
     if result.front is None:
         return explanation_parts(result.explained)
     bought = Part(
@@ -613,18 +613,13 @@ _MAX_MISSED = 8
 
 
 def explanation_parts(explained: explanation.ExplainedRecord) -> list[Part]:
-    """What each unit is there for, and what is missed.
+    """What is missed, and why.
 
     Runs alike together, but for numbers.
     """
     groups = _alike(explained.not_avoided)
     n_left = sum(map(len, groups[_MAX_MISSED:]))
     return [
-        Part(
-            title=tr("Why these units, on the detection table:"),
-            words=explanation.contribution_sentences(explained),
-            table=explanation.contribution_table(explained),
-        ),
         Part(
             words=[" ".join(explanation.missed_sentences(explained))],
             notes=[

@@ -82,12 +82,6 @@ Examples:
 @click.command(cls=options.SectionedCommand, epilog=_COMPARE_EXAMPLES)
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
 @options.option(
-    "--layout",
-    "more_layouts",
-    multiple=True,
-    help="The same as an argument.",
-)
-@options.option(
     "--report",
     "--out",
     "out",
@@ -100,7 +94,6 @@ def compare(
     job: QuestionCall,
     *,
     layouts: tuple[str, ...],
-    more_layouts: tuple[str, ...],
     out: Path | None,
     sign: Path | None,
 ) -> None:
@@ -109,16 +102,15 @@ def compare(
     A layout is carlancap-12 or a layout file, such as layout.json in a folder of
     results. With --samples, differences have a 95 % interval.
     """
-    names = (*layouts, *more_layouts)
-    if len(names) < 2:
-        if names:
+    if len(layouts) < 2:
+        if layouts:
             given = "one layout"
         else:
             given = "nothing"
         raise click.UsageError(f"LAYOUT: got {given}; expected two layouts or more")
     from placement.layout import find_layout
 
-    found = _by_folder([find_layout(name, "LAYOUT") for name in names], names)
+    found = _by_folder([find_layout(name, "LAYOUT") for name in layouts], layouts)
     asked_question = job.question
     job = job.begin()
     from ..jobs import evaluation

@@ -43,7 +43,6 @@ def front_options(*asked: str) -> options.Decorator:
 _PARETO_EXAMPLES = """\b
 Examples:
   place-rsus pareto --max 8                        what each further unit buys
-  place-rsus pareto --max 4 --all-stages           time to spare, too
   place-rsus pareto --by cost --site-cost 2000     what more money buys
   place-rsus pareto --keep carlancap-12 --max 3    what more units buy there
   place-rsus pareto --max 5 --out results/pareto --json"""
@@ -64,14 +63,6 @@ Examples:
     type=click.Choice(["units", "cost"]),
     default="units",
     help="What there is more and more of: units, or money for units and sites.",
-)
-@options.option(
-    "--all-stages",
-    is_flag=True,
-    help=(
-        "Optimise time to spare and cost, too, not only the APR with and without a"
-        " failure."
-    ),
 )
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)

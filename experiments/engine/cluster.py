@@ -286,7 +286,6 @@ def start_local(
     n: int,
     *,
     max_bytes: int,
-    has_dashboard: bool,
     timeout_s: float,
     tell: Callable[[str], None],
 ) -> Iterator[Cluster]:
@@ -296,12 +295,9 @@ def start_local(
     are made for this call and are in no file.
     """
     security = Security.temporary()
-    settings = dict(_SETTINGS)
-    if has_dashboard:
-        del settings["distributed.scheduler.http.routes"]
     with (
         tempfile.TemporaryDirectory(prefix="place-rsus-") as folder,
-        dask.config.set(settings),
+        dask.config.set(_SETTINGS),
         LocalCluster(
             n_workers=n,
             threads_per_worker=1,
@@ -311,17 +307,15 @@ def start_local(
             security=security,
             dashboard_address=None,
             scheduler_kwargs={
-                "dashboard": has_dashboard,
+                "dashboard": False,
                 "dashboard_address": "127.0.0.1:0",
             },
             local_directory=folder,
             silence_logs=logging.CRITICAL,
         ) as cluster,
+        _connected(cluster.scheduler_address, security) as client,
     ):
-        if has_dashboard:
-            tell(tr("Dashboard: {link}", link=cluster.dashboard_link))
-        with _connected(cluster.scheduler_address, security) as client:
-            yield from _served(client, "local", timeout_s, tell)
+        yield from _served(client, "local", timeout_s, tell)
 
 
 @contextmanager

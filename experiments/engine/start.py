@@ -5,7 +5,6 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
@@ -44,8 +43,6 @@ class EngineWish:
         How long a scheduler may be without workers. [s]
     insecure_scheduler : bool
         A scheduler without TLS is taken, too.
-    dashboard : bool
-        With "local": dask's page about its workers is served, at 127.0.0.1.
     """
 
     workers: int = 1
@@ -56,13 +53,6 @@ class EngineWish:
     tls_key: Path | None = None
     scheduler_timeout: float = 60.0
     insecure_scheduler: bool = False
-    dashboard: bool = False
-
-    def __post_init__(self) -> None:
-        if self.dashboard and self.scheduler != LOCAL:
-            raise InputError(
-                "--dashboard", Unquoted("it without --scheduler local"), "both"
-            )
 
     def on_this_machine(self) -> "EngineWish":
         """Without a scheduler: for tasks that use a folder of this machine."""
@@ -101,8 +91,6 @@ def start_engine(
             finally:
                 processes.close()
         return
-    if wish.dashboard and find_spec("bokeh") is None:
-        raise MissingExtraError("--dashboard needs bokeh: pip install bokeh")
     address = _address_of(wish)
     try:
         from .cluster import connect, start_local
@@ -114,7 +102,6 @@ def start_engine(
         with start_local(
             max(n_workers, 1),
             max_bytes=wish.max_bytes or 0,
-            has_dashboard=wish.dashboard,
             timeout_s=wish.scheduler_timeout,
             tell=tell,
         ) as local:

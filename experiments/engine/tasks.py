@@ -191,28 +191,3 @@ def map_tasks(
             raise error
         else:
             yield task, failed(task, error)
-
-
-def answers_in_order(
-    function: Callable[..., _Answer],
-    tasks: Iterable[_Task],
-    *,
-    engine: Engine,
-    shared: tuple[Any, ...] = (),
-    tell: Callable[[int], None] = lambda n_done: None,
-) -> list[_Answer]:
-    """Answers in the order of the tasks; `tell` gets how many there are, one by one."""
-    numbered = list(enumerate(tasks))
-    answers: dict[int, _Answer] = {}
-    calls = map_tasks(
-        _answer_numbered, numbered, engine=engine, shared=(function, *shared)
-    )
-    for (number, _), answer in calls:
-        answers[number] = answer
-        tell(len(answers))
-    return [answers[number] for number, _ in numbered]
-
-
-def _answer_numbered(function: Callable[..., _Answer], *arguments: Any) -> _Answer:
-    *shared, (_, task) = arguments
-    return function(*shared, task)

@@ -40,13 +40,8 @@ FORMATS = {
         content="the layout file itself; place-rsus --layout",
     ),
     "csv": FormatEntry(
-        place="experiments.export.table:CSV",
+        place="experiments.export.csv:FORMAT",
         content="a row per unit; spreadsheets, pandas",
-    ),
-    "parquet": FormatEntry(
-        place="experiments.export.table:PARQUET",
-        content="the same table, typed; pandas, Arrow, DuckDB",
-        is_binary=True,
     ),
     "geojson": FormatEntry(
         place="experiments.export.geojson:FORMAT",

@@ -6,7 +6,6 @@ What each further unit, or more money, buys.
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
@@ -16,7 +15,7 @@ from geometry.scene_sources import load_scene
 from placement.compute import Compute
 from placement.optimiser import PlacementValue
 from placement.optimiser.cost_front import cost_front
-from placement.optimiser.front import FrontPoint, StageChoice, pareto_front
+from placement.optimiser.front import FrontPoint, pareto_front
 from placement.pipeline import assemble
 from placement.question import Question
 from placement.wishes import assumed_prices, load_prices
@@ -30,10 +29,7 @@ from ..progress import StageProgress
 from ..results.drives import RefusalRecord, build_drives_record, versions
 from ..results.folders import expect_files, save_files
 from ..results.record import Share
-from ..results.tables import csv_text
-
-if TYPE_CHECKING:
-    import pandas as pd
+from ..results.tables import records_csv
 
 CSV_NAME = "pareto.csv"
 JSON_NAME = "pareto.json"
@@ -65,7 +61,6 @@ def run_pareto(
     *,
     by: str,
     max_units: int,
-    all_stages: bool,
     out: Path | None,
     compute: Compute,
     command: str,
@@ -86,8 +81,6 @@ def run_pareto(
         See :class:`placement.optimiser.front.Front`.
     max_units : int
         Most units, beside those that are kept.
-    all_stages : bool
-        Optimise margins and cost, too.
     out : Path, optional
         Folder that gets ``pareto.csv``, ``pareto.json`` and ``pareto.png``; what else
         it holds stays.
@@ -130,8 +123,7 @@ def run_pareto(
         # That was asked for.
         assert most is not None
         find = partial(pareto_front, max_units=most, min_units=max(n_kept, 1))
-    stages: StageChoice = "all" if all_stages else "first"
-    front = find(problem, stages=stages, effort=plan.effort, on_point=tell)
+    front = find(problem, effort=plan.effort, on_point=tell)
     result = FrontResult(
         **fields_of(describe_front(front, problem, plan.candidates, n_kept=n_kept)),
         command=command,
@@ -147,16 +139,17 @@ def run_pareto(
 
     def files(done: FrontResult) -> dict[str, str | bytes]:
         drawn = to_png(plot_front(done))
-        tables = {CSV_NAME: csv_text(front_table(done)), JSON_NAME: to_json_text(done)}
+        tables = {
+            CSV_NAME: records_csv(front_rows(done)),
+            JSON_NAME: to_json_text(done),
+        }
         return {**tables, PNG_NAME: drawn}
 
     return save_files(result, out, progress, files)
 
 
-def front_table(front: FrontRecord) -> "pd.DataFrame":
+def front_rows(front: FrontRecord) -> list[dict[str, object]]:
     """A row per point; the bound of what was not optimised is missing."""
-    import pandas as pd
-
     rows = []
     for point in front.points:
         row: dict[str, object] = {"units": point.units}
@@ -166,4 +159,4 @@ def front_table(front: FrontRecord) -> "pd.DataFrame":
         rows.append(
             row | {"is_proven": point.is_proven, "poses": " ".join(point.pose_ids)}
         )
-    return pd.DataFrame(rows)
+    return rows

@@ -28,9 +28,9 @@ from placement.sampling.out_of_sample import out_of_sample_layouts
 from placement.setting import build_setting
 from placement.wishes import assumed_prices
 
+from ..export.csv import to_csv
 from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
-from ..export.table import to_csv
 from ..language import language, mark
 from ..parts import alternatives, bill_of_materials
 from ..parts.baselines import build_baselines, compare_placement

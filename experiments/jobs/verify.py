@@ -43,8 +43,8 @@ from placement.verification.instances import load_stored_problem, misnamed_pose
 from placement.verification.recomputation import stage_values
 from placement.verification.verify import verify_certificate
 
+from ..export.csv import to_csv
 from ..export.geojson import to_geojson
-from ..export.table import to_csv
 from ..language import mark
 from ..parts import bill_of_materials, certified
 from ..parts.comparison import GREEDY

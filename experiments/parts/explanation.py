@@ -1,10 +1,10 @@
-"""Why these poses, what they miss, and what refinement changed.
+"""What a layout misses, and what refinement changed.
 
 Sentences, tables, sections.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, cast
 
@@ -12,8 +12,7 @@ import msgspec
 
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
-from placement.detection_table import plain_run
-from placement.explain.contributions import NextUnit, find_contributions
+from placement.explain.contributions import NextUnit
 from placement.explain.unavoided import Cause, Reason, Unavoided, find_unavoided
 from placement.optimiser.problem import Objective
 from placement.pipeline import Placement
@@ -23,10 +22,7 @@ from placement.setting import Setting
 from ..language import mark, tr, trn
 from ..results.numbers import NOTHING, count_runs, joined, number, percent, points
 from ..results.record import (
-    LayoutValueRecord,
     Record,
-    RunId,
-    Share,
     StageName,
     StageValues,
     says,
@@ -39,32 +35,12 @@ _MAX_UNFOLDED = 12
 _MAX_DIGITS = 6
 
 
-class ContributionRecord(Record, frozen=True, kw_only=True):
-    """Contribution of a unit to the others, on the detection table."""
-
-    unit: Annotated[str, says("Id in the layout.")]
-    only_runs: Annotated[
-        tuple[RunId, ...],
-        says(
-            "Runs with weight avoided only with it; # and the number of a sampled world"
-            " behind."
-        ),
-    ]
-    marginal_apr: Annotated[Share, says("APR of all less that of the others.")]
-    mean_delay_s: Annotated[
-        float, says("Later confirmation without it, on average, in seconds.")
-    ]
-    max_delay_s: Annotated[float, says("The most of it in any run, in seconds.")]
-    without: Annotated[LayoutValueRecord, says("What the others are worth.")]
-
-
 class ExplainedRecord(Record, frozen=True, kw_only=True):
-    """Why these units, and what they miss, on the detection table.
+    """What the units miss, and why, on the detection table.
 
     Runs of weight 0 do not count.
     """
 
-    contributions: Annotated[tuple[ContributionRecord, ...], says("One for each unit.")]
     not_avoided: Annotated[
         tuple[Unavoided, ...], says("Runs not avoided, in their order.")
     ]
@@ -85,10 +61,9 @@ def build_explained_record(
     Runs that are not avoided are those of the world as planned; where worlds were
     sampled, nobody looks for what would save them.
     """
-    problem = placement.problem
     chosen = placement.pose_index
     nominal = placement.nominal
-    table = problem.table
+    table = placement.problem.table
     names = {
         table.pose_ids[pose]: unit.id
         for pose, unit in zip(chosen, placement.layout.units, strict=True)
@@ -102,80 +77,11 @@ def build_explained_record(
         compute=compute,
     )
     return ExplainedRecord(
-        contributions=tuple(
-            ContributionRecord(
-                unit=names[table.pose_ids[part.pose_index]],
-                only_runs=tuple(
-                    dict.fromkeys(
-                        plain_run(table.axis.run_ids[run]) for run in part.only_runs
-                    )
-                ),
-                marginal_apr=part.marginal_apr,
-                mean_delay_s=part.mean_delay_s,
-                max_delay_s=part.max_delay_s,
-                without=LayoutValueRecord(**part.without._asdict()),
-            )
-            for part in find_contributions(problem, chosen)
-        ),
         not_avoided=tuple(
             replace(entry, unit=names.get(entry.unit, entry.unit)) for entry in missed
         ),
         runs_without_weight=int((nominal.table.axis.weight == 0.0).sum()),
     )
-
-
-def contribution_sentences(explained: ExplainedRecord) -> list[str]:
-    """Sentences on the units that something depends on.
-
-    And on what is counted.
-    """
-    sentences = _dependence(explained)
-    saved = [part.only_runs for part in explained.contributions]
-    if any("#" in run for runs in saved for run in runs):
-        sentences.append(tr("Runs count once in each of the sampled worlds."))
-    return sentences
-
-
-def _dependence(explained: ExplainedRecord) -> list[str]:
-    parts = explained.contributions
-    needed = [part for part in parts if part.only_runs]
-    if all(part.without.apr + part.marginal_apr <= 0.0 for part in parts):
-        return [
-            trn("This unit avoids nothing.", "These units avoid nothing.", len(parts))
-        ]
-    if len(parts) == 1:
-        if parts[0].without.apr == 0.0:
-            return [tr("Every avoided run depends on this one unit.")]
-        n = len(parts[0].only_runs)
-        return [
-            trn(
-                "{n} run depends on this one unit.",
-                "{n} runs depend on this one unit.",
-                n,
-            )
-        ]
-    if not needed:
-        return [
-            trn(
-                "No run depends on a single unit: if either fails, the other still "
-                "avoids every run that both avoid together. Each unit adds time to "
-                "spare.",
-                "No run depends on a single unit: if any one fails, the others still "
-                "avoid every run that all avoid together. Each unit adds time to "
-                "spare.",
-                len(parts) - 1,
-            )
-        ]
-    if len(needed) == len(parts):
-        return [tr("Each unit avoids runs that no other unit avoids.")]
-    return [
-        trn(
-            "{n} of the {n_units} units avoids runs that no other unit avoids.",
-            "{n} of the {n_units} units avoid runs that no other unit avoids.",
-            len(needed),
-            n_units=len(parts),
-        )
-    ]
 
 
 def missed_sentences(explained: ExplainedRecord) -> list[str]:
@@ -267,41 +173,6 @@ def outcome_words(outcome: str) -> str:
     return tr(_OUTCOMES[outcome])
 
 
-def contribution_table(
-    explained: ExplainedRecord, labels: Mapping[str, str] | None = None
-) -> Table:
-    """Contributions, a row for each unit.
-
-    `labels` are short names of the units, by id.
-    """
-    names = labels or {}
-    rows = []
-    for part in explained.contributions:
-        others = part.without
-        times_s = [others.smallest_margin_s, others.mean_margin_s]
-        times_s += [part.mean_delay_s, part.max_delay_s]
-        shares = percent(part.marginal_apr), percent(others.apr)
-        shown = [number(time_s) if others.apr > 0.0 else NOTHING for time_s in times_s]
-        name = names.get(part.unit, part.unit)
-        n_saved = str(len(part.only_runs))
-        rows.append([name, n_saved, *shares, *shown])
-    return Table(
-        caption=tr("What each unit contributes (on the detection table)"),
-        columns=[
-            tr("unit"),
-            tr("runs that only this unit avoids"),
-            tr("APR it adds"),
-            tr("APR without it"),
-            tr("smallest time to spare without it (s)"),
-            tr("mean time to spare without it (s)"),
-            tr("later without it, mean (s)"),
-            tr("later, at most (s)"),
-        ],
-        rows=rows,
-        numeric=range(1, 8),
-    )
-
-
 def missed_table(explained: ExplainedRecord) -> Table:
     """Runs that are not avoided, why, and what would save them.
 
@@ -355,18 +226,8 @@ def _rescue(entry: Unavoided) -> str:
     return tr(where, unit=rescue.unit, away=away, spare=spare)
 
 
-def explanation_sections(
-    explained: ExplainedRecord | None, labels: Mapping[str, str]
-) -> list[Section]:
-    """Why these poses, and what they miss.
-
-    None without an optimiser. `labels` of units by id.
-    """
-    if not explained:
-        return []
-    why = [tr("Each unit is removed in turn (on the detection table).")]
-    why += contribution_sentences(explained)
-    table = contribution_table(explained, labels)
+def missed_section(explained: ExplainedRecord) -> Section:
+    """What the poses miss, and why."""
     missed: list[Block] = [" ".join(missed_sentences(explained))]
     if explained.not_avoided:
         missed += [
@@ -379,10 +240,7 @@ def explanation_sections(
                 "next to those chosen; its price is ignored."
             ),
         ]
-    return [
-        Section("why", tr("Why these poses"), [" ".join(why), table]),
-        Section("missed", tr("Runs that are not avoided"), missed),
-    ]
+    return Section("missed", tr("Runs that are not avoided"), missed)
 
 
 class MoveRecord(Record, frozen=True, kw_only=True):

@@ -130,7 +130,7 @@ def table(front: FrontRecord) -> Table:
 
 def notes(front: FrontRecord) -> list[str]:
     """How the table is to be read."""
-    star = tr("* of this layout, but not optimised; --all-stages optimises it.")
+    star = tr("* of this layout, but not optimised.")
     columns = tr(
         "gain: percentage points of APR over the row above; one fails: APR if "
         "the most needed unit fails; least, mean: time to spare in the avoided "

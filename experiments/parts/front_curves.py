@@ -1,4 +1,4 @@
-"""The front as a figure: shares and times over the number of units or money."""
+"""The front as a figure: shares over the number of units or money."""
 
 import math
 from typing import Any
@@ -21,44 +21,25 @@ _CURVES: dict[str, Style] = {
     "apr": {"label": mark("APR")} | _SOLID,
     "apr_one_failed": {"label": mark("APR when the most needed unit fails")} | _DASHED,
 }
-_TIMES: dict[str, Style] = {
-    "smallest_margin_s": {"label": mark("smallest")} | _SOLID,
-    "mean_margin_s": {"label": mark("mean")} | _DASHED,
-}
 
 
 def plot_front(front: FrontRecord) -> Axes:
     """APR and APR when one unit fails against units or euros.
 
-    Times to spare where optimised.
-
-    The axes are those of the shares; the times have axes below. Filled markers are
-    layouts found. Open ones are bounds that no layout exceeds, where they are higher; a
-    bar spans the gap. Where nothing grows any more, the ground is grey.
+    Filled markers are layouts found. Open ones are bounds that no layout exceeds, where
+    they are higher; a bar spans the gap. Where nothing grows any more, the ground is
+    grey.
     """
-    has_times = front.optimised == "all"
-    figure = new_figure(WIDTH_IN, 4.9 if has_times else 3.4)
-    if has_times:
-        ratios = [3, 2]
-    else:
-        ratios = [3]
-    panels = figure.subplots(
-        len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios
-    )[:, 0]
-    shares: Axes = panels[0]
-    handles = _draw(shares, front, _CURVES, scale=100.0)
+    figure = new_figure(WIDTH_IN, 3.4)
+    shares: Axes = figure.add_subplot()
+    handles = _draw(shares, front)
     shares.set_ylabel(tr("share of the runs avoided (%)"), fontsize=8)
     shares.set_ylim(-4.0, 104.0)
-    if has_times:
-        times = _draw(panels[1], front, _TIMES, scale=1.0)
-        panels[1].set_ylabel(tr("time to spare (s)"), fontsize=8)
-        panels[1].set_ylim(bottom=min(0.0, panels[1].get_ylim()[0]))
-        panels[1].legend(handles=times[:2], fontsize=8, frameon=False, loc="best")
     if front.by == "units":
         x_label = tr("units")
     else:
         x_label = tr("cost (EUR)")
-    panels[-1].set_xlabel(x_label, fontsize=8)
+    shares.set_xlabel(x_label, fontsize=8)
     if not front.is_proven:
         style: Style = {
             "mfc": "none",
@@ -78,10 +59,8 @@ def plot_front(front: FrontRecord) -> Axes:
     return shares
 
 
-def _draw(
-    axes: Axes, front: FrontRecord, curves: dict[str, Style], *, scale: float
-) -> list[Any]:
-    """Draw curves; returns the entries of the legend."""
+def _draw(axes: Axes, front: FrontRecord) -> list[Any]:
+    """Draw the curves; returns the entries of the legend."""
     points = front.points
     by_units = front.by == "units"
     x = np.array(
@@ -94,10 +73,10 @@ def _draw(
     handles: list[Any] = []
     if front.settled is not None:
         axes.axvspan(front.settled, end, color=_SETTLED, zorder=0, lw=0, gid="settled")
-    for order, (name, style) in enumerate(curves.items()):
-        values = scale * np.array([getattr(point, name) for point in points])
-        bounds = scale * np.array([_bound(point, name) for point in points])
-        is_open = bounds > values + 1.0e-9 * scale
+    for order, (name, style) in enumerate(_CURVES.items()):
+        values = 100.0 * np.array([getattr(point, name) for point in points])
+        bounds = 100.0 * np.array([_bound(point, name) for point in points])
+        is_open = bounds > values + 1.0e-7
         # The later curve's markers are smaller: where both coincide, both are seen.
         size = 8.0 - 3.0 * order
         colour = style["color"]

@@ -41,7 +41,7 @@ from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import expect_files, save_files
 from ..results.record import Record, UnitRecord, build_unit_records
-from ..results.tables import csv_text
+from ..results.tables import records_csv
 
 CSV_NAME = "latency.csv"
 PNG_NAME = "latency.png"
@@ -182,12 +182,13 @@ def run_latency(
     )
 
     def files(done: LatencyResult) -> dict[str, str | bytes]:
-        import pandas as pd
-
-        by_party = {name: party.apr for name, party in done.parties.items()}
-        table = pd.DataFrame({"latency_s": latencies_s, **by_party})
+        rows = [
+            {"latency_s": latency_s}
+            | {name: party.apr[index] for name, party in done.parties.items()}
+            for index, latency_s in enumerate(latencies_s)
+        ]
         png = to_png(plot_latency(latencies_s, done.parties, chosen))
-        return {CSV_NAME: csv_text(table), PNG_NAME: png}
+        return {CSV_NAME: records_csv(rows), PNG_NAME: png}
 
     return save_files(result, out, progress, files)
 

@@ -225,7 +225,7 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
     disagreements: Annotated[
         tuple[Disagreement, ...], says("These runs, and why they disagree.")
     ]
-    explained: Annotated[ExplainedRecord, says("Why these units, and what they miss.")]
+    explained: Annotated[ExplainedRecord, says("What the units miss, and why.")]
     front: Annotated[
         FrontRecord | None, says("Best layouts of smaller sizes; may be null.")
     ] = None

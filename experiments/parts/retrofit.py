@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
@@ -50,12 +50,10 @@ from ..results.record import (
     build_unit_records,
     says,
 )
-from ..results.tables import csv_text
+from ..results.tables import records_csv
 from .section import Table
 from .units import tilt_words
 
-if TYPE_CHECKING:
-    import pandas as pd
 _WORDS_WIDTH = 26
 CSV_NAME = "retrofit.csv"
 JSON_NAME = "retrofit.json"
@@ -298,24 +296,17 @@ def run_retrofit(
         out,
         progress,
         lambda done: {
-            CSV_NAME: csv_text(retrofit_table(done)),
+            CSV_NAME: records_csv(change_rows(done)),
             JSON_NAME: to_json_text(done),
         },
     )
 
 
-def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
-    """One row per change.
+def change_rows(result: RetrofitResult) -> list[dict[str, object]]:
+    """Fields of each change; the first row is what is mounted.
 
-    Returns
-    -------
-    table : DataFrame
-        Columns kind, change, price_eur, apr, apr_one_failed, smallest_margin_s,
-        mean_margin_s, apr_cars_see, gained, lost (run ids with spaces between),
-        is_better, is_proven. The first row is what is mounted.
+    Run ids have spaces between.
     """
-    import pandas as pd
-
     before = {
         name: value
         for name, value in fields_of(result.before).items()
@@ -338,7 +329,7 @@ def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
         for kind, changes in _by_kind(result).items()
         for change in changes
     ]
-    return pd.DataFrame(rows)
+    return rows
 
 
 def _at_price(visit_eur: float) -> Labour:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, astuple, fields, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -26,22 +26,10 @@ from placement.sampling.uncertainty import (
     Uncertainty,
 )
 
-from ..figures.axes import (
-    BLUE,
-    WIDTH_IN,
-    Style,
-    finish_axes,
-    literal,
-    new_axes,
-    write_beside,
-)
 from ..language import localized, mark, tr, trn
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
-from .section import Picture, Section, Table, build_picture, tabulate
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from .section import Section, Table, tabulate
 
 _MAX_LEAST_SURE_RUNS = 5
 # worlds that a tail must have: with fewer, choosing for the mean has better tails
@@ -66,7 +54,6 @@ _AS_THEY_ARE = (
     ),
 )
 _MAX_NAME_LENGTH = 32
-_ROW_IN = 0.27
 
 
 class UncertaintyRecord(Record, frozen=True, kw_only=True):
@@ -709,65 +696,6 @@ def _points(share: float | None) -> float:
     return 100.0 * or_nan(share)
 
 
-def sampled_picture(found: SampledRecord) -> Picture:
-    """Picture of the layouts' APR."""
-    return build_picture(
-        plot_sampled_apr(found),
-        title=tr("APR in sampled worlds"),
-        caption=tr(
-            "Worlds that were not used for the choice. Drawn at random: {drawn}.",
-            drawn=what_is_uncertain(found),
-        ),
-        alt=tr(
-            "Intervals. {sentences}", sentences=" ".join(uncertainty_sentences(found))
-        ),
-    )
-
-
-def sampled_section(found: SampledRecord, picture: Picture) -> Section:
+def sampled_section(found: SampledRecord) -> Section:
     """The layouts in sampled worlds."""
-    return Section(
-        "sampled", tr("If the world is not as planned"), [picture, table(found)]
-    )
-
-
-def plot_sampled_apr(found: SampledRecord) -> "Axes":
-    """A row per layout: its mean with the 95 % interval.
-
-    Thin line: from worst to best world.
-    """
-    layouts = found.layouts
-    axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(layouts))
-    for row, layout in enumerate(layouts):
-        worlds = [_points(share) for share in layout.apr_by_sample]
-        dotted: Style = {
-            "color": "#999999",
-            "linewidth": 1.0,
-            "linestyle": (0, (1.0, 1.5)),
-        }
-        axes.hlines(row, min(worlds), max(worlds), zorder=2, **dotted)
-        mean, low, high = (
-            _points(share) for share in (layout.mean, layout.low, layout.high)
-        )
-        dot: Style = {
-            "marker": "o",
-            "markersize": 6.0,
-            "linestyle": "none",
-            "color": BLUE,
-        }
-        bar: Style = {"elinewidth": 1.6, "capsize": 4.0, "zorder": 3}
-        axes.errorbar([mean], [row], xerr=[[mean - low], [high - mean]], **bar, **dot)
-        to_the_right: Style = {
-            "away_pt": (4.0, 0.0),
-            "xycoords": ("axes fraction", "data"),
-        }
-        write_beside(axes, percent(layout.mean), (1.0, row), **to_the_right)
-    names = [literal(shortened(one.name, _MAX_NAME_LENGTH)) for one in layouts]
-    axes.set_yticks(range(len(layouts)), names, fontsize=8)
-    axes.set_ylim(len(layouts) - 0.5, -0.5)
-    words = tr(
-        "share of the accidents avoided, APR (%)\nmean and its 95 % "
-        "interval; dotted: from the worst to the best world"
-    )
-    finish_axes(axes, x=words, grid="x")
-    return axes
+    return Section("sampled", tr("If the world is not as planned"), [table(found)])

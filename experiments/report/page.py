@@ -40,11 +40,11 @@ from ..parts.assumptions import again_section, assumption_sentences, assumptions
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
 from ..parts.camera_views import camera_views
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
-from ..parts.explanation import explanation_sections
+from ..parts.explanation import missed_section
 from ..parts.first_screen import build_first_screen
 from ..parts.player import interactive_part
 from ..parts.result import PlacementResult, Result
-from ..parts.sampled_worlds import sampled_picture, sampled_section
+from ..parts.sampled_worlds import sampled_section
 from ..parts.section import Picture, Section
 from ..parts.units import build_plans, private_ground_section, units_section
 
@@ -56,7 +56,7 @@ _IN_SIGHT = (
     *("decision", "sampled", "private-ground"),
 )
 _FOLDED = (
-    *("proof", "comparison", "why", "models", "study-cases", "missed"),
+    *("proof", "comparison", "models", "study-cases", "missed"),
     *("road-users", "alone", "assumptions", "cases", "runs", "again"),
 )
 
@@ -97,13 +97,9 @@ def write_report(
     evaluations: Mapping[str, Evaluation],
     **options: Any,
 ) -> Path:
-    """Write the page of :func:`build_report` and its PNG files.
-
-    Those are the plan and the APR in sampled worlds.
-    """
-    page, pictures = build_report(result, setting, evaluations, **options)
-    for name, picture in pictures.items():
-        write_atomically(folder / f"{name}.png", base64.b64decode(picture.image))
+    """Write the page of :func:`build_report`, and its plan as a file."""
+    page, plan = build_report(result, setting, evaluations, **options)
+    write_atomically(folder / "plan.png", base64.b64decode(plan.image))
     path = folder / FILE_NAME
     write_atomically(path, page)
     return path
@@ -117,8 +113,8 @@ def build_report(
     command: str,
     bill: BillOfMaterials | None = None,
     cache_folder: Path | None = None,
-) -> tuple[str, dict[str, Picture]]:
-    """A result as one HTML page, and its pictures worth a file, by name.
+) -> tuple[str, Picture]:
+    """A result as one HTML page, and its plan.
 
     The page loads nothing.
 
@@ -134,7 +130,6 @@ def build_report(
     plan, *plans = build_plans(
         setting, drawn, others, result.existing, cache_folder=cache_folder
     )
-    pictures = {"plan": plan}
     bill = bill or build_bill(subject.layout, setting.scene)
     labels = unit_labels(subject.layout)
     layouts = {name: item.layout for name, item in shown.items()}
@@ -174,11 +169,13 @@ def build_report(
         ),
     ]
     if isinstance(result, PlacementResult):
-        sections += explanation_sections(result.explained, labels)
-        sections += [proof.section(result), proof.agreement_section(result)]
+        sections += [
+            missed_section(result.explained),
+            proof.section(result),
+            proof.agreement_section(result),
+        ]
     if result.sampled:
-        pictures["sampled_apr"] = sampled_picture(result.sampled)
-        sections.append(sampled_section(result.sampled, pictures["sampled_apr"]))
+        sections.append(sampled_section(result.sampled))
     page = page_template().render(
         title=answer.title(result, setting, shown),
         first=build_first_screen(
@@ -195,7 +192,7 @@ def build_report(
         sections=_in_order(sections),
         interactive=interactive_part(setting, shown, cache_folder=cache_folder),
     )
-    return page, pictures
+    return page, plan
 
 
 def _shown(

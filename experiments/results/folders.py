@@ -349,15 +349,20 @@ def expect_results(
 
     Raises InputError: it cannot be written, or the key `sign` cannot sign it.
     """
-    if sign is not None and out is None:
-        raise InputError("--sign", str(sign), "--out as well, a folder to sign")
-    if sign is not None:
-        check_signing_key(sign)
+    _check_key(sign, out)
     if out is not None:
         check_result_folder(out)
         progress.kept = f"nothing was written to {out}"
         if (out / MARKER).exists():
             progress.kept = f"the earlier results in {out} are unchanged"
+
+
+def _check_key(sign: Path | None, out: Path | None) -> None:
+    """Raise InputError if a key is given that cannot sign, or nothing to sign."""
+    if sign is not None and out is None:
+        raise InputError("--sign", str(sign), "--out as well, a folder to sign")
+    if sign is not None:
+        check_signing_key(sign)
 
 
 def unwritable(folder: Path, error: Exception, more: str = "") -> InputError:
@@ -404,10 +409,7 @@ def expect_files(
 
     Raises InputError: it cannot be written, or the key `sign` cannot sign its files.
     """
-    if sign is not None and out is None:
-        raise InputError("--sign", str(sign), "--out as well, a folder to sign")
-    if sign is not None:
-        check_signing_key(sign)
+    _check_key(sign, out)
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"

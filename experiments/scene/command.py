@@ -222,8 +222,7 @@ Examples:
     "--out",
     type=click.Path(path_type=Path),
     help=(
-        "Folder for plan.png and view.png; of a map for junctions.html, to choose one;"
-        " else none."
+        "Folder for plan.png; of a map for junctions.html, to choose one; else none."
     ),
 )
 @options.option(

@@ -1,4 +1,4 @@
-"""Pictures: plan and view of a scene, and the junctions of a map."""
+"""Pictures: the plan of a scene, and the junctions of a map."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -16,32 +16,13 @@ from geometry.junction import build_junction
 from geometry.lines import points_at
 from geometry.maps.importing import Surveyed
 from geometry.maps.source_map import SourceMap
-from geometry.poses import camera_rotation
-from geometry.raycast import build_caster
-from geometry.scene import Scene, road_area
+from geometry.scene import Scene
 
 from ..figures.axes import BLUE, WIDTH_IN, finish_axes, literal, new_axes, show_square
 from ..figures.labels import TextLabel, arm_names, draw_labels
 from ..figures.plan import draw_scene
 from . import CAUSES
 
-_COLOURS = {
-    "ground": (0.93, 0.92, 0.89),
-    "building": (0.80, 0.74, 0.66),
-    "wall": (0.52, 0.50, 0.49),
-    "vegetation": (0.55, 0.70, 0.48),
-    "parked vehicle": (0.66, 0.66, 0.68),
-    "lamp post": (0.25, 0.25, 0.30),
-    "traffic light": (0.75, 0.30, 0.10),
-}
-_ROAD = (0.70, 0.70, 0.71)
-_SKY = (0.97, 0.98, 1.0)
-_SUN = np.array([0.45, -0.55, 0.70]) / np.linalg.norm([0.45, -0.55, 0.70])
-_WIDTH_PX = 1200
-_HEIGHT_PX = 800
-_VIEW_DEG = 42.0
-_PITCH_DEG = -50.0
-_YAW_DEG = 60.0
 # Of buildings; more are not drawn.
 _MAX_TRIANGLES = 400_000
 _ROADS = "#b8b8b8"
@@ -95,22 +76,6 @@ def plot_scene_plan(scene: Scene) -> Axes:
     return axes
 
 
-def plot_scene_view(scene: Scene) -> Axes:
-    """View of a scene from a height in the south-west.
-
-    Ray-cast, shaded by the sun's direction.
-    """
-    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
-    picture = _cast_view(
-        scene, middle, distance_m=2.6 * min(_half_size_m(scene, middle), 70.0)
-    )
-    axes = new_axes(WIDTH_IN, WIDTH_IN * _HEIGHT_PX / _WIDTH_PX)
-    axes.imshow(picture)
-    axes.set_axis_off()
-    axes.set_title(literal(f"{scene.name}, seen from the south-west"), fontsize=10)
-    return axes
-
-
 def _half_size_m(scene: Scene, middle_m: FloatArray) -> float:
     is_thing = np.array([thing.class_name != "ground" for thing in scene.instances])
     corners = scene.vertices_m[scene.triangles[is_thing[scene.triangle_instance]]][
@@ -138,56 +103,6 @@ def _draw_direction(axes: Axes, points_m: FloatArray, *, is_in: bool) -> None:
         arrowprops={"arrowstyle": "-|>", "color": "#333333", "linewidth": 0.9},
         zorder=4,
     )
-
-
-def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> FloatArray:
-    """Colours of every pixel, (height, width, 3), 0 .. 1."""
-    # Camera: x right, y down, z ahead.
-    rotation = camera_rotation(_YAW_DEG, _PITCH_DEG)
-    position = -distance_m * rotation[:, 2]
-    focal = 0.5 * _WIDTH_PX / np.tan(np.radians(0.5 * _VIEW_DEG))
-    u, v = np.meshgrid(np.arange(_WIDTH_PX) + 0.5, np.arange(_HEIGHT_PX) + 0.5)
-    rays = np.stack(
-        [
-            (u - 0.5 * _WIDTH_PX) / focal,
-            (v - 0.5 * _HEIGHT_PX) / focal,
-            np.ones_like(u),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
-    vectors = (rays @ rotation.T * (4.0 * distance_m)).astype(np.float32)
-    vertices = scene.vertices_m - [*middle_m, 0.0]
-    caster = build_caster(vertices, scene.triangles)
-    origins = np.broadcast_to(position.astype(np.float32), vectors.shape)
-    share, triangle = caster.first_triangle(np.ascontiguousarray(origins), vectors)
-    is_hit = triangle >= 0
-    picture = np.tile(np.array(_SKY), (len(vectors), 1))
-    hit = triangle[is_hit]
-    corners = vertices[scene.triangles[hit]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1.0e-12)
-    # Which way a triangle winds does not matter here: the side that is seen is lit.
-    normal *= -np.sign((normal * vectors[is_hit]).sum(axis=1, keepdims=True))
-    point = origins[is_hit] + share[is_hit, None] * vectors[is_hit]
-    to_sun = np.broadcast_to((300.0 * _SUN).astype(np.float32), point.shape)
-    lifted = (point + 0.05 * normal).astype(np.float32)
-    in_shadow = caster.is_blocked(
-        np.ascontiguousarray(lifted), np.ascontiguousarray(to_sun)
-    )
-    light = 0.55 + 0.45 * np.where(in_shadow, 0.0, np.clip(normal @ _SUN, 0.0, 1.0))
-    of_instance = scene.triangle_instance[hit]
-    colour = np.array([_COLOURS[thing.class_name] for thing in scene.instances])[
-        of_instance
-    ]
-    on_road = np.array([thing.class_name == "ground" for thing in scene.instances])[
-        of_instance
-    ]
-    road = road_area(scene)
-    shapely.prepare(road)
-    on_road[on_road] = shapely.contains_xy(road, *(point[on_road, :2] + middle_m).T)
-    colour[on_road] = _ROAD
-    picture[is_hit] = colour * light[:, None]
-    return np.asarray(np.clip(picture, 0.0, 1.0).reshape(_HEIGHT_PX, _WIDTH_PX, 3))
 
 
 def build_street_map(

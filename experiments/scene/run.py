@@ -41,10 +41,9 @@ from ..language import mark
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder, write_files
 from ..results.record import Record
-from .pictures import junctions_page, plot_scene_plan, plot_scene_view
+from .pictures import junctions_page, plot_scene_plan
 
 PLAN_NAME = "plan.png"
-VIEW_NAME = "view.png"
 JUNCTIONS_PAGE = "junctions.html"
 _STUDY = "town05"
 # A millimetre.
@@ -306,10 +305,7 @@ def _check_target(out: Path, *, is_zip: bool) -> None:
 
 
 def _pictures(scene: Scene) -> dict[str, bytes]:
-    return {
-        PLAN_NAME: to_png(plot_scene_plan(scene)),
-        VIEW_NAME: to_png(plot_scene_view(scene)),
-    }
+    return {PLAN_NAME: to_png(plot_scene_plan(scene))}
 
 
 def _fetch(bbox: str, path: Path) -> Path:

@@ -40,13 +40,10 @@ from scenarios.positions import AT_ZERO, Position, is_bound, read_position
 from scenarios.runs import Run, build_frame_axis, build_runs
 from scenarios.weights import weight_per_run
 
-from ..cli.options import engine_options
-from ..engine.start import EngineWish, start_engine
-from ..engine.tasks import answers_in_order
 from ..figures.axes import to_png
 from ..figures.evaluation import plot_heatmaps
 from ..language import mark
-from ..progress import StageProgress, tell
+from ..progress import StageProgress
 from ..results.numbers import percent
 from ..results.tables import page_of
 
@@ -365,9 +362,6 @@ def load_published() -> Published:
     return msgspec.convert(table, Published)
 
 
-_IN_THIS_PROCESS = EngineWish()
-
-
 def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
     """Figures that the study publishes or leaves open.
 
@@ -390,13 +384,8 @@ def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
     return found
 
 
-def write_reproduction(
-    folder: Path, *, compute: Compute, engine: EngineWish = _IN_THIS_PROCESS
-) -> None:
-    """Evaluate all variants and weathers, and write ``reproduction.md``.
-
-    With a scheduler, `engine` says where; else this process does, with its threads.
-    """
+def write_reproduction(folder: Path, *, compute: Compute) -> None:
+    """Evaluate all variants and weathers, and write ``reproduction.md``."""
     variants = build_variants()
     additional = build_additional_variants()
     in_weathers = []
@@ -404,18 +393,13 @@ def write_reproduction(
         question = replace(AS_STUDIED, weather=",".join(WEATHERS), detector=detector)
         setting = build_setting(question, variants[0].setting.scene)
         in_weathers.append(replace(variants[0], setting=setting))
-    tasks = [*variants, *in_weathers, *additional]
-    told = mark("evaluate variants")
-    with start_engine(engine, n_tasks=len(tasks), tell=tell) as started:
-        n_threads = compute.workers if started.is_here else 1
-        quiet = replace(compute, progress=silent, workers=n_threads)
-        compute.progress(told, 0, len(tasks))
-        all_found = answers_in_order(
-            _evaluate_variant,
-            tasks,
-            engine=started,
-            shared=(quiet,),
-            tell=lambda n_done: compute.progress(told, n_done, len(tasks)),
+    every = [*variants, *in_weathers, *additional]
+    quiet = replace(compute, progress=silent)
+    all_found = []
+    for n_done, variant in enumerate(every):
+        compute.progress(mark("evaluate variants"), n_done, len(every))
+        all_found.append(
+            evaluate_layout(variant.layout, variant.setting, compute=quiet)
         )
     n_weathers = len(variants) + len(DETECTORS)
     evaluations = all_found[: len(variants)]
@@ -444,10 +428,6 @@ def write_reproduction(
     )
     write_atomically(folder / "reproduction_heatmaps.png", picture)
     write_atomically(folder / "reproduction.md", text)
-
-
-def _evaluate_variant(compute: Compute, variant: StudyVariant) -> Evaluation:
-    return evaluate_layout(variant.layout, variant.setting, compute=compute)
 
 
 _Figures = Mapping[tuple[str, str], float]
@@ -643,20 +623,15 @@ def _who_sees(evaluation: Evaluation, run_index: int) -> str:
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True
 )
-@click.option("--workers", type=int, default=2, show_default=True, help="Threads.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
-@engine_options
-def main(out: Path, workers: int, quiet: bool, engine: dict[str, Any]) -> None:
+def main(out: Path) -> None:
     """Write reproduction.md.
 
     The study's figures, ours, and what ours depend on.
     """
     progress = StageProgress()
-    progress.start(quiet=quiet)
+    progress.start(quiet=False)
     try:
-        wish = EngineWish(workers=workers if engine["scheduler"] else 1, **engine)
-        compute = Compute(workers=workers, progress=progress)
-        write_reproduction(out, compute=compute, engine=wish)
+        write_reproduction(out, compute=Compute(progress=progress))
     except InputError as error:
         click.echo(str(error), err=True)
         raise SystemExit(2) from None

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
-from geometry.arrays import FloatArray, IntArray, freeze
+from geometry.arrays import FloatArray
 from geometry.tables import says
 from scenarios.aeb import AebRule
 from scenarios.runs import find_onsets
@@ -23,87 +23,11 @@ from ..evaluation import (
 )
 from ..optimiser import (
     PlacementProblem,
-    PlacementValue,
     ReducedProblem,
     apr,
-    placement_value,
-    run_margins_s,
 )
 from ..optimiser.allowed_sets import fitting
 from ..optimiser.bitsets import avoided_with_each
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Contribution:
-    """The contribution of one unit of a set, on the detection table.
-
-    Attributes
-    ----------
-    pose_index : int
-        Row of the table.
-    only_runs : (n,) int
-        Runs with weight that are avoided with it and not without it.
-    marginal_apr : float
-        APR of the whole set less that of the others, 0..1.
-    without : PlacementValue
-        What the others are worth.
-    mean_delay_s : float
-        By how much later, on average by weight, the runs that the others avoid,
-        too, are confirmed without it. [s]
-    max_delay_s : float
-        The most of it in any of these runs. [s]
-    """
-
-    pose_index: int
-    only_runs: IntArray
-    marginal_apr: float
-    without: PlacementValue
-    mean_delay_s: float
-    max_delay_s: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "only_runs", freeze(self.only_runs))
-
-
-def find_contributions(
-    problem: PlacementProblem, pose_index: Sequence[int]
-) -> tuple[Contribution, ...]:
-    """Contribution of each unit of a set, in order.
-
-    Limits and floors do not matter.
-    """
-    poses = list(pose_index)
-    value = placement_value(problem, poses)
-    margin_s = run_margins_s(problem, poses)
-    weight = problem.table.axis.weight
-    found = []
-    # Take out each unit in turn.
-    for position, pose in enumerate(poses):
-        others = poses[:position] + poses[position + 1 :]
-        left_s = run_margins_s(problem, others)
-        stays = left_s > -np.inf
-        counts = stays & (weight > 0.0)
-        # Subtracted only where both are times: a run that nobody avoids has no margin.
-        delay_s = np.where(counts, margin_s, 0.0) - np.where(counts, left_s, 0.0)
-        without = placement_value(problem, others)
-        share = float(weight[counts].sum())
-        mean_delay_s = 0.0
-        if share:
-            mean_delay_s = float(delay_s @ weight) / share
-        found.append(
-            Contribution(
-                pose_index=pose,
-                only_runs=np.flatnonzero(
-                    (margin_s > -np.inf) & ~stays & (weight > 0.0)
-                ),
-                marginal_apr=value.apr - without.apr,
-                without=without,
-                mean_delay_s=mean_delay_s,
-                max_delay_s=float(delay_s.max(initial=0.0)),
-            )
-        )
-    return tuple(found)
-
 
 # ---------- failures of units and poles (N-1, N-2)
 # For layouts with more units, only single failures are evaluated.

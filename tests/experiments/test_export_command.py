@@ -17,7 +17,7 @@ from experiments.export.json import to_json
 from experiments.progress import StageProgress
 from geometry.errors import InputError
 
-BINARY = ["parquet", "gpkg", "cpm-uper", "mcap"]
+BINARY = ["gpkg", "cpm-uper", "mcap"]
 TOLD = {"cpm-uper": "10 messages of "}  # what is said of a file that was written
 
 
@@ -41,7 +41,7 @@ def call(*arguments):
 def test_every_format_is_described():
     modules = Path(experiments.export.__file__).parent.glob("*.py")
     written = [module for module in modules if " = ExportFormat(" in module.read_text()]
-    several = {"uper": ["cpm-uper"], "table": ["csv", "parquet"]}
+    several = {"uper": ["cpm-uper"]}
     names = [several.get(one.stem, [one.stem]) for one in written]
     assert sorted(FORMAT_NAMES) == sorted(itertools.chain(*names))
     help_text = call("--help").output
@@ -143,4 +143,4 @@ def test_five_hundred_units_and_runs_take_less_than_five_megabytes():
     measured = measure_exports()
     assert {name for name, *_ in measured} == set(FORMAT_NAMES)
     for name, *_, megabytes in measured:
-        assert 0.0 < float(megabytes) < 5.0 or name in ("parquet", "cpm-uper"), name
+        assert 0.0 < float(megabytes) < 5.0 or name == "cpm-uper", name

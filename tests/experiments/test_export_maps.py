@@ -1,4 +1,4 @@
-"""Tables and maps, read back by pandas, pyarrow and GDAL (geopandas)."""
+"""Tables and maps, read back by pandas and GDAL (geopandas)."""
 
 import io
 import sqlite3
@@ -7,7 +7,6 @@ from dataclasses import replace
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 import pytest
 from defusedxml import ElementTree
 from export_layouts import (
@@ -24,8 +23,7 @@ from refusals import refused_with
 from experiments.export.geojson import to_geojson
 from experiments.export.gpkg import to_geopackage
 from experiments.export.kml import to_kml
-from experiments.export.places import drawn_records, placed_records
-from experiments.export.table import to_parquet
+from experiments.export.places import drawn_records
 from geometry.study_scene import load_study_scene
 from placement.layout import layout_records
 
@@ -52,29 +50,6 @@ def assert_same(found, expected, *, rtol=0.0):
 
 def coordinates(frame):
     return np.column_stack([frame.geometry.x, frame.geometry.y, frame.geometry.z])
-
-
-@pytest.mark.parametrize("build", LAYOUTS)
-@pytest.mark.parametrize("scene", [map_scene(), load_study_scene(), placeless_scene()])
-def test_parquet_reads_back_bit_by_bit(build, scene):
-    layout = build()
-    content = to_parquet(layout, scene)
-    table = pd.read_parquet(io.BytesIO(content))
-    expected = pd.DataFrame(placed_records(layout, scene))
-    assert_same(table[expected.columns], expected)
-    extra = [name for name in table.columns if name not in expected.columns]
-    assert extra == (["longitude_deg", "latitude_deg"] if scene.crs else [])
-    schema = pq.read_schema(io.BytesIO(content))
-    assert [str(schema.field(name).type) for name in ("id", "x_m", "pitch_deg")] == [
-        "string",
-        "double",
-        "double",
-    ]
-    if scene.crs:
-        there = Transformer.from_crs("EPSG:4326", scene.crs, always_xy=True)
-        x_m, y_m = there.transform(table.longitude_deg, table.latitude_deg)
-        assert_allclose(x_m, table.x_m, atol=1e-6)
-        assert_allclose(y_m, table.y_m, atol=1e-6)
 
 
 @pytest.mark.parametrize("build", LAYOUTS)

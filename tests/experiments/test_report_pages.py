@@ -92,14 +92,14 @@ def test_every_kind_is_small_and_tells_what_it_is_about(browser, addresses):
             headings[kind] = texts(page, "h2")
             assert page.is_visible("#player-plan svg")
     assert {
-        "Why these poses",
+        "Runs that are not avoided",
     } <= set(headings["placement"])
     assert {"Side by side", "If the world is not as planned"} <= set(
         headings["comparison"]
     )
     for kind in ("missed", "many"):
         assert {"If a unit or a pole fails"} <= set(headings[kind])
-        assert "Why these poses" not in headings[kind]
+        assert "Runs that are not avoided" not in headings[kind]
 
 
 def test_runs_that_are_missed_are_told_where_there_are_any(browser, addresses):

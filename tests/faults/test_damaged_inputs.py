@@ -241,10 +241,3 @@ def test_an_unexpected_error_is_one_line_and_a_file(crash, tmp_path):
         f" of ours; nothing was written. Please report it, with {kept}\n"
     )
     assert "Traceback" in kept.read_text()
-
-
-def test_debug_shows_the_full_text(crash):
-    code, told = crash("--budget", "3", "--debug")
-    assert code == 70
-    assert told.rstrip().endswith("ZeroDivisionError: a fault of ours")
-    assert "Traceback" in told

@@ -25,8 +25,8 @@ from small_results import (
     write_small_results,
 )
 
+from experiments.export.csv import to_csv
 from experiments.export.geojson import to_geojson
-from experiments.export.table import to_csv
 from experiments.jobs import anew, evaluation, placement
 from experiments.jobs import search as jobs_search
 from experiments.jobs.placement import answer_placement, write_files

@@ -65,7 +65,6 @@ EXCEPTIONS = {
     "placement/detectors/network.py": {"InferenceSession"},
     # Into memory, or a folder of this program's own.
     "experiments/export/gpkg.py": {"write_dataframe", "read_bytes"},
-    "experiments/export/table.py": {"to_parquet"},
     "experiments/jobs/placement.py": {"to_parquet"},
     "experiments/city/answer.py": {"to_parquet"},
     "experiments/figures/film.py": {"savefig"},

@@ -15,7 +15,6 @@ READS_JSON = re.compile(
 # What these read is text that this program, or one that it has begun, has just written.
 OWN_TEXT = {
     "geometry/text_formats.py",  # the one place
-    "experiments/bench/__main__.py",
     "experiments/bench/main_job.py",
     "experiments/bench/work.py",
     "experiments/engine/start.py",

@@ -2,7 +2,6 @@ import pytest
 from refusals import refused_with
 
 from geometry import scene_sources
-from geometry.errors import InputError
 from geometry.maps import importing
 from geometry.registry import load_entry, pick_entry
 

@@ -157,11 +157,7 @@ def build_result(name, layout=(A_UNIT,), **changes) -> Result:
             "failing": "unit",
             "greedy": _compared("greedy"),
             "disagreements": [],
-            "explained": {
-                "contributions": [],
-                "not_avoided": [],
-                "runs_without_weight": 0,
-            },
+            "explained": {"not_avoided": [], "runs_without_weight": 0},
             "baselines": {"random": None, "expert": None},
         } | plain
     return msgspec.convert(plain | {"schema": _schema(kind)}, KINDS[_schema(kind)])

@@ -58,7 +58,7 @@ def help_of(field: QuestionField) -> str:
     return re.sub("`([a-z_0-9]+)`", named, field.description)
 
 
-def _field_option(name: str, flag: str, **settings: Any) -> partial[Decorator]:
+def _field_option(name: str, *, flag: str = "", **settings: Any) -> partial[Decorator]:
     """:func:`option` of a field, to be called with what a command has otherwise.
 
     Parameters
@@ -66,7 +66,7 @@ def _field_option(name: str, flag: str, **settings: Any) -> partial[Decorator]:
     name : str
         The field, and the parameter of the command.
     flag : str
-        Name of the option on the command line, see :func:`option_of`.
+        Name of the option on the command line; by default see :func:`option_of`.
     **settings
         All that the field itself does not say, as :func:`option` takes it.
 
@@ -83,7 +83,7 @@ def _field_option(name: str, flag: str, **settings: Any) -> partial[Decorator]:
         kind, limits = get_args(kind)
     return partial(
         option,
-        flag,
+        flag or option_of(field),
         name,
         type=_click_type(kind, limits),
         default=field.default,
@@ -127,410 +127,101 @@ def _click_type(kind: Any, limits: Meta) -> "click.ParamType[Any] | None":
 
 # ---------- the options, in the order of the fields
 
-QUESTION_OPTIONS: dict[str, partial[Decorator]] = {
-    # ---------- What is asked
-    "budget": _field_option(
-        "budget",
-        "--budget",
-        metavar="N",
-        section=ASKED,
-    ),
-    "budget_cost": _field_option(
-        "budget_cost",
-        "--budget-cost",
-        metavar="EUR",
-        section=ASKED,
-    ),
-    "target": _field_option(
-        "target",
-        "--target",
-        metavar="SHARE",
-        section=ASKED,
-    ),
-    "least": _field_option(
-        "least",
-        "--least",
-        needs="target",
-        section=ASKED,
-    ),
-    "min_case_apr": _field_option(
-        "min_case_apr",
-        "--min-case-apr",
-        metavar="SHARE",
-        section=ASKED,
-        is_common=False,
-    ),
-    "survive": _field_option(
-        "survive",
-        "--survive",
-        metavar="N|unit|site",
-        section=ASKED,
-    ),
-    "give_up": _field_option(
-        "give_up",
-        "--give-up",
-        metavar="SHARE",
-        section=ASKED,
-        is_common=False,
-    ),
-    "located_m": _field_option(
-        "located_m",
-        "--located",
-        metavar="METRES",
-        section=ASKED,
-        is_common=False,
-    ),
-    # ---------- What may be mounted, and where
-    "keep": _field_option(
-        "keep",
-        "--keep",
-        metavar="LAYOUT",
-        is_path=True,
-        section=MOUNTED,
-    ),
-    "within": _field_option(
-        "within",
-        "--within",
-        metavar="LAYOUT",
-        is_path=True,
-        section=MOUNTED,
-    ),
-    "force_site": _field_option(
-        "force_site",
-        "--force-site",
-        metavar="SITES",
-        section=MOUNTED,
-        is_common=False,
-    ),
-    "forbid_site": _field_option(
-        "forbid_site",
-        "--forbid-site",
-        metavar="SITES",
-        section=MOUNTED,
-        is_common=False,
-    ),
-    "site_capacity": _field_option(
-        "site_capacity",
-        "--site-capacity",
-        metavar="N",
-        section=MOUNTED,
-        is_common=False,
-    ),
-    "site_cost_eur": _field_option(
-        "site_cost_eur",
-        "--site-cost",
-        metavar="EUR",
-        section=MOUNTED,
-        is_common=False,
-    ),
-    "separation_m": _field_option(
-        "separation_m",
-        "--separation",
-        metavar="METRES",
-        section=MOUNTED,
-        is_common=False,
-    ),
-    "sensors": _field_option(
-        "sensors",
-        "--sensors",
-        metavar="NAMES",
-        excludes="within",
-        section=MOUNTED,
-    ),
-    "heights": _field_option(
-        "heights",
-        "--heights",
-        metavar="METRES",
-        section=MOUNTED,
-        is_common=False,
-    ),
-    "yaw_step_deg": _field_option(
-        "yaw_step_deg",
-        "--yaw-step",
-        metavar="DEGREES",
-        section=MOUNTED,
-        is_common=False,
-    ),
-    "pitches": _field_option(
-        "pitches",
-        "--pitches",
-        metavar="DEGREES",
-        section=MOUNTED,
-        is_common=False,
-    ),
-    "no_look": _field_option(
-        "no_look",
-        "--no-look",
-        metavar="FILE",
-        is_path=True,
-        section=MOUNTED,
-        is_common=False,
-    ),
-    "no_look_share": _field_option(
-        "no_look_share",
-        "--no-look-share",
-        metavar="SHARE",
-        needs="no_look",
-        section=MOUNTED,
-        is_common=False,
-    ),
-    # ---------- How it is looked for
-    "solver": _field_option(
-        "solver",
-        "--solver",
-        section=SOUGHT,
-        is_common=False,
-    ),
-    "time_limit_s": _field_option(
-        "time_limit_s",
-        "--time-limit",
-        metavar="SECONDS",
-        section=SOUGHT,
-    ),
-    "gap": _field_option(
-        "gap",
-        "--gap",
-        metavar="SHARE",
-        section=SOUGHT,
-        is_common=False,
-    ),
-    "refine": _field_option(
-        "refine",
-        "--refine/--no-refine",
-        section=SOUGHT,
-    ),
-    "samples": _field_option(
-        "samples",
-        "--samples",
-        metavar="N|auto",
-        word="auto",
-        section=SOUGHT,
-        is_common=False,
-    ),
-    "uncertainty": _field_option(
-        "uncertainty",
-        "--uncertainty",
-        metavar="NAME",
-        needs="samples",
-        section=SOUGHT,
-        is_common=False,
-    ),
-    "traffic": _field_option(
-        "traffic",
-        "--traffic",
-        metavar="sumo|FILE",
-        is_path=True,
-        needs="samples",
-        section=SOUGHT,
-        is_common=False,
-    ),
-    "risk": _field_option(
-        "risk",
-        "--risk",
-        metavar="HOW",
-        needs="samples",
-        section=SOUGHT,
-        is_common=False,
-    ),
-    # ---------- What is driven
-    "scene": _field_option(
-        "scene",
-        "--scene",
-        metavar="PATH",
-        is_path=True,
-        section=DRIVEN,
-    ),
-    "junction": _field_option(
-        "junction",
-        "--junction",
-        metavar="NAME",
-        section=DRIVEN,
-    ),
-    "at": _field_option(
-        "at",
-        "--at",
-        metavar="X,Y",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    "sites": _field_option(
-        "sites",
-        "--sites",
-        metavar="WHERE",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    "sites_crs": _field_option(
-        "sites_crs",
-        "--sites-crs",
-        metavar="CRS",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    "driving_side": _field_option(
-        "driving_side",
-        "--driving-side",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    "cases": _field_option(
-        "cases",
-        "--cases",
-        metavar="CASES",
-        section=DRIVEN,
-    ),
-    "case_range": _field_option(
-        "case_range",
-        "--range",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    "protect": _field_option(
-        "protect",
-        "--protect",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    "along_arms": _field_option(
-        "along_arms",
-        "--along-arms",
-        metavar="METRES",
-        section=DRIVEN,
-    ),
-    "speeds": _field_option(
-        "speeds",
-        "--speeds",
-        metavar="KMH",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    "approaches": _field_option(
-        "approaches",
-        "--approaches",
-        metavar="ARMS",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    "weather": _field_option(
-        "weather",
-        "--weather",
-        metavar="WEATHER",
-        section=DRIVEN,
-    ),
-    "weights": _field_option(
-        "weights",
-        "--weights",
-        metavar="HOW",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    "near": _field_option(
-        "near",
-        "--near",
-        metavar="LAT,LON",
-        needs="weights",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    "accidents_within_m": _field_option(
-        "accidents_within_m",
-        "--accidents-within",
-        metavar="METRES",
-        needs="weights",
-        section=DRIVEN,
-        is_common=False,
-    ),
-    # ---------- What is seen, told and braked
-    "fusion": _field_option(
-        "fusion",
-        "--fusion",
-        section=SEEN,
-    ),
-    "detector": _field_option(
-        "detector",
-        "--detector",
-        metavar="HOW",
-        section=SEEN,
-    ),
-    "vut_sensors": _field_option(
-        "vut_sensors",
-        "--vut-sensors",
-        metavar="SENSORS",
-        section=SEEN,
-        is_common=False,
-    ),
-    "cars": _field_option(
-        "cars",
-        "--cars",
-        metavar="see|blind|SHARE",
-        section=SEEN,
-        is_common=False,
-    ),
-    "packet_loss": _field_option(
-        "packet_loss",
-        "--packet-loss",
-        metavar="SHARE",
-        section=SEEN,
-        is_common=False,
-    ),
-    "vam_rate": _field_option(
-        "vam_rate",
-        "--vam-rate",
-        metavar="SHARE",
-        section=SEEN,
-        is_common=False,
-    ),
-    "n_confirmations": _field_option(
-        "n_confirmations",
-        "--confirmations",
-        metavar="N",
-        section=SEEN,
-        is_common=False,
-    ),
-    "track_memory_s": _field_option(
-        "track_memory_s",
-        "--track-memory",
-        metavar="SECONDS",
-        takes_infinity=True,
-        section=SEEN,
-        is_common=False,
-    ),
-    "decision": _field_option(
-        "decision",
-        "--decision",
-        metavar="RULE",
-        is_path=True,
-        section=SEEN,
-        is_common=False,
-    ),
-    "latency_s": _field_option(
-        "latency_s",
-        "--latency",
-        metavar="SECONDS",
-        section=SEEN,
-        is_common=False,
-    ),
-    "latency_budget": _field_option(
-        "latency_budget",
-        "--latency-budget",
-        metavar="NAME|FILE",
-        section=SEEN,
-        is_common=False,
-    ),
-    "deceleration_mps2": _field_option(
-        "deceleration_mps2",
-        "--deceleration",
-        metavar="M/S2",
-        section=SEEN,
-        is_common=False,
-    ),
-    "build_up_s": _field_option(
-        "build_up_s",
-        "--brake-build-up",
-        metavar="SECONDS",
-        section=SEEN,
-        is_common=False,
-    ),
+_COMMON = {
+    "budget",
+    "budget_cost",
+    "target",
+    "least",
+    "survive",
+    "keep",
+    "within",
+    "sensors",
+    "time_limit_s",
+    "refine",
+    "scene",
+    "junction",
+    "cases",
+    "along_arms",
+    "weather",
+    "fusion",
+    "detector",
+}
+"""Fields whose options the short help shows, too."""
+_FIELDS: dict[str, dict[str, dict[str, Any]]] = {
+    ASKED: {
+        "budget": {"metavar": "N"},
+        "budget_cost": {"metavar": "EUR"},
+        "target": {"metavar": "SHARE"},
+        "least": {"needs": "target"},
+        "min_case_apr": {"metavar": "SHARE"},
+        "survive": {"metavar": "N|unit|site"},
+        "give_up": {"metavar": "SHARE"},
+        "located_m": {"metavar": "METRES"},
+    },
+    MOUNTED: {
+        "keep": {"metavar": "LAYOUT", "is_path": True},
+        "within": {"metavar": "LAYOUT", "is_path": True},
+        "force_site": {"metavar": "SITES"},
+        "forbid_site": {"metavar": "SITES"},
+        "site_capacity": {"metavar": "N"},
+        "site_cost_eur": {"metavar": "EUR"},
+        "separation_m": {"metavar": "METRES"},
+        "sensors": {"metavar": "NAMES", "excludes": "within"},
+        "heights": {"metavar": "METRES"},
+        "yaw_step_deg": {"metavar": "DEGREES"},
+        "pitches": {"metavar": "DEGREES"},
+        "no_look": {"metavar": "FILE", "is_path": True},
+        "no_look_share": {"metavar": "SHARE", "needs": "no_look"},
+    },
+    SOUGHT: {
+        "solver": {},
+        "time_limit_s": {"metavar": "SECONDS"},
+        "gap": {"metavar": "SHARE"},
+        "refine": {"flag": "--refine/--no-refine"},
+        "samples": {"metavar": "N|auto", "word": "auto"},
+        "uncertainty": {"metavar": "NAME", "needs": "samples"},
+        "traffic": {"metavar": "sumo|FILE", "is_path": True, "needs": "samples"},
+        "risk": {"metavar": "HOW", "needs": "samples"},
+    },
+    DRIVEN: {
+        "scene": {"metavar": "PATH", "is_path": True},
+        "junction": {"metavar": "NAME"},
+        "at": {"metavar": "X,Y"},
+        "sites": {"metavar": "WHERE"},
+        "sites_crs": {"metavar": "CRS"},
+        "driving_side": {},
+        "cases": {"metavar": "CASES"},
+        "case_range": {},
+        "protect": {},
+        "along_arms": {"metavar": "METRES"},
+        "speeds": {"metavar": "KMH"},
+        "approaches": {"metavar": "ARMS"},
+        "weather": {"metavar": "WEATHER"},
+        "weights": {"metavar": "HOW"},
+        "near": {"metavar": "LAT,LON", "needs": "weights"},
+        "accidents_within_m": {"metavar": "METRES", "needs": "weights"},
+    },
+    SEEN: {
+        "fusion": {},
+        "detector": {"metavar": "HOW"},
+        "vut_sensors": {"metavar": "SENSORS"},
+        "cars": {"metavar": "see|blind|SHARE"},
+        "packet_loss": {"metavar": "SHARE"},
+        "vam_rate": {"metavar": "SHARE"},
+        "n_confirmations": {"metavar": "N"},
+        "track_memory_s": {"metavar": "SECONDS", "takes_infinity": True},
+        "decision": {"metavar": "RULE", "is_path": True},
+        "latency_s": {"metavar": "SECONDS"},
+        "latency_budget": {"metavar": "NAME|FILE"},
+        "deceleration_mps2": {"metavar": "M/S2"},
+        "build_up_s": {"metavar": "SECONDS"},
+    },
+}
+"""What the options of each section's fields have, beside what the fields say."""
+QUESTION_OPTIONS = {
+    name: _field_option(name, section=section, is_common=name in _COMMON, **settings)
+    for section, fields in _FIELDS.items()
+    for name, settings in fields.items()
 }
 """What adds the option of each field; ``QUESTION_OPTIONS["samples"](default=8)``."""
 

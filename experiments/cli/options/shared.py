@@ -24,14 +24,6 @@ def _tell_more(context: click.Context, _param: click.Parameter, is_given: bool) 
         context.obj.tell_more()
 
 
-def _show_traceback(
-    context: click.Context, _param: click.Parameter, is_given: bool
-) -> None:
-    """Let the program show where an unexpected error comes from."""
-    if is_given:
-        context.obj.shows_tracebacks = True
-
-
 def _speak(context: click.Context, _param: click.Parameter, code: str | None) -> None:
     """Speak a language until the command ends; that of the group, where none is said."""
     if code is not None:
@@ -63,17 +55,8 @@ _verbose_option = option(
         " too."
     ),
 )
-_debug_option = option(
-    "--debug",
-    is_flag=True,
-    expose_value=False,
-    callback=_show_traceback,
-    section=PROGRAM,
-    is_common=False,
-    help="Show the full text of an unexpected error.",
-)
-quiet_option = combined(_only_quiet_option, _verbose_option, _debug_option)
-"""Options ``--quiet``, which the command gets, ``--verbose`` and ``--debug``."""
+quiet_option = combined(_only_quiet_option, _verbose_option)
+"""Options ``--quiet``, which the command gets, and ``--verbose``."""
 language_option = option(
     "--language",
     type=click.Choice(LANGUAGES),
@@ -195,21 +178,10 @@ _ENGINE = (
             "and on its workers."
         ),
     ),
-    option(
-        "--dashboard",
-        is_flag=True,
-        needs="scheduler",
-        section=PROGRAM,
-        is_common=False,
-        help=(
-            "With --scheduler local: serve dask's page about its workers to this "
-            "machine."
-        ),
-    ),
 )
 _ENGINE_NAMES = (
     *("scheduler", "tls_ca", "tls_cert", "tls_key"),
-    *("scheduler_timeout", "insecure_scheduler", "dashboard"),
+    *("scheduler_timeout", "insecure_scheduler"),
 )
 
 

@@ -1,10 +1,5 @@
 import numpy as np
-import pytest
 from synthetic_instances import SyntheticSize, build_synthetic_instance
-
-from experiments.bench.__main__ import measure_budgets
-from placement.optimiser import Limits, PlacementProblem
-from scenarios.aeb import load_aeb_rule
 
 SIZE = SyntheticSize(
     n_sites=8,
@@ -56,23 +51,3 @@ def test_detections_follow_the_geometry() -> None:
     # A VRU that comes into sight mostly stays in sight.
     stays = (seen[..., 1:] & seen[..., :-1]).sum() / seen[..., :-1].sum()
     assert stays > 0.8
-
-
-# Quickly: tests/placement/optimiser/test_limits.py
-@pytest.mark.long
-def test_budgets_are_measured_with_tracks_that_live_on_and_that_end() -> None:
-    instance = build_synthetic_instance(SIZE)
-    problem = PlacementProblem(
-        table=instance.to_table(),
-        limits=Limits(
-            site_index=instance.site_index, site_capacity=instance.site_capacity
-        ),
-        fusion="any",
-        rule=load_aeb_rule(),
-    )
-    figures = measure_budgets(problem, units=(1, 2))
-    for memory in ("inf", "1"):
-        for budget in (1, 2):
-            name = f"optimiser: track memory {memory} s, K = {budget}"
-            assert figures[f"{name}: proven"] is True
-            assert figures[f"{name}: seconds, presolve and all stages"] > 0.0

@@ -137,13 +137,13 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         ("evaluate", "--layout: got nothing; expected it once"),
         ("evaluate --layout a --layout b", "--layout: got 2 layouts; expected it once"),
         (
-            "compare --layout carlancap-12",
+            "compare carlancap-12",
             "LAYOUT: got one layout; expected two layouts or more",
         ),
         (
             "export --layout carlancap-12 --format xml",
             (
-                "--format: got 'xml'; expected one of json, csv, parquet, geojson,"
+                "--format: got 'xml'; expected one of json, csv, geojson,"
                 " gpkg, kml, dxf, carla, opencv, ros, cpm, cpm-uper, mcap, opendrive"
             ),
         ),
@@ -402,7 +402,7 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
     for arguments in (
         ["--budget", 2, "--fusion", "single", "--out", "o"],
         ["evaluate", "--layout", path],
-        ["compare", path, "carlancap-12", "--layout", path],
+        ["compare", path, "carlancap-12", path],
     ):
         short = answer(run(*arguments, "--quiet"))
         assert max(map(len, short.splitlines())) <= 100
@@ -435,7 +435,7 @@ def test_comparison_of_a_layout_with_itself_finds_no_difference(
     ask, small_study, layout_file
 ):
     path = layout_file()
-    summary = ask("compare --layout", path, "--layout", path, "--out out")
+    summary = ask("compare", path, path, "--out out")
     assert set(summary) >= KEYS
     (other,) = summary["compared"]
     assert summary["name"] == "mine"

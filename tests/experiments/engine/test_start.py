@@ -80,12 +80,6 @@ def test_dask_that_is_missing_is_one_line(monkeypatch):
         start(EngineWish(scheduler="local"))
 
 
-def test_a_dashboard_without_bokeh_is_one_line(monkeypatch):
-    monkeypatch.setitem(sys.modules, "bokeh", None)
-    with pytest.raises(MissingExtraError, match="--dashboard needs bokeh: pip inst"):
-        start(EngineWish(scheduler="local", dashboard=True))
-
-
 def test_without_a_scheduler_dask_is_not_loaded():
     program = (
         "import sys, experiments.engine.start;"
@@ -95,11 +89,6 @@ def test_without_a_scheduler_dask_is_not_loaded():
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert done.stdout == "False\n"
-
-
-def test_the_dashboard_is_of_a_local_scheduler():
-    with pytest.raises(InputError, match="--dashboard: got it without --scheduler lo"):
-        EngineWish(scheduler="tls://10.0.0.1:8786", dashboard=True)
 
 
 def test_memory_is_an_amount_that_a_task_fits_into():

@@ -10,9 +10,9 @@ from refusals import refused_with
 
 from experiments.export import load_format
 from experiments.export.carla import to_carla
+from experiments.export.csv import to_csv
 from experiments.export.geojson import to_geojson
 from experiments.export.json import to_json, to_json_text
-from experiments.export.table import to_csv
 from geometry.frames import from_carla_pose
 from geometry.lidar import load_lidars
 from geometry.poses import Pose

@@ -2,44 +2,20 @@
 
 import msgspec
 import pytest
-from msgspec import UNSET
 from partial_pages import render_section
 
 from experiments.cli.answers import explanation_parts
 from experiments.cli.terminal import answer_text
 from experiments.parts.explanation import (
     ExplainedRecord,
-    contribution_sentences,
-    contribution_table,
-    explanation_sections,
+    missed_section,
     missed_sentences,
     missed_table,
 )
 
-WITHOUT = {
-    "apr": 0.5,
-    "apr_one_failed": 0.0,
-    "smallest_margin_s": 0.25,
-    "mean_margin_s": 1.5,
-    "cost_eur": 1500.0,
-}
-FIRST = {
-    "unit": "a",
-    "only_runs": ["r1", "r2", "r3", "r4"],
-    "marginal_apr": 0.4,
-    "mean_delay_s": 0.3,
-    "max_delay_s": 0.9,
-    "without": WITHOUT,
-}
-OTHER = FIRST | {"unit": "b", "only_runs": [], "marginal_apr": 0.0}
-
 
 def explained(**parts):
-    plain = {
-        "contributions": [FIRST, OTHER],
-        "not_avoided": [],
-        "runs_without_weight": 0,
-    }
+    plain = {"not_avoided": [], "runs_without_weight": 0}
     return msgspec.convert(plain | parts, ExplainedRecord)
 
 
@@ -74,63 +50,6 @@ MISSED = [
     missed("r7", "too late", late_s=0.125, reasons=[("too far", "", 28)]),
     missed("r8", "hopeless", unit=""),
 ]
-
-
-def test_units_that_something_hangs_on_are_counted():
-    both = explained()
-    assert contribution_sentences(both) == [
-        "1 of the 2 units avoids runs that no other unit avoids."
-    ]
-    first = FIRST
-    other = OTHER
-    each = explained(contributions=[first, first])
-    assert contribution_sentences(each) == [
-        "Each unit avoids runs that no other unit avoids."
-    ]
-    none = explained(contributions=[other, other])
-    assert contribution_sentences(none)[0].startswith("No run depends on a single unit")
-    assert (
-        "if either fails, the other still avoids every run"
-        in contribution_sentences(none)[0]
-    )
-    more = explained(contributions=[other, other, other])
-    assert (
-        "if any one fails, the others still avoid every run"
-        in contribution_sentences(more)[0]
-    )
-    beside_a_car = explained(contributions=[first])
-    assert contribution_sentences(beside_a_car) == ["4 runs depend on this one unit."]
-    alone = first | {"without": first["without"] | {"apr": 0.0}}
-    one = explained(contributions=[alone])
-    assert contribution_sentences(one) == [
-        "Every avoided run depends on this one unit."
-    ]
-    idle = other | {"without": other["without"] | {"apr": 0.0}}
-    assert contribution_sentences(explained(contributions=[idle])) == [
-        "This unit avoids nothing."
-    ]
-    assert contribution_sentences(explained(contributions=[idle, idle])) == [
-        "These units avoid nothing."
-    ]
-    in_worlds = explained(contributions=[alone | {"only_runs": ["r1#0", "r1#1"]}])
-    assert contribution_sentences(in_worlds) == [
-        "Every avoided run depends on this one unit.",
-        "Runs count once in each of the sampled worlds.",
-    ]
-    table = contribution_table(both, {"a": "#1"})
-    assert table.rows[0] == [
-        "#1",
-        "4",
-        "40.0 %",
-        "50.0 %",
-        "0.25",
-        "1.50",
-        "0.30",
-        "0.90",
-    ]
-    assert {len(row) for row in table.rows} == {len(table.columns)}
-    row = contribution_table(explained(contributions=[alone])).rows[0]
-    assert row[4:8] == ["\N{EN DASH}"] * 4
 
 
 def test_runs_that_are_not_avoided_are_told_with_causes_and_remedies():
@@ -234,7 +153,6 @@ def test_a_terminal_shows_it_in_80_columns():
     assert max(map(len, text.splitlines())) <= 80
     words = " ".join(text.split())
     for expected in (
-        "Why these units, on the detection table:",
         "r5, r6: never seen; for a hidden by wall-ne-1; avoidable with c",
         "r7: confirmed too late; for a road user too",
         "and 5 more in summary.json",
@@ -242,23 +160,19 @@ def test_a_terminal_shows_it_in_80_columns():
         assert expected in words
 
 
-def render(found, labels):
-    return "".join(map(render_section, explanation_sections(found, labels)))
+def render(found):
+    return render_section(missed_section(found))
 
 
-def test_the_report_has_a_section_for_each_question():
-    assert render(UNSET, {}) == ""
-    page = render(explained(), {})
-    assert "Why these poses</h2>" in page
+def test_the_report_has_a_section_on_what_is_missed():
+    page = render(explained())
     assert "every run is avoided" in page
-    assert "Other layouts" not in page
     assert "<details" not in page
-    page = render(explained(not_avoided=MISSED), {"a": "<#1>"})
-    assert "&lt;#1&gt;" in page
+    page = render(explained(not_avoided=MISSED))
     assert "Runs that are not avoided</h2>" in page
     assert "hidden by wall-ne-1 in 20 of 30 frames" in page
-    assert page.count("<table>") == page.count("</table>") == 2
+    assert page.count("<table>") == page.count("</table>") == 1
     assert "4 runs: why, and what would avoid them" in page
     assert "1 run: why, and what would avoid it" in render(
-        explained(not_avoided=MISSED[:1]), {}
+        explained(not_avoided=MISSED[:1])
     )

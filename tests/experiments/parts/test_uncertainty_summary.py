@@ -6,7 +6,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.figures.axes import to_png
 from experiments.language import speaking
 from experiments.parts.sampled_worlds import (
     build_pair_record,
@@ -14,7 +13,6 @@ from experiments.parts.sampled_worlds import (
     build_uncertainty_record,
     growth_sentences,
     overtaken_sentences,
-    plot_sampled_apr,
     preferred_sentences,
     table,
     uncertainty_sentences,
@@ -286,11 +284,6 @@ def test_the_table_has_a_row_for_each_layout(summary, judge):
     whole = table(summarise([item], Uncertainty(), tail=1.0, seed=0))
     assert "\N{HORIZONTAL ELLIPSIS}" in whole.rows[0][0]
     assert len(whole.columns) == len(shown.columns) - (summary.tail < 1.0)
-
-
-def test_one_world_alone_can_be_drawn(judge):
-    found = summarise([judge("a", [0.7])], Uncertainty(), tail=1.0, seed=0)
-    assert to_png(plot_sampled_apr(found)).startswith(b"\x89PNG")
 
 
 # Pairs
