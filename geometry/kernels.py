@@ -43,7 +43,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 # What numba cached of a kernel: content by path below its folder.
 Files = dict[str, bytes]
 _log = logging.getLogger(__name__)
-_OPTIONS = {"nogil": True, "error_model": "numpy"}
+_OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _HASH_SIZE = 32
 _SUFFIX = ".kernel"
 # Begins the names of folders of single processes.

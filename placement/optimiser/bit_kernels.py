@@ -419,7 +419,9 @@ def first_live_with_each(
         n_tails = tail_start[chain + 1] - tail_start[chain]
         for number in range(n_tails):
             frame = tail_frame[tail + number]
-            held[number + 1] = held[number]
+            # Numba takes seconds to compile that a row is copied as a whole.
+            for word in range(n_words):
+                held[number + 1, word] = held[number, word]
             if not is_seen[frame]:
                 for word in range(n_words):
                     held[number + 1, word] &= columns[frame, word]

@@ -1,3 +1,4 @@
+import gc
 import logging
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -69,6 +70,35 @@ def test_a_hash_is_that_of_the_content_wherever_it_lies(name):
 
     assert both.of(value, value) == Fingerprints().of(replace(again), again)
     assert both.of(value) == both.of(again)
+
+
+@dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True, eq=False)
+class Lasting:
+    part: Any
+
+
+def test_a_value_that_lasts_is_hashed_once_and_another_one_by_its_own_content():
+    lasting = Lasting(part=np.arange(3))
+    first = Fingerprints().of(lasting)
+    assert fingerprints._lasting[lasting]
+    assert Fingerprints().of(lasting) == first
+    assert Fingerprints().of(Lasting(part=np.arange(3))) == first
+    assert Fingerprints().of(replace(lasting, part=np.arange(4))) != first
+    n_known = len(fingerprints._lasting)
+    del lasting
+    gc.collect()
+    assert len(fingerprints._lasting) < n_known
+
+
+def test_parts_are_told_apart_wherever_one_ends_and_the_next_begins():
+    values = [("ab", "c"), ("a", "bc"), ("abc",), (("ab",), "c"), ("ab", ("c",))]
+    values += [(b"ab", "c"), ({"a": 1}, 2), ({"a": (1, 2)},), ([1], 2), ((1,), 2)]
+    assert len({Fingerprints().of(value) for value in values}) == len(values)
+
+
+def test_bytes_come_back(tmp_path):
+    value = ("text", b"\x00\xff")
+    assert from_bytes(to_bytes(value), tuple[str, bytes]) == value
 
 
 def test_what_has_no_hash_is_an_error_of_the_program():

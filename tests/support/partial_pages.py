@@ -1,8 +1,11 @@
 """Sections of the report by themselves, as the page shows them."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from io import BytesIO
+from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import msgspec
@@ -15,15 +18,17 @@ from matplotlib.legend import Legend
 from matplotlib.text import Text
 from PIL import Image
 
-from experiments.figures import plan
+from experiments.figures import dangers, plan
 from experiments.figures.axes import root_figure
-from experiments.parts import camera_views, dangers, section
+from experiments.parts import camera_views, section
 from experiments.parts.result import KINDS, Result
 from experiments.parts.section import Section, Table
 from experiments.report.page import page_environment
+from experiments.results import cached
 from experiments.scene import pictures
 from geometry.poses import Pose
 from geometry.sensors import CameraModel
+from placement.cache import cached_value
 from placement.evaluator.picture_sources import PictureOfFrame
 
 
@@ -60,6 +65,12 @@ class BlankSource:
         return lambda frame: np.full(shape, frame % 256, dtype=np.uint8)
 
 
+def _never_cached(
+    make_or_read: Callable[..., Any], folder: Path | None, *given: Any, **named: Any
+) -> Any:
+    return make_or_read(None, *given, **named)
+
+
 @contextmanager
 def blank_pictures() -> Iterator[None]:
     """Reports have blank pictures: drawing takes long, and most tests look at words.
@@ -72,6 +83,8 @@ def blank_pictures() -> Iterator[None]:
         for module in (dangers, pictures, plan):
             patch.setattr(module, "draw_scene", lambda axes, scene: None)
         patch.setattr(camera_views, "_pictures_of", lambda *_, **__: BlankSource())
+        # A blank picture is no picture for the next call.
+        patch.setattr(cached, "cached_value", partial(_never_cached, cached_value))
         yield
 
 

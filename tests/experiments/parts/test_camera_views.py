@@ -51,4 +51,4 @@ def test_each_camera_of_few_has_a_small_picture(small_setting, cameras):
 
 
 def test_of_many_cameras_there_is_none(small_setting):
-    assert camera_views(small_setting, load_carlancap_layout()) == []
+    assert camera_views(small_setting, load_carlancap_layout()) == ()
