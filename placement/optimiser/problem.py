@@ -90,6 +90,7 @@ class Objective(StrEnum):
         return min(value, other)
 
 
+# City pages have their own words for stages: `objectives` in sections.html.j2.
 _LABELS = {
     Objective.UNITS: Phrase("units"),
     Objective.COST: Phrase("cost"),

@@ -169,7 +169,7 @@ def _score(
     )
 
 
-_LEAST_PX = 8.0
+_LEAST_LABEL_PX = 8.0
 _UNKNOWN = ("aspect", "frame_correlation")
 
 
@@ -206,7 +206,7 @@ def _picture(
     """A crop, its label if large enough, and the boxes that count for it."""
     kind = int(crops.vru_class[row])
     box = crops.box_px[row]
-    n_labels = int(kind >= 0 and box[3] - box[1] >= _LEAST_PX)
+    n_labels = int(kind >= 0 and box[3] - box[1] >= _LEAST_LABEL_PX)
     sure = [boxes[confidence >= MIN_CONFIDENCE] for boxes, confidence in by_class]
     # A cyclist may be found as a person, as in an evaluation.
     if kind == 2:

@@ -244,7 +244,7 @@ _DECAY = 1.0e-2
 _MEMORY = 0.998
 _LEAST_SHARE = 0.3
 # What is hidden more, or is lower, neither counts nor harms.
-_LEAST_PX = 10.0
+_LEAST_CROP_PX = 10.0
 # Of grey, 0 .. 255: what stands out less cannot be learnt.
 _LEAST_SPREAD = 3.0
 _MIN_CONFIDENCE = 0.02
@@ -401,7 +401,7 @@ def counted(crops: LabelledCrops) -> NDArray[np.bool_]:
 
     At least 0.3 of it is seen, at least 10 px high.
     """
-    is_high: NDArray[np.bool_] = box_height_px(crops.box_px) >= _LEAST_PX
+    is_high: NDArray[np.bool_] = box_height_px(crops.box_px) >= _LEAST_CROP_PX
     return is_high & (crops.vru_class >= 0) & (crops.visible_share >= _LEAST_SHARE)
 
 
