@@ -18,8 +18,8 @@ from experiments.figures.outlines import (
     ground_footprint,
     ground_rings,
     looking_words,
-    plot_plan,
 )
+from experiments.figures.plan import plot_plan
 from experiments.parts.player import unit_records
 from experiments.parts.sheet import _direction, _draw_plan, _tilt
 from experiments.parts.units import unit_table
