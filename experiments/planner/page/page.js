@@ -29,7 +29,7 @@ const FIELDS = {
 // `selected`: null is none, undefined the newest one, as soon as it is told.
 let scene = null, state = null, numbers = null, proposals = [], selected, offered = null;
 let mounting = null; // how many sensors there were when one more was asked for
-let chosenBefore = null, backTo = null; // the choice when a drag mounted a sensor; the same once that drag is given up
+let chosenBefore = null; // the choice when a drag mounted a sensor
 let isConnected = false, timer = 0, coverage = null, savedRevision = 0;
 
 const line = openLine({ onMessage: receive, onState: connected, onSilence: silent });
@@ -237,10 +237,7 @@ function readState(message) {
   const last = state.units.at(-1)?.id ?? null;
   if (selected === undefined) selected = last;
   if (mounting !== null && state.units.length > mounting) { selected = last; mounting = null; } // the new one
-  else if (!state.units.some((unit) => unit.id === selected)) {
-    selected = state.units.some((unit) => unit.id === backTo) ? backTo : null;
-    backTo = null;
-  }
+  else if (!state.units.some((unit) => unit.id === selected)) selected = null;
   if (!line.isAsking()) live.clear();
   find("undo").disabled = !state.canUndo;
   find("redo").disabled = !state.canRedo;
@@ -506,7 +503,10 @@ function settle() {
 }
 
 function giveUp(unit, gesture) {
-  if (unit === null) backTo = chosenBefore;
+  if (unit === null) { // the sensor just mounted goes: the next key is already for the one chosen before
+    mounting = null;
+    chooseUnit(chosenBefore);
+  }
   line.send({ do: "revert", gesture });
   settle();
 }

@@ -603,6 +603,24 @@ def test_keys_work_after_a_slider_and_escape_gives_a_drag_up(browser, serve):
         has_units(page, 1)
 
 
+def test_a_key_right_after_escape_is_for_the_unit_chosen_before_the_drag(
+    browser, serve
+):
+    with opened(browser, serve(UNITS[:2])) as page:
+        page.click('[data-chip="RSU0"]')
+        x, y = pole(page, "corner-sw")
+        drag(page, (x, y), (x + 60, y - 60))
+        has_units(page, 3)
+        # Both in one step, so that the session cannot answer between them.
+        page.evaluate(
+            """() => ["Escape", "Delete"].forEach((key) => document.body
+            .dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true })))"""
+        )
+        page.mouse.up()
+        has_units(page, 1)
+        expect(page.locator("#units button")).to_contain_text("RSU1")
+
+
 def test_a_pole_with_a_unit_takes_a_second_one_and_what_is_moved_keeps_its_aim(
     browser, serve, tmp_path
 ):
