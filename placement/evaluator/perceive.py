@@ -210,7 +210,7 @@ def draw_in_pinhole(
         image,
         min_height_px,
         vru.meshes[0].skin,
-        vru.hull_m,
+        np.ascontiguousarray(vru.hull_m.T),
         standing.tree,
         parked.tree,
         surroundings.vehicle_trees,

@@ -39,11 +39,15 @@ Bounds = tuple[float, float, float, float]
 
 # More than rounding moves an edge in the image.
 _SLACK_PX = 1.0e-6
+# More than rounding changes an area in the image.
+_SURE_PX2 = 1.0e-6
 _MIN_DEPTH_M = 1.0e-6
 # What the VRU stands on does not occlude it.
 _TOUCH_M = 1.0e-6
 _N_PLANES = 6
 _LEAF_SIZE = 4
+# A part of the VRU's box is drawn first if it is smaller than the box by this factor.
+_WORTH_A_LOOK = 2
 # Room for the nodes that wait to be handled: about one per level of a tree.
 _MAX_OPEN = 512
 
@@ -114,10 +118,10 @@ class Skin(NamedTuple):
 
     Attributes
     ----------
-    vertices_m : (n_vertices, 3) float
-        In the body frame, shuffled, too. [m]
+    vertices_m : (3, n_vertices) float
+        In the body frame, shuffled, too, axis by axis. [m]
     triangles : (n_triangles, 3) int
-        Rows of vertices.
+        Columns of `vertices_m`.
     fan_start, fans : (n_vertices + 1,), (3 * n_triangles,) int
         Rows of the triangles at each vertex, one vertex after the other.
     """
@@ -229,9 +233,9 @@ def blank_sights(n_sights: int, n_frames: int) -> SeenBoxes:
 
 # ---------- triangles: their bounds in the image, and their depths
 @kernel
-def corner(points: FloatArray, row: int) -> Point:
-    """A row of points (n, 3) as a tuple."""
-    return points[row, 0], points[row, 1], points[row, 2]
+def corner(axes: FloatArray, column: int) -> Point:
+    """One of many points (3, n) as a tuple."""
+    return axes[0, column], axes[1, column], axes[2, column]
 
 
 @kernel
@@ -439,17 +443,22 @@ def _least_depth(image: Image, window: Window) -> float:
 
 @kernel
 def _to_camera(
-    turn: FloatArray, shift: FloatArray, points: FloatArray, out: FloatArray
+    turn: FloatArray, shift: FloatArray, points: FloatArray, axes: FloatArray
 ) -> None:
-    """Write points (n, 3) in the camera frame: columns right, down, ahead."""
-    for row in range(len(points)):
-        x = points[row, 0]
-        y = points[row, 1]
-        z = points[row, 2]
-        for axis in range(3):
-            out[row, axis] = (
-                turn[axis, 0] * x + turn[axis, 1] * y + turn[axis, 2] * z + shift[axis]
-            )
+    """Write points (3, n) in the camera frame: rows right, down, ahead.
+
+    Axis by axis, so that many points at once become vector instructions.
+    """
+    for axis in range(3):
+        x_share = turn[axis, 0]
+        y_share = turn[axis, 1]
+        z_share = turn[axis, 2]
+        offset = shift[axis]
+        for place in range(points.shape[1]):
+            x = points[0, place]
+            y = points[1, place]
+            z = points[2, place]
+            axes[axis, place] = x_share * x + y_share * y + z_share * z + offset
 
 
 @kernel
@@ -462,7 +471,7 @@ def find_crop(
     ----------
     image : Image
         The camera.
-    hull : (n, 3) float
+    hull : (3, n) float
         Corners of the body's convex hull, camera frame. [m]
     min_height_px : float
         Least height of the part. [px]
@@ -477,7 +486,7 @@ def find_crop(
         Share of the body's box that the image's edges do not cut off; 0 where the body
         reaches behind the lens.
     """
-    n = len(hull)
+    n = hull.shape[1]
     half_width = 0.5 * image.width_px
     half_height = 0.5 * image.height_px
     n_left = 0
@@ -490,9 +499,9 @@ def find_crop(
     for row in range(n):
         # The planes through the lens and the image's edges: they also hold behind the
         # lens.
-        across = hull[row, 0]
-        down = hull[row, 1]
-        depth = hull[row, 2]
+        across = hull[0, row]
+        down = hull[1, row]
+        depth = hull[2, row]
         n_left += -image.focal_px * across > half_width * depth
         n_right += image.focal_px * across > half_width * depth
         n_above += -image.focal_px * down > half_height * depth
@@ -512,9 +521,9 @@ def find_crop(
     y_max = -np.inf
     # All corners are ahead: bound their projections.
     for row in range(n):
-        scale = image.focal_px / hull[row, 2]
-        x = half_width + scale * hull[row, 0]
-        y = half_height + scale * hull[row, 1]
+        scale = image.focal_px / hull[2, row]
+        x = half_width + scale * hull[0, row]
+        y = half_height + scale * hull[1, row]
         x_min = min(x_min, x)
         x_max = max(x_max, x)
         y_min = min(y_min, y)
@@ -542,21 +551,39 @@ def find_crop(
 
 
 # ---------- the VRU
+class _Vru(NamedTuple):
+    """The VRU as a camera has it before it.
+
+    Attributes
+    ----------
+    points : (3, n_vertices) float
+        Vertices, camera frame. [m]
+    triangles : (n_triangles, 3) int
+        Columns of `points`.
+    """
+
+    points: FloatArray
+    triangles: IntArray
+
+
 @kernel
 def _project(
     image: Image, points: FloatArray, least_depth: float, pixels: FloatArray
 ) -> bool:
-    """Project points (n, 3) to columns and rows (n, 2).
+    """Project points (3, n) to columns and rows (2, n).
 
-    Returns True if all are ahead; otherwise the rest is not written.
+    Returns True if all are ahead; otherwise not all that is written makes sense.
     """
-    for row in range(len(points)):
-        if points[row, 2] < least_depth:
-            return False
-        scale = image.focal_px / points[row, 2]
-        pixels[row, 0] = 0.5 * image.width_px + scale * points[row, 0]
-        pixels[row, 1] = 0.5 * image.height_px + scale * points[row, 1]
-    return True
+    half_width = 0.5 * image.width_px
+    half_height = 0.5 * image.height_px
+    n_behind = 0
+    for place in range(points.shape[1]):
+        depth = points[2, place]
+        scale = image.focal_px / depth
+        pixels[0, place] = half_width + scale * points[0, place]
+        pixels[1, place] = half_height + scale * points[1, place]
+        n_behind += depth < least_depth
+    return n_behind == 0
 
 
 @kernel
@@ -566,11 +593,22 @@ def _bounds(pixels: FloatArray, i: int, j: int, k: int) -> Bounds:
     The same as those of :func:`find_span`, from corners that are projected already.
     """
     return (
-        min(pixels[i, 0], pixels[j, 0], pixels[k, 0]),
-        min(pixels[i, 1], pixels[j, 1], pixels[k, 1]),
-        max(pixels[i, 0], pixels[j, 0], pixels[k, 0]),
-        max(pixels[i, 1], pixels[j, 1], pixels[k, 1]),
+        min(pixels[0, i], pixels[0, j], pixels[0, k]),
+        min(pixels[1, i], pixels[1, j], pixels[1, k]),
+        max(pixels[0, i], pixels[0, j], pixels[0, k]),
+        max(pixels[1, i], pixels[1, j], pixels[1, k]),
     )
+
+
+@kernel
+def _area_px2(pixels: FloatArray, i: int, j: int, k: int) -> float:
+    """Twice the area of a triangle in the image; negative where its front is seen."""
+    x = pixels[0, i]
+    y = pixels[1, i]
+    first = (pixels[0, j] - x) * (pixels[1, k] - y)
+    second = (pixels[0, k] - x) * (pixels[1, j] - y)
+    area: float = first - second
+    return area
 
 
 @kernel
@@ -581,7 +619,7 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
     ----------
     image : Image
         The camera.
-    points : (n_vertices, 3) float
+    points : (3, n_vertices) float
         Vertices of the body's skin, camera frame. [m]
     skin : Skin
         The body.
@@ -599,7 +637,7 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
     are shuffled, few triangles are drawn.
     """
     least_depth = _least_depth(image, window)
-    pixels = np.empty((len(points), 2))
+    pixels = np.empty((2, points.shape[1]))
     is_ahead = _project(image, points, least_depth, pixels)
     middle_x = 0.5 * image.width_px - 0.5
     middle_y = 0.5 * image.height_px - 0.5
@@ -614,10 +652,10 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
     right = -np.inf
     bottom = -np.inf
     # Loop over the vertices of the skin, and the triangles at each.
-    for vertex in range(len(points)):
+    for vertex in range(points.shape[1]):
         if is_ahead:
-            column = pixels[vertex, 0]
-            line = pixels[vertex, 1]
+            column = pixels[0, vertex]
+            line = pixels[1, vertex]
             if left < column < right and top < line < bottom:
                 continue
         for place in range(skin.fan_start[vertex], skin.fan_start[vertex + 1]):
@@ -690,6 +728,35 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
 
 
 @kernel
+def _draw_line(
+    edges: Edges,
+    volume: float,
+    first_px: float,
+    per_px: float,
+    down: float,
+    line: FloatArray,
+) -> None:
+    """Draw a row of pixels as :func:`depth_at` does, without a branch."""
+    ax, ay, az = edges[0]
+    bx, by, bz = edges[1]
+    cx, cy, cz = edges[2]
+    a_down = ay * down
+    b_down = by * down
+    c_down = cy * down
+    for place in range(len(line)):
+        across = (first_px + place) * per_px
+        first = ax * across + a_down + az
+        second = bx * across + b_down + bz
+        third = cx * across + c_down + cz
+        total = first + second + third
+        is_covered = (first >= 0.0) & (second >= 0.0) & (third >= 0.0) & (total > 0.0)
+        depth = volume / total
+        before = line[place]
+        is_nearer = is_covered & (depth < before)
+        line[place] = depth if is_nearer else before
+
+
+@kernel
 def draw(
     image: Image,
     points: FloatArray,
@@ -703,10 +770,10 @@ def draw(
     ----------
     image : Image
         The camera.
-    points : (n_vertices, 3) float
+    points : (3, n_vertices) float
         Vertices, camera frame. [m]
     triangles : (n_triangles, 3) int
-        Rows of vertices.
+        Columns of `points`.
     window : Window
         Where to draw.
     depth_m : (n_pixels,) float
@@ -719,9 +786,9 @@ def draw(
     drawn.
     """
     least_depth = _least_depth(image, window)
-    pixels = np.empty((len(points), 2))
+    pixels = np.empty((2, points.shape[1]))
     is_ahead = _project(image, points, least_depth, pixels)
-    has_backs = points[:, 2].min() < image.near_m
+    has_backs = _nearest(points) < image.near_m
     width = window[2] - window[0]
     middle_x = 0.5 * image.width_px - 0.5
     middle_y = 0.5 * image.height_px - 0.5
@@ -731,6 +798,9 @@ def draw(
         i = triangles[row, 0]
         j = triangles[row, 1]
         k = triangles[row, 2]
+        # Most backs are told by their corners in the image.
+        if is_ahead and not has_backs and _area_px2(pixels, i, j, k) > _SURE_PX2:
+            continue
         a = corner(points, i)
         b = corner(points, j)
         c = corner(points, k)
@@ -745,44 +815,56 @@ def draw(
             continue
         edges, volume = find_edges(a, b, c)
         is_near = min(min(a[2], b[2]), c[2]) < image.near_m
+        first_px = x_min - middle_x
         for y in range(y_min, y_max):
             down = (y - middle_y) * per_px
-            start = (y - window[1]) * width - window[0]
-            for x in range(x_min, x_max):
-                across = (x - middle_x) * per_px
-                depth = depth_at(image, edges, volume, is_near, across, down)
-                depth_m[start + x] = min(depth_m[start + x], depth)
+            start = (y - window[1]) * width + x_min - window[0]
+            line = depth_m[start : start + x_max - x_min]
+            if is_near:
+                for place in range(len(line)):
+                    across = (first_px + place) * per_px
+                    depth = depth_at(image, edges, volume, is_near, across, down)
+                    line[place] = min(line[place], depth)
+            else:
+                _draw_line(edges, volume, first_px, per_px, down, line)
 
 
 @kernel
-def _draw_all(
-    image: Image,
-    points: FloatArray,
-    triangles: IntArray,
-    box: Window,
-    depth_m: FloatArray,
-) -> int:
-    """Write the depths of the whole VRU in its box; count its pixels."""
-    # Nothing is drawn yet.
-    depth_m[:] = np.inf
-    draw(image, points, triangles, box, depth_m)
-    return int((depth_m < np.inf).sum())
+def _nearest(points: FloatArray) -> float:
+    """Least depth of points (3, n)."""
+    nearest = np.inf
+    for place in range(points.shape[1]):
+        nearest = min(nearest, points[2, place])
+    return nearest
 
 
 @kernel
-def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -> int:
-    """Count the pixels that show the VRU; write the box around them to a row.
+def _draw_in(image: Image, vru: _Vru, window: Window) -> FloatArray:
+    """Depths of the VRU in a window, (n_pixels,): infinite where it is not."""
+    depth_m = np.full((window[2] - window[0]) * (window[3] - window[1]), np.inf)
+    draw(image, vru.points, vru.triangles, window, depth_m)
+    return depth_m
+
+
+@kernel
+def _count_pixels(depth_m: FloatArray) -> int:
+    """How many pixels show the VRU."""
+    n_pixels = 0
+    for pixel in range(len(depth_m)):
+        n_pixels += depth_m[pixel] < np.inf
+    return n_pixels
+
+
+@kernel
+def _box_around(depth_m: FloatArray, window: Window) -> Window:
+    """Box around the pixels of a window that show the VRU; zeros if none does.
 
     Parameters
     ----------
     depth_m : (n_pixels,) float
-        Depths in a window, row by row; infinite where the VRU is not seen. [m]
+        Depths in the window, row by row; infinite where the VRU is not seen. [m]
     window : Window
         The window.
-    found : (n, 4) float
-        Boxes. [px]
-    row : int
-        Row of `found` that is written; zeros if no pixel shows the VRU.
     """
     width = window[2] - window[0]
     height = window[3] - window[1]
@@ -790,23 +872,17 @@ def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -
     y_min = height
     x_max = 0
     y_max = 0
-    n_pixels = 0
     # Loop over the pixels of the window.
     for y in range(height):
         for x in range(width):
             if depth_m[y * width + x] < np.inf:
-                n_pixels += 1
                 x_min = min(x_min, x)
                 x_max = max(x_max, x + 1)
                 y_min = min(y_min, y)
                 y_max = max(y_max, y + 1)
-    found[row] = 0.0
-    if n_pixels > 0:
-        found[row, 0] = window[0] + x_min
-        found[row, 1] = window[1] + y_min
-        found[row, 2] = window[0] + x_max
-        found[row, 3] = window[1] + y_max
-    return n_pixels
+    if x_max == 0:
+        return 0, 0, 0, 0
+    return window[0] + x_min, window[1] + y_min, window[0] + x_max, window[1] + y_max
 
 
 # ---------- what hides it
@@ -904,185 +980,261 @@ def _is_outside(
     return False
 
 
-@kernel
-def hide(
-    image: Image,
-    tree: Tree,
-    root: int,
-    turn: FloatArray,
-    shift: FloatArray,
-    box: Window,
-    farthest_m: float,
-    low_m: float,
-    high_m: float,
-    depth_m: FloatArray,
-) -> bool:
-    """Hide what a body is in front of, or tell if it is in front of anything.
+class _Beam(NamedTuple):
+    """The pyramid from the lens through pixels that may show the VRU.
 
-    Parameters
+    Attributes
     ----------
-    image : Image
-        The camera.
+    section : Window
+        The pixels.
+    farthest_m : float
+        Nothing deeper is looked at: the VRU ends there. [m]
+    lowest_m, highest_m : float
+        Heights between which everything lies that may hide the VRU, in the frame in
+        which the camera stands. [m]
+    """
+
+    section: Window
+    farthest_m: float
+    lowest_m: float
+    highest_m: float
+
+
+class _Occluder(NamedTuple):
+    """A body that may hide the VRU, at its place.
+
+    Attributes
+    ----------
     tree : Tree
         Triangles of one body, or of several.
     root : int
         Node at which the tree of the body begins.
     turn, shift : (3, 3), (3,) float
         From the body's frame to the camera's.
-    box : Window
-        Pixels to look at.
-    farthest_m : float
-        Nothing farther than this is looked at. [m]
-    low_m, high_m : float
-        Nothing outside of these heights, in the body's frame, is looked at. [m]
-    depth_m : (n_pixels,) or (0,) float
-        Depths in the pixels of the box. Those of pixels that the body occludes become
-        infinite. [m]
-
-    Returns
-    -------
-    is_in_front : bool
-        Only if `depth_m` is empty: the body covers a pixel of the box at less than
-        `farthest_m`. False otherwise.
+    up_m : float
+        Height of the body's origin. [m]
     """
-    if len(tree.second) == 0:
-        return False
-    planes = np.empty((_N_PLANES, 4))
-    _set_beam(image, box, farthest_m, turn, shift, planes)
-    least_depth = _least_depth(image, box)
-    middle_x = 0.5 * image.width_px - 0.5
-    middle_y = 0.5 * image.height_px - 0.5
-    per_px = 1.0 / image.focal_px
-    is_asked = len(depth_m) == 0
-    width = box[2] - box[0]
-    waiting = np.empty(_MAX_OPEN, dtype=np.int64)
-    corners = np.empty((3, 3))
-    waiting[0] = root
-    n_waiting = 1
-    # Loop over the nodes whose boxes may reach into the beam.
-    while n_waiting:
-        n_waiting -= 1
-        node = waiting[n_waiting]
-        if _is_outside(planes, low_m, high_m, tree.low_m, tree.high_m, node):
-            continue
-        if tree.second[node] >= 0:
-            # The first child comes on top, and is looked at next.
-            waiting[n_waiting] = tree.second[node]
-            waiting[n_waiting + 1] = node + 1
-            n_waiting += 2
-            continue
-        # Loop over the triangles of a leaf.
-        for row in range(tree.start[node], tree.end[node]):
-            _to_camera(turn, shift, tree.corners_m[row], corners)
-            a = corner(corners, 0)
-            b = corner(corners, 1)
-            c = corner(corners, 2)
-            bounds = find_span(image, least_depth, a, b, c)
-            x_min, y_min, x_max, y_max = pixels_within(bounds, box)
-            if x_min >= x_max or y_min >= y_max:
-                continue
-            edges, volume = find_edges(a, b, c)
-            if volume == 0.0 or _passes_by(image, edges, volume, box, farthest_m):
-                continue
-            is_near = min(min(a[2], b[2]), c[2]) < image.near_m
-            # Loop over the pixels of the box within the triangle's bounds.
-            for y in range(y_min, y_max):
-                down = (y - middle_y) * per_px
-                start = (y - box[1]) * width - box[0]
-                for x in range(x_min, x_max):
-                    if is_asked:
-                        before_m = farthest_m
-                    else:
-                        before_m = depth_m[start + x]
-                    if before_m == np.inf:
-                        continue
-                    across = (x - middle_x) * per_px
-                    if depth_at(image, edges, volume, is_near, across, down) > before_m:
-                        continue
-                    if is_asked:
-                        return True
-                    depth_m[start + x] = np.inf
-    return False
+
+    tree: Tree
+    # A number that numba takes for a constant would have kernels compiled twice.
+    root: int | np.int64
+    turn: FloatArray
+    shift: FloatArray
+    up_m: float
 
 
-# ---------- many sights
 @kernel
-def _see_past_vehicles(
-    image: Image,
-    body: tuple[FloatArray, IntArray],
-    vehicles: Vehicles,
-    sights: Sights,
-    seen: SeenBoxes,
-    sight: int,
-    box: Window,
-    depths: tuple[float, float, float],
-    n_pixels: int,
-    depth_m: FloatArray,
-    left_m: FloatArray,
-) -> None:
-    """Fill the frames of a sight, which differ by the vehicles that move.
+def _corner_of(body: _Occluder, row: int, place: int) -> Point:
+    """A corner of a triangle in the camera frame."""
+    turn = body.turn
+    shift = body.shift
+    x = body.tree.corners_m[row, place, 0]
+    y = body.tree.corners_m[row, place, 1]
+    z = body.tree.corners_m[row, place, 2]
+    return (
+        turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + shift[0],
+        turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + shift[1],
+        turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + shift[2],
+    )
+
+
+@kernel
+def _find_in_front(
+    image: Image, body: _Occluder, beam: _Beam, rows: IntArray
+) -> tuple[int, Window]:
+    """Find the triangles of a body that cover a pixel before the VRU ends.
 
     Parameters
     ----------
     image : Image
         The camera.
-    body : (FloatArray, IntArray)
-        Vertices of the VRU, camera frame, and its triangles.
-    vehicles : Vehicles
-        All kinds of vehicles.
-    sights : Sights
-        Where everything is.
-    seen : SeenBoxes
-        Its frames are written.
-    sight : int
-        The sight.
-    box : Window
-        Box of the whole VRU.
-    depths : tuple of 3 float
-        Farthest depth of the VRU, and the heights between which everything lies that
-        may occlude it. [m]
-    n_pixels : int
-        Pixels of the whole VRU; 0 where `depth_m` is not yet drawn.
-    depth_m : (n,) float
-        Depths of the VRU in the box, without what stands still in front of it. [m]
-    left_m : (n,) float
-        Room for as many. [m]
+    body : _Occluder
+        The body.
+    beam : _Beam
+        Where to look.
+    rows : (n_triangles,) int
+        Written: the triangles.
+
+    Returns
+    -------
+    n_found : int
+        How many they are.
+    window : Window
+        Outside of it they cover no pixel of the beam; zeros if there are none.
     """
-    farthest_m, lowest_m, highest_m = depths
-    # Loop over the frames, and the vehicles in each.
-    for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
-        is_hidden = False
-        for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
-            root = vehicles.roots[sights.vehicle_kind[row]]
-            at = sights.vehicles.turn[row]
-            there = sights.vehicles.shift[row]
-            base_m = sights.vehicles.up_m[row]
-            low_m = lowest_m - base_m + _TOUCH_M
-            high_m = highest_m - base_m
-            look = (
-                image,
-                vehicles.tree,
-                root,
-                at,
-                there,
-                box,
-                farthest_m,
-                low_m,
-                high_m,
-            )
-            if not hide(*look, depth_m[:0]):
+    if len(body.tree.second) == 0:
+        return 0, (0, 0, 0, 0)
+    section = beam.section
+    planes = np.empty((_N_PLANES, 4))
+    _set_beam(image, section, beam.farthest_m, body.turn, body.shift, planes)
+    low_m = beam.lowest_m - body.up_m + _TOUCH_M
+    high_m = beam.highest_m - body.up_m
+    least_depth = _least_depth(image, section)
+    middle_x = 0.5 * image.width_px - 0.5
+    middle_y = 0.5 * image.height_px - 0.5
+    per_px = 1.0 / image.focal_px
+    n_found = 0
+    left = section[2]
+    top = section[3]
+    right = section[0]
+    bottom = section[1]
+    waiting = np.empty(_MAX_OPEN, dtype=np.int64)
+    waiting[0] = body.root
+    n_waiting = 1
+    # Loop over the nodes whose boxes may reach into the beam.
+    while n_waiting:
+        n_waiting -= 1
+        node = waiting[n_waiting]
+        if _is_outside(planes, low_m, high_m, body.tree.low_m, body.tree.high_m, node):
+            continue
+        if body.tree.second[node] >= 0:
+            # The first child comes on top, and is looked at next.
+            waiting[n_waiting] = body.tree.second[node]
+            waiting[n_waiting + 1] = node + 1
+            n_waiting += 2
+            continue
+        # Loop over the triangles of a leaf.
+        for row in range(body.tree.start[node], body.tree.end[node]):
+            a = _corner_of(body, row, 0)
+            b = _corner_of(body, row, 1)
+            c = _corner_of(body, row, 2)
+            bounds = find_span(image, least_depth, a, b, c)
+            x_min, y_min, x_max, y_max = pixels_within(bounds, section)
+            if x_min >= x_max or y_min >= y_max:
                 continue
-            if n_pixels == 0:
-                n_pixels = _draw_all(image, body[0], body[1], box, depth_m)
-            if not is_hidden:
-                # A loop: numba compiles a slice's copy with the text of its error.
-                for pixel in range(len(depth_m)):
-                    left_m[pixel] = depth_m[pixel]
-            is_hidden = True
-            hide(*look, left_m)
-        if is_hidden:
-            n_seen = _measure(left_m, box, seen.frame_visible_px, frame)
-            seen.frame_visible_share[frame] = n_seen / n_pixels
+            edges, volume = find_edges(a, b, c)
+            if volume == 0.0 or _passes_by(
+                image, edges, volume, section, beam.farthest_m
+            ):
+                continue
+            is_near = min(min(a[2], b[2]), c[2]) < image.near_m
+            is_found = False
+            # Loop over the pixels within the triangle's bounds, up to the first hit.
+            for y in range(y_min, y_max):
+                down = (y - middle_y) * per_px
+                for x in range(x_min, x_max):
+                    across = (x - middle_x) * per_px
+                    depth = depth_at(image, edges, volume, is_near, across, down)
+                    if depth <= beam.farthest_m:
+                        is_found = True
+                        break
+                if is_found:
+                    break
+            if is_found:
+                rows[n_found] = row
+                n_found += 1
+                left = min(left, x_min)
+                top = min(top, y_min)
+                right = max(right, x_max)
+                bottom = max(bottom, y_max)
+    if n_found == 0:
+        return 0, (0, 0, 0, 0)
+    return n_found, (left, top, right, bottom)
+
+
+@kernel
+def _hide(
+    image: Image, body: _Occluder, rows: IntArray, window: Window, depth_m: FloatArray
+) -> None:
+    """Hide what triangles of a body are in front of.
+
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    body : _Occluder
+        The body.
+    rows : (n,) int
+        Its triangles.
+    window : Window
+        Pixels to look at.
+    depth_m : (n_pixels,) float
+        Depths of the VRU in these pixels, row by row. Those of pixels that the
+        triangles cover at no greater depth become infinite. [m]
+    """
+    least_depth = _least_depth(image, window)
+    middle_x = 0.5 * image.width_px - 0.5
+    middle_y = 0.5 * image.height_px - 0.5
+    per_px = 1.0 / image.focal_px
+    width = window[2] - window[0]
+    for row in rows:
+        a = _corner_of(body, row, 0)
+        b = _corner_of(body, row, 1)
+        c = _corner_of(body, row, 2)
+        bounds = find_span(image, least_depth, a, b, c)
+        x_min, y_min, x_max, y_max = pixels_within(bounds, window)
+        edges, volume = find_edges(a, b, c)
+        is_near = min(min(a[2], b[2]), c[2]) < image.near_m
+        # Loop over the pixels of the window within the triangle's bounds.
+        for y in range(y_min, y_max):
+            down = (y - middle_y) * per_px
+            start = (y - window[1]) * width - window[0]
+            for x in range(x_min, x_max):
+                before_m = depth_m[start + x]
+                if before_m == np.inf:
+                    continue
+                across = (x - middle_x) * per_px
+                depth = depth_at(image, edges, volume, is_near, across, down)
+                if depth <= before_m:
+                    depth_m[start + x] = np.inf
+
+
+# ---------- many sights
+@kernel
+def _find_hiding(
+    image: Image,
+    vru: _Vru,
+    body: _Occluder,
+    beam: _Beam,
+    is_drawn: bool,
+    rows: IntArray,
+) -> int:
+    """Find the triangles of a body that may hide a part of the VRU.
+
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    vru : _Vru
+        The VRU.
+    body : _Occluder
+        What may hide it.
+    beam : _Beam
+        Its section is the box of the whole VRU.
+    is_drawn : bool
+        The whole VRU is drawn already.
+    rows : (n_triangles,) int
+        Written: the triangles.
+
+    Returns
+    -------
+    n_found : int
+        How many they are.
+
+    Notes
+    -----
+    Drawing takes longest. If a body covers only a corner of the box, where the VRU
+    mostly is not, just that corner is drawn, to see if anything is hidden there.
+    """
+    box = beam.section
+    n_found, window = _find_in_front(image, body, beam, rows)
+    area = (window[2] - window[0]) * (window[3] - window[1])
+    whole_area = (box[2] - box[0]) * (box[3] - box[1])
+    if n_found == 0 or is_drawn or _WORTH_A_LOOK * area > whole_area:
+        return n_found
+    depth_m = _draw_in(image, vru, window)
+    n_before = _count_pixels(depth_m)
+    _hide(image, body, rows[:n_found], window, depth_m)
+    if _count_pixels(depth_m) == n_before:
+        return 0
+    return n_found
+
+
+@kernel
+def _set_box(boxes: FloatArray, row: int, box: Window) -> None:
+    """Write a box into a row of boxes, (n, 4)."""
+    for side, edge_px in enumerate(box):
+        boxes[row, side] = edge_px
 
 
 @kernel
@@ -1107,7 +1259,7 @@ def see(
         Where the VRU's part of the image is lower, boxes stay zeros. [px]
     skin : Skin
         Triangles of the VRU, body frame.
-    hull_m : (n, 3) float
+    hull_m : (3, n) float
         Corners of its convex hull, body frame. [m]
     standing, parked : Tree
         The scene, and what is parked in it.
@@ -1118,16 +1270,15 @@ def see(
     seen : SeenBoxes
         Blank; written.
     """
-    vertices_m = skin.vertices_m
-    triangles = skin.triangles
-    hull = np.empty((len(hull_m), 3))
-    points = np.empty((len(vertices_m), 3))
-    nothing = np.empty(0)
-    depth_m = nothing
-    # Depths in the pixels of the box; infinite where the VRU is not seen.
-    left_m = nothing
-    foot_m = hull_m[:, 2].min()
-    top_m = hull_m[:, 2].max()
+    hull = np.empty(hull_m.shape)
+    points = np.empty(skin.vertices_m.shape)
+    vru = _Vru(points, skin.triangles)
+    n_rows = max(
+        len(standing.corners_m), len(parked.corners_m), len(vehicles.tree.corners_m)
+    )
+    rows = np.empty(n_rows, dtype=np.int64)
+    foot_m = hull_m[2].min()
+    top_m = hull_m[2].max()
     # Loop over the sights: places of the VRU among what stands still.
     for sight in range(len(sights.vru.shift)):
         turn = sights.vru.turn[sight]
@@ -1137,70 +1288,117 @@ def see(
         seen.inside_share[sight] = inside_share
         if crop[2] == 0:
             continue
-        _to_camera(turn, shift, vertices_m, points)
+        _to_camera(turn, shift, skin.vertices_m, points)
         box = find_box(image, points, skin, crop)
         if box[2] == 0:
             continue
-        for side, edge_px in enumerate(box):
-            seen.amodal_px[sight, side] = edge_px
-            seen.visible_px[sight, side] = edge_px
-        farthest_m = max(0.0, hull[:, 2].max())
-        area = (box[2] - box[0]) * (box[3] - box[1])
-        if len(depth_m) < area:
-            depth_m = np.empty(area)
-            left_m = np.empty(area)
-        n_pixels = 0
-        # Pixels that nothing static occludes; -1: not counted.
-        n_left = -1
-        # Between these heights is all that may hide it.
+        _set_box(seen.amodal_px, sight, box)
         vru_m = sights.vru.up_m[sight]
-        base_m = sights.static.up_m[sight]
+        # Between these heights is all that may hide it.
         lowest_m = min(image.up_m, foot_m + vru_m)
         highest_m = max(image.up_m, top_m + vru_m)
-        low_m = lowest_m - base_m + _TOUCH_M
-        high_m = highest_m - base_m
-        at = sights.static.turn[sight]
-        there = sights.static.shift[sight]
-        # The scene, and what is parked: ask first, and draw the VRU only if needed.
-        for tree in (standing, parked):
-            if not hide(
-                image, tree, 0, at, there, box, farthest_m, low_m, high_m, nothing
-            ):
+        farthest_m = max(0.0, hull[2].max())
+        beam = _Beam(box, farthest_m, lowest_m, highest_m)
+        _see_sight(
+            image,
+            vru,
+            beam,
+            (standing, parked),
+            vehicles,
+            sights,
+            sight,
+            rows,
+            seen,
+        )
+
+
+@kernel
+def _see_sight(
+    image: Image,
+    vru: _Vru,
+    beam: _Beam,
+    still: tuple[Tree, Tree],
+    vehicles: Vehicles,
+    sights: Sights,
+    sight: int,
+    rows: IntArray,
+    seen: SeenBoxes,
+) -> None:
+    """Fill what is visible in one sight, and in its frames.
+
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    vru : _Vru
+        The VRU.
+    beam : _Beam
+        Its section is the box of the whole VRU.
+    still : (Tree, Tree)
+        The scene, and what is parked in it.
+    vehicles : Vehicles
+        All kinds of vehicles that move.
+    sights : Sights
+        Where everything is.
+    sight : int
+        The sight.
+    rows : (n_triangles,) int
+        Room for the triangles of any body.
+    seen : SeenBoxes
+        Written.
+    """
+    box = beam.section
+    # Depths of the VRU in its box, less what stands still hides; empty: not drawn.
+    depth_m = np.empty(0)
+    n_pixels = 0
+    turn = sights.static.turn[sight]
+    shift = sights.static.shift[sight]
+    up_m = sights.static.up_m[sight]
+    for tree in still:
+        body = _Occluder(tree, np.int64(0), turn, shift, up_m)
+        n_found = _find_hiding(image, vru, body, beam, len(depth_m) > 0, rows)
+        if n_found == 0:
+            continue
+        if len(depth_m) == 0:
+            depth_m = _draw_in(image, vru, box)
+            n_pixels = _count_pixels(depth_m)
+        _hide(image, body, rows[:n_found], box, depth_m)
+    visible = box
+    share = 1.0
+    if len(depth_m):
+        visible = _box_around(depth_m, box)
+        share = _count_pixels(depth_m) / n_pixels
+    _set_box(seen.visible_px, sight, visible)
+    seen.visible_share[sight] = share
+    # Loop over the frames of the sight, which differ by the vehicles that move.
+    for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
+        _set_box(seen.frame_visible_px, frame, visible)
+        seen.frame_visible_share[frame] = share
+        if visible[2] == 0:
+            continue
+        left_m = depth_m
+        is_hidden = False
+        for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
+            vehicle = _Occluder(
+                vehicles.tree,
+                vehicles.roots[sights.vehicle_kind[row]],
+                sights.vehicles.turn[row],
+                sights.vehicles.shift[row],
+                sights.vehicles.up_m[row],
+            )
+            n_found = _find_hiding(image, vru, vehicle, beam, len(depth_m) > 0, rows)
+            if n_found == 0:
                 continue
-            if n_pixels == 0:
-                n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
-            hide(
-                image,
-                tree,
-                0,
-                at,
-                there,
-                box,
-                farthest_m,
-                low_m,
-                high_m,
-                depth_m[:area],
-            )
-            n_left = _measure(depth_m, box, seen.visible_px, sight)
-            seen.visible_share[sight] = n_left / n_pixels
-        # Loop over the frames of the sight: first as if no vehicles were there.
-        for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
-            seen.frame_visible_px[frame] = seen.visible_px[sight]
-            seen.frame_visible_share[frame] = seen.visible_share[sight]
-        if n_left != 0:
-            _see_past_vehicles(
-                image,
-                (points, triangles),
-                vehicles,
-                sights,
-                seen,
-                sight,
-                box,
-                (farthest_m, lowest_m, highest_m),
-                n_pixels,
-                depth_m[:area],
-                left_m[:area],
-            )
+            if len(depth_m) == 0:
+                depth_m = _draw_in(image, vru, box)
+                n_pixels = _count_pixels(depth_m)
+            if not is_hidden:
+                left_m = depth_m.copy()
+            is_hidden = True
+            _hide(image, vehicle, rows[:n_found], box, left_m)
+        if is_hidden:
+            _set_box(seen.frame_visible_px, frame, _box_around(left_m, box))
+            seen.frame_visible_share[frame] = _count_pixels(left_m) / n_pixels
 
 
 # ---------- trees of boxes around triangles

@@ -77,7 +77,7 @@ class BodyMesh:
         triangles = place[rng.permutation(self.triangles)]
         corners = triangles.ravel()
         return Skin(
-            vertices_m=np.ascontiguousarray(self.vertices_m[order]),
+            vertices_m=np.ascontiguousarray(self.vertices_m[order].T),
             triangles=triangles,
             fan_start=np.append(
                 0, np.cumsum(np.bincount(corners, minlength=n_vertices))

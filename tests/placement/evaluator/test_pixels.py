@@ -141,12 +141,13 @@ def _drawn(corners_m, camera, window):
     Each has a front on either side: of closed bodies, which are drawn, no back is seen.
     """
     image = _image(camera)
-    points = np.ascontiguousarray(corners_m.reshape(-1, 3))
-    triangles = np.arange(len(points)).reshape(-1, 3)
+    vertices_m = corners_m.reshape(-1, 3)
+    points = np.ascontiguousarray(vertices_m.T)
+    triangles = np.arange(len(vertices_m)).reshape(-1, 3)
     triangles = np.concatenate([triangles, triangles[:, ::-1]])
     depth = np.full((window[3] - window[1], window[2] - window[0]), np.inf)
     draw(image, points, triangles, window, depth.reshape(-1))
-    skin = BodyMesh(vertices_m=points, triangles=triangles).skin
+    skin = BodyMesh(vertices_m=vertices_m, triangles=triangles).skin
     return depth, find_box(image, skin.vertices_m, skin, window)
 
 
@@ -270,7 +271,7 @@ def test_body_beside_the_lens_is_not_drawn_though_it_reaches_behind(
         (0.0, (0, 0, camera.width_px, camera.height_px)),
     ):
         hull = _in_camera(body.hull_m, LEVEL, [0.0, y_m, 0.0, 0.0])
-        assert hull[:, 2].min() < 0.0
+        assert hull[2].min() < 0.0
         assert find_crop(_image(camera), hull, 0.0) == (expected, 0.0)
 
 
@@ -296,7 +297,8 @@ def test_crop_holds_every_pixel_of_the_body(ahead_m, left_m, up_m, yaw_deg, pitc
 
 def _in_camera(points_m, pose, road_pose):
     placed = _place(pose, np.array([road_pose]), np.zeros(1))
-    return np.ascontiguousarray(points_m @ placed.turn[0].T + placed.shift[0])
+    in_camera = points_m @ placed.turn[0].T + placed.shift[0]
+    return np.ascontiguousarray(in_camera.T)
 
 
 @pytest.mark.parametrize("name", ["adult", "child", "cyclist"])
@@ -313,7 +315,7 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
     n_hit = 0
     for yaw_deg in np.linspace(-170.0, 170.0, 7):
         road_pose = np.array([distance_m, 0.3, yaw_deg, 0.0])
-        points = _in_camera(mesh.skin.vertices_m, pose, road_pose)
+        points = _in_camera(mesh.skin.vertices_m.T, pose, road_pose)
         depth = np.full(camera.width_px * camera.height_px, np.inf)
         draw(_image(camera, 1.4), points, mesh.skin.triangles, window, depth)
         cast = cast_crops(
