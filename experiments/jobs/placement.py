@@ -1,5 +1,6 @@
 """Placements, evaluations and comparisons: from a question to a folder of results."""
 
+import io
 import logging
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -53,7 +54,7 @@ from ..progress import WRITING, StageProgress
 from ..report.page import write_report
 from ..results import folders
 from ..results.cached import cached_part
-from ..results.tables import apr_table, csv_text, runs_table
+from ..results.tables import apr_records, records_csv, runs_table
 from .search import FoundLayout, Job, search
 
 _log = logging.getLogger(__name__)
@@ -483,15 +484,20 @@ def _tables(
 ) -> tuple[str, bytes]:
     """Contents of ``apr.csv`` and ``runs.parquet``.
 
-    Cached, for pandas takes longer to load than either to write.
+    Cached, for pyarrow takes longer to load than either to write.
     """
+
+    def build() -> tuple[str, bytes]:
+        from pyarrow.parquet import write_table
+
+        runs = io.BytesIO()
+        write_table(runs_table(evaluations), runs)
+        return records_csv(apr_records(evaluations)), runs.getvalue()
+
     return cached_part(
         cache_folder,
         "tables",
-        lambda: (
-            csv_text(apr_table(evaluations)),
-            runs_table(evaluations).to_parquet(),
-        ),
+        build,
         kind=tuple[str, bytes],
         made_from=[evaluations],
     )

@@ -68,7 +68,7 @@ class StoredResult:
         :func:`experiments.results.tables.runs_table`.
     apr : DataFrame
         A row per layout, sensing party and group of runs; see
-        :func:`experiments.results.tables.apr_table`.
+        :func:`experiments.results.tables.apr_records`.
     """
 
     folder: Path

@@ -19,9 +19,11 @@ from scenarios.positions import sort_positions
 from scenarios.runs import FrameAxis
 
 from ..language import mark
+from .numbers import finite_or_none
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow as pa
 
 ALL = "all"
 GROUP_COLUMNS = ("case", "approach", "position", "weather", "vut_speed_kmh")
@@ -73,7 +75,7 @@ def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
     return margin
 
 
-def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
+def apr_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, Any]]:
     """Accident prevention ratios of every party by groups of runs.
 
     By case, approach, position, weather and speed.
@@ -85,35 +87,34 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
 
     Returns
     -------
-    table : DataFrame
-        Columns layout, party, case, approach, position, weather, vut_speed_kmh, apr,
+    records : list of dict
+        Fields layout, party, case, approach, position, weather, vut_speed_kmh, apr,
         n_runs, n_avoided. "all" stands for every case, approach, position, weather or
-        speed; a single position, weather or speed has no rows of its own. Speeds are
+        speed; a single position, weather or speed has no records of its own. Speeds are
         told of all approaches, positions and weathers together, positions of all
         weathers and speeds, either of all approaches or of all cases together. The
-        ratio is missing where none of the runs has weight.
+        ratio is None where none of the runs has weight.
     """
-    import pandas as pd
+    records = []
+    for name, evaluation in evaluations.items():
+        groups = _run_groups(evaluation.axis)
+        for party, verdict in parties(evaluation).items():
+            for group, mask in groups:
+                ratio = apr(verdict, evaluation.axis, mask)
+                records.append(
+                    {
+                        "layout": name,
+                        "party": party,
+                        **group,
+                        "apr": finite_or_none(ratio),
+                        "n_runs": int(mask.sum()),
+                        "n_avoided": int((verdict.is_avoided & mask).sum()),
+                    }
+                )
+    return records
 
-    return pd.DataFrame(
-        [
-            {
-                "layout": name,
-                "party": party,
-                **group,
-                "apr": apr(verdict, evaluation.axis, mask),
-                "n_runs": int(mask.sum()),
-                "n_avoided": int((verdict.is_avoided & mask).sum()),
-            }
-            for name, evaluation in evaluations.items()
-            for groups in [_run_groups(evaluation.axis)]
-            for party, verdict in parties(evaluation).items()
-            for group, mask in groups
-        ]
-    )
 
-
-def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
+def runs_table(evaluations: Mapping[str, Evaluation]) -> "pa.Table":
     """Every run's outcome for every party.
 
     Parameters
@@ -123,46 +124,50 @@ def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
 
     Returns
     -------
-    table : DataFrame
+    table : Table
         One row per layout, party and run. Times that do not exist (never confirmed, no
         braking avoids) are missing.
     """
-    import pandas as pd
+    import pyarrow as pa
 
-    return pd.concat(
-        [
-            pd.DataFrame(
-                {
-                    "layout": name,
-                    "party": party,
-                    "run": axis.run_ids,
-                    "case": axis.cases,
-                    "approach": axis.approaches,
-                    "position": axis.positions,
-                    "weather": axis.weathers,
-                    "vut_speed_kmh": axis.vut_speed_kmh,
-                    "weight": axis.weight,
-                    "last_brake_time_s": _missing(axis.last_brake_time_s),
-                    "confirmation_time_s": _missing(verdict.confirmation_time_s),
-                    "margin_s": _missing(margin_s(verdict, axis)),
-                    "is_avoided": verdict.is_avoided,
-                    "detected_share": np.add.reduceat(
-                        verdict.detected, axis.run_start[:-1]
-                    )
-                    / np.diff(axis.run_start),
-                    "impact_speed_kmh": (
-                        np.nan
-                        if verdict.impact_speed_kmh is None
-                        else verdict.impact_speed_kmh
-                    ),
-                }
-            )
-            for name, evaluation in evaluations.items()
-            for axis in [evaluation.axis]
-            for party, verdict in parties(evaluation).items()
-        ],
-        ignore_index=True,
+    return pa.concat_tables(
+        _runs_of(name, party, verdict, evaluation.axis)
+        for name, evaluation in evaluations.items()
+        for party, verdict in parties(evaluation).items()
     )
+
+
+def _runs_of(layout: str, party: str, verdict: Verdict, axis: FrameAxis) -> "pa.Table":
+    """Every run's outcome for one party of a layout."""
+    import pyarrow as pa
+
+    n_frames = np.diff(axis.run_start)
+    n_detected = np.add.reduceat(verdict.detected, axis.run_start[:-1])
+    impact_speed_kmh = verdict.impact_speed_kmh
+    if impact_speed_kmh is None:
+        impact_speed_kmh = np.full(axis.n_runs, np.nan)
+    columns: dict[str, Any] = {
+        "layout": [layout] * axis.n_runs,
+        "party": [party] * axis.n_runs,
+        "run": axis.run_ids,
+        "case": axis.cases,
+        "approach": axis.approaches,
+        "position": axis.positions,
+        "weather": axis.weathers,
+        "vut_speed_kmh": axis.vut_speed_kmh,
+        "weight": axis.weight,
+        "last_brake_time_s": _missing(axis.last_brake_time_s),
+        "confirmation_time_s": _missing(verdict.confirmation_time_s),
+        "margin_s": _missing(margin_s(verdict, axis)),
+        "is_avoided": verdict.is_avoided,
+        "detected_share": n_detected / n_frames,
+        "impact_speed_kmh": impact_speed_kmh,
+    }
+    # What is not a number is missing, as pandas reads and writes it.
+    arrays = {
+        name: pa.array(values, from_pandas=True) for name, values in columns.items()
+    }
+    return pa.table(arrays)
 
 
 def _run_groups(axis: FrameAxis) -> list[tuple[dict[str, str], BoolArray]]:

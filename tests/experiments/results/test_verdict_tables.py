@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
-from experiments.results.tables import apr_table, margin_s, parties, runs_table
+from experiments.results.tables import apr_records, margin_s, parties, runs_table
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_position
 from scenarios.confirmation import is_in_time, live_confirmation_time_s
 
@@ -49,8 +49,12 @@ def evaluation(layout, frame_axis, rule):
     )
 
 
+def _apr_table(evaluations):
+    return pd.DataFrame(apr_records(evaluations))
+
+
 def test_apr_table_agrees_with_the_evaluation(evaluation):
-    table = apr_table({"mine": evaluation})
+    table = _apr_table({"mine": evaluation})
     assert list(table.columns) == [
         "layout",
         "party",
@@ -79,7 +83,7 @@ def test_apr_table_agrees_with_the_evaluation(evaluation):
 def test_apr_table_tells_several_weathers_apart(evaluation):
     axis = replace(evaluation.axis, weathers=("day", "night", "day"))
     evaluation = replace(evaluation, axis=axis)
-    table = apr_table({"mine": evaluation})
+    table = _apr_table({"mine": evaluation})
     assert not table.duplicated(
         ["party", "case", "approach", "weather", "vut_speed_kmh"]
     ).any()
@@ -94,14 +98,14 @@ def test_apr_table_tells_several_weathers_apart(evaluation):
             assert row.n_runs == mask.sum()
             assert row.n_avoided == (verdict.is_avoided & mask).sum()
         assert table.loc[(party, "all", "all", "all")].apr == apr(verdict, axis)
-    runs = runs_table({"mine": evaluation})
+    runs = runs_table({"mine": evaluation}).to_pandas()
     assert runs.weather.tolist() == list(axis.weathers) * len(parties(evaluation))
 
 
 def test_apr_table_tells_several_positions_apart(evaluation):
     axis = replace(evaluation.axis, positions=("0", "-15", "0"))
     evaluation = replace(evaluation, axis=axis)
-    table = apr_table({"mine": evaluation})
+    table = _apr_table({"mine": evaluation})
     keys = ["party", "case", "approach", "position", "weather", "vut_speed_kmh"]
     assert not table.duplicated(keys).any()
     told = table[table.position != "all"]
@@ -125,12 +129,12 @@ def test_apr_table_tells_several_positions_apart(evaluation):
             position: rows.loc[("all", "all", position)].apr
             for position in ("-15", "0")
         }
-    runs = runs_table({"mine": evaluation})
+    runs = runs_table({"mine": evaluation}).to_pandas()
     assert runs.position.tolist() == list(axis.positions) * len(parties(evaluation))
 
 
 def test_apr_table_tells_several_speeds_apart(evaluation):
-    table = apr_table({"mine": evaluation})
+    table = _apr_table({"mine": evaluation})
     told = table[(table.vut_speed_kmh != "all") & (table.party == "rsu_all")]
     assert set(told.approach) == set(told.weather) == {"all"}
     verdict = evaluation.rsu_all
@@ -151,12 +155,12 @@ def test_apr_table_tells_several_speeds_apart(evaluation):
         for key, mask in runs.items()
     }
     same = replace(evaluation, axis=replace(axis, vut_speed_kmh=np.full(3, 20.0)))
-    assert set(apr_table({"mine": same}).vut_speed_kmh) == {"all"}
+    assert set(_apr_table({"mine": same}).vut_speed_kmh) == {"all"}
 
 
 def test_apr_table_leaves_the_ratio_of_runs_without_weight_open(evaluation):
     axis = replace(evaluation.axis, weight=np.array([0.5, 0.5, 0.0]))
-    table = apr_table({"mine": replace(evaluation, axis=axis)})
+    table = _apr_table({"mine": replace(evaluation, axis=axis)})
     rows = table[(table.case == "B") & (table.approach == "all")]
     assert set(rows.vut_speed_kmh) == {"all", "20"}  # nobody drives it at 30
     assert len(rows) == 12
@@ -165,7 +169,7 @@ def test_apr_table_leaves_the_ratio_of_runs_without_weight_open(evaluation):
 
 
 def test_runs_table_has_one_row_per_party_and_run(evaluation, tmp_path):
-    table = runs_table({"mine": evaluation, "again": evaluation})
+    table = runs_table({"mine": evaluation, "again": evaluation}).to_pandas()
     axis = evaluation.axis
     assert len(table) == 2 * 6 * axis.n_runs
     assert not np.isinf(table.select_dtypes("number").to_numpy()).any()
