@@ -244,21 +244,23 @@ def drive(
     scene: Scene,
     *,
     position: Position | None = None,
+    known: Sequence[Run] = (),
     cache_folder: Path | None = None,
 ) -> Drives:
     """Lay the cases of a question on a scene's junction; there may be no runs.
 
     Without a word on speeds none is driven above the speed limits of the scene's lanes.
-    With a `position`, every speed is driven at this one alone. In a `cache_folder` the
-    runs are cached. Raises InputError where a word is unknown, or the protocol does not
+    With a `position`, every speed is driven at this one alone. `known` runs are not
+    laid again, see :func:`scenarios.runs.build_runs`. In a `cache_folder` the runs are
+    cached. Raises InputError where a word is unknown, or the protocol does not
     drive a speed.
     """
     selection = _select(question)
     positions = (
         (position,) if position else pick_positions(question.along_arms, question.cases)
     )
-    known = tuple(build_junction(scene).arms)
-    approaches = _words(question.approaches, "approaches", known) or known
+    arms = tuple(build_junction(scene).arms)
+    approaches = _words(question.approaches, "approaches", arms) or arms
     weathers = _words(question.weather, "weather", WEATHERS, at_least=1)
     # Everything that the runs depend on; it is part of the cache's key.
     laid: dict[str, Any] = {
@@ -273,7 +275,7 @@ def drive(
     runs, refused = cached_value(
         cache_folder,
         "runs",
-        partial(build_runs, scene, selection.cases, **laid),
+        partial(build_runs, scene, selection.cases, **laid, known=known),
         kind=tuple[tuple[Run, ...], tuple[Refusal, ...]],
         classes=(StraightPath, TurnPath, CoursePath, TowedPath),
         made_from=(scene, selection.cases, laid),
@@ -333,14 +335,16 @@ def build_setting(
     scene: Scene | None = None,
     *,
     weights: Callable[[Run], float] | None = None,
+    known: Setting | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Setting:
     """All that a layout is placed in and judged by.
 
     `question` says what is driven and how much it counts, by default the study's cases
     along the arms; `scene` is in place of the junction that it names, `weights` in
-    place of its word on weights: only proportions matter. `compute` has the cache of
-    the runs, of which there is one at least. Raises InputError: as :func:`drive`; no
+    place of its word on weights: only proportions matter. Runs of a `known` setting on
+    the same scene are not laid again. `compute` has the cache of the runs, of which
+    there is one at least. Raises InputError: as :func:`drive`; no
     approach carries any of the cases; the weights do not fit the runs.
     """
     question = question or Question()
@@ -354,7 +358,10 @@ def build_setting(
         load_entry("scenarios.decision:load_decision_rule")(question.decision)
         if 0.0 < cars < 1.0:
             raise InputError("cars", cars, "blind or see beside `decision`")
-    drives = drive(question, scene, cache_folder=compute.cache_folder)
+    known_runs: tuple[Run, ...] = ()
+    if known is not None and _drives_alike(known, scene, rule):
+        known_runs = known.runs
+    drives = drive(question, scene, known=known_runs, cache_folder=compute.cache_folder)
     runs = drives.runs
     if not runs:
         _check_every_case(drives, scene)
@@ -386,6 +393,15 @@ def build_setting(
         vut_sensors=vut_sensors,
         cars=cars,
     )
+
+
+def _drives_alike(known: Setting, scene: Scene, rule: AebRule) -> bool:
+    """True if runs of a setting may stand in another one on a scene.
+
+    A track's life changes no run.
+    """
+    same = replace(rule, track_memory_s=known.rule.track_memory_s)
+    return known.scene is scene and same == known.rule
 
 
 def _place_deg(question: Question, scene: Scene) -> tuple[float, float] | None:

@@ -3,7 +3,7 @@
 A run lies on a grid of frames that ends at the impact.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -452,6 +452,7 @@ def build_runs(
     positions: Sequence[Position] = (AT_ZERO,),
     is_spread: bool = True,
     keeps_limits: bool = True,
+    known: Iterable[Run] = (),
 ) -> tuple[tuple[Run, ...], tuple[Refusal, ...]]:
     """Lay cases on every approach of a scene's junction, at the speeds that each says.
 
@@ -463,7 +464,9 @@ def build_runs(
     speeds, see :func:`scenarios.positions.spread_speeds`; else each drives all. If it
     `keeps_limits`, nothing is driven faster than the speed limit of the lanes by which
     the VUT comes, as far as the scene has one, and vehicles that it meets no faster
-    than that of any road of the junction.
+    than that of any road of the junction. `known` are runs that were laid before on the
+    same scene, by a rule of the same frames and braking: those that come up again are
+    taken.
 
     Returns runs in the order of cases, approaches, positions, speeds, weathers; and
     what could not be laid, and why.
@@ -482,6 +485,7 @@ def build_runs(
         right_hand = mirrored(junction)
     else:
         right_hand = junction
+    known_by_id = {run.id: run for run in known}
     runs: list[Run] = []
     refusals: list[Refusal] = []
     for case in (worded_for(case, keeps_left=junction.keeps_left) for case in cases):
@@ -512,6 +516,7 @@ def build_runs(
                     target_limit_kmh=_highest_limit_kmh(junction) if keeps else None,
                     vut=vut,
                     rule=rule,
+                    known=known_by_id,
                 )
                 laid, refused = drive.lay(turn if is_spread else None)
                 runs += [
@@ -606,6 +611,8 @@ class _Drive:
         The VUT.
     rule : AebRule
         How it brakes.
+    known : mapping of str to Run
+        Runs that were laid before, by their ids.
     """
 
     case: Case
@@ -617,6 +624,7 @@ class _Drive:
     target_limit_kmh: float | None
     vut: Actor
     rule: AebRule
+    known: Mapping[str, Run]
 
     def lay(self, turn: int | None) -> tuple[list[Run], list[Refusal]]:
         """Runs at ascending speeds by day, and what could not be laid.
@@ -633,6 +641,10 @@ class _Drive:
                 too_fast.setdefault(limit_kmh, []).append((speed_kmh, vru_speed_kmh))
                 continue
             case = at_vru_speed(self.case, vru_speed_kmh)
+            known = self.known.get(self._run_id(case, speed_kmh))
+            if known is not None and known.case == case:
+                runs.append(known)
+                continue
             try:
                 staging = self._stage(case, speed_kmh)
             except CannotCarryError as error:
@@ -743,6 +755,16 @@ class _Drive:
             )
         return Staging(encounter=encounter, obstruction=())
 
+    def _run_id(self, case: Case, speed_kmh: float) -> str:
+        """Name of the run by day: case, place and speeds."""
+        place = self.approach
+        if self.position != AT_ZERO:
+            place += self.position.name
+        speeds = f"{speed_kmh:g}"
+        if case.pairs_kmh:
+            speeds += f"x{case.vru_speed_kmh:g}"
+        return f"{case.name}/{place}/{speeds}"
+
     def _run(self, case: Case, speed_kmh: float, staging: Staging) -> Run:
         """The run of a staging, on its grid of frames."""
         encounter = staging.encounter
@@ -756,13 +778,8 @@ class _Drive:
         # The last frame is at the impact; the first one after both have set off.
         n_steps = int(-first_s * rate_hz + _GRID_TOLERANCE)
         time_s = np.arange(-n_steps, 1) / rate_hz
-        place = self.approach + ("" if self.position == AT_ZERO else self.position.name)
-        if case.pairs_kmh:
-            speeds = f"{speed_kmh:g}x{case.vru_speed_kmh:g}"
-        else:
-            speeds = f"{speed_kmh:g}"
         return Run(
-            id=f"{case.name}/{place}/{speeds}",
+            id=self._run_id(case, speed_kmh),
             case=case,
             approach=self.approach,
             position=self.position.name,

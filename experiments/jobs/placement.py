@@ -349,7 +349,9 @@ def judge_study_cases(
             job.question,
             job.setting,
             evaluations,
-            build=lambda other: build_setting(other, job.scene, compute=job.compute),
+            build=lambda other: build_setting(
+                other, job.scene, known=job.setting, compute=job.compute
+            ),
             compute=job.compute,
         )
     except InputError as error:  # the words of the question are known to be right

@@ -12,6 +12,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray
 from placement.evaluation import Evaluation, Verdict, apr
@@ -163,11 +164,35 @@ def _runs_of(layout: str, party: str, verdict: Verdict, axis: FrameAxis) -> "pa.
         "detected_share": n_detected / n_frames,
         "impact_speed_kmh": impact_speed_kmh,
     }
-    # What is not a number is missing, as pandas reads and writes it.
-    arrays = {
-        name: pa.array(values, from_pandas=True) for name, values in columns.items()
-    }
-    return pa.table(arrays)
+    arrays = [_column(values) for values in columns.values()]
+    return pa.Table.from_arrays(arrays, names=[*columns])
+
+
+def _column(values: Sequence[str] | FloatArray | BoolArray) -> "pa.Array":
+    """Column of a table from texts or numbers (n,); what is not a number is missing.
+
+    Built from its parts as Arrow lays them out, for ``pyarrow.array`` loads pandas,
+    which takes longer than all of the table.
+    """
+    import pyarrow as pa
+
+    n = len(values)
+    if isinstance(values, np.ndarray):
+        is_there = np.packbits(np.isfinite(values), bitorder="little")
+        content: NDArray[Any]
+        if values.dtype == bool:
+            kind = pa.bool_()
+            content = np.packbits(values.astype(bool), bitorder="little")
+        else:
+            kind = pa.float64()
+            content = np.ascontiguousarray(values, dtype=np.float64)
+        buffers = [pa.py_buffer(is_there), pa.py_buffer(content)]
+        return pa.Array.from_buffers(kind, n, buffers)
+    words = [value.encode() for value in values]
+    lengths = [len(word) for word in words]
+    ends = np.cumsum([0, *lengths], dtype=np.int32)
+    buffers = [None, pa.py_buffer(ends), pa.py_buffer(b"".join(words))]
+    return pa.Array.from_buffers(pa.string(), n, buffers)
 
 
 def _run_groups(axis: FrameAxis) -> list[tuple[dict[str, str], BoolArray]]:

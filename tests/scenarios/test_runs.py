@@ -164,6 +164,24 @@ def test_each_weather_is_a_run_of_its_own(actors, rule):
     assert runs[0].time_s is runs[1].time_s
 
 
+def test_runs_that_are_known_are_taken_and_the_others_laid(actors, rule):
+    (case,) = pick_cases("CPTAns-50", "cases")
+    other_case = replace(case, vru_reference_m=0.1)
+
+    def lay(case, **options):
+        scene = load_study_scene()
+        return build_runs(scene, [case], vut=actors["vut"], rule=rule, **options)[0]
+
+    laid = lay(case)
+    known = lay(case, known=laid[:1])
+    assert [run.id for run in known] == [run.id for run in laid]
+    assert known[0] is laid[0]
+    assert known[1] is not laid[1]
+    # A case of the same name that says something else is another one.
+    others = lay(other_case, known=laid)
+    assert not set(others) & set(laid)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
