@@ -9,8 +9,8 @@ import signal
 from typing import NoReturn
 
 # A command makes few cycles, and ends soon: Python's 700 would have it look through
-# all of its objects every moment, which takes a twentieth of the main job.
-_OBJECTS_BETWEEN_COLLECTIONS = 100_000
+# its objects every moment, which takes a twentieth of the main job.
+_OBJECTS_BETWEEN_COLLECTIONS = 1_000_000
 
 
 def main() -> NoReturn:
@@ -23,7 +23,11 @@ def main() -> NoReturn:
         signal.signal(signal.SIGINT, _end)
     from .main import main as run
 
-    run()
+    try:
+        run()
+    finally:
+        # The process ends: nothing has to be looked through once more.
+        gc.freeze()
 
 
 def _end(signum: int, _frame: object) -> NoReturn:
