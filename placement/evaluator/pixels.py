@@ -462,6 +462,17 @@ def _to_camera(
 
 
 @kernel
+def _find_extremes(values: FloatArray) -> tuple[float, float]:
+    """Least and greatest value; numpy's own take numba long to compile."""
+    least = np.inf
+    most = -np.inf
+    for value in values:
+        least = min(least, value)
+        most = max(most, value)
+    return least, most
+
+
+@kernel
 def find_crop(
     image: Image, hull: FloatArray, min_height_px: float
 ) -> tuple[Window, float]:
@@ -788,7 +799,8 @@ def draw(
     least_depth = _least_depth(image, window)
     pixels = np.empty((2, points.shape[1]))
     is_ahead = _project(image, points, least_depth, pixels)
-    has_backs = _nearest(points) < image.near_m
+    nearest_m, _ = _find_extremes(points[2])
+    has_backs = nearest_m < image.near_m
     width = window[2] - window[0]
     middle_x = 0.5 * image.width_px - 0.5
     middle_y = 0.5 * image.height_px - 0.5
@@ -827,15 +839,6 @@ def draw(
                     line[place] = min(line[place], depth)
             else:
                 _draw_line(edges, volume, first_px, per_px, down, line)
-
-
-@kernel
-def _nearest(points: FloatArray) -> float:
-    """Least depth of points (3, n)."""
-    nearest = np.inf
-    for place in range(points.shape[1]):
-        nearest = min(nearest, points[2, place])
-    return nearest
 
 
 @kernel
@@ -1277,8 +1280,7 @@ def see(
         len(standing.corners_m), len(parked.corners_m), len(vehicles.tree.corners_m)
     )
     rows = np.empty(n_rows, dtype=np.int64)
-    foot_m = hull_m[2].min()
-    top_m = hull_m[2].max()
+    foot_m, top_m = _find_extremes(hull_m[2])
     # Loop over the sights: places of the VRU among what stands still.
     for sight in range(len(sights.vru.shift)):
         turn = sights.vru.turn[sight]
@@ -1297,7 +1299,8 @@ def see(
         # Between these heights is all that may hide it.
         lowest_m = min(image.up_m, foot_m + vru_m)
         highest_m = max(image.up_m, top_m + vru_m)
-        farthest_m = max(0.0, hull[2].max())
+        _, depth_m = _find_extremes(hull[2])
+        farthest_m = max(0.0, depth_m)
         beam = _Beam(box, farthest_m, lowest_m, highest_m)
         _see_sight(
             image,
