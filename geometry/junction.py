@@ -380,6 +380,8 @@ def mirrored(junction: Junction) -> Junction:
     )
 
 
+# Cached, since every run of an arm asks for the same lanes.
+@lru_cache(maxsize=1024)
 def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]:
     """Line along a lane next to the junction, and the lane's deviation.
 

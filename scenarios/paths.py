@@ -384,7 +384,7 @@ class Motion:
             _check_speed(self.speed_mps, self.acceleration_distance_m, "motion.")
         check = partial(check_field, self, "motion")
         check("start_time_s", bool(np.isfinite(self.start_time_s)), "a finite time")
-        if np.isposinf(self.brake_time_s):
+        if self.brake_time_s == np.inf:
             return
         check("deceleration_mps2", 0.0 < self.deceleration_mps2 < np.inf, "> 0 m/s^2")
         is_slower = 0.0 <= self.final_speed_mps < self.speed_mps
@@ -410,7 +410,7 @@ class Motion:
     def distance_m(self, time_s: ArrayLike) -> FloatArray:
         """Distance from the path's start at each time, in metres."""
         steady = self._steady_distance_m(time_s)
-        if np.isposinf(self.brake_time_s):
+        if self.brake_time_s == np.inf:
             return steady
         return steady - self._braked_m(time_s)
 

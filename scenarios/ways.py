@@ -6,6 +6,7 @@ Ways are straight or bent, and lead into other arms.
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import shapely
@@ -181,6 +182,8 @@ def straight_line(lane: Lane, *, is_in: bool) -> Line:
     return lane_line(lane, is_in=is_in, length_m=STRAIGHT_M)[0]
 
 
+# Cached, since every run of an arm asks for the same lanes.
+@lru_cache(maxsize=1024)
 def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
     """Most that a lane leaves its straight line, in metres.
 
