@@ -160,9 +160,11 @@ class Sensing:
         """
         # One entry more, of which nothing is seen: that of frames whose entry is -1.
         detected = np.pad(self.detected(candidates), ((0, 0), (0, 0), (0, 1)))
-        frames = detected[
-            :, self.world.views.weather_of_frame, self.sight.entry_of_frame
-        ]
+        n_entries = detected.shape[2]
+        entry_of_frame = self.sight.entry_of_frame % n_entries
+        column = n_entries * self.world.views.weather_of_frame + entry_of_frame
+        # Weathers side by side: numpy takes columns faster than pairs of indices.
+        frames = detected.reshape(len(detected), -1).take(column, axis=1)
         return np.packbits(frames, axis=1, bitorder="little")
 
     def evidence(
