@@ -359,7 +359,7 @@ function fillShares(id, shares) {
 
 function showCost() {
   const cost = state.cost;
-  find("cost").textContent = cost ? tr("Costs {all}: sensors {sensors}, poles {sites}.", cost) : "";
+  find("cost").textContent = cost ? [tr("Costs {all}: sensors {sensors}, poles {sites}.", cost), cost.kept].join(" ").trim() : "";
   find("cost").title = cost ? [tr("Each mounted sensor and each pole in use counts once."), ...cost.assumed].join(" ") : "";
 }
 
@@ -379,8 +379,8 @@ function showUnits() {
       return item;
     }));
   }
-  state.units.forEach(({ id, title }, index) => {
-    const button = list.children[index].firstChild, unit = `${id}${alone[id] ? ` ${alone[id]}` : ""}`, text = locked.has(id) ? tr("{unit}, locked", { unit }) : unit;
+  state.units.forEach(({ id, label, title }, index) => {
+    const button = list.children[index].firstChild, unit = `${label}${alone[id] ? ` ${alone[id]}` : ""}`, text = locked.has(id) ? tr("{unit}, locked", { unit }) : unit;
     if (button.textContent !== text) button.textContent = text;
     button.title = alone[id] ? `${tr("{unit}; avoids {share} on its own.", { unit: title, share: alone[id] })} ${question.meaning()}` : title;
     button.setAttribute("aria-pressed", id === selected);
