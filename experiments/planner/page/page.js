@@ -295,7 +295,7 @@ function showNumbers() {
   const isExact = isKnown && numbers.source === "evaluator";
   // While it waits it keeps its lines: what is dragged below does not move away from the pointer.
   find("beside").classList.toggle("waiting", !isExact);
-  if (isExact || !state?.units.length) find("beside").textContent = isExact ? [tr("Together with the car's own sensors {withVut}; by the car's own sensors alone {vut}.", numbers), ...(numbers.oneFails ? [tr("If the most needed unit fails, {oneFails} remain.", numbers)] : [])].join(" ") : "";
+  if (isExact || !state?.units.length) find("beside").textContent = isExact ? besideWords().join(" ") : "";
   fillShares("by-case", isKnown ? numbers.byCase : null);
   fillShares("by-approach", isKnown ? numbers.byApproach : null);
   fillShares("by-road-user", isKnown ? numbers.byRoadUser : null);
@@ -305,6 +305,15 @@ function showNumbers() {
   showLost();
   showDanger();
   if (isExact) playAgain();
+}
+
+// What it is with the car's own sensors, if one unit fails, and what is left to do.
+function besideWords() {
+  const words = [tr("For cars with their own sensors {withVut}, instead of {vut} without the roadside.", numbers)];
+  if (numbers.oneFails) words.push(tr("If the most needed unit fails, {oneFails} remain.", numbers));
+  const n = numbers.lost.filter(([, , counts]) => counts).length;
+  if (n) words.push(tr("Runs lost: {n} of {all}, listed below.", { n, all: scene.runs.length }));
+  return words;
 }
 
 // ---------- private areas
