@@ -312,7 +312,8 @@ function besideWords() {
   const words = [tr("For cars with their own sensors {withVut}, instead of {vut} without the roadside.", numbers)];
   if (numbers.oneFails) words.push(tr("If the most needed unit fails, {oneFails} remain.", numbers));
   const n = numbers.lost.filter(([, , counts]) => counts).length;
-  if (n) words.push(tr("Runs lost: {n} of {all}, listed below.", { n, all: scene.runs.length }));
+  // Said of none, too: the panel below keeps its place while a sensor is dragged.
+  words.push(tr("Runs lost: {n} of {all}, listed below.", { n, all: scene.runs.length }));
   return words;
 }
 
