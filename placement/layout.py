@@ -49,6 +49,8 @@ RESULT_SCHEMAS = tuple(
     f"place-rsus/{kind}/2" for kind in ("placement", "evaluation", "comparison")
 )
 """Of summary.json, which has the layout in the same words."""
+# Written files have whole millimetres.
+_SAME_PLACE_M = 0.01
 
 READERS = {
     ".csv": "placement.foreign_layouts:read_list",
@@ -492,6 +494,19 @@ def check_layout(layout: Layout, scene: Scene) -> None:
                 unit.site_id,
                 f"a site of {scene.name}, or an empty text",
             )
+
+
+def find_existing(
+    units: Sequence[CandidatePose], kept: Sequence[CandidatePose]
+) -> frozenset[str]:
+    """Ids of units that are mounted already: same id and place as one of `kept`."""
+    places = {unit.id: unit.pose.position_m for unit in kept}
+    return frozenset(
+        unit.id
+        for unit in units
+        if unit.id in places
+        and np.allclose(unit.pose.position_m, places[unit.id], atol=_SAME_PLACE_M)
+    )
 
 
 # ---------- layouts by name: a user's files, and the study's

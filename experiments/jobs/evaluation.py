@@ -3,7 +3,7 @@
 From a question to a result.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
@@ -48,14 +48,15 @@ def run_evaluation(
     command: str,
     progress: StageProgress,
     asked: Question | None = None,
+    existing: Collection[str] = (),
     sign: Path | None = None,
 ) -> EvaluationResult:
     """Evaluate a layout, report if asked to.
 
     InputError if it cannot be mounted or written.
 
-    `asked` is the question before its map was imported, `sign` the key that signs the
-    folder.
+    `asked` is the question before its map was imported, `existing` are ids of units
+    that are mounted already, `sign` is the key that signs the folder.
     """
     folders.expect_results(out, progress, sign=sign)
     scene = load_scene(question.scene)
@@ -64,11 +65,14 @@ def run_evaluation(
     check_layout(layout, scene)
     (private,) = _private_ground(question, scene, [layout])
     (evaluation,) = evaluate_layouts([layout], job.setting, compute=compute)
-    bill = build_bill(layout, scene, site_cost_eur=question.site_cost_eur)
+    bill = build_bill(
+        layout, scene, site_cost_eur=question.site_cost_eur, kept_ids=existing
+    )
     evaluations = {layout.name: evaluation}
     result = build_evaluation_result(
         job.setting,
         evaluation,
+        existing=tuple(unit.id for unit in layout.units if unit.id in existing),
         private_ground=private,
         sensors_eur=bill.sensors_eur,
         sites_eur=bill.sites_eur,

@@ -321,9 +321,20 @@ _PER_M = 10
 _USER_M = 0.6
 
 
+def case_words(case: Case) -> str:
+    """What happens in a case, within a sentence; empty: the case does not say."""
+    return tr(case.title).replace("VUT", tr("car"))
+
+
+def case_titles(runs: Sequence[Run]) -> dict[str, str]:
+    """What happens in the cases of some runs, by their names, within a sentence."""
+    cases = {run.case.name: run.case for run in runs}
+    return {name: case_words(case) for name, case in cases.items()}
+
+
 def case_title(case: Case) -> str:
     """What happens in a case, for who knows no codes."""
-    return capital(tr(case.title).replace("VUT", tr("car")) or case.name)
+    return capital(case_words(case) or case.name)
 
 
 def sketch_case(run: Run) -> Sketch:

@@ -35,6 +35,7 @@ class DangerGroup(Record, frozen=True, kw_only=True):
     """Some runs that are alike, and how many of them are not avoided."""
 
     name: Annotated[str, says("Of the case, or of the position along the arms.")]
+    title: Annotated[str, says("What happens in the case; empty for a position.")] = ""
     runs: Annotated[int, says("How many.")]
     not_avoided: Annotated[int, says("How many of them are not avoided.")]
 
@@ -67,25 +68,30 @@ def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
     return alone
 
 
-def build_dangers(is_avoided: BoolArray, axis: FrameAxis) -> Dangers:
+def build_dangers(
+    is_avoided: BoolArray, axis: FrameAxis, *, titles: Mapping[str, str] | None = None
+) -> Dangers:
     """Runs that are not avoided, counted by case and position.
 
-    Weights do not matter.
+    Weights do not matter. `titles` say by name what happens in cases.
     """
     positions = groups_by(axis, "position")
     return Dangers(
         not_avoided=int((~is_avoided).sum()),
-        by_case=_groups(groups_by(axis, "case"), is_avoided),
-        by_position=_groups(positions, is_avoided) if len(positions) > 1 else (),
+        by_case=_groups(groups_by(axis, "case"), is_avoided, titles or {}),
+        by_position=_groups(positions, is_avoided, {}) if len(positions) > 1 else (),
     )
 
 
 def _groups(
-    groups: Sequence[RunGroup], is_avoided: BoolArray
+    groups: Sequence[RunGroup], is_avoided: BoolArray, titles: Mapping[str, str]
 ) -> tuple[DangerGroup, ...]:
     records = [
         DangerGroup(
-            name=name, runs=int(mask.sum()), not_avoided=int((mask & ~is_avoided).sum())
+            name=name,
+            title=titles.get(name, ""),
+            runs=int(mask.sum()),
+            not_avoided=int((mask & ~is_avoided).sum()),
         )
         for name, mask in groups
     ]
@@ -105,9 +111,13 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
     if not n_left:
         return [tr("All {n} runs are avoided{whose}.", n=n_runs, whose=whose)]
     others = tr("in other cases")
-    where = _most_left(dangers.by_case, lambda name: tr("in {case}", case=name), others)
+    where = _most_left(dangers.by_case, _case_words, others)
     if dangers.by_position:
-        places = _most_left(dangers.by_position, position_words, tr("elsewhere"))
+        places = _most_left(
+            dangers.by_position,
+            lambda group: position_words(group.name),
+            tr("elsewhere"),
+        )
         where = tr("{cases}. By place: {places}", cases=where, places=places)
     return [
         trn(
@@ -119,6 +129,13 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
             where=where,
         )
     ]
+
+
+def _case_words(group: DangerGroup) -> str:
+    """A case in words, for who knows no codes."""
+    if not group.title:
+        return tr("in {case}", case=group.name)
+    return tr("in {case} ({title})", case=group.name, title=group.title)
 
 
 def position_words(name: str) -> str:
@@ -139,7 +156,7 @@ def position_words(name: str) -> str:
 
 
 def _most_left(
-    groups: Sequence[DangerGroup], words_of: Callable[[str], str], others: str
+    groups: Sequence[DangerGroup], words_of: Callable[[DangerGroup], str], others: str
 ) -> str:
     """The groups with the largest share that is left.
 
@@ -149,7 +166,7 @@ def _most_left(
     words = [
         tr(
             "{where} {n} of {all}",
-            where=words_of(group.name),
+            where=words_of(group),
             n=group.not_avoided,
             all=group.runs,
         )

@@ -75,7 +75,7 @@ def build_first_screen(
     `warnings` stand between its sentences and its figures.
     """
     return FirstScreen(
-        sentences=tuple(headline(result)),
+        sentences=(*headline(result), *_most_at_risk(result)),
         warnings=tuple(warnings),
         units=_mounted(result, subject, setting.scene),
         cars=tuple(_for_cars(result, subject)),
@@ -237,6 +237,15 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
                 )
             )
     return found
+
+
+def _most_at_risk(result: Result) -> list[str]:
+    """The case of which most is not prevented, in a sentence; or nothing."""
+    worst = result.dangers.by_case[0]
+    if not worst.not_avoided:
+        return []
+    what = worst.title or worst.name
+    return [tr("Most at risk: {what} ({left}).", what=what, left=_left(worst))]
 
 
 def _left(group: DangerGroup) -> str:

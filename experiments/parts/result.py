@@ -38,7 +38,7 @@ from ..results.record import (
     price_eur,
     says,
 )
-from .accidents import is_weighted
+from .accidents import case_titles, is_weighted
 from .added import Added, build_added
 from .alternatives import FrontRunners, HeavyRun, find_heavy_runs
 from .baselines import Baselines
@@ -310,7 +310,11 @@ def build_answer(
         "apr": evaluated.judged.all,
         "assumptions": assumptions(setting.scene.notes),
         "evaluation": evaluated,
-        "dangers": build_dangers(evaluation.headline.is_avoided, evaluation.axis),
+        "dangers": build_dangers(
+            evaluation.headline.is_avoided,
+            evaluation.axis,
+            titles=case_titles(setting.runs),
+        ),
         "added": build_added(setting, evaluation),
         "heavy_runs": find_heavy_runs(evaluation.axis),
         "road_users": build_road_users(
@@ -359,7 +363,11 @@ def build_placement_result(
         "fusion": problem.fusion,
         # Without what summing up many weights leaves over.
         "apr": round(value.apr, 12),
-        "dangers": build_dangers(avoided_runs(found, problem.fusion), found.axis),
+        "dangers": build_dangers(
+            avoided_runs(found, problem.fusion),
+            found.axis,
+            titles=case_titles(setting.runs),
+        ),
         "added": build_added(setting, found, fusion=problem.fusion),
     }
     return PlacementResult(

@@ -30,7 +30,7 @@ from geometry.writing import check_target, write_atomically
 from placement.candidates import CandidatePose, above_ground, is_ring, is_turn_useless
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain.tolerances import LIFTS_M, TURNS_DEG, Tolerance, find_tolerances
-from placement.layout import Layout, check_layout, find_layout
+from placement.layout import Layout, check_layout, find_existing, find_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
@@ -76,8 +76,6 @@ _CORNERS = {
     "wall": mark("corner of a wall"),
 }
 _CROSSWALK = mark("end of a crosswalk")
-# Written files have whole millimetres.
-_SAME_PLACE_M = 0.01
 _KERB = mark("edge of the carriageway")
 _POLES = ("lamp post", "traffic light", "pole", "mast arm")
 
@@ -583,13 +581,7 @@ def _mounted_already(
     if not question.keep:
         return frozenset()
     kept = find_layout(question.keep, "keep", scene=scene, sensors=question.sensors)
-    places = {unit.id: unit.pose.position_m for unit in kept.units}
-    return frozenset(
-        unit.id
-        for unit in layout.units
-        if unit.id in places
-        and np.allclose(unit.pose.position_m, places[unit.id], atol=_SAME_PLACE_M)
-    )
+    return find_existing(layout.units, kept.units)
 
 
 class SheetResult(Record, frozen=True, kw_only=True):

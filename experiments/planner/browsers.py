@@ -177,6 +177,7 @@ def variants_message(shown: Shown) -> dict[str, Any]:
     """Numbers of all variants, as far as they are known."""
     variants = []
     for variant in shown.state.variants:
-        summary = shown.workspace.summary(variant.units, shown.scene)
+        existing = shown.state.existing_ids(variant.units)
+        summary = shown.workspace.summary(variant.units, shown.scene, existing)
         variants.append({"name": variant.name, **summary})
     return {"type": "variants", "variants": variants}

@@ -21,6 +21,8 @@ from ..progress import Interrupted, StageProgress, tell
 
 if TYPE_CHECKING:
     from geometry.scene import Scene
+    from placement.candidates import CandidatePose
+    from placement.layout import Layout
 
     from .files import MapFile
     from .plan_files import Plan
@@ -349,8 +351,29 @@ def _begun_plan(
             variants.append(Variant(name=layout.name, units=layout.units))
         if name.endswith(".json"):
             opened = read_plan(read_bytes(Path(name), max_bytes=MAX_PLAN_BYTES), name)
-            begun = replace(begun, poles=(*begun.poles, *opened.poles))
+            existing = (*opened.existing, *_existing_beside(name, layout))
+            begun = replace(
+                begun,
+                poles=(*begun.poles, *opened.poles),
+                existing=(*begun.existing, *existing),
+            )
     return replace(begun, variants=tuple(variants))
+
+
+def _existing_beside(name: str, layout: "Layout") -> "list[CandidatePose]":
+    """Units of a folder's layout that exist, as the summary beside its file says."""
+    from geometry.opening import read_text
+    from geometry.text_formats import parse_json
+
+    from ..results.folders import LAYOUT_FILE, MARKER
+    from .plan_files import read_existing
+
+    summary = Path(name).with_name(MARKER)
+    if Path(name).name != LAYOUT_FILE or not summary.is_file():
+        return []
+    # That it is an object was seen when its question was read.
+    document = parse_json(read_text(summary, "JSON"), str(summary), "a summary")
+    return read_existing(document, layout.units, str(summary))
 
 
 def _redirect(address: str, folder: Path) -> str:

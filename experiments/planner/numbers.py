@@ -2,7 +2,7 @@
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -33,7 +33,7 @@ from scenarios.weights import WEIGHT_WORDS, default_weights
 from ..cli.options import JUDGED, option_of
 from ..export.json import to_json_text
 from ..figures.axes import describe_run
-from ..language import mark, tr
+from ..language import mark, tr, trn
 from ..parts.bill_of_materials import build_bill
 from ..parts.player import centimetres, plan_record, svg_path, to_base64, unit_records
 from ..results.numbers import euros, finite_or_none, percent
@@ -383,8 +383,15 @@ def state_record(
     if units:
         drawn = unit_records(state.variant.layout(scene), scene)
     records = []
+    existing = state.existing_ids(units)
     for record, unit in zip(drawn, units, strict=True):
-        records.append({**record, **_unit_fields(unit, scene)})
+        fields = _unit_fields(unit, scene)
+        label = unit.id
+        title = record["title"]
+        if unit.id in existing:
+            label = tr("{unit} (existing)", unit=label)
+            title = tr("{unit} (existing)", unit=title)
+        records.append({**record, **fields, "label": label, "title": title})
     return {
         "units": records,
         "variants": [
@@ -396,7 +403,7 @@ def state_record(
         ],
         "canUndo": history.can_undo,
         "canRedo": history.can_redo,
-        "cost": cost_record(units, scene, site_cost_eur),
+        "cost": cost_record(units, scene, site_cost_eur, existing=existing),
     }
 
 
@@ -423,7 +430,11 @@ def _unit_fields(unit: CandidatePose, scene: Scene) -> dict[str, Any]:
 
 
 def cost_record(
-    units: Sequence[CandidatePose], scene: Scene, site_cost_eur: float | None = None
+    units: Sequence[CandidatePose],
+    scene: Scene,
+    site_cost_eur: float | None = None,
+    *,
+    existing: Collection[str] = (),
 ) -> dict[str, Any] | None:
     """Cost of units and their sites in words, as the bill of materials has it.
 
@@ -435,6 +446,9 @@ def cost_record(
         Says what its sites cost.
     site_cost_eur : float, optional
         Of every site, where the question says it. [EUR]
+    existing : collection of str
+        Ids of units that are mounted already: neither they nor their sites are paid
+        for.
 
     Returns
     -------
@@ -444,13 +458,21 @@ def cost_record(
     if not units:
         return None
     layout = Layout(name="cost", units=tuple(units))
-    bill = build_bill(layout, scene, site_cost_eur=site_cost_eur)
+    bill = build_bill(layout, scene, site_cost_eur=site_cost_eur, kept_ids=existing)
     sensors_eur = _sum([item.sum_eur for item in bill.sensors])
     sites_eur = _sum([item.sum_eur for item in bill.sites])
+    kept = ""
+    if existing:
+        kept = trn(
+            "{n} sensor exists and is not paid for.",
+            "{n} sensors exist and are not paid for.",
+            len(existing),
+        )
     return {
         "sensors": euros(sensors_eur),
         "sites": euros(sites_eur),
         "all": euros(_sum([sensors_eur, sites_eur])),
+        "kept": kept,
         "assumed": [tr(assumption) for assumption in bill.assumed],
     }
 

@@ -9,7 +9,7 @@ from geometry.errors import InputError, refuse
 from geometry.phrases import Phrase
 from geometry.scene import Scene, Site
 from placement.candidates import CandidatePose
-from placement.layout import Layout
+from placement.layout import Layout, find_existing
 
 from ..language import mark, tr
 
@@ -82,17 +82,24 @@ class PlanState:
         nothing here looks into it.
     poles : tuple of Site
         Of one's own, beside the scene's sites.
+    existing : tuple of CandidatePose
+        Units that are mounted already, as opened results say; variants may have them.
     """
 
     variants: tuple[Variant, ...]
     current: int = 0
     workspace: Any = None
     poles: tuple[Site, ...] = ()
+    existing: tuple[CandidatePose, ...] = ()
 
     @property
     def variant(self) -> Variant:
         """The one that is worked on."""
         return self.variants[self.current]
+
+    def existing_ids(self, units: Sequence[CandidatePose]) -> frozenset[str]:
+        """Ids of those of some units that are mounted already."""
+        return find_existing(units, self.existing)
 
     @property
     def is_empty(self) -> bool:

@@ -1,6 +1,7 @@
 """Files of plans and layouts: read and written."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.tables import read_table
 from geometry.text_formats import parse_json
+from placement.candidates import CandidatePose
 from placement.layout import Layout, at_sites, check_layout, read_layout
 from placement.question import Question, read_question
 
@@ -50,6 +52,8 @@ class Plan:
         Of one's own.
     question : Question, optional
         The one that the layout was found for; ``summary.json`` has it.
+    existing : tuple of CandidatePose
+        Units of the variants that are mounted already, as the file says.
     """
 
     variants: tuple[Variant, ...]
@@ -57,6 +61,7 @@ class Plan:
     background: Background | None = None
     poles: tuple[PolePlace, ...] = ()
     question: Question | None = None
+    existing: tuple[CandidatePose, ...] = ()
 
 
 def check_plan(plan: Plan, scene: Scene) -> Plan:
@@ -95,11 +100,16 @@ def read_plan(text: bytes, where: str) -> Plan:
     background = None
     if isinstance(document, dict) and document.get("schema") == SCHEMA:
         variants = _read_variants(document.get("variants"), where)
+        records = document["variants"]
         drawn = document.get("background")
         if drawn is not None:
             background = read_background(drawn, f"{where}: background")
     else:
         variants = [_read_variant(document, text, where, Path(where).stem)]
+        records = [document]
+    existing: list[CandidatePose] = []
+    for record, variant in zip(records, variants, strict=True):
+        existing.extend(read_existing(record, variant.units, where))
     poles = read_table(document.get("poles", []), list[PolePlace], f"{where}: poles")
     check_count(len(poles), f"{where}: poles", MAX_UNITS)
     return Plan(
@@ -108,7 +118,19 @@ def read_plan(text: bytes, where: str) -> Plan:
         background=background,
         poles=tuple(poles),
         question=_read_question(document, where),
+        existing=tuple(existing),
     )
+
+
+def read_existing(
+    document: dict[str, Any], units: Sequence[CandidatePose], where: str
+) -> list[CandidatePose]:
+    """Those of some units that exist, as a summary's or a layout's file says.
+
+    InputError: the file does not name them by their ids.
+    """
+    ids = read_table(document.get("existing", []), list[str], f"{where}: existing")
+    return [unit for unit in units if unit.id in ids]
 
 
 def _read_question(document: dict[str, Any], where: str) -> Question | None:
@@ -152,8 +174,17 @@ def layout_text(state: PlanState, scene: Scene) -> str:
 
     Raises InputError if nothing is mounted.
     """
-    record = json.loads(to_json(state.variant.layout(scene)))
+    record = _variant_record(state, state.variant, scene)
     return to_json_text({**record, **_pole_places(state)})
+
+
+def _variant_record(state: PlanState, variant: Variant, scene: Scene) -> dict[str, Any]:
+    """A variant as a layout's file has it, with the ids of its existing units."""
+    record: dict[str, Any] = json.loads(to_json(variant.layout(scene)))
+    existing = state.existing_ids(variant.units)
+    if existing:
+        record["existing"] = sorted(existing)
+    return record
 
 
 def _pole_places(state: PlanState) -> dict[str, Any]:
@@ -184,7 +215,7 @@ def plan_text(
     variants = []
     for variant in state.variants:
         if variant.units:
-            variants.append(json.loads(to_json(variant.layout(scene))))
+            variants.append(_variant_record(state, variant, scene))
         else:
             variants.append({"name": variant.name, "layout": []})
     record: dict[str, Any] = {

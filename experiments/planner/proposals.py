@@ -51,6 +51,7 @@ class Proposal:
         """Its message to browsers, with the numbers that are known of its units."""
         scene = shown.scene
         layout = Layout(name=self.title, units=self.units, scene_name=scene.name)
+        existing = shown.state.existing_ids(self.units)
         drawn = []
         for record, view in zip(unit_records(layout, scene), self.views, strict=True):
             drawn.append({"place": record["place"], "view": view})
@@ -59,7 +60,7 @@ class Proposal:
             "title": self.title,
             "words": self.words,
             **self.fields,
-            **shown.workspace.summary(self.units, scene),
+            **shown.workspace.summary(self.units, scene, existing),
             "onTable": self.fields["apr"],
             "drawn": drawn,
         }

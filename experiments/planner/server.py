@@ -374,12 +374,16 @@ class Pages:
     async def _report(self, request: Request) -> Response:
         layout = self._session.layout()
         command = evaluate_command(self._session.shown.workspace.work.question)
-        content = await self._session.call("report", layout, command, is_long=True)
+        existing = self._session.existing_ids()
+        content = await self._session.call(
+            "report", layout, command, existing, is_long=True
+        )
         return _download(content, "report.zip", "application/zip")
 
     async def _sheet(self, request: Request) -> Response:
         layout = self._session.layout()
-        content = await self._session.call("sheet", layout, is_long=True)
+        existing = self._session.existing_ids()
+        content = await self._session.call("sheet", layout, existing, is_long=True)
         return _download(content, "mounting.pdf", "application/pdf")
 
     async def _open(self, request: Request) -> Response:

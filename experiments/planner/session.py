@@ -295,6 +295,7 @@ class Session:
             for variant in opened.variants:
                 state = add_variant(state, variant, source=source)
         state = lay_poles(state, opened.poles, scene)
+        state = replace(state, existing=(*state.existing, *opened.existing))
         if opened.background is not None:
             self.lay_background(opened.background)
         self._go_to(self.shown.history.went_on(state))
@@ -345,6 +346,10 @@ class Session:
     def layout(self) -> Layout:
         """The layout that is worked on. Raises InputError if nothing is mounted."""
         return self.shown.state.variant.layout(self.shown.setting.scene)
+
+    def existing_ids(self) -> frozenset[str]:
+        """Ids of units of that layout that are mounted already."""
+        return self.shown.state.existing_ids(self.shown.units)
 
     def plan_text(self) -> bytes:
         """Contents of the plan's file."""
@@ -437,5 +442,6 @@ def _begin(workspace: Workspace, begun: Plan) -> Shown:
     workspace.background = begun.background
     state = begin_history(begun.variants, workspace).state
     state = lay_poles(state, begun.poles, workspace.setting.scene)
+    state = replace(state, existing=begun.existing)
     sensors = build_sensor_choice(workspace.work.question)
     return Shown(history=History(states=(state,)), sensors=sensors)

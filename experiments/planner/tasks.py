@@ -6,7 +6,7 @@
 import io
 import zipfile
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -338,7 +338,9 @@ class Tasks:
             self._adviser = Adviser(assembly, build_grid(question))
         return self._adviser
 
-    def report(self, layout: Layout, command: str) -> bytes:
+    def report(
+        self, layout: Layout, command: str, existing: Collection[str] = ()
+    ) -> bytes:
         """The folder that ``evaluate --out`` writes, as a ZIP file.
 
         Parameters
@@ -347,6 +349,8 @@ class Tasks:
             What is reported.
         command : str
             With which the reader makes it again.
+        existing : collection of str
+            Ids of units that are mounted already.
         """
         from ..jobs.evaluation import run_evaluation
 
@@ -354,6 +358,7 @@ class Tasks:
         run_evaluation(
             self._work.question,
             layout=layout,
+            existing=existing,
             out=folder,
             compute=self._of_units,
             command=command,
@@ -366,14 +371,23 @@ class Tasks:
                     archive.write(path, path.relative_to(folder))
         return buffer.getvalue()
 
-    def sheet(self, layout: Layout) -> bytes:
-        """The mounting sheet, a PDF with a page for each unit."""
+    def sheet(self, layout: Layout, existing: Collection[str] = ()) -> bytes:
+        """The mounting sheet, a PDF with a page for each unit.
+
+        `existing` are ids of units that are mounted already.
+        """
         from ..parts.sheet import mounting_sheet
 
         self._progress(mark("tolerances"), 0, 0)
         tolerances = find_tolerances(self.setting, layout.units, compute=self._of_units)
         self._progress(mark("draw the sheet"), 0, 0)
-        return mounting_sheet(layout, self.setting, tolerances, compute=self._of_units)
+        return mounting_sheet(
+            layout,
+            self.setting,
+            tolerances,
+            existing=existing,
+            compute=self._of_units,
+        )
 
     def survey(self, path: str, keeps_left: bool | None = None) -> dict[str, Any]:
         """Contents of a file: its junctions on a map, to choose from; none in a scene.

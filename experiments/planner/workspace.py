@@ -2,7 +2,7 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -129,10 +129,16 @@ class Workspace:
         self.by_table[key_of(units)] = numbers["apr"]
         return numbers
 
-    def summary(self, units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any]:
+    def summary(
+        self,
+        units: Sequence[CandidatePose],
+        scene: Scene,
+        existing: Collection[str] = (),
+    ) -> dict[str, Any]:
         """Numbers known of a layout, in brief: of a variant, or of a proposal.
 
         `scene` is this workspace's with the poles of one's own: they cost money, too.
+        `existing` are ids of units that are mounted already, and cost nothing.
         """
         key = key_of(units)
         source = "none"
@@ -144,7 +150,8 @@ class Workspace:
         if evaluated:
             source = "evaluator"
             found = {name: evaluated[name] for name in found}
-        cost = cost_record(units, scene, self.work.question.site_cost_eur)
+        site_cost_eur = self.work.question.site_cost_eur
+        cost = cost_record(units, scene, site_cost_eur, existing=existing)
         return {
             "units": len(units),
             "cost": cost["all"] if cost else "",

@@ -295,7 +295,7 @@ function showNumbers() {
   const isExact = isKnown && numbers.source === "evaluator";
   // While it waits it keeps its lines: what is dragged below does not move away from the pointer.
   find("beside").classList.toggle("waiting", !isExact);
-  if (isExact || !state?.units.length) find("beside").textContent = isExact ? [tr("Together with the car's own sensors {withVut}; by the car's own sensors alone {vut}.", numbers), ...(numbers.oneFails ? [tr("If the most needed unit fails, {oneFails} remain.", numbers)] : [])].join(" ") : "";
+  if (isExact || !state?.units.length) find("beside").textContent = isExact ? besideWords().join(" ") : "";
   fillShares("by-case", isKnown ? numbers.byCase : null);
   fillShares("by-approach", isKnown ? numbers.byApproach : null);
   fillShares("by-road-user", isKnown ? numbers.byRoadUser : null);
@@ -305,6 +305,16 @@ function showNumbers() {
   showLost();
   showDanger();
   if (isExact) playAgain();
+}
+
+// What it is with the car's own sensors, if one unit fails, and what is left to do.
+function besideWords() {
+  const words = [tr("For cars with their own sensors {withVut}, instead of {vut} without the roadside.", numbers)];
+  if (numbers.oneFails) words.push(tr("If the most needed unit fails, {oneFails} remain.", numbers));
+  const n = numbers.lost.filter(([, , counts]) => counts).length;
+  // Said of none, too: the panel below keeps its place while a sensor is dragged.
+  words.push(tr("Runs lost: {n} of {all}, listed below.", { n, all: scene.runs.length }));
+  return words;
 }
 
 // ---------- private areas
@@ -359,7 +369,7 @@ function fillShares(id, shares) {
 
 function showCost() {
   const cost = state.cost;
-  find("cost").textContent = cost ? tr("Costs {all}: sensors {sensors}, poles {sites}.", cost) : "";
+  find("cost").textContent = cost ? [tr("Costs {all}: sensors {sensors}, poles {sites}.", cost), cost.kept].join(" ").trim() : "";
   find("cost").title = cost ? [tr("Each mounted sensor and each pole in use counts once."), ...cost.assumed].join(" ") : "";
 }
 
@@ -379,8 +389,8 @@ function showUnits() {
       return item;
     }));
   }
-  state.units.forEach(({ id, title }, index) => {
-    const button = list.children[index].firstChild, unit = `${id}${alone[id] ? ` ${alone[id]}` : ""}`, text = locked.has(id) ? tr("{unit}, locked", { unit }) : unit;
+  state.units.forEach(({ id, label, title }, index) => {
+    const button = list.children[index].firstChild, unit = `${label}${alone[id] ? ` ${alone[id]}` : ""}`, text = locked.has(id) ? tr("{unit}, locked", { unit }) : unit;
     if (button.textContent !== text) button.textContent = text;
     button.title = alone[id] ? `${tr("{unit}; avoids {share} on its own.", { unit: title, share: alone[id] })} ${question.meaning()}` : title;
     button.setAttribute("aria-pressed", id === selected);

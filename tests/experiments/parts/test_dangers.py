@@ -70,6 +70,11 @@ def test_an_answer_begins_with_what_is_not_avoided(frame_axis):
         "By place: 30 m beyond the crosswalk ahead 1 of 1."
     ]
     assert danger_sentences(axis, [True] * 3) == ["All 3 runs are avoided."]
+    titled = build_dangers(
+        np.array([True, True, False]), frame_axis, titles={"B": "child crosses"}
+    )
+    (said,) = danger_words(titled, frame_axis.n_runs)
+    assert said.endswith("not avoided: in B (child crosses) 1 of 1.")
 
 
 def test_of_many_groups_the_worst_are_named_and_the_others_counted(frame_axis):

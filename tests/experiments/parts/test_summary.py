@@ -59,7 +59,9 @@ def setting_of(axis, *refusals):
         runs=[
             SimpleNamespace(
                 case=SimpleNamespace(
-                    name=name, vru=SimpleNamespace(class_name="pedestrian")
+                    name=name,
+                    title="adult crosses",
+                    vru=SimpleNamespace(class_name="pedestrian"),
                 ),
                 approach=approach,
                 road_user="on foot",

@@ -176,6 +176,14 @@ def test_a_layout_of_a_folder_of_results_opens_with_its_own_question(
     assert asked[1].cases == "study"
 
 
+def test_a_layout_of_a_folder_of_results_brings_what_exists(found):
+    (unit,) = STUDY.units[:1]
+    summary = {"asked": {"question": {"keep": "gone.json"}}, "existing": [unit.id]}
+    (found / "summary.json").write_text(json.dumps(summary))
+    begun = command._begun_plan((str(found / "layout.json"),), None, SCENE)
+    assert [each.id for each in begun.existing] == [unit.id]
+
+
 def test_a_network_is_not_taken_from_a_folder_of_results(run, found):
     summary = {"asked": {"question": {"detector": "mine.onnx"}}}
     (found / "summary.json").write_text(json.dumps(summary))

@@ -10,10 +10,12 @@ from numpy.testing import assert_allclose
 from pyproj import Transformer
 
 from experiments.planner.changes import Stock, change_state
+from experiments.planner.numbers import cost_record, state_record
 from experiments.planner.plan import (
     MAX_STEPS,
     MAX_UNITS,
     MAX_VARIANTS,
+    History,
     Variant,
     add_variant,
     begin_history,
@@ -309,6 +311,26 @@ def test_a_layout_is_saved_as_the_command_line_reads_it(tmp_path):
     back = load_layout(tmp_path / "layout.json")
     assert layout_records(back) == layout_records(study)
     assert back.scene_name == SCENE.name
+
+
+def test_existing_units_are_told_from_new_ones_and_come_back_with_the_plan():
+    state = changed(AddUnit(site="corner-sw", sensor=CAMERA), state=ONE)
+    state = replace(state, existing=state.variant.units[:1])
+    first, second = state_record(History(states=(state,)), SCENE)["units"]
+    assert (first["label"], second["label"]) == ("U1 (existing)", "U2")
+    assert first["title"].endswith(" (existing)")
+    to_buy = cost_record(state.variant.units[1:], SCENE)
+    assert cost_record(state.variant.units, SCENE, existing=["U1"]) == to_buy | {
+        "kept": "1 sensor exists and is not paid for."
+    }
+    for text in (plan_text(state, SCENE), layout_text(state, SCENE)):
+        (back,) = read_plan(text.encode(), "plan.json").existing
+        assert back.id == "U1"
+    # Turned it is the unit that exists; at another pole it is a new one.
+    turned = changed(ChangeUnit(unit="U1", yaw_deg=10.0), state=state)
+    assert turned.existing_ids(turned.variant.units) == {"U1"}
+    moved = changed(ChangeUnit(unit="U1", site="corner-nw"), state=state)
+    assert moved.existing_ids(moved.variant.units) == frozenset()
 
 
 def test_a_plan_comes_back_with_all_its_variants():

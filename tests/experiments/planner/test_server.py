@@ -35,6 +35,7 @@ from experiments.parts.units import build_private_ground_record
 from experiments.planner import server
 from experiments.planner.plan import Variant
 from experiments.planner.server import build_app
+from experiments.planner.session import Session
 from experiments.planner.tiles import read_tile_server
 from experiments.planner.worker import Cancelled, DiedError
 from experiments.planner.workspace import Workspace
@@ -433,6 +434,33 @@ def test_a_summary_that_is_opened_brings_the_question_of_its_layout(open_client,
     assert refused.status_code == 400
     assert "the page shows each run once" in refused.json()["problem"]
     assert [each["name"] for each in line.last["state"]["variants"]] == variants
+
+
+def test_sheet_and_report_are_told_what_an_opened_summary_says_exists(
+    open_client, join, monkeypatch
+):
+    client = open_client(UNITS[:2])
+    line = join(client)
+    summary = json.loads(client.get(f"/{TOKEN}/layout.json").content)
+    names = [unit["id"] for unit in summary["layout"]]
+    summary["existing"] = names[:1]
+    response = send_file(client, "summary.json", json.dumps(summary).encode())
+    assert response.status_code == 200, response.text
+    labels = [unit["label"] for unit in line.state()["units"]]
+    assert labels == [f"{names[0]} (existing)", names[1]]
+    asked = []
+
+    async def call(session, method, *args, is_long):
+        asked.append((method, args[-1]))
+        return b""
+
+    monkeypatch.setattr(Session, "call", call)
+    client.get(f"/{TOKEN}/sheet.pdf")
+    client.get(f"/{TOKEN}/report.zip")
+    assert asked == [("sheet", {names[0]}), ("report", {names[0]})]
+    summary["existing"] = "U1"
+    refused = send_file(client, "summary.json", json.dumps(summary).encode())
+    assert "summary.json: existing" in refused.json()["problem"]
 
 
 @pytest.mark.parametrize(
