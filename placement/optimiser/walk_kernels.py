@@ -8,6 +8,7 @@ windows. Bits along rows, poses or frames are 64-bit words, lowest bit first.
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
@@ -226,6 +227,32 @@ def pick_best(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float
     return total, n_picked
 
 
+# Loops instead of array expressions: numba takes seconds to compile each of those.
+@kernel
+def _sum_of(values: FloatArray, places: IntArray, n: int) -> float:
+    """Sum of the values at the first `n` places."""
+    total = 0.0
+    for number in range(n):
+        total += values[places[number]]
+    return total
+
+
+@kernel
+def _count(values: IntArray, n: int, wanted: int) -> int:
+    """How many of the first `n` values are the wanted one."""
+    n_equal = 0
+    for number in range(n):
+        n_equal += values[number] == wanted
+    return n_equal
+
+
+@kernel
+def _copy_row(rows: NDArray[Any], source: int, target: int) -> None:
+    """Copy a row of a table, (n_rows, n_columns), to another one."""
+    for column in range(rows.shape[1]):
+        rows[target, column] = rows[source, column]
+
+
 @kernel
 def pick_affordable(
     gain: FloatArray, choice: Choice, picked: IntArray
@@ -238,7 +265,7 @@ def pick_affordable(
     """
     total, n_picked = pick_best(gain, choice, picked)
     cost = choice.cost
-    if len(cost) == 0 or cost[picked[:n_picked]].sum() <= 1.0:
+    if len(cost) == 0 or _sum_of(cost, picked, n_picked) <= 1.0:
         return total, n_picked
     low = 0.0
     high = total
@@ -247,7 +274,7 @@ def pick_affordable(
         middle = 0.5 * (low + high)
         of_poses, n_picked = pick_best(gain - middle * cost, choice, picked)
         total = min(total, of_poses + middle)
-        if cost[picked[:n_picked]].sum() > 1.0:
+        if _sum_of(cost, picked, n_picked) > 1.0:
             low = middle
         else:
             high = middle
@@ -769,7 +796,8 @@ def grow(
             # The set is complete.
             if at.n_found == len(out):
                 return FULL
-            out[at.n_found] = walk.chosen
+            for unit in range(len(walk.chosen)):
+                out[at.n_found, unit] = walk.chosen[unit]
             at.n_found += 1
             walk.position[depth] += 1
             walk.is_open[depth, pose] = False
@@ -777,12 +805,12 @@ def grow(
         # A node below, at which the pose is chosen.
         walk.position[depth] += 1
         after = depth + 1
-        walk.is_open[after] = walk.is_open[depth]
+        _copy_row(walk.is_open, depth, after)
         walk.is_open[depth, pose] = False
-        if (walk.chosen[:after] == pose).sum() >= covers.copies[pose]:
+        if _count(walk.chosen, after, pose) >= covers.copies[pose]:
             walk.is_open[after, pose] = False
         here = covers.site[pose]
-        walk.room[after] = walk.room[depth]
+        _copy_row(walk.room, depth, after)
         walk.room[after, here] -= 1
         if walk.room[after, here] <= 0:
             for other in range(n_poses):
@@ -795,7 +823,7 @@ def grow(
                 before & of_pose
             )
             walk.covered[after, word] = before | of_pose
-        walk.given_up[after] = walk.given_up[depth]
+        _copy_row(walk.given_up, depth, after)
         walk.weight_given_up[after] = walk.weight_given_up[depth]
         at.depth = after
         at.is_new = 1
@@ -937,7 +965,8 @@ def spell_out(
         if not can_keep(bits, losses, with_failures):
             place[unit] += 1
         elif unit + 1 == n_units:
-            out[n_found] = member[place[:n_units]]
+            for number in range(n_units):
+                out[n_found, number] = member[place[number]]
             n_found += 1
             place[unit] += 1
         else:
