@@ -241,11 +241,15 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
 
 def _most_at_risk(result: Result) -> list[str]:
     """The case of which most is not prevented, in a sentence; or nothing."""
-    worst = result.dangers.by_case[0]
-    if not worst.not_avoided:
-        return []
-    what = worst.title or worst.name
-    return [tr("Most at risk: {what} ({left}).", what=what, left=_left(worst))]
+    worst = [group for group in result.dangers.by_case[:1] if group.not_avoided]
+    return [
+        tr(
+            "Most at risk: {what} ({left}).",
+            what=group.title or group.name,
+            left=_left(group),
+        )
+        for group in worst
+    ]
 
 
 def _left(group: DangerGroup) -> str:
