@@ -12,6 +12,7 @@ from partial_pages import blank_pictures, build_result
 
 from experiments.jobs.evaluation import build_comparison_result
 from experiments.parts.accidents import is_weighted
+from experiments.parts.accidents import case_titles
 from experiments.parts.dangers import build_dangers
 from experiments.report.page import build_report
 from experiments.results.numbers import percent
@@ -325,7 +326,9 @@ def test_the_first_screen_needs_no_code_and_no_abbreviation(
     placement_result, setting, evaluations
 ):
     found = evaluations["found"]
-    dangers = build_dangers(found.rsu_all.is_avoided, found.axis)
+    dangers = build_dangers(
+        found.rsu_all.is_avoided, found.axis, titles=case_titles(setting.runs)
+    )
     page = _page_of(
         replace_fields(placement_result, dangers=dangers),
         setting,
