@@ -11,8 +11,7 @@ from msgspec.structs import replace as replace_fields
 from partial_pages import blank_pictures, build_result
 
 from experiments.jobs.evaluation import build_comparison_result
-from experiments.parts.accidents import is_weighted
-from experiments.parts.accidents import case_titles
+from experiments.parts.accidents import case_titles, is_weighted
 from experiments.parts.dangers import build_dangers
 from experiments.report.page import build_report
 from experiments.results.numbers import percent
