@@ -1183,16 +1183,31 @@ def _hide(
 
 
 # ---------- many sights
+class _Drawn(NamedTuple):
+    """The whole VRU, drawn in its box when it is first needed.
+
+    Attributes
+    ----------
+    depth_m : (n_pixels,) or (0,) float
+        Depths in the box; empty: not drawn so far. [m]
+    n_pixels : int
+        Pixels of the whole VRU, whatever is hidden since.
+    """
+
+    depth_m: FloatArray
+    n_pixels: int | np.int64
+
+
 @kernel
 def _find_hiding(
     image: Image,
     vru: _Vru,
     body: _Occluder,
     beam: _Beam,
-    is_drawn: bool,
+    drawn: _Drawn,
     rows: IntArray,
-) -> int:
-    """Find the triangles of a body that may hide a part of the VRU.
+) -> tuple[int, _Drawn]:
+    """Find the triangles of a body that may hide a part of the VRU, and draw it then.
 
     Parameters
     ----------
@@ -1204,8 +1219,8 @@ def _find_hiding(
         What may hide it.
     beam : _Beam
         Its section is the box of the whole VRU.
-    is_drawn : bool
-        The whole VRU is drawn already.
+    drawn : _Drawn
+        The VRU as far as it is drawn.
     rows : (n_triangles,) int
         Written: the triangles.
 
@@ -1213,6 +1228,8 @@ def _find_hiding(
     -------
     n_found : int
         How many they are.
+    drawn : _Drawn
+        The VRU, drawn if any are found.
 
     Notes
     -----
@@ -1221,16 +1238,18 @@ def _find_hiding(
     """
     box = beam.section
     n_found, window = _find_in_front(image, body, beam, rows)
+    if n_found == 0 or len(drawn.depth_m):
+        return n_found, drawn
     area = (window[2] - window[0]) * (window[3] - window[1])
     whole_area = (box[2] - box[0]) * (box[3] - box[1])
-    if n_found == 0 or is_drawn or _WORTH_A_LOOK * area > whole_area:
-        return n_found
-    depth_m = _draw_in(image, vru, window)
-    n_before = _count_pixels(depth_m)
-    _hide(image, body, rows[:n_found], window, depth_m)
-    if _count_pixels(depth_m) == n_before:
-        return 0
-    return n_found
+    if _WORTH_A_LOOK * area <= whole_area:
+        part_m = _draw_in(image, vru, window)
+        n_before = _count_pixels(part_m)
+        _hide(image, body, rows[:n_found], window, part_m)
+        if _count_pixels(part_m) == n_before:
+            return 0, drawn
+    depth_m = _draw_in(image, vru, box)
+    return n_found, _Drawn(depth_m, _count_pixels(depth_m))
 
 
 @kernel
@@ -1299,9 +1318,8 @@ def see(
         # Between these heights is all that may hide it.
         lowest_m = min(image.up_m, foot_m + vru_m)
         highest_m = max(image.up_m, top_m + vru_m)
-        _, depth_m = _find_extremes(hull[2])
-        farthest_m = max(0.0, depth_m)
-        beam = _Beam(box, farthest_m, lowest_m, highest_m)
+        _, farthest_m = _find_extremes(hull[2])
+        beam = _Beam(box, max(0.0, farthest_m), lowest_m, highest_m)
         _see_sight(
             image,
             vru,
@@ -1351,26 +1369,21 @@ def _see_sight(
         Written.
     """
     box = beam.section
-    # Depths of the VRU in its box, less what stands still hides; empty: not drawn.
-    depth_m = np.empty(0)
-    n_pixels = 0
+    # The VRU, less what stands still hides.
+    drawn = _Drawn(np.empty(0), np.int64(0))
     turn = sights.static.turn[sight]
     shift = sights.static.shift[sight]
     up_m = sights.static.up_m[sight]
     for tree in still:
         body = _Occluder(tree, np.int64(0), turn, shift, up_m)
-        n_found = _find_hiding(image, vru, body, beam, len(depth_m) > 0, rows)
-        if n_found == 0:
-            continue
-        if len(depth_m) == 0:
-            depth_m = _draw_in(image, vru, box)
-            n_pixels = _count_pixels(depth_m)
-        _hide(image, body, rows[:n_found], box, depth_m)
+        n_found, drawn = _find_hiding(image, vru, body, beam, drawn, rows)
+        if n_found:
+            _hide(image, body, rows[:n_found], box, drawn.depth_m)
     visible = box
     share = 1.0
-    if len(depth_m):
-        visible = _box_around(depth_m, box)
-        share = _count_pixels(depth_m) / n_pixels
+    if len(drawn.depth_m):
+        visible = _box_around(drawn.depth_m, box)
+        share = _count_pixels(drawn.depth_m) / drawn.n_pixels
     _set_box(seen.visible_px, sight, visible)
     seen.visible_share[sight] = share
     # Loop over the frames of the sight, which differ by the vehicles that move.
@@ -1379,7 +1392,7 @@ def _see_sight(
         seen.frame_visible_share[frame] = share
         if visible[2] == 0:
             continue
-        left_m = depth_m
+        left_m = drawn.depth_m
         is_hidden = False
         for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
             vehicle = _Occluder(
@@ -1389,19 +1402,16 @@ def _see_sight(
                 sights.vehicles.shift[row],
                 sights.vehicles.up_m[row],
             )
-            n_found = _find_hiding(image, vru, vehicle, beam, len(depth_m) > 0, rows)
+            n_found, drawn = _find_hiding(image, vru, vehicle, beam, drawn, rows)
             if n_found == 0:
                 continue
-            if len(depth_m) == 0:
-                depth_m = _draw_in(image, vru, box)
-                n_pixels = _count_pixels(depth_m)
             if not is_hidden:
-                left_m = depth_m.copy()
+                left_m = drawn.depth_m.copy()
             is_hidden = True
             _hide(image, vehicle, rows[:n_found], box, left_m)
         if is_hidden:
             _set_box(seen.frame_visible_px, frame, _box_around(left_m, box))
-            seen.frame_visible_share[frame] = _count_pixels(left_m) / n_pixels
+            seen.frame_visible_share[frame] = _count_pixels(left_m) / drawn.n_pixels
 
 
 # ---------- trees of boxes around triangles
