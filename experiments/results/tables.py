@@ -157,9 +157,9 @@ def _runs_of(layout: str, party: str, verdict: Verdict, axis: FrameAxis) -> "pa.
         "weather": axis.weathers,
         "vut_speed_kmh": axis.vut_speed_kmh,
         "weight": axis.weight,
-        "last_brake_time_s": _missing(axis.last_brake_time_s),
-        "confirmation_time_s": _missing(verdict.confirmation_time_s),
-        "margin_s": _missing(margin_s(verdict, axis)),
+        "last_brake_time_s": axis.last_brake_time_s,
+        "confirmation_time_s": verdict.confirmation_time_s,
+        "margin_s": margin_s(verdict, axis),
         "is_avoided": verdict.is_avoided,
         "detected_share": n_detected / n_frames,
         "impact_speed_kmh": impact_speed_kmh,
@@ -169,7 +169,7 @@ def _runs_of(layout: str, party: str, verdict: Verdict, axis: FrameAxis) -> "pa.
 
 
 def _column(values: Sequence[str] | FloatArray | BoolArray) -> "pa.Array":
-    """Column of a table from texts or numbers (n,); what is not a number is missing.
+    """Column of a table from texts or numbers (n,); what is not finite is missing.
 
     Built from its parts as Arrow lays them out, for ``pyarrow.array`` loads pandas,
     which takes longer than all of the table.
@@ -223,10 +223,6 @@ def _run_groups(axis: FrameAxis) -> list[tuple[dict[str, str], BoolArray]]:
             words = (word for word, _ in parts)
             groups.append((dict(zip(GROUP_COLUMNS, words, strict=True)), mask))
     return groups
-
-
-def _missing(times_s: FloatArray) -> FloatArray:
-    return np.where(np.isfinite(times_s), times_s, np.nan)
 
 
 def groups_by(axis: FrameAxis, what: GroupedBy) -> list[RunGroup]:
