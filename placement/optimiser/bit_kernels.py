@@ -6,6 +6,8 @@ frame, bits along the poses. All functions work on plain arrays;
 :mod:`placement.optimiser.presolve` says what they hold.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,16 @@ ByteArray = NDArray[np.uint8]
 
 # Words transposed at a time: a line of memory or two.
 _N_TOGETHER = 16
+
+
+@kernel
+def copy_row(rows: NDArray[Any], source: int, target: int) -> None:
+    """Copy a row of a table, (n_rows, n_columns), to another one.
+
+    A loop: numba takes seconds to compile that a row is copied as a whole.
+    """
+    for column in range(rows.shape[1]):
+        rows[target, column] = rows[source, column]
 
 
 @kernel
@@ -419,9 +431,7 @@ def first_live_with_each(
         n_tails = tail_start[chain + 1] - tail_start[chain]
         for number in range(n_tails):
             frame = tail_frame[tail + number]
-            # Numba takes seconds to compile that a row is copied as a whole.
-            for word in range(n_words):
-                held[number + 1, word] = held[number, word]
+            copy_row(held, number, number + 1)
             if not is_seen[frame]:
                 for word in range(n_words):
                     held[number + 1, word] &= columns[frame, word]

@@ -8,7 +8,6 @@ windows. Bits along rows, poses or frames are 64-bit words, lowest bit first.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
@@ -16,6 +15,7 @@ from geometry.kernels import kernel
 from .allowed_sets import Choice
 from .bit_kernels import (
     ByteArray,
+    copy_row,
     count_bits,
     has_bit,
     has_entry,
@@ -244,13 +244,6 @@ def _count(values: IntArray, n: int, wanted: int) -> int:
     for number in range(n):
         n_equal += values[number] == wanted
     return n_equal
-
-
-@kernel
-def _copy_row(rows: NDArray[Any], source: int, target: int) -> None:
-    """Copy a row of a table, (n_rows, n_columns), to another one."""
-    for column in range(rows.shape[1]):
-        rows[target, column] = rows[source, column]
 
 
 @kernel
@@ -805,12 +798,12 @@ def grow(
         # A node below, at which the pose is chosen.
         walk.position[depth] += 1
         after = depth + 1
-        _copy_row(walk.is_open, depth, after)
+        copy_row(walk.is_open, depth, after)
         walk.is_open[depth, pose] = False
         if _count(walk.chosen, after, pose) >= covers.copies[pose]:
             walk.is_open[after, pose] = False
         here = covers.site[pose]
-        _copy_row(walk.room, depth, after)
+        copy_row(walk.room, depth, after)
         walk.room[after, here] -= 1
         if walk.room[after, here] <= 0:
             for other in range(n_poses):
@@ -823,7 +816,7 @@ def grow(
                 before & of_pose
             )
             walk.covered[after, word] = before | of_pose
-        _copy_row(walk.given_up, depth, after)
+        copy_row(walk.given_up, depth, after)
         walk.weight_given_up[after] = walk.weight_given_up[depth]
         at.depth = after
         at.is_new = 1
