@@ -311,9 +311,9 @@ function showNumbers() {
 function besideWords() {
   const words = [tr("For cars with their own sensors {withVut}, instead of {vut} without the roadside.", numbers)];
   if (numbers.oneFails) words.push(tr("If the most needed unit fails, {oneFails} remain.", numbers));
-  const n = numbers.lost.filter(([, , counts]) => counts).length;
+  const n = lostRuns().length;
   // Said of none, too: the panel below keeps its place while a sensor is dragged.
-  words.push(tr("Runs lost: {n} of {all}, listed below.", { n, all: scene.runs.length }));
+  words.push(n ? tr("Runs lost: {n} of {all}, listed below.", { n, all: scene.runs.length }) : tr("Runs lost: none of {all}.", { all: scene.runs.length }));
   return words;
 }
 
@@ -599,10 +599,12 @@ find("hang").addEventListener("click", () => hang(find("site").value));
 // ---------- lost runs
 
 let lostText = "";
+// Of runs that the question counts.
+const lostRuns = () => numbers.lost.filter(([, , counts]) => counts);
 function showLost() {
   const list = find("lost");
   const isKnown = isCurrent() && numbers.source !== "none";
-  const lost = isKnown ? numbers.lost.filter(([, , counts]) => counts) : [];
+  const lost = isKnown ? lostRuns() : [];
   const words = find("lost-filter").value.toLowerCase().split(/[\s,]+/).filter(Boolean);
   const shown = lost.filter(([index, outcome]) => words.every((word) => `${scene.runs[index].title} ${outcome}`.toLowerCase().includes(word)));
   const counts = { n: lost.length, all: scene.runs.length, shown: shown.length, most: MOST_LOST };
