@@ -4,7 +4,7 @@ Removals, re-aims and additions are tried one by one; a combination is a placeme
 problem with the units already in place. All values are those of the detection table.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cmp_to_key
 
@@ -616,11 +616,13 @@ class Adviser:
             ),
         )
 
-    def cheapest(self, units: Sequence[CandidatePose]) -> Advice:
+    def cheapest(
+        self, units: Sequence[CandidatePose], *, paid: Collection[str] = ()
+    ) -> Advice:
         """The cheapest layout with the APR of the mounted one.
 
-        Costs are those of everything. Raises InputError if nothing is mounted, or
-        it avoids nothing.
+        Costs are those of everything but the units `paid` (ids), which are mounted
+        already. Raises InputError if nothing is mounted, or it avoids nothing.
         """
         if not units:
             refuse(
@@ -635,17 +637,28 @@ class Adviser:
                 Phrase("an APR of {apr}", apr=0),
                 Phrase("more"),
             )
-        wishes = replace(self._wishes, target=share, saves="cost", forced_sites=())
+        wishes = replace(
+            self._wishes,
+            target=share,
+            saves="cost",
+            forced_sites=(),
+            paid=tuple(paid),
+        )
         return self._search(units, wishes)
 
     def why_not(
-        self, units: Sequence[CandidatePose], site_id: str
+        self,
+        units: Sequence[CandidatePose],
+        site_id: str,
+        *,
+        paid: Collection[str] = (),
     ) -> tuple[Advice, Advice]:
         """Worth of a site, with the mounted units and in a layout of as many units.
 
         The first has the best unit there next to all others; the second is the best
-        layout of as many units that uses the site, costs of everything. Raises
-        InputError if nothing is mounted, or nothing may be mounted at the site.
+        layout of as many units that uses the site, with costs of everything but the
+        units `paid` (ids), which are mounted already. Raises InputError if nothing is
+        mounted, or nothing may be mounted at the site.
         """
         where = Phrase("why not {site}", site=site_id)
         if not units:
@@ -669,7 +682,12 @@ class Adviser:
             n_compared=len(rows),
         )
         # ... and the best layout of as many units that uses the site.
-        wishes = replace(self._wishes, budget_units=len(units), forced_sites=(site_id,))
+        wishes = replace(
+            self._wishes,
+            budget_units=len(units),
+            forced_sites=(site_id,),
+            paid=tuple(paid),
+        )
         return beside, self._search(units, wishes)
 
     # ---------- problems

@@ -184,6 +184,9 @@ class Wishes:
         What fails at once: a unit, or a site with all that it carries.
     existing : tuple of str
         Ids of candidates that are mounted already: they stay, and cost nothing.
+    paid : tuple of str
+        Ids of candidates that are mounted already and may go; kept, they cost
+        nothing.
     forced_sites, forbidden_sites : tuple of str
         Ids of sites that must, and must not, carry units, in addition to the
         scene's.
@@ -211,6 +214,7 @@ class Wishes:
     located_m: float | None = None
     failing: Failing = "unit"
     existing: tuple[str, ...] = ()
+    paid: tuple[str, ...] = ()
     forced_sites: tuple[str, ...] = ()
     forbidden_sites: tuple[str, ...] = ()
     site_capacity: int | None = None
@@ -309,7 +313,8 @@ def build_limits(
         rivals = pairs[~(existing_at[pairs] > 0).all(axis=1)]
     # Existing units have found room.
     capacity = np.maximum(capacity, existing_at)
-    cost[existing_at > 0] = 0.0
+    is_paid = is_existing | np.isin([c.id for c in candidates], wishes.paid)
+    cost[site_index[is_paid]] = 0.0
     # As many units as sites and candidates allow.
     usable = site_index[~is_forbidden_site[site_index] | is_existing]
     most = int(np.minimum(np.bincount(usable, minlength=len(order)), capacity).sum())
@@ -319,7 +324,7 @@ def build_limits(
         site_capacity=capacity,
         budget_units=wishes.budget_units,
         budget_eur=wishes.budget_eur,
-        unit_cost_eur=np.where(is_existing, 0.0, price),
+        unit_cost_eur=np.where(is_paid, 0.0, price),
         site_cost_eur=cost,
         is_forced=is_existing,
         is_forbidden=is_forbidden_site[site_index] & ~is_existing,

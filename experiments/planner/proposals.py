@@ -156,6 +156,7 @@ async def ask_optimiser(
             ask.request,
             n_units=ask.units,
             site=ask.site,
+            existing=begun.state.existing_ids(begun.units),
             on_progress=tell,
         )
     except Cancelled:

@@ -272,6 +272,7 @@ class Tasks:
         *,
         n_units: int = 0,
         site: str = "",
+        existing: Collection[str] = (),
     ) -> list[dict[str, Any]]:
         """Answers to a request, each with its units and a sentence.
 
@@ -285,6 +286,8 @@ class Tasks:
             With "complete": units in all.
         site : str
             With "why-not": where nothing is mounted.
+        existing : collection of str
+            Ids of units that are mounted already: they cost nothing.
 
         Raises
         ------
@@ -303,13 +306,13 @@ class Tasks:
             advice = adviser.re_aim(units)
             return [_answer(tr("All re-aimed, poles kept"), advice, costs="")]
         if request == "cheapest":
-            advice = adviser.cheapest(units)
+            advice = adviser.cheapest(units, paid=existing)
             return [
                 _answer(
                     tr("The cheapest with at least this APR"), advice, costs=_IN_ALL
                 )
             ]
-        one_more, instead = adviser.why_not(units, site)
+        one_more, instead = adviser.why_not(units, site, paid=existing)
         best = tr("The best {n} with {site}", n=len(units), site=site)
         return [
             _answer(tr("One more unit at {site}", site=site), one_more, costs=_MORE),

@@ -204,6 +204,22 @@ def test_the_cheapest_is_as_good_and_no_dearer(adviser, setting, apr_of):
     assert bool(cheaper) == (len(found.units) == 1)
 
 
+def test_what_is_mounted_already_costs_nothing_in_all_answers(adviser):
+    units = find_layout("carlancap-12").units[:3]
+    names = [unit.id for unit in units]
+    found = adviser.cheapest(units, paid=names)
+
+    assert found.before.cost_eur == 0.0
+    assert found.after.cost_eur == 0.0
+    assert {unit.id for unit in found.units} <= set(names)
+
+    dear = adviser.cheapest(units, paid=names[:1])
+    alone = adviser.cheapest(units)
+
+    assert 0.0 < dear.before.cost_eur < alone.before.cost_eur
+    assert dear.after.cost_eur <= alone.after.cost_eur
+
+
 def test_why_not_a_pole_says_what_it_can_do_beside_and_instead(adviser, weak, apr_of):
     site = "corner-sw"
     beside, instead = adviser.why_not(weak[:1], site)
