@@ -41,6 +41,8 @@ Bounds = tuple[float, float, float, float]
 _SLACK_PX = 1.0e-6
 # More than rounding changes an area in the image.
 _SURE_PX2 = 1.0e-6
+# More than rounding changes a volume.
+_SURE_M3 = 1.0e-6
 _MIN_DEPTH_M = 1.0e-6
 # What the VRU stands on does not occlude it.
 _TOUCH_M = 1.0e-6
@@ -427,6 +429,24 @@ def _passes_by(
         n_third += third < 0.0
         n_before += (first + second + third) * farthest_m < volume
     return n_before == 4 or n_first == 4 or n_second == 4 or n_third == 4
+
+
+@kernel
+def _is_beside(edges: Edges, hull: FloatArray) -> bool:
+    """True if a triangle and a convex hull share no direction from the lens.
+
+    That is so if all corners of the hull (3, n) are beyond one of the planes through
+    the lens and an edge.
+    """
+    for edge in edges:
+        is_beyond = True
+        for column in range(hull.shape[1]):
+            if dot(edge, corner(hull, column)) >= -_SURE_M3:
+                is_beyond = False
+                break
+        if is_beyond:
+            return True
+    return False
 
 
 # ---------- the image
@@ -995,12 +1015,15 @@ class _Beam(NamedTuple):
     lowest_m, highest_m : float
         Heights between which everything lies that may hide the VRU, in the frame in
         which the camera stands. [m]
+    hull : (3, n) float
+        Corners of the VRU's convex hull, camera frame. [m]
     """
 
     section: Window
     farthest_m: float
     lowest_m: float
     highest_m: float
+    hull: FloatArray
 
 
 class _Occluder(NamedTuple):
@@ -1045,7 +1068,9 @@ def _corner_of(body: _Occluder, row: int, place: int) -> Point:
 def _find_in_front(
     image: Image, body: _Occluder, beam: _Beam, rows: IntArray
 ) -> tuple[int, Window]:
-    """Find the triangles of a body that cover a pixel before the VRU ends.
+    """Find the triangles of a body that may hide a pixel of the VRU.
+
+    They cover a pixel of the beam before the VRU ends, and not just beside it.
 
     Parameters
     ----------
@@ -1123,7 +1148,7 @@ def _find_in_front(
                         break
                 if is_found:
                     break
-            if is_found:
+            if is_found and not _is_beside(edges, beam.hull):
                 rows[n_found] = row
                 n_found += 1
                 left = min(left, x_min)
@@ -1319,7 +1344,7 @@ def see(
         lowest_m = min(image.up_m, foot_m + vru_m)
         highest_m = max(image.up_m, top_m + vru_m)
         _, farthest_m = _find_extremes(hull[2])
-        beam = _Beam(box, max(0.0, farthest_m), lowest_m, highest_m)
+        beam = _Beam(box, max(0.0, farthest_m), lowest_m, highest_m, hull)
         _see_sight(
             image,
             vru,
