@@ -604,40 +604,61 @@ def _is_self_visible(
         hidden = np.empty((len(index), places.axes_m.shape[2]), dtype=bool)
         for number in np.unique(places.surface_index[index]).tolist():
             rows = np.flatnonzero(places.surface_index[index] == number)
-            starts, vectors = _rays_to_own_points(places.surfaces[number], eyes_m[rows])
-            is_blocked = shared.bodies[number].is_blocked(starts, vectors)
-            hidden[rows] = is_blocked.reshape(len(rows), -1)
+            hidden[rows] = _find_self_hidden(
+                places.surfaces[number], shared.bodies[number], eyes_m[rows]
+            )
         return hidden
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
     return ~look(shared.hidden_by_itself, eye_m.tobytes(), asked, find)[row]
 
 
-def _rays_to_own_points(
-    surface: Surface, eyes_m: FloatArray
-) -> tuple[FloatRays, FloatRays]:
-    """Rays from eyes to just before a body's points, in the body's frame.
+def _find_self_hidden(
+    surface: Surface, caster: RayCaster, eyes_m: FloatArray
+) -> BoolArray:
+    """Mask of a body's points that the body itself hides from eyes.
 
     Parameters
     ----------
     surface : Surface
         The body.
+    caster : RayCaster
+        Its shape, in its own frame.
     eyes_m : (n, 3) float
         Frame of the body. [m]
 
     Returns
     -------
-    starts, vectors : (n * n_points, 3) float32
-        [m]
+    is_hidden : (n, n_points) bool
+
+    Notes
+    -----
+    Rays end just before a point. Where the point's face is seen from behind, that is
+    inside of the closed body: the body hides it from any eye outside. All other points
+    need rays.
     """
-    # From each eye to the body's origin.
+    from .ray_kernels import EyesOnBody, OwnPoints, fill_own_rays
+
+    points_m = surface.points_m
+    own = OwnPoints(
+        points=points_m.astype(np.float32),
+        outward=surface.outward,
+        face_m=(points_m * surface.outward).sum(axis=1),
+        least_sine=surface.least_sine,
+    )
     distance_m = np.sqrt((eyes_m**2).sum(axis=1))
-    share = (1.0 - _OFF_SURFACE_M / np.maximum(distance_m, 1.0e-9)).astype(np.float32)
-    eyes = eyes_m.astype(np.float32)[:, None]
-    vectors: FloatRays = (surface.points_m.astype(np.float32) - eyes) * share[
-        :, None, None
-    ]
-    return np.broadcast_to(eyes, vectors.shape).reshape(-1, 3), vectors.reshape(-1, 3)
+    share = 1.0 - _OFF_SURFACE_M / np.maximum(distance_m, 1.0e-9)
+    # Next to the body, or in it, every point gets a ray.
+    reach_m = float(np.linalg.norm(points_m, axis=1).max())
+    longest_m = np.where(distance_m > 2.0 * reach_m, distance_m + reach_m, np.inf)
+    eyes = EyesOnBody(eyes_m, share.astype(np.float32), longest_m)
+    is_hidden = np.zeros((len(eyes_m), len(points_m)), dtype=bool)
+    starts = np.empty((is_hidden.size, 3), np.float32)
+    vectors = np.empty((is_hidden.size, 3), np.float32)
+    n_rays = fill_own_rays(own, eyes, starts, vectors, is_hidden)
+    is_asked = ~is_hidden
+    is_hidden[is_asked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
+    return is_hidden
 
 
 def _hidden_by_scene(
@@ -694,6 +715,12 @@ def _hidden_by_scene(
         )
         views = BodyViews(places.axes_m, places.middle_m, places.radius_m)
         find_unclear_points(nearest, views, eye_m, index, unclear)
+        is_unclear = unclear.any(axis=1)
+        is_behind = np.zeros(len(index), dtype=bool)
+        is_behind[is_unclear] = _is_behind_one_triangle(
+            shared, eye_m, index[is_unclear], near_m=near_m
+        )
+        unclear[is_behind] = False
         room = (np.count_nonzero(unclear), 3)
         starts = np.empty(room, np.float32)
         vectors = np.empty(room, np.float32)
@@ -701,6 +728,7 @@ def _hidden_by_scene(
         fill_rays(places.axes_m, index, unclear, eye_m, rays)
         # Rays are in the order of the points that are unclear.
         unclear[unclear] = shared.caster.is_blocked(starts, vectors)
+        unclear[is_behind] = True
         return unclear
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
@@ -709,6 +737,66 @@ def _hidden_by_scene(
         later = world.views.place_index[foreseen]
     eye = (near_m, eye_m.tobytes())
     return look(shared.hidden_by_scene, eye, asked, find, foreseen=later)[row]
+
+
+def _is_behind_one_triangle(
+    shared: SharedScene, eye_m: FloatArray, place_index: IntArray, *, near_m: float
+) -> BoolArray:
+    """Mask of bodies of which one triangle of the scene hides every point.
+
+    Walls are large and bodies small: one ray tells of most hidden bodies what
+    otherwise each of their points needs a ray for.
+
+    Parameters
+    ----------
+    shared : SharedScene
+        Scene and places.
+    eye_m : (3,) float
+        The mount, relative to the origin of `shared`. [m]
+    place_index : (n,) int
+        Places of the bodies.
+    near_m : float
+        Things nearer to the eye hide nothing. [m]
+
+    Returns
+    -------
+    is_behind : (n,) bool
+        False also says that it is not known.
+
+    Notes
+    -----
+    The first triangle on the way to a body's middle is looked at. Its shadow is bounded
+    by the triangle, and by three planes through the eye and each of its sides. A body
+    is hidden if the sphere around its points lies within the shadow.
+    """
+    places = shared.places
+    middle_m = places.middle_m[place_index] - eye_m
+    wide_m = places.radius_m[place_index] + _OFF_SURFACE_M
+    away_m = np.linalg.norm(middle_m, axis=1)
+    begin_m = middle_m * (near_m / np.maximum(away_m, near_m))[:, None]
+    starts = (begin_m + eye_m).astype(np.float32)
+    vectors = (middle_m - begin_m).astype(np.float32)
+    share, number = shared.caster.first_triangle(starts, vectors)
+    is_behind: BoolArray = share < 1.0
+    corners_m = shared.triangles_m[number] - eye_m
+    normal = np.cross(
+        corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0]
+    )
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1.0e-12)[:, None]
+    # Distances from the eye along the normal: of the triangle, and of the body.
+    triangle_m = np.einsum("ni,ni->n", normal, corners_m[:, 0])
+    body_m = np.einsum("ni,ni->n", normal, middle_m) * np.sign(triangle_m)
+    triangle_m = np.abs(triangle_m)
+    is_behind &= triangle_m >= near_m + _OFF_SURFACE_M
+    is_behind &= body_m >= triangle_m + wide_m
+    # The planes through the eye and a side; the third corner is within.
+    for side in range(3):
+        plane = np.cross(corners_m[:, side], corners_m[:, (side + 1) % 3])
+        plane /= np.maximum(np.linalg.norm(plane, axis=1), 1.0e-12)[:, None]
+        within_m = np.einsum("ni,ni->n", plane, corners_m[:, (side + 2) % 3])
+        inside_m = np.einsum("ni,ni->n", plane, middle_m) * np.sign(within_m)
+        is_behind &= inside_m >= wide_m
+    return is_behind
 
 
 def _find_between(

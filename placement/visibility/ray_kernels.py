@@ -117,6 +117,45 @@ class Rays(NamedTuple):
     vectors: Array
 
 
+class OwnPoints(NamedTuple):
+    """Points on a body, in its own frame.
+
+    Attributes
+    ----------
+    points : (n, 3) float32
+        The points. [m]
+    outward : (n, 3) float
+        Normal of the face around each.
+    face_m : (n,) float
+        Where each face is along its normal. [m]
+    least_sine : (n,) float
+        The body hides a point that is looked at from so far behind its face.
+    """
+
+    points: Array
+    outward: FloatArray
+    face_m: FloatArray
+    least_sine: FloatArray
+
+
+class EyesOnBody(NamedTuple):
+    """Places from which a body is looked at, in its own frame.
+
+    Attributes
+    ----------
+    position : (n, 3) float
+        The places. [m]
+    share : (n,) float32
+        Part of the way to each point that its ray takes.
+    longest_m : (n,) float
+        No way to a point is longer; infinite: every point gets a ray. [m]
+    """
+
+    position: FloatArray
+    share: Array
+    longest_m: FloatArray
+
+
 @kernel
 def _diamond(x: float, y: float) -> float:
     """Diamond angle of a direction: 0 to 4, growing with the azimuth.
@@ -617,6 +656,54 @@ def fill_rays(
             vector = rays.vectors[ray]
             shorten((ex, ey, ez), (x, y, z), near, cut, start, vector)
             ray += 1
+
+
+@kernel
+def fill_own_rays(
+    own: OwnPoints, eyes: EyesOnBody, starts: Array, vectors: Array, hidden: BoolArray
+) -> int:
+    """Write the rays to the points of a body that are not seen from behind their face.
+
+    Parameters
+    ----------
+    own : OwnPoints
+        The points.
+    eyes : EyesOnBody
+        Where rays come from.
+    starts, vectors : (n_rays, 3) float32
+        Written; they have room for all points of all eyes. [m]
+    hidden : (n_eyes, n_points) bool
+        Set to True where a point gets no ray: its own face hides it.
+
+    Returns
+    -------
+    n_rays : int
+        Number of rays written, eye by eye.
+    """
+    ray = 0
+    for row in range(len(eyes.position)):
+        x = eyes.position[row, 0]
+        y = eyes.position[row, 1]
+        z = eyes.position[row, 2]
+        start_x = np.float32(x)
+        start_y = np.float32(y)
+        start_z = np.float32(z)
+        share = eyes.share[row]
+        for point in range(len(own.points)):
+            outward = own.outward[point]
+            along_m = outward[0] * x + outward[1] * y + outward[2] * z
+            behind_m = own.face_m[point] - along_m
+            if behind_m > own.least_sine[point] * eyes.longest_m[row]:
+                hidden[row, point] = True
+                continue
+            starts[ray, 0] = start_x
+            starts[ray, 1] = start_y
+            starts[ray, 2] = start_z
+            vectors[ray, 0] = (own.points[point, 0] - start_x) * share
+            vectors[ray, 1] = (own.points[point, 1] - start_y) * share
+            vectors[ray, 2] = (own.points[point, 2] - start_z) * share
+            ray += 1
+    return ray
 
 
 @kernel

@@ -24,6 +24,12 @@ from scenarios.runs import Run
 
 # ---------- points on the outside of bodies
 _SAMPLES_PER_POINT = 30
+# What is farther from a point than this is not between it and the end of its ray.
+NEAR_POINT_M = 2.0e-3
+# Rays end at least so far before their points.
+_LEAST_CUT_M = 0.6e-3
+# Rounding in single precision turns no ray by so much.
+_SURE_SINE = 0.05
 # A normal turned by a radian counts as much as a way of this length.
 _TURN_M = 0.3
 
@@ -43,6 +49,11 @@ class Surface:
     area_m2 : (n, 3) float
         Part of the surface around each point: its area along its mean outward
         normal. [m^2]
+    outward : (n, 3) float
+        Normal of the face around each point.
+    least_sine : (n,) float
+        The body hides a point that is looked at from so far behind its face: sine of
+        the angle between face and line of sight. Above 1 where none will do.
     hull_index : (n_corners,) int
         Points at the corners of the convex hull of all points.
     radius_m : float
@@ -53,6 +64,8 @@ class Surface:
     shape_index: int
     points_m: FloatArray
     area_m2: FloatArray
+    outward: FloatArray
+    least_sine: FloatArray
     hull_index: IntArray
     radius_m: float
 
@@ -110,11 +123,17 @@ def build_surface(
     _, nearest = tree.query(np.hstack([samples, _TURN_M * sample_normals]))
     area = np.zeros_like(points)
     np.add.at(area, nearest, sample_normals)
+    least_sine = np.full(len(points), np.inf)
+    least_sine[len(corners) :] = _least_sines(
+        mesh.triangles, mesh.face_normals, samples[spread], faces[spread]
+    )
     return Surface(
         actor=actor,
         shape_index=shape_index,
         points_m=freeze(points),
         area_m2=freeze(area * (mesh.area / len(samples))),
+        outward=freeze(normals),
+        least_sine=freeze(least_sine),
         hull_index=freeze(_hull_corners(points)),
         radius_m=float(np.linalg.norm(points - points.mean(axis=0), axis=1).max()),
     )
@@ -137,6 +156,8 @@ def farthest_samples(samples: FloatArray, first: FloatArray, n: int) -> IntArray
     chosen : (n,) int
         Indices of samples, in the order in which they are chosen.
     """
+    # Coordinate by coordinate: numpy is slow along axes of length three.
+    x, y, z = np.ascontiguousarray(samples.T)
     distance = np.full(len(samples), np.inf)
     chosen = np.empty(n, dtype=np.int64)
     for step in range(len(first) + n):
@@ -145,8 +166,60 @@ def farthest_samples(samples: FloatArray, first: FloatArray, n: int) -> IntArray
         else:
             chosen[step - len(first)] = distance.argmax()
             point = samples[chosen[step - len(first)]]
-        distance = np.minimum(distance, np.linalg.norm(samples - point, axis=1))
+        squared = (x - point[0]) ** 2 + (y - point[1]) ** 2 + (z - point[2]) ** 2
+        distance = np.minimum(distance, np.sqrt(squared))
     return chosen
+
+
+def _least_sines(
+    triangles_m: FloatArray, normals: FloatArray, points_m: FloatArray, own: IntArray
+) -> FloatArray:
+    """How far behind its face a body's point must be looked at to be hidden for sure.
+
+    Parameters
+    ----------
+    triangles_m : (m, 3, 3) float
+        Corners of the closed body. [m]
+    normals : (m, 3) float
+        Their outward normals.
+    points_m : (n, 3) float
+        Points on it. [m]
+    own : (n,) int
+        Triangle of each point.
+
+    Returns
+    -------
+    least : (n,) float
+        Sine of the angle between face and line of sight; above 1: none will do.
+
+    Notes
+    -----
+    A ray ends just before its point. If all triangles as near as `NEAR_POINT_M` are
+    seen from behind there, that is inside of the body. A triangle whose normal differs
+    by an angle from the point's own is, if the point's face is by more than this.
+    """
+    from trimesh.triangles import closest_point
+
+    # Only triangles whose surrounding sphere is as near can be.
+    middle_m = triangles_m.mean(axis=1)
+    reach_m = np.linalg.norm(triangles_m - middle_m[:, None], axis=2).max(axis=1)
+    lengths = (points_m**2).sum(axis=1)[:, None] + (middle_m**2).sum(axis=1)
+    squares = lengths - 2.0 * points_m @ middle_m.T
+    point, near = np.nonzero(squares <= (reach_m + NEAR_POINT_M) ** 2)
+    closest_m = closest_point(triangles_m[near], points_m[point])
+    away_m = np.linalg.norm(closest_m - points_m[point], axis=1)
+    is_near = away_m <= NEAR_POINT_M
+    point = point[is_near]
+    near = near[is_near]
+    # How far each point is before the plane of each triangle near it.
+    before_m = ((points_m[point] - triangles_m[near, 0]) * normals[near]).sum(axis=1)
+    along = (normals[own[point]] * normals[near]).sum(axis=1)
+    excess = _SURE_SINE + np.maximum(before_m, 0.0) / _LEAST_CUT_M
+    angle = np.arccos(np.clip(along, -1.0, 1.0)) + np.arcsin(np.minimum(excess, 1.0))
+    sine = np.where(angle < 0.5 * np.pi, np.sin(angle), np.inf)
+    least = np.full(len(points_m), _SURE_SINE)
+    np.maximum.at(least, point, sine)
+    return least
 
 
 def _hull_corners(points_m: FloatArray) -> IntArray:

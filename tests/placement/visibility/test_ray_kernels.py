@@ -11,6 +11,7 @@ from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.ray_kernels import (
     N_AROUND,
     N_UP,
+    fill_own_rays,
     mark_nearest,
 )
 
@@ -25,6 +26,16 @@ class Counter:
     def is_blocked(self, origins_m, vectors_m):
         self.n_rays += len(origins_m)
         return self.caster.is_blocked(origins_m, vectors_m)
+
+    def first_triangle(self, origins_m, vectors_m):
+        self.n_rays += len(origins_m)
+        return self.caster.first_triangle(origins_m, vectors_m)
+
+
+def _all_own_rays(own, *given):
+    """Rays to all points of a body, whatever its faces say."""
+    nowhere = np.full(len(own.points), np.inf)
+    return fill_own_rays(own._replace(least_sine=nowhere), *given)
 
 
 def _sight_and_rays(world, eye, **options):
@@ -52,6 +63,12 @@ def _assert_nothing_is_missed(world, eye, monkeypatch, **options):
             ray_kernels, "find_unclear_points", lambda *given: given[-1].fill(True)
         )
         patch.setattr(casting, "AROUND_BODY_M", 1.0e6)
+        patch.setattr(
+            casting,
+            "_is_behind_one_triangle",
+            lambda _shared, _eye, places, **_: np.zeros(len(places), dtype=bool),
+        )
+        patch.setattr(ray_kernels, "fill_own_rays", _all_own_rays)
         every, n_every_static, n_every_vut = _sight_and_rays(world, eye, **options)
 
     for field in fields(sight):
