@@ -105,6 +105,8 @@ FEW_SETS_PER_SECOND = 30_000
 MAX_SITE_SETS = 200_000
 # Sets whose limits are looked at to find out how many are allowed
 MAX_GROWN_SETS = 20_000_000
+# Sets whose limits are looked at at a time: some 100 MB
+GROWN_TOGETHER = 1 << 19
 # A walk through sets of more units does not end
 MAX_WALK_UNITS = 16
 # Units of sets that are gone through pair by pair: two or three

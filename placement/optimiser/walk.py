@@ -154,27 +154,51 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
     poses = np.flatnonzero(~limits.is_forbidden & ~limits.is_forced)
     grown = forced[None, :]
     sizes = []
-    n_sets = 0
-    for n_units in range(len(forced), limits.max_units + 1):
-        if n_units:
-            sets = grown[are_allowed(limits, grown)]
-            n_sets += len(sets)
+    if 0 < len(forced) <= limits.max_units:
+        sizes.append(grown[are_allowed(limits, grown)])
+    n_sets = sum(map(len, sizes))
+    most = max(constants.MANY_SETS, min(constants.MAX_GROWN_SETS, 100 * max_sets))
+    for n_units in range(len(forced) + 1, limits.max_units + 1):
+        if not len(grown):
+            break
+        if n_sets > max_sets or len(grown) * len(poses) > most:
+            return None
+        # Some at a time: those that do not fit are many more than those that do.
+        step = max(1, constants.GROWN_TOGETHER // max(1, len(poses)))
+        larger = []
+        allowed = []
+        for begin in range(0, len(grown), step):
+            part = grown[begin : begin + step]
+            sets = _with_one_more(
+                limits, part, poses, is_first=n_units == len(forced) + 1
+            )
+            is_allowed_set = are_allowed(limits, sets)
+            n_sets += int(is_allowed_set.sum())
             if n_sets > max_sets:
                 return None
-            sizes.append(np.sort(sets, axis=1))
-        if n_units == limits.max_units or not len(grown):
-            break
-        most = max(constants.MANY_SETS, min(constants.MAX_GROWN_SETS, 100 * max_sets))
-        if len(grown) * len(poses) > most:
-            return None
-        # A later pose than the last one that is not forced: every set comes up once.
-        last = np.full((1, 1), -1)
-        if n_units > len(forced):
-            last = grown[:, -1:]
-        row, later = np.nonzero(poses[None, :] > last)
-        grown = np.column_stack([grown[row], poses[later]])
-        grown = grown[may_grow(limits, grown)]
+            larger.append(sets)
+            allowed.append(np.sort(sets[is_allowed_set], axis=1))
+        grown = np.concatenate(larger)
+        sizes.append(np.concatenate(allowed))
+    if n_sets > max_sets:
+        return None
     return sizes
+
+
+def _with_one_more(
+    limits: Limits, sets: IntArray, poses: IntArray, *, is_first: bool
+) -> IntArray:
+    """Sets (n_sets, n_units + 1) that fit into sites and money, from smaller ones.
+
+    Each takes a pose later than its last one, so that every set comes up once; any
+    pose where `is_first`: the sets have only what is forced.
+    """
+    last = np.full((1, 1), -1)
+    if not is_first:
+        last = sets[:, -1:]
+    row, later = np.nonzero(np.broadcast_to(poses, (len(sets), len(poses))) > last)
+    larger = np.column_stack([sets[row], poses[later]])
+    return larger[may_grow(limits, larger)]
 
 
 class SetWalk:

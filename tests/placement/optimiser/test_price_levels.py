@@ -1,5 +1,6 @@
 from dataclasses import replace
 from itertools import combinations
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import strategies as st
 from problems import questions
 from small_tables import avoiding_problem
 
-from placement.optimiser import cost_eur, is_allowed
+from placement.optimiser import constants, cost_eur, is_allowed
 from placement.optimiser.cost_front import next_level_eur, price_levels_eur
 from placement.optimiser.walk import allowed_sets as all_sets_within
 
@@ -43,10 +44,15 @@ def test_every_layout_costs_one_of_the_levels(problem):
         )
 
 
-@given(problem=questions(), max_sets=st.sampled_from([10_000, 5]))
-def test_affordable_sets_are_all_that_the_limits_allow(problem, max_sets):
+@given(
+    problem=questions(),
+    max_sets=st.sampled_from([10_000, 5]),
+    n_together=st.sampled_from([1 << 19, 12, 1]),
+)
+def test_affordable_sets_are_all_that_the_limits_allow(problem, max_sets, n_together):
     expected = allowed_sets(problem)
-    sizes = all_sets_within(problem.limits, max_sets=max_sets)
+    with mock.patch.object(constants, "GROWN_TOGETHER", n_together):
+        sizes = all_sets_within(problem.limits, max_sets=max_sets)
     if sizes is None:
         assert len(expected) > max_sets
         return
