@@ -1,3 +1,5 @@
+"""What a question becomes: candidates, limits and prices."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +22,7 @@ KINDS = ("lamp post", "traffic light", "mast arm")
 
 @pytest.fixture
 def coarse(monkeypatch):
+    """Makes the default grid coarse."""
     grid = replace(
         load_candidate_grid(),
         heights_m=np.array([6.0]),
@@ -45,6 +48,7 @@ def study(coarse, monkeypatch):
 
 
 def ids(question, scene):
+    """Names of a question's candidates."""
     return {
         candidate.id for candidate in assemble_without_runs(question, scene).candidates
     }
@@ -85,7 +89,8 @@ def test_heights_yaws_and_pitches_are_those_asked_for(coarse):
 
     assert grid.heights_m.tolist() == [4.0, 7.5]
     assert grid.pitches_deg.tolist() == [-40.0, -10.0, 0.0]
-    assert (grid.n_yaws, grid.sensors) == (2, load_candidate_grid().sensors)
+    assert grid.n_yaws == 2
+    assert grid.sensors == load_candidate_grid().sensors
 
 
 @pytest.mark.parametrize(
@@ -127,6 +132,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
         plan = assemble_without_runs(Question(budget=1, sensors=sensors), scene)
         for pose in plan.candidates:
             found.setdefault(pose.sensor.name, set()).add(_place(pose))
+
         return found
 
     names = ["carla-ncap-lidar", "carla-ncap-rgb"]
@@ -147,6 +153,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
 
 
 def _place(candidate):
+    """Position and yaw of a candidate."""
     return (*candidate.pose.position_m.tolist(), candidate.pose.yaw_deg)
 
 

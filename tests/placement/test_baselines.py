@@ -40,14 +40,17 @@ AT_CORNERS = {
 
 @pytest.fixture(scope="module")
 def candidates():
+    """Candidates of the scene."""
     return build_candidates(SCENE)
 
 
 def limits_of(candidates, scene=SCENE, **wishes):
+    """Limits of wishes."""
     return build_limits(Wishes(**({"budget_units": 3} | wishes)), scene, candidates)
 
 
 def drawn(candidates, limits, scene=SCENE, n_units=3, seed=0):
+    """Layouts that are proposed."""
     rng = np.random.default_rng(seed)
     return propose(limits, candidates, scene, n_units=n_units, rng=rng)
 
@@ -75,6 +78,7 @@ def test_random_sets_are_within_all_limits(problem, n_units, seed):
 def test_every_allowed_set_is_drawn_sooner_or_later_and_no_other(problem):
     limits = problem.limits
     pairs = combinations(range(limits.n_poses), 2)
+
     allowed = {units for units in pairs if is_allowed(limits, units)}
 
     assert set(random_sets(limits, 2, n=400, rng=np.random.default_rng(1))) == allowed
@@ -85,6 +89,7 @@ def test_every_allowed_set_is_drawn_sooner_or_later_and_no_other(problem):
 
 def test_the_corners_of_the_studys_junction_lie_between_its_arms_clockwise():
     corners = find_corners(build_junction(SCENE))
+
     assert [*corners] == [*AT_CORNERS]
 
     middle = middle_m(SCENE)[:2]
@@ -96,6 +101,7 @@ def test_the_corners_of_the_studys_junction_lie_between_its_arms_clockwise():
 def test_three_arms_have_a_corner_on_the_straight_side_and_one_arm_has_none():
     junction = build_junction(SCENE)
     arms = {name: arm for name, arm in junction.arms.items() if name != "south"}
+
     corners = find_corners(replace(junction, arms=arms))
 
     assert [*corners] == ["east/north", "west/east", "north/west"]
@@ -111,6 +117,7 @@ def test_three_arms_have_a_corner_on_the_straight_side_and_one_arm_has_none():
 def test_in_a_mirror_corners_are_mirrored():
     """Kerbs are told by where they lie, not by the side on which traffic keeps."""
     plain, turned = (find_corners(one) for one in _both_ways())
+
     assert len(plain) == len(turned) == 4
 
     expected = {tuple((corner * [1.0, -1.0]).round(6)) for corner in plain.values()}
@@ -119,6 +126,7 @@ def test_in_a_mirror_corners_are_mirrored():
 
 
 def _both_ways():
+    """The junction, and its mirror image."""
     junction = build_junction(SCENE)
     other = mirrored(junction)
     order = [*other.arms.values()][::-1]  # counter-clockwise again
@@ -192,12 +200,14 @@ def problem_of(limits, seen, frame_axis, rule):
     for pose, runs in seen.items():
         for run in runs:
             detected[pose, axis.frames_of(run)] = True
+
     one_frame = replace(rule, n_confirmations=1, latency_s=0.0)
     table = pack_table(tuple(map(str, range(limits.n_poses))), axis, detected)
     return PlacementProblem(table=table, limits=limits, fusion="any", rule=one_frame)
 
 
 def proposals(**changes):
+    """Proposals by which four poses are compared."""
     corners = {"a": 0, "b": 1, "c": 2, "d": 3}
     plain = BaselineRows(n_units=2, random=((0, 1),), forced=(), corners=corners)
     return replace(plain, **changes)
@@ -210,10 +220,12 @@ def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
     problem = problem_of(
         limits, {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]}, frame_axis, rule
     )
+
     found = judge_proposals(problem, proposals())
 
     # 3/4; of 1/4 the first.
-    assert (found.corners, found.expert) == (("c", "a"), (0, 2))
+    assert found.corners == ("c", "a")
+    assert found.expert == (0, 2)
     assert found.random.apr.tolist() == [apr(problem, (0, 1))] == [0.25]
 
 
@@ -223,6 +235,7 @@ def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
     # Weights 1/2 and 1/4; 1/4.
     problem = replace(problem, sample_index=np.array([0, 0, 1]))
     sets = ((0,), (1,), (2,), (0, 1))
+
     random = judge_proposals(problem, proposals(random=sets)).random
 
     assert random.apr.tolist() == [0.75, 0.25, 0.0, 1.0]
@@ -254,14 +267,17 @@ def test_what_is_forced_comes_before_the_corners(frame_axis, rule):
         rivals=[[0, 2]],
     )
     problem = problem_of(limits, {0: [0], 2: [0, 1]}, frame_axis, rule)
+
     found = judge_proposals(problem, proposals(n_units=3, forced=(5,)))
 
-    assert (found.expert, found.corners) == ((2, 4, 5), ("c",))
+    assert found.expert == (2, 4, 5)
+    assert found.corners == ("c",)
 
     # Nothing known at that site.
     unmet = judge_proposals(problem, proposals(n_units=3, forced=()))
 
-    assert (unmet.expert, unmet.corners) == ((), ())
+    assert unmet.expert == ()
+    assert unmet.corners == ()
 
 
 @given(problem=questions(), seed=st.integers(0, 9))
@@ -277,6 +293,7 @@ def test_the_expert_is_within_all_limits(problem, seed):
     )
     corners = {f"corner {row}": row for row in rows}
     given_ = BaselineRows(n_units=3, random=(), forced=forced, corners=corners)
+
     found = judge_proposals(problem, given_)
 
     assert found.random is None
@@ -306,6 +323,7 @@ def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
         rule,
     )
     whole = judge_proposals(problem, given_)
+
     of_part = judge_proposals(part, given_.among(rows))
 
     assert [rows[row] for row in of_part.expert] == list(whole.expert)

@@ -1,3 +1,5 @@
+"""Candidate poses of a grid at the sites of a scene."""
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,6 +24,7 @@ RING = LIDARS["ouster-os1-128"]
 
 
 def _scene(*height_ranges_m):
+    """A scene with sites of these ranges of height. [m]"""
     return Scene(
         name="junction",
         vertices_m=np.zeros((0, 3)),
@@ -45,6 +48,7 @@ def _scene(*height_ranges_m):
 
 
 def _grid(**changes):
+    """A grid of two heights and three pitches."""
     fields = {
         "heights_m": np.array([6.0, 8.0]),
         "yaw_step_deg": 30.0,
@@ -102,7 +106,10 @@ def test_yaws_go_all_around_once(n_yaws):
 
 def test_the_default_grid_looks_every_15_degrees_at_three_heights_and_pitches():
     grid = load_candidate_grid()
-    assert (len(grid.heights_m), grid.n_yaws, len(grid.pitches_deg)) == (3, 24, 3)
+
+    assert len(grid.heights_m) == 3
+    assert grid.n_yaws == 24
+    assert len(grid.pitches_deg) == 3
     assert [sensor.name for sensor in grid.sensors] == ["carla-ncap-rgb"]
 
 
@@ -200,6 +207,7 @@ def test_candidates_stand_above_their_site():
 
 
 def _extra(pose_id):
+    """A pose that is named by itself."""
     return unit_at(pose_id, sensor=CAMERAS[0])
 
 

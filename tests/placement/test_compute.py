@@ -1,3 +1,5 @@
+"""Settings of computations."""
+
 import pickle
 from dataclasses import replace
 

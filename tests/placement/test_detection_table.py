@@ -1,3 +1,5 @@
+"""Bits of detection tables: packed, read back, and never changed."""
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,6 +13,7 @@ from placement.detection_table import DetectionTable, pack_table
 @given(detection_tables(), st.data())
 def test_a_table_gives_back_what_was_packed(packed, data):
     table, detected = packed
+
     assert table.n_poses == len(detected)
     assert np.array_equal(table.detected(slice(None)), detected)
 

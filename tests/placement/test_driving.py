@@ -1,3 +1,5 @@
+"""Which runs a question drives, by which rule, in which weathers."""
+
 import logging
 import math
 from dataclasses import replace
@@ -32,6 +34,7 @@ def t_junction():
 
 @pytest.fixture(scope="module")
 def study():
+    """The study's runs."""
     return drive(Question(cases="study"), load_study_scene())
 
 
@@ -122,6 +125,7 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
     compute = Compute(cache_folder=tmp_path)
     laid = build_setting(question, scene, compute=compute)
     monkeypatch.setattr(placement.setting, "build_runs", pytest.fail)
+
     kept = build_setting(question, scene, compute=compute)
     hash_of = Fingerprints().of
 
@@ -132,6 +136,7 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
 
     monkeypatch.undo()
     asked = (replace(question, deceleration_mps2=6.0), replace(question, speeds="20"))
+
     for other in asked:
         found = build_setting(other, scene, compute=compute)
         assert hash_of(found.runs) == hash_of(build_setting(other, scene).runs)
@@ -169,8 +174,10 @@ def test_the_rule_is_the_studys_but_for_what_the_question_changes():
         )
     )
 
-    assert (rule.deceleration_mps2, rule.build_up_s) == (5.0, 0.3)
-    assert (rule.latency_s, rule.n_confirmations) == (0.0, 1)
+    assert rule.deceleration_mps2 == 5.0
+    assert rule.build_up_s == 0.3
+    assert rule.latency_s == 0.0
+    assert rule.n_confirmations == 1
     assert rule.frame_rate_hz == load_aeb_rule().frame_rate_hz
 
 
@@ -214,7 +221,8 @@ def test_perception_and_radio_are_those_of_the_question():
     plain = setting_of()
 
     assert plain.detector == plain.table_detector == load_planning_detector("geometric")
-    assert (plain.vut_sensors, plain.radio) == (("camera",), Radio())
+    assert plain.vut_sensors == ("camera",)
+    assert plain.radio == Radio()
 
     other = setting_of(
         detector="response", vut_sensors="lidar, camera", packet_loss=0.1, vam_rate=0.5
@@ -299,11 +307,13 @@ def test_a_case_that_no_approach_carries_is_told_with_a_reason():
 
 def test_what_some_approaches_do_not_carry_is_kept_with_its_reason():
     setting = build_setting(Question(cases="CPTAfs-50"), t_junction())
+
     assert {run.approach for run in setting.runs} == {"east", "south"}
 
     (refusal,) = setting.refusals
 
-    assert (refusal.approach, refusal.speeds_kmh) == ("west", (10.0, 15.0, 20.0))
+    assert refusal.approach == "west"
+    assert refusal.speeds_kmh == (10.0, 15.0, 20.0)
 
 
 @pytest.mark.long
@@ -311,6 +321,7 @@ def test_the_list_has_a_row_per_case_and_approach():
     rows = list_rows(
         drive(Question(cases="CPTAfs-50,CPNA-25", along_arms="0"), t_junction())
     )
+
     assert [(row.case, row.approach) for row in rows] == [
         ("CPTAfs-50", "east"),
         ("CPTAfs-50", "south"),
@@ -322,7 +333,9 @@ def test_the_list_has_a_row_per_case_and_approach():
 
     west = rows[2]
 
-    assert (west.speeds_kmh, west.n_runs, west.last_brake_time_s) == ((), 0, ())
+    assert west.speeds_kmh == ()
+    assert west.n_runs == 0
+    assert west.last_brake_time_s == ()
     assert west.reason == "no lane leads out of the junction on the far side"
 
     crossing = rows[3]
@@ -406,9 +419,11 @@ def test_one_run_must_be_named():
 def test_one_run_at_a_position_drives_the_speed_asked_for():
     scene = load_study_scene()
     question = Question(cases="CPLA-50", approaches="east", speeds="35")
+
     run = drive_one(question, scene, position="-15")
 
-    assert (run.id, run.position) == ("CPLA-50/east-15/35", "-15")
+    assert run.id == "CPLA-50/east-15/35"
+    assert run.position == "-15"
     with pytest.raises(
         InputError, match="position: got '-15'; expected 0: CBNA is bound to"
     ):

@@ -1,3 +1,5 @@
+"""APR, speeds at contact and failures, from verdicts made by hand."""
+
 import math
 from dataclasses import replace
 
@@ -23,6 +25,7 @@ from placement.layout import Layout
 
 
 def _verdict(is_avoided, detected=()):
+    """A verdict on runs."""
     return Verdict(
         detected=np.array(detected, dtype=bool),
         confirmation_time_s=np.full(len(is_avoided), np.inf),
@@ -54,6 +57,7 @@ def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
     verdict = replace(
         _verdict([True, False, False]), impact_speed_kmh=np.array([0.0, 8.0, 20.0])
     )
+
     assert mean_impact_speed_kmh(verdict, frame_axis) == 7.0
     assert mean_impact_speed_kmh(
         verdict, frame_axis, np.array([True, True, False])
@@ -67,6 +71,7 @@ def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, da
         st.lists(st.booleans(), min_size=axis.n_runs, max_size=axis.n_runs)
     )
     verdict = _verdict(avoided)
+
     total = apr(verdict, axis)
 
     assert 0.0 <= total <= 1.0
@@ -141,6 +146,7 @@ def test_the_unit_that_is_left_may_be_slow(frame_axis, rule, latencies_s, expect
 
 
 def _one_failed_of(frame_axis, rule, frames_of_units, latencies_s=None):
+    """APR when one of the units fails."""
     axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
     verdicts = {
         f"U{index}": _verdict([False] * 3, [frame == "1" for frame in frames])

@@ -1,3 +1,5 @@
+"""Areas of the ground that cameras see."""
+
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +28,7 @@ CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
 
 def unit(x, y, yaw_deg, *, pitch_deg=0.0, sensor=CAMERA):
+    """A camera 6 m high."""
     pose = Pose(position_m=np.array([x, y, 6.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
     return CandidatePose(id=f"{x}/{y}/{yaw_deg}", site_id="", pose=pose, sensor=sensor)
 
@@ -34,11 +37,13 @@ def test_points_stand_for_square_metres():
     ground = build_private_ground(
         [("garden", box(10, 10, 30, 20)), ("step", box(0.1, 0.1, 0.3, 0.3))]
     )
+
     assert np.bincount(ground.area_index).tolist() == [200, 1]
     assert ground.area_m2 == pytest.approx([200.0, 0.04])
 
     hole = Polygon(box(0, 0, 10, 10).exterior, [box(2, 2, 8, 8).exterior])
     two = MultiPolygon([hole, box(20, 0, 21, 1)])
+
     points = build_private_ground([("two", two)]).points_m
 
     assert len(points) == 65
@@ -59,6 +64,7 @@ def test_a_camera_sees_what_is_in_its_picture_and_nothing_behind_it():
         unit(0, 0, 90.0),
         unit(0, 0, 0.0, pitch_deg=80.0),
     ]
+
     share = private_shares(scene, poses, ground)
 
     assert share.tolist() == [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]

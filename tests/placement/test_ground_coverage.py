@@ -1,3 +1,5 @@
+"""Pixels per metre on the road."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +17,7 @@ CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
 
 def unit(*, yaw_deg=0.0, pitch_deg=0.0, sensor=CAMERA, x=-30.0):
+    """A camera 6 m high that looks east."""
     pose = Pose(
         position_m=np.array([x, 0.0, 6.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg
     )
@@ -22,6 +25,7 @@ def unit(*, yaw_deg=0.0, pitch_deg=0.0, sensor=CAMERA, x=-30.0):
 
 
 def at(coverage, x, y):
+    """Density and east of the nearest cell. [px/m, m]"""
     row = int(np.argmin(abs(coverage.north_m - y)))
     column = int(np.argmin(abs(coverage.east_m - x)))
     return coverage.density[row, column], coverage.east_m[column]
@@ -43,7 +47,9 @@ def test_density_is_focal_length_over_depth():
 def test_shares_of_the_road_add_up_to_one_and_walls_take_some():
     free = find_ground_coverage(protocol_scene(), [unit()]).shares()
     wall = ("wall", -20.0, 0.0, 0.5, 30.0, 8.0)
+
     hidden = find_ground_coverage(protocol_scene(boxes=[wall]), [unit()]).shares()
+
     for shares in (free, hidden):
         assert list(shares) == [*(name for name, _ in BANDS), "coarser", "unseen"]
         assert sum(shares.values()) == pytest.approx(1.0)
@@ -55,6 +61,7 @@ def test_shares_of_the_road_add_up_to_one_and_walls_take_some():
 def test_more_cameras_see_no_less_and_lidars_take_no_pictures():
     scene = protocol_scene()
     one = find_ground_coverage(scene, [unit()])
+
     two = find_ground_coverage(scene, [unit(), unit(yaw_deg=180.0, x=30.0)])
 
     assert (two.density >= one.density).all()

@@ -37,6 +37,7 @@ def _verdict(detected, n_runs):
 
 
 def _evaluation(axis, vut, units, own_latencies_s=None, vam=None):
+    """An evaluation of units with these frames."""
     own = own_latencies_s or [None] * len(units)
     pose = Pose(position_m=[0, 0, 7], yaw_deg=0.0)
     camera = load_cameras()["carla-ncap-rgb"]
@@ -51,6 +52,7 @@ def _evaluation(axis, vut, units, own_latencies_s=None, vam=None):
         others = {}
     else:
         others = {"vam": _verdict(vam, axis.n_runs), "all_sources": nobody}
+
     return Evaluation(
         layout=Layout(name="any", units=poses),
         axis=axis,
@@ -153,6 +155,7 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
             axis,
             rule=replace(rule, latency_s=latency_s),
         )
+
         assert float(weight_share(onsets.is_in_time, axis.weight)) == pytest.approx(
             expected
         ), name
@@ -169,6 +172,7 @@ def test_a_run_may_be_avoided_with_a_longer_latency_alone():
     rule = replace(RULE, track_memory_s=1.0)
     evaluation = _evaluation(axis, np.zeros(42), [seen])
     latencies_s = [0.09, 0.1, 0.8, 0.81, 1.3, 1.31]
+
     found = apr_by_latency(evaluation, rule, latencies_s)["rsu_all"]
 
     assert found.tolist() == [0.25, 1, 1, 0.75, 0.75, 0]

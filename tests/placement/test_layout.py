@@ -1,3 +1,5 @@
+"""Layouts: read, written, and named where they are wrong; certificates' gaps."""
+
 import copy
 import json
 import math
@@ -51,12 +53,14 @@ GOOD = [
 
 
 def _message(function, *arguments):
+    """Words in which something is refused."""
     with pytest.raises(InputError) as caught:
         function(*arguments)
     return str(caught.value)
 
 
 def _changed(**changes):
+    """Records whose second unit is changed."""
     records = copy.deepcopy(GOOD)
     for key, value in changes.items():
         records[1][key] = value
@@ -64,11 +68,13 @@ def _changed(**changes):
 
 
 def _is_id(text):
+    """May a text be the name of a unit?"""
     return text != "" and text not in RESERVED_IDS
 
 
 @st.composite
 def _layouts(draw):
+    """Random layouts."""
     texts = st.text(max_size=8).filter(str.isprintable)
     ids = draw(st.lists(texts.filter(_is_id), min_size=1, max_size=5, unique=True))
     sensors = [*load_cameras().values(), *load_lidars().values()]
@@ -102,6 +108,7 @@ def test_a_lens_that_is_set_comes_back_from_its_records(layout, share):
     )
     layout = replace(layout, units=units)
     records = json.loads(json.dumps(layout_records(layout), allow_nan=False))
+
     back = layout_from_records(layout.name, records, "f.json")
 
     assert [unit.sensor for unit in back.units] == [unit.sensor for unit in units]
@@ -117,13 +124,16 @@ def test_a_lens_that_is_set_comes_back_from_its_records(layout, share):
 
 def test_a_lens_as_in_the_catalogue_may_be_told_or_not():
     zoom = load_cameras()["varifocal-1080p"]
+
     for more in ({}, {"fov_deg": None}, {"fov_deg": zoom.horizontal_fov_deg}):
         records = _changed(camera=zoom.name, **more)
         assert layout_from_records("l", records, "f.json").units[1].sensor is zoom
+
     records = _changed(camera=zoom.name, fov_deg=40)
     sensor = layout_from_records("l", records, "f.json").units[1].sensor
 
-    assert (sensor.name, sensor.horizontal_fov_deg) == (zoom.name, 40.0)
+    assert sensor.name == zoom.name
+    assert sensor.horizontal_fov_deg == 40.0
     assert sensor.focal_length_px > zoom.focal_length_px
 
 
@@ -146,12 +156,11 @@ def test_a_layout_comes_back_from_its_records_bit_by_bit(layout):
     assert back.name == layout.name
 
     for unit, other in zip(layout.units, back.units, strict=True):
-        assert (unit.id, unit.site_id) == (other.id, other.site_id)
+        assert unit.id == other.id
+        assert unit.site_id == other.site_id
         assert np.array_equal(unit.pose.position_m, other.pose.position_m)
-        assert (unit.pose.yaw_deg, unit.pose.pitch_deg) == (
-            other.pose.yaw_deg,
-            other.pose.pitch_deg,
-        )
+        assert unit.pose.yaw_deg == other.pose.yaw_deg
+        assert unit.pose.pitch_deg == other.pose.pitch_deg
         assert unit.sensor is other.sensor
         assert unit.latency_s == other.latency_s
 
@@ -253,6 +262,7 @@ def test_a_lidar_is_written_and_read_as_one_and_is_no_camera():
     records = _changed(latency_s=0.125)
     del records[1]["camera"]
     records[1]["lidar"] = "carla-ncap-lidar"
+
     layout = layout_from_records("l", records, "f.json")
 
     assert layout.units[1].sensor is load_lidars()["carla-ncap-lidar"]

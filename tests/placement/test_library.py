@@ -3,8 +3,8 @@
 import subprocess
 import sys
 
-import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import placement
 
@@ -33,6 +33,7 @@ def test_solvers_and_rays_are_loaded_when_first_used():
 
 @pytest.fixture(scope="module")
 def found():
+    """What the library finds for a small question."""
     setting = placement.build_setting(
         placement.Question(cases="CPNC-50", approaches="north")
     )
@@ -48,6 +49,7 @@ def found():
 def test_a_placement_prints_its_units_and_its_proof(found):
     _, best, _ = found
     text = str(best)
+
     for unit in best.layout.units:
         assert f"{unit.pose.position_m[0]:.1f}" in text
         assert unit.site_id in text
@@ -60,7 +62,7 @@ def test_a_placement_prints_its_units_and_its_proof(found):
 
 def test_a_layout_is_a_table(found):
     frame = found[1].layout.to_frame()
-    np.testing.assert_array_equal(
+    assert_array_equal(
         frame[["x_m", "y_m", "z_m"]],
         [unit.pose.position_m for unit in found[1].layout.units],
     )

@@ -1,3 +1,5 @@
+"""From wishes to a layout: proven, repeated, cached, refused."""
+
 import logging
 from dataclasses import replace
 from itertools import combinations
@@ -26,11 +28,13 @@ from placement.wishes import Wishes
 
 @pytest.fixture(scope="module")
 def setting(runs, rule):
+    """The crossing's runs."""
     return crossing_setting(runs, rule=rule)
 
 
 @pytest.fixture(scope="module")
 def candidates(setting, camera):
+    """Poses at the crossing."""
     return crossing_candidates(setting.scene, camera)
 
 
@@ -53,6 +57,7 @@ def asked(setting, candidates):
 
 @pytest.fixture(scope="module")
 def placement(asked):
+    """The best two units."""
     return place(asked(budget_units=2))
 
 
@@ -107,15 +112,14 @@ def test_the_layout_names_the_candidates_that_were_chosen(
     placement, setting, candidates
 ):
     layout = placement.layout
+
     assert layout.name == "best-2"
     assert [unit.id for unit in layout.units] == ["U1", "U2"]
 
     for unit, index in zip(layout.units, placement.pose_index, strict=True):
         assert unit.pose is candidates[index].pose
-        assert (unit.site_id, unit.sensor) == (
-            candidates[index].site_id,
-            candidates[index].sensor,
-        )
+        assert unit.site_id == candidates[index].site_id
+        assert unit.sensor == candidates[index].sensor
 
     check_layout(layout, setting.scene)
 
@@ -164,6 +168,7 @@ def test_a_budget_that_cannot_be_is_refused_before_anything_is_computed(asked, b
 
     with pytest.raises(InputError) as caught:
         place(asked(budget_units=budget, compute=Compute(progress=never)))
+
     assert str(caught.value).removeprefix("--") == message
 
 
@@ -176,12 +181,14 @@ def test_every_budget_that_the_sites_can_carry_is_allowed(asked):
 
 
 def _stages(calls):
+    """Stages of progress in their order."""
     return list(dict.fromkeys(stage for stage, _, _ in calls))
 
 
 def test_a_second_call_takes_the_table_from_the_cache(asked, placement, tmp_path):
     first = []
     second = []
+
     for calls in (first, second):
         found = place(
             asked(
@@ -251,6 +258,7 @@ def test_only_a_proven_answer_is_kept(asked, tmp_path, monkeypatch, gap):
 
     monkeypatch.setattr(pipeline, "solve_sturdily", solve)
     compute = Compute(cache_folder=tmp_path)
+
     place(asked(budget_units=1, compute=compute))
 
     assert any(tmp_path.glob("answer-*")) == (gap == 0.0)
@@ -293,6 +301,7 @@ def test_a_damaged_cached_table_is_made_anew_and_replaced(
 def test_a_cache_folder_that_cannot_be_is_no_error(asked, placement, tmp_path, caplog):
     in_the_way = tmp_path / "file"
     in_the_way.write_text("", encoding="utf-8")
+
     found = place(asked(budget_units=2, compute=Compute(cache_folder=in_the_way)))
 
     assert found.pose_index == placement.pose_index

@@ -148,6 +148,7 @@ def test_the_choice_is_the_best_of_all_in_every_objective(
         with pytest.raises(InputError, match=r"at (least|most)"):
             choose(options, weight, wishes)
         return
+
     choice = choose(options, weight, wishes, bounds=None)
     values = city_values(options, choice.rows, weight)
     got = tuple(
@@ -175,6 +176,7 @@ def test_what_the_fronts_leave_open_is_in_the_bound(found, units, halves):
     weight = np.ones(3)
     wishes = CityWishes(budget_units=units, budget_eur=500.0 * halves)
     bounds = stack_bounds(found, counts_units=True, counts_cost=True)
+
     choice = choose(options, weight, wishes, bounds=bounds)
     highest = choice.certificate.stages[0].bound
 
@@ -198,10 +200,12 @@ def test_each_step_of_the_citys_front_is_the_best_for_its_money(found, by_cost):
             wishes = CityWishes(budget_eur=step.taken)
         else:
             wishes = CityWishes(budget_units=round(step.taken))
+
         assert step.apr == pytest.approx(
             brute_force(options, weight, wishes)[0], abs=1e-8
         )
         assert step.apr > before
+
         before = step.apr
 
 
@@ -222,6 +226,7 @@ def test_points_that_another_one_beats_are_left_out():
         smallest_margin_s=0.0,
         mean_margin_s=1.0,
     )
+
     front = build_junction_front(
         [good, NOTHING, dear, good],
         by_units=[(0, 0.0), (1, 0.5), (2, 0.8)],

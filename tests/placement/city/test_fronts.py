@@ -46,6 +46,7 @@ def junctions(draw):
                 np.isin(np.arange(limits.n_sites), at), 0.0, site_cost
             ),
         )
+
     return replace(problem, limits=limits)
 
 
@@ -81,6 +82,7 @@ def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
             assert is_allowed(limits, layout)
             assert point.apr == pytest.approx(apr(problem, layout))
             assert point.cost_eur == pytest.approx(cost_eur(limits, layout))
+
     # By units, the points are the best there are.
     for n_new, most in best.items():
         found = max(point.apr for point in front.points if point.units <= n_new)

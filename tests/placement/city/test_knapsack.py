@@ -79,6 +79,7 @@ def test_a_core_of_any_size_finds_the_best_and_proves_it(sizes, seed, n_rows, co
 def test_no_choice_exceeds_the_bound_of_any_prices(sizes, seed, n_rows, prices):
     problem = build(sizes, seed, n_rows=n_rows)
     _, bound = priced_choice(problem, np.array(prices[:n_rows]))
+
     _, lowest = priced_choice(problem, best_prices(problem))
 
     assert best_of_all(problem) <= lowest + 1e-9 <= bound + 2e-6 * max(1.0, abs(bound))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.special import ndtr
 from scipy.stats import multivariate_normal
 
@@ -82,6 +83,7 @@ def test_the_share_that_lasts_for_a_track_is_found(share):
     noise = np.sqrt(share) * lasts + np.sqrt(1.0 - share) * linked
     probability = rng.uniform(0.3, 0.9, N_TRACKS)[sightings.track]
     seen = replace(sightings, is_found=ndtr(noise) < probability)
+
     fitted = fit_lasting_share(seen, probability, draws=100)
 
     assert fitted.low <= share <= fitted.high
@@ -100,6 +102,7 @@ def test_without_consecutive_frames_nothing_is_known_of_what_lasts():
 
 @pytest.fixture(scope="module")
 def fit():
+    """The response fitted to the frames drawn from the truth."""
     return fit_response(drawn(), name="mine", draws=8)
 
 
@@ -108,8 +111,8 @@ def test_the_table_that_was_drawn_from_is_found_again(fit):
     found = fit.detector
     truth = np.interp(found.seen_share, TRUTH.seen_share, TRUTH.recall)
 
-    np.testing.assert_allclose(found.recall, truth, atol=0.09)
-    np.testing.assert_allclose(found.class_factor, TRUTH.class_factor, atol=0.1)
+    assert_allclose(found.recall, truth, atol=0.09)
+    assert_allclose(found.class_factor, TRUTH.class_factor, atol=0.1)
     assert found.height_half_px == pytest.approx(35.0, rel=0.1)
     assert found.height_steepness == pytest.approx(4.0, rel=0.2)
     assert found.cyclist_end_on == pytest.approx(0.7, abs=0.15)
@@ -152,7 +155,7 @@ def test_classes_and_light_that_never_appear_are_as_built_in():
     )
     built_in = load_planning_detector("response")
 
-    np.testing.assert_allclose(fit.detector.class_factor, 1.0)
+    assert_allclose(fit.detector.class_factor, 1.0)
     assert not fit.is_contrast_fitted
     assert fit.detector.contrast_half == pytest.approx(built_in.contrast_half)
     assert fit.detector.contrast_steepness == pytest.approx(built_in.contrast_steepness)
@@ -189,6 +192,4 @@ def test_joint_probabilities_are_those_of_scipy(correlation):
     law = multivariate_normal(cov=[[1.0, correlation], [correlation, 1.0]])
     expected = [law.cdf(pair) for pair in zip(first, second, strict=True)]
 
-    np.testing.assert_allclose(
-        joint_normal(first, second, correlation), expected, atol=1e-5
-    )
+    assert_allclose(joint_normal(first, second, correlation), expected, atol=1e-5)

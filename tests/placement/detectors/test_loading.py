@@ -1,3 +1,5 @@
+"""Detectors by name and from users' tables, and what their files say wrongly."""
+
 from dataclasses import replace
 from importlib.resources import files
 
@@ -41,6 +43,8 @@ plan_probability = 0.6
 
 @pytest.fixture
 def write(tmp_path):
+    """Writes a text to a file of its own; returns the path."""
+
     def write_file(text, name="mine.toml"):
         path = tmp_path / name
         path.write_text(text, encoding="utf-8")
@@ -50,6 +54,7 @@ def write(tmp_path):
 
 
 def _message(name, **options):
+    """Words in which a detector is refused."""
     with pytest.raises(InputError) as caught:
         load_detector(str(name), **options)
     return str(caught.value)
@@ -97,6 +102,7 @@ def test_a_file_of_another_kind_is_refused_even_if_it_is_there(write, name):
 
 def test_a_users_table_is_read_number_by_number(write):
     detector = load_detector(str(write(TABLE)))
+
     assert isinstance(detector, ResponseDetector)
     assert detector.name == "mine.toml"
     assert detector.seen_share.tolist() == [0.0, 0.5, 1.0]
@@ -104,10 +110,14 @@ def test_a_users_table_is_read_number_by_number(write):
     assert detector.class_factor.tolist() == [1.0, 0.9, 0.8, 1.0, 1.0]
     # A table of before these classes has the built-in factors.
     assert detector.assumed == ("motorcyclist", "car")
-    assert (detector.height_half_px, detector.height_steepness) == (30.0, 2.5)
-    assert (detector.min_box_height_px, detector.cyclist_end_on) == (15.0, 0.7)
-    assert (detector.contrast_half, detector.contrast_steepness) == (0.2, 1.5)
-    assert (detector.box_noise_share, detector.frame_correlation) == (0.0, 0.25)
+    assert detector.height_half_px == 30.0
+    assert detector.height_steepness == 2.5
+    assert detector.min_box_height_px == 15.0
+    assert detector.cyclist_end_on == 0.7
+    assert detector.contrast_half == 0.2
+    assert detector.contrast_steepness == 1.5
+    assert detector.box_noise_share == 0.0
+    assert detector.frame_correlation == 0.25
     assert detector.plan_probability == 0.6
     assert "The response model mine.toml" in detector.description
 
@@ -141,6 +151,7 @@ def test_what_a_table_assumes_is_said(write):
 
 def test_our_own_file_is_one_that_a_user_may_change(write):
     mine = load_detector(str(write(OURS)))
+
     assert isinstance(mine, ResponseDetector)
     assert mine.fingerprint() == load_planning_detector("response").fingerprint()
 
@@ -230,6 +241,7 @@ def test_a_table_that_cannot_be_used_names_file_line_and_field(
 
 def test_a_table_may_tell_how_often_nothing_is_confirmed(write):
     silent = load_detector(str(write(TABLE)))
+
     assert silent.false_tracks_per_hour is None
     assert "false tracks" not in silent.description
 
@@ -279,6 +291,7 @@ def test_the_line_is_that_of_the_response_where_another_table_has_the_same_key(w
 
 def test_a_file_that_is_not_there_or_not_text_is_named(write, tmp_path):
     gone = tmp_path / "gone.toml"
+
     assert (
         _message(gone)
         == f"{gone}: got No such file or directory; expected a readable file"
@@ -341,10 +354,8 @@ def test_a_lidars_table_stands_behind_a_cameras():
     both = load_detector("pole-2015+pointrcnn-2019")
     camera = load_detector("pole-2015")
 
-    assert (both.name, both.lidar.name) == (
-        "pole-2015+pointrcnn-2019",
-        "pointrcnn-2019",
-    )
+    assert both.name == "pole-2015+pointrcnn-2019"
+    assert both.lidar.name == "pointrcnn-2019"
     assert both.recall.tolist() == camera.recall.tolist()
     assert both.fingerprint() == (*camera.fingerprint(), both.lidar)
 

@@ -18,6 +18,7 @@ from placement.setting import build_setting
 
 @pytest.fixture(autouse=True)
 def _anew():
+    """Loads the shipped network anew, and leaves none behind."""
     network.load_shipped_network.cache_clear()
     yield
     network.load_shipped_network.cache_clear()
@@ -25,6 +26,7 @@ def _anew():
 
 def test_it_is_small_and_has_a_card():
     data = files("placement.detectors") / "data"
+
     assert len((data / "vru.onnx").read_bytes()) < 5e6
 
     card = (data / "vru.md").read_text(encoding="utf-8")
@@ -61,6 +63,7 @@ def test_plans_are_made_with_the_table_that_was_fitted_to_it():
 def test_what_it_has_not_learnt_is_refused():
     pytest.importorskip("onnxruntime")
     network = load_detector("cnn")
+
     network.check_classes(["pedestrian", "child", "cyclist"])
 
     for name, known in (("car", "car"), ("motorcyclist", "motorcycle or motorcyclist")):
@@ -116,6 +119,7 @@ class _Crops:
 
 
 def _evidence(heights, crops):
+    """Evidence of boxes of these heights. [px]"""
     boxes = np.array([[10.0, 10.0, 20.0, 10.0 + height] for height in heights])
     return Evidence(
         visible_px=boxes,

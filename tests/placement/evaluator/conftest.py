@@ -16,16 +16,19 @@ from scenarios.runs import build_runs
 
 @pytest.fixture(scope="session")
 def block():
+    """A body that is a box."""
     return block_actor()
 
 
 @pytest.fixture(scope="session")
 def vut():
+    """The study's VUT."""
     return pick_actor("vut", "test")
 
 
 @pytest.fixture(scope="session")
 def camera():
+    """A small camera: few pixels to cast."""
     return CameraModel(
         name="small",
         width_px=320,

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from changes import changed
 from tiny_worlds import unit_at
 
 from geometry.actors import pick_actor
@@ -24,6 +25,7 @@ WALL = ((5.0, 0.2, 0.0), (5.3, 4.0, 3.0))
 
 
 def unit(name, yaw_deg=0.0, sensor=None):
+    """A camera at a pole, 3 m high."""
     return unit_at(
         name,
         [0.0, 0.0, 3.0],
@@ -39,6 +41,7 @@ LAYOUT = Layout(name="two", units=(unit("a"), unit("b", 30.0)))
 
 @pytest.fixture
 def runs(build_run):
+    """An adult who crosses 12 m ahead, by day and in fog."""
     adult = pick_actor("adult", "test")
     n = 21
     along = np.column_stack(
@@ -49,6 +52,7 @@ def runs(build_run):
 
 @pytest.fixture
 def setting(build_scene, build_setting, runs):
+    """The runs beside a wall."""
     return build_setting(build_scene(WALL), runs)
 
 
@@ -86,6 +90,7 @@ def looked(monkeypatch):
 
 
 def assert_same(one, other):
+    """Every party's verdict is the same in two evaluations."""
     for name, verdict in (
         ("vut", one.vut),
         ("rsu_all", one.rsu_all),
@@ -104,6 +109,7 @@ def test_the_second_call_looks_at_nothing_and_finds_the_same(
 ):
     setting = replace(setting, detector=load_detector(detector))
     compute = Compute(workers=1, cache_folder=tmp_path)
+
     first = evaluate_layout(LAYOUT, setting, compute=compute)
 
     assert first.rsu_all.detected.any()
@@ -124,6 +130,7 @@ def test_only_new_poses_are_looked_from(setting, tmp_path, looked):
     lidar = unit("lidar", sensor=load_lidars()["carla-ncap-lidar"])
     renamed = replace(LAYOUT.units[0], id="renamed")
     layout = Layout(name="three", units=(moved, lidar, renamed))
+
     found = evaluate_layout(layout, setting, compute=compute)
 
     assert looked[1:] == [(["lidar", "moved"], False)]
@@ -143,13 +150,14 @@ def test_what_the_vut_looks_with_is_looked_with_anew(setting, tmp_path, looked):
 
 
 def _with_run(setting, **changes):
+    """The setting with its first run changed."""
     first, *others = setting.runs
     return replace(setting, runs=(replace(first, **changes), *others))
 
 
 CHANGES = {
-    "scene": lambda s: replace(
-        s, scene=replace(s.scene, vertices_m=s.scene.vertices_m + [0.0, 0.0, 1.0e-6])
+    "scene": lambda s: changed(
+        s, "scene.vertices_m", s.scene.vertices_m + [0.0, 0.0, 1.0e-6]
     ),
     "weather": lambda s: _with_run(s, weather="fog"),
     "VRU's way": lambda s: _with_run(
@@ -157,7 +165,7 @@ CHANGES = {
     ),
     "VUT's way": lambda s: _with_run(s, vut_yaw_deg=s.runs[0].vut_yaw_deg + 1.0),
     "shapes": lambda s: _with_run(s, vru_shape=s.runs[0].vru_shape[::-1]),
-    "detector": lambda s: replace(s, detector=replace(s.detector, min_iou=0.51)),
+    "detector": lambda s: changed(s, "detector.min_iou", 0.51),
     "another detector": lambda s: replace(s, detector=load_detector("response")),
 }
 
@@ -168,6 +176,7 @@ def test_whatever_changes_what_is_seen_is_looked_at_anew(
 ):
     compute = Compute(workers=1, cache_folder=tmp_path)
     evaluate_layout(LAYOUT, setting, compute=compute)
+
     evaluate_layout(LAYOUT, CHANGES[change](setting), compute=compute)
 
     assert looked == [(["a", "b"], True)] * 2
@@ -183,6 +192,7 @@ def test_seed_weathers_and_version_are_part_of_the_key(
     with monkeypatch.context() as patch:
         patch.setattr(watch_module, "pick_weather", lambda name, where: dim)
         evaluate_layout(LAYOUT, setting, compute=compute)
+
     monkeypatch.setattr(watch_module, "_KIND", "place-rsus/views/0")
     evaluate_layout(LAYOUT, setting, compute=compute)
 
@@ -224,5 +234,6 @@ def test_how_long_a_network_will_look_is_told_before_it_begins(setting, caplog):
 
     # A picture takes a minute.
     line = r"([1-9]\d+) pictures for the network: about \1 minutes of processor time"
+
     assert told
     assert all(re.search(line, text) for text in told)

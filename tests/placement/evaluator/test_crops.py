@@ -27,6 +27,7 @@ def backdrops(monkeypatch):
 
 @pytest.fixture(scope="module")
 def scene():
+    """The study's junction."""
     return load_study_scene()
 
 
@@ -57,6 +58,7 @@ def seen(scene, camera):
                 source.pictures(mount),
                 evidence,
             )
+
         evidence = perceive_frames(surroundings, (CORNER, camera))
         crops = source.crops((CORNER, camera), evidence.amodal_px)
         return crops, source.pictures((CORNER, camera)), evidence
@@ -72,11 +74,13 @@ def alone(crops, frame):
 
 @pytest.fixture(scope="module")
 def larger(camera):
+    """The camera with four times the pixels each way."""
     return replace(camera, width_px=4 * camera.width_px, height_px=4 * camera.height_px)
 
 
 def test_a_window_has_the_box_in_its_middle_but_stays_in_the_image(larger):
     inside = window_around(np.array([500.0, 400.0, 520.0, 450.0]), larger, side_px=96)
+
     assert inside == Window(462, 377, 96, 96)
 
     corner = np.array([larger.width_px - 9.0, 0.0, larger.width_px, 30.0])
@@ -185,12 +189,14 @@ def test_the_shipped_network_finds_most_cyclists_that_are_50_px_high(
     some = cut_run(run, last)
     full = replace(larger, width_px=1920, height_px=1080)
     crops, _, evidence = seen([some], camera=full)
+
     is_high = box_height_px(evidence.visible_px) >= 50.0
 
     assert is_high.sum() >= 3
 
     detector = load_detector("cnn")
     found = detector.detect(replace(evidence, crops=crops), np.random.default_rng(0))
+
     matched = is_matched(found, evidence.visible_px, min_iou=load_min_iou())
 
     assert matched[is_high].mean() > 0.6

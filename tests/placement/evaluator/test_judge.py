@@ -1,3 +1,5 @@
+"""From detected frames to collisions avoided, against the bodies' own motion."""
+
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -24,15 +26,18 @@ RULE = load_aeb_rule()
 
 @pytest.fixture(scope="module")
 def axis(study_runs):
+    """Frames of the study's runs."""
     return build_frame_axis(study_runs, weight_per_run(study_runs))
 
 
 @pytest.fixture(scope="module")
 def judge(study_runs, axis):
+    """Judges the study's runs by the study's rule."""
     return Judge(study_runs, axis, RULE)
 
 
 def _rows(axis, seed, n_rows):
+    """Random detections, (n_rows, n_frames)."""
     rng = np.random.default_rng(seed)
     return rng.random((n_rows, axis.n_frames)) < rng.uniform(0.05, 0.6)
 
@@ -44,6 +49,7 @@ def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
     (row,) = _rows(axis, seed, 1)
     verdict = judge.verdicts([[(row, latency_s)]])[0]
     endless = replace(axis, last_brake_time_s=np.full(axis.n_runs, np.inf))
+
     confirmation_s = live_confirmation_times_s(row, endless, rule=RULE)
 
     assert np.array_equal(verdict.confirmation_time_s, confirmation_s)
@@ -69,6 +75,7 @@ def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(
     rows = _rows(axis, seed, 3)
     fused = judge.verdicts([[(row, RULE.latency_s) for row in rows]])[0]
     one = judge.verdicts([[(rows.any(axis=0), RULE.latency_s)]])[0]
+
     for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
         assert np.array_equal(getattr(fused, field), getattr(one, field))
 
@@ -125,6 +132,7 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
 
         for run, word in enumerate(words):
             is_confirmed = np.isfinite(first.onset_s[run])
+
             assert (word == "avoided") == verdict.is_avoided[run]
             assert (word == "lost again") == (
                 first.is_in_time[run] and np.isinf(verdict.onset_time_s[run])
@@ -138,6 +146,7 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
 
 def test_nobody_confirms_nothing(axis, judge):
     verdict = judge.verdicts([[]])[0]
+
     assert not verdict.detected.any()
     assert np.isinf(verdict.onset_time_s).all()
     assert not verdict.is_avoided.any()
@@ -146,11 +155,13 @@ def test_nobody_confirms_nothing(axis, judge):
 def test_as_many_frames_confirm_as_the_rule_says(study_runs, axis):
     row = np.zeros(axis.n_frames, dtype=bool)
     row[5:9] = True
+
     for n_confirmations, frame in ((1, 5), (2, 6), (4, 8), (5, None)):
         rule = replace(RULE, n_confirmations=n_confirmations)
         (onset_s, *others) = (
             Judge(study_runs, axis, rule).verdicts([[(row, 0.1)]])[0].onset_time_s
         )
+
         assert onset_s == (np.inf if frame is None else axis.time_s[frame] + 0.1)
         assert np.isinf(others).all()
 
@@ -170,6 +181,7 @@ def test_bodies_avoid_what_the_table_says_at_least(study_runs, axis, seed, memor
     never = np.isinf(verdict.onset_time_s)
 
     assert verdict.impact_speed_kmh[never] == pytest.approx(v[never])
+
     table = pack_table(("a", "b"), axis, rows)
     problem = PlacementProblem(
         table=table,
@@ -177,6 +189,7 @@ def test_bodies_avoid_what_the_table_says_at_least(study_runs, axis, seed, memor
         fusion="any",
         rule=rule,
     )
+
     by_bodies = evaluated_apr(verdict, axis)
     # Of a run whose contact ends with a later onset and begins again, the table knows
 

@@ -53,17 +53,20 @@ def made_runs(build_run, rng, n_frames=24):
 
 @pytest.fixture(scope="module")
 def runs(build_run):
+    """Random runs among the houses."""
     return made_runs(build_run, np.random.default_rng(7))
 
 
 @pytest.fixture(scope="module")
 def scene(build_scene):
+    """Houses around a square."""
     square = np.array([[-20.0, -20.0], [20.0, -20.0], [20.0, 20.0], [-20.0, 20.0]])
     return replace(build_scene(*HOUSES), outline_m=square)
 
 
 @pytest.fixture(scope="module")
 def surroundings(scene, runs):
+    """The runs in the scene."""
     return build_surroundings(scene, runs)
 
 
@@ -96,6 +99,7 @@ def opencv_rays(camera):
         found = cv2.undistortPoints(pixels, K, terms, criteria=criteria)[:, 0]
         points = np.column_stack([found, np.ones(len(found))])
         again = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, terms)[0][:, 0]
+
     off = ~(np.abs(again - pixels[:, 0]).max(axis=1) < 1e-6)
     off |= ~(np.hypot(*found.T) < min(lens.reach, np.tan(SEEN_RAD)))
     found[off] = np.nan
@@ -216,7 +220,9 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
     zero = replace(
         camera, lens=BrownConrady(), principal_point=(0.5, 0.5), pixel_aspect=1.0
     )
+
     bent = perceive_frames(surroundings, (MOUNT, zero))
+
     for name in ("amodal_px", "visible_px", "visible_share", "inside_share"):
         assert np.array_equal(getattr(bent, name), getattr(plain, name))
 
@@ -232,6 +238,7 @@ def test_what_lies_beyond_the_fold_is_not_shown(camera):
         * 10.0
     )
     level = Pose(position_m=np.zeros(3), yaw_deg=0.0, pitch_deg=0.0)
+
     shown = project_points(far, level, folds)[:, 0]
     turn = np.degrees((1.0 / 0.6) ** 0.5)  # angle - 0.2 angle^3 stops rising
 

@@ -1,7 +1,10 @@
+"""Boxes and shares that are perceived, against a ray for every pixel."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from changes import changed
 from ray_renderer import VRU, render_frame
 
 from geometry.actors import MovingActor, PlacedActor, pick_actor
@@ -49,6 +52,7 @@ def _random_runs(build_run, rng, n_frames=N_FRAMES // 3):
             ]
         )
         runs.append(build_run(pick_actor(name, "test"), vru, vut, obstruction))
+
     # Two vans and a car drive by in the second run; the car only in its first half.
     driving = []
     for kind, n_there in (
@@ -71,6 +75,7 @@ def _random_runs(build_run, rng, n_frames=N_FRAMES // 3):
 
 @pytest.fixture(scope="module")
 def surroundings(build_scene, build_run):
+    """Random runs among houses."""
     return build_surroundings(
         build_scene(*HOUSES), _random_runs(build_run, np.random.default_rng(7))
     )
@@ -111,6 +116,7 @@ def test_boxes_and_shares_in_the_study_are_those_of_a_ray_per_pixel(study_runs, 
     camera = pick_camera("carla-ncap-rgb", "test")
     surroundings = build_surroundings(load_study_scene(), study_runs)
     surroundings = surroundings.take(np.arange(0, len(surroundings.vru_poses), 5))
+
     evidence = perceive_frames(surroundings, (pose, camera))
     frames = np.flatnonzero(evidence.amodal_px.any(axis=1))
 
@@ -143,6 +149,7 @@ def test_sights_are_equal_where_all_but_the_vut_is_at_the_same_place():
     vru_poses = np.tile([1.0, 2.0, 90.0], (5, 1))
     vru_poses[4, 0] += 1e-8
     vru_poses[3, 1] += 1e-5
+
     sights = find_sights(static_index, vru_index, static_poses, vru_poses)
 
     assert np.unique(sights[[1, 3, 2, 0]], return_inverse=True)[1].tolist() == [
@@ -184,7 +191,7 @@ def test_too_low_vrus_are_left_out_and_all_others_unchanged(surroundings, camera
 
 def test_two_vuts_are_refused(build_scene, build_run, block):
     run = build_run(block, [[0.0, 0.0, 0.0]])
-    other = replace(run, encounter=replace(run.encounter, vut=block))
+    other = changed(run, "encounter.vut", block)
 
     with pytest.raises(
         InputError, match=r"runs: VUT: got .*; expected the same vehicle"

@@ -1,3 +1,5 @@
+"""Bodies drawn into pixels, against pinholes by hand and rays one by one."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -57,6 +59,7 @@ def look(request, build_run, camera, build_scene):
             vut_poses = None
         else:
             vut_poses = [vut_pose]
+
         surroundings = build_surroundings(
             build_scene(*walls), [build_run(vru, [vru_pose], vut_poses, obstruction)]
         )
@@ -64,6 +67,7 @@ def look(request, build_run, camera, build_scene):
         if request.param == "a ray per pixel":
             view = render_frame(surroundings, 0, lens, model)
             return view.amodal_box_px, view.visible_box_px
+
         evidence = perceive_frames(surroundings, (lens, model))
         return evidence.amodal_px[0], evidence.visible_px[0]
 
@@ -152,6 +156,7 @@ def _drawn(corners_m, camera, window):
 
 
 def _image(camera, up_m=0.0):
+    """The camera's image, before anything is drawn."""
     return Image(
         camera.focal_length_px, camera.width_px, camera.height_px, camera.near_m, up_m
     )
@@ -225,24 +230,25 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
 @given(corners_m=POINTS, n_copies=st.integers(1, 40))
 def test_tree_holds_every_triangle_once_and_each_box_its_own(corners_m, n_copies):
     tree = build_tree(np.tile(corners_m, (n_copies, 1, 1)))
+
     assert sorted(map(tuple, tree.corners_m.reshape(-1, 9))) == sorted(
         map(tuple, np.tile(corners_m, (n_copies, 1, 1)).reshape(-1, 9))
     )
 
     for node, (start, end) in enumerate(zip(tree.start, tree.end, strict=True)):
         own = tree.corners_m[start:end].reshape(-1, 3)
+
         assert (tree.low_m[node] == own.min(axis=0)).all()
         assert (tree.high_m[node] == own.max(axis=0)).all()
 
         second = tree.second[node]
         if second >= 0:
-            assert (tree.start[node + 1], tree.end[node + 1]) == (
-                start,
-                tree.start[second],
-            )
+            assert tree.start[node + 1] == start
+            assert tree.end[node + 1] == tree.start[second]
             assert tree.end[second] == end
 
-    assert (tree.start[0], tree.end[0]) == (0, n_copies * len(corners_m))
+    assert tree.start[0] == 0
+    assert tree.end[0] == n_copies * len(corners_m)
 
 
 def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
@@ -253,6 +259,7 @@ def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
     corners_m = np.array(
         [corner + [2.0**power, 0.0, 0.0] for power in range(-1000, 1000)]
     )
+
     tree = build_tree(corners_m)
 
     assert sorted(tree.corners_m[:, 0, 0]) == sorted(corners_m[:, 0, 0])
@@ -288,6 +295,7 @@ def test_crop_holds_every_pixel_of_the_body(ahead_m, left_m, up_m, yaw_deg, pitc
     whole = np.array([[0, 0, TINY.width_px, TINY.height_px]])
     cast = cast_crops(build_lens(pose, TINY), ADULT, road_pose[None], whole)[0]
     is_hit = np.isfinite(cast.reshape(TINY.height_px, TINY.width_px))
+
     (x_min, y_min, x_max, y_max), _ = find_crop(
         _image(TINY), _in_camera(ADULT.hull_m, pose, road_pose), 0.0
     )
@@ -296,6 +304,7 @@ def test_crop_holds_every_pixel_of_the_body(ahead_m, left_m, up_m, yaw_deg, pitc
 
 
 def _in_camera(points_m, pose, road_pose):
+    """Points (n, 3) of a body in camera coordinates, (3, n). [m]"""
     placed = _place(pose, np.array([road_pose]), np.zeros(1))
     in_camera = points_m @ placed.turn[0].T + placed.shift[0]
     return np.ascontiguousarray(in_camera.T)
@@ -317,6 +326,7 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
         road_pose = np.array([distance_m, 0.3, yaw_deg, 0.0])
         points = _in_camera(mesh.skin.vertices_m.T, pose, road_pose)
         depth = np.full(camera.width_px * camera.height_px, np.inf)
+
         draw(_image(camera, 1.4), points, mesh.skin.triangles, window, depth)
         cast = cast_crops(
             build_lens(pose, camera), body, road_pose[None], np.array([window])

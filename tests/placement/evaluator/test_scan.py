@@ -1,3 +1,5 @@
+"""LiDARs' pulses on bodies: range, weather, surfaces, and luck."""
+
 from bisect import bisect_left
 from dataclasses import replace
 from itertools import product
@@ -32,6 +34,7 @@ WALL = ((5.0, -3.0, 0.0), (5.4, 3.0, 4.0))
 
 
 def _rng(seed=0):
+    """A generator."""
     return np.random.default_rng(seed)
 
 
@@ -106,6 +109,7 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     """
     run = build_run(block, [[distance_m + 0.25, 0.0, 0.0]])
     found = count(build_surroundings(build_scene(), [run]), LOW)
+
     ahead, left, up = np.moveaxis(beam_directions(SURE).reshape(-1, 3), -1, 0)
     y_m = distance_m * left / ahead
     z_m = 0.9 + distance_m * up / ahead
@@ -117,13 +121,8 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     )
     expected = solid_angle * float(beams_per_steradian(SURE, 0.0))
     # A row or a column more or less at the edges.
-    rows, columns = (
-        np.degrees(size_m / distance_m) * count_ / fov_deg
-        for size_m, count_, fov_deg in (
-            (1.8, SURE.n_lines, SURE.vertical_fov_deg),
-            (1.0, SURE.n_columns, SURE.horizontal_fov_deg),
-        )
-    )
+    rows = np.degrees(1.8 / distance_m) * SURE.n_lines / SURE.vertical_fov_deg
+    columns = np.degrees(1.0 / distance_m) * SURE.n_columns / SURE.horizontal_fov_deg
 
     assert found == pytest.approx(expected, abs=rows + columns)
 
@@ -143,6 +142,7 @@ def _combined(parts):
 
 
 def _placed(shape, position_m, yaw_deg):
+    """Vertices of a shape that stands in the world, and its triangles. [m]"""
     pose = Pose(position_m=np.append(position_m, 0.0), yaw_deg=yaw_deg)
     return to_world(shape.vertices_m, pose), shape.triangles
 
@@ -243,6 +243,7 @@ def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block,
         reference_probability=0.5,
         threshold_width=1.0e-3,
     )
+
     surroundings = [
         build_surroundings(
             build_scene(), [build_run(block, [[x_m + 0.25, 0.0, yaw_deg]])]
@@ -260,7 +261,9 @@ def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block,
 def test_the_same_seed_brings_the_same_pulses_back(sees):
     vru = [[x_m, 0.0, 90.0] for x_m in np.linspace(20.0, 50.0, 60)]
     vague = replace(STUDY, threshold_width=9.0, reference_probability=0.5)
-    one, same, other = (sees(vru, seed=seed, lidar=vague) for seed in (1, 1, 2))
+    one = sees(vru, seed=1, lidar=vague)
+    same = sees(vru, seed=1, lidar=vague)
+    other = sees(vru, seed=2, lidar=vague)
 
     assert one == same
     assert one != other
@@ -277,6 +280,7 @@ def test_other_frames_do_not_matter(build_scene, build_run):
     surroundings = build_surroundings(
         build_scene(WALL), [build_run(pick_actor("adult", "test"), vru, vut)]
     )
+
     every = scan_frames(surroundings, LOW, SURE, _rng())
     some = np.arange(0, 40, 3)
 
@@ -299,12 +303,14 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     vut = np.column_stack([place, yaw_deg])
     vru = np.column_stack([place + 14.0 * towards, yaw_deg])
     surroundings = build_surroundings(build_scene(), [build_run(block, vru, vut)])
+
     found = scan_frames(surroundings, load_vut_camera(), load_vut_lidar(), _rng())
 
     assert found.tolist() == [True, False, False, True] * 3
 
     wall = build_scene(((3.0 + 7.0, 5.0 - 3.0, 0.0), (3.0 + 7.4, 5.0 + 3.0, 4.0)))
     behind = build_surroundings(wall, [build_run(block, vru, vut)])
+
     found = scan_frames(behind, load_vut_camera(), load_vut_lidar(), _rng())
 
     assert (
@@ -371,6 +377,7 @@ def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
     """
     scene = build_scene(((3.0, 2.0, 0.0), (6.0, 5.0, 3.0)))
     run = _around(build_run, "cyclist", distance_m, n_frames=10)
+
     # Looking east: the first frames are right behind.
     for yaw_deg in (0.0, 100.0):
         pose = replace(OVERHEAD, yaw_deg=yaw_deg, pitch_deg=pitch_deg)

@@ -22,6 +22,7 @@ SPEED_MPS = 12.0
 
 @pytest.fixture(scope="module")
 def bus():
+    """A bus that is a box."""
     box = trimesh.creation.box((LENGTH_M, WIDTH_M, HEIGHT_M))
     return Actor(
         name="bus",
@@ -40,6 +41,7 @@ def bus():
 
 @pytest.fixture(scope="module")
 def unit():
+    """A camera 3 m high that looks east."""
     return unit_at("camera", [0.0, 0.0, 3.0], pitch_deg=-5.0, site_id="pole")
 
 

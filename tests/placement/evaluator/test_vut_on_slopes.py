@@ -23,6 +23,7 @@ LINE = np.linspace(-120.0, 120.0, 25)
 
 
 def terrain(height):
+    """Terrain whose height is a function of east and north. [m]"""
     east, north = np.meshgrid(LINE, LINE)
     return Terrain(east_m=LINE, north_m=LINE, height_m=height(east, north))
 
@@ -81,6 +82,7 @@ def test_on_a_slope_whoever_is_ahead_is_seen_at_the_row_of_the_level_road(
     )
     surroundings = build_surroundings(on(build_scene(), slope), [run])
     mount = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
+
     (box,) = perceive_frames(surroundings, mount).amodal_px
     ahead_m, _, up_m = mount.pose_on(run.encounter.vut).position_m
     # Turned with the road, the foot of the body's middle is as low as the road, 12 m /

@@ -1,3 +1,5 @@
+"""Where the detection table and the full evaluation agree, and why not."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +21,7 @@ RUNS = ("CPNC-50/east/40", "CBLA/east/50")
 
 @pytest.fixture(scope="module")
 def setting(runs, rule):
+    """A few of the study's runs."""
     few = tuple(run for run in runs if run.id in RUNS)
     return Setting(
         scene=load_study_scene(),
@@ -32,15 +35,18 @@ def setting(runs, rule):
 
 @pytest.fixture(scope="module")
 def layout():
+    """Two units of the study's layout."""
     return Layout(name="two", units=load_carlancap_layout().units[2:4])
 
 
 @pytest.fixture(scope="module")
 def evaluation(setting, layout):
+    """The two units evaluated."""
     return evaluate_layout(layout, setting)
 
 
 def _table(setting, layout, detected):
+    """A table of the layout's units with these detections."""
     return pack_table(tuple(unit.id for unit in layout.units), setting.axis, detected)
 
 
@@ -92,6 +98,7 @@ def test_what_was_lost_on_the_way_is_told_from_what_was_not_seen(
 ):
     detected = np.array([verdict.detected for verdict in evaluation.units.values()])
     lossy = evaluate_layout(layout, replace(setting, radio=Radio(packet_loss=1.0)))
+
     found = find_disagreements(
         setting, _table(setting, layout, detected), lossy, [0, 1]
     )
@@ -107,6 +114,7 @@ def test_latency_alone_can_make_the_difference(setting, layout, evaluation):
     slow = replace(
         layout, units=tuple(replace(unit, latency_s=60.0) for unit in layout.units)
     )
+
     # The table is asked with the units' own latencies, too: nothing differs.
     late = evaluate_layout(slow, setting)
 

@@ -1,3 +1,5 @@
+"""What is lost when units fail, against brute force."""
+
 import math
 from dataclasses import replace
 from itertools import combinations
@@ -76,6 +78,7 @@ def brute_force(axis, detected, latencies_s, rule, failed):
                     )
                 )
             onset = min(onset, max(known))
+
         if onset <= axis.last_brake_time_s[run] + 1.0e-9:
             avoided.append(axis.run_ids[run])
             weight += axis.weight[run]
@@ -146,6 +149,7 @@ def test_a_pole_takes_all_its_units_with_it(frame_axis, rule, sites):
     }
 
     latencies_s = [rule.latency_s] * 3
+
     for item in found:
         failed = together[item.site_id]
         share, _, _ = brute_force(frame_axis, detected, latencies_s, rule, failed)
@@ -162,6 +166,7 @@ def test_runs_without_weight_are_neither_lost_nor_a_margin(frame_axis, rule):
     )
     # U0 sees all; U1 sees run 1 only, one frame later.
     rows = np.array([[1] * 10, [0] * 3 + [0, 1, 1, 1, 0] + [0, 0]], dtype=bool)
+
     failures = find_failures(evaluate(axis, rows, [None, None]), rule)
 
     assert failures.none_failed.smallest_margin_s == pytest.approx(

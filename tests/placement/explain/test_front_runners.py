@@ -1,3 +1,5 @@
+"""Which of the front runners the full evaluation takes."""
+
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +14,7 @@ from placement.explain.alternatives import (
 
 
 def runner(apr, left):
+    """A front runner of these values."""
     return FrontRunner(layout=None, apr=apr, apr_one_failed=left)
 
 

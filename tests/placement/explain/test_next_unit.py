@@ -1,3 +1,5 @@
+"""The further unit that gains most."""
+
 from dataclasses import replace
 
 import pytest
@@ -22,6 +24,7 @@ def test_no_other_further_unit_gains_more(problem):
     if best is None:
         assert all(ratio == pytest.approx(apr(problem, found)) for ratio in ratios)
         return
+
     row = problem.table.pose_ids.index(best.pose)
 
     assert row in others

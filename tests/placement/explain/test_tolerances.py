@@ -1,3 +1,5 @@
+"""How far units may be off before something is lost."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +28,7 @@ CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
 @pytest.fixture(scope="module")
 def setting(runs, rule):
+    """Runs that come four ways."""
     ways = ("CBNA/east/60", "CPNC-50/east/55", "CPNC-50/west/60", "CBNA/south/60")
     few = tuple(run for run in runs if run.id in ways)
     return Setting(
@@ -39,6 +42,7 @@ def setting(runs, rule):
 
 
 def unit(name, yaw_deg, pitch_deg=-40.0):
+    """A camera at the corner's pole, 8 m high."""
     pose = Pose(
         position_m=np.array([-115.4, 8.85, 8.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg
     )
@@ -46,6 +50,7 @@ def unit(name, yaw_deg, pitch_deg=-40.0):
 
 
 def avoided(setting, units):
+    """Weight of the runs that units avoid."""
     table = table_of(setting, units)
     wishes = Wishes(
         budget_units=len(units), existing=tuple(one.id for one in units[1:])
@@ -55,6 +60,7 @@ def avoided(setting, units):
 
 
 def moved(one, *, yaw_deg=0.0, pitch_deg=0.0, height_m=0.0):
+    """A unit off by these errors."""
     pose = one.pose
     return replace(
         one,
@@ -82,11 +88,13 @@ def test_within_its_tolerances_nothing_is_lost_and_a_step_beyond_something_is(se
     ):
         for sign, good in ((-1.0, low), (1.0, high)):
             within = [step for step in steps if step <= good]
+
             assert good == (within[-1] if within else 0.0)
 
             if within:
                 kept = avoided(setting, [moved(one, **{axis: sign * good})])
                 assert not (planned & ~kept).any()
+
             beyond = [step for step in steps if step > good][:1]
 
             for step in beyond:

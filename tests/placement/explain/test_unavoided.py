@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from changes import changed
 from hypothesis import given
 from hypothesis import strategies as st
 from junctions import build_scene
@@ -62,6 +63,7 @@ def run_of(
 
 
 def setting_of(*runs, boxes=(), weight=None):
+    """A setting of runs and boxes."""
     return Setting(
         scene=build_scene([], boxes=boxes),
         runs=runs,
@@ -83,6 +85,7 @@ def unit(
     fov_deg=None,
     name="unit",
 ):
+    """A camera at a place."""
     model = pick_sensor(sensor, "test")
     return unit_at(
         name,
@@ -94,11 +97,13 @@ def unit(
 
 
 def reasons_of(setting, candidate, run_index=0):
+    """Causes for which a unit does not see all of a run."""
     looks = [Look(unit=candidate, run_index=run_index, frame_index=np.arange(N_FRAMES))]
     return [(r.cause, r.thing, r.frames) for r in find_reasons(setting, looks)[0]]
 
 
 def is_detected(setting, candidate):
+    """Frames in which a unit detects, (n_frames,)."""
     table = table_of(setting, [candidate])
     return table.detected([0])[0]
 
@@ -178,6 +183,7 @@ def test_a_frame_that_only_the_table_misses_is_said_to_be_so():
 
 
 def problem_of(setting, candidates, detected, **options):
+    """A problem of candidates with these detections."""
     n = len(candidates)
     limits = {"site_index": np.arange(n), "site_capacity": np.ones(n, dtype=np.int64)}
     return PlacementProblem(
@@ -197,16 +203,20 @@ def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
     ]
     table = table_of(setting, candidates)
     problem = problem_of(setting, candidates, table.detected(slice(None)))
+
     (missed,) = find_unavoided(setting, problem, candidates, [0, 1])
 
-    assert (missed.outcome, missed.unit, missed.frames_seen) == ("never seen", "far", 0)
+    assert missed.outcome == "never seen"
+    assert missed.unit == "far"
+    assert missed.frames_seen == 0
     assert [(r.cause, r.thing) for r in missed.reasons] == [("hidden", "wall-a")]
     # Until 0.525 s before the impact.
     assert missed.frames_in_time == missed.reasons[0].frames == 14
 
     (missed,) = find_unavoided(setting, problem, candidates, [0])
 
-    assert (missed.unit, missed.reasons[0].cause) == ("near", "out of view")
+    assert missed.unit == "near"
+    assert missed.reasons[0].cause == "out of view"
     assert missed.rescue is not None
     assert missed.rescue.unit == "helper" or not table.detected([2]).any()
 
@@ -229,11 +239,8 @@ def tables(draw):
     n_poses = 7
     places = rng.integers(0, 4, size=(n_poses, 2)) * 10.0
     candidates = [unit(x, y, name=f"unit-{i}") for i, (x, y) in enumerate(places)]
-    setting = replace(
-        setting,
-        rule=replace(
-            setting.rule, track_memory_s=draw(st.sampled_from([0.1, 0.3, math.inf]))
-        ),
+    setting = changed(
+        setting, "rule.track_memory_s", draw(st.sampled_from([0.1, 0.3, math.inf]))
     )
     share = draw(st.sampled_from([0.1, 0.3, 0.6]))
     detected = rng.random((n_poses, setting.axis.n_frames)) < share
@@ -279,6 +286,7 @@ def test_outcome_and_rescue_match_brute_force(given_):
 
     for run, entry in found.items():
         check_outcome(problem, chosen, run, entry)
+
         helping = {
             pose: run_margins_s(problem, [*chosen, pose])[run]
             for pose in range(len(candidates))
@@ -288,6 +296,7 @@ def test_outcome_and_rescue_match_brute_force(given_):
         if not helping:
             assert entry.rescue is None
             continue
+
         away = {
             pose: min(
                 np.linalg.norm(
@@ -314,6 +323,7 @@ def test_outcome_and_rescue_match_brute_force(given_):
 
 
 def check_outcome(problem, chosen, run, entry):
+    """A run's outcome is what its frames and deadline say."""
     axis = problem.table.axis
     rule = problem.rule
     frames = axis.frames_of(run)
@@ -329,6 +339,7 @@ def check_outcome(problem, chosen, run, entry):
         together = [seen.any(axis=0)]
     else:
         together = list(seen)
+
     n = rule.n_confirmations
     confirmed = [
         time_s[end]
@@ -357,6 +368,7 @@ def check_outcome(problem, chosen, run, entry):
 
 
 def may_join(limits, chosen, pose):
+    """May a pose join the chosen ones, by the limits?"""
     sites = limits.site_index
     n_there = int((sites[chosen] == sites[pose]).sum())
     is_rival = any(
@@ -381,6 +393,7 @@ def test_each_look_gets_its_own_reasons():
         Look(unit=away, run_index=0, frame_index=np.array([0, 1, 2])),
         Look(unit=low, run_index=1, frame_index=np.array([], dtype=np.int64)),
     ]
+
     found = [
         [(r.cause, r.thing, r.frames) for r in reasons]
         for reasons in find_reasons(setting, looks)

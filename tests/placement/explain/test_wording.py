@@ -20,6 +20,7 @@ SITES = ("corner-ne", "corner-nw", "corner-sw", "lamp-e1")
 
 @pytest.fixture(scope="module")
 def scene():
+    """The study's junction."""
     return load_study_scene()
 
 
@@ -38,6 +39,7 @@ def candidates(scene):
 
 @pytest.fixture(scope="module")
 def setting(scene):
+    """Four runs of two cases."""
     axis = FrameAxis(
         run_ids=tuple("abcd"),
         cases=("CPNA-25", "CPNA-25", "CBNA", "CBNA"),
@@ -162,6 +164,7 @@ def test_separation_is_taken_apart_into_distances_and_capacities(
     detected = np.zeros((len(candidates), N_RUNS * N_FRAMES), dtype=bool)
     table = pack_table(tuple(c.id for c in candidates), setting.axis, detected)
     problem = build_problem(setting, candidates, table, wishes=wishes)
+
     separation = build_separation(problem, wishes, scene, candidates)
 
     assert len(separation.pair_distance_m) == len(problem.limits.rivals) > 0

@@ -16,6 +16,7 @@ from scenarios.runs import build_runs
 
 @pytest.fixture(scope="session")
 def day():
+    """Clear weather by day."""
     return load_weathers()["day"]
 
 
@@ -27,6 +28,7 @@ def dark(day):
 
 @pytest.fixture(scope="session")
 def small():
+    """A camera of 240 by 160 pixels."""
     return CameraModel(
         name="small",
         width_px=240,
@@ -55,6 +57,7 @@ def build_plain_scene():
 
 @pytest.fixture(scope="session")
 def study_run():
+    """The study's pedestrian from behind a parked car, at 40 km/h."""
     runs, _ = build_runs(
         load_study_scene(),
         select_cases("CPNC-50", speeds="40").cases,

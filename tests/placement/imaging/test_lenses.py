@@ -28,11 +28,14 @@ LENSES = {
 
 @pytest.fixture(scope="module")
 def backdrop(study_run):
+    """What stands still in the study's run."""
     return build_backdrop(load_study_scene(), study_run.obstruction)
 
 
 @pytest.fixture(scope="module")
 def draw(backdrop, study_run):
+    """Draws a frame of the study's run with a camera."""
+
     def draw_frame(camera):
         frame = len(study_run.time_s) - 6
         day = load_weathers()["day"]
@@ -62,6 +65,7 @@ def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(
     bent = draw(camera)
     rows, columns = np.indices(bent.instance.shape).reshape(2, -1)
     ways = pixel_rays(columns, rows, CORNER, camera)
+
     column, row, _ = project_points(CORNER.position_m + ways, CORNER, pinhole).T
     inside = (column > 0) & (column < 1200) & (row > 0) & (row < 1200)
 
@@ -86,6 +90,7 @@ def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(
 def test_it_is_dark_where_a_fisheye_shows_nothing(draw, small):
     camera = replace(small, horizontal_fov_deg=230.0, lens=Fisheye())
     picture = draw(camera)
+
     dark = np.isnan(pixel_grid(camera)).any(axis=2)
 
     assert 0.2 < dark.mean() < 0.8
@@ -110,9 +115,9 @@ def test_a_dark_rim_does_not_lengthen_the_exposure_of_what_stands_still(
     camera = replace(small, horizontal_fov_deg=230.0, lens=Fisheye())
     day = load_weathers()["day"]
     still = place_mesh(backdrop.mesh, np.zeros(3))
-    bent, straight = (
-        meter(backdrop, still, CORNER, one, day) for one in (camera, small)
-    )
+    bent = meter(backdrop, still, CORNER, camera, day)
+
+    straight = meter(backdrop, still, CORNER, small, day)
 
     assert bent == pytest.approx(straight, rel=0.5)
 
@@ -128,6 +133,7 @@ def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
     compute = Compute(seed=0, workers=1)
     still = draw_still(backdrop, CORNER, camera, weather=day, compute=compute)
     frame = len(study_run.time_s) - 6
+
     onto = draw_onto(still, study_run, frame, compute=compute)
     anew = draw(camera)
 
@@ -136,6 +142,7 @@ def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
     for name in ("vru", "vut"):
         index = anew.names.index(name)
         assert np.array_equal(onto.instance == index, anew.instance == index)
+
     levels = np.abs(onto.rgb.astype(int) - anew.rgb.astype(int)).max(axis=2)
 
     assert (levels > 1).mean() < 1e-3
@@ -152,5 +159,6 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(draw, small):
     zero = replace(small, lens=BrownConrady(), principal_point=(0.5, 0.5), roll_deg=0.0)
     plain = draw(small)
     bent = draw(zero)
+
     for name in ("rgb", "instance", "depth_m"):
         assert np.array_equal(getattr(plain, name), getattr(bent, name))

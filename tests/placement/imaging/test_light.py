@@ -1,3 +1,5 @@
+"""Light of sun, sky and lamps on surfaces, against photometry by hand."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +25,7 @@ HERE = np.zeros(3, dtype=np.float32)
 
 
 def _hits(points, normals):
+    """Points on surfaces with normals."""
     points = np.array(points, dtype=np.float32)
     return Hits(
         points_m=points,
@@ -33,6 +36,7 @@ def _hits(points, normals):
 
 
 def _lux(hits, weather, *, lamps=(), caster=NOTHING, **options):
+    """Illuminance at points. [lx]"""
     light = illuminance(
         hits,
         caster=caster,
@@ -45,6 +49,7 @@ def _lux(hits, weather, *, lamps=(), caster=NOTHING, **options):
 
 
 def _lamp(**changes):
+    """A lamp 8 m high."""
     fields = {
         "position_m": np.array([0.0, 0.0, 8.0]),
         "colour": np.ones(3),
@@ -96,6 +101,7 @@ def test_the_skys_luminance_adds_up_to_its_illuminance(name):
     weather = replace(load_weathers()[name], visibility_m=1.0e12, rain_rate_mmph=0.0)
     edges = np.linspace(0.0, 1.0, 20_001)
     sine = 0.5 * (edges[1:] + edges[:-1])
+
     luminance = build_sky(weather).luminance(sine.astype(np.float32)) @ LUMINANCE
     lux = 2.0 * np.pi * (luminance * sine).sum() * (edges[1] - edges[0])
 

@@ -1,3 +1,5 @@
+"""Pictures of frames: instances and depths by rays, light by day and night."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -20,16 +22,20 @@ ABOVE = Pose(position_m=np.array([0.0, -12.0, 9.0]), yaw_deg=90.0, pitch_deg=-40
 
 
 def render_picture(scene, run, *args, **options):
+    """The picture of one frame of a run."""
     return draw_picture(build_backdrop(scene, run.obstruction), run, *args, **options)
 
 
 @pytest.fixture(scope="module")
 def backdrop(study_run):
+    """What stands still in the study's run."""
     return build_backdrop(load_study_scene(), study_run.obstruction)
 
 
 @pytest.fixture
 def draw(backdrop, study_run, small):
+    """Draws a frame of the study's run in a weather."""
+
     def draw_frame(weather, **options):
         frame = len(study_run.time_s) - 1 - 5
         return draw_picture(
@@ -77,9 +83,12 @@ def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
     picture = draw("day")
     shape = (small.height_px, small.width_px)
 
-    assert (picture.rgb.shape, picture.rgb.dtype) == ((*shape, 3), np.uint8)
-    assert (picture.instance.shape, picture.instance.dtype) == (shape, np.int32)
-    assert (picture.depth_m.shape, picture.depth_m.dtype) == (shape, np.float32)
+    assert picture.rgb.shape == (*shape, 3)
+    assert picture.rgb.dtype == np.uint8
+    assert picture.instance.shape == shape
+    assert picture.instance.dtype == np.int32
+    assert picture.depth_m.shape == shape
+    assert picture.depth_m.dtype == np.float32
     assert np.array_equal(picture.instance == -1, np.isinf(picture.depth_m))
     assert picture.instance.max() < len(picture.names)
     assert picture.names[-2:] == ("vut", "vru")
@@ -110,6 +119,7 @@ def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
         camera,
         with_vut=with_vut,
     )
+
     picture = draw_picture(
         backdrop,
         study_run,
@@ -202,6 +212,7 @@ def test_the_vuts_own_camera_sees_its_headlights_not_itself(backdrop, study_run,
         position_m=np.append(study_run.vut_position_m[frame], 1.4),
         yaw_deg=float(study_run.vut_yaw_deg[frame]),
     )
+
     pictures = [
         draw_picture(
             backdrop, study_run, frame, pose, small, weather=weather, with_vut=False
@@ -231,9 +242,9 @@ def test_what_drives_by_is_in_the_picture(backdrop, study_run, small, day):
         yaw_deg=np.zeros(n_frames),
     )
     run = replace(study_run, traffic=(van,))
-    first, second = (
-        draw_picture(backdrop, run, n, CORNER, small, weather=day) for n in (0, 1)
-    )
+    first = draw_picture(backdrop, run, 0, CORNER, small, weather=day)
+
+    second = draw_picture(backdrop, run, 1, CORNER, small, weather=day)
 
     assert first.names[-3:] == ("driving-1", "vut", "vru")
     assert (first.instance == first.names.index("driving-1")).any()

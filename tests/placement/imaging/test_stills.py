@@ -15,6 +15,7 @@ COMPUTE = Compute(seed=2, workers=1)
 
 @pytest.fixture(scope="module")
 def backdrop(study_run):
+    """What stands still in the study's run."""
     return build_backdrop(load_study_scene(), study_run.obstruction)
 
 
@@ -59,6 +60,7 @@ def test_most_of_a_still_is_kept(backdrop, study_run, small):
         backdrop, CORNER, small, weather=load_weathers()["day"], compute=COMPUTE
     )
     before = still.smooth.copy()
+
     onto = draw_onto(still, study_run, len(study_run.time_s) - 1, compute=COMPUTE)
 
     assert np.array_equal(still.smooth, before)

@@ -9,6 +9,7 @@ import pytest
 from all_layouts import allowed_sets, feasible_layouts
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 from problems import problems, questions
 from small_tables import avoiding_problem
 
@@ -56,6 +57,7 @@ def test_a_search_whose_time_is_over_has_a_set_and_knows_no_bound(problem):
     reduced = presolve(problem)
     search = Search(reduced, deadline=OVER)
     search.start()
+
     greedy = extend_greedily(reduced, forced_units(reduced))
 
     assert (search.units is not None) == is_allowed(reduced.limits, greedy)
@@ -92,6 +94,7 @@ def test_bounds_of_a_first_round_hold(problem, n_failures):
         return
     n_units = reduced.limits.max_units
     root = find_root(reduced, run_rows(reduced), n_units=n_units, deadline=OVER)
+
     best = union_apr(reduced, unions_of(reduced, sets)).max()
 
     assert root.limit >= best - 1e-9
@@ -128,6 +131,7 @@ def count_presolves(patch):
 
     for module in ("solve", "front", "cost_front"):
         patch.setattr(f"placement.optimiser.{module}.presolve", counted)
+
     return calls
 
 
@@ -141,6 +145,7 @@ def test_the_second_layout_is_found_on_what_the_first_was_presolved_to(
         reduced = presolve(problem)
     else:
         reduced = None
+
     with pytest.MonkeyPatch.context() as patch:
         calls = count_presolves(patch)
         highest, sturdy = solve_sturdily(
@@ -152,6 +157,7 @@ def test_the_second_layout_is_found_on_what_the_first_was_presolved_to(
     if sturdy is None:
         assert len(highest.pose_index) < 2 or problem.limits.max_units < 2
         return
+
     asked = sturdy_problem(problem, highest, give_up)
     alone = solve_placement(asked, starts=[np.array(highest.pose_index)])
 
@@ -197,6 +203,7 @@ def test_a_presolved_problem_for_other_floors_is_what_presolving_gives(
     )
     other = replace(problem, floors=(floor, counted), goal=goal, survive=n_failures)
     again = presolve(problem).for_problem(other)
+
     anew = presolve(other)
 
     for name in (
@@ -208,20 +215,23 @@ def test_a_presolved_problem_for_other_floors_is_what_presolving_gives(
         "run_chain",
         "margin_s",
     ):
-        np.testing.assert_array_equal(getattr(again, name), getattr(anew, name))
+        assert_array_equal(getattr(again, name), getattr(anew, name))
 
     for one, same in zip(again.chains, anew.chains, strict=True):
-        np.testing.assert_array_equal(one, same)
+        assert_array_equal(one, same)
 
-    assert (again.objectives, again.survive) == (anew.objectives, anew.survive)
+    assert again.objectives == anew.objectives
+    assert again.survive == anew.survive
     assert again.statistics == anew.statistics
 
     for mine, theirs in zip(again.floors, anew.floors, strict=True):
-        assert (mine.least, mine.n_failures) == (theirs.least, theirs.n_failures)
-        np.testing.assert_array_equal(mine.measure.weight, theirs.measure.weight)
+        assert mine.least == theirs.least
+        assert mine.n_failures == theirs.n_failures
+        assert_array_equal(mine.measure.weight, theirs.measure.weight)
+
     if again.n_poses:
         units = np.arange(1)
-        np.testing.assert_array_equal(
+        assert_array_equal(
             values_with_each(again, units).gains, values_with_each(anew, units).gains
         )
 

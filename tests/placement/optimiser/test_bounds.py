@@ -56,6 +56,7 @@ def test_no_allowed_set_exceeds_the_bound_of_the_apr(problem, is_polished):
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
     if is_polished:
         root = polished(root)
+
     for sets in sizes:
         assert union_apr(reduced, unions_of(reduced, sets)).max() <= root.limit + 1e-9
 
@@ -96,6 +97,7 @@ def test_no_set_keeps_more_than_the_bound_when_units_fail(problem, n_failures):
         return
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
     share = union_apr(reduced, unions_of(reduced, sizes[-1]))
+
     left = left_after_failures(reduced, reduced.measure, n_failures, sizes[-1])
 
     for least in np.unique(share):
@@ -115,10 +117,13 @@ def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(problem, 
     first = int(rng.integers(reduced.n_poses))
     union = reduced.words[first]
     seen = rng.random(reduced.n_frames)
+
     covers = unpack_words(coverers_of(reduced, rows, union, seen), reduced.n_poses)
+
     for pose in range(reduced.n_poses):
         is_avoided = is_covered_by(reduced, union | reduced.words[pose], rows)
         assert not (is_avoided & ~covers[:, pose]).any()
+
     is_alone = is_covered_by(reduced, union, rows)
 
     assert covers[is_alone].all()  # nothing is asked for
@@ -170,6 +175,7 @@ def test_a_bound_is_rounded_down_to_whole_runs_only_where_all_weigh_the_same(
         return
     step = reduced.measure.step
     limit = place * reduced.measure.limit
+
     rounded = rounded_down(reduced, limit)
 
     assert rounded <= limit + 1e-5

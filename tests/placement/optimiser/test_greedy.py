@@ -49,6 +49,7 @@ def test_no_exchange_and_no_removal_improves_an_improved_set(problem, seed):
         return
     before = set_values(reduced, units[None, :])[0]
     better = improve(reduced, units, Search(reduced).limit)
+
     value = set_values(reduced, better[None, :])[0]
 
     assert not before.exceeds(value)

@@ -38,12 +38,14 @@ def some_limits(seed):
 
 
 def all_sets(size):
+    """All sets of a size of six poses, (n_sets, size)."""
     return np.array(list(combinations(range(6), size)), dtype=np.int64).reshape(
         comb(6, size), size
     )
 
 
 def price_of(limits, units):
+    """Price of units and of the sites that they open. [EUR]"""
     sites = {int(limits.site_index[unit]) for unit in units}
     of_units = sum(float(limits.unit_cost_eur[unit]) for unit in units)
     return of_units + sum(float(limits.site_cost_eur[site]) for site in sites)
@@ -70,6 +72,7 @@ def breaks(limits, units):
         return "forced sites"
     if any({one, other} <= set(sites) for one, other in limits.rivals):
         return "rivals"
+
     return ""
 
 
@@ -124,6 +127,7 @@ def test_every_cost_is_a_multiple_of_the_step_of_prices(cents, times):
         site_capacity=[9],
         unit_cost_eur=prices,
     )
+
     step = price_step_eur(limits)
 
     assert round(100.0 * step) == np.gcd.reduce(np.array(cents) * times)
@@ -132,6 +136,7 @@ def test_every_cost_is_a_multiple_of_the_step_of_prices(cents, times):
 
 def test_prices_are_whole_cents_or_none():
     found = whole_cents(np.array([0.0, 0.01, 333.33, 1.0e6]))
+
     assert found is not None
     assert found.tolist() == [0, 1, 33333, 10**8]
     assert whole_cents(np.array([0.005])) is None
@@ -181,7 +186,9 @@ def test_who_fits_leaves_room_and_money_for_what_is_forced(seed, size):
     for units in all_sets(size):
         fits = np.flatnonzero(fitting(limits, units)).tolist()
         parts = [one for one in allowed if one > set(units.tolist())]
+
         assert not set(fits) & set(units.tolist())
+
         for pose in range(6):  # whoever leads to an allowed set fits
             if any(pose in one for one in parts) and pose not in units:
                 assert pose in fits
@@ -260,6 +267,7 @@ def test_limits_on_some_poses_are_those_of_their_sets(seed):
     limits = replace(some_limits(seed), is_forced=np.zeros(6, dtype=bool))
     poses = np.array([5, 0, 3])
     part = limits.of_poses(poses)
+
     for size in (1, 2, 3):
         for units in combinations(range(3), size):
             assert is_allowed(part, units) == is_allowed(limits, poses[list(units)])
@@ -273,6 +281,7 @@ def test_new_units_are_those_beyond_the_forced_ones():
         budget_units=3,
         is_forced=[True, True, False],
     )
+
     assert limits.budget_new_units == 1
     assert replace(limits, budget_units=None).budget_new_units is None
     assert str(limits) == "Limits(3 units, None EUR, 3 poses at 3 sites)"
@@ -462,6 +471,7 @@ def test_limits_without_any_set_say_so():
 
     with pytest.raises(UnmetError) as told:
         solve_placement(replace(problem, limits=limits))
+
     expected = (
         "limits: got no set of poses meets all of them; expected limits that leave a"
         " choice"

@@ -37,11 +37,13 @@ def mean_of_worst(measure, is_avoided):
     for world, share in enumerate(measure.sample_weight.tolist()):
         mine = measure.sample_index == world
         worlds.append((float(measure.weight[mine & is_avoided].sum()) / share, share))
+
     total = 0.0
     left = measure.tail
     for ratio, share in sorted(worlds):
         total += min(share, left) * ratio
         left -= min(share, left)
+
     return total / measure.tail
 
 
@@ -187,6 +189,7 @@ def test_objectives_stand_in_order_and_the_cost_once():
     for goal in ("best", "fewest", "cheapest"):
         for survive in (0, 2):
             order = objectives_in_order(goal, survive=survive)
+
             assert len(set(order)) == len(order)
             assert set(VALUE_OBJECTIVES) <= set(order)
             assert (Objective.APR_SURVIVED in order) == (survive > 0)
@@ -200,6 +203,7 @@ def test_less_is_better_of_what_is_minimised(objective, one, other):
         sign = -1
     else:
         sign = 1
+
     assert objective.excess(one, other) == sign * (one - other)
     assert objective.better(one, other) == (
         one if sign * one >= sign * other else other

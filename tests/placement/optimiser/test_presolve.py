@@ -1,6 +1,9 @@
+"""What presolving leaves: words of bits, equal and dominated poses."""
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
 from placement.optimiser import Limits, PresolveStatistics
 from placement.optimiser.bit_kernels import transpose_chosen
@@ -15,7 +18,7 @@ from placement.optimiser.presolve import (
 @given(st.integers(0, 200), st.integers(0, 2**32 - 1))
 def test_packing_words_loses_nothing(n_bits, seed):
     bits = np.random.default_rng(seed).random((3, n_bits)) < 0.5
-    np.testing.assert_array_equal(unpack_words(pack_words(bits), n_bits), bits)
+    assert_array_equal(unpack_words(pack_words(bits), n_bits), bits)
 
 
 def packed_rows(rng, n_rows, n_bytes):
@@ -41,10 +44,11 @@ def test_part_of_a_table_turned_round_has_its_bits(n_rows, n_chosen, n_bytes, se
     place = np.full(8 * n_bytes, -1)
     place[left] = rng.permutation(len(left))
     columns = np.empty((len(left), -(-n_chosen // 64)), dtype=np.uint64)
+
     transpose_chosen(rows, chosen, place, columns)
     bits = np.unpackbits(rows, axis=1, bitorder="little").view(bool)
 
-    np.testing.assert_array_equal(
+    assert_array_equal(
         unpack_words(columns[place[left]], n_chosen), bits[np.ix_(chosen, left)].T
     )
 
@@ -54,6 +58,7 @@ def test_rows_are_numbered_by_their_first_appearance(n_rows, n_words, seed):
     rng = np.random.default_rng(seed)
     rows = rng.integers(0, 4, (n_rows, n_words)).astype(np.uint64)
     mask = rng.integers(0, 4, n_words).astype(np.uint64)
+
     first, number = distinct_rows(rows, mask)
     seen = [tuple(row) for row in (rows & mask).tolist()]
     distinct = list(dict.fromkeys(seen))

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from all_layouts import MINIMISED, sets_of_size, sign_of
+from changes import changed
 from oracle import TIE, TIE_EUR, Oracle
 from problems import kinds_of, random_problem
 
@@ -136,6 +137,7 @@ def test_the_rules_change_the_value_of_no_layout_of_many(rules):
 
 
 def check_values(rules, numbers):
+    """Presolving keeps the value of every layout that matters."""
     for number in numbers:
         problem, oracle = drawn_freely(number)
         reduced = presolve(problem, rules=rules)
@@ -208,6 +210,7 @@ def test_the_cheapest_of_the_poses_that_add_nothing_stays():
     problem = random_problem(np.random.default_rng(3))
     n_poses = 4
     detected = np.zeros((n_poses, problem.table.axis.n_frames), dtype=bool)
+
     problem = replace(
         problem,
         table=pack_table(tuple("abcd"), problem.table.axis, detected),
@@ -224,9 +227,7 @@ def test_the_cheapest_of_the_poses_that_add_nothing_stays():
     assert presolve(problem).pose_index.tolist() == [1]
 
     is_forced_site = np.array([False, False, False, True])
-    asked = replace(
-        problem, limits=replace(problem.limits, is_forced_site=is_forced_site)
-    )
+    asked = changed(problem, "limits.is_forced_site", is_forced_site)
 
     assert presolve(asked).pose_index.tolist() == [1, 3]
     assert not find_needless(presolve(asked)).any()

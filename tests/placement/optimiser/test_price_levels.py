@@ -1,3 +1,5 @@
+"""Levels of cost that layouts can have, against all layouts."""
+
 from dataclasses import replace
 from itertools import combinations
 
@@ -14,6 +16,7 @@ from placement.optimiser.walk import allowed_sets as all_sets_within
 
 
 def allowed_sets(problem):
+    """All sets of poses that the limits allow."""
     n_poses = problem.table.n_poses
     return [
         poses
@@ -26,6 +29,7 @@ def allowed_sets(problem):
 @given(problem=questions())
 def test_every_layout_costs_one_of_the_levels(problem):
     levels = price_levels_eur(problem.limits)
+
     assert levels is not None
     assert (np.diff(levels) > 0.0).all()
 
@@ -35,7 +39,9 @@ def test_every_layout_costs_one_of_the_levels(problem):
 
     for cost in costs:
         assert next_level_eur(levels, cost, is_more=False) == pytest.approx(cost)
+
         dearer = [other for other in costs if other > cost + 1e-6]
+
         assert next_level_eur(levels, cost, is_more=True) > cost
         assert (
             not dearer
@@ -65,6 +71,7 @@ def test_sites_that_carry_two_leave_fewer_levels():
         site_cost_eur=np.array([1000.0, 1000.0]),
         is_forced_site=np.zeros(2, dtype=bool),
     )
+
     levels = price_levels_eur(limits)
 
     assert levels is not None
@@ -77,6 +84,7 @@ def test_sites_that_carry_two_leave_fewer_levels():
 
 def test_prices_without_whole_cents_or_too_many_have_no_levels():
     problem = avoiding_problem(["1", "1"], price_eur=[1.0, np.pi])
+
     assert price_levels_eur(problem.limits) is None
     assert (
         next_level_eur(None, 3.0, is_more=True)

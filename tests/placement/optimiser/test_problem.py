@@ -1,3 +1,5 @@
+"""What a placement problem refuses."""
+
 from dataclasses import fields, replace
 
 import numpy as np
@@ -44,6 +46,7 @@ def two_runs(rows, *, fusion="any", weight=None):
 
 
 def change_problem(problem, change):
+    """Build the problem with other fields of it or its limits."""
     if set(change) <= {field.name for field in fields(Limits)}:
         replace(problem, limits=replace(problem.limits, **change))
     else:

@@ -1,3 +1,5 @@
+"""Bounds and proofs that hold where time or precision run out."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +19,7 @@ def test_bound_is_never_below_the_best_when_time_is_up(problem):
     certificate = solve_placement(problem, effort=Effort(time_limit_s=1e-9)).certificate
     for stage, value in zip(certificate.stages, best_value(problem), strict=True):
         sign = sign_of(stage.name)
+
         assert sign * stage.bound >= sign * stage.objective
         assert sign * stage.bound >= sign * value - 1e-9
         assert (stage.gap == 0.0) == (stage.bound == stage.objective)
@@ -36,6 +39,7 @@ def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.proof.search_from_many_starts", first_units)
         solution = solve_placement(worlds, effort=Effort(solver=solver))
+
     for stage in solution.certificate.stages[2:4]:
         assert stage.bound == pytest.approx(0.175)
         assert stage.objective == pytest.approx(0.175 if solver == "auto" else 0.065)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from oracle import TIE, Oracle
 from oracle_checks import EVERY_WAY, check
 from problems import random_problem
@@ -95,6 +96,7 @@ def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed):
     values = set_values(reduced, sets)
     aprs = values.of(Objective.APR)
     means_s = values.of(Objective.MEAN_MARGIN)
+
     for apr in aprs:
         tied = aprs >= apr - TIE
         assert means_s[tied].max() <= search.mean_margin_limit_s(float(apr)) + TIE
@@ -116,6 +118,7 @@ def test_contenders_limit_every_set_that_ties_in_all_stages_before(steps, seed):
     contenders = Contenders(objectives)
     for row in range(n_sets):
         contenders.add(np.array([[row]]), SetValues(objectives, gains[row : row + 1]))
+
     best = contenders.best()
 
     assert best is not None
@@ -137,11 +140,13 @@ def test_contenders_limit_every_set_that_ties_in_all_stages_before(steps, seed):
             tolerance = 1.0e-6
         else:
             tolerance = TIE
+
         tied &= gains[:, column] >= gains[row, column] - tolerance
 
 
 def test_ties_are_equal_where_weights_are_fractions_or_all_is_avoided():
     fractions = np.array([1 / 3, 1 / 6, 1 / 12, 5 / 12])
+
     assert build_measure(fractions).least_tied(0.5) == 0.5
 
     rng = np.random.default_rng(1)
@@ -164,8 +169,9 @@ def test_sums_of_fractions_are_apart_unless_their_denominator_is_large(denominat
     if are_sums_apart(weight):
         common = float(np.lcm.reduce(denominators))
         counts = weight * common
+
         assert common <= 2.5e8
-        np.testing.assert_allclose(counts, counts.round(), rtol=0.0, atol=1e-6)
+        assert_allclose(counts, counts.round(), rtol=0.0, atol=1e-6)
     else:
         assert float(np.lcm.reduce(np.array(denominators, dtype=object))) > 2.5e8
 

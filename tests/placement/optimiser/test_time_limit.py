@@ -35,10 +35,12 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch):
+    """A clock that the test moves."""
     return Clock(monkeypatch)
 
 
 def knapsack():
+    """A small problem for a solver of mixed-integer models."""
     x = cp.Variable(3, boolean=True)
     return cp.Problem(cp.Maximize(np.array([3.0, 2.0, 2.0]) @ x), [x.sum() <= 2.0])
 
@@ -116,6 +118,7 @@ def test_all_stages_together_take_no_longer_than_the_limit(clock, monkeypatch):
             nothing = -np.inf
         else:
             nothing = np.inf
+
         return MilpResult(units=None, bound=nothing, is_finished=False)
 
     monkeypatch.setattr("placement.optimiser.proof.solve_window_model", idle)

@@ -25,6 +25,7 @@ from placement.optimiser.presolve import pack_words
 
 
 def build_losses(rng, chains, alone, may_lose):
+    """Random losses of chains."""
     n_chains = n_chains_of(chains)
     lost = np.sort(rng.integers(0, 6, (n_chains, 6)), axis=1).astype(np.float64)
     return kernels.Losses(
@@ -37,6 +38,7 @@ def build_losses(rng, chains, alone, may_lose):
 
 
 def loss(losses, seen):
+    """Weight lost where some frames are seen."""
     frames = np.flatnonzero(seen).tolist()
     chains = range(n_chains_of(losses.chains))
     return float(
@@ -45,6 +47,7 @@ def loss(losses, seen):
 
 
 def keeps(losses, sees, alone, *, with_failures):
+    """Is no more lost than may be, also when a unit fails?"""
     if loss(losses, sees.any(axis=0) | alone) > losses.may_lose[0]:
         return False
     rest = [
@@ -86,7 +89,9 @@ def test_windows_are_asked_for_the_missing_piece_that_is_seen_least(seed):
             if chain not in some:
                 assert found == -7
                 continue
+
             missing, least = asked_of(chains, chain, link, alone, seen)
+
             assert (
                 (found in missing and seen[found] == least) if missing else found == -1
             )
@@ -124,6 +129,7 @@ def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
         expected = {
             p for p in range(n_poses) if any(f < 0 or sees[p, f] for f in frames)
         }
+
         assert bits_of(coverers[row], n_poses) == expected
 
 
@@ -146,6 +152,7 @@ def test_a_row_is_worth_its_reward_less_what_it_pays(
 
 
 def build_covers(rng, *, n_poses=6, n_rows=9):
+    """Random sets of rows that poses cover."""
     bits = rng.random((n_poses, n_rows)) < 0.4
     covers = pack_words(bits)
     weight = whole_weights(rng, n_rows)
@@ -161,6 +168,7 @@ def build_covers(rng, *, n_poses=6, n_rows=9):
 
 
 def build_walk(covers, n_units, room, may_lose):
+    """A walk that stands at its root."""
     n_poses, n_words = covers.covers.shape
     bits = [np.zeros((n_units + 1, n_words), dtype=np.uint64) for _ in range(3)]
     return kernels.Walk(
@@ -185,10 +193,12 @@ def build_walk(covers, n_units, room, may_lose):
 
 
 def bits_by_pose(covers):
+    """Rows that each pose covers."""
     return [bits_of(words, len(covers.weight)) for words in covers.covers]
 
 
 def lost_of(covers, units):
+    """Weight of the rows that units leave uncovered."""
     covered = set().union(*(bits_by_pose(covers)[unit] for unit in units))
     return float(sum(w for row, w in enumerate(covers.weight) if row not in covered))
 
@@ -242,6 +252,7 @@ def test_a_walk_stops_at_each_node_of_a_depth():
 
     while kernels.grow(covers, walk, 0, 1, 10**9, out) == kernels.AT_STOP:
         assert walk.at[0].depth == 1
+
         stops.add(int(walk.chosen[0]))
         walk.at[0].depth -= 1
         walk.at[0].is_new = 0

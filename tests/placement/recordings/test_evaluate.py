@@ -1,3 +1,5 @@
+"""Recordings judged: APR by hand, matching of boxes, missing files."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +20,8 @@ BOX = "100 200 140 300"
 
 @pytest.fixture
 def judge(tmp_path_factory, rule):
+    """Judges a folder by the study's rule."""
+
     def run(folder, **options):
         written = folder.write(tmp_path_factory.mktemp("recording"))
         return evaluate_recording(read_recording(written), rule, **options)
@@ -26,6 +30,7 @@ def judge(tmp_path_factory, rule):
 
 
 def _one_drive(new_folder, detected, **options):
+    """A folder with one drive at a cyclist."""
     folder = new_folder()
     given = {"speeds": (10.0, 1.5), "closing": 10.0, "n_frames": 12} | options
     folder.drive(3, 0, detected=detected, **given)
@@ -50,7 +55,8 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
 
     assert axis.run_ids == ("recording/3/36", "recording/3/54")
     assert axis.cases == ("scenario-3-pedestrian",) * 2
-    assert (axis.approaches, axis.weathers) == (("recorded",) * 2, ("recorded",) * 2)
+    assert axis.approaches == ("recorded",) * 2
+    assert axis.weathers == ("recorded",) * 2
     assert axis.vut_speed_kmh.tolist() == pytest.approx([36.0, 54.0])
     assert axis.weight.tolist() == [0.5, 0.5]
     assert axis.last_brake_time_s == pytest.approx(
@@ -60,6 +66,7 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
     assert axis.time_s[[0, 11, 12, 27]] == pytest.approx([-1.1, 0.0, -1.5, 0.0])
 
     outcomes = {"0": [False, True], "1": [False, False]}
+
     for unit, is_avoided in outcomes.items():
         assert result.units[unit].is_avoided.tolist() == is_avoided
 
@@ -117,6 +124,7 @@ def test_confirmation_latency_and_braking_are_those_asked_for(
 
 def test_a_missing_frame_is_not_detected_and_breaks_a_row(new_folder, judge):
     folder = _one_drive(new_folder, {"0": (10, 9, 8, 7)})
+
     assert judge(folder).units["0"].confirmation_time_s == pytest.approx([-0.8])
 
     del folder.files["WorldData/3_2.txt"]  # 9 frames before the impact
@@ -243,7 +251,9 @@ def test_a_vru_that_nobody_ever_sees_is_a_drive_that_is_not_avoided(new_folder, 
 
 def test_without_the_vuts_camera_there_is_no_verdict_of_it(new_folder, judge):
     result = judge(_one_drive(new_folder, {"0": (9, 8, 7)}))
-    assert (result.vut, result.vut_and_rsus) == (None, None)
+
+    assert result.vut is None
+    assert result.vut_and_rsus is None
     assert result.rsu_all.is_avoided.all()
 
 

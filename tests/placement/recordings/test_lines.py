@@ -1,3 +1,5 @@
+"""Lines of labels, detections and world data, and which are refused."""
+
 import re
 
 import pytest
@@ -21,6 +23,7 @@ WORLD = "dist car_speed vru_speed, once or repeated exactly"
 
 
 def _refusal(read, path, content):
+    """Words in which a file is refused, F for its path."""
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(InputError) as caught:
         read(path, FORM)
@@ -51,12 +54,11 @@ def test_an_empty_label_file_holds_nothing(tmp_path):
 def test_lines_of_a_file_written_twice_count_once(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text(2 * "car 1 2 3 4 5\npedestrian 1 2 3 4 5\n")
+
     labels, n_repeated = read_labels(path, FORM)
 
-    assert ([label.class_name for label in labels], n_repeated) == (
-        ["other", "pedestrian"],
-        2,
-    )
+    assert [label.class_name for label in labels] == ["other", "pedestrian"]
+    assert n_repeated == 2
 
 
 def test_detections_keep_their_unit_and_line(tmp_path):

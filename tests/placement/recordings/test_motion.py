@@ -1,3 +1,5 @@
+"""The motion that a recording tells: angle, closing speed, last moment."""
+
 import math
 from dataclasses import replace
 

@@ -16,6 +16,7 @@ PERSON = {"pedestrian": "pedestrian"}
 
 
 def boxes(*rows, name="a.txt"):
+    """Boxes of rows, each at its frame."""
     return gather_boxes(
         Path(name), [BoxRow(f"{name}:{i}", *row[:3], **row[3]) for i, row in rows]
     )
@@ -32,6 +33,7 @@ def annotated(*rows):
 
 
 def found(*rows):
+    """Detected pedestrians with scores."""
     return boxes(
         *enumerate((f, "pedestrian", box, {"score": s}) for f, box, s in rows), name="d"
     )
@@ -67,8 +69,10 @@ def test_each_box_finds_one_person_and_weak_ones_none():
     )
 
     assert seen.is_found.tolist() == [True, False, False]
-    assert (seen.track.tolist(), seen.frame.tolist()) == ([0, 1, 1], [0, 0, 2])
-    assert (alarms.pictures, alarms.alarms) == (3, 0)
+    assert seen.track.tolist() == [0, 1, 1]
+    assert seen.frame.tolist() == [0, 0, 2]
+    assert alarms.pictures == 3
+    assert alarms.alarms == 0
 
 
 def test_boxes_in_regions_to_ignore_are_no_false_alarms():
@@ -76,6 +80,7 @@ def test_boxes_in_regions_to_ignore_are_no_false_alarms():
     given_ = annotated((0, 1, A), (0, -1, far, {"name": IGNORE}))
     detected = found((0, far, 0.9), (0, (800.0, 0.0, 840.0, 100.0), 0.9))
     pairs = pair_boxes(given_, detected, classes=PERSON, min_score=0.5)
+
     _, alarms = gather_sightings(pairs.pictures, n_confirmations=3, frame_rate_hz=7.0)
 
     assert alarms.alarms == 1
@@ -83,6 +88,7 @@ def test_boxes_in_regions_to_ignore_are_no_false_alarms():
 
 def test_files_that_do_not_belong_together_are_told():
     given_ = annotated((0, 1, A))
+
     with pytest.raises(
         InputError, match=r"d: got frames up to 50; expected up to 0, as in a.txt"
     ):
@@ -115,6 +121,7 @@ def test_frames_to_confirm_are_those_that_a_search_counts(rows, n):
     track = np.array([row[0] for row in rows])
     is_found = np.array([row[1] for row in rows])
     frame = np.cumsum([1 + row[2] for row in rows])  # some frames are missing
+
     waits = frames_to_confirm(is_found, track, frame, n_confirmations=n)
 
     for start, wait in enumerate(waits.tolist()):
@@ -133,6 +140,7 @@ def test_a_share_counts_tracks_and_is_never_surer_than_wilson():
     whole = np.repeat(np.random.default_rng(2).random(20) < 0.8, 50)  # all frames alike
     wide = share_by_track(whole, track)
     narrow = share_by_track(independent, track)
+
     plain = wilson(int(independent.sum()), 1000)
 
     assert narrow.low <= plain.low

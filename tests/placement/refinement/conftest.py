@@ -42,21 +42,25 @@ def around_the_pole(radius_m, first_deg, last_deg, n_frames=N_FRAMES):
 
 @pytest.fixture(scope="session")
 def arc():
+    """Builds walks around the pole."""
     return around_the_pole
 
 
 @pytest.fixture(scope="session")
 def build_meadow():
+    """Builds a scene of a pole on a meadow."""
     return _build_scene
 
 
 @pytest.fixture(scope="session")
 def build_walk():
+    """Builds a run of somebody who walks."""
     return _build_walk
 
 
 @pytest.fixture(scope="session")
 def narrow_camera():
+    """A camera of 640 by 480 pixels."""
     return CameraModel(
         name="narrow",
         width_px=640,
@@ -70,6 +74,7 @@ def narrow_camera():
 
 @pytest.fixture(scope="session")
 def build_small_setting():
+    """Builds settings of few runs."""
     return setting_of
 
 
@@ -93,6 +98,7 @@ def meadow(build_meadow, build_walk, build_small_setting):
 
 @pytest.fixture(scope="session")
 def meadow_grid(meadow, narrow_camera):
+    """Eight directions at the pole."""
     grid = CandidateGrid(
         heights_m=np.array([5.0]),
         yaw_step_deg=45.0,

@@ -1,3 +1,5 @@
+"""Poses that refinement proposes: in their ranges, and not in walls."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +17,7 @@ from placement.refinement import build_places, moved
 
 
 def _limits(candidates, **fields):
+    """Limits with one unit at each site."""
     sites = sorted({candidate.site_id or candidate.id for candidate in candidates})
     return Limits(
         site_index=np.array([sites.index(c.site_id or c.id) for c in candidates]),
@@ -26,6 +29,7 @@ def _limits(candidates, **fields):
 
 @pytest.fixture(scope="module")
 def places(meadow, meadow_grid):
+    """Where the grid's poses may move."""
     return build_places(meadow.scene, meadow_grid, _limits(meadow_grid))
 
 
@@ -43,7 +47,8 @@ def test_a_moved_pose_is_at_its_place_and_within_all_ranges(
     )
     grid = places.candidates[origin]
 
-    assert (pose.site_id, pose.sensor) == (grid.site_id, grid.sensor)
+    assert pose.site_id == grid.site_id
+    assert pose.sensor == grid.sensor
     assert np.array_equal(pose.pose.position_m[:2], grid.pose.position_m[:2])
     assert pose.pose.position_m[2] == pytest.approx(
         np.clip(height_m, 4.0, 8.0), abs=0.0051
@@ -66,6 +71,7 @@ def test_a_pose_of_the_grid_keeps_its_name(places):
             yaw_deg=pose.yaw_deg,
             pitch_deg=pose.pitch_deg,
         )
+
         assert same.id == candidate.id
         assert np.array_equal(same.pose.position_m, pose.position_m)
 
@@ -73,6 +79,7 @@ def test_a_pose_of_the_grid_keeps_its_name(places):
 def test_a_pose_of_no_site_stays_at_its_height(meadow, narrow_camera):
     drone = unit_at("drone", [3.0, 4.0, 30.0], pitch_deg=-80.0, sensor=narrow_camera)
     places = build_places(meadow.scene, [drone], _limits([drone]))
+
     pose = moved(places, 0, height_m=20.0, yaw_deg=10.0, pitch_deg=-70.0)
 
     assert pose.pose.position_m.tolist() == [3.0, 4.0, 30.0]
@@ -125,6 +132,7 @@ def test_nothing_is_moved_into_a_wall(narrow_camera):
         sensors=(narrow_camera,),
     )
     candidates = build_candidates(scene, grid)
+
     places = build_places(scene, candidates, _limits(candidates))
 
     assert moved(places, 0, height_m=4.1, yaw_deg=0.0, pitch_deg=0.0) is None
@@ -140,8 +148,10 @@ def test_a_varifocal_lens_is_set_within_its_range(meadow):
         sensors=(camera,),
     )
     candidates = build_candidates(meadow.scene, grid)
+
     places = build_places(meadow.scene, candidates, _limits(candidates))
     pose = {"height_m": 5.0, "yaw_deg": 0.0, "pitch_deg": -15.0}
+
     for asked, got in ((1.0, 26.2), (170.0, 89.6), (50.123, 50.12), (None, 89.6)):
         zoomed = moved(places, 0, **pose, fov_deg=asked)
         assert zoomed.sensor.horizontal_fov_deg == got
@@ -164,6 +174,7 @@ def test_a_level_ring_is_tilted_and_never_only_turned(meadow):
         sensors=(ring,),
     )
     candidates = build_candidates(meadow.scene, grid)
+
     places = build_places(meadow.scene, candidates, _limits(candidates))
     steps = refinement._turned(candidates[0], 0, places)
 

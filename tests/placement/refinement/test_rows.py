@@ -1,3 +1,5 @@
+"""Rows of tables for refined poses, against the builder of tables."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +68,7 @@ def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
     assert np.array_equal(builder.packed(poses), table.packed)
 
     order = np.random.default_rng(0).permutation(36)
+
     for part in np.array_split(order, 7):
         assert np.array_equal(
             builder.packed([poses[row] for row in part]), table.packed[part]

@@ -24,6 +24,7 @@ _LAST = 41
 
 @pytest.fixture(scope="session")
 def build_setting():
+    """Builds settings of few runs."""
     return setting_of
 
 
@@ -53,6 +54,7 @@ def candidates(setting, camera):
 
 @pytest.fixture(scope="session")
 def default():
+    """The default uncertainty."""
     return load_uncertainty()
 
 

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from changes import changed
 from scipy.stats import t as student
 
 from geometry.errors import InputError
@@ -29,6 +30,7 @@ from placement.wishes import Wishes
 def test_limits_are_those_of_the_formula():
     bounds = [0.96, 0.97, 0.955, 0.965]
     aprs = [0.95, 0.94, 0.96, 0.93, 0.95]
+
     found = estimate_gap(bounds, aprs)
     most = np.mean(bounds) + student.ppf(0.975, 3) * np.std(bounds, ddof=1) / 2.0
     least = np.mean(aprs) - student.ppf(0.975, 4) * np.std(aprs, ddof=1) / np.sqrt(5.0)
@@ -83,6 +85,7 @@ def test_gaps_hold_as_often_as_they_say():
 
 @pytest.fixture(scope="module")
 def assembly(setting, candidates):
+    """One unit in three worlds, in which messages are lost."""
     uncertainty = replace(load_uncertainty("default"), packet_loss=0.3)
     return Assembly(
         setting=setting,
@@ -98,6 +101,7 @@ def assembly(setting, candidates):
 def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
     found = certify(assembly, n_blocks=3, n_judged=5)
     n_runs = assembly.setting.axis.n_runs
+
     for number, block in enumerate(found.blocks):
         assert block.first == 3 * number
 
@@ -135,16 +139,19 @@ def test_tasks_that_run_elsewhere_and_in_any_order_give_the_same(assembly, monke
 
     here = certify(assembly, n_blocks=2, n_judged=4)
     there = certify(assembly, n_blocks=2, n_judged=4, run=run_backwards)
+
     assert there.blocks == here.blocks
     assert there.gap == here.gap
     for one, other in zip(there.pool, here.pool, strict=True):
         assert one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
         assert one.avoided_share.tolist() == other.avoided_share.tolist()
+
     # Four worlds are two tasks.
     assert sent == [("_solve_block", 2), ("_look_at_part", 2), ("_look_at_part", 2)]
 
 
 def _apr(part, row):
+    """APR of one row."""
     from placement.optimiser import apr
 
     return apr(part.problem, [row])
@@ -154,6 +161,7 @@ def _apr(part, row):
 def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
     found = certify(assembly, n_blocks=2, n_judged=4)
     chosen = found.pool[0].layout
+
     both = out_of_sample_layouts(
         assembly.setting,
         [chosen],
@@ -171,7 +179,7 @@ def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
 def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
     assembly, tmp_path, monkeypatch
 ):
-    cached = replace(assembly, compute=replace(assembly.compute, cache_folder=tmp_path))
+    cached = changed(assembly, "compute.cache_folder", tmp_path)
     units = [
         one
         for one in assembly.candidates
@@ -199,7 +207,8 @@ def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
         assert one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
         assert one.apr_by_sample.tolist() == third.apr_by_sample.tolist()
         assert one.avoided_share.tolist() == third.avoided_share.tolist()
-        assert (one.layout, one.alone) == (third.layout, third.alone)
+        assert one.layout == third.layout
+        assert one.alone == third.alone
 
     same, other_worlds, other_losses = others
 
@@ -252,6 +261,7 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     monkeypatch.setattr(growing, "N_JUDGED", 6)
     monkeypatch.setattr(pipeline, "N_JUDGED", 6)
     compute = Compute(workers=2, seed=3)
+
     found = grow(SMALL, compute=compute)
     growth = found.growth
     last = None
@@ -281,7 +291,9 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
             gain = again.apr_by_sample - last.apr_by_sample
             reach = student.ppf(0.975, 5) * gain.std(ddof=1) / np.sqrt(6.0)
             limits = (gain.mean() - reach, gain.mean() + reach)
+
             assert (one.low, one.high) == pytest.approx(limits) or np.ptp(gain) == 0.0
+
         last = again
         if one.worlds == growth.taken:
             assert found.placement.layout.units == alone.layout.units
@@ -303,6 +315,7 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
 
     monkeypatch.setattr(growing, "place", placed)
     question = replace(SMALL, within="", heights="6.5", yaw_step_deg=120.0)
+
     growth = grow(question, compute=Compute(workers=2, seed=3)).growth
     first, second = chosen
 
@@ -326,9 +339,7 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
             raise error
         found = real(plan, **how)
         clock[0] += seconds
-        return replace(
-            found, layout=replace(found.layout, units=units[number : number + 1])
-        )
+        return changed(found, "layout.units", units[number : number + 1])
 
     def judged(self, layouts, **how):
         (one,) = judge(self, layouts, **how | {"n_worlds": 4})
@@ -341,9 +352,9 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
     return grow(SMALL, compute=Compute(workers=2, seed=3))
 
 
-LOW, MIDDLE, HIGH = (
-    [level + 0.01 * level * n for n in range(4)] for level in (0.5, 0.6, 0.7)
-)
+LOW = [0.5 + 0.01 * 0.5 * n for n in range(4)]
+MIDDLE = [0.6 + 0.01 * 0.6 * n for n in range(4)]
+HIGH = [0.7 + 0.01 * 0.7 * n for n in range(4)]
 # 0 is within t(3) = 3.18 errors of its mean less that of LOW.
 MAYBE = [0.45, 0.75, 0.65, 0.55]
 
@@ -363,7 +374,9 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
     monkeypatch, aprs, seconds, taken, stopped
 ):
     found = scripted(monkeypatch, aprs, seconds=seconds)
-    assert (found.growth.taken, found.growth.stopped) == (taken, stopped)
+
+    assert found.growth.taken == taken
+    assert found.growth.stopped == stopped
     assert found.assembly.n_samples == taken
     assert found.placement.problem.sample_index.max() + 1 == taken
 
@@ -371,11 +384,14 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
 @pytest.mark.long
 def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
     found = scripted(monkeypatch, [LOW, HIGH], sizes=(1, 2))
-    assert (found.growth.taken, found.growth.stopped) == (2, "most")
+
+    assert found.growth.taken == 2
+    assert found.growth.stopped == "most"
 
     found = scripted(monkeypatch, [LOW, HIGH], error=InputError("memory", "8", "less"))
 
-    assert (found.growth.taken, found.growth.stopped) == (1, "memory")
+    assert found.growth.taken == 1
+    assert found.growth.stopped == "memory"
     with pytest.raises(InputError, match="sites"):
         scripted(monkeypatch, [LOW, HIGH], error=InputError("sites", "8", "less"))
 
@@ -404,6 +420,7 @@ def test_a_certificate_shares_no_world_with_how_many_are_enough(assembly, monkey
         "place",
         lambda plan, **_: seen.append(plan.first_sample) or place(plan),
     )
+
     grow(SMALL, first=APART, compute=Compute(workers=2, seed=3))
 
     assert set(seen) == {APART}

@@ -23,10 +23,12 @@ def rates(routes):
 
 
 def changed(folder, *changes):
+    """The default demand with words changed, as a file; returns its path."""
     text = DEFAULT
     for old, new in changes:
         assert old in text
         text = text.replace(old, new, 1)
+
     path = folder / "mine.toml"
     path.write_text(text, encoding="utf-8")
     return path
@@ -96,8 +98,10 @@ def test_an_arm_without_traffic_has_no_flow(tmp_path):
 )
 def test_what_is_wrong_with_a_demand_is_one_clear_line(tmp_path, old, new, message):
     path = changed(tmp_path, (old, new))
+
     with pytest.raises(InputError) as raised:
         load_demand(path)
+
     assert message in str(raised.value)
     assert str(raised.value).startswith(str(path))
 

@@ -1,3 +1,5 @@
+"""Detections drawn frame by frame: noise, its links, and tables made of it."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -20,11 +22,13 @@ DRAWN = Uncertainty(draws_detections=True)
 
 
 def _table(sample, *, seed=0, **options):
+    """The one table of a world."""
     ((_, table),) = build_sample_tables([sample], compute=Compute(seed=seed, **options))
     return table
 
 
 def _first(setting, poses, uncertainty, seed=0):
+    """The first world."""
     return next(iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed)))
 
 
@@ -32,6 +36,7 @@ def _first(setting, poses, uncertainty, seed=0):
 
 
 def _noise(frames, correlation, seed):
+    """Noise of frames whose neighbours are linked."""
     links = link_frames(np.asarray(frames))
     return _noise_at(
         links.run_of_frame, links.place_of_frame, np.uint64(seed), correlation
@@ -40,6 +45,7 @@ def _noise(frames, correlation, seed):
 
 @kernel
 def _noise_at(run, place, key, correlation):
+    """Noise at places of runs."""
     noise = np.empty(len(run))
     for index in range(len(run)):
         step = np.sqrt(1.0 - correlation**2)
@@ -74,15 +80,16 @@ def test_fresh_noise_is_standard_normal_also_in_its_tails():
 @pytest.mark.parametrize("correlation", [0.0, 0.3, 0.97, 1.0])
 def test_linked_noise_is_what_a_recursive_filter_makes_of_fresh_noise(correlation):
     frames = np.concatenate([start + np.arange(30) for start in range(0, 217, 31)])
-    fresh, linked = (
-        _noise(frames, each, 6).reshape(7, 30) for each in (0.0, correlation)
-    )
+    fresh = _noise(frames, 0.0, 6).reshape(7, 30)
+    linked = _noise(frames, correlation, 6).reshape(7, 30)
     step = np.sqrt(1.0 - correlation**2)
 
     for run, noise in zip(fresh, linked, strict=True):
         assert noise[0] == run[0]
+
         start = [correlation * run[0]]
         expected, _ = lfilter([step], [1.0, -correlation], run[1:], zi=start)
+
         assert noise[1:] == pytest.approx(expected, abs=1e-12)
 
 
@@ -105,6 +112,7 @@ def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed)
     packed = np.zeros(-(-n // 8), dtype=np.uint8)
     nothing = np.zeros(n)
     own = np.array([0.0, 1.0])
+
     draw_frames(limit, weather, entry, *where, key, 0.6, nothing, key, own, packed)
     noise = _noise_at(*where, key, 0.6)
     expected = (entry >= 0) & (noise < limit[weather, entry])
@@ -127,6 +135,7 @@ def test_equal_frames_share_their_luck_and_their_order_does_not_matter():
 
 @pytest.fixture(scope="module")
 def response():
+    """The detector whose detections are drawn."""
     return load_planning_detector("response")
 
 
@@ -163,6 +172,7 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
     first, other = build_drawn_tables(
         sample, setting.table_detector, compute=Compute(workers=1), n_draws=2
     )
+
     (alone,) = build_drawn_tables(
         sample, setting.table_detector, compute=Compute(workers=1)
     )
@@ -190,6 +200,7 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
             surroundings = build_surroundings(
                 setting.scene, [replace(run, **one_frame)]
             )
+
             evidence = perceive_frames(surroundings, (pose.pose, pose.sensor))
             (likely,) = setting.table_detector.probability(
                 replace(
@@ -205,6 +216,7 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
 
 
 def evidence_distance(pose, run):
+    """Distance to the middle of the VRU. [m]"""
     return np.array(
         [np.linalg.norm([*run.vru_position_m[0], 0.9] - pose.pose.position_m)]
     )
@@ -213,9 +225,8 @@ def evidence_distance(pose, run):
 def test_in_fog_less_is_detected_of_the_same_frames(watched):
     setting, poses = watched
     table = _table(_first(setting, poses, DRAWN), seed=0)
-    day, fog = (
-        table.detected(slice(None))[:, setting.axis.frames_of(run)] for run in (0, 1)
-    )
+    day = table.detected(slice(None))[:, setting.axis.frames_of(0)]
+    fog = table.detected(slice(None))[:, setting.axis.frames_of(1)]
 
     assert not (fog & ~day).any()
     assert fog[0].sum() < day[0].sum()
@@ -246,20 +257,17 @@ def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
 
 def test_a_lidar_counts_the_points_that_it_may_expect(watched):
     setting, poses = watched
-    drawn, planned = (
-        _table(_first(setting, poses, uncertainty), seed=0).detected([2])
-        for uncertainty in (DRAWN, Uncertainty())
-    )
+    drawn = _table(_first(setting, poses, DRAWN), seed=0).detected([2])
+    planned = _table(_first(setting, poses, Uncertainty()), seed=0).detected([2])
 
     assert np.array_equal(drawn, planned)
     assert drawn.any()
 
 
 def test_nothing_is_drawn_of_a_detector_that_looks_at_boxes(setting, candidates):
-    drawn, planned = (
-        _table(_first(setting, candidates, uncertainty), seed=0).packed
-        for uncertainty in (DRAWN, Uncertainty())
-    )
+    drawn = _table(_first(setting, candidates, DRAWN), seed=0).packed
+    planned = _table(_first(setting, candidates, Uncertainty()), seed=0).packed
+
     assert np.array_equal(drawn, planned)
     assert planned.any()
 
@@ -296,9 +304,8 @@ def test_the_same_messages_are_lost_in_all_weathers(watched):
         setting.axis,
         np.ones((3, setting.axis.n_frames), dtype=bool),
     )
-    day, fog = (
-        silence(sample, every).detected(slice(None))[:, setting.axis.frames_of(run)]
-        for run in (0, 1)
-    )
+    day = silence(sample, every).detected(slice(None))[:, setting.axis.frames_of(0)]
+
+    fog = silence(sample, every).detected(slice(None))[:, setting.axis.frames_of(1)]
 
     assert np.array_equal(day, fog)

@@ -1,3 +1,5 @@
+"""Sources of moving traffic."""
+
 import pytest
 
 from geometry.errors import InputError

@@ -1,3 +1,5 @@
+"""Layouts judged in worlds that did not choose them."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +24,7 @@ from placement.visibility import build_detection_table
 
 
 def out_of_sample(setting, layout, uncertainty, **options):
+    """One layout judged."""
     (judged,) = out_of_sample_layouts(setting, [layout], uncertainty, **options)
     return judged
 
@@ -31,6 +34,7 @@ LOSSY = Uncertainty(packet_loss=0.6, latency=LatencyJitter(mean_s=0.4, sd_s=0.3)
 
 @pytest.fixture(scope="module")
 def layouts(candidates, look):
+    """Two units, and each alone; both of one name."""
     corner = look(
         "corner",
         [-115.4, 8.85, 6.8],
@@ -48,10 +52,12 @@ def layouts(candidates, look):
 
 @pytest.fixture(scope="module")
 def judged(setting, layouts):
+    """The layouts in twelve worlds in which messages are lost and late."""
     return out_of_sample_layouts(setting, layouts, LOSSY, n_samples=12)
 
 
 def _table(sample, *, seed=0, **options):
+    """The one table of a world."""
     ((_, table),) = build_sample_tables([sample], compute=Compute(seed=seed, **options))
     return table
 
@@ -76,6 +82,7 @@ def _avoided_by_hand(seen, axis, deadlines_s):
 def test_without_uncertainty_every_world_is_the_plan(setting, layouts):
     axis = setting.axis
     units = layouts[0].units
+
     plan = build_detection_table(
         setting.scene, units, setting.runs, axis, detector=setting.table_detector
     )
@@ -92,6 +99,7 @@ def test_without_uncertainty_every_world_is_the_plan(setting, layouts):
 def test_a_layout_is_worth_in_a_world_what_its_table_says(setting, layouts, judged):
     axis = setting.axis
     both = layouts[0]
+
     samples = draw_samples(
         setting, both.units, LOSSY, n_samples=12, seed=0, purpose="judge"
     )
@@ -149,6 +157,7 @@ def test_worlds_looked_at_in_parts_are_the_same_worlds(setting, layouts, judged)
         for first, n_worlds in ((0, 5), (5, 4), (9, 3))
     ]
     together = judge_layouts(setting, layouts, LOSSY, join_worlds(parts))
+
     for item, same in zip(together, judged, strict=True):
         assert item.apr_by_sample.tolist() == same.apr_by_sample.tolist()
         assert item.avoided_share == pytest.approx(same.avoided_share)
@@ -249,6 +258,7 @@ def test_the_evaluator_takes_a_sampled_world_as_it_is(setting, layouts, default)
         setting, units, default, n_samples=1, seed=0, purpose="judge"
     )
     mounted = replace(layouts[1], units=sample.candidates)
+
     evaluation = evaluate_layout(mounted, replace(sample.setting, radio=setting.radio))
     lossless = replace(sample.setting, radio=setting.radio)
     by_table = _table(replace(sample, setting=lossless), seed=0).detected([0])[0]

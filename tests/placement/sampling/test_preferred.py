@@ -64,6 +64,7 @@ def asked(setting, candidates, monkeypatch):
 
 
 def values_of(assembly):
+    """APR of each row alone."""
     return [apr(assembly.problem, [row]) for row in range(len(assembly.candidates))]
 
 
@@ -72,6 +73,7 @@ def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
     before = place(asked(greedy=0))
     values = values_of(asked(greedy=0))
     greedy = int(np.argmin(values))
+
     found = place(asked(greedy=greedy), asks_worlds=True)
 
     assert values[before.pose_index[0]] == max(values)
@@ -111,6 +113,7 @@ def test_what_was_found_stays_where_worlds_do_not_prefer_another(
     last = int(np.argmin(values_of(asked(greedy=0))))
     plain = place(asked(greedy=last, **changed))
     found = asked(greedy=last, **changed)
+
     found = place(found, asks_worlds=True)
 
     assert found.pose_index == plain.pose_index
@@ -131,6 +134,7 @@ def test_the_plan_is_overruled_where_it_cannot_tell_or_detections_are_drawn(
 ):
     asked_of = {"n_samples": 0, **chance}
     values = values_of(asked(greedy=0, **asked_of))
+
     best = place(asked(greedy=0, **asked_of)).pose_index[0]
     as_good = [
         row for row, value in enumerate(values) if value == values[best] and row != best
@@ -139,6 +143,7 @@ def test_the_plan_is_overruled_where_it_cannot_tell_or_detections_are_drawn(
 
     for row, is_taken in ((as_good[0], True), (worse[0], takes_worse)):
         found = place(asked(greedy=row, **asked_of), asks_worlds=True)
+
         assert found.pose_index == ((row,) if is_taken else (best,))
         assert (found.preferred is not None) == is_taken
 
@@ -157,6 +162,7 @@ def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
     build = asked(greedy=0, **response)
     two = Wishes(budget_units=2, give_up=0.0)
     pairs = [*combinations(range(len(build.candidates)), 2)]
+
     values = {pair: apr(replace(build, wishes=two).problem, pair) for pair in pairs}
     highest = max(values.values())
     lowest = min(values.values())
@@ -170,6 +176,7 @@ def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
         give_up = lost + 0.01
     else:
         give_up = 0.5 * lost
+
     plan = replace(build, wishes=replace(two, give_up=give_up))
     found = place(plan, asks_worlds=True)
     if place(plan).pose_index == greedy:

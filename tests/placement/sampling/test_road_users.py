@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from met_cases import MET_CASES
+from numpy.testing import assert_allclose, assert_array_equal
 
 from geometry.actors import PlacedActor, pick_actor
 from geometry.errors import InputError
@@ -35,6 +36,7 @@ SCENE = load_study_scene()
 
 
 def _lay(rule, *cases):
+    """Runs of cases from the east."""
     runs, _ = build_runs(
         SCENE, cases, vut=pick_actor("vut", "test"), rule=rule, approaches=["east"]
     )
@@ -51,6 +53,7 @@ def laid(rule):
 
 
 def _streams(index=0, seed=3):
+    """Streams of a world."""
     return RandomStreams(seed=seed, purpose="choose", index=index)
 
 
@@ -64,10 +67,11 @@ def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
             continue
         (anew,) = anew
         speed_mps = case.vru_speed_kmh * MPS_PER_KMH
+
         changed = change_motion(run, rule, speed_mps=speed_mps)
         n = min(len(anew.time_s), len(changed.time_s))
 
-        np.testing.assert_allclose(anew.time_s[-n:], changed.time_s[-n:], atol=1e-9)
+        assert_allclose(anew.time_s[-n:], changed.time_s[-n:], atol=1e-9)
 
         for body in ("vut", "vru"):
             # The planned VUT sets off no earlier, and before that it stands.
@@ -77,14 +81,14 @@ def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
             moves = changed.time_s[-n:] >= max(
                 motion.start_time_s for motion in motions
             )
+
             assert moves.sum() > 20
             for name in (f"{body}_position_m", f"{body}_yaw_deg"):
-                found, expected = (
-                    getattr(one, name)[-n:][moves] for one in (changed, anew)
-                )
-                np.testing.assert_allclose(found, expected, atol=2e-5, err_msg=run.id)
+                found = getattr(changed, name)[-n:][moves]
+                expected = getattr(anew, name)[-n:][moves]
+                assert_allclose(found, expected, atol=2e-5, err_msg=run.id)
 
-        np.testing.assert_array_equal(changed.vru_shape[-n:], anew.vru_shape[-n:])
+        assert_array_equal(changed.vru_shape[-n:], anew.vru_shape[-n:])
         assert changed.last_brake_time_s == pytest.approx(
             anew.last_brake_time_s, abs=1e-5
         )
@@ -103,13 +107,11 @@ def test_a_nearer_start_is_nearer_by_its_share(laid, rule):
         ]
 
         assert lengths[1] == pytest.approx(0.75 * lengths[0], abs=1e-6)
-        np.testing.assert_allclose(
-            nearer.vru_position_m[-1], run.vru_position_m[-1], atol=1e-6
-        )
+        assert_allclose(nearer.vru_position_m[-1], run.vru_position_m[-1], atol=1e-6)
 
         start = run.encounter.vru_motion.path.at(0.25 * lengths[0])[0]
 
-        np.testing.assert_allclose(nearer.vru_position_m[0], start, atol=1e-6)
+        assert_allclose(nearer.vru_position_m[0], start, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -139,13 +141,13 @@ def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, a
         planned, planned_yaw = motion.path.at(distances_m)
         positions, yaws = path.at(distances_m)
 
-        np.testing.assert_allclose(
+        assert_allclose(
             np.hypot(*(positions - shifted_m).T),
             np.hypot(*(planned - there_m).T),
             atol=1e-6,
         )
-        np.testing.assert_allclose(path.at(whole_m)[0], shifted_m, atol=1e-9)
-        np.testing.assert_allclose(yaws - planned_yaw, turn_deg, atol=1e-9)
+        assert_allclose(path.at(whole_m)[0], shifted_m, atol=1e-9)
+        assert_allclose(yaws - planned_yaw, turn_deg, atol=1e-9)
 
     assert n_met >= 4
 
@@ -165,6 +167,7 @@ def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a
             turned[run.case.family].append(
                 float(motion.path.at(motion.distance_m(0.0))[1] - before)
             )
+
             assert is_way_free(other.encounter.vru, motion, SCENE, run.obstruction)
 
     for family, angles in turned.items():
@@ -193,6 +196,7 @@ def test_a_way_through_a_parked_car_is_not_free(laid):
 def test_whom_the_vut_does_not_reach_moves_as_planned(laid, rule):
     run = next(run for run in laid if run.case.name == "CBLA-50")
     away = RoadUsers(cyclist_kmh=(0.0, 50.0))
+
     faster = [
         draw_road_users([run], away, rule, _streams(index).rng, SCENE)[0][
             0
@@ -228,10 +232,13 @@ def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
             nearer.append(
                 1.0 - float(motion.distance_m(0.0)) / float(planned.distance_m(0.0))
             )
+
         # Mean and deviation of a uniform distribution, to four standard errors.
         for values, least, most in ((faster, low, high), (nearer, 0.0, 0.25)):
             assert least - 1e-6 <= min(values) <= max(values) <= most + 1e-6
+
             spread = (most - least) / np.sqrt(12.0)
+
             assert np.mean(values) == pytest.approx(
                 0.5 * (least + most), abs=4 * spread / 60**0.5
             )
@@ -257,10 +264,12 @@ def test_the_same_seed_draws_the_same_and_a_run_not_by_the_others(laid, rule):
 def test_a_run_is_the_same_in_all_weathers(laid, rule):
     rainy = [replace(run, id=f"{run.id}/rain", weather="rain") for run in laid]
     drawn, _ = draw_road_users([*laid, *rainy], ROBUSTNESS, rule, _streams().rng, SCENE)
+
     for dry, wet in zip(drawn[: len(laid)], drawn[len(laid) :], strict=True):
         assert dry.encounter is wet.encounter
         assert dry.vru_position_m is wet.vru_position_m
-        assert (dry.weather, wet.weather) == ("day", "rain")
+        assert dry.weather == "day"
+        assert wet.weather == "rain"
 
 
 # Worlds
@@ -269,6 +278,7 @@ def test_a_run_is_the_same_in_all_weathers(laid, rule):
 def test_worlds_differ_in_what_people_do_and_in_nothing_else(setting, candidates):
     uncertain = Uncertainty(road_users=ROBUSTNESS)
     worlds = list(draw_samples(setting, candidates, uncertain, n_samples=2, seed=0))
+
     for sample in worlds:
         assert not sample.looks_as_planned
         assert sample.candidates is sample.planned
@@ -327,6 +337,7 @@ def test_limits_that_cannot_be_are_refused(tmp_path, text, message):
 
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
+
     assert message in str(caught.value)
 
 
@@ -336,7 +347,8 @@ def test_a_file_may_take_the_rest_from_a_name(tmp_path):
     mine = load_uncertainty(str(path))
 
     assert mine.road_users == ROBUSTNESS
-    assert (mine.packet_loss, mine.name) == (0.2, "mine.toml")
+    assert mine.packet_loss == 0.2
+    assert mine.name == "mine.toml"
     assert mine.mounting == load_uncertainty("default").mounting
 
     path.write_text('as = "best"\n')
@@ -365,7 +377,7 @@ def test_measured_speeds_are_drawn_as_often_as_measured():
         drawn.T, (people.speed_kmh, people.start_mps2), strict=True
     ):
         expected = np.interp(shares, people.probability, values)
-        np.testing.assert_allclose(np.quantile(column, shares), expected, atol=0.1)
+        assert_allclose(np.quantile(column, shares), expected, atol=0.1)
 
     assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.05
     assert {people.draw(rng, 8.5)[0] for _ in range(20)} == {8.5}
@@ -381,6 +393,7 @@ def test_each_run_has_people_of_its_own(laid, rule):
         if measured is None or motion is before:
             assert motion.speed_mps == before.speed_mps
             continue
+
         speed_kmh = motion.speed_mps / MPS_PER_KMH
         speeds[run.id] = speed_kmh
 
@@ -404,6 +417,7 @@ def test_each_run_has_people_of_its_own(laid, rule):
 def test_who_starts_faster_is_at_the_impact_in_the_same_moment(laid, rule):
     run = next(run for run in laid if run.encounter.vru_motion.acceleration_distance_m)
     speed_mps = run.encounter.vru_motion.speed_mps
+
     quick = change_motion(
         run, rule, speed_mps=speed_mps, start_mps2=2.0
     ).encounter.vru_motion
@@ -438,5 +452,6 @@ def test_people_that_cannot_be_are_told_in_one_line(tmp_path, text, message):
 
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
+
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -1,7 +1,10 @@
+"""Frames that never reach the VUT: outages, dirt, low sun, lost messages."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from changes import changed
 from short_runs import cut_run
 
 from geometry.catalogue import load_lidars
@@ -38,6 +41,7 @@ def many(setting, build_setting):
 
 @pytest.fixture(scope="module")
 def poses(look):
+    """Four cameras at three poles, and a LiDAR beside the first."""
     east = look("east", [-130.0, 8.85, 6.8], yaw_deg=0.0, pitch_deg=-15.0, site_id="a")
     west = replace(east, id="west", pose=replace(east.pose, yaw_deg=180.0))
     far = replace(
@@ -55,7 +59,7 @@ def told(setting, poses, uncertainty, *, draw=0, seed=0):
     sample = next(
         iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed))
     )
-    sample = replace(sample, streams=replace(sample.streams, draw=draw))
+    sample = changed(sample, "streams.draw", draw)
     every = np.ones((len(poses), setting.axis.n_frames), dtype=bool)
     table = pack_table(tuple(pose.id for pose in poses), setting.axis, every)
     shape = (len(poses), len(setting.runs), -1)
@@ -63,6 +67,7 @@ def told(setting, poses, uncertainty, *, draw=0, seed=0):
 
 
 def near(share, n):
+    """A share to 4.5 standard errors of n coins."""
     return pytest.approx(share, abs=4.5 * np.sqrt(share * (1.0 - share) / n))
 
 
@@ -75,6 +80,7 @@ def test_a_unit_out_of_order_tells_nothing_for_a_run_and_a_pole_silences_all_its
     drawn = told(
         many, poses, Uncertainty(outages=Outages(unit_share=0.1, pole_share=0.2))
     )
+
     assert np.array_equal(drawn.all(axis=2), drawn.any(axis=2))  # whole runs
 
     out = ~drawn[:, :, 0]
@@ -87,9 +93,9 @@ def test_a_unit_out_of_order_tells_nothing_for_a_run_and_a_pole_silences_all_its
 
 def test_outages_are_drawn_anew_each_time_that_a_world_is_looked_at(many, poses):
     uncertainty = Uncertainty(outages=Outages(unit_share=0.5))
-    first, again, other = (
-        told(many, poses, uncertainty, draw=draw) for draw in (0, 0, 1)
-    )
+    first = told(many, poses, uncertainty, draw=0)
+    again = told(many, poses, uncertainty, draw=0)
+    other = told(many, poses, uncertainty, draw=1)
 
     assert np.array_equal(first, again)
     assert (first[0, :, 0] == other[0, :, 0]).mean() == near(0.5, N_RUNS)
@@ -145,9 +151,8 @@ def test_the_sun_shines_by_day_alone(many, poses):
     nights = replace(
         many, runs=tuple(replace(run, weather="night") for run in many.runs)
     )
-    by_day, by_night = (
-        told(one, poses[:1], Uncertainty(blinding=sun)) for one in (many, nights)
-    )
+    by_day = told(many, poses[:1], Uncertainty(blinding=sun))
+    by_night = told(nights, poses[:1], Uncertainty(blinding=sun))
 
     assert not by_day.any()
     assert by_night.all()
@@ -186,6 +191,7 @@ def test_single_losses_are_a_coin_per_frame_as_without_bursts():
     key = np.uint64(7)
     packed = np.full(500, 255, dtype=np.uint8)
     lose_frames(run, place, key, 0.3, np.uint64(8), 1.0, packed)
+
     coins = np.array([int(random_bits(key, int(n))) >> 12 for n in run + place])
     arrived = np.unpackbits(packed, bitorder="little").astype(bool)
 
@@ -195,6 +201,7 @@ def test_single_losses_are_a_coin_per_frame_as_without_bursts():
 def test_bursts_leave_the_share_of_losses_and_link_consecutive_frames(many, poses):
     """The chain's correlation is (1 - 1 / length)^distance."""
     lost = ~told(many, poses, Uncertainty(packet_loss=0.3, burst_frames=3.0))
+
     assert lost.mean() == pytest.approx(0.3, abs=0.02)
 
     columns = np.corrcoef(lost[0].T)
@@ -247,6 +254,7 @@ def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
 
 
 def _lasting(person, unit_person, n=20_000):
+    """Noise with these shares that lasts five frames of one person."""
     drawn = np.repeat(np.random.default_rng(0).standard_normal(n // 5), 5)
     return LastingNoise(
         person=np.sqrt(person) * drawn,
@@ -257,7 +265,8 @@ def _lasting(person, unit_person, n=20_000):
 
 def test_noise_has_the_shares_and_consecutive_frames_the_correlation_of_the_table():
     lasting = _lasting(0.2, 0.3)
-    one, other = (_noise(lasting, unit=unit) for unit in (1, 2))
+    one = _noise(lasting, unit=1)
+    other = _noise(lasting, unit=2)
 
     assert one.std() == pytest.approx(1.0, abs=0.03)
 
@@ -290,6 +299,7 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
     sample = next(
         iter(draw_samples(chancy, poses, Uncertainty(**shares), n_samples=1, seed=0))
     )
+
     numbers = np.unique(draw_index(setting.runs))
     detector = sample.setting.detector
     noise = detector._noise(numbers, np.random.default_rng(1))
@@ -334,4 +344,5 @@ def test_what_cannot_be_names_file_and_field(tmp_path, text, message):
 
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
+
     assert str(caught.value).startswith(f"{path}: {message}")

@@ -44,6 +44,7 @@ LANE_REACH_M = 2.0
 
 @cache
 def network_of(scene, demand):
+    """SUMO's network of a scene."""
     return build_network(
         scene, speed_limit_mps=demand.speed_limit_mps, approach_m=demand.approach_m
     )
@@ -66,6 +67,7 @@ def lasting(run, seconds):
 
 
 def drive(scene, demand, runs, seed=0):
+    """A minute of SUMO's traffic around runs."""
     groups = {run.id: (run,) for run in runs}
     return simulate_windows(
         network_of(scene, load_demand()),
@@ -79,8 +81,10 @@ def drive(scene, demand, runs, seed=0):
 
 def test_without_sumo_one_line_says_what_is_missing(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+
     with pytest.raises(MissingExtraError) as raised:
         load_traffic("sumo", protocol_scene())
+
     assert str(raised.value) == str(missing_sumo())
     assert "pip install place-rsus[traffic]" in str(raised.value)
     assert "\n" not in str(raised.value)
@@ -153,7 +157,9 @@ def test_the_same_seed_drives_the_same_traffic_and_another_one_another(runs):
     demand = replace(load_demand(), warm_up_s=10.0)
     ids = ("CBLA/east/50", "CBNA/east/60")
     chosen = [lasting(run, 2.0) for run in runs if run.id in ids]
-    first, again, other = (drive(scene, demand, chosen, seed) for seed in (1, 1, 2))
+    first = drive(scene, demand, chosen, 1)
+    again = drive(scene, demand, chosen, 1)
+    other = drive(scene, demand, chosen, 2)
 
     assert first.impact_s == again.impact_s
     assert np.array_equal(first.trajectories.position_m, again.trajectories.position_m)

@@ -1,7 +1,10 @@
+"""Tables of many worlds: side by side, cached, and what hides in them."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from changes import changed
 from hypothesis import given
 from hypothesis import strategies as st
 from tiny_worlds import table_of
@@ -22,6 +25,7 @@ from scenarios.runs import live_confirmation_times_s
 
 
 def _table(sample, *, seed=0, **options):
+    """The one table of a world."""
     ((_, table),) = build_sample_tables([sample], compute=Compute(seed=seed, **options))
     return table
 
@@ -33,17 +37,20 @@ def _plan(setting, candidates, seed=0):
 
 @pytest.fixture(scope="module")
 def planned(setting, candidates):
+    """The plan's table."""
     return _plan(setting, candidates)
 
 
 @pytest.fixture(scope="module")
 def stacked(setting, candidates, default):
+    """The table of three worlds."""
     return sampled_table(
         setting, candidates, default, n_samples=3, compute=Compute(seed=1)
     )
 
 
 def _detected(table):
+    """Detections of all poses, (n_poses, n_frames)."""
     return table.detected(slice(None))
 
 
@@ -64,6 +71,7 @@ def test_without_uncertainty_one_sample_is_the_plans_table(
 
     for name in ("cases", "approaches", "weathers"):
         assert getattr(table.axis, name) == getattr(axis, name)
+
     for name in ("vut_speed_kmh", "weight", "last_brake_time_s", "run_start", "time_s"):
         assert np.array_equal(getattr(table.axis, name), getattr(axis, name))
 
@@ -74,6 +82,7 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
     setting, candidates, default, stacked
 ):
     table, axis, n_runs = stacked.table, setting.axis, setting.axis.n_runs
+
     assert table.axis.weight.sum() == pytest.approx(1.0, abs=1e-12)
     assert stacked.sample_index.tolist() == [0] * n_runs + [1] * n_runs + [2] * n_runs
     assert table.axis.run_ids[n_runs] == f"{axis.run_ids[0]}#2"
@@ -112,11 +121,14 @@ def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planne
 
     # As good as a rule with the longer latency.
     detected = _detected(planned).any(axis=0)
+
     # The age of a track is asked for at the moved moment, too.
     for memory_s in (0.2, 1.0, np.inf):
         rule = replace(setting.rule, track_memory_s=memory_s)
         slower = replace(rule, latency_s=rule.latency_s + 0.3)
+
         here_s = live_confirmation_times_s(detected, sampled.table.axis, rule=rule)
+
         assert np.array_equal(
             here_s, live_confirmation_times_s(detected, setting.axis, rule=slower)
         )
@@ -155,6 +167,7 @@ def test_each_world_has_a_cached_table_of_its_own(
     setting, candidates, default, stacked, tmp_path
 ):
     calls = []
+
     for n_samples in (2, 3, 3):
         found = sampled_table(
             setting,
@@ -182,6 +195,7 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
     chancy = replace(setting, table_detector=load_planning_detector("response"))
     drawn = Uncertainty(draws_detections=True)
     options = {"n_samples": 2, "compute": Compute(cache_folder=tmp_path)}
+
     first = sampled_table(chancy, candidates, drawn, **options)
 
     assert len(list(tmp_path.iterdir())) == 2
@@ -194,9 +208,7 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
 
     assert len(list(tmp_path.iterdir())) == 3  # both worlds are the plan
 
-    linked = replace(
-        chancy, table_detector=replace(chancy.table_detector, frame_correlation=0.1)
-    )
+    linked = changed(chancy, "table_detector.frame_correlation", 0.1)
     other = sampled_table(linked, candidates, drawn, **options)
 
     assert len(list(tmp_path.iterdir())) == 5
@@ -250,12 +262,14 @@ def test_a_world_beside_others_is_as_it_is_alone(
 
 
 def _queue_of(actor, share):
+    """One vehicle that waits as often as its share says."""
     kind = VehicleKind(actor=actor, parked_share=0.0, waiting_share=1.0)
     return Uncertainty(traffic=StandingTraffic(waiting_share=share, vehicles=(kind,)))
 
 
 @pytest.fixture(scope="module")
 def truck(default):
+    """The truck of the default traffic."""
     (found,) = [k.actor for k in default.traffic.vehicles if k.actor.name == "truck"]
     return found
 
@@ -270,7 +284,9 @@ def test_a_vehicle_that_waits_hides_a_vru_behind_it(
     camera's height: from 20 m up all of the VRU is seen; from 9 m up the lowest ray
     over the edge is 2.11 m high there, above its 1.8 m.
     """
-    assert (truck.length_m, truck.width_m, truck.height_m) == (8.0, 2.5, 3.4)
+    assert truck.length_m == 8.0
+    assert truck.width_m == 2.5
+    assert truck.height_m == 3.4
 
     setting = build_setting(
         junction_scene, [standing_still([16.5, 6.0])], table_detector=keen
@@ -279,6 +295,7 @@ def test_a_vehicle_that_waits_hides_a_vru_behind_it(
         look(f"{z:g}", [16.5, -10.0, z], yaw_deg=90.0, pitch_deg=pitch)
         for z, pitch in ((9.0, -25.0), (20.0, -50.0))
     ]
+
     rows = {
         share: _detected(
             sampled_table(setting, cameras, _queue_of(truck, share), n_samples=1).table
@@ -303,10 +320,12 @@ def test_what_waits_in_the_way_of_the_vut_hides_nothing(
     ]
     setting = build_setting(junction_scene, runs, table_detector=keen)
     camera = look("low", [16.5, -10.0, 9.0], yaw_deg=90.0, pitch_deg=-25.0)
+
     (row,) = _detected(
         sampled_table(setting, [camera], _queue_of(truck, 1.0), n_samples=1).table
     )
-    hidden, seen = (row[setting.axis.frames_of(index)] for index in (0, 1))
+    hidden = row[setting.axis.frames_of(0)]
+    seen = row[setting.axis.frames_of(1)]
 
     assert not hidden.any()
     assert seen.all()

@@ -1,3 +1,5 @@
+"""Standing traffic: where it parks and waits, and in whose way it never stands."""
+
 from collections import Counter
 from dataclasses import replace
 
@@ -26,15 +28,18 @@ from scenarios.runs import build_runs
 
 
 def _rng(index=0, seed=3):
+    """Generator of a world."""
     return RandomStreams(seed=seed, purpose="choose", index=index).rng
 
 
 def _traffic(*, body="parked-van", **fields):
+    """Traffic of one kind of vehicle."""
     kind = VehicleKind(actor=load_actors()[body], parked_share=1.0, waiting_share=1.0)
     return StandingTraffic(**{"vehicles": (kind,), **fields})
 
 
 def _corners(placed):
+    """Corners of a vehicle's footprint, (4, 2). [m]"""
     return footprint_corners(
         placed.pose.position_m[:2],
         placed.pose.yaw_deg,
@@ -58,6 +63,7 @@ def _bus_scene():
 
 
 def _bus(waiting_share=1.0):
+    """The kind of vehicle that waits in bus lanes."""
     size = {"length_m": 12.0, "width_m": 2.55, "height_m": 3.1}
     actor = read_body({"name": "bus", **size}, "bus")
     return VehicleKind(actor=actor, parked_share=1.0, waiting_share=waiting_share)
@@ -67,9 +73,11 @@ def test_a_bus_waits_in_each_bus_lane_if_asked_for():
     scene = _bus_scene()
     traffic = StandingTraffic(bus_lane_share=1.0, vehicles=(_bus(),))
     vehicles = build_street(scene, traffic).draw(_rng())
+
     strips = strips_of(
         lane for lane in scene.lanes if lane.kind == "bus" and "-in-" in lane.id
     )
+
     assert len(vehicles) == len(strips) == 4
     for strip in strips:
         inside = [strip.contains(Polygon(body.footprint_m)) for body in vehicles]
@@ -86,7 +94,9 @@ def test_nobody_but_a_bus_waits_or_parks_in_a_bus_lane():
     scene = _bus_scene()
     traffic = _traffic(taken_share=1.0, waiting_share=1.0, following_share=1.0)
     buses = strips_of(lane for lane in scene.lanes if lane.kind == "bus")
+
     vehicles = build_street(scene, traffic).draw(_rng())
+
     assert vehicles
     for body in vehicles:
         footprint = Polygon(body.footprint_m)
@@ -181,6 +191,7 @@ def test_queues_are_as_long_as_the_shares_say(junction_scene):
         lengths.update(arms[arm] for arm in range(4))
 
     total = 4 * 150
+
     for n, share in ((0, 0.6), (1, 0.4 * 0.5), (2, 0.4 * 0.25)):
         error = np.sqrt(share * (1.0 - share) / total)
         assert lengths[n] / total == pytest.approx(share, abs=4.0 * error)
@@ -237,6 +248,7 @@ def test_nobody_stands_in_a_wall_or_in_another_one(default):
     traffic = _traffic(
         waiting_share=1.0, following_share=1.0, waiting_gap_m=0.1, along_arm_m=60.0
     )
+
     east = [
         _corners(v)
         for v in build_street(scene, traffic).draw(_rng())
@@ -248,6 +260,7 @@ def test_nobody_stands_in_a_wall_or_in_another_one(default):
 
     street = build_street(load_study_scene(), replace(default.traffic, taken_share=1.0))
     corners = [_corners(v) for v in street.draw(_rng())]
+
     for i, one in enumerate(corners):
         for other in corners[:i]:
             assert footprint_separation(one, other) > 0.0
@@ -263,6 +276,7 @@ def test_a_bridge_above_the_roofs_is_in_nobodys_way():
         * [0.0, 0.0, 1.0],
     )
     traffic = _traffic(waiting_share=1.0)
+
     counts = [len(build_street(s, traffic).draw(_rng())) for s in (scene, lifted)]
 
     assert counts == [3, 4]
@@ -273,10 +287,11 @@ def test_what_stands_in_one_lane_does_not_depend_on_the_others(default, junction
         junction_scene,
         lanes=tuple(lane for lane in junction_scene.lanes if "north" not in lane.id),
     )
-    all_arms, three_arms = (
-        {v.key for v in build_street(scene, default.traffic).draw(_rng())}
-        for scene in (junction_scene, fewer)
-    )
+    all_arms = {
+        v.key for v in build_street(junction_scene, default.traffic).draw(_rng())
+    }
+
+    three_arms = {v.key for v in build_street(fewer, default.traffic).draw(_rng())}
 
     assert three_arms < all_arms
 
@@ -339,6 +354,7 @@ def test_no_sampled_vehicle_stands_in_a_swept_path(
     for sample in draw_samples(setting, (), crowded, n_samples=1, seed=4):
         for run, planned in list(zip(sample.setting.runs, many_ways, strict=True))[::2]:
             own, added = np.split(np.array(run.obstruction), [len(planned.obstruction)])
+
             assert tuple(own) == planned.obstruction
 
             n_standing += len(added)
@@ -372,6 +388,7 @@ def test_only_what_is_in_the_way_is_left_out(junction_scene, junction_runs, rule
     ways = build_ways(list(junction_runs.values()), rule)
     clear = clear_of_ways(vehicles, ways, clearance_m=0.5)
     directions = {"east": (1, 0), "north": (0, 1), "west": (-1, 0), "south": (0, -1)}
+
     for approach, run in junction_runs.items():
         gone = set(vehicles) - set(clear[group_key(run)])
         (one,) = gone

@@ -1,3 +1,5 @@
+"""What uncertainties refuse, and the latencies that they draw."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +21,7 @@ from placement.sampling.uncertainty import (
 
 
 def _kind(parked=1.0, waiting=1.0):
+    """A van, parked and waiting with these shares."""
     return VehicleKind(
         actor=load_actors()["parked-van"], parked_share=parked, waiting_share=waiting
     )

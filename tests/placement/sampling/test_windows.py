@@ -46,10 +46,12 @@ def tracks(*columns, step_s=0.1):
 
 
 def straight(first_m, last_m, n, *, left_m=0.0):
+    """Evenly spaced points from west to east, (n, 2). [m]"""
     return np.column_stack([np.linspace(first_m, last_m, n), np.full(n, left_m)])
 
 
 def standing(position_m, n_frames, *, yaw_deg=0.0):
+    """A van that stands."""
     return MovingActor(
         actor=VAN,
         position_m=np.tile(position_m, (n_frames, 1)),
@@ -62,6 +64,7 @@ def test_a_window_has_the_frames_that_the_tracks_have():
         (0.0, straight(-10.0, 10.0, 201), 0.0), (15.0, straight(5.0, 5.0, 101), 90.0)
     )
     time_s = 12.0 + 0.1 * np.arange(51)
+
     one, other = cut_window(found, time_s, middle_m=MIDDLE_M)
 
     assert one.position_m[:, 0] == pytest.approx(-10.0 + time_s)
@@ -106,12 +109,17 @@ def brute_force_meets(run, body, clearance_m):
         (run.encounter.vru, run.vru_position_m, run.vru_yaw_deg),
     ):
         for frame in np.flatnonzero(body.is_there).tolist():
-            one, other = (
-                footprint_corners(m, yaw, length_m=a.length_m, width_m=a.width_m)
-                for a, m, yaw in (
-                    (actor, position_m[frame], yaw_deg[frame]),
-                    (body.actor, body.position_m[frame], body.yaw_deg[frame]),
-                )
+            one = footprint_corners(
+                position_m[frame],
+                yaw_deg[frame],
+                length_m=actor.length_m,
+                width_m=actor.width_m,
+            )
+            other = footprint_corners(
+                body.position_m[frame],
+                body.yaw_deg[frame],
+                length_m=body.actor.length_m,
+                width_m=body.actor.width_m,
             )
             if footprint_separation(one, other) <= clearance_m:
                 return True
@@ -164,7 +172,8 @@ def test_a_clearance_keeps_vehicles_away_and_no_farther(standing_still):
     # m east.
     vru = run.encounter.vru
     edge_m = 20.0 + 0.5 * vru.width_m + 0.5 * VAN.length_m
-    near, far = (standing([edge_m + gap_m, 0.0], n) for gap_m in (0.49, 0.51))
+    near = standing([edge_m + 0.49, 0.0], n)
+    far = standing([edge_m + 0.51, 0.0], n)
 
     assert meets_road_users(run, [near, far], clearance_m=0.5) == (True, False)
 
@@ -176,6 +185,7 @@ def test_who_stands_in_a_parked_car_is_found_and_who_passes_it_is_not():
     position = np.array(inside.position_m)
     position[[0, 3]] = np.nan
     gone = replace(inside, position_m=position)
+
     found = frames_in_parked([inside, beside, gone], [parked])
 
     assert [frames.tolist() for frames in found] == [
@@ -213,6 +223,7 @@ def drives(monkeypatch):
 
 @pytest.fixture(scope="module")
 def recorded():
+    """Vans in place of SUMO's demand."""
     return SumoTraffic(
         name="vans",
         middle_m=protocol_scene().outline_m.mean(axis=0),
@@ -222,6 +233,7 @@ def recorded():
 
 
 def worlds(setting, recorded, **options):
+    """Worlds in which the vans drive."""
     uncertainty = with_moving_traffic(Uncertainty(), recorded)
     return [
         *draw_samples(
@@ -232,10 +244,12 @@ def worlds(setting, recorded, **options):
 
 @pytest.fixture(scope="module")
 def driven(build_setting, junction_scene, junction_runs):
+    """Runs from all approaches of the tiny junction."""
     return build_setting(junction_scene, [*junction_runs.values()])
 
 
 def record(sample):
+    """Traffic of a world, in a form that can be compared."""
     return [
         [(body.actor.name, body.position_m.tobytes()) for body in run.traffic]
         for run in sample.setting.runs
@@ -244,6 +258,7 @@ def record(sample):
 
 def test_the_same_seed_draws_the_same_traffic_and_another_one_another(driven, recorded):
     first = [record(sample) for sample in worlds(driven, recorded)]
+
     assert first == [record(sample) for sample in worlds(driven, recorded)]
     assert first[:1] == [
         record(sample) for sample in worlds(driven, recorded, n_samples=1)
@@ -287,6 +302,7 @@ def test_runs_of_one_group_see_the_same_moment_of_the_same_traffic(
 
 def test_waiting_vehicles_are_not_drawn_beside_those_that_drive(default, recorded):
     changed = with_moving_traffic(default, recorded)
+
     assert changed.traffic.waiting_share == 0.0
     assert changed.traffic.taken_share == default.traffic.taken_share > 0.0
     assert default.traffic.waiting_share > 0.0

@@ -7,6 +7,7 @@ import pytest
 from changes import changed
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 from problems import questions
 
 from geometry.errors import InputError
@@ -70,7 +71,7 @@ def assert_same(one, other):
             assert_same(getattr(one, field.name), getattr(other, field.name))
     elif isinstance(one, np.ndarray):
         assert one.dtype == other.dtype
-        np.testing.assert_array_equal(one, other)
+        assert_array_equal(one, other)
     elif isinstance(one, tuple) and one and hasattr(one[0], "__dataclass_fields__"):
         assert len(one) == len(other)
         for mine, theirs in zip(one, other, strict=True):
@@ -85,6 +86,7 @@ def test_every_problem_comes_back_as_it_was(problem, tmp_path):
     floors = tuple(replace(floor, share=float(floor.share)) for floor in problem.floors)
     problem = replace(problem, floors=floors)
     path = tmp_path / "instance.npz"
+
     save_problem(path, problem)
     loaded = load_problem(path)
 
@@ -103,16 +105,19 @@ def test_a_problem_with_every_wish_comes_back_and_makes_the_same_file(
 
 
 def _flipped(packed):
+    """Bits of which one is another."""
     other = packed.copy()
     other[1, 0] ^= 4
     return other
 
 
 def _with_other_frames(axis):
+    """The axis with other frames."""
     return replace(axis, run_start=np.array([0, 3, 7, 10]), time_s=np.arange(10) / 10)
 
 
 def _of_second_floor(**values):
+    """Changes the second of some floors."""
     return lambda floors: (floors[0], replace(floors[1], **values))
 
 
@@ -182,7 +187,8 @@ def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(
     assert load_problem(path).table.axis.positions == ("0", "0", "0")
 
     moved = replace(axis, positions=("-15", "0", "+0"))
-    there = replace(problem, table=replace(problem.table, axis=moved))
+    there = changed(problem, "table.axis", moved)
+
     save_problem(path, there)
 
     assert_same(load_problem(path), there)
@@ -208,6 +214,7 @@ def test_tracks_that_live_for_ever_make_the_files_of_programs_without_a_memory(
         save_problem(tmp_path / "a.npz", replace(problem, rule=rule))
         with np.load(tmp_path / "a.npz") as archive:
             assert ("track_memory_s" in archive.files) == is_there
+
         assert load_problem(tmp_path / "a.npz").rule.track_memory_s == memory_s
 
 
@@ -260,6 +267,7 @@ def test_every_field_that_is_missing_is_named(problem, tmp_path):
     save_problem(path, problem)
     with np.load(path) as archive:
         names = set(archive.files)
+
     for name in names - set(OPTIONAL):
         rewrite(path, problem, **{name: ...})
         with pytest.raises(InputError, match=rf"a\.npz: {name}: got nothing; expected"):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from problems import questions
 
 from placement.layout import Stage
@@ -54,10 +55,12 @@ def test_the_checker_calls_nothing_of_the_optimiser():
                     names = [node.module or ""]
                 else:
                     names = []
+
                 names += [alias.name for alias in node.names]
                 # Names of the stages alone.
                 if names == ["optimiser.problem", "Objective"]:
                     continue
+
                 assert not any("optimiser" in name for name in names), module.__name__
 
         inner = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
@@ -89,14 +92,14 @@ def test_both_ways_agree_on_every_set(problem, size):
         )
     }
     allowed = np.logical_and.reduce(list(limit_checks(problem, sets).values()))
+
     floors = [floor_values(problem, floor, sets) for floor in problem.floors]
 
     for index, poses in enumerate(sets.tolist()):
-        np.testing.assert_allclose(
-            margin_s[index], run_margins_s(problem, poses), atol=1e-12
-        )
+        assert_allclose(margin_s[index], run_margins_s(problem, poses), atol=1e-12)
 
         value = placement_value(problem, poses)
+
         for name in value._fields:
             assert found[name][index] == pytest.approx(getattr(value, name), abs=1e-12)
 
@@ -123,7 +126,7 @@ def test_small_blocks_change_nothing(problem):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recomputation, "_BLOCK_BYTES", 1)
         for name, values in zip(names, whole, strict=True):
-            np.testing.assert_array_equal(stage_values(problem, name, sets), values)
+            assert_array_equal(stage_values(problem, name, sets), values)
 
 
 @given(problem=questions())
@@ -134,14 +137,17 @@ def test_no_set_is_better_than_the_simple_limits(problem):
         for poses in combinations(range(problem.table.n_poses), size):
             if not is_allowed(problem.limits, list(poses)):
                 continue
+
             assert size <= recomputation.most_units(problem)
             assert set(poses) <= set(usable.tolist())
+
             for name in stage_names(problem):
                 (value,) = stage_values(problem, name, np.array([poses]))
                 if name.is_minimised:
                     sign = -1.0
                 else:
                     sign = 1.0
+
                 assert sign * value <= sign * limits[name] + 1e-9
 
 
@@ -190,6 +196,7 @@ def test_all_sets_are_all_that_may_be_allowed(problem):
         for sets in recomputation.all_sets(problem)
         for poses in sets.tolist()
     }
+
     assert len(found) == recomputation.n_sets_of_all(problem)
 
     allowed = {

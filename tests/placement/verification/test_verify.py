@@ -35,6 +35,7 @@ def verify(folder, problem, document, **options):
 
 
 def failed(found):
+    """Names of the checks that failed."""
     return {check.name for check in found.checks if not check.passed}
 
 
@@ -45,6 +46,7 @@ def test_what_the_solver_proves_is_verified(problem, tmp_path):
         solution = solve_placement(problem)
     except InputError:
         return  # wishes that cannot be met
+
     found = verify(tmp_path, problem, document_of(problem, solution))
 
     assert failed(found) == set()
@@ -61,6 +63,7 @@ def test_what_greedy_search_leaves_open_is_verified_as_open(problem, tmp_path):
         solution = solve_placement(problem, effort=Effort(solver="greedy"))
     except InputError:
         return
+
     found = verify(tmp_path, problem, document_of(problem, solution))
 
     assert failed(found) == set()
@@ -71,16 +74,19 @@ def test_what_greedy_search_leaves_open_is_verified_as_open(problem, tmp_path):
 
 @pytest.fixture
 def problem(frame_axis, rule):
+    """The best two of twelve poses."""
     return two_of_twelve(frame_axis, rule)
 
 
 @pytest.fixture
 def document(problem):
+    """The certificate of the problem, as written."""
     return document_of(problem, solve_placement(problem))
 
 
 def test_every_check_is_made_and_every_stage_proven_again(problem, document, tmp_path):
     found = verify(tmp_path, problem, document)
+
     assert failed(found) == set()
 
     names = [check.name for check in found.checks]
@@ -109,6 +115,7 @@ def test_every_check_is_made_and_every_stage_proven_again(problem, document, tmp
 
 
 def stage(document, name):
+    """A stage of a document."""
     (found,) = (stage for stage in document["stages"] if stage["name"] == name)
     return found
 
@@ -120,15 +127,18 @@ def other_row(document):
 
 
 def swap_pose(document):
+    """Name another row in the layout."""
     document["layout"][0]["row"] = other_row(document)
 
 
 def swap_pose_and_name(document):
+    """Name another row and its pose in the layout."""
     row = other_row(document)
     document["layout"][0] |= {"row": row, "pose": "abcdefghijkl"[row]}
 
 
 def add_to_objective_and_bound(document):
+    """Claim a longer margin, and that it is proven."""
     for key in ("objective", "bound"):
         stage(document, "mean_margin_s")[key] += 0.01
 
@@ -185,6 +195,7 @@ def test_a_layout_beyond_a_limit_is_found(problem, document, tmp_path):
         ),
         "rival sites": replace(limits, rivals=limits.site_index[rows][None, :]),
     }
+
     for name, others in beyond.items():
         other = replace(problem, limits=others)
         assert failed(verify(tmp_path, other, document)) >= {name, "instance"}

@@ -14,16 +14,20 @@ from scenarios.weights import weight_per_run
 
 @pytest.fixture(scope="session")
 def build_scene():
+    """Builds scenes of boxes."""
     return scene_of_boxes
 
 
 @pytest.fixture(scope="session")
 def build_run():
+    """Builds runs frame by frame."""
     return run_of_frames
 
 
 @pytest.fixture(scope="session")
 def axis_of():
+    """Builds the frame axis of runs."""
+
     def build(runs):
         return build_frame_axis(runs, weight_per_run(runs))
 
@@ -32,6 +36,7 @@ def axis_of():
 
 @pytest.fixture(scope="session")
 def small_camera():
+    """A camera of 640 by 360 pixels."""
     return CameraModel(
         name="small",
         width_px=640,

@@ -1,3 +1,5 @@
+"""Detection tables built, against pixels and alone against together."""
+
 import time
 from dataclasses import replace
 
@@ -26,6 +28,7 @@ DETECTOR = GeometricDetector(min_iou=0.5, min_box_height_px=15.0)
 
 
 def _detected(table):
+    """Detections of all poses, (n_poses, n_frames)."""
     return table.detected(slice(None))
 
 
@@ -50,6 +53,7 @@ def _random_world(build_scene, build_run, n_frames=150):
 
 @pytest.fixture(scope="module")
 def world(build_scene, build_run, axis_of):
+    """A random scene with runs, and their axis."""
     scene, runs = _random_world(build_scene, build_run)
     return scene, runs, axis_of(runs)
 
@@ -75,11 +79,13 @@ def candidates(mount, small_camera):
 
 @pytest.fixture(scope="module")
 def table(world, candidates):
+    """The table of the candidates."""
     scene, runs, axis = world
     return build_detection_table(scene, candidates, runs, axis, detector=DETECTOR)
 
 
 def _agreement(scene, runs, candidates, detector, detected):
+    """Share of frames in which pixels say the same as the table."""
     surroundings = build_surroundings(scene, runs)
     shares = []
     for row, candidate in enumerate(candidates):
@@ -103,6 +109,7 @@ def test_the_table_detects_in_the_frames_in_which_pixels_do_at_the_studys_juncti
     some = build_candidates(scene, grid)[7::29]
     detector = load_planning_detector()
     runs = study_runs[::2]
+
     table = build_detection_table(scene, some, runs, axis_of(runs), detector=detector)
     shares = _agreement(scene, runs, some, detector, _detected(table))
 
@@ -148,6 +155,7 @@ def test_a_vru_above_the_lens_or_in_it_does_no_harm(
 ):
     run = build_run([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [1.0, 0.0, 90.0]])
     eyes = [mount(f"{z:g}", [0.0, 0.0, z]) for z in (0.4, 0.9, 1.8, 2.0)]
+
     table = build_detection_table(
         build_scene(), eyes, [run], axis_of([run]), detector=DETECTOR
     )
@@ -201,6 +209,7 @@ def test_nothing_beyond_the_largest_distance_is_high_enough(
     # The nearest point of the line between them counts.
     share = np.clip(first @ (first - second) / extent_m**2, 0.0, 1.0)
     assume(np.linalg.norm(first + share * (second - first)) >= limit_m)
+
     projected = project_points([first, second], pose, camera)
     size = np.array([camera.width_px, camera.height_px])
     assume((projected[:, 2] > 0.0).all())
@@ -228,6 +237,7 @@ def test_the_largest_distance_is_reached_in_the_corner_of_the_image():
     towards = np.array([np.cos(half), 0.0, -np.sin(half)])
     across = np.array([np.sin(half), 0.0, np.cos(half)])
     pose = Pose(position_m=np.zeros(3), yaw_deg=0.0)
+
     rows = project_points(
         [limit_m * towards, limit_m * towards + 0.01 * across], pose, camera
     )[:, 1]
@@ -246,6 +256,7 @@ def test_any_distance_may_count_where_any_height_does(small_camera):
 def test_progress_counts_mount_positions(world, candidates):
     scene, runs, axis = world
     calls = []
+
     build_detection_table(
         scene,
         candidates,

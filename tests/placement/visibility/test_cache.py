@@ -1,3 +1,5 @@
+"""Tables kept on disk, and all that their fingerprints depend on."""
+
 import logging
 import os
 from dataclasses import replace
@@ -51,6 +53,7 @@ def inputs(build_scene, build_run, mount, small_camera):
 
 
 def _fingerprint(inputs):
+    """Fingerprint of inputs."""
     given = dict(inputs)
     return table_fingerprint(
         given["scene"],
@@ -73,6 +76,7 @@ def stored(inputs, axis_of, tmp_path):
 
 
 def _load(stored, fingerprint=FINGERPRINT):
+    """The stored table, read back."""
     _, path, rest = stored
     return load_table(path, fingerprint=fingerprint, **rest)
 
@@ -82,6 +86,7 @@ def test_runs_that_were_kept_on_disk_have_the_same_fingerprint(inputs, actors):
         actor=actors["parked-van"], pose=Pose(position_m=[3.0, 2.0, 0.0], yaw_deg=0.0)
     )
     runs = tuple(replace(run, obstruction=(van,)) for run in inputs["runs"])
+
     # With a van of its own.
     kept = from_bytes(to_bytes(runs[0]), Run, classes=(StraightPath,))
 
@@ -123,6 +128,7 @@ def test_a_table_that_is_not_there_is_not_worth_a_line(stored, caplog):
 
 
 def _assert_one_line(caplog, path):
+    """One line of warning names the file."""
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
 
@@ -133,6 +139,8 @@ def _assert_one_line(caplog, path):
 
 
 def _foreign(**arrays):
+    """Writes arrays of something else."""
+
     def write(path):
         np.savez(path, **arrays)
 
@@ -140,6 +148,7 @@ def _foreign(**arrays):
 
 
 def _single_array(path):
+    """Write an array that is no archive."""
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
 
@@ -174,13 +183,17 @@ def test_a_damaged_or_foreign_file_is_not_used_and_logged_once(stored, caplog, d
     DAMAGES[damage](path)
 
     assert _load(stored) is None
+
     _assert_one_line(caplog, path)
 
 
 def test_a_table_made_from_other_inputs_is_not_used(stored, caplog):
     _, path, _ = stored
+
     assert _load(stored, fingerprint="f" * 32) is None
+
     _assert_one_line(caplog, path)
+
     assert caplog.messages[0].endswith(": made from other inputs")
 
 
@@ -200,6 +213,7 @@ def _saved_again(**changes):
 
 
 def _turned(arrays):
+    """Bits of which one is turned."""
     bits = arrays["packed"].copy()
     bits[0, 0] ^= 1
     return bits
@@ -227,7 +241,9 @@ def test_bits_that_were_changed_and_saved_under_the_same_name_are_not_used(
     _saved_again(**change)(path)
 
     assert _load(stored) is None
+
     _assert_one_line(caplog, path)
+
     assert caplog.messages[0].endswith(": its content is not what was written")
 
 
@@ -239,7 +255,9 @@ def test_a_table_of_another_user_is_not_believed(stored, caplog):
     os.chown(path, 4321, 4321)
 
     assert _load(stored) is None
+
     _assert_one_line(caplog, path)
+
     assert "another user may have written it" in caplog.messages[0]
 
 
@@ -268,15 +286,18 @@ def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypa
 
 
 def _parked(actor, *, north_m=3.0, yaw_deg=10.0):
+    """A parked body."""
     pose = Pose(position_m=[3.0, north_m, 0.0], yaw_deg=yaw_deg)
     return (PlacedActor(actor=actor, pose=pose),)
 
 
 def _nudged(values):
+    """Values off by 1e-6."""
     return values + 1e-6
 
 
 def _without_last_triangle(scene):
+    """The scene but for its last triangle."""
     return replace(
         scene,
         triangles=scene.triangles[:-1],
@@ -364,6 +385,7 @@ def test_the_number_of_points_is_part_of_the_fingerprint(inputs, monkeypatch):
 
 def test_a_fingerprint_is_the_same_for_equal_inputs(inputs):
     before = _fingerprint(inputs)
+
     assert len(before) == 32
     assert int(before, 16) >= 0
 

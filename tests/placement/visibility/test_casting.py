@@ -1,3 +1,5 @@
+"""What rays see of bodies, against rays cast one by one."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +25,7 @@ N_SHAKEN = 6
 
 
 def _placed(shape, position_m, yaw_deg):
+    """Vertices of a shape that stands in the world, and its triangles. [m]"""
     return (
         to_world(
             shape.vertices_m,
@@ -33,6 +36,7 @@ def _placed(shape, position_m, yaw_deg):
 
 
 def _vru_shape(run, frame):
+    """Shape of the VRU in a frame."""
     return run.encounter.vru.shapes[run.vru_shape[frame]]
 
 
@@ -134,6 +138,7 @@ def _compare(scene, runs, eye, frames, *, library="embree"):
 
 
 def _assert_same(same, grazing):
+    """Rays agree in nearly all points, and wherever none grazes."""
     assert same.mean() >= 0.995
     assert grazing.mean() <= 0.2  # or else nothing would be compared
     assert same[~grazing].all()
@@ -175,6 +180,7 @@ def test_sight_is_what_rays_one_by_one_see_in_the_world(build_scene, build_run, 
     same, grazing, seen = _compare(scene, runs, eye, range(n_frames))
 
     _assert_same(same, grazing)
+
     # The worlds are worth the test: some VRUs are seen, some in part only, some not.
     assert 0.0 < np.median(seen) < 0.6
     assert (seen == 0.0).any() or (seen < 0.2).any()
@@ -201,6 +207,7 @@ def test_sight_is_the_naive_one_with_parked_bodies_of_one_run_only(
     same, grazing, seen = _compare(build_scene(*WALLS), runs, eye, frames)
 
     _assert_same(same, grazing)
+
     # The van hides something, and only in its own run.
     assert seen[n:].sum() < 0.8 * seen[:n].sum()
     assert (seen[n:] <= seen[:n] + 1e-12).all()
@@ -256,6 +263,7 @@ def test_no_entry_is_a_frame_in_which_nothing_is_seen(build_scene, build_run):
         [[9.0, 0.0, 0.0], [-9.0, 0.0, 0.0], [9.0, 2.0, 30.0], [0.0, 3.0, 0.0]]
     )
     world = build_world(build_scene(wall), [run], n_points=N_POINTS, seed=0)
+
     sight = cast_sight(
         world, np.array([-3.0, 0.0, 4.0]), near_m=NEAR_M, max_distance_m=FAR_M
     )
@@ -268,6 +276,7 @@ def test_no_entry_is_a_frame_in_which_nothing_is_seen(build_scene, build_run):
 def test_bodies_beyond_the_distance_are_not_looked_at(build_scene, build_run):
     run = build_run([[10.0, 0.0, 0.0], [30.0, 0.0, 0.0]])
     world = build_world(build_scene(), [run], n_points=N_POINTS, seed=0)
+
     sight = cast_sight(
         world, np.array([0.0, 0.0, 3.0]), near_m=NEAR_M, max_distance_m=20.0
     )
@@ -280,6 +289,7 @@ def test_what_is_nearer_than_the_near_distance_hides_nothing(build_scene, build_
     run = build_run([[10.0, 0.0, 0.0]])
     world = build_world(build_scene(plate), [run], n_points=N_POINTS, seed=0)
     eye = np.array([0.0, 0.0, 3.0])
+
     seen = [
         cast_sight(world, eye, near_m=near, max_distance_m=FAR_M).entry_of_frame[0] >= 0
         for near in (0.1, 0.45)
@@ -331,8 +341,10 @@ def test_both_ray_libraries_see_the_same(build_scene, build_run):
     runs = _random_runs(build_run, rng, 60, vut_between_of=eye[:2])
     scene = build_scene(*WALLS)
     seen = {}
+
     for name in CASTERS:
         world = build_world(scene, runs, n_points=N_POINTS, seed=0, rays=name)
+
         assert {
             type(caster)
             for caster in (

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lens_cameras import MODELS, random_camera
+from numpy.testing import assert_allclose
 from numpy_sensing import boxes
 from tiny_worlds import WALLS
 
@@ -26,6 +27,7 @@ MOUNT = (1.0, -2.0, 6.0)
 
 @pytest.fixture(scope="module")
 def world(build_scene, build_run, actors):
+    """A street with a van and a house, and runs."""
     rng = np.random.default_rng(3)
     van = PlacedActor(
         actor=actors["parked-van"],
@@ -41,6 +43,7 @@ def world(build_scene, build_run, actors):
 
 
 def sensing_of(world, near_m, detector=DETECTOR):
+    """What is sensed from the mount."""
     sight = cast_sight(
         world, np.array(MOUNT), near_m=near_m, max_distance_m=1000.0, for_lidar=False
     )
@@ -48,6 +51,7 @@ def sensing_of(world, near_m, detector=DETECTOR):
 
 
 def looks_of(mount, rng, cameras):
+    """Cameras that look at random from the mount."""
     return [
         mount(
             f"{number}",
@@ -106,8 +110,8 @@ def test_boxes_through_lenses_are_those_of_numpy(
             # is between.
             near = {"rtol": 1e-5, "atol": 0.2 if part is parts[0][1] else 1e-2}
 
-            np.testing.assert_allclose(part.visible_px[some], visible[entries], **near)
-            np.testing.assert_allclose(part.amodal_px[some], amodal[entries], **near)
+            assert_allclose(part.visible_px[some], visible[entries], **near)
+            assert_allclose(part.amodal_px[some], amodal[entries], **near)
 
             n_seen += len(entries)
 
@@ -146,6 +150,7 @@ def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, mod
         sight = cast_for(world, np.array(MOUNT), [(look, DETECTOR) for look in some])
         sensing = build_sensing(world, sight, np.array(MOUNT), DETECTOR)
         rows = [looks.index(look) for look in some]
+
         assert np.array_equal(sensing.packed(some), every[rows])
 
     assert every.any()

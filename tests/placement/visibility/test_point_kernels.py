@@ -1,7 +1,10 @@
+"""Verdicts on points by kernels, against numpy array by array."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from numpy_sensing import NumpySensing
 from tiny_worlds import WALLS
 
@@ -50,6 +53,7 @@ def world(build_scene, build_run, actors):
 
 
 def _sensing(world, candidates, detector, *, for_lidar=False):
+    """What candidates at one mount sense."""
     position_m = candidates[0].pose.position_m
     near_m = candidates[0].sensor.near_m
     sight = cast_sight(
@@ -130,7 +134,7 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
                 ]
             )
             # Far outside the image single precision is coarse.
-            np.testing.assert_allclose(
+            assert_allclose(
                 values, getattr(expected, name)[entries], rtol=1e-5, atol=1e-3
             )
 
@@ -168,9 +172,8 @@ def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
 ):
     looks = _random_looks(mount, np.random.default_rng(9), small_camera, 12)
     detector = DETECTORS[detector]
-    some, every = (
-        _sensing(world, looks, detector, for_lidar=known) for known in (False, True)
-    )
+    some = _sensing(world, looks, detector, for_lidar=False)
+    every = _sensing(world, looks, detector, for_lidar=True)
 
     assert np.array_equal(some.sight.is_whole, every.sight.is_whole)
     assert np.array_equal(some.sight.visible_share, every.sight.visible_share)
@@ -198,6 +201,7 @@ def test_no_view_is_left_out_that_a_sensor_detects(
     for some in (looks, looks[:1]):
         sight = cast_for(world, position_m, [(look, detector) for look in some])
         every = _sensing(world, some, detector, for_lidar=True)
+
         found = build_sensing(world, sight, position_m, detector).packed(some)
 
         assert np.array_equal(found, every.packed(some))

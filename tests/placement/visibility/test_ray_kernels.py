@@ -1,3 +1,5 @@
+"""Rays that are spared because nothing can stop them."""
+
 from dataclasses import fields, replace
 
 import numpy as np
@@ -28,6 +30,7 @@ class Counter:
 
 
 def _sight_and_rays(world, eye, **options):
+    """What is seen, and how many rays each caster cast."""
     scene = Counter(world.shared.caster)
     vut = Counter(world.vehicles.casters[0])
     parked = [Counter(caster) for caster in world.standing.casters]
@@ -89,6 +92,7 @@ def test_no_ray_is_spared_that_something_stops(
         build_run(vru[:200], vut[:200], vru="adult", name="a"),
         build_run(vru[200:], vut[200:], vru="cyclist", obstruction=(van,), name="b"),
     ]
+
     world = build_world(build_scene(*boxes), runs, n_points=N_POINTS, seed=0)
     eye = np.array([*rng.uniform(-20.0, 20.0, 2), rng.uniform(0.3, 9.0)])
     shares = _assert_nothing_is_missed(world, eye, monkeypatch, for_lidar=for_lidar)
@@ -103,6 +107,7 @@ def test_from_within_the_box_of_a_parked_body_all_rays_are_cast(
         actor=actors["parked-van"], pose=Pose(position_m=[0.0, 0.0, 0.0], yaw_deg=20.0)
     )
     run = build_run([[8.0, 1.0, 0.0], [-9.0, 2.0, 50.0]], obstruction=(van,))
+
     world = build_world(build_scene(), [run], n_points=N_POINTS, seed=0)
     inside = np.array([0.5, 0.0, 1.2])
     # All of those to the van, none of as many to the empty scene.

@@ -1,3 +1,5 @@
+"""From points to detections: weathers, pixels, plates and LiDARs."""
+
 from bisect import bisect_left
 from dataclasses import replace
 
@@ -39,6 +41,7 @@ def random_runs(build_run):
 
 
 def _jumping(build_run, reach_m):
+    """Runs whose VRU jumps at random within a reach. [m]"""
     rng = np.random.default_rng(8)
     runs = []
     for body in ("adult", "child", "cyclist"):
@@ -54,6 +57,8 @@ def _jumping(build_run, reach_m):
 
 @pytest.fixture(scope="module")
 def table_of(axis_of):
+    """Builds the detections of candidates."""
+
     def build(scene, candidates, runs, detector=FAR_SIGHTED):
         table = build_detection_table(
             scene, candidates, runs, axis_of(runs), detector=detector
@@ -64,6 +69,7 @@ def table_of(axis_of):
 
 
 def _in_weathers(runs):
+    """Each run in each weather."""
     return [
         replace(run, id=f"{run.id}/{weather}", weather=weather)
         for weather in WEATHERS
@@ -282,10 +288,10 @@ def test_a_lidars_table_leaves_of_those_with_enough_points_who_are_near_enough(
     half_at_30_m = replace(
         table, distance_m=((0.0, 60.0),) * 5, recall=((1.0, 0.0),) * 5
     )
-    by_points, found = (
-        table_of(build_scene(), [at], random_runs, replace(rule, lidar=lidar))[0]
-        for lidar in (None, half_at_30_m)
-    )
+    by_points = table_of(build_scene(), [at], random_runs, replace(rule, lidar=None))[0]
+    found = table_of(
+        build_scene(), [at], random_runs, replace(rule, lidar=half_at_30_m)
+    )[0]
     vru = np.concatenate([run.vru_position_m[:, :2] for run in random_runs])
     distance = np.hypot(*(vru - at.pose.position_m[:2]).T)
     clear = abs(distance - 30.0) > 0.5  # the table measures to the body's points
@@ -314,6 +320,7 @@ def test_the_table_detects_in_the_frames_in_which_a_scan_does(
     ]
     found = table_of(scene, candidates, random_runs)
     surroundings = build_surroundings(scene, random_runs)
+
     scans = np.array(
         [
             scan_frames(surroundings, c.pose, lidar, np.random.default_rng(0))
@@ -361,6 +368,7 @@ def test_the_table_of_a_ring_detects_in_the_frames_in_which_a_scan_does(
     ]
     found = table_of(scene, candidates, random_runs)
     surroundings = build_surroundings(scene, random_runs)
+
     scans = np.array(
         [
             scan_frames(surroundings, c.pose, RING, np.random.default_rng(0))

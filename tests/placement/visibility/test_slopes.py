@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from geometry.actors import MovingActor, PlacedActor, pick_actor
 from geometry.poses import Pose, to_world
@@ -37,6 +38,7 @@ def with_ground(scene, height_of):
     for index in range(1, len(scene.instances)):
         own = np.unique(scene.triangles[scene.triangle_instance == index])
         lifted[own, 2] += terrain.at(lifted[own, :2].mean(axis=0))
+
     return replace(
         scene,
         vertices_m=np.concatenate([vertices, lifted]),
@@ -48,6 +50,7 @@ def with_ground(scene, height_of):
 
 
 def some_runs(build_run, seed, n_frames=12):
+    """Random runs of an adult and a cyclist."""
     rng = np.random.default_rng(seed)
     runs = []
     for name in ("adult", "cyclist"):
@@ -73,6 +76,7 @@ def some_runs(build_run, seed, n_frames=12):
 
 
 def on(scene, runs):
+    """Runs set down on a scene's terrain."""
     return [replace(run, obstruction=set_down(run.obstruction, scene)) for run in runs]
 
 
@@ -116,12 +120,12 @@ def test_a_lifted_world_looks_as_one_at_zero(
         )
 
     assert tables[0].any()
-    np.testing.assert_array_equal(*tables)
-    np.testing.assert_array_equal(*scans)
+    assert_array_equal(*tables)
+    assert_array_equal(*scans)
 
     for low, lifted in [*zip(*evidence, strict=True), own]:
-        np.testing.assert_allclose(lifted.amodal_px, low.amodal_px, atol=1.0)
-        np.testing.assert_allclose(lifted.visible_px, low.visible_px, atol=1.0)
+        assert_allclose(lifted.amodal_px, low.amodal_px, atol=1.0)
+        assert_allclose(lifted.visible_px, low.visible_px, atol=1.0)
 
     assert sum(one.visible_px.any(axis=1).sum() for one in evidence[0]) >= 10
 

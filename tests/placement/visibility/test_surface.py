@@ -1,3 +1,5 @@
+"""Points on bodies' surfaces that stand for all of it."""
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -12,11 +14,13 @@ BODIES = (("child", 3), ("cyclist", 1))
 
 @pytest.fixture(scope="module", params=BODIES, ids=str)
 def surface(request):
+    """Points on a shape of a road user."""
     name, index = request.param
     return build_surface(load_actors()[name], index, n_points=N_POINTS, seed=0)
 
 
 def _shape(surface):
+    """The shape that a surface is of."""
     return surface.actor.shapes[surface.shape_index]
 
 
@@ -52,9 +56,11 @@ def _distance_m(points, corners):
 @pytest.mark.long
 def test_points_lie_on_the_mesh(surface):
     shape = _shape(surface)
+
     assert surface.points_m.shape == (N_POINTS, 3)
 
     corners = shape.vertices_m[shape.triangles]
+
     for points in np.array_split(surface.points_m, 8):
         assert _distance_m(points, corners).max() < 1e-9
 
@@ -81,6 +87,7 @@ def test_in_any_direction_the_points_reach_nearly_as_far_as_the_body(surface):
 @pytest.mark.long
 def test_points_are_evenly_spread(surface):
     n_extremes = 26
+
     assert pdist(surface.points_m[n_extremes:]).min() > 0.05
 
     # A thicker sample of the same surface: nothing is far from a point.
