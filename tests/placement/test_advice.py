@@ -7,11 +7,11 @@ from itertools import combinations
 
 import pytest
 from changes import changed
+from refusal_words import refused_saying
 from small_results import build_small_grid, build_small_setting
 from tiny_worlds import unit_at
 
 from geometry.catalogue import load_cameras
-from geometry.errors import InputError
 from placement import candidates as poses
 from placement.candidates import CandidatePose
 from placement.compute import Compute
@@ -146,8 +146,20 @@ def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candida
 def test_an_answer_is_proven_by_what_is_asked_for(adviser, weak):
     found = adviser.best_next(weak)
     stages = (
-        Stage(name="cost_eur", objective=4040.0, bound=4040.0, gap=0.0, seconds=1.0),
-        Stage(name="apr", objective=0.8, bound=0.9, gap=0.1, seconds=1.0),
+        Stage(
+            name="cost_eur",
+            objective=4040.0,
+            bound=4040.0,
+            gap=0.0,
+            seconds=1.0,
+        ),
+        Stage(
+            name="apr",
+            objective=0.8,
+            bound=0.9,
+            gap=0.1,
+            seconds=1.0,
+        ),
     )
     cheap = replace(
         found, n_compared=0, certificate=Certificate(stages=stages, solver="")
@@ -161,9 +173,7 @@ def test_an_answer_is_proven_by_what_is_asked_for(adviser, weak):
 
     assert open_.is_proven is False
     assert open_.is_all_proven is False
-    with pytest.raises(
-        InputError, match="units in all: got 2; expected more than the 2"
-    ):
+    with refused_saying("units in all: got 2; expected more than the 2"):
         adviser.complete(weak, n_units=2)
 
 
@@ -233,25 +243,26 @@ def test_why_not_a_pole_says_what_it_can_do_beside_and_instead(adviser, weak, ap
 
 
 def test_where_nothing_hangs_there_is_nothing_to_turn_or_to_keep(adviser):
-    with pytest.raises(InputError, match="re-aim: got no unit"):
+    with refused_saying("re-aim: got no unit"):
         adviser.re_aim(())
-    with pytest.raises(
-        InputError, match="the cheapest with at least this APR: got no unit"
-    ):
+    with refused_saying("the cheapest with at least this APR: got no unit"):
         adviser.cheapest(())
-    with pytest.raises(InputError, match="why not corner-ne: got no unit"):
+    with refused_saying("why not corner-ne: got no unit"):
         adviser.why_not((), "corner-ne")
 
 
 def test_a_site_that_is_full_has_no_place_for_another(adviser, setting, weak):
     full = tuple(
         CandidatePose(
-            id=f"F{n}", site_id="corner-ne", pose=weak[0].pose, sensor=weak[0].sensor
+            id=f"F{n}",
+            site_id="corner-ne",
+            pose=weak[0].pose,
+            sensor=weak[0].sensor,
         )
         for n in range(setting.scene.sites[0].capacity_units)
     )
     assert setting.scene.sites[0].id == "corner-ne"
-    with pytest.raises(InputError, match="why not corner-ne: got no pose of the grid"):
+    with refused_saying("why not corner-ne: got no pose of the grid"):
         adviser.why_not(full, "corner-ne")
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from problems import questions
 from tiny_worlds import unit_at
 
@@ -51,7 +52,7 @@ def limits_of(candidates, scene=SCENE, **wishes):
 
 def drawn(candidates, limits, scene=SCENE, n_units=3, seed=0):
     """Layouts that are proposed."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     return propose(limits, candidates, scene, n_units=n_units, rng=rng)
 
 
@@ -60,7 +61,7 @@ def drawn(candidates, limits, scene=SCENE, n_units=3, seed=0):
 
 @given(problem=questions(), n_units=st.integers(1, 4), seed=st.integers(0, 9))
 def test_random_sets_are_within_all_limits(problem, n_units, seed):
-    sets = random_sets(problem.limits, n_units, n=5, rng=np.random.default_rng(seed))
+    sets = random_sets(problem.limits, n_units, n=5, rng=default_rng(seed))
     for units in sets:
         assert len(units) == n_units
         assert list(units) == sorted(set(units))
@@ -81,7 +82,7 @@ def test_every_allowed_set_is_drawn_sooner_or_later_and_no_other(problem):
 
     allowed = {units for units in pairs if is_allowed(limits, units)}
 
-    assert set(random_sets(limits, 2, n=400, rng=np.random.default_rng(1))) == allowed
+    assert set(random_sets(limits, 2, n=400, rng=default_rng(1))) == allowed
 
 
 # ---------- corners and the middle
@@ -95,7 +96,12 @@ def test_the_corners_of_the_studys_junction_lie_between_its_arms_clockwise():
     middle = middle_m(SCENE)[:2]
     signs = [tuple(np.sign(corner - middle)) for corner in corners.values()]
 
-    assert signs == [(1, 1), (1, -1), (-1, -1), (-1, 1)]
+    assert signs == [
+        (1, 1),
+        (1, -1),
+        (-1, -1),
+        (-1, 1),
+    ]
 
 
 def test_three_arms_have_a_corner_on_the_straight_side_and_one_arm_has_none():
@@ -139,7 +145,13 @@ def test_off_axis_is_the_angle_to_a_point(camera):
             "any", [0.0, 0.0, 10.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=camera
         )
 
-    poses = [pose(0, -45), pose(0, 0), pose(180, -45), pose(90, -45), pose(30, -90)]
+    poses = [
+        pose(0, -45),
+        pose(0, 0),
+        pose(180, -45),
+        pose(90, -45),
+        pose(30, -90),
+    ]
     found = off_axis_deg(poses, np.array([10.0, 0.0, 0.0]))
 
     assert found == pytest.approx([0.0, 45.0, 90.0, 60.0, 45.0])
@@ -203,13 +215,23 @@ def problem_of(limits, seen, frame_axis, rule):
 
     one_frame = replace(rule, n_confirmations=1, latency_s=0.0)
     table = pack_table(tuple(map(str, range(limits.n_poses))), axis, detected)
-    return PlacementProblem(table=table, limits=limits, fusion="any", rule=one_frame)
+    return PlacementProblem(
+        table=table,
+        limits=limits,
+        fusion="any",
+        rule=one_frame,
+    )
 
 
 def proposals(**changes):
     """Proposals by which four poses are compared."""
     corners = {"a": 0, "b": 1, "c": 2, "d": 3}
-    plain = BaselineRows(n_units=2, random=((0, 1),), forced=(), corners=corners)
+    plain = BaselineRows(
+        n_units=2,
+        random=((0, 1),),
+        forced=(),
+        corners=corners,
+    )
     return replace(plain, **changes)
 
 
@@ -282,7 +304,7 @@ def test_what_is_forced_comes_before_the_corners(frame_axis, rule):
 
 @given(problem=questions(), seed=st.integers(0, 9))
 def test_the_expert_is_within_all_limits(problem, seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     n_poses = problem.limits.n_poses
     rows = rng.permutation(n_poses)[:4].tolist()
     sites = problem.limits.site_index.tolist()
@@ -292,7 +314,12 @@ def test_the_expert_is_within_all_limits(problem, seed):
         if site in sites
     )
     corners = {f"corner {row}": row for row in rows}
-    given_ = BaselineRows(n_units=3, random=(), forced=forced, corners=corners)
+    given_ = BaselineRows(
+        n_units=3,
+        random=(),
+        forced=forced,
+        corners=corners,
+    )
 
     found = judge_proposals(problem, given_)
 
@@ -305,12 +332,15 @@ def test_the_expert_is_within_all_limits(problem, seed):
 
 def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
     """A table of few rows says what one of all candidates says."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     limits = Limits(site_index=np.arange(9), site_capacity=[1] * 9, budget_units=3)
     seen = {pose: np.flatnonzero(rng.random(3) < 0.4) for pose in range(9)}
     problem = problem_of(limits, seen, frame_axis, rule)
     given_ = BaselineRows(
-        n_units=3, random=((1, 5, 7), (2, 5, 8)), forced=(), corners={"a": 7, "b": 1}
+        n_units=3,
+        random=((1, 5, 7), (2, 5, 8)),
+        forced=(),
+        corners={"a": 7, "b": 1},
     )
     rows = given_.rows
 

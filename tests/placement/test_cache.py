@@ -79,7 +79,13 @@ def test_a_hash_is_that_of_the_content_wherever_it_lies(name):
     assert both.of(value) == both.of(again)
 
 
-@dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    weakref_slot=True,
+    kw_only=True,
+    eq=False,
+)
 class Lasting:
     """A value that lasts."""
 
@@ -474,7 +480,10 @@ def test_parts_that_were_shared_are_shared_again():
 
 
 def test_named_tuples_and_plain_ones_come_back_as_they_were():
-    value = (Point(x=1.0, y=2), (3, (4.0,)))
+    value = (
+        Point(x=1.0, y=2),
+        (3, (4.0,)),
+    )
     found = from_bytes(to_bytes(value), tuple[Point, tuple[int, tuple[float]]])
 
     assert found == value

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from junctions import build_scene, lanes_of
+from refusal_words import refused_saying
 from refusals import refused_with
 
 import placement.setting
@@ -26,7 +27,11 @@ def t_junction():
     """No northern arm."""
     lanes = [
         lane
-        for arm, bearing in (("east", 0.0), ("west", 180.0), ("south", 270.0))
+        for arm, bearing in (
+            ("east", 0.0),
+            ("west", 180.0),
+            ("south", 270.0),
+        )
         for lane in lanes_of(arm, bearing)
     ]
     return build_scene(lanes)
@@ -68,7 +73,6 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
         "+0",
     }
     # Every case counts by what of it is driven, and in it every place; with the study's
-
     # set every run counts the same.
     cases = np.array(setting.axis.cases)
     weight = setting.axis.weight
@@ -135,7 +139,10 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
     assert len(laid.refusals) > 0
 
     monkeypatch.undo()
-    asked = (replace(question, deceleration_mps2=6.0), replace(question, speeds="20"))
+    asked = (
+        replace(question, deceleration_mps2=6.0),
+        replace(question, speeds="20"),
+    )
 
     for other in asked:
         found = build_setting(other, scene, compute=compute)
@@ -170,7 +177,10 @@ def test_the_rule_is_the_studys_but_for_what_the_question_changes():
 
     rule = build_rule(
         Question(
-            deceleration_mps2=5.0, build_up_s=0.3, latency_s=0.0, n_confirmations=1
+            deceleration_mps2=5.0,
+            build_up_s=0.3,
+            latency_s=0.0,
+            n_confirmations=1,
         )
     )
 
@@ -225,7 +235,10 @@ def test_perception_and_radio_are_those_of_the_question():
     assert plain.radio == Radio()
 
     other = setting_of(
-        detector="response", vut_sensors="lidar, camera", packet_loss=0.1, vam_rate=0.5
+        detector="response",
+        vut_sensors="lidar, camera",
+        packet_loss=0.1,
+        vam_rate=0.5,
     )
 
     assert other.detector is other.table_detector is load_planning_detector("response")
@@ -400,9 +413,7 @@ def test_speeds_that_a_case_does_not_have_are_listed_as_not_driven():
 
 
 def test_one_run_must_be_named():
-    with pytest.raises(
-        InputError, match=r"CPNA: got 2 runs \(CPNA-25/east/40, CPNA-75/east/40\)"
-    ):
+    with refused_saying("CPNA: got 2 runs (CPNA-25/east/40, CPNA-75/east/40)"):
         drive_one(
             Question(cases="CPNA", approaches="east", speeds="40"), load_study_scene()
         )
@@ -424,12 +435,8 @@ def test_one_run_at_a_position_drives_the_speed_asked_for():
 
     assert run.id == "CPLA-50/east-15/35"
     assert run.position == "-15"
-    with pytest.raises(
-        InputError, match="position: got '-15'; expected 0: CBNA is bound to"
-    ):
+    with refused_saying("position: got '-15'; expected 0: CBNA is bound to"):
         drive_one(replace(question, cases="CBNA"), scene, position="-15")
 
-    with pytest.raises(
-        InputError, match="position: got 'far'; expected 0, or metres before it"
-    ):
+    with refused_saying("position: got 'far'; expected 0, or metres before it"):
         drive_one(question, scene, position="far")

@@ -135,7 +135,12 @@ def test_one_unit_fails_and_the_rest_still_has_to_confirm(
 
 @pytest.mark.parametrize(
     ("latencies_s", "expected"),
-    [((None, None), 0.75), ((0.0, 0.2), 0.25), ((0.2, 0.0), 0.25), ((None, 0.5), 0.0)],
+    [
+        ((None, None), 0.75),
+        ((0.0, 0.2), 0.25),
+        ((0.2, 0.0), 0.25),
+        ((None, 0.5), 0.0),
+    ],
 )
 def test_the_unit_that_is_left_may_be_slow(frame_axis, rule, latencies_s, expected):
     """Both see all. Run 0 is confirmed at 0 s, to brake by 0.05 s; run 1 at -0.2 s, by
@@ -159,7 +164,11 @@ def _one_failed_of(frame_axis, rule, frames_of_units, latencies_s=None):
             name="mine",
             units=tuple(
                 CandidatePose(
-                    id=name, site_id="", pose=pose, sensor=camera, latency_s=latency_s
+                    id=name,
+                    site_id="",
+                    pose=pose,
+                    sensor=camera,
+                    latency_s=latency_s,
                 )
                 for name, latency_s in zip(
                     verdicts, latencies_s or [None] * len(verdicts), strict=True

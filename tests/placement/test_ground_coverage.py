@@ -18,10 +18,13 @@ CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
 def unit(*, yaw_deg=0.0, pitch_deg=0.0, sensor=CAMERA, x=-30.0):
     """A camera 6 m high that looks east."""
-    pose = Pose(
-        position_m=np.array([x, 0.0, 6.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg
+    pose = Pose(position_m=[x, 0.0, 6.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    return CandidatePose(
+        id="a",
+        site_id="",
+        pose=pose,
+        sensor=sensor,
     )
-    return CandidatePose(id="a", site_id="", pose=pose, sensor=sensor)
 
 
 def at(coverage, x, y):
@@ -76,7 +79,6 @@ def test_roads_are_lanes_and_the_junction():
     coverage = find_ground_coverage(protocol_scene(), [])
     n_cells = coverage.is_road.sum()
     # A square of 23 m, and four arms of 7 m up to 45 m: 529 + 4 x 7 x 33.5 square
-
     # metres.
     assert n_cells == pytest.approx(529 + 4 * 7 * 33.5, rel=0.05)
 

@@ -2,10 +2,10 @@
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from refusals import refused_with
 from strategies import numbers
 
@@ -23,7 +23,12 @@ from scenarios.aeb import load_aeb_rule
 def _budget(*ranges_s):
     """A budget of parts of these ranges. [s]"""
     parts = [
-        LatencyPart(name=f"part {index}", low_s=low, high_s=high, source="test")
+        LatencyPart(
+            name=f"part {index}",
+            low_s=low,
+            high_s=high,
+            source="test",
+        )
         for index, (low, high) in enumerate(ranges_s)
     ]
     return LatencyBudget(name="test", parts=tuple(parts))
@@ -54,7 +59,13 @@ def test_the_default_is_the_latency_of_the_study():
     assert [part.is_assumption for part in budget.parts] == [False]
 
 
-@pytest.mark.parametrize(("name", "period_s"), [("cpm-100ms", 0.1), ("cpm-50ms", 0.05)])
+@pytest.mark.parametrize(
+    ("name", "period_s"),
+    [
+        ("cpm-100ms", 0.1),
+        ("cpm-50ms", 0.05),
+    ],
+)
 def test_a_message_waits_for_up_to_one_period(name, period_s):
     parts = {part.name: part for part in load_latency_budget(name).parts}
 
@@ -97,7 +108,7 @@ def test_best_mean_and_worst_are_in_order_and_add_up(budget):
 
 def test_draws_stay_within_and_have_mean_and_variance_of_the_sum():
     budget = load_latency_budget("cpm-100ms")
-    drawn = budget.sample_s(np.random.default_rng(1), 200_000)
+    drawn = budget.sample_s(default_rng(1), 200_000)
 
     assert drawn.shape == (200_000,)
     assert budget.best_s <= drawn.min() < drawn.max() <= budget.worst_s
@@ -112,15 +123,15 @@ def test_draws_stay_within_and_have_mean_and_variance_of_the_sum():
 
 def test_draws_depend_on_the_generator_alone():
     budget = load_latency_budget("cpm-50ms")
-    first = budget.sample_s(np.random.default_rng(1), (3, 4))
-    second = budget.sample_s(np.random.default_rng(1), (3, 4))
-    other = budget.sample_s(np.random.default_rng(2), (3, 4))
+    first = budget.sample_s(default_rng(1), (3, 4))
+    second = budget.sample_s(default_rng(1), (3, 4))
+    other = budget.sample_s(default_rng(2), (3, 4))
 
     assert first.shape == (3, 4)
     assert (first == second).all()
     assert (first != other).all()
 
-    fixed = load_latency_budget().sample_s(np.random.default_rng(0), 5)
+    fixed = load_latency_budget().sample_s(default_rng(0), 5)
 
     assert fixed.tolist() == [0.025] * 5
 
@@ -255,7 +266,10 @@ def test_a_file_has_one_budget(write_budget):
         f"[[{name}.parts]]\nname = 'x'\nfixed_s = 0.1\nsource = 'x'\n"
         for name in ("one", "two")
     )
-    for text, got in (("", "no budget"), (both, "one, two")):
+    for text, got in (
+        ("", "no budget"),
+        (both, "one, two"),
+    ):
         path = write_budget(text)
         with refused_with(
             f"{path}: got {got}; expected one budget: a table such as [mine] with parts"

@@ -43,7 +43,11 @@ def _evaluation(axis, vut, units, own_latencies_s=None, vam=None):
     camera = load_cameras()["carla-ncap-rgb"]
     poses = tuple(
         CandidatePose(
-            id=f"U{index}", site_id="", pose=pose, sensor=camera, latency_s=latency_s
+            id=f"U{index}",
+            site_id="",
+            pose=pose,
+            sensor=camera,
+            latency_s=latency_s,
         )
         for index, latency_s in enumerate(own)
     )

@@ -420,7 +420,13 @@ def test_the_gap_is_zero_where_objective_and_bound_agree_and_infinite_above_noth
 
 def test_a_certificate_is_proven_when_every_gap_is_closed():
     def stage(gap):
-        return Stage(name="apr", objective=1.0, bound=1.0 + gap, gap=gap, seconds=0.1)
+        return Stage(
+            name="apr",
+            objective=1.0,
+            bound=1.0 + gap,
+            gap=gap,
+            seconds=0.1,
+        )
 
     assert Certificate(stages=(stage(0.0), stage(0.0)), solver="HiGHS").is_proven
     assert not Certificate(stages=(stage(0.0), stage(1e-6)), solver="HiGHS").is_proven

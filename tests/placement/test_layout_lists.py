@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal_words import refused_saying
 from small_results import assemble_without_runs
 
 from geometry.catalogue import load_cameras
-from geometry.errors import InputError
 from geometry.frames import WGS84, transform
 from geometry.study_scene import load_study_scene
 from placement.layout import find_layout, load_layout
@@ -55,7 +55,7 @@ def test_a_list_in_degrees_with_bearings_and_decimal_commas(
     assert [one.message for one in caplog.records] == [
         f"{path}: columns that are not known, and not read: Baujahr"
     ]
-    with pytest.raises(InputError, match="expected a layout file of place-rsus here"):
+    with refused_saying("expected a layout file of place-rsus here"):
         load_layout(path)
 
 
@@ -117,12 +117,19 @@ def test_wrong_names_and_numbers_are_refused(tmp_path, scene, row, old, new, mes
     path = tmp_path / "cameras.csv"
     path.write_text(HEAD + row.replace(old, new, 1), encoding="utf-8")
 
-    with pytest.raises(InputError, match=message):
+    with refused_saying(message):
         load_layout(path, scene=scene)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("away_m", "hangs"), [(0.0, True), (0.45, True), (0.6, False)])
+@pytest.mark.parametrize(
+    ("away_m", "hangs"),
+    [
+        (0.0, True),
+        (0.45, True),
+        (0.6, False),
+    ],
+)
 def test_an_existing_camera_at_a_pole_hangs_on_it(tmp_path, scene, row, away_m, hangs):
     pole = scene.sites[0]
     place_m = pole.position_m[:2] + [0.0, away_m]

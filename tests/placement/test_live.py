@@ -145,7 +145,10 @@ def test_a_verdict_by_the_table_is_what_the_optimiser_reads(setting, table):
         site_index=np.arange(2), site_capacity=np.ones(2, dtype=int), budget_units=2
     )
     problem = PlacementProblem(
-        table=rows, limits=limits, fusion="any", rule=setting.rule
+        table=rows,
+        limits=limits,
+        fusion="any",
+        rule=setting.rule,
     )
 
     assert (verdict.is_avoided == (run_margins_s(problem, [0, 1]) > -np.inf)).all()

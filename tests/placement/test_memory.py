@@ -65,7 +65,12 @@ def test_the_message_says_what_is_needed_and_how_to_shrink_it(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("text", "is_less"), [("12345678", True), ("max", False), ("", False)]
+    ("text", "is_less"),
+    [
+        ("12345678", True),
+        ("max", False),
+        ("", False),
+    ],
 )
 def test_the_limit_of_a_container_counts(monkeypatch, tmp_path, text, is_less):
     file = tmp_path / "memory.max"

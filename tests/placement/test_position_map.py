@@ -61,7 +61,12 @@ def test_better_aims_and_more_cameras_never_know_less(by_one):
 
 def test_a_camera_that_looks_away_knows_nothing():
     up = Pose(position_m=[0.0, 0.0, 8.0], yaw_deg=0.0, pitch_deg=90.0)
-    unit = CandidatePose(id="up", site_id="", pose=up, sensor=UNITS[0].sensor)
+    unit = CandidatePose(
+        id="up",
+        site_id="",
+        pose=up,
+        sensor=UNITS[0].sensor,
+    )
 
     found = find_position_map(SCENE, [unit], DETECTOR)
 

@@ -21,7 +21,10 @@ GOLDEN_UNITS = {
 
 
 _AS_STUDIED = Question(
-    cases="CPNC-50,CBNA,CBLA", along_arms="0", weights="run", track_memory_s=np.inf
+    cases="CPNC-50,CBNA,CBLA",
+    along_arms="0",
+    weights="run",
+    track_memory_s=np.inf,
 )
 
 
@@ -128,7 +131,6 @@ def test_the_published_findings_come_out(setting, layout):
     assert fast.sum() == 8
     assert not evaluation.vut.is_avoided[fast].any()
     # Frames in which the VUT detects: 13.97, 5.12 and 89.20 %; the first and the last
-
     # set a dimension and a threshold, the second comes out as 7.7 %.
     shares = [
         detected_share(evaluation.vut, axis, cases == case)

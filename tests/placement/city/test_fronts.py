@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from problems import problems, random_problem
 
 from placement.city import fronts
@@ -28,7 +29,7 @@ def junctions(draw):
     hang.
     """
     problem = draw(problems())
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    rng = default_rng(draw(st.integers(0, 2**32 - 1)))
     limits = problem.limits
     site_cost = np.full(limits.n_sites, 7060.0)
     if draw(st.booleans()):
@@ -95,27 +96,29 @@ def many_poses(rng):
     problem = next(
         found
         for number in range(100)
-        if (
-            found := random_problem(np.random.default_rng([1, number]))
-        ).table.axis.n_frames
-        > 20
+        if (found := random_problem(default_rng([1, number]))).table.axis.n_frames > 20
     )
     axis = problem.table.axis
     detected = rng.random((20, axis.n_frames)) < 0.3
     limits = Limits(
         site_index=np.arange(20) % 2,
-        site_capacity=np.array([2, 2]),
+        site_capacity=[2, 2],
         budget_units=4,
         unit_cost_eur=np.full(20, 1500.0),
         site_cost_eur=np.full(2, 7060.0),
     )
     table = pack_table(tuple(map(str, range(20))), axis, detected)
     rule = replace(problem.rule, n_confirmations=2, track_memory_s=0.3)
-    return PlacementProblem(table=table, limits=limits, fusion="any", rule=rule)
+    return PlacementProblem(
+        table=table,
+        limits=limits,
+        fusion="any",
+        rule=rule,
+    )
 
 
 def test_poses_that_see_alike_still_give_a_layout_for_each_number_of_sites():
-    problem = many_poses(np.random.default_rng(1))
+    problem = many_poses(default_rng(1))
     reduced = presolve(problem)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fronts, "_MAX_SETS", 3)
@@ -138,7 +141,7 @@ def test_poses_that_see_alike_still_give_a_layout_for_each_number_of_sites():
 
 @pytest.mark.long
 def test_a_front_is_no_worse_than_that_of_few_of_its_poses():
-    problem = many_poses(np.random.default_rng(2))
+    problem = many_poses(default_rng(2))
     first = np.array([0, 1, 2, 3, 10, 11, 12, 13])
     ask = {"effort": lambda: Effort(time_limit_s=60.0), "begin": lambda step: None}
     few, _ = find_front(of_pool(problem, first), **ask)

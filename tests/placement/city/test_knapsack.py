@@ -22,7 +22,12 @@ def build(sizes, seed, *, n_rows=1, tightness=0.5):
     profit[first] = 0.0
     rows[:, first] = 0.0
     limits = np.floor(tightness * np.maximum.reduceat(rows, first, axis=1).sum(axis=1))
-    return Knapsack(group=group, profit=profit, rows=rows, limits=limits)
+    return Knapsack(
+        group=group,
+        profit=profit,
+        rows=rows,
+        limits=limits,
+    )
 
 
 def best_of_all(problem):

@@ -132,7 +132,11 @@ def test_a_row_is_matched_by_a_box_in_its_own_image_that_overlaps_by_more_than_h
 
 @pytest.mark.parametrize(
     ("name", "expected"),
-    [("adult", "pedestrian"), ("child", "child"), ("cyclist", "cyclist")],
+    [
+        ("adult", "pedestrian"),
+        ("child", "child"),
+        ("cyclist", "cyclist"),
+    ],
 )
 def test_road_users_have_the_class_of_their_name(actors, name, expected):
     assert vru_class(actors[name]) == expected

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.special import ndtr
 from scipy.stats import multivariate_normal
@@ -39,7 +40,7 @@ SOME = np.arange(0, 2400)  # the first tracks
 
 def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 1.0)):
     """Sightings of many road users that come nearer, drawn from a table."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     n = N_TRACKS * N_FRAMES
     track = np.repeat(np.arange(N_TRACKS), N_FRAMES)
     frame = np.tile(np.arange(N_FRAMES), N_TRACKS)
@@ -76,7 +77,7 @@ def test_the_share_that_lasts_for_a_track_is_found(share):
     """Noise drawn as a sampled world draws it, of tracks that are found as often as
     missed.
     """
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     sightings = drawn()
     linked = linked_noise(sightings.frame + sightings.track * (N_FRAMES + 1), 0.5, rng)
     lasts = rng.standard_normal(N_TRACKS)[sightings.track]

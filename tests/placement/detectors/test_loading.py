@@ -5,6 +5,8 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from refusal_words import refused_saying
 
 from geometry.errors import InputError
 from geometry.text_formats import load_toml
@@ -365,9 +367,7 @@ def test_a_lidars_table_stands_behind_a_cameras():
     assert replace(alone, lidar=None, name="geometric") == load_detector()
 
     for name in ("pole-2015+car-2019", "+pole-2015", "pole+pointrcnn-2019"):
-        with pytest.raises(
-            InputError, match=r"car-2019, cnn-table, cnn, pointrcnn-2019, a \.toml"
-        ):
+        with refused_saying("car-2019, cnn-table, cnn, pointrcnn-2019, a .toml"):
             load_detector(name)
 
 
@@ -375,7 +375,7 @@ def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation
     table = load_detector("pointrcnn-2019").lidar
     classes = np.repeat([0, VRU_CLASSES.index("cyclist")], 20_000)
     distance = np.repeat([15.0, 25.0, 15.0, 45.0], 10_000)
-    found = table.detect(distance, classes, np.arange(40_000), np.random.default_rng(1))
+    found = table.detect(distance, classes, np.arange(40_000), default_rng(1))
     shares = found.reshape(4, -1).mean(axis=1)
 
     assert shares == pytest.approx([0.756, 0.545, 0.936, 0.667], abs=0.03)
@@ -391,9 +391,7 @@ def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation
     ]
     assert table.is_expected(distance[20_000:], classes[20_000:]).all()
 
-    weathers = table.detect(
-        distance[:2], classes[:2], np.zeros(2, int), np.random.default_rng(1)
-    )
+    weathers = table.detect(distance[:2], classes[:2], np.zeros(2, int), default_rng(1))
 
     assert weathers[0] == weathers[1]
 
@@ -431,7 +429,10 @@ def test_a_table_says_which_of_its_figures_are_measured(write):
 
 def test_what_response_has_from_recordings_is_the_middle_of_their_tables():
     response, *tables = map(load_detector, ("response", "pole-2015", "car-2019"))
-    for name, digits in (("frame_correlation", 2), ("box_noise_share", 2)):
+    for name, digits in (
+        ("frame_correlation", 2),
+        ("box_noise_share", 2),
+    ):
         middle = np.mean([getattr(one, name) for one in tables])
         assert getattr(response, name) == pytest.approx(
             middle, abs=0.51 * 10.0**-digits

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from refusal_words import refused_saying
 from refusals import refused_with
 from strategies import boxes_px
 
@@ -271,7 +272,13 @@ def test_an_input_without_batch_takes_the_image_alone(path):
     assert_allclose(found.boxes_px, [PERSON])
 
 
-@pytest.mark.parametrize(("kind", "threshold"), [("float16", 0.999), ("uint8", 254.5)])
+@pytest.mark.parametrize(
+    ("kind", "threshold"),
+    [
+        ("float16", 0.999),
+        ("uint8", 254.5),
+    ],
+)
 def test_inputs_may_be_half_floats_or_bytes(path, kind, threshold):
     takes = FREE.replace("float", kind)
     model = load_onnx_model(save_bright(path, takes, threshold))
@@ -323,7 +330,11 @@ def test_an_input_of_one_fixed_side_takes_the_image_scaled_to_it(path, size):
 
 
 @pytest.mark.parametrize(
-    ("n_classes", "expected"), [(91, (1.0 - 0.485) / 0.229), (80, 1.0)]
+    ("n_classes", "expected"),
+    [
+        (91, (1.0 - 0.485) / 0.229),
+        (80, 1.0),
+    ],
 )
 def test_detr_with_91_classes_sees_the_image_by_imagenets_mean_and_spread(
     path, n_classes, expected
@@ -603,9 +614,7 @@ def test_boxes_that_are_not_numbers(path):
     arrays = as_torchvision([[np.nan, 0.0, 1.0, 1.0]], [0], [0.75])
     model = load_onnx_model(save_constants(path, arrays))
 
-    with pytest.raises(
-        InputError, match="got a box that is not a number; expected finite boxes"
-    ):
+    with refused_saying("got a box that is not a number; expected finite boxes"):
         model.detect(GREY)
 
 
@@ -615,9 +624,7 @@ def test_boxes_that_are_not_numbers(path):
 )
 def test_images_that_are_none(path, image):
     model = load_onnx_model(save_constants(path, as_torchvision([PERSON], [0], [0.75])))
-    with pytest.raises(
-        InputError, match=r"expected uint8 of shape \(height, width, 3\)"
-    ):
+    with refused_saying("expected uint8 of shape (height, width, 3)"):
         model.detect(image)
 
 

@@ -8,6 +8,7 @@ import pytest
 from evidences import build_evidence
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 
 from geometry.errors import InputError
 from geometry.image_boxes import iou
@@ -117,7 +118,7 @@ def test_nothing_is_found_below_the_least_height_or_where_nothing_is_seen():
     evidence = build_evidence(np.zeros((50, 4)))
 
     assert not anything.probability(evidence).any()
-    assert not len(anything.detect(evidence, np.random.default_rng(0)).row_index)
+    assert not len(anything.detect(evidence, default_rng(0)).row_index)
 
 
 def test_a_plan_counts_on_rows_from_its_probability_on():
@@ -141,7 +142,7 @@ def test_a_plan_counts_on_rows_from_its_probability_on():
 
 def _hits(detector, evidence, seed):
     """Rows that are found with a seed, (n_rows,) bool."""
-    found = detector.detect(evidence, np.random.default_rng(seed))
+    found = detector.detect(evidence, default_rng(seed))
     hits = np.zeros(len(evidence), dtype=bool)
     hits[found.row_index] = True
     return hits
@@ -154,9 +155,9 @@ def _runs_of(n_runs, n_frames):
 
 def test_the_same_seed_finds_the_same_boxes_and_another_others():
     evidence = build_evidence(_box(40.0, 500), visible_share=0.7)
-    one = DETECTOR.detect(evidence, np.random.default_rng(3))
-    same = DETECTOR.detect(evidence, np.random.default_rng(3))
-    other = DETECTOR.detect(evidence, np.random.default_rng(4))
+    one = DETECTOR.detect(evidence, default_rng(3))
+    same = DETECTOR.detect(evidence, default_rng(3))
+    other = DETECTOR.detect(evidence, default_rng(4))
 
     assert np.array_equal(one.row_index, same.row_index)
     assert np.array_equal(one.boxes_px, same.boxes_px)
@@ -168,7 +169,13 @@ def test_the_same_seed_finds_the_same_boxes_and_another_others():
 
 
 @pytest.mark.parametrize(
-    ("correlation", "height_px"), [(0.0, 40.0), (0.7, 20.0), (0.7, 120.0), (1.0, 40.0)]
+    ("correlation", "height_px"),
+    [
+        (0.0, 40.0),
+        (0.7, 20.0),
+        (0.7, 120.0),
+        (1.0, 40.0),
+    ],
 )
 def test_the_share_of_detections_is_the_probability(correlation, height_px):
     """Of runs of five frames the first and the last: five standard deviations of a
@@ -224,7 +231,7 @@ def test_rows_of_the_same_number_share_their_luck():
     index = np.tile(np.arange(3000), 2)
     contrast = np.repeat([1.0, 0.3], 3000)
     evidence = build_evidence(_box(30.0, 6000), draw_index=index, contrast=contrast)
-    found = DETECTOR.detect(evidence, np.random.default_rng(5))
+    found = DETECTOR.detect(evidence, default_rng(5))
     hits = np.zeros(6000, dtype=bool)
     hits[found.row_index] = True
     by_day, at_night = hits.reshape(2, -1)
@@ -248,24 +255,20 @@ def test_luck_does_not_depend_on_what_the_rows_show():
 def test_boxes_are_off_by_the_noise_asked_for_and_are_still_correct():
     truth = _box(100.0, 20_000)
     evidence = build_evidence(truth)
-    found = DETECTOR.detect(evidence, np.random.default_rng(7))
+    found = DETECTOR.detect(evidence, default_rng(7))
     off = (found.boxes_px - truth[found.row_index]) / [40.0, 100.0, 40.0, 100.0]
 
     assert np.abs(off.mean(axis=0)).max() < 0.002
     assert off.std(axis=0) == pytest.approx(DETECTOR.box_noise_share, rel=0.03)
     assert (iou(found.boxes_px, truth[found.row_index]) > 0.5).all()
 
-    exact = replace(DETECTOR, box_noise_share=0.0).detect(
-        evidence, np.random.default_rng(7)
-    )
+    exact = replace(DETECTOR, box_noise_share=0.0).detect(evidence, default_rng(7))
 
     assert np.array_equal(exact.row_index, found.row_index)
     assert np.array_equal(exact.boxes_px, truth[exact.row_index])
     assert is_matched(exact, truth, min_iou=0.99).sum() == len(exact.row_index)
 
-    wild = replace(DETECTOR, box_noise_share=1.0).detect(
-        evidence, np.random.default_rng(7)
-    )
+    wild = replace(DETECTOR, box_noise_share=1.0).detect(evidence, default_rng(7))
 
     # The probability is that of correct boxes: however wild, they find as many.
     assert np.array_equal(wild.row_index, found.row_index)

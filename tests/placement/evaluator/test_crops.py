@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kept_backdrops import CORNER, kept_backdrop
+from placed_bodies import ahead_of
 from short_runs import cut_run
 
 from geometry.image_boxes import box_height_px
@@ -140,10 +141,7 @@ def test_frames_look_the_same_where_only_a_vut_out_of_sight_has_moved(
         name: np.repeat(getattr(run, name)[:1], 2, axis=0)
         for name in ("vru_position_m", "vru_yaw_deg", "vru_shape")
     }
-    far = (
-        np.repeat(run.vut_position_m[:1], 2, axis=0)
-        + np.array([[-400.0, 0, 0], [-390.0, 0, 0]])[:, : run.vut_position_m.shape[1]]
-    )
+    far = run.vut_position_m[0] + [[-400.0, 0.0], [-390.0, 0.0]]
     away = replace(run, **still, vut_position_m=far)
     crops, _, _ = seen([away])
 
@@ -169,10 +167,9 @@ def test_the_shadow_of_the_vut_belongs_to_it(last_frames, seen):
     # A car beside the crop whose shadow falls into it must be drawn.
     run = last_frames("CPNC-50/west/30", 1)
     weather = pick_weather("day", "test")
-    yaw = np.radians(weather.sun_yaw_deg)
     shadow_m = 1.2 / np.tan(np.radians(weather.sun_elevation_deg))
     beside = run.vru_position_m.copy()
-    beside[:, :2] += (2.5 + 0.5 * shadow_m) * np.array([np.cos(yaw), np.sin(yaw)])
+    beside[:, :2] += (2.5 + 0.5 * shadow_m) * ahead_of(weather.sun_yaw_deg)
     near, _, _ = seen([replace(run, vut_position_m=beside)])
 
     assert near.key(0)[-1] == 0  # a frame of its own

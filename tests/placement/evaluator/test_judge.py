@@ -156,7 +156,12 @@ def test_as_many_frames_confirm_as_the_rule_says(study_runs, axis):
     row = np.zeros(axis.n_frames, dtype=bool)
     row[5:9] = True
 
-    for n_confirmations, frame in ((1, 5), (2, 6), (4, 8), (5, None)):
+    for n_confirmations, frame in (
+        (1, 5),
+        (2, 6),
+        (4, 8),
+        (5, None),
+    ):
         rule = replace(RULE, n_confirmations=n_confirmations)
         (onset_s, *others) = (
             Judge(study_runs, axis, rule).verdicts([[(row, 0.1)]])[0].onset_time_s
@@ -192,7 +197,6 @@ def test_bodies_avoid_what_the_table_says_at_least(study_runs, axis, seed, memor
 
     by_bodies = evaluated_apr(verdict, axis)
     # Of a run whose contact ends with a later onset and begins again, the table knows
-
     # less.
     assert by_bodies >= apr(problem, [0, 1]) - 1e-12
 
@@ -218,10 +222,19 @@ def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypa
 
 
 @pytest.mark.parametrize(
-    ("own_s", "expected_s"), [(None, RULE.latency_s), (0.0, 0.0), (0.3, 0.3)]
+    ("own_s", "expected_s"),
+    [
+        (None, RULE.latency_s),
+        (0.0, 0.0),
+        (0.3, 0.3),
+    ],
 )
 def test_a_unit_has_its_own_latency_or_that_of_the_rule(camera, own_s, expected_s):
     unit = CandidatePose(
-        id="a", site_id="", pose=SimpleNamespace(), sensor=camera, latency_s=own_s
+        id="a",
+        site_id="",
+        pose=SimpleNamespace(),
+        sensor=camera,
+        latency_s=own_s,
     )
     assert unit.latency(RULE) == expected_s

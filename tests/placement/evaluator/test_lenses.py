@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 import pytest
 from lens_cameras import random_camera
+from numpy.random import default_rng
+from placed_bodies import parked_at, poses_within
 
-from geometry.actors import MovingActor, PlacedActor, pick_actor
+from geometry.actors import MovingActor, pick_actor
 from geometry.lenses import BrownConrady, Fisheye
 from geometry.poses import Pose, camera_rotation
 from geometry.sensors import SEEN_RAD, is_shown, project_points
@@ -21,30 +23,27 @@ HOUSES = (
     ((-16.0, 7.0, 0.0), (-9.0, 14.0, 5.0)),
     ((2.0, -12.0, 0.0), (2.3, -6.0, 1.2)),  # a low wall
 )
-MOUNT = Pose(position_m=np.array([-7.0, -7.0, 6.0]), yaw_deg=45.0, pitch_deg=-30.0)
+MOUNT = Pose(position_m=[-7.0, -7.0, 6.0], yaw_deg=45.0, pitch_deg=-30.0)
 
 
 def made_runs(build_run, rng, n_frames=24):
     """An adult and a cyclist who jump about, with a car that parks, one that drives and
     the VUT.
     """
-    car = PlacedActor(
-        actor=pick_actor("parked-car-small", "test"),
-        pose=Pose(position_m=np.array([1.0, 1.0, 0.0]), yaw_deg=10.0),
-    )
+    car = parked_at("parked-car-small", 1.0, 1.0, 10.0)
     runs = []
-    for name, obstruction in (("adult", (car,)), ("cyclist", ())):
-        poses = [
-            np.column_stack(
-                [rng.uniform(-6, 6, (n_frames, 2)), rng.uniform(-180, 180, n_frames)]
-            )
-            for _ in range(3)
-        ]
-        run = build_run(pick_actor(name, "test"), poses[0], poses[1], obstruction)
+    for name, obstruction in (
+        ("adult", (car,)),
+        ("cyclist", ()),
+    ):
+        vru = poses_within(rng, n_frames, 6.0)
+        vut = poses_within(rng, n_frames, 6.0)
+        driven = poses_within(rng, n_frames, 6.0)
+        run = build_run(pick_actor(name, "test"), vru, vut, obstruction)
         van = MovingActor(
             actor=pick_actor("parked-van", "test"),
-            position_m=poses[2][:, :2],
-            yaw_deg=poses[2][:, 2],
+            position_m=driven[:, :2],
+            yaw_deg=driven[:, 2],
         )
         runs.append(replace(run, traffic=(van,)))
 
@@ -54,7 +53,7 @@ def made_runs(build_run, rng, n_frames=24):
 @pytest.fixture(scope="module")
 def runs(build_run):
     """Random runs among the houses."""
-    return made_runs(build_run, np.random.default_rng(7))
+    return made_runs(build_run, default_rng(7))
 
 
 @pytest.fixture(scope="module")
@@ -151,9 +150,15 @@ def corners_in_camera(solid, road_pose, pose):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("model", "seed"), [("brown-conrady", 0), ("fisheye", 1)])
+@pytest.mark.parametrize(
+    ("model", "seed"),
+    [
+        ("brown-conrady", 0),
+        ("fisheye", 1),
+    ],
+)
 def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     small = random_camera(rng, replace(camera, width_px=72, height_px=54), model)
     evidence = perceive_frames(surroundings, (MOUNT, small))
     rays = opencv_rays(small)

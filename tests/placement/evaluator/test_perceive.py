@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from changes import changed
+from placed_bodies import parked_at, poses_within
 from ray_renderer import VRU, render_frame
 
-from geometry.actors import MovingActor, PlacedActor, pick_actor
+from geometry.actors import MovingActor, pick_actor
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError
 from geometry.poses import Pose
@@ -24,33 +25,24 @@ HOUSES = (
 )
 N_FRAMES = 90  # of the three runs below
 MOUNTS = (
-    Pose(position_m=np.array([-7.0, -7.0, 6.0]), yaw_deg=45.0, pitch_deg=-30.0),
-    Pose(position_m=np.array([6.5, 6.5, 7.0]), yaw_deg=-135.0, pitch_deg=-35.0),
-    Pose(position_m=np.array([0.0, -14.0, 2.5]), yaw_deg=95.0, pitch_deg=-10.0),
+    Pose(position_m=[-7.0, -7.0, 6.0], yaw_deg=45.0, pitch_deg=-30.0),
+    Pose(position_m=[6.5, 6.5, 7.0], yaw_deg=-135.0, pitch_deg=-35.0),
+    Pose(position_m=[0.0, -14.0, 2.5], yaw_deg=95.0, pitch_deg=-10.0),
 )
 
 
 def _random_runs(build_run, rng, n_frames=N_FRAMES // 3):
     """An adult and a cyclist on their way among cars; some of their poses repeat."""
-    car = PlacedActor(
-        actor=pick_actor("parked-car-small", "test"),
-        pose=Pose(position_m=np.array([3.0, 3.0, 0.0]), yaw_deg=10.0),
-    )
+    car = parked_at("parked-car-small", 3.0, 3.0, 10.0)
     runs = []
-    for name, obstruction in (("adult", ()), ("cyclist", ()), ("adult", (car,))):
-        vru = np.column_stack(
-            [
-                rng.uniform(-7.0, 7.0, (n_frames, 2)),
-                rng.uniform(-180.0, 180.0, n_frames),
-            ]
-        )
+    for name, obstruction in (
+        ("adult", ()),
+        ("cyclist", ()),
+        ("adult", (car,)),
+    ):
+        vru = poses_within(rng, n_frames, 7.0)
         vru[n_frames // 2 :] = vru[: n_frames // 2]
-        vut = np.column_stack(
-            [
-                rng.uniform(-9.0, 9.0, (n_frames, 2)),
-                rng.uniform(-180.0, 180.0, n_frames),
-            ]
-        )
+        vut = poses_within(rng, n_frames, 9.0)
         runs.append(build_run(pick_actor(name, "test"), vru, vut, obstruction))
 
     # Two vans and a car drive by in the second run; the car only in its first half.
@@ -104,8 +96,8 @@ def test_roadside_boxes_equal_the_plain_render_of_every_frame(
 
 
 STUDY_POSES = (  # two of the study's RSUs
-    Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3),
-    Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=20.0, pitch_deg=-12.0),
+    Pose(position_m=[-138.94, -11.56, 7.97], yaw_deg=44.5, pitch_deg=-34.3),
+    Pose(position_m=[-138.94, -11.56, 7.97], yaw_deg=20.0, pitch_deg=-12.0),
 )
 
 
@@ -152,24 +144,19 @@ def test_sights_are_equal_where_all_but_the_vut_is_at_the_same_place():
 
     sights = find_sights(static_index, vru_index, static_poses, vru_poses)
 
-    assert np.unique(sights[[1, 3, 2, 0]], return_inverse=True)[1].tolist() == [
-        0,
-        1,
-        2,
-        3,
-    ]
+    assert sights[1] < sights[3] < sights[2] < sights[0]
     assert sights[0] == sights[4]
 
 
 def test_equal_obstructions_are_one_static_world(build_scene, build_run, block):
-    def park(x_m):
-        pose = Pose(position_m=np.array([x_m, 2.0, 0.0]), yaw_deg=5.0)
-        return (PlacedActor(actor=pick_actor("parked-van", "test"), pose=pose),)
-
+    here = (parked_at("parked-van", 3.0, 2.0, 5.0),)
+    again = (parked_at("parked-van", 3.0, 2.0, 5.0),)
+    elsewhere = (parked_at("parked-van", 3.5, 2.0, 5.0),)
     runs = [
         build_run(block, [[9.0, 0.0, 0.0]], obstruction=obstruction)
-        for obstruction in (park(3.0), (), park(3.0), park(3.5))
+        for obstruction in (here, (), again, elsewhere)
     ]
+
     surroundings = build_surroundings(build_scene(), runs)
 
     assert len(surroundings.statics) == 3

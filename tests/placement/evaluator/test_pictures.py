@@ -62,7 +62,12 @@ def evaluate(tmp_path, build_setting, scene, camera):
         onnx.save(model, tmp_path / "x.onnx")
         detector = load_detector(str(tmp_path / "x.onnx"))
         setting = build_setting(scene, runs, detector=detector, vut_camera=camera)
-        unit = CandidatePose(id="rsu", site_id="", pose=CORNER, sensor=camera)
+        unit = CandidatePose(
+            id="rsu",
+            site_id="",
+            pose=CORNER,
+            sensor=camera,
+        )
         evaluation = evaluate_layout(Layout(name="test", units=(unit,)), setting)
         return evaluation.units["rsu"].detected, evaluation.vut.detected
 
@@ -113,7 +118,13 @@ def render(scene, run, frame, pose, camera, **options):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "unit"), [(PEDESTRIAN, 0), (CYCLIST, 1)])
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        (PEDESTRIAN, 0),
+        (CYCLIST, 1),
+    ],
+)
 def test_one_box_is_matched_in_the_frames_whose_visible_box_it_overlaps_by_half(
     name, unit, last_frames, visible, evaluate
 ):

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from ray_renderer import build_lens, cast_crops, render_frame
+from tiny_cameras import tiny_camera
 
 from geometry.actors import pick_actor
 from geometry.poses import Pose
-from geometry.sensors import CameraModel
 from placement.evaluator.perceive import _place, perceive_frames
 from placement.evaluator.pixels import (
     Image,
@@ -26,17 +26,9 @@ from placement.evaluator.surroundings import (
     build_surroundings,
 )
 
-LEVEL = Pose(position_m=np.array([0.0, 0.0, 0.9]), yaw_deg=0.0)
+LEVEL = Pose(position_m=[0.0, 0.0, 0.9], yaw_deg=0.0)
 ADULT = build_body(pick_actor("adult", "test").shapes[0])
-TINY = CameraModel(
-    name="tiny",
-    width_px=64,
-    height_px=48,
-    horizontal_fov_deg=100.0,
-    frame_rate_hz=10.0,
-    near_m=0.35,
-    price_eur=0.0,
-)
+TINY = tiny_camera(64, 48, fov_deg=100.0)
 
 
 @pytest.fixture(params=["triangles drawn", "a ray per pixel"])
@@ -111,11 +103,20 @@ def test_wall_up_to_the_optical_axis_halves_the_box(
     assert not (visible == amodal).all()
 
 
-@pytest.mark.parametrize(("near_m", "is_drawn"), [(0.35, False), (0.2, True)])
+@pytest.mark.parametrize(
+    ("near_m", "is_drawn"),
+    [
+        (0.35, False),
+        (0.2, True),
+    ],
+)
 def test_nothing_is_drawn_nearer_than_the_nearest_distance(
     look, block, near_m, is_drawn
 ):
-    plate = ((0.24, -0.05, 0.85), (0.26, 0.05, 0.95))
+    plate = (
+        (0.24, -0.05, 0.85),
+        (0.26, 0.05, 0.95),
+    )
     _, behind_plate = look(block, [10.0, 0.0, 0.0], walls=[plate], near_m=near_m)
 
     assert behind_plate.any() != is_drawn
@@ -290,7 +291,7 @@ def test_body_beside_the_lens_is_not_drawn_though_it_reaches_behind(
     pitch_deg=st.floats(-89.0, 30.0),
 )
 def test_crop_holds_every_pixel_of_the_body(ahead_m, left_m, up_m, yaw_deg, pitch_deg):
-    pose = Pose(position_m=np.array([0.0, 0.0, up_m]), yaw_deg=0.0, pitch_deg=pitch_deg)
+    pose = Pose(position_m=[0.0, 0.0, up_m], yaw_deg=0.0, pitch_deg=pitch_deg)
     road_pose = np.array([ahead_m, left_m, yaw_deg, 0.0])
     whole = np.array([[0, 0, TINY.width_px, TINY.height_px]])
     cast = cast_crops(build_lens(pose, TINY), ADULT, road_pose[None], whole)[0]
@@ -318,7 +319,7 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
     """
     body = build_body(pick_actor(name, "test").shapes[0])
     (mesh,) = body.meshes
-    pose = Pose(position_m=np.array([0.0, 0.0, 1.4]), yaw_deg=0.0, pitch_deg=-10.0)
+    pose = Pose(position_m=[0.0, 0.0, 1.4], yaw_deg=0.0, pitch_deg=-10.0)
     window = (0, 0, camera.width_px, camera.height_px)
     n_differ = 0
     n_hit = 0
@@ -340,6 +341,3 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
 
     assert n_hit > 500
     assert n_differ <= 1e-3 * n_hit
-
-
-# ---------- the oracle

@@ -6,8 +6,9 @@ from itertools import product
 
 import numpy as np
 import pytest
+from placed_bodies import ahead_of, one_mesh, parked_at, parts_of_frame
 
-from geometry.actors import PlacedActor, pick_actor
+from geometry.actors import pick_actor
 from geometry.lidar import (
     LidarDetection,
     beam_directions,
@@ -15,7 +16,7 @@ from geometry.lidar import (
     load_lidar_detection,
     load_lidars,
 )
-from geometry.poses import Pose, body_rotation, to_world
+from geometry.poses import Pose, body_rotation
 from geometry.raycast import build_caster
 from placement.detectors import VRU_CLASSES
 from placement.evaluator import perceive
@@ -28,9 +29,12 @@ from placement.evaluator.surroundings import (
 
 STUDY = load_lidars()["carla-ncap-lidar"]
 SURE = replace(STUDY, reference_range_m=1.0e6)  # whatever it hits comes back
-LOW = Pose(position_m=np.array([0.0, 0.0, 0.9]), yaw_deg=0.0)
-HIGH = Pose(position_m=np.array([-8.0, -6.0, 6.0]), yaw_deg=40.0, pitch_deg=-25.0)
-WALL = ((5.0, -3.0, 0.0), (5.4, 3.0, 4.0))
+LOW = Pose(position_m=[0.0, 0.0, 0.9], yaw_deg=0.0)
+HIGH = Pose(position_m=[-8.0, -6.0, 6.0], yaw_deg=40.0, pitch_deg=-25.0)
+WALL = (
+    (5.0, -3.0, 0.0),
+    (5.4, 3.0, 4.0),
+)
 
 
 def _rng(seed=0):
@@ -84,13 +88,19 @@ def sees(build_scene, build_run, block):
 
 
 def test_nothing_is_seen_beyond_the_range(sees):
-    vru = [[19.0, 0.0, 0.0], [21.0, 0.0, 0.0]]
+    vru = [
+        [19.0, 0.0, 0.0],
+        [21.0, 0.0, 0.0],
+    ]
     assert sees(vru, lidar=replace(STUDY, range_m=20.0)) == [True, False]
     assert sees(vru) == [True, True]
 
 
 def test_fog_and_a_heavy_rain_take_what_is_far(sees):
-    vru = [[8.0, 0.0, 0.0], [35.0, 0.0, 0.0]]
+    vru = [
+        [8.0, 0.0, 0.0],
+        [35.0, 0.0, 0.0],
+    ]
     found = {name: sees(vru, weather=name) for name in ("day", "night", "rain", "fog")}
 
     assert found["day"] == found["night"] == found["rain"] == [True, True]
@@ -127,59 +137,19 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     assert found == pytest.approx(expected, abs=rows + columns)
 
 
-def _combined(parts):
-    """One mesh of several, and which part each triangle is of."""
-    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    triangles = [
-        faces + start for (_, faces), start in zip(parts, offsets, strict=False)
-    ]
-    owner = np.repeat(np.arange(len(parts)), [len(faces) for _, faces in parts])
-    return (
-        np.concatenate([vertices for vertices, _ in parts]),
-        np.concatenate(triangles),
-        owner,
-    )
-
-
-def _placed(shape, position_m, yaw_deg):
-    """Vertices of a shape that stands in the world, and its triangles. [m]"""
-    pose = Pose(position_m=np.append(position_m, 0.0), yaw_deg=yaw_deg)
-    return to_world(shape.vertices_m, pose), shape.triangles
-
-
 def _plain_counts(scene, runs, pose, lidar):
-    """Beams of the whole pattern that end on the VRU, with everything there in one
-    mesh.
-    """
-    beams = (
-        beam_directions(lidar).reshape(-1, 3)
-        @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
-    )
-    starts = pose.position_m + lidar.near_m * beams
+    """Beams of the whole pattern that end on the VRU, by one mesh of all there is."""
+    turn = body_rotation(pose.yaw_deg, pose.pitch_deg)
+    beams = beam_directions(lidar).reshape(-1, 3) @ turn.T
+    starts = (pose.position_m + lidar.near_m * beams).astype(np.float32)
     counts = []
     for run in runs:
-        fixed = [(scene.vertices_m, scene.triangles)]
-        for parked in run.obstruction:
-            shape = parked.actor.shapes[0]
-            fixed.append((to_world(shape.vertices_m, parked.pose), shape.triangles))
         for frame in range(len(run.time_s)):
-            vru = run.encounter.vru.shapes[run.vru_shape[frame]]
-            vertices, triangles, owner = _combined(
-                [
-                    _placed(vru, run.vru_position_m[frame], run.vru_yaw_deg[frame]),
-                    _placed(
-                        run.encounter.vut.shapes[0],
-                        run.vut_position_m[frame],
-                        run.vut_yaw_deg[frame],
-                    ),
-                    *fixed,
-                ]
-            )
-            caster = build_caster(vertices, triangles)
-            _, hit = caster.first_triangle(
-                starts.astype(np.float32), beams.astype(np.float32)
-            )
-            counts.append(int((owner[hit[hit >= 0]] == 0).sum()))
+            vertices_m, triangles, owner = one_mesh(parts_of_frame(scene, run, frame))
+            caster = build_caster(vertices_m, triangles)
+            _, hit = caster.first_triangle(starts, beams.astype(np.float32))
+            is_of_vru = owner[hit[hit >= 0]] == 0
+            counts.append(int(is_of_vru.sum()))
 
     return np.array(counts)
 
@@ -192,15 +162,16 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
     build_scene, build_run, needs, pose
 ):
     rng = _rng(7)
-    car = PlacedActor(
-        actor=pick_actor("parked-car-small", "test"),
-        pose=Pose(position_m=np.array([1.0, -2.0, 0.0]), yaw_deg=10.0),
-    )
+    car = parked_at("parked-car-small", 1.0, -2.0, 10.0)
     scene = build_scene(
         ((3.0, 2.0, 0.0), (6.0, 5.0, 3.0)), ((-40.0, -40.0, -1.0), (40.0, 40.0, 0.0))
     )
     runs = []
-    for name, obstruction in (("adult", ()), ("cyclist", (car,)), ("child", (car,))):
+    for name, obstruction in (
+        ("adult", ()),
+        ("cyclist", (car,)),
+        ("child", (car,)),
+    ):
         vru, vut = (
             np.column_stack(
                 [rng.uniform(-6.0, 9.0, (16, 2)), rng.uniform(-180.0, 180.0, 16)]
@@ -233,7 +204,17 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
     assert 0.2 < (counts >= 10).mean() < 0.9
 
 
-def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block, count):
+@pytest.mark.parametrize(
+    ("distance_m", "yaw_deg", "is_seen"),
+    [
+        (9.0, 0.0, True),
+        (9.0, 45.0, False),
+        (10.5, 0.0, False),
+    ],
+)
+def test_grazing_and_dark_surfaces_send_less_back(
+    build_scene, build_run, block, count, distance_m, yaw_deg, is_seen
+):
     """At the distance at which a pulse met squarely comes back half the time."""
     reflectivity = load_lidar_detection().reflectivity["pedestrian"]
     weak = replace(
@@ -243,16 +224,11 @@ def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block,
         reference_probability=0.5,
         threshold_width=1.0e-3,
     )
+    run = build_run(block, [[distance_m + 0.25, 0.0, yaw_deg]])
+    surroundings = build_surroundings(build_scene(), [run])
 
-    surroundings = [
-        build_surroundings(
-            build_scene(), [build_run(block, [[x_m + 0.25, 0.0, yaw_deg]])]
-        )
-        for x_m, yaw_deg in ((9.0, 0.0), (9.0, 45.0), (10.5, 0.0))
-    ]
-
-    assert [count(one, LOW, weak) > 0 for one in surroundings] == [True, False, False]
-    assert all(count(one, LOW) > 50 for one in surroundings)
+    assert (count(surroundings, LOW, weak) > 0) == is_seen
+    assert count(surroundings, LOW) > 50
 
 
 # Seed, company, and the VUT's own LiDAR
@@ -277,16 +253,14 @@ def test_other_frames_do_not_matter(build_scene, build_run):
         np.column_stack([rng.uniform(3.0, 30.0, 40), rng.uniform(-9.0, 9.0, (40, 2))])
         for _ in range(2)
     )
-    surroundings = build_surroundings(
-        build_scene(WALL), [build_run(pick_actor("adult", "test"), vru, vut)]
-    )
-
-    every = scan_frames(surroundings, LOW, SURE, _rng())
+    run = build_run(pick_actor("adult", "test"), vru, vut)
+    surroundings = build_surroundings(build_scene(WALL), [run])
     some = np.arange(0, 40, 3)
 
-    assert np.array_equal(
-        scan_frames(surroundings.take(some), LOW, SURE, _rng()), every[some]
-    )
+    every = scan_frames(surroundings, LOW, SURE, _rng())
+    alone = scan_frames(surroundings.take(some), LOW, SURE, _rng())
+
+    assert np.array_equal(alone, every[some])
     assert 0 < every.sum() < 40
 
 
@@ -296,26 +270,23 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     """
     yaw_deg = np.repeat([0.0, 77.0, -160.0], 4)
     bearing_deg = yaw_deg + np.tile([0.0, 60.0, 180.0, 5.0], 3)
-    towards = np.column_stack(
-        [np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))]
-    )
     place = np.repeat([[3.0, 5.0], [-20.0, 1.0], [40.0, -6.0]], 4, axis=0)
     vut = np.column_stack([place, yaw_deg])
-    vru = np.column_stack([place + 14.0 * towards, yaw_deg])
-    surroundings = build_surroundings(build_scene(), [build_run(block, vru, vut)])
+    vru = np.column_stack([place + 14.0 * ahead_of(bearing_deg), yaw_deg])
+    run = build_run(block, vru, vut)
 
-    found = scan_frames(surroundings, load_vut_camera(), load_vut_lidar(), _rng())
+    def found(scene):
+        surroundings = build_surroundings(scene, [run])
+        seen = scan_frames(surroundings, load_vut_camera(), load_vut_lidar(), _rng())
+        return seen.tolist()
 
-    assert found.tolist() == [True, False, False, True] * 3
+    one_place = [True, False, False, True]
 
-    wall = build_scene(((3.0 + 7.0, 5.0 - 3.0, 0.0), (3.0 + 7.4, 5.0 + 3.0, 4.0)))
-    behind = build_surroundings(wall, [build_run(block, vru, vut)])
+    assert found(build_scene()) == one_place * 3
 
-    found = scan_frames(behind, load_vut_camera(), load_vut_lidar(), _rng())
+    wall = ((3.0 + 7.0, 5.0 - 3.0, 0.0), (3.0 + 7.4, 5.0 + 3.0, 4.0))
 
-    assert (
-        found.tolist() == [False, False, False, False] + [True, False, False, True] * 2
-    )
+    assert found(build_scene(wall)) == [False] * 4 + one_place * 2
 
 
 # All round
@@ -327,7 +298,7 @@ RING = replace(SURE, horizontal_fov_deg=360.0, vertical_fov_deg=150.0, n_lines=1
 RING = replace(RING, points_per_second=10.0 * 150 * 360)
 SECTOR = replace(RING, horizontal_fov_deg=120.0, points_per_second=10.0 * 150 * 120)
 WIDE = replace(RING, horizontal_fov_deg=345.0, points_per_second=10.0 * 150 * 345)
-OVERHEAD = Pose(position_m=np.array([0.5, 0.5, 5.0]), yaw_deg=0.0)
+OVERHEAD = Pose(position_m=[0.5, 0.5, 5.0], yaw_deg=0.0)
 
 
 @pytest.fixture
@@ -352,12 +323,10 @@ def beams_on_vru(monkeypatch):
     return look
 
 
-def _around(build_run, name, distance_m, n_frames=20):
+def _around(build_run, name, distance_m, n_frames):
     """A VRU all round the origin, with the VUT now and then before it."""
     bearing_deg = np.linspace(-180.0, 180.0, n_frames, endpoint=False)
-    towards = np.column_stack(
-        [np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))]
-    )
+    towards = ahead_of(bearing_deg)
     vru = np.column_stack([distance_m * towards, bearing_deg + 20.0])
     vut = np.column_stack([0.5 * distance_m * towards, bearing_deg + 90.0])
     vut[::2] += 500.0

@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
-from tiny_worlds import table_of, unit_at
+from refusal_words import refused_saying
+from tiny_worlds import block_actor, table_of, unit_at
 
-from geometry.actors import Actor, MovingActor, Shape, pick_actor
-from geometry.errors import InputError
+from geometry.actors import MovingActor, pick_actor
 from placement.compute import DEFAULT_COMPUTE
 from placement.evaluator.evaluate import unit_key, watch
 
@@ -23,20 +22,8 @@ SPEED_MPS = 12.0
 @pytest.fixture(scope="module")
 def bus():
     """A bus that is a box."""
-    box = trimesh.creation.box((LENGTH_M, WIDTH_M, HEIGHT_M))
-    return Actor(
-        name="bus",
-        class_name="car",
-        length_m=LENGTH_M,
-        width_m=WIDTH_M,
-        height_m=HEIGHT_M,
-        shapes=(
-            Shape(
-                vertices_m=np.array(box.vertices) + [0.0, 0.0, 0.5 * HEIGHT_M],
-                triangles=np.array(box.faces, dtype=np.int32),
-            ),
-        ),
-    )
+    box = block_actor((LENGTH_M, WIDTH_M, HEIGHT_M), "bus")
+    return replace(box, class_name="car")
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +70,6 @@ def test_a_bus_hides_a_pedestrian_for_a_second(
 
     assert adult.height_m < 3.0 - (3.0 - HEIGHT_M) * 20.0 / far_edge_m
     # The rays to both sides of the body pass the near edge of the bus this far from the
-
     # axis.
     side_m = 0.5 * max(adult.width_m, adult.length_m) * (10.0 - 0.5 * WIDTH_M) / 20.0
     # Where the body is on the far edge's line of sight, its sides are as far out.
@@ -107,5 +93,5 @@ def test_a_vehicle_has_as_many_frames_as_the_run(build_run, bus):
     run = build_run(pick_actor("adult", "test"), [[20.0, 0.0, 0.0]] * 3)
     driving = MovingActor(actor=bus, position_m=np.zeros((2, 2)), yaw_deg=np.zeros(2))
 
-    with pytest.raises(InputError, match="2 frames; expected 3"):
+    with refused_saying("2 frames; expected 3"):
         replace(run, traffic=(driving,))

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
+from placed_bodies import ahead_of, poses_within
 from ray_renderer import render_frame
 
 from geometry.scene import Instance
@@ -102,19 +104,13 @@ def test_on_a_slope_whoever_is_ahead_is_seen_at_the_row_of_the_level_road(
 def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_looks(
     build_scene, build_run, camera, block
 ):
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     hills = terrain(
         lambda east, north: 3.0 * np.sin(east / 15.0) + 2.0 * np.cos(north / 12.0)
     )
-    vut = np.column_stack(
-        [rng.uniform(-30.0, 30.0, (40, 2)), rng.uniform(-180.0, 180.0, 40)]
-    )
-    ahead = np.stack(
-        [np.cos(np.radians(vut[:, 2])), np.sin(np.radians(vut[:, 2]))], axis=1
-    )
-    vru = np.column_stack(
-        [vut[:, :2] + rng.uniform(6.0, 15.0, (40, 1)) * ahead, vut[:, 2] + 40.0]
-    )
+    vut = poses_within(rng, 40, 30.0)
+    ahead_m = rng.uniform(6.0, 15.0, (40, 1)) * ahead_of(vut[:, 2])
+    vru = np.column_stack([vut[:, :2] + ahead_m, vut[:, 2] + 40.0])
     run = replace(build_run(block, vru, vut), terrain=hills)
     scene = on(build_scene(((-6.0, 3.0, -9.0), (-2.0, 6.0, 4.0))), hills)
 
@@ -141,12 +137,16 @@ def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_look
 
 def test_the_vuts_lidar_tilts_with_the_road(build_scene, build_run, block):
     slope = terrain(lambda east, north: 0.5 * east)  # so steep that level beams miss
-    vru = [[14.0, 0.0, 0.0], [-14.0, 0.0, 0.0], [2.0, 14.0, 0.0]]
+    vru = [
+        [14.0, 0.0, 0.0],
+        [-14.0, 0.0, 0.0],
+        [2.0, 14.0, 0.0],
+    ]
     run = replace(build_run(block, vru, [[0.0, 0.0, 0.0]] * 3), terrain=slope)
     surroundings = build_surroundings(on(build_scene(), slope), [run])
 
     def found(around):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         return scan_frames(around, load_vut_camera(), load_vut_lidar(), rng).tolist()
 
     assert found(surroundings) == [True, False, False]

@@ -59,5 +59,8 @@ def test_nobody_looks_where_there_is_nothing_to_compare(problem, chosen):
 
     assert find_by_runs(by_runs, chosen, effort=EFFORT) is None
 
-    for asked in (replace(problem, survive=1), replace(problem, goal="cheapest")):
+    for asked in (
+        replace(problem, survive=1),
+        replace(problem, goal="cheapest"),
+    ):
         assert find_by_runs(asked, chosen, effort=EFFORT) is None

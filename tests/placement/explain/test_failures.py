@@ -127,7 +127,13 @@ def test_every_failure_is_as_brute_force_says(axis, n_units, data):
 
 
 @pytest.mark.parametrize(
-    "sites", [("a", "a", "b"), ("a", "b", "c"), ("a", "a", "a"), ("", "", "b")]
+    "sites",
+    [
+        ("a", "a", "b"),
+        ("a", "b", "c"),
+        ("a", "a", "a"),
+        ("", "", "b"),
+    ],
 )
 def test_a_pole_takes_all_its_units_with_it(frame_axis, rule, sites):
     rng = np.random.default_rng(4)

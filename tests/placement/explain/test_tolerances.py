@@ -43,10 +43,13 @@ def setting(runs, rule):
 
 def unit(name, yaw_deg, pitch_deg=-40.0):
     """A camera at the corner's pole, 8 m high."""
-    pose = Pose(
-        position_m=np.array([-115.4, 8.85, 8.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg
+    pose = Pose(position_m=[-115.4, 8.85, 8.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    return CandidatePose(
+        id=name,
+        site_id="",
+        pose=pose,
+        sensor=CAMERA,
     )
-    return CandidatePose(id=name, site_id="", pose=pose, sensor=CAMERA)
 
 
 def avoided(setting, units):
@@ -86,7 +89,10 @@ def test_within_its_tolerances_nothing_is_lost_and_a_step_beyond_something_is(se
         ("pitch_deg", TURNS_DEG, found.pitch_deg),
         ("height_m", LIFTS_M, found.height_m),
     ):
-        for sign, good in ((-1.0, low), (1.0, high)):
+        for sign, good in (
+            (-1.0, low),
+            (1.0, high),
+        ):
             within = [step for step in steps if step <= good]
 
             assert good == (within[-1] if within else 0.0)
@@ -107,7 +113,10 @@ def test_within_its_tolerances_nothing_is_lost_and_a_step_beyond_something_is(se
 
 
 def test_a_twin_lets_a_unit_be_off_by_all_that_is_tried(setting):
-    twins = [unit("a", -135.0), unit("b", -135.0)]
+    twins = [
+        unit("a", -135.0),
+        unit("b", -135.0),
+    ]
     for found in find_tolerances(setting, twins):
         assert found.yaw_deg == found.pitch_deg == (TURNS_DEG[-1], TURNS_DEG[-1])
         assert found.height_m == (LIFTS_M[-1], LIFTS_M[-1])

@@ -49,7 +49,10 @@ def run_of(
         weather=weather,
         vut_speed_kmh=20.0,
         encounter=Encounter(
-            vut=actors["vut"], vut_motion=motion, vru=actors["adult"], vru_motion=motion
+            vut=actors["vut"],
+            vut_motion=motion,
+            vru=actors["adult"],
+            vru_motion=motion,
         ),
         time_s=np.arange(1.0 - N_FRAMES, 1.0) / 10.0,
         vut_position_m=np.tile(vut_m, (N_FRAMES, 1)),
@@ -113,7 +116,7 @@ BEHIND = ("wall-b", 8.0, 0.0, 0.5, 6.0, 4.0)
 PARKED = [
     PlacedActor(
         actor=load_actors()["parked-van"],
-        pose=Pose(position_m=np.array([x, 0.0, 0.0]), yaw_deg=90.0, pitch_deg=0.0),
+        pose=Pose(position_m=[x, 0.0, 0.0], yaw_deg=90.0, pitch_deg=0.0),
     )
     for x in (-5.0, -9.0)
 ]
@@ -383,7 +386,10 @@ def may_join(limits, chosen, pose):
 
 
 def test_each_look_gets_its_own_reasons():
-    runs = [run_of((0.0, 0.0), name="a"), run_of((0.0, 40.0), name="b")]
+    runs = [
+        run_of((0.0, 0.0), name="a"),
+        run_of((0.0, 40.0), name="b"),
+    ]
     setting = setting_of(*runs, boxes=[WALL])
     low = unit(-20.0, 0.0, 1.2, pitch_deg=0.0)
     away = unit(-20.0, 40.0, yaw_deg=180.0)

@@ -28,9 +28,9 @@ def scene():
 def candidates(scene):
     """One pose at each of four sites, and the study's first two units."""
     grid = CandidateGrid(
-        heights_m=np.array([5.0]),
+        heights_m=[5.0],
         yaw_step_deg=360.0,
-        pitches_deg=np.array([-30.0]),
+        pitches_deg=[-30.0],
         sensors=load_candidate_grid().sensors,
     )
     every = build_candidates(scene, grid, extra=load_carlancap_layout().units[:2])

@@ -3,12 +3,13 @@
 from dataclasses import replace
 
 import pytest
+from tiny_cameras import tiny_camera
 from tiny_worlds import scene_of_boxes
 
 from geometry.actors import pick_actor
-from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
+from placement.imaging import build_backdrop
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import select_cases
 from scenarios.runs import build_runs
@@ -29,15 +30,7 @@ def dark(day):
 @pytest.fixture(scope="session")
 def small():
     """A camera of 240 by 160 pixels."""
-    return CameraModel(
-        name="small",
-        width_px=240,
-        height_px=160,
-        horizontal_fov_deg=90.0,
-        frame_rate_hz=10.0,
-        near_m=0.1,
-        price_eur=0.0,
-    )
+    return tiny_camera(240, 160, near_m=0.1)
 
 
 @pytest.fixture(scope="session")
@@ -66,3 +59,9 @@ def study_run():
         approaches=["east"],
     )
     return runs[0]
+
+
+@pytest.fixture(scope="session")
+def backdrop(study_run):
+    """What stands still in the study's run."""
+    return build_backdrop(load_study_scene(), study_run.obstruction)

@@ -90,7 +90,11 @@ def test_level_ground_gets_the_skys_light_and_what_faces_down_what_the_ground_se
     name,
 ):
     weather = replace(load_weathers()[name], sun_lux=0.0)
-    normals = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
+    normals = [
+        [0.0, 0.0, 1.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 0.0, -1.0],
+    ]
     lux = _lux(_hits(np.zeros((3, 3)), normals), weather, ground_albedo=0.2)
 
     assert lux == pytest.approx(weather.sky_lux * np.array([1.0, 0.6, 0.2]), rel=1e-4)

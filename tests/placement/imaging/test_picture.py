@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from camera_rays import pixel_rays
 from kept_backdrops import CORNER
 from ray_renderer import render_frame
 
@@ -18,18 +19,12 @@ from placement.evaluator.surroundings import build_surroundings
 from placement.imaging import build_backdrop, draw_picture
 
 # Near the study's RSU3.
-ABOVE = Pose(position_m=np.array([0.0, -12.0, 9.0]), yaw_deg=90.0, pitch_deg=-40.0)
+ABOVE = Pose(position_m=[0.0, -12.0, 9.0], yaw_deg=90.0, pitch_deg=-40.0)
 
 
 def render_picture(scene, run, *args, **options):
     """The picture of one frame of a run."""
     return draw_picture(build_backdrop(scene, run.obstruction), run, *args, **options)
-
-
-@pytest.fixture(scope="module")
-def backdrop(study_run):
-    """What stands still in the study's run."""
-    return build_backdrop(load_study_scene(), study_run.obstruction)
 
 
 @pytest.fixture
@@ -96,17 +91,8 @@ def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("back", "with_vut"),
-    [
-        (5, True),
-        (0, False),
-        *(
-            (back, with_vut)
-            for back, with_vut in ((0, True), (12, True), (5, False), (12, False))
-        ),
-    ],
-)
+@pytest.mark.parametrize("back", [0, 5, 12])
+@pytest.mark.parametrize("with_vut", [True, False])
 def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
     backdrop, study_run, small, back, with_vut
 ):
@@ -151,7 +137,6 @@ def test_what_lies_in_the_shadow_is_darker(build_plain_scene, study_run, small, 
     picture = render_picture(scene, study_run, 0, ABOVE, small, weather=weather)
     ground = picture.instance == picture.names.index("ground")
     rows, columns = np.nonzero(ground)
-    from camera_rays import pixel_rays
 
     rays = pixel_rays(columns, rows, ABOVE, small)
     points = ABOVE.position_m + rays * picture.depth_m[rows, columns, None]
@@ -213,26 +198,23 @@ def test_the_vuts_own_camera_sees_its_headlights_not_itself(backdrop, study_run,
         yaw_deg=float(study_run.vut_yaw_deg[frame]),
     )
 
-    pictures = [
-        draw_picture(
+    def mean_below(weather):
+        picture = draw_picture(
             backdrop, study_run, frame, pose, small, weather=weather, with_vut=False
-        ).rgb.astype(float)
-        for weather in (
-            load_weathers()["night"],
-            replace(load_weathers()["night"], has_lamps=False),
         )
-    ]
-    below = np.s_[120:, 60:180]
+        return picture.rgb[120:, 60:180].mean()
 
-    assert pictures[0][below].mean() > 3.0 * pictures[1][below].mean()
+    night = load_weathers()["night"]
+    unlit = replace(night, has_lamps=False)
+
+    assert mean_below(night) > 3.0 * mean_below(unlit)
 
 
 @pytest.mark.long
 def test_what_drives_by_is_in_the_picture(backdrop, study_run, small, day):
     vru_m = study_run.vru_position_m[0]
-    towards = (CORNER.position_m[:2] - vru_m) / np.linalg.norm(
-        CORNER.position_m[:2] - vru_m
-    )
+    towards = CORNER.position_m[:2] - vru_m
+    towards /= np.linalg.norm(towards)
     n_frames = len(study_run.time_s)
     position_m = np.tile(vru_m + 3.0 * towards, (n_frames, 1))
     position_m[1:] = np.nan
@@ -242,8 +224,8 @@ def test_what_drives_by_is_in_the_picture(backdrop, study_run, small, day):
         yaw_deg=np.zeros(n_frames),
     )
     run = replace(study_run, traffic=(van,))
-    first = draw_picture(backdrop, run, 0, CORNER, small, weather=day)
 
+    first = draw_picture(backdrop, run, 0, CORNER, small, weather=day)
     second = draw_picture(backdrop, run, 1, CORNER, small, weather=day)
 
     assert first.names[-3:] == ("driving-1", "vut", "vru")

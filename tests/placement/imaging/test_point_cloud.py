@@ -34,9 +34,7 @@ def scene():
 def pose(run):
     """Twelve metres from the VRU at the impact, looking at it."""
     east, north = run.vru_position_m[-1]
-    return Pose(
-        position_m=np.array([east - 12.0, north, 4.0]), yaw_deg=0.0, pitch_deg=-12.0
-    )
+    return Pose(position_m=[east - 12.0, north, 4.0], yaw_deg=0.0, pitch_deg=-12.0)
 
 
 def _scan(scene, run, pose, lidar=EXACT, weather=DAY, *, with_vut=True, **options):
@@ -86,7 +84,11 @@ def test_ground_points_lie_on_the_road_and_those_of_the_vru_on_its_body(
 
 
 @pytest.mark.parametrize(
-    ("name", "box_height_m"), [("motorcyclist", 1.7), ("car", 1.427)]
+    ("name", "box_height_m"),
+    [
+        ("motorcyclist", 1.7),
+        ("car", 1.427),
+    ],
 )
 def test_points_of_a_motorcyclist_and_a_car_lie_in_their_boxes(
     scene, run, pose, name, box_height_m

@@ -13,6 +13,7 @@ from kernel_cases import (
     random_chains,
     random_sights,
 )
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
 from placement.optimiser import bit_kernels as kernels
@@ -35,7 +36,7 @@ def test_the_lowest_bit_is_the_number_of_zeros_below_it(place, above):
 
 @given(SEEDS, st.integers(1, 3))
 def test_blocks_are_transposed_bit_by_bit(seed, n):
-    bits = np.random.default_rng(seed).random((64, n, 64)) < 0.5
+    bits = default_rng(seed).random((64, n, 64)) < 0.5
     block = pack_words(bits)[..., 0]
     kernels.transpose_blocks(block)
 
@@ -46,7 +47,7 @@ def test_blocks_are_transposed_bit_by_bit(seed, n):
 
 @given(SEEDS)
 def test_a_range_of_rows_has_the_bits_of_all_its_rows(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     bits = rng.random((8, 100)) < 0.2
     begin = rng.integers(0, 9, 6)
     end = np.minimum(begin + rng.integers(0, 4, 6), 8)
@@ -89,9 +90,7 @@ def runs_of_windows(rng):
 
 @given(SEEDS)
 def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed):
-    sets, start, tail_frame, tail_start, n_links = runs_of_windows(
-        np.random.default_rng(seed)
-    )
+    sets, start, tail_frame, tail_start, n_links = runs_of_windows(default_rng(seed))
     before = n_links.copy()
     is_kept = np.zeros(len(sets), dtype=bool)
     kernels.thin_out(sets, start, tail_frame, tail_start, n_links, is_kept)
@@ -126,7 +125,7 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed):
 
 def drawn(seed):
     """A generator and random chains."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     return rng, random_chains(rng)
 
 

@@ -150,7 +150,10 @@ def test_what_forced_units_take_is_not_there_for_others():
 
 @pytest.mark.parametrize(
     ("n_units", "n_failures", "expected"),
-    [(3, 0, [0.0, 1.0, 1.0, 1.0, 1.0]), (3, 1, [0.0, 2 / 3, 1.0, 1.0, 1.0])],
+    [
+        (3, 0, [0.0, 1.0, 1.0, 1.0, 1.0]),
+        (3, 1, [0.0, 2 / 3, 1.0, 1.0, 1.0]),
+    ],
 )
 def test_a_row_is_worth_the_share_of_failures_that_leave_a_unit(
     n_units, n_failures, expected

@@ -40,7 +40,13 @@ def left(problem, poses, n_failures):
 def where_sites_fail(problem, survive=0):
     """The problem in which whole sites fail."""
     limits = replace(problem.limits, failing="site")
-    return replace(problem, limits=limits, survive=survive, floors=(), goal="best")
+    return replace(
+        problem,
+        limits=limits,
+        survive=survive,
+        floors=(),
+        goal="best",
+    )
 
 
 @given(problem=problems(), n_failures=st.integers(0, 3))

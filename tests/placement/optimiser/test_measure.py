@@ -154,7 +154,10 @@ def test_a_requirement_counts_runs_that_leave_the_margin(seed, least_s):
     )
 
     sums = Requirement(
-        measure=measure, least=0.5, min_margin_s=least_s, sums_margins=True
+        measure=measure,
+        least=0.5,
+        min_margin_s=least_s,
+        sums_margins=True,
     )
     expected = [
         sum(w * m for w, m, c in zip(measure.weight, row, count, strict=True) if c)

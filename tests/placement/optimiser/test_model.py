@@ -169,7 +169,12 @@ FAILING = st.sampled_from(["unit", "site"])
 PLACES = st.sampled_from([1.0, 1.0, 0.5, 0.9])
 
 
-@given(problem=problems(), n_failures=st.integers(0, 2), place=PLACES, failing=FAILING)
+@given(
+    problem=problems(),
+    n_failures=st.integers(0, 2),
+    place=PLACES,
+    failing=FAILING,
+)
 def test_cuts_are_met_by_all_sets_that_keep_enough(problem, n_failures, place, failing):
     limits = replace(problem.limits, failing=failing)
     reduced = presolve(replace(problem, limits=limits))

@@ -3,6 +3,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
 from placement.optimiser import Limits, PresolveStatistics
@@ -17,7 +18,7 @@ from placement.optimiser.presolve import (
 
 @given(st.integers(0, 200), st.integers(0, 2**32 - 1))
 def test_packing_words_loses_nothing(n_bits, seed):
-    bits = np.random.default_rng(seed).random((3, n_bits)) < 0.5
+    bits = default_rng(seed).random((3, n_bits)) < 0.5
     assert_array_equal(unpack_words(pack_words(bits), n_bits), bits)
 
 
@@ -37,7 +38,7 @@ def packed_rows(rng, n_rows, n_bytes):
     st.integers(0, 2**32 - 1),
 )
 def test_part_of_a_table_turned_round_has_its_bits(n_rows, n_chosen, n_bytes, seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     rows = packed_rows(rng, n_rows, n_bytes)
     chosen = rng.integers(0, n_rows, n_chosen)
     left = np.flatnonzero(rng.random(8 * n_bytes) < 0.7)
@@ -55,7 +56,7 @@ def test_part_of_a_table_turned_round_has_its_bits(n_rows, n_chosen, n_bytes, se
 
 @given(st.integers(0, 60), st.integers(1, 3), st.integers(0, 2**32 - 1))
 def test_rows_are_numbered_by_their_first_appearance(n_rows, n_words, seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     rows = rng.integers(0, 4, (n_rows, n_words)).astype(np.uint64)
     mask = rng.integers(0, 4, n_words).astype(np.uint64)
 
@@ -69,7 +70,7 @@ def test_rows_are_numbered_by_their_first_appearance(n_rows, n_words, seed):
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
 def test_poses_are_dominated_as_one_by_one(seed, max_units):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     n_poses = 30
     n_sites = 8
     bits = rng.random((n_poses, 100)) < rng.choice([0.02, 0.05, 0.98])

@@ -99,7 +99,13 @@ def test_no_bound_of_the_first_stage_is_beaten(problem, solver):
 def test_what_is_given_up_buys_the_most_that_is_left_when_a_unit_fails(
     problem, give_up
 ):
-    problem = replace(problem, goal="best", survive=0, floors=(), tail=1.0)
+    problem = replace(
+        problem,
+        goal="best",
+        survive=0,
+        floors=(),
+        tail=1.0,
+    )
     try:
         highest, sturdy = solve_sturdily(problem, give_up=give_up, effort=Effort())
     except InputError:

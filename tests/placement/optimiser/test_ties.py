@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from oracle import TIE, Oracle
 from oracle_checks import EVERY_WAY, check
@@ -101,7 +102,7 @@ def test_a_pose_is_not_dropped_for_one_that_avoids_a_run_more_at_a_tie(solver):
 
 @given(st.integers(0, 2**32 - 1))
 def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed):
-    problem = random_problem(np.random.default_rng(seed))
+    problem = random_problem(default_rng(seed))
     problem = replace(problem, floors=(), goal="best")
     reduced = presolve(problem)
     sets = np.array(list(combinations(range(reduced.n_poses), 1)), dtype=np.int64)
@@ -119,7 +120,7 @@ def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed):
 
 @given(st.lists(st.integers(0, 6), min_size=1, max_size=8), st.integers(0, 2**32 - 1))
 def test_contenders_limit_every_set_that_ties_in_all_stages_before(steps, seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     objectives = (Objective.APR, Objective.MEAN_MARGIN, Objective.COST)
     n_sets = len(steps)
     gains = np.column_stack(
@@ -164,7 +165,7 @@ def test_ties_are_equal_where_weights_are_fractions_or_all_is_avoided():
 
     assert build_measure(fractions).least_tied(0.5) == 0.5
 
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     odd = rng.random(20)
     odd /= odd.sum()
 

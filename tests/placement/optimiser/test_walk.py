@@ -68,7 +68,14 @@ def test_a_walk_meets_every_set_that_meets_its_needs(problem, n_failures, place)
 def test_a_walk_with_forced_poses_meets_every_allowed_set(problem):
     plain = replace(problem.limits, budget_eur=None, rivals=None, is_forced_site=None)
     reduced = presolve(
-        replace(problem, limits=plain, floors=(), goal="best", survive=0, tail=1.0)
+        replace(
+            problem,
+            limits=plain,
+            floors=(),
+            goal="best",
+            survive=0,
+            tail=1.0,
+        )
     )
     n_units = reduced.limits.max_units
     if not can_walk(reduced):
@@ -113,7 +120,13 @@ def tie_search(reduced, units, n_failures, *, ahead=0.0):
 def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
     limits = replace(problem.limits, is_forced=None)
     reduced = presolve(
-        replace(problem, limits=limits, floors=(), goal="best", tail=1.0)
+        replace(
+            problem,
+            limits=limits,
+            floors=(),
+            goal="best",
+            tail=1.0,
+        )
     )
     if not can_walk(reduced):
         return
@@ -168,8 +181,8 @@ def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost():
             pose_ids=tuple("012345"), axis=axis, packed=np.array(seen, dtype=np.uint8)
         ),
         limits=Limits(
-            site_index=np.array([1, 2, 1, 1, 2, 2]),
-            site_capacity=np.array([1, 2, 2, 1]),
+            site_index=[1, 2, 1, 1, 2, 2],
+            site_capacity=[1, 2, 2, 1],
             budget_units=3,
         ),
         fusion="any",

@@ -18,6 +18,7 @@ from kernel_cases import (
     random_sights,
     whole_weights,
 )
+from numpy.random import default_rng
 
 from placement.optimiser import walk_kernels as kernels
 from placement.optimiser.bounds import byte_table, reward_of
@@ -74,7 +75,7 @@ def asked_of(chains, chain, link, alone, seen):
 
 @given(SEEDS)
 def test_windows_are_asked_for_the_missing_piece_that_is_seen_least(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     chains = random_chains(rng)
     alone = set(np.flatnonzero(rng.random(N_FRAMES) < 0.4).tolist())
     union = pack_words(np.isin(np.arange(N_FRAMES), list(alone)))
@@ -101,7 +102,7 @@ def test_windows_are_asked_for_the_missing_piece_that_is_seen_least(seed):
 def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
     seed, n_poses
 ):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     chains = random_chains(rng)
     sees = random_sights(rng, n_poses, share=0.3)
     asked = rng.integers(-1, N_FRAMES, len(chains.window))
@@ -224,7 +225,7 @@ def walked(covers, walk, n_failures, *, work, n_out):
 def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused(
     seed, n_units, work, n_out
 ):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     covers = build_covers(rng)
     copies = rng.integers(1, 3, 6)
     covers = covers._replace(copies=copies)
@@ -244,7 +245,7 @@ def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused
 
 
 def test_a_walk_stops_at_each_node_of_a_depth():
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     covers = build_covers(rng)
     walk = build_walk(covers, 3, np.full(3, 3), [100.0, 100.0])
     out = np.empty((100, 3), dtype=np.int64)
@@ -266,7 +267,7 @@ def test_a_walk_stops_at_each_node_of_a_depth():
 
 @given(SEEDS, st.integers(0, 40))
 def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     n_rows = int(rng.integers(1, 140))
     alone, may, part = rng.random((3, 5, n_rows)) < 0.6
     weight = whole_weights(rng, n_rows)
@@ -300,7 +301,7 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
 def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
     seed, with_failures, most, n_out
 ):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     chains = random_chains(rng)
     alone = rng.random(N_FRAMES) < 0.2
     losses = build_losses(rng, chains, alone, [float(most), float(most + 3)])

@@ -62,7 +62,10 @@ def test_another_speed_is_another_drive_in_the_same_numbering():
         )
     )
 
-    assert spans == [(0, 0, 11), (0, 42, 56)]
+    assert spans == [
+        (0, 0, 11),
+        (0, 42, 56),
+    ]
     assert left_out == {RESETS: 60}
     assert [drive.vut_speed_mps for drive in drives] == [10.0, 15.0]
 
@@ -109,7 +112,10 @@ def test_drives_do_not_reach_over_more_than_ten_missing_seconds():
     near = _world((_falling(12), 10.0, 1.5))
     far = _world((_falling(12), 10.0, 1.5), first=10**8)
 
-    assert _cut(near | far)[0] == [(0, 0, 11), (0, 10**8, 10**8 + 11)]
+    assert _cut(near | far)[0] == [
+        (0, 0, 11),
+        (0, 10**8, 10**8 + 11),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,10 @@ def test_a_cyclist_ahead_leaves_the_time_that_shedding_the_closing_speed_takes(
     # v = 10, u = 4, c = 6 = v - u: cos = 1. Last moment -6 / 15.44 = -0.3886 s: the
     # third frame may be the one at -0.5 s (onset -0.475), not that at -0.4 s (onset
     # -0.375).
-    for frames, is_avoided in (((7, 6, 5), True), ((6, 5, 4), False)):
+    for frames, is_avoided in (
+        ((7, 6, 5), True),
+        ((6, 5, 4), False),
+    ):
         folder = _one_drive(
             new_folder, {"0": frames}, speeds=(10.0, 4.0), closing=6.0, actor="bycicle"
         )
@@ -225,7 +228,10 @@ def test_of_several_pedestrians_the_vuts_is_the_one_at_the_recorded_distance(
 ):
     # Eight frames before the impact the bodies are 10 m apart.
     other = "900 200 940 300"
-    for near_m, far_m, n_detected in ((9.0, 30.0, 1), (30.0, 9.0, 0)):
+    for near_m, far_m, n_detected in (
+        (9.0, 30.0, 1),
+        (30.0, 9.0, 0),
+    ):
         folder = _one_drive(new_folder, {"0": (), "car": (8,)})
         folder.files["car/3_3.txt"] = (
             f"pedestrian {BOX} {near_m}\npedestrian {other} {far_m}\n"
@@ -269,7 +275,12 @@ def test_a_speed_that_is_driven_again_gets_a_number(new_folder, judge):
         resets=30,
     )
     folder.drive(
-        7, number, speeds=(10.0, 1.5), closing=10.0, n_frames=12, detected={"0": ()}
+        7,
+        number,
+        speeds=(10.0, 1.5),
+        closing=10.0,
+        n_frames=12,
+        detected={"0": ()},
     )
 
     assert judge(folder).axis.run_ids == ("recording/7/36", "recording/7/36/2")

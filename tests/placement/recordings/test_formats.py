@@ -100,7 +100,6 @@ def test_a_tsai_camera_stands_where_its_rotation_and_shift_say(tmp_path):
     assert camera.fx_px == pytest.approx(5.5 * 1.09 / 5e-3)
     assert np.linalg.det(camera.R_camera_world) == pytest.approx(1.0)
     # The world's origin is at the shift: its undistorted place follows without any
-
     # rotation.
     u = np.array([0.828, -3.175]) / 35.469
     (shown,) = project_distorted([[0.0, 0.0, 0.0]], camera)
@@ -327,7 +326,14 @@ def test_tracks_that_jump_are_left_out_and_counted(tmp_path):
     path = tmp_path / "gt.txt"
     # 40 px high: 8 heights are 320 px a frame, and twice that over a frame that is
     # missing.
-    rows = [(1, 1, 0), (2, 1, 320), (4, 1, 960), (1, 2, 0), (2, 2, 321), (3, 2, 330)]
+    rows = [
+        (1, 1, 0),
+        (2, 1, 320),
+        (4, 1, 960),
+        (1, 2, 0),
+        (2, 2, 321),
+        (3, 2, 330),
+    ]
     path.write_text("".join(f"{f},{t},{x},9,30,40,1\n" for f, t, x in rows))
 
     found = read_boxes(path)

@@ -169,7 +169,12 @@ def test_a_recording_in_which_nobody_meets_is_refused_with_what_was_left_out(
 ):
     folder = new_folder()
     folder.drive(
-        0, 0, speeds=(10.0, 1.0), closing=0.0, n_frames=5, detected={"0": (), "car": ()}
+        0,
+        0,
+        speeds=(10.0, 1.0),
+        closing=0.0,
+        n_frames=5,
+        detected={"0": (), "car": ()},
     )
     folder.files["0/9_9.txt"] = ""
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from refusal_words import refused_saying
 from refusals import refused_with
 
-from geometry.errors import InputError
 from geometry.image_boxes import box_height_px, iou
 from geometry.study_scene import load_study_scene
 from placement.evaluator import build_surroundings, load_vut_camera, perceive_frames
@@ -100,9 +100,7 @@ def test_an_empty_folder_is_filled(tmp_path):
 
 def test_a_file_in_the_way_is_named(tmp_path):
     (tmp_path / "data").write_text("mine")
-    with pytest.raises(
-        InputError, match="data: got Not a directory; expected a folder that can"
-    ):
+    with refused_saying("data: got Not a directory; expected a folder that can"):
         write_recording(tmp_path / "data", [_drive()])
 
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
@@ -174,7 +172,10 @@ def simulated(runs):
     vut_camera = load_vut_camera()
     by_id = {unit.id: unit for unit in load_carlancap_layout().units}
     boxes = {"car": perceive_frames(surroundings, vut_camera)}
-    for folder, unit in (("2", by_id["RSU2"]), ("9", by_id["RSU9"])):
+    for folder, unit in (
+        ("2", by_id["RSU2"]),
+        ("9", by_id["RSU9"]),
+    ):
         boxes[folder] = perceive_frames(surroundings, (unit.pose, unit.sensor))
 
     is_high = {

@@ -100,9 +100,9 @@ def meadow(build_meadow, build_walk, build_small_setting):
 def meadow_grid(meadow, narrow_camera):
     """Eight directions at the pole."""
     grid = CandidateGrid(
-        heights_m=np.array([5.0]),
+        heights_m=[5.0],
         yaw_step_deg=45.0,
-        pitches_deg=np.array([-15.0]),
+        pitches_deg=[-15.0],
         sensors=(narrow_camera,),
     )
     return build_candidates(meadow.scene, grid)

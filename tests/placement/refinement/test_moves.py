@@ -26,11 +26,28 @@ def _unit(name, east=0.0, height=5.0, yaw=0.0, pitch=-15.0, sensor=CAMERA):
 
 
 def test_units_are_paired_by_place_and_nearest_direction():
-    before = [_unit("U1", yaw=170.0), _unit("U2", yaw=0.0), _unit("U3", east=9.0)]
-    after = [_unit("a", yaw=30.0), _unit("b", yaw=-175.0), _unit("c", east=4.0)]
+    before = [
+        _unit("U1", yaw=170.0),
+        _unit("U2", yaw=0.0),
+        _unit("U3", east=9.0),
+    ]
+    after = [
+        _unit("a", yaw=30.0),
+        _unit("b", yaw=-175.0),
+        _unit("c", east=4.0),
+    ]
 
-    assert pair_units(before, after) == [(0, 1), (1, 0), (2, None), (None, 2)]
-    assert pair_units(before, before) == [(0, 0), (1, 1), (2, 2)]
+    assert pair_units(before, after) == [
+        (0, 1),
+        (1, 0),
+        (2, None),
+        (None, 2),
+    ]
+    assert pair_units(before, before) == [
+        (0, 0),
+        (1, 1),
+        (2, 2),
+    ]
 
 
 def test_another_sensor_at_the_place_is_another_unit():
@@ -92,7 +109,11 @@ def test_a_named_pose_that_is_turned_is_no_longer_called_so():
 
 def test_new_units_get_names_that_are_free_and_lost_ones_are_told():
     before = Layout(name="best-2", units=(_unit("U1"), _unit("U2", east=9.0)))
-    poses = [_unit("a", yaw=4.0), _unit("b", east=20.0), _unit("c", east=30.0)]
+    poses = [
+        _unit("a", yaw=4.0),
+        _unit("b", east=20.0),
+        _unit("c", east=30.0),
+    ]
 
     layout, moves = rename(before, poses, named=[], name="n")
 
@@ -100,7 +121,12 @@ def test_new_units_get_names_that_are_free_and_lost_ones_are_told():
 
     told = [(m.before and m.before.id, m.after and m.after.id) for m in moves]
 
-    assert told == [("U1", "U1"), ("U2", None), (None, "U3"), (None, "U4")]
+    assert told == [
+        ("U1", "U1"),
+        ("U2", None),
+        (None, "U3"),
+        (None, "U4"),
+    ]
     assert [move.is_same_place for move in moves] == [True, False, False, False]
 
 

@@ -20,7 +20,7 @@ def _limits(candidates, **fields):
     """Limits with one unit at each site."""
     sites = sorted({candidate.site_id or candidate.id for candidate in candidates})
     return Limits(
-        site_index=np.array([sites.index(c.site_id or c.id) for c in candidates]),
+        site_index=[sites.index(c.site_id or c.id) for c in candidates],
         site_capacity=np.ones(len(sites), dtype=int),
         budget_units=1,
         **fields,
@@ -126,9 +126,9 @@ def test_nothing_is_moved_into_a_wall(narrow_camera):
     )
     scene = replace(scene, sites=(site,))
     grid = CandidateGrid(
-        heights_m=np.array([corners[:, 2].max() + 5.0]),
+        heights_m=[corners[:, 2].max() + 5.0],
         yaw_step_deg=360.0,
-        pitches_deg=np.array([-15.0]),
+        pitches_deg=[-15.0],
         sensors=(narrow_camera,),
     )
     candidates = build_candidates(scene, grid)
@@ -142,9 +142,9 @@ def test_nothing_is_moved_into_a_wall(narrow_camera):
 def test_a_varifocal_lens_is_set_within_its_range(meadow):
     camera = pick_sensor("varifocal-1080p", "test")
     grid = CandidateGrid(
-        heights_m=np.array([5.0]),
+        heights_m=[5.0],
         yaw_step_deg=360.0,
-        pitches_deg=np.array([-15.0]),
+        pitches_deg=[-15.0],
         sensors=(camera,),
     )
     candidates = build_candidates(meadow.scene, grid)
@@ -152,7 +152,12 @@ def test_a_varifocal_lens_is_set_within_its_range(meadow):
     places = build_places(meadow.scene, candidates, _limits(candidates))
     pose = {"height_m": 5.0, "yaw_deg": 0.0, "pitch_deg": -15.0}
 
-    for asked, got in ((1.0, 26.2), (170.0, 89.6), (50.123, 50.12), (None, 89.6)):
+    for asked, got in (
+        (1.0, 26.2),
+        (170.0, 89.6),
+        (50.123, 50.12),
+        (None, 89.6),
+    ):
         zoomed = moved(places, 0, **pose, fov_deg=asked)
         assert zoomed.sensor.horizontal_fov_deg == got
         assert zoomed.id.endswith(f"/varifocal-1080p/{got:g}")
@@ -168,9 +173,9 @@ def test_a_varifocal_lens_is_set_within_its_range(meadow):
 def test_a_level_ring_is_tilted_and_never_only_turned(meadow):
     ring = pick_sensor("ouster-os1-128", "test")
     grid = CandidateGrid(
-        heights_m=np.array([6.0]),
+        heights_m=[6.0],
         yaw_step_deg=90.0,
-        pitches_deg=np.array([-20.0]),
+        pitches_deg=[-20.0],
         sensors=(ring,),
     )
     candidates = build_candidates(meadow.scene, grid)

@@ -23,9 +23,9 @@ from placement.wishes import Wishes
 def _grid_of(scene, camera, *, yaw_step_deg, pitch_deg=-15.0, height_m=5.0):
     """Candidates of a grid with one height and pitch."""
     grid = CandidateGrid(
-        heights_m=np.array([height_m]),
+        heights_m=[height_m],
         yaw_step_deg=yaw_step_deg,
-        pitches_deg=np.array([pitch_deg]),
+        pitches_deg=[pitch_deg],
         sensors=(camera,),
     )
     return build_candidates(scene, grid)

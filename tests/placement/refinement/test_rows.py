@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from tiny_worlds import table_of
 
 from geometry.catalogue import pick_sensor
@@ -21,8 +22,12 @@ SENSORS = ("carla-ncap-rgb", "varifocal-1080p", "carla-ncap-lidar")
 
 def _random_poses(n_poses, seed):
     """Cameras, zooms and LiDARs at three positions."""
-    rng = np.random.default_rng(seed)
-    positions = ([0.0, 0.0, 5.0], [34.0, 4.0, 6.5], [0.0, 0.0, 6.1])
+    rng = default_rng(seed)
+    positions = (
+        [0.0, 0.0, 5.0],
+        [34.0, 4.0, 6.5],
+        [0.0, 0.0, 6.1],
+    )
     poses = []
     for index in range(n_poses):
         sensor = pick_sensor(SENSORS[index % 3], "test")
@@ -33,7 +38,14 @@ def _random_poses(n_poses, seed):
             yaw_deg=rng.uniform(-180.0, 180.0),
             pitch_deg=rng.uniform(-45.0, 0.0),
         )
-        poses.append(CandidatePose(id=str(index), site_id="", pose=pose, sensor=sensor))
+        poses.append(
+            CandidatePose(
+                id=str(index),
+                site_id="",
+                pose=pose,
+                sensor=sensor,
+            )
+        )
 
     return poses
 
@@ -67,7 +79,7 @@ def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
 
     assert np.array_equal(builder.packed(poses), table.packed)
 
-    order = np.random.default_rng(0).permutation(36)
+    order = default_rng(0).permutation(36)
 
     for part in np.array_split(order, 7):
         assert np.array_equal(

@@ -60,7 +60,13 @@ def test_units_and_cost_are_the_better_the_smaller():
 
 def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
     def stage(name, objective, bound):
-        return Stage(name=name, objective=objective, bound=bound, gap=9.0, seconds=1.5)
+        return Stage(
+            name=name,
+            objective=objective,
+            bound=bound,
+            gap=9.0,
+            seconds=1.5,
+        )
 
     certificate = Certificate(
         stages=(

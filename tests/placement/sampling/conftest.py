@@ -44,9 +44,9 @@ def setting(runs):
 def candidates(setting, camera):
     """Two poses at each site."""
     grid = CandidateGrid(
-        heights_m=np.array([6.8]),
+        heights_m=[6.8],
         yaw_step_deg=180.0,
-        pitches_deg=np.array([-25.0]),
+        pitches_deg=[-25.0],
         sensors=(camera,),
     )
     return build_candidates(setting.scene, grid)

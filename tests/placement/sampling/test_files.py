@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from refusal_words import refused_saying
 from refusals import refused_with
 
 from geometry.errors import InputError
@@ -176,5 +177,5 @@ def test_a_name_that_nobody_knows_is_refused():
         " or a .toml file with uncertainties"
     ):
         load_uncertainty("much", where="--uncertainty")
-    with pytest.raises(InputError, match=r"nowhere\.toml"):
+    with refused_saying("nowhere.toml"):
         load_uncertainty("nowhere.toml")

@@ -127,7 +127,10 @@ def test_what_was_found_stays_where_worlds_do_not_prefer_another(
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("chance", "takes_worse"),
-    [({"cars": 1.0}, False), ({"detector": load_planning_detector("response")}, True)],
+    [
+        ({"cars": 1.0}, False),
+        ({"detector": load_planning_detector("response")}, True),
+    ],
 )
 def test_the_plan_is_overruled_where_it_cannot_tell_or_detections_are_drawn(
     asked, chance, takes_worse
@@ -141,7 +144,10 @@ def test_the_plan_is_overruled_where_it_cannot_tell_or_detections_are_drawn(
     ]
     worse = [row for row, value in enumerate(values) if value < values[best] - 1e-6]
 
-    for row, is_taken in ((as_good[0], True), (worse[0], takes_worse)):
+    for row, is_taken in (
+        (as_good[0], True),
+        (worse[0], takes_worse),
+    ):
         found = place(asked(greedy=row, **asked_of), asks_worlds=True)
 
         assert found.pose_index == ((row,) if is_taken else (best,))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from refusals import refused_with
 
 from geometry.errors import InputError
@@ -81,7 +82,7 @@ def test_without_spread_a_few_worlds_may_still_differ():
 
 def test_the_interval_holds_the_mean_where_most_samples_are_equal():
     """One world in fifty is bad: two thirds of all draws of 20 show none of them."""
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     estimates = [
         estimate_mean(1.0 - 0.8 * (rng.random(20) < 0.02)) for _ in range(1500)
     ]
@@ -108,7 +109,7 @@ def test_what_is_no_ratio_has_no_interval(bad):
 
 
 def test_the_error_of_a_tail_is_that_of_fresh_worlds():
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     samples = rng.beta(20.0, 2.0, size=(2, 80))
 
     resampled = resampled_cvar(samples, 0.25)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from met_cases import MET_CASES
 from numpy.testing import assert_allclose, assert_array_equal
+from refusal_words import refused_saying
 
 from geometry.actors import PlacedActor, pick_actor
 from geometry.errors import InputError
@@ -115,7 +116,13 @@ def test_a_nearer_start_is_nearer_by_its_share(laid, rule):
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "aside_m"), [(20.0, 0.0), (-10.0, 0.0), (15.0, 0.5), (0.0, -0.5)]
+    ("turn_deg", "aside_m"),
+    [
+        (20.0, 0.0),
+        (-10.0, 0.0),
+        (15.0, 0.5),
+        (0.0, -0.5),
+    ],
 )
 def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, aside_m):
     n_met = 0
@@ -185,7 +192,7 @@ def test_a_way_through_a_parked_car_is_not_free(laid):
     (east, north), _ = motion.path.at(0.5 * float(motion.distance_m(0.0)))
 
     def parked(east_m):
-        pose = Pose(position_m=np.array([east_m, north, 0.0]), yaw_deg=0.0)
+        pose = Pose(position_m=[east_m, north, 0.0], yaw_deg=0.0)
         return [PlacedActor(actor=actor, pose=pose)]
 
     assert is_way_free(run.encounter.vru, motion, SCENE, [])
@@ -234,7 +241,10 @@ def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
             )
 
         # Mean and deviation of a uniform distribution, to four standard errors.
-        for values, least, most in ((faster, low, high), (nearer, 0.0, 0.25)):
+        for values, least, most in (
+            (faster, low, high),
+            (nearer, 0.0, 0.25),
+        ):
             assert least - 1e-6 <= min(values) <= max(values) <= most + 1e-6
 
             spread = (most - least) / np.sqrt(12.0)
@@ -257,7 +267,10 @@ def test_the_same_seed_draws_the_same_and_a_run_not_by_the_others(laid, rule):
     assert speeds(laid[::-1], _streams())[::-1] == first
     assert speeds(laid[2:3], _streams()) == first[2:3]
 
-    for other in (speeds(laid, _streams(index=1)), speeds(laid, _streams(seed=4))):
+    for other in (
+        speeds(laid, _streams(index=1)),
+        speeds(laid, _streams(seed=4)),
+    ):
         assert all(one != another for one, another in zip(first, other, strict=True))
 
 
@@ -335,10 +348,8 @@ def test_limits_that_cannot_be_are_refused(tmp_path, text, message):
     path = tmp_path / "mine.toml"
     path.write_text(f"[road_users]\n{lines}\n")
 
-    with pytest.raises(InputError) as caught:
+    with refused_saying(message):
         load_uncertainty(str(path))
-
-    assert message in str(caught.value)
 
 
 def test_a_file_may_take_the_rest_from_a_name(tmp_path):
@@ -353,9 +364,7 @@ def test_a_file_may_take_the_rest_from_a_name(tmp_path):
 
     path.write_text('as = "best"\n')
 
-    with pytest.raises(
-        InputError, match="as: got 'best'; expected one of as-measured, default, "
-    ):
+    with refused_saying("as: got 'best'; expected one of as-measured, default, "):
         load_uncertainty(str(path))
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from changes import changed
+from numpy.random import default_rng
 from short_runs import cut_run
 
 from geometry.catalogue import load_lidars
@@ -255,7 +256,7 @@ def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
 
 def _lasting(person, unit_person, n=20_000):
     """Noise with these shares that lasts five frames of one person."""
-    drawn = np.repeat(np.random.default_rng(0).standard_normal(n // 5), 5)
+    drawn = np.repeat(default_rng(0).standard_normal(n // 5), 5)
     return LastingNoise(
         person=np.sqrt(person) * drawn,
         person_share=person,
@@ -302,7 +303,7 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
 
     numbers = np.unique(draw_index(setting.runs))
     detector = sample.setting.detector
-    noise = detector._noise(numbers, np.random.default_rng(1))
+    noise = detector._noise(numbers, default_rng(1))
 
     assert noise.tolist() == sample.drawn_detector.lasting.person[numbers].tolist()
 

@@ -125,7 +125,10 @@ def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(runs):
     for lane in scene.lanes:
         if lane.kind == "driving":
             points = lane.centreline_m
-            for end, before in ((0, 1), (-1, -2)):
+            for end, before in (
+                (0, 1),
+                (-1, -2),
+            ):
                 ahead = points[end] - points[before]
                 tip = points[end] + 150.0 * ahead / np.hypot(*ahead)
                 points = np.concatenate(

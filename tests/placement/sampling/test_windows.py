@@ -158,7 +158,10 @@ def test_who_passes_between_two_frames_is_found(standing_still):
     run = standing_still([20.0, 0.0])
     n = len(run.time_s)
     position = np.full((n, 2), np.nan)
-    position[4], position[5] = [14.0, 0.0], [26.0, 0.0]
+    position[4], position[5] = (
+        [14.0, 0.0],
+        [26.0, 0.0],
+    )
     body = MovingActor(actor=VAN, position_m=position, yaw_deg=np.zeros(n))
 
     assert not brute_force_meets(run, body, 0.5)

@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from problems import questions
+from refusal_words import refused_saying
 
 from geometry.errors import InputError
 from placement.detection_table import DetectionTable
@@ -28,15 +29,15 @@ def problem(frame_axis):
     return PlacementProblem(
         table=DetectionTable(pose_ids=("a", "b", "c"), axis=frame_axis, packed=packed),
         limits=Limits(
-            site_index=np.array([0, 1, 1]),
-            site_capacity=np.array([1, 2]),
+            site_index=[0, 1, 1],
+            site_capacity=[1, 2],
             budget_units=2,
             budget_eur=9000.0,
-            unit_cost_eur=np.array([1000.0, 2000.0, 3000.0]),
-            site_cost_eur=np.array([500.0, 0.0]),
-            is_forced=np.array([True, False, False]),
-            is_forbidden=np.array([False, True, False]),
-            is_forced_site=np.array([False, True]),
+            unit_cost_eur=[1000.0, 2000.0, 3000.0],
+            site_cost_eur=[500.0, 0.0],
+            is_forced=[True, False, False],
+            is_forbidden=[False, True, False],
+            is_forced_site=[False, True],
             rivals=np.zeros((0, 2), dtype=np.int64),
         ),
         fusion="any",
@@ -195,21 +196,22 @@ def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(
 
     rewrite(path, there, positions=np.array(["-15", "0", "far"]))
 
-    with pytest.raises(
-        InputError, match=r"a\.npz: positions: got 'far'; expected 0, or metres"
-    ):
+    with refused_saying("a.npz: positions: got 'far'; expected 0, or metres"):
         load_problem(path)
 
     rewrite(path, there, positions=np.array(["-15", "0"]))
 
-    with pytest.raises(InputError, match=r"a\.npz: positions: got "):
+    with refused_saying("a.npz: positions: got "):
         load_problem(path)
 
 
 def test_tracks_that_live_for_ever_make_the_files_of_programs_without_a_memory(
     problem, tmp_path
 ):
-    for memory_s, is_there in ((np.inf, False), (1.0, True)):
+    for memory_s, is_there in (
+        (np.inf, False),
+        (1.0, True),
+    ):
         rule = replace(problem.rule, track_memory_s=memory_s)
         save_problem(tmp_path / "a.npz", replace(problem, rule=rule))
         with np.load(tmp_path / "a.npz") as archive:
@@ -361,9 +363,7 @@ def test_objects_are_never_loaded(problem, tmp_path):
     path = tmp_path / "a.npz"
     rewrite(path, problem, pose_ids=np.array(["a", None, "c"], dtype=object))
 
-    with pytest.raises(
-        InputError, match=r"a\.npz: pose_ids: got Object arrays cannot be loaded"
-    ):
+    with refused_saying("a.npz: pose_ids: got Object arrays cannot be loaded"):
         load_problem(path)
 
 
@@ -376,7 +376,7 @@ def test_a_file_that_is_no_instance_is_refused(tmp_path):
     ):
         load(path)
 
-    with pytest.raises(InputError, match="got Is a directory; expected a readable"):
+    with refused_saying("got Is a directory; expected a readable"):
         load(tmp_path)
 
     for content in (b"", b"PK\3\4", b"4 5\n1 1 1 1 1\n"):
@@ -389,16 +389,12 @@ def test_a_file_that_is_no_instance_is_refused(tmp_path):
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
 
-    with pytest.raises(
-        InputError, match="got File is not a zip file; expected an undamaged"
-    ):
+    with refused_saying("got File is not a zip file; expected an undamaged"):
         load(path)
 
     np.savez(path, rows=np.zeros(3))
 
-    with pytest.raises(
-        InputError, match=r"a\.npz: kind: got nothing; expected a text such as"
-    ):
+    with refused_saying("a.npz: kind: got nothing; expected a text such as"):
         load(path)
 
 

@@ -155,7 +155,13 @@ def test_no_set_is_better_than_the_simple_limits(problem):
 def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(problem):
     problem = replace(problem, goal="best", floors=(), survive=0)
     best = recomputation.simple_limits(problem, ())["apr"]
-    claim = Stage(name="apr", objective=best, bound=best, gap=0.0, seconds=0.0)
+    claim = Stage(
+        name="apr",
+        objective=best,
+        bound=best,
+        gap=0.0,
+        seconds=0.0,
+    )
     limits = recomputation.simple_limits(problem, [claim])
 
     for size in range(1, min(problem.table.n_poses, 3) + 1):

@@ -245,7 +245,13 @@ def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(
         if values == pytest.approx(best):
             continue
         stages = tuple(
-            Stage(name=name, objective=value, bound=value, gap=0.0, seconds=0.0)
+            Stage(
+                name=name,
+                objective=value,
+                bound=value,
+                gap=0.0,
+                seconds=0.0,
+            )
             for name, value in values.items()
         )
         lie = Solution(

@@ -2,9 +2,9 @@
 
 import pytest
 from short_runs import cut_run
+from tiny_cameras import tiny_camera
 from tiny_worlds import run_of_frames, scene_of_boxes, unit_at
 
-from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import select_cases
@@ -37,15 +37,7 @@ def axis_of():
 @pytest.fixture(scope="session")
 def small_camera():
     """A camera of 640 by 360 pixels."""
-    return CameraModel(
-        name="small",
-        width_px=640,
-        height_px=360,
-        horizontal_fov_deg=90.0,
-        frame_rate_hz=10.0,
-        near_m=0.35,
-        price_eur=0.0,
-    )
+    return tiny_camera(640, 360)
 
 
 @pytest.fixture(scope="session")

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from tiny_worlds import WALLS
+from numpy.random import default_rng
+from placed_bodies import poses_beside
+from tiny_worlds import WALLS, block_actor
 
-from geometry.actors import Actor, Shape
+from geometry.actors import Shape
 from geometry.lidar import (
     LidarDetection,
     beams_per_steradian,
@@ -41,15 +43,12 @@ def random_runs(build_run):
 
 
 def _jumping(build_run, reach_m):
-    """Runs whose VRU jumps at random within a reach. [m]"""
-    rng = np.random.default_rng(8)
+    """Runs whose VRU jumps at random within a reach, with the VUT near it."""
+    rng = default_rng(8)
     runs = []
     for body in ("adult", "child", "cyclist"):
         vru = rng.uniform(-1.0, 1.0, (80, 3)) * [reach_m, reach_m, 180.0]
-        aside = rng.uniform(3.0, 6.0, 80) * np.exp(1j * rng.uniform(0, 2 * np.pi, 80))
-        vut = vru + np.column_stack(
-            [aside.real, aside.imag, rng.uniform(-180, 180, 80)]
-        )
+        vut = poses_beside(rng, vru, 3.0, 6.0)
         runs.append(build_run(vru, vut, vru=body, name=body))
 
     return tuple(runs)
@@ -217,24 +216,11 @@ def block_run(build_run):
     west.
     """
 
-    def build(distance_m, yaw_deg=0.0):
+    def build(distance_m):
         mesh = trimesh.creation.box((0.5, 1.0, 1.8)).subdivide().subdivide()
-        block = Actor(
-            name="block",
-            class_name="pedestrian",
-            length_m=0.5,
-            width_m=1.0,
-            height_m=1.8,
-            shapes=(
-                Shape(vertices_m=mesh.vertices + [0.0, 0.0, 0.9], triangles=mesh.faces),
-            ),
-        )
-        run = build_run([[distance_m + 0.25, 0.0, yaw_deg]])
-        return replace(
-            run,
-            encounter=replace(run.encounter, vru=block),
-            vru_shape=np.zeros(1, dtype=np.int64),
-        )
+        fine = Shape(vertices_m=mesh.vertices + [0.0, 0.0, 0.9], triangles=mesh.faces)
+        block = replace(block_actor(), shapes=(fine,))
+        return build_run([[distance_m + 0.25, 0.0, 0.0]], vru=block)
 
     return build
 
@@ -273,7 +259,7 @@ def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
             build_surroundings(build_scene(), [run]),
             candidate.pose,
             SURE,
-            np.random.default_rng(0),
+            default_rng(0),
         )
 
     assert n_expected == pytest.approx(sum(n_beams), rel=0.08)
@@ -322,10 +308,7 @@ def test_the_table_detects_in_the_frames_in_which_a_scan_does(
     surroundings = build_surroundings(scene, random_runs)
 
     scans = np.array(
-        [
-            scan_frames(surroundings, c.pose, lidar, np.random.default_rng(0))
-            for c in candidates
-        ]
+        [scan_frames(surroundings, c.pose, lidar, default_rng(0)) for c in candidates]
     )
     agreement = (found == scans).mean(axis=1)
 
@@ -370,10 +353,7 @@ def test_the_table_of_a_ring_detects_in_the_frames_in_which_a_scan_does(
     surroundings = build_surroundings(scene, random_runs)
 
     scans = np.array(
-        [
-            scan_frames(surroundings, c.pose, RING, np.random.default_rng(0))
-            for c in candidates
-        ]
+        [scan_frames(surroundings, c.pose, RING, default_rng(0)) for c in candidates]
     )
 
     assert (found == scans).mean(axis=1).min() > 0.93

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist, pdist
 
@@ -9,7 +10,10 @@ from geometry.actors import load_actors
 from placement.visibility.build import N_POINTS
 from placement.visibility.views import build_surface, farthest_samples
 
-BODIES = (("child", 3), ("cyclist", 1))
+BODIES = (
+    ("child", 3),
+    ("cyclist", 1),
+)
 
 
 @pytest.fixture(scope="module", params=BODIES, ids=str)
@@ -37,7 +41,11 @@ def _distance_m(points, corners):
     is_above = np.ones(height.shape, dtype=bool)
     best = np.full(height.shape, np.inf)
 
-    for start, end in ((a, b), (b, c), (c, a)):
+    for start, end in (
+        (a, b),
+        (b, c),
+        (c, a),
+    ):
         side = end - start
         is_above &= (
             np.cross(np.broadcast_to(side, foot.shape), foot - start) * normal
@@ -74,7 +82,7 @@ def test_the_box_around_the_points_is_that_of_the_shape(surface):
 
 
 def test_in_any_direction_the_points_reach_nearly_as_far_as_the_body(surface):
-    directions = np.random.default_rng(1).normal(size=(500, 3))
+    directions = default_rng(1).normal(size=(500, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     body = (_shape(surface).vertices_m @ directions.T).max(axis=0)
     points = (surface.points_m @ directions.T).max(axis=0)
@@ -134,7 +142,7 @@ def test_the_parts_around_the_points_make_up_the_surface(surface):
 
 
 def test_samples_are_chosen_one_by_one_the_farthest_from_all_before():
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     samples = rng.normal(size=(400, 3))
     first = rng.normal(size=(4, 3))
     points = list(first)
