@@ -7,13 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seen_frames import seen_evaluation
 from strategies import frame_axes
 
-from geometry.catalogue import load_cameras
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
 from placement.evaluation import (
-    Evaluation,
     Verdict,
     apr,
     apr_by_case,
@@ -21,7 +18,6 @@ from placement.evaluation import (
     detected_share,
     mean_impact_speed_kmh,
 )
-from placement.layout import Layout
 
 
 def _verdict(is_avoided, detected=()):
@@ -67,27 +63,18 @@ def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
 
 @given(frame_axes(), st.data())
 def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, data):
-    avoided = data.draw(
-        st.lists(st.booleans(), min_size=axis.n_runs, max_size=axis.n_runs)
-    )
-    verdict = _verdict(avoided)
+    booleans = st.lists(st.booleans(), min_size=axis.n_runs, max_size=axis.n_runs)
+    verdict = _verdict(data.draw(booleans))
 
     total = apr(verdict, axis)
+    by_case = apr_by_case(verdict, axis)
+    cases = np.array(axis.cases)
+    share = {case: axis.weight[cases == case].sum() for case in axis.cases}
+    mean = sum(share[case] * value for case, value in by_case.items())
 
     assert 0.0 <= total <= 1.0
-
-    share = {
-        case: sum(
-            w for w, name in zip(axis.weight, axis.cases, strict=True) if name == case
-        )
-        for case in axis.cases
-    }
-    by_case = apr_by_case(verdict, axis)
-
     assert list(by_case) == list(dict.fromkeys(axis.cases))
-    assert sum(share[case] * value for case, value in by_case.items()) == pytest.approx(
-        total
-    )
+    assert mean == pytest.approx(total)
     assert apr(_verdict([True] * axis.n_runs), axis) == pytest.approx(1.0)
     assert apr(_verdict([False] * axis.n_runs), axis) == 0.0
 
@@ -150,35 +137,8 @@ def test_the_unit_that_is_left_may_be_slow(frame_axis, rule, latencies_s, expect
     assert _one_failed_of(frame_axis, rule, rows, latencies_s) == expected
 
 
-def _one_failed_of(frame_axis, rule, frames_of_units, latencies_s=None):
+def _one_failed_of(frame_axis, rule, frames_of_units, latencies_s=()):
     """APR when one of the units fails."""
     axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
-    verdicts = {
-        f"U{index}": _verdict([False] * 3, [frame == "1" for frame in frames])
-        for index, frames in enumerate(frames_of_units)
-    }
-    pose = Pose(position_m=[0, 0, 7], yaw_deg=0.0)
-    camera = load_cameras()["carla-ncap-rgb"]
-    evaluation = Evaluation(
-        layout=Layout(
-            name="mine",
-            units=tuple(
-                CandidatePose(
-                    id=name,
-                    site_id="",
-                    pose=pose,
-                    sensor=camera,
-                    latency_s=latency_s,
-                )
-                for name, latency_s in zip(
-                    verdicts, latencies_s or [None] * len(verdicts), strict=True
-                )
-            ),
-        ),
-        axis=axis,
-        vut=_verdict([False] * 3),
-        units=verdicts,
-        rsu_all=_verdict([False] * 3),
-        vut_and_rsus=_verdict([False] * 3),
-    )
-    return apr_one_failed(evaluation, rule)
+    rows = [[frame == "1" for frame in frames] for frames in frames_of_units]
+    return apr_one_failed(seen_evaluation(axis, rows, latencies_s), rule)

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from junctions import protocol_scene
+from tiny_worlds import unit_at
 
 from geometry.actors import LOOK_AT_M
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
 from placement.ground import BANDS, find_ground_coverage
 
 CAMERA = load_cameras()["carla-ncap-rgb-90"]
@@ -18,13 +17,8 @@ CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
 def unit(*, yaw_deg=0.0, pitch_deg=0.0, sensor=CAMERA, x=-30.0):
     """A camera 6 m high that looks east."""
-    pose = Pose(position_m=[x, 0.0, 6.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    return CandidatePose(
-        id="a",
-        site_id="",
-        pose=pose,
-        sensor=sensor,
-    )
+    place_m = [x, 0.0, 6.0]
+    return unit_at("a", place_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=sensor)
 
 
 def at(coverage, x, y):

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from refusals import refused_with
 from tiny_worlds import crossing_candidates, crossing_setting, unit_at
 
@@ -42,13 +43,12 @@ def candidates(setting, camera):
 def asked(setting, candidates):
     """Builds an instance of these from wishes, and other fields."""
 
-    def build(*, compute=Compute(), effort=None, fusion="any", **wishes):  # noqa: B008
+    def build(*, candidates=candidates, effort=Effort(), compute=Compute(), **wishes):  # noqa: B008
         return Assembly(
             setting=setting,
             candidates=candidates,
             wishes=Wishes(**wishes),
-            fusion=fusion,
-            effort=effort or Effort(),
+            effort=effort,
             compute=compute,
         )
 
@@ -188,20 +188,17 @@ def _stages(calls):
 def test_a_second_call_takes_the_table_from_the_cache(asked, placement, tmp_path):
     first = []
     second = []
+    folder = tmp_path / "cache"
 
     for calls in (first, second):
-        found = place(
-            asked(
-                budget_units=2,
-                compute=Compute(
-                    cache_folder=tmp_path / "cache",
-                    progress=lambda *call, calls=calls: calls.append(call),
-                ),
-            )
-        )
-        assert np.array_equal(
-            found.problem.table.packed, placement.problem.table.packed
-        )
+
+        def told(*call, calls=calls):
+            calls.append(call)
+
+        compute = Compute(cache_folder=folder, progress=told)
+        found = place(asked(budget_units=2, compute=compute))
+
+        assert_array_equal(found.problem.table.packed, placement.problem.table.packed)
         assert found.pose_index == placement.pose_index
 
     assert _stages(first)[0] == "detection table"
@@ -211,7 +208,7 @@ def test_a_second_call_takes_the_table_from_the_cache(asked, placement, tmp_path
     assert _stages(second)[1] == "optimise"
     assert _stages(first)[-1] == "greedy"
 
-    kept = sorted(path.name.split("-")[0] for path in (tmp_path / "cache").iterdir())
+    kept = sorted(path.name.split("-")[0] for path in folder.iterdir())
 
     assert kept == ["answer", "table"]
 
@@ -227,9 +224,9 @@ def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
 
     monkeypatch.setattr(pipeline, "solve_sturdily", count)
 
-    def ask(budget, effort=None):
+    def ask(budget, **options):
         compute = Compute(cache_folder=tmp_path)
-        return place(asked(budget_units=budget, effort=effort, compute=compute))
+        return place(asked(budget_units=budget, compute=compute, **options))
 
     first = ask(2)
     again = ask(2)
@@ -242,7 +239,7 @@ def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
     assert again.presolved().statistics == first.presolve
 
     ask(1)
-    ask(2, Effort(time_limit_s=50.0))
+    ask(2, effort=Effort(time_limit_s=50.0))
 
     assert len(solved) == 3
 
@@ -268,16 +265,12 @@ def test_other_inputs_do_not_get_the_cached_table(setting, candidates, tmp_path)
     stages = []
     for seed in (0, 1, 0):
         calls = []
-        obtain_table(
-            setting,
-            candidates,
-            compute=Compute(
-                seed=seed,
-                workers=1,
-                cache_folder=tmp_path,
-                progress=lambda *call, calls=calls: calls.append(call),
-            ),
-        )
+
+        def told(*call, calls=calls):
+            calls.append(call)
+
+        compute = Compute(seed=seed, workers=1, cache_folder=tmp_path, progress=told)
+        obtain_table(setting, candidates, compute=compute)
         stages.append(calls[0][0])
 
     assert stages == ["detection table", "detection table", "detection table (cached)"]
@@ -312,7 +305,7 @@ def test_a_cache_folder_that_cannot_be_is_no_error(asked, placement, tmp_path, c
 
 
 def test_poses_of_no_site_stand_alone_on_sites_of_their_own(
-    setting, candidates, camera
+    asked, setting, candidates, camera
 ):
     def extra(name, site_id):
         return unit_at(
@@ -326,26 +319,21 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(
         extra("kite", ""),
         candidates[6],
     )
-    problem = Assembly(
-        setting=setting, candidates=poses, wishes=Wishes(budget_units=2)
-    ).problem
-    capacity = problem.limits.site_capacity[problem.limits.site_index]
 
-    assert capacity.tolist() == [1, 2, 2, 1, 1, 2]
+    problem = asked(candidates=poses, budget_units=2).problem
+    limits = problem.limits
+    sites = limits.site_index.tolist()
 
-    sites = problem.limits.site_index.tolist()
-
+    assert limits.site_capacity[sites].tolist() == [1, 2, 2, 1, 1, 2]
     assert sites[1] == sites[2]
     assert len(set(sites)) == 5
-    assert replace(problem.limits, budget_units=None).max_units == 6
+    assert replace(limits, budget_units=None).max_units == 6
     assert problem.rule is setting.rule
 
 
-def test_poses_by_name_keep_their_names(setting, candidates, camera):
+def test_poses_by_name_keep_their_names(asked, candidates):
     named = replace(candidates[0], id="RSU1")
-    found = place(
-        Assembly(setting=setting, candidates=[named], wishes=Wishes(budget_units=1))
-    )
+    found = place(asked(candidates=[named], budget_units=1))
 
     assert [unit.id for unit in found.layout.units] == ["RSU1"]
 
@@ -359,24 +347,16 @@ def test_a_unit_kept_from_an_earlier_result_keeps_its_name_and_no_other_gets_it(
     assert [unit.id for unit in layout.units] == ["U1", "U3", "U4", "U2"]
 
 
-def test_without_candidates_nothing_is_placed(setting):
-    with pytest.raises(
-        InputError, match=r"^candidates: got none; expected at least one pose$"
-    ):
-        place(Assembly(setting=setting, candidates=[], wishes=Wishes(budget_units=1)))
+def test_without_candidates_nothing_is_placed(asked):
+    with refused_with("candidates: got none; expected at least one pose"):
+        place(asked(candidates=[], budget_units=1))
 
 
-def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):
+def test_more_units_than_the_candidates_allow_are_refused(asked, candidates):
     with refused_with(
         "budget: got 2; expected at most 1: candidates and their sites allow no more"
     ):
-        place(
-            Assembly(
-                setting=setting,
-                candidates=candidates[:1],
-                wishes=Wishes(budget_units=2),
-            )
-        )
+        place(asked(candidates=candidates[:1], budget_units=2))
 
 
 def test_wishes_that_contradict_each_other_are_named_with_ways_out(asked):

@@ -5,10 +5,10 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+from evidences import build_evidence
 from numpy.random import default_rng
-from refusal_words import refused_saying
+from refusal_words import refusal_of, refused_saying
 
-from geometry.errors import InputError
 from geometry.text_formats import load_toml
 from placement.detectors import (
     DETECTOR_NAMES,
@@ -16,7 +16,7 @@ from placement.detectors import (
     load_detector,
     load_planning_detector,
 )
-from placement.detectors.evidence import Evidence, Interval
+from placement.detectors.evidence import Interval
 from placement.detectors.geometric import GeometricDetector
 from placement.detectors.response import ResponseDetector
 
@@ -57,9 +57,7 @@ def write(tmp_path):
 
 def _message(name, **options):
     """Words in which a detector is refused."""
-    with pytest.raises(InputError) as caught:
-        load_detector(str(name), **options)
-    return str(caught.value)
+    return refusal_of(load_detector, str(name), **options)
 
 
 def test_detectors_are_found_by_name():
@@ -80,13 +78,15 @@ def test_detectors_are_found_by_name():
         assert load_detector(name) is load_planning_detector(name)
 
 
+KNOWN = (
+    "expected geometric, response, pole-2015, car-2019, cnn-table, cnn,"
+    " pointrcnn-2019, a .toml file with a response table, or an .onnx file"
+)
+
+
 def test_an_unknown_name_lists_the_known_ones():
-    assert (
-        _message("best", where="--detector")
-        == "--detector: got 'best'; expected geometric, response, pole-2015, car-2019,"
-        " cnn-table, cnn, pointrcnn-2019, a .toml file with a response table, or an"
-        " .onnx file"
-    )
+    message = _message("best", where="--detector")
+    assert message == f"--detector: got 'best'; {KNOWN}"
 
 
 @pytest.mark.parametrize(
@@ -94,12 +94,7 @@ def test_an_unknown_name_lists_the_known_ones():
 )
 def test_a_file_of_another_kind_is_refused_even_if_it_is_there(write, name):
     path = write(TABLE, name)
-    assert (
-        _message(path)
-        == f"detector: got {str(path)!r}; expected geometric, response, pole-2015,"
-        " car-2019, cnn-table, cnn, pointrcnn-2019, a .toml file with a response"
-        " table, or an .onnx file"
-    )
+    assert _message(path) == f"detector: got {str(path)!r}; {KNOWN}"
 
 
 def test_a_users_table_is_read_number_by_number(write):
@@ -291,23 +286,20 @@ def test_the_line_is_that_of_the_response_where_another_table_has_the_same_key(w
     )
 
 
-def test_a_file_that_is_not_there_or_not_text_is_named(write, tmp_path):
+def test_a_file_that_is_not_there_or_not_text_is_named(tmp_path):
     gone = tmp_path / "gone.toml"
+    words = "got No such file or directory; expected a readable file"
 
-    assert (
-        _message(gone)
-        == f"{gone}: got No such file or directory; expected a readable file"
-    )
+    assert _message(gone) == f"{gone}: {words}"
 
     path = tmp_path / "binary.toml"
     path.write_bytes(b"\xff\xfe")
+    network = tmp_path / "gone.onnx"
 
     assert _message(path).startswith(
         f"{path}: got 'utf-8' codec can't decode byte 0xff"
     )
-    assert _message(tmp_path / "gone.onnx").startswith(
-        f"{tmp_path / 'gone.onnx'}: got no such file"
-    )
+    assert _message(network).startswith(f"{network}: got no such file")
 
 
 @pytest.mark.parametrize(
@@ -324,19 +316,11 @@ def test_tables_of_real_recordings_find_as_many_as_was_measured(
     name, height_px, seen_share, found
 ):
     detector = load_planning_detector(name)
-    box = np.array([[0.0, 0.0, 0.4 * height_px, height_px]])
-    evidence = Evidence(
-        visible_px=box,
-        amodal_px=box,
-        contrast=np.ones(1),
-        visible_share=np.array([seen_share]),
-        inside_share=np.ones(1),
-        aspect_deg=np.full(1, 90.0),
-        vru_class=np.zeros(1, dtype=np.int64),
-        draw_index=np.zeros(1, dtype=np.int64),
-    )
+    box = [[0.0, 0.0, 0.4 * height_px, height_px]]
 
-    assert found[0] <= detector.probability(evidence)[0] <= found[1]
+    (probability,) = detector.probability(build_evidence(box, visible_share=seen_share))
+
+    assert found[0] <= probability <= found[1]
     assert detector.assumed == ("child", "cyclist", "motorcyclist", "car")
     assert detector.false_tracks_per_hour.low > 100.0
 

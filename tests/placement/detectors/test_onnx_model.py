@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from refusal_words import refused_saying
+from refusal_words import refusal_of, refused_saying
 from refusals import refused_with
 from strategies import boxes_px
 
-from geometry.errors import InputError, MissingExtraError
+from geometry.errors import MissingExtraError
 from geometry.image_boxes import iou
 from placement.detectors.network import (
     ImageBoxes,
@@ -88,7 +88,7 @@ def as_torchvision(boxes, ids, scores):
     }
 
 
-def as_retinanet(boxes, ids, scores):  # old exports: numbers for names, another order
+def as_retinanet(boxes, ids, scores):
     """Outputs of old exports: numbers for names, another order."""
     values = as_torchvision(boxes, ids, scores)
     return {"_1": values["boxes"], "_2": values["scores"], "_3": values["labels"]}
@@ -148,6 +148,7 @@ SUPPRESSED = [
 ]
 DENSE = [as_yolov5, as_yolov8]
 GREY = np.full((64, 64, 3), 128, dtype=np.uint8)
+ONE_PERSON = as_torchvision([PERSON], [0], [0.75])
 
 
 @pytest.fixture
@@ -186,13 +187,19 @@ def save_bright(path, takes, threshold=0.5):
 
 
 def picture(width_px, height_px, box):
-    """An image (h, w, 3) that is black but for one red box."""
+    """An image (h, w, 3) that is black but for one box.
+
+    It is red alone: the channels must come in order.
+    """
     image = np.zeros((height_px, width_px, 3), dtype=np.uint8)
     x_min, y_min, x_max, y_max = box
-    image[y_min:y_max, x_min:x_max, 0] = (
-        255  # red alone: the channels must come in order
-    )
+    image[y_min:y_max, x_min:x_max, 0] = 255
     return image
+
+
+def found_by(path, arrays, image=GREY, **options):
+    """Boxes of a model that gives the same arrays for every image."""
+    return load_onnx_model(save_constants(path, arrays, **options)).detect(image)
 
 
 # Every kind of export.
@@ -201,7 +208,7 @@ def picture(width_px, height_px, box):
 @pytest.mark.parametrize("layout", SUPPRESSED + DENSE)
 def test_every_export_gives_its_boxes_classes_and_scores(path, layout):
     arrays = layout([BICYCLE, PERSON], [1, 0], [0.625, 0.875])
-    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+    found = found_by(path, arrays)
 
     assert_allclose(found.boxes_px, [PERSON, BICYCLE], atol=1e-4)
     assert_allclose(found.confidence, [0.875, 0.625], rtol=1e-5)
@@ -216,13 +223,12 @@ def test_boxes_of_a_class_that_overlap_are_suppressed_where_the_export_did_not(
 ):
     near = [5.0, 9.0, 21.0, 61.0]
     arrays = layout([PERSON, near, near], [0, 0, 1], [0.5, 0.75, 0.25])
-    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
     if layout in DENSE:
         confidence = [0.75, 0.25]
     else:
         confidence = [0.75, 0.5, 0.25]
 
-    assert_allclose(found.confidence, confidence, rtol=1e-5)
+    assert_allclose(found_by(path, arrays).confidence, confidence, rtol=1e-5)
 
 
 @pytest.mark.parametrize("layout", SUPPRESSED + DENSE)
@@ -230,14 +236,14 @@ def test_boxes_that_are_hardly_sure_or_outside_the_image_are_dropped(path, layou
     outside = [-20.0, 3.0, -2.0, 9.0]
     cut = [50.0, 50.0, 80.0, 90.0]
     arrays = layout([PERSON, outside, cut], [0, 0, 0], [0.01, 0.9, 0.8])
-    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+    found = found_by(path, arrays)
 
     assert_allclose(found.boxes_px, [[50.0, 50.0, 64.0, 64.0]], atol=1e-4)
 
 
 @pytest.mark.parametrize("layout", [as_torchvision, as_retinanet])
 def test_an_image_without_anything_has_no_boxes(path, layout):
-    found = load_onnx_model(save_constants(path, layout([], [], []))).detect(GREY)
+    found = found_by(path, layout([], [], []))
 
     assert found.boxes_px.shape == (0, 4)
     assert len(found.class_ids) == len(found.confidence) == 0
@@ -246,9 +252,8 @@ def test_an_image_without_anything_has_no_boxes(path, layout):
 
 
 def test_masks_beside_boxes_labels_and_scores_are_left_alone(path):
-    arrays = as_torchvision([PERSON], [0], [0.75])
-    arrays["masks"] = np.zeros((1, 1, 28, 28), dtype=np.float32)
-    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+    masks = np.zeros((1, 1, 28, 28), dtype=np.float32)
+    found = found_by(path, ONE_PERSON | {"masks": masks})
 
     assert_allclose(found.boxes_px, [PERSON])
 
@@ -265,10 +270,7 @@ def test_an_image_of_the_right_or_a_free_size_is_shown_as_it_is(path, takes):
 
 
 def test_an_input_without_batch_takes_the_image_alone(path):
-    arrays = as_torchvision([PERSON], [0], [0.75])
-    takes = "float[3, height, width] image"
-    found = load_onnx_model(save_constants(path, arrays, takes=takes)).detect(GREY)
-
+    found = found_by(path, ONE_PERSON, takes="float[3, height, width] image")
     assert_allclose(found.boxes_px, [PERSON])
 
 
@@ -372,9 +374,8 @@ def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
 
 
 def test_the_mask_that_detr_asks_for_is_given(path):
-    arrays = as_detr([PERSON], [0], [0.5])
     takes = "float[1, 3, 64, 64] pixel_values, int64[1, 64, 64] pixel_mask"
-    found = load_onnx_model(save_constants(path, arrays, takes=takes)).detect(GREY)
+    found = found_by(path, as_detr([PERSON], [0], [0.5]), takes=takes)
 
     assert_allclose(found.boxes_px, [PERSON], atol=1e-4)
 
@@ -395,26 +396,22 @@ COCO80 = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle"}
     ],
 )
 def test_names_in_the_file_come_first(path, names, kinds):
-    save_constants(
-        path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names}
-    )
-    assert load_onnx_model(path).detect(GREY).kinds == kinds
+    assert found_by(path, ONE_PERSON, metadata={"names": names}).kinds == kinds
 
 
 def test_names_that_are_but_numbers_count_as_none(path):
     # What Ultralytics 8.4.190 writes for a network that was built without names.
     names = str({number: str(number) for number in range(80)})
-    save_constants(path, as_yolov8([PERSON], [0], [0.75]), metadata={"names": names})
+    arrays = as_yolov8([PERSON], [0], [0.75])
 
-    assert load_onnx_model(path).detect(GREY).kinds == COCO80
+    assert found_by(path, arrays, metadata={"names": names}).kinds == COCO80
 
 
 def test_names_tell_the_number_of_classes_of_a_table(path):
     metadata = {"names": "{0: 'cyclist', 1: 'person', 2: 'dog'}"}
-    dense = f32(centred([PERSON, BICYCLE]), [[0.1, 0.75, 0.2], [0.5, 0.1, 0.2]])
-    found = load_onnx_model(
-        save_constants(path, {"output0": dense.T[None]}, metadata=metadata)
-    ).detect(GREY)
+    scores = [[0.1, 0.75, 0.2], [0.5, 0.1, 0.2]]
+    dense = f32(centred([PERSON, BICYCLE]), scores)
+    found = found_by(path, {"output0": dense.T[None]}, metadata=metadata)
 
     assert found.class_ids.tolist() == [1, 0]
     assert_allclose(found.boxes_px, [PERSON, BICYCLE])
@@ -509,12 +506,9 @@ def test_suppression_keeps_what_brute_force_keeps(rows, max_iou):
 # What users do.
 
 
-def message_of(path, **options):
-    """Words in which a network is refused."""
-    with pytest.raises(InputError) as caught:
-        load_onnx_model(path, **options)
-
-    text = str(caught.value)
+def message_of(path):
+    """Words in which a network is refused, in one line."""
+    text = refusal_of(load_onnx_model, path)
 
     assert "\n" not in text
     assert text.startswith(f"{path}: got ")
@@ -603,19 +597,15 @@ def test_a_network_that_does_not_run(path):
     ],
 )
 def test_names_that_say_nothing(path, names, expected):
-    save_constants(
-        path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names}
-    )
     with refused_with(f"{path}: metadata 'names': got {names!r}; expected {expected}"):
-        load_onnx_model(path)
+        found_by(path, ONE_PERSON, metadata={"names": names})
 
 
 def test_boxes_that_are_not_numbers(path):
     arrays = as_torchvision([[np.nan, 0.0, 1.0, 1.0]], [0], [0.75])
-    model = load_onnx_model(save_constants(path, arrays))
 
     with refused_saying("got a box that is not a number; expected finite boxes"):
-        model.detect(GREY)
+        found_by(path, arrays)
 
 
 @pytest.mark.parametrize(
@@ -623,13 +613,12 @@ def test_boxes_that_are_not_numbers(path):
     [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 3)), np.zeros((0, 4, 3), np.uint8)],
 )
 def test_images_that_are_none(path, image):
-    model = load_onnx_model(save_constants(path, as_torchvision([PERSON], [0], [0.75])))
     with refused_saying("expected uint8 of shape (height, width, 3)"):
-        model.detect(image)
+        found_by(path, ONE_PERSON, image)
 
 
 def test_the_extra_is_named_where_onnxruntime_is_missing(path, monkeypatch):
-    save_constants(path, as_torchvision([PERSON], [0], [0.75]))
+    save_constants(path, ONE_PERSON)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
 
     with pytest.raises(MissingExtraError, match="uv run --extra perception"):

@@ -6,12 +6,13 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+from evidences import build_evidence
 from met_cases import MET_CASES
 from refusal_words import refused_saying
 from refusals import refused_with
 
 from geometry.errors import MissingExtraError
-from placement.detectors import Evidence, load_detector, load_planning_detector, network
+from placement.detectors import load_detector, load_planning_detector, network
 from placement.detectors.evidence import Crop
 from placement.question import Question
 from placement.setting import build_setting
@@ -124,19 +125,9 @@ class _Crops:
 
 
 def _evidence(heights, crops):
-    """Evidence of boxes of these heights. [px]"""
-    boxes = np.array([[10.0, 10.0, 20.0, 10.0 + height] for height in heights])
-    return Evidence(
-        visible_px=boxes,
-        amodal_px=boxes,
-        contrast=np.ones(1),
-        visible_share=np.ones(1),
-        inside_share=np.ones(1),
-        aspect_deg=np.zeros(1),
-        vru_class=np.zeros(1, dtype=np.int64),
-        draw_index=np.arange(len(boxes)),
-        crops=crops,
-    )
+    """Evidence of boxes of these heights, and their crops. [px]"""
+    boxes = [[10.0, 10.0, 20.0, 10.0 + height] for height in heights]
+    return replace(build_evidence(boxes), crops=crops)
 
 
 def test_what_looks_the_same_is_shown_once_and_what_is_too_small_never():

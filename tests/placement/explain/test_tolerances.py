@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiny_worlds import table_of
+from tiny_worlds import setting_of, table_of, unit_at
 
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose, wrap_deg
 from geometry.study_scene import load_study_scene
-from placement.candidates import CandidatePose
-from placement.detectors import load_detector, load_planning_detector
 from placement.explain.tolerances import (
     LIFTS_M,
     TURNS_DEG,
@@ -18,37 +16,23 @@ from placement.explain.tolerances import (
     find_tolerances,
 )
 from placement.optimiser import run_margins_s
-from placement.setting import Setting
 from placement.wishes import Wishes, build_problem
-from scenarios.runs import build_frame_axis
-from scenarios.weights import weight_per_run
 
 CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
 
 @pytest.fixture(scope="module")
 def setting(runs, rule):
-    """Runs that come four ways."""
+    """Runs that come three ways."""
     ways = ("CBNA/east/60", "CPNC-50/east/55", "CPNC-50/west/60", "CBNA/south/60")
-    few = tuple(run for run in runs if run.id in ways)
-    return Setting(
-        scene=load_study_scene(),
-        runs=few,
-        axis=build_frame_axis(few, weight_per_run(few)),
-        rule=rule,
-        detector=load_detector(),
-        table_detector=load_planning_detector(),
-    )
+    few = [run for run in runs if run.id in ways]
+    return setting_of(load_study_scene(), few, rule=rule)
 
 
-def unit(name, yaw_deg, pitch_deg=-40.0):
+def unit(name, yaw_deg):
     """A camera at the corner's pole, 8 m high."""
-    pose = Pose(position_m=[-115.4, 8.85, 8.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    return CandidatePose(
-        id=name,
-        site_id="",
-        pose=pose,
-        sensor=CAMERA,
+    return unit_at(
+        name, [-115.4, 8.85, 8.0], yaw_deg=yaw_deg, pitch_deg=-40.0, sensor=CAMERA
     )
 
 

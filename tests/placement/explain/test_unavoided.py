@@ -11,70 +11,33 @@ from changes import changed
 from hypothesis import given
 from hypothesis import strategies as st
 from junctions import build_scene
-from tiny_worlds import table_of, unit_at
+from numpy.random import default_rng
+from placed_bodies import parked_at
+from tiny_worlds import run_of_frames, setting_of, table_of, unit_at
 
-from geometry.actors import PlacedActor, load_actors
 from geometry.catalogue import pick_sensor
-from geometry.poses import Pose
 from placement.detection_table import pack_table
-from placement.detectors import load_detector, load_planning_detector
 from placement.explain.unavoided import Look, find_reasons, find_unavoided
 from placement.optimiser import Limits, PlacementProblem, run_margins_s
-from placement.setting import Setting
-from scenarios.aeb import load_aeb_rule
-from scenarios.cases import load_cases
-from scenarios.encounters import Encounter
-from scenarios.paths import Motion, StraightPath
-from scenarios.runs import Run, build_frame_axis
-from scenarios.weights import weight_per_run
+from scenarios.runs import build_frame_axis
 
-FAR = (-390.0, -390.0)
 N_FRAMES = 20
 
 
-def run_of(
-    vru_m, *, vut_m=FAR, weather="day", obstruction=(), name="run", last_brake_s=-0.5
-):
+def run_of(vru_m, *, vut_m=(-390.0, -390.0), last_brake_s=-0.5, **options):
     """An adult that stands somewhere for two seconds; nothing moves."""
-    motion = Motion(
-        path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0),
-        speed_mps=1.0,
-        start_time_s=0.0,
-    )
-    actors = load_actors()
-    return Run(
-        id=name,
-        case=load_cases()["CPNC-50"],
-        approach="east",
-        weather=weather,
-        vut_speed_kmh=20.0,
-        encounter=Encounter(
-            vut=actors["vut"],
-            vut_motion=motion,
-            vru=actors["adult"],
-            vru_motion=motion,
-        ),
-        time_s=np.arange(1.0 - N_FRAMES, 1.0) / 10.0,
-        vut_position_m=np.tile(vut_m, (N_FRAMES, 1)),
-        vut_yaw_deg=np.full(N_FRAMES, 90.0),
-        vru_position_m=np.tile(vru_m, (N_FRAMES, 1)),
-        vru_yaw_deg=np.zeros(N_FRAMES),
-        vru_shape=np.zeros(N_FRAMES, dtype=np.int64),
-        obstruction=tuple(obstruction),
+    return run_of_frames(
+        np.tile([*vru_m, 0.0], (N_FRAMES, 1)),
+        [*vut_m, 90.0],
+        shapes=0,
         last_brake_time_s=last_brake_s,
+        **options,
     )
 
 
-def setting_of(*runs, boxes=(), weight=None):
+def setting_with(*runs, boxes=(), **fields):
     """A setting of runs and boxes."""
-    return Setting(
-        scene=build_scene([], boxes=boxes),
-        runs=runs,
-        axis=build_frame_axis(runs, weight_per_run(runs) if weight is None else weight),
-        rule=load_aeb_rule(),
-        detector=load_detector(),
-        table_detector=load_planning_detector(),
-    )
+    return setting_of(build_scene([], boxes=boxes), runs, **fields)
 
 
 def unit(
@@ -113,13 +76,7 @@ def is_detected(setting, candidate):
 
 WALL = ("wall-a", -8.0, 0.0, 0.5, 6.0, 4.0)
 BEHIND = ("wall-b", 8.0, 0.0, 0.5, 6.0, 4.0)
-PARKED = [
-    PlacedActor(
-        actor=load_actors()["parked-van"],
-        pose=Pose(position_m=[x, 0.0, 0.0], yaw_deg=90.0, pitch_deg=0.0),
-    )
-    for x in (-5.0, -9.0)
-]
+PARKED = [parked_at("parked-van", east_m, 0.0, 90.0) for east_m in (-5.0, -9.0)]
 
 
 @pytest.mark.parametrize("sensor", ["carla-ncap-rgb", "carla-ncap-lidar"])
@@ -142,14 +99,14 @@ PARKED = [
     ids=["wall", "parked", "VUT", "two alike"],
 )
 def test_what_is_in_the_way_is_named(sensor, boxes, run, expected):
-    setting = setting_of(run, boxes=boxes)
+    setting = setting_with(run, boxes=boxes)
     low = unit(-20.0, 0.0, 1.2, pitch_deg=0.0, sensor=sensor)
 
     assert not is_detected(setting, low).any()
     assert reasons_of(setting, low) == [(*expected, N_FRAMES)]
 
     # Without the thing it is detected: that is what "hidden" says.
-    cleared = setting_of(run_of((0.0, 0.0)), boxes=[BEHIND])
+    cleared = setting_with(run_of((0.0, 0.0)), boxes=[BEHIND])
 
     assert is_detected(cleared, low).all()
 
@@ -174,31 +131,31 @@ def test_what_is_in_the_way_is_named(sensor, boxes, run, expected):
     ],
 )
 def test_what_else_it_may_be_is_told_apart(candidate, run, expected):
-    setting = setting_of(run)
+    setting = setting_with(run)
     assert not is_detected(setting, candidate).any()
     assert reasons_of(setting, candidate) == [(expected, "", N_FRAMES)]
 
 
 def test_a_frame_that_only_the_table_misses_is_said_to_be_so():
-    assert reasons_of(setting_of(run_of((0.0, 0.0))), unit(-20.0, 0.0)) == [
+    assert reasons_of(setting_with(run_of((0.0, 0.0))), unit(-20.0, 0.0)) == [
         ("otherwise", "", N_FRAMES)
     ]
 
 
-def problem_of(setting, candidates, detected, **options):
+def problem_of(setting, candidates, detected, *, fusion="any", **limits):
     """A problem of candidates with these detections."""
-    n = len(candidates)
-    limits = {"site_index": np.arange(n), "site_capacity": np.ones(n, dtype=np.int64)}
+    n_poses = len(candidates)
+    apart = {"site_index": np.arange(n_poses), "site_capacity": np.ones(n_poses, int)}
     return PlacementProblem(
         table=pack_table(tuple(c.id for c in candidates), setting.axis, detected),
-        limits=Limits(**limits | options.pop("limits", {})),
-        fusion=options.pop("fusion", "any"),
+        limits=Limits(**apart | limits),
+        fusion=fusion,
         rule=setting.rule,
     )
 
 
 def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
-    setting = setting_of(run_of((0.0, 0.0)), boxes=[WALL])
+    setting = setting_with(run_of((0.0, 0.0)), boxes=[WALL])
     candidates = [
         unit(-3.0, 0.0, yaw_deg=180.0, name="near"),
         unit(-20.0, 0.0, 1.2, pitch_deg=0.0, name="far"),
@@ -227,24 +184,20 @@ def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
 @st.composite
 def tables(draw):
     """Three runs with any deadlines, seven poses anywhere, any detections."""
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    rng = default_rng(draw(st.integers(0, 2**32 - 1)))
     last = rng.choice([-0.3, -0.9, -1.5, -1.85, -np.inf], size=3)
-    weight = np.array(
-        draw(st.sampled_from([(1, 1, 1), (0, 1, 3), (2, 0, 0)])), dtype=float
-    )
-    setting = setting_of(
-        *(
-            run_of((0.0, 0.0), name=f"run-{i}", last_brake_s=s)
-            for i, s in enumerate(last)
-        ),
-        weight=weight / weight.sum(),
-    )
+    weight = np.array(draw(st.sampled_from([(1, 1, 1), (0, 1, 3), (2, 0, 0)])))
+    runs = [
+        run_of((0.0, 0.0), name=f"run-{number}", last_brake_s=last_s)
+        for number, last_s in enumerate(last)
+    ]
+    axis = build_frame_axis(runs, weight / weight.sum())
+    setting = setting_with(*runs, axis=axis)
     n_poses = 7
     places = rng.integers(0, 4, size=(n_poses, 2)) * 10.0
     candidates = [unit(x, y, name=f"unit-{i}") for i, (x, y) in enumerate(places)]
-    setting = changed(
-        setting, "rule.track_memory_s", draw(st.sampled_from([0.1, 0.3, math.inf]))
-    )
+    memory_s = draw(st.sampled_from([0.1, 0.3, math.inf]))
+    setting = changed(setting, "rule.track_memory_s", memory_s)
     share = draw(st.sampled_from([0.1, 0.3, 0.6]))
     detected = rng.random((n_poses, setting.axis.n_frames)) < share
     problem = problem_of(
@@ -252,20 +205,14 @@ def tables(draw):
         candidates,
         detected,
         fusion=draw(st.sampled_from(["any", "single"])),
-        limits={
-            "site_index": rng.integers(0, 4, n_poses),
-            "site_capacity": rng.integers(1, 4, 4),
-            "budget_units": 2,
-            "is_forbidden": rng.random(n_poses) < 0.2,
-            "rivals": np.array([[0, 1]]) if draw(st.booleans()) else None,
-        },
+        site_index=rng.integers(0, 4, n_poses),
+        site_capacity=rng.integers(1, 4, 4),
+        budget_units=2,
+        is_forbidden=rng.random(n_poses) < 0.2,
+        rivals=[[0, 1]] if draw(st.booleans()) else None,
     )
-    return (
-        setting,
-        problem,
-        candidates,
-        rng.choice(n_poses, size=2, replace=False).tolist(),
-    )
+    chosen = rng.choice(n_poses, size=2, replace=False).tolist()
+    return setting, problem, candidates, chosen
 
 
 @given(given_=tables())
@@ -276,12 +223,10 @@ def test_outcome_and_rescue_match_brute_force(given_):
             "placement.explain.unavoided.find_reasons",
             lambda setting, looks, compute: [()] * len(looks),
         )
-        run_ids = problem.table.axis.run_ids
-        found = {
-            run_ids.index(entry.run): entry
-            for entry in find_unavoided(setting, problem, candidates, chosen)
-        }
+        entries = find_unavoided(setting, problem, candidates, chosen)
 
+    run_ids = problem.table.axis.run_ids
+    found = {run_ids.index(entry.run): entry for entry in entries}
     margin = run_margins_s(problem, chosen)
     has_weight = problem.table.axis.weight > 0.0
 
@@ -290,35 +235,34 @@ def test_outcome_and_rescue_match_brute_force(given_):
     for run, entry in found.items():
         check_outcome(problem, chosen, run, entry)
 
-        helping = {
-            pose: run_margins_s(problem, [*chosen, pose])[run]
-            for pose in range(len(candidates))
-            if pose not in chosen and may_join(problem.limits, chosen, pose)
-        }
-        helping = {pose: left for pose, left in helping.items() if left > -np.inf}
+        helping = {}
+        for pose in range(len(candidates)):
+            if pose not in chosen and may_join(problem.limits, chosen, pose):
+                left_s = run_margins_s(problem, [*chosen, pose])[run]
+                if left_s > -np.inf:
+                    helping[pose] = left_s
+
         if not helping:
             assert entry.rescue is None
             continue
 
-        away = {
-            pose: min(
-                np.linalg.norm(
-                    candidates[pose].pose.position_m - candidates[c].pose.position_m
-                )
-                for c in chosen
-            )
+        places = np.array([one.pose.position_m for one in candidates])
+        away_m = {
+            pose: np.linalg.norm(places[chosen] - places[pose], axis=1).min()
             for pose in helping
         }
-        nearest = min(away.values())
+        nearest_m = min(away_m.values())
 
-        assert entry.rescue.distance_m == pytest.approx(nearest)
+        assert entry.rescue.distance_m == pytest.approx(nearest_m)
 
         helper = problem.table.pose_ids.index(entry.rescue.unit)
 
         assert helper in helping
 
         best = max(
-            helping[pose] for pose in helping if away[pose] == pytest.approx(nearest)
+            left_s
+            for pose, left_s in helping.items()
+            if away_m[pose] == pytest.approx(nearest_m)
         )
 
         assert entry.rescue.margin_s == pytest.approx(best)
@@ -390,7 +334,7 @@ def test_each_look_gets_its_own_reasons():
         run_of((0.0, 0.0), name="a"),
         run_of((0.0, 40.0), name="b"),
     ]
-    setting = setting_of(*runs, boxes=[WALL])
+    setting = setting_with(*runs, boxes=[WALL])
     low = unit(-20.0, 0.0, 1.2, pitch_deg=0.0)
     away = unit(-20.0, 40.0, yaw_deg=180.0)
     looks = [
@@ -417,7 +361,7 @@ def test_each_look_gets_its_own_reasons():
 def test_weather_and_speed_share_no_reason():
     clear = run_of((0.0, 0.0))
     foggy = run_of((0.0, 0.0), weather="fog", name="fog")
-    setting = setting_of(clear, replace(foggy, encounter=clear.encounter), boxes=[])
+    setting = setting_with(clear, replace(foggy, encounter=clear.encounter), boxes=[])
     candidate = unit(-60.0, 0.0, pitch_deg=-4.0, fov_deg=30.0)
 
     assert reasons_of(setting, candidate, 0) == [("otherwise", "", N_FRAMES)]

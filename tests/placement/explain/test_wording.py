@@ -1,7 +1,10 @@
 """What a user reads when wishes contradict each other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from tiny_worlds import axis_of_runs
 
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, build_candidates, load_candidate_grid
@@ -11,7 +14,6 @@ from placement.layout import load_carlancap_layout
 from placement.setting import Setting
 from placement.wishes import Wishes, build_problem
 from scenarios.aeb import load_aeb_rule
-from scenarios.runs import FrameAxis
 
 N_RUNS = 4
 N_FRAMES = 6
@@ -40,17 +42,13 @@ def candidates(scene):
 @pytest.fixture(scope="module")
 def setting(scene):
     """Four runs of two cases."""
-    axis = FrameAxis(
-        run_ids=tuple("abcd"),
-        cases=("CPNA-25", "CPNA-25", "CBNA", "CBNA"),
-        approaches=("north",) * N_RUNS,
-        weathers=("day",) * N_RUNS,
-        vut_speed_kmh=np.full(N_RUNS, 30.0),
-        weight=np.full(N_RUNS, 0.25),
-        last_brake_time_s=np.full(N_RUNS, -0.1),
-        run_start=N_FRAMES * np.arange(N_RUNS + 1),
-        time_s=np.tile(np.arange(1 - N_FRAMES, 1) / 10.0, N_RUNS),
+    axis = axis_of_runs(
+        N_FRAMES * np.arange(N_RUNS + 1),
+        np.tile(np.arange(1 - N_FRAMES, 1) / 10.0, N_RUNS),
+        -0.1,
+        ids="abcd",
     )
+    axis = replace(axis, cases=("CPNA-25", "CPNA-25", "CBNA", "CBNA"))
     return Setting(
         scene=scene,
         runs=(),
@@ -62,22 +60,31 @@ def setting(scene):
 
 
 @pytest.fixture(scope="module")
-def refusal_of(setting, scene, candidates):
+def problem_of(setting, candidates):
     """Pose i of the four sees run i and no other; the study's units see nothing."""
     detected = np.zeros((len(candidates), N_RUNS * N_FRAMES), dtype=bool)
     for row, candidate in enumerate(candidates):
         if not candidate.id.startswith("RSU"):
             run = SITES.index(candidate.site_id)
-            detected[row, N_FRAMES * run : N_FRAMES * (run + 1)] = True
+            detected[row, setting.axis.frames_of(run)] = True
 
     table = pack_table(tuple(c.id for c in candidates), setting.axis, detected)
 
-    def build(**wishes):
-        wished = Wishes(**wishes)
-        problem = build_problem(setting, candidates, table, wishes=wished)
-        return find_refusal(problem, wished, scene, candidates)
+    def build(wishes):
+        return build_problem(setting, candidates, table, wishes=wishes)
 
     return build
+
+
+@pytest.fixture(scope="module")
+def refusal_of(problem_of, scene, candidates):
+    """Finds what wishes are refused with."""
+
+    def find(**wishes):
+        wished = Wishes(**wishes)
+        return find_refusal(problem_of(wished), wished, scene, candidates)
+
+    return find
 
 
 TOGETHER = "got demands that no layout meets together; expected"
@@ -158,22 +165,21 @@ def test_what_can_be_met_is_not_refused(refusal_of):
 
 
 def test_separation_is_taken_apart_into_distances_and_capacities(
-    setting, scene, candidates
+    problem_of, scene, candidates
 ):
     wishes = Wishes(budget_units=2, separation_m=40.0, site_capacity=3)
-    detected = np.zeros((len(candidates), N_RUNS * N_FRAMES), dtype=bool)
-    table = pack_table(tuple(c.id for c in candidates), setting.axis, detected)
-    problem = build_problem(setting, candidates, table, wishes=wishes)
+    problem = problem_of(wishes)
+    limits = problem.limits
 
     separation = build_separation(problem, wishes, scene, candidates)
 
-    assert len(separation.pair_distance_m) == len(problem.limits.rivals) > 0
+    assert len(separation.pair_distance_m) == len(limits.rivals) > 0
     assert (separation.pair_distance_m < 40.0).all()
 
-    at = [c.site_id in SITES for c in candidates]
+    at = limits.site_index[[c.site_id in SITES for c in candidates]]
 
-    assert (separation.site_capacity[problem.limits.site_index[at]] == 3).all()
-    assert (problem.limits.site_capacity[problem.limits.site_index[at]] == 1).all()
+    assert (separation.site_capacity[at] == 3).all()
+    assert (limits.site_capacity[at] == 1).all()
 
     none = Wishes(budget_units=2)
 

@@ -16,6 +16,7 @@ from placement.recordings import (
 )
 
 BOX = "100 200 140 300"
+CROSSING = {"speeds": (10.0, 1.5), "closing": 10.0, "n_frames": 12}
 
 
 @pytest.fixture
@@ -30,11 +31,15 @@ def judge(tmp_path_factory, rule):
 
 
 def _one_drive(new_folder, detected, **options):
-    """A folder with one drive at a cyclist."""
+    """A folder with one drive at a pedestrian who crosses."""
     folder = new_folder()
-    given = {"speeds": (10.0, 1.5), "closing": 10.0, "n_frames": 12} | options
-    folder.drive(3, 0, detected=detected, **given)
+    folder.drive(3, 0, detected=detected, **(CROSSING | options))
     return folder
+
+
+def _cyclist(new_folder):
+    """A folder with one drive at a cyclist whom nobody finds."""
+    return _one_drive(new_folder, {"0": ()}, speeds=(10.0, 4.0), actor="bycicle")
 
 
 def test_apr_of_a_small_recording_worked_by_hand(small, judge):
@@ -170,18 +175,14 @@ def test_a_detection_is_of_the_vrus_class_and_overlaps_its_label_by_more_than_ha
 
 @pytest.mark.parametrize("word", ["bycicle", "bicycle", "pedestrian"])
 def test_a_cyclist_may_be_found_as_bicycle_or_as_rider(new_folder, judge, word):
-    folder = _one_drive(
-        new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=10.0, actor="bycicle"
-    )
+    folder = _cyclist(new_folder)
     folder.files["Eval/3_4.txt"] = f"0 {word} {BOX} 0.9"
 
     assert judge(folder).units["0"].detected.sum() == 1
 
 
 def test_a_riders_own_label_does_not_count(new_folder, judge):
-    folder = _one_drive(
-        new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=10.0, actor="bycicle"
-    )
+    folder = _cyclist(new_folder)
     folder.add("0/3_4.txt", "pedestrian 100 150 140 220 20")
     folder.files["Eval/3_4.txt"] = "0 pedestrian 100 150 140 220 0.9"
 
@@ -265,23 +266,8 @@ def test_without_the_vuts_camera_there_is_no_verdict_of_it(new_folder, judge):
 
 def test_a_speed_that_is_driven_again_gets_a_number(new_folder, judge):
     folder = new_folder()
-    number = folder.drive(
-        7,
-        0,
-        speeds=(10.0, 1.5),
-        closing=10.0,
-        n_frames=12,
-        detected={"0": ()},
-        resets=30,
-    )
-    folder.drive(
-        7,
-        number,
-        speeds=(10.0, 1.5),
-        closing=10.0,
-        n_frames=12,
-        detected={"0": ()},
-    )
+    number = folder.drive(7, 0, detected={"0": ()}, resets=30, **CROSSING)
+    folder.drive(7, number, detected={"0": ()}, **CROSSING)
 
     assert judge(folder).axis.run_ids == ("recording/7/36", "recording/7/36/2")
 

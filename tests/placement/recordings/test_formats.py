@@ -5,6 +5,7 @@ ones.
 import numpy as np
 import pytest
 from readers import READERS
+from refusal_words import refusal_of
 
 from geometry.calibrations import (
     project_distorted,
@@ -12,7 +13,6 @@ from geometry.calibrations import (
     read_opencv_camera,
     read_tsai,
 )
-from geometry.errors import InputError
 from placement.recordings import find_format, read_recording
 from placement.recordings.formats import IGNORE, read_boxes, read_wildtrack
 
@@ -26,12 +26,10 @@ def put(tmp_path, reader, kind):
 
 
 def refused(read, path, text=None):
-    """Words in which a reader refuses a file."""
+    """Words in which a reader refuses a file, F for its path."""
     if text is not None:
         path.write_text(text)
-    with pytest.raises(InputError) as caught:
-        read(path)
-    return str(caught.value).replace(str(path), "F")
+    return refusal_of(read, path).replace(str(path), "F")
 
 
 def test_cvml_has_middles_and_sizes_of_boxes(tmp_path):

@@ -1,11 +1,14 @@
 """A wide open place with two poles, and people who walk by."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from placed_bodies import ahead_of
+from tiny_cameras import tiny_camera
 from tiny_worlds import run_of_frames, scene_of_boxes, setting_of
 
 from geometry.scene import Site
-from geometry.sensors import CameraModel
 from placement.candidates import CandidateGrid, build_candidates
 
 N_FRAMES = 40
@@ -36,8 +39,7 @@ def _build_walk(name, vru_m, *, last_brake_time_s=-1.0):
 
 def around_the_pole(radius_m, first_deg, last_deg, n_frames=N_FRAMES):
     """Places on an arc around the origin, (n, 2)."""
-    angle = np.radians(np.linspace(first_deg, last_deg, n_frames))
-    return radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
+    return radius_m * ahead_of(np.linspace(first_deg, last_deg, n_frames))
 
 
 @pytest.fixture(scope="session")
@@ -60,16 +62,9 @@ def build_walk():
 
 @pytest.fixture(scope="session")
 def narrow_camera():
-    """A camera of 640 by 480 pixels."""
-    return CameraModel(
-        name="narrow",
-        width_px=640,
-        height_px=480,
-        horizontal_fov_deg=40.0,
-        frame_rate_hz=10.0,
-        near_m=0.35,
-        price_eur=1000.0,
-    )
+    """A camera of 640 by 480 pixels that costs 1000 EUR."""
+    camera = tiny_camera(640, 480, name="narrow", fov_deg=40.0)
+    return replace(camera, price_eur=1000.0)
 
 
 @pytest.fixture(scope="session")

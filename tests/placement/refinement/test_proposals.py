@@ -10,6 +10,7 @@ from strategies import numbers
 from tiny_worlds import unit_at
 
 from geometry.catalogue import pick_sensor
+from geometry.study_scene import load_study_scene
 from placement import refinement
 from placement.candidates import CandidateGrid, build_candidates
 from placement.optimiser import Limits
@@ -104,8 +105,6 @@ def test_a_pose_that_hangs_outside_of_its_sites_range_may_stay_there(
 
 
 def test_nothing_is_moved_into_a_wall(narrow_camera):
-    from geometry.study_scene import load_study_scene
-
     scene = load_study_scene()
     wall = next(
         index

@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.random import default_rng
-from tiny_worlds import table_of
+from tiny_worlds import table_of, unit_at
 
 from geometry.catalogue import pick_sensor
-from geometry.poses import Pose
 from geometry.sensors import with_fov
-from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_planning_detector
 from placement.live import LiveTable
@@ -33,16 +31,12 @@ def _random_poses(n_poses, seed):
         sensor = pick_sensor(SENSORS[index % 3], "test")
         if index % 3 == 1:
             sensor = with_fov(sensor, float(rng.uniform(*sensor.fov_range_deg)), "test")
-        pose = Pose(
-            position_m=positions[rng.integers(3)],
-            yaw_deg=rng.uniform(-180.0, 180.0),
-            pitch_deg=rng.uniform(-45.0, 0.0),
-        )
         poses.append(
-            CandidatePose(
-                id=str(index),
-                site_id="",
-                pose=pose,
+            unit_at(
+                str(index),
+                positions[rng.integers(3)],
+                yaw_deg=rng.uniform(-180.0, 180.0),
+                pitch_deg=rng.uniform(-45.0, 0.0),
                 sensor=sensor,
             )
         )

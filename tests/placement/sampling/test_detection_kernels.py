@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sampled_worlds import first_world, table_of_world
 from scipy.signal import lfilter
 from scipy.stats import kstest, norm
 
@@ -14,22 +15,11 @@ from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_frames
 from placement.sampling.detection_kernels import _linked, draw_frames, random_bits
-from placement.sampling.tables import build_drawn_tables, build_sample_tables, silence
+from placement.sampling.tables import build_drawn_tables, silence
 from placement.sampling.uncertainty import Uncertainty
 from placement.sampling.worlds import draw_samples, link_frames
 
 DRAWN = Uncertainty(draws_detections=True)
-
-
-def _table(sample, *, seed=0, **options):
-    """The one table of a world."""
-    ((_, table),) = build_sample_tables([sample], compute=Compute(seed=seed, **options))
-    return table
-
-
-def _first(setting, poses, uncertainty, seed=0):
-    """The first world."""
-    return next(iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed)))
 
 
 # RandomStreams from frame to frame
@@ -168,7 +158,7 @@ def watched(junction_scene, standing_still, build_setting, response, look):
 
 def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watched):
     setting, poses = watched
-    sample = _first(setting, poses, DRAWN)
+    sample = first_world(setting, poses, DRAWN)
     first, other = build_drawn_tables(
         sample, setting.table_detector, compute=Compute(workers=1), n_draws=2
     )
@@ -224,7 +214,7 @@ def evidence_distance(pose, run):
 
 def test_in_fog_less_is_detected_of_the_same_frames(watched):
     setting, poses = watched
-    table = _table(_first(setting, poses, DRAWN), seed=0)
+    table = table_of_world(first_world(setting, poses, DRAWN))
     day = table.detected(slice(None))[:, setting.axis.frames_of(0)]
     fog = table.detected(slice(None))[:, setting.axis.frames_of(1)]
 
@@ -237,7 +227,9 @@ def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
     twins = (poses[0], replace(poses[0], id="again"), poses[1])
 
     def draw(seed, which=twins):
-        return _table(_first(setting, which, DRAWN, seed), seed=0).detected(slice(None))
+        return table_of_world(
+            first_world(setting, which, DRAWN, seed), seed=0
+        ).detected(slice(None))
 
     first = draw(0)
 
@@ -247,7 +239,7 @@ def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
     assert not np.array_equal(draw(1)[0], first[0])
 
     worlds = [
-        _table(sample, seed=0).detected(slice(None))[0]
+        table_of_world(sample).detected(slice(None))[0]
         for sample in draw_samples(setting, twins[:1], DRAWN, n_samples=2, seed=0)
     ]
 
@@ -257,16 +249,20 @@ def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
 
 def test_a_lidar_counts_the_points_that_it_may_expect(watched):
     setting, poses = watched
-    drawn = _table(_first(setting, poses, DRAWN), seed=0).detected([2])
-    planned = _table(_first(setting, poses, Uncertainty()), seed=0).detected([2])
+    drawn = table_of_world(first_world(setting, poses, DRAWN)).detected([2])
+    planned = table_of_world(
+        first_world(setting, poses, Uncertainty()), seed=0
+    ).detected([2])
 
     assert np.array_equal(drawn, planned)
     assert drawn.any()
 
 
 def test_nothing_is_drawn_of_a_detector_that_looks_at_boxes(setting, candidates):
-    drawn = _table(_first(setting, candidates, DRAWN), seed=0).packed
-    planned = _table(_first(setting, candidates, Uncertainty()), seed=0).packed
+    drawn = table_of_world(first_world(setting, candidates, DRAWN)).packed
+    planned = table_of_world(
+        first_world(setting, candidates, Uncertainty()), seed=0
+    ).packed
 
     assert np.array_equal(drawn, planned)
     assert planned.any()
@@ -276,8 +272,8 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
     chancy = replace(setting, table_detector=response)
     calls = []
     tables = [
-        _table(
-            _first(chancy, candidates, DRAWN),
+        table_of_world(
+            first_world(chancy, candidates, DRAWN),
             workers=workers,
             progress=lambda *call: calls.append(call),
         ).packed
@@ -298,7 +294,7 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
 
 def test_the_same_messages_are_lost_in_all_weathers(watched):
     setting, poses = watched
-    sample = _first(setting, poses, Uncertainty(packet_loss=0.5))
+    sample = first_world(setting, poses, Uncertainty(packet_loss=0.5))
     every = pack_table(
         tuple(p.id for p in poses),
         setting.axis,

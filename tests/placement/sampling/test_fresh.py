@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from refusal_words import refused_saying
+from sampled_worlds import first_world, table_of_world
 
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout
@@ -54,12 +55,6 @@ def layouts(candidates, look):
 def judged(setting, layouts):
     """The layouts in twelve worlds in which messages are lost and late."""
     return out_of_sample_layouts(setting, layouts, LOSSY, n_samples=12)
-
-
-def _table(sample, *, seed=0, **options):
-    """The one table of a world."""
-    ((_, table),) = build_sample_tables([sample], compute=Compute(seed=seed, **options))
-    return table
 
 
 def _avoided_by_hand(seen, axis, deadlines_s):
@@ -121,7 +116,7 @@ def test_a_layout_is_worth_in_a_world_what_its_table_says(setting, layouts, judg
 def test_worlds_to_judge_in_are_not_those_to_choose_in(setting, layouts):
     chosen_in, judged_in = (
         [
-            (_table(s, seed=0).packed.tobytes(), s.extra_latency_s.tobytes())
+            (table_of_world(s).packed.tobytes(), s.extra_latency_s.tobytes())
             for s in draw_samples(
                 setting, layouts[0].units, LOSSY, n_samples=3, seed=0, purpose=purpose
             )
@@ -258,14 +253,12 @@ def test_a_judgement_must_fit_its_runs(setting, layouts):
 def test_the_evaluator_takes_a_sampled_world_as_it_is(setting, layouts, default):
     """Full perception of the units as they hang, past what stands in the street."""
     units = layouts[1].units
-    (sample,) = draw_samples(
-        setting, units, default, n_samples=1, seed=0, purpose="judge"
-    )
+    sample = first_world(setting, units, default, purpose="judge")
     mounted = replace(layouts[1], units=sample.candidates)
 
     evaluation = evaluate_layout(mounted, replace(sample.setting, radio=setting.radio))
     lossless = replace(sample.setting, radio=setting.radio)
-    by_table = _table(replace(sample, setting=lossless), seed=0).detected([0])[0]
+    by_table = table_of_world(replace(sample, setting=lossless)).detected([0])[0]
     agreement = (evaluation.units[units[0].id].detected == by_table).mean()
 
     assert agreement >= 0.95

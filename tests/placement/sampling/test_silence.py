@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from changes import changed
 from numpy.random import default_rng
+from sampled_worlds import first_world
 from short_runs import cut_run
 
 from geometry.catalogue import load_lidars
@@ -22,7 +23,7 @@ from placement.sampling.uncertainty import (
     Uncertainty,
     load_uncertainty,
 )
-from placement.sampling.worlds import draw_samples, link_frames
+from placement.sampling.worlds import link_frames
 
 N_RUNS = 2000
 N_FRAMES = 6
@@ -57,9 +58,7 @@ def poses(look):
 
 def told(setting, poses, uncertainty, *, draw=0, seed=0):
     """Frames that reach the VUT of all, (n_poses, n_runs, n_frames)."""
-    sample = next(
-        iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed))
-    )
+    sample = first_world(setting, poses, uncertainty, seed=seed)
     sample = changed(sample, "streams.draw", draw)
     every = np.ones((len(poses), setting.axis.n_frames), dtype=bool)
     table = pack_table(tuple(pose.id for pose in poses), setting.axis, every)
@@ -165,9 +164,7 @@ def test_the_vut_is_dazzled_by_the_same_sun_and_each_is_another_car(many, poses)
 
     def blinded(blinding, setting=many, towards=poses[:1]):
         uncertainty = Uncertainty(blinding=blinding)
-        sample = next(
-            iter(draw_samples(setting, towards, uncertainty, n_samples=1, seed=0))
-        )
+        sample = first_world(setting, towards, uncertainty)
         return blinded_frames(sample).reshape(N_RUNS, N_FRAMES)
 
     assert blinded(dirt)[:, 0].mean() == near(0.3, N_RUNS)
@@ -297,9 +294,7 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
     response = load_planning_detector("response")
     chancy = replace(setting, detector=response, table_detector=response)
     shares = {"draws_detections": True, "person_share": 1.0}
-    sample = next(
-        iter(draw_samples(chancy, poses, Uncertainty(**shares), n_samples=1, seed=0))
-    )
+    sample = first_world(chancy, poses, Uncertainty(**shares))
 
     numbers = np.unique(draw_index(setting.runs))
     detector = sample.setting.detector

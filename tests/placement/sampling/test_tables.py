@@ -7,6 +7,7 @@ import pytest
 from changes import changed
 from hypothesis import given
 from hypothesis import strategies as st
+from sampled_worlds import table_of_world
 from tiny_worlds import table_of
 
 from geometry.lenses import BrownConrady, Fisheye
@@ -22,12 +23,6 @@ from placement.sampling.uncertainty import (
 )
 from placement.sampling.worlds import draw_samples
 from scenarios.runs import live_confirmation_times_s
-
-
-def _table(sample, *, seed=0, **options):
-    """The one table of a world."""
-    ((_, table),) = build_sample_tables([sample], compute=Compute(seed=seed, **options))
-    return table
 
 
 def _plan(setting, candidates, seed=0):
@@ -89,7 +84,7 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
     assert table.axis.cases == axis.cases * 3
 
     samples = list(draw_samples(setting, candidates, default, n_samples=3, seed=1))
-    parts = [_table(sample, seed=1) for sample in samples]
+    parts = [table_of_world(sample, seed=1) for sample in samples]
 
     assert np.array_equal(
         _detected(table), np.hstack([_detected(part) for part in parts])
@@ -255,7 +250,7 @@ def test_a_world_beside_others_is_as_it_is_alone(
         together = list(build_sample_tables(worlds, n_samples=4, at_once=at_once))
         assert any(table.packed.any() for _, table in together)
         for world, table in together:
-            assert np.array_equal(table.packed, _table(world).packed)
+            assert np.array_equal(table.packed, table_of_world(world).packed)
 
 
 # A queue hides a VRU

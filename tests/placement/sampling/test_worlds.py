@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from changes import changed
 from refusals import refused_with
+from sampled_worlds import first_world
 
 from placement.sampling.tables import build_sample_tables
 from placement.sampling.uncertainty import LatencyJitter, MountingErrors, Uncertainty
@@ -49,7 +50,7 @@ def _record(sample):
 
 
 def test_without_uncertainty_a_sample_is_the_plan(setting, candidates):
-    (sample,) = draw_samples(setting, candidates, Uncertainty(), n_samples=1, seed=0)
+    sample = first_world(setting, candidates, Uncertainty())
 
     assert sample.candidates == candidates
     assert all(a is b for a, b in zip(sample.candidates, candidates, strict=True))
@@ -107,7 +108,7 @@ def test_errors_have_their_spread_and_no_bias(setting, look):
     spread = (2.0, 0.5, 0.1)
     poses = [look(f"{i}", [float(i), 0.0, 6.0], yaw_deg=0.0) for i in range(400)]
 
-    (sample,) = draw_samples(setting, poses, _mounting(*spread), n_samples=1, seed=1)
+    sample = first_world(setting, poses, _mounting(*spread), seed=1)
     off = _offsets(sample) / spread
 
     assert np.abs(off.mean(axis=0)).max() < 4.0 / np.sqrt(400)
@@ -128,9 +129,7 @@ def test_few_heights_stand_for_the_normal_distribution(setting, look):
     distribution.
     """
     poses = [look(f"{i}", [float(i), 0.0, 6.0], yaw_deg=0.0) for i in range(4000)]
-    (sample,) = draw_samples(
-        setting, poses, _mounting(0.0, 0.0, 0.1), n_samples=1, seed=1
-    )
+    sample = first_world(setting, poses, _mounting(0.0, 0.0, 0.1), seed=1)
     steps, count = np.unique(
         (_offsets(sample)[:, 2] / 0.1).round(9), return_counts=True
     )
@@ -153,9 +152,7 @@ def test_poses_of_one_mount_are_off_by_the_same(setting, candidates, look):
         look(n, [0.0, 0.0, h], yaw_deg=y) for n, h, y in (("a", 6, 0), ("b", 7, 90))
     ]
     poses = (*candidates, *extra)
-    (sample,) = draw_samples(
-        setting, poses, _mounting(1.0, 1.0, 0.1), n_samples=1, seed=2
-    )
+    sample = first_world(setting, poses, _mounting(1.0, 1.0, 0.1), seed=2)
     off = _offsets(sample).round(9)
 
     mounts = [mount_key(pose) for pose in poses]
@@ -172,12 +169,8 @@ def test_poses_of_one_mount_are_off_by_the_same(setting, candidates, look):
 
 
 def test_errors_do_not_depend_on_what_else_is_tried(setting, candidates, default):
-    all_of_them = next(
-        iter(draw_samples(setting, candidates, default, n_samples=1, seed=3))
-    )
-    last = next(
-        iter(draw_samples(setting, candidates[-1:], default, n_samples=1, seed=3))
-    )
+    all_of_them = first_world(setting, candidates, default, seed=3)
+    last = first_world(setting, candidates[-1:], default, seed=3)
 
     assert _offsets(all_of_them)[-1].tolist() == _offsets(last)[0].tolist()
     assert [v.key for v in all_of_them.vehicles] == [v.key for v in last.vehicles]
@@ -190,9 +183,7 @@ def test_no_sensor_ends_up_underground_or_looks_over_its_shoulder(setting, look)
     ]
     low.append(look("lowest", [0.0, 9.0, 0.05], yaw_deg=0.0, pitch_deg=89.5))
 
-    (sample,) = draw_samples(
-        setting, low, _mounting(0.0, 20.0, 0.5), n_samples=1, seed=0
-    )
+    sample = first_world(setting, low, _mounting(0.0, 20.0, 0.5))
 
     assert min(pose.pose.position_m[2] for pose in sample.candidates[:-1]) == 0.1
     assert sample.candidates[-1].pose.position_m[2] >= 0.05
@@ -207,7 +198,7 @@ def test_a_run_that_no_braking_avoids_stays_one(setting, candidates):
     never = changed(setting, "axis.last_brake_time_s", hopeless)
     late = Uncertainty(latency=LatencyJitter(mean_s=0.05))
 
-    (sample,) = draw_samples(never, candidates, late, n_samples=1, seed=0)
+    sample = first_world(never, candidates, late)
 
     assert (sample.setting.axis.last_brake_time_s == -np.inf).all()
 
@@ -216,9 +207,7 @@ def test_the_evaluator_is_told_how_many_messages_are_lost(setting, candidates):
     lossy = replace(
         setting, radio=replace(setting.radio, packet_loss=0.4, vam_rate=0.5)
     )
-    (sample,) = draw_samples(
-        lossy, candidates, Uncertainty(packet_loss=0.2), n_samples=1, seed=0
-    )
+    sample = first_world(lossy, candidates, Uncertainty(packet_loss=0.2))
 
     assert sample.setting.radio.packet_loss == 0.2
     assert sample.setting.radio.vam_rate == 0.5

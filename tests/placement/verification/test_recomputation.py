@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from problems import questions
 
+from placement.detection_table import pack_table
 from placement.layout import Stage
 from placement.optimiser import (
+    Limits,
     PlacementProblem,
     apr_failed,
     cost_eur,
@@ -216,26 +218,18 @@ def test_all_sets_are_all_that_may_be_allowed(problem):
 
 
 def test_the_best_others_of_a_solved_problem_are_the_solution_itself(frame_axis, rule):
-    from placement.detection_table import pack_table
-    from placement.optimiser import Limits
-
-    rng = np.random.default_rng(3)
-    detected = rng.random((6, frame_axis.n_frames)) < 0.7
+    detected = np.random.default_rng(3).random((6, frame_axis.n_frames)) < 0.7
     problem = PlacementProblem(
         table=pack_table(tuple("abcdef"), frame_axis, detected),
-        limits=Limits(
-            site_index=np.arange(6),
-            site_capacity=np.ones(6, dtype=np.int64),
-            budget_units=2,
-        ),
+        limits=Limits(site_index=range(6), site_capacity=[1] * 6, budget_units=2),
         fusion="any",
         rule=replace(rule, n_confirmations=2),
     )
-    solution = solve_placement(problem)
-    stages = solution.certificate.stages
+    stages = solve_placement(problem).certificate.stages
+
     best = recomputation.best_others(problem, stages, recomputation.all_sets(problem))
 
+    assert [other.name for other in best] == [stage.name for stage in stages]
     assert [other.value for other in best] == pytest.approx(
         [stage.objective for stage in stages]
     )
-    assert [other.name for other in best] == [stage.name for stage in stages]
