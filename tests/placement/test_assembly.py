@@ -142,11 +142,13 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
         poses, ("", names[0], "carla-ncap-rgb, carla-ncap-lidar")
     )
 
-    assert [sorted(found) for found in (default, lidars, both)] == [
+    expected = [
         names[1:],
         names[:1],
         names,
     ]
+
+    assert [sorted(found) for found in (default, lidars, both)] == expected
     assert both == default | lidars
     with pytest.raises(
         InputError, match=r"^sensors: got .radar.; expected one of .*carla-ncap-"

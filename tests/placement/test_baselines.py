@@ -266,9 +266,9 @@ def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
 
     worst = judge_proposals(replace(problem, tail=0.25), proposals(random=sets)).random
 
-    assert worst.apr.tolist() == [
-        apr(replace(problem, tail=0.25), units) for units in sets
-    ]
+    expected = [apr(replace(problem, tail=0.25), units) for units in sets]
+
+    assert worst.apr.tolist() == expected
 
 
 def test_the_expert_has_one_camera_for_each_corner_at_most(frame_axis, rule):

@@ -62,7 +62,8 @@ def test_a_hash_tells_apart_whatever_differs():
     found = [hashes.of(value) for value in VALUES.values()]
 
     assert len(set(found)) == len(VALUES)
-    assert all(len(text) == 32 for text in found)
+    for text in found:
+        assert len(text) == 32
 
 
 @pytest.mark.parametrize("name", VALUES)
@@ -494,9 +495,9 @@ def test_only_classes_that_are_expected_are_made():
     whole = Whole(left=a_thing(), right=None, rest=(Point(x=1.0, y=2),))
     with pytest.raises(ValueError, match=r"of another kind: .*Point"):
         from_bytes(to_bytes(whole), Whole)
-    assert from_bytes(to_bytes(whole), Whole, classes=(Point,)).rest == (
-        Point(x=1.0, y=2),
-    )
+    expected = (Point(x=1.0, y=2),)
+
+    assert from_bytes(to_bytes(whole), Whole, classes=(Point,)).rest == expected
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,9 @@ def test_all_cases_of_the_study_are_driven_from_all_approaches(study):
     driven = {(run.case.name, run.approach) for run in study.runs}
     names = [case.name for case in load_case_sets()["study"]]
 
-    assert driven == {(n, a) for n in names for a in ("north", "east", "south", "west")}
+    expected = {(n, a) for n in names for a in ("north", "east", "south", "west")}
+
+    assert driven == expected
     assert len(study.runs) == 240
     assert {run.position for run in study.runs} == {"0"}
 
@@ -135,7 +137,9 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
 
     assert len(laid.runs) == len(kept.runs) > 0
     assert hash_of(kept.runs, kept.axis) == hash_of(laid.runs, laid.axis)
-    assert [repr(one) for one in kept.refusals] == [repr(one) for one in laid.refusals]
+    expected = [repr(one) for one in laid.refusals]
+
+    assert [repr(one) for one in kept.refusals] == expected
     assert len(laid.refusals) > 0
 
     monkeypatch.undo()

@@ -34,10 +34,12 @@ def test_apr_is_the_weight_of_the_avoided_runs(frame_axis):
     # Weights 1/2, 1/4 (case A) and 1/4 (case B).
     assert apr(_verdict([True, False, True]), frame_axis) == 0.75
     assert apr(_verdict([False, True, False]), frame_axis) == 0.25
-    assert apr_by_case(_verdict([True, False, True]), frame_axis) == {
+    expected = {
         "A": pytest.approx(2.0 / 3.0),
         "B": 1.0,
     }
+
+    assert apr_by_case(_verdict([True, False, True]), frame_axis) == expected
 
 
 def test_apr_of_some_runs_counts_only_those(frame_axis):

@@ -173,7 +173,7 @@ def test_a_file_of_ones_own_is_read(write_budget):
     budget = load_latency_budget(str(write_budget()))
 
     assert budget.name == "mine"
-    assert budget.parts == (
+    expected = (
         LatencyPart(
             name="radio",
             low_s=0.001,
@@ -182,6 +182,8 @@ def test_a_file_of_ones_own_is_read(write_budget):
             is_assumption=False,
         ),
     )
+
+    assert budget.parts == expected
 
     fixed = load_latency_budget(
         str(

@@ -73,12 +73,14 @@ def test_an_evaluation_prints_the_apr_of_every_party(found):
     frame = judged.to_frame()
 
     assert list(frame.index) == ["all runs", "CPNC-50"]
-    assert list(frame.columns) == [
+    expected = [
         "rsu_all",
         "vut",
         "vut_and_rsus",
         *(unit.id for unit in best.layout.units),
     ]
+
+    assert list(frame.columns) == expected
     assert frame.loc["all runs", "vut"] == placement.apr(judged.vut, judged.axis)
     assert (
         str(judged).splitlines()[0] == f"{best.layout.name}: accident prevention ratio"

@@ -134,9 +134,9 @@ def test_the_greedy_layout_is_as_large_and_never_better(placement, candidates):
 
     index = solve_greedy(placement.problem)
 
-    assert [unit.pose for unit in placement.greedy.units] == [
-        candidates[i].pose for i in index
-    ]
+    expected = [candidates[i].pose for i in index]
+
+    assert [unit.pose for unit in placement.greedy.units] == expected
 
     greedy = placement_value(placement.problem, index)
 

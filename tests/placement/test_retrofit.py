@@ -163,9 +163,9 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
             check_change(problem, poses, change)
 
     # Removals: all of them, the one that loses least first.
-    assert sorted(change.removed for change in found.removals) == [
-        (unit,) for unit in standing
-    ]
+    expected = [(unit,) for unit in standing]
+
+    assert sorted(change.removed for change in found.removals) == expected
 
     values = [change.value._replace(cost_eur=0.0) for change in found.removals]
 
@@ -322,9 +322,11 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
     aims = [poses.candidates[row] for row in poses.aims_of(0)]
 
     assert len(aims) == 4 * 2 - 1
-    assert {(aim.pose.yaw_deg, aim.pose.pitch_deg) for aim in aims} == set(
-        product([-90.0, 0.0, 90.0, 180.0], [-15.0, -30.0])
-    ) - {(180.0, -15.0)}
+    expected = set(product([-90.0, 0.0, 90.0, 180.0], [-15.0, -30.0])) - {
+        (180.0, -15.0)
+    }
+
+    assert {(aim.pose.yaw_deg, aim.pose.pitch_deg) for aim in aims} == expected
 
     for aim in aims:
         assert aim.pose.position_m.tolist() == position.tolist()

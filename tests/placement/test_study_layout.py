@@ -92,7 +92,8 @@ def test_all_poses_hang_in_the_open_air_at_their_sites(layout, setting):
 
     used = [unit.site_id for unit in layout.units]
 
-    assert all(used.count(name) <= sites[name].capacity_units for name in used)
+    for name in used:
+        assert used.count(name) <= sites[name].capacity_units
 
 
 def test_the_setting_weighs_every_run_alike(setting):

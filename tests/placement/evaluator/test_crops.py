@@ -86,9 +86,9 @@ def test_a_window_has_the_box_in_its_middle_but_stays_in_the_image(larger):
 
     corner = np.array([larger.width_px - 9.0, 0.0, larger.width_px, 30.0])
 
-    assert window_around(corner, larger, side_px=96) == Window(
-        larger.width_px - 96, 0, 96, 96
-    )
+    expected = Window(larger.width_px - 96, 0, 96, 96)
+
+    assert window_around(corner, larger, side_px=96) == expected
 
 
 @pytest.mark.long

@@ -156,7 +156,8 @@ def test_fused_units_confirm_together_what_none_confirms_alone(pretend, axis):
         _frames(axis, 0, 1, 3), _frames(axis, 0, 2), vut_row=_frames(axis, 1, 3)
     )
 
-    assert all(np.isinf(v.confirmation_time_s).all() for v in evaluation.units.values())
+    for v in evaluation.units.values():
+        assert np.isinf(v.confirmation_time_s).all()
     assert evaluation.rsu_all.confirmation_time_s[0] == axis.time_s[3]
     assert evaluation.rsu_all.is_avoided[0]
     assert not evaluation.vut.is_avoided.any()
@@ -182,7 +183,8 @@ def test_without_any_message_the_vut_is_left_alone(pretend, axis):
     plain = pretend(row, row, vut_row=by_vut)
 
     assert not lost.rsu_all.detected.any()
-    assert not any(unit.detected.any() for unit in lost.units.values())
+    for unit in lost.units.values():
+        assert not unit.detected.any()
     assert _is_equal(lost.vut, plain.vut)
     assert _is_equal(lost.vut_and_rsus, plain.vut)
 
@@ -230,9 +232,11 @@ def test_road_users_that_announce_themselves_are_a_source_of_their_own(pretend, 
     vam = all_equipped.others["vam"]
 
     assert vam.detected.all()
-    assert vam.onset_time_s.tolist() == [
+    expected = [
         axis.time_s[start + 2] + RULE.latency_s for start in axis.run_start[:-1]
     ]
+
+    assert vam.onset_time_s.tolist() == expected
     assert _is_equal(all_equipped.rsu_all, pretend(by_unit).rsu_all)
 
     some = pretend(by_unit, vut_row=nothing, radio=Radio(vam_rate=0.5), seed=3)
@@ -307,7 +311,9 @@ def test_threads_and_company_do_not_change_a_verdict(build_layout, real, study_r
     alone = evaluate_layout(b, setting)
 
     # Two different poses, and the VUT in four parts.
-    assert n_done == [(0, 0), *((done, 6) for done in range(1, 7))]
+    expected = [(0, 0), *((done, 6) for done in range(1, 7))]
+
+    assert n_done == expected
     assert (together[0].units["a"].detected == together[1].units["c"].detected).all()
 
     for name in ("vut", "rsu_all", "vut_and_rsus"):

@@ -232,9 +232,9 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
 def test_tree_holds_every_triangle_once_and_each_box_its_own(corners_m, n_copies):
     tree = build_tree(np.tile(corners_m, (n_copies, 1, 1)))
 
-    assert sorted(map(tuple, tree.corners_m.reshape(-1, 9))) == sorted(
-        map(tuple, np.tile(corners_m, (n_copies, 1, 1)).reshape(-1, 9))
-    )
+    expected = sorted(map(tuple, np.tile(corners_m, (n_copies, 1, 1)).reshape(-1, 9)))
+
+    assert sorted(map(tuple, tree.corners_m.reshape(-1, 9))) == expected
 
     for node, (start, end) in enumerate(zip(tree.start, tree.end, strict=True)):
         own = tree.corners_m[start:end].reshape(-1, 3)
@@ -263,7 +263,9 @@ def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
 
     tree = build_tree(corners_m)
 
-    assert sorted(tree.corners_m[:, 0, 0]) == sorted(corners_m[:, 0, 0])
+    expected = sorted(corners_m[:, 0, 0])
+
+    assert sorted(tree.corners_m[:, 0, 0]) == expected
 
 
 # ---------- bodies

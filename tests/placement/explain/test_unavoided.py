@@ -230,7 +230,9 @@ def test_outcome_and_rescue_match_brute_force(given_):
     margin = run_margins_s(problem, chosen)
     has_weight = problem.table.axis.weight > 0.0
 
-    assert sorted(found) == np.flatnonzero((margin == -np.inf) & has_weight).tolist()
+    expected = np.flatnonzero((margin == -np.inf) & has_weight).tolist()
+
+    assert sorted(found) == expected
 
     for run, entry in found.items():
         check_outcome(problem, chosen, run, entry)

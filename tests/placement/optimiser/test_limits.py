@@ -242,9 +242,9 @@ def test_who_may_join_what_is_forced_is_told_to_kernels(seed, n_units):
 
     at_site = np.bincount(limits.site_index[forced], minlength=3)
 
-    assert (
-        choice.room.tolist() == np.maximum(limits.site_capacity - at_site, 0).tolist()
-    )
+    expected = np.maximum(limits.site_capacity - at_site, 0).tolist()
+
+    assert choice.room.tolist() == expected
 
     is_open = ~limits.is_forced & ~limits.is_forbidden
 

@@ -84,7 +84,9 @@ def check_points(problem, stages):
 
     refused = [units for units, _ in front.refused]
 
-    assert refused == [u for u in range(max(1, n_forced), 4) if u not in possible]
+    expected = [u for u in range(max(1, n_forced), 4) if u not in possible]
+
+    assert refused == expected
 
 
 @given(problem=questions(), seconds=st.sampled_from([1e-9, 60.0]), stages=ANY_STAGES)
@@ -202,9 +204,9 @@ def test_a_front_below_a_solution_is_the_front_up_to_it(problem):
 
     whole = pareto_front(problem, max_units=3, stages="all")
 
-    assert [point.units for point in below.points] == [
-        point.units for point in whole.points
-    ]
+    expected = [point.units for point in whole.points]
+
+    assert [point.units for point in below.points] == expected
 
     for ours, theirs in zip(below.points, whole.points, strict=True):
         assert ours.value == pytest.approx(theirs.value, abs=1e-8)

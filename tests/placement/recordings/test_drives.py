@@ -73,7 +73,9 @@ def test_another_speed_is_another_drive_in_the_same_numbering():
 def test_the_same_speed_again_is_another_drive_where_the_distance_jumps_up():
     # Frames 12..41: resets; the last of them is where the second drive begins.
     world = _world((_falling(12) + [13.0] * 30 + _falling(12)[1:], 10.0, 1.5))
-    assert _cut(world)[:2] == ([(0, 0, 11), (0, 41, 52)], {RESETS: 29})
+    expected = ([(0, 0, 11), (0, 41, 52)], {RESETS: 29})
+
+    assert _cut(world)[:2] == expected
 
 
 def test_the_first_reset_frame_may_still_show_the_bodies_where_they_met():
@@ -112,10 +114,12 @@ def test_drives_do_not_reach_over_more_than_ten_missing_seconds():
     near = _world((_falling(12), 10.0, 1.5))
     far = _world((_falling(12), 10.0, 1.5), first=10**8)
 
-    assert _cut(near | far)[0] == [
+    expected = [
         (0, 0, 11),
         (0, 10**8, 10**8 + 11),
     ]
+
+    assert _cut(near | far)[0] == expected
 
 
 @pytest.mark.parametrize(

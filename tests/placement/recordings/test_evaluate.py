@@ -168,9 +168,9 @@ def test_a_detection_is_of_the_vrus_class_and_overlaps_its_label_by_more_than_ha
     folder = _one_drive(new_folder, {"0": ()})
     folder.files["Eval/3_4.txt"] = f"0 {found}\n0 pedestrian 900 900 940 1000 0.9"
 
-    assert judge(folder).units["0"].detected.tolist() == [
-        is_detected and frame == 4 for frame in range(12)
-    ]
+    expected = [is_detected and frame == 4 for frame in range(12)]
+
+    assert judge(folder).units["0"].detected.tolist() == expected
 
 
 @pytest.mark.parametrize("word", ["bycicle", "bicycle", "pedestrian"])

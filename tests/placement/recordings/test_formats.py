@@ -79,7 +79,9 @@ def test_wildtrack_has_a_value_for_each_view(tmp_path):
     views = read_wildtrack(put(tmp_path, "recorded boxes", "wildtrack"))
 
     assert len(views) == 7
-    assert [view.frame.tolist() for view in views] == [[0, 1, 2]] * 7
+    expected = [[0, 1, 2]] * 7
+
+    assert [view.frame.tolist() for view in views] == expected
     assert views[0].box_px.tolist() == [[0.0] * 4] * 3  # not in view
     assert views[3].box_px[0].tolist() == [10.0, 20.0, 30.0, 40.0]
 

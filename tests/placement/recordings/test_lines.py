@@ -30,7 +30,7 @@ def test_labels_are_read_in_both_spellings_and_empty_lines_are_nothing(tmp_path)
     path = tmp_path / "3_0.txt"
     path.write_text("bycicle 1 2 3 4.5 6\n\n  bicycle -1e1 2 3 4 0\ncar 1 1 1 1 1\n")
 
-    assert read_labels(path, FORM) == (
+    expected = (
         [
             Label("bicycle", (1.0, 2.0, 3.0, 4.5), 6.0),
             Label("bicycle", (-10.0, 2.0, 3.0, 4.0), 0.0),
@@ -38,6 +38,8 @@ def test_labels_are_read_in_both_spellings_and_empty_lines_are_nothing(tmp_path)
         ],
         0,
     )
+
+    assert read_labels(path, FORM) == expected
 
 
 def test_an_empty_label_file_holds_nothing(tmp_path):
@@ -61,13 +63,15 @@ def test_detections_keep_their_unit_and_line(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text("\n-1 pedestrian 1 2 3 4 0.5\ncar bycicle 1 2 3 4 1\n")
 
-    assert read_detections(path, FORM) == (
+    expected = (
         [
             Detection("-1", "pedestrian", (1.0, 2.0, 3.0, 4.0), 0.5, 2),
             Detection("car", "bicycle", (1.0, 2.0, 3.0, 4.0), 1.0, 3),
         ],
         0,
     )
+
+    assert read_detections(path, FORM) == expected
 
 
 @pytest.mark.parametrize(

@@ -70,11 +70,15 @@ def test_frame_numbers_run_on_over_drives(tmp_path):
     )
     recording = read_recording(tmp_path / "data")
 
-    assert [(d.scenario, d.first_number, d.n_frames) for d in recording.drives] == [
+    expected = [
         (3, 0, 12),
         (3, 12 + N_RESETS, 12),
         (4, 2 * (12 + N_RESETS), 12),
     ]
+
+    assert [
+        (d.scenario, d.first_number, d.n_frames) for d in recording.drives
+    ] == expected
     assert recording.n_frames == 3 * (12 + N_RESETS)
 
 

@@ -73,7 +73,9 @@ def test_a_moved_unit_keeps_its_name_and_says_by_how_much():
 
     assert layout.name == "refined-2"
     assert [unit.id for unit in layout.units] == ["U1", "U2"]
-    assert [unit.pose for unit in layout.units] == [poses[1].pose, poses[0].pose]
+    expected = [poses[1].pose, poses[0].pose]
+
+    assert [unit.pose for unit in layout.units] == expected
 
     first, second = moves
 

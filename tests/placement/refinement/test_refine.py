@@ -180,9 +180,8 @@ def test_a_kept_unit_stays_as_it_is_and_the_other_one_moves(placements, refineme
     assert units.keys() == {"old", "U1"} or units.keys() == {"old", "U2"}
     assert units["old"].pose is candidates[-1].pose
     assert refinement.is_improved
-    assert all(
-        move.after is None or move.after.id != "old" for move in refinement.moves
-    )
+    for move in refinement.moves:
+        assert move.after is None or move.after.id != "old"
     assert refinement.placement.problem.limits.is_forced.sum() == 1
 
 

@@ -122,7 +122,9 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
         assert block.apr == pytest.approx(max(values))
         assert values[block.found[0]] == pytest.approx(max(values))
 
-    assert found.pool[0].estimate.mean == max(one.estimate.mean for one in found.pool)
+    expected = max(one.estimate.mean for one in found.pool)
+
+    assert found.pool[0].estimate.mean == expected
 
 
 @pytest.mark.long
@@ -268,7 +270,9 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     last = None
 
     assert growth.stopped in ("same", "no better")
-    assert [one.worlds for one in growth.rounds] == [*SIZES[: len(growth.rounds)]]
+    expected = [*SIZES[: len(growth.rounds)]]
+
+    assert [one.worlds for one in growth.rounds] == expected
     assert growth.rounds[-1].worlds == 2 * growth.taken == 2 * found.assembly.n_samples
 
     for one in growth.rounds:

@@ -91,7 +91,9 @@ def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
         is_cost = one.name == "cost_eur"
         assert (one.bound <= one.objective) if is_cost else (one.bound >= one.objective)
 
-    assert found.layout.units[0].pose == asked(greedy=0).candidates[greedy].pose
+    expected = asked(greedy=0).candidates[greedy].pose
+
+    assert found.layout.units[0].pose == expected
     assert found.nominal.table.n_poses == 1
 
 
@@ -117,9 +119,9 @@ def test_what_was_found_stays_where_worlds_do_not_prefer_another(
     found = place(found, asks_worlds=True)
 
     assert found.pose_index == plain.pose_index
-    assert [stage.bound for stage in found.certificate.stages] == [
-        stage.bound for stage in plain.certificate.stages
-    ]
+    expected = [stage.bound for stage in plain.certificate.stages]
+
+    assert [stage.bound for stage in found.certificate.stages] == expected
     assert (found.preferred is not None) == is_asked
     assert plain.preferred is None
 

@@ -271,7 +271,8 @@ def test_the_same_seed_draws_the_same_and_a_run_not_by_the_others(laid, rule):
         speeds(laid, _streams(index=1)),
         speeds(laid, _streams(seed=4)),
     ):
-        assert all(one != another for one, another in zip(first, other, strict=True))
+        for one, another in zip(first, other, strict=True):
+            assert one != another
 
 
 def test_a_run_is_the_same_in_all_weathers(laid, rule):
@@ -305,10 +306,8 @@ def test_worlds_differ_in_what_people_do_and_in_nothing_else(setting, candidates
 
     one, other = (sample.setting.runs for sample in worlds)
 
-    assert all(
-        not np.allclose(a.vru_position_m, b.vru_position_m)
-        for a, b in zip(one, other, strict=True)
-    )
+    for a, b in zip(one, other, strict=True):
+        assert not np.allclose(a.vru_position_m, b.vru_position_m)
 
 
 # Files

@@ -87,7 +87,9 @@ def test_a_unit_out_of_order_tells_nothing_for_a_run_and_a_pole_silences_all_its
     beside_share = (out[0] & out[1]).mean()
     apart_share = (out[0] & out[2]).mean()
 
-    assert out.mean(axis=1).tolist() == [near(0.28, N_RUNS)] * len(poses)
+    expected = [near(0.28, N_RUNS)] * len(poses)
+
+    assert out.mean(axis=1).tolist() == expected
     # Independent but for the pole: neither, or the pole, or by chance both.
     assert beside_share == near(0.2 + 0.8 * 0.1**2, N_RUNS)
     assert apart_share == near(0.28**2, N_RUNS)

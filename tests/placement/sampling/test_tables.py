@@ -183,7 +183,9 @@ def test_each_world_has_a_cached_table_of_its_own(
 
     assert built in calls  # two mount positions in each of three worlds
     assert calls[0] == (stage, 0, 0)
-    assert calls[-3:] == [(stage, 1, 3), (stage, 2, 3), cached]
+    expected = [(stage, 1, 3), (stage, 2, 3), cached]
+
+    assert calls[-3:] == expected
 
 
 def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):

@@ -184,11 +184,13 @@ def test_who_stands_in_a_parked_car_is_found_and_who_passes_it_is_not():
 
     found = frames_in_parked([inside, beside, gone], [parked])
 
-    assert [frames.tolist() for frames in found] == [
+    expected = [
         [True] * 4,
         [False] * 4,
         [False, True, True, False],
     ]
+
+    assert [frames.tolist() for frames in found] == expected
 
 
 # Worlds

@@ -60,7 +60,8 @@ def test_without_uncertainty_a_sample_is_the_plan(setting, candidates):
     sample = first_world(setting, candidates, Uncertainty())
 
     assert sample.candidates == candidates
-    assert all(a is b for a, b in zip(sample.candidates, candidates, strict=True))
+    for a, b in zip(sample.candidates, candidates, strict=True):
+        assert a is b
     assert sample.setting.runs == setting.runs
     assert np.array_equal(
         sample.setting.axis.last_brake_time_s, setting.axis.last_brake_time_s
@@ -157,7 +158,8 @@ def test_poses_of_one_mount_are_off_by_the_same(setting, candidates, look):
         by_mount.setdefault(mount_key(pose), set()).add(tuple(off))
 
     assert len(by_mount) == 3
-    assert all(len(rows) == 1 for rows in by_mount.values())
+    for rows in by_mount.values():
+        assert len(rows) == 1
     assert len(set.union(*by_mount.values())) == 3
 
 

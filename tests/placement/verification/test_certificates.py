@@ -45,9 +45,9 @@ def test_a_certificate_can_be_read_again(problem, document, tmp_path):
 
     assert stored.pose_index == solution.pose_index
     assert [stage.name for stage in stored.stages] == list(stage_names(problem))
-    assert [stage.objective for stage in stored.stages] == [
-        stage.objective for stage in solution.certificate.stages
-    ]
+    expected = [stage.objective for stage in solution.certificate.stages]
+
+    assert [stage.objective for stage in stored.stages] == expected
     assert stored.is_proven
 
 

@@ -173,7 +173,8 @@ def test_the_hash_changes_with_whatever_changes(problem):
     hashes.append(problem_hash(problem))
 
     assert len(set(hashes)) == len(hashes)
-    assert all(len(text) == 64 for text in hashes)
+    for text in hashes:
+        assert len(text) == 64
 
 
 def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(

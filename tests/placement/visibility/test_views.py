@@ -59,4 +59,6 @@ def test_without_room_nothing_is_kept_and_all_is_found(asked):
         hidden = kept.look(eye, rows, lambda index, eye=eye: _truth(eye)[index])
         assert np.array_equal(hidden, _truth(eye)[rows])
 
-    assert len(kept._of_eye) == min(2, len({eye for eye, _ in asked}))
+    expected = min(2, len({eye for eye, _ in asked}))
+
+    assert len(kept._of_eye) == expected
