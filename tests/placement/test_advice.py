@@ -162,7 +162,9 @@ def test_an_answer_is_proven_by_what_is_asked_for(adviser, weak):
         ),
     )
     cheap = replace(
-        found, n_compared=0, certificate=Certificate(stages=stages, solver="")
+        found,
+        n_compared=0,
+        certificate=Certificate(stages=stages, solver=""),
     )
 
     assert cheap.is_proven is True
@@ -173,6 +175,7 @@ def test_an_answer_is_proven_by_what_is_asked_for(adviser, weak):
 
     assert open_.is_proven is False
     assert open_.is_all_proven is False
+
     with refused_saying("units in all: got 2; expected more than the 2"):
         adviser.complete(weak, n_units=2)
 

@@ -71,6 +71,7 @@ def test_a_layout_is_kept_or_chosen_within_by_name(study):
     assert plan.wishes.existing == ("mine",)
     assert plan.wishes.budget_units == 2
     assert ids(Question(budget=1, within="carlancap-12"), scene) == {"mine"}
+
     with refused_saying("budget: got 2; expected at most 1: candidates and"):
         assemble_without_runs(Question(budget=2, within="carlancap-12"), scene)
 
@@ -87,6 +88,7 @@ def test_heights_yaws_and_pitches_are_those_asked_for(coarse):
         yaw_step_deg=180.0,
         pitches="-40,-10,0",
     )
+
     grid = build_grid(question)
 
     assert grid.heights_m.tolist() == [4.0, 7.5]

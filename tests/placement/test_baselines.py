@@ -142,7 +142,11 @@ def _both_ways():
 def test_off_axis_is_the_angle_to_a_point(camera):
     def pose(yaw_deg, pitch_deg):
         return unit_at(
-            "any", [0.0, 0.0, 10.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=camera
+            "any",
+            [0.0, 0.0, 10.0],
+            yaw_deg=yaw_deg,
+            pitch_deg=pitch_deg,
+            sensor=camera,
         )
 
     poses = [
@@ -152,6 +156,7 @@ def test_off_axis_is_the_angle_to_a_point(camera):
         pose(90, -45),
         pose(30, -90),
     ]
+
     found = off_axis_deg(poses, np.array([10.0, 0.0, 0.0]))
 
     assert found == pytest.approx([0.0, 45.0, 90.0, 60.0, 45.0])
@@ -196,6 +201,7 @@ def test_two_corners_share_no_site_and_forbidden_ones_do_not_count(candidates):
     few = replace(
         SCENE, sites=tuple(s for s in SCENE.sites if s.id in ("mast-n", "lamp-e1"))
     )
+
     poses = build_candidates(few)
     taken = drawn(poses, limits_of(poses, few), few, n_units=2).corners
 
@@ -237,7 +243,9 @@ def proposals(**changes):
 
 def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
     limits = Limits(
-        site_index=[0, 1, 2, 3, 3], site_capacity=[1, 1, 1, 2], budget_units=2
+        site_index=[0, 1, 2, 3, 3],
+        site_capacity=[1, 1, 1, 2],
+        budget_units=2,
     )
     problem = problem_of(
         limits, {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]}, frame_axis, rule

@@ -142,7 +142,11 @@ def test_phrases_come_back_with_what_a_translation_needs(tmp_path):
 
     for _ in range(2):
         found = cached_value(
-            tmp_path, "reason", lambda: reason, kind=Reason, made_from=()
+            tmp_path,
+            "reason",
+            lambda: reason,
+            kind=Reason,
+            made_from=(),
         )
 
         assert found == reason
@@ -324,7 +328,12 @@ class Made:
 def keep(folder, make, *, made_from=("a", 1), packages=("scenarios",)):
     """The pair from the cache, or made."""
     return cached_value(
-        folder, "things", make, kind=Pair, made_from=made_from, packages=packages
+        folder,
+        "things",
+        make,
+        kind=Pair,
+        made_from=made_from,
+        packages=packages,
     )
 
 
@@ -485,6 +494,7 @@ def test_named_tuples_and_plain_ones_come_back_as_they_were():
         Point(x=1.0, y=2),
         (3, (4.0,)),
     )
+
     found = from_bytes(to_bytes(value), tuple[Point, tuple[int, tuple[float]]])
 
     assert found == value
@@ -493,8 +503,10 @@ def test_named_tuples_and_plain_ones_come_back_as_they_were():
 
 def test_only_classes_that_are_expected_are_made():
     whole = Whole(left=a_thing(), right=None, rest=(Point(x=1.0, y=2),))
+
     with pytest.raises(ValueError, match=r"of another kind: .*Point"):
         from_bytes(to_bytes(whole), Whole)
+
     expected = (Point(x=1.0, y=2),)
 
     assert from_bytes(to_bytes(whole), Whole, classes=(Point,)).rest == expected

@@ -78,6 +78,7 @@ def test_every_combination_is_there_once():
 @given(st.sampled_from([1, 2, 3, 4, 6, 8, 9, 12, 24, 36, 48, 72]))
 def test_yaws_go_all_around_once(n_yaws):
     step_deg = 360.0 / n_yaws
+
     candidates = build_candidates(
         _scene([5, 9]),
         _grid(
@@ -115,6 +116,7 @@ def test_the_default_grid_looks_every_15_degrees_at_three_heights_and_pitches():
 
 def test_what_scans_all_round_hangs_level_and_is_not_turned():
     scene = _scene([5, 9])
+
     others = [c.id for c in build_candidates(scene, _grid(sensors=(*CAMERAS, SECTOR)))]
 
     assert len(others) == 2 * 3 * 12 * 3
@@ -213,6 +215,7 @@ def _extra(pose_id):
 
 def test_poses_by_name_come_last():
     extra = (_extra("RSU0"), _extra("RSU1"))
+
     candidates = build_candidates(_scene([5, 9]), _grid(), extra=extra)
 
     assert candidates[-2:] == extra

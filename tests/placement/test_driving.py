@@ -60,6 +60,7 @@ def test_all_cases_of_the_study_are_driven_from_all_approaches(study):
 @pytest.mark.long
 def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     question = Question(approaches="west")
+
     setting = build_setting(question, load_study_scene())
     at_zero = [run.id for run in setting.runs if run.position == "0"]
 
@@ -74,6 +75,7 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
         "-45",
         "+0",
     }
+
     # Every case counts by what of it is driven, and in it every place; with the study's
     # set every run counts the same.
     cases = np.array(setting.axis.cases)
@@ -137,6 +139,7 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
 
     assert len(laid.runs) == len(kept.runs) > 0
     assert hash_of(kept.runs, kept.axis) == hash_of(laid.runs, laid.axis)
+
     expected = [repr(one) for one in laid.refusals]
 
     assert [repr(one) for one in kept.refusals] == expected
@@ -156,6 +159,7 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
 @pytest.mark.long
 def test_how_far_along_the_arms_is_chosen():
     question = Question(cases="CPNA-25", approaches="north", along_arms="0, 20")
+
     runs = drive(question, load_study_scene()).runs
 
     assert {run.position for run in runs} == {"0", "-20", "+0", "+20"}
@@ -369,8 +373,11 @@ def test_the_list_has_a_row_per_case_and_approach():
 @pytest.mark.long
 def test_the_list_says_where_along_the_arms():
     question = Question(
-        cases="CPNA-25,CBNA", approaches="north", along_arms="0,15,60,100"
+        cases="CPNA-25,CBNA",
+        approaches="north",
+        along_arms="0,15,60,100",
     )
+
     rows = list_rows(drive(question, load_study_scene()))
 
     assert [(row.case, row.position, row.n_runs) for row in rows] == [
@@ -401,6 +408,7 @@ def test_speeds_that_a_case_does_not_have_are_listed_as_not_driven():
         Question(cases="CPTAns-50,CPNA-25", speeds="40", along_arms="0"),
         load_study_scene(),
     )
+
     row = list_rows(drives)[-1]
 
     assert row.case == "CPTAns-50"
@@ -439,6 +447,7 @@ def test_one_run_at_a_position_drives_the_speed_asked_for():
 
     assert run.id == "CPLA-50/east-15/35"
     assert run.position == "-15"
+
     with refused_saying("position: got '-15'; expected 0: CBNA is bound to"):
         drive_one(replace(question, cases="CBNA"), scene, position="-15")
 

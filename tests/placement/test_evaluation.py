@@ -34,6 +34,7 @@ def test_apr_is_the_weight_of_the_avoided_runs(frame_axis):
     # Weights 1/2, 1/4 (case A) and 1/4 (case B).
     assert apr(_verdict([True, False, True]), frame_axis) == 0.75
     assert apr(_verdict([False, True, False]), frame_axis) == 0.25
+
     expected = {
         "A": pytest.approx(2.0 / 3.0),
         "B": 1.0,

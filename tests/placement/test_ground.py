@@ -90,6 +90,7 @@ def test_a_camera_sees_what_is_in_its_picture_and_nothing_behind_it():
 
 def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
     ground = build_private_ground([("garden", box(20, 10, 30, 40))])
+
     # The right edge of the picture, 45 degrees right of north-east, is the x axis
     # turned up to ..
     share = private_shares(

@@ -72,6 +72,7 @@ def test_more_cameras_see_no_less_and_lidars_take_no_pictures():
 def test_roads_are_lanes_and_the_junction():
     coverage = find_ground_coverage(protocol_scene(), [])
     n_cells = coverage.is_road.sum()
+
     # A square of 23 m, and four arms of 7 m up to 45 m: 529 + 4 x 7 x 33.5 square
     # metres.
     assert n_cells == pytest.approx(529 + 4 * 7 * 33.5, rel=0.05)

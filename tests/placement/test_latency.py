@@ -173,6 +173,7 @@ def test_a_file_of_ones_own_is_read(write_budget):
     budget = load_latency_budget(str(write_budget()))
 
     assert budget.name == "mine"
+
     expected = (
         LatencyPart(
             name="radio",

@@ -114,6 +114,7 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
         expected = _apr_by_hand(axis, party, n_confirmations, memory_s, latency_s)
         seen = [(np.array(frames), late) for frames, late in party]
         onsets = find_onsets(earliest_arrival_s(seen, axis), axis, rule=rule)
+
         share = float(weight_share(onsets.is_in_time, axis.weight))
 
         assert share == pytest.approx(expected), name

@@ -142,6 +142,7 @@ def test_a_lens_as_in_the_catalogue_may_be_told_or_not():
 @given(_layouts())
 def test_a_layout_comes_back_from_its_records_bit_by_bit(layout):
     text = json.dumps(layout_records(layout), allow_nan=False)
+
     back = layout_from_records(layout.name, json.loads(text), "f.json")
 
     assert back.name == layout.name

@@ -55,6 +55,7 @@ def test_a_list_in_degrees_with_bearings_and_decimal_commas(
     assert [one.message for one in caplog.records] == [
         f"{path}: columns that are not known, and not read: Baujahr"
     ]
+
     with refused_saying("expected a layout file of place-rsus here"):
         load_layout(path)
 

@@ -24,7 +24,10 @@ def test_another_name_is_an_attribute_error():
 def test_solvers_and_rays_are_loaded_when_first_used():
     code = "import sys, placement; placement.Question; print(*sys.modules)"
     loaded = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout.split()
 
     assert "placement.question" in loaded
@@ -40,7 +43,9 @@ def found():
     few = placement.build_candidates(setting.scene)[::97]
     found = placement.place(
         placement.Assembly(
-            setting=setting, candidates=few, wishes=placement.Wishes(budget_units=2)
+            setting=setting,
+            candidates=few,
+            wishes=placement.Wishes(budget_units=2),
         )
     )
     return setting, found, placement.evaluate_layout(found.layout, setting)
@@ -73,6 +78,7 @@ def test_an_evaluation_prints_the_apr_of_every_party(found):
     frame = judged.to_frame()
 
     assert list(frame.index) == ["all runs", "CPNC-50"]
+
     expected = [
         "rsu_all",
         "vut",

@@ -142,7 +142,9 @@ def test_a_verdict_by_the_table_is_what_the_optimiser_reads(setting, table):
     verdict = table_verdict(units, detected, setting)
     rows = table_of(setting, units)
     limits = Limits(
-        site_index=np.arange(2), site_capacity=np.ones(2, dtype=int), budget_units=2
+        site_index=np.arange(2),
+        site_capacity=np.ones(2, dtype=int),
+        budget_units=2,
     )
     problem = PlacementProblem(
         table=rows,

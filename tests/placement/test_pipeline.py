@@ -85,6 +85,7 @@ def test_the_best_layout_is_proven_feasible_and_that_of_brute_force(
     assert is_feasible(placement.problem, placement.pose_index)
 
     best, _ = _best(placement.problem)
+
     value = placement_value(placement.problem, placement.pose_index)
 
     assert not is_better(best, value)
@@ -196,6 +197,7 @@ def test_a_second_call_takes_the_table_from_the_cache(asked, placement, tmp_path
             calls.append(call)
 
         compute = Compute(cache_folder=folder, progress=told)
+
         found = place(asked(budget_units=2, compute=compute))
 
         assert_array_equal(found.problem.table.packed, placement.problem.table.packed)
@@ -309,7 +311,11 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(
 ):
     def extra(name, site_id):
         return unit_at(
-            name, [-126.0, -1.0, 9.0], pitch_deg=-80.0, site_id=site_id, sensor=camera
+            name,
+            [-126.0, -1.0, 9.0],
+            pitch_deg=-80.0,
+            site_id=site_id,
+            sensor=camera,
         )
 
     poses = (

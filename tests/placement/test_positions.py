@@ -178,7 +178,11 @@ def test_a_lidar_knows_the_range_and_a_camera_the_bearing():
     foot, _ = foot_at(pose, 30.0, 0.0)
     aims = aim_sd_deg(CALIBRATED)
     by_lidar = lidar_errors(
-        pose.position_m, lidar, foot[None], rule=RULE, aim_sd_deg=aims
+        pose.position_m,
+        lidar,
+        foot[None],
+        rule=RULE,
+        aim_sd_deg=aims,
     )
 
     by_camera = camera_errors(

@@ -100,6 +100,7 @@ def test_the_number_of_worlds_may_be_a_word(path):
 
     assert path.read_text(encoding="utf-8").endswith('samples = "auto"\n')
     assert load_question(path).samples == "auto"
+
     with refused_saying("samples: got 'auto'; expected a number"):
         _ = load_question(path).n_samples
 

@@ -322,6 +322,7 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
     aims = [poses.candidates[row] for row in poses.aims_of(0)]
 
     assert len(aims) == 4 * 2 - 1
+
     expected = set(product([-90.0, 0.0, 90.0, 180.0], [-15.0, -30.0])) - {
         (180.0, -15.0)
     }
@@ -343,6 +344,7 @@ def test_a_level_ring_is_not_turned(grid):
     assert len(build_retrofit_poses(_layout(level), grid, []).aims_of(0)) == 0
 
     tilted = replace(ring, pose=replace(ring.pose, yaw_deg=77.0, pitch_deg=-9.0))
+
     poses = build_retrofit_poses(_layout(tilted), grid, [])
 
     assert [poses.candidates[row].id for row in poses.aims_of(0)] == ["A/aim/0/0"]

@@ -111,6 +111,7 @@ def test_the_published_findings_come_out(setting, layout):
     time. Ten seconds: all 104 runs, frame by frame, in full resolution.
     """
     corners = Layout(name="corners", units=(layout.units[2], layout.units[3]))
+
     evaluation = evaluate_layout(corners, setting, compute=Compute(workers=2))
     axis = evaluation.axis
 
@@ -131,6 +132,7 @@ def test_the_published_findings_come_out(setting, layout):
 
     assert fast.sum() == 8
     assert not evaluation.vut.is_avoided[fast].any()
+
     # Frames in which the VUT detects: 13.97, 5.12 and 89.20 %; the first and the last
     # set a dimension and a threshold, the second comes out as 7.7 %.
     shares = [

@@ -59,7 +59,9 @@ def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
         # Few: poses that see alike go together.
         patch.setattr(fronts, "_MAX_SETS", max_sets)
         front, layouts = find_front(
-            problem, effort=lambda: Effort(time_limit_s=60.0), begin=lambda step: None
+            problem,
+            effort=lambda: Effort(time_limit_s=60.0),
+            begin=lambda step: None,
         )
 
     forced = set(np.flatnonzero(limits.is_forced).tolist())

@@ -149,6 +149,7 @@ def test_the_aspect_is_the_acute_angle_between_sightline_and_heading(
     sightline = far_m * np.array(
         [[math.cos(math.radians(towards)), math.sin(math.radians(towards))]]
     )
+
     (aspect_deg,) = aspects_deg(sightline, np.array([towards + turn_deg], dtype=float))
     heading = math.radians(towards + turn_deg)
     across = abs(sightline[0] @ [-math.sin(heading), math.cos(heading)]) / far_m

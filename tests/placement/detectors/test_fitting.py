@@ -152,7 +152,9 @@ def test_intervals_hold_their_figures(fit):
 @pytest.mark.long
 def test_classes_and_light_that_never_appear_are_as_built_in():
     fit = fit_response(
-        drawn(classes=(0,), contrasts=(1.0,)).take(SOME), name="a", draws=0
+        drawn(classes=(0,), contrasts=(1.0,)).take(SOME),
+        name="a",
+        draws=0,
     )
     built_in = load_planning_detector("response")
 

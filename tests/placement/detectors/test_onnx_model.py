@@ -293,7 +293,10 @@ def test_letterbox_goes_back_by_the_scale_of_whole_pixels():
     # 30 x 50 into 64 x 64: scale 1.28, 38.4 columns become 38; 13 columns of grey on
     # each side.
     fitted = letterbox(
-        np.zeros((50, 30, 3), dtype=np.uint8), width_px=64, height_px=64, scale=1.28
+        np.zeros((50, 30, 3), dtype=np.uint8),
+        width_px=64,
+        height_px=64,
+        scale=1.28,
     )
     assert (fitted.pixels[0, :, 0] == [114] * 13 + [0] * 38 + [114] * 13).all()
     assert_allclose(
@@ -439,6 +442,7 @@ def test_a_cyclist_is_a_person_and_a_bicycle_that_overlap_or_either():
         ([50.0, 10.0, 60.0, 20.0], 3, 0.6),
         ([70.0, 10.0, 80.0, 20.0], 9, 0.5),  # a dog
     )
+
     persons, how_sure = boxes_of_class(found, "pedestrian")
 
     assert persons.tolist() == found.boxes_px[:2].tolist()
@@ -464,6 +468,7 @@ def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_counts_for_none():
         ([50.0, 10.0, 60.0, 20.0], 2, 0.6),  # a bicycle
         ([70.0, 10.0, 90.0, 20.0], 5, 0.5),
     )
+
     motorcyclists, how_sure = boxes_of_class(found, "motorcyclist")
 
     assert motorcyclists.tolist() == [

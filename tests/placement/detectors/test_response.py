@@ -199,7 +199,9 @@ def test_the_share_of_detections_is_the_probability(correlation, height_px):
 def test_frames_are_independent_without_correlation_and_alike_with_all_of_it():
     n_runs, index = 20_000, _runs_of(20_000, 4).ravel()
     evidence = build_evidence(
-        _box(40.0, 4 * n_runs), draw_index=index, visible_share=0.7
+        _box(40.0, 4 * n_runs),
+        draw_index=index,
+        visible_share=0.7,
     )
     probability = _probability(DETECTOR, 40.0, visible_share=0.7)
 

@@ -158,6 +158,7 @@ def test_fused_units_confirm_together_what_none_confirms_alone(pretend, axis):
 
     for v in evaluation.units.values():
         assert np.isinf(v.confirmation_time_s).all()
+
     assert evaluation.rsu_all.confirmation_time_s[0] == axis.time_s[3]
     assert evaluation.rsu_all.is_avoided[0]
     assert not evaluation.vut.is_avoided.any()
@@ -185,6 +186,7 @@ def test_without_any_message_the_vut_is_left_alone(pretend, axis):
     assert not lost.rsu_all.detected.any()
     for unit in lost.units.values():
         assert not unit.detected.any()
+
     assert _is_equal(lost.vut, plain.vut)
     assert _is_equal(lost.vut_and_rsus, plain.vut)
 
@@ -232,6 +234,7 @@ def test_road_users_that_announce_themselves_are_a_source_of_their_own(pretend, 
     vam = all_equipped.others["vam"]
 
     assert vam.detected.all()
+
     expected = [
         axis.time_s[start + 2] + RULE.latency_s for start in axis.run_start[:-1]
     ]

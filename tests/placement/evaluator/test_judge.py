@@ -123,6 +123,7 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
         assert np.array_equal(verdict.is_avoided, ~np.array(touches))
 
         arrival_s = np.where(row, axis.time_s + rule.latency_s, np.inf)
+
         first = find_onsets(arrival_s, axis, rule=RULE)  # never lost
 
         assert (verdict.onset_time_s >= first.onset_s).all()
@@ -196,6 +197,7 @@ def test_bodies_avoid_what_the_table_says_at_least(study_runs, axis, seed, memor
     )
 
     by_bodies = evaluated_apr(verdict, axis)
+
     # Of a run whose contact ends with a later onset and begins again, the table knows
     # less.
     assert by_bodies >= apr(problem, [0, 1]) - 1e-12

@@ -223,7 +223,10 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed):
 def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
     plain = perceive_frames(surroundings, (MOUNT, camera))
     zero = replace(
-        camera, lens=BrownConrady(), principal_point=(0.5, 0.5), pixel_aspect=1.0
+        camera,
+        lens=BrownConrady(),
+        principal_point=(0.5, 0.5),
+        pixel_aspect=1.0,
     )
 
     bent = perceive_frames(surroundings, (MOUNT, zero))

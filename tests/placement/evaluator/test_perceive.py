@@ -165,6 +165,7 @@ def test_equal_obstructions_are_one_static_world(build_scene, build_run, block):
 
 def test_too_low_vrus_are_left_out_and_all_others_unchanged(surroundings, camera):
     every = perceive_frames(surroundings, (MOUNTS[0], camera))
+
     high = perceive_frames(surroundings, (MOUNTS[0], camera), min_height_px=25.0)
     height_px = every.amodal_px[:, 3] - every.amodal_px[:, 1]
     is_high = height_px >= 25.0

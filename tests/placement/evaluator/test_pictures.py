@@ -172,7 +172,13 @@ def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(
 
         pose = vut_camera_pose(mount, run, frame)
         by_vut = render(
-            scene, run, frame, pose, tiny, compute=Compute(seed=5), with_vut=False
+            scene,
+            run,
+            frame,
+            pose,
+            tiny,
+            compute=Compute(seed=5),
+            with_vut=False,
         )
 
         assert np.array_equal(source.pictures(mount)(index), by_vut)

@@ -129,6 +129,7 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     solid_angle = 4.0 * np.arctan(  # of a rectangle seen from above its middle
         0.5 * 0.9 / (distance_m * np.sqrt(distance_m**2 + 0.5**2 + 0.9**2))
     )
+
     expected = solid_angle * float(beams_per_steradian(SURE, 0.0))
     # A row or a column more or less at the edges.
     rows = np.degrees(1.8 / distance_m) * SURE.n_lines / SURE.vertical_fov_deg
@@ -194,6 +195,7 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
 
     for n_points in (1, 10, 40, 120):
         needs(n_points)
+
         found = scan_frames(surroundings, pose, SURE, _rng())
         # A beam along an edge may go either way in single precision.
         is_clear = (counts == 0) | (np.abs(counts - n_points) > 2)
@@ -225,6 +227,7 @@ def test_grazing_and_dark_surfaces_send_less_back(
         threshold_width=1.0e-3,
     )
     run = build_run(block, [[distance_m + 0.25, 0.0, yaw_deg]])
+
     surroundings = build_surroundings(build_scene(), [run])
 
     assert (count(surroundings, LOW, weak) > 0) == is_seen
@@ -350,6 +353,7 @@ def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
     # Looking east: the first frames are right behind.
     for yaw_deg in (0.0, 100.0):
         pose = replace(OVERHEAD, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+
         found = beams_on_vru(build_surroundings(scene, [run]), pose, lidar)
         plain = _plain_counts(scene, [run], pose, lidar)
 

@@ -69,6 +69,7 @@ def test_a_bus_hides_a_pedestrian_for_a_second(
     far_edge_m = 10.0 + 0.5 * WIDTH_M
 
     assert adult.height_m < 3.0 - (3.0 - HEIGHT_M) * 20.0 / far_edge_m
+
     # The rays to both sides of the body pass the near edge of the bus this far from the
     # axis.
     side_m = 0.5 * max(adult.width_m, adult.length_m) * (10.0 - 0.5 * WIDTH_M) / 20.0

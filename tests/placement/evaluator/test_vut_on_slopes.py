@@ -48,7 +48,11 @@ def on(scene, ground):
 def test_on_a_plane_the_pitch_is_the_grade_along_the_heading(grade, yaw_deg):
     slope = terrain(lambda east, north: grade * east)
     pitch_deg = pitch_on_ground_deg(
-        [[3.0, -7.0]], [yaw_deg], slope, front_m=1.4, wheelbase_m=2.9
+        [[3.0, -7.0]],
+        [yaw_deg],
+        slope,
+        front_m=1.4,
+        wheelbase_m=2.9,
     )
 
     assert np.tan(np.radians(pitch_deg)) == pytest.approx(
@@ -58,6 +62,7 @@ def test_on_a_plane_the_pitch_is_the_grade_along_the_heading(grade, yaw_deg):
 
 def test_over_a_crest_the_pitch_is_that_of_the_chord_between_the_axles():
     crest = terrain(lambda east, north: -0.1 * np.abs(east))
+
     pitch_deg = pitch_on_ground_deg(
         [[-1.0, 0.0], [0.0, 0.0], [2.0, 0.0]],
         [0.0] * 3,

@@ -32,7 +32,11 @@ def setting(runs, rule):
 def unit(name, yaw_deg):
     """A camera at the corner's pole, 8 m high."""
     return unit_at(
-        name, [-115.4, 8.85, 8.0], yaw_deg=yaw_deg, pitch_deg=-40.0, sensor=CAMERA
+        name,
+        [-115.4, 8.85, 8.0],
+        yaw_deg=yaw_deg,
+        pitch_deg=-40.0,
+        sensor=CAMERA,
     )
 
 

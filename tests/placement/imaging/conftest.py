@@ -1,7 +1,5 @@
 """A floor, a wall, a lamp post: scenes whose light can be worked out by hand."""
 
-from dataclasses import replace
-
 import pytest
 from tiny_cameras import tiny_camera
 from tiny_worlds import scene_of_boxes
@@ -19,12 +17,6 @@ from scenarios.runs import build_runs
 def day():
     """Clear weather by day."""
     return load_weathers()["day"]
-
-
-@pytest.fixture(scope="session")
-def dark(day):
-    """No light at all, clear air."""
-    return replace(day, name="dark", sun_lux=0.0, sky_lux=0.0)
 
 
 @pytest.fixture(scope="session")

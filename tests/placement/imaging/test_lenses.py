@@ -34,7 +34,13 @@ def draw(backdrop, study_run, day):
     def draw_frame(camera):
         frame = len(study_run.time_s) - 6
         return draw_picture(
-            backdrop, study_run, frame, CORNER, camera, weather=day, compute=COMPUTE
+            backdrop,
+            study_run,
+            frame,
+            CORNER,
+            camera,
+            weather=day,
+            compute=COMPUTE,
         )
 
     return draw_frame

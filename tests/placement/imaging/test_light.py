@@ -134,6 +134,7 @@ def test_a_wall_throws_a_shadow_as_long_as_the_sun_is_low():
         sun_elevation_deg=45.0,
         sun_yaw_deg=180.0,
     )
+
     wall = build_caster(
         [[0, -9, 0], [0, 9, 0], [0, 9, 2], [0, -9, 2]], [[0, 1, 2], [0, 2, 3]]
     )
@@ -162,6 +163,7 @@ def test_a_lamps_light_falls_with_the_square_and_the_cosine(aside_m):
 
 def test_what_stands_before_a_lamp_takes_its_light():
     weather = replace(load_weathers()["day"], sun_lux=0.0, sky_lux=0.0)
+
     plate = build_caster(
         [[-1, -1, 4], [1, -1, 4], [1, 1, 4], [-1, 1, 4]], [[0, 1, 2], [0, 2, 3]]
     )

@@ -119,6 +119,7 @@ def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
     assert ("vut" in picture.names) == with_vut
 
     vru = picture.instance == picture.names.index("vru")
+
     box = mask_box(vru)
 
     assert box.any()
@@ -200,7 +201,13 @@ def test_the_vuts_own_camera_sees_its_headlights_not_itself(backdrop, study_run,
 
     def mean_below(weather):
         picture = draw_picture(
-            backdrop, study_run, frame, pose, small, weather=weather, with_vut=False
+            backdrop,
+            study_run,
+            frame,
+            pose,
+            small,
+            weather=weather,
+            with_vut=False,
         )
         return picture.rgb[120:, 60:180].mean()
 

@@ -67,6 +67,7 @@ def test_ground_points_lie_on_the_road_and_those_of_the_vru_on_its_body(
     scene, run, pose
 ):
     cloud = _scan(scene, run, pose)
+
     world = to_world(cloud.points_m, pose)
     classes = {instance.id: instance.class_name for instance in scene.instances}
     is_ground = np.array([classes.get(name) == "ground" for name in cloud.names])[

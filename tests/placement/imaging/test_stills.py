@@ -43,7 +43,11 @@ def test_the_road_users_are_in_both_at_the_same_pixels(pictures):
 
 def test_most_of_a_still_is_kept(backdrop, study_run, small):
     still = draw_still(
-        backdrop, CORNER, small, weather=load_weathers()["day"], compute=COMPUTE
+        backdrop,
+        CORNER,
+        small,
+        weather=load_weathers()["day"],
+        compute=COMPUTE,
     )
     before = still.smooth.copy()
 

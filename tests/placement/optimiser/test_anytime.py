@@ -70,6 +70,7 @@ def test_a_search_whose_time_is_over_has_a_set_and_knows_no_bound(problem):
 @given(problem=questions(), max_sets=st.sampled_from([0, 3, 10_000]))
 def test_few_sets_are_gone_through_only_while_there_is_time(problem, max_sets):
     reduced = presolve(problem)
+
     contenders, is_finished = best_of_few(reduced, max_sets=max_sets, deadline=OVER)
     sizes = range(1, reduced.n_poses + 1)
     n_sets = sum(len(allowed_sets(reduced, size)) for size in sizes)
@@ -108,6 +109,7 @@ def test_bounds_of_a_first_round_hold(problem, n_failures):
 
 def test_an_effort_ends_with_its_deadline_but_never_before_it_begins():
     effort = Effort(solver="relax", time_limit_s=60.0, workers=1)
+
     late = effort.until(deadline_in(7.0))
 
     assert late.time_limit_s == pytest.approx(7.0, abs=1.0)
@@ -136,7 +138,9 @@ def count_presolves(patch):
 
 
 @given(
-    problem=problems(), give_up=st.sampled_from([0.05, 0.4]), has_reduced=st.booleans()
+    problem=problems(),
+    give_up=st.sampled_from([0.05, 0.4]),
+    has_reduced=st.booleans(),
 )
 def test_the_second_layout_is_found_on_what_the_first_was_presolved_to(
     problem, give_up, has_reduced
@@ -149,7 +153,10 @@ def test_the_second_layout_is_found_on_what_the_first_was_presolved_to(
     with pytest.MonkeyPatch.context() as patch:
         calls = count_presolves(patch)
         highest, sturdy = solve_sturdily(
-            problem, reduced, give_up=give_up, effort=Effort()
+            problem,
+            reduced,
+            give_up=give_up,
+            effort=Effort(),
         )
 
     assert len(calls) == (0 if has_reduced else 1)
@@ -159,6 +166,7 @@ def test_the_second_layout_is_found_on_what_the_first_was_presolved_to(
         return
 
     asked = sturdy_problem(problem, highest, give_up)
+
     alone = solve_placement(asked, starts=[np.array(highest.pose_index)])
 
     assert [stage.objective for stage in sturdy.certificate.stages] == pytest.approx(
@@ -199,7 +207,9 @@ def test_a_presolved_problem_for_other_floors_is_what_presolving_gives(
 ):
     floor = Floor(name="--target", share=share, n_failures=n_failures)
     counted = Floor(
-        name="--case", share=share, is_counted=problem.table.axis.weight > 0.0
+        name="--case",
+        share=share,
+        is_counted=problem.table.axis.weight > 0.0,
     )
     other = replace(problem, floors=(floor, counted), goal=goal, survive=n_failures)
     again = presolve(problem).for_problem(other)

@@ -37,6 +37,7 @@ def test_the_lowest_bit_is_the_number_of_zeros_below_it(place, above):
 @given(SEEDS, st.integers(1, 3))
 def test_blocks_are_transposed_bit_by_bit(seed, n):
     bits = default_rng(seed).random((64, n, 64)) < 0.5
+
     block = pack_words(bits)[..., 0]
     kernels.transpose_blocks(block)
 

@@ -80,6 +80,7 @@ def test_polishing_never_raises_a_bound(problem):
     if not len(reduced.weight):
         return
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
+
     better = polished(root)
 
     assert better.limit <= root.limit
@@ -132,7 +133,9 @@ def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(problem, 
 
 def test_what_forced_units_take_is_not_there_for_others():
     problem = avoiding_problem(
-        ["100", "010", "001"], price_eur=[2.0, 3.0, 5.0], budget_units=2
+        ["100", "010", "001"],
+        price_eur=[2.0, 3.0, 5.0],
+        budget_units=2,
     )
     limits = replace(
         problem.limits,

@@ -99,6 +99,7 @@ def test_runs_that_are_there_twice_are_told_once(frame_axis):
     table = pack_table(
         ("a",), frame_axis, np.ones((1, frame_axis.n_frames), dtype=bool)
     )
+
     axis = mixed_table(table, 0.25).axis
 
     assert is_mixed(axis)

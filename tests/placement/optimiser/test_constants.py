@@ -81,6 +81,7 @@ def test_the_number_of_threads_changes_no_proven_value(problem, workers):
     assert reduced.with_workers(workers) is reduced
 
     one = solve_placement(problem, effort=Effort(workers=1))
+
     some = solve_placement(problem, reduced, effort=Effort(workers=workers))
 
     assert [s.objective for s in one.certificate.stages] == pytest.approx(

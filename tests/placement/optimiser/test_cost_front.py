@@ -144,6 +144,7 @@ def test_more_money_never_buys_less_and_no_bound_is_beaten(problem, seconds):
 
 def test_the_next_point_costs_least_for_one_more_run_or_one_more_that_survives():
     problem = avoiding_problem(["1100", "0011", "1111"], price_eur=[1.0, 2.0, 7.0])
+
     front = cost_front(problem)
 
     assert values_of(front) == [
@@ -161,7 +162,9 @@ def test_the_next_point_costs_least_for_one_more_run_or_one_more_that_survives()
 def test_points_closer_than_the_step_are_left_out_and_points_are_told():
     rows = ["10000", "11000", "11100", "11110", "11111"]
     problem = avoiding_problem(
-        rows, price_eur=[1.0, 2.0, 3.0, 4.0, 5.0], budget_units=1
+        rows,
+        price_eur=[1.0, 2.0, 3.0, 4.0, 5.0],
+        budget_units=1,
     )
     told = []
 

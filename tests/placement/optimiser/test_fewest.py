@@ -79,7 +79,9 @@ def test_the_fewest_units_are_proven_without_a_model(monkeypatch):
                 # None is stated.
                 patch.setattr("placement.optimiser.constants.MAX_CELLS", -1)
                 solution = solve_placement(
-                    problem, effort=Effort(workers=1), n_stages=1
+                    problem,
+                    effort=Effort(workers=1),
+                    n_stages=1,
                 )
         except UnmetError:
             continue  # the search found no set to begin with, and nothing is proven

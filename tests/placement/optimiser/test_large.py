@@ -115,7 +115,9 @@ def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet()
 
     with pytest.raises(UnmetError, match=words):
         solve_as_large(
-            problem, pool=1, effort=Effort(solver="greedy", time_limit_s=1e-9)
+            problem,
+            pool=1,
+            effort=Effort(solver="greedy", time_limit_s=1e-9),
         )
 
 

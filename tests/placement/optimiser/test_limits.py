@@ -169,7 +169,9 @@ def test_no_allowed_set_has_more_units_than_the_limits_say(seed):
 )
 def test_most_units_are_those_of_sites_budgets_and_prices(change, expected):
     limits = Limits(
-        site_index=[0, 0, 1, 1], site_capacity=[2, 1], unit_cost_eur=[1.0] * 4
+        site_index=[0, 0, 1, 1],
+        site_capacity=[2, 1],
+        unit_cost_eur=[1.0] * 4,
     )
     assert replace(limits, **change).max_units == expected
 
@@ -235,6 +237,7 @@ def test_these_poses_fit(wish, units, expected):
 @given(SEEDS, st.integers(1, 4))
 def test_who_may_join_what_is_forced_is_told_to_kernels(seed, n_units):
     limits = some_limits(seed)
+
     choice = build_choice(limits, n_units)
     forced = np.flatnonzero(limits.is_forced)
 

@@ -70,7 +70,10 @@ def test_the_model_finds_a_set_that_meets_a_requirement_where_there_is_one(
     def find(least):
         asked = replace(plain, least=least)
         return solve_window_model(
-            reduced, None, requirements=[asked], time_limit_s=60.0
+            reduced,
+            None,
+            requirements=[asked],
+            time_limit_s=60.0,
         ).units
 
     least = float(np.quantile(reached, place, method="nearest"))
@@ -181,6 +184,7 @@ def test_cuts_are_met_by_all_sets_that_keep_enough(problem, n_failures, place, f
     if not len(reduced.weight):
         return
     requirement = drawn_requirement(reduced, n_failures, place)
+
     first = first_cuts(reduced, requirement)
 
     assert not first or (requirement.needs_all and n_failures)
@@ -216,7 +220,11 @@ def test_a_model_with_cuts_finds_a_set_that_survives_where_there_is_one(
 
     for _ in range(200):
         found = solve_window_model(
-            reduced, None, requirements=[requirement], cuts=cuts, time_limit_s=60.0
+            reduced,
+            None,
+            requirements=[requirement],
+            cuts=cuts,
+            time_limit_s=60.0,
         )
         if found.units is None:
             break

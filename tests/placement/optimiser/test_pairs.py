@@ -72,8 +72,12 @@ def test_worlds_are_proven_by_their_mean_and_bounded_by_it(problem, tail):
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
+
     tied = walk_by_pairs(
-        reduced, sets[0], deadline=NEVER, on_better=lambda units: units
+        reduced,
+        sets[0],
+        deadline=NEVER,
+        on_better=lambda units: units,
     )
 
     assert tied.limit >= share.max() - 1e-9
@@ -85,7 +89,10 @@ def test_worlds_are_proven_by_their_mean_and_bounded_by_it(problem, tail):
         assert len(tied.sets) == (share >= share.max() - 1e-9).sum()
 
     late = walk_by_pairs(
-        reduced, sets[0], deadline=Deadline(-np.inf), on_better=lambda units: units
+        reduced,
+        sets[0],
+        deadline=Deadline(-np.inf),
+        on_better=lambda units: units,
     )
 
     assert not late.is_finished

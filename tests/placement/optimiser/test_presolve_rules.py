@@ -208,6 +208,7 @@ def tie_of_margins(price_eur):
 )
 def test_a_pose_that_adds_nothing_stays_where_it_has_the_largest_margin(price_eur):
     problem = tie_of_margins(price_eur)
+
     reduced = presolve(problem)
 
     assert 1 in reduced.pose_index

@@ -109,6 +109,7 @@ def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed):
     if not len(sets):
         return
     search = Search(reduced)
+
     values = set_values(reduced, sets)
     aprs = values.of(Objective.APR)
     means_s = values.of(Objective.MEAN_MARGIN)

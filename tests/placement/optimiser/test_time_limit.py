@@ -72,6 +72,7 @@ def compile_for_s(seconds, clock, monkeypatch):
 
 def test_highs_is_handed_what_compiling_leaves_of_the_time(clock, monkeypatch):
     handed = compile_for_s(20.0, clock, monkeypatch)
+
     answer = run_solver(knapsack(), time_limit_s=LIMIT_S)
 
     assert handed == [40.0]
@@ -81,6 +82,7 @@ def test_highs_is_handed_what_compiling_leaves_of_the_time(clock, monkeypatch):
 
 def test_highs_is_not_asked_where_compiling_took_all_the_time(clock, monkeypatch):
     handed = compile_for_s(80.0, clock, monkeypatch)
+
     answer = run_solver(knapsack(), time_limit_s=LIMIT_S)
 
     assert handed == []

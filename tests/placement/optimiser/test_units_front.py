@@ -96,7 +96,10 @@ def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
     problem = replace(problem, goal="best", survive=0)
     try:
         front = pareto_front(
-            problem, max_units=4, stages=stages, effort=Effort(time_limit_s=seconds)
+            problem,
+            max_units=4,
+            stages=stages,
+            effort=Effort(time_limit_s=seconds),
         )
     except InputError:
         return
@@ -221,5 +224,6 @@ def test_nothing_is_below_one_unit_or_all_that_is_kept(problem):
     front = front_below(problem, solution.pose_index, solution.certificate, min_units=2)
 
     assert [point.pose_index for point in front.points] == [solution.pose_index]
+
     with refused_saying("target"):
         front_below(replace(problem, goal="fewest"), (0,), solution.certificate)

@@ -105,7 +105,11 @@ def tie_search(reduced, units, n_failures, *, ahead=0.0):
         reduced,
         units,
         walk_from=lambda need, left: SetWalk(
-            reduced, root, need=need, n_failures=n_failures, left=left
+            reduced,
+            root,
+            need=need,
+            n_failures=n_failures,
+            left=left,
         ),
         limit=lambda least, deadline: failure_limit(
             root, n_failures, least, deadline=deadline
@@ -150,7 +154,10 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
     assert tied.sets is not None
 
     contenders = best_of_tied(
-        reduced, tied.sets, n_failures=n_failures, value=tied.value
+        reduced,
+        tied.sets,
+        n_failures=n_failures,
+        value=tied.value,
     )
     found = contenders.best()
 
@@ -178,7 +185,9 @@ def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost():
     ]
     problem = PlacementProblem(
         table=DetectionTable(
-            pose_ids=tuple("012345"), axis=axis, packed=np.array(seen, dtype=np.uint8)
+            pose_ids=tuple("012345"),
+            axis=axis,
+            packed=np.array(seen, dtype=np.uint8),
         ),
         limits=Limits(
             site_index=[1, 2, 1, 1, 2, 2],

@@ -100,7 +100,11 @@ def test_a_cyclist_ahead_leaves_the_time_that_shedding_the_closing_speed_takes(
         ((6, 5, 4), False),
     ):
         folder = _one_drive(
-            new_folder, {"0": frames}, speeds=(10.0, 4.0), closing=6.0, actor="bycicle"
+            new_folder,
+            {"0": frames},
+            speeds=(10.0, 4.0),
+            closing=6.0,
+            actor="bycicle",
         )
         result = judge(folder)
 
@@ -276,6 +280,7 @@ def test_some_units_are_judged_as_if_only_they_were_recorded(
     small, tmp_path, rule, judge
 ):
     everything = judge(small)
+
     some = take_units(everything, ["1"], rule)
 
     assert list(some.units) == ["1"]
@@ -286,6 +291,7 @@ def test_some_units_are_judged_as_if_only_they_were_recorded(
 
 def test_the_detection_table_has_a_row_per_unit(small, judge):
     result = judge(small)
+
     table = recorded_table(result)
 
     assert table.pose_ids == ("0", "1")

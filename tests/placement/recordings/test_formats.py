@@ -79,6 +79,7 @@ def test_wildtrack_has_a_value_for_each_view(tmp_path):
     views = read_wildtrack(put(tmp_path, "recorded boxes", "wildtrack"))
 
     assert len(views) == 7
+
     expected = [[0, 1, 2]] * 7
 
     assert [view.frame.tolist() for view in views] == expected
@@ -99,9 +100,11 @@ def test_a_tsai_camera_stands_where_its_rotation_and_shift_say(tmp_path):
     assert shift_m == pytest.approx([0.828, -3.175, 35.469])
     assert camera.fx_px == pytest.approx(5.5 * 1.09 / 5e-3)
     assert np.linalg.det(camera.R_camera_world) == pytest.approx(1.0)
+
     # The world's origin is at the shift: its undistorted place follows without any
     # rotation.
     u = np.array([0.828, -3.175]) / 35.469
+
     (shown,) = project_distorted([[0.0, 0.0, 0.0]], camera)
     x = (shown[:2] - [324.0, 282.0]) / [camera.fx_px, camera.fy_px]
 

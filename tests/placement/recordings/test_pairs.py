@@ -61,15 +61,21 @@ def test_what_is_annotated_counts_more_than_what_boxes_cover():
 
 def test_each_box_finds_one_person_and_weak_ones_none():
     given_ = annotated((0, 7, A), (0, 9, (5.0, 0.0, 45.0, 100.0)), (2, 9, B))
+
     pairs = pair_boxes(
-        given_, found((0, A, 0.9), (2, B, 0.4)), classes=PERSON, min_score=0.5
+        given_,
+        found((0, A, 0.9), (2, B, 0.4)),
+        classes=PERSON,
+        min_score=0.5,
     )
 
     assert [len(one.found_px) for one in pairs.pictures] == [1, 0, 0]
     assert pairs.label_index.tolist() == [0, 1, 2]
 
     seen, alarms = gather_sightings(
-        pairs.pictures, n_confirmations=3, frame_rate_hz=7.0
+        pairs.pictures,
+        n_confirmations=3,
+        frame_rate_hz=7.0,
     )
 
     assert seen.is_found.tolist() == [True, False, False]

@@ -91,6 +91,7 @@ def test_a_recording_made_twice_into_one_folder_reads_as_once(small, tmp_path):
 @pytest.mark.parametrize("index", ["car", "12", "-1"])
 def test_the_vut_may_be_called_by_its_folder_or_by_an_index(small, tmp_path, index):
     small.files[f"Eval/{LAST}"] = f"{index} pedestrian {BOX} 0.5"
+
     recording = read_recording(small.write(tmp_path))
     (found,) = recording.detections["car"][(3, 57)]
 

@@ -96,6 +96,7 @@ def test_a_folder_that_holds_something_is_left_as_it_was(tmp_path):
 
 def test_an_empty_folder_is_filled(tmp_path):
     (tmp_path / "data").mkdir()
+
     write_recording(tmp_path / "data", [_drive()])
 
     assert [path.name for path in tmp_path.iterdir()] == ["data"]

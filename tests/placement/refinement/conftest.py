@@ -33,7 +33,10 @@ def _build_walk(name, vru_m, *, last_brake_time_s=-1.0):
     """Someone at the places given, (n, 2); the VUT is far away."""
     vru_poses = np.column_stack([vru_m, np.zeros(len(vru_m))])
     return run_of_frames(
-        vru_poses, name=name, shapes=0, last_brake_time_s=last_brake_time_s
+        vru_poses,
+        name=name,
+        shapes=0,
+        last_brake_time_s=last_brake_time_s,
     )
 
 

@@ -73,6 +73,7 @@ def test_a_moved_unit_keeps_its_name_and_says_by_how_much():
 
     assert layout.name == "refined-2"
     assert [unit.id for unit in layout.units] == ["U1", "U2"]
+
     expected = [poses[1].pose, poses[0].pose]
 
     assert [unit.pose for unit in layout.units] == expected
@@ -100,8 +101,12 @@ def test_what_stayed_as_it_was_is_no_move():
 
 def test_a_named_pose_that_is_turned_is_no_longer_called_so():
     before = Layout(name="best-1", units=(_unit("RSU3"),))
+
     layout, (move,) = rename(
-        before, [_unit("RSU3/5m/9/-15/c", yaw=9.0)], named=["RSU3"], name="n"
+        before,
+        [_unit("RSU3/5m/9/-15/c", yaw=9.0)],
+        named=["RSU3"],
+        name="n",
     )
 
     assert [unit.id for unit in layout.units] == ["U1"]

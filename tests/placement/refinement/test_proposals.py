@@ -44,7 +44,11 @@ def test_a_moved_pose_is_at_its_place_and_within_all_ranges(
     places, origin, height_m, yaw_deg, pitch_deg
 ):
     pose = moved(
-        places, origin, height_m=height_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg
+        places,
+        origin,
+        height_m=height_m,
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
     )
     grid = places.candidates[origin]
 
@@ -65,6 +69,7 @@ def test_a_moved_pose_is_at_its_place_and_within_all_ranges(
 def test_a_pose_of_the_grid_keeps_its_name(places):
     for origin, candidate in enumerate(places.candidates):
         pose = candidate.pose
+
         same = moved(
             places,
             origin,
@@ -92,8 +97,13 @@ def test_a_pose_that_hangs_outside_of_its_sites_range_may_stay_there(
 ):
     """An existing unit, 9 m up and half a metre beside a pole for 4 to 8 m."""
     high = unit_at(
-        "RSU9", [0.5, 0.0, 9.0], pitch_deg=-10.0, site_id="west", sensor=narrow_camera
+        "RSU9",
+        [0.5, 0.0, 9.0],
+        pitch_deg=-10.0,
+        site_id="west",
+        sensor=narrow_camera,
     )
+
     places = build_places(meadow.scene, [high], _limits([high]))
 
     assert places.height_range_m(0) == (4.0, 9.0)

@@ -182,6 +182,7 @@ def test_a_kept_unit_stays_as_it_is_and_the_other_one_moves(placements, refineme
     assert refinement.is_improved
     for move in refinement.moves:
         assert move.after is None or move.after.id != "old"
+
     assert refinement.placement.problem.limits.is_forced.sum() == 1
 
 
@@ -209,6 +210,7 @@ def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
 @pytest.mark.long
 def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
     candidates, placement = placements["two units"]
+
     again = refine(meadow, placement, candidates, compute=Compute(workers=2))
     first = refinements["two units"]
 

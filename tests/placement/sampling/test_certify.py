@@ -5,6 +5,7 @@ hold.
 import pickle
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from placement.certify import certify, estimate_gap
 from placement.compute import Compute
 from placement.growth import SIZES, grow
 from placement.layout import Layout, load_carlancap_layout
+from placement.optimiser import apr
 from placement.pipeline import Assembly, assemble, place
 from placement.question import AUTO, Question
 from placement.sampling import out_of_sample
@@ -51,24 +53,29 @@ def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
     with a probability of its own, so that the APR of a pair over all worlds has a
     closed form.
     """
-    n_poses, n_runs, holds = 10, 12, np.zeros(3)
-    pairs = np.array(list(combinations(range(n_poses), 2)))
+    pairs = np.array(list(combinations(range(10), 2)))
+    holds = np.zeros(3)
+
+    def draw_aprs(rng, n, sees, weight):
+        """APR of each pair in so many worlds, (n, n_pairs)."""
+        drawn = rng.random((n, *sees.shape)) < sees
+        return drawn[:, pairs].any(axis=2) @ weight
 
     for repetition in range(n_repetitions):
         rng = np.random.default_rng([7, repetition])
-        sees = rng.beta(2.0, 1.0, size=(n_poses, n_runs))
-        weight = rng.dirichlet(np.ones(n_runs))
+        sees = rng.beta(2.0, 1.0, size=(10, 12))
+        weight = rng.dirichlet(np.ones(12))
         true = (1.0 - np.prod(1.0 - sees[pairs], axis=1)) @ weight
 
-        def aprs(n, rng=rng, sees=sees, weight=weight):
-            drawn = rng.random((n, n_poses, n_runs)) < sees
-            return drawn[:, pairs].any(axis=2) @ weight  # (n, n_pairs)
-
-        blocks = [aprs(n_worlds).mean(axis=0) for _ in range(n_blocks)]
+        blocks = [
+            draw_aprs(rng, n_worlds, sees, weight).mean(axis=0) for _ in range(n_blocks)
+        ]
         bounds = [block.max() for block in blocks]  # by brute force, hence exact
         pool = sorted({int(block.argmax()) for block in blocks})
-        best = pool[int(aprs(n_judged)[:, pool].mean(axis=0).argmax())]
-        found = estimate_gap(bounds, aprs(n_judged)[:, best].tolist())
+        compared = draw_aprs(rng, n_judged, sees, weight)[:, pool].mean(axis=0)
+        best = pool[int(compared.argmax())]
+        judged = draw_aprs(rng, n_judged, sees, weight)[:, best]
+        found = estimate_gap(bounds, judged.tolist())
         holds += (
             true.max() - true[best] <= found.gap,
             true.max() <= found.most.high,
@@ -100,8 +107,9 @@ def assembly(setting, candidates):
 
 @pytest.mark.long
 def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
-    found = certify(assembly, n_blocks=3, n_judged=5)
     n_runs = assembly.setting.axis.n_runs
+
+    found = certify(assembly, n_blocks=3, n_judged=5)
 
     for number, block in enumerate(found.blocks):
         assert block.first == 3 * number
@@ -114,17 +122,17 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
             first=block.first,
             compute=assembly.compute,
         ).table
-        part = replace(assembly, known_table=table, n_samples=0)
-        values = [_apr(part, rows) for rows in range(len(assembly.candidates))]
+        part = replace(assembly, known_table=table, n_samples=0).problem
+        values = [apr(part, [row]) for row in range(len(assembly.candidates))]
 
         assert table.axis.n_runs == 3 * n_runs
         assert block.bound == pytest.approx(max(values))
         assert block.apr == pytest.approx(max(values))
         assert values[block.found[0]] == pytest.approx(max(values))
 
-    expected = max(one.estimate.mean for one in found.pool)
+    best = max(one.estimate.mean for one in found.pool)
 
-    assert found.pool[0].estimate.mean == expected
+    assert found.pool[0].estimate.mean == best
 
 
 @pytest.mark.long
@@ -145,23 +153,13 @@ def test_tasks_that_run_elsewhere_and_in_any_order_give_the_same(assembly, monke
 
     assert there.blocks == here.blocks
     assert there.gap == here.gap
+
     for one, other in zip(there.pool, here.pool, strict=True):
-        assert one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
+        assert _same_aprs(one, other)
         assert one.avoided_share.tolist() == other.avoided_share.tolist()
 
     # Four worlds are two tasks.
-    assert sent == [
-        ("_solve_block", 2),
-        ("_look_at_part", 2),
-        ("_look_at_part", 2),
-    ]
-
-
-def _apr(part, row):
-    """APR of one row."""
-    from placement.optimiser import apr
-
-    return apr(part.problem, [row])
+    assert sent == [("_solve_block", 2), ("_look_at_part", 2), ("_look_at_part", 2)]
 
 
 @pytest.mark.long
@@ -182,27 +180,28 @@ def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
     assert found.judged.layout.units == chosen.units
 
 
+def _same_aprs(one, other):
+    """Have two judgements the same APR in every world?"""
+    return one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
+
+
 @pytest.mark.long
 def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
     assembly, tmp_path, monkeypatch
 ):
-    cached = changed(assembly, "compute.cache_folder", tmp_path)
-    units = [
-        one
-        for one in assembly.candidates
-        if one.sensor == assembly.candidates[0].sensor
-    ]
+    cached = replace(assembly, compute=replace(assembly.compute, cache_folder=tmp_path))
+    first_sensor = assembly.candidates[0].sensor
+    units = [one for one in assembly.candidates if one.sensor == first_sensor]
     layouts = [
         Layout(name=f"layout {n}", units=(unit,)) for n, unit in enumerate(units[:2])
     ]
+    lossy = replace(cached, uncertainty=replace(cached.uncertainty, packet_loss=0.9))
+
     plain = assembly.in_fresh_worlds(layouts, n_worlds=3)
     first = cached.in_fresh_worlds(layouts, n_worlds=3)
-    others = [cached.in_fresh_worlds(layouts[::-1], n_worlds=3)[1]]
-    others += [cached.in_fresh_worlds(layouts, n_worlds=3, first=7)[0]]
-    lossy = replace(assembly.uncertainty, packet_loss=0.9)
-    others += [
-        replace(cached, uncertainty=lossy).in_fresh_worlds(layouts, n_worlds=3)[0]
-    ]
+    turned = cached.in_fresh_worlds(layouts[::-1], n_worlds=3)
+    other_worlds = cached.in_fresh_worlds(layouts, n_worlds=3, first=7)
+    other_losses = lossy.in_fresh_worlds(layouts, n_worlds=3)
 
     def refuse(*given, **how):
         raise RuntimeError("looked again")
@@ -211,42 +210,41 @@ def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
     again = cached.in_fresh_worlds(layouts, n_worlds=3)
 
     for one, other, third in zip(plain, first, again, strict=True):
-        assert one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
-        assert one.apr_by_sample.tolist() == third.apr_by_sample.tolist()
+        assert _same_aprs(one, other)
+        assert _same_aprs(one, third)
         assert one.avoided_share.tolist() == third.avoided_share.tolist()
         assert one.layout == third.layout
         assert one.alone == third.alone
 
-    same, other_worlds, other_losses = others
+    assert _same_aprs(turned[1], plain[0])
+    assert not _same_aprs(other_worlds[0], plain[0])
+    assert other_losses[0].estimate.mean < plain[0].estimate.mean
 
-    assert same.apr_by_sample.tolist() == plain[0].apr_by_sample.tolist()
-    assert other_worlds.apr_by_sample.tolist() != plain[0].apr_by_sample.tolist()
-    assert other_losses.estimate.mean < plain[0].estimate.mean
     with pytest.raises(RuntimeError):
         assembly.in_fresh_worlds(layouts, n_worlds=3)  # without a folder
 
 
-def test_what_cannot_be_certified_is_refused(assembly):
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"n_samples": 1}, "samples: got 1; expected a whole number, at least 2"),
+        ({"n_samples": 0, "uncertainty": None}, "samples: got 0"),
+        ({"wishes": Wishes(target=0.5)}, "a target, failures or a tail"),
+    ],
+)
+def test_what_cannot_be_certified_is_refused(assembly, changes, message):
+    with refused_saying(message):
+        certify(replace(assembly, **changes))
+
+
+def test_one_block_is_refused(assembly):
     with refused_saying("blocks: got 1; expected a whole number, at least 2"):
         certify(assembly, n_blocks=1)
-
-    with refused_saying("samples: got 1; expected a whole number, at least 2"):
-        certify(replace(assembly, n_samples=1))
-
-    aims = replace(assembly, wishes=Wishes(target=0.5))
-
-    with refused_saying("a target, failures or a tail"):
-        certify(aims)
-
-
-def test_a_question_without_worlds_is_refused(assembly):
-    plan = replace(assembly, n_samples=0, uncertainty=None)
-    with refused_saying("samples: got 0"):
-        certify(plan)
 
 
 # ---------- how many worlds are enough
 
+TWO_WORKERS = Compute(workers=2, seed=3)
 SMALL = Question(
     budget=1,
     cases="CPNC-50",
@@ -270,6 +268,7 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     last = None
 
     assert growth.stopped in ("same", "no better")
+
     expected = [*SIZES[: len(growth.rounds)]]
 
     assert [one.worlds for one in growth.rounds] == expected
@@ -277,6 +276,7 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
 
     for one in growth.rounds:
         plan = assemble(replace(SMALL, samples=one.worlds), compute=compute)
+
         alone = place(plan, asks_worlds=True)  # as if the number had been given
 
         assert one.in_sample == alone.certificate.stages[0].objective
@@ -334,7 +334,9 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
     """Rounds whose layouts differ and have some APRs in fresh worlds; each takes some
     seconds.
     """
-    units, rounds, clock = load_carlancap_layout().units, iter(range(len(aprs))), [0.0]
+    units = load_carlancap_layout().units
+    rounds = iter(range(len(aprs)))
+    clock = SimpleNamespace(now_s=0.0)
     real = place
     judge = Assembly.in_fresh_worlds
 
@@ -343,7 +345,7 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
         if error is not None and number:
             raise error
         found = real(plan, **how)
-        clock[0] += seconds
+        clock.now_s += seconds
         return changed(found, "layout.units", units[number : number + 1])
 
     def judged(self, layouts, **how):
@@ -353,8 +355,8 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
     monkeypatch.setattr(growing, "SIZES", sizes)
     monkeypatch.setattr(growing, "place", placed)
     monkeypatch.setattr(Assembly, "in_fresh_worlds", judged)
-    monkeypatch.setattr(growing, "now_s", lambda: clock[0])
-    return grow(SMALL, compute=Compute(workers=2, seed=3))
+    monkeypatch.setattr(growing, "now_s", lambda: clock.now_s)
+    return grow(SMALL, compute=TWO_WORKERS)
 
 
 LOW = [0.5 + 0.01 * 0.5 * n for n in range(4)]
@@ -397,33 +399,39 @@ def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
 
     assert found.growth.taken == 1
     assert found.growth.stopped == "memory"
+
     with refused_saying("sites"):
         scripted(monkeypatch, [LOW, HIGH], error=InputError("sites", "8", "less"))
 
 
-def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone():
-    for asked in (
+@pytest.mark.parametrize(
+    "asked",
+    [
         {"target": "0.5", "budget": None},
         {"survive": "1"},
         {"risk": "worst"},
-    ):
-        with refused_saying("a target, failures or a tail"):
-            grow(replace(SMALL, **asked))
+    ],
+)
+def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone(asked):
+    with refused_saying("a target, failures or a tail"):
+        grow(replace(SMALL, **asked))
 
+
+def test_a_plan_needs_a_number_of_worlds():
     with refused_saying("samples: got 'auto'; expected a number; auto where"):
         assemble(SMALL)
 
 
 @pytest.mark.long
-def test_a_certificate_shares_no_world_with_how_many_are_enough(assembly, monkeypatch):
+def test_a_certificate_shares_no_world_with_how_many_are_enough(monkeypatch):
     seen = []
-    monkeypatch.setattr(growing, "N_JUDGED", 2)
-    monkeypatch.setattr(
-        growing,
-        "place",
-        lambda plan, **_: seen.append(plan.first_sample) or place(plan),
-    )
 
-    grow(SMALL, first=APART, compute=Compute(workers=2, seed=3))
+    def noted(plan, **_):
+        seen.append(plan.first_sample)
+        return place(plan)
+
+    monkeypatch.setattr(growing, "N_JUDGED", 2)
+    monkeypatch.setattr(growing, "place", noted)
+    grow(SMALL, first=APART, compute=TWO_WORKERS)
 
     assert set(seen) == {APART}

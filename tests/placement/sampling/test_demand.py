@@ -37,6 +37,7 @@ def changed(folder, *changes):
 
 def test_an_arms_vehicles_are_spread_over_the_turns_that_it_has():
     found = rates(write_routes(load_demand(), WAYS, LANES))
+
     # 300 on each of two lanes; straight and left have 0.6 and 0.2 of them, and nobody
     # turns right.
     assert found["north-south"] == pytest.approx(450.0)
@@ -48,6 +49,7 @@ def test_an_arms_vehicles_are_spread_over_the_turns_that_it_has():
 
 def test_an_arm_may_have_a_count_of_its_own(tmp_path):
     demand = load_demand(changed(tmp_path, ("[arms]", "[arms]\nnorth = 80.0")))
+
     found = rates(write_routes(demand, WAYS, LANES))
 
     assert found["north-south"] + found["north-east"] == pytest.approx(80.0)

@@ -160,7 +160,10 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
     setting, poses = watched
     sample = first_world(setting, poses, DRAWN)
     first, other = build_drawn_tables(
-        sample, setting.table_detector, compute=Compute(workers=1), n_draws=2
+        sample,
+        setting.table_detector,
+        compute=Compute(workers=1),
+        n_draws=2,
     )
 
     (alone,) = build_drawn_tables(

@@ -90,11 +90,17 @@ def test_without_uncertainty_every_world_is_the_plan(setting, layouts):
 def test_a_layout_is_worth_in_a_world_what_its_table_says(setting, layouts, judged):
     axis = setting.axis
     samples = draw_samples(
-        setting, layouts[0].units, LOSSY, n_samples=12, seed=0, purpose="judge"
+        setting,
+        layouts[0].units,
+        LOSSY,
+        n_samples=12,
+        seed=0,
+        purpose="judge",
     )
 
     for index, sample in enumerate(samples):
         deadlines_s = axis.last_brake_time_s - sample.extra_latency_s
+
         draws = [
             _avoided_by_hand(table, axis, deadlines_s)
             for _, table in build_sample_tables([sample], n_draws=N_DRAWS)
@@ -110,7 +116,12 @@ def test_a_layout_is_worth_in_a_world_what_its_table_says(setting, layouts, judg
 def test_worlds_to_judge_in_are_not_those_to_choose_in(setting, layouts):
     def drawn(purpose):
         samples = draw_samples(
-            setting, layouts[0].units, LOSSY, n_samples=3, seed=0, purpose=purpose
+            setting,
+            layouts[0].units,
+            LOSSY,
+            n_samples=3,
+            seed=0,
+            purpose=purpose,
         )
         tables = set()
         latencies = set()
@@ -128,6 +139,7 @@ def test_layouts_are_judged_in_the_same_worlds_alone_or_together(
     setting, layouts, judged
 ):
     two_workers = Compute(workers=2)
+
     for layout, together in zip(layouts, judged, strict=True):
         alone = out_of_sample(setting, layout, LOSSY, n_samples=12, compute=two_workers)
         assert alone.apr_by_sample.tolist() == together.apr_by_sample.tolist()

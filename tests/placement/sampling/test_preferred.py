@@ -119,6 +119,7 @@ def test_what_was_found_stays_where_worlds_do_not_prefer_another(
     found = place(found, asks_worlds=True)
 
     assert found.pose_index == plain.pose_index
+
     expected = [stage.bound for stage in plain.certificate.stages]
 
     assert [stage.bound for stage in found.certificate.stages] == expected

@@ -83,6 +83,7 @@ def test_without_spread_a_few_worlds_may_still_differ():
 def test_the_interval_holds_the_mean_where_most_samples_are_equal():
     """One world in fifty is bad: two thirds of all draws of 20 show none of them."""
     rng = default_rng(7)
+
     estimates = [
         estimate_mean(1.0 - 0.8 * (rng.random(20) < 0.02)) for _ in range(1500)
     ]

@@ -40,7 +40,11 @@ def planned(setting, candidates):
 def stacked(setting, candidates, default):
     """The table of three worlds."""
     return sampled_table(
-        setting, candidates, default, n_samples=3, compute=Compute(seed=1)
+        setting,
+        candidates,
+        default,
+        n_samples=3,
+        compute=Compute(seed=1),
     )
 
 
@@ -105,6 +109,7 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
 
 def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planned):
     late = Uncertainty(latency=LatencyJitter(mean_s=0.3))
+
     sampled = sampled_table(setting, candidates, late, n_samples=1)
 
     assert np.array_equal(sampled.table.packed, planned.packed)
@@ -132,7 +137,9 @@ def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planne
 @given(
     st.integers(1, 40).flatmap(
         lambda n: st.lists(
-            st.lists(st.booleans(), min_size=n, max_size=n), min_size=1, max_size=4
+            st.lists(st.booleans(), min_size=n, max_size=n),
+            min_size=1,
+            max_size=4,
         )
     )
 )
@@ -170,7 +177,9 @@ def test_each_world_has_a_cached_table_of_its_own(
             default,
             n_samples=n_samples,
             compute=Compute(
-                seed=1, cache_folder=tmp_path, progress=lambda *call: calls.append(call)
+                seed=1,
+                cache_folder=tmp_path,
+                progress=lambda *call: calls.append(call),
             ),
         )
         assert len(list(tmp_path.glob("table-*.npz"))) == n_samples
@@ -183,6 +192,7 @@ def test_each_world_has_a_cached_table_of_its_own(
 
     assert built in calls  # two mount positions in each of three worlds
     assert calls[0] == (stage, 0, 0)
+
     expected = [(stage, 1, 3), (stage, 2, 3), cached]
 
     assert calls[-3:] == expected
@@ -206,6 +216,7 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
     assert len(list(tmp_path.iterdir())) == 3  # both worlds are the plan
 
     linked = changed(chancy, "table_detector.frame_correlation", 0.1)
+
     other = sampled_table(linked, candidates, drawn, **options)
 
     assert len(list(tmp_path.iterdir())) == 5
@@ -240,6 +251,7 @@ def test_a_world_beside_others_is_as_it_is_alone(
             if isinstance(one.sensor, CameraModel)
         ]
     setting = replace(setting, table_detector=load_planning_detector(planner))
+
     worlds = list(draw_samples(setting, candidates, default, n_samples=4, seed=4))
     heights = [
         {pose.pose.position_m[2] for pose in world.candidates} for world in worlds

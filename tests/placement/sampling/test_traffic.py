@@ -152,6 +152,7 @@ def test_the_share_of_places_taken_is_as_asked(junction_scene):
         parked_gap_m=0.8,
         along_arm_m=62.0,
     )
+
     street = build_street(junction_scene, traffic)
     n_places = 8 * 10
     counts = [len(street.draw(_rng(index))) for index in range(60)]
@@ -169,6 +170,7 @@ def test_a_queue_begins_at_the_stop_line_and_goes_on_behind(junction_scene):
         crosswalk_gap_m=3.0,
         along_arm_m=30.0,
     )
+
     vehicles = build_street(junction_scene, traffic).draw(_rng())
     # Pedestrians cross 2 m inside the mouth: the first bumper is 1 m behind it.
     middles = MOUTH_M + 1.0 + 2.45 + 6.9 * np.arange(4)
@@ -227,7 +229,9 @@ def test_kinds_come_as_often_as_their_shares_say(junction_scene):
     kinds = (
         VehicleKind(actor=actors["parked-van"], parked_share=0.25, waiting_share=0.0),
         VehicleKind(
-            actor=actors["parked-car-small"], parked_share=0.75, waiting_share=1.0
+            actor=actors["parked-car-small"],
+            parked_share=0.75,
+            waiting_share=1.0,
         ),
     )
     traffic = _traffic(vehicles=kinds, taken_share=1.0, waiting_share=1.0)
@@ -329,7 +333,10 @@ def _swept(run, rule):
     ):
         position, yaw = motion.path.at(np.arange(0.0, end_m, 0.02))
         yield footprint_corners(
-            position, yaw, length_m=body.length_m, width_m=body.width_m
+            position,
+            yaw,
+            length_m=body.length_m,
+            width_m=body.width_m,
         )
 
 
@@ -341,7 +348,10 @@ def test_no_sampled_vehicle_stands_in_a_swept_path(
 
     setting = build_setting(load_study_scene(), many_ways)
     crowded = replace(
-        default.traffic, taken_share=0.9, waiting_share=0.9, clear_of_mouth_m=0.0
+        default.traffic,
+        taken_share=0.9,
+        waiting_share=0.9,
+        clear_of_mouth_m=0.0,
     )
     sample = first_world(setting, (), replace(default, traffic=crowded), seed=4)
     n_standing = 0
@@ -358,7 +368,9 @@ def test_no_sampled_vehicle_stands_in_a_swept_path(
         for swept, placed in product(_swept(run, rule), added):
             away_m = swept.mean(axis=1) - placed.pose.position_m[:2]
             near = np.hypot(*away_m.T) < 12.0
+
             apart_m = footprint_separation(swept[near], _corners(placed))
+
             assert apart_m.min(initial=np.inf) > crowded.clearance_m - 1e-9
 
         for placed, other in product(added, planned.obstruction):
@@ -370,11 +382,13 @@ def test_no_sampled_vehicle_stands_in_a_swept_path(
 def test_only_what_is_in_the_way_is_left_out(junction_scene, junction_runs, rule):
     """Queues on all arms: gone is the one in whose lane the VUT comes."""
     traffic = _traffic(waiting_share=1.0)
+
     vehicles = build_street(junction_scene, traffic).draw(_rng())
 
     assert len(vehicles) == 4
 
     ways = build_ways(list(junction_runs.values()), rule)
+
     clear = clear_of_ways(vehicles, ways, clearance_m=0.5)
     directions = {"east": (1, 0), "north": (0, 1), "west": (-1, 0), "south": (0, -1)}
 

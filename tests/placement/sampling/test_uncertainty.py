@@ -24,7 +24,9 @@ from placement.sampling.uncertainty import (
 def _kind(parked=1.0, waiting=1.0):
     """A van, parked and waiting with these shares."""
     return VehicleKind(
-        actor=load_actors()["parked-van"], parked_share=parked, waiting_share=waiting
+        actor=load_actors()["parked-van"],
+        parked_share=parked,
+        waiting_share=waiting,
     )
 
 

@@ -77,6 +77,7 @@ def test_nobody_farther_than_the_reach_is_in_a_window():
         (0.0, straight(-150.0, 150.0, 301), 0.0),
         (0.0, straight(130.0, 140.0, 301), 0.0),
     )
+
     (one,) = cut_window(found, 0.1 * np.arange(301), middle_m=MIDDLE_M)
 
     assert np.nanmin(one.position_m[:, 0]) == pytest.approx(-100.0)
@@ -94,6 +95,7 @@ def test_a_shorter_run_has_the_last_frames_of_the_window():
         0.1 * np.arange(41),
         middle_m=MIDDLE_M,
     )
+
     tail = last_frames(body, 30)
 
     assert np.array_equal(tail.position_m, body.position_m[-30:], equal_nan=True)
@@ -106,7 +108,10 @@ def brute_force_meets(run, body, clearance_m):
 
     def corners(actor, position_m, yaw_deg):
         return footprint_corners(
-            position_m, yaw_deg, length_m=actor.length_m, width_m=actor.width_m
+            position_m,
+            yaw_deg,
+            length_m=actor.length_m,
+            width_m=actor.width_m,
         )
 
     for actor, position_m, yaw_deg in (

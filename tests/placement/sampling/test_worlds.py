@@ -36,7 +36,9 @@ def _offsets(sample):
 def _mounting(yaw_sd_deg, pitch_sd_deg, height_sd_m):
     """Errors of mounting with these spreads."""
     errors = MountingErrors(
-        yaw_sd_deg=yaw_sd_deg, pitch_sd_deg=pitch_sd_deg, height_sd_m=height_sd_m
+        yaw_sd_deg=yaw_sd_deg,
+        pitch_sd_deg=pitch_sd_deg,
+        height_sd_m=height_sd_m,
     )
     return Uncertainty(mounting=errors)
 
@@ -62,6 +64,7 @@ def test_without_uncertainty_a_sample_is_the_plan(setting, candidates):
     assert sample.candidates == candidates
     for a, b in zip(sample.candidates, candidates, strict=True):
         assert a is b
+
     assert sample.setting.runs == setting.runs
     assert np.array_equal(
         sample.setting.axis.last_brake_time_s, setting.axis.last_brake_time_s
@@ -160,6 +163,7 @@ def test_poses_of_one_mount_are_off_by_the_same(setting, candidates, look):
     assert len(by_mount) == 3
     for rows in by_mount.values():
         assert len(rows) == 1
+
     assert len(set.union(*by_mount.values())) == 3
 
 

@@ -41,10 +41,12 @@ def test_a_certificate_can_be_read_again(problem, document, tmp_path):
     assert json.loads(text, parse_constant=pytest.fail) == document
 
     stored = load_certificate(tmp_path / CERTIFICATE_FILE)
+
     solution = solve_placement(problem)
 
     assert stored.pose_index == solution.pose_index
     assert [stage.name for stage in stored.stages] == list(stage_names(problem))
+
     expected = [stage.objective for stage in solution.certificate.stages]
 
     assert [stage.objective for stage in stored.stages] == expected

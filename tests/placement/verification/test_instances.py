@@ -170,6 +170,7 @@ VARIATIONS = (
 
 def test_the_hash_changes_with_whatever_changes(problem):
     hashes = [problem_hash(changed(problem, *change)) for change in VARIATIONS]
+
     hashes.append(problem_hash(problem))
 
     assert len(set(hashes)) == len(hashes)

@@ -67,6 +67,7 @@ def test_what_greedy_search_leaves_open_is_verified_as_open(problem, tmp_path):
     found = verify(tmp_path, problem, document_of(problem, solution))
 
     assert failed(found) == set()
+
     expected = [stage.gap == 0.0 for stage in solution.certificate.stages]
 
     assert [proof.claims_optimum for proof in found.proofs] == expected
@@ -188,7 +189,9 @@ def test_a_layout_beyond_a_limit_is_found(problem, document, tmp_path):
         "units": replace(limits, budget_units=1),
         "money": replace(limits, budget_eur=150.0),
         "site capacity": replace(
-            limits, site_index=np.zeros(12, dtype=np.int64), rivals=None
+            limits,
+            site_index=np.zeros(12, dtype=np.int64),
+            rivals=None,
         ),
         "forced units": replace(limits, is_forced=forced),
         "forced sites": replace(
@@ -213,6 +216,7 @@ def test_a_changed_table_is_found_even_if_the_hash_was_made_to_fit(
     problem, document, tmp_path
 ):
     blind = np.zeros((12, problem.table.axis.n_frames), dtype=bool)
+
     table = pack_table(problem.table.pose_ids, problem.table.axis, blind)
     other = replace(problem, table=table)
     document["instance"]["sha256"] = verify_module.problem_hash(other)

@@ -45,7 +45,10 @@ def study_runs(actors):
     """Three cases of the study at two speeds, the last four seconds of each."""
     cases = select_cases("CPNC-50,CBNA,CBLA", speeds="30,60").cases
     runs, _ = build_runs(
-        load_study_scene(), cases, vut=actors["vut"], rule=load_aeb_rule()
+        load_study_scene(),
+        cases,
+        vut=actors["vut"],
+        rule=load_aeb_rule(),
     )
     return tuple(cut_run(run, slice(-40, None)) for run in runs)
 

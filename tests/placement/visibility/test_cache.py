@@ -269,6 +269,7 @@ def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypa
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(cache.np, "savez", full)
+
     save_table(path, table, fingerprint="f" * 32)
 
     assert caplog.messages == [

@@ -190,7 +190,9 @@ def test_worlds_that_share_a_scene_are_seen_as_each_alone(build_scene, build_run
 
         for eye in eyes:
             cached = cast_sight(sharing, eye, **views)
+
             alone = cast_sight(apart, eye, **views)
+
             for name in (
                 "view_index",
                 "is_visible",
@@ -199,6 +201,7 @@ def test_worlds_that_share_a_scene_are_seen_as_each_alone(build_scene, build_run
                 "entry_of_frame",
             ):
                 assert np.array_equal(getattr(cached, name), getattr(alone, name))
+
             n_hidden.add(int((~cached.is_visible).sum()))
 
     assert len(n_hidden) > 3

@@ -43,7 +43,11 @@ def world(build_scene, build_run):
 def sensing_of(world, near_m, detector=DETECTOR):
     """What is sensed from the mount."""
     sight = cast_sight(
-        world, np.array(MOUNT), near_m=near_m, max_distance_m=1000.0, for_lidar=False
+        world,
+        np.array(MOUNT),
+        near_m=near_m,
+        max_distance_m=1000.0,
+        for_lidar=False,
     )
     return build_sensing(world, sight, np.array(MOUNT), detector)
 
@@ -146,6 +150,7 @@ def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, mod
 
     for some in [[look] for look in looks] + [looks]:
         sight = cast_for(world, np.array(MOUNT), [(look, DETECTOR) for look in some])
+
         sensing = build_sensing(world, sight, np.array(MOUNT), DETECTOR)
         rows = [looks.index(look) for look in some]
 

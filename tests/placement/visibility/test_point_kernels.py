@@ -20,7 +20,9 @@ from placement.visibility.sensing import build_sensing, cast_for
 
 DETECTORS = {
     "far-sighted": GeometricDetector(
-        min_iou=0.5, min_box_height_px=3.0, min_contrast=0.05
+        min_iou=0.5,
+        min_box_height_px=3.0,
+        min_contrast=0.05,
     ),
     "geometric": load_planning_detector("geometric"),
     "response": load_planning_detector("response"),
@@ -50,7 +52,11 @@ def _sensing(world, candidates, detector, *, for_lidar=False):
     position_m = candidates[0].pose.position_m
     near_m = candidates[0].sensor.near_m
     sight = cast_sight(
-        world, position_m, near_m=near_m, max_distance_m=1000.0, for_lidar=for_lidar
+        world,
+        position_m,
+        near_m=near_m,
+        max_distance_m=1000.0,
+        for_lidar=for_lidar,
     )
     return build_sensing(world, sight, position_m, detector)
 
@@ -101,6 +107,7 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
 
     for row, look in enumerate(looks):
         expected = NumpySensing(sensing).evidence(look)
+
         height_px = box_height_px(expected.visible_px)
         seen = np.flatnonzero(height_px >= sensing.detector.min_box_height_px)
         picked = [np.flatnonzero(rows == row) for rows, _ in parts]
@@ -128,7 +135,10 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
             )
             # Far outside the image single precision is coarse.
             assert_allclose(
-                values, getattr(expected, name)[entries], rtol=1e-5, atol=1e-3
+                values,
+                getattr(expected, name)[entries],
+                rtol=1e-5,
+                atol=1e-3,
             )
 
     assert len(row_index) > 0

@@ -272,7 +272,9 @@ def test_a_lidars_table_leaves_of_those_with_enough_points_who_are_near_enough(
     rule = load_planning_detector()
     table = load_detector("pointrcnn-2019").lidar
     half_at_30_m = replace(
-        table, distance_m=((0.0, 60.0),) * 5, recall=((1.0, 0.0),) * 5
+        table,
+        distance_m=((0.0, 60.0),) * 5,
+        recall=((1.0, 0.0),) * 5,
     )
     by_points = table_of(build_scene(), [at], random_runs, replace(rule, lidar=None))[0]
     found = table_of(

@@ -100,7 +100,10 @@ def test_points_are_evenly_spread(surface):
 
     # A thicker sample of the same surface: nothing is far from a point.
     fine = build_surface(
-        surface.actor, surface.shape_index, n_points=4 * N_POINTS, seed=7
+        surface.actor,
+        surface.shape_index,
+        n_points=4 * N_POINTS,
+        seed=7,
     ).points_m
 
     assert cKDTree(surface.points_m).query(fine)[0].max() < 0.12
@@ -108,6 +111,7 @@ def test_points_are_evenly_spread(surface):
 
 def test_the_seed_decides(surface):
     again = build_surface(surface.actor, surface.shape_index, n_points=N_POINTS, seed=0)
+
     other = build_surface(surface.actor, surface.shape_index, n_points=N_POINTS, seed=1)
 
     assert np.array_equal(again.points_m, surface.points_m)
