@@ -31,7 +31,7 @@ def on_ground(pixel, pose):
 
 
 def pose_of(height_m, *, pitch_deg, yaw_deg=20.0):
-    """A pose at a place of the scene."""
+    """A pose so high above the road."""
     return Pose(position_m=[3.0, -2.0, height_m], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
 
 

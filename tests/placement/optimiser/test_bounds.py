@@ -133,22 +133,21 @@ def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(problem, 
 
 def test_what_forced_units_take_is_not_there_for_others():
     problem = avoiding_problem(
-        ["100", "010", "001"],
-        price_eur=[2.0, 3.0, 5.0],
-        budget_units=2,
+        ["100", "010", "001"], price_eur=[2.0, 3.0, 5.0], budget_units=2
     )
     limits = replace(
         problem.limits,
+        site_capacity=[1, 2, 1],
+        site_cost_eur=[1.0, 1.0, 1.0],
         budget_eur=10.0,
-        is_forced=np.array([True, False, False]),
-        site_cost_eur=np.full(problem.limits.n_sites, 1.0),
+        is_forced=[True, False, False],
     )
 
     choice = build_choice(limits, 2)
     left_eur = 10.0 - 2.0 - 1.0
-    own = 1.0 / limits.site_capacity[limits.site_index[1]]
+    own_share_eur = 1.0 / 2.0  # of a site that carries two
 
-    assert choice.cost[1] == pytest.approx((3.0 + own) / left_eur)
+    assert choice.cost[1] == pytest.approx((3.0 + own_share_eur) / left_eur)
 
 
 @pytest.mark.parametrize(

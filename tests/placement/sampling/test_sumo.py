@@ -73,7 +73,7 @@ def along(lane):
 
 
 def drive(scene, demand, runs, seed=0):
-    """A minute of SUMO's traffic around runs."""
+    """SUMO's traffic in the windows of runs."""
     groups = {run.id: (run,) for run in runs}
     return simulate_windows(
         network_of(scene, load_demand()),
