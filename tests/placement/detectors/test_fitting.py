@@ -44,15 +44,11 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
     n = N_TRACKS * N_FRAMES
     track = np.repeat(np.arange(N_TRACKS), N_FRAMES)
     frame = np.tile(np.arange(N_FRAMES), N_TRACKS)
-    height = np.exp(rng.uniform(np.log(12), np.log(180), N_TRACKS))[track] * (
-        1 + 0.01 * frame
-    )
-    seen = np.clip(
-        rng.uniform(0.0, 1.8, N_TRACKS)[track] + rng.normal(0, 0.05, n), 0.0, 1.0
-    )
+    first_px = np.exp(rng.uniform(np.log(12), np.log(180), N_TRACKS))
+    shares = rng.uniform(0.0, 1.8, N_TRACKS)[track] + rng.normal(0, 0.05, n)
     sightings = Sightings(
-        height_px=height,
-        seen_share=seen,
+        height_px=first_px[track] * (1 + 0.01 * frame),
+        seen_share=np.clip(shares, 0.0, 1.0),
         contrast=rng.choice(contrasts, N_TRACKS)[track],
         aspect_deg=rng.uniform(0.0, 90.0, N_TRACKS)[track],
         vru_class=rng.choice(classes, N_TRACKS)[track],
@@ -64,11 +60,8 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
     noise = linked_noise(frame + track * (N_FRAMES + 1), truth.frame_correlation, rng)
     is_found = ndtr(noise) < truth.probability(sightings.evidence())
     error = rng.normal(0.0, truth.box_noise_share, (n, 4))
-    return replace(
-        sightings,
-        is_found=is_found,
-        box_error=np.where(is_found[:, None], error, np.nan),
-    )
+    error[~is_found] = np.nan
+    return replace(sightings, is_found=is_found, box_error=error)
 
 
 @pytest.mark.long
@@ -124,12 +117,11 @@ def test_the_table_that_was_drawn_from_is_found_again(fit):
 
 @pytest.mark.long
 def test_calibration_counts_every_frame_and_fits(fit):
-    assert (
-        sum(group.frames for group in fit.calibration)
-        == fit.frames
-        == N_TRACKS * N_FRAMES
-    )
-    assert sum(group.found for group in fit.calibration) == fit.found
+    n_frames = sum(group.frames for group in fit.calibration)
+    n_found = sum(group.found for group in fit.calibration)
+
+    assert n_frames == fit.frames == N_TRACKS * N_FRAMES
+    assert n_found == fit.found
 
     for group in fit.calibration:
         assert group.recall.value == pytest.approx(group.expected, abs=0.12)
@@ -151,17 +143,16 @@ def test_intervals_hold_their_figures(fit):
 
 @pytest.mark.long
 def test_classes_and_light_that_never_appear_are_as_built_in():
-    fit = fit_response(
-        drawn(classes=(0,), contrasts=(1.0,)).take(SOME),
-        name="a",
-        draws=0,
-    )
+    sightings = drawn(classes=(0,), contrasts=(1.0,)).take(SOME)
     built_in = load_planning_detector("response")
 
-    assert_allclose(fit.detector.class_factor, 1.0)
+    fit = fit_response(sightings, name="a", draws=0)
+    found = fit.detector
+
+    assert_allclose(found.class_factor, 1.0)
     assert not fit.is_contrast_fitted
-    assert fit.detector.contrast_half == pytest.approx(built_in.contrast_half)
-    assert fit.detector.contrast_steepness == pytest.approx(built_in.contrast_steepness)
+    assert found.contrast_half == pytest.approx(built_in.contrast_half)
+    assert found.contrast_steepness == pytest.approx(built_in.contrast_steepness)
     assert [group.name for group in fit.groups["class"]] == ["pedestrian"]
 
 

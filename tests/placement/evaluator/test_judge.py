@@ -47,23 +47,16 @@ def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
     study_runs, axis, judge, seed, latency_s
 ):
     (row,) = _rows(axis, seed, 1)
-    verdict = judge.verdicts([[(row, latency_s)]])[0]
     endless = replace(axis, last_brake_time_s=np.full(axis.n_runs, np.inf))
 
+    verdict = judge.verdicts([[(row, latency_s)]])[0]
     confirmation_s = live_confirmation_times_s(row, endless, rule=RULE)
+    touches = _touches(study_runs, verdict.onset_time_s, RULE)
+    in_time = is_in_time(confirmation_s, axis.last_brake_time_s, latency_s=latency_s)
 
     assert np.array_equal(verdict.confirmation_time_s, confirmation_s)
     assert verdict.onset_time_s == pytest.approx(confirmation_s + latency_s)
-
-    touches = [
-        has_contact(run.encounter, onset, RULE)
-        for run, onset in zip(study_runs, verdict.onset_time_s.tolist(), strict=True)
-    ]
-
-    assert (verdict.is_avoided == ~np.array(touches)).all()
-
-    in_time = is_in_time(confirmation_s, axis.last_brake_time_s, latency_s=latency_s)
-
+    assert (verdict.is_avoided == ~touches).all()
     assert (verdict.is_avoided == in_time).all()
     assert (verdict.detected == row).all()
 
@@ -94,6 +87,16 @@ def test_a_further_party_never_makes_it_later(axis, judge, seed, latencies_s):
     assert (more.detected >= fewer.detected).all()
 
 
+def _touches(runs, onsets_s, rule):
+    """Do the bodies of each run touch when braking sets in then? (n_runs,)"""
+    return np.array(
+        [
+            has_contact(run.encounter, onset_s, rule)
+            for run, onset_s in zip(runs, onsets_s.tolist(), strict=True)
+        ]
+    )
+
+
 @pytest.mark.parametrize("memory_s", [0.1, 0.5, 1.0])
 def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
     study_runs, axis, memory_s
@@ -105,41 +108,28 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
 
     for row in [early, *_rows(axis, 7, 10)]:
         verdict = judge.verdicts([[(row, rule.latency_s)]])[0]
-        live_s = live_confirmation_times_s(row, axis, rule=rule)
-
-        assert np.array_equal(verdict.is_avoided, np.isfinite(live_s))
-
         is_live = verdict.is_avoided
-
-        assert np.array_equal(verdict.confirmation_time_s[is_live], live_s[is_live])
-
-        touches = [
-            has_contact(run.encounter, onset, rule)
-            for run, onset in zip(
-                study_runs, verdict.onset_time_s.tolist(), strict=True
-            )
-        ]
-
-        assert np.array_equal(verdict.is_avoided, ~np.array(touches))
-
+        live_s = live_confirmation_times_s(row, axis, rule=rule)
+        touches = _touches(study_runs, verdict.onset_time_s, rule)
         arrival_s = np.where(row, axis.time_s + rule.latency_s, np.inf)
-
         first = find_onsets(arrival_s, axis, rule=RULE)  # never lost
-
-        assert (verdict.onset_time_s >= first.onset_s).all()
-
         words = run_outcomes(verdict, axis)
         outcomes |= set(words)
 
+        assert np.array_equal(is_live, np.isfinite(live_s))
+        assert np.array_equal(verdict.confirmation_time_s[is_live], live_s[is_live])
+        assert np.array_equal(is_live, ~touches)
+        assert (verdict.onset_time_s >= first.onset_s).all()
+
         for run, word in enumerate(words):
             is_confirmed = np.isfinite(first.onset_s[run])
+            is_dropped = np.isinf(verdict.onset_time_s[run])
+            is_seen = row[axis.frames_of(run)].any()
 
-            assert (word == "avoided") == verdict.is_avoided[run]
-            assert (word == "lost again") == (
-                first.is_in_time[run] and np.isinf(verdict.onset_time_s[run])
-            )
+            assert (word == "avoided") == is_live[run]
+            assert (word == "lost again") == (first.is_in_time[run] and is_dropped)
             assert (word in ("never seen", "never confirmed")) == (not is_confirmed)
-            assert (word == "never seen") == (not row[axis.frames_of(run)].any())
+            assert (word == "never seen") == (not is_seen)
 
     assert "avoided" in outcomes
     assert "lost again" in outcomes

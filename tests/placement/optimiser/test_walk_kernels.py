@@ -49,14 +49,18 @@ def loss(losses, seen):
 
 def keeps(losses, sees, alone, *, with_failures):
     """Is no more lost than may be, also when a unit fails?"""
-    if loss(losses, sees.any(axis=0) | alone) > losses.may_lose[0]:
+    all_lose, most_lose = losses.may_lose
+    if loss(losses, sees.any(axis=0) | alone) > all_lose:
         return False
-    rest = [
-        np.delete(sees, unit, axis=0).any(axis=0) | alone for unit in range(len(sees))
-    ]
-    return not with_failures or all(
-        loss(losses, one) <= losses.may_lose[1] for one in rest
-    )
+    if not with_failures:
+        return True
+
+    for unit in range(len(sees)):
+        rest = np.delete(sees, unit, axis=0).any(axis=0) | alone
+        if loss(losses, rest) > most_lose:
+            return False
+
+    return True
 
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -75,27 +79,27 @@ def asked_of(chains, chain, link, alone, seen):
 
 @given(SEEDS)
 def test_windows_are_asked_for_the_missing_piece_that_is_seen_least(seed):
-    rng = default_rng(seed)
+    rng = np.random.default_rng(seed)
     chains = random_chains(rng)
-    alone = set(np.flatnonzero(rng.random(N_FRAMES) < 0.4).tolist())
-    union = pack_words(np.isin(np.arange(N_FRAMES), list(alone)))
+    is_alone = rng.random(N_FRAMES) < 0.4
+    alone = set(np.flatnonzero(is_alone).tolist())
     seen = rng.integers(0, 4, N_FRAMES) / 4.0
     some = np.flatnonzero(rng.random(n_chains_of(chains)) < 0.7)
     asked = np.full(len(chains.window), -7)
-    kernels.ask_for_least_seen(chains, some, union, seen, asked)
+
+    kernels.ask_for_least_seen(chains, some, pack_words(is_alone), seen, asked)
 
     for chain in range(n_chains_of(chains)):
         for link in range(n_links_of(chains, chain)):
             found = asked[chains.start[chain] + link]
+            missing, least = asked_of(chains, chain, link, alone, seen)
             if chain not in some:
                 assert found == -7
-                continue
-
-            missing, least = asked_of(chains, chain, link, alone, seen)
-
-            assert (
-                (found in missing and seen[found] == least) if missing else found == -1
-            )
+            elif missing:
+                assert found in missing
+                assert seen[found] == least
+            else:
+                assert found == -1
 
 
 @given(SEEDS, st.sampled_from([4, 65]))
@@ -225,21 +229,23 @@ def walked(covers, walk, n_failures, *, work, n_out):
 def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused(
     seed, n_units, work, n_out
 ):
-    rng = default_rng(seed)
+    rng = np.random.default_rng(seed)
     covers = build_covers(rng)
     copies = rng.integers(1, 3, 6)
     covers = covers._replace(copies=copies)
     room = rng.integers(0, 3, 3)
     may_lose = float(rng.integers(0, 16))
     walk = build_walk(covers, n_units, room, [may_lose, may_lose])
+
     found = walked(covers, walk, 0, work=work, n_out=n_out)
-    expected = [
-        one
-        for one in combinations_with_replacement(range(6), n_units)
-        if all(one.count(pose) <= copies[pose] for pose in one)
-        and all(sum(covers.site[list(one)] == site) <= room[site] for site in range(3))
-        and lost_of(covers, one) <= may_lose
-    ]
+
+    expected = []
+    for units in combinations_with_replacement(range(6), n_units):
+        n_copies = np.bincount(units, minlength=6)
+        n_at_site = np.bincount(covers.site[list(units)], minlength=3)
+        has_room = (n_copies <= copies).all() and (n_at_site <= room).all()
+        if has_room and lost_of(covers, units) <= may_lose:
+            expected.append(units)
 
     assert sorted(found) == expected
 
@@ -267,13 +273,14 @@ def test_a_walk_stops_at_each_node_of_a_depth():
 
 @given(SEEDS, st.integers(0, 40))
 def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
-    rng = default_rng(seed)
+    rng = np.random.default_rng(seed)
     n_rows = int(rng.integers(1, 140))
     alone, may, part = rng.random((3, 5, n_rows)) < 0.6
     weight = whole_weights(rng, n_rows)
     pairs = rng.integers(0, 5, (6, 2))
     table, _, _ = byte_table(weight, pack_words(alone))
-    lost = np.empty(6)
+    found = np.empty(6)
+
     kernels.lost_by_pairs(
         pack_words(alone),
         pack_words(may),
@@ -281,52 +288,54 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
         table,
         float(may_lose),
         pairs,
-        lost,
+        found,
     )
 
-    for (one, other), found in zip(pairs, lost, strict=True):
-        can = (alone[one] | alone[other] | (part[one] & part[other])) & (
-            may[one] | may[other]
-        )
+    for (one, other), lost in zip(pairs, found, strict=True):
+        can = alone[one] | alone[other] | (part[one] & part[other])
+        can &= may[one] | may[other]
         total = weight[~can].sum()
 
-        assert (found <= may_lose) == (total <= may_lose)
-        assert found <= total
+        assert (lost <= may_lose) == (total <= may_lose)
+        assert lost <= total
 
-        if found <= may_lose:
-            assert found == total
+        if lost <= may_lose:
+            assert lost == total
 
 
 @given(SEEDS, st.booleans(), st.integers(0, 12), st.sampled_from([1, 50]))
 def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
     seed, with_failures, most, n_out
 ):
-    rng = default_rng(seed)
+    rng = np.random.default_rng(seed)
     chains = random_chains(rng)
     alone = rng.random(N_FRAMES) < 0.2
     losses = build_losses(rng, chains, alone, [float(most), float(most + 3)])
     sees = random_sights(rng, 7)
+    words = pack_words(sees)
     member = rng.permutation(7)
-    start = np.array([0, 3, 4, 7])
-    parts = [member[start[k] : start[k + 1]] for k in range(3)]
+    parts = [member[:3], member[3:4], member[4:]]
     of_class = np.array([sees[part].any(axis=0) for part in parts])
-    of_classes = kernels.Classes(member=member, start=start, words=pack_words(of_class))
+    of_classes = kernels.Classes(
+        member=member, start=np.array([0, 3, 4, 7]), words=pack_words(of_class)
+    )
     classes = np.sort(rng.choice([0, 0, 1, 2, 2], 3, replace=False))
     place = np.array([-1, -1, -1, 0])
     found = []
+
     while place[-1] >= 0:
         out = np.empty((n_out, 3), dtype=np.int64)
         n_found = kernels.spell_out(
-            pack_words(sees), of_classes, losses, with_failures, classes, place, out
+            words, of_classes, losses, with_failures, classes, place, out
         )
         found += [tuple(sorted(row)) for row in out[:n_found].tolist()]
 
-    options = {tuple(sorted(one)) for one in product(*(parts[k] for k in classes))}
-    expected = [
-        one
-        for one in options
-        if len(set(one)) == 3
-        and keeps(losses, sees[list(one)], alone, with_failures=with_failures)
-    ]
+    expected = set()
+    for chosen in product(*(parts[k] for k in classes)):
+        units = sorted(set(chosen))
+        if len(units) == 3 and keeps(
+            losses, sees[units], alone, with_failures=with_failures
+        ):
+            expected.add(tuple(units))
 
     assert sorted(found) == sorted(expected)

@@ -16,28 +16,30 @@ from placement.recordings.pairs import frames_to_confirm, pair_boxes, seen_share
 PERSON = {"pedestrian": "pedestrian"}
 
 
-def boxes(*rows, name="a.txt"):
-    """Boxes of rows, each at its frame."""
-    return gather_boxes(
-        Path(name), [BoxRow(f"{name}:{i}", *row[:3], **row[3]) for i, row in rows]
-    )
+def boxes(rows, name="a.txt"):
+    """Boxes of rows: frame, class, box, and fields; line by line of a file."""
+    made = []
+    for line, (frame, class_name, box, fields) in enumerate(rows):
+        made.append(BoxRow(f"{name}:{line}", frame, class_name, box, **fields))
+
+    return gather_boxes(Path(name), made)
 
 
 def annotated(*rows):
-    """Rows of frame, track, box, and more."""
-    return boxes(
-        *enumerate(
-            (f, more.pop("name", "pedestrian"), box, {"track": t} | more)
-            for f, t, box, more in [(*row, {})[:4] for row in rows]
-        )
-    )
+    """Boxes of rows: frame, track, box, and more fields."""
+    made = []
+    for frame, track, box, *more in rows:
+        fields = {"track": track} | dict(*more)
+        name = fields.pop("name", "pedestrian")
+        made.append((frame, name, box, fields))
+
+    return boxes(made)
 
 
 def found(*rows):
-    """Detected pedestrians with scores."""
-    return boxes(
-        *enumerate((f, "pedestrian", box, {"score": s}) for f, box, s in rows), name="d"
-    )
+    """Detected pedestrians: frame, box and score."""
+    made = [(frame, "pedestrian", box, {"score": score}) for frame, box, score in rows]
+    return boxes(made, name="d")
 
 
 A = (0.0, 0.0, 40.0, 100.0)
