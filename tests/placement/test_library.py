@@ -88,7 +88,8 @@ def test_an_evaluation_prints_the_apr_of_every_party(found):
 
     assert list(frame.columns) == expected
     assert frame.loc["all runs", "vut"] == placement.apr(judged.vut, judged.axis)
-    assert (
-        str(judged).splitlines()[0] == f"{best.layout.name}: accident prevention ratio"
-    )
+
+    title = str(judged).splitlines()[0]
+
+    assert title == f"{best.layout.name}: accident prevention ratio"
     assert "<table" in judged._repr_html_()

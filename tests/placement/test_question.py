@@ -67,11 +67,9 @@ def test_a_file_has_what_differs_from_the_default_below_its_description(path):
     assert tomllib.loads(text) == {"site_cost": 500.0, "cases": "CBNA"}
 
     lines = text.splitlines()
+    above = lines[lines.index("site_cost = 500.0") - 1]
 
-    assert (
-        lines[lines.index("site_cost = 500.0") - 1]
-        == "# Of each site that is used, once; default: the scene's."
-    )
+    assert above == "# Of each site that is used, once; default: the scene's."
 
 
 def test_every_field_is_described_and_has_a_key_of_its_own_name_but_for_the_unit():

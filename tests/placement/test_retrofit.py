@@ -275,9 +275,10 @@ def test_what_is_lost_gained_and_paid():
     assert found.addition.value.apr == 1.0
     assert found.combination is not None
     assert found.combination.added == (3,)  # 7 EUR for both would be too much
-    assert (
-        find_retrofit(problem, poses, labour=labour(), budget_eur=4.0).addition is None
-    )
+
+    poorer = find_retrofit(problem, poses, labour=labour(), budget_eur=4.0)
+
+    assert poorer.addition is None
 
 
 def _layout(*units):

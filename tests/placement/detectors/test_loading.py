@@ -280,10 +280,9 @@ def test_the_line_is_that_of_the_response_where_another_table_has_the_same_key(w
         if text.startswith("min_box_height_px = 12.0 # nothing below")
     ]
 
-    assert (
-        _message(path)
-        == f"{path}:{number}: min_box_height_px: got -1.0; expected a number, > 0"
-    )
+    words = "min_box_height_px: got -1.0; expected a number, > 0"
+
+    assert _message(path) == f"{path}:{number}: {words}"
 
 
 def test_a_file_that_is_not_there_or_not_text_is_named(tmp_path):
@@ -382,33 +381,31 @@ def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation
 
 def test_a_table_says_which_of_its_figures_are_measured(write):
     """So do the built-in ones; a file without the list does not say."""
-    assert (
-        load_detector("response").figures_words
-        == "4 of the 14 values of response are measured; assumed: child, cyclist,"
+    of_response = (
+        "4 of the 14 values of response are measured; assumed: child, cyclist,"
         " motorcyclist, car, height_half_px, height_steepness, min_box_height_px,"
         " contrast_half, contrast_steepness, cyclist_end_on."
     )
+
+    assert load_detector("response").figures_words == of_response
     assert load_detector("pole-2015").figures_words.startswith(
         "7 of the 14 values of pole-2015 are measured; assumed: child, cyclist,"
         " motorcyclist, car,"
     )
 
-    mine = load_detector(str(write(TABLE)))
+    unlisted = load_detector(str(write(TABLE))).figures_words
+    path = write(TABLE + 'assumed_figures = ["recall"]\n')
+    listed = load_detector(str(path)).figures_words
+    wrong = _message(write(TABLE + 'assumed_figures = ["x"]\n'))
 
-    assert (
-        mine.figures_words == "mine.toml does not say which of its values are measured."
-    )
-
-    listed = TABLE + 'assumed_figures = ["recall"]\n'
-
+    assert unlisted == "mine.toml does not say which of its values are measured."
     assert (
         "11 of the 14 values of mine.toml are measured; assumed: recall, "
-        "motorcyclist, car." in (load_detector(str(write(listed))).figures_words)
-    )
+        "motorcyclist, car."
+    ) in listed
     assert (
         "mine.toml:18: assumed_figures: got 'x'; expected one of recall, pedestrian"
-        in (_message(write(TABLE + 'assumed_figures = ["x"]\n')))
-    )
+    ) in wrong
 
 
 def test_what_response_has_from_recordings_is_the_middle_of_their_tables():

@@ -93,10 +93,9 @@ def test_runs_with_it_are_checked_before_anything_is_built(caplog):
 
     build_setting(replace(met, detector="cnn-table"))
 
-    assert (
-        "how well the detector finds motorcyclist (factor 1) and car (factor 1)"
-        in caplog.text
-    )
+    words = "how well the detector finds motorcyclist (factor 1) and car (factor 1)"
+
+    assert words in caplog.text
 
 
 class _Crops:

@@ -320,9 +320,10 @@ def test_threads_and_company_do_not_change_a_verdict(build_layout, real, study_r
     assert (together[0].units["a"].detected == together[1].units["c"].detected).all()
 
     for name in ("vut", "rsu_all", "vut_and_rsus"):
-        assert (
-            getattr(together[1], name).detected == getattr(alone, name).detected
-        ).all()
+        of_both = getattr(together[1], name).detected
+        of_one = getattr(alone, name).detected
+
+        assert (of_both == of_one).all()
 
     evidence = perceive_frames(
         build_surroundings(setting.scene, study_runs),

@@ -158,9 +158,8 @@ def check_relaxation(problem, separation, conflict, relaxation):
     if not relaxation.given_up:
         assert relaxation.value == pytest.approx(expected)
     elif demand.kind == "forbidden":
-        assert (
-            len(set(problem.limits.site_index[list(relaxation.given_up)])) == expected
-        )
+        sites = problem.limits.site_index[list(relaxation.given_up)]
+        assert len(set(sites)) == expected
     else:
         assert len(relaxation.given_up) == expected
 

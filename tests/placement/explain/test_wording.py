@@ -152,12 +152,13 @@ def test_two_conflicts_are_both_told(refusal_of):
         budget_eur=1000.0,
         forced_sites=("corner-ne", "lamp-e1"),
     )
-    assert (
-        str(refusal)
-        == f"`budget_cost` 1000: {TOO_MUCH} `budget_cost` 1500 (not enough by itself);"
+    text = (
+        f"`budget_cost` 1000: {TOO_MUCH} `budget_cost` 1500 (not enough by itself);"
         " besides, `target` 0.5 and `budget` 1: one of them to give way: `target`"
         " 0.25 (not enough by itself) or `budget` 2 (not enough by itself)"
     )
+
+    assert str(refusal) == text
 
 
 def test_what_can_be_met_is_not_refused(refusal_of):

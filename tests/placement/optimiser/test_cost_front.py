@@ -172,9 +172,8 @@ def test_points_closer_than_the_step_are_left_out_and_points_are_told():
         problem, on_point=lambda point: told.append(point.value.cost_eur)
     )
 
-    assert (
-        told == [point.value.cost_eur for point in all_points.points] == [1, 2, 3, 4, 5]
-    )
+    assert told == [1, 2, 3, 4, 5]
+    assert [point.value.cost_eur for point in all_points.points] == told
 
     few = cost_front(problem, step_apr=0.4)
 

@@ -229,9 +229,10 @@ def test_these_poses_fit(wish, units, expected):
         site_cost_eur=[1.0, 0.0, 0.0],
         **wish,
     )
-    assert (
-        np.flatnonzero(fitting(limits, np.array(units, dtype=int))).tolist() == expected
-    )
+
+    fits = fitting(limits, np.array(units, dtype=int))
+
+    assert np.flatnonzero(fits).tolist() == expected
 
 
 @given(SEEDS, st.integers(1, 4))

@@ -208,15 +208,14 @@ def test_less_is_better_of_what_is_minimised(objective, one, other):
         sign = 1
 
     assert objective.excess(one, other) == sign * (one - other)
-    assert objective.better(one, other) == (
-        one if sign * one >= sign * other else other
-    )
-    assert {objective.better(one, other), objective.worse(one, other)} == {one, other}
-    assert (
-        (objective.unit == "EUR")
-        == (objective.tolerance == 1e-6)
-        == (objective == "cost_eur")
-    )
+    better = objective.better(one, other)
+    worse = objective.worse(one, other)
+    is_cost = objective == "cost_eur"
+
+    assert sign * better >= sign * worse
+    assert {better, worse} == {one, other}
+    assert (objective.unit == "EUR") == is_cost
+    assert (objective.tolerance == 1e-6) == is_cost
 
 
 VALUES = st.tuples(*(st.sampled_from([0.0, 5e-10, 0.5, 1.0]) for _ in range(5)))

@@ -104,9 +104,9 @@ def test_poses_are_dominated_as_one_by_one(seed, max_units):
             n_at_site[own] >= limits.site_capacity[own] or n_blockers >= max_units
         )
 
-    assert (
-        is_dominated(pack_words(bits), limits, max_units=max_units).tolist() == expected
-    )
+    found = is_dominated(pack_words(bits), limits, max_units=max_units)
+
+    assert found.tolist() == expected
 
 
 def test_statistics_read_as_sizes_before_and_after():
@@ -116,8 +116,8 @@ def test_statistics_read_as_sizes_before_and_after():
         n_windows=(11436, 534),
         n_runs=(116, 104),
     )
-    assert (
-        str(statistics)
-        == "8640 -> 384 poses, 11668 -> 497 frames, 11436 -> 534 windows, 116 -> 104"
-        " runs"
+    words = (
+        "8640 -> 384 poses, 11668 -> 497 frames, 11436 -> 534 windows, 116 -> 104 runs"
     )
+
+    assert str(statistics) == words

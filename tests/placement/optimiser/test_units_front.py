@@ -106,10 +106,8 @@ def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
 
     for fewer, point in pairwise(front.points):
         assert not is_better(fewer.value, point.value)
-        assert (
-            fewer.certificate.stages[0].bound
-            <= point.certificate.stages[0].bound + 1e-12
-        )
+        bound = fewer.certificate.stages[0].bound
+        assert bound <= point.certificate.stages[0].bound + 1e-12
 
     for point in front.points:
         best = best_value(with_units(problem, point.units))

@@ -248,33 +248,32 @@ def test_calibrations_that_are_cut_off_or_impossible_are_told(tmp_path):
     path = put(tmp_path, "recorded calibrations", "tsai")
     text = path.read_text()
 
-    assert (
-        refused(read_tsai, path, text.replace('dpx="5e-3"', 'dpx="0"'))
-        == "F: dpx: got 0.0; expected more than 0"
-    )
-    assert refused(read_tsai, path, text.replace("Extrinsic", "Other")).startswith(
-        "F: Extrinsic: got nothing; expected <Extrinsic tx="
-    )
+    no_pixels = refused(read_tsai, path, text.replace('dpx="5e-3"', 'dpx="0"'))
+    no_place = refused(read_tsai, path, text.replace("Extrinsic", "Other"))
+
+    assert no_pixels == "F: dpx: got 0.0; expected more than 0"
+    assert no_place.startswith("F: Extrinsic: got nothing; expected <Extrinsic tx=")
 
     path = put(tmp_path, "recorded calibrations", "kitti")
 
     def read(file):
         return read_kitti_camera(file, (1242, 375))
 
-    assert (
-        refused(read, path, "P0: 1\n")
-        == "F: got no P2; expected a line P2: with 12 numbers"
-    )
+    no_line = refused(read, path, "P0: 1\n")
+
+    assert no_line == "F: got no P2; expected a line P2: with 12 numbers"
 
     tabs = tmp_path / "tabs.txt"
     tabs.write_text("P2:\t700\t0\t600\t0 0 700 170 0 0 0 1 0\n")
 
     assert read(tabs).fx_px == 700.0
     assert read(tabs).cy_px == 170.0
-    assert (
-        refused(read, path, "P2: 1 2\n")
-        == "F:1: P2: got 2 of another kind or size; expected 12 finite numbers"
-    )
+
+    too_few = refused(read, path, "P2: 1 2\n")
+
+    words = "got 2 of another kind or size; expected 12 finite numbers"
+
+    assert too_few == f"F:1: P2: {words}"
 
 
 def test_a_recording_says_which_format_it_is_in(tmp_path):
@@ -310,19 +309,17 @@ def test_a_recording_says_which_format_it_is_in(tmp_path):
     known = f"expected the study's folder, or one of {known}"
     (tmp_path / "none").mkdir()
 
-    assert (
-        refused(find_format, tmp_path / "none")
-        == f"F: got a folder without their files; {known}"
+    empty = refused(find_format, tmp_path / "none")
+    two_fields = refused(find_format, tmp_path / "a.txt", "\n1,2")
+    without_a_car = refused(read_recording, tmp_path / "coco")
+    expected = (
+        "expected the study's folder, which has a car that brakes (detector fit reads"
+        " others)"
     )
-    assert (
-        refused(find_format, tmp_path / "a.txt", "\n1,2")
-        == f"F:1: got 2 fields; {known}"
-    )
-    assert (
-        refused(read_recording, tmp_path / "coco")
-        == "F: got COCO; expected the study's folder, which has a car that brakes "
-        "(detector fit reads others)"
-    )
+
+    assert empty == f"F: got a folder without their files; {known}"
+    assert two_fields == f"F:1: got 2 fields; {known}"
+    assert without_a_car == f"F: got COCO; {expected}"
 
 
 def test_tracks_that_jump_are_left_out_and_counted(tmp_path):

@@ -29,9 +29,9 @@ def test_a_recording_tells_its_units_drives_and_what_was_left_out(small, tmp_pat
     assert recording.skipped == {
         "frames between drives (bodies back at their starts)": 60
     }
-    assert (
-        repr(recording) == f"Recording({tmp_path.name!r}: 2 units, 2 drives, 88 frames)"
-    )
+    words = f"Recording({tmp_path.name!r}: 2 units, 2 drives, 88 frames)"
+
+    assert repr(recording) == words
 
 
 def test_units_are_in_the_order_of_their_numbers(small, tmp_path):
@@ -177,9 +177,10 @@ def test_a_recording_in_which_nobody_meets_is_refused_with_what_was_left_out(
     )
     folder.files["0/9_9.txt"] = ""
 
-    assert (
-        _refusal(folder.write(tmp_path))
-        == "F: got no drive; 1 frames without WorldData, 5 frames of drives in which"
+    message = (
+        "F: got no drive; 1 frames without WorldData, 5 frames of drives in which"
         " nothing approaches; expected frames in which the VUT and a VRU come"
         " together"
     )
+
+    assert _refusal(folder.write(tmp_path)) == message

@@ -93,12 +93,10 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
     assert np.array_equal(
         _detected(table), np.hstack([_detected(part) for part in parts])
     )
-    assert (
-        table.axis.last_brake_time_s.tolist()
-        == np.concatenate(
-            [axis.last_brake_time_s - sample.extra_latency_s for sample in samples]
-        ).tolist()
-    )
+    deadlines_s = [axis.last_brake_time_s - one.extra_latency_s for one in samples]
+    expected_s = np.concatenate(deadlines_s).tolist()
+
+    assert table.axis.last_brake_time_s.tolist() == expected_s
 
     for run in range(table.axis.n_runs):
         frames = table.axis.frames_of(run)
