@@ -82,8 +82,8 @@ def test_yaws_go_all_around_once(n_yaws):
     candidates = build_candidates(
         _scene([5, 9]),
         _grid(
-            heights_m=np.array([6.0]),
-            pitches_deg=np.array([-20.0]),
+            heights_m=[6.0],
+            pitches_deg=[-20.0],
             sensors=CAMERAS[:1],
             yaw_step_deg=step_deg,
         ),
@@ -134,7 +134,7 @@ def test_what_scans_all_round_hangs_level_and_is_not_turned():
 
 
 def test_a_tilted_ring_is_turned():
-    grid = _grid(sensors=(RING,), ring_pitches_deg=np.array([-20.0, 0.0, 10.0]))
+    grid = _grid(sensors=(RING,), ring_pitches_deg=[-20.0, 0.0, 10.0])
     directions = grid.directions_deg(RING)
 
     assert directions[0] == (0.0, 0.0)

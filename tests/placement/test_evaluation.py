@@ -142,6 +142,6 @@ def test_the_unit_that_is_left_may_be_slow(frame_axis, rule, latencies_s, expect
 
 def _one_failed_of(frame_axis, rule, frames_of_units, latencies_s=()):
     """APR when one of the units fails."""
-    axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
+    axis = replace(frame_axis, last_brake_time_s=[0.05, 0.1, -np.inf])
     rows = [[frame == "1" for frame in frames] for frames in frames_of_units]
     return apr_one_failed(seen_evaluation(axis, rows, latencies_s), rule)

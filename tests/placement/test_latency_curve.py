@@ -1,6 +1,7 @@
 """The curve against what one verdict after the other would say."""
 
 import math
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -8,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from refusal_words import refused_saying
 from seen_frames import seen_evaluation
 from strategies import frame_axes
 from tiny_worlds import axis_of_runs
 
+from geometry.errors import InputError
 from placement.evaluation import earliest_arrival_s
 from placement.latency_curves import apr_by_latency
 from scenarios.aeb import load_aeb_rule
@@ -141,7 +142,10 @@ def test_a_run_may_be_avoided_with_a_longer_latency_alone():
 def test_a_latency_of_the_vut_that_cannot_be_is_told(frame_axis, latency_s):
     evaluation = seen_evaluation(frame_axis, np.zeros((1, 10)))
 
-    with refused_saying(
-        f"vut_latency_s: got {latency_s}; expected seconds, at least 0"
+    with pytest.raises(
+        InputError,
+        match=re.escape(
+            f"vut_latency_s: got {latency_s}; expected seconds, at least 0"
+        ),
     ):
         apr_by_latency(evaluation, RULE, [0.0], vut_latency_s=latency_s)

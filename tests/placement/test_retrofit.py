@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems
-from refusal_words import refused_saying
 from small_tables import avoiding_problem
 from tiny_worlds import unit_at
 
+from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from placement.candidates import CandidateGrid
 from placement.layout import Layout
@@ -244,7 +244,7 @@ def test_what_is_lost_gained_and_paid():
     problem = avoiding_problem(
         ["1100", "0100", "0010", "0011"], price_eur=[0.0, 0.0, 9.0, 5.0]
     )
-    limits = replace(problem.limits, is_forced=np.array([True, True, False, False]))
+    limits = replace(problem.limits, is_forced=[True, True, False, False])
     poses = RetrofitPoses(
         candidates=tuple(map(_pose, ["A", "B", "B/aim", "new"])),
         unit_index=np.array([0, 1, 1, -1]),
@@ -355,7 +355,9 @@ def test_ids_that_clash_are_refused(grid, camera):
     unit = replace(_pose("A"), sensor=camera)
     twin = replace(unit, id="A/aim/0/-30")
 
-    with refused_saying("layout mine: id: got 'A/aim/0/-30'; expected ids"):
+    with pytest.raises(
+        InputError, match="layout mine: id: got 'A/aim/0/-30'; expected ids"
+    ):
         build_retrofit_poses(_layout(unit), grid, [twin])
 
 

@@ -23,12 +23,12 @@ N_TRACKS = 250
 N_FRAMES = 30
 TRUTH = replace(
     load_planning_detector("response"),
-    seen_share=np.array([0.0, 0.25, 0.5, 0.75, 1.0]),
-    recall=np.array([0.0, 0.3, 0.6, 0.9, 0.95]),
+    seen_share=[0.0, 0.25, 0.5, 0.75, 1.0],
+    recall=[0.0, 0.3, 0.6, 0.9, 0.95],
     height_half_px=35.0,
     height_steepness=4.0,
     min_box_height_px=1.0,
-    class_factor=np.array([1.0, 0.8, 0.9, 0.7, 1.0]),
+    class_factor=[1.0, 0.8, 0.9, 0.7, 1.0],
     cyclist_end_on=0.7,
     frame_correlation=0.6,
     box_noise_share=0.04,

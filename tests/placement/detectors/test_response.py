@@ -9,8 +9,8 @@ from evidences import build_evidence
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import default_rng
-from refusal_words import refusal_of
 
+from geometry.errors import InputError
 from geometry.image_boxes import iou
 from placement.detectors import is_matched, load_planning_detector
 from placement.detectors.response import ResponseDetector
@@ -19,12 +19,12 @@ DETECTOR = load_planning_detector("response")
 assert isinstance(DETECTOR, ResponseDetector)
 PLAIN = ResponseDetector(
     name="by hand",
-    seen_share=np.array([0.0, 0.5, 1.0]),
-    recall=np.array([0.0, 0.6, 0.9]),
+    seen_share=[0.0, 0.5, 1.0],
+    recall=[0.0, 0.6, 0.9],
     height_half_px=20.0,
     height_steepness=2.0,
     min_box_height_px=10.0,
-    class_factor=np.array([1.0, 0.9, 0.8, 0.7, 0.6]),
+    class_factor=[1.0, 0.9, 0.8, 0.7, 0.6],
     cyclist_end_on=0.5,
     contrast_half=0.5,
     contrast_steepness=1.0,
@@ -332,4 +332,6 @@ def test_every_number_but_the_name_changes_the_fingerprint():
     ],
 )
 def test_a_response_says_what_is_wrong(change, message):
-    assert refusal_of(replace, PLAIN, **change).startswith(message)
+    with pytest.raises(InputError) as caught:
+        replace(PLAIN, **change)
+    assert str(caught.value).startswith(message)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from evidences import build_evidence
 from met_cases import MET_CASES
-from refusal_words import refused_saying
 from refusals import refused_with
 
-from geometry.errors import MissingExtraError
+from geometry.errors import InputError, MissingExtraError
 from placement.detectors import load_detector, load_planning_detector, network
 from placement.detectors.evidence import Crop
 from placement.question import Question
@@ -88,7 +87,9 @@ def test_runs_with_it_are_checked_before_anything_is_built(caplog):
         along_arms="0",
     )
 
-    with refused_saying("detector cnn: got runs with a car; expected a network"):
+    with pytest.raises(
+        InputError, match="detector cnn: got runs with a car; expected a network"
+    ):
         build_setting(replace(met, detector="cnn"))
 
     build_setting(replace(met, detector="cnn-table"))

@@ -5,9 +5,9 @@ confirmed.
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from refusal_words import refused_saying
 from scipy.stats import poisson as poisson_law
 
+from geometry.errors import InputError
 from placement.detectors.fitting import (
     LabelledPicture,
     Sightings,
@@ -160,7 +160,7 @@ def test_the_wilson_interval_solves_its_equation(found, frames):
 
 def test_impossible_values_are_refused():
     columns = dict.fromkeys(("height_px", "contrast", "aspect_deg"), np.ones(1))
-    with refused_saying("seen_share: got 1.5; expected 0 .. 1"):
+    with pytest.raises(InputError, match=r"seen_share: got 1\.5; expected 0 \.\. 1"):
         Sightings(
             **columns,
             seen_share=np.array([1.5]),

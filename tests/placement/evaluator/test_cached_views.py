@@ -208,19 +208,6 @@ def test_seed_weathers_and_version_are_part_of_the_key(ask, looked, monkeypatch)
     assert looked == [(["a", "b"], True)] * 4
 
 
-def test_a_damaged_file_is_made_anew(ask, tmp_path, looked, caplog):
-    first = ask()
-    (path,) = tmp_path.glob("views-*.npz")
-    path.write_bytes(path.read_bytes()[:100])
-
-    assert_same(ask(), first)
-    assert "views not used, made anew" in caplog.text
-
-    ask()
-
-    assert len(looked) == 2
-
-
 def test_what_a_network_finds_is_not_kept(setting, tmp_path):
     kept = watch_module._open_cache(
         replace(setting, detector=NeverFinds()), Compute(cache_folder=tmp_path)

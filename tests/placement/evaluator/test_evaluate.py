@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from evidences import build_evidence
-from refusal_words import refused_saying
 from refusals import refused_with
 from tiny_worlds import unit_at
 
 from geometry.catalogue import pick_sensor
+from geometry.errors import InputError
 from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.evaluator import evaluate, perceive
@@ -278,13 +278,15 @@ def test_unknown_sensors_of_the_vut_and_shares_beyond_one_are_named(setting):
     ):
         replace(setting, vut_sensors=("camera", "radar"))
 
-    with refused_saying("vut_sensors: got 'none'; expected one or more of"):
+    with pytest.raises(
+        InputError, match="vut_sensors: got 'none'; expected one or more of"
+    ):
         replace(setting, vut_sensors=())
 
-    with refused_saying("packet_loss: got 1.1; expected 0 .. 1"):
+    with pytest.raises(InputError, match=r"packet_loss: got 1\.1; expected 0 \.\. 1"):
         Radio(packet_loss=1.1)
 
-    with refused_saying("vam_rate: got nan; expected 0 .. 1"):
+    with pytest.raises(InputError, match=r"vam_rate: got nan; expected 0 \.\. 1"):
         Radio(vam_rate=float("nan"))
 
 
@@ -445,10 +447,14 @@ def test_wrong_axis_and_workers_are_named(build_layout, setting, study_runs):
     axis = build_frame_axis(fewer, np.full(len(fewer), 1 / len(fewer)))
 
     for change in ({"axis": axis}, {"runs": fewer}):
-        with refused_saying("axis: got frames of other runs; expected the frame axis"):
+        with pytest.raises(
+            InputError, match="axis: got frames of other runs; expected the frame axis"
+        ):
             evaluate_layout(layout, replace(setting, **change))
 
-    with refused_saying("workers: got 0; expected a whole number, at least 1"):
+    with pytest.raises(
+        InputError, match="workers: got 0; expected a whole number, at least 1"
+    ):
         evaluate_layout(layout, setting, compute=Compute(workers=0))
 
 

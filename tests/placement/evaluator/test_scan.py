@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from placed_bodies import ahead_of, one_mesh, parked_at, parts_of_frame
 
 from geometry.actors import pick_actor
@@ -37,11 +38,6 @@ WALL = (
 )
 
 
-def _rng(seed=0):
-    """A generator."""
-    return np.random.default_rng(seed)
-
-
 @pytest.fixture
 def needs(monkeypatch):
     """Sets how many points it takes, whatever is looked at."""
@@ -63,7 +59,7 @@ def count(needs):
     def count_points(surroundings, pose, lidar=SURE):
         def is_too_much(n_points):
             needs(n_points)
-            return not scan_frames(surroundings, pose, lidar, _rng())[0]
+            return not scan_frames(surroundings, pose, lidar, default_rng(0))[0]
 
         return bisect_left(range(1, 10_000), True, key=is_too_much)
 
@@ -79,7 +75,7 @@ def sees(build_scene, build_run, block):
     ):
         run = replace(build_run(block, vru_poses, vut_poses), weather=weather)
         surroundings = build_surroundings(build_scene(*boxes), [run])
-        return scan_frames(surroundings, pose, lidar, _rng(seed)).tolist()
+        return scan_frames(surroundings, pose, lidar, default_rng(seed)).tolist()
 
     return look
 
@@ -156,13 +152,11 @@ def _plain_counts(scene, runs, pose, lidar):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "pose", [HIGH, replace(LOW, position_m=np.array([-9.0, 1.0, 1.6]))]
-)
+@pytest.mark.parametrize("pose", [HIGH, replace(LOW, position_m=[-9.0, 1.0, 1.6])])
 def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_vru(
     build_scene, build_run, needs, pose
 ):
-    rng = _rng(7)
+    rng = default_rng(7)
     car = parked_at("parked-car-small", 1.0, -2.0, 10.0)
     scene = build_scene(
         ((3.0, 2.0, 0.0), (6.0, 5.0, 3.0)), ((-40.0, -40.0, -1.0), (40.0, 40.0, 0.0))
@@ -196,7 +190,7 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
     for n_points in (1, 10, 40, 120):
         needs(n_points)
 
-        found = scan_frames(surroundings, pose, SURE, _rng())
+        found = scan_frames(surroundings, pose, SURE, default_rng(0))
         # A beam along an edge may go either way in single precision.
         is_clear = (counts == 0) | (np.abs(counts - n_points) > 2)
 
@@ -251,7 +245,7 @@ def test_the_same_seed_brings_the_same_pulses_back(sees):
 
 
 def test_other_frames_do_not_matter(build_scene, build_run):
-    rng = _rng(3)
+    rng = default_rng(3)
     vru, vut = (
         np.column_stack([rng.uniform(3.0, 30.0, 40), rng.uniform(-9.0, 9.0, (40, 2))])
         for _ in range(2)
@@ -260,8 +254,8 @@ def test_other_frames_do_not_matter(build_scene, build_run):
     surroundings = build_surroundings(build_scene(WALL), [run])
     some = np.arange(0, 40, 3)
 
-    every = scan_frames(surroundings, LOW, SURE, _rng())
-    alone = scan_frames(surroundings.take(some), LOW, SURE, _rng())
+    every = scan_frames(surroundings, LOW, SURE, default_rng(0))
+    alone = scan_frames(surroundings.take(some), LOW, SURE, default_rng(0))
 
     assert np.array_equal(alone, every[some])
     assert 0 < every.sum() < 40
@@ -280,7 +274,9 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
 
     def found(scene):
         surroundings = build_surroundings(scene, [run])
-        seen = scan_frames(surroundings, load_vut_camera(), load_vut_lidar(), _rng())
+        seen = scan_frames(
+            surroundings, load_vut_camera(), load_vut_lidar(), default_rng(0)
+        )
         return seen.tolist()
 
     one_place = [True, False, False, True]
@@ -319,7 +315,7 @@ def beams_on_vru(monkeypatch):
             # One by one: a scan has an order of its own.
             for frame in range(len(surroundings.vru_poses)):
                 one = surroundings.take(np.array([frame]))
-                scan_frames(one, pose, lidar, _rng())
+                scan_frames(one, pose, lidar, default_rng(0))
 
         return np.array(counts)
 

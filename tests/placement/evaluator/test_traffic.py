@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from refusal_words import refused_saying
 from tiny_worlds import block_actor, table_of, unit_at
 
 from geometry.actors import MovingActor, pick_actor
+from geometry.errors import InputError
 from placement.compute import DEFAULT_COMPUTE
 from placement.evaluator.evaluate import unit_key, watch
 
@@ -94,5 +94,5 @@ def test_a_vehicle_has_as_many_frames_as_the_run(build_run, bus):
     run = build_run(pick_actor("adult", "test"), [[20.0, 0.0, 0.0]] * 3)
     driving = MovingActor(actor=bus, position_m=np.zeros((2, 2)), yaw_deg=np.zeros(2))
 
-    with refused_saying("2 frames; expected 3"):
+    with pytest.raises(InputError, match="2 frames; expected 3"):
         replace(run, traffic=(driving,))

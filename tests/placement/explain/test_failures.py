@@ -126,8 +126,8 @@ def test_a_pole_takes_all_its_units_with_it(frame_axis, rule, sites):
 def test_runs_without_weight_are_neither_lost_nor_a_margin(frame_axis, rule):
     axis = replace(
         frame_axis,
-        last_brake_time_s=np.array([0.05, 0.1, -np.inf]),
-        weight=np.array([0.0, 1.0, 0.0]),
+        last_brake_time_s=[0.05, 0.1, -np.inf],
+        weight=[0.0, 1.0, 0.0],
     )
     # U0 sees all; U1 sees run 1 only, one frame later.
     rows = np.array(
@@ -150,7 +150,7 @@ def test_runs_without_weight_are_neither_lost_nor_a_margin(frame_axis, rule):
 
 
 def test_the_fastest_of_the_lost_runs_comes_first(frame_axis, rule):
-    axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
+    axis = replace(frame_axis, last_brake_time_s=[0.05, 0.1, -np.inf])
     evaluation = seen_evaluation(axis, np.ones((1, 10)))
 
     (only,) = find_failures(evaluation, rule).one_failed

@@ -160,9 +160,9 @@ def test_night_without_lamps_is_dark_and_lamps_light_the_road(
     night = load_weathers()["night"]
     post = Site(
         id="post",
-        position_m=np.array([0.0, 0.0, 0.0]),
+        position_m=[0.0, 0.0, 0.0],
         kind="lamp post",
-        height_range_m=np.array([4.0, 8.0]),
+        height_range_m=[4.0, 8.0],
         capacity_units=1,
     )
 

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracle import Oracle
 from problems import problems, random_sight
-from refusal_words import refused_saying
 from small_tables import avoiding_problem
 
+from geometry.errors import InputError
 from placement.detection_table import (
     is_mixed,
     mixed_table,
@@ -115,5 +115,7 @@ def test_runs_that_are_there_twice_are_told_once(frame_axis):
 
 def test_frames_of_other_runs_are_refused():
     problem = avoiding_problem(["1"])
-    with refused_saying("seen_by_vut: got shape (1,); expected a flag"):
+    with pytest.raises(
+        InputError, match=r"seen_by_vut: got shape \(1,\); expected a flag"
+    ):
         replace(problem, seen_by_vut=np.ones(1, dtype=bool))

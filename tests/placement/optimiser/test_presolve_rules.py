@@ -168,8 +168,8 @@ def tie_of_margins(price_eur):
         weathers=("day",) * 3,
         vut_speed_kmh=np.full(3, 30.0),
         weight=np.full(3, 1.0 / 3.0),
-        last_brake_time_s=np.array([-0.01, -0.01, -0.01]),
-        run_start=np.array([0, 6, 12, 18]),
+        last_brake_time_s=[-0.01, -0.01, -0.01],
+        run_start=[0, 6, 12, 18],
         time_s=np.tile(np.arange(-5, 1) / 10.0, 3),
     )
     detected = np.zeros((2, 18), dtype=bool)

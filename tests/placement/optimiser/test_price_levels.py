@@ -63,9 +63,9 @@ def test_sites_that_carry_two_leave_fewer_levels():
     problem = avoiding_problem(["1"] * 4, price_eur=[1500.0] * 4, budget_units=3)
     limits = replace(
         problem.limits,
-        site_index=np.array([0, 0, 1, 1]),
-        site_capacity=np.array([2, 2]),
-        site_cost_eur=np.array([1000.0, 1000.0]),
+        site_index=[0, 0, 1, 1],
+        site_capacity=[2, 2],
+        site_cost_eur=[1000.0, 1000.0],
         is_forced_site=np.zeros(2, dtype=bool),
     )
 

@@ -35,7 +35,7 @@ def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver):
     # No pose avoids the run of the first world; of the second world's, one leaves more
     # time.
     problem = avoiding_problem(["010", "001"], budget_units=1)
-    axis = replace(problem.table.axis, last_brake_time_s=np.array([-0.01, -0.01, 0.1]))
+    axis = replace(problem.table.axis, last_brake_time_s=[-0.01, -0.01, 0.1])
     table = replace(problem.table, axis=axis)
     worlds = replace(problem, table=table, sample_index=np.array([0, 1, 1]), tail=0.5)
     with pytest.MonkeyPatch.context() as patch:

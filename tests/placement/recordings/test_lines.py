@@ -1,8 +1,8 @@
 """Lines of labels, detections and world data, and which are refused."""
 
 import pytest
-from refusal_words import refusal_of, refused_saying
 
+from geometry.errors import InputError
 from placement.recordings.files import (
     Detection,
     Label,
@@ -23,7 +23,9 @@ WORLD = "dist car_speed vru_speed, once or repeated exactly"
 def _refusal(read, path, content):
     """Words in which a file is refused, F for its path."""
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return refusal_of(read, path, FORM).replace(str(path), "F")
+    with pytest.raises(InputError) as caught:
+        read(path, FORM)
+    return str(caught.value).replace(str(path), "F")
 
 
 def test_labels_are_read_in_both_spellings_and_empty_lines_are_nothing(tmp_path):
@@ -157,5 +159,7 @@ def test_wrong_world_data_is_named(tmp_path, content, message):
 
 
 def test_a_folder_in_place_of_a_file_is_named(tmp_path):
-    with refused_saying("got Is a directory; expected a readable file"):
+    with pytest.raises(
+        InputError, match="got Is a directory; expected a readable file"
+    ):
         read_labels(tmp_path, FORM)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from refusal_words import refused_saying
 from refusals import refused_with
 
+from geometry.errors import InputError
 from geometry.image_boxes import box_height_px, iou
 from geometry.study_scene import load_study_scene
 from placement.evaluator import build_surroundings, load_vut_camera, perceive_frames
@@ -105,7 +105,9 @@ def test_an_empty_folder_is_filled(tmp_path):
 
 def test_a_file_in_the_way_is_named(tmp_path):
     (tmp_path / "data").write_text("mine")
-    with refused_saying("data: got Not a directory; expected a folder that can"):
+    with pytest.raises(
+        InputError, match="data: got Not a directory; expected a folder that can"
+    ):
         write_recording(tmp_path / "data", [_drive()])
 
     assert [path.name for path in tmp_path.iterdir()] == ["data"]

@@ -1,8 +1,8 @@
 """Sources of moving traffic."""
 
 import pytest
-from refusal_words import refusal_of
 
+from geometry.errors import InputError
 from geometry.registry import load_entry
 from geometry.study_scene import load_study_scene
 from placement.sampling.driving import SOURCES, load_traffic
@@ -15,7 +15,9 @@ def test_every_source_of_moving_traffic_loads(name):
 
 @pytest.mark.parametrize("source", ["vissim", "toml", "traffic.xml", ""])
 def test_an_unknown_source_is_refused(source):
-    refusal = refusal_of(load_traffic, source, load_study_scene())
+    with pytest.raises(InputError) as caught:
+        load_traffic(source, load_study_scene())
+    refusal = str(caught.value)
 
     assert refusal.endswith("; expected sumo, or a .toml file of demand for it")
     assert refusal.startswith("traffic: got ")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from changes import changed
 from numpy.random import default_rng
-from refusal_words import refusal_of
 from sampled_worlds import first_world
 from short_runs import cut_run
 
 from geometry.catalogue import load_lidars
+from geometry.errors import InputError
 from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.detectors.response import LastingNoise
@@ -338,4 +338,6 @@ def test_what_cannot_be_names_file_and_field(tmp_path, text, message):
     path = tmp_path / "mine.toml"
     path.write_text(text)
 
-    assert refusal_of(load_uncertainty, str(path)).startswith(f"{path}: {message}")
+    with pytest.raises(InputError) as caught:
+        load_uncertainty(str(path))
+    assert str(caught.value).startswith(f"{path}: {message}")

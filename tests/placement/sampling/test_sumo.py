@@ -13,7 +13,6 @@ import pytest
 import shapely
 from junctions import protocol_scene
 from placed_bodies import ahead_of
-from refusal_words import refusal_of
 from short_runs import cut_run
 
 from geometry.errors import MissingExtraError
@@ -88,7 +87,9 @@ def drive(scene, demand, runs, seed=0):
 def test_without_sumo_one_line_says_what_is_missing(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
 
-    message = refusal_of(load_traffic, "sumo", protocol_scene(), kind=MissingExtraError)
+    with pytest.raises(MissingExtraError) as caught:
+        load_traffic("sumo", protocol_scene())
+    message = str(caught.value)
 
     assert message == str(missing_sumo())
     assert "pip install place-rsus[traffic]" in message

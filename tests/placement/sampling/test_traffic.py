@@ -7,11 +7,11 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 from junctions import ARMS, MOUTH_M, build_scene, lanes_of, protocol_scene
-from refusal_words import refused_saying
 from sampled_worlds import first_world
 from shapely import Polygon
 
 from geometry.actors import load_actors, read_body
+from geometry.errors import InputError
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line, build_junction
 from geometry.scene import strips_of
@@ -107,7 +107,9 @@ def test_nobody_but_a_bus_waits_or_parks_in_a_bus_lane():
 
 
 def test_a_bus_lane_share_needs_a_bus():
-    with refused_saying("vehicles: got no bus; expected one named bus"):
+    with pytest.raises(
+        InputError, match="vehicles: got no bus; expected one named bus"
+    ):
         _traffic(bus_lane_share=0.5)
 
 
@@ -410,5 +412,5 @@ def test_all_speeds_of_a_case_see_the_same_street(runs, build_setting, default):
 
 
 def test_a_scene_without_a_junction_has_no_street(default):
-    with refused_saying("lanes that begin or end at the outline"):
+    with pytest.raises(InputError, match="lanes that begin or end at the outline"):
         build_street(build_scene(()), default.traffic)

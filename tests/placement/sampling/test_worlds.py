@@ -272,7 +272,7 @@ def test_weathers_of_a_repeated_run_share_its_draws(setting):
 
 
 def test_what_the_vut_sees_is_repeated_with_its_run(setting):
-    axis = replace(setting.axis, weight=np.array([0.1, 0.8, 0.1]))
+    axis = replace(setting.axis, weight=[0.1, 0.8, 0.1])
     seen = np.random.default_rng(0).random(axis.n_frames) < 0.5
 
     often = repeat_heavy_runs(replace(setting, axis=axis, seen_by_vut=seen), most=10)

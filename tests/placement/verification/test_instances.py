@@ -9,7 +9,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from problems import questions
-from refusal_words import refused_saying
 
 from geometry.errors import InputError
 from placement.detection_table import DetectionTable
@@ -114,7 +113,7 @@ def _flipped(packed):
 
 def _with_other_frames(axis):
     """The axis with other frames."""
-    return replace(axis, run_start=np.array([0, 3, 7, 10]), time_s=np.arange(10) / 10)
+    return replace(axis, run_start=[0, 3, 7, 10], time_s=np.arange(10) / 10)
 
 
 def _of_second_floor(**values):
@@ -198,12 +197,14 @@ def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(
 
     rewrite(path, there, positions=np.array(["-15", "0", "far"]))
 
-    with refused_saying("a.npz: positions: got 'far'; expected 0, or metres"):
+    with pytest.raises(
+        InputError, match=r"a\.npz: positions: got 'far'; expected 0, or metres"
+    ):
         load_problem(path)
 
     rewrite(path, there, positions=np.array(["-15", "0"]))
 
-    with refused_saying("a.npz: positions: got "):
+    with pytest.raises(InputError, match=r"a\.npz: positions: got "):
         load_problem(path)
 
 
@@ -228,7 +229,7 @@ def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(
     packed = problem.table.packed.copy()
     packed[:, -1] |= 0b11111100  # ten frames
     axis = replace(problem.table.axis, time_s=-1.0 * -problem.table.axis.time_s)
-    limits = replace(problem.limits, site_cost_eur=np.array([500.0, -0.0]))
+    limits = replace(problem.limits, site_cost_eur=[500.0, -0.0])
     table = replace(problem.table, axis=axis, packed=packed)
     same = replace(problem, table=table, limits=limits)
 
@@ -365,7 +366,9 @@ def test_objects_are_never_loaded(problem, tmp_path):
     path = tmp_path / "a.npz"
     rewrite(path, problem, pose_ids=np.array(["a", None, "c"], dtype=object))
 
-    with refused_saying("a.npz: pose_ids: got Object arrays cannot be loaded"):
+    with pytest.raises(
+        InputError, match=r"a\.npz: pose_ids: got Object arrays cannot be loaded"
+    ):
         load_problem(path)
 
 
@@ -378,7 +381,7 @@ def test_a_file_that_is_no_instance_is_refused(tmp_path):
     ):
         load(path)
 
-    with refused_saying("got Is a directory; expected a readable"):
+    with pytest.raises(InputError, match="got Is a directory; expected a readable"):
         load(tmp_path)
 
     for content in (b"", b"PK\3\4", b"4 5\n1 1 1 1 1\n"):
@@ -391,12 +394,16 @@ def test_a_file_that_is_no_instance_is_refused(tmp_path):
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
 
-    with refused_saying("got File is not a zip file; expected an undamaged"):
+    with pytest.raises(
+        InputError, match="got File is not a zip file; expected an undamaged"
+    ):
         load(path)
 
     np.savez(path, rows=np.zeros(3))
 
-    with refused_saying("a.npz: kind: got nothing; expected a text such as"):
+    with pytest.raises(
+        InputError, match=r"a\.npz: kind: got nothing; expected a text such as"
+    ):
         load(path)
 
 

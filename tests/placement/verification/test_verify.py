@@ -308,7 +308,7 @@ def test_units_on_one_site_are_not_shown_on_two(problem, tmp_path):
         limits=replace(
             problem.limits,
             site_index=np.zeros(12, dtype=np.int64),
-            site_capacity=np.array([2]),
+            site_capacity=[2],
             site_cost_eur=np.zeros(1),
             is_forced_site=np.zeros(1, dtype=bool),
             rivals=np.zeros((0, 2), dtype=np.int64),
