@@ -95,7 +95,9 @@ def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(
         if taken.count(one.site_id) < capacity.get(one.site_id, 1)
     ]
 
-    assert found.after.apr == pytest.approx(max(apr_of([*weak, one]) for one in free))
+    expected = max(apr_of([*weak, one]) for one in free)
+
+    assert found.after.apr == pytest.approx(expected)
     assert found.before.apr == pytest.approx(apr_of(weak))
     assert found.bound == found.after.apr
 

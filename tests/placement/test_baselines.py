@@ -248,7 +248,10 @@ def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
         budget_units=2,
     )
     problem = problem_of(
-        limits, {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]}, frame_axis, rule
+        limits,
+        {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]},
+        frame_axis,
+        rule,
     )
 
     found = judge_proposals(problem, proposals())

@@ -84,7 +84,9 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     whole = [share for name, share in shares.items() if name not in refused]
 
     assert sum(shares.values()) == pytest.approx(1.0)
-    assert whole == pytest.approx([max(shares.values())] * len(whole))
+    expected = [max(shares.values())] * len(whole)
+
+    assert whole == pytest.approx(expected)
     assert min(shares[name] for name in refused) < whole[0]
 
     there = weight[(cases == "CPLA-50") & (np.array(setting.axis.positions) == "+15")]
@@ -370,7 +372,9 @@ def test_the_list_has_a_row_per_case_and_approach():
     # Stopping short of the flank: v / (2 a).
     speeds = np.array(crossing.speeds_kmh) / 3.6
 
-    assert crossing.last_brake_time_s == pytest.approx(-speeds / (2.0 * 7.72), abs=1e-3)
+    expected = -speeds / (2.0 * 7.72)
+
+    assert crossing.last_brake_time_s == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.long

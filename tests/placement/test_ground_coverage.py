@@ -38,7 +38,9 @@ def test_density_is_focal_length_over_depth():
 
     down = find_ground_coverage(protocol_scene(), [unit(pitch_deg=-90.0)])
 
-    assert at(down, -30.0, 0.5)[0] == pytest.approx(960.0 / (6.0 - LOOK_AT_M))
+    expected = 960.0 / (6.0 - LOOK_AT_M)
+
+    assert at(down, -30.0, 0.5)[0] == pytest.approx(expected)
 
 
 def test_shares_of_the_road_add_up_to_one_and_walls_take_some():

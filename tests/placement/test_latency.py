@@ -98,7 +98,9 @@ def test_budgets_differ_by_the_wait_alone():
 def test_best_mean_and_worst_are_in_order_and_add_up(budget):
     assert budget.best_s <= budget.mean_s <= budget.worst_s
     assert budget.mean_s == pytest.approx(0.5 * (budget.best_s + budget.worst_s))
-    assert budget.worst_s == pytest.approx(sum(part.high_s for part in budget.parts))
+    expected = sum(part.high_s for part in budget.parts)
+
+    assert budget.worst_s == pytest.approx(expected)
 
 
 def test_draws_stay_within_and_have_mean_and_variance_of_the_sum():

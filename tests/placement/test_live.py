@@ -74,7 +74,13 @@ def zoomed(fov_deg):
     fov_deg=st.sampled_from([None, 20.0, 47.0, 100.0]),
 )
 def test_rows_are_those_of_the_detection_table(
-    setting, table, site, height_m, yaw_deg, pitch_deg, fov_deg
+    setting,
+    table,
+    site,
+    height_m,
+    yaw_deg,
+    pitch_deg,
+    fov_deg,
 ):
     if fov_deg is None:
         sensor = None

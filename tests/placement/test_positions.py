@@ -82,9 +82,9 @@ def test_errors_of_the_aim_are_derivatives_of_the_camera_model(
     # A tilt is about the camera's axis across: off it, the place moves less along.
     along = abs(np.cos(np.radians(off_deg)))
 
-    assert abs(tilted @ sight) == pytest.approx(
-        along * found.aim_along_m[0] / 1.0, rel=1e-3
-    )
+    expected = along * found.aim_along_m[0] / 1.0
+
+    assert abs(tilted @ sight) == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize(("height_m", "distance_m", "off_deg"), PLACES)
@@ -112,9 +112,9 @@ def test_errors_of_the_box_are_derivatives_of_the_camera_model(
     # The formula takes angles to be small and the picture to be curved.
     assert abs(moved @ sight) == pytest.approx(found.box_along_m[0], rel=0.12)
     # Where the body is low against the height, as the text says.
-    assert found.box_along_m[0] == pytest.approx(
-        height_share * BODY_M[0] * distance_m / height_m, rel=0.35
-    )
+    expected = height_share * BODY_M[0] * distance_m / height_m
+
+    assert found.box_along_m[0] == pytest.approx(expected, rel=0.35)
 
 
 def test_covariances_have_the_errors_as_their_axes():
@@ -135,7 +135,9 @@ def test_covariances_have_the_errors_as_their_axes():
     across = np.hypot(found.box_across_m, found.aim_across_m)[0]
 
     assert sight @ matrix @ sight == pytest.approx(along**2)
-    assert np.linalg.det(matrix) == pytest.approx((along * across) ** 2)
+    expected = (along * across) ** 2
+
+    assert np.linalg.det(matrix) == pytest.approx(expected)
 
 
 @pytest.mark.long
@@ -199,7 +201,9 @@ def test_a_lidar_knows_the_range_and_a_camera_the_bearing():
 
     spacing = np.radians(lidar.horizontal_fov_deg) / lidar.n_columns
 
-    assert by_lidar.box_across_m[0] == pytest.approx(30.0 * spacing / np.sqrt(12.0))
+    expected = 30.0 * spacing / np.sqrt(12.0)
+
+    assert by_lidar.box_across_m[0] == pytest.approx(expected)
 
 
 def test_a_camera_below_the_feet_does_not_know_how_far_away_they_are():

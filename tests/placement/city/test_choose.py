@@ -121,7 +121,12 @@ def brute_force(options, weight, wishes):
     st.sampled_from([None, 0.25]),
 )
 def test_the_choice_is_the_best_of_all_in_every_objective(
-    found, weights, units, halves, least_in_district, least
+    found,
+    weights,
+    units,
+    halves,
+    least_in_district,
+    least,
 ):
     if units is None and halves is None:
         units = 3

@@ -93,7 +93,12 @@ def test_unobstructed_vru_has_the_pinhole_size(look, camera, block, distance_m):
     ],
 )
 def test_wall_up_to_the_optical_axis_halves_the_box(
-    look, camera, block, low, high, side
+    look,
+    camera,
+    block,
+    low,
+    high,
+    side,
 ):
     amodal, visible = look(block, [10.0, 0.0, 0.0], walls=[(low, high)])
     expected = amodal.copy()
@@ -159,7 +164,11 @@ def _drawn(corners_m, camera, window):
 def _image(camera, up_m=0.0):
     """The camera's image, before anything is drawn."""
     return Image(
-        camera.focal_length_px, camera.width_px, camera.height_px, camera.near_m, up_m
+        camera.focal_length_px,
+        camera.width_px,
+        camera.height_px,
+        camera.near_m,
+        up_m,
     )
 
 
@@ -332,7 +341,10 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
 
         draw(_image(camera, 1.4), points, mesh.skin.triangles, window, depth)
         cast = cast_crops(
-            build_lens(pose, camera), body, road_pose[None], np.array([window])
+            build_lens(pose, camera),
+            body,
+            road_pose[None],
+            np.array([window]),
         )[0]
         n_differ += (np.isfinite(depth) != np.isfinite(cast)).sum()
         n_hit += np.isfinite(cast).sum()

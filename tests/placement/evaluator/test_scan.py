@@ -71,7 +71,13 @@ def sees(build_scene, build_run, block):
     """Whether a LiDAR on the roadside detects the block in each frame."""
 
     def look(
-        vru_poses, *boxes, vut_poses=None, pose=LOW, lidar=STUDY, weather="day", seed=0
+        vru_poses,
+        *boxes,
+        vut_poses=None,
+        pose=LOW,
+        lidar=STUDY,
+        weather="day",
+        seed=0,
     ):
         run = replace(build_run(block, vru_poses, vut_poses), weather=weather)
         surroundings = build_surroundings(build_scene(*boxes), [run])
@@ -209,7 +215,13 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
     ],
 )
 def test_grazing_and_dark_surfaces_send_less_back(
-    build_scene, build_run, block, count, distance_m, yaw_deg, is_seen
+    build_scene,
+    build_run,
+    block,
+    count,
+    distance_m,
+    yaw_deg,
+    is_seen,
 ):
     """At the distance at which a pulse met squarely comes back half the time."""
     reflectivity = load_lidar_detection().reflectivity["pedestrian"]
@@ -275,7 +287,10 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     def found(scene):
         surroundings = build_surroundings(scene, [run])
         seen = scan_frames(
-            surroundings, load_vut_camera(), load_vut_lidar(), default_rng(0)
+            surroundings,
+            load_vut_camera(),
+            load_vut_lidar(),
+            default_rng(0),
         )
         return seen.tolist()
 
@@ -338,7 +353,12 @@ def _around(build_run, name, distance_m, n_frames):
     [*product((RING, WIDE, SECTOR), (0.0, -35.0), (1.5, 9.0))],
 )
 def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
-    build_scene, build_run, beams_on_vru, lidar, pitch_deg, distance_m
+    build_scene,
+    build_run,
+    beams_on_vru,
+    lidar,
+    pitch_deg,
+    distance_m,
 ):
     """Also over the seam behind, and below the LiDAR, where a VRU is at all azimuths at
     once.

@@ -53,7 +53,11 @@ def test_on_a_plane_the_pitch_is_the_grade_along_the_heading(grade, yaw_deg):
     slope = terrain(lambda east, north: grade * east)
 
     pitch_deg = pitch_on_ground_deg(
-        [[3.0, -7.0]], [yaw_deg], slope, front_m=1.4, wheelbase_m=2.9
+        [[3.0, -7.0]],
+        [yaw_deg],
+        slope,
+        front_m=1.4,
+        wheelbase_m=2.9,
     )
     along = grade * np.cos(np.radians(yaw_deg))
 

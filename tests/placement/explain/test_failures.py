@@ -75,7 +75,11 @@ def test_every_failure_is_as_brute_force_says(axis, n_units, data):
     for item in (failures.none_failed, *failures.one_failed, *failures.two_failed):
         failed = [int(name[1:]) for name in item.unit_ids]
         share, margin_s, avoided = brute_force(
-            axis, detected, latencies_s, rule, failed
+            axis,
+            detected,
+            latencies_s,
+            rule,
+            failed,
         )
 
         assert item.apr == pytest.approx(share)

@@ -126,7 +126,9 @@ def test_usual_errors_cost_what_a_layout_built_so_has(setting):
 
     worst = found.worst
 
-    assert worst.apr == pytest.approx(min(apr for apr, _ in cost.values()))
+    expected = min(apr for apr, _ in cost.values())
+
+    assert worst.apr == pytest.approx(expected)
     assert (worst.apr, len(worst.lost_run_ids)) == pytest.approx(
         cost[worst.kind, worst.step]
     )

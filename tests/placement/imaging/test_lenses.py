@@ -123,7 +123,12 @@ def test_a_dark_rim_does_not_lengthen_the_exposure_of_what_stands_still(
 @pytest.mark.long
 @pytest.mark.parametrize("model", ["brown-conrady", "fisheye"])
 def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
-    backdrop, study_run, small, day, draw, model
+    backdrop,
+    study_run,
+    small,
+    day,
+    draw,
+    model,
 ):
     lens, fov_deg = LENSES[model]
     camera = replace(small, horizontal_fov_deg=fov_deg, lens=lens)

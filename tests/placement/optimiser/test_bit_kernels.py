@@ -153,7 +153,12 @@ def test_first_live_windows_with_each_pose_are_those_of_the_unions(seed, n_poses
     begin = int(rng.integers(0, n_chains + 1))
     first = np.full((n_chains, n_poses), -1, dtype=np.int32)
     kernels.first_live_with_each(
-        columns_of(sees), alone, chains, begin, n_chains, first
+        columns_of(sees),
+        alone,
+        chains,
+        begin,
+        n_chains,
+        first,
     )
 
     assert (first[:begin] == -1).all()

@@ -84,9 +84,9 @@ def test_the_number_of_threads_changes_no_proven_value(problem, workers):
 
     some = solve_placement(problem, reduced, effort=Effort(workers=workers))
 
-    assert [s.objective for s in one.certificate.stages] == pytest.approx(
-        [s.objective for s in some.certificate.stages]
-    )
+    expected = [s.objective for s in some.certificate.stages]
+
+    assert [s.objective for s in one.certificate.stages] == pytest.approx(expected)
 
     front = pareto_front(problem, max_units=1, effort=Effort(workers=workers))
 

@@ -98,7 +98,10 @@ def test_what_allowed_sets_are_parts_of_may_grow(seed, size):
     grows = may_grow(replace(limits, budget_units=None), sets)
 
     for units, reason, may in zip(
-        sets.tolist(), of_sites_and_money, grows, strict=True
+        sets.tolist(),
+        of_sites_and_money,
+        grows,
+        strict=True,
     ):
         if may:
             assert reason not in ("sites", "money"), units

@@ -70,9 +70,9 @@ def test_runs_out_of_reach_still_count_as_lost(seed, tail):
     is_avoided = rng.random(8) < 0.7
     is_lost = ~np.isin(np.arange(8), runs)
 
-    assert part.of(is_avoided[runs]) == pytest.approx(
-        float(measure.of(is_avoided & ~is_lost))
-    )
+    expected = float(measure.of(is_avoided & ~is_lost))
+
+    assert part.of(is_avoided[runs]) == pytest.approx(expected)
     assert (part.sample_weight == measure.sample_weight).all()
 
 

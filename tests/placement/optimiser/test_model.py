@@ -163,7 +163,10 @@ def drawn_requirement(reduced, n_failures, place):
 def meets(reduced, units, requirement):
     """Do units meet a requirement, also when some fail?"""
     left = left_after_failures(
-        reduced, requirement.measure, requirement.n_failures, units[None, :]
+        reduced,
+        requirement.measure,
+        requirement.n_failures,
+        units[None, :],
     )
     return bool(left[0] >= requirement.least - 1e-9)
 

@@ -112,7 +112,10 @@ def tie_search(reduced, units, n_failures, *, ahead=0.0):
             left=left,
         ),
         limit=lambda least, deadline: failure_limit(
-            root, n_failures, least, deadline=deadline
+            root,
+            n_failures,
+            least,
+            deadline=deadline,
         ),
         ahead=ahead,
         n_failures=n_failures,

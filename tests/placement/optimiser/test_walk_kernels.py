@@ -326,7 +326,13 @@ def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
     while place[-1] >= 0:
         out = np.empty((n_out, 3), dtype=np.int64)
         n_found = kernels.spell_out(
-            words, of_classes, losses, with_failures, classes, place, out
+            words,
+            of_classes,
+            losses,
+            with_failures,
+            classes,
+            place,
+            out,
         )
         found += [tuple(sorted(row)) for row in out[:n_found].tolist()]
 
@@ -334,7 +340,10 @@ def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
     for chosen in product(*(parts[k] for k in classes)):
         units = sorted(set(chosen))
         if len(units) == 3 and keeps(
-            losses, sees[units], alone, with_failures=with_failures
+            losses,
+            sees[units],
+            alone,
+            with_failures=with_failures,
         ):
             expected.add(tuple(units))
 

@@ -286,7 +286,10 @@ def test_a_varifocal_lens_zooms_in_on_what_is_far_away(
     assert record["fov_deg"] == unit.sensor.horizontal_fov_deg
 
     (back,) = layout_from_records(
-        "l", [record], "f.json", sensors={"own": camera}
+        "l",
+        [record],
+        "f.json",
+        sensors={"own": camera},
     ).units
 
     assert back.sensor == unit.sensor

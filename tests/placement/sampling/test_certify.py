@@ -42,7 +42,9 @@ def test_limits_are_those_of_the_formula():
     assert found.least.low == pytest.approx(least)
     assert found.gap == pytest.approx(most - least)
     assert found.bias + found.chance == pytest.approx(found.gap)
-    assert found.bias == pytest.approx(np.mean(bounds) - np.mean(aprs))
+    expected = np.mean(bounds) - np.mean(aprs)
+
+    assert found.bias == pytest.approx(expected)
 
 
 def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):

@@ -29,7 +29,10 @@ def _noise(frames, correlation, seed):
     """Noise of frames whose neighbours are linked."""
     links = link_frames(np.asarray(frames))
     return _noise_at(
-        links.run_of_frame, links.place_of_frame, np.uint64(seed), correlation
+        links.run_of_frame,
+        links.place_of_frame,
+        np.uint64(seed),
+        correlation,
     )
 
 
@@ -40,7 +43,13 @@ def _noise_at(run, place, key, correlation):
     for index in range(len(run)):
         step = np.sqrt(1.0 - correlation**2)
         noise[index] = _linked(
-            key, correlation, step, run[index], place[index], -1, 0.0
+            key,
+            correlation,
+            step,
+            run[index],
+            place[index],
+            -1,
+            0.0,
         )
 
     return noise
@@ -177,7 +186,9 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
 
     assert 0.2 < (cameras != drawn[:2]).mean() < 0.6  # other coins
     # Of the same kind.
-    assert cameras.mean() == pytest.approx(drawn[:2].mean(), abs=0.03)
+    expected = drawn[:2].mean()
+
+    assert cameras.mean() == pytest.approx(expected, abs=0.03)
 
     for row, pose in enumerate(poses[:2]):
         for index, run in enumerate(setting.runs):

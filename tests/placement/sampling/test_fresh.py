@@ -81,7 +81,9 @@ def test_without_uncertainty_every_world_is_the_plan(setting, layouts):
 
     result = out_of_sample(setting, layouts[0], Uncertainty(), n_samples=2)
 
-    assert result.apr_by_sample == pytest.approx(np.full(2, axis.weight @ avoided))
+    expected = np.full(2, axis.weight @ avoided)
+
+    assert result.apr_by_sample == pytest.approx(expected)
     assert result.avoided_share.tolist() == avoided.astype(float).tolist()
     assert avoided.any()
 
@@ -224,7 +226,10 @@ def test_cars_that_see_are_judged_without_units_too(setting, layouts, dirty_shar
     slow = _with_units(layouts[1], latency_s=60.0)
 
     quick, late = out_of_sample_layouts(
-        seeing, [layouts[1], slow], uncertainty, n_samples=3
+        seeing,
+        [layouts[1], slow],
+        uncertainty,
+        n_samples=3,
     )
 
     assert late.alone == pytest.approx(late.estimate.mean)

@@ -28,7 +28,13 @@ def asked(setting, candidates, monkeypatch):
     """
 
     def build(
-        *, greedy, fresh=(BEHIND, AHEAD), n_samples=2, detector=None, cars=0.0, **wishes
+        *,
+        greedy,
+        fresh=(BEHIND, AHEAD),
+        n_samples=2,
+        detector=None,
+        cars=0.0,
+        **wishes,
     ):
         monkeypatch.setattr(
             pipeline, "solve_greedy", lambda problem, reduced: (greedy,)

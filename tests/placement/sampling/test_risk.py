@@ -124,4 +124,6 @@ def test_the_error_of_a_tail_is_that_of_fresh_worlds():
     # Both layouts have the same worlds: one that is always better is so in every draw.
     better = resampled_cvar([samples[0] + 0.0, samples[0] - 0.01], 0.25)
 
-    assert better[0] - better[1] == pytest.approx(np.full(1000, 0.01))
+    expected = np.full(1000, 0.01)
+
+    assert better[0] - better[1] == pytest.approx(expected)

@@ -457,9 +457,9 @@ def test_who_starts_faster_is_at_the_impact_in_the_same_moment(laid, rule):
 
     assert quick.acceleration_distance_m == pytest.approx(speed_mps**2 / 4.0)
     assert quick.acceleration_mps2 == pytest.approx(2.0)
-    assert quick.distance_m(0.0) == pytest.approx(
-        float(run.encounter.vru_motion.distance_m(0.0)), abs=1e-6
-    )
+    expected = float(run.encounter.vru_motion.distance_m(0.0))
+
+    assert quick.distance_m(0.0) == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,9 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
     table, axis, n_runs = stacked.table, setting.axis, setting.axis.n_runs
 
     assert table.axis.weight.sum() == pytest.approx(1.0, abs=1e-12)
-    assert stacked.sample_index.tolist() == [0] * n_runs + [1] * n_runs + [2] * n_runs
+    expected = [0] * n_runs + [1] * n_runs + [2] * n_runs
+
+    assert stacked.sample_index.tolist() == expected
     assert table.axis.run_ids[n_runs] == f"{axis.run_ids[0]}#2"
     assert table.axis.cases == axis.cases * 3
 
@@ -282,7 +284,12 @@ def truck(default):
 
 
 def test_a_vehicle_that_waits_hides_a_vru_behind_it(
-    junction_scene, standing_still, build_setting, look, keen, truck
+    junction_scene,
+    standing_still,
+    build_setting,
+    look,
+    keen,
+    truck,
 ):
     """By hand: a box from 12.5 to 20.5 m east, 0.5 to 3.0 m north, 3.4 m high.
 
@@ -319,7 +326,13 @@ def test_a_vehicle_that_waits_hides_a_vru_behind_it(
 
 
 def test_what_waits_in_the_way_of_the_vut_hides_nothing(
-    junction_scene, junction_runs, standing_still, build_setting, look, keen, truck
+    junction_scene,
+    junction_runs,
+    standing_still,
+    build_setting,
+    look,
+    keen,
+    truck,
 ):
     """The same box, but the VUT comes from the east, in whose lane it would stand."""
     runs = [

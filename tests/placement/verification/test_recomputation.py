@@ -230,6 +230,6 @@ def test_the_best_others_of_a_solved_problem_are_the_solution_itself(frame_axis,
     best = recomputation.best_others(problem, stages, recomputation.all_sets(problem))
 
     assert [other.name for other in best] == [stage.name for stage in stages]
-    assert [other.value for other in best] == pytest.approx(
-        [stage.objective for stage in stages]
-    )
+    expected = [stage.objective for stage in stages]
+
+    assert [other.value for other in best] == pytest.approx(expected)

@@ -175,7 +175,14 @@ def test_a_table_of_candidates_far_away_is_empty(world, mount):
     numbers(0.1, 5.0),
 )
 def test_nothing_beyond_the_largest_distance_is_high_enough(
-    camera, min_height_px, yaw_deg, pitch_deg, pixel, times, direction, extent_m
+    camera,
+    min_height_px,
+    yaw_deg,
+    pitch_deg,
+    pixel,
+    times,
+    direction,
+    extent_m,
 ):
     """Two points of a body, both in the image, the nearer one just beyond the
     distance.

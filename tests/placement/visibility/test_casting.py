@@ -152,7 +152,10 @@ def test_sight_is_the_naive_one_with_parked_bodies_of_one_run_only(
 ):
     eye = np.array([-14.0, -3.0, 2.5])
     plain, cyclist = _random_runs(
-        build_run, default_rng(11), 30, vut_between_of=eye[:2]
+        build_run,
+        default_rng(11),
+        30,
+        vut_between_of=eye[:2],
     )
     parked = (
         parked_at("parked-van", -9.0, -2.0, 80.0),
@@ -344,7 +347,7 @@ def test_the_same_pose_at_another_speed_is_cast_once(study_runs):
 
     position = world.views.position_m[world.views.view_of_frame] + world.origin_m[:2]
 
-    assert position == pytest.approx(
-        np.concatenate([run.vru_position_m for run in study_runs]), abs=1e-4
-    )
+    expected = np.concatenate([run.vru_position_m for run in study_runs])
+
+    assert position == pytest.approx(expected, abs=1e-4)
     assert load_actors()["vut"] is world.vehicles.actors[0]

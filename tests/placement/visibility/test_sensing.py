@@ -60,7 +60,11 @@ def table_of(axis_of):
 
     def build(scene, candidates, runs, detector=FAR_SIGHTED):
         table = build_detection_table(
-            scene, candidates, runs, axis_of(runs), detector=detector
+            scene,
+            candidates,
+            runs,
+            axis_of(runs),
+            detector=detector,
         )
         return table.detected(slice(None))
 
@@ -99,7 +103,12 @@ def test_in_fog_the_table_loses_what_is_beyond_the_visibility_and_nothing_else(
 
 @pytest.mark.parametrize("detector", [FAR_SIGHTED, RESPONSE], ids=lambda d: d.name)
 def test_no_weather_shows_what_the_day_does_not(
-    build_scene, build_run, mount, small_camera, table_of, detector
+    build_scene,
+    build_run,
+    mount,
+    small_camera,
+    table_of,
+    detector,
 ):
     random_runs = _jumping(build_run, 40.0)
     candidates = [
@@ -165,7 +174,10 @@ def test_the_response_foretold_by_points_is_that_of_pixels(
     """
     candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
     evidence = _evidence_of_frames(
-        build_scene(*WALLS), random_runs, candidate, RESPONSE
+        build_scene(*WALLS),
+        random_runs,
+        candidate,
+        RESPONSE,
     )
     by_points, by_pixels = (RESPONSE.probability(one) for one in evidence)
     is_seen = (by_points > 0.05) | (by_pixels > 0.05)
@@ -201,7 +213,11 @@ def expected_points(monkeypatch, build_scene, axis_of):
             )
             monkeypatch.setattr(sensing, "load_lidar_detection", lambda: detection)
             table = build_detection_table(
-                build_scene(), [candidate], [run], axis_of([run]), detector=FAR_SIGHTED
+                build_scene(),
+                [candidate],
+                [run],
+                axis_of([run]),
+                detector=FAR_SIGHTED,
             )
             return not table.detected(slice(None))[0, 0]
 
@@ -240,7 +256,12 @@ def test_a_plate_gets_its_area_by_the_square_of_the_distance_times_the_density(
 @pytest.mark.long
 @pytest.mark.parametrize("body", ["adult", "child", "cyclist"])
 def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
-    build_scene, build_run, mount, expected_points, monkeypatch, body
+    build_scene,
+    build_run,
+    mount,
+    expected_points,
+    monkeypatch,
+    body,
 ):
     """On average over poses all around, in the open: within 8 %."""
     candidate = mount("a", [0.0, 0.0, 1.2], camera=SURE)
@@ -278,7 +299,10 @@ def test_a_lidars_table_leaves_of_those_with_enough_points_who_are_near_enough(
     )
     by_points = table_of(build_scene(), [at], random_runs, replace(rule, lidar=None))[0]
     found = table_of(
-        build_scene(), [at], random_runs, replace(rule, lidar=half_at_30_m)
+        build_scene(),
+        [at],
+        random_runs,
+        replace(rule, lidar=half_at_30_m),
     )[0]
     vru = np.concatenate([run.vru_position_m[:, :2] for run in random_runs])
     distance = np.hypot(*(vru - at.pose.position_m[:2]).T)

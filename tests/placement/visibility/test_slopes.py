@@ -108,7 +108,11 @@ def test_a_lifted_world_looks_as_one_at_zero(
         ]
         tables.append(
             build_detection_table(
-                scene, candidates, here, axis, detector=load_planning_detector()
+                scene,
+                candidates,
+                here,
+                axis,
+                detector=load_planning_detector(),
             ).packed
         )
         surroundings = build_surroundings(scene, here)
