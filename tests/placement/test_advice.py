@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import combinations
 
 import pytest
+from changes import changed
 from small_results import build_small_grid, build_small_setting
 from tiny_worlds import unit_at
 
@@ -23,11 +24,13 @@ from placement.retrofit import Adviser, free_name
 
 @pytest.fixture(scope="module")
 def setting():
+    """A few runs."""
     return build_small_setting()
 
 
 @pytest.fixture(scope="module")
 def adviser(setting, tmp_path_factory):
+    """Advises on the small question."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(poses, "load_candidate_grid", build_small_grid)
         assembly = assemble(
@@ -63,6 +66,7 @@ def weak(setting):
 
 @pytest.fixture(scope="module")
 def apr_of(setting):
+    """Finds the APR of units."""
     live = LiveTable(setting)
 
     def apr(units):
@@ -77,6 +81,7 @@ def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(
     adviser, weak, apr_of, setting
 ):
     found = adviser.best_next(weak)
+
     assert [unit.id for unit in found.units[:2]] == ["U1", "mine"]
     assert found.units[2].id == "U2"
     assert found.is_proven
@@ -90,13 +95,16 @@ def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(
         if taken.count(one.site_id) < capacity.get(one.site_id, 1)
     ]
 
-    assert found.after.apr == pytest.approx(max(apr_of([*weak, one]) for one in free))
+    expected = max(apr_of([*weak, one]) for one in free)
+
+    assert found.after.apr == pytest.approx(expected)
     assert found.before.apr == pytest.approx(apr_of(weak))
     assert found.bound == found.after.apr
 
 
 def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_of):
     found = adviser.complete(weak, n_units=3)
+
     assert {unit.id for unit in weak} <= {unit.id for unit in found.units}
     assert len(found.units) == 3
     assert found.after.apr == pytest.approx(apr_of(found.units))
@@ -113,9 +121,10 @@ def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candida
     or not.
     """
     (unit,) = find_layout("carlancap-12").units[:1]
+
     assert unit.id in {one.id for one in adviser._assembly.candidates}
 
-    turned = replace(unit, pose=replace(unit.pose, yaw_deg=unit.pose.yaw_deg + 120.0))
+    turned = changed(unit, "pose.yaw_deg", unit.pose.yaw_deg + 120.0)
 
     for standing in (unit, turned):
         other = adviser.best_next([replace(standing, id="mine")])
@@ -139,18 +148,36 @@ def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candida
 def test_an_answer_is_proven_by_what_is_asked_for(adviser, weak):
     found = adviser.best_next(weak)
     stages = (
-        Stage(name="cost_eur", objective=4040.0, bound=4040.0, gap=0.0, seconds=1.0),
-        Stage(name="apr", objective=0.8, bound=0.9, gap=0.1, seconds=1.0),
+        Stage(
+            name="cost_eur",
+            objective=4040.0,
+            bound=4040.0,
+            gap=0.0,
+            seconds=1.0,
+        ),
+        Stage(
+            name="apr",
+            objective=0.8,
+            bound=0.9,
+            gap=0.1,
+            seconds=1.0,
+        ),
     )
     cheap = replace(
-        found, n_compared=0, certificate=Certificate(stages=stages, solver="")
+        found,
+        n_compared=0,
+        certificate=Certificate(stages=stages, solver=""),
     )
 
-    assert (cheap.is_proven, cheap.is_all_proven, cheap.bound) == (True, False, 0.9)
+    assert cheap.is_proven is True
+    assert cheap.is_all_proven is False
+    assert cheap.bound == 0.9
 
     open_ = replace(cheap, certificate=Certificate(stages=stages[::-1], solver=""))
 
-    assert (open_.is_proven, open_.is_all_proven) == (False, False)
+    assert open_.is_proven is False
+    assert open_.is_all_proven is False
+
     with pytest.raises(
         InputError, match="units in all: got 2; expected more than the 2"
     ):
@@ -161,9 +188,12 @@ def test_re_aiming_keeps_every_place_and_is_the_best_of_all_directions(
     adviser, weak, apr_of
 ):
     found = adviser.re_aim(weak)
+
     for before, after in zip(weak, found.units, strict=True):
-        assert (before.id, before.site_id) == (after.id, after.site_id)
+        assert before.id == after.id
+        assert before.site_id == after.site_id
         assert (before.pose.position_m == after.pose.position_m).all()
+
     grid = build_small_grid()
 
     def aims(unit):
@@ -249,7 +279,10 @@ def test_where_nothing_hangs_there_is_nothing_to_turn_or_to_keep(adviser):
 def test_a_site_that_is_full_has_no_place_for_another(adviser, setting, weak):
     full = tuple(
         CandidatePose(
-            id=f"F{n}", site_id="corner-ne", pose=weak[0].pose, sensor=weak[0].sensor
+            id=f"F{n}",
+            site_id="corner-ne",
+            pose=weak[0].pose,
+            sensor=weak[0].sensor,
         )
         for n in range(setting.scene.sites[0].capacity_units)
     )

@@ -1,6 +1,7 @@
+"""What a question becomes: candidates, limits and prices."""
+
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from refusals import refused_with
 from small_results import assemble_without_runs
@@ -20,11 +21,12 @@ KINDS = ("lamp post", "traffic light", "mast arm")
 
 @pytest.fixture
 def coarse(monkeypatch):
+    """Makes the default grid coarse."""
     grid = replace(
         load_candidate_grid(),
-        heights_m=np.array([6.0]),
+        heights_m=[6.0],
         yaw_step_deg=90.0,
-        pitches_deg=np.array([-20.0]),
+        pitches_deg=[-20.0],
     )
     monkeypatch.setattr(poses, "load_candidate_grid", lambda *, is_coarse=False: grid)
 
@@ -45,6 +47,7 @@ def study(coarse, monkeypatch):
 
 
 def ids(question, scene):
+    """Names of a question's candidates."""
     return {
         candidate.id for candidate in assemble_without_runs(question, scene).candidates
     }
@@ -66,6 +69,7 @@ def test_a_layout_is_kept_or_chosen_within_by_name(study):
     assert plan.wishes.existing == ("mine",)
     assert plan.wishes.budget_units == 2
     assert ids(Question(budget=1, within="carlancap-12"), scene) == {"mine"}
+
     with pytest.raises(
         InputError, match="budget: got 2; expected at most 1: candidates and"
     ):
@@ -79,13 +83,18 @@ def test_a_layout_is_kept_or_chosen_within_by_name(study):
 
 def test_heights_yaws_and_pitches_are_those_asked_for(coarse):
     question = Question(
-        budget=1, heights="4, 7.5", yaw_step_deg=180.0, pitches="-40,-10,0"
+        budget=1,
+        heights="4, 7.5",
+        yaw_step_deg=180.0,
+        pitches="-40,-10,0",
     )
+
     grid = build_grid(question)
 
     assert grid.heights_m.tolist() == [4.0, 7.5]
     assert grid.pitches_deg.tolist() == [-40.0, -10.0, 0.0]
-    assert (grid.n_yaws, grid.sensors) == (2, load_candidate_grid().sensors)
+    assert grid.n_yaws == 2
+    assert grid.sensors == load_candidate_grid().sensors
 
 
 @pytest.mark.parametrize(
@@ -127,6 +136,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
         plan = assemble_without_runs(Question(budget=1, sensors=sensors), scene)
         for pose in plan.candidates:
             found.setdefault(pose.sensor.name, set()).add(_place(pose))
+
         return found
 
     names = ["carla-ncap-lidar", "carla-ncap-rgb"]
@@ -134,11 +144,13 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
         poses, ("", names[0], "carla-ncap-rgb, carla-ncap-lidar")
     )
 
-    assert [sorted(found) for found in (default, lidars, both)] == [
+    expected = [
         names[1:],
         names[:1],
         names,
     ]
+
+    assert [sorted(found) for found in (default, lidars, both)] == expected
     assert both == default | lidars
     with pytest.raises(
         InputError, match=r"^sensors: got .radar.; expected one of .*carla-ncap-"
@@ -147,6 +159,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
 
 
 def _place(candidate):
+    """Position and yaw of a candidate."""
     return (*candidate.pose.position_m.tolist(), candidate.pose.yaw_deg)
 
 

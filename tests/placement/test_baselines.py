@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from problems import questions
 from tiny_worlds import unit_at
 
@@ -40,15 +41,18 @@ AT_CORNERS = {
 
 @pytest.fixture(scope="module")
 def candidates():
+    """Candidates of the scene."""
     return build_candidates(SCENE)
 
 
 def limits_of(candidates, scene=SCENE, **wishes):
+    """Limits of wishes."""
     return build_limits(Wishes(**({"budget_units": 3} | wishes)), scene, candidates)
 
 
 def drawn(candidates, limits, scene=SCENE, n_units=3, seed=0):
-    rng = np.random.default_rng(seed)
+    """Layouts that are proposed."""
+    rng = default_rng(seed)
     return propose(limits, candidates, scene, n_units=n_units, rng=rng)
 
 
@@ -57,7 +61,7 @@ def drawn(candidates, limits, scene=SCENE, n_units=3, seed=0):
 
 @given(problem=questions(), n_units=st.integers(1, 4), seed=st.integers(0, 9))
 def test_random_sets_are_within_all_limits(problem, n_units, seed):
-    sets = random_sets(problem.limits, n_units, n=5, rng=np.random.default_rng(seed))
+    sets = random_sets(problem.limits, n_units, n=5, rng=default_rng(seed))
     for units in sets:
         assert len(units) == n_units
         assert list(units) == sorted(set(units))
@@ -75,9 +79,10 @@ def test_random_sets_are_within_all_limits(problem, n_units, seed):
 def test_every_allowed_set_is_drawn_sooner_or_later_and_no_other(problem):
     limits = problem.limits
     pairs = combinations(range(limits.n_poses), 2)
+
     allowed = {units for units in pairs if is_allowed(limits, units)}
 
-    assert set(random_sets(limits, 2, n=400, rng=np.random.default_rng(1))) == allowed
+    assert set(random_sets(limits, 2, n=400, rng=default_rng(1))) == allowed
 
 
 # ---------- corners and the middle
@@ -85,17 +90,24 @@ def test_every_allowed_set_is_drawn_sooner_or_later_and_no_other(problem):
 
 def test_the_corners_of_the_studys_junction_lie_between_its_arms_clockwise():
     corners = find_corners(build_junction(SCENE))
+
     assert [*corners] == [*AT_CORNERS]
 
     middle = middle_m(SCENE)[:2]
     signs = [tuple(np.sign(corner - middle)) for corner in corners.values()]
 
-    assert signs == [(1, 1), (1, -1), (-1, -1), (-1, 1)]
+    assert signs == [
+        (1, 1),
+        (1, -1),
+        (-1, -1),
+        (-1, 1),
+    ]
 
 
 def test_three_arms_have_a_corner_on_the_straight_side_and_one_arm_has_none():
     junction = build_junction(SCENE)
     arms = {name: arm for name, arm in junction.arms.items() if name != "south"}
+
     corners = find_corners(replace(junction, arms=arms))
 
     assert [*corners] == ["east/north", "west/east", "north/west"]
@@ -111,6 +123,7 @@ def test_three_arms_have_a_corner_on_the_straight_side_and_one_arm_has_none():
 def test_in_a_mirror_corners_are_mirrored():
     """Kerbs are told by where they lie, not by the side on which traffic keeps."""
     plain, turned = (find_corners(one) for one in _both_ways())
+
     assert len(plain) == len(turned) == 4
 
     expected = {tuple((corner * [1.0, -1.0]).round(6)) for corner in plain.values()}
@@ -119,6 +132,7 @@ def test_in_a_mirror_corners_are_mirrored():
 
 
 def _both_ways():
+    """The junction, and its mirror image."""
     junction = build_junction(SCENE)
     other = mirrored(junction)
     order = [*other.arms.values()][::-1]  # counter-clockwise again
@@ -128,10 +142,21 @@ def _both_ways():
 def test_off_axis_is_the_angle_to_a_point(camera):
     def pose(yaw_deg, pitch_deg):
         return unit_at(
-            "any", [0.0, 0.0, 10.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=camera
+            "any",
+            [0.0, 0.0, 10.0],
+            yaw_deg=yaw_deg,
+            pitch_deg=pitch_deg,
+            sensor=camera,
         )
 
-    poses = [pose(0, -45), pose(0, 0), pose(180, -45), pose(90, -45), pose(30, -90)]
+    poses = [
+        pose(0, -45),
+        pose(0, 0),
+        pose(180, -45),
+        pose(90, -45),
+        pose(30, -90),
+    ]
+
     found = off_axis_deg(poses, np.array([10.0, 0.0, 0.0]))
 
     assert found == pytest.approx([0.0, 45.0, 90.0, 60.0, 45.0])
@@ -176,6 +201,7 @@ def test_two_corners_share_no_site_and_forbidden_ones_do_not_count(candidates):
     few = replace(
         SCENE, sites=tuple(s for s in SCENE.sites if s.id in ("mast-n", "lamp-e1"))
     )
+
     poses = build_candidates(few)
     taken = drawn(poses, limits_of(poses, few), few, n_units=2).corners
 
@@ -192,28 +218,47 @@ def problem_of(limits, seen, frame_axis, rule):
     for pose, runs in seen.items():
         for run in runs:
             detected[pose, axis.frames_of(run)] = True
+
     one_frame = replace(rule, n_confirmations=1, latency_s=0.0)
     table = pack_table(tuple(map(str, range(limits.n_poses))), axis, detected)
-    return PlacementProblem(table=table, limits=limits, fusion="any", rule=one_frame)
+    return PlacementProblem(
+        table=table,
+        limits=limits,
+        fusion="any",
+        rule=one_frame,
+    )
 
 
 def proposals(**changes):
+    """Proposals by which four poses are compared."""
     corners = {"a": 0, "b": 1, "c": 2, "d": 3}
-    plain = BaselineRows(n_units=2, random=((0, 1),), forced=(), corners=corners)
+    plain = BaselineRows(
+        n_units=2,
+        random=((0, 1),),
+        forced=(),
+        corners=corners,
+    )
     return replace(plain, **changes)
 
 
 def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
     limits = Limits(
-        site_index=[0, 1, 2, 3, 3], site_capacity=[1, 1, 1, 2], budget_units=2
+        site_index=[0, 1, 2, 3, 3],
+        site_capacity=[1, 1, 1, 2],
+        budget_units=2,
     )
     problem = problem_of(
-        limits, {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]}, frame_axis, rule
+        limits,
+        {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]},
+        frame_axis,
+        rule,
     )
+
     found = judge_proposals(problem, proposals())
 
     # 3/4; of 1/4 the first.
-    assert (found.corners, found.expert) == (("c", "a"), (0, 2))
+    assert found.corners == ("c", "a")
+    assert found.expert == (0, 2)
     assert found.random.apr.tolist() == [apr(problem, (0, 1))] == [0.25]
 
 
@@ -223,6 +268,7 @@ def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
     # Weights 1/2 and 1/4; 1/4.
     problem = replace(problem, sample_index=np.array([0, 0, 1]))
     sets = ((0,), (1,), (2,), (0, 1))
+
     random = judge_proposals(problem, proposals(random=sets)).random
 
     assert random.apr.tolist() == [0.75, 0.25, 0.0, 1.0]
@@ -231,9 +277,9 @@ def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
 
     worst = judge_proposals(replace(problem, tail=0.25), proposals(random=sets)).random
 
-    assert worst.apr.tolist() == [
-        apr(replace(problem, tail=0.25), units) for units in sets
-    ]
+    expected = [apr(replace(problem, tail=0.25), units) for units in sets]
+
+    assert worst.apr.tolist() == expected
 
 
 def test_the_expert_has_one_camera_for_each_corner_at_most(frame_axis, rule):
@@ -254,19 +300,22 @@ def test_what_is_forced_comes_before_the_corners(frame_axis, rule):
         rivals=[[0, 2]],
     )
     problem = problem_of(limits, {0: [0], 2: [0, 1]}, frame_axis, rule)
+
     found = judge_proposals(problem, proposals(n_units=3, forced=(5,)))
 
-    assert (found.expert, found.corners) == ((2, 4, 5), ("c",))
+    assert found.expert == (2, 4, 5)
+    assert found.corners == ("c",)
 
     # Nothing known at that site.
     unmet = judge_proposals(problem, proposals(n_units=3, forced=()))
 
-    assert (unmet.expert, unmet.corners) == ((), ())
+    assert unmet.expert == ()
+    assert unmet.corners == ()
 
 
 @given(problem=questions(), seed=st.integers(0, 9))
 def test_the_expert_is_within_all_limits(problem, seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     n_poses = problem.limits.n_poses
     rows = rng.permutation(n_poses)[:4].tolist()
     sites = problem.limits.site_index.tolist()
@@ -276,7 +325,13 @@ def test_the_expert_is_within_all_limits(problem, seed):
         if site in sites
     )
     corners = {f"corner {row}": row for row in rows}
-    given_ = BaselineRows(n_units=3, random=(), forced=forced, corners=corners)
+    given_ = BaselineRows(
+        n_units=3,
+        random=(),
+        forced=forced,
+        corners=corners,
+    )
+
     found = judge_proposals(problem, given_)
 
     assert found.random is None
@@ -288,12 +343,15 @@ def test_the_expert_is_within_all_limits(problem, seed):
 
 def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
     """A table of few rows says what one of all candidates says."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     limits = Limits(site_index=np.arange(9), site_capacity=[1] * 9, budget_units=3)
     seen = {pose: np.flatnonzero(rng.random(3) < 0.4) for pose in range(9)}
     problem = problem_of(limits, seen, frame_axis, rule)
     given_ = BaselineRows(
-        n_units=3, random=((1, 5, 7), (2, 5, 8)), forced=(), corners={"a": 7, "b": 1}
+        n_units=3,
+        random=((1, 5, 7), (2, 5, 8)),
+        forced=(),
+        corners={"a": 7, "b": 1},
     )
     rows = given_.rows
 
@@ -306,6 +364,7 @@ def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
         rule,
     )
     whole = judge_proposals(problem, given_)
+
     of_part = judge_proposals(part, given_.among(rows))
 
     assert [rows[row] for row in of_part.expert] == list(whole.expert)

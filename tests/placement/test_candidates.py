@@ -1,3 +1,5 @@
+"""Candidate poses of a grid at the sites of a scene."""
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,6 +24,7 @@ RING = LIDARS["ouster-os1-128"]
 
 
 def _scene(*height_ranges_m):
+    """A scene with sites of these ranges of height. [m]"""
     return Scene(
         name="junction",
         vertices_m=np.zeros((0, 3)),
@@ -45,6 +48,7 @@ def _scene(*height_ranges_m):
 
 
 def _grid(**changes):
+    """A grid of two heights and three pitches."""
     fields = {
         "heights_m": np.array([6.0, 8.0]),
         "yaw_step_deg": 30.0,
@@ -74,11 +78,12 @@ def test_every_combination_is_there_once():
 @given(st.sampled_from([1, 2, 3, 4, 6, 8, 9, 12, 24, 36, 48, 72]))
 def test_yaws_go_all_around_once(n_yaws):
     step_deg = 360.0 / n_yaws
+
     candidates = build_candidates(
         _scene([5, 9]),
         _grid(
-            heights_m=np.array([6.0]),
-            pitches_deg=np.array([-20.0]),
+            heights_m=[6.0],
+            pitches_deg=[-20.0],
             sensors=CAMERAS[:1],
             yaw_step_deg=step_deg,
         ),
@@ -102,12 +107,16 @@ def test_yaws_go_all_around_once(n_yaws):
 
 def test_the_default_grid_looks_every_15_degrees_at_three_heights_and_pitches():
     grid = load_candidate_grid()
-    assert (len(grid.heights_m), grid.n_yaws, len(grid.pitches_deg)) == (3, 24, 3)
+
+    assert len(grid.heights_m) == 3
+    assert grid.n_yaws == 24
+    assert len(grid.pitches_deg) == 3
     assert [sensor.name for sensor in grid.sensors] == ["carla-ncap-rgb"]
 
 
 def test_what_scans_all_round_hangs_level_and_is_not_turned():
     scene = _scene([5, 9])
+
     others = [c.id for c in build_candidates(scene, _grid(sensors=(*CAMERAS, SECTOR)))]
 
     assert len(others) == 2 * 3 * 12 * 3
@@ -125,7 +134,7 @@ def test_what_scans_all_round_hangs_level_and_is_not_turned():
 
 
 def test_a_tilted_ring_is_turned():
-    grid = _grid(sensors=(RING,), ring_pitches_deg=np.array([-20.0, 0.0, 10.0]))
+    grid = _grid(sensors=(RING,), ring_pitches_deg=[-20.0, 0.0, 10.0])
     directions = grid.directions_deg(RING)
 
     assert directions[0] == (0.0, 0.0)
@@ -200,11 +209,13 @@ def test_candidates_stand_above_their_site():
 
 
 def _extra(pose_id):
+    """A pose that is named by itself."""
     return unit_at(pose_id, sensor=CAMERAS[0])
 
 
 def test_poses_by_name_come_last():
     extra = (_extra("RSU0"), _extra("RSU1"))
+
     candidates = build_candidates(_scene([5, 9]), _grid(), extra=extra)
 
     assert candidates[-2:] == extra

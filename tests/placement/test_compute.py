@@ -1,3 +1,5 @@
+"""Settings of computations."""
+
 import pickle
 from dataclasses import replace
 
@@ -19,7 +21,10 @@ def test_an_unknown_library_for_rays_is_refused_with_the_known_ones():
 def test_a_copy_for_another_process_tells_nobody():
     told = []
     here = compute.Compute(
-        seed=3, workers=2, rays="embree", progress=lambda *step: told.append(step)
+        seed=3,
+        workers=2,
+        rays="embree",
+        progress=lambda *step: told.append(step),
     )
     there = pickle.loads(pickle.dumps(here))
 

@@ -1,3 +1,5 @@
+"""Bits of detection tables: packed, read back, and never changed."""
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,6 +13,7 @@ from placement.detection_table import DetectionTable, pack_table
 @given(detection_tables(), st.data())
 def test_a_table_gives_back_what_was_packed(packed, data):
     table, detected = packed
+
     assert table.n_poses == len(detected)
     assert np.array_equal(table.detected(slice(None)), detected)
 
@@ -33,6 +36,7 @@ def test_a_table_takes_one_bit_per_frame(frame_axis, n_frames):
         run_start=np.array([0, n_frames]),
         time_s=np.arange(1 - n_frames, 1) / 10.0,
     )
+
     table = pack_table(("p", "q"), axis, np.ones((2, n_frames), dtype=bool))
 
     assert table.packed.shape == (2, (n_frames + 7) // 8)
@@ -50,7 +54,9 @@ def test_the_lowest_bit_comes_first(frame_axis):
 def test_a_table_of_the_wrong_size_is_refused(frame_axis):
     with refused_with("packed: got shape (2, 1); expected shape (2, 2)"):
         DetectionTable(
-            pose_ids=("p", "q"), axis=frame_axis, packed=np.zeros((2, 1), np.uint8)
+            pose_ids=("p", "q"),
+            axis=frame_axis,
+            packed=np.zeros((2, 1), np.uint8),
         )
 
 

@@ -1,3 +1,5 @@
+"""Which runs a question drives, by which rule, in which weathers."""
+
 import logging
 import math
 from dataclasses import replace
@@ -24,7 +26,11 @@ def t_junction():
     """No northern arm."""
     lanes = [
         lane
-        for arm, bearing in (("east", 0.0), ("west", 180.0), ("south", 270.0))
+        for arm, bearing in (
+            ("east", 0.0),
+            ("west", 180.0),
+            ("south", 270.0),
+        )
         for lane in lanes_of(arm, bearing)
     ]
     return build_scene(lanes)
@@ -32,6 +38,7 @@ def t_junction():
 
 @pytest.fixture(scope="module")
 def study():
+    """The study's runs."""
     return drive(Question(cases="study"), load_study_scene())
 
 
@@ -42,7 +49,9 @@ def test_all_cases_of_the_study_are_driven_from_all_approaches(study):
     driven = {(run.case.name, run.approach) for run in study.runs}
     names = [case.name for case in load_case_sets()["study"]]
 
-    assert driven == {(n, a) for n in names for a in ("north", "east", "south", "west")}
+    expected = {(n, a) for n in names for a in ("north", "east", "south", "west")}
+
+    assert driven == expected
     assert len(study.runs) == 240
     assert {run.position for run in study.runs} == {"0"}
 
@@ -50,6 +59,7 @@ def test_all_cases_of_the_study_are_driven_from_all_approaches(study):
 @pytest.mark.long
 def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     question = Question(approaches="west")
+
     setting = build_setting(question, load_study_scene())
     at_zero = [run.id for run in setting.runs if run.position == "0"]
 
@@ -64,8 +74,8 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
         "-45",
         "+0",
     }
-    # Every case counts by what of it is driven, and in it every place; with the study's
 
+    # Every case counts by what of it is driven, and in it every place; with the study's
     # set every run counts the same.
     cases = np.array(setting.axis.cases)
     weight = setting.axis.weight
@@ -74,7 +84,9 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     whole = [share for name, share in shares.items() if name not in refused]
 
     assert sum(shares.values()) == pytest.approx(1.0)
-    assert whole == pytest.approx([max(shares.values())] * len(whole))
+    expected = [max(shares.values())] * len(whole)
+
+    assert whole == pytest.approx(expected)
     assert min(shares[name] for name in refused) < whole[0]
 
     there = weight[(cases == "CPLA-50") & (np.array(setting.axis.positions) == "+15")]
@@ -122,16 +134,24 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
     compute = Compute(cache_folder=tmp_path)
     laid = build_setting(question, scene, compute=compute)
     monkeypatch.setattr(placement.setting, "build_runs", pytest.fail)
+
     kept = build_setting(question, scene, compute=compute)
     hash_of = Fingerprints().of
 
     assert len(laid.runs) == len(kept.runs) > 0
     assert hash_of(kept.runs, kept.axis) == hash_of(laid.runs, laid.axis)
-    assert [repr(one) for one in kept.refusals] == [repr(one) for one in laid.refusals]
+
+    expected = [repr(one) for one in laid.refusals]
+
+    assert [repr(one) for one in kept.refusals] == expected
     assert len(laid.refusals) > 0
 
     monkeypatch.undo()
-    asked = (replace(question, deceleration_mps2=6.0), replace(question, speeds="20"))
+    asked = (
+        replace(question, deceleration_mps2=6.0),
+        replace(question, speeds="20"),
+    )
+
     for other in asked:
         found = build_setting(other, scene, compute=compute)
         assert hash_of(found.runs) == hash_of(build_setting(other, scene).runs)
@@ -140,6 +160,7 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
 @pytest.mark.long
 def test_how_far_along_the_arms_is_chosen():
     question = Question(cases="CPNA-25", approaches="north", along_arms="0, 20")
+
     runs = drive(question, load_study_scene()).runs
 
     assert {run.position for run in runs} == {"0", "-20", "+0", "+20"}
@@ -165,12 +186,17 @@ def test_the_rule_is_the_studys_but_for_what_the_question_changes():
 
     rule = build_rule(
         Question(
-            deceleration_mps2=5.0, build_up_s=0.3, latency_s=0.0, n_confirmations=1
+            deceleration_mps2=5.0,
+            build_up_s=0.3,
+            latency_s=0.0,
+            n_confirmations=1,
         )
     )
 
-    assert (rule.deceleration_mps2, rule.build_up_s) == (5.0, 0.3)
-    assert (rule.latency_s, rule.n_confirmations) == (0.0, 1)
+    assert rule.deceleration_mps2 == 5.0
+    assert rule.build_up_s == 0.3
+    assert rule.latency_s == 0.0
+    assert rule.n_confirmations == 1
     assert rule.frame_rate_hz == load_aeb_rule().frame_rate_hz
 
 
@@ -214,10 +240,14 @@ def test_perception_and_radio_are_those_of_the_question():
     plain = setting_of()
 
     assert plain.detector == plain.table_detector == load_planning_detector("geometric")
-    assert (plain.vut_sensors, plain.radio) == (("camera",), Radio())
+    assert plain.vut_sensors == ("camera",)
+    assert plain.radio == Radio()
 
     other = setting_of(
-        detector="response", vut_sensors="lidar, camera", packet_loss=0.1, vam_rate=0.5
+        detector="response",
+        vut_sensors="lidar, camera",
+        packet_loss=0.1,
+        vam_rate=0.5,
     )
 
     assert other.detector is other.table_detector is load_planning_detector("response")
@@ -282,9 +312,13 @@ def test_perception_and_radio_are_those_of_the_question():
 )
 def test_questions_that_cannot_be_answered_say_why(options, message):
     few = {"cases": "CPNA-25", "approaches": "east", "along_arms": "0"}
+    question = Question(**(few | options))
+
     with pytest.raises(InputError) as caught:
-        build_setting(Question(**(few | options)), load_study_scene())
-    assert str(caught.value).startswith(message)
+        build_setting(question, load_study_scene())
+    refusal = str(caught.value)
+
+    assert refusal.startswith(message)
 
 
 def test_a_case_that_no_approach_carries_is_told_with_a_reason():
@@ -299,11 +333,13 @@ def test_a_case_that_no_approach_carries_is_told_with_a_reason():
 
 def test_what_some_approaches_do_not_carry_is_kept_with_its_reason():
     setting = build_setting(Question(cases="CPTAfs-50"), t_junction())
+
     assert {run.approach for run in setting.runs} == {"east", "south"}
 
     (refusal,) = setting.refusals
 
-    assert (refusal.approach, refusal.speeds_kmh) == ("west", (10.0, 15.0, 20.0))
+    assert refusal.approach == "west"
+    assert refusal.speeds_kmh == (10.0, 15.0, 20.0)
 
 
 @pytest.mark.long
@@ -311,6 +347,7 @@ def test_the_list_has_a_row_per_case_and_approach():
     rows = list_rows(
         drive(Question(cases="CPTAfs-50,CPNA-25", along_arms="0"), t_junction())
     )
+
     assert [(row.case, row.approach) for row in rows] == [
         ("CPTAfs-50", "east"),
         ("CPTAfs-50", "south"),
@@ -322,7 +359,9 @@ def test_the_list_has_a_row_per_case_and_approach():
 
     west = rows[2]
 
-    assert (west.speeds_kmh, west.n_runs, west.last_brake_time_s) == ((), 0, ())
+    assert west.speeds_kmh == ()
+    assert west.n_runs == 0
+    assert west.last_brake_time_s == ()
     assert west.reason == "no lane leads out of the junction on the far side"
 
     crossing = rows[3]
@@ -333,14 +372,19 @@ def test_the_list_has_a_row_per_case_and_approach():
     # Stopping short of the flank: v / (2 a).
     speeds = np.array(crossing.speeds_kmh) / 3.6
 
-    assert crossing.last_brake_time_s == pytest.approx(-speeds / (2.0 * 7.72), abs=1e-3)
+    expected = -speeds / (2.0 * 7.72)
+
+    assert crossing.last_brake_time_s == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.long
 def test_the_list_says_where_along_the_arms():
     question = Question(
-        cases="CPNA-25,CBNA", approaches="north", along_arms="0,15,60,100"
+        cases="CPNA-25,CBNA",
+        approaches="north",
+        along_arms="0,15,60,100",
     )
+
     rows = list_rows(drive(question, load_study_scene()))
 
     assert [(row.case, row.position, row.n_runs) for row in rows] == [
@@ -359,10 +403,9 @@ def test_the_list_says_where_along_the_arms():
 
     assert max(map(len, text.splitlines())) <= 80
     assert "CPNA-25  north  10-60  6 of 8    29" in text
-    assert (
-        "CPNA-25 from north (at -100, +100) not driven: the mapped lane does not"
-        in text
-    )
+    refused = "CPNA-25 from north (at -100, +100) not driven: the mapped lane does not"
+
+    assert refused in text
     assert text.endswith("38 runs of 2 cases")
 
 
@@ -371,6 +414,7 @@ def test_speeds_that_a_case_does_not_have_are_listed_as_not_driven():
         Question(cases="CPTAns-50,CPNA-25", speeds="40", along_arms="0"),
         load_study_scene(),
     )
+
     row = list_rows(drives)[-1]
 
     assert row.case == "CPTAns-50"
@@ -378,10 +422,9 @@ def test_speeds_that_a_case_does_not_have_are_listed_as_not_driven():
 
     text = scenario_table(list_rows(drives))
 
-    assert (
-        "south not driven: this case has none of the requested speeds (40)"
-        in " ".join(text.split())
-    )
+    refused = "south not driven: this case has none of the requested speeds (40)"
+
+    assert refused in " ".join(text.split())
     assert max(map(len, text.splitlines())) <= 80
     assert text.endswith("4 runs of 2 cases")
 
@@ -406,9 +449,12 @@ def test_one_run_must_be_named():
 def test_one_run_at_a_position_drives_the_speed_asked_for():
     scene = load_study_scene()
     question = Question(cases="CPLA-50", approaches="east", speeds="35")
+
     run = drive_one(question, scene, position="-15")
 
-    assert (run.id, run.position) == ("CPLA-50/east-15/35", "-15")
+    assert run.id == "CPLA-50/east-15/35"
+    assert run.position == "-15"
+
     with pytest.raises(
         InputError, match="position: got '-15'; expected 0: CBNA is bound to"
     ):

@@ -1,3 +1,5 @@
+"""APR, speeds at contact and failures, from verdicts made by hand."""
+
 import math
 from dataclasses import replace
 
@@ -5,13 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seen_frames import seen_evaluation
 from strategies import frame_axes
 
-from geometry.catalogue import load_cameras
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
 from placement.evaluation import (
-    Evaluation,
     Verdict,
     apr,
     apr_by_case,
@@ -19,10 +18,10 @@ from placement.evaluation import (
     detected_share,
     mean_impact_speed_kmh,
 )
-from placement.layout import Layout
 
 
 def _verdict(is_avoided, detected=()):
+    """A verdict on runs."""
     return Verdict(
         detected=np.array(detected, dtype=bool),
         confirmation_time_s=np.full(len(is_avoided), np.inf),
@@ -35,10 +34,13 @@ def test_apr_is_the_weight_of_the_avoided_runs(frame_axis):
     # Weights 1/2, 1/4 (case A) and 1/4 (case B).
     assert apr(_verdict([True, False, True]), frame_axis) == 0.75
     assert apr(_verdict([False, True, False]), frame_axis) == 0.25
-    assert apr_by_case(_verdict([True, False, True]), frame_axis) == {
+
+    expected = {
         "A": pytest.approx(2.0 / 3.0),
         "B": 1.0,
     }
+
+    assert apr_by_case(_verdict([True, False, True]), frame_axis) == expected
 
 
 def test_apr_of_some_runs_counts_only_those(frame_axis):
@@ -54,6 +56,7 @@ def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
     verdict = replace(
         _verdict([True, False, False]), impact_speed_kmh=np.array([0.0, 8.0, 20.0])
     )
+
     assert mean_impact_speed_kmh(verdict, frame_axis) == 7.0
     assert mean_impact_speed_kmh(
         verdict, frame_axis, np.array([True, True, False])
@@ -63,26 +66,18 @@ def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
 
 @given(frame_axes(), st.data())
 def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, data):
-    avoided = data.draw(
-        st.lists(st.booleans(), min_size=axis.n_runs, max_size=axis.n_runs)
-    )
-    verdict = _verdict(avoided)
+    booleans = st.lists(st.booleans(), min_size=axis.n_runs, max_size=axis.n_runs)
+    verdict = _verdict(data.draw(booleans))
+
     total = apr(verdict, axis)
+    by_case = apr_by_case(verdict, axis)
+    cases = np.array(axis.cases)
+    share = {case: axis.weight[cases == case].sum() for case in axis.cases}
+    mean = sum(share[case] * value for case, value in by_case.items())
 
     assert 0.0 <= total <= 1.0
-
-    share = {
-        case: sum(
-            w for w, name in zip(axis.weight, axis.cases, strict=True) if name == case
-        )
-        for case in axis.cases
-    }
-    by_case = apr_by_case(verdict, axis)
-
     assert list(by_case) == list(dict.fromkeys(axis.cases))
-    assert sum(share[case] * value for case, value in by_case.items()) == pytest.approx(
-        total
-    )
+    assert mean == pytest.approx(total)
     assert apr(_verdict([True] * axis.n_runs), axis) == pytest.approx(1.0)
     assert apr(_verdict([False] * axis.n_runs), axis) == 0.0
 
@@ -130,7 +125,12 @@ def test_one_unit_fails_and_the_rest_still_has_to_confirm(
 
 @pytest.mark.parametrize(
     ("latencies_s", "expected"),
-    [((None, None), 0.75), ((0.0, 0.2), 0.25), ((0.2, 0.0), 0.25), ((None, 0.5), 0.0)],
+    [
+        ((None, None), 0.75),
+        ((0.0, 0.2), 0.25),
+        ((0.2, 0.0), 0.25),
+        ((None, 0.5), 0.0),
+    ],
 )
 def test_the_unit_that_is_left_may_be_slow(frame_axis, rule, latencies_s, expected):
     """Both see all. Run 0 is confirmed at 0 s, to brake by 0.05 s; run 1 at -0.2 s, by
@@ -140,30 +140,8 @@ def test_the_unit_that_is_left_may_be_slow(frame_axis, rule, latencies_s, expect
     assert _one_failed_of(frame_axis, rule, rows, latencies_s) == expected
 
 
-def _one_failed_of(frame_axis, rule, frames_of_units, latencies_s=None):
-    axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
-    verdicts = {
-        f"U{index}": _verdict([False] * 3, [frame == "1" for frame in frames])
-        for index, frames in enumerate(frames_of_units)
-    }
-    pose = Pose(position_m=[0, 0, 7], yaw_deg=0.0)
-    camera = load_cameras()["carla-ncap-rgb"]
-    evaluation = Evaluation(
-        layout=Layout(
-            name="mine",
-            units=tuple(
-                CandidatePose(
-                    id=name, site_id="", pose=pose, sensor=camera, latency_s=latency_s
-                )
-                for name, latency_s in zip(
-                    verdicts, latencies_s or [None] * len(verdicts), strict=True
-                )
-            ),
-        ),
-        axis=axis,
-        vut=_verdict([False] * 3),
-        units=verdicts,
-        rsu_all=_verdict([False] * 3),
-        vut_and_rsus=_verdict([False] * 3),
-    )
-    return apr_one_failed(evaluation, rule)
+def _one_failed_of(frame_axis, rule, frames_of_units, latencies_s=()):
+    """APR when one of the units fails."""
+    axis = replace(frame_axis, last_brake_time_s=[0.05, 0.1, -np.inf])
+    rows = [[frame == "1" for frame in frames] for frames in frames_of_units]
+    return apr_one_failed(seen_evaluation(axis, rows, latencies_s), rule)

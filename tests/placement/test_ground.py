@@ -1,3 +1,5 @@
+"""Areas of the ground that cameras see."""
+
 from dataclasses import replace
 from pathlib import Path
 
@@ -6,15 +8,14 @@ import pytest
 from junctions import protocol_scene
 from refusals import refused_with
 from shapely import MultiPolygon, Polygon, box
+from tiny_worlds import unit_at
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
 from geometry.registry import load_entry
 from geometry.study_scene import load_study_scene
 from placement import forbidden_views
-from placement.candidates import CandidatePose
 from placement.private_ground import (
     build_private_ground,
     load_private_ground,
@@ -26,19 +27,31 @@ CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
 
 def unit(x, y, yaw_deg, *, pitch_deg=0.0, sensor=CAMERA):
-    pose = Pose(position_m=np.array([x, y, 6.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    return CandidatePose(id=f"{x}/{y}/{yaw_deg}", site_id="", pose=pose, sensor=sensor)
+    """A camera 6 m high."""
+    name = f"{x}/{y}/{yaw_deg}"
+    place_m = [x, y, 6.0]
+    return unit_at(name, place_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=sensor)
+
+
+def garden_share(box_in_the_way):
+    """Share of a garden 20 m east that a camera at the origin sees past a box."""
+    garden = build_private_ground([("garden", box(20, -5, 30, 5))])
+    scene = protocol_scene(boxes=[box_in_the_way])
+    (share,) = private_shares(scene, [unit(0, 0, 0.0)], garden)
+    return share[0]
 
 
 def test_points_stand_for_square_metres():
     ground = build_private_ground(
         [("garden", box(10, 10, 30, 20)), ("step", box(0.1, 0.1, 0.3, 0.3))]
     )
+
     assert np.bincount(ground.area_index).tolist() == [200, 1]
     assert ground.area_m2 == pytest.approx([200.0, 0.04])
 
     hole = Polygon(box(0, 0, 10, 10).exterior, [box(2, 2, 8, 8).exterior])
     two = MultiPolygon([hole, box(20, 0, 21, 1)])
+
     points = build_private_ground([("two", two)]).points_m
 
     assert len(points) == 65
@@ -59,9 +72,15 @@ def test_a_camera_sees_what_is_in_its_picture_and_nothing_behind_it():
         unit(0, 0, 90.0),
         unit(0, 0, 0.0, pitch_deg=80.0),
     ]
+
     share = private_shares(scene, poses, ground)
 
-    assert share.tolist() == [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]
+    assert share.tolist() == [
+        [1.0, 0.0],
+        [0.0, 1.0],
+        [0.0, 0.0],
+        [0.0, 0.0],
+    ]
 
     lidar = unit(0, 0, 0.0, sensor=load_lidars()["carla-ncap-lidar"])
 
@@ -70,6 +89,7 @@ def test_a_camera_sees_what_is_in_its_picture_and_nothing_behind_it():
 
 def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
     ground = build_private_ground([("garden", box(20, 10, 30, 40))])
+
     # The right edge of the picture, 45 degrees right of north-east, is the x axis
     # turned up to ..
     share = private_shares(
@@ -83,24 +103,15 @@ def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
 
 
 def test_walls_hide():
-    ground = build_private_ground([("garden", box(20, -5, 30, 5))])
-    wall = ("wall", 15.0, 0.0, 0.5, 60.0, 8.0)
+    assert garden_share(("wall", 15.0, 0.0, 0.5, 60.0, 8.0)) == 0.0
+    assert garden_share(("hedge", 15.0, 0.0, 0.5, 60.0, 1.0)) == 1.0
 
-    assert (
-        private_shares(protocol_scene(boxes=[wall]), [unit(0, 0, 0.0)], ground)[0, 0]
-        == 0.0
-    )
 
-    low = ("hedge", 15.0, 0.0, 0.5, 60.0, 1.0)
+def test_without_cameras_there_are_no_shares():
+    garden = build_private_ground([("garden", box(20, -5, 30, 5))])
+    scene = replace(protocol_scene(), sites=())
 
-    assert (
-        private_shares(protocol_scene(boxes=[low]), [unit(0, 0, 0.0)], ground)[0, 0]
-        == 1.0
-    )
-
-    moved = replace(protocol_scene(boxes=[low]), sites=())
-
-    assert private_shares(moved, [], ground).shape == (0, 1)
+    assert private_shares(scene, [], garden).shape == (0, 1)
 
 
 def test_areas_that_cannot_be_are_refused():
@@ -120,19 +131,8 @@ def test_areas_of_another_place_are_refused():
 
 
 def test_the_pole_that_carries_a_camera_hides_nothing():
-    ground = build_private_ground([("garden", box(20, -5, 30, 5))])
-    pole = ("pole", 0.0, 0.0, 0.2, 0.2, 9.0)
-    scene = protocol_scene(boxes=[pole])
-
-    assert private_shares(scene, [unit(0, 0, 0.0)], ground)[0, 0] == 1.0
-
-    thin = ("post", 5.0, 0.0, 0.2, 0.2, 9.0)
-
-    assert (
-        0.5
-        < private_shares(protocol_scene(boxes=[thin]), [unit(0, 0, 0.0)], ground)[0, 0]
-        < 1.0
-    )
+    assert garden_share(("pole", 0.0, 0.0, 0.2, 0.2, 9.0)) == 1.0
+    assert 0.5 < garden_share(("post", 5.0, 0.0, 0.2, 0.2, 9.0)) < 1.0
 
 
 @pytest.mark.parametrize("suffix", forbidden_views.READERS)

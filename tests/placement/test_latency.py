@@ -1,9 +1,11 @@
+"""Budgets of latency: their sums, draws and files."""
+
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from refusals import refused_with
 from strategies import numbers
 
@@ -19,8 +21,14 @@ from scenarios.aeb import load_aeb_rule
 
 
 def _budget(*ranges_s):
+    """A budget of parts of these ranges. [s]"""
     parts = [
-        LatencyPart(name=f"part {index}", low_s=low, high_s=high, source="test")
+        LatencyPart(
+            name=f"part {index}",
+            low_s=low,
+            high_s=high,
+            source="test",
+        )
         for index, (low, high) in enumerate(ranges_s)
     ]
     return LatencyBudget(name="test", parts=tuple(parts))
@@ -39,20 +47,23 @@ def budgets(draw, max_parts=4):
 
 def test_the_default_is_the_latency_of_the_study():
     budget = load_latency_budget()
+
     assert budget.name == DEFAULT_LATENCY_BUDGET == "study"
-    assert (
-        budget.best_s
-        == budget.mean_s
-        == budget.worst_s
-        == load_aeb_rule().latency_s
-        == 0.025
-    )
+    assert budget.best_s == budget.mean_s == budget.worst_s == 0.025
+    assert load_aeb_rule().latency_s == 0.025
     assert [part.is_assumption for part in budget.parts] == [False]
 
 
-@pytest.mark.parametrize(("name", "period_s"), [("cpm-100ms", 0.1), ("cpm-50ms", 0.05)])
+@pytest.mark.parametrize(
+    ("name", "period_s"),
+    [
+        ("cpm-100ms", 0.1),
+        ("cpm-50ms", 0.05),
+    ],
+)
 def test_a_message_waits_for_up_to_one_period(name, period_s):
     parts = {part.name: part for part in load_latency_budget(name).parts}
+
     assert list(parts) == [
         "exposure",
         "detector",
@@ -63,13 +74,17 @@ def test_a_message_waits_for_up_to_one_period(name, period_s):
 
     wait = parts.pop("CPM generation")
 
-    assert (wait.low_s, wait.high_s, wait.is_assumption) == (0.0, period_s, False)
+    assert wait.low_s == 0.0
+    assert wait.high_s == period_s
+    assert wait.is_assumption is False
     assert "TS 103 324" in wait.source
     assert all(part.is_assumption for part in parts.values())
 
 
 def test_budgets_differ_by_the_wait_alone():
-    slow, quick = (load_latency_budget(name) for name in ("cpm-100ms", "cpm-50ms"))
+    slow = load_latency_budget("cpm-100ms")
+    quick = load_latency_budget("cpm-50ms")
+
     assert slow.best_s == quick.best_s
     assert slow.mean_s - quick.mean_s == pytest.approx(0.025)
     assert slow.worst_s - quick.worst_s == pytest.approx(0.05)
@@ -83,12 +98,14 @@ def test_budgets_differ_by_the_wait_alone():
 def test_best_mean_and_worst_are_in_order_and_add_up(budget):
     assert budget.best_s <= budget.mean_s <= budget.worst_s
     assert budget.mean_s == pytest.approx(0.5 * (budget.best_s + budget.worst_s))
-    assert budget.worst_s == pytest.approx(sum(part.high_s for part in budget.parts))
+    expected = sum(part.high_s for part in budget.parts)
+
+    assert budget.worst_s == pytest.approx(expected)
 
 
 def test_draws_stay_within_and_have_mean_and_variance_of_the_sum():
     budget = load_latency_budget("cpm-100ms")
-    drawn = budget.sample_s(np.random.default_rng(1), 200_000)
+    drawn = budget.sample_s(default_rng(1), 200_000)
 
     assert drawn.shape == (200_000,)
     assert budget.best_s <= drawn.min() < drawn.max() <= budget.worst_s
@@ -103,15 +120,15 @@ def test_draws_stay_within_and_have_mean_and_variance_of_the_sum():
 
 def test_draws_depend_on_the_generator_alone():
     budget = load_latency_budget("cpm-50ms")
-    first, second, other = (
-        budget.sample_s(np.random.default_rng(seed), (3, 4)) for seed in (1, 1, 2)
-    )
+    first = budget.sample_s(default_rng(1), (3, 4))
+    second = budget.sample_s(default_rng(1), (3, 4))
+    other = budget.sample_s(default_rng(2), (3, 4))
 
     assert first.shape == (3, 4)
     assert (first == second).all()
     assert (first != other).all()
 
-    fixed = load_latency_budget().sample_s(np.random.default_rng(0), 5)
+    fixed = load_latency_budget().sample_s(default_rng(0), 5)
 
     assert fixed.tolist() == [0.025] * 5
 
@@ -151,8 +168,10 @@ def write_budget(tmp_path):
 
 def test_a_file_of_ones_own_is_read(write_budget):
     budget = load_latency_budget(str(write_budget()))
+
     assert budget.name == "mine"
-    assert budget.parts == (
+
+    expected = (
         LatencyPart(
             name="radio",
             low_s=0.001,
@@ -161,6 +180,8 @@ def test_a_file_of_ones_own_is_read(write_budget):
             is_assumption=False,
         ),
     )
+
+    assert budget.parts == expected
 
     fixed = load_latency_budget(
         str(
@@ -174,8 +195,10 @@ def test_a_file_of_ones_own_is_read(write_budget):
         )
     )
 
-    assert (fixed.parts[0].low_s, fixed.parts[0].high_s) == (0.02, 0.02)
-    assert (fixed.parts[0].is_assumption, fixed.parts[0].source) == (True, "a guess")
+    assert fixed.parts[0].low_s == 0.02
+    assert fixed.parts[0].high_s == 0.02
+    assert fixed.parts[0].is_assumption is True
+    assert fixed.parts[0].source == "a guess"
 
 
 @pytest.mark.parametrize(
@@ -243,7 +266,10 @@ def test_a_file_has_one_budget(write_budget):
         f"[[{name}.parts]]\nname = 'x'\nfixed_s = 0.1\nsource = 'x'\n"
         for name in ("one", "two")
     )
-    for text, got in (("", "no budget"), (both, "one, two")):
+    for text, got in (
+        ("", "no budget"),
+        (both, "one, two"),
+    ):
         path = write_budget(text)
         with refused_with(
             f"{path}: got {got}; expected one budget: a table such as [mine] with parts"

@@ -1,6 +1,7 @@
 """The curve against what one verdict after the other would say."""
 
 import math
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -8,61 +9,19 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from seen_frames import seen_evaluation
 from strategies import frame_axes
 from tiny_worlds import axis_of_runs
 
-from geometry.catalogue import load_cameras
 from geometry.errors import InputError
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
-from placement.evaluation import Evaluation, Verdict, earliest_arrival_s
+from placement.evaluation import earliest_arrival_s
 from placement.latency_curves import apr_by_latency
-from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
 RULE = load_aeb_rule()
 TOLERANCE_S = 1.0e-9
-
-
-def _verdict(detected, n_runs):
-    """Only the frames count."""
-    return Verdict(
-        detected=np.array(detected, dtype=bool),
-        confirmation_time_s=np.full(n_runs, np.inf),
-        onset_time_s=np.full(n_runs, np.inf),
-        is_avoided=np.zeros(n_runs, dtype=bool),
-    )
-
-
-def _evaluation(axis, vut, units, own_latencies_s=None, vam=None):
-    own = own_latencies_s or [None] * len(units)
-    pose = Pose(position_m=[0, 0, 7], yaw_deg=0.0)
-    camera = load_cameras()["carla-ncap-rgb"]
-    poses = tuple(
-        CandidatePose(
-            id=f"U{index}", site_id="", pose=pose, sensor=camera, latency_s=latency_s
-        )
-        for index, latency_s in enumerate(own)
-    )
-    nobody = _verdict(np.zeros(axis.n_frames), axis.n_runs)
-    if vam is None:
-        others = {}
-    else:
-        others = {"vam": _verdict(vam, axis.n_runs), "all_sources": nobody}
-    return Evaluation(
-        layout=Layout(name="any", units=poses),
-        axis=axis,
-        vut=_verdict(vut, axis.n_runs),
-        units={
-            pose.id: _verdict(frames, axis.n_runs)
-            for pose, frames in zip(poses, units, strict=True)
-        },
-        rsu_all=nobody,
-        vut_and_rsus=nobody,
-        others=others,
-    )
 
 
 def _apr_by_hand(axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.0):
@@ -106,6 +65,11 @@ def cases(draw):
     return axis, draw(frames), units, own_s
 
 
+def _is_near_a_tie(slack_s):
+    """Is a time nearer to another than the tolerance allows, but not equal to it?"""
+    return ((slack_s > 0.1 * TOLERANCE_S) & (slack_s < 10.0 * TOLERANCE_S)).any()
+
+
 @given(
     cases(),
     st.integers(0, 1200).map(lambda ms: ms / 1000.0),
@@ -120,42 +84,41 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
     last = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
     for each_s in (latency_s, vut_latency_s, *own_s):  # no ties but exact ones
         if each_s is not None:
-            slack = np.abs(last - axis.time_s - each_s)
-        else:
-            slack = np.ones(1)
-        assume(not ((slack > 0.1 * TOLERANCE_S) & (slack < 10.0 * TOLERANCE_S)).any())
+            assume(not _is_near_a_tie(np.abs(last - axis.time_s - each_s)))
 
-    age = np.abs(last - axis.time_s - latency_s - memory_s)
-    assume(not ((age > 0.1 * TOLERANCE_S) & (age < 10.0 * TOLERANCE_S)).any())
+    assume(not _is_near_a_tie(np.abs(last - axis.time_s - latency_s - memory_s)))
     rule = replace(RULE, n_confirmations=n_confirmations, track_memory_s=memory_s)
-    evaluation = _evaluation(axis, vut, units, own_s, vam=vut[::-1])
+    vam = vut[::-1]
+    others = {"vam": vam, "all_sources": np.zeros(axis.n_frames)}
+    evaluation = seen_evaluation(axis, units, own_s, vut=vut, others=others)
+
     curves = apr_by_latency(evaluation, rule, [latency_s], vut_latency_s=vut_latency_s)
 
     delays = [latency_s if value is None else value for value in own_s]
     on_board = [(vut, latency_s if vut_latency_s is None else vut_latency_s)]
     fused = list(zip(units, delays, strict=True))
-    vam = [(vut[::-1], latency_s)]
+    by_radio = [(vam, latency_s)]
     parties = {
         "vut": on_board,
         **{f"U{index}": [unit] for index, unit in enumerate(fused)},
         "rsu_all": fused,
         "vut_and_rsus": fused + on_board,
-        "vam": vam,
-        "all_sources": fused + on_board + vam,
+        "vam": by_radio,
+        "all_sources": fused + on_board + by_radio,
     }
 
     assert list(curves) == list(parties)
 
+    rule = replace(rule, latency_s=latency_s)
+
     for name, party in parties.items():
         expected = _apr_by_hand(axis, party, n_confirmations, memory_s, latency_s)
-        onsets = find_onsets(
-            earliest_arrival_s([(np.array(seen), late) for seen, late in party], axis),
-            axis,
-            rule=replace(rule, latency_s=latency_s),
-        )
-        assert float(weight_share(onsets.is_in_time, axis.weight)) == pytest.approx(
-            expected
-        ), name
+        seen = [(np.array(frames), late) for frames, late in party]
+        onsets = find_onsets(earliest_arrival_s(seen, axis), axis, rule=rule)
+
+        share = float(weight_share(onsets.is_in_time, axis.weight))
+
+        assert share == pytest.approx(expected), name
         assert curves[name].tolist() == [pytest.approx(expected)], name
 
 
@@ -167,8 +130,9 @@ def test_a_run_may_be_avoided_with_a_longer_latency_alone():
     axis = axis_of_runs([0, 21, 42], np.tile(time_s, 2), -0.5, weight=[0.75, 0.25])
     seen = np.concatenate([time_s < -1.55, time_s > -1.55])
     rule = replace(RULE, track_memory_s=1.0)
-    evaluation = _evaluation(axis, np.zeros(42), [seen])
+    evaluation = seen_evaluation(axis, [seen])
     latencies_s = [0.09, 0.1, 0.8, 0.81, 1.3, 1.31]
+
     found = apr_by_latency(evaluation, rule, latencies_s)["rsu_all"]
 
     assert found.tolist() == [0.25, 1, 1, 0.75, 0.75, 0]
@@ -176,11 +140,12 @@ def test_a_run_may_be_avoided_with_a_longer_latency_alone():
 
 @pytest.mark.parametrize("latency_s", [-0.1, math.nan, math.inf])
 def test_a_latency_of_the_vut_that_cannot_be_is_told(frame_axis, latency_s):
-    evaluation = _evaluation(frame_axis, np.zeros(10), [np.zeros(10)])
+    evaluation = seen_evaluation(frame_axis, np.zeros((1, 10)))
+
     with pytest.raises(
-        InputError, match=r"vut_latency_s: got .*; expected seconds, at least 0"
+        InputError,
+        match=re.escape(
+            f"vut_latency_s: got {latency_s}; expected seconds, at least 0"
+        ),
     ):
         apr_by_latency(evaluation, RULE, [0.0], vut_latency_s=latency_s)
-
-
-# ---------- with a score

@@ -1,3 +1,5 @@
+"""Layouts: read, written, and named where they are wrong; certificates' gaps."""
+
 import copy
 import json
 import math
@@ -7,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused_with
 from strategies import numbers, poses
 
 from geometry.catalogue import load_cameras
@@ -27,6 +30,8 @@ from placement.layout import (
     relative_gap,
 )
 
+CAMERAS = ", ".join(sorted(load_cameras()))
+LIDARS = ", ".join(sorted(load_lidars()))
 GOOD = [
     {
         "id": "A",
@@ -50,25 +55,29 @@ GOOD = [
 ]
 
 
-def _message(function, *arguments):
-    with pytest.raises(InputError) as caught:
-        function(*arguments)
-    return str(caught.value)
-
-
-def _changed(**changes):
+def _changed(without=(), **changes):
+    """Records whose second unit is changed, and lacks some fields."""
     records = copy.deepcopy(GOOD)
-    for key, value in changes.items():
-        records[1][key] = value
+    records[1] |= changes
+    for key in without:
+        del records[1][key]
+
     return records
 
 
+def _read(records):
+    """The layout of records."""
+    return layout_from_records("l", records, "f.json")
+
+
 def _is_id(text):
+    """May a text be the name of a unit?"""
     return text != "" and text not in RESERVED_IDS
 
 
 @st.composite
 def _layouts(draw):
+    """Random layouts."""
     texts = st.text(max_size=8).filter(str.isprintable)
     ids = draw(st.lists(texts.filter(_is_id), min_size=1, max_size=5, unique=True))
     sensors = [*load_cameras().values(), *load_lidars().values()]
@@ -102,6 +111,7 @@ def test_a_lens_that_is_set_comes_back_from_its_records(layout, share):
     )
     layout = replace(layout, units=units)
     records = json.loads(json.dumps(layout_records(layout), allow_nan=False))
+
     back = layout_from_records(layout.name, records, "f.json")
 
     assert [unit.sensor for unit in back.units] == [unit.sensor for unit in units]
@@ -117,41 +127,32 @@ def test_a_lens_that_is_set_comes_back_from_its_records(layout, share):
 
 def test_a_lens_as_in_the_catalogue_may_be_told_or_not():
     zoom = load_cameras()["varifocal-1080p"]
+
     for more in ({}, {"fov_deg": None}, {"fov_deg": zoom.horizontal_fov_deg}):
         records = _changed(camera=zoom.name, **more)
-        assert layout_from_records("l", records, "f.json").units[1].sensor is zoom
-    records = _changed(camera=zoom.name, fov_deg=40)
-    sensor = layout_from_records("l", records, "f.json").units[1].sensor
+        assert _read(records).units[1].sensor is zoom
 
-    assert (sensor.name, sensor.horizontal_fov_deg) == (zoom.name, 40.0)
+    sensor = _read(_changed(camera=zoom.name, fov_deg=40)).units[1].sensor
+
+    assert sensor.name == zoom.name
+    assert sensor.horizontal_fov_deg == 40.0
     assert sensor.focal_length_px > zoom.focal_length_px
-
-
-def test_a_lidar_has_no_field_of_view_to_set():
-    records = _changed(lidar="carla-ncap-lidar", fov_deg=40.0)
-    del records[1]["camera"]
-
-    assert (
-        _message(layout_from_records, "l", records, "f.json")
-        == "f.json: layout[1].fov_deg: got 40.0; expected nothing: only cameras have"
-        " lenses"
-    )
 
 
 @given(_layouts())
 def test_a_layout_comes_back_from_its_records_bit_by_bit(layout):
     text = json.dumps(layout_records(layout), allow_nan=False)
+
     back = layout_from_records(layout.name, json.loads(text), "f.json")
 
     assert back.name == layout.name
 
     for unit, other in zip(layout.units, back.units, strict=True):
-        assert (unit.id, unit.site_id) == (other.id, other.site_id)
+        assert unit.id == other.id
+        assert unit.site_id == other.site_id
         assert np.array_equal(unit.pose.position_m, other.pose.position_m)
-        assert (unit.pose.yaw_deg, unit.pose.pitch_deg) == (
-            other.pose.yaw_deg,
-            other.pose.pitch_deg,
-        )
+        assert unit.pose.yaw_deg == other.pose.yaw_deg
+        assert unit.pose.pitch_deg == other.pose.pitch_deg
         assert unit.sensor is other.sensor
         assert unit.latency_s == other.latency_s
 
@@ -175,131 +176,100 @@ def test_a_layout_is_read_from_a_file(tmp_path):
     assert load_layout(path).name == "ours"
 
 
-@pytest.mark.parametrize("key", ["id", "camera"])
-def test_a_missing_field_is_named(key):
-    records = _changed()
-    del records[1][key]
-
-    assert (
-        _message(layout_from_records, "l", records, "f.json")
-        == f"f.json: layout[1].{key}: got nothing; expected a value"
-    )
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"x_m": math.nan}, "layout[1].x_m: got nan; expected a finite number"),
-        ({"yaw_deg": True}, "layout[1].yaw_deg: got True; expected a finite number"),
+        ({"without": ["id"]}, "id: got nothing; expected a value"),
+        ({"without": ["camera"]}, "camera: got nothing; expected a value"),
+        ({"x_m": math.nan}, "x_m: got nan; expected a finite number"),
+        ({"yaw_deg": True}, "yaw_deg: got True; expected a finite number"),
+        ({"x_m": 10**400}, f"x_m: got 1{199 * '0'}..; expected a finite number"),
+        ({"pitch_deg": -90.5}, "pitch_deg: got -90.5; expected -90 .. 90 degrees"),
+        ({"id": 3}, "id: got 3; expected text"),
+        ({"site": 7}, "site: got 7; expected text"),
+        ({"latency_s": -0.1}, "latency_s: got -0.1; expected seconds, at least 0"),
         (
-            {"x_m": 10**400},
-            f"layout[1].x_m: got 1{199 * '0'}..; expected a finite number",
+            {"camera": "periscope"},
+            f"camera: got 'periscope'; expected one of {CAMERAS}",
         ),
         (
-            {"pitch_deg": -90.5},
-            "layout[1].pitch_deg: got -90.5; expected -90 .. 90 degrees",
+            {"without": ["camera"], "lidar": "carla-ncap-rgb"},
+            f"lidar: got 'carla-ncap-rgb'; expected one of {LIDARS}",
         ),
-        ({"id": 3}, "layout[1].id: got 3; expected text"),
-        ({"site": 7}, "layout[1].site: got 7; expected text"),
         (
-            {"lidar": "carla-ncap-lidar"},
-            "layout[1]: got camera and lidar; expected one of them",
+            {"without": ["camera"], "lidar": "carla-ncap-lidar", "fov_deg": 40.0},
+            "fov_deg: got 40.0; expected nothing: only cameras have lenses",
         ),
         (
             {"fov_deg": 60.0},
-            (
-                "layout[1].fov_deg: got 60.0; expected 90 degrees: carla-ncap-rgb-90"
-                " has a fixed lens"
-            ),
+            "fov_deg: got 60.0; expected 90 degrees: carla-ncap-rgb-90 has a fixed"
+            " lens",
         ),
         (
             {"camera": "varifocal-1080p", "fov_deg": 120},
-            (
-                "layout[1].fov_deg: got 120.0; expected 26.2 .. 89.6 degrees, the lens"
-                " of varifocal-1080p"
-            ),
-        ),
-        (
-            {"latency_s": -0.1},
-            "layout[1].latency_s: got -0.1; expected seconds, at least 0",
+            "fov_deg: got 120.0; expected 26.2 .. 89.6 degrees, the lens of"
+            " varifocal-1080p",
         ),
     ],
 )
 def test_a_field_of_the_wrong_kind_is_named(changes, message):
-    assert (
-        _message(layout_from_records, "l", _changed(**changes), "f.json")
-        == f"f.json: {message}"
-    )
+    with refused_with(f"f.json: layout[1].{message}"):
+        _read(_changed(**changes))
 
 
-def test_a_unit_that_is_no_object_is_named():
-    assert (
-        _message(layout_from_records, "l", [5], "f.json")
-        == "f.json: layout[0]: got 5; expected an object with the fields of a unit"
-    )
-
-
-def test_an_unknown_camera_lists_the_known_ones():
-    known = ", ".join(sorted(load_cameras()))
-    records = _changed(camera="periscope")
-
-    assert (
-        _message(layout_from_records, "l", records, "f.json")
-        == f"f.json: layout[1].camera: got 'periscope'; expected one of {known}"
-    )
+@pytest.mark.parametrize(
+    ("records", "message"),
+    [
+        ([], "layout l: got no unit; expected at least one unit"),
+        (
+            [5],
+            "f.json: layout[0]: got 5; expected an object with the fields of a unit",
+        ),
+        (
+            _changed(lidar="carla-ncap-lidar"),
+            "f.json: layout[1]: got camera and lidar; expected one of them",
+        ),
+        (_changed(id="A"), "layout l: id: got 'A'; expected every id once"),
+        *(
+            (
+                _changed(id=name),
+                f"layout l: id: got '{name}'; expected another name: vut, rsu_all,"
+                " vut_and_rsus, vam, all_sources mean other sensing parties",
+            )
+            for name in RESERVED_IDS
+        ),
+    ],
+)
+def test_units_that_cannot_be_are_named(records, message):
+    with refused_with(message):
+        _read(records)
 
 
 def test_a_lidar_is_written_and_read_as_one_and_is_no_camera():
-    records = _changed(latency_s=0.125)
-    del records[1]["camera"]
-    records[1]["lidar"] = "carla-ncap-lidar"
-    layout = layout_from_records("l", records, "f.json")
+    records = _changed(["camera"], latency_s=0.125, lidar="carla-ncap-lidar")
+
+    layout = _read(records)
+    first, second = layout_records(layout)
 
     assert layout.units[1].sensor is load_lidars()["carla-ncap-lidar"]
-
-    written = layout_records(layout)
-
-    assert written[1]["lidar"] == "carla-ncap-lidar"
-    assert written[1]["latency_s"] == 0.125
-    assert "camera" not in written[1]
-    assert "latency_s" not in written[0]
-
-    records[1]["lidar"] = "carla-ncap-rgb"
-
-    assert _message(layout_from_records, "l", records, "f.json") == (
-        "f.json: layout[1].lidar: got 'carla-ncap-rgb'; expected one of "
-        + ", ".join(sorted(load_lidars()))
-    )
-
-
-def test_a_repeated_id_is_named():
-    assert (
-        _message(layout_from_records, "l", _changed(id="A"), "f.json")
-        == "layout l: id: got 'A'; expected every id once"
-    )
-
-
-@pytest.mark.parametrize("name", RESERVED_IDS)
-def test_a_unit_is_not_called_like_another_sensing_party(name):
-    assert (
-        _message(layout_from_records, "l", _changed(id=name), "f.json")
-        == f"layout l: id: got '{name}'; expected another name: vut, rsu_all,"
-        " vut_and_rsus, vam, all_sources mean other sensing parties"
-    )
+    assert second["lidar"] == "carla-ncap-lidar"
+    assert second["latency_s"] == 0.125
+    assert "camera" not in second
+    assert "latency_s" not in first
 
 
 @pytest.mark.parametrize("text", ["a\nb", "\x1b[2K", "\ud800"])
 def test_names_and_ids_can_be_printed(text):
-    expected = f"layout: name or id: got {text!r}; expected printable text"
-    assert _message(layout_from_records, "l", _changed(id=text), "f.json") == expected
-    assert _message(layout_from_records, text, GOOD, "f.json") == expected
+    message = f"layout: name or id: got {text!r}; expected printable text"
+
+    with refused_with(message):
+        _read(_changed(id=text))
+
+    with refused_with(message):
+        layout_from_records(text, GOOD, "f.json")
 
 
-def test_a_layout_without_units_is_refused():
-    assert (
-        _message(layout_from_records, "l", [], "f.json")
-        == "layout l: got no unit; expected at least one unit"
-    )
+NO_LIST = "got no list 'layout'; expected an object {\"layout\": [units]}"
 
 
 @pytest.mark.parametrize(
@@ -307,47 +277,37 @@ def test_a_layout_without_units_is_refused():
     [
         (
             b"{",
-            (
-                "got Expecting property name enclosed in double quotes: line 1 column 2"
-                " (char 1); "
-            ),
+            "got Expecting property name enclosed in double quotes: line 1 column 2"
+            " (char 1); expected JSON in UTF-8",
         ),
-        (b"not JSON", "got Expecting value: line 1 column 1 (char 0); "),
+        (
+            b"not JSON",
+            "got Expecting value: line 1 column 1 (char 0); expected JSON in UTF-8",
+        ),
         (
             b"\xff",
-            (
-                "got 'utf-8' codec can't decode byte 0xff in position 0: invalid start"
-                " byte; "
-            ),
+            "got 'utf-8' codec can't decode byte 0xff in position 0: invalid start"
+            " byte; expected JSON in UTF-8",
+        ),
+        (b"[" * 100_000, "got JSON nested too deep; expected a layout"),
+        (b"[]", NO_LIST),
+        (b"{}", NO_LIST),
+        (b'{"layout": {}}', NO_LIST),
+        (b"null", NO_LIST),
+        (None, "got No such file or directory; expected a readable file"),
+        (
+            json.dumps({"layout": _changed(x_m=math.nan)}).encode(),
+            "layout[1].x_m: got nan; expected a finite number",
         ),
     ],
 )
-def test_a_file_that_is_not_json_is_named(tmp_path, content, message):
+def test_a_file_that_is_no_layout_is_named(tmp_path, content, message):
     path = tmp_path / "a.json"
-    path.write_bytes(content)
+    if content is not None:
+        path.write_bytes(content)
 
-    assert _message(load_layout, path) == f"{path}: {message}expected JSON in UTF-8"
-
-
-def test_a_file_nested_too_deep_is_named(tmp_path):
-    path = tmp_path / "a.json"
-    path.write_text("[" * 100_000, encoding="utf-8")
-
-    assert (
-        _message(load_layout, path)
-        == f"{path}: got JSON nested too deep; expected a layout"
-    )
-
-
-@pytest.mark.parametrize("content", ["[]", "{}", '{"layout": {}}', "null"])
-def test_a_file_without_a_list_of_units_is_named(tmp_path, content):
-    path = tmp_path / "a.json"
-    path.write_text(content, encoding="utf-8")
-
-    assert (
-        _message(load_layout, path)
-        == f"{path}: got no list 'layout'; expected an object {{\"layout\": [units]}}"
-    )
+    with refused_with(f"{path}: {message}"):
+        load_layout(path)
 
 
 @pytest.mark.parametrize(
@@ -356,13 +316,14 @@ def test_a_file_without_a_list_of_units_is_named(tmp_path, content):
 def test_a_file_of_another_version_is_refused_and_not_guessed_at(tmp_path, schema):
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"schema": schema, "layout": GOOD}))
-    message = _message(load_layout, path)
+
+    with pytest.raises(InputError) as caught:
+        load_layout(path)
+    message = str(caught.value)
+    known = ", ".join([SCHEMA, *RESULT_SCHEMAS])
 
     assert message.startswith(f"{path}: schema: got ")
-
-    known = (SCHEMA, *RESULT_SCHEMAS)
-
-    assert message.endswith(f"expected {', '.join(known)}, or none of it")
+    assert message.endswith(f"expected {known}, or none of it")
 
 
 @pytest.mark.parametrize("schema", [SCHEMA, *RESULT_SCHEMAS])
@@ -371,24 +332,6 @@ def test_layouts_are_read_from_layout_files_and_from_results(tmp_path, schema):
     path.write_text(json.dumps({"schema": schema, "layout": GOOD}))
 
     assert [unit.id for unit in load_layout(path).units] == ["A", "B"]
-
-
-def test_a_missing_file_is_named(tmp_path):
-    path = tmp_path / "gone.json"
-    assert (
-        _message(load_layout, path)
-        == f"{path}: got No such file or directory; expected a readable file"
-    )
-
-
-def test_a_field_error_names_the_file(tmp_path):
-    path = tmp_path / "a.json"
-    path.write_text(json.dumps({"layout": _changed(x_m=math.nan)}), encoding="utf-8")
-
-    assert (
-        _message(load_layout, path)
-        == f"{path}: layout[1].x_m: got nan; expected a finite number"
-    )
 
 
 # Certificates
@@ -410,7 +353,13 @@ def test_the_gap_is_zero_where_objective_and_bound_agree_and_infinite_above_noth
 
 def test_a_certificate_is_proven_when_every_gap_is_closed():
     def stage(gap):
-        return Stage(name="apr", objective=1.0, bound=1.0 + gap, gap=gap, seconds=0.1)
+        return Stage(
+            name="apr",
+            objective=1.0,
+            bound=1.0 + gap,
+            gap=gap,
+            seconds=0.1,
+        )
 
     assert Certificate(stages=(stage(0.0), stage(0.0)), solver="HiGHS").is_proven
     assert not Certificate(stages=(stage(0.0), stage(1e-6)), solver="HiGHS").is_proven

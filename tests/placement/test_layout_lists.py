@@ -2,6 +2,7 @@
 
 import json
 import logging
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,7 @@ HEAD = "Name;Mast;Breite (°);Länge (°);Höhe [m];Azimut (°);Neigung;Modell;B
 
 @pytest.fixture(scope="module")
 def scene():
+    """The study's junction with coordinates on the earth."""
     study = load_study_scene()
     return replace(study, name="here", crs=CRS, source_crs=WGS84)
 
@@ -44,14 +46,17 @@ def test_a_list_in_degrees_with_bearings_and_decimal_commas(
     with caplog.at_level(logging.WARNING):
         (unit,) = load_layout(path, scene=scene).units
 
-    assert (unit.id, unit.site_id) == ("C1", scene.sites[0].id)
+    assert unit.id == "C1"
+    assert unit.site_id == scene.sites[0].id
     assert unit.pose.position_m == pytest.approx(
         [*scene.sites[0].position_m[:2], 6.5], abs=0.01
     )
-    assert (unit.pose.yaw_deg, unit.pose.pitch_deg) == (-45.0, -20.0)
+    assert unit.pose.yaw_deg == -45.0
+    assert unit.pose.pitch_deg == -20.0
     assert [one.message for one in caplog.records] == [
         f"{path}: columns that are not known, and not read: Baujahr"
     ]
+
     with pytest.raises(InputError, match="expected a layout file of place-rsus here"):
         load_layout(path)
 
@@ -77,6 +82,7 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
         for i, site in enumerate(scene.sites[:2])
     ]
     path.write_text(json.dumps({"layout": units}))
+
     layout = find_layout(str(path), "--keep", scene=scene, sensors=str(models))
 
     assert [unit.pose.yaw_deg for unit in layout.units] == [90.0, 90.0]
@@ -113,15 +119,23 @@ def test_wrong_names_and_numbers_are_refused(tmp_path, scene, row, old, new, mes
     path = tmp_path / "cameras.csv"
     path.write_text(HEAD + row.replace(old, new, 1), encoding="utf-8")
 
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=re.escape(message)):
         load_layout(path, scene=scene)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("away_m", "hangs"), [(0.0, True), (0.45, True), (0.6, False)])
+@pytest.mark.parametrize(
+    ("away_m", "hangs"),
+    [
+        (0.0, True),
+        (0.45, True),
+        (0.6, False),
+    ],
+)
 def test_an_existing_camera_at_a_pole_hangs_on_it(tmp_path, scene, row, away_m, hangs):
     pole = scene.sites[0]
     place_m = pole.position_m[:2] + [0.0, away_m]
+
     lon_deg, lat_deg = transform(place_m, CRS, WGS84)
     path = tmp_path / "cameras.csv"
     path.write_text(
@@ -130,7 +144,9 @@ def test_an_existing_camera_at_a_pole_hangs_on_it(tmp_path, scene, row, away_m, 
     )
     plan = assemble_without_runs(Question(budget=1, keep=str(path)), scene)
     (unit,) = plan.existing.units
+
     assert unit.site_id == (pole.id if hangs else "")
+
     # The pole has been made ready, and has room for less.
     limits = build_limits(plan.wishes, scene, plan.candidates)
     (own,) = np.flatnonzero(limits.is_forced)
@@ -138,8 +154,10 @@ def test_an_existing_camera_at_a_pole_hangs_on_it(tmp_path, scene, row, away_m, 
     mates = [
         plan.candidates[i].site_id for i in np.flatnonzero(limits.site_index == at)
     ]
+
     assert set(mates) == {unit.site_id}
     assert (len(mates) > 1) == hangs
+
     if hangs:
         assert limits.site_capacity[at] == pole.capacity_units
         assert limits.site_cost_eur[at] == 0.0

@@ -3,8 +3,8 @@
 import subprocess
 import sys
 
-import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import placement
 
@@ -24,7 +24,10 @@ def test_another_name_is_an_attribute_error():
 def test_solvers_and_rays_are_loaded_when_first_used():
     code = "import sys, placement; placement.Question; print(*sys.modules)"
     loaded = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout.split()
 
     assert "placement.question" in loaded
@@ -33,13 +36,16 @@ def test_solvers_and_rays_are_loaded_when_first_used():
 
 @pytest.fixture(scope="module")
 def found():
+    """What the library finds for a small question."""
     setting = placement.build_setting(
         placement.Question(cases="CPNC-50", approaches="north")
     )
     few = placement.build_candidates(setting.scene)[::97]
     found = placement.place(
         placement.Assembly(
-            setting=setting, candidates=few, wishes=placement.Wishes(budget_units=2)
+            setting=setting,
+            candidates=few,
+            wishes=placement.Wishes(budget_units=2),
         )
     )
     return setting, found, placement.evaluate_layout(found.layout, setting)
@@ -48,6 +54,7 @@ def found():
 def test_a_placement_prints_its_units_and_its_proof(found):
     _, best, _ = found
     text = str(best)
+
     for unit in best.layout.units:
         assert f"{unit.pose.position_m[0]:.1f}" in text
         assert unit.site_id in text
@@ -60,7 +67,7 @@ def test_a_placement_prints_its_units_and_its_proof(found):
 
 def test_a_layout_is_a_table(found):
     frame = found[1].layout.to_frame()
-    np.testing.assert_array_equal(
+    assert_array_equal(
         frame[["x_m", "y_m", "z_m"]],
         [unit.pose.position_m for unit in found[1].layout.units],
     )
@@ -71,14 +78,18 @@ def test_an_evaluation_prints_the_apr_of_every_party(found):
     frame = judged.to_frame()
 
     assert list(frame.index) == ["all runs", "CPNC-50"]
-    assert list(frame.columns) == [
+
+    expected = [
         "rsu_all",
         "vut",
         "vut_and_rsus",
         *(unit.id for unit in best.layout.units),
     ]
+
+    assert list(frame.columns) == expected
     assert frame.loc["all runs", "vut"] == placement.apr(judged.vut, judged.axis)
-    assert (
-        str(judged).splitlines()[0] == f"{best.layout.name}: accident prevention ratio"
-    )
+
+    title = str(judged).splitlines()[0]
+
+    assert title == f"{best.layout.name}: accident prevention ratio"
     assert "<table" in judged._repr_html_()

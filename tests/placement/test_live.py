@@ -21,6 +21,7 @@ from scenarios.aeb import AebRule
 
 @pytest.fixture(scope="module")
 def setting():
+    """A few runs."""
     return build_small_setting()
 
 
@@ -40,6 +41,7 @@ def unit(
     sensor=None,
     name="U1",
 ):
+    """A unit at a site of the scene."""
     mount = setting.scene.sites[site]
     return unit_at(
         name,
@@ -52,10 +54,12 @@ def unit(
 
 
 def built(setting, units):
+    """Detections by the builder of tables."""
     return table_of(setting, units).detected(slice(None))
 
 
 def zoomed(fov_deg):
+    """The camera at a field of view."""
     camera = load_cameras()["carla-ncap-rgb"]
     return replace(camera, horizontal_fov_deg=fov_deg, fov_range_deg=(20.0, 100.0))
 
@@ -70,12 +74,19 @@ def zoomed(fov_deg):
     fov_deg=st.sampled_from([None, 20.0, 47.0, 100.0]),
 )
 def test_rows_are_those_of_the_detection_table(
-    setting, table, site, height_m, yaw_deg, pitch_deg, fov_deg
+    setting,
+    table,
+    site,
+    height_m,
+    yaw_deg,
+    pitch_deg,
+    fov_deg,
 ):
     if fov_deg is None:
         sensor = None
     else:
         sensor = zoomed(fov_deg)
+
     where = {
         "site": site,
         "height_m": height_m,
@@ -133,13 +144,19 @@ def test_a_verdict_by_the_table_is_what_the_optimiser_reads(setting, table):
         unit(setting, site=site, yaw_deg=210.0, name=f"U{site}") for site in range(2)
     ]
     detected = table.detected(units)
+
     verdict = table_verdict(units, detected, setting)
     rows = table_of(setting, units)
     limits = Limits(
-        site_index=np.arange(2), site_capacity=np.ones(2, dtype=int), budget_units=2
+        site_index=np.arange(2),
+        site_capacity=np.ones(2, dtype=int),
+        budget_units=2,
     )
     problem = PlacementProblem(
-        table=rows, limits=limits, fusion="any", rule=setting.rule
+        table=rows,
+        limits=limits,
+        fusion="any",
+        rule=setting.rule,
     )
 
     assert (verdict.is_avoided == (run_margins_s(problem, [0, 1]) > -np.inf)).all()
@@ -150,6 +167,7 @@ def test_a_slow_unit_brakes_later(setting, table):
     one = unit(setting, yaw_deg=210.0)
     quick = table_verdict([one], table.detected([one]), setting)
     slow_one = replace(one, latency_s=0.4)
+
     slow = table_verdict([slow_one], table.detected([slow_one]), setting)
 
     assert isinstance(setting.rule, AebRule)

@@ -1,3 +1,5 @@
+"""Memory that a question needs, and the limits that it meets."""
+
 import resource
 
 import numpy as np
@@ -17,6 +19,7 @@ counts = st.integers(1, 10_000)
 @given(counts, counts, counts)
 def test_worlds_count_like_frames_and_frames_like_poses(poses, frames, worlds):
     need = needed_bytes(poses, frames, n_worlds=worlds)
+
     assert need == needed_bytes(frames, poses, n_worlds=worlds)
     assert need == needed_bytes(poses, frames * worlds)
     assert need > needed_bytes(poses, frames - 1, n_worlds=worlds)
@@ -35,11 +38,14 @@ def test_the_table_itself_is_part_of_what_is_needed(frame_axis):
 
 def test_what_fits_is_let_through_to_the_last_byte(monkeypatch):
     monkeypatch.setattr(memory, "machine_bytes", lambda: needed_bytes(5000, 20_000))
+
     check_memory(5000, 20_000)
 
     with pytest.raises(InputError):
         check_memory(5000, 20_001)
+
     monkeypatch.setattr(memory, "machine_bytes", lambda: None)
+
     check_memory(10**9, 10**9)  # nothing is known: nothing is refused
 
 
@@ -59,11 +65,17 @@ def test_the_message_says_what_is_needed_and_how_to_shrink_it(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("text", "is_less"), [("12345678", True), ("max", False), ("", False)]
+    ("text", "is_less"),
+    [
+        ("12345678", True),
+        ("max", False),
+        ("", False),
+    ],
 )
 def test_the_limit_of_a_container_counts(monkeypatch, tmp_path, text, is_less):
     file = tmp_path / "memory.max"
     file.write_text(text)
+
     whole = machine_bytes()
     monkeypatch.setattr(memory, "_LIMIT_FILES", (str(tmp_path / "missing"), str(file)))
 

@@ -1,13 +1,15 @@
+"""From wishes to a layout: proven, repeated, cached, refused."""
+
 import logging
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from refusals import refused_with
 from tiny_worlds import crossing_candidates, crossing_setting, unit_at
 
-from geometry.errors import InputError
 from placement import pipeline
 from placement.compute import Compute
 from placement.layout import check_layout
@@ -26,11 +28,13 @@ from placement.wishes import Wishes
 
 @pytest.fixture(scope="module")
 def setting(runs, rule):
+    """The crossing's runs."""
     return crossing_setting(runs, rule=rule)
 
 
 @pytest.fixture(scope="module")
 def candidates(setting, camera):
+    """Poses at the crossing."""
     return crossing_candidates(setting.scene, camera)
 
 
@@ -38,13 +42,12 @@ def candidates(setting, camera):
 def asked(setting, candidates):
     """Builds an instance of these from wishes, and other fields."""
 
-    def build(*, compute=Compute(), effort=None, fusion="any", **wishes):  # noqa: B008
+    def build(*, candidates=candidates, effort=Effort(), compute=Compute(), **wishes):  # noqa: B008
         return Assembly(
             setting=setting,
             candidates=candidates,
             wishes=Wishes(**wishes),
-            fusion=fusion,
-            effort=effort or Effort(),
+            effort=effort,
             compute=compute,
         )
 
@@ -53,6 +56,7 @@ def asked(setting, candidates):
 
 @pytest.fixture(scope="module")
 def placement(asked):
+    """The best two units."""
     return place(asked(budget_units=2))
 
 
@@ -80,6 +84,7 @@ def test_the_best_layout_is_proven_feasible_and_that_of_brute_force(
     assert is_feasible(placement.problem, placement.pose_index)
 
     best, _ = _best(placement.problem)
+
     value = placement_value(placement.problem, placement.pose_index)
 
     assert not is_better(best, value)
@@ -107,15 +112,14 @@ def test_the_layout_names_the_candidates_that_were_chosen(
     placement, setting, candidates
 ):
     layout = placement.layout
+
     assert layout.name == "best-2"
     assert [unit.id for unit in layout.units] == ["U1", "U2"]
 
     for unit, index in zip(layout.units, placement.pose_index, strict=True):
         assert unit.pose is candidates[index].pose
-        assert (unit.site_id, unit.sensor) == (
-            candidates[index].site_id,
-            candidates[index].sensor,
-        )
+        assert unit.site_id == candidates[index].site_id
+        assert unit.sensor == candidates[index].sensor
 
     check_layout(layout, setting.scene)
 
@@ -130,9 +134,9 @@ def test_the_greedy_layout_is_as_large_and_never_better(placement, candidates):
 
     index = solve_greedy(placement.problem)
 
-    assert [unit.pose for unit in placement.greedy.units] == [
-        candidates[i].pose for i in index
-    ]
+    expected = [candidates[i].pose for i in index]
+
+    assert [unit.pose for unit in placement.greedy.units] == expected
 
     greedy = placement_value(placement.problem, index)
 
@@ -150,21 +154,32 @@ def test_the_same_question_gets_the_same_answer(asked, placement):
 # Budget
 
 
-@pytest.mark.parametrize("budget", [0, 5, "2", None])
-def test_a_budget_that_cannot_be_is_refused_before_anything_is_computed(asked, budget):
-    expected = "a whole number of units, at least 1"
-    if budget == 5:
-        expected = "a whole number of units, 1 to 4 (what town05's sites can carry)"
-    message = f"budget: got {budget!r}; expected {expected}"
-    if budget is None:
-        message = "budget: got nothing; expected `budget`, `budget_cost` or `target`"
+UNITS = "a whole number of units"
 
+
+@pytest.mark.parametrize(
+    ("budget", "message"),
+    [
+        (0, f"budget: got 0; expected {UNITS}, at least 1"),
+        (
+            5,
+            f"budget: got 5; expected {UNITS}, 1 to 4 (what town05's sites can carry)",
+        ),
+        ("2", f"budget: got '2'; expected {UNITS}, at least 1"),
+        (
+            None,
+            "budget: got nothing; expected `budget`, `budget_cost` or `target`",
+        ),
+    ],
+)
+def test_a_budget_that_cannot_be_is_refused_before_anything_is_computed(
+    asked, budget, message
+):
     def never(stage, done, total):
         raise AssertionError(stage)
 
-    with pytest.raises(InputError) as caught:
+    with refused_with(message):
         place(asked(budget_units=budget, compute=Compute(progress=never)))
-    assert str(caught.value).removeprefix("--") == message
 
 
 def test_every_budget_that_the_sites_can_carry_is_allowed(asked):
@@ -176,25 +191,25 @@ def test_every_budget_that_the_sites_can_carry_is_allowed(asked):
 
 
 def _stages(calls):
+    """Stages of progress in their order."""
     return list(dict.fromkeys(stage for stage, _, _ in calls))
 
 
 def test_a_second_call_takes_the_table_from_the_cache(asked, placement, tmp_path):
     first = []
     second = []
+    folder = tmp_path / "cache"
+
     for calls in (first, second):
-        found = place(
-            asked(
-                budget_units=2,
-                compute=Compute(
-                    cache_folder=tmp_path / "cache",
-                    progress=lambda *call, calls=calls: calls.append(call),
-                ),
-            )
-        )
-        assert np.array_equal(
-            found.problem.table.packed, placement.problem.table.packed
-        )
+
+        def told(*call, calls=calls):
+            calls.append(call)
+
+        compute = Compute(cache_folder=folder, progress=told)
+
+        found = place(asked(budget_units=2, compute=compute))
+
+        assert_array_equal(found.problem.table.packed, placement.problem.table.packed)
         assert found.pose_index == placement.pose_index
 
     assert _stages(first)[0] == "detection table"
@@ -204,7 +219,7 @@ def test_a_second_call_takes_the_table_from_the_cache(asked, placement, tmp_path
     assert _stages(second)[1] == "optimise"
     assert _stages(first)[-1] == "greedy"
 
-    kept = sorted(path.name.split("-")[0] for path in (tmp_path / "cache").iterdir())
+    kept = sorted(path.name.split("-")[0] for path in folder.iterdir())
 
     assert kept == ["answer", "table"]
 
@@ -220,9 +235,9 @@ def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
 
     monkeypatch.setattr(pipeline, "solve_sturdily", count)
 
-    def ask(budget, effort=None):
+    def ask(budget, **options):
         compute = Compute(cache_folder=tmp_path)
-        return place(asked(budget_units=budget, effort=effort, compute=compute))
+        return place(asked(budget_units=budget, compute=compute, **options))
 
     first = ask(2)
     again = ask(2)
@@ -235,7 +250,7 @@ def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
     assert again.presolved().statistics == first.presolve
 
     ask(1)
-    ask(2, Effort(time_limit_s=50.0))
+    ask(2, effort=Effort(time_limit_s=50.0))
 
     assert len(solved) == 3
 
@@ -251,6 +266,7 @@ def test_only_a_proven_answer_is_kept(asked, tmp_path, monkeypatch, gap):
 
     monkeypatch.setattr(pipeline, "solve_sturdily", solve)
     compute = Compute(cache_folder=tmp_path)
+
     place(asked(budget_units=1, compute=compute))
 
     assert any(tmp_path.glob("answer-*")) == (gap == 0.0)
@@ -260,16 +276,12 @@ def test_other_inputs_do_not_get_the_cached_table(setting, candidates, tmp_path)
     stages = []
     for seed in (0, 1, 0):
         calls = []
-        obtain_table(
-            setting,
-            candidates,
-            compute=Compute(
-                seed=seed,
-                workers=1,
-                cache_folder=tmp_path,
-                progress=lambda *call, calls=calls: calls.append(call),
-            ),
-        )
+
+        def told(*call, calls=calls):
+            calls.append(call)
+
+        compute = Compute(seed=seed, workers=1, cache_folder=tmp_path, progress=told)
+        obtain_table(setting, candidates, compute=compute)
         stages.append(calls[0][0])
 
     assert stages == ["detection table", "detection table", "detection table (cached)"]
@@ -293,6 +305,7 @@ def test_a_damaged_cached_table_is_made_anew_and_replaced(
 def test_a_cache_folder_that_cannot_be_is_no_error(asked, placement, tmp_path, caplog):
     in_the_way = tmp_path / "file"
     in_the_way.write_text("", encoding="utf-8")
+
     found = place(asked(budget_units=2, compute=Compute(cache_folder=in_the_way)))
 
     assert found.pose_index == placement.pose_index
@@ -303,11 +316,15 @@ def test_a_cache_folder_that_cannot_be_is_no_error(asked, placement, tmp_path, c
 
 
 def test_poses_of_no_site_stand_alone_on_sites_of_their_own(
-    setting, candidates, camera
+    asked, setting, candidates, camera
 ):
     def extra(name, site_id):
         return unit_at(
-            name, [-126.0, -1.0, 9.0], pitch_deg=-80.0, site_id=site_id, sensor=camera
+            name,
+            [-126.0, -1.0, 9.0],
+            pitch_deg=-80.0,
+            site_id=site_id,
+            sensor=camera,
         )
 
     poses = (
@@ -317,26 +334,21 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(
         extra("kite", ""),
         candidates[6],
     )
-    problem = Assembly(
-        setting=setting, candidates=poses, wishes=Wishes(budget_units=2)
-    ).problem
-    capacity = problem.limits.site_capacity[problem.limits.site_index]
 
-    assert capacity.tolist() == [1, 2, 2, 1, 1, 2]
+    problem = asked(candidates=poses, budget_units=2).problem
+    limits = problem.limits
+    sites = limits.site_index.tolist()
 
-    sites = problem.limits.site_index.tolist()
-
+    assert limits.site_capacity[sites].tolist() == [1, 2, 2, 1, 1, 2]
     assert sites[1] == sites[2]
     assert len(set(sites)) == 5
-    assert replace(problem.limits, budget_units=None).max_units == 6
+    assert replace(limits, budget_units=None).max_units == 6
     assert problem.rule is setting.rule
 
 
-def test_poses_by_name_keep_their_names(setting, candidates, camera):
+def test_poses_by_name_keep_their_names(asked, candidates):
     named = replace(candidates[0], id="RSU1")
-    found = place(
-        Assembly(setting=setting, candidates=[named], wishes=Wishes(budget_units=1))
-    )
+    found = place(asked(candidates=[named], budget_units=1))
 
     assert [unit.id for unit in found.layout.units] == ["RSU1"]
 
@@ -350,24 +362,16 @@ def test_a_unit_kept_from_an_earlier_result_keeps_its_name_and_no_other_gets_it(
     assert [unit.id for unit in layout.units] == ["U1", "U3", "U4", "U2"]
 
 
-def test_without_candidates_nothing_is_placed(setting):
-    with pytest.raises(
-        InputError, match=r"^candidates: got none; expected at least one pose$"
-    ):
-        place(Assembly(setting=setting, candidates=[], wishes=Wishes(budget_units=1)))
+def test_without_candidates_nothing_is_placed(asked):
+    with refused_with("candidates: got none; expected at least one pose"):
+        place(asked(candidates=[], budget_units=1))
 
 
-def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):
+def test_more_units_than_the_candidates_allow_are_refused(asked, candidates):
     with refused_with(
         "budget: got 2; expected at most 1: candidates and their sites allow no more"
     ):
-        place(
-            Assembly(
-                setting=setting,
-                candidates=candidates[:1],
-                wishes=Wishes(budget_units=2),
-            )
-        )
+        place(asked(candidates=candidates[:1], budget_units=2))
 
 
 def test_wishes_that_contradict_each_other_are_named_with_ways_out(asked):

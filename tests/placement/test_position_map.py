@@ -20,6 +20,7 @@ UNITS = load_carlancap_layout().units
 
 @pytest.fixture(scope="module")
 def by_one():
+    """The map of one unit."""
     return find_position_map(SCENE, UNITS[:1], DETECTOR)
 
 
@@ -29,6 +30,7 @@ def test_a_cell_has_the_largest_error_of_the_camera_there(by_one):
     for row, column in seen[:: len(seen) // 7]:
         foot_m = np.array([[by_one.east_m[column], by_one.north_m[row], 0.0]])
         rule = load_decision_rule()
+
         errors = camera_errors(
             UNITS[0].pose.position_m,
             foot_m,
@@ -40,21 +42,32 @@ def test_a_cell_has_the_largest_error_of_the_camera_there(by_one):
         along_m = np.hypot(errors.box_along_m, errors.aim_along_m)[0]
         across_m = np.hypot(errors.box_across_m, errors.aim_across_m)[0]
         expected = max(along_m, across_m)
+
         # The body's own width is not that of this one.
         assert by_one.sd_m[0, row, column] == pytest.approx(expected, rel=0.02)
 
 
 def test_better_aims_and_more_cameras_never_know_less(by_one):
     calibrated, by_eye = by_one.sd_m
+
     assert (calibrated <= by_eye).all()
     assert (calibrated < by_eye).any()
+
     by_three = find_position_map(SCENE, UNITS[:3], DETECTOR)
+
     assert (by_three.sd_m <= by_one.sd_m + 1e-9).all()
     assert np.isfinite(by_three.sd_m).sum() > np.isfinite(by_one.sd_m).sum()
 
 
 def test_a_camera_that_looks_away_knows_nothing():
     up = Pose(position_m=[0.0, 0.0, 8.0], yaw_deg=0.0, pitch_deg=90.0)
-    unit = CandidatePose(id="up", site_id="", pose=up, sensor=UNITS[0].sensor)
+    unit = CandidatePose(
+        id="up",
+        site_id="",
+        pose=up,
+        sensor=UNITS[0].sensor,
+    )
+
     found = find_position_map(SCENE, [unit], DETECTOR)
+
     assert np.isinf(found.sd_m).all()

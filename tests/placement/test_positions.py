@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from geometry.catalogue import pick_camera
 from geometry.lidar import load_lidars
@@ -30,9 +31,8 @@ def on_ground(pixel, pose):
 
 
 def pose_of(height_m, *, pitch_deg, yaw_deg=20.0):
-    return Pose(
-        position_m=np.array([3.0, -2.0, height_m]), yaw_deg=yaw_deg, pitch_deg=pitch_deg
-    )
+    """A pose so high above the road."""
+    return Pose(position_m=[3.0, -2.0, height_m], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
 
 
 PLACES = [
@@ -44,6 +44,7 @@ PLACES = [
 
 
 def foot_at(pose, distance_m, off_deg):
+    """Foot of a body at a distance, and the sight towards it. [m]"""
     yaw = np.radians(pose.yaw_deg + off_deg)
     sight = np.array([np.cos(yaw), np.sin(yaw)])
     return np.append(pose.position_m[:2] + distance_m * sight, 0.0), sight
@@ -73,14 +74,17 @@ def test_errors_of_the_aim_are_derivatives_of_the_camera_model(
 
     tilted = moved(pitch_deg=pose.pitch_deg + step_deg)
     turned = moved(yaw_deg=pose.yaw_deg + step_deg)
+
     # A bearing moves places across the line of sight, exactly.
     assert 0.2 * abs(turned @ left) == pytest.approx(found.aim_across_m[0], rel=1e-3)
     assert abs(turned @ sight) < 1e-3
+
     # A tilt is about the camera's axis across: off it, the place moves less along.
     along = abs(np.cos(np.radians(off_deg)))
-    assert abs(tilted @ sight) == pytest.approx(
-        along * found.aim_along_m[0] / 1.0, rel=1e-3
-    )
+
+    expected = along * found.aim_along_m[0] / 1.0
+
+    assert abs(tilted @ sight) == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize(("height_m", "distance_m", "off_deg"), PLACES)
@@ -99,21 +103,24 @@ def test_errors_of_the_box_are_derivatives_of_the_camera_model(
         aim_sd_deg=(0.2, 0.2),
     )
     head = foot + [0.0, 0.0, BODY_M[0]]
+
     bottom, top = project_points(np.stack([foot, head]), pose, CAMERA)
     height_share = RULE.box_height_factor * share
     off_px = height_share * (bottom[1] - top[1])
     moved = on_ground((bottom[0], bottom[1] + off_px), pose) - foot[:2]
+
     # The formula takes angles to be small and the picture to be curved.
     assert abs(moved @ sight) == pytest.approx(found.box_along_m[0], rel=0.12)
     # Where the body is low against the height, as the text says.
-    assert found.box_along_m[0] == pytest.approx(
-        height_share * BODY_M[0] * distance_m / height_m, rel=0.35
-    )
+    expected = height_share * BODY_M[0] * distance_m / height_m
+
+    assert found.box_along_m[0] == pytest.approx(expected, rel=0.35)
 
 
 def test_covariances_have_the_errors_as_their_axes():
     pose = pose_of(7.0, pitch_deg=-20.0)
     foot, sight = foot_at(pose, 25.0, 10.0)
+
     found = camera_errors(
         pose.position_m,
         foot[None],
@@ -126,8 +133,11 @@ def test_covariances_have_the_errors_as_their_axes():
     matrix = np.array([[ee, en], [en, nn]])
     along = np.hypot(found.box_along_m, found.aim_along_m)[0]
     across = np.hypot(found.box_across_m, found.aim_across_m)[0]
+
     assert sight @ matrix @ sight == pytest.approx(along**2)
-    assert np.linalg.det(matrix) == pytest.approx((along * across) ** 2)
+    expected = (along * across) ** 2
+
+    assert np.linalg.det(matrix) == pytest.approx(expected)
 
 
 @pytest.mark.long
@@ -136,6 +146,7 @@ def test_drawn_errors_have_these_covariances_and_link_frames_of_a_run():
     pose = pose_of(7.0, pitch_deg=-20.0)
     foot, _ = foot_at(pose, 25.0, 10.0)
     n = 2000
+
     errors = camera_errors(
         pose.position_m,
         np.tile(foot, (n, 1)),
@@ -152,10 +163,13 @@ def test_drawn_errors_have_these_covariances_and_link_frames_of_a_run():
         ]
     )
     ee, en, nn = errors.covariance_m2()[0]
-    np.testing.assert_allclose(np.cov(drawn.T), [[ee, en], [en, nn]], rtol=0.3)
+
+    assert_allclose(np.cov(drawn.T), [[ee, en], [en, nn]], rtol=0.3)
+
     one = errors.draw_m(np.zeros(2), rng, start, correlation=0.8)
     within = np.corrcoef(one[0::2, 0], one[1::2, 0])[0, 1]
     between = np.corrcoef(one[1:-1:2, 0], one[2::2, 0])[0, 1]
+
     assert within == pytest.approx(0.8, abs=0.05)
     assert abs(between) < 0.08
 
@@ -166,8 +180,13 @@ def test_a_lidar_knows_the_range_and_a_camera_the_bearing():
     foot, _ = foot_at(pose, 30.0, 0.0)
     aims = aim_sd_deg(CALIBRATED)
     by_lidar = lidar_errors(
-        pose.position_m, lidar, foot[None], rule=RULE, aim_sd_deg=aims
+        pose.position_m,
+        lidar,
+        foot[None],
+        rule=RULE,
+        aim_sd_deg=aims,
     )
+
     by_camera = camera_errors(
         pose.position_m,
         foot[None],
@@ -176,10 +195,15 @@ def test_a_lidar_knows_the_range_and_a_camera_the_bearing():
         box_noise_share=0.106,
         aim_sd_deg=aims,
     )
+
     assert by_lidar.box_along_m[0] == pytest.approx(lidar.range_noise_m, abs=1e-6)
     assert by_lidar.aim_along_m[0] < by_camera.aim_along_m[0]
+
     spacing = np.radians(lidar.horizontal_fov_deg) / lidar.n_columns
-    assert by_lidar.box_across_m[0] == pytest.approx(30.0 * spacing / np.sqrt(12.0))
+
+    expected = 30.0 * spacing / np.sqrt(12.0)
+
+    assert by_lidar.box_across_m[0] == pytest.approx(expected)
 
 
 def test_a_camera_below_the_feet_does_not_know_how_far_away_they_are():
@@ -194,6 +218,7 @@ def test_a_camera_below_the_feet_does_not_know_how_far_away_they_are():
         )
         for height_m in (1.0, 8.0)
     )
+
     assert 20.0 < below.box_along_m[0] < np.inf
     assert above.box_along_m[0] < 1.0
     assert below.box_across_m[0] == above.box_across_m[0]

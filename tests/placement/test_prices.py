@@ -9,11 +9,12 @@ from placement.wishes import PricedPart, SitePrices, assumed_prices, load_prices
 
 
 def site(kind, cost_eur=0.0):
+    """A site of a kind."""
     return Site(
         id=f"{kind} {cost_eur:g}",
         position_m=np.zeros(3),
         kind=kind,
-        height_range_m=np.array([4.0, 8.0]),
+        height_range_m=[4.0, 8.0],
         capacity_units=1,
         cost_eur=cost_eur,
     )
@@ -21,6 +22,7 @@ def site(kind, cost_eur=0.0):
 
 def test_every_price_has_a_source_or_is_called_an_assumption():
     prices = load_prices()
+
     for name, part in prices.parts.items():
         is_assumed = part.source.startswith("assumption: ")
         assert is_assumed or any(c.isdigit() for c in part.source), name
@@ -33,6 +35,7 @@ def test_every_price_has_a_source_or_is_called_an_assumption():
 
 def test_a_site_costs_what_it_says_else_what_its_kind_takes():
     prices = load_prices()
+
     assert prices.cost_eur(site("lamp post", 123.0)) == 123.0
     assert prices.cost_eur(site("lamp post")) == 900.0 + 400.0 + 2260.0
     assert prices.cost_eur(site("kerb")) == 2400.0 + 900.0 + 1500.0 + 2260.0
@@ -60,7 +63,7 @@ def test_what_is_assumed_is_told_for_each_kind():
 
 def test_parts_that_are_not_in_the_table_are_refused():
     with pytest.raises(
-        InputError, match=r"prices.toml: kinds: got \['lift'\]; expected parts of"
+        InputError, match=r"prices\.toml: kinds: got \['lift'\]; expected parts of"
     ):
         SitePrices(
             parts={"mounting": PricedPart(eur=1.0, source="")},

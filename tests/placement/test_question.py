@@ -21,6 +21,7 @@ from placement.question import (
 
 @pytest.fixture
 def path(tmp_path):
+    """Where the question is written."""
     return tmp_path / "question.toml"
 
 
@@ -53,6 +54,7 @@ def test_a_question_that_is_saved_is_the_one_that_is_loaded(path, question):
 def test_any_text_is_read_as_it_was_written(tmp_path_factory, text):
     path = tmp_path_factory.mktemp("question") / "question.toml"
     question = replace(Question(), keep=text)
+
     save_question(path, question)
 
     assert load_question(path) == question
@@ -65,15 +67,14 @@ def test_a_file_has_what_differs_from_the_default_below_its_description(path):
     assert tomllib.loads(text) == {"site_cost": 500.0, "cases": "CBNA"}
 
     lines = text.splitlines()
+    above = lines[lines.index("site_cost = 500.0") - 1]
 
-    assert (
-        lines[lines.index("site_cost = 500.0") - 1]
-        == "# Of each site that is used, once; default: the scene's."
-    )
+    assert above == "# Of each site that is used, once; default: the scene's."
 
 
 def test_every_field_is_described_and_has_a_key_of_its_own_name_but_for_the_unit():
     found = question_fields()
+
     assert list(found) == [field.name for field in fields(Question)]
 
     keys = [field.key for field in found.values()]
@@ -93,8 +94,10 @@ def test_a_number_is_taken_where_a_word_may_stand(path):
 
 def test_the_number_of_worlds_may_be_a_word(path):
     save_question(path, replace(Question(), samples="auto"))
+
     assert path.read_text(encoding="utf-8").endswith('samples = "auto"\n')
     assert load_question(path).samples == "auto"
+
     with pytest.raises(InputError, match="samples: got 'auto'; expected a number"):
         _ = load_question(path).n_samples
 
@@ -172,6 +175,7 @@ def test_a_question_checks_its_values_when_it_is_made(values, message):
 
 def test_a_question_has_help_that_can_be_read():
     words = inspect.getdoc(Question)
+
     assert "budget : int, optional\n    Most units to mount." in words
     assert "budget=None" in str(inspect.signature(Question))
     assert "Annotated" not in str(inspect.signature(Question))

@@ -32,6 +32,7 @@ RE_AIM_EUR = 2.0
 
 
 def labour():
+    """Labour of round prices."""
     return Labour(
         people=1.0,
         wage_eur_per_h=1.0,
@@ -81,10 +82,12 @@ def retrofits(draw):
 
 
 def _pose(name):
+    """A camera 5 m high."""
     return unit_at(name, [0.0, 0.0, 5.0], pitch_deg=-20.0)
 
 
 def additions_allowed(problem, poses, new):
+    """Do the limits allow new poses beside the old ones?"""
     limits = problem.limits
     if limits.is_forbidden[list(new)].any():
         return False
@@ -97,6 +100,7 @@ def additions_allowed(problem, poses, new):
 
 
 def price_of(problem, poses, new):
+    """Price of new poses and of the sites that they open. [EUR]"""
     limits = problem.limits
     opened = {int(limits.site_index[pose]) for pose in new} - set(
         limits.site_index[: poses.n_units].tolist()
@@ -108,6 +112,7 @@ def price_of(problem, poses, new):
 
 
 def subsets(items):
+    """All subsets."""
     return list(
         chain.from_iterable(combinations(items, n) for n in range(len(items) + 1))
     )
@@ -123,6 +128,7 @@ def best_of(problem, options):
     for value in values[1:]:
         if is_better(value, best):
             best = value
+
     return best
 
 
@@ -147,6 +153,7 @@ def check_change(problem, poses, change):
 def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eur):
     problem, poses = retrofit
     standing = tuple(range(poses.n_units))
+
     found = find_retrofit(problem, poses, labour=labour(), budget_eur=budget_eur)
 
     assert found.before == placement_value(problem, standing)
@@ -156,9 +163,9 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
             check_change(problem, poses, change)
 
     # Removals: all of them, the one that loses least first.
-    assert sorted(change.removed for change in found.removals) == [
-        (unit,) for unit in standing
-    ]
+    expected = [(unit,) for unit in standing]
+
+    assert sorted(change.removed for change in found.removals) == expected
 
     values = [change.value._replace(cost_eur=0.0) for change in found.removals]
 
@@ -170,8 +177,10 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
 
     for change in found.re_aims:
         (unit,), (aim,) = change.removed, change.added
+
         assert poses.unit_index[aim] == unit
-        assert (change.price_eur, change.n_compared) == (RE_AIM_EUR, n_aims)
+        assert change.price_eur == RE_AIM_EUR
+        assert change.n_compared == n_aims
 
         options = [
             (tuple(sorted({*standing} - {unit} | {int(row)})), 0.0)
@@ -191,6 +200,7 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
         money = np.inf
     else:
         money = budget_eur
+
     additions = [
         ((*standing, *rows), price_of(problem, poses, rows))
         for rows in [(), *((row,) for row in new)]
@@ -206,6 +216,7 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
     if budget_eur is None:
         assert found.combination is None
         return
+
     ways = [[unit, *poses.aims_of(unit).tolist()] for unit in standing]
     together = [
         ((*hanging, *rows), price)
@@ -233,15 +244,17 @@ def test_what_is_lost_gained_and_paid():
     problem = avoiding_problem(
         ["1100", "0100", "0010", "0011"], price_eur=[0.0, 0.0, 9.0, 5.0]
     )
-    limits = replace(problem.limits, is_forced=np.array([True, True, False, False]))
+    limits = replace(problem.limits, is_forced=[True, True, False, False])
     poses = RetrofitPoses(
         candidates=tuple(map(_pose, ["A", "B", "B/aim", "new"])),
         unit_index=np.array([0, 1, 1, -1]),
     )
     problem = replace(problem, limits=limits)
+
     found = find_retrofit(problem, poses, labour=labour(), budget_eur=6.0)
 
-    assert (found.before.apr, found.before.apr_one_failed) == (0.5, 0.25)
+    assert found.before.apr == 0.5
+    assert found.before.apr_one_failed == 0.25
     assert [(change.removed, change.lost) for change in found.removals] == [
         ((1,), ()),
         ((0,), ("run0",)),
@@ -249,28 +262,37 @@ def test_what_is_lost_gained_and_paid():
 
     (re_aim,) = found.re_aims
 
-    assert (re_aim.removed, re_aim.added, re_aim.price_eur) == ((1,), (2,), RE_AIM_EUR)
-    assert (re_aim.gained, re_aim.lost, re_aim.value.apr) == (("run2",), (), 0.75)
+    assert re_aim.removed == (1,)
+    assert re_aim.added == (2,)
+    assert re_aim.price_eur == RE_AIM_EUR
+    assert re_aim.gained == ("run2",)
+    assert re_aim.lost == ()
+    assert re_aim.value.apr == 0.75
     assert found.addition is not None
-    assert (found.addition.added, found.addition.price_eur) == ((3,), 5.0)
-    assert (found.addition.gained, found.addition.value.apr) == (("run2", "run3"), 1.0)
+    assert found.addition.added == (3,)
+    assert found.addition.price_eur == 5.0
+    assert found.addition.gained == ("run2", "run3")
+    assert found.addition.value.apr == 1.0
     assert found.combination is not None
     assert found.combination.added == (3,)  # 7 EUR for both would be too much
-    assert (
-        find_retrofit(problem, poses, labour=labour(), budget_eur=4.0).addition is None
-    )
+
+    poorer = find_retrofit(problem, poses, labour=labour(), budget_eur=4.0)
+
+    assert poorer.addition is None
 
 
 def _layout(*units):
+    """A layout of units."""
     return Layout(name="mine", units=units)
 
 
 @pytest.fixture
 def grid(camera):
+    """Four directions at two pitches."""
     return CandidateGrid(
-        heights_m=np.array([5.0]),
+        heights_m=[5.0],
         yaw_step_deg=90.0,
-        pitches_deg=np.array([-15.0, -30.0]),
+        pitches_deg=[-15.0, -30.0],
         sensors=(camera,),
     )
 
@@ -289,6 +311,7 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
         latency_s=0.2,
     )
     new = replace(unit, id="new")
+
     poses = build_retrofit_poses(
         _layout(unit, replace(unit, id="B")), grid, [new, unit]
     )
@@ -300,13 +323,18 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
     aims = [poses.candidates[row] for row in poses.aims_of(0)]
 
     assert len(aims) == 4 * 2 - 1
-    assert {(aim.pose.yaw_deg, aim.pose.pitch_deg) for aim in aims} == set(
-        product([-90.0, 0.0, 90.0, 180.0], [-15.0, -30.0])
-    ) - {(180.0, -15.0)}
+
+    expected = set(product([-90.0, 0.0, 90.0, 180.0], [-15.0, -30.0])) - {
+        (180.0, -15.0)
+    }
+
+    assert {(aim.pose.yaw_deg, aim.pose.pitch_deg) for aim in aims} == expected
 
     for aim in aims:
         assert aim.pose.position_m.tolist() == position.tolist()
-        assert (aim.sensor, aim.site_id, aim.latency_s) == (camera, "corner", 0.2)
+        assert aim.sensor == camera
+        assert aim.site_id == "corner"
+        assert aim.latency_s == 0.2
 
 
 def test_a_level_ring_is_not_turned(grid):
@@ -317,6 +345,7 @@ def test_a_level_ring_is_not_turned(grid):
     assert len(build_retrofit_poses(_layout(level), grid, []).aims_of(0)) == 0
 
     tilted = replace(ring, pose=replace(ring.pose, yaw_deg=77.0, pitch_deg=-9.0))
+
     poses = build_retrofit_poses(_layout(tilted), grid, [])
 
     assert [poses.candidates[row].id for row in poses.aims_of(0)] == ["A/aim/0/0"]
@@ -327,7 +356,7 @@ def test_ids_that_clash_are_refused(grid, camera):
     twin = replace(unit, id="A/aim/0/-30")
 
     with pytest.raises(
-        InputError, match=r"layout mine: id: got 'A/aim/0/-30'; expected ids"
+        InputError, match="layout mine: id: got 'A/aim/0/-30'; expected ids"
     ):
         build_retrofit_poses(_layout(unit), grid, [twin])
 

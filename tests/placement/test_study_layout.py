@@ -1,3 +1,5 @@
+"""The study's layout and what was published of it."""
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,10 @@ GOLDEN_UNITS = {
 
 
 _AS_STUDIED = Question(
-    cases="CPNC-50,CBNA,CBLA", along_arms="0", weights="run", track_memory_s=np.inf
+    cases="CPNC-50,CBNA,CBLA",
+    along_arms="0",
+    weights="run",
+    track_memory_s=np.inf,
 )
 
 
@@ -31,6 +36,7 @@ def setting():
 
 @pytest.fixture(scope="module")
 def layout():
+    """The study's layout."""
     return load_carlancap_layout()
 
 
@@ -41,8 +47,10 @@ def test_the_layout_has_the_studys_12_units(layout, camera):
     ]
     assert {unit.sensor for unit in layout.units} == {camera}
     # CarlaNCAP, table of sensors.
-    assert (camera.width_px, camera.height_px) == (1920, 1080)
-    assert (camera.horizontal_fov_deg, camera.frame_rate_hz) == (110.0, 10.0)
+    assert camera.width_px == 1920
+    assert camera.height_px == 1080
+    assert camera.horizontal_fov_deg == 110.0
+    assert camera.frame_rate_hz == 10.0
     assert load_carlancap_layout() is layout
 
 
@@ -50,6 +58,7 @@ def test_poses_are_the_published_ones_flipped_to_the_north(layout):
     units = {unit.id: unit for unit in layout.units}
     for name, (position, yaw, pitch) in GOLDEN_UNITS.items():
         pose = units[name].pose
+
         assert pose.position_m.tolist() == [position[0], -position[1], position[2]]
         assert pose.yaw_deg == pytest.approx(-yaw, abs=1e-9)
         assert pose.pitch_deg == pitch
@@ -69,16 +78,22 @@ def test_the_first_eight_look_at_the_junction_and_the_last_four_away(layout, set
 
 def test_all_poses_hang_in_the_open_air_at_their_sites(layout, setting):
     check_layout(layout, setting.scene)
+
     sites = {site.id: site for site in setting.scene.sites}
+
     for unit in layout.units:
         site = sites[unit.site_id]
+
         assert np.hypot(*(unit.pose.position_m - site.position_m)[:2]) < 0.5, unit.id
+
         low_m, high_m = site.height_range_m
+
         assert low_m <= unit.pose.position_m[2] <= high_m, unit.id
 
     used = [unit.site_id for unit in layout.units]
 
-    assert all(used.count(name) <= sites[name].capacity_units for name in used)
+    for name in used:
+        assert used.count(name) <= sites[name].capacity_units
 
 
 def test_the_setting_weighs_every_run_alike(setting):
@@ -96,8 +111,10 @@ def test_the_published_findings_come_out(setting, layout):
     time. Ten seconds: all 104 runs, frame by frame, in full resolution.
     """
     corners = Layout(name="corners", units=(layout.units[2], layout.units[3]))
+
     evaluation = evaluate_layout(corners, setting, compute=Compute(workers=2))
     axis = evaluation.axis
+
     for name in ("RSU2", "RSU3"):
         assert apr(evaluation.units[name], axis) == 1.0
         assert set(apr_by_case(evaluation.units[name], axis).values()) == {1.0}
@@ -115,8 +132,8 @@ def test_the_published_findings_come_out(setting, layout):
 
     assert fast.sum() == 8
     assert not evaluation.vut.is_avoided[fast].any()
-    # Frames in which the VUT detects: 13.97, 5.12 and 89.20 %; the first and the last
 
+    # Frames in which the VUT detects: 13.97, 5.12 and 89.20 %; the first and the last
     # set a dimension and a threshold, the second comes out as 7.7 %.
     shares = [
         detected_share(evaluation.vut, axis, cases == case)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from problems import problems, random_problem
 
 from placement.city import fronts
@@ -28,7 +29,7 @@ def junctions(draw):
     hang.
     """
     problem = draw(problems())
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    rng = default_rng(draw(st.integers(0, 2**32 - 1)))
     limits = problem.limits
     site_cost = np.full(limits.n_sites, 7060.0)
     if draw(st.booleans()):
@@ -46,6 +47,7 @@ def junctions(draw):
                 np.isin(np.arange(limits.n_sites), at), 0.0, site_cost
             ),
         )
+
     return replace(problem, limits=limits)
 
 
@@ -57,7 +59,9 @@ def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
         # Few: poses that see alike go together.
         patch.setattr(fronts, "_MAX_SETS", max_sets)
         front, layouts = find_front(
-            problem, effort=lambda: Effort(time_limit_s=60.0), begin=lambda step: None
+            problem,
+            effort=lambda: Effort(time_limit_s=60.0),
+            begin=lambda step: None,
         )
 
     forced = set(np.flatnonzero(limits.is_forced).tolist())
@@ -81,6 +85,7 @@ def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
             assert is_allowed(limits, layout)
             assert point.apr == pytest.approx(apr(problem, layout))
             assert point.cost_eur == pytest.approx(cost_eur(limits, layout))
+
     # By units, the points are the best there are.
     for n_new, most in best.items():
         found = max(point.apr for point in front.points if point.units <= n_new)
@@ -93,27 +98,29 @@ def many_poses(rng):
     problem = next(
         found
         for number in range(100)
-        if (
-            found := random_problem(np.random.default_rng([1, number]))
-        ).table.axis.n_frames
-        > 20
+        if (found := random_problem(default_rng([1, number]))).table.axis.n_frames > 20
     )
     axis = problem.table.axis
     detected = rng.random((20, axis.n_frames)) < 0.3
     limits = Limits(
         site_index=np.arange(20) % 2,
-        site_capacity=np.array([2, 2]),
+        site_capacity=[2, 2],
         budget_units=4,
         unit_cost_eur=np.full(20, 1500.0),
         site_cost_eur=np.full(2, 7060.0),
     )
     table = pack_table(tuple(map(str, range(20))), axis, detected)
     rule = replace(problem.rule, n_confirmations=2, track_memory_s=0.3)
-    return PlacementProblem(table=table, limits=limits, fusion="any", rule=rule)
+    return PlacementProblem(
+        table=table,
+        limits=limits,
+        fusion="any",
+        rule=rule,
+    )
 
 
 def test_poses_that_see_alike_still_give_a_layout_for_each_number_of_sites():
-    problem = many_poses(np.random.default_rng(1))
+    problem = many_poses(default_rng(1))
     reduced = presolve(problem)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fronts, "_MAX_SETS", 3)
@@ -136,7 +143,7 @@ def test_poses_that_see_alike_still_give_a_layout_for_each_number_of_sites():
 
 @pytest.mark.long
 def test_a_front_is_no_worse_than_that_of_few_of_its_poses():
-    problem = many_poses(np.random.default_rng(2))
+    problem = many_poses(default_rng(2))
     first = np.array([0, 1, 2, 3, 10, 11, 12, 13])
     ask = {"effort": lambda: Effort(time_limit_s=60.0), "begin": lambda step: None}
     few, _ = find_front(of_pool(problem, first), **ask)
@@ -159,4 +166,5 @@ def test_a_front_is_no_worse_than_that_of_few_of_its_poses():
             for other in front.points
         )
 
-    assert all(is_allowed(problem.limits, layout) for layout in layouts[1:])
+    for layout in layouts[1:]:
+        assert is_allowed(problem.limits, layout)

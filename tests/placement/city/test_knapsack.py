@@ -22,7 +22,12 @@ def build(sizes, seed, *, n_rows=1, tightness=0.5):
     profit[first] = 0.0
     rows[:, first] = 0.0
     limits = np.floor(tightness * np.maximum.reduceat(rows, first, axis=1).sum(axis=1))
-    return Knapsack(group=group, profit=profit, rows=rows, limits=limits)
+    return Knapsack(
+        group=group,
+        profit=profit,
+        rows=rows,
+        limits=limits,
+    )
 
 
 def best_of_all(problem):
@@ -47,6 +52,7 @@ def best_of_all(problem):
 )
 def test_the_choice_is_the_best_of_all(sizes, seed, n_rows, tightness):
     problem = build(sizes, seed, n_rows=n_rows, tightness=tightness)
+
     choice = solve_knapsack(problem)
 
     assert choice.objective == pytest.approx(best_of_all(problem), abs=1e-9)
@@ -64,6 +70,7 @@ def test_the_choice_is_the_best_of_all(sizes, seed, n_rows, tightness):
 )
 def test_a_core_of_any_size_finds_the_best_and_proves_it(sizes, seed, n_rows, core):
     problem = build(sizes, seed, n_rows=n_rows)
+
     choice = solve_knapsack(problem, core_options=core)
 
     assert choice.objective == pytest.approx(best_of_all(problem), abs=1e-9)
@@ -79,6 +86,7 @@ def test_a_core_of_any_size_finds_the_best_and_proves_it(sizes, seed, n_rows, co
 def test_no_choice_exceeds_the_bound_of_any_prices(sizes, seed, n_rows, prices):
     problem = build(sizes, seed, n_rows=n_rows)
     _, bound = priced_choice(problem, np.array(prices[:n_rows]))
+
     _, lowest = priced_choice(problem, best_prices(problem))
 
     assert best_of_all(problem) <= lowest + 1e-9 <= bound + 2e-6 * max(1.0, abs(bound))
@@ -91,6 +99,7 @@ def test_a_limit_that_nothing_keeps_is_told():
         rows=np.array([[2.0, 3.0, 4.0]]),
         limits=np.array([5.0]),
     )
+
     choice = solve_knapsack(problem)
 
     assert choice.chosen is None
@@ -112,6 +121,7 @@ def test_a_limit_may_ask_for_a_least_sum():
 
 def test_many_groups_are_proven_within_the_gap():
     problem = build([8] * 3000, 7, tightness=0.2)
+
     choice = solve_knapsack(problem, gap=1.0e-3)
 
     assert problem.is_within(choice.chosen)

@@ -1,3 +1,5 @@
+"""The rule by boxes: limits of IoU, height and contrast, and how frames are matched."""
+
 import math
 
 import numpy as np
@@ -36,6 +38,7 @@ def test_the_default_detector_asks_for_the_iou_of_the_study_and_some_height():
     # CarlaNCAP study: a detection counts above IoU 0.5. The height is this project's
     # assumption.
     detector = load_planning_detector()
+
     assert isinstance(detector, GeometricDetector)
     assert detector.min_iou == load_min_iou() == 0.5
     assert detector.min_box_height_px > 0.0
@@ -118,6 +121,7 @@ def test_a_row_is_matched_by_a_box_in_its_own_image_that_overlaps_by_more_than_h
         boxes_px=np.array([box for _, box in inside]).reshape(-1, 4),
         confidence=np.ones(len(inside)),
     )
+
     expected = [
         any(row == index and float(iou(box, here)) > 0.5 for row, box in inside)
         for index, here in enumerate(truth)
@@ -128,7 +132,11 @@ def test_a_row_is_matched_by_a_box_in_its_own_image_that_overlaps_by_more_than_h
 
 @pytest.mark.parametrize(
     ("name", "expected"),
-    [("adult", "pedestrian"), ("child", "child"), ("cyclist", "cyclist")],
+    [
+        ("adult", "pedestrian"),
+        ("child", "child"),
+        ("cyclist", "cyclist"),
+    ],
 )
 def test_road_users_have_the_class_of_their_name(actors, name, expected):
     assert vru_class(actors[name]) == expected
@@ -141,6 +149,7 @@ def test_the_aspect_is_the_acute_angle_between_sightline_and_heading(
     sightline = far_m * np.array(
         [[math.cos(math.radians(towards)), math.sin(math.radians(towards))]]
     )
+
     (aspect_deg,) = aspects_deg(sightline, np.array([towards + turn_deg], dtype=float))
     heading = math.radians(towards + turn_deg)
     across = abs(sightline[0] @ [-math.sin(heading), math.cos(heading)]) / far_m

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from scipy.special import ndtr
 from scipy.stats import multivariate_normal
 
@@ -21,12 +23,12 @@ N_TRACKS = 250
 N_FRAMES = 30
 TRUTH = replace(
     load_planning_detector("response"),
-    seen_share=np.array([0.0, 0.25, 0.5, 0.75, 1.0]),
-    recall=np.array([0.0, 0.3, 0.6, 0.9, 0.95]),
+    seen_share=[0.0, 0.25, 0.5, 0.75, 1.0],
+    recall=[0.0, 0.3, 0.6, 0.9, 0.95],
     height_half_px=35.0,
     height_steepness=4.0,
     min_box_height_px=1.0,
-    class_factor=np.array([1.0, 0.8, 0.9, 0.7, 1.0]),
+    class_factor=[1.0, 0.8, 0.9, 0.7, 1.0],
     cyclist_end_on=0.7,
     frame_correlation=0.6,
     box_noise_share=0.04,
@@ -38,19 +40,15 @@ SOME = np.arange(0, 2400)  # the first tracks
 
 def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 1.0)):
     """Sightings of many road users that come nearer, drawn from a table."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     n = N_TRACKS * N_FRAMES
     track = np.repeat(np.arange(N_TRACKS), N_FRAMES)
     frame = np.tile(np.arange(N_FRAMES), N_TRACKS)
-    height = np.exp(rng.uniform(np.log(12), np.log(180), N_TRACKS))[track] * (
-        1 + 0.01 * frame
-    )
-    seen = np.clip(
-        rng.uniform(0.0, 1.8, N_TRACKS)[track] + rng.normal(0, 0.05, n), 0.0, 1.0
-    )
+    first_px = np.exp(rng.uniform(np.log(12), np.log(180), N_TRACKS))
+    shares = rng.uniform(0.0, 1.8, N_TRACKS)[track] + rng.normal(0, 0.05, n)
     sightings = Sightings(
-        height_px=height,
-        seen_share=seen,
+        height_px=first_px[track] * (1 + 0.01 * frame),
+        seen_share=np.clip(shares, 0.0, 1.0),
         contrast=rng.choice(contrasts, N_TRACKS)[track],
         aspect_deg=rng.uniform(0.0, 90.0, N_TRACKS)[track],
         vru_class=rng.choice(classes, N_TRACKS)[track],
@@ -62,11 +60,8 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
     noise = linked_noise(frame + track * (N_FRAMES + 1), truth.frame_correlation, rng)
     is_found = ndtr(noise) < truth.probability(sightings.evidence())
     error = rng.normal(0.0, truth.box_noise_share, (n, 4))
-    return replace(
-        sightings,
-        is_found=is_found,
-        box_error=np.where(is_found[:, None], error, np.nan),
-    )
+    error[~is_found] = np.nan
+    return replace(sightings, is_found=is_found, box_error=error)
 
 
 @pytest.mark.long
@@ -75,13 +70,14 @@ def test_the_share_that_lasts_for_a_track_is_found(share):
     """Noise drawn as a sampled world draws it, of tracks that are found as often as
     missed.
     """
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     sightings = drawn()
     linked = linked_noise(sightings.frame + sightings.track * (N_FRAMES + 1), 0.5, rng)
     lasts = rng.standard_normal(N_TRACKS)[sightings.track]
     noise = np.sqrt(share) * lasts + np.sqrt(1.0 - share) * linked
     probability = rng.uniform(0.3, 0.9, N_TRACKS)[sightings.track]
     seen = replace(sightings, is_found=ndtr(noise) < probability)
+
     fitted = fit_lasting_share(seen, probability, draws=100)
 
     assert fitted.low <= share <= fitted.high
@@ -100,6 +96,7 @@ def test_without_consecutive_frames_nothing_is_known_of_what_lasts():
 
 @pytest.fixture(scope="module")
 def fit():
+    """The response fitted to the frames drawn from the truth."""
     return fit_response(drawn(), name="mine", draws=8)
 
 
@@ -108,8 +105,8 @@ def test_the_table_that_was_drawn_from_is_found_again(fit):
     found = fit.detector
     truth = np.interp(found.seen_share, TRUTH.seen_share, TRUTH.recall)
 
-    np.testing.assert_allclose(found.recall, truth, atol=0.09)
-    np.testing.assert_allclose(found.class_factor, TRUTH.class_factor, atol=0.1)
+    assert_allclose(found.recall, truth, atol=0.09)
+    assert_allclose(found.class_factor, TRUTH.class_factor, atol=0.1)
     assert found.height_half_px == pytest.approx(35.0, rel=0.1)
     assert found.height_steepness == pytest.approx(4.0, rel=0.2)
     assert found.cyclist_end_on == pytest.approx(0.7, abs=0.15)
@@ -120,12 +117,11 @@ def test_the_table_that_was_drawn_from_is_found_again(fit):
 
 @pytest.mark.long
 def test_calibration_counts_every_frame_and_fits(fit):
-    assert (
-        sum(group.frames for group in fit.calibration)
-        == fit.frames
-        == N_TRACKS * N_FRAMES
-    )
-    assert sum(group.found for group in fit.calibration) == fit.found
+    n_frames = sum(group.frames for group in fit.calibration)
+    n_found = sum(group.found for group in fit.calibration)
+
+    assert n_frames == fit.frames == N_TRACKS * N_FRAMES
+    assert n_found == fit.found
 
     for group in fit.calibration:
         assert group.recall.value == pytest.approx(group.expected, abs=0.12)
@@ -147,15 +143,16 @@ def test_intervals_hold_their_figures(fit):
 
 @pytest.mark.long
 def test_classes_and_light_that_never_appear_are_as_built_in():
-    fit = fit_response(
-        drawn(classes=(0,), contrasts=(1.0,)).take(SOME), name="a", draws=0
-    )
+    sightings = drawn(classes=(0,), contrasts=(1.0,)).take(SOME)
     built_in = load_planning_detector("response")
 
-    np.testing.assert_allclose(fit.detector.class_factor, 1.0)
+    fit = fit_response(sightings, name="a", draws=0)
+    found = fit.detector
+
+    assert_allclose(found.class_factor, 1.0)
     assert not fit.is_contrast_fitted
-    assert fit.detector.contrast_half == pytest.approx(built_in.contrast_half)
-    assert fit.detector.contrast_steepness == pytest.approx(built_in.contrast_steepness)
+    assert found.contrast_half == pytest.approx(built_in.contrast_half)
+    assert found.contrast_steepness == pytest.approx(built_in.contrast_steepness)
     assert [group.name for group in fit.groups["class"]] == ["pedestrian"]
 
 
@@ -189,6 +186,4 @@ def test_joint_probabilities_are_those_of_scipy(correlation):
     law = multivariate_normal(cov=[[1.0, correlation], [correlation, 1.0]])
     expected = [law.cdf(pair) for pair in zip(first, second, strict=True)]
 
-    np.testing.assert_allclose(
-        joint_normal(first, second, correlation), expected, atol=1e-5
-    )
+    assert_allclose(joint_normal(first, second, correlation), expected, atol=1e-5)

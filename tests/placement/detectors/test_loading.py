@@ -1,8 +1,12 @@
+"""Detectors by name and from users' tables, and what their files say wrongly."""
+
 from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
 import pytest
+from evidences import build_evidence
+from numpy.random import default_rng
 
 from geometry.errors import InputError
 from geometry.text_formats import load_toml
@@ -12,7 +16,7 @@ from placement.detectors import (
     load_detector,
     load_planning_detector,
 )
-from placement.detectors.evidence import Evidence, Interval
+from placement.detectors.evidence import Interval
 from placement.detectors.geometric import GeometricDetector
 from placement.detectors.response import ResponseDetector
 
@@ -41,6 +45,8 @@ plan_probability = 0.6
 
 @pytest.fixture
 def write(tmp_path):
+    """Writes a text to a file of its own; returns the path."""
+
     def write_file(text, name="mine.toml"):
         path = tmp_path / name
         path.write_text(text, encoding="utf-8")
@@ -50,6 +56,7 @@ def write(tmp_path):
 
 
 def _message(name, **options):
+    """Words in which a detector is refused."""
     with pytest.raises(InputError) as caught:
         load_detector(str(name), **options)
     return str(caught.value)
@@ -73,13 +80,15 @@ def test_detectors_are_found_by_name():
         assert load_detector(name) is load_planning_detector(name)
 
 
+KNOWN = (
+    "expected geometric, response, pole-2015, car-2019, cnn-table, cnn,"
+    " pointrcnn-2019, a .toml file with a response table, or an .onnx file"
+)
+
+
 def test_an_unknown_name_lists_the_known_ones():
-    assert (
-        _message("best", where="--detector")
-        == "--detector: got 'best'; expected geometric, response, pole-2015, car-2019,"
-        " cnn-table, cnn, pointrcnn-2019, a .toml file with a response table, or an"
-        " .onnx file"
-    )
+    message = _message("best", where="--detector")
+    assert message == f"--detector: got 'best'; {KNOWN}"
 
 
 @pytest.mark.parametrize(
@@ -87,16 +96,12 @@ def test_an_unknown_name_lists_the_known_ones():
 )
 def test_a_file_of_another_kind_is_refused_even_if_it_is_there(write, name):
     path = write(TABLE, name)
-    assert (
-        _message(path)
-        == f"detector: got {str(path)!r}; expected geometric, response, pole-2015,"
-        " car-2019, cnn-table, cnn, pointrcnn-2019, a .toml file with a response"
-        " table, or an .onnx file"
-    )
+    assert _message(path) == f"detector: got {str(path)!r}; {KNOWN}"
 
 
 def test_a_users_table_is_read_number_by_number(write):
     detector = load_detector(str(write(TABLE)))
+
     assert isinstance(detector, ResponseDetector)
     assert detector.name == "mine.toml"
     assert detector.seen_share.tolist() == [0.0, 0.5, 1.0]
@@ -104,10 +109,14 @@ def test_a_users_table_is_read_number_by_number(write):
     assert detector.class_factor.tolist() == [1.0, 0.9, 0.8, 1.0, 1.0]
     # A table of before these classes has the built-in factors.
     assert detector.assumed == ("motorcyclist", "car")
-    assert (detector.height_half_px, detector.height_steepness) == (30.0, 2.5)
-    assert (detector.min_box_height_px, detector.cyclist_end_on) == (15.0, 0.7)
-    assert (detector.contrast_half, detector.contrast_steepness) == (0.2, 1.5)
-    assert (detector.box_noise_share, detector.frame_correlation) == (0.0, 0.25)
+    assert detector.height_half_px == 30.0
+    assert detector.height_steepness == 2.5
+    assert detector.min_box_height_px == 15.0
+    assert detector.cyclist_end_on == 0.7
+    assert detector.contrast_half == 0.2
+    assert detector.contrast_steepness == 1.5
+    assert detector.box_noise_share == 0.0
+    assert detector.frame_correlation == 0.25
     assert detector.plan_probability == 0.6
     assert "The response model mine.toml" in detector.description
 
@@ -141,6 +150,7 @@ def test_what_a_table_assumes_is_said(write):
 
 def test_our_own_file_is_one_that_a_user_may_change(write):
     mine = load_detector(str(write(OURS)))
+
     assert isinstance(mine, ResponseDetector)
     assert mine.fingerprint() == load_planning_detector("response").fingerprint()
 
@@ -230,6 +240,7 @@ def test_a_table_that_cannot_be_used_names_file_line_and_field(
 
 def test_a_table_may_tell_how_often_nothing_is_confirmed(write):
     silent = load_detector(str(write(TABLE)))
+
     assert silent.false_tracks_per_hour is None
     assert "false tracks" not in silent.description
 
@@ -271,28 +282,25 @@ def test_the_line_is_that_of_the_response_where_another_table_has_the_same_key(w
         if text.startswith("min_box_height_px = 12.0 # nothing below")
     ]
 
-    assert (
-        _message(path)
-        == f"{path}:{number}: min_box_height_px: got -1.0; expected a number, > 0"
-    )
+    words = "min_box_height_px: got -1.0; expected a number, > 0"
+
+    assert _message(path) == f"{path}:{number}: {words}"
 
 
-def test_a_file_that_is_not_there_or_not_text_is_named(write, tmp_path):
+def test_a_file_that_is_not_there_or_not_text_is_named(tmp_path):
     gone = tmp_path / "gone.toml"
-    assert (
-        _message(gone)
-        == f"{gone}: got No such file or directory; expected a readable file"
-    )
+    words = "got No such file or directory; expected a readable file"
+
+    assert _message(gone) == f"{gone}: {words}"
 
     path = tmp_path / "binary.toml"
     path.write_bytes(b"\xff\xfe")
+    network = tmp_path / "gone.onnx"
 
     assert _message(path).startswith(
         f"{path}: got 'utf-8' codec can't decode byte 0xff"
     )
-    assert _message(tmp_path / "gone.onnx").startswith(
-        f"{tmp_path / 'gone.onnx'}: got no such file"
-    )
+    assert _message(network).startswith(f"{network}: got no such file")
 
 
 @pytest.mark.parametrize(
@@ -309,19 +317,11 @@ def test_tables_of_real_recordings_find_as_many_as_was_measured(
     name, height_px, seen_share, found
 ):
     detector = load_planning_detector(name)
-    box = np.array([[0.0, 0.0, 0.4 * height_px, height_px]])
-    evidence = Evidence(
-        visible_px=box,
-        amodal_px=box,
-        contrast=np.ones(1),
-        visible_share=np.array([seen_share]),
-        inside_share=np.ones(1),
-        aspect_deg=np.full(1, 90.0),
-        vru_class=np.zeros(1, dtype=np.int64),
-        draw_index=np.zeros(1, dtype=np.int64),
-    )
+    box = [[0.0, 0.0, 0.4 * height_px, height_px]]
 
-    assert found[0] <= detector.probability(evidence)[0] <= found[1]
+    (probability,) = detector.probability(build_evidence(box, visible_share=seen_share))
+
+    assert found[0] <= probability <= found[1]
     assert detector.assumed == ("child", "cyclist", "motorcyclist", "car")
     assert detector.false_tracks_per_hour.low > 100.0
 
@@ -341,10 +341,8 @@ def test_a_lidars_table_stands_behind_a_cameras():
     both = load_detector("pole-2015+pointrcnn-2019")
     camera = load_detector("pole-2015")
 
-    assert (both.name, both.lidar.name) == (
-        "pole-2015+pointrcnn-2019",
-        "pointrcnn-2019",
-    )
+    assert both.name == "pole-2015+pointrcnn-2019"
+    assert both.lidar.name == "pointrcnn-2019"
     assert both.recall.tolist() == camera.recall.tolist()
     assert both.fingerprint() == (*camera.fingerprint(), both.lidar)
 
@@ -364,7 +362,7 @@ def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation
     table = load_detector("pointrcnn-2019").lidar
     classes = np.repeat([0, VRU_CLASSES.index("cyclist")], 20_000)
     distance = np.repeat([15.0, 25.0, 15.0, 45.0], 10_000)
-    found = table.detect(distance, classes, np.arange(40_000), np.random.default_rng(1))
+    found = table.detect(distance, classes, np.arange(40_000), default_rng(1))
     shares = found.reshape(4, -1).mean(axis=1)
 
     assert shares == pytest.approx([0.756, 0.545, 0.936, 0.667], abs=0.03)
@@ -380,47 +378,46 @@ def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation
     ]
     assert table.is_expected(distance[20_000:], classes[20_000:]).all()
 
-    weathers = table.detect(
-        distance[:2], classes[:2], np.zeros(2, int), np.random.default_rng(1)
-    )
+    weathers = table.detect(distance[:2], classes[:2], np.zeros(2, int), default_rng(1))
 
     assert weathers[0] == weathers[1]
 
 
 def test_a_table_says_which_of_its_figures_are_measured(write):
     """So do the built-in ones; a file without the list does not say."""
-    assert (
-        load_detector("response").figures_words
-        == "4 of the 14 values of response are measured; assumed: child, cyclist,"
+    of_response = (
+        "4 of the 14 values of response are measured; assumed: child, cyclist,"
         " motorcyclist, car, height_half_px, height_steepness, min_box_height_px,"
         " contrast_half, contrast_steepness, cyclist_end_on."
     )
+
+    assert load_detector("response").figures_words == of_response
     assert load_detector("pole-2015").figures_words.startswith(
         "7 of the 14 values of pole-2015 are measured; assumed: child, cyclist,"
         " motorcyclist, car,"
     )
 
-    mine = load_detector(str(write(TABLE)))
+    unlisted = load_detector(str(write(TABLE))).figures_words
+    path = write(TABLE + 'assumed_figures = ["recall"]\n')
+    listed = load_detector(str(path)).figures_words
+    wrong = _message(write(TABLE + 'assumed_figures = ["x"]\n'))
 
-    assert (
-        mine.figures_words == "mine.toml does not say which of its values are measured."
-    )
-
-    listed = TABLE + 'assumed_figures = ["recall"]\n'
-
+    assert unlisted == "mine.toml does not say which of its values are measured."
     assert (
         "11 of the 14 values of mine.toml are measured; assumed: recall, "
-        "motorcyclist, car." in (load_detector(str(write(listed))).figures_words)
-    )
+        "motorcyclist, car."
+    ) in listed
     assert (
         "mine.toml:18: assumed_figures: got 'x'; expected one of recall, pedestrian"
-        in (_message(write(TABLE + 'assumed_figures = ["x"]\n')))
-    )
+    ) in wrong
 
 
 def test_what_response_has_from_recordings_is_the_middle_of_their_tables():
     response, *tables = map(load_detector, ("response", "pole-2015", "car-2019"))
-    for name, digits in (("frame_correlation", 2), ("box_noise_share", 2)):
+    for name, digits in (
+        ("frame_correlation", 2),
+        ("box_noise_share", 2),
+    ):
         middle = np.mean([getattr(one, name) for one in tables])
         assert getattr(response, name) == pytest.approx(
             middle, abs=0.51 * 10.0**-digits

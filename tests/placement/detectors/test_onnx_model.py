@@ -1,3 +1,5 @@
+"""Users' ONNX networks of all exports, made here with known boxes."""
+
 import re
 import sys
 
@@ -5,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from refusals import refused_with
 from strategies import boxes_px
 
@@ -53,6 +56,7 @@ def save_constants(path, arrays, *, takes=FIXED, metadata=None):
 
 
 def centred(boxes):
+    """Boxes as centre, width and height, (n, 4). [px]"""
     x_min, y_min, x_max, y_max = np.asarray(boxes, dtype=float).T
     return np.stack(
         [(x_min + x_max) / 2, (y_min + y_max) / 2, x_max - x_min, y_max - y_min], 1
@@ -60,12 +64,14 @@ def centred(boxes):
 
 
 def one_hot(ids, scores, n_classes, rest=0.0):
+    """Scores (n, n_classes), each at its class."""
     table = np.full((len(ids), n_classes), rest)
     table[np.arange(len(ids)), ids] = scores
     return table
 
 
 def f32(*parts):
+    """Columns side by side, as single floats."""
     return np.concatenate([np.asarray(p, dtype=float) for p in parts], axis=1).astype(
         np.float32
     )
@@ -73,6 +79,7 @@ def f32(*parts):
 
 # Ids of COCO's 91 are one more for persons and bicycles.
 def as_torchvision(boxes, ids, scores):
+    """Outputs as torchvision exports them."""
     return {
         "boxes": np.float32(boxes).reshape(-1, 4),
         "labels": np.int64(ids) + 1,
@@ -80,12 +87,14 @@ def as_torchvision(boxes, ids, scores):
     }
 
 
-def as_retinanet(boxes, ids, scores):  # old exports: numbers for names, another order
+def as_retinanet(boxes, ids, scores):
+    """Outputs of old exports: numbers for names, another order."""
     values = as_torchvision(boxes, ids, scores)
     return {"_1": values["boxes"], "_2": values["scores"], "_3": values["labels"]}
 
 
 def as_rt_detr(boxes, ids, scores):
+    """Outputs as RT-DETR exports them."""
     return {
         "labels": np.int64(ids)[None],
         "boxes": np.float32(boxes)[None],
@@ -94,16 +103,19 @@ def as_rt_detr(boxes, ids, scores):
 
 
 def as_yolov5(boxes, ids, scores):
+    """Output of YOLOv5: boxes, objectness and scores row by row."""
     objectness = np.full((len(ids), 1), 0.96)
     scores = np.array(scores) / 0.96
     return {"output0": f32(centred(boxes), objectness, one_hot(ids, scores, 80))[None]}
 
 
 def as_yolov8(boxes, ids, scores):
+    """Output of YOLOv8: the same without objectness, transposed."""
     return {"output0": f32(centred(boxes), one_hot(ids, scores, 80)).T[None]}
 
 
 def as_end_to_end(boxes, ids, scores):
+    """Output with suppression done, padded by empty rows."""
     table = f32(boxes, np.transpose([scores, ids]))
     return {"output0": np.concatenate([table, np.zeros((7, 6), np.float32)])[None]}
 
@@ -135,10 +147,12 @@ SUPPRESSED = [
 ]
 DENSE = [as_yolov5, as_yolov8]
 GREY = np.full((64, 64, 3), 128, dtype=np.uint8)
+ONE_PERSON = as_torchvision([PERSON], [0], [0.75])
 
 
 @pytest.fixture
 def path(tmp_path):
+    """Where the network is written."""
     return tmp_path / "net.onnx"
 
 
@@ -172,12 +186,19 @@ def save_bright(path, takes, threshold=0.5):
 
 
 def picture(width_px, height_px, box):
+    """An image (h, w, 3) that is black but for one box.
+
+    It is red alone: the channels must come in order.
+    """
     image = np.zeros((height_px, width_px, 3), dtype=np.uint8)
     x_min, y_min, x_max, y_max = box
-    image[y_min:y_max, x_min:x_max, 0] = (
-        255  # red alone: the channels must come in order
-    )
+    image[y_min:y_max, x_min:x_max, 0] = 255
     return image
+
+
+def found_by(path, arrays, image=GREY, **options):
+    """Boxes of a model that gives the same arrays for every image."""
+    return load_onnx_model(save_constants(path, arrays, **options)).detect(image)
 
 
 # Every kind of export.
@@ -186,10 +207,10 @@ def picture(width_px, height_px, box):
 @pytest.mark.parametrize("layout", SUPPRESSED + DENSE)
 def test_every_export_gives_its_boxes_classes_and_scores(path, layout):
     arrays = layout([BICYCLE, PERSON], [1, 0], [0.625, 0.875])
-    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+    found = found_by(path, arrays)
 
-    np.testing.assert_allclose(found.boxes_px, [PERSON, BICYCLE], atol=1e-4)
-    np.testing.assert_allclose(found.confidence, [0.875, 0.625], rtol=1e-5)
+    assert_allclose(found.boxes_px, [PERSON, BICYCLE], atol=1e-4)
+    assert_allclose(found.confidence, [0.875, 0.625], rtol=1e-5)
     assert [found.kinds[i] for i in found.class_ids] == ["person", "bicycle"]
     assert found.boxes_px.dtype == found.confidence.dtype == np.float64
     assert found.class_ids.dtype == np.int64
@@ -201,13 +222,12 @@ def test_boxes_of_a_class_that_overlap_are_suppressed_where_the_export_did_not(
 ):
     near = [5.0, 9.0, 21.0, 61.0]
     arrays = layout([PERSON, near, near], [0, 0, 1], [0.5, 0.75, 0.25])
-    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
     if layout in DENSE:
         confidence = [0.75, 0.25]
     else:
         confidence = [0.75, 0.5, 0.25]
 
-    np.testing.assert_allclose(found.confidence, confidence, rtol=1e-5)
+    assert_allclose(found_by(path, arrays).confidence, confidence, rtol=1e-5)
 
 
 @pytest.mark.parametrize("layout", SUPPRESSED + DENSE)
@@ -215,14 +235,15 @@ def test_boxes_that_are_hardly_sure_or_outside_the_image_are_dropped(path, layou
     outside = [-20.0, 3.0, -2.0, 9.0]
     cut = [50.0, 50.0, 80.0, 90.0]
     arrays = layout([PERSON, outside, cut], [0, 0, 0], [0.01, 0.9, 0.8])
-    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+    found = found_by(path, arrays)
 
-    np.testing.assert_allclose(found.boxes_px, [[50.0, 50.0, 64.0, 64.0]], atol=1e-4)
+    assert_allclose(found.boxes_px, [[50.0, 50.0, 64.0, 64.0]], atol=1e-4)
 
 
 @pytest.mark.parametrize("layout", [as_torchvision, as_retinanet])
 def test_an_image_without_anything_has_no_boxes(path, layout):
-    found = load_onnx_model(save_constants(path, layout([], [], []))).detect(GREY)
+    found = found_by(path, layout([], [], []))
+
     assert found.boxes_px.shape == (0, 4)
     assert len(found.class_ids) == len(found.confidence) == 0
     assert boxes_of_class(found, "pedestrian")[0].shape == (0, 4)
@@ -230,11 +251,10 @@ def test_an_image_without_anything_has_no_boxes(path, layout):
 
 
 def test_masks_beside_boxes_labels_and_scores_are_left_alone(path):
-    arrays = as_torchvision([PERSON], [0], [0.75])
-    arrays["masks"] = np.zeros((1, 1, 28, 28), dtype=np.float32)
-    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+    masks = np.zeros((1, 1, 28, 28), dtype=np.float32)
+    found = found_by(path, ONE_PERSON | {"masks": masks})
 
-    np.testing.assert_allclose(found.boxes_px, [PERSON])
+    assert_allclose(found.boxes_px, [PERSON])
 
 
 # What the network is shown, and the way back.
@@ -249,14 +269,17 @@ def test_an_image_of_the_right_or_a_free_size_is_shown_as_it_is(path, takes):
 
 
 def test_an_input_without_batch_takes_the_image_alone(path):
-    arrays = as_torchvision([PERSON], [0], [0.75])
-    takes = "float[3, height, width] image"
-    found = load_onnx_model(save_constants(path, arrays, takes=takes)).detect(GREY)
-
-    np.testing.assert_allclose(found.boxes_px, [PERSON])
+    found = found_by(path, ONE_PERSON, takes="float[3, height, width] image")
+    assert_allclose(found.boxes_px, [PERSON])
 
 
-@pytest.mark.parametrize(("kind", "threshold"), [("float16", 0.999), ("uint8", 254.5)])
+@pytest.mark.parametrize(
+    ("kind", "threshold"),
+    [
+        ("float16", 0.999),
+        ("uint8", 254.5),
+    ],
+)
 def test_inputs_may_be_half_floats_or_bytes(path, kind, threshold):
     takes = FREE.replace("float", kind)
     model = load_onnx_model(save_bright(path, takes, threshold))
@@ -269,10 +292,13 @@ def test_letterbox_goes_back_by_the_scale_of_whole_pixels():
     # 30 x 50 into 64 x 64: scale 1.28, 38.4 columns become 38; 13 columns of grey on
     # each side.
     fitted = letterbox(
-        np.zeros((50, 30, 3), dtype=np.uint8), width_px=64, height_px=64, scale=1.28
+        np.zeros((50, 30, 3), dtype=np.uint8),
+        width_px=64,
+        height_px=64,
+        scale=1.28,
     )
     assert (fitted.pixels[0, :, 0] == [114] * 13 + [0] * 38 + [114] * 13).all()
-    np.testing.assert_allclose(
+    assert_allclose(
         fitted.to_image(np.array([[13.0, 0.0, 51.0, 64.0], [32.0, 32.0, 51.0, 64.0]])),
         [[0.0, 0.0, 30.0, 50.0], [15.0, 25.0, 30.0, 50.0]],
     )
@@ -295,8 +321,8 @@ def test_an_image_of_free_size_is_padded_to_yolos_grid(path):
         np.zeros((40, 50, 3), dtype=np.uint8)
     )
 
-    np.testing.assert_allclose(found.confidence, [0.64])
-    np.testing.assert_allclose(found.boxes_px, [[0.0, 0.0, 25.0, 40.0]])
+    assert_allclose(found.confidence, [0.64])
+    assert_allclose(found.boxes_px, [[0.0, 0.0, 25.0, 40.0]])
 
 
 @pytest.mark.parametrize("size", ["32, width", "height, 64"])
@@ -304,11 +330,15 @@ def test_an_input_of_one_fixed_side_takes_the_image_scaled_to_it(path, size):
     model = load_onnx_model(save_bright(path, f"float[1, 3, {size}] images"))
     found = model.detect(picture(128, 64, (20, 10, 60, 40)))
 
-    np.testing.assert_allclose(found.boxes_px, [[20.0, 10.0, 60.0, 40.0]])
+    assert_allclose(found.boxes_px, [[20.0, 10.0, 60.0, 40.0]])
 
 
 @pytest.mark.parametrize(
-    ("n_classes", "expected"), [(91, (1.0 - 0.485) / 0.229), (80, 1.0)]
+    ("n_classes", "expected"),
+    [
+        (91, (1.0 - 0.485) / 0.229),
+        (80, 1.0),
+    ],
 )
 def test_detr_with_91_classes_sees_the_image_by_imagenets_mean_and_spread(
     path, n_classes, expected
@@ -324,9 +354,7 @@ def test_detr_with_91_classes_sees_the_image_by_imagenets_mean_and_spread(
     model = load_onnx_model(save(path, graph))
     found = model.detect(np.full((64, 64, 3), 255, dtype=np.uint8))
 
-    np.testing.assert_allclose(
-        found.confidence, [1.0 / (1.0 + np.exp(-expected))], rtol=1e-5
-    )
+    assert_allclose(found.confidence, [1.0 / (1.0 + np.exp(-expected))], rtol=1e-5)
 
 
 def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
@@ -343,16 +371,15 @@ def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
     model = load_onnx_model(save(path, graph))
     found = model.detect(np.zeros((50, 100, 3), dtype=np.uint8))
 
-    np.testing.assert_allclose(found.boxes_px, [[0.0, 0.0, 100.0, 50.0]])
+    assert_allclose(found.boxes_px, [[0.0, 0.0, 100.0, 50.0]])
     assert found.kinds == COCO80
 
 
 def test_the_mask_that_detr_asks_for_is_given(path):
-    arrays = as_detr([PERSON], [0], [0.5])
     takes = "float[1, 3, 64, 64] pixel_values, int64[1, 64, 64] pixel_mask"
-    found = load_onnx_model(save_constants(path, arrays, takes=takes)).detect(GREY)
+    found = found_by(path, as_detr([PERSON], [0], [0.5]), takes=takes)
 
-    np.testing.assert_allclose(found.boxes_px, [PERSON], atol=1e-4)
+    assert_allclose(found.boxes_px, [PERSON], atol=1e-4)
 
 
 # Classes.
@@ -371,35 +398,32 @@ COCO80 = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle"}
     ],
 )
 def test_names_in_the_file_come_first(path, names, kinds):
-    save_constants(
-        path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names}
-    )
-    assert load_onnx_model(path).detect(GREY).kinds == kinds
+    assert found_by(path, ONE_PERSON, metadata={"names": names}).kinds == kinds
 
 
 def test_names_that_are_but_numbers_count_as_none(path):
     # What Ultralytics 8.4.190 writes for a network that was built without names.
     names = str({number: str(number) for number in range(80)})
-    save_constants(path, as_yolov8([PERSON], [0], [0.75]), metadata={"names": names})
+    arrays = as_yolov8([PERSON], [0], [0.75])
 
-    assert load_onnx_model(path).detect(GREY).kinds == COCO80
+    assert found_by(path, arrays, metadata={"names": names}).kinds == COCO80
 
 
 def test_names_tell_the_number_of_classes_of_a_table(path):
     metadata = {"names": "{0: 'cyclist', 1: 'person', 2: 'dog'}"}
-    dense = f32(centred([PERSON, BICYCLE]), [[0.1, 0.75, 0.2], [0.5, 0.1, 0.2]])
-    found = load_onnx_model(
-        save_constants(path, {"output0": dense.T[None]}, metadata=metadata)
-    ).detect(GREY)
+    scores = [[0.1, 0.75, 0.2], [0.5, 0.1, 0.2]]
+    dense = f32(centred([PERSON, BICYCLE]), scores)
+    found = found_by(path, {"output0": dense.T[None]}, metadata=metadata)
 
     assert found.class_ids.tolist() == [1, 0]
-    np.testing.assert_allclose(found.boxes_px, [PERSON, BICYCLE])
+    assert_allclose(found.boxes_px, [PERSON, BICYCLE])
 
 
 # Cyclists.
 
 
 def image_boxes(*rows):
+    """Boxes of rows (box, class, confidence)."""
     boxes, ids, confidence = zip(*rows, strict=True)
     return ImageBoxes(
         boxes_px=np.array(boxes, dtype=float),
@@ -417,6 +441,7 @@ def test_a_cyclist_is_a_person_and_a_bicycle_that_overlap_or_either():
         ([50.0, 10.0, 60.0, 20.0], 3, 0.6),
         ([70.0, 10.0, 80.0, 20.0], 9, 0.5),  # a dog
     )
+
     persons, how_sure = boxes_of_class(found, "pedestrian")
 
     assert persons.tolist() == found.boxes_px[:2].tolist()
@@ -442,6 +467,7 @@ def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_counts_for_none():
         ([50.0, 10.0, 60.0, 20.0], 2, 0.6),  # a bicycle
         ([70.0, 10.0, 90.0, 20.0], 5, 0.5),
     )
+
     motorcyclists, how_sure = boxes_of_class(found, "motorcyclist")
 
     assert motorcyclists.tolist() == [
@@ -484,9 +510,10 @@ def test_suppression_keeps_what_brute_force_keeps(rows, max_iou):
 # What users do.
 
 
-def message_of(path, **options):
+def message_of(path):
+    """Words in which a network is refused, in one line."""
     with pytest.raises(InputError) as caught:
-        load_onnx_model(path, **options)
+        load_onnx_model(path)
     text = str(caught.value)
 
     assert "\n" not in text
@@ -576,21 +603,17 @@ def test_a_network_that_does_not_run(path):
     ],
 )
 def test_names_that_say_nothing(path, names, expected):
-    save_constants(
-        path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names}
-    )
     with refused_with(f"{path}: metadata 'names': got {names!r}; expected {expected}"):
-        load_onnx_model(path)
+        found_by(path, ONE_PERSON, metadata={"names": names})
 
 
 def test_boxes_that_are_not_numbers(path):
     arrays = as_torchvision([[np.nan, 0.0, 1.0, 1.0]], [0], [0.75])
-    model = load_onnx_model(save_constants(path, arrays))
 
     with pytest.raises(
         InputError, match="got a box that is not a number; expected finite boxes"
     ):
-        model.detect(GREY)
+        found_by(path, arrays)
 
 
 @pytest.mark.parametrize(
@@ -598,15 +621,14 @@ def test_boxes_that_are_not_numbers(path):
     [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 3)), np.zeros((0, 4, 3), np.uint8)],
 )
 def test_images_that_are_none(path, image):
-    model = load_onnx_model(save_constants(path, as_torchvision([PERSON], [0], [0.75])))
     with pytest.raises(
         InputError, match=r"expected uint8 of shape \(height, width, 3\)"
     ):
-        model.detect(image)
+        found_by(path, ONE_PERSON, image)
 
 
 def test_the_extra_is_named_where_onnxruntime_is_missing(path, monkeypatch):
-    save_constants(path, as_torchvision([PERSON], [0], [0.75]))
+    save_constants(path, ONE_PERSON)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
 
     with pytest.raises(MissingExtraError, match="uv run --extra perception"):

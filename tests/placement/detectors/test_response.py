@@ -1,3 +1,5 @@
+"""The response of a detector: probability by hand, and draws that follow it."""
+
 import math
 from dataclasses import replace
 
@@ -6,6 +8,7 @@ import pytest
 from evidences import build_evidence
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 
 from geometry.errors import InputError
 from geometry.image_boxes import iou
@@ -16,12 +19,12 @@ DETECTOR = load_planning_detector("response")
 assert isinstance(DETECTOR, ResponseDetector)
 PLAIN = ResponseDetector(
     name="by hand",
-    seen_share=np.array([0.0, 0.5, 1.0]),
-    recall=np.array([0.0, 0.6, 0.9]),
+    seen_share=[0.0, 0.5, 1.0],
+    recall=[0.0, 0.6, 0.9],
     height_half_px=20.0,
     height_steepness=2.0,
     min_box_height_px=10.0,
-    class_factor=np.array([1.0, 0.9, 0.8, 0.7, 0.6]),
+    class_factor=[1.0, 0.9, 0.8, 0.7, 0.6],
     cyclist_end_on=0.5,
     contrast_half=0.5,
     contrast_steepness=1.0,
@@ -33,12 +36,14 @@ shares = st.floats(0.0, 1.0)
 
 
 def _box(height_px, n_rows=1):
+    """Equal boxes of a height, (n_rows, 4). [px]"""
     return np.tile(
         [100.0, 50.0, 100.0 + 0.4 * height_px, 50.0 + height_px], (n_rows, 1)
     )
 
 
 def _probability(detector, height_px, **looks):
+    """Probability that one box of a height is found."""
     (probability,) = detector.probability(build_evidence(_box(height_px), **looks))
     return probability
 
@@ -63,6 +68,7 @@ def test_probability_is_the_product_that_one_works_out_by_hand():
         "motorcyclist": 0.66 * 0.8 * 0.7 * 0.5,
         "car": 0.66 * 0.8 * 0.6 * 0.5,
     }
+
     for name, probability in expected.items():
         found = _probability(PLAIN, 40.0, vru_class=name, **looks)
         assert found == pytest.approx(probability, rel=1e-12)
@@ -102,6 +108,7 @@ def test_a_tall_vru_at_full_contrast_is_found_as_often_as_published(seen, miss_r
 
 def test_nothing_is_found_below_the_least_height_or_where_nothing_is_seen():
     least_px = DETECTOR.min_box_height_px
+
     assert _probability(DETECTOR, least_px) > 0.0
     assert _probability(DETECTOR, least_px - 1e-9) == 0.0
     assert _probability(DETECTOR, 100.0, visible_share=0.0) == 0.0
@@ -111,7 +118,7 @@ def test_nothing_is_found_below_the_least_height_or_where_nothing_is_seen():
     evidence = build_evidence(np.zeros((50, 4)))
 
     assert not anything.probability(evidence).any()
-    assert not len(anything.detect(evidence, np.random.default_rng(0)).row_index)
+    assert not len(anything.detect(evidence, default_rng(0)).row_index)
 
 
 def test_a_plan_counts_on_rows_from_its_probability_on():
@@ -134,7 +141,8 @@ def test_a_plan_counts_on_rows_from_its_probability_on():
 
 
 def _hits(detector, evidence, seed):
-    found = detector.detect(evidence, np.random.default_rng(seed))
+    """Rows that are found with a seed, (n_rows,) bool."""
+    found = detector.detect(evidence, default_rng(seed))
     hits = np.zeros(len(evidence), dtype=bool)
     hits[found.row_index] = True
     return hits
@@ -147,9 +155,9 @@ def _runs_of(n_runs, n_frames):
 
 def test_the_same_seed_finds_the_same_boxes_and_another_others():
     evidence = build_evidence(_box(40.0, 500), visible_share=0.7)
-    one, same, other = (
-        DETECTOR.detect(evidence, np.random.default_rng(seed)) for seed in (3, 3, 4)
-    )
+    one = DETECTOR.detect(evidence, default_rng(3))
+    same = DETECTOR.detect(evidence, default_rng(3))
+    other = DETECTOR.detect(evidence, default_rng(4))
 
     assert np.array_equal(one.row_index, same.row_index)
     assert np.array_equal(one.boxes_px, same.boxes_px)
@@ -161,7 +169,13 @@ def test_the_same_seed_finds_the_same_boxes_and_another_others():
 
 
 @pytest.mark.parametrize(
-    ("correlation", "height_px"), [(0.0, 40.0), (0.7, 20.0), (0.7, 120.0), (1.0, 40.0)]
+    ("correlation", "height_px"),
+    [
+        (0.0, 40.0),
+        (0.7, 20.0),
+        (0.7, 120.0),
+        (1.0, 40.0),
+    ],
 )
 def test_the_share_of_detections_is_the_probability(correlation, height_px):
     """Of runs of five frames the first and the last: five standard deviations of a
@@ -177,6 +191,7 @@ def test_the_share_of_detections_is_the_probability(correlation, height_px):
     hits = _hits(detector, evidence, 1).reshape(n_runs, 5)
     probability = _probability(detector, height_px, visible_share=0.8)
     tolerance = 5.0 * math.sqrt(probability * (1.0 - probability) / n_runs)
+
     for frame in (0, 4):
         assert hits[:, frame].mean() == pytest.approx(probability, abs=tolerance)
 
@@ -184,7 +199,9 @@ def test_the_share_of_detections_is_the_probability(correlation, height_px):
 def test_frames_are_independent_without_correlation_and_alike_with_all_of_it():
     n_runs, index = 20_000, _runs_of(20_000, 4).ravel()
     evidence = build_evidence(
-        _box(40.0, 4 * n_runs), draw_index=index, visible_share=0.7
+        _box(40.0, 4 * n_runs),
+        draw_index=index,
+        visible_share=0.7,
     )
     probability = _probability(DETECTOR, 40.0, visible_share=0.7)
 
@@ -216,7 +233,7 @@ def test_rows_of_the_same_number_share_their_luck():
     index = np.tile(np.arange(3000), 2)
     contrast = np.repeat([1.0, 0.3], 3000)
     evidence = build_evidence(_box(30.0, 6000), draw_index=index, contrast=contrast)
-    found = DETECTOR.detect(evidence, np.random.default_rng(5))
+    found = DETECTOR.detect(evidence, default_rng(5))
     hits = np.zeros(6000, dtype=bool)
     hits[found.row_index] = True
     by_day, at_night = hits.reshape(2, -1)
@@ -240,24 +257,20 @@ def test_luck_does_not_depend_on_what_the_rows_show():
 def test_boxes_are_off_by_the_noise_asked_for_and_are_still_correct():
     truth = _box(100.0, 20_000)
     evidence = build_evidence(truth)
-    found = DETECTOR.detect(evidence, np.random.default_rng(7))
+    found = DETECTOR.detect(evidence, default_rng(7))
     off = (found.boxes_px - truth[found.row_index]) / [40.0, 100.0, 40.0, 100.0]
 
     assert np.abs(off.mean(axis=0)).max() < 0.002
     assert off.std(axis=0) == pytest.approx(DETECTOR.box_noise_share, rel=0.03)
     assert (iou(found.boxes_px, truth[found.row_index]) > 0.5).all()
 
-    exact = replace(DETECTOR, box_noise_share=0.0).detect(
-        evidence, np.random.default_rng(7)
-    )
+    exact = replace(DETECTOR, box_noise_share=0.0).detect(evidence, default_rng(7))
 
     assert np.array_equal(exact.row_index, found.row_index)
     assert np.array_equal(exact.boxes_px, truth[exact.row_index])
     assert is_matched(exact, truth, min_iou=0.99).sum() == len(exact.row_index)
 
-    wild = replace(DETECTOR, box_noise_share=1.0).detect(
-        evidence, np.random.default_rng(7)
-    )
+    wild = replace(DETECTOR, box_noise_share=1.0).detect(evidence, default_rng(7))
 
     # The probability is that of correct boxes: however wild, they find as many.
     assert np.array_equal(wild.row_index, found.row_index)

@@ -6,11 +6,12 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+from evidences import build_evidence
 from met_cases import MET_CASES
 from refusals import refused_with
 
 from geometry.errors import InputError, MissingExtraError
-from placement.detectors import Evidence, load_detector, load_planning_detector, network
+from placement.detectors import load_detector, load_planning_detector, network
 from placement.detectors.evidence import Crop
 from placement.question import Question
 from placement.setting import build_setting
@@ -18,6 +19,7 @@ from placement.setting import build_setting
 
 @pytest.fixture(autouse=True)
 def _anew():
+    """Loads the shipped network anew, and leaves none behind."""
     network.load_shipped_network.cache_clear()
     yield
     network.load_shipped_network.cache_clear()
@@ -25,6 +27,7 @@ def _anew():
 
 def test_it_is_small_and_has_a_card():
     data = files("placement.detectors") / "data"
+
     assert len((data / "vru.onnx").read_bytes()) < 5e6
 
     card = (data / "vru.md").read_text(encoding="utf-8")
@@ -61,9 +64,13 @@ def test_plans_are_made_with_the_table_that_was_fitted_to_it():
 def test_what_it_has_not_learnt_is_refused():
     pytest.importorskip("onnxruntime")
     network = load_detector("cnn")
+
     network.check_classes(["pedestrian", "child", "cyclist"])
 
-    for name, known in (("car", "car"), ("motorcyclist", "motorcycle or motorcyclist")):
+    for name, known in (
+        ("car", "car"),
+        ("motorcyclist", "motorcycle or motorcyclist"),
+    ):
         with refused_with(
             f"detector cnn: got runs with a {name}; expected a network that knows"
             f" {known}"
@@ -74,7 +81,10 @@ def test_what_it_has_not_learnt_is_refused():
 def test_runs_with_it_are_checked_before_anything_is_built(caplog):
     pytest.importorskip("onnxruntime")
     met = Question(
-        cases=str(MET_CASES), protect="all", approaches="east", along_arms="0"
+        cases=str(MET_CASES),
+        protect="all",
+        approaches="east",
+        along_arms="0",
     )
 
     with pytest.raises(
@@ -84,10 +94,9 @@ def test_runs_with_it_are_checked_before_anything_is_built(caplog):
 
     build_setting(replace(met, detector="cnn-table"))
 
-    assert (
-        "how well the detector finds motorcyclist (factor 1) and car (factor 1)"
-        in caplog.text
-    )
+    words = "how well the detector finds motorcyclist (factor 1) and car (factor 1)"
+
+    assert words in caplog.text
 
 
 class _Crops:
@@ -116,18 +125,9 @@ class _Crops:
 
 
 def _evidence(heights, crops):
-    boxes = np.array([[10.0, 10.0, 20.0, 10.0 + height] for height in heights])
-    return Evidence(
-        visible_px=boxes,
-        amodal_px=boxes,
-        contrast=np.ones(1),
-        visible_share=np.ones(1),
-        inside_share=np.ones(1),
-        aspect_deg=np.zeros(1),
-        vru_class=np.zeros(1, dtype=np.int64),
-        draw_index=np.arange(len(boxes)),
-        crops=crops,
-    )
+    """Evidence of boxes of these heights, and their crops. [px]"""
+    boxes = [[10.0, 10.0, 20.0, 10.0 + height] for height in heights]
+    return replace(build_evidence(boxes), crops=crops)
 
 
 def test_what_looks_the_same_is_shown_once_and_what_is_too_small_never():

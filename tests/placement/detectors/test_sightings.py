@@ -4,6 +4,7 @@ confirmed.
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import poisson as poisson_law
 
 from geometry.errors import InputError
@@ -20,6 +21,7 @@ BESIDE = (400.0, 100.0, 440.0, 200.0)
 
 
 def picture(frame=0, *, labels=(PERSON,), found=(), track=0, finds=None, alone=None):
+    """A labelled picture with boxes that were found in it."""
     n = len(labels)
     return LabelledPicture(
         track=track,
@@ -36,10 +38,12 @@ def picture(frame=0, *, labels=(PERSON,), found=(), track=0, finds=None, alone=N
 
 
 def moved(box, right):
+    """A box so far to the right. [px]"""
     return (box[0] + right, box[1], box[2] + right, box[3])
 
 
 def gather(*pictures):
+    """Sightings of pictures at 10 Hz, confirmed by three."""
     return gather_sightings(pictures, n_confirmations=3, frame_rate_hz=10.0)
 
 
@@ -47,11 +51,13 @@ def test_a_box_that_overlaps_enough_is_found_and_its_sides_are_compared():
     seen, alarms = gather(
         picture(found=[moved(PERSON, 4.0)]), picture(1, found=[BESIDE])
     )
+
     assert seen.is_found.tolist() == [True, False]
-    np.testing.assert_allclose(seen.box_error[0], [0.1, 0.0, 0.1, 0.0])
+    assert_allclose(seen.box_error[0], [0.1, 0.0, 0.1, 0.0])
     assert np.isnan(seen.box_error[1]).all()
-    np.testing.assert_array_equal(seen.height_px, [100.0, 100.0])
-    assert (alarms.pictures, alarms.alarms) == (2, 1)
+    assert_array_equal(seen.height_px, [100.0, 100.0])
+    assert alarms.pictures == 2
+    assert alarms.alarms == 1
 
 
 def test_a_box_that_overlaps_too_little_is_neither_found_nor_a_false_alarm():
@@ -99,7 +105,9 @@ def test_false_tracks_are_confirmed_by_frames_in_a_row(rights, n_confirmed):
 
 def test_a_frame_that_is_missing_breaks_a_false_track():
     _, alarms = gather(*(picture(frame, found=[BESIDE]) for frame in (0, 1, 3, 4)))
-    assert (alarms.confirmed, alarms.chances) == (0, 0)
+
+    assert alarms.confirmed == 0
+    assert alarms.chances == 0
     assert alarms.per_hour is None
 
 
@@ -125,6 +133,7 @@ def test_false_tracks_per_hour_follow_from_the_frame_rate():
 @pytest.mark.parametrize("n_events", [0, 1, 7])
 def test_the_poisson_interval_is_exact(n_events):
     interval = poisson(n_events, 2.0)
+
     assert interval.value == n_events / 2.0
     assert poisson_law.cdf(n_events, 2.0 * interval.high) == pytest.approx(0.025)
 
@@ -132,7 +141,14 @@ def test_the_poisson_interval_is_exact(n_events):
         assert poisson_law.sf(n_events - 1, 2.0 * interval.low) == pytest.approx(0.025)
 
 
-@pytest.mark.parametrize(("found", "frames"), [(0, 5), (5, 5), (3, 20)])
+@pytest.mark.parametrize(
+    ("found", "frames"),
+    [
+        (0, 5),
+        (5, 5),
+        (3, 20),
+    ],
+)
 def test_the_wilson_interval_solves_its_equation(found, frames):
     interval = wilson(found, frames)
     for end in (interval.low, interval.high):

@@ -3,10 +3,10 @@
 from functools import partial
 
 import pytest
+from tiny_cameras import tiny_camera
 from tiny_worlds import block_actor, run_of_frames, scene_of_boxes, setting_of
 
 from geometry.actors import pick_actor
-from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
 from placement.detectors.geometric import GeometricDetector
 from scenarios.aeb import load_aeb_rule
@@ -16,25 +16,20 @@ from scenarios.runs import build_runs
 
 @pytest.fixture(scope="session")
 def block():
+    """A body that is a box."""
     return block_actor()
 
 
 @pytest.fixture(scope="session")
 def vut():
+    """The study's VUT."""
     return pick_actor("vut", "test")
 
 
 @pytest.fixture(scope="session")
 def camera():
-    return CameraModel(
-        name="small",
-        width_px=320,
-        height_px=180,
-        horizontal_fov_deg=90.0,
-        frame_rate_hz=10.0,
-        near_m=0.35,
-        price_eur=0.0,
-    )
+    """A small camera: few pixels to cast."""
+    return tiny_camera(320, 180)
 
 
 @pytest.fixture(scope="session")
@@ -64,7 +59,11 @@ def build_setting():
 def study_runs(vut):
     """Three runs of the study's cases from one approach each, at two speeds."""
     runs = []
-    for name, approach in (("CPNC-50", "north"), ("CBNA", "east"), ("CBLA", "south")):
+    for name, approach in (
+        ("CPNC-50", "north"),
+        ("CBNA", "east"),
+        ("CBLA", "south"),
+    ):
         cases = select_cases(name, speeds="30,60").cases
         some, _ = build_runs(
             load_study_scene(),

@@ -1,3 +1,5 @@
+"""When road users announce themselves, and in which frames they are known."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -35,10 +37,12 @@ def walk(build_run):
 
 
 def _sent(run):
+    """Numbers of the frames in which a message is sent."""
     return np.flatnonzero(sent_frames(run, RULE)).tolist()
 
 
 def _known(runs, seed=0, **links):
+    """Frames of runs in which the road user is known."""
     return known_frames(runs, Radio(**links), np.random.default_rng(seed))
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from changes import changed
 from tiny_worlds import unit_at
 
 from geometry.actors import pick_actor
@@ -20,10 +21,14 @@ from placement.evaluator import evaluate as watch_module
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout
 
-WALL = ((5.0, 0.2, 0.0), (5.3, 4.0, 3.0))
+WALL = (
+    (5.0, 0.2, 0.0),
+    (5.3, 4.0, 3.0),
+)
 
 
 def unit(name, yaw_deg=0.0, sensor=None):
+    """A camera at a pole, 3 m high."""
     return unit_at(
         name,
         [0.0, 0.0, 3.0],
@@ -39,17 +44,31 @@ LAYOUT = Layout(name="two", units=(unit("a"), unit("b", 30.0)))
 
 @pytest.fixture
 def runs(build_run):
+    """An adult who crosses 12 m ahead, and one who comes back."""
     adult = pick_actor("adult", "test")
     n = 21
     along = np.column_stack(
         [np.full(n, 12.0), np.linspace(-4.0, 4.0, n), np.full(n, 90.0)]
     )
-    return [build_run(adult, along), replace(build_run(adult, along[::-1]), id="other")]
+    back = build_run(adult, along[::-1])
+    return [build_run(adult, along), replace(back, id="other")]
 
 
 @pytest.fixture
 def setting(build_scene, build_setting, runs):
+    """The runs beside a wall."""
     return build_setting(build_scene(WALL), runs)
+
+
+@pytest.fixture
+def ask(setting, tmp_path):
+    """Evaluates two units with a cache, or other ones in another setting."""
+    compute = Compute(workers=1, cache_folder=tmp_path)
+
+    def evaluate(asked=setting, layout=LAYOUT, **options):
+        return evaluate_layout(layout, asked, compute=replace(compute, **options))
+
+    return evaluate
 
 
 class NeverFinds:
@@ -86,6 +105,7 @@ def looked(monkeypatch):
 
 
 def assert_same(one, other):
+    """Every party's verdict is the same in two evaluations."""
     for name, verdict in (
         ("vut", one.vut),
         ("rsu_all", one.rsu_all),
@@ -100,56 +120,60 @@ def assert_same(one, other):
 
 @pytest.mark.parametrize("detector", ["geometric", "response"])
 def test_the_second_call_looks_at_nothing_and_finds_the_same(
-    setting, tmp_path, looked, detector
+    setting, ask, looked, detector
 ):
     setting = replace(setting, detector=load_detector(detector))
-    compute = Compute(workers=1, cache_folder=tmp_path)
-    first = evaluate_layout(LAYOUT, setting, compute=compute)
+
+    first = ask(setting)
 
     assert first.rsu_all.detected.any()
     assert not first.rsu_all.detected.all()
 
-    again = evaluate_layout(LAYOUT, setting, compute=compute)
+    again = ask(setting)
 
     assert looked == [(["a", "b"], True)]
     assert_same(again, first)
-    assert_same(evaluate_layout(LAYOUT, setting, compute=Compute(workers=1)), first)
+    assert_same(ask(setting, cache_folder=None), first)
     assert len(looked) == 2
 
 
-def test_only_new_poses_are_looked_from(setting, tmp_path, looked):
-    compute = Compute(workers=1, cache_folder=tmp_path)
-    evaluate_layout(LAYOUT, setting, compute=compute)
+def test_only_new_poses_are_looked_from(ask, looked):
+    ask()
     moved = unit("moved", 30.0 + 1.0e-9)
     lidar = unit("lidar", sensor=load_lidars()["carla-ncap-lidar"])
     renamed = replace(LAYOUT.units[0], id="renamed")
     layout = Layout(name="three", units=(moved, lidar, renamed))
-    found = evaluate_layout(layout, setting, compute=compute)
+
+    found = ask(layout=layout)
 
     assert looked[1:] == [(["lidar", "moved"], False)]
-    assert_same(found, evaluate_layout(layout, setting, compute=Compute(workers=1)))
+    assert_same(found, ask(layout=layout, cache_folder=None))
 
 
-def test_what_the_vut_looks_with_is_looked_with_anew(setting, tmp_path, looked):
-    compute = Compute(workers=1, cache_folder=tmp_path)
-    evaluate_layout(LAYOUT, setting, compute=compute)
-    for change in (
+@pytest.mark.parametrize(
+    "change",
+    [
         {"vut_sensors": ("camera", "lidar")},
         {"vut_camera": pick_camera("carla-ncap-rgb-90", "test")},
-    ):
-        evaluate_layout(LAYOUT, replace(setting, **change), compute=compute)
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_what_the_vut_looks_with_is_looked_with_anew(setting, ask, looked, change):
+    ask()
+    ask(replace(setting, **change))
 
-    assert looked[1:] == [([], True)] * 2
+    assert looked[1:] == [([], True)]
 
 
 def _with_run(setting, **changes):
+    """The setting with its first run changed."""
     first, *others = setting.runs
     return replace(setting, runs=(replace(first, **changes), *others))
 
 
 CHANGES = {
-    "scene": lambda s: replace(
-        s, scene=replace(s.scene, vertices_m=s.scene.vertices_m + [0.0, 0.0, 1.0e-6])
+    "scene": lambda s: changed(
+        s, "scene.vertices_m", s.scene.vertices_m + [0.0, 0.0, 1.0e-6]
     ),
     "weather": lambda s: _with_run(s, weather="fog"),
     "VRU's way": lambda s: _with_run(
@@ -157,50 +181,31 @@ CHANGES = {
     ),
     "VUT's way": lambda s: _with_run(s, vut_yaw_deg=s.runs[0].vut_yaw_deg + 1.0),
     "shapes": lambda s: _with_run(s, vru_shape=s.runs[0].vru_shape[::-1]),
-    "detector": lambda s: replace(s, detector=replace(s.detector, min_iou=0.51)),
+    "detector": lambda s: changed(s, "detector.min_iou", 0.51),
     "another detector": lambda s: replace(s, detector=load_detector("response")),
 }
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_whatever_changes_what_is_seen_is_looked_at_anew(
-    setting, tmp_path, looked, change
-):
-    compute = Compute(workers=1, cache_folder=tmp_path)
-    evaluate_layout(LAYOUT, setting, compute=compute)
-    evaluate_layout(LAYOUT, CHANGES[change](setting), compute=compute)
+def test_whatever_changes_what_is_seen_is_looked_at_anew(setting, ask, looked, change):
+    ask()
+    ask(CHANGES[change](setting))
 
     assert looked == [(["a", "b"], True)] * 2
 
 
-def test_seed_weathers_and_version_are_part_of_the_key(
-    setting, tmp_path, looked, monkeypatch
-):
-    compute = Compute(workers=1, cache_folder=tmp_path)
-    evaluate_layout(LAYOUT, setting, compute=compute)
-    evaluate_layout(LAYOUT, setting, compute=replace(compute, seed=1))
+def test_seed_weathers_and_version_are_part_of_the_key(ask, looked, monkeypatch):
+    ask()
+    ask(seed=1)
     dim = replace(load_weathers()["day"], contrast=0.5)
     with monkeypatch.context() as patch:
         patch.setattr(watch_module, "pick_weather", lambda name, where: dim)
-        evaluate_layout(LAYOUT, setting, compute=compute)
+        ask()
+
     monkeypatch.setattr(watch_module, "_KIND", "place-rsus/views/0")
-    evaluate_layout(LAYOUT, setting, compute=compute)
+    ask()
 
     assert looked == [(["a", "b"], True)] * 4
-
-
-def test_a_damaged_file_is_made_anew(setting, tmp_path, looked, caplog):
-    compute = Compute(workers=1, cache_folder=tmp_path)
-    first = evaluate_layout(LAYOUT, setting, compute=compute)
-    (path,) = tmp_path.glob("views-*.npz")
-    path.write_bytes(path.read_bytes()[:100])
-
-    assert_same(evaluate_layout(LAYOUT, setting, compute=compute), first)
-    assert "views not used, made anew" in caplog.text
-
-    evaluate_layout(LAYOUT, setting, compute=compute)
-
-    assert len(looked) == 2
 
 
 def test_what_a_network_finds_is_not_kept(setting, tmp_path):
@@ -224,5 +229,7 @@ def test_how_long_a_network_will_look_is_told_before_it_begins(setting, caplog):
 
     # A picture takes a minute.
     line = r"([1-9]\d+) pictures for the network: about \1 minutes of processor time"
+
     assert told
-    assert all(re.search(line, text) for text in told)
+    for text in told:
+        assert re.search(line, text)

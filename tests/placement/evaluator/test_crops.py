@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kept_backdrops import CORNER, kept_backdrop
+from placed_bodies import ahead_of
 from short_runs import cut_run
 
 from geometry.image_boxes import box_height_px
@@ -27,6 +28,7 @@ def backdrops(monkeypatch):
 
 @pytest.fixture(scope="module")
 def scene():
+    """The study's junction."""
     return load_study_scene()
 
 
@@ -57,6 +59,7 @@ def seen(scene, camera):
                 source.pictures(mount),
                 evidence,
             )
+
         evidence = perceive_frames(surroundings, (CORNER, camera))
         crops = source.crops((CORNER, camera), evidence.amodal_px)
         return crops, source.pictures((CORNER, camera)), evidence
@@ -72,18 +75,20 @@ def alone(crops, frame):
 
 @pytest.fixture(scope="module")
 def larger(camera):
+    """The camera with four times the pixels each way."""
     return replace(camera, width_px=4 * camera.width_px, height_px=4 * camera.height_px)
 
 
 def test_a_window_has_the_box_in_its_middle_but_stays_in_the_image(larger):
     inside = window_around(np.array([500.0, 400.0, 520.0, 450.0]), larger, side_px=96)
+
     assert inside == Window(462, 377, 96, 96)
 
     corner = np.array([larger.width_px - 9.0, 0.0, larger.width_px, 30.0])
 
-    assert window_around(corner, larger, side_px=96) == Window(
-        larger.width_px - 96, 0, 96, 96
-    )
+    expected = Window(larger.width_px - 96, 0, 96, 96)
+
+    assert window_around(corner, larger, side_px=96) == expected
 
 
 @pytest.mark.long
@@ -136,10 +141,7 @@ def test_frames_look_the_same_where_only_a_vut_out_of_sight_has_moved(
         name: np.repeat(getattr(run, name)[:1], 2, axis=0)
         for name in ("vru_position_m", "vru_yaw_deg", "vru_shape")
     }
-    far = (
-        np.repeat(run.vut_position_m[:1], 2, axis=0)
-        + np.array([[-400.0, 0, 0], [-390.0, 0, 0]])[:, : run.vut_position_m.shape[1]]
-    )
+    far = run.vut_position_m[0] + [[-400.0, 0.0], [-390.0, 0.0]]
     away = replace(run, **still, vut_position_m=far)
     crops, _, _ = seen([away])
 
@@ -165,10 +167,9 @@ def test_the_shadow_of_the_vut_belongs_to_it(last_frames, seen):
     # A car beside the crop whose shadow falls into it must be drawn.
     run = last_frames("CPNC-50/west/30", 1)
     weather = pick_weather("day", "test")
-    yaw = np.radians(weather.sun_yaw_deg)
     shadow_m = 1.2 / np.tan(np.radians(weather.sun_elevation_deg))
     beside = run.vru_position_m.copy()
-    beside[:, :2] += (2.5 + 0.5 * shadow_m) * np.array([np.cos(yaw), np.sin(yaw)])
+    beside[:, :2] += (2.5 + 0.5 * shadow_m) * ahead_of(weather.sun_yaw_deg)
     near, _, _ = seen([replace(run, vut_position_m=beside)])
 
     assert near.key(0)[-1] == 0  # a frame of its own
@@ -185,12 +186,14 @@ def test_the_shipped_network_finds_most_cyclists_that_are_50_px_high(
     some = cut_run(run, last)
     full = replace(larger, width_px=1920, height_px=1080)
     crops, _, evidence = seen([some], camera=full)
+
     is_high = box_height_px(evidence.visible_px) >= 50.0
 
     assert is_high.sum() >= 3
 
     detector = load_detector("cnn")
     found = detector.detect(replace(evidence, crops=crops), np.random.default_rng(0))
+
     matched = is_matched(found, evidence.visible_px, min_iou=load_min_iou())
 
     assert matched[is_high].mean() > 0.6

@@ -1,3 +1,5 @@
+"""Layouts evaluated in the study's runs: who is fused, messages, luck, weathers."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -25,21 +27,28 @@ from scenarios.runs import build_frame_axis
 
 RULE = load_aeb_rule()
 LIDAR = pick_sensor("carla-ncap-lidar", "test")
-GROUND = ((-300.0, -300.0, -1.0), (300.0, 300.0, 0.0))
+GROUND = (
+    (-300.0, -300.0, -1.0),
+    (300.0, 300.0, 0.0),
+)
 
 
 @pytest.fixture(scope="module")
 def setting(build_setting, build_scene, study_runs):
+    """The study's runs in an empty scene."""
     return build_setting(build_scene(), study_runs)
 
 
 @pytest.fixture(scope="module")
 def axis(setting):
+    """Frames of the study's runs."""
     return setting.axis
 
 
 @pytest.fixture
 def build_layout(camera):
+    """Builds a layout of cameras by their names."""
+
     def build(*names, x_m=0.0, latencies_s=None, sensor=camera):
         return Layout(
             name="test",
@@ -108,12 +117,14 @@ def pretend(monkeypatch, build_layout, setting, axis):
 
 
 def _frames(axis, run_index, *frames):
+    """All frames (n_frames,), true in these of one run."""
     row = np.zeros(axis.n_frames, dtype=bool)
     row[axis.run_start[run_index] + np.array(frames, dtype=np.int64)] = True
     return row
 
 
 def _verdicts(evaluation):
+    """Verdicts of an evaluation by party."""
     return {
         "vut": evaluation.vut,
         "rsu_all": evaluation.rsu_all,
@@ -124,9 +135,16 @@ def _verdicts(evaluation):
 
 
 def _is_equal(verdict, other):
+    """Are all arrays of two verdicts equal?"""
     return all(
         np.array_equal(getattr(verdict, field), getattr(other, field))
-        for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided")
+        for field in (
+            "detected",
+            "confirmation_time_s",
+            "onset_time_s",
+            "is_avoided",
+            "impact_speed_kmh",
+        )
     )
 
 
@@ -137,7 +155,10 @@ def test_fused_units_confirm_together_what_none_confirms_alone(pretend, axis):
     evaluation = pretend(
         _frames(axis, 0, 1, 3), _frames(axis, 0, 2), vut_row=_frames(axis, 1, 3)
     )
-    assert all(np.isinf(v.confirmation_time_s).all() for v in evaluation.units.values())
+
+    for v in evaluation.units.values():
+        assert np.isinf(v.confirmation_time_s).all()
+
     assert evaluation.rsu_all.confirmation_time_s[0] == axis.time_s[3]
     assert evaluation.rsu_all.is_avoided[0]
     assert not evaluation.vut.is_avoided.any()
@@ -146,6 +167,7 @@ def test_fused_units_confirm_together_what_none_confirms_alone(pretend, axis):
 
 def test_vut_counts_among_the_fused_with_the_units(pretend, axis):
     evaluation = pretend(_frames(axis, 0, 1, 2), vut_row=_frames(axis, 0, 3))
+
     assert not evaluation.rsu_all.is_avoided.any()
     assert evaluation.vut_and_rsus.is_avoided[0]
     assert (evaluation.vut.detected == _frames(axis, 0, 3)).all()
@@ -162,7 +184,9 @@ def test_without_any_message_the_vut_is_left_alone(pretend, axis):
     plain = pretend(row, row, vut_row=by_vut)
 
     assert not lost.rsu_all.detected.any()
-    assert not any(unit.detected.any() for unit in lost.units.values())
+    for unit in lost.units.values():
+        assert not unit.detected.any()
+
     assert _is_equal(lost.vut, plain.vut)
     assert _is_equal(lost.vut_and_rsus, plain.vut)
 
@@ -177,8 +201,13 @@ def test_messages_are_lost_as_often_as_said_and_unit_by_unit(pretend, axis):
     one = pretend(row, radio=links)
     a, b = (unit.detected for unit in two.units.values())
     n = axis.n_frames
+
     # Five standard deviations of a binomial distribution.
-    for share, mean in ((a.mean(), 0.7), (b.mean(), 0.7), ((a & b).mean(), 0.49)):
+    for share, mean in (
+        (a.mean(), 0.7),
+        (b.mean(), 0.7),
+        ((a & b).mean(), 0.49),
+    ):
         assert share == pytest.approx(mean, abs=5.0 * np.sqrt(mean * (1.0 - mean) / n))
 
     assert (two.rsu_all.detected == (a | b)).all()
@@ -205,9 +234,12 @@ def test_road_users_that_announce_themselves_are_a_source_of_their_own(pretend, 
     vam = all_equipped.others["vam"]
 
     assert vam.detected.all()
-    assert vam.onset_time_s.tolist() == [
+
+    expected = [
         axis.time_s[start + 2] + RULE.latency_s for start in axis.run_start[:-1]
     ]
+
+    assert vam.onset_time_s.tolist() == expected
     assert _is_equal(all_equipped.rsu_all, pretend(by_unit).rsu_all)
 
     some = pretend(by_unit, vut_row=nothing, radio=Radio(vam_rate=0.5), seed=3)
@@ -245,14 +277,16 @@ def test_unknown_sensors_of_the_vut_and_shares_beyond_one_are_named(setting):
         "vut_sensors: got 'radar'; expected one or more of camera, lidar"
     ):
         replace(setting, vut_sensors=("camera", "radar"))
+
     with pytest.raises(
         InputError, match="vut_sensors: got 'none'; expected one or more of"
     ):
         replace(setting, vut_sensors=())
 
-    with pytest.raises(InputError, match=r"packet_loss: got 1.1; expected 0 .. 1"):
+    with pytest.raises(InputError, match=r"packet_loss: got 1\.1; expected 0 \.\. 1"):
         Radio(packet_loss=1.1)
-    with pytest.raises(InputError, match=r"vam_rate: got nan; expected 0 .. 1"):
+
+    with pytest.raises(InputError, match=r"vam_rate: got nan; expected 0 \.\. 1"):
         Radio(vam_rate=float("nan"))
 
 
@@ -278,16 +312,20 @@ def test_threads_and_company_do_not_change_a_verdict(build_layout, real, study_r
             workers=2, progress=lambda stage, done, total: n_done.append((done, total))
         ),
     )
+
     alone = evaluate_layout(b, setting)
 
     # Two different poses, and the VUT in four parts.
-    assert n_done == [(0, 0), *((done, 6) for done in range(1, 7))]
+    expected = [(0, 0), *((done, 6) for done in range(1, 7))]
+
+    assert n_done == expected
     assert (together[0].units["a"].detected == together[1].units["c"].detected).all()
 
     for name in ("vut", "rsu_all", "vut_and_rsus"):
-        assert (
-            getattr(together[1], name).detected == getattr(alone, name).detected
-        ).all()
+        of_both = getattr(together[1], name).detected
+        of_one = getattr(alone, name).detected
+
+        assert (of_both == of_one).all()
 
     evidence = perceive_frames(
         build_surroundings(setting.scene, study_runs),
@@ -311,6 +349,7 @@ def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
     lidars = build_layout("l", x_m=x_m, sensor=LIDAR)
     mixed = Layout(name="mixed", units=(*lidars.units, *cameras.units))
     whole = evaluate_layout(mixed, setting, compute=Compute(seed=7, workers=2))
+
     parts = evaluate_layouts([cameras, lidars], setting, compute=Compute(seed=7))
 
     for part in parts:
@@ -321,6 +360,7 @@ def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
         assert _is_equal(part.others["vam"], whole.others["vam"])
 
     other = evaluate_layout(mixed, setting, compute=Compute(seed=8))
+
     for name in ("a", "b", "l"):
         assert (other.units[name].detected != whole.units[name].detected).any()
 
@@ -332,9 +372,11 @@ def test_a_lidars_table_finds_some_of_those_with_enough_points(build_layout, rea
     setting = replace(setting, vut_sensors=("camera", "lidar"))
     layout = build_layout("l", "m", x_m=x_m, sensor=LIDAR)
     by_points = evaluate_layout(layout, setting)
+
     drawn = evaluate_layout(
         layout, replace(setting, detector=load_detector("pointrcnn-2019"))
     )
+
     for name, verdict in by_points.units.items():
         found = drawn.units[name].detected[verdict.detected]
         assert (drawn.units[name].detected <= verdict.detected).all()
@@ -358,16 +400,18 @@ def test_what_is_missed_by_day_is_missed_at_night_and_in_fog(
         for weather in ("day", "night", "rain", "fog")
     ]
     question = build_setting(setting.scene, runs, detector=load_detector("response"))
+
     evaluation = evaluate_layout(layout, question)
     of_weather = np.array(question.axis.weathers).repeat(
         np.diff(question.axis.run_start)
     )
 
     for verdict in (evaluation.units["a"], evaluation.vut):
-        by_day, at_night, in_rain, in_fog = (
-            verdict.detected[of_weather == weather]
-            for weather in ("day", "night", "rain", "fog")
-        )
+        by_day = verdict.detected[of_weather == "day"]
+        at_night = verdict.detected[of_weather == "night"]
+        in_rain = verdict.detected[of_weather == "rain"]
+        in_fog = verdict.detected[of_weather == "fog"]
+
         assert in_fog.any()
 
         for other in (at_night, in_rain, in_fog):
@@ -393,24 +437,20 @@ def test_interruption_leaves_the_other_units_unseen(monkeypatch, build_layout, s
 
     with pytest.raises(KeyboardInterrupt):
         evaluate_layout(build_layout(*map(str, range(500))), setting)
+
     assert len(n_seen) < 500
 
 
 def test_wrong_axis_and_workers_are_named(build_layout, setting, study_runs):
     layout = build_layout("a")
-    axis = build_frame_axis(
-        study_runs[1:], np.full(len(study_runs) - 1, 1 / (len(study_runs) - 1))
-    )
+    fewer = study_runs[1:]
+    axis = build_frame_axis(fewer, np.full(len(fewer), 1 / len(fewer)))
 
-    with pytest.raises(
-        InputError, match="axis: got frames of other runs; expected the frame axis"
-    ):
-        evaluate_layout(layout, replace(setting, axis=axis))
-
-    with pytest.raises(
-        InputError, match="axis: got frames of other runs; expected the frame axis"
-    ):
-        evaluate_layout(layout, replace(setting, runs=setting.runs[1:]))
+    for change in ({"axis": axis}, {"runs": fewer}):
+        with pytest.raises(
+            InputError, match="axis: got frames of other runs; expected the frame axis"
+        ):
+            evaluate_layout(layout, replace(setting, **change))
 
     with pytest.raises(
         InputError, match="workers: got 0; expected a whole number, at least 1"
@@ -418,14 +458,12 @@ def test_wrong_axis_and_workers_are_named(build_layout, setting, study_runs):
         evaluate_layout(layout, setting, compute=Compute(workers=0))
 
 
-def _same_verdicts(one, other):
-    for name in ("detected", "onset_time_s", "is_avoided", "impact_speed_kmh"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-
-
 @pytest.mark.parametrize(
     ("n_known", "n_looks"),
-    [(2, 0), (1, 3)],  # a camera on a pole, and the two parts of the VUT's frames
+    [
+        (2, 0),
+        (1, 3),  # a camera on a pole, and the two parts of the VUT's frames
+    ],
     ids=["every run was looked at", "half of the runs are new"],
 )
 def test_a_layout_is_evaluated_again_without_looking_twice(
@@ -454,13 +492,17 @@ def test_a_layout_is_evaluated_again_without_looking_twice(
 
     monkeypatch.setattr(evaluate, "_VUT_JOBS", 2)
     monkeypatch.setattr(perceive, "perceive_frames", counted)
+
     (again,) = evaluate_again([evaluation], asked, other)
+
     assert len(looked_at) == n_looks
+
     n_new_frames = sum(len(run.time_s) for run in runs[n_known:])
+
     assert sum(looked_at) == 2 * n_new_frames
     assert again.axis is other.axis
-    _same_verdicts(again.vut, expected.vut)
-    _same_verdicts(again.rsu_all, expected.rsu_all)
-    _same_verdicts(again.vut_and_rsus, expected.vut_and_rsus)
-    _same_verdicts(again.units["unit"], expected.units["unit"])
+
+    for name, verdict in _verdicts(expected).items():
+        assert _is_equal(_verdicts(again)[name], verdict)
+
     assert expected.rsu_all.detected.any()

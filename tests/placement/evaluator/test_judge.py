@@ -1,3 +1,5 @@
+"""From detected frames to collisions avoided, against the bodies' own motion."""
+
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -24,15 +26,18 @@ RULE = load_aeb_rule()
 
 @pytest.fixture(scope="module")
 def axis(study_runs):
+    """Frames of the study's runs."""
     return build_frame_axis(study_runs, weight_per_run(study_runs))
 
 
 @pytest.fixture(scope="module")
 def judge(study_runs, axis):
+    """Judges the study's runs by the study's rule."""
     return Judge(study_runs, axis, RULE)
 
 
 def _rows(axis, seed, n_rows):
+    """Random detections, (n_rows, n_frames)."""
     rng = np.random.default_rng(seed)
     return rng.random((n_rows, axis.n_frames)) < rng.uniform(0.05, 0.6)
 
@@ -42,22 +47,16 @@ def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
     study_runs, axis, judge, seed, latency_s
 ):
     (row,) = _rows(axis, seed, 1)
-    verdict = judge.verdicts([[(row, latency_s)]])[0]
     endless = replace(axis, last_brake_time_s=np.full(axis.n_runs, np.inf))
+
+    verdict = judge.verdicts([[(row, latency_s)]])[0]
     confirmation_s = live_confirmation_times_s(row, endless, rule=RULE)
+    touches = _touches(study_runs, verdict.onset_time_s, RULE)
+    in_time = is_in_time(confirmation_s, axis.last_brake_time_s, latency_s=latency_s)
 
     assert np.array_equal(verdict.confirmation_time_s, confirmation_s)
     assert verdict.onset_time_s == pytest.approx(confirmation_s + latency_s)
-
-    touches = [
-        has_contact(run.encounter, onset, RULE)
-        for run, onset in zip(study_runs, verdict.onset_time_s.tolist(), strict=True)
-    ]
-
-    assert (verdict.is_avoided == ~np.array(touches)).all()
-
-    in_time = is_in_time(confirmation_s, axis.last_brake_time_s, latency_s=latency_s)
-
+    assert (verdict.is_avoided == ~touches).all()
     assert (verdict.is_avoided == in_time).all()
     assert (verdict.detected == row).all()
 
@@ -69,6 +68,7 @@ def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(
     rows = _rows(axis, seed, 3)
     fused = judge.verdicts([[(row, RULE.latency_s) for row in rows]])[0]
     one = judge.verdicts([[(rows.any(axis=0), RULE.latency_s)]])[0]
+
     for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
         assert np.array_equal(getattr(fused, field), getattr(one, field))
 
@@ -87,6 +87,16 @@ def test_a_further_party_never_makes_it_later(axis, judge, seed, latencies_s):
     assert (more.detected >= fewer.detected).all()
 
 
+def _touches(runs, onsets_s, rule):
+    """Do the bodies of each run touch when braking sets in then? (n_runs,)"""
+    return np.array(
+        [
+            has_contact(run.encounter, onset_s, rule)
+            for run, onset_s in zip(runs, onsets_s.tolist(), strict=True)
+        ]
+    )
+
+
 @pytest.mark.parametrize("memory_s", [0.1, 0.5, 1.0])
 def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
     study_runs, axis, memory_s
@@ -98,39 +108,28 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
 
     for row in [early, *_rows(axis, 7, 10)]:
         verdict = judge.verdicts([[(row, rule.latency_s)]])[0]
-        live_s = live_confirmation_times_s(row, axis, rule=rule)
-
-        assert np.array_equal(verdict.is_avoided, np.isfinite(live_s))
-
         is_live = verdict.is_avoided
-
-        assert np.array_equal(verdict.confirmation_time_s[is_live], live_s[is_live])
-
-        touches = [
-            has_contact(run.encounter, onset, rule)
-            for run, onset in zip(
-                study_runs, verdict.onset_time_s.tolist(), strict=True
-            )
-        ]
-
-        assert np.array_equal(verdict.is_avoided, ~np.array(touches))
-
+        live_s = live_confirmation_times_s(row, axis, rule=rule)
+        touches = _touches(study_runs, verdict.onset_time_s, rule)
         arrival_s = np.where(row, axis.time_s + rule.latency_s, np.inf)
         first = find_onsets(arrival_s, axis, rule=RULE)  # never lost
-
-        assert (verdict.onset_time_s >= first.onset_s).all()
-
         words = run_outcomes(verdict, axis)
         outcomes |= set(words)
 
+        assert np.array_equal(is_live, np.isfinite(live_s))
+        assert np.array_equal(verdict.confirmation_time_s[is_live], live_s[is_live])
+        assert np.array_equal(is_live, ~touches)
+        assert (verdict.onset_time_s >= first.onset_s).all()
+
         for run, word in enumerate(words):
             is_confirmed = np.isfinite(first.onset_s[run])
-            assert (word == "avoided") == verdict.is_avoided[run]
-            assert (word == "lost again") == (
-                first.is_in_time[run] and np.isinf(verdict.onset_time_s[run])
-            )
+            is_dropped = np.isinf(verdict.onset_time_s[run])
+            is_seen = row[axis.frames_of(run)].any()
+
+            assert (word == "avoided") == is_live[run]
+            assert (word == "lost again") == (first.is_in_time[run] and is_dropped)
             assert (word in ("never seen", "never confirmed")) == (not is_confirmed)
-            assert (word == "never seen") == (not row[axis.frames_of(run)].any())
+            assert (word == "never seen") == (not is_seen)
 
     assert "avoided" in outcomes
     assert "lost again" in outcomes
@@ -138,6 +137,7 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
 
 def test_nobody_confirms_nothing(axis, judge):
     verdict = judge.verdicts([[]])[0]
+
     assert not verdict.detected.any()
     assert np.isinf(verdict.onset_time_s).all()
     assert not verdict.is_avoided.any()
@@ -146,11 +146,18 @@ def test_nobody_confirms_nothing(axis, judge):
 def test_as_many_frames_confirm_as_the_rule_says(study_runs, axis):
     row = np.zeros(axis.n_frames, dtype=bool)
     row[5:9] = True
-    for n_confirmations, frame in ((1, 5), (2, 6), (4, 8), (5, None)):
+
+    for n_confirmations, frame in (
+        (1, 5),
+        (2, 6),
+        (4, 8),
+        (5, None),
+    ):
         rule = replace(RULE, n_confirmations=n_confirmations)
         (onset_s, *others) = (
             Judge(study_runs, axis, rule).verdicts([[(row, 0.1)]])[0].onset_time_s
         )
+
         assert onset_s == (np.inf if frame is None else axis.time_s[frame] + 0.1)
         assert np.isinf(others).all()
 
@@ -170,6 +177,7 @@ def test_bodies_avoid_what_the_table_says_at_least(study_runs, axis, seed, memor
     never = np.isinf(verdict.onset_time_s)
 
     assert verdict.impact_speed_kmh[never] == pytest.approx(v[never])
+
     table = pack_table(("a", "b"), axis, rows)
     problem = PlacementProblem(
         table=table,
@@ -177,9 +185,10 @@ def test_bodies_avoid_what_the_table_says_at_least(study_runs, axis, seed, memor
         fusion="any",
         rule=rule,
     )
-    by_bodies = evaluated_apr(verdict, axis)
-    # Of a run whose contact ends with a later onset and begins again, the table knows
 
+    by_bodies = evaluated_apr(verdict, axis)
+
+    # Of a run whose contact ends with a later onset and begins again, the table knows
     # less.
     assert by_bodies >= apr(problem, [0, 1]) - 1e-12
 
@@ -205,10 +214,19 @@ def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypa
 
 
 @pytest.mark.parametrize(
-    ("own_s", "expected_s"), [(None, RULE.latency_s), (0.0, 0.0), (0.3, 0.3)]
+    ("own_s", "expected_s"),
+    [
+        (None, RULE.latency_s),
+        (0.0, 0.0),
+        (0.3, 0.3),
+    ],
 )
 def test_a_unit_has_its_own_latency_or_that_of_the_rule(camera, own_s, expected_s):
     unit = CandidatePose(
-        id="a", site_id="", pose=SimpleNamespace(), sensor=camera, latency_s=own_s
+        id="a",
+        site_id="",
+        pose=SimpleNamespace(),
+        sensor=camera,
+        latency_s=own_s,
     )
     assert unit.latency(RULE) == expected_s

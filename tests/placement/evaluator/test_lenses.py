@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 import pytest
 from lens_cameras import random_camera
+from numpy.random import default_rng
+from placed_bodies import ahead_of, parked_at, poses_within
 
-from geometry.actors import MovingActor, PlacedActor, pick_actor
+from geometry.actors import MovingActor, pick_actor
 from geometry.lenses import BrownConrady, Fisheye
 from geometry.poses import Pose, camera_rotation
 from geometry.sensors import SEEN_RAD, is_shown, project_points
@@ -21,30 +23,27 @@ HOUSES = (
     ((-16.0, 7.0, 0.0), (-9.0, 14.0, 5.0)),
     ((2.0, -12.0, 0.0), (2.3, -6.0, 1.2)),  # a low wall
 )
-MOUNT = Pose(position_m=np.array([-7.0, -7.0, 6.0]), yaw_deg=45.0, pitch_deg=-30.0)
+MOUNT = Pose(position_m=[-7.0, -7.0, 6.0], yaw_deg=45.0, pitch_deg=-30.0)
 
 
 def made_runs(build_run, rng, n_frames=24):
     """An adult and a cyclist who jump about, with a car that parks, one that drives and
     the VUT.
     """
-    car = PlacedActor(
-        actor=pick_actor("parked-car-small", "test"),
-        pose=Pose(position_m=np.array([1.0, 1.0, 0.0]), yaw_deg=10.0),
-    )
+    car = parked_at("parked-car-small", 1.0, 1.0, 10.0)
     runs = []
-    for name, obstruction in (("adult", (car,)), ("cyclist", ())):
-        poses = [
-            np.column_stack(
-                [rng.uniform(-6, 6, (n_frames, 2)), rng.uniform(-180, 180, n_frames)]
-            )
-            for _ in range(3)
-        ]
-        run = build_run(pick_actor(name, "test"), poses[0], poses[1], obstruction)
+    for name, obstruction in (
+        ("adult", (car,)),
+        ("cyclist", ()),
+    ):
+        vru = poses_within(rng, n_frames, 6.0)
+        vut = poses_within(rng, n_frames, 6.0)
+        driven = poses_within(rng, n_frames, 6.0)
+        run = build_run(pick_actor(name, "test"), vru, vut, obstruction)
         van = MovingActor(
             actor=pick_actor("parked-van", "test"),
-            position_m=poses[2][:, :2],
-            yaw_deg=poses[2][:, 2],
+            position_m=driven[:, :2],
+            yaw_deg=driven[:, 2],
         )
         runs.append(replace(run, traffic=(van,)))
 
@@ -53,17 +52,20 @@ def made_runs(build_run, rng, n_frames=24):
 
 @pytest.fixture(scope="module")
 def runs(build_run):
-    return made_runs(build_run, np.random.default_rng(7))
+    """Random runs among the houses."""
+    return made_runs(build_run, default_rng(7))
 
 
 @pytest.fixture(scope="module")
 def scene(build_scene):
+    """Houses around a square."""
     square = np.array([[-20.0, -20.0], [20.0, -20.0], [20.0, 20.0], [-20.0, 20.0]])
     return replace(build_scene(*HOUSES), outline_m=square)
 
 
 @pytest.fixture(scope="module")
 def surroundings(scene, runs):
+    """The runs in the scene."""
     return build_surroundings(scene, runs)
 
 
@@ -75,6 +77,7 @@ def opencv_rays(camera):
     none.
     """
     rows, columns = np.indices((camera.height_px, camera.width_px)) + 0.5
+    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
     fx = camera.focal_length_px
     x, y = camera.principal_point
     K = np.array(
@@ -84,7 +87,6 @@ def opencv_rays(camera):
             [0.0, 0.0, 1.0],
         ]
     )
-    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
     lens = camera.lens
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-13)
     if isinstance(lens, Fisheye):
@@ -95,18 +97,20 @@ def opencv_rays(camera):
         terms = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
         found = cv2.undistortPoints(pixels, K, terms, criteria=criteria)[:, 0]
         points = np.column_stack([found, np.ones(len(found))])
-        again = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, terms)[0][:, 0]
-    off = ~(np.abs(again - pixels[:, 0]).max(axis=1) < 1e-6)
-    off |= ~(np.hypot(*found.T) < min(lens.reach, np.tan(SEEN_RAD)))
-    found[off] = np.nan
+        still = np.zeros(3)
+        again = cv2.projectPoints(points, still, still, K, terms)[0][:, 0]
+
+    # Where projecting again leads elsewhere, nothing was found.
+    is_found = np.abs(again - pixels[:, 0]).max(axis=1) < 1e-6
+    is_found &= np.hypot(*found.T) < min(lens.reach, np.tan(SEEN_RAD))
+    found[~is_found] = np.nan
+
     roll = np.radians(camera.roll_deg)
-    level = np.stack(
-        [
-            np.cos(roll) * found[:, 0] - np.sin(roll) * found[:, 1],
-            np.sin(roll) * found[:, 0] + np.cos(roll) * found[:, 1],
-        ],
-        axis=-1,
-    )
+    cos = np.cos(roll)
+    sin = np.sin(roll)
+    right = cos * found[:, 0] - sin * found[:, 1]
+    down = sin * found[:, 0] + cos * found[:, 1]
+    level = np.stack([right, down], axis=-1)
     return level.reshape(camera.height_px, camera.width_px, 2)
 
 
@@ -146,63 +150,75 @@ def corners_in_camera(solid, road_pose, pose):
     return (world - pose.position_m) @ camera_rotation(pose.yaw_deg, pose.pitch_deg)
 
 
+def others_of(surroundings, frame):
+    """Bodies beside the VRU, and where they stand in a frame."""
+    static = surroundings.statics[surroundings.static_index[frame]]
+    found = [
+        (static, surroundings.static_poses[frame]),
+        (surroundings.vehicles[0], surroundings.vut_poses[frame]),
+    ]
+    kinds = surroundings.traffic_index[frame]
+    places = surroundings.traffic_poses[frame]
+    for kind, place in zip(kinds, places, strict=True):
+        found.append((surroundings.vehicles[kind], place))
+
+    return found
+
+
+def box_of(picture):
+    """Box of the pixels that are true; zeros where none is. [px]"""
+    rows, columns = np.nonzero(picture)
+    if len(rows) == 0:
+        return np.zeros(4)
+    return np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+
+
 @pytest.mark.long
-@pytest.mark.parametrize(("model", "seed"), [("brown-conrady", 0), ("fisheye", 1)])
+@pytest.mark.parametrize(
+    ("model", "seed"),
+    [
+        ("brown-conrady", 0),
+        ("fisheye", 1),
+    ],
+)
 def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     small = random_camera(rng, replace(camera, width_px=72, height_px=54), model)
-    evidence = perceive_frames(surroundings, (MOUNT, small))
     rays = opencv_rays(small)
     lit = np.isfinite(rays[..., 0])
     ways = np.column_stack([rays[lit], np.ones(lit.sum())])
-    n_seen = n_hidden = 0
+    n_seen = 0
+    n_hidden = 0
+
+    evidence = perceive_frames(surroundings, (MOUNT, small))
+
     for frame in range(0, 48, 2):
         vru = surroundings.vrus[surroundings.vru_index[frame]]
-        static = surroundings.statics[surroundings.static_index[frame]]
-        others = [(static, surroundings.static_poses[frame])]
-        others.append((surroundings.vehicles[0], surroundings.vut_poses[frame]))
-
-        for kind, at in zip(
-            surroundings.traffic_index[frame],
-            surroundings.traffic_poses[frame],
-            strict=True,
-        ):
-            others.append((surroundings.vehicles[kind], at))
-
         body = corners_in_camera(vru, surroundings.vru_poses[frame], MOUNT)
         depth = depths(ways, small.near_m, body)
-        before = np.full(len(ways), np.inf)
         hit = np.isfinite(depth)
-
-        for solid, at in others if hit.any() else []:
-            corners = corners_in_camera(solid, at, MOUNT)
-            before[hit] = np.minimum(
-                before[hit], depths(ways[hit], small.near_m, corners)
-            )
+        before = np.full(len(ways), np.inf)
+        if hit.any():
+            for solid, place in others_of(surroundings, frame):
+                corners = corners_in_camera(solid, place, MOUNT)
+                nearer = depths(ways[hit], small.near_m, corners)
+                before[hit] = np.minimum(before[hit], nearer)
 
         for name, mask in (
-            ("amodal_px", np.isfinite(depth)),
-            ("visible_px", np.isfinite(depth) & ~(before < depth - 1e-3)),
+            ("amodal_px", hit),
+            ("visible_px", hit & ~(before < depth - 1e-3)),
         ):
             picture = np.zeros(lit.shape, dtype=bool)
             picture[lit] = mask
-            rows, columns = np.nonzero(picture)
-            expected = np.zeros(4)
-            if len(rows):
-                expected = [
-                    columns.min(),
-                    rows.min(),
-                    columns.max() + 1,
-                    rows.max() + 1,
-                ]
-            # A middle that rounding puts on either side of an edge moves a side by a
-            # pixel.
+            expected = box_of(picture)
             off = np.abs(getattr(evidence, name)[frame] - expected)
 
+            # A middle that rounding puts on either side of an edge moves a side by a
+            # pixel.
             assert off.max() <= 1.0
 
-            n_seen += len(rows) > 0
-            n_hidden += int(off.sum() > 0)
+            n_seen += picture.any()
+            n_hidden += off.any()
 
     assert n_seen > 12
     assert n_hidden <= 6
@@ -214,9 +230,14 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed):
 def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
     plain = perceive_frames(surroundings, (MOUNT, camera))
     zero = replace(
-        camera, lens=BrownConrady(), principal_point=(0.5, 0.5), pixel_aspect=1.0
+        camera,
+        lens=BrownConrady(),
+        principal_point=(0.5, 0.5),
+        pixel_aspect=1.0,
     )
+
     bent = perceive_frames(surroundings, (MOUNT, zero))
+
     for name in ("amodal_px", "visible_px", "visible_share", "inside_share"):
         assert np.array_equal(getattr(bent, name), getattr(plain, name))
 
@@ -225,16 +246,15 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
 
 
 def test_what_lies_beyond_the_fold_is_not_shown(camera):
-    lens = Fisheye(k1=-0.2)
-    folds = replace(camera, lens=lens, horizontal_fov_deg=110.0)
-    far = (
-        np.array([[np.cos(a), np.sin(a), 0.0] for a in np.radians([0.0, 70.0, 75.0])])
-        * 10.0
-    )
-    level = Pose(position_m=np.zeros(3), yaw_deg=0.0, pitch_deg=0.0)
-    shown = project_points(far, level, folds)[:, 0]
-    turn = np.degrees((1.0 / 0.6) ** 0.5)  # angle - 0.2 angle^3 stops rising
+    folds = replace(camera, lens=Fisheye(k1=-0.2), horizontal_fov_deg=110.0)
+    ahead = ahead_of([0.0, 70.0, 75.0])
+    far = 10.0 * np.column_stack([ahead, np.zeros(3)])
+    level = Pose(position_m=[0.0, 0.0, 0.0], yaw_deg=0.0)
 
-    assert turn == pytest.approx(73.97, abs=0.01)
+    shown = project_points(far, level, folds)[:, 0]
+    turn_deg = np.degrees((1.0 / 0.6) ** 0.5)  # angle - 0.2 angle^3 stops rising
+    before_the_turn = np.array([[np.tan(np.radians(73.9)), 0.0]])
+
+    assert turn_deg == pytest.approx(73.97, abs=0.01)
     assert np.isfinite(shown).tolist() == [True, True, False]
-    assert is_shown(np.array([[np.tan(np.radians(73.9)), 0.0]]), folds).all()
+    assert is_shown(before_the_turn, folds).all()

@@ -1,3 +1,5 @@
+"""Sources of pictures: all load, unknown ones are refused."""
+
 import numpy as np
 import pytest
 from refusals import refused_with
@@ -14,10 +16,13 @@ from placement.evaluator.picture_sources import (
 @pytest.mark.parametrize("name", PICTURE_SOURCES)
 def test_every_picture_source_loads_and_has_drawn_nothing_yet(name):
     assert callable(load_entry(PICTURE_SOURCES[name]))
+
     source = build_picture_source(load_study_scene(), [], seed=0, name=name)
+
     assert source.n_drawn == 0
     assert callable(source.pictures)
     assert callable(source.crops)
+
     source.close()
 
 

@@ -1,8 +1,11 @@
+"""Pictures of frames, and boxes that are found in them."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from kept_backdrops import CORNER, kept_backdrop
+from numpy.testing import assert_allclose
 from short_runs import cut_run
 
 from geometry.image_boxes import iou
@@ -36,6 +39,7 @@ def backdrops(monkeypatch):
 
 @pytest.fixture(scope="module")
 def scene():
+    """The study's junction."""
     return load_study_scene()
 
 
@@ -58,7 +62,12 @@ def evaluate(tmp_path, build_setting, scene, camera):
         onnx.save(model, tmp_path / "x.onnx")
         detector = load_detector(str(tmp_path / "x.onnx"))
         setting = build_setting(scene, runs, detector=detector, vut_camera=camera)
-        unit = CandidatePose(id="rsu", site_id="", pose=CORNER, sensor=camera)
+        unit = CandidatePose(
+            id="rsu",
+            site_id="",
+            pose=CORNER,
+            sensor=camera,
+        )
         evaluation = evaluate_layout(Layout(name="test", units=(unit,)), setting)
         return evaluation.units["rsu"].detected, evaluation.vut.detected
 
@@ -97,6 +106,7 @@ def build_network(box):
 
 
 def render(scene, run, frame, pose, camera, **options):
+    """The picture of one frame in the weather of its run."""
     weather = pick_weather(run.weather, "test")
     backdrop = build_backdrop(scene, run.obstruction)
     return draw_picture(
@@ -108,13 +118,20 @@ def render(scene, run, frame, pose, camera, **options):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "unit"), [(PEDESTRIAN, 0), (CYCLIST, 1)])
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        (PEDESTRIAN, 0),
+        (CYCLIST, 1),
+    ],
+)
 def test_one_box_is_matched_in_the_frames_whose_visible_box_it_overlaps_by_half(
     name, unit, last_frames, visible, evaluate
 ):
     runs = last_frames(name)
     boxes = visible(runs)
     box = boxes[unit][0]
+
     expected = [iou(seen, box) > 0.5 for seen in boxes]
 
     assert 1 < expected[unit].sum() < N_FRAMES
@@ -131,6 +148,7 @@ def test_one_box_is_matched_in_the_frames_whose_visible_box_it_overlaps_by_half(
 
 @pytest.fixture(scope="module")
 def tiny(camera):
+    """The camera with 160 by 90 pixels."""
     return replace(camera, width_px=160, height_px=90)
 
 
@@ -149,11 +167,18 @@ def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(
         (2 * N_FRAMES - 1, second, N_FRAMES - 1),
     ):
         by_rsu = render(scene, run, frame, CORNER, tiny, compute=Compute(seed=5))
+
         assert np.array_equal(source.pictures((CORNER, tiny))(index), by_rsu)
 
         pose = vut_camera_pose(mount, run, frame)
         by_vut = render(
-            scene, run, frame, pose, tiny, compute=Compute(seed=5), with_vut=False
+            scene,
+            run,
+            frame,
+            pose,
+            tiny,
+            compute=Compute(seed=5),
+            with_vut=False,
         )
 
         assert np.array_equal(source.pictures(mount)(index), by_vut)
@@ -166,6 +191,7 @@ def test_each_run_is_drawn_behind_its_own_obstruction(last_frames, scene, tiny):
     picture = RenderedPictures(scene, [hidden, free, hidden], seed=0).pictures(
         (CORNER, tiny)
     )
+
     assert np.array_equal(picture(0), picture(2))
     assert not np.array_equal(picture(0), picture(1))
 
@@ -181,8 +207,9 @@ def test_the_vuts_camera_goes_and_turns_with_it(last_frames, tiny):
         along = np.array([np.cos(yaw), np.sin(yaw)])
         across = np.array([-np.sin(yaw), np.cos(yaw)])
         expected = run.vut_position_m[frame] + ahead_m * along + left_m * across
+
         pose = vut_camera_pose(mount, run, frame)
 
-        np.testing.assert_allclose(pose.position_m, [*expected, up_m], atol=1e-9)
+        assert_allclose(pose.position_m, [*expected, up_m], atol=1e-9)
         assert pose.yaw_deg == run.vut_yaw_deg[frame] + on_vut.yaw_deg
         assert pose.pitch_deg == on_vut.pitch_deg

@@ -1,3 +1,5 @@
+"""Bodies drawn into pixels, against pinholes by hand and rays one by one."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -6,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from ray_renderer import build_lens, cast_crops, render_frame
+from tiny_cameras import tiny_camera
 
 from geometry.actors import pick_actor
 from geometry.poses import Pose
-from geometry.sensors import CameraModel
 from placement.evaluator.perceive import _place, perceive_frames
 from placement.evaluator.pixels import (
     Image,
@@ -24,17 +26,9 @@ from placement.evaluator.surroundings import (
     build_surroundings,
 )
 
-LEVEL = Pose(position_m=np.array([0.0, 0.0, 0.9]), yaw_deg=0.0)
+LEVEL = Pose(position_m=[0.0, 0.0, 0.9], yaw_deg=0.0)
 ADULT = build_body(pick_actor("adult", "test").shapes[0])
-TINY = CameraModel(
-    name="tiny",
-    width_px=64,
-    height_px=48,
-    horizontal_fov_deg=100.0,
-    frame_rate_hz=10.0,
-    near_m=0.35,
-    price_eur=0.0,
-)
+TINY = tiny_camera(64, 48, fov_deg=100.0)
 
 
 @pytest.fixture(params=["triangles drawn", "a ray per pixel"])
@@ -57,6 +51,7 @@ def look(request, build_run, camera, build_scene):
             vut_poses = None
         else:
             vut_poses = [vut_pose]
+
         surroundings = build_surroundings(
             build_scene(*walls), [build_run(vru, [vru_pose], vut_poses, obstruction)]
         )
@@ -64,6 +59,7 @@ def look(request, build_run, camera, build_scene):
         if request.param == "a ray per pixel":
             view = render_frame(surroundings, 0, lens, model)
             return view.amodal_box_px, view.visible_box_px
+
         evidence = perceive_frames(surroundings, (lens, model))
         return evidence.amodal_px[0], evidence.visible_px[0]
 
@@ -97,7 +93,12 @@ def test_unobstructed_vru_has_the_pinhole_size(look, camera, block, distance_m):
     ],
 )
 def test_wall_up_to_the_optical_axis_halves_the_box(
-    look, camera, block, low, high, side
+    look,
+    camera,
+    block,
+    low,
+    high,
+    side,
 ):
     amodal, visible = look(block, [10.0, 0.0, 0.0], walls=[(low, high)])
     expected = amodal.copy()
@@ -107,11 +108,20 @@ def test_wall_up_to_the_optical_axis_halves_the_box(
     assert not (visible == amodal).all()
 
 
-@pytest.mark.parametrize(("near_m", "is_drawn"), [(0.35, False), (0.2, True)])
+@pytest.mark.parametrize(
+    ("near_m", "is_drawn"),
+    [
+        (0.35, False),
+        (0.2, True),
+    ],
+)
 def test_nothing_is_drawn_nearer_than_the_nearest_distance(
     look, block, near_m, is_drawn
 ):
-    plate = ((0.24, -0.05, 0.85), (0.26, 0.05, 0.95))
+    plate = (
+        (0.24, -0.05, 0.85),
+        (0.26, 0.05, 0.95),
+    )
     _, behind_plate = look(block, [10.0, 0.0, 0.0], walls=[plate], near_m=near_m)
 
     assert behind_plate.any() != is_drawn
@@ -152,8 +162,13 @@ def _drawn(corners_m, camera, window):
 
 
 def _image(camera, up_m=0.0):
+    """The camera's image, before anything is drawn."""
     return Image(
-        camera.focal_length_px, camera.width_px, camera.height_px, camera.near_m, up_m
+        camera.focal_length_px,
+        camera.width_px,
+        camera.height_px,
+        camera.near_m,
+        up_m,
     )
 
 
@@ -225,24 +240,25 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
 @given(corners_m=POINTS, n_copies=st.integers(1, 40))
 def test_tree_holds_every_triangle_once_and_each_box_its_own(corners_m, n_copies):
     tree = build_tree(np.tile(corners_m, (n_copies, 1, 1)))
-    assert sorted(map(tuple, tree.corners_m.reshape(-1, 9))) == sorted(
-        map(tuple, np.tile(corners_m, (n_copies, 1, 1)).reshape(-1, 9))
-    )
+
+    expected = sorted(map(tuple, np.tile(corners_m, (n_copies, 1, 1)).reshape(-1, 9)))
+
+    assert sorted(map(tuple, tree.corners_m.reshape(-1, 9))) == expected
 
     for node, (start, end) in enumerate(zip(tree.start, tree.end, strict=True)):
         own = tree.corners_m[start:end].reshape(-1, 3)
+
         assert (tree.low_m[node] == own.min(axis=0)).all()
         assert (tree.high_m[node] == own.max(axis=0)).all()
 
         second = tree.second[node]
         if second >= 0:
-            assert (tree.start[node + 1], tree.end[node + 1]) == (
-                start,
-                tree.start[second],
-            )
+            assert tree.start[node + 1] == start
+            assert tree.end[node + 1] == tree.start[second]
             assert tree.end[second] == end
 
-    assert (tree.start[0], tree.end[0]) == (0, n_copies * len(corners_m))
+    assert tree.start[0] == 0
+    assert tree.end[0] == n_copies * len(corners_m)
 
 
 def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
@@ -253,9 +269,12 @@ def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
     corners_m = np.array(
         [corner + [2.0**power, 0.0, 0.0] for power in range(-1000, 1000)]
     )
+
     tree = build_tree(corners_m)
 
-    assert sorted(tree.corners_m[:, 0, 0]) == sorted(corners_m[:, 0, 0])
+    expected = sorted(corners_m[:, 0, 0])
+
+    assert sorted(tree.corners_m[:, 0, 0]) == expected
 
 
 # ---------- bodies
@@ -283,11 +302,12 @@ def test_body_beside_the_lens_is_not_drawn_though_it_reaches_behind(
     pitch_deg=st.floats(-89.0, 30.0),
 )
 def test_crop_holds_every_pixel_of_the_body(ahead_m, left_m, up_m, yaw_deg, pitch_deg):
-    pose = Pose(position_m=np.array([0.0, 0.0, up_m]), yaw_deg=0.0, pitch_deg=pitch_deg)
+    pose = Pose(position_m=[0.0, 0.0, up_m], yaw_deg=0.0, pitch_deg=pitch_deg)
     road_pose = np.array([ahead_m, left_m, yaw_deg, 0.0])
     whole = np.array([[0, 0, TINY.width_px, TINY.height_px]])
     cast = cast_crops(build_lens(pose, TINY), ADULT, road_pose[None], whole)[0]
     is_hit = np.isfinite(cast.reshape(TINY.height_px, TINY.width_px))
+
     (x_min, y_min, x_max, y_max), _ = find_crop(
         _image(TINY), _in_camera(ADULT.hull_m, pose, road_pose), 0.0
     )
@@ -296,6 +316,7 @@ def test_crop_holds_every_pixel_of_the_body(ahead_m, left_m, up_m, yaw_deg, pitc
 
 
 def _in_camera(points_m, pose, road_pose):
+    """Points (n, 3) of a body in camera coordinates, (3, n). [m]"""
     placed = _place(pose, np.array([road_pose]), np.zeros(1))
     in_camera = points_m @ placed.turn[0].T + placed.shift[0]
     return np.ascontiguousarray(in_camera.T)
@@ -309,7 +330,7 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
     """
     body = build_body(pick_actor(name, "test").shapes[0])
     (mesh,) = body.meshes
-    pose = Pose(position_m=np.array([0.0, 0.0, 1.4]), yaw_deg=0.0, pitch_deg=-10.0)
+    pose = Pose(position_m=[0.0, 0.0, 1.4], yaw_deg=0.0, pitch_deg=-10.0)
     window = (0, 0, camera.width_px, camera.height_px)
     n_differ = 0
     n_hit = 0
@@ -317,9 +338,13 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
         road_pose = np.array([distance_m, 0.3, yaw_deg, 0.0])
         points = _in_camera(mesh.skin.vertices_m.T, pose, road_pose)
         depth = np.full(camera.width_px * camera.height_px, np.inf)
+
         draw(_image(camera, 1.4), points, mesh.skin.triangles, window, depth)
         cast = cast_crops(
-            build_lens(pose, camera), body, road_pose[None], np.array([window])
+            build_lens(pose, camera),
+            body,
+            road_pose[None],
+            np.array([window]),
         )[0]
         n_differ += (np.isfinite(depth) != np.isfinite(cast)).sum()
         n_hit += np.isfinite(cast).sum()
@@ -330,6 +355,3 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
 
     assert n_hit > 500
     assert n_differ <= 1e-3 * n_hit
-
-
-# ---------- the oracle

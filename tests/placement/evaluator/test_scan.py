@@ -1,11 +1,15 @@
+"""LiDARs' pulses on bodies: range, weather, surfaces, and luck."""
+
 from bisect import bisect_left
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from placed_bodies import ahead_of, one_mesh, parked_at, parts_of_frame
 
-from geometry.actors import PlacedActor, pick_actor
+from geometry.actors import pick_actor
 from geometry.lidar import (
     LidarDetection,
     beam_directions,
@@ -13,7 +17,7 @@ from geometry.lidar import (
     load_lidar_detection,
     load_lidars,
 )
-from geometry.poses import Pose, body_rotation, to_world
+from geometry.poses import Pose, body_rotation
 from geometry.raycast import build_caster
 from placement.detectors import VRU_CLASSES
 from placement.evaluator import perceive
@@ -26,13 +30,12 @@ from placement.evaluator.surroundings import (
 
 STUDY = load_lidars()["carla-ncap-lidar"]
 SURE = replace(STUDY, reference_range_m=1.0e6)  # whatever it hits comes back
-LOW = Pose(position_m=np.array([0.0, 0.0, 0.9]), yaw_deg=0.0)
-HIGH = Pose(position_m=np.array([-8.0, -6.0, 6.0]), yaw_deg=40.0, pitch_deg=-25.0)
-WALL = ((5.0, -3.0, 0.0), (5.4, 3.0, 4.0))
-
-
-def _rng(seed=0):
-    return np.random.default_rng(seed)
+LOW = Pose(position_m=[0.0, 0.0, 0.9], yaw_deg=0.0)
+HIGH = Pose(position_m=[-8.0, -6.0, 6.0], yaw_deg=40.0, pitch_deg=-25.0)
+WALL = (
+    (5.0, -3.0, 0.0),
+    (5.4, 3.0, 4.0),
+)
 
 
 @pytest.fixture
@@ -56,7 +59,7 @@ def count(needs):
     def count_points(surroundings, pose, lidar=SURE):
         def is_too_much(n_points):
             needs(n_points)
-            return not scan_frames(surroundings, pose, lidar, _rng())[0]
+            return not scan_frames(surroundings, pose, lidar, default_rng(0))[0]
 
         return bisect_left(range(1, 10_000), True, key=is_too_much)
 
@@ -68,11 +71,17 @@ def sees(build_scene, build_run, block):
     """Whether a LiDAR on the roadside detects the block in each frame."""
 
     def look(
-        vru_poses, *boxes, vut_poses=None, pose=LOW, lidar=STUDY, weather="day", seed=0
+        vru_poses,
+        *boxes,
+        vut_poses=None,
+        pose=LOW,
+        lidar=STUDY,
+        weather="day",
+        seed=0,
     ):
         run = replace(build_run(block, vru_poses, vut_poses), weather=weather)
         surroundings = build_surroundings(build_scene(*boxes), [run])
-        return scan_frames(surroundings, pose, lidar, _rng(seed)).tolist()
+        return scan_frames(surroundings, pose, lidar, default_rng(seed)).tolist()
 
     return look
 
@@ -81,13 +90,19 @@ def sees(build_scene, build_run, block):
 
 
 def test_nothing_is_seen_beyond_the_range(sees):
-    vru = [[19.0, 0.0, 0.0], [21.0, 0.0, 0.0]]
+    vru = [
+        [19.0, 0.0, 0.0],
+        [21.0, 0.0, 0.0],
+    ]
     assert sees(vru, lidar=replace(STUDY, range_m=20.0)) == [True, False]
     assert sees(vru) == [True, True]
 
 
 def test_fog_and_a_heavy_rain_take_what_is_far(sees):
-    vru = [[8.0, 0.0, 0.0], [35.0, 0.0, 0.0]]
+    vru = [
+        [8.0, 0.0, 0.0],
+        [35.0, 0.0, 0.0],
+    ]
     found = {name: sees(vru, weather=name) for name in ("day", "night", "rain", "fog")}
 
     assert found["day"] == found["night"] == found["rain"] == [True, True]
@@ -106,6 +121,7 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     """
     run = build_run(block, [[distance_m + 0.25, 0.0, 0.0]])
     found = count(build_surroundings(build_scene(), [run]), LOW)
+
     ahead, left, up = np.moveaxis(beam_directions(SURE).reshape(-1, 3), -1, 0)
     y_m = distance_m * left / ahead
     z_m = 0.9 + distance_m * up / ahead
@@ -115,92 +131,48 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     solid_angle = 4.0 * np.arctan(  # of a rectangle seen from above its middle
         0.5 * 0.9 / (distance_m * np.sqrt(distance_m**2 + 0.5**2 + 0.9**2))
     )
+
     expected = solid_angle * float(beams_per_steradian(SURE, 0.0))
     # A row or a column more or less at the edges.
-    rows, columns = (
-        np.degrees(size_m / distance_m) * count_ / fov_deg
-        for size_m, count_, fov_deg in (
-            (1.8, SURE.n_lines, SURE.vertical_fov_deg),
-            (1.0, SURE.n_columns, SURE.horizontal_fov_deg),
-        )
-    )
+    rows = np.degrees(1.8 / distance_m) * SURE.n_lines / SURE.vertical_fov_deg
+    columns = np.degrees(1.0 / distance_m) * SURE.n_columns / SURE.horizontal_fov_deg
 
     assert found == pytest.approx(expected, abs=rows + columns)
 
 
-def _combined(parts):
-    """One mesh of several, and which part each triangle is of."""
-    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    triangles = [
-        faces + start for (_, faces), start in zip(parts, offsets, strict=False)
-    ]
-    owner = np.repeat(np.arange(len(parts)), [len(faces) for _, faces in parts])
-    return (
-        np.concatenate([vertices for vertices, _ in parts]),
-        np.concatenate(triangles),
-        owner,
-    )
-
-
-def _placed(shape, position_m, yaw_deg):
-    pose = Pose(position_m=np.append(position_m, 0.0), yaw_deg=yaw_deg)
-    return to_world(shape.vertices_m, pose), shape.triangles
-
-
 def _plain_counts(scene, runs, pose, lidar):
-    """Beams of the whole pattern that end on the VRU, with everything there in one
-    mesh.
-    """
-    beams = (
-        beam_directions(lidar).reshape(-1, 3)
-        @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
-    )
-    starts = pose.position_m + lidar.near_m * beams
+    """Beams of the whole pattern that end on the VRU, by one mesh of all there is."""
+    turn = body_rotation(pose.yaw_deg, pose.pitch_deg)
+    beams = beam_directions(lidar).reshape(-1, 3) @ turn.T
+    starts = (pose.position_m + lidar.near_m * beams).astype(np.float32)
     counts = []
     for run in runs:
-        fixed = [(scene.vertices_m, scene.triangles)]
-        for parked in run.obstruction:
-            shape = parked.actor.shapes[0]
-            fixed.append((to_world(shape.vertices_m, parked.pose), shape.triangles))
         for frame in range(len(run.time_s)):
-            vru = run.encounter.vru.shapes[run.vru_shape[frame]]
-            vertices, triangles, owner = _combined(
-                [
-                    _placed(vru, run.vru_position_m[frame], run.vru_yaw_deg[frame]),
-                    _placed(
-                        run.encounter.vut.shapes[0],
-                        run.vut_position_m[frame],
-                        run.vut_yaw_deg[frame],
-                    ),
-                    *fixed,
-                ]
-            )
-            caster = build_caster(vertices, triangles)
-            _, hit = caster.first_triangle(
-                starts.astype(np.float32), beams.astype(np.float32)
-            )
-            counts.append(int((owner[hit[hit >= 0]] == 0).sum()))
+            vertices_m, triangles, owner = one_mesh(parts_of_frame(scene, run, frame))
+            caster = build_caster(vertices_m, triangles)
+            _, hit = caster.first_triangle(starts, beams.astype(np.float32))
+            is_of_vru = owner[hit[hit >= 0]] == 0
+            counts.append(int(is_of_vru.sum()))
 
     return np.array(counts)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "pose", [HIGH, replace(LOW, position_m=np.array([-9.0, 1.0, 1.6]))]
-)
+@pytest.mark.parametrize("pose", [HIGH, replace(LOW, position_m=[-9.0, 1.0, 1.6])])
 def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_vru(
     build_scene, build_run, needs, pose
 ):
-    rng = _rng(7)
-    car = PlacedActor(
-        actor=pick_actor("parked-car-small", "test"),
-        pose=Pose(position_m=np.array([1.0, -2.0, 0.0]), yaw_deg=10.0),
-    )
+    rng = default_rng(7)
+    car = parked_at("parked-car-small", 1.0, -2.0, 10.0)
     scene = build_scene(
         ((3.0, 2.0, 0.0), (6.0, 5.0, 3.0)), ((-40.0, -40.0, -1.0), (40.0, 40.0, 0.0))
     )
     runs = []
-    for name, obstruction in (("adult", ()), ("cyclist", (car,)), ("child", (car,))):
+    for name, obstruction in (
+        ("adult", ()),
+        ("cyclist", (car,)),
+        ("child", (car,)),
+    ):
         vru, vut = (
             np.column_stack(
                 [rng.uniform(-6.0, 9.0, (16, 2)), rng.uniform(-180.0, 180.0, 16)]
@@ -223,7 +195,8 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
 
     for n_points in (1, 10, 40, 120):
         needs(n_points)
-        found = scan_frames(surroundings, pose, SURE, _rng())
+
+        found = scan_frames(surroundings, pose, SURE, default_rng(0))
         # A beam along an edge may go either way in single precision.
         is_clear = (counts == 0) | (np.abs(counts - n_points) > 2)
 
@@ -233,7 +206,23 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
     assert 0.2 < (counts >= 10).mean() < 0.9
 
 
-def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block, count):
+@pytest.mark.parametrize(
+    ("distance_m", "yaw_deg", "is_seen"),
+    [
+        (9.0, 0.0, True),
+        (9.0, 45.0, False),
+        (10.5, 0.0, False),
+    ],
+)
+def test_grazing_and_dark_surfaces_send_less_back(
+    build_scene,
+    build_run,
+    block,
+    count,
+    distance_m,
+    yaw_deg,
+    is_seen,
+):
     """At the distance at which a pulse met squarely comes back half the time."""
     reflectivity = load_lidar_detection().reflectivity["pedestrian"]
     weak = replace(
@@ -243,15 +232,12 @@ def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block,
         reference_probability=0.5,
         threshold_width=1.0e-3,
     )
-    surroundings = [
-        build_surroundings(
-            build_scene(), [build_run(block, [[x_m + 0.25, 0.0, yaw_deg]])]
-        )
-        for x_m, yaw_deg in ((9.0, 0.0), (9.0, 45.0), (10.5, 0.0))
-    ]
+    run = build_run(block, [[distance_m + 0.25, 0.0, yaw_deg]])
 
-    assert [count(one, LOW, weak) > 0 for one in surroundings] == [True, False, False]
-    assert all(count(one, LOW) > 50 for one in surroundings)
+    surroundings = build_surroundings(build_scene(), [run])
+
+    assert (count(surroundings, LOW, weak) > 0) == is_seen
+    assert count(surroundings, LOW) > 50
 
 
 # Seed, company, and the VUT's own LiDAR
@@ -260,7 +246,9 @@ def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block,
 def test_the_same_seed_brings_the_same_pulses_back(sees):
     vru = [[x_m, 0.0, 90.0] for x_m in np.linspace(20.0, 50.0, 60)]
     vague = replace(STUDY, threshold_width=9.0, reference_probability=0.5)
-    one, same, other = (sees(vru, seed=seed, lidar=vague) for seed in (1, 1, 2))
+    one = sees(vru, seed=1, lidar=vague)
+    same = sees(vru, seed=1, lidar=vague)
+    other = sees(vru, seed=2, lidar=vague)
 
     assert one == same
     assert one != other
@@ -269,20 +257,19 @@ def test_the_same_seed_brings_the_same_pulses_back(sees):
 
 
 def test_other_frames_do_not_matter(build_scene, build_run):
-    rng = _rng(3)
+    rng = default_rng(3)
     vru, vut = (
         np.column_stack([rng.uniform(3.0, 30.0, 40), rng.uniform(-9.0, 9.0, (40, 2))])
         for _ in range(2)
     )
-    surroundings = build_surroundings(
-        build_scene(WALL), [build_run(pick_actor("adult", "test"), vru, vut)]
-    )
-    every = scan_frames(surroundings, LOW, SURE, _rng())
+    run = build_run(pick_actor("adult", "test"), vru, vut)
+    surroundings = build_surroundings(build_scene(WALL), [run])
     some = np.arange(0, 40, 3)
 
-    assert np.array_equal(
-        scan_frames(surroundings.take(some), LOW, SURE, _rng()), every[some]
-    )
+    every = scan_frames(surroundings, LOW, SURE, default_rng(0))
+    alone = scan_frames(surroundings.take(some), LOW, SURE, default_rng(0))
+
+    assert np.array_equal(alone, every[some])
     assert 0 < every.sum() < 40
 
 
@@ -292,24 +279,28 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     """
     yaw_deg = np.repeat([0.0, 77.0, -160.0], 4)
     bearing_deg = yaw_deg + np.tile([0.0, 60.0, 180.0, 5.0], 3)
-    towards = np.column_stack(
-        [np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))]
-    )
     place = np.repeat([[3.0, 5.0], [-20.0, 1.0], [40.0, -6.0]], 4, axis=0)
     vut = np.column_stack([place, yaw_deg])
-    vru = np.column_stack([place + 14.0 * towards, yaw_deg])
-    surroundings = build_surroundings(build_scene(), [build_run(block, vru, vut)])
-    found = scan_frames(surroundings, load_vut_camera(), load_vut_lidar(), _rng())
+    vru = np.column_stack([place + 14.0 * ahead_of(bearing_deg), yaw_deg])
+    run = build_run(block, vru, vut)
 
-    assert found.tolist() == [True, False, False, True] * 3
+    def found(scene):
+        surroundings = build_surroundings(scene, [run])
+        seen = scan_frames(
+            surroundings,
+            load_vut_camera(),
+            load_vut_lidar(),
+            default_rng(0),
+        )
+        return seen.tolist()
 
-    wall = build_scene(((3.0 + 7.0, 5.0 - 3.0, 0.0), (3.0 + 7.4, 5.0 + 3.0, 4.0)))
-    behind = build_surroundings(wall, [build_run(block, vru, vut)])
-    found = scan_frames(behind, load_vut_camera(), load_vut_lidar(), _rng())
+    one_place = [True, False, False, True]
 
-    assert (
-        found.tolist() == [False, False, False, False] + [True, False, False, True] * 2
-    )
+    assert found(build_scene()) == one_place * 3
+
+    wall = ((3.0 + 7.0, 5.0 - 3.0, 0.0), (3.0 + 7.4, 5.0 + 3.0, 4.0))
+
+    assert found(build_scene(wall)) == [False] * 4 + one_place * 2
 
 
 # All round
@@ -321,7 +312,7 @@ RING = replace(SURE, horizontal_fov_deg=360.0, vertical_fov_deg=150.0, n_lines=1
 RING = replace(RING, points_per_second=10.0 * 150 * 360)
 SECTOR = replace(RING, horizontal_fov_deg=120.0, points_per_second=10.0 * 150 * 120)
 WIDE = replace(RING, horizontal_fov_deg=345.0, points_per_second=10.0 * 150 * 345)
-OVERHEAD = Pose(position_m=np.array([0.5, 0.5, 5.0]), yaw_deg=0.0)
+OVERHEAD = Pose(position_m=[0.5, 0.5, 5.0], yaw_deg=0.0)
 
 
 @pytest.fixture
@@ -339,19 +330,17 @@ def beams_on_vru(monkeypatch):
             # One by one: a scan has an order of its own.
             for frame in range(len(surroundings.vru_poses)):
                 one = surroundings.take(np.array([frame]))
-                scan_frames(one, pose, lidar, _rng())
+                scan_frames(one, pose, lidar, default_rng(0))
 
         return np.array(counts)
 
     return look
 
 
-def _around(build_run, name, distance_m, n_frames=20):
+def _around(build_run, name, distance_m, n_frames):
     """A VRU all round the origin, with the VUT now and then before it."""
     bearing_deg = np.linspace(-180.0, 180.0, n_frames, endpoint=False)
-    towards = np.column_stack(
-        [np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))]
-    )
+    towards = ahead_of(bearing_deg)
     vru = np.column_stack([distance_m * towards, bearing_deg + 20.0])
     vut = np.column_stack([0.5 * distance_m * towards, bearing_deg + 90.0])
     vut[::2] += 500.0
@@ -364,16 +353,23 @@ def _around(build_run, name, distance_m, n_frames=20):
     [*product((RING, WIDE, SECTOR), (0.0, -35.0), (1.5, 9.0))],
 )
 def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
-    build_scene, build_run, beams_on_vru, lidar, pitch_deg, distance_m
+    build_scene,
+    build_run,
+    beams_on_vru,
+    lidar,
+    pitch_deg,
+    distance_m,
 ):
     """Also over the seam behind, and below the LiDAR, where a VRU is at all azimuths at
     once.
     """
     scene = build_scene(((3.0, 2.0, 0.0), (6.0, 5.0, 3.0)))
     run = _around(build_run, "cyclist", distance_m, n_frames=10)
+
     # Looking east: the first frames are right behind.
     for yaw_deg in (0.0, 100.0):
         pose = replace(OVERHEAD, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+
         found = beams_on_vru(build_surroundings(scene, [run]), pose, lidar)
         plain = _plain_counts(scene, [run], pose, lidar)
 

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
-from tiny_worlds import table_of, unit_at
+from tiny_worlds import block_actor, table_of, unit_at
 
-from geometry.actors import Actor, MovingActor, Shape, pick_actor
+from geometry.actors import MovingActor, pick_actor
 from geometry.errors import InputError
 from placement.compute import DEFAULT_COMPUTE
 from placement.evaluator.evaluate import unit_key, watch
@@ -22,24 +21,14 @@ SPEED_MPS = 12.0
 
 @pytest.fixture(scope="module")
 def bus():
-    box = trimesh.creation.box((LENGTH_M, WIDTH_M, HEIGHT_M))
-    return Actor(
-        name="bus",
-        class_name="car",
-        length_m=LENGTH_M,
-        width_m=WIDTH_M,
-        height_m=HEIGHT_M,
-        shapes=(
-            Shape(
-                vertices_m=np.array(box.vertices) + [0.0, 0.0, 0.5 * HEIGHT_M],
-                triangles=np.array(box.faces, dtype=np.int32),
-            ),
-        ),
-    )
+    """A bus that is a box."""
+    box = block_actor((LENGTH_M, WIDTH_M, HEIGHT_M), "bus")
+    return replace(box, class_name="car")
 
 
 @pytest.fixture(scope="module")
 def unit():
+    """A camera 3 m high that looks east."""
     return unit_at("camera", [0.0, 0.0, 3.0], pitch_deg=-5.0, site_id="pole")
 
 
@@ -80,8 +69,8 @@ def test_a_bus_hides_a_pedestrian_for_a_second(
     far_edge_m = 10.0 + 0.5 * WIDTH_M
 
     assert adult.height_m < 3.0 - (3.0 - HEIGHT_M) * 20.0 / far_edge_m
-    # The rays to both sides of the body pass the near edge of the bus this far from the
 
+    # The rays to both sides of the body pass the near edge of the bus this far from the
     # axis.
     side_m = 0.5 * max(adult.width_m, adult.length_m) * (10.0 - 0.5 * WIDTH_M) / 20.0
     # Where the body is on the far edge's line of sight, its sides are as far out.

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
+from placed_bodies import ahead_of, poses_within
 from ray_renderer import render_frame
 
 from geometry.scene import Instance
@@ -23,6 +25,7 @@ LINE = np.linspace(-120.0, 120.0, 25)
 
 
 def terrain(height):
+    """Terrain whose height is a function of east and north. [m]"""
     east, north = np.meshgrid(LINE, LINE)
     return Terrain(east_m=LINE, north_m=LINE, height_m=height(east, north))
 
@@ -41,20 +44,29 @@ def on(scene, ground):
     )
 
 
+MOUNTED = {"ahead_per_half_length": 0.8, "up_per_half_height": 1.3}
+"""Where the VUT's camera is."""
+
+
 @given(grade=st.floats(-0.3, 0.3), yaw_deg=st.floats(-180.0, 180.0))
 def test_on_a_plane_the_pitch_is_the_grade_along_the_heading(grade, yaw_deg):
     slope = terrain(lambda east, north: grade * east)
-    pitch_deg = pitch_on_ground_deg(
-        [[3.0, -7.0]], [yaw_deg], slope, front_m=1.4, wheelbase_m=2.9
-    )
 
-    assert np.tan(np.radians(pitch_deg)) == pytest.approx(
-        grade * np.cos(np.radians(yaw_deg))
+    pitch_deg = pitch_on_ground_deg(
+        [[3.0, -7.0]],
+        [yaw_deg],
+        slope,
+        front_m=1.4,
+        wheelbase_m=2.9,
     )
+    along = grade * np.cos(np.radians(yaw_deg))
+
+    assert np.tan(np.radians(pitch_deg)) == pytest.approx(along)
 
 
 def test_over_a_crest_the_pitch_is_that_of_the_chord_between_the_axles():
     crest = terrain(lambda east, north: -0.1 * np.abs(east))
+
     pitch_deg = pitch_on_ground_deg(
         [[-1.0, 0.0], [0.0, 0.0], [2.0, 0.0]],
         [0.0] * 3,
@@ -76,20 +88,30 @@ def test_on_a_slope_whoever_is_ahead_is_seen_at_the_row_of_the_level_road(
     build_scene, build_run, camera, block, grade
 ):
     slope = terrain(lambda east, north: grade * east)
-    run = replace(
-        build_run(block, [[12.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]]), terrain=slope
-    )
+    level = build_run(block, [[12.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]])
+    run = replace(level, terrain=slope)
     surroundings = build_surroundings(on(build_scene(), slope), [run])
-    mount = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
+    mount = VutCamera(camera=camera, **MOUNTED)
+
     (box,) = perceive_frames(surroundings, mount).amodal_px
+
     ahead_m, _, up_m = mount.pose_on(run.encounter.vut).position_m
     # Turned with the road, the foot of the body's middle is as low as the road, 12 m /
     # cos away.
     pitch = np.arctan(grade)
-    corner = np.array([[x, z] for x in (-0.25, 0.25) for z in (0.0, 1.8)])
-    turn = np.array([[np.cos(pitch), np.sin(pitch)], [-np.sin(pitch), np.cos(pitch)]])
-    away, above = (corner @ turn.T + [12.0 / np.cos(pitch) - ahead_m, -up_m]).T
-    rows = 90.0 - camera.focal_length_px * above / away
+    cos = np.cos(pitch)
+    sin = np.sin(pitch)
+    turn = np.array([[cos, sin], [-sin, cos]])
+    corners = np.array(
+        [
+            [-0.25, 0.0],
+            [-0.25, 1.8],
+            [0.25, 0.0],
+            [0.25, 1.8],
+        ]
+    )
+    away_m, above_m = (corners @ turn.T + [12.0 / cos - ahead_m, -up_m]).T
+    rows = 90.0 - camera.focal_length_px * above_m / away_m
 
     assert box[1] == pytest.approx(rows.min(), abs=1.0)
     assert box[3] == pytest.approx(rows.max(), abs=1.0)
@@ -100,26 +122,21 @@ def test_on_a_slope_whoever_is_ahead_is_seen_at_the_row_of_the_level_road(
 def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_looks(
     build_scene, build_run, camera, block
 ):
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     hills = terrain(
         lambda east, north: 3.0 * np.sin(east / 15.0) + 2.0 * np.cos(north / 12.0)
     )
-    vut = np.column_stack(
-        [rng.uniform(-30.0, 30.0, (40, 2)), rng.uniform(-180.0, 180.0, 40)]
-    )
-    ahead = np.stack(
-        [np.cos(np.radians(vut[:, 2])), np.sin(np.radians(vut[:, 2]))], axis=1
-    )
-    vru = np.column_stack(
-        [vut[:, :2] + rng.uniform(6.0, 15.0, (40, 1)) * ahead, vut[:, 2] + 40.0]
-    )
+    vut = poses_within(rng, 40, 30.0)
+    ahead_m = rng.uniform(6.0, 15.0, (40, 1)) * ahead_of(vut[:, 2])
+    vru = np.column_stack([vut[:, :2] + ahead_m, vut[:, 2] + 40.0])
     run = replace(build_run(block, vru, vut), terrain=hills)
     scene = on(build_scene(((-6.0, 3.0, -9.0), (-2.0, 6.0, 4.0))), hills)
 
     assert terrain_of(scene) is not None
 
     surroundings = build_surroundings(scene, [run])
-    mount = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
+    mount = VutCamera(camera=camera, **MOUNTED)
+
     boxes = perceive_frames(surroundings, mount)
     pitches_deg = []
     n_hidden = 0
@@ -139,12 +156,16 @@ def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_look
 
 def test_the_vuts_lidar_tilts_with_the_road(build_scene, build_run, block):
     slope = terrain(lambda east, north: 0.5 * east)  # so steep that level beams miss
-    vru = [[14.0, 0.0, 0.0], [-14.0, 0.0, 0.0], [2.0, 14.0, 0.0]]
+    vru = [
+        [14.0, 0.0, 0.0],
+        [-14.0, 0.0, 0.0],
+        [2.0, 14.0, 0.0],
+    ]
     run = replace(build_run(block, vru, [[0.0, 0.0, 0.0]] * 3), terrain=slope)
     surroundings = build_surroundings(on(build_scene(), slope), [run])
 
     def found(around):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         return scan_frames(around, load_vut_camera(), load_vut_lidar(), rng).tolist()
 
     assert found(surroundings) == [True, False, False]

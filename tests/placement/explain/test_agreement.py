@@ -1,8 +1,10 @@
+"""Where the detection table and the full evaluation agree, and why not."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiny_worlds import table_of
+from tiny_worlds import setting_of, table_of
 
 from geometry.study_scene import load_study_scene
 from placement.detection_table import pack_table
@@ -10,37 +12,33 @@ from placement.detectors import load_planning_detector
 from placement.evaluator import evaluate_layout
 from placement.explain.agreement import FUSED, find_disagreements
 from placement.layout import Layout, load_carlancap_layout
-from placement.setting import Radio, Setting
-from scenarios.runs import build_frame_axis
-from scenarios.weights import weight_per_run
+from placement.setting import Radio
 
 RUNS = ("CPNC-50/east/40", "CBLA/east/50")
 
 
 @pytest.fixture(scope="module")
 def setting(runs, rule):
-    few = tuple(run for run in runs if run.id in RUNS)
-    return Setting(
-        scene=load_study_scene(),
-        runs=few,
-        axis=build_frame_axis(few, weight_per_run(few)),
-        rule=rule,
-        detector=load_planning_detector(),
-        table_detector=load_planning_detector(),
-    )
+    """Two of the study's runs."""
+    few = [run for run in runs if run.id in RUNS]
+    planned = load_planning_detector()
+    return setting_of(load_study_scene(), few, rule=rule, detector=planned)
 
 
 @pytest.fixture(scope="module")
 def layout():
+    """Two units of the study's layout."""
     return Layout(name="two", units=load_carlancap_layout().units[2:4])
 
 
 @pytest.fixture(scope="module")
 def evaluation(setting, layout):
+    """The two units evaluated."""
     return evaluate_layout(layout, setting)
 
 
 def _table(setting, layout, detected):
+    """A table of the layout's units with these detections."""
     return pack_table(tuple(unit.id for unit in layout.units), setting.axis, detected)
 
 
@@ -53,30 +51,23 @@ def test_both_agree_on_runs_that_are_seen_well(setting, layout, evaluation):
 def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
     setting, layout, evaluation
 ):
-    nothing = np.zeros((2, setting.axis.n_frames), dtype=bool)
-    found = find_disagreements(
-        setting, _table(setting, layout, nothing), evaluation, [0, 1]
-    )
-    expected = [
-        (party, run_id)
-        for party, verdict in (*evaluation.units.items(), (FUSED, evaluation.rsu_all))
-        for run_id, is_avoided in zip(
-            setting.axis.run_ids, verdict.is_avoided, strict=True
-        )
-        if is_avoided
-    ]
+    axis = setting.axis
+    nothing = _table(setting, layout, np.zeros((2, axis.n_frames), dtype=bool))
+
+    found = find_disagreements(setting, nothing, evaluation, [0, 1])
+
+    expected = []
+    for party, verdict in (*evaluation.units.items(), (FUSED, evaluation.rsu_all)):
+        avoided = np.flatnonzero(verdict.is_avoided)
+        expected += [(party, axis.run_ids[run]) for run in avoided]
 
     assert [(entry.party, entry.run_id) for entry in found] == expected
     assert not any(entry.on_table for entry in found)
 
-    axis = setting.axis
-
     for entry in found:
-        frames = axis.frames_of(axis.run_ids.index(entry.run_id))
-        in_time = (
-            axis.time_s[frames]
-            <= axis.last_brake_time_s[axis.run_ids.index(entry.run_id)]
-        )
+        run = axis.run_ids.index(entry.run_id)
+        frames = axis.frames_of(run)
+        in_time = axis.time_s[frames] <= axis.last_brake_time_s[run]
         seen = [
             verdict.detected[frames] & in_time
             for name, verdict in evaluation.units.items()
@@ -91,15 +82,16 @@ def test_what_was_lost_on_the_way_is_told_from_what_was_not_seen(
     setting, layout, evaluation
 ):
     detected = np.array([verdict.detected for verdict in evaluation.units.values()])
+    table = _table(setting, layout, detected)
     lossy = evaluate_layout(layout, replace(setting, radio=Radio(packet_loss=1.0)))
-    found = find_disagreements(
-        setting, _table(setting, layout, detected), lossy, [0, 1]
-    )
+
+    found = find_disagreements(setting, table, lossy, [0, 1])
 
     assert {entry.run_id for entry in found if entry.party == FUSED} == set(RUNS)
-    assert all(
-        entry.on_table and "chance or a lost message" in entry.cause for entry in found
-    )
+
+    for entry in found:
+        assert entry.on_table
+        assert "chance or a lost message" in entry.cause
 
 
 def test_latency_alone_can_make_the_difference(setting, layout, evaluation):
@@ -107,10 +99,10 @@ def test_latency_alone_can_make_the_difference(setting, layout, evaluation):
     slow = replace(
         layout, units=tuple(replace(unit, latency_s=60.0) for unit in layout.units)
     )
+    table = _table(setting, slow, detected)
+
     # The table is asked with the units' own latencies, too: nothing differs.
     late = evaluate_layout(slow, setting)
 
     assert not late.rsu_all.is_avoided.any()
-    assert (
-        find_disagreements(setting, _table(setting, slow, detected), late, [0, 1]) == ()
-    )
+    assert find_disagreements(setting, table, late, [0, 1]) == ()

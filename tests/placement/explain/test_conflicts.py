@@ -5,6 +5,7 @@ from itertools import chain, combinations
 
 import numpy as np
 import pytest
+from changes import changed
 from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
@@ -24,9 +25,10 @@ def relaxed(problem, relaxation, separation):
         )
         return replace(problem, floors=tuple(floors))
     if demand.kind == "budget_units":
-        return replace(problem, limits=replace(problem.limits, budget_units=int(value)))
+        return changed(problem, "limits.budget_units", int(value))
     if demand.kind == "budget_eur":
-        return replace(problem, limits=replace(problem.limits, budget_eur=value))
+        return changed(problem, "limits.budget_eur", value)
+
     return relax(problem, relaxation, separation)
 
 
@@ -48,6 +50,7 @@ def wishes(draw):
 
 
 def sets_of(n):
+    """All sets but the empty one of n poses."""
     return list(
         chain.from_iterable(combinations(range(n), size) for size in range(1, n + 1))
     )
@@ -82,6 +85,7 @@ def meets(problem, separation, demand, poses, *, survives):
         return not limits.is_forbidden[list(poses)].any()
     if kind == "forced_sites":
         return bool((at_site[limits.is_forced_site] > 0).all())
+
     return True  # "survive" shows in the floors
 
 
@@ -101,6 +105,7 @@ def met_together(problem, separation, demands):
 
 
 def check_conflicts(problem, separation):
+    """Conflicts are the smallest sets of demands that no set of poses meets."""
     demands = Wish(problem, separation).demands
     found = find_conflicts(problem, separation=separation)
     feasible = [
@@ -116,6 +121,7 @@ def check_conflicts(problem, separation):
         for size in range(1, len(conflict.demands)):
             for fewer in combinations(left, size):
                 assert met_together(problem, separation, fewer)
+
         assert not met_together(problem, separation, conflict.demands)
 
         for relaxation in conflict.relaxations:
@@ -129,6 +135,7 @@ def check_conflicts(problem, separation):
 
 
 def check_relaxation(problem, separation, conflict, relaxation):
+    """A relaxed demand can be met, and a little more of it cannot."""
     demands = Wish(problem, separation).demands
     demand = relaxation.demand
     others = [other for other in demands if other != demand]
@@ -141,6 +148,7 @@ def check_relaxation(problem, separation, conflict, relaxation):
         )
     else:
         others = [other for other in conflict.demands if other != demand]
+
     allowed = met_together(problem, separation, others)
 
     assert relaxation.pose_index in allowed
@@ -150,9 +158,8 @@ def check_relaxation(problem, separation, conflict, relaxation):
     if not relaxation.given_up:
         assert relaxation.value == pytest.approx(expected)
     elif demand.kind == "forbidden":
-        assert (
-            len(set(problem.limits.site_index[list(relaxation.given_up)])) == expected
-        )
+        sites = problem.limits.site_index[list(relaxation.given_up)]
+        assert len(set(sites)) == expected
     else:
         assert len(relaxation.given_up) == expected
 
@@ -220,6 +227,7 @@ def least(problem, separation, demand, others, allowed):
 
 
 def counts(limits, poses):
+    """Units at each site, (n_sites,)."""
     return np.bincount(limits.site_index[list(poses)], minlength=limits.n_sites)
 
 
@@ -250,7 +258,9 @@ def test_the_whole_is_the_sum_of_its_demands(wish):
 
     for poses in met_together(problem, separation, [])[:60]:
         assert is_feasible(part, poses) == is_feasible(problem, poses)
+
         met = whole.met_by(poses, frozenset())
+
         assert is_feasible(whole.part(met), poses)
         assert (met == whole.everything) == is_feasible(problem, poses)
 
@@ -267,4 +277,5 @@ def test_nothing_is_claimed_when_time_is_up(wish):
             else:
                 others = demands
             others = [other for other in others if other != relaxation.demand]
+
             assert relaxation.pose_index in met_together(problem, separation, others)

@@ -1,3 +1,5 @@
+"""Which of the front runners the full evaluation takes."""
+
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +14,7 @@ from placement.explain.alternatives import (
 
 
 def runner(apr, left):
+    """A front runner of these values."""
     return FrontRunner(layout=None, apr=apr, apr_one_failed=left)
 
 
@@ -35,9 +38,9 @@ def test_the_evaluator_decides_by_apr_then_failures_then_errors_of_mounting(
     values, wrongly, expected
 ):
     """What mounting errors leave is looked at only where it decides."""
-    assert (
-        recommend([runner(*pair) for pair in values], wrongly.__getitem__) == expected
-    )
+    runners = [runner(*pair) for pair in values]
+
+    assert recommend(runners, wrongly.__getitem__) == expected
 
 
 def test_a_front_runner_has_the_shares_of_its_fusion():

@@ -1,14 +1,14 @@
+"""How far units may be off before something is lost."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiny_worlds import table_of
+from tiny_worlds import setting_of, table_of, unit_at
 
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose, wrap_deg
 from geometry.study_scene import load_study_scene
-from placement.candidates import CandidatePose
-from placement.detectors import load_detector, load_planning_detector
 from placement.explain.tolerances import (
     LIFTS_M,
     TURNS_DEG,
@@ -16,36 +16,32 @@ from placement.explain.tolerances import (
     find_tolerances,
 )
 from placement.optimiser import run_margins_s
-from placement.setting import Setting
 from placement.wishes import Wishes, build_problem
-from scenarios.runs import build_frame_axis
-from scenarios.weights import weight_per_run
 
 CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
 
 @pytest.fixture(scope="module")
 def setting(runs, rule):
+    """Runs that come three ways."""
     ways = ("CBNA/east/60", "CPNC-50/east/55", "CPNC-50/west/60", "CBNA/south/60")
-    few = tuple(run for run in runs if run.id in ways)
-    return Setting(
-        scene=load_study_scene(),
-        runs=few,
-        axis=build_frame_axis(few, weight_per_run(few)),
-        rule=rule,
-        detector=load_detector(),
-        table_detector=load_planning_detector(),
-    )
+    few = [run for run in runs if run.id in ways]
+    return setting_of(load_study_scene(), few, rule=rule)
 
 
-def unit(name, yaw_deg, pitch_deg=-40.0):
-    pose = Pose(
-        position_m=np.array([-115.4, 8.85, 8.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg
+def unit(name, yaw_deg):
+    """A camera at the corner's pole, 8 m high."""
+    return unit_at(
+        name,
+        [-115.4, 8.85, 8.0],
+        yaw_deg=yaw_deg,
+        pitch_deg=-40.0,
+        sensor=CAMERA,
     )
-    return CandidatePose(id=name, site_id="", pose=pose, sensor=CAMERA)
 
 
 def avoided(setting, units):
+    """Weight of the runs that units avoid."""
     table = table_of(setting, units)
     wishes = Wishes(
         budget_units=len(units), existing=tuple(one.id for one in units[1:])
@@ -55,6 +51,7 @@ def avoided(setting, units):
 
 
 def moved(one, *, yaw_deg=0.0, pitch_deg=0.0, height_m=0.0):
+    """A unit off by these errors."""
     pose = one.pose
     return replace(
         one,
@@ -80,26 +77,33 @@ def test_within_its_tolerances_nothing_is_lost_and_a_step_beyond_something_is(se
         ("pitch_deg", TURNS_DEG, found.pitch_deg),
         ("height_m", LIFTS_M, found.height_m),
     ):
-        for sign, good in ((-1.0, low), (1.0, high)):
+        for sign, good in (
+            (-1.0, low),
+            (1.0, high),
+        ):
             within = [step for step in steps if step <= good]
+
             assert good == (within[-1] if within else 0.0)
 
             if within:
                 kept = avoided(setting, [moved(one, **{axis: sign * good})])
                 assert not (planned & ~kept).any()
+
             beyond = [step for step in steps if step > good][:1]
 
             for step in beyond:
                 limited += 1
-                assert (
-                    planned & ~avoided(setting, [moved(one, **{axis: sign * step})])
-                ).any()
+                kept = avoided(setting, [moved(one, **{axis: sign * step})])
+                assert (planned & ~kept).any()
 
     assert limited
 
 
 def test_a_twin_lets_a_unit_be_off_by_all_that_is_tried(setting):
-    twins = [unit("a", -135.0), unit("b", -135.0)]
+    twins = [
+        unit("a", -135.0),
+        unit("b", -135.0),
+    ]
     for found in find_tolerances(setting, twins):
         assert found.yaw_deg == found.pitch_deg == (TURNS_DEG[-1], TURNS_DEG[-1])
         assert found.height_m == (LIFTS_M[-1], LIFTS_M[-1])
@@ -122,7 +126,9 @@ def test_usual_errors_cost_what_a_layout_built_so_has(setting):
 
     worst = found.worst
 
-    assert worst.apr == pytest.approx(min(apr for apr, _ in cost.values()))
+    expected = min(apr for apr, _ in cost.values())
+
+    assert worst.apr == pytest.approx(expected)
     assert (worst.apr, len(worst.lost_run_ids)) == pytest.approx(
         cost[worst.kind, worst.step]
     )

@@ -7,69 +7,37 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from changes import changed
 from hypothesis import given
 from hypothesis import strategies as st
 from junctions import build_scene
-from tiny_worlds import table_of, unit_at
+from numpy.random import default_rng
+from placed_bodies import parked_at
+from tiny_worlds import run_of_frames, setting_of, table_of, unit_at
 
-from geometry.actors import PlacedActor, load_actors
 from geometry.catalogue import pick_sensor
-from geometry.poses import Pose
 from placement.detection_table import pack_table
-from placement.detectors import load_detector, load_planning_detector
 from placement.explain.unavoided import Look, find_reasons, find_unavoided
 from placement.optimiser import Limits, PlacementProblem, run_margins_s
-from placement.setting import Setting
-from scenarios.aeb import load_aeb_rule
-from scenarios.cases import load_cases
-from scenarios.encounters import Encounter
-from scenarios.paths import Motion, StraightPath
-from scenarios.runs import Run, build_frame_axis
-from scenarios.weights import weight_per_run
+from scenarios.runs import build_frame_axis
 
-FAR = (-390.0, -390.0)
 N_FRAMES = 20
 
 
-def run_of(
-    vru_m, *, vut_m=FAR, weather="day", obstruction=(), name="run", last_brake_s=-0.5
-):
+def run_of(vru_m, *, vut_m=(-390.0, -390.0), last_brake_s=-0.5, **options):
     """An adult that stands somewhere for two seconds; nothing moves."""
-    motion = Motion(
-        path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0),
-        speed_mps=1.0,
-        start_time_s=0.0,
-    )
-    actors = load_actors()
-    return Run(
-        id=name,
-        case=load_cases()["CPNC-50"],
-        approach="east",
-        weather=weather,
-        vut_speed_kmh=20.0,
-        encounter=Encounter(
-            vut=actors["vut"], vut_motion=motion, vru=actors["adult"], vru_motion=motion
-        ),
-        time_s=np.arange(1.0 - N_FRAMES, 1.0) / 10.0,
-        vut_position_m=np.tile(vut_m, (N_FRAMES, 1)),
-        vut_yaw_deg=np.full(N_FRAMES, 90.0),
-        vru_position_m=np.tile(vru_m, (N_FRAMES, 1)),
-        vru_yaw_deg=np.zeros(N_FRAMES),
-        vru_shape=np.zeros(N_FRAMES, dtype=np.int64),
-        obstruction=tuple(obstruction),
+    return run_of_frames(
+        np.tile([*vru_m, 0.0], (N_FRAMES, 1)),
+        [*vut_m, 90.0],
+        shapes=0,
         last_brake_time_s=last_brake_s,
+        **options,
     )
 
 
-def setting_of(*runs, boxes=(), weight=None):
-    return Setting(
-        scene=build_scene([], boxes=boxes),
-        runs=runs,
-        axis=build_frame_axis(runs, weight_per_run(runs) if weight is None else weight),
-        rule=load_aeb_rule(),
-        detector=load_detector(),
-        table_detector=load_planning_detector(),
-    )
+def setting_with(*runs, boxes=(), **fields):
+    """A setting of runs and boxes."""
+    return setting_of(build_scene([], boxes=boxes), runs, **fields)
 
 
 def unit(
@@ -83,6 +51,7 @@ def unit(
     fov_deg=None,
     name="unit",
 ):
+    """A camera at a place."""
     model = pick_sensor(sensor, "test")
     return unit_at(
         name,
@@ -94,24 +63,20 @@ def unit(
 
 
 def reasons_of(setting, candidate, run_index=0):
+    """Causes for which a unit does not see all of a run."""
     looks = [Look(unit=candidate, run_index=run_index, frame_index=np.arange(N_FRAMES))]
     return [(r.cause, r.thing, r.frames) for r in find_reasons(setting, looks)[0]]
 
 
 def is_detected(setting, candidate):
+    """Frames in which a unit detects, (n_frames,)."""
     table = table_of(setting, [candidate])
     return table.detected([0])[0]
 
 
 WALL = ("wall-a", -8.0, 0.0, 0.5, 6.0, 4.0)
 BEHIND = ("wall-b", 8.0, 0.0, 0.5, 6.0, 4.0)
-PARKED = [
-    PlacedActor(
-        actor=load_actors()["parked-van"],
-        pose=Pose(position_m=np.array([x, 0.0, 0.0]), yaw_deg=90.0, pitch_deg=0.0),
-    )
-    for x in (-5.0, -9.0)
-]
+PARKED = [parked_at("parked-van", east_m, 0.0, 90.0) for east_m in (-5.0, -9.0)]
 
 
 @pytest.mark.parametrize("sensor", ["carla-ncap-rgb", "carla-ncap-lidar"])
@@ -134,14 +99,14 @@ PARKED = [
     ids=["wall", "parked", "VUT", "two alike"],
 )
 def test_what_is_in_the_way_is_named(sensor, boxes, run, expected):
-    setting = setting_of(run, boxes=boxes)
+    setting = setting_with(run, boxes=boxes)
     low = unit(-20.0, 0.0, 1.2, pitch_deg=0.0, sensor=sensor)
 
     assert not is_detected(setting, low).any()
     assert reasons_of(setting, low) == [(*expected, N_FRAMES)]
 
     # Without the thing it is detected: that is what "hidden" says.
-    cleared = setting_of(run_of((0.0, 0.0)), boxes=[BEHIND])
+    cleared = setting_with(run_of((0.0, 0.0)), boxes=[BEHIND])
 
     assert is_detected(cleared, low).all()
 
@@ -166,30 +131,31 @@ def test_what_is_in_the_way_is_named(sensor, boxes, run, expected):
     ],
 )
 def test_what_else_it_may_be_is_told_apart(candidate, run, expected):
-    setting = setting_of(run)
+    setting = setting_with(run)
     assert not is_detected(setting, candidate).any()
     assert reasons_of(setting, candidate) == [(expected, "", N_FRAMES)]
 
 
 def test_a_frame_that_only_the_table_misses_is_said_to_be_so():
-    assert reasons_of(setting_of(run_of((0.0, 0.0))), unit(-20.0, 0.0)) == [
+    assert reasons_of(setting_with(run_of((0.0, 0.0))), unit(-20.0, 0.0)) == [
         ("otherwise", "", N_FRAMES)
     ]
 
 
-def problem_of(setting, candidates, detected, **options):
-    n = len(candidates)
-    limits = {"site_index": np.arange(n), "site_capacity": np.ones(n, dtype=np.int64)}
+def problem_of(setting, candidates, detected, *, fusion="any", **limits):
+    """A problem of candidates with these detections."""
+    n_poses = len(candidates)
+    apart = {"site_index": np.arange(n_poses), "site_capacity": np.ones(n_poses, int)}
     return PlacementProblem(
         table=pack_table(tuple(c.id for c in candidates), setting.axis, detected),
-        limits=Limits(**limits | options.pop("limits", {})),
-        fusion=options.pop("fusion", "any"),
+        limits=Limits(**apart | limits),
+        fusion=fusion,
         rule=setting.rule,
     )
 
 
 def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
-    setting = setting_of(run_of((0.0, 0.0)), boxes=[WALL])
+    setting = setting_with(run_of((0.0, 0.0)), boxes=[WALL])
     candidates = [
         unit(-3.0, 0.0, yaw_deg=180.0, name="near"),
         unit(-20.0, 0.0, 1.2, pitch_deg=0.0, name="far"),
@@ -197,16 +163,20 @@ def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
     ]
     table = table_of(setting, candidates)
     problem = problem_of(setting, candidates, table.detected(slice(None)))
+
     (missed,) = find_unavoided(setting, problem, candidates, [0, 1])
 
-    assert (missed.outcome, missed.unit, missed.frames_seen) == ("never seen", "far", 0)
+    assert missed.outcome == "never seen"
+    assert missed.unit == "far"
+    assert missed.frames_seen == 0
     assert [(r.cause, r.thing) for r in missed.reasons] == [("hidden", "wall-a")]
     # Until 0.525 s before the impact.
     assert missed.frames_in_time == missed.reasons[0].frames == 14
 
     (missed,) = find_unavoided(setting, problem, candidates, [0])
 
-    assert (missed.unit, missed.reasons[0].cause) == ("near", "out of view")
+    assert missed.unit == "near"
+    assert missed.reasons[0].cause == "out of view"
     assert missed.rescue is not None
     assert missed.rescue.unit == "helper" or not table.detected([2]).any()
 
@@ -214,27 +184,20 @@ def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
 @st.composite
 def tables(draw):
     """Three runs with any deadlines, seven poses anywhere, any detections."""
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    rng = default_rng(draw(st.integers(0, 2**32 - 1)))
     last = rng.choice([-0.3, -0.9, -1.5, -1.85, -np.inf], size=3)
-    weight = np.array(
-        draw(st.sampled_from([(1, 1, 1), (0, 1, 3), (2, 0, 0)])), dtype=float
-    )
-    setting = setting_of(
-        *(
-            run_of((0.0, 0.0), name=f"run-{i}", last_brake_s=s)
-            for i, s in enumerate(last)
-        ),
-        weight=weight / weight.sum(),
-    )
+    weight = np.array(draw(st.sampled_from([(1, 1, 1), (0, 1, 3), (2, 0, 0)])))
+    runs = [
+        run_of((0.0, 0.0), name=f"run-{number}", last_brake_s=last_s)
+        for number, last_s in enumerate(last)
+    ]
+    axis = build_frame_axis(runs, weight / weight.sum())
+    setting = setting_with(*runs, axis=axis)
     n_poses = 7
     places = rng.integers(0, 4, size=(n_poses, 2)) * 10.0
     candidates = [unit(x, y, name=f"unit-{i}") for i, (x, y) in enumerate(places)]
-    setting = replace(
-        setting,
-        rule=replace(
-            setting.rule, track_memory_s=draw(st.sampled_from([0.1, 0.3, math.inf]))
-        ),
-    )
+    memory_s = draw(st.sampled_from([0.1, 0.3, math.inf]))
+    setting = changed(setting, "rule.track_memory_s", memory_s)
     share = draw(st.sampled_from([0.1, 0.3, 0.6]))
     detected = rng.random((n_poses, setting.axis.n_frames)) < share
     problem = problem_of(
@@ -242,20 +205,14 @@ def tables(draw):
         candidates,
         detected,
         fusion=draw(st.sampled_from(["any", "single"])),
-        limits={
-            "site_index": rng.integers(0, 4, n_poses),
-            "site_capacity": rng.integers(1, 4, 4),
-            "budget_units": 2,
-            "is_forbidden": rng.random(n_poses) < 0.2,
-            "rivals": np.array([[0, 1]]) if draw(st.booleans()) else None,
-        },
+        site_index=rng.integers(0, 4, n_poses),
+        site_capacity=rng.integers(1, 4, 4),
+        budget_units=2,
+        is_forbidden=rng.random(n_poses) < 0.2,
+        rivals=[[0, 1]] if draw(st.booleans()) else None,
     )
-    return (
-        setting,
-        problem,
-        candidates,
-        rng.choice(n_poses, size=2, replace=False).tolist(),
-    )
+    chosen = rng.choice(n_poses, size=2, replace=False).tolist()
+    return setting, problem, candidates, chosen
 
 
 @given(given_=tables())
@@ -266,47 +223,48 @@ def test_outcome_and_rescue_match_brute_force(given_):
             "placement.explain.unavoided.find_reasons",
             lambda setting, looks, compute: [()] * len(looks),
         )
-        run_ids = problem.table.axis.run_ids
-        found = {
-            run_ids.index(entry.run): entry
-            for entry in find_unavoided(setting, problem, candidates, chosen)
-        }
+        entries = find_unavoided(setting, problem, candidates, chosen)
 
+    run_ids = problem.table.axis.run_ids
+    found = {run_ids.index(entry.run): entry for entry in entries}
     margin = run_margins_s(problem, chosen)
     has_weight = problem.table.axis.weight > 0.0
 
-    assert sorted(found) == np.flatnonzero((margin == -np.inf) & has_weight).tolist()
+    expected = np.flatnonzero((margin == -np.inf) & has_weight).tolist()
+
+    assert sorted(found) == expected
 
     for run, entry in found.items():
         check_outcome(problem, chosen, run, entry)
-        helping = {
-            pose: run_margins_s(problem, [*chosen, pose])[run]
-            for pose in range(len(candidates))
-            if pose not in chosen and may_join(problem.limits, chosen, pose)
-        }
-        helping = {pose: left for pose, left in helping.items() if left > -np.inf}
+
+        helping = {}
+        for pose in range(len(candidates)):
+            if pose not in chosen and may_join(problem.limits, chosen, pose):
+                left_s = run_margins_s(problem, [*chosen, pose])[run]
+                if left_s > -np.inf:
+                    helping[pose] = left_s
+
         if not helping:
             assert entry.rescue is None
             continue
-        away = {
-            pose: min(
-                np.linalg.norm(
-                    candidates[pose].pose.position_m - candidates[c].pose.position_m
-                )
-                for c in chosen
-            )
+
+        places = np.array([one.pose.position_m for one in candidates])
+        away_m = {
+            pose: np.linalg.norm(places[chosen] - places[pose], axis=1).min()
             for pose in helping
         }
-        nearest = min(away.values())
+        nearest_m = min(away_m.values())
 
-        assert entry.rescue.distance_m == pytest.approx(nearest)
+        assert entry.rescue.distance_m == pytest.approx(nearest_m)
 
         helper = problem.table.pose_ids.index(entry.rescue.unit)
 
         assert helper in helping
 
         best = max(
-            helping[pose] for pose in helping if away[pose] == pytest.approx(nearest)
+            left_s
+            for pose, left_s in helping.items()
+            if away_m[pose] == pytest.approx(nearest_m)
         )
 
         assert entry.rescue.margin_s == pytest.approx(best)
@@ -314,6 +272,7 @@ def test_outcome_and_rescue_match_brute_force(given_):
 
 
 def check_outcome(problem, chosen, run, entry):
+    """A run's outcome is what its frames and deadline say."""
     axis = problem.table.axis
     rule = problem.rule
     frames = axis.frames_of(run)
@@ -329,6 +288,7 @@ def check_outcome(problem, chosen, run, entry):
         together = [seen.any(axis=0)]
     else:
         together = list(seen)
+
     n = rule.n_confirmations
     confirmed = [
         time_s[end]
@@ -357,6 +317,7 @@ def check_outcome(problem, chosen, run, entry):
 
 
 def may_join(limits, chosen, pose):
+    """May a pose join the chosen ones, by the limits?"""
     sites = limits.site_index
     n_there = int((sites[chosen] == sites[pose]).sum())
     is_rival = any(
@@ -371,8 +332,11 @@ def may_join(limits, chosen, pose):
 
 
 def test_each_look_gets_its_own_reasons():
-    runs = [run_of((0.0, 0.0), name="a"), run_of((0.0, 40.0), name="b")]
-    setting = setting_of(*runs, boxes=[WALL])
+    runs = [
+        run_of((0.0, 0.0), name="a"),
+        run_of((0.0, 40.0), name="b"),
+    ]
+    setting = setting_with(*runs, boxes=[WALL])
     low = unit(-20.0, 0.0, 1.2, pitch_deg=0.0)
     away = unit(-20.0, 40.0, yaw_deg=180.0)
     looks = [
@@ -381,6 +345,7 @@ def test_each_look_gets_its_own_reasons():
         Look(unit=away, run_index=0, frame_index=np.array([0, 1, 2])),
         Look(unit=low, run_index=1, frame_index=np.array([], dtype=np.int64)),
     ]
+
     found = [
         [(r.cause, r.thing, r.frames) for r in reasons]
         for reasons in find_reasons(setting, looks)
@@ -398,7 +363,7 @@ def test_each_look_gets_its_own_reasons():
 def test_weather_and_speed_share_no_reason():
     clear = run_of((0.0, 0.0))
     foggy = run_of((0.0, 0.0), weather="fog", name="fog")
-    setting = setting_of(clear, replace(foggy, encounter=clear.encounter), boxes=[])
+    setting = setting_with(clear, replace(foggy, encounter=clear.encounter), boxes=[])
     candidate = unit(-60.0, 0.0, pitch_deg=-4.0, fov_deg=30.0)
 
     assert reasons_of(setting, candidate, 0) == [("otherwise", "", N_FRAMES)]

@@ -1,7 +1,10 @@
 """What a user reads when wishes contradict each other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from tiny_worlds import axis_of_runs
 
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, build_candidates, load_candidate_grid
@@ -11,7 +14,6 @@ from placement.layout import load_carlancap_layout
 from placement.setting import Setting
 from placement.wishes import Wishes, build_problem
 from scenarios.aeb import load_aeb_rule
-from scenarios.runs import FrameAxis
 
 N_RUNS = 4
 N_FRAMES = 6
@@ -20,6 +22,7 @@ SITES = ("corner-ne", "corner-nw", "corner-sw", "lamp-e1")
 
 @pytest.fixture(scope="module")
 def scene():
+    """The study's junction."""
     return load_study_scene()
 
 
@@ -27,9 +30,9 @@ def scene():
 def candidates(scene):
     """One pose at each of four sites, and the study's first two units."""
     grid = CandidateGrid(
-        heights_m=np.array([5.0]),
+        heights_m=[5.0],
         yaw_step_deg=360.0,
-        pitches_deg=np.array([-30.0]),
+        pitches_deg=[-30.0],
         sensors=load_candidate_grid().sensors,
     )
     every = build_candidates(scene, grid, extra=load_carlancap_layout().units[:2])
@@ -38,17 +41,14 @@ def candidates(scene):
 
 @pytest.fixture(scope="module")
 def setting(scene):
-    axis = FrameAxis(
-        run_ids=tuple("abcd"),
-        cases=("CPNA-25", "CPNA-25", "CBNA", "CBNA"),
-        approaches=("north",) * N_RUNS,
-        weathers=("day",) * N_RUNS,
-        vut_speed_kmh=np.full(N_RUNS, 30.0),
-        weight=np.full(N_RUNS, 0.25),
-        last_brake_time_s=np.full(N_RUNS, -0.1),
-        run_start=N_FRAMES * np.arange(N_RUNS + 1),
-        time_s=np.tile(np.arange(1 - N_FRAMES, 1) / 10.0, N_RUNS),
+    """Four runs of two cases."""
+    axis = axis_of_runs(
+        N_FRAMES * np.arange(N_RUNS + 1),
+        np.tile(np.arange(1 - N_FRAMES, 1) / 10.0, N_RUNS),
+        -0.1,
+        ids="abcd",
     )
+    axis = replace(axis, cases=("CPNA-25", "CPNA-25", "CBNA", "CBNA"))
     return Setting(
         scene=scene,
         runs=(),
@@ -60,22 +60,31 @@ def setting(scene):
 
 
 @pytest.fixture(scope="module")
-def refusal_of(setting, scene, candidates):
+def problem_of(setting, candidates):
     """Pose i of the four sees run i and no other; the study's units see nothing."""
     detected = np.zeros((len(candidates), N_RUNS * N_FRAMES), dtype=bool)
     for row, candidate in enumerate(candidates):
         if not candidate.id.startswith("RSU"):
             run = SITES.index(candidate.site_id)
-            detected[row, N_FRAMES * run : N_FRAMES * (run + 1)] = True
+            detected[row, setting.axis.frames_of(run)] = True
 
     table = pack_table(tuple(c.id for c in candidates), setting.axis, detected)
 
-    def build(**wishes):
-        wished = Wishes(**wishes)
-        problem = build_problem(setting, candidates, table, wishes=wished)
-        return find_refusal(problem, wished, scene, candidates)
+    def build(wishes):
+        return build_problem(setting, candidates, table, wishes=wishes)
 
     return build
+
+
+@pytest.fixture(scope="module")
+def refusal_of(problem_of, scene, candidates):
+    """Finds what wishes are refused with."""
+
+    def find(**wishes):
+        wished = Wishes(**wishes)
+        return find_refusal(problem_of(wished), wished, scene, candidates)
+
+    return find
 
 
 TOGETHER = "got demands that no layout meets together; expected"
@@ -143,12 +152,13 @@ def test_two_conflicts_are_both_told(refusal_of):
         budget_eur=1000.0,
         forced_sites=("corner-ne", "lamp-e1"),
     )
-    assert (
-        str(refusal)
-        == f"`budget_cost` 1000: {TOO_MUCH} `budget_cost` 1500 (not enough by itself);"
+    text = (
+        f"`budget_cost` 1000: {TOO_MUCH} `budget_cost` 1500 (not enough by itself);"
         " besides, `target` 0.5 and `budget` 1: one of them to give way: `target`"
         " 0.25 (not enough by itself) or `budget` 2 (not enough by itself)"
     )
+
+    assert str(refusal) == text
 
 
 def test_what_can_be_met_is_not_refused(refusal_of):
@@ -156,21 +166,21 @@ def test_what_can_be_met_is_not_refused(refusal_of):
 
 
 def test_separation_is_taken_apart_into_distances_and_capacities(
-    setting, scene, candidates
+    problem_of, scene, candidates
 ):
     wishes = Wishes(budget_units=2, separation_m=40.0, site_capacity=3)
-    detected = np.zeros((len(candidates), N_RUNS * N_FRAMES), dtype=bool)
-    table = pack_table(tuple(c.id for c in candidates), setting.axis, detected)
-    problem = build_problem(setting, candidates, table, wishes=wishes)
+    problem = problem_of(wishes)
+    limits = problem.limits
+
     separation = build_separation(problem, wishes, scene, candidates)
 
-    assert len(separation.pair_distance_m) == len(problem.limits.rivals) > 0
+    assert len(separation.pair_distance_m) == len(limits.rivals) > 0
     assert (separation.pair_distance_m < 40.0).all()
 
-    at = [c.site_id in SITES for c in candidates]
+    at = limits.site_index[[c.site_id in SITES for c in candidates]]
 
-    assert (separation.site_capacity[problem.limits.site_index[at]] == 3).all()
-    assert (problem.limits.site_capacity[problem.limits.site_index[at]] == 1).all()
+    assert (separation.site_capacity[at] == 3).all()
+    assert (limits.site_capacity[at] == 1).all()
 
     none = Wishes(budget_units=2)
 

@@ -1,14 +1,13 @@
 """A floor, a wall, a lamp post: scenes whose light can be worked out by hand."""
 
-from dataclasses import replace
-
 import pytest
+from tiny_cameras import tiny_camera
 from tiny_worlds import scene_of_boxes
 
 from geometry.actors import pick_actor
-from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
+from placement.imaging import build_backdrop
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import select_cases
 from scenarios.runs import build_runs
@@ -16,26 +15,14 @@ from scenarios.runs import build_runs
 
 @pytest.fixture(scope="session")
 def day():
+    """Clear weather by day."""
     return load_weathers()["day"]
 
 
 @pytest.fixture(scope="session")
-def dark(day):
-    """No light at all, clear air."""
-    return replace(day, name="dark", sun_lux=0.0, sky_lux=0.0)
-
-
-@pytest.fixture(scope="session")
 def small():
-    return CameraModel(
-        name="small",
-        width_px=240,
-        height_px=160,
-        horizontal_fov_deg=90.0,
-        frame_rate_hz=10.0,
-        near_m=0.1,
-        price_eur=0.0,
-    )
+    """A camera of 240 by 160 pixels."""
+    return tiny_camera(240, 160, near_m=0.1)
 
 
 @pytest.fixture(scope="session")
@@ -55,6 +42,7 @@ def build_plain_scene():
 
 @pytest.fixture(scope="session")
 def study_run():
+    """The study's pedestrian from behind a parked car, at 40 km/h."""
     runs, _ = build_runs(
         load_study_scene(),
         select_cases("CPNC-50", speeds="40").cases,
@@ -63,3 +51,9 @@ def study_run():
         approaches=["east"],
     )
     return runs[0]
+
+
+@pytest.fixture(scope="session")
+def backdrop(study_run):
+    """What stands still in the study's run."""
+    return build_backdrop(load_study_scene(), study_run.obstruction)

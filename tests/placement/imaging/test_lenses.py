@@ -11,10 +11,8 @@ from kept_backdrops import CORNER
 
 from geometry.lenses import BrownConrady, Fisheye, TsaiRadial
 from geometry.sensors import pixel_grid, project_points
-from geometry.study_scene import load_study_scene
-from geometry.weather import load_weathers
 from placement.compute import Compute
-from placement.imaging import build_backdrop, draw_picture
+from placement.imaging import draw_picture
 from placement.imaging.mesh import place_mesh
 from placement.imaging.picture import whole_image
 from placement.imaging.stills import draw_onto, draw_still, meter, silhouette
@@ -26,19 +24,23 @@ LENSES = {
 }
 
 
-@pytest.fixture(scope="module")
-def backdrop(study_run):
-    return build_backdrop(load_study_scene(), study_run.obstruction)
+COMPUTE = Compute(seed=0, workers=1)
 
 
 @pytest.fixture(scope="module")
-def draw(backdrop, study_run):
+def draw(backdrop, study_run, day):
+    """Draws a frame of the study's run with a camera."""
+
     def draw_frame(camera):
         frame = len(study_run.time_s) - 6
-        day = load_weathers()["day"]
-        compute = Compute(seed=0, workers=1)
         return draw_picture(
-            backdrop, study_run, frame, CORNER, camera, weather=day, compute=compute
+            backdrop,
+            study_run,
+            frame,
+            CORNER,
+            camera,
+            weather=day,
+            compute=COMPUTE,
         )
 
     return draw_frame
@@ -62,6 +64,7 @@ def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(
     bent = draw(camera)
     rows, columns = np.indices(bent.instance.shape).reshape(2, -1)
     ways = pixel_rays(columns, rows, CORNER, camera)
+
     column, row, _ = project_points(CORNER.position_m + ways, CORNER, pinhole).T
     inside = (column > 0) & (column < 1200) & (row > 0) & (row < 1200)
 
@@ -86,6 +89,7 @@ def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(
 def test_it_is_dark_where_a_fisheye_shows_nothing(draw, small):
     camera = replace(small, horizontal_fov_deg=230.0, lens=Fisheye())
     picture = draw(camera)
+
     dark = np.isnan(pixel_grid(camera)).any(axis=2)
 
     assert 0.2 < dark.mean() < 0.8
@@ -105,14 +109,13 @@ def test_it_is_dark_where_a_fisheye_shows_nothing(draw, small):
 
 
 def test_a_dark_rim_does_not_lengthen_the_exposure_of_what_stands_still(
-    backdrop, small
+    backdrop, small, day
 ):
     camera = replace(small, horizontal_fov_deg=230.0, lens=Fisheye())
-    day = load_weathers()["day"]
     still = place_mesh(backdrop.mesh, np.zeros(3))
-    bent, straight = (
-        meter(backdrop, still, CORNER, one, day) for one in (camera, small)
-    )
+
+    bent = meter(backdrop, still, CORNER, camera, day)
+    straight = meter(backdrop, still, CORNER, small, day)
 
     assert bent == pytest.approx(straight, rel=0.5)
 
@@ -120,15 +123,19 @@ def test_a_dark_rim_does_not_lengthen_the_exposure_of_what_stands_still(
 @pytest.mark.long
 @pytest.mark.parametrize("model", ["brown-conrady", "fisheye"])
 def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
-    backdrop, study_run, small, draw, model
+    backdrop,
+    study_run,
+    small,
+    day,
+    draw,
+    model,
 ):
     lens, fov_deg = LENSES[model]
     camera = replace(small, horizontal_fov_deg=fov_deg, lens=lens)
-    day = load_weathers()["day"]
-    compute = Compute(seed=0, workers=1)
-    still = draw_still(backdrop, CORNER, camera, weather=day, compute=compute)
+    still = draw_still(backdrop, CORNER, camera, weather=day, compute=COMPUTE)
     frame = len(study_run.time_s) - 6
-    onto = draw_onto(still, study_run, frame, compute=compute)
+
+    onto = draw_onto(still, study_run, frame, compute=COMPUTE)
     anew = draw(camera)
 
     assert np.array_equal(onto.depth_m, anew.depth_m)
@@ -136,6 +143,7 @@ def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
     for name in ("vru", "vut"):
         index = anew.names.index(name)
         assert np.array_equal(onto.instance == index, anew.instance == index)
+
     levels = np.abs(onto.rgb.astype(int) - anew.rgb.astype(int)).max(axis=2)
 
     assert (levels > 1).mean() < 1e-3
@@ -152,5 +160,6 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(draw, small):
     zero = replace(small, lens=BrownConrady(), principal_point=(0.5, 0.5), roll_deg=0.0)
     plain = draw(small)
     bent = draw(zero)
+
     for name in ("rgb", "instance", "depth_m"):
         assert np.array_equal(getattr(plain, name), getattr(bent, name))

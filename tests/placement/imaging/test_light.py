@@ -1,9 +1,12 @@
+"""Light of sun, sky and lamps on surfaces, against photometry by hand."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from placed_bodies import ahead_of
 
 from geometry.actors import pick_actor
 from geometry.poses import Pose
@@ -23,6 +26,7 @@ HERE = np.zeros(3, dtype=np.float32)
 
 
 def _hits(points, normals):
+    """Points on surfaces with normals."""
     points = np.array(points, dtype=np.float32)
     return Hits(
         points_m=points,
@@ -33,6 +37,7 @@ def _hits(points, normals):
 
 
 def _lux(hits, weather, *, lamps=(), caster=NOTHING, **options):
+    """Illuminance at points. [lx]"""
     light = illuminance(
         hits,
         caster=caster,
@@ -45,6 +50,7 @@ def _lux(hits, weather, *, lamps=(), caster=NOTHING, **options):
 
 
 def _lamp(**changes):
+    """A lamp 8 m high."""
     fields = {
         "position_m": np.array([0.0, 0.0, 8.0]),
         "colour": np.ones(3),
@@ -58,23 +64,34 @@ def _lamp(**changes):
     return StreetLamp(**(fields | changes))
 
 
-@given(elevation_deg=st.floats(1.0, 89.0), yaw_deg=st.floats(-180.0, 180.0))
-def test_a_wall_that_faces_the_sun_gets_its_light_by_the_cosine(elevation_deg, yaw_deg):
-    weather = replace(
+def _sunny(elevation_deg, yaw_deg):
+    """80,000 lx from the sun, and none from the sky."""
+    return replace(
         load_weathers()["day"],
         sun_lux=80000.0,
         sky_lux=0.0,
         sun_elevation_deg=elevation_deg,
         sun_yaw_deg=yaw_deg,
     )
-    yaw = np.radians(yaw_deg)
-    normals = [
-        [np.cos(yaw), np.sin(yaw), 0.0],
-        [0.0, 0.0, 1.0],
-        [-np.cos(yaw), -np.sin(yaw), 0.0],
-    ]
-    lux = _lux(_hits(np.zeros((3, 3)), normals), weather)
+
+
+DARK = replace(load_weathers()["day"], sun_lux=0.0, sky_lux=0.0)
+UP = [0.0, 0.0, 1.0]
+SQUARE = [[0, 1, 2], [0, 2, 3]]
+"""Triangles of four corners in turn."""
+
+
+@given(elevation_deg=st.floats(1.0, 89.0), yaw_deg=st.floats(-180.0, 180.0))
+def test_a_wall_that_faces_the_sun_gets_its_light_by_the_cosine(elevation_deg, yaw_deg):
     elevation = np.radians(elevation_deg)
+    towards = np.append(ahead_of(yaw_deg), 0.0)
+    normals = [
+        towards,
+        UP,
+        -towards,
+    ]
+
+    lux = _lux(_hits(np.zeros((3, 3)), normals), _sunny(elevation_deg, yaw_deg))
     expected = 80000.0 * np.array([np.cos(elevation), np.sin(elevation), 0.0])
 
     assert lux == pytest.approx(expected, rel=1e-4, abs=0.1)
@@ -85,10 +102,16 @@ def test_level_ground_gets_the_skys_light_and_what_faces_down_what_the_ground_se
     name,
 ):
     weather = replace(load_weathers()[name], sun_lux=0.0)
-    normals = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
-    lux = _lux(_hits(np.zeros((3, 3)), normals), weather, ground_albedo=0.2)
+    normals = [
+        UP,
+        [1.0, 0.0, 0.0],
+        [0.0, 0.0, -1.0],
+    ]
 
-    assert lux == pytest.approx(weather.sky_lux * np.array([1.0, 0.6, 0.2]), rel=1e-4)
+    lux = _lux(_hits(np.zeros((3, 3)), normals), weather, ground_albedo=0.2)
+    expected = weather.sky_lux * np.array([1.0, 0.6, 0.2])
+
+    assert lux == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize("name", sorted(load_weathers()))
@@ -96,6 +119,7 @@ def test_the_skys_luminance_adds_up_to_its_illuminance(name):
     weather = replace(load_weathers()[name], visibility_m=1.0e12, rain_rate_mmph=0.0)
     edges = np.linspace(0.0, 1.0, 20_001)
     sine = 0.5 * (edges[1:] + edges[:-1])
+
     luminance = build_sky(weather).luminance(sine.astype(np.float32)) @ LUMINANCE
     lux = 2.0 * np.pi * (luminance * sine).sum() * (edges[1] - edges[0])
 
@@ -117,57 +141,61 @@ def test_at_the_visibility_five_per_cent_of_contrast_are_left(name):
 
 
 def test_a_wall_throws_a_shadow_as_long_as_the_sun_is_low():
-    weather = replace(
-        load_weathers()["day"],
-        sun_lux=80000.0,
-        sky_lux=0.0,
-        sun_elevation_deg=45.0,
-        sun_yaw_deg=180.0,
-    )
-    wall = build_caster(
-        [[0, -9, 0], [0, 9, 0], [0, 9, 2], [0, -9, 2]], [[0, 1, 2], [0, 2, 3]]
-    )
-    lux = _lux(
-        _hits([[1.9, 0, 0], [2.1, 0, 0], [-1, 0, 0]], [[0, 0, 1]] * 3),
-        weather,
-        caster=wall,
-    )
+    corners = [
+        [0, -9, 0],
+        [0, 9, 0],
+        [0, 9, 2],
+        [0, -9, 2],
+    ]
+    wall = build_caster(corners, SQUARE)
+    points = [
+        [1.9, 0, 0],
+        [2.1, 0, 0],
+        [-1, 0, 0],
+    ]
 
-    assert lux == pytest.approx(
-        [0.0, 80000.0 * np.sqrt(0.5), 80000.0 * np.sqrt(0.5)], rel=1e-4
-    )
+    lux = _lux(_hits(points, [UP] * 3), _sunny(45.0, 180.0), caster=wall)
+    lit = 80000.0 * np.sqrt(0.5)
+
+    assert lux == pytest.approx([0.0, lit, lit], rel=1e-4)
 
 
 @given(aside_m=st.floats(0.0, 12.0))
 def test_a_lamps_light_falls_with_the_square_and_the_cosine(aside_m):
-    weather = replace(load_weathers()["day"], sun_lux=0.0, sky_lux=0.0)
-    lux = _lux(
-        _hits([[aside_m, 0.0, 0.0]], [[0.0, 0.0, 1.0]]), weather, lamps=[_lamp()]
-    )
+    lamp = _lamp()
+    hits = _hits([[aside_m, 0.0, 0.0]], [UP])
+
+    lux = _lux(hits, DARK, lamps=[lamp])
     # Within the cone: I cos^3 / h^2.
-    expected = _lamp().peak_cd / 64.0 * (8.0 / np.hypot(8.0, aside_m)) ** 3
+    cosine = 8.0 / np.hypot(8.0, aside_m)
+    expected = lamp.peak_cd * cosine**3 / 8.0**2
 
     assert lux == pytest.approx([expected], rel=1e-3)
 
 
 def test_what_stands_before_a_lamp_takes_its_light():
-    weather = replace(load_weathers()["day"], sun_lux=0.0, sky_lux=0.0)
-    plate = build_caster(
-        [[-1, -1, 4], [1, -1, 4], [1, 1, 4], [-1, 1, 4]], [[0, 1, 2], [0, 2, 3]]
-    )
-    hits = _hits([[1.9, 0, 0], [2.1, 0, 0]], [[0, 0, 1]] * 2)
-    free = _lux(hits, weather, lamps=[_lamp()])
+    corners = [
+        [-1, -1, 4],
+        [1, -1, 4],
+        [1, 1, 4],
+        [-1, 1, 4],
+    ]
+    plate = build_caster(corners, SQUARE)
+    hits = _hits([[1.9, 0, 0], [2.1, 0, 0]], [UP] * 2)
 
-    assert _lux(hits, weather, lamps=[_lamp()], caster=plate) == pytest.approx(
-        [0.0, free[1]]
-    )
+    free = _lux(hits, DARK, lamps=[_lamp()])
+    behind = _lux(hits, DARK, lamps=[_lamp()], caster=plate)
+
+    assert behind == pytest.approx([0.0, free[1]])
 
 
 @pytest.mark.parametrize("spill", [0.0, 0.1])
 def test_a_street_lamp_sends_out_its_flux(spill):
     cosine = np.linspace(-1.0, 1.0, 40_001)
     middle = 0.5 * (cosine[1:] + cosine[:-1])
-    down = np.stack([np.sqrt(1.0 - middle**2), np.zeros_like(middle), -middle])
+    sine = np.sqrt(1.0 - middle**2)
+    down = np.stack([sine, np.zeros_like(middle), -middle])
+
     intensity = _lamp(spill=spill).intensity_cd(down.astype(np.float32))
     flux = 2.0 * np.pi * intensity.sum() * (cosine[1] - cosine[0])
 
@@ -176,13 +204,16 @@ def test_a_street_lamp_sends_out_its_flux(spill):
 
 @pytest.mark.parametrize("keeps_left", [False, True])
 def test_a_low_beam_keeps_to_the_regulations_limits(keeps_left):
-    pose = Pose(position_m=np.zeros(3), yaw_deg=0.0)
+    pose = Pose(position_m=[0.0, 0.0, 0.0], yaw_deg=0.0)
     lamp, _ = build_headlights(pick_actor("vut", "vut"), pose, keeps_left=keeps_left)
 
     def candela(to_kerb_deg, up_deg):
-        right, up = np.radians([-to_kerb_deg if keeps_left else to_kerb_deg, up_deg])
-        way = [np.cos(up) * np.cos(right), -np.cos(up) * np.sin(right), np.sin(up)]
-        return float(lamp.intensity_cd(np.array(way, dtype=np.float32)[:, None])[0])
+        left_deg = -to_kerb_deg
+        if keeps_left:
+            left_deg = to_kerb_deg
+        up = np.radians(up_deg)
+        way = np.append(np.cos(up) * ahead_of(left_deg), np.sin(up))
+        return float(lamp.intensity_cd(way.astype(np.float32)[:, None])[0])
 
     assert candela(-3.43, 0.57) <= 350.0  # B50L: oncoming drivers
     assert candela(1.15, -0.57) >= 10_100.0  # 75R

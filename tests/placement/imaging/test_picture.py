@@ -1,7 +1,10 @@
+"""Pictures of frames: instances and depths by rays, light by day and night."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from camera_rays import pixel_rays
 from kept_backdrops import CORNER
 from ray_renderer import render_frame
 
@@ -16,20 +19,18 @@ from placement.evaluator.surroundings import build_surroundings
 from placement.imaging import build_backdrop, draw_picture
 
 # Near the study's RSU3.
-ABOVE = Pose(position_m=np.array([0.0, -12.0, 9.0]), yaw_deg=90.0, pitch_deg=-40.0)
+ABOVE = Pose(position_m=[0.0, -12.0, 9.0], yaw_deg=90.0, pitch_deg=-40.0)
 
 
 def render_picture(scene, run, *args, **options):
+    """The picture of one frame of a run."""
     return draw_picture(build_backdrop(scene, run.obstruction), run, *args, **options)
-
-
-@pytest.fixture(scope="module")
-def backdrop(study_run):
-    return build_backdrop(load_study_scene(), study_run.obstruction)
 
 
 @pytest.fixture
 def draw(backdrop, study_run, small):
+    """Draws a frame of the study's run in a weather."""
+
     def draw_frame(weather, **options):
         frame = len(study_run.time_s) - 1 - 5
         return draw_picture(
@@ -77,9 +78,12 @@ def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
     picture = draw("day")
     shape = (small.height_px, small.width_px)
 
-    assert (picture.rgb.shape, picture.rgb.dtype) == ((*shape, 3), np.uint8)
-    assert (picture.instance.shape, picture.instance.dtype) == (shape, np.int32)
-    assert (picture.depth_m.shape, picture.depth_m.dtype) == (shape, np.float32)
+    assert picture.rgb.shape == (*shape, 3)
+    assert picture.rgb.dtype == np.uint8
+    assert picture.instance.shape == shape
+    assert picture.instance.dtype == np.int32
+    assert picture.depth_m.shape == shape
+    assert picture.depth_m.dtype == np.float32
     assert np.array_equal(picture.instance == -1, np.isinf(picture.depth_m))
     assert picture.instance.max() < len(picture.names)
     assert picture.names[-2:] == ("vut", "vru")
@@ -87,17 +91,8 @@ def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("back", "with_vut"),
-    [
-        (5, True),
-        (0, False),
-        *(
-            (back, with_vut)
-            for back, with_vut in ((0, True), (12, True), (5, False), (12, False))
-        ),
-    ],
-)
+@pytest.mark.parametrize("back", [0, 5, 12])
+@pytest.mark.parametrize("with_vut", [True, False])
 def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
     backdrop, study_run, small, back, with_vut
 ):
@@ -110,6 +105,7 @@ def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
         camera,
         with_vut=with_vut,
     )
+
     picture = draw_picture(
         backdrop,
         study_run,
@@ -123,6 +119,7 @@ def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
     assert ("vut" in picture.names) == with_vut
 
     vru = picture.instance == picture.names.index("vru")
+
     box = mask_box(vru)
 
     assert box.any()
@@ -141,7 +138,6 @@ def test_what_lies_in_the_shadow_is_darker(build_plain_scene, study_run, small, 
     picture = render_picture(scene, study_run, 0, ABOVE, small, weather=weather)
     ground = picture.instance == picture.names.index("ground")
     rows, columns = np.nonzero(ground)
-    from camera_rays import pixel_rays
 
     rays = pixel_rays(columns, rows, ABOVE, small)
     points = ABOVE.position_m + rays * picture.depth_m[rows, columns, None]
@@ -164,9 +160,9 @@ def test_night_without_lamps_is_dark_and_lamps_light_the_road(
     night = load_weathers()["night"]
     post = Site(
         id="post",
-        position_m=np.array([0.0, 0.0, 0.0]),
+        position_m=[0.0, 0.0, 0.0],
         kind="lamp post",
-        height_range_m=np.array([4.0, 8.0]),
+        height_range_m=[4.0, 8.0],
         capacity_units=1,
     )
 
@@ -202,26 +198,30 @@ def test_the_vuts_own_camera_sees_its_headlights_not_itself(backdrop, study_run,
         position_m=np.append(study_run.vut_position_m[frame], 1.4),
         yaw_deg=float(study_run.vut_yaw_deg[frame]),
     )
-    pictures = [
-        draw_picture(
-            backdrop, study_run, frame, pose, small, weather=weather, with_vut=False
-        ).rgb.astype(float)
-        for weather in (
-            load_weathers()["night"],
-            replace(load_weathers()["night"], has_lamps=False),
-        )
-    ]
-    below = np.s_[120:, 60:180]
 
-    assert pictures[0][below].mean() > 3.0 * pictures[1][below].mean()
+    def mean_below(weather):
+        picture = draw_picture(
+            backdrop,
+            study_run,
+            frame,
+            pose,
+            small,
+            weather=weather,
+            with_vut=False,
+        )
+        return picture.rgb[120:, 60:180].mean()
+
+    night = load_weathers()["night"]
+    unlit = replace(night, has_lamps=False)
+
+    assert mean_below(night) > 3.0 * mean_below(unlit)
 
 
 @pytest.mark.long
 def test_what_drives_by_is_in_the_picture(backdrop, study_run, small, day):
     vru_m = study_run.vru_position_m[0]
-    towards = (CORNER.position_m[:2] - vru_m) / np.linalg.norm(
-        CORNER.position_m[:2] - vru_m
-    )
+    towards = CORNER.position_m[:2] - vru_m
+    towards /= np.linalg.norm(towards)
     n_frames = len(study_run.time_s)
     position_m = np.tile(vru_m + 3.0 * towards, (n_frames, 1))
     position_m[1:] = np.nan
@@ -231,9 +231,9 @@ def test_what_drives_by_is_in_the_picture(backdrop, study_run, small, day):
         yaw_deg=np.zeros(n_frames),
     )
     run = replace(study_run, traffic=(van,))
-    first, second = (
-        draw_picture(backdrop, run, n, CORNER, small, weather=day) for n in (0, 1)
-    )
+
+    first = draw_picture(backdrop, run, 0, CORNER, small, weather=day)
+    second = draw_picture(backdrop, run, 1, CORNER, small, weather=day)
 
     assert first.names[-3:] == ("driving-1", "vut", "vru")
     assert (first.instance == first.names.index("driving-1")).any()

@@ -1,7 +1,11 @@
+"""Point clouds of frames: on the beams, on the bodies, within the range."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from changes import changed
+from placed_bodies import ahead_of
 
 from geometry.actors import load_actors
 from geometry.lidar import beam_directions, load_lidars, load_surface_reflectivity
@@ -18,11 +22,13 @@ EXACT = replace(LIDAR, range_noise_m=0.0)
 
 @pytest.fixture(scope="module")
 def run(runs):
+    """A pedestrian from the west."""
     return next(run for run in runs if run.id == "CPNC-50/west/40")
 
 
 @pytest.fixture(scope="module")
 def scene():
+    """The study's junction."""
     return load_study_scene()
 
 
@@ -30,16 +36,26 @@ def scene():
 def pose(run):
     """Twelve metres from the VRU at the impact, looking at it."""
     east, north = run.vru_position_m[-1]
-    return Pose(
-        position_m=np.array([east - 12.0, north, 4.0]), yaw_deg=0.0, pitch_deg=-12.0
-    )
+    return Pose(position_m=[east - 12.0, north, 4.0], yaw_deg=0.0, pitch_deg=-12.0)
 
 
 def _scan(scene, run, pose, lidar=EXACT, weather=DAY, *, with_vut=True, **options):
+    """The point cloud of a run's last frame."""
     static = build_static_mesh(scene, run.obstruction)
     frame = len(run.time_s) - 1
     mesh = build_frame_mesh(static, run, frame, pose.position_m, with_vut=with_vut)
     return scan_mesh(mesh, run, pose, lidar, weather=weather, **options)
+
+
+def _distance_m(cloud):
+    """Distance of each point from the LiDAR, (n,)."""
+    return np.linalg.norm(cloud.points_m, axis=1)
+
+
+def _of_vru(cloud, pose):
+    """Points on the VRU in the world frame, (n, 3). [m]"""
+    is_of_vru = cloud.instance == cloud.names.index("vru")
+    return to_world(cloud.points_m[is_of_vru], pose)
 
 
 @pytest.mark.long
@@ -47,16 +63,15 @@ def test_points_lie_on_beams_at_most_as_far_as_the_range_and_no_beam_has_two(
     scene, run, pose
 ):
     cloud = _scan(scene, run, pose)
-    distance = np.linalg.norm(cloud.points_m, axis=1)
-
-    assert distance.max() <= EXACT.range_m + 1e-3
-    assert distance.min() >= EXACT.near_m
-
+    distance_m = _distance_m(cloud)
     beams = beam_directions(EXACT).reshape(-1, 3)
-    nearest = (cloud.points_m / distance[:, None] @ beams.T).argmax(axis=1)
-    along = np.einsum("ni,ni->n", cloud.points_m, beams[nearest])
+    towards = cloud.points_m / distance_m[:, None]
+    nearest = (towards @ beams.T).argmax(axis=1)
+    along_m = np.einsum("ni,ni->n", cloud.points_m, beams[nearest])
 
-    assert along == pytest.approx(distance, rel=1e-6)
+    assert distance_m.max() <= EXACT.range_m + 1e-3
+    assert distance_m.min() >= EXACT.near_m
+    assert along_m == pytest.approx(distance_m, rel=1e-6)
     assert len(np.unique(nearest)) == len(nearest)
 
 
@@ -66,45 +81,48 @@ def test_ground_points_lie_on_the_road_and_those_of_the_vru_on_its_body(
     cloud = _scan(scene, run, pose)
     world = to_world(cloud.points_m, pose)
     classes = {instance.id: instance.class_name for instance in scene.instances}
-    is_ground = np.array([classes.get(name) == "ground" for name in cloud.names])[
-        cloud.instance
-    ]
+    is_of_ground = np.array([classes.get(name) == "ground" for name in cloud.names])
+    is_ground = is_of_ground[cloud.instance]
 
     assert is_ground.sum() > 1000
     assert np.abs(world[is_ground, 2]).max() < 0.2
 
-    of_vru = world[cloud.instance == cloud.names.index("vru")]
+    of_vru = _of_vru(cloud, pose)
+    aside_m = np.linalg.norm(of_vru[:, :2] - run.vru_position_m[-1], axis=1)
 
     assert len(of_vru) >= 10  # the parked row hides its legs
-    assert np.linalg.norm(of_vru[:, :2] - run.vru_position_m[-1], axis=1).max() < 0.6
+    assert aside_m.max() < 0.6
     assert of_vru[:, 2].max() <= run.encounter.vru.height_m
 
 
 @pytest.mark.parametrize(
-    ("name", "box_height_m"), [("motorcyclist", 1.7), ("car", 1.427)]
+    ("name", "box_height_m"),
+    [
+        ("motorcyclist", 1.7),
+        ("car", 1.427),
+    ],
 )
 def test_points_of_a_motorcyclist_and_a_car_lie_in_their_boxes(
     scene, run, pose, name, box_height_m
 ):
     actor = load_actors()[name]
     met = replace(
-        run,
-        encounter=replace(run.encounter, vru=actor),
+        changed(run, "encounter.vru", actor),
         vru_shape=np.zeros(len(run.time_s), dtype=np.int64),
         obstruction=(),
     )
-    cloud = _scan(scene, met, pose)
-    points = to_world(cloud.points_m[cloud.instance == cloud.names.index("vru")], pose)
+
+    points = _of_vru(_scan(scene, met, pose), pose)
 
     assert len(points) > 30
 
-    yaw = np.radians(met.vru_yaw_deg[-1])
-    away = points[:, :2] - met.vru_position_m[-1]
-    ahead = away @ [np.cos(yaw), np.sin(yaw)]
-    left = away @ [-np.sin(yaw), np.cos(yaw)]
+    ahead = ahead_of(met.vru_yaw_deg[-1])
+    away_m = points[:, :2] - met.vru_position_m[-1]
+    ahead_m = away_m @ ahead
+    left_m = away_m @ [-ahead[1], ahead[0]]
 
-    assert np.abs(ahead).max() < 0.5 * actor.length_m + 0.01
-    assert np.abs(left).max() < 0.5 * actor.width_m + 0.01
+    assert np.abs(ahead_m).max() < 0.5 * actor.length_m + 0.01
+    assert np.abs(left_m).max() < 0.5 * actor.width_m + 0.01
     assert 0.7 * box_height_m < points[:, 2].max() < box_height_m + 0.01
 
 
@@ -114,22 +132,21 @@ def test_noise_moves_points_along_their_beams_only(scene, run, pose):
 
     assert np.array_equal(exact.instance, noisy.instance)
 
-    lengths = [np.linalg.norm(cloud.points_m, axis=1) for cloud in (exact, noisy)]
-    shift = lengths[1] - lengths[0]
+    exact_m = _distance_m(exact)
+    noisy_m = _distance_m(noisy)
+    exact_ways = exact.points_m / exact_m[:, None]
+    noisy_ways = noisy.points_m / noisy_m[:, None]
 
-    assert shift.std() == pytest.approx(LIDAR.range_noise_m, rel=0.05)
-    assert noisy.points_m / lengths[1][:, None] == pytest.approx(
-        exact.points_m / lengths[0][:, None], abs=1e-5
-    )
+    assert (noisy_m - exact_m).std() == pytest.approx(LIDAR.range_noise_m, rel=0.05)
+    assert noisy_ways == pytest.approx(exact_ways, abs=1e-5)
 
 
 def test_fog_takes_far_points_and_adds_none(scene, run, pose):
     clear = _scan(scene, run, pose)
     fog = _scan(scene, run, pose, weather=load_weathers()["fog"])
-    farthest = [np.linalg.norm(cloud.points_m, axis=1).max() for cloud in (clear, fog)]
 
     assert len(fog.points_m) < len(clear.points_m)
-    assert farthest[1] < 0.6 * farthest[0]
+    assert _distance_m(fog).max() < 0.6 * _distance_m(clear).max()
 
 
 def test_the_vut_is_there_only_if_asked_for(scene, run, pose):
@@ -139,7 +156,10 @@ def test_the_vut_is_there_only_if_asked_for(scene, run, pose):
 
 
 def test_the_same_seed_gives_the_same_cloud(scene, run, pose):
-    one, two, other = (_scan(scene, run, pose, LIDAR, seed=seed) for seed in (1, 1, 2))
+    one = _scan(scene, run, pose, LIDAR, seed=1)
+    two = _scan(scene, run, pose, LIDAR, seed=1)
+    other = _scan(scene, run, pose, LIDAR, seed=2)
+
     assert np.array_equal(one.points_m, two.points_m)
     assert not np.array_equal(one.points_m, other.points_m)
     assert ((one.intensity > 0.0) & (one.intensity <= 1.0)).all()
@@ -148,4 +168,5 @@ def test_the_same_seed_gives_the_same_cloud(scene, run, pose):
 def test_every_class_of_a_scene_has_a_reflectivity():
     known = load_surface_reflectivity()
     assert set(known) == {*CLASS_NAMES, "vehicle"}
-    assert all(0.0 < share <= 1.0 for share in known.values())
+    for share in known.values():
+        assert 0.0 < share <= 1.0

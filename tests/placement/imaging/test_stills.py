@@ -4,18 +4,12 @@ import numpy as np
 import pytest
 from kept_backdrops import CORNER
 
-from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
 from placement.compute import Compute
-from placement.imaging import build_backdrop, draw_picture
+from placement.imaging import draw_picture
 from placement.imaging.stills import draw_onto, draw_still
 
 COMPUTE = Compute(seed=2, workers=1)
-
-
-@pytest.fixture(scope="module")
-def backdrop(study_run):
-    return build_backdrop(load_study_scene(), study_run.obstruction)
 
 
 @pytest.fixture(
@@ -25,40 +19,38 @@ def backdrop(study_run):
 def pictures(request, backdrop, study_run, small):
     """Three frames in a weather: anew, and onto a still."""
     weather = load_weathers()[request.param]
-    still = draw_still(backdrop, CORNER, small, weather=weather, compute=COMPUTE)
+    how = {"weather": weather, "compute": COMPUTE}
+    still = draw_still(backdrop, CORNER, small, **how)
     n_frames = len(study_run.time_s)
-    return request.param, [
-        (
-            draw_picture(
-                backdrop,
-                study_run,
-                frame,
-                CORNER,
-                small,
-                weather=weather,
-                compute=COMPUTE,
-            ),
-            draw_onto(still, study_run, frame, compute=COMPUTE),
-        )
-        for frame in (n_frames - 30, n_frames - 13, n_frames - 1)
-    ]
+    pairs = []
+    for back in (30, 13, 1):
+        frame = n_frames - back
+        anew = draw_picture(backdrop, study_run, frame, CORNER, small, **how)
+        onto = draw_onto(still, study_run, frame, compute=COMPUTE)
+        pairs.append((anew, onto))
+
+    return pairs
 
 
 def test_the_road_users_are_in_both_at_the_same_pixels(pictures):
-    _, pairs = pictures
-    for anew, onto in pairs:
+    for anew, onto in pictures:
         for name in ("vru", "vut"):
             index = anew.names.index(name)
             assert np.array_equal(onto.instance == index, anew.instance == index)
 
-    assert any((onto.instance == onto.names.index("vru")).any() for _, onto in pairs)
+    assert any((onto.instance == onto.names.index("vru")).any() for _, onto in pictures)
 
 
 def test_most_of_a_still_is_kept(backdrop, study_run, small):
     still = draw_still(
-        backdrop, CORNER, small, weather=load_weathers()["day"], compute=COMPUTE
+        backdrop,
+        CORNER,
+        small,
+        weather=load_weathers()["day"],
+        compute=COMPUTE,
     )
     before = still.smooth.copy()
+
     onto = draw_onto(still, study_run, len(study_run.time_s) - 1, compute=COMPUTE)
 
     assert np.array_equal(still.smooth, before)

@@ -9,6 +9,7 @@ import pytest
 from all_layouts import allowed_sets, feasible_layouts
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 from problems import problems, questions
 from small_tables import avoiding_problem
 
@@ -56,6 +57,7 @@ def test_a_search_whose_time_is_over_has_a_set_and_knows_no_bound(problem):
     reduced = presolve(problem)
     search = Search(reduced, deadline=OVER)
     search.start()
+
     greedy = extend_greedily(reduced, forced_units(reduced))
 
     assert (search.units is not None) == is_allowed(reduced.limits, greedy)
@@ -68,6 +70,7 @@ def test_a_search_whose_time_is_over_has_a_set_and_knows_no_bound(problem):
 @given(problem=questions(), max_sets=st.sampled_from([0, 3, 10_000]))
 def test_few_sets_are_gone_through_only_while_there_is_time(problem, max_sets):
     reduced = presolve(problem)
+
     contenders, is_finished = best_of_few(reduced, max_sets=max_sets, deadline=OVER)
     sizes = range(1, reduced.n_poses + 1)
     n_sets = sum(len(allowed_sets(reduced, size)) for size in sizes)
@@ -92,6 +95,7 @@ def test_bounds_of_a_first_round_hold(problem, n_failures):
         return
     n_units = reduced.limits.max_units
     root = find_root(reduced, run_rows(reduced), n_units=n_units, deadline=OVER)
+
     best = union_apr(reduced, unions_of(reduced, sets)).max()
 
     assert root.limit >= best - 1e-9
@@ -105,6 +109,7 @@ def test_bounds_of_a_first_round_hold(problem, n_failures):
 
 def test_an_effort_ends_with_its_deadline_but_never_before_it_begins():
     effort = Effort(solver="relax", time_limit_s=60.0, workers=1)
+
     late = effort.until(deadline_in(7.0))
 
     assert late.time_limit_s == pytest.approx(7.0, abs=1.0)
@@ -128,11 +133,14 @@ def count_presolves(patch):
 
     for module in ("solve", "front", "cost_front"):
         patch.setattr(f"placement.optimiser.{module}.presolve", counted)
+
     return calls
 
 
 @given(
-    problem=problems(), give_up=st.sampled_from([0.05, 0.4]), has_reduced=st.booleans()
+    problem=problems(),
+    give_up=st.sampled_from([0.05, 0.4]),
+    has_reduced=st.booleans(),
 )
 def test_the_second_layout_is_found_on_what_the_first_was_presolved_to(
     problem, give_up, has_reduced
@@ -141,10 +149,14 @@ def test_the_second_layout_is_found_on_what_the_first_was_presolved_to(
         reduced = presolve(problem)
     else:
         reduced = None
+
     with pytest.MonkeyPatch.context() as patch:
         calls = count_presolves(patch)
         highest, sturdy = solve_sturdily(
-            problem, reduced, give_up=give_up, effort=Effort()
+            problem,
+            reduced,
+            give_up=give_up,
+            effort=Effort(),
         )
 
     assert len(calls) == (0 if has_reduced else 1)
@@ -152,11 +164,15 @@ def test_the_second_layout_is_found_on_what_the_first_was_presolved_to(
     if sturdy is None:
         assert len(highest.pose_index) < 2 or problem.limits.max_units < 2
         return
+
     asked = sturdy_problem(problem, highest, give_up)
+
     alone = solve_placement(asked, starts=[np.array(highest.pose_index)])
 
+    expected = [stage.objective for stage in alone.certificate.stages]
+
     assert [stage.objective for stage in sturdy.certificate.stages] == pytest.approx(
-        [stage.objective for stage in alone.certificate.stages], abs=1e-9
+        expected, abs=1e-9
     )
     assert sturdy.certificate.is_proven
     assert sturdy.presolve == alone.presolve == highest.presolve
@@ -193,10 +209,13 @@ def test_a_presolved_problem_for_other_floors_is_what_presolving_gives(
 ):
     floor = Floor(name="--target", share=share, n_failures=n_failures)
     counted = Floor(
-        name="--case", share=share, is_counted=problem.table.axis.weight > 0.0
+        name="--case",
+        share=share,
+        is_counted=problem.table.axis.weight > 0.0,
     )
     other = replace(problem, floors=(floor, counted), goal=goal, survive=n_failures)
     again = presolve(problem).for_problem(other)
+
     anew = presolve(other)
 
     for name in (
@@ -208,20 +227,23 @@ def test_a_presolved_problem_for_other_floors_is_what_presolving_gives(
         "run_chain",
         "margin_s",
     ):
-        np.testing.assert_array_equal(getattr(again, name), getattr(anew, name))
+        assert_array_equal(getattr(again, name), getattr(anew, name))
 
     for one, same in zip(again.chains, anew.chains, strict=True):
-        np.testing.assert_array_equal(one, same)
+        assert_array_equal(one, same)
 
-    assert (again.objectives, again.survive) == (anew.objectives, anew.survive)
+    assert again.objectives == anew.objectives
+    assert again.survive == anew.survive
     assert again.statistics == anew.statistics
 
     for mine, theirs in zip(again.floors, anew.floors, strict=True):
-        assert (mine.least, mine.n_failures) == (theirs.least, theirs.n_failures)
-        np.testing.assert_array_equal(mine.measure.weight, theirs.measure.weight)
+        assert mine.least == theirs.least
+        assert mine.n_failures == theirs.n_failures
+        assert_array_equal(mine.measure.weight, theirs.measure.weight)
+
     if again.n_poses:
         units = np.arange(1)
-        np.testing.assert_array_equal(
+        assert_array_equal(
             values_with_each(again, units).gains, values_with_each(anew, units).gains
         )
 

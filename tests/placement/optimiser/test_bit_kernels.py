@@ -13,6 +13,8 @@ from kernel_cases import (
     random_chains,
     random_sights,
 )
+from numpy.random import default_rng
+from numpy.testing import assert_array_equal
 
 from placement.optimiser import bit_kernels as kernels
 from placement.optimiser.presolve import pack_words, unpack_words
@@ -34,27 +36,30 @@ def test_the_lowest_bit_is_the_number_of_zeros_below_it(place, above):
 
 @given(SEEDS, st.integers(1, 3))
 def test_blocks_are_transposed_bit_by_bit(seed, n):
-    bits = np.random.default_rng(seed).random((64, n, 64)) < 0.5
+    bits = default_rng(seed).random((64, n, 64)) < 0.5
+
     block = pack_words(bits)[..., 0]
     kernels.transpose_blocks(block)
+
     for column in range(n):
         turned = unpack_words(block[:, column, None], 64)
-        np.testing.assert_array_equal(turned, bits[:, column].T)
+        assert_array_equal(turned, bits[:, column].T)
 
 
 @given(SEEDS)
 def test_a_range_of_rows_has_the_bits_of_all_its_rows(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     bits = rng.random((8, 100)) < 0.2
     begin = rng.integers(0, 9, 6)
     end = np.minimum(begin + rng.integers(0, 4, 6), 8)
     joined = np.full((6, 2), 7, dtype=np.uint64)  # what stands there is overwritten
+
     kernels.join_ranges(pack_words(bits), begin, end, joined)
     expected = np.array(
         [bits[one:other].any(axis=0) for one, other in zip(begin, end, strict=True)]
     )
 
-    np.testing.assert_array_equal(unpack_words(joined, 100), expected)
+    assert_array_equal(unpack_words(joined, 100), expected)
 
 
 def runs_of_windows(rng):
@@ -86,9 +91,7 @@ def runs_of_windows(rng):
 
 @given(SEEDS)
 def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed):
-    sets, start, tail_frame, tail_start, n_links = runs_of_windows(
-        np.random.default_rng(seed)
-    )
+    sets, start, tail_frame, tail_start, n_links = runs_of_windows(default_rng(seed))
     before = n_links.copy()
     is_kept = np.zeros(len(sets), dtype=bool)
     kernels.thin_out(sets, start, tail_frame, tail_start, n_links, is_kept)
@@ -98,6 +101,7 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed):
         windows = range(start[run], start[run + 1])
         tails = range(tail_start[run], tail_start[run + 1])
         kept = [window for window in windows if is_kept[window]]
+
         for seen in unions:
             live = [
                 window
@@ -121,7 +125,8 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed):
 
 
 def drawn(seed):
-    rng = np.random.default_rng(seed)
+    """A generator and random chains."""
+    rng = default_rng(seed)
     return rng, random_chains(rng)
 
 
@@ -130,7 +135,9 @@ def test_the_first_live_window_has_all_frames_and_tails(seed):
     rng, chains = drawn(seed)
     seen = random_sights(rng, 5, share=0.7)
     first = np.empty((5, n_chains_of(chains)), dtype=np.int64)
+
     kernels.first_live_windows(pack_words(seen), chains, first)
+
     for row, union in enumerate(seen):
         frames = np.flatnonzero(union).tolist()
         for chain in range(n_chains_of(chains)):
@@ -146,7 +153,12 @@ def test_first_live_windows_with_each_pose_are_those_of_the_unions(seed, n_poses
     begin = int(rng.integers(0, n_chains + 1))
     first = np.full((n_chains, n_poses), -1, dtype=np.int32)
     kernels.first_live_with_each(
-        columns_of(sees), alone, chains, begin, n_chains, first
+        columns_of(sees),
+        alone,
+        chains,
+        begin,
+        n_chains,
+        first,
     )
 
     assert (first[:begin] == -1).all()

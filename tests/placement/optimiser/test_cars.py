@@ -61,6 +61,7 @@ def test_a_share_is_the_weighted_sum_of_both(problem, share):
     blind = replace(problem, seen_by_vut=None)
     both = mixed(problem, share)
     poses = range(problem.table.n_poses)
+
     for chosen in [[], *([pose] for pose in poses), [*poses]]:
         expected = share * apr(problem, chosen) + (1.0 - share) * apr(blind, chosen)
         assert apr(both, chosen) == pytest.approx(expected, abs=1e-12)
@@ -72,6 +73,7 @@ def test_a_share_is_the_weighted_sum_of_both(problem, share):
 def test_no_pose_at_all_is_the_vut_alone(problem):
     seen = problem.seen_by_vut
     ids = problem.table.pose_ids
+
     table = pack_table(ids, problem.table.axis, np.tile(seen, (len(ids), 1)))
     alone = replace(problem, table=table, seen_by_vut=None)
 
@@ -85,6 +87,7 @@ def test_no_pose_at_all_is_the_vut_alone(problem):
 def test_a_vut_never_fails(problem, n_failures):
     problem = replace(problem, survive=n_failures)
     nobody = apr(problem, [])
+
     for size in (1, 2, 3):
         for chosen in combinations(range(problem.table.n_poses), size):
             left = objective_values(problem, chosen)["apr_survived"]
@@ -96,10 +99,13 @@ def test_runs_that_are_there_twice_are_told_once(frame_axis):
     table = pack_table(
         ("a",), frame_axis, np.ones((1, frame_axis.n_frames), dtype=bool)
     )
+
     axis = mixed_table(table, 0.25).axis
+
     assert is_mixed(axis)
     assert not is_mixed(frame_axis)
     assert [plain_run(name) for name in axis.run_ids] == [*frame_axis.run_ids] * 2
+
     once = plain_axis(axis)
 
     assert once.run_ids == frame_axis.run_ids

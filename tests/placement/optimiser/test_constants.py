@@ -52,6 +52,7 @@ def test_a_step_takes_its_share_of_the_time_left(step):
 
 def test_no_time_is_left_behind_a_deadline_and_all_before_none():
     over = Deadline(now_s() - 1.0)
+
     assert over.is_over
     assert over.left_s() == 0.0
     assert over.of("walk").left_s() == 0.0
@@ -74,16 +75,18 @@ def test_work_that_is_shared_out_is_done_once(count, workers, few):
 @given(problem=problems(), workers=st.integers(1, 3))
 def test_the_number_of_threads_changes_no_proven_value(problem, workers):
     reduced = presolve(problem, workers=workers)
+
     assert reduced.workers == workers
     assert reduced.with_workers(2).workers == 2
     assert reduced.with_workers(workers) is reduced
 
     one = solve_placement(problem, effort=Effort(workers=1))
+
     some = solve_placement(problem, reduced, effort=Effort(workers=workers))
 
-    assert [s.objective for s in one.certificate.stages] == pytest.approx(
-        [s.objective for s in some.certificate.stages]
-    )
+    expected = [s.objective for s in some.certificate.stages]
+
+    assert [s.objective for s in one.certificate.stages] == pytest.approx(expected)
 
     front = pareto_front(problem, max_units=1, effort=Effort(workers=workers))
 

@@ -79,10 +79,13 @@ def test_the_fewest_units_are_proven_without_a_model(monkeypatch):
                 # None is stated.
                 patch.setattr("placement.optimiser.constants.MAX_CELLS", -1)
                 solution = solve_placement(
-                    problem, effort=Effort(workers=1), n_stages=1
+                    problem,
+                    effort=Effort(workers=1),
+                    n_stages=1,
                 )
         except UnmetError:
             continue  # the search found no set to begin with, and nothing is proven
+
         stage = solution.certificate.stages[0]
 
         assert stage.name == Objective.UNITS
@@ -97,6 +100,7 @@ def test_three_units_are_ruled_out_on_a_junction_with_arms(monkeypatch):
     problem = load_problem(ARMS)
     limits = replace(problem.limits, budget_units=None)
     asked = replace(problem, limits=limits, goal="fewest", floors=(TARGET,))
+
     solution = solve_placement(asked, effort=Effort(time_limit_s=600.0))
 
     assert solution.certificate.is_proven

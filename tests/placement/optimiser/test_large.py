@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from all_layouts import feasible_layouts
+from changes import changed
 from hypothesis import given
 from oracle import Oracle
 from problems import problems, questions, random_problem
@@ -29,6 +30,7 @@ def test_all_poses_are_bounded_by_what_they_promise(problem):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.constants.MAX_BITS", 0)
         solution = solve_placement(problem, effort=Effort(solver="relax"))
+
     values = [placement_value(problem, poses) for poses in feasible_layouts(problem)]
 
     assert is_feasible(problem, solution.pose_index)
@@ -43,10 +45,10 @@ def test_all_poses_are_bounded_by_what_they_promise(problem):
     assert tuple(stage.objective for stage in stages.values()) == pytest.approx(value)
 
     as_good = [other for other in values if other.apr >= value.apr - 1e-9]
+
     for name in ("apr_one_failed", "mean_margin_s"):
-        assert (
-            stages[name].bound >= max(getattr(other, name) for other in as_good) - 1e-6
-        )
+        most = max(getattr(other, name) for other in as_good)
+        assert stages[name].bound >= most - 1e-6
 
     assert "relaxation of all" in solution.certificate.solver
 
@@ -87,9 +89,7 @@ def test_a_search_of_a_large_table_proves_nothing_that_is_not_so(problem):
 def test_the_pool_has_poses_at_a_forced_site_that_gain_little():
     problem = avoiding_problem(["11110", "11100", "00000", "00011"], budget_units=2)
     is_forced_site = [False, False, True, False]
-    problem = replace(
-        problem, limits=replace(problem.limits, is_forced_site=is_forced_site)
-    )
+    problem = changed(problem, "limits.is_forced_site", is_forced_site)
 
     assert 2 in solve_as_large(problem, pool=1, effort=Effort(solver="greedy"))
 
@@ -114,7 +114,9 @@ def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet()
 
     with pytest.raises(UnmetError, match=words):
         solve_as_large(
-            problem, pool=1, effort=Effort(solver="greedy", time_limit_s=1e-9)
+            problem,
+            pool=1,
+            effort=Effort(solver="greedy", time_limit_s=1e-9),
         )
 
 

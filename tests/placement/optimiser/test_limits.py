@@ -38,12 +38,14 @@ def some_limits(seed):
 
 
 def all_sets(size):
+    """All sets of a size of six poses, (n_sets, size)."""
     return np.array(list(combinations(range(6), size)), dtype=np.int64).reshape(
         comb(6, size), size
     )
 
 
 def price_of(limits, units):
+    """Price of units and of the sites that they open. [EUR]"""
     sites = {int(limits.site_index[unit]) for unit in units}
     of_units = sum(float(limits.unit_cost_eur[unit]) for unit in units)
     return of_units + sum(float(limits.site_cost_eur[site]) for site in sites)
@@ -70,6 +72,7 @@ def breaks(limits, units):
         return "forced sites"
     if any({one, other} <= set(sites) for one, other in limits.rivals):
         return "rivals"
+
     return ""
 
 
@@ -95,7 +98,10 @@ def test_what_allowed_sets_are_parts_of_may_grow(seed, size):
     grows = may_grow(replace(limits, budget_units=None), sets)
 
     for units, reason, may in zip(
-        sets.tolist(), of_sites_and_money, grows, strict=True
+        sets.tolist(),
+        of_sites_and_money,
+        grows,
+        strict=True,
     ):
         if may:
             assert reason not in ("sites", "money"), units
@@ -124,6 +130,7 @@ def test_every_cost_is_a_multiple_of_the_step_of_prices(cents, times):
         site_capacity=[9],
         unit_cost_eur=prices,
     )
+
     step = price_step_eur(limits)
 
     assert round(100.0 * step) == np.gcd.reduce(np.array(cents) * times)
@@ -132,6 +139,7 @@ def test_every_cost_is_a_multiple_of_the_step_of_prices(cents, times):
 
 def test_prices_are_whole_cents_or_none():
     found = whole_cents(np.array([0.0, 0.01, 333.33, 1.0e6]))
+
     assert found is not None
     assert found.tolist() == [0, 1, 33333, 10**8]
     assert whole_cents(np.array([0.005])) is None
@@ -164,7 +172,9 @@ def test_no_allowed_set_has_more_units_than_the_limits_say(seed):
 )
 def test_most_units_are_those_of_sites_budgets_and_prices(change, expected):
     limits = Limits(
-        site_index=[0, 0, 1, 1], site_capacity=[2, 1], unit_cost_eur=[1.0] * 4
+        site_index=[0, 0, 1, 1],
+        site_capacity=[2, 1],
+        unit_cost_eur=[1.0] * 4,
     )
     assert replace(limits, **change).max_units == expected
 
@@ -181,7 +191,9 @@ def test_who_fits_leaves_room_and_money_for_what_is_forced(seed, size):
     for units in all_sets(size):
         fits = np.flatnonzero(fitting(limits, units)).tolist()
         parts = [one for one in allowed if one > set(units.tolist())]
+
         assert not set(fits) & set(units.tolist())
+
         for pose in range(6):  # whoever leads to an allowed set fits
             if any(pose in one for one in parts) and pose not in units:
                 assert pose in fits
@@ -220,14 +232,16 @@ def test_these_poses_fit(wish, units, expected):
         site_cost_eur=[1.0, 0.0, 0.0],
         **wish,
     )
-    assert (
-        np.flatnonzero(fitting(limits, np.array(units, dtype=int))).tolist() == expected
-    )
+
+    fits = fitting(limits, np.array(units, dtype=int))
+
+    assert np.flatnonzero(fits).tolist() == expected
 
 
 @given(SEEDS, st.integers(1, 4))
 def test_who_may_join_what_is_forced_is_told_to_kernels(seed, n_units):
     limits = some_limits(seed)
+
     choice = build_choice(limits, n_units)
     forced = np.flatnonzero(limits.is_forced)
 
@@ -235,9 +249,9 @@ def test_who_may_join_what_is_forced_is_told_to_kernels(seed, n_units):
 
     at_site = np.bincount(limits.site_index[forced], minlength=3)
 
-    assert (
-        choice.room.tolist() == np.maximum(limits.site_capacity - at_site, 0).tolist()
-    )
+    expected = np.maximum(limits.site_capacity - at_site, 0).tolist()
+
+    assert choice.room.tolist() == expected
 
     is_open = ~limits.is_forced & ~limits.is_forbidden
 
@@ -260,6 +274,7 @@ def test_limits_on_some_poses_are_those_of_their_sets(seed):
     limits = replace(some_limits(seed), is_forced=np.zeros(6, dtype=bool))
     poses = np.array([5, 0, 3])
     part = limits.of_poses(poses)
+
     for size in (1, 2, 3):
         for units in combinations(range(3), size):
             assert is_allowed(part, units) == is_allowed(limits, poses[list(units)])
@@ -273,6 +288,7 @@ def test_new_units_are_those_beyond_the_forced_ones():
         budget_units=3,
         is_forced=[True, True, False],
     )
+
     assert limits.budget_new_units == 1
     assert replace(limits, budget_units=None).budget_new_units is None
     assert str(limits) == "Limits(3 units, None EUR, 3 poses at 3 sites)"
@@ -462,6 +478,7 @@ def test_limits_without_any_set_say_so():
 
     with pytest.raises(UnmetError) as told:
         solve_placement(replace(problem, limits=limits))
+
     expected = (
         "limits: got no set of poses meets all of them; expected limits that leave a"
         " choice"

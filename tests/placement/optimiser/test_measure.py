@@ -37,11 +37,13 @@ def mean_of_worst(measure, is_avoided):
     for world, share in enumerate(measure.sample_weight.tolist()):
         mine = measure.sample_index == world
         worlds.append((float(measure.weight[mine & is_avoided].sum()) / share, share))
+
     total = 0.0
     left = measure.tail
     for ratio, share in sorted(worlds):
         total += min(share, left) * ratio
         left -= min(share, left)
+
     return total / measure.tail
 
 
@@ -68,9 +70,9 @@ def test_runs_out_of_reach_still_count_as_lost(seed, tail):
     is_avoided = rng.random(8) < 0.7
     is_lost = ~np.isin(np.arange(8), runs)
 
-    assert part.of(is_avoided[runs]) == pytest.approx(
-        float(measure.of(is_avoided & ~is_lost))
-    )
+    expected = float(measure.of(is_avoided & ~is_lost))
+
+    assert part.of(is_avoided[runs]) == pytest.approx(expected)
     assert (part.sample_weight == measure.sample_weight).all()
 
 
@@ -152,7 +154,10 @@ def test_a_requirement_counts_runs_that_leave_the_margin(seed, least_s):
     )
 
     sums = Requirement(
-        measure=measure, least=0.5, min_margin_s=least_s, sums_margins=True
+        measure=measure,
+        least=0.5,
+        min_margin_s=least_s,
+        sums_margins=True,
     )
     expected = [
         sum(w * m for w, m, c in zip(measure.weight, row, count, strict=True) if c)
@@ -187,6 +192,7 @@ def test_objectives_stand_in_order_and_the_cost_once():
     for goal in ("best", "fewest", "cheapest"):
         for survive in (0, 2):
             order = objectives_in_order(goal, survive=survive)
+
             assert len(set(order)) == len(order)
             assert set(VALUE_OBJECTIVES) <= set(order)
             assert (Objective.APR_SURVIVED in order) == (survive > 0)
@@ -200,16 +206,16 @@ def test_less_is_better_of_what_is_minimised(objective, one, other):
         sign = -1
     else:
         sign = 1
+
     assert objective.excess(one, other) == sign * (one - other)
-    assert objective.better(one, other) == (
-        one if sign * one >= sign * other else other
-    )
-    assert {objective.better(one, other), objective.worse(one, other)} == {one, other}
-    assert (
-        (objective.unit == "EUR")
-        == (objective.tolerance == 1e-6)
-        == (objective == "cost_eur")
-    )
+    better = objective.better(one, other)
+    worse = objective.worse(one, other)
+    is_cost = objective == "cost_eur"
+
+    assert sign * better >= sign * worse
+    assert {better, worse} == {one, other}
+    assert (objective.unit == "EUR") == is_cost
+    assert (objective.tolerance == 1e-6) == is_cost
 
 
 VALUES = st.tuples(*(st.sampled_from([0.0, 5e-10, 0.5, 1.0]) for _ in range(5)))

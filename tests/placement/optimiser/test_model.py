@@ -31,6 +31,7 @@ def sets_by_size(reduced):
 
 
 def margins(reduced, units):
+    """Margins that units leave in each run. [s]"""
     found = union_margins_s(reduced, unions_of(reduced, units[None, :]))[0]
     return found
 
@@ -69,7 +70,10 @@ def test_the_model_finds_a_set_that_meets_a_requirement_where_there_is_one(
     def find(least):
         asked = replace(plain, least=least)
         return solve_window_model(
-            reduced, None, requirements=[asked], time_limit_s=60.0
+            reduced,
+            None,
+            requirements=[asked],
+            time_limit_s=60.0,
         ).units
 
     least = float(np.quantile(reached, place, method="nearest"))
@@ -89,6 +93,7 @@ def test_the_model_finds_a_set_that_meets_a_requirement_where_there_is_one(
 def test_links_weigh_what_their_rows_are_worth(problem):
     reduced = presolve(problem)
     of_runs = link_weights(reduced, run_rows(reduced))
+
     of_margins = link_weights(reduced, margin_rows(reduced))
 
     for sets in sets_by_size(reduced):
@@ -114,6 +119,7 @@ def test_the_last_link_leaves_the_margin_and_the_next_one_does_not(problem, leas
             n_links = enough.index(False)
         else:
             n_links = len(enough)
+
         assert last[run] == (
             reduced.chains.start[chain] + n_links - 1 if n_links else -1
         )
@@ -131,6 +137,7 @@ def test_who_makes_a_window_live_has_seen_a_frame_that_stabs(problem):
                 for chain in range(reduced.n_chains):
                     mine = slice(*reduced.chains.start[chain : chain + 2])
                     entered = np.cumsum(enters[mine][:, units].sum(axis=1))
+
                     assert (a[mine] <= entered).all()
                     assert (enters[mine].sum(axis=0) <= 1.0).all()  # once in a chain
 
@@ -143,17 +150,23 @@ def holds(reduced, cut, units):
         n_counted = len(counted)
     else:
         n_counted = len(np.unique(sites))
+
     return n_counted >= cut.n_units
 
 
 def drawn_requirement(reduced, n_failures, place):
+    """A requirement at a share of its limit."""
     least = place * reduced.measure.limit
     return Requirement(measure=reduced.measure, least=least, n_failures=n_failures)
 
 
 def meets(reduced, units, requirement):
+    """Do units meet a requirement, also when some fail?"""
     left = left_after_failures(
-        reduced, requirement.measure, requirement.n_failures, units[None, :]
+        reduced,
+        requirement.measure,
+        requirement.n_failures,
+        units[None, :],
     )
     return bool(left[0] >= requirement.least - 1e-9)
 
@@ -162,13 +175,19 @@ FAILING = st.sampled_from(["unit", "site"])
 PLACES = st.sampled_from([1.0, 1.0, 0.5, 0.9])
 
 
-@given(problem=problems(), n_failures=st.integers(0, 2), place=PLACES, failing=FAILING)
+@given(
+    problem=problems(),
+    n_failures=st.integers(0, 2),
+    place=PLACES,
+    failing=FAILING,
+)
 def test_cuts_are_met_by_all_sets_that_keep_enough(problem, n_failures, place, failing):
     limits = replace(problem.limits, failing=failing)
     reduced = presolve(replace(problem, limits=limits))
     if not len(reduced.weight):
         return
     requirement = drawn_requirement(reduced, n_failures, place)
+
     first = first_cuts(reduced, requirement)
 
     assert not first or (requirement.needs_all and n_failures)
@@ -204,7 +223,11 @@ def test_a_model_with_cuts_finds_a_set_that_survives_where_there_is_one(
 
     for _ in range(200):
         found = solve_window_model(
-            reduced, None, requirements=[requirement], cuts=cuts, time_limit_s=60.0
+            reduced,
+            None,
+            requirements=[requirement],
+            cuts=cuts,
+            time_limit_s=60.0,
         )
         if found.units is None:
             break

@@ -22,6 +22,7 @@ def in_two_worlds(problem):
     weight = np.bincount(index, weights=problem.table.axis.weight, minlength=2)
     if (weight > 0.0).all():
         return replace(problem, sample_index=index)
+
     return problem
 
 
@@ -71,8 +72,12 @@ def test_worlds_are_proven_by_their_mean_and_bounded_by_it(problem, tail):
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
+
     tied = walk_by_pairs(
-        reduced, sets[0], deadline=NEVER, on_better=lambda units: units
+        reduced,
+        sets[0],
+        deadline=NEVER,
+        on_better=lambda units: units,
     )
 
     assert tied.limit >= share.max() - 1e-9
@@ -82,8 +87,12 @@ def test_worlds_are_proven_by_their_mean_and_bounded_by_it(problem, tail):
         assert tied.value == pytest.approx(share.max())
         assert tied.sets is not None
         assert len(tied.sets) == (share >= share.max() - 1e-9).sum()
+
     late = walk_by_pairs(
-        reduced, sets[0], deadline=Deadline(-np.inf), on_better=lambda units: units
+        reduced,
+        sets[0],
+        deadline=Deadline(-np.inf),
+        on_better=lambda units: units,
     )
 
     assert not late.is_finished
@@ -131,12 +140,15 @@ def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
 
     if most > 0.0 and most * 1.02 < reduced.measure.limit:
         ahead = [need / most - 1.0 for need in needs]
+
         assert ahead[: n_ended + 1] == pytest.approx(
             [0.02 / 2**n for n in range(n_ended + 1)]
         )
+
         if n_ended:
             expected = most * (1.0 + 0.02 / 2 ** (n_ended - 1))
         else:
             expected = reduced.measure.limit
+
         assert tied.limit == pytest.approx(expected)
         assert not tied.is_finished

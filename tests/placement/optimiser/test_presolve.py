@@ -1,6 +1,10 @@
+"""What presolving leaves: words of bits, equal and dominated poses."""
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
+from numpy.testing import assert_array_equal
 
 from placement.optimiser import Limits, PresolveStatistics
 from placement.optimiser.bit_kernels import transpose_chosen
@@ -14,8 +18,8 @@ from placement.optimiser.presolve import (
 
 @given(st.integers(0, 200), st.integers(0, 2**32 - 1))
 def test_packing_words_loses_nothing(n_bits, seed):
-    bits = np.random.default_rng(seed).random((3, n_bits)) < 0.5
-    np.testing.assert_array_equal(unpack_words(pack_words(bits), n_bits), bits)
+    bits = default_rng(seed).random((3, n_bits)) < 0.5
+    assert_array_equal(unpack_words(pack_words(bits), n_bits), bits)
 
 
 def packed_rows(rng, n_rows, n_bytes):
@@ -34,26 +38,28 @@ def packed_rows(rng, n_rows, n_bytes):
     st.integers(0, 2**32 - 1),
 )
 def test_part_of_a_table_turned_round_has_its_bits(n_rows, n_chosen, n_bytes, seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     rows = packed_rows(rng, n_rows, n_bytes)
     chosen = rng.integers(0, n_rows, n_chosen)
     left = np.flatnonzero(rng.random(8 * n_bytes) < 0.7)
     place = np.full(8 * n_bytes, -1)
     place[left] = rng.permutation(len(left))
     columns = np.empty((len(left), -(-n_chosen // 64)), dtype=np.uint64)
+
     transpose_chosen(rows, chosen, place, columns)
     bits = np.unpackbits(rows, axis=1, bitorder="little").view(bool)
 
-    np.testing.assert_array_equal(
+    assert_array_equal(
         unpack_words(columns[place[left]], n_chosen), bits[np.ix_(chosen, left)].T
     )
 
 
 @given(st.integers(0, 60), st.integers(1, 3), st.integers(0, 2**32 - 1))
 def test_rows_are_numbered_by_their_first_appearance(n_rows, n_words, seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     rows = rng.integers(0, 4, (n_rows, n_words)).astype(np.uint64)
     mask = rng.integers(0, 4, n_words).astype(np.uint64)
+
     first, number = distinct_rows(rows, mask)
     seen = [tuple(row) for row in (rows & mask).tolist()]
     distinct = list(dict.fromkeys(seen))
@@ -64,7 +70,7 @@ def test_rows_are_numbered_by_their_first_appearance(n_rows, n_words, seed):
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
 def test_poses_are_dominated_as_one_by_one(seed, max_units):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     n_poses = 30
     n_sites = 8
     bits = rng.random((n_poses, 100)) < rng.choice([0.02, 0.05, 0.98])
@@ -98,9 +104,9 @@ def test_poses_are_dominated_as_one_by_one(seed, max_units):
             n_at_site[own] >= limits.site_capacity[own] or n_blockers >= max_units
         )
 
-    assert (
-        is_dominated(pack_words(bits), limits, max_units=max_units).tolist() == expected
-    )
+    found = is_dominated(pack_words(bits), limits, max_units=max_units)
+
+    assert found.tolist() == expected
 
 
 def test_statistics_read_as_sizes_before_and_after():
@@ -110,8 +116,8 @@ def test_statistics_read_as_sizes_before_and_after():
         n_windows=(11436, 534),
         n_runs=(116, 104),
     )
-    assert (
-        str(statistics)
-        == "8640 -> 384 poses, 11668 -> 497 frames, 11436 -> 534 windows, 116 -> 104"
-        " runs"
+    words = (
+        "8640 -> 384 poses, 11668 -> 497 frames, 11436 -> 534 windows, 116 -> 104 runs"
     )
+
+    assert str(statistics) == words

@@ -8,6 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 from all_layouts import MINIMISED, sets_of_size, sign_of
+from changes import changed
+from numpy.random import default_rng
 from oracle import TIE, TIE_EUR, Oracle
 from problems import kinds_of, random_problem
 
@@ -40,14 +42,14 @@ ALONE = [
 @cache
 def drawn(number):
     """A random problem and its enumeration, which all rules share."""
-    problem = random_problem(np.random.default_rng([17, number]))
+    problem = random_problem(default_rng([17, number]))
     return problem, Oracle(problem)
 
 
 @cache
 def drawn_freely(number):
     """A random problem that asks for nothing but the best, and its enumeration."""
-    problem = random_problem(np.random.default_rng([18, number]))
+    problem = random_problem(default_rng([18, number]))
     problem = replace(problem, floors=(), goal="best")
     return problem, Oracle(problem)
 
@@ -136,6 +138,7 @@ def test_the_rules_change_the_value_of_no_layout_of_many(rules):
 
 
 def check_values(rules, numbers):
+    """Presolving keeps the value of every layout that matters."""
     for number in numbers:
         problem, oracle = drawn_freely(number)
         reduced = presolve(problem, rules=rules)
@@ -165,8 +168,8 @@ def tie_of_margins(price_eur):
         weathers=("day",) * 3,
         vut_speed_kmh=np.full(3, 30.0),
         weight=np.full(3, 1.0 / 3.0),
-        last_brake_time_s=np.array([-0.01, -0.01, -0.01]),
-        run_start=np.array([0, 6, 12, 18]),
+        last_brake_time_s=[-0.01, -0.01, -0.01],
+        run_start=[0, 6, 12, 18],
         time_s=np.tile(np.arange(-5, 1) / 10.0, 3),
     )
     detected = np.zeros((2, 18), dtype=bool)
@@ -176,10 +179,10 @@ def tie_of_margins(price_eur):
     return PlacementProblem(
         table=pack_table(("0", "1"), axis, detected),
         limits=Limits(
-            site_index=np.array([0, 1]),
-            site_capacity=np.array([1, 1]),
+            site_index=[0, 1],
+            site_capacity=[1, 1],
             budget_units=1,
-            unit_cost_eur=np.array(price_eur),
+            unit_cost_eur=price_eur,
         ),
         fusion="any",
         rule=AebRule(
@@ -195,9 +198,17 @@ def tie_of_margins(price_eur):
     )
 
 
-@pytest.mark.parametrize("price_eur", [[1.0, 1.0], [1.0, 2.0], [2.0, 1.0]])
+@pytest.mark.parametrize(
+    "price_eur",
+    [
+        [1.0, 1.0],
+        [1.0, 2.0],
+        [2.0, 1.0],
+    ],
+)
 def test_a_pose_that_adds_nothing_stays_where_it_has_the_largest_margin(price_eur):
     problem = tie_of_margins(price_eur)
+
     reduced = presolve(problem)
 
     assert 1 in reduced.pose_index
@@ -205,17 +216,18 @@ def test_a_pose_that_adds_nothing_stays_where_it_has_the_largest_margin(price_eu
 
 
 def test_the_cheapest_of_the_poses_that_add_nothing_stays():
-    problem = random_problem(np.random.default_rng(3))
+    problem = random_problem(default_rng(3))
     n_poses = 4
     detected = np.zeros((n_poses, problem.table.axis.n_frames), dtype=bool)
+
     problem = replace(
         problem,
         table=pack_table(tuple("abcd"), problem.table.axis, detected),
         limits=Limits(
             site_index=np.arange(n_poses),
             site_capacity=np.ones(n_poses, dtype=int),
-            unit_cost_eur=np.array([4.0, 2.0, 1.0, 3.0]),
-            is_forbidden=np.array([False, False, True, False]),
+            unit_cost_eur=[4.0, 2.0, 1.0, 3.0],
+            is_forbidden=[False, False, True, False],
         ),
         floors=(),
         goal="best",
@@ -224,9 +236,7 @@ def test_the_cheapest_of_the_poses_that_add_nothing_stays():
     assert presolve(problem).pose_index.tolist() == [1]
 
     is_forced_site = np.array([False, False, False, True])
-    asked = replace(
-        problem, limits=replace(problem.limits, is_forced_site=is_forced_site)
-    )
+    asked = changed(problem, "limits.is_forced_site", is_forced_site)
 
     assert presolve(asked).pose_index.tolist() == [1, 3]
     assert not find_needless(presolve(asked)).any()
@@ -234,6 +244,6 @@ def test_the_cheapest_of_the_poses_that_add_nothing_stays():
 
 def test_what_is_presolved_for_any_question_has_all_usable_poses():
     for number in range(20):
-        problem = random_problem(np.random.default_rng([19, number]))
+        problem = random_problem(default_rng([19, number]))
         reduced = presolve_freely(problem)
         assert reduced.n_poses == problem.table.n_poses

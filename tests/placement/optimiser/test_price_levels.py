@@ -1,3 +1,5 @@
+"""Levels of cost that layouts can have, against all layouts."""
+
 from dataclasses import replace
 from itertools import combinations
 from unittest import mock
@@ -15,6 +17,7 @@ from placement.optimiser.walk import allowed_sets as all_sets_within
 
 
 def allowed_sets(problem):
+    """All sets of poses that the limits allow."""
     n_poses = problem.table.n_poses
     return [
         poses
@@ -27,6 +30,7 @@ def allowed_sets(problem):
 @given(problem=questions())
 def test_every_layout_costs_one_of_the_levels(problem):
     levels = price_levels_eur(problem.limits)
+
     assert levels is not None
     assert (np.diff(levels) > 0.0).all()
 
@@ -35,13 +39,12 @@ def test_every_layout_costs_one_of_the_levels(problem):
     assert all(np.abs(levels - cost).min() <= 1e-6 for cost in costs)
 
     for cost in costs:
-        assert next_level_eur(levels, cost, is_more=False) == pytest.approx(cost)
         dearer = [other for other in costs if other > cost + 1e-6]
-        assert next_level_eur(levels, cost, is_more=True) > cost
-        assert (
-            not dearer
-            or min(dearer) >= next_level_eur(levels, cost, is_more=True) - 1e-6
-        )
+        above = next_level_eur(levels, cost, is_more=True)
+
+        assert next_level_eur(levels, cost, is_more=False) == pytest.approx(cost)
+        assert above > cost
+        assert min(dearer, default=np.inf) >= above - 1e-6
 
 
 @given(
@@ -66,11 +69,12 @@ def test_sites_that_carry_two_leave_fewer_levels():
     problem = avoiding_problem(["1"] * 4, price_eur=[1500.0] * 4, budget_units=3)
     limits = replace(
         problem.limits,
-        site_index=np.array([0, 0, 1, 1]),
-        site_capacity=np.array([2, 2]),
-        site_cost_eur=np.array([1000.0, 1000.0]),
+        site_index=[0, 0, 1, 1],
+        site_capacity=[2, 2],
+        site_cost_eur=[1000.0, 1000.0],
         is_forced_site=np.zeros(2, dtype=bool),
     )
+
     levels = price_levels_eur(limits)
 
     assert levels is not None
@@ -83,12 +87,10 @@ def test_sites_that_carry_two_leave_fewer_levels():
 
 def test_prices_without_whole_cents_or_too_many_have_no_levels():
     problem = avoiding_problem(["1", "1"], price_eur=[1.0, np.pi])
+
     assert price_levels_eur(problem.limits) is None
-    assert (
-        next_level_eur(None, 3.0, is_more=True)
-        == next_level_eur(None, 3.0, is_more=False)
-        == 3.0
-    )
+    assert next_level_eur(None, 3.0, is_more=True) == 3.0
+    assert next_level_eur(None, 3.0, is_more=False) == 3.0
 
     prices = (np.arange(300) ** 3 + 1.0) / 100.0
     many = avoiding_problem(["1"] * 300, price_eur=prices.tolist(), budget_units=3)

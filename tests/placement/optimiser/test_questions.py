@@ -31,6 +31,7 @@ def rank(problem, poses):
         first.append(-len(poses) if problem.goal == "fewest" else -value.cost_eur)
     if problem.survive:
         first.append(apr_failed(problem, poses, problem.survive))
+
     return (*first, *value[:-1], -value.cost_eur)
 
 
@@ -44,11 +45,13 @@ def brute_force(problem):
 
 
 def check(problem):
+    """The solver finds the best of brute force, or refuses as it does."""
     best = brute_force(problem)
     if best is None:
         with pytest.raises(InputError):
             solve_placement(problem)
         return
+
     solution = solve_placement(problem)
 
     assert is_feasible(problem, solution.pose_index)
@@ -84,6 +87,7 @@ def test_no_bound_of_the_first_stage_is_beaten(problem, solver):
         solution = solve_placement(problem, effort=effort)
     except InputError:
         return  # nothing was found in time, and that is said
+
     first = solution.certificate.stages[0]
     sign = sign_of(first.name)
 
@@ -95,12 +99,19 @@ def test_no_bound_of_the_first_stage_is_beaten(problem, solver):
 def test_what_is_given_up_buys_the_most_that_is_left_when_a_unit_fails(
     problem, give_up
 ):
-    problem = replace(problem, goal="best", survive=0, floors=(), tail=1.0)
+    problem = replace(
+        problem,
+        goal="best",
+        survive=0,
+        floors=(),
+        tail=1.0,
+    )
     try:
         highest, sturdy = solve_sturdily(problem, give_up=give_up, effort=Effort())
     except InputError:
         assert brute_force(problem) is None
         return
+
     best = brute_force(problem)
 
     assert rank(problem, highest.pose_index) == pytest.approx(best, abs=1e-8)
@@ -109,6 +120,7 @@ def test_what_is_given_up_buys_the_most_that_is_left_when_a_unit_fails(
     if give_up == 0.0 or len(highest.pose_index) < 2:
         assert sturdy is None
         return
+
     asked = sturdy_problem(problem, highest, give_up)
 
     assert rank(asked, sturdy.pose_index) == pytest.approx(brute_force(asked), abs=1e-8)

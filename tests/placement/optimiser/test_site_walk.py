@@ -67,6 +67,7 @@ def answers(goal, n_problems):
             solution = solve_placement(problem, effort=Effort(workers=1))
         except UnmetError:
             continue  # the search found no set to begin with
+
         oracle.check(solution.pose_index, solution.certificate.stages, largest_gap=inf)
         yield seed, problem, oracle, solution
 
@@ -121,6 +122,7 @@ def test_every_set_within_the_money_is_part_of_one_behind_its_sites():
     for seed, problem in money_problems(60, goal="best"):
         reduced = presolve(problem)
         sites = find_site_sets(reduced, least=-inf, deadline=NEVER)
+
         sizes = allowed_sets(reduced.limits, max_sets=10**6)
 
         assert sites is not None
@@ -156,4 +158,5 @@ def test_both_questions_of_the_help_about_money_are_proven(question, expected):
     assert placement.is_proven
     for objective, value in expected.items():
         assert stages[objective].objective == pytest.approx(value, abs=1e-6)
+
     assert "HiGHS" not in str(placement.certificate.solver)

@@ -1,3 +1,5 @@
+"""Bounds and proofs that hold where time or precision run out."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +16,12 @@ from placement.optimiser.constants import settle
 
 @given(problem=problems())
 def test_bound_is_never_below_the_best_when_time_is_up(problem):
-    certificate = solve_placement(problem, effort=Effort(time_limit_s=1e-9)).certificate
-    for stage, value in zip(certificate.stages, best_value(problem), strict=True):
+    solution = solve_placement(problem, effort=Effort(time_limit_s=1e-9))
+    stages = solution.certificate.stages
+
+    for stage, value in zip(stages, best_value(problem), strict=True):
         sign = sign_of(stage.name)
+
         assert sign * stage.bound >= sign * stage.objective
         assert sign * stage.bound >= sign * value - 1e-9
         assert (stage.gap == 0.0) == (stage.bound == stage.objective)
@@ -30,12 +35,13 @@ def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver):
     # No pose avoids the run of the first world; of the second world's, one leaves more
     # time.
     problem = avoiding_problem(["010", "001"], budget_units=1)
-    axis = replace(problem.table.axis, last_brake_time_s=np.array([-0.01, -0.01, 0.1]))
+    axis = replace(problem.table.axis, last_brake_time_s=[-0.01, -0.01, 0.1])
     table = replace(problem.table, axis=axis)
     worlds = replace(problem, table=table, sample_index=np.array([0, 1, 1]), tail=0.5)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.proof.search_from_many_starts", first_units)
         solution = solve_placement(worlds, effort=Effort(solver=solver))
+
     for stage in solution.certificate.stages[2:4]:
         assert stage.bound == pytest.approx(0.175)
         assert stage.objective == pytest.approx(0.175 if solver == "auto" else 0.065)

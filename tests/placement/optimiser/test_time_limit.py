@@ -35,10 +35,12 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch):
+    """A clock that the test moves."""
     return Clock(monkeypatch)
 
 
 def knapsack():
+    """A small problem for a solver of mixed-integer models."""
     x = cp.Variable(3, boolean=True)
     return cp.Problem(cp.Maximize(np.array([3.0, 2.0, 2.0]) @ x), [x.sum() <= 2.0])
 
@@ -70,6 +72,7 @@ def compile_for_s(seconds, clock, monkeypatch):
 
 def test_highs_is_handed_what_compiling_leaves_of_the_time(clock, monkeypatch):
     handed = compile_for_s(20.0, clock, monkeypatch)
+
     answer = run_solver(knapsack(), time_limit_s=LIMIT_S)
 
     assert handed == [40.0]
@@ -79,6 +82,7 @@ def test_highs_is_handed_what_compiling_leaves_of_the_time(clock, monkeypatch):
 
 def test_highs_is_not_asked_where_compiling_took_all_the_time(clock, monkeypatch):
     handed = compile_for_s(80.0, clock, monkeypatch)
+
     answer = run_solver(knapsack(), time_limit_s=LIMIT_S)
 
     assert handed == []
@@ -116,6 +120,7 @@ def test_all_stages_together_take_no_longer_than_the_limit(clock, monkeypatch):
             nothing = -np.inf
         else:
             nothing = np.inf
+
         return MilpResult(units=None, bound=nothing, is_finished=False)
 
     monkeypatch.setattr("placement.optimiser.proof.solve_window_model", idle)

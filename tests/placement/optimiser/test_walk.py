@@ -7,6 +7,7 @@ import pytest
 from all_layouts import allowed_sets
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from problems import problems, questions
 from tiny_worlds import axis_of_runs
 
@@ -27,6 +28,7 @@ from scenarios.aeb import load_aeb_rule
 
 
 def as_tuples(sets):
+    """Sets of poses in one order."""
     return sorted(tuple(sorted(units)) for units in sets.tolist())
 
 
@@ -43,6 +45,7 @@ def test_a_walk_meets_every_set_that_meets_its_needs(problem, n_failures, place)
     left = left_after_failures(reduced, reduced.measure, n_failures, sets)
     need = float(np.quantile(share, place, method="nearest"))
     left_need = float(np.quantile(left, place, method="nearest"))
+
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
     walk = SetWalk(reduced, root, need=need, n_failures=n_failures, left=left_need)
     met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
@@ -65,7 +68,14 @@ def test_a_walk_meets_every_set_that_meets_its_needs(problem, n_failures, place)
 def test_a_walk_with_forced_poses_meets_every_allowed_set(problem):
     plain = replace(problem.limits, budget_eur=None, rivals=None, is_forced_site=None)
     reduced = presolve(
-        replace(problem, limits=plain, floors=(), goal="best", survive=0, tail=1.0)
+        replace(
+            problem,
+            limits=plain,
+            floors=(),
+            goal="best",
+            survive=0,
+            tail=1.0,
+        )
     )
     n_units = reduced.limits.max_units
     if not can_walk(reduced):
@@ -75,6 +85,7 @@ def test_a_walk_with_forced_poses_meets_every_allowed_set(problem):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
     need = float(np.median(share))
+
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
 
     assert root.limit >= share.max() - 1e-9
@@ -87,16 +98,24 @@ def test_a_walk_with_forced_poses_meets_every_allowed_set(problem):
 
 
 def tie_search(reduced, units, n_failures, *, ahead=0.0):
+    """A search for sets as good as these units."""
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
     limit = Search(reduced).limit
     return TieSearch(
         reduced,
         units,
         walk_from=lambda need, left: SetWalk(
-            reduced, root, need=need, n_failures=n_failures, left=left
+            reduced,
+            root,
+            need=need,
+            n_failures=n_failures,
+            left=left,
         ),
         limit=lambda least, deadline: failure_limit(
-            root, n_failures, least, deadline=deadline
+            root,
+            n_failures,
+            least,
+            deadline=deadline,
         ),
         ahead=ahead,
         n_failures=n_failures,
@@ -108,7 +127,13 @@ def tie_search(reduced, units, n_failures, *, ahead=0.0):
 def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
     limits = replace(problem.limits, is_forced=None)
     reduced = presolve(
-        replace(problem, limits=limits, floors=(), goal="best", tail=1.0)
+        replace(
+            problem,
+            limits=limits,
+            floors=(),
+            goal="best",
+            tail=1.0,
+        )
     )
     if not can_walk(reduced):
         return
@@ -132,14 +157,15 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
     assert tied.sets is not None
 
     contenders = best_of_tied(
-        reduced, tied.sets, n_failures=n_failures, value=tied.value
+        reduced,
+        tied.sets,
+        n_failures=n_failures,
+        value=tied.value,
     )
     found = contenders.best()
 
     assert found is not None
-    np.testing.assert_allclose(
-        set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9
-    )
+    assert_allclose(set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9)
 
 
 def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost():
@@ -162,11 +188,13 @@ def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost():
     ]
     problem = PlacementProblem(
         table=DetectionTable(
-            pose_ids=tuple("012345"), axis=axis, packed=np.array(seen, dtype=np.uint8)
+            pose_ids=tuple("012345"),
+            axis=axis,
+            packed=np.array(seen, dtype=np.uint8),
         ),
         limits=Limits(
-            site_index=np.array([1, 2, 1, 1, 2, 2]),
-            site_capacity=np.array([1, 2, 2, 1]),
+            site_index=[1, 2, 1, 1, 2, 2],
+            site_capacity=[1, 2, 2, 1],
             budget_units=3,
         ),
         fusion="any",

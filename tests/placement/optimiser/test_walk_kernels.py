@@ -18,6 +18,7 @@ from kernel_cases import (
     random_sights,
     whole_weights,
 )
+from numpy.random import default_rng
 
 from placement.optimiser import walk_kernels as kernels
 from placement.optimiser.bounds import byte_table, reward_of
@@ -25,6 +26,7 @@ from placement.optimiser.presolve import pack_words
 
 
 def build_losses(rng, chains, alone, may_lose):
+    """Random losses of chains."""
     n_chains = n_chains_of(chains)
     lost = np.sort(rng.integers(0, 6, (n_chains, 6)), axis=1).astype(np.float64)
     return kernels.Losses(
@@ -37,6 +39,7 @@ def build_losses(rng, chains, alone, may_lose):
 
 
 def loss(losses, seen):
+    """Weight lost where some frames are seen."""
     frames = np.flatnonzero(seen).tolist()
     chains = range(n_chains_of(losses.chains))
     return float(
@@ -45,14 +48,19 @@ def loss(losses, seen):
 
 
 def keeps(losses, sees, alone, *, with_failures):
-    if loss(losses, sees.any(axis=0) | alone) > losses.may_lose[0]:
+    """Is no more lost than may be, also when a unit fails?"""
+    all_lose, most_lose = losses.may_lose
+    if loss(losses, sees.any(axis=0) | alone) > all_lose:
         return False
-    rest = [
-        np.delete(sees, unit, axis=0).any(axis=0) | alone for unit in range(len(sees))
-    ]
-    return not with_failures or all(
-        loss(losses, one) <= losses.may_lose[1] for one in rest
-    )
+    if not with_failures:
+        return True
+
+    for unit in range(len(sees)):
+        rest = np.delete(sees, unit, axis=0).any(axis=0) | alone
+        if loss(losses, rest) > most_lose:
+            return False
+
+    return True
 
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -73,30 +81,32 @@ def asked_of(chains, chain, link, alone, seen):
 def test_windows_are_asked_for_the_missing_piece_that_is_seen_least(seed):
     rng = np.random.default_rng(seed)
     chains = random_chains(rng)
-    alone = set(np.flatnonzero(rng.random(N_FRAMES) < 0.4).tolist())
-    union = pack_words(np.isin(np.arange(N_FRAMES), list(alone)))
+    is_alone = rng.random(N_FRAMES) < 0.4
+    alone = set(np.flatnonzero(is_alone).tolist())
     seen = rng.integers(0, 4, N_FRAMES) / 4.0
     some = np.flatnonzero(rng.random(n_chains_of(chains)) < 0.7)
     asked = np.full(len(chains.window), -7)
-    kernels.ask_for_least_seen(chains, some, union, seen, asked)
+
+    kernels.ask_for_least_seen(chains, some, pack_words(is_alone), seen, asked)
 
     for chain in range(n_chains_of(chains)):
         for link in range(n_links_of(chains, chain)):
             found = asked[chains.start[chain] + link]
+            missing, least = asked_of(chains, chain, link, alone, seen)
             if chain not in some:
                 assert found == -7
-                continue
-            missing, least = asked_of(chains, chain, link, alone, seen)
-            assert (
-                (found in missing and seen[found] == least) if missing else found == -1
-            )
+            elif missing:
+                assert found in missing
+                assert seen[found] == least
+            else:
+                assert found == -1
 
 
 @given(SEEDS, st.sampled_from([4, 65]))
 def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
     seed, n_poses
 ):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     chains = random_chains(rng)
     sees = random_sights(rng, n_poses, share=0.3)
     asked = rng.integers(-1, N_FRAMES, len(chains.window))
@@ -124,6 +134,7 @@ def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
         expected = {
             p for p in range(n_poses) if any(f < 0 or sees[p, f] for f in frames)
         }
+
         assert bits_of(coverers[row], n_poses) == expected
 
 
@@ -146,6 +157,7 @@ def test_a_row_is_worth_its_reward_less_what_it_pays(
 
 
 def build_covers(rng, *, n_poses=6, n_rows=9):
+    """Random sets of rows that poses cover."""
     bits = rng.random((n_poses, n_rows)) < 0.4
     covers = pack_words(bits)
     weight = whole_weights(rng, n_rows)
@@ -161,6 +173,7 @@ def build_covers(rng, *, n_poses=6, n_rows=9):
 
 
 def build_walk(covers, n_units, room, may_lose):
+    """A walk that stands at its root."""
     n_poses, n_words = covers.covers.shape
     bits = [np.zeros((n_units + 1, n_words), dtype=np.uint64) for _ in range(3)]
     return kernels.Walk(
@@ -185,10 +198,12 @@ def build_walk(covers, n_units, room, may_lose):
 
 
 def bits_by_pose(covers):
+    """Rows that each pose covers."""
     return [bits_of(words, len(covers.weight)) for words in covers.covers]
 
 
 def lost_of(covers, units):
+    """Weight of the rows that units leave uncovered."""
     covered = set().union(*(bits_by_pose(covers)[unit] for unit in units))
     return float(sum(w for row, w in enumerate(covers.weight) if row not in covered))
 
@@ -221,20 +236,22 @@ def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused
     room = rng.integers(0, 3, 3)
     may_lose = float(rng.integers(0, 16))
     walk = build_walk(covers, n_units, room, [may_lose, may_lose])
+
     found = walked(covers, walk, 0, work=work, n_out=n_out)
-    expected = [
-        one
-        for one in combinations_with_replacement(range(6), n_units)
-        if all(one.count(pose) <= copies[pose] for pose in one)
-        and all(sum(covers.site[list(one)] == site) <= room[site] for site in range(3))
-        and lost_of(covers, one) <= may_lose
-    ]
+
+    expected = []
+    for units in combinations_with_replacement(range(6), n_units):
+        n_copies = np.bincount(units, minlength=6)
+        n_at_site = np.bincount(covers.site[list(units)], minlength=3)
+        has_room = (n_copies <= copies).all() and (n_at_site <= room).all()
+        if has_room and lost_of(covers, units) <= may_lose:
+            expected.append(units)
 
     assert sorted(found) == expected
 
 
 def test_a_walk_stops_at_each_node_of_a_depth():
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     covers = build_covers(rng)
     walk = build_walk(covers, 3, np.full(3, 3), [100.0, 100.0])
     out = np.empty((100, 3), dtype=np.int64)
@@ -242,6 +259,7 @@ def test_a_walk_stops_at_each_node_of_a_depth():
 
     while kernels.grow(covers, walk, 0, 1, 10**9, out) == kernels.AT_STOP:
         assert walk.at[0].depth == 1
+
         stops.add(int(walk.chosen[0]))
         walk.at[0].depth -= 1
         walk.at[0].is_new = 0
@@ -261,7 +279,8 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
     weight = whole_weights(rng, n_rows)
     pairs = rng.integers(0, 5, (6, 2))
     table, _, _ = byte_table(weight, pack_words(alone))
-    lost = np.empty(6)
+    found = np.empty(6)
+
     kernels.lost_by_pairs(
         pack_words(alone),
         pack_words(may),
@@ -269,20 +288,19 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
         table,
         float(may_lose),
         pairs,
-        lost,
+        found,
     )
 
-    for (one, other), found in zip(pairs, lost, strict=True):
-        can = (alone[one] | alone[other] | (part[one] & part[other])) & (
-            may[one] | may[other]
-        )
+    for (one, other), lost in zip(pairs, found, strict=True):
+        can = alone[one] | alone[other] | (part[one] & part[other])
+        can &= may[one] | may[other]
         total = weight[~can].sum()
 
-        assert (found <= may_lose) == (total <= may_lose)
-        assert found <= total
+        assert (lost <= may_lose) == (total <= may_lose)
+        assert lost <= total
 
-        if found <= may_lose:
-            assert found == total
+        if lost <= may_lose:
+            assert lost == total
 
 
 @given(SEEDS, st.booleans(), st.integers(0, 12), st.sampled_from([1, 50]))
@@ -294,27 +312,39 @@ def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
     alone = rng.random(N_FRAMES) < 0.2
     losses = build_losses(rng, chains, alone, [float(most), float(most + 3)])
     sees = random_sights(rng, 7)
+    words = pack_words(sees)
     member = rng.permutation(7)
-    start = np.array([0, 3, 4, 7])
-    parts = [member[start[k] : start[k + 1]] for k in range(3)]
+    parts = [member[:3], member[3:4], member[4:]]
     of_class = np.array([sees[part].any(axis=0) for part in parts])
-    of_classes = kernels.Classes(member=member, start=start, words=pack_words(of_class))
+    of_classes = kernels.Classes(
+        member=member, start=np.array([0, 3, 4, 7]), words=pack_words(of_class)
+    )
     classes = np.sort(rng.choice([0, 0, 1, 2, 2], 3, replace=False))
     place = np.array([-1, -1, -1, 0])
     found = []
+
     while place[-1] >= 0:
         out = np.empty((n_out, 3), dtype=np.int64)
         n_found = kernels.spell_out(
-            pack_words(sees), of_classes, losses, with_failures, classes, place, out
+            words,
+            of_classes,
+            losses,
+            with_failures,
+            classes,
+            place,
+            out,
         )
         found += [tuple(sorted(row)) for row in out[:n_found].tolist()]
 
-    options = {tuple(sorted(one)) for one in product(*(parts[k] for k in classes))}
-    expected = [
-        one
-        for one in options
-        if len(set(one)) == 3
-        and keeps(losses, sees[list(one)], alone, with_failures=with_failures)
-    ]
+    expected = set()
+    for chosen in product(*(parts[k] for k in classes)):
+        units = sorted(set(chosen))
+        if len(units) == 3 and keeps(
+            losses,
+            sees[units],
+            alone,
+            with_failures=with_failures,
+        ):
+            expected.add(tuple(units))
 
     assert sorted(found) == sorted(expected)

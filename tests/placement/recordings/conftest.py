@@ -38,6 +38,7 @@ class Folder:
                 before = n_frames - 1 - index
             else:
                 before = n_frames - 1
+
             name = f"{scenario}_{first + index}.txt"
             distance = 2.0 + closing * before / 10.0
             # As the generator does: no line break at the end.
@@ -86,4 +87,5 @@ def small():
 
 @pytest.fixture
 def new_folder():
+    """Builds folders of recordings."""
     return Folder

@@ -1,3 +1,5 @@
+"""Where drives of a recording begin and end, and what is left out."""
+
 from collections import Counter
 
 import numpy as np
@@ -27,6 +29,7 @@ def _world(*parts, scenario=0, first=0):
 
 
 def _falling(n_frames, closing_mps=10.0, last_m=2.0):
+    """Distances that fall to the last one, at 10 Hz. [m]"""
     return [
         last_m + closing_mps * (n_frames - 1 - index) / 10.0
         for index in range(n_frames)
@@ -34,6 +37,7 @@ def _falling(n_frames, closing_mps=10.0, last_m=2.0):
 
 
 def _cut(world):
+    """Drives as (scenario, first, last), what is left out, and the drives."""
     drives, left_out = cut_drives(world, FORM)
     spans = [(d.scenario, d.first_number, d.frames[-1].number) for d in drives]
     return spans, dict(left_out), drives
@@ -41,10 +45,13 @@ def _cut(world):
 
 def test_a_drive_goes_to_the_smallest_distance_and_the_resets_behind_it_are_left_out():
     spans, left_out, (drive,) = _cut(_world((_falling(12) + [13.0] * 30, 10.0, 1.5)))
-    assert (spans, left_out) == ([(0, 0, 11)], {RESETS: 30})
+
+    assert spans == [(0, 0, 11)]
+    assert left_out == {RESETS: 30}
     assert drive.distance_m.tolist() == _falling(12)
     assert drive.closing_speed_mps == pytest.approx(10.0)
-    assert (drive.vru_class, drive.n_missing) == (UNSEEN, 0)
+    assert drive.vru_class == UNSEEN
+    assert drive.n_missing == 0
 
 
 def test_another_speed_is_another_drive_in_the_same_numbering():
@@ -54,14 +61,21 @@ def test_another_speed_is_another_drive_in_the_same_numbering():
             (_falling(15, 15.0) + [23.0] * 30, 15.0, 1.5),
         )
     )
-    assert (spans, left_out) == ([(0, 0, 11), (0, 42, 56)], {RESETS: 60})
+
+    assert spans == [
+        (0, 0, 11),
+        (0, 42, 56),
+    ]
+    assert left_out == {RESETS: 60}
     assert [drive.vut_speed_mps for drive in drives] == [10.0, 15.0]
 
 
 def test_the_same_speed_again_is_another_drive_where_the_distance_jumps_up():
     # Frames 12..41: resets; the last of them is where the second drive begins.
     world = _world((_falling(12) + [13.0] * 30 + _falling(12)[1:], 10.0, 1.5))
-    assert _cut(world)[:2] == ([(0, 0, 11), (0, 41, 52)], {RESETS: 29})
+    expected = ([(0, 0, 11), (0, 41, 52)], {RESETS: 29})
+
+    assert _cut(world)[:2] == expected
 
 
 def test_the_first_reset_frame_may_still_show_the_bodies_where_they_met():
@@ -69,7 +83,9 @@ def test_the_first_reset_frame_may_still_show_the_bodies_where_they_met():
     spans, left_out, (drive,) = _cut(
         _world((_falling(12) + [1.8] + [13.0] * 29, 10.0, 1.5))
     )
-    assert (spans, left_out) == ([(0, 0, 12)], {RESETS: 29})
+
+    assert spans == [(0, 0, 12)]
+    assert left_out == {RESETS: 29}
     assert drive.distance_m[-1] == 1.8
 
 
@@ -83,11 +99,14 @@ def test_missing_frames_are_nan_and_time_goes_on():
     world = _world((_falling(12), 10.0, 1.5), first=100)
     for number in (104, 109):
         del world[FrameKey(0, number)]
+
     spans, left_out, (drive,) = _cut(world)
 
-    assert (spans, left_out) == ([(0, 100, 111)], {})
+    assert spans == [(0, 100, 111)]
+    assert left_out == {}
     assert np.flatnonzero(np.isnan(drive.distance_m)).tolist() == [4, 9]
-    assert (drive.n_frames, drive.n_missing) == (12, 2)
+    assert drive.n_frames == 12
+    assert drive.n_missing == 2
     assert drive.closing_speed_mps == pytest.approx(10.0)
 
 
@@ -95,7 +114,12 @@ def test_drives_do_not_reach_over_more_than_ten_missing_seconds():
     near = _world((_falling(12), 10.0, 1.5))
     far = _world((_falling(12), 10.0, 1.5), first=10**8)
 
-    assert _cut(near | far)[0] == [(0, 0, 11), (0, 10**8, 10**8 + 11)]
+    expected = [
+        (0, 0, 11),
+        (0, 10**8, 10**8 + 11),
+    ]
+
+    assert _cut(near | far)[0] == expected
 
 
 @pytest.mark.parametrize(
@@ -113,9 +137,11 @@ def test_drives_do_not_reach_over_more_than_ten_missing_seconds():
 def test_what_is_no_drive_is_left_out_with_its_reason(distances, reason):
     spans, left_out, _ = _cut(_world((distances, 10.0, 1.5)))
     if reason is None:
-        assert (spans, left_out) == ([(0, 0, 2)], {RESETS: 1})
+        assert spans == [(0, 0, 2)]
+        assert left_out == {RESETS: 1}
     else:
-        assert (spans, left_out) == ([], {reason: len(distances)})
+        assert spans == []
+        assert left_out == {reason: len(distances)}
 
 
 def test_all_runs_of_the_study_in_one_numbering_are_found_again_with_their_directions(
@@ -166,6 +192,7 @@ def test_every_frame_is_in_one_drive_or_left_out(rows, gaps):
     for index, (distance, vut_speed, scenario) in enumerate(rows):
         number += 1 + (gaps >> index & 1)
         world[FrameKey(scenario, number)] = RecordedWorld(distance, vut_speed, 1.5)
+
     drives, left_out = cut_drives(world, FORM)
     inside = [key for drive in drives for key in drive.frames if key in world]
 
@@ -174,6 +201,7 @@ def test_every_frame_is_in_one_drive_or_left_out(rows, gaps):
 
     for drive in drives:
         known = drive.distance_m[~np.isnan(drive.distance_m)]
+
         assert drive.distance_m[-1] == known.min()
         assert not np.isnan(drive.distance_m[0])
         for key, distance in zip(drive.frames, drive.distance_m, strict=True):

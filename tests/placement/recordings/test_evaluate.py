@@ -1,3 +1,5 @@
+"""Recordings judged: APR by hand, matching of boxes, missing files."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -14,10 +16,13 @@ from placement.recordings import (
 )
 
 BOX = "100 200 140 300"
+CROSSING = {"speeds": (10.0, 1.5), "closing": 10.0, "n_frames": 12}
 
 
 @pytest.fixture
 def judge(tmp_path_factory, rule):
+    """Judges a folder by the study's rule."""
+
     def run(folder, **options):
         written = folder.write(tmp_path_factory.mktemp("recording"))
         return evaluate_recording(read_recording(written), rule, **options)
@@ -26,10 +31,15 @@ def judge(tmp_path_factory, rule):
 
 
 def _one_drive(new_folder, detected, **options):
+    """A folder with one drive at a pedestrian who crosses."""
     folder = new_folder()
-    given = {"speeds": (10.0, 1.5), "closing": 10.0, "n_frames": 12} | options
-    folder.drive(3, 0, detected=detected, **given)
+    folder.drive(3, 0, detected=detected, **(CROSSING | options))
     return folder
+
+
+def _cyclist(new_folder):
+    """A folder with one drive at a cyclist whom nobody finds."""
+    return _one_drive(new_folder, {"0": ()}, speeds=(10.0, 4.0), actor="bycicle")
 
 
 def test_apr_of_a_small_recording_worked_by_hand(small, judge):
@@ -50,7 +60,8 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
 
     assert axis.run_ids == ("recording/3/36", "recording/3/54")
     assert axis.cases == ("scenario-3-pedestrian",) * 2
-    assert (axis.approaches, axis.weathers) == (("recorded",) * 2, ("recorded",) * 2)
+    assert axis.approaches == ("recorded",) * 2
+    assert axis.weathers == ("recorded",) * 2
     assert axis.vut_speed_kmh.tolist() == pytest.approx([36.0, 54.0])
     assert axis.weight.tolist() == [0.5, 0.5]
     assert axis.last_brake_time_s == pytest.approx(
@@ -60,6 +71,7 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
     assert axis.time_s[[0, 11, 12, 27]] == pytest.approx([-1.1, 0.0, -1.5, 0.0])
 
     outcomes = {"0": [False, True], "1": [False, False]}
+
     for unit, is_avoided in outcomes.items():
         assert result.units[unit].is_avoided.tolist() == is_avoided
 
@@ -83,9 +95,16 @@ def test_a_cyclist_ahead_leaves_the_time_that_shedding_the_closing_speed_takes(
     # v = 10, u = 4, c = 6 = v - u: cos = 1. Last moment -6 / 15.44 = -0.3886 s: the
     # third frame may be the one at -0.5 s (onset -0.475), not that at -0.4 s (onset
     # -0.375).
-    for frames, is_avoided in (((7, 6, 5), True), ((6, 5, 4), False)):
+    for frames, is_avoided in (
+        ((7, 6, 5), True),
+        ((6, 5, 4), False),
+    ):
         folder = _one_drive(
-            new_folder, {"0": frames}, speeds=(10.0, 4.0), closing=6.0, actor="bycicle"
+            new_folder,
+            {"0": frames},
+            speeds=(10.0, 4.0),
+            closing=6.0,
+            actor="bycicle",
         )
         result = judge(folder)
 
@@ -117,6 +136,7 @@ def test_confirmation_latency_and_braking_are_those_asked_for(
 
 def test_a_missing_frame_is_not_detected_and_breaks_a_row(new_folder, judge):
     folder = _one_drive(new_folder, {"0": (10, 9, 8, 7)})
+
     assert judge(folder).units["0"].confirmation_time_s == pytest.approx([-0.8])
 
     del folder.files["WorldData/3_2.txt"]  # 9 frames before the impact
@@ -152,25 +172,21 @@ def test_a_detection_is_of_the_vrus_class_and_overlaps_its_label_by_more_than_ha
     folder = _one_drive(new_folder, {"0": ()})
     folder.files["Eval/3_4.txt"] = f"0 {found}\n0 pedestrian 900 900 940 1000 0.9"
 
-    assert judge(folder).units["0"].detected.tolist() == [
-        is_detected and frame == 4 for frame in range(12)
-    ]
+    expected = [is_detected and frame == 4 for frame in range(12)]
+
+    assert judge(folder).units["0"].detected.tolist() == expected
 
 
 @pytest.mark.parametrize("word", ["bycicle", "bicycle", "pedestrian"])
 def test_a_cyclist_may_be_found_as_bicycle_or_as_rider(new_folder, judge, word):
-    folder = _one_drive(
-        new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=10.0, actor="bycicle"
-    )
+    folder = _cyclist(new_folder)
     folder.files["Eval/3_4.txt"] = f"0 {word} {BOX} 0.9"
 
     assert judge(folder).units["0"].detected.sum() == 1
 
 
 def test_a_riders_own_label_does_not_count(new_folder, judge):
-    folder = _one_drive(
-        new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=10.0, actor="bycicle"
-    )
+    folder = _cyclist(new_folder)
     folder.add("0/3_4.txt", "pedestrian 100 150 140 220 20")
     folder.files["Eval/3_4.txt"] = "0 pedestrian 100 150 140 220 0.9"
 
@@ -217,7 +233,10 @@ def test_of_several_pedestrians_the_vuts_is_the_one_at_the_recorded_distance(
 ):
     # Eight frames before the impact the bodies are 10 m apart.
     other = "900 200 940 300"
-    for near_m, far_m, n_detected in ((9.0, 30.0, 1), (30.0, 9.0, 0)):
+    for near_m, far_m, n_detected in (
+        (9.0, 30.0, 1),
+        (30.0, 9.0, 0),
+    ):
         folder = _one_drive(new_folder, {"0": (), "car": (8,)})
         folder.files["car/3_3.txt"] = (
             f"pedestrian {BOX} {near_m}\npedestrian {other} {far_m}\n"
@@ -243,24 +262,16 @@ def test_a_vru_that_nobody_ever_sees_is_a_drive_that_is_not_avoided(new_folder, 
 
 def test_without_the_vuts_camera_there_is_no_verdict_of_it(new_folder, judge):
     result = judge(_one_drive(new_folder, {"0": (9, 8, 7)}))
-    assert (result.vut, result.vut_and_rsus) == (None, None)
+
+    assert result.vut is None
+    assert result.vut_and_rsus is None
     assert result.rsu_all.is_avoided.all()
 
 
 def test_a_speed_that_is_driven_again_gets_a_number(new_folder, judge):
     folder = new_folder()
-    number = folder.drive(
-        7,
-        0,
-        speeds=(10.0, 1.5),
-        closing=10.0,
-        n_frames=12,
-        detected={"0": ()},
-        resets=30,
-    )
-    folder.drive(
-        7, number, speeds=(10.0, 1.5), closing=10.0, n_frames=12, detected={"0": ()}
-    )
+    number = folder.drive(7, 0, detected={"0": ()}, resets=30, **CROSSING)
+    folder.drive(7, number, detected={"0": ()}, **CROSSING)
 
     assert judge(folder).axis.run_ids == ("recording/7/36", "recording/7/36/2")
 
@@ -269,6 +280,7 @@ def test_some_units_are_judged_as_if_only_they_were_recorded(
     small, tmp_path, rule, judge
 ):
     everything = judge(small)
+
     some = take_units(everything, ["1"], rule)
 
     assert list(some.units) == ["1"]
@@ -279,6 +291,7 @@ def test_some_units_are_judged_as_if_only_they_were_recorded(
 
 def test_the_detection_table_has_a_row_per_unit(small, judge):
     result = judge(small)
+
     table = recorded_table(result)
 
     assert table.pose_ids == ("0", "1")

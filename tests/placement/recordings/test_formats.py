@@ -18,6 +18,7 @@ from placement.recordings.formats import IGNORE, read_boxes, read_wildtrack
 
 
 def put(tmp_path, reader, kind):
+    """A small file of a kind, written; returns its path."""
     entry, files = READERS[reader].seeds()[kind]
     for name, data in files.items():
         (tmp_path / name).write_bytes(data)
@@ -25,6 +26,7 @@ def put(tmp_path, reader, kind):
 
 
 def refused(read, path, text=None):
+    """Words in which a reader refuses a file, F for its path."""
     if text is not None:
         path.write_text(text)
     with pytest.raises(InputError) as caught:
@@ -34,13 +36,16 @@ def refused(read, path, text=None):
 
 def test_cvml_has_middles_and_sizes_of_boxes(tmp_path):
     found = read_boxes(put(tmp_path, "recorded boxes", "cvml"))
+
     assert found.frame.tolist() == [0, 1, 2]
     assert found.box_px[1].tolist() == [86.0, 50.0, 116.0, 130.0]
-    assert (found.track.tolist(), found.class_name) == ([1, 1, 1], ("pedestrian",) * 3)
+    assert found.track.tolist() == [1, 1, 1]
+    assert found.class_name == ("pedestrian",) * 3
 
 
 def test_mot_counts_frames_from_one_and_tells_annotations_by_their_ids(tmp_path):
     given = read_boxes(put(tmp_path, "recorded boxes", "mot gt"))
+
     assert given.frame.tolist() == [0, 1]
     assert given.box_px[0].tolist() == [10.0, 20.0, 40.0, 60.0]
     assert given.class_name == ("pedestrian", IGNORE)  # its flag is 0
@@ -49,34 +54,37 @@ def test_mot_counts_frames_from_one_and_tells_annotations_by_their_ids(tmp_path)
 
     found = read_boxes(put(tmp_path, "recorded boxes", "mot det"))
 
-    assert (found.track.tolist(), found.score.tolist()) == ([-1, -1], [0.9, 0.1])
+    assert found.track.tolist() == [-1, -1]
+    assert found.score.tolist() == [0.9, 0.1]
 
 
 def test_kitti_labels_and_detectors_are_told_by_their_fields(tmp_path):
     given = read_boxes(put(tmp_path, "recorded boxes", "kitti"))
+
     assert given.class_name == (IGNORE, "pedestrian", "pedestrian")
-    assert (given.track.tolist(), given.hidden_level.tolist()) == (
-        [-1, 2, 2],
-        [-1, 1, -1],
-    )
+    assert given.track.tolist() == [-1, 2, 2]
+    assert given.hidden_level.tolist() == [-1, 1, -1]
     assert given.position_m[1].tolist() == [6.3, 1.6, 8.4]
 
     found = read_boxes(put(tmp_path, "recorded boxes", "rrc"))
 
-    assert (found.frame.tolist(), found.score.tolist()) == ([0, 4], [0.73, 0.5])
+    assert found.frame.tolist() == [0, 4]
+    assert found.score.tolist() == [0.73, 0.5]
 
     found = read_boxes(put(tmp_path, "recorded boxes", "pointrcnn"))
 
-    assert (found.class_name, found.position_m.tolist()) == (
-        ("cyclist",),
-        [[1.6, 1.6, 5.7]],
-    )
+    assert found.class_name == ("cyclist",)
+    assert found.position_m.tolist() == [[1.6, 1.6, 5.7]]
 
 
 def test_wildtrack_has_a_value_for_each_view(tmp_path):
     views = read_wildtrack(put(tmp_path, "recorded boxes", "wildtrack"))
+
     assert len(views) == 7
-    assert [view.frame.tolist() for view in views] == [[0, 1, 2]] * 7
+
+    expected = [[0, 1, 2]] * 7
+
+    assert [view.frame.tolist() for view in views] == expected
     assert views[0].box_px.tolist() == [[0.0] * 4] * 3  # not in view
     assert views[3].box_px[0].tolist() == [10.0, 20.0, 30.0, 40.0]
 
@@ -94,10 +102,11 @@ def test_a_tsai_camera_stands_where_its_rotation_and_shift_say(tmp_path):
     assert shift_m == pytest.approx([0.828, -3.175, 35.469])
     assert camera.fx_px == pytest.approx(5.5 * 1.09 / 5e-3)
     assert np.linalg.det(camera.R_camera_world) == pytest.approx(1.0)
-    # The world's origin is at the shift: its undistorted place follows without any
 
+    # The world's origin is at the shift: its undistorted place follows without any
     # rotation.
     u = np.array([0.828, -3.175]) / 35.469
+
     (shown,) = project_distorted([[0.0, 0.0, 0.0]], camera)
     x = (shown[:2] - [324.0, 282.0]) / [camera.fx_px, camera.fy_px]
 
@@ -111,6 +120,7 @@ def test_a_kitti_camera_projects_as_its_matrix(tmp_path):
         3, 4
     )
     u, v, w = P @ [2.0, 1.0, 15.0, 1.0]
+
     (shown,) = project_distorted([[2.0, 1.0, 15.0]], camera)
 
     assert shown.tolist() == pytest.approx([u / w, v / w, w])
@@ -173,6 +183,7 @@ def test_a_wrong_line_is_told_with_its_number(text, words, tmp_path):
 
 
 def cvml(*frames, box='h="8" w="3" xc="1" yc="9"'):
+    """A CVML file with a box in each of these frames."""
     parts = (
         f'<frame number="{n}"><objectlist><object id="1"><box'
         f" {box}/></object></objectlist></frame>"
@@ -239,32 +250,32 @@ def test_calibrations_that_are_cut_off_or_impossible_are_told(tmp_path):
     path = put(tmp_path, "recorded calibrations", "tsai")
     text = path.read_text()
 
-    assert (
-        refused(read_tsai, path, text.replace('dpx="5e-3"', 'dpx="0"'))
-        == "F: dpx: got 0.0; expected more than 0"
-    )
-    assert refused(read_tsai, path, text.replace("Extrinsic", "Other")).startswith(
-        "F: Extrinsic: got nothing; expected <Extrinsic tx="
-    )
+    no_pixels = refused(read_tsai, path, text.replace('dpx="5e-3"', 'dpx="0"'))
+    no_place = refused(read_tsai, path, text.replace("Extrinsic", "Other"))
+
+    assert no_pixels == "F: dpx: got 0.0; expected more than 0"
+    assert no_place.startswith("F: Extrinsic: got nothing; expected <Extrinsic tx=")
 
     path = put(tmp_path, "recorded calibrations", "kitti")
 
     def read(file):
         return read_kitti_camera(file, (1242, 375))
 
-    assert (
-        refused(read, path, "P0: 1\n")
-        == "F: got no P2; expected a line P2: with 12 numbers"
-    )
+    no_line = refused(read, path, "P0: 1\n")
+
+    assert no_line == "F: got no P2; expected a line P2: with 12 numbers"
 
     tabs = tmp_path / "tabs.txt"
     tabs.write_text("P2:\t700\t0\t600\t0 0 700 170 0 0 0 1 0\n")
 
-    assert (read(tabs).fx_px, read(tabs).cy_px) == (700.0, 170.0)
-    assert (
-        refused(read, path, "P2: 1 2\n")
-        == "F:1: P2: got 2 of another kind or size; expected 12 finite numbers"
-    )
+    assert read(tabs).fx_px == 700.0
+    assert read(tabs).cy_px == 170.0
+
+    too_few = refused(read, path, "P2: 1 2\n")
+
+    words = "got 2 of another kind or size; expected 12 finite numbers"
+
+    assert too_few == f"F:1: P2: {words}"
 
 
 def test_a_recording_says_which_format_it_is_in(tmp_path):
@@ -278,7 +289,9 @@ def test_a_recording_says_which_format_it_is_in(tmp_path):
     ):
         (tmp_path / kind).mkdir()
         path = put(tmp_path / kind, "recorded boxes", kind)
+
         assert find_format(path) == name
+
         if path.is_file():  # the name does not count
             assert find_format(path.rename(tmp_path / "file")) == name
 
@@ -298,27 +311,33 @@ def test_a_recording_says_which_format_it_is_in(tmp_path):
     known = f"expected the study's folder, or one of {known}"
     (tmp_path / "none").mkdir()
 
-    assert (
-        refused(find_format, tmp_path / "none")
-        == f"F: got a folder without their files; {known}"
+    empty = refused(find_format, tmp_path / "none")
+    two_fields = refused(find_format, tmp_path / "a.txt", "\n1,2")
+    without_a_car = refused(read_recording, tmp_path / "coco")
+    expected = (
+        "expected the study's folder, which has a car that brakes (detector fit reads"
+        " others)"
     )
-    assert (
-        refused(find_format, tmp_path / "a.txt", "\n1,2")
-        == f"F:1: got 2 fields; {known}"
-    )
-    assert (
-        refused(read_recording, tmp_path / "coco")
-        == "F: got COCO; expected the study's folder, which has a car that brakes "
-        "(detector fit reads others)"
-    )
+
+    assert empty == f"F: got a folder without their files; {known}"
+    assert two_fields == f"F:1: got 2 fields; {known}"
+    assert without_a_car == f"F: got COCO; {expected}"
 
 
 def test_tracks_that_jump_are_left_out_and_counted(tmp_path):
     path = tmp_path / "gt.txt"
     # 40 px high: 8 heights are 320 px a frame, and twice that over a frame that is
     # missing.
-    rows = [(1, 1, 0), (2, 1, 320), (4, 1, 960), (1, 2, 0), (2, 2, 321), (3, 2, 330)]
+    rows = [
+        (1, 1, 0),
+        (2, 1, 320),
+        (4, 1, 960),
+        (1, 2, 0),
+        (2, 2, 321),
+        (3, 2, 330),
+    ]
     path.write_text("".join(f"{f},{t},{x},9,30,40,1\n" for f, t, x in rows))
+
     found = read_boxes(path)
 
     assert found.left_out == {"tracks that jump": 1}

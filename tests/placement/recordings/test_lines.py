@@ -1,4 +1,4 @@
-import re
+"""Lines of labels, detections and world data, and which are refused."""
 
 import pytest
 
@@ -21,6 +21,7 @@ WORLD = "dist car_speed vru_speed, once or repeated exactly"
 
 
 def _refusal(read, path, content):
+    """Words in which a file is refused, F for its path."""
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(InputError) as caught:
         read(path, FORM)
@@ -31,7 +32,7 @@ def test_labels_are_read_in_both_spellings_and_empty_lines_are_nothing(tmp_path)
     path = tmp_path / "3_0.txt"
     path.write_text("bycicle 1 2 3 4.5 6\n\n  bicycle -1e1 2 3 4 0\ncar 1 1 1 1 1\n")
 
-    assert read_labels(path, FORM) == (
+    expected = (
         [
             Label("bicycle", (1.0, 2.0, 3.0, 4.5), 6.0),
             Label("bicycle", (-10.0, 2.0, 3.0, 4.0), 0.0),
@@ -39,6 +40,8 @@ def test_labels_are_read_in_both_spellings_and_empty_lines_are_nothing(tmp_path)
         ],
         0,
     )
+
+    assert read_labels(path, FORM) == expected
 
 
 def test_an_empty_label_file_holds_nothing(tmp_path):
@@ -51,25 +54,26 @@ def test_an_empty_label_file_holds_nothing(tmp_path):
 def test_lines_of_a_file_written_twice_count_once(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text(2 * "car 1 2 3 4 5\npedestrian 1 2 3 4 5\n")
+
     labels, n_repeated = read_labels(path, FORM)
 
-    assert ([label.class_name for label in labels], n_repeated) == (
-        ["other", "pedestrian"],
-        2,
-    )
+    assert [label.class_name for label in labels] == ["other", "pedestrian"]
+    assert n_repeated == 2
 
 
 def test_detections_keep_their_unit_and_line(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text("\n-1 pedestrian 1 2 3 4 0.5\ncar bycicle 1 2 3 4 1\n")
 
-    assert read_detections(path, FORM) == (
+    expected = (
         [
             Detection("-1", "pedestrian", (1.0, 2.0, 3.0, 4.0), 0.5, 2),
             Detection("car", "bicycle", (1.0, 2.0, 3.0, 4.0), 1.0, 3),
         ],
         0,
     )
+
+    assert read_detections(path, FORM) == expected
 
 
 @pytest.mark.parametrize(
@@ -156,6 +160,6 @@ def test_wrong_world_data_is_named(tmp_path, content, message):
 
 def test_a_folder_in_place_of_a_file_is_named(tmp_path):
     with pytest.raises(
-        InputError, match=re.escape("got Is a directory; expected a readable file")
+        InputError, match="got Is a directory; expected a readable file"
     ):
         read_labels(tmp_path, FORM)

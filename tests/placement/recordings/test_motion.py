@@ -1,3 +1,5 @@
+"""The motion that a recording tells: angle, closing speed, last moment."""
+
 import math
 from dataclasses import replace
 
@@ -34,10 +36,20 @@ def test_the_angle_between_the_paths_is_told_from_the_speeds(v, share, angle_deg
         assert told == (abs(angle_deg) < 20.0)
 
 
-@pytest.mark.parametrize(("v", "u"), [(10.0, 0.0), (4.0, 4.0), (4.0, 6.0)])
+@pytest.mark.parametrize(
+    ("v", "u"),
+    [
+        (10.0, 0.0),
+        (4.0, 4.0),
+        (4.0, 6.0),
+    ],
+)
 def test_a_vru_that_stands_or_is_no_slower_than_the_vut_is_taken_as_crossing(v, u):
     assert not is_same_direction(
-        vut_speed_mps=v, vru_speed_mps=u, closing_speed_mps=abs(v - u), form=FORM
+        vut_speed_mps=v,
+        vru_speed_mps=u,
+        closing_speed_mps=abs(v - u),
+        form=FORM,
     )
 
 
@@ -46,7 +58,10 @@ def test_braking_sheds_the_closing_speed_behind_a_cyclist_else_all_speed():
     rule = load_aeb_rule()
     times = [
         last_brake_time_s(
-            vut_speed_mps=10.0, vru_speed_mps=4.0, is_same_direction=same, rule=rule
+            vut_speed_mps=10.0,
+            vru_speed_mps=4.0,
+            is_same_direction=same,
+            rule=rule,
         )
         for same in (False, True)
     ]

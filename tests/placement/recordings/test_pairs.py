@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 
 from geometry.errors import InputError
 from placement.detectors.fitting import gather_sightings, share_by_track, wilson
@@ -15,26 +16,30 @@ from placement.recordings.pairs import frames_to_confirm, pair_boxes, seen_share
 PERSON = {"pedestrian": "pedestrian"}
 
 
-def boxes(*rows, name="a.txt"):
-    return gather_boxes(
-        Path(name), [BoxRow(f"{name}:{i}", *row[:3], **row[3]) for i, row in rows]
-    )
+def boxes(rows, name="a.txt"):
+    """Boxes of rows: frame, class, box, and fields; line by line of a file."""
+    made = []
+    for line, (frame, class_name, box, fields) in enumerate(rows):
+        made.append(BoxRow(f"{name}:{line}", frame, class_name, box, **fields))
+
+    return gather_boxes(Path(name), made)
 
 
 def annotated(*rows):
-    """Rows of frame, track, box, and more."""
-    return boxes(
-        *enumerate(
-            (f, more.pop("name", "pedestrian"), box, {"track": t} | more)
-            for f, t, box, more in [(*row, {})[:4] for row in rows]
-        )
-    )
+    """Boxes of rows: frame, track, box, and more fields."""
+    made = []
+    for frame, track, box, *more in rows:
+        fields = {"track": track} | dict(*more)
+        name = fields.pop("name", "pedestrian")
+        made.append((frame, name, box, fields))
+
+    return boxes(made)
 
 
 def found(*rows):
-    return boxes(
-        *enumerate((f, "pedestrian", box, {"score": s}) for f, box, s in rows), name="d"
-    )
+    """Detected pedestrians: frame, box and score."""
+    made = [(frame, "pedestrian", box, {"score": score}) for frame, box, score in rows]
+    return boxes(made, name="d")
 
 
 A = (0.0, 0.0, 40.0, 100.0)
@@ -49,26 +54,37 @@ def test_what_one_nearer_box_covers_is_hidden():
 
 
 def test_what_is_annotated_counts_more_than_what_boxes_cover():
-    rows = [(0, 1, A, {"hidden_level": 2}), (0, 2, B, {"seen_share": 0.4})]
+    rows = [
+        (0, 1, A, {"hidden_level": 2}),
+        (0, 2, B, {"seen_share": 0.4}),
+    ]
     assert seen_shares(annotated(*rows)).tolist() == [0.25, 0.4]
 
 
 def test_each_box_finds_one_person_and_weak_ones_none():
     given_ = annotated((0, 7, A), (0, 9, (5.0, 0.0, 45.0, 100.0)), (2, 9, B))
+
     pairs = pair_boxes(
-        given_, found((0, A, 0.9), (2, B, 0.4)), classes=PERSON, min_score=0.5
+        given_,
+        found((0, A, 0.9), (2, B, 0.4)),
+        classes=PERSON,
+        min_score=0.5,
     )
 
     assert [len(one.found_px) for one in pairs.pictures] == [1, 0, 0]
     assert pairs.label_index.tolist() == [0, 1, 2]
 
     seen, alarms = gather_sightings(
-        pairs.pictures, n_confirmations=3, frame_rate_hz=7.0
+        pairs.pictures,
+        n_confirmations=3,
+        frame_rate_hz=7.0,
     )
 
     assert seen.is_found.tolist() == [True, False, False]
-    assert (seen.track.tolist(), seen.frame.tolist()) == ([0, 1, 1], [0, 0, 2])
-    assert (alarms.pictures, alarms.alarms) == (3, 0)
+    assert seen.track.tolist() == [0, 1, 1]
+    assert seen.frame.tolist() == [0, 0, 2]
+    assert alarms.pictures == 3
+    assert alarms.alarms == 0
 
 
 def test_boxes_in_regions_to_ignore_are_no_false_alarms():
@@ -76,6 +92,7 @@ def test_boxes_in_regions_to_ignore_are_no_false_alarms():
     given_ = annotated((0, 1, A), (0, -1, far, {"name": IGNORE}))
     detected = found((0, far, 0.9), (0, (800.0, 0.0, 840.0, 100.0), 0.9))
     pairs = pair_boxes(given_, detected, classes=PERSON, min_score=0.5)
+
     _, alarms = gather_sightings(pairs.pictures, n_confirmations=3, frame_rate_hz=7.0)
 
     assert alarms.alarms == 1
@@ -83,8 +100,9 @@ def test_boxes_in_regions_to_ignore_are_no_false_alarms():
 
 def test_files_that_do_not_belong_together_are_told():
     given_ = annotated((0, 1, A))
+
     with pytest.raises(
-        InputError, match=r"d: got frames up to 50; expected up to 0, as in a.txt"
+        InputError, match=r"d: got frames up to 50; expected up to 0, as in a\.txt"
     ):
         pair_boxes(given_, found((50, A, 0.9)), classes=PERSON, min_score=0.5)
 
@@ -92,12 +110,12 @@ def test_files_that_do_not_belong_together_are_told():
     every = found(*((frame, A, 0.9) for frame in range(100)))
 
     with pytest.raises(
-        InputError, match=r"d: got a frame in 1; expected one in 5, as in a.txt"
+        InputError, match=r"d: got a frame in 1; expected one in 5, as in a\.txt"
     ):
         pair_boxes(many, every, classes=PERSON, min_score=0.5)
 
     with pytest.raises(
-        InputError, match=r"a.txt: got nobody; expected boxes with an id of cycl"
+        InputError, match=r"a\.txt: got nobody; expected boxes with an id of cycl"
     ):
         pair_boxes(given_, found(), classes={"cyclist": "cyclist"}, min_score=0.5)
 
@@ -115,6 +133,7 @@ def test_frames_to_confirm_are_those_that_a_search_counts(rows, n):
     track = np.array([row[0] for row in rows])
     is_found = np.array([row[1] for row in rows])
     frame = np.cumsum([1 + row[2] for row in rows])  # some frames are missing
+
     waits = frames_to_confirm(is_found, track, frame, n_confirmations=n)
 
     for start, wait in enumerate(waits.tolist()):
@@ -129,10 +148,11 @@ def test_frames_to_confirm_are_those_that_a_search_counts(rows, n):
 
 def test_a_share_counts_tracks_and_is_never_surer_than_wilson():
     track = np.repeat(np.arange(20), 50)
-    independent = np.random.default_rng(1).random(1000) < 0.8
-    whole = np.repeat(np.random.default_rng(2).random(20) < 0.8, 50)  # all frames alike
+    independent = default_rng(1).random(1000) < 0.8
+    whole = np.repeat(default_rng(2).random(20) < 0.8, 50)  # all frames alike
     wide = share_by_track(whole, track)
     narrow = share_by_track(independent, track)
+
     plain = wilson(int(independent.sum()), 1000)
 
     assert narrow.low <= plain.low

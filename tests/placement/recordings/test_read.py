@@ -1,3 +1,5 @@
+"""Folders of recordings: units, drives, and what was left out."""
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ LAST = "3_57.txt"  # frame of the impact of the second drive
 
 
 def _refusal(folder):
+    """Words in which a folder is refused, F for its path."""
     with pytest.raises(InputError) as caught:
         read_recording(folder)
     return str(caught.value).replace(str(folder), "F")
@@ -16,7 +19,9 @@ def _refusal(folder):
 
 def test_a_recording_tells_its_units_drives_and_what_was_left_out(small, tmp_path):
     recording = read_recording(small.write(tmp_path))
-    assert (recording.units, recording.has_vut) == (("0", "1"), True)
+
+    assert recording.units == ("0", "1")
+    assert recording.has_vut is True
     assert [(d.first_number, d.n_frames, d.vru_class) for d in recording.drives] == [
         (0, 12, "pedestrian"),
         (42, 16, "pedestrian"),
@@ -26,9 +31,9 @@ def test_a_recording_tells_its_units_drives_and_what_was_left_out(small, tmp_pat
     assert recording.skipped == {
         "frames between drives (bodies back at their starts)": 60
     }
-    assert (
-        repr(recording) == f"Recording({tmp_path.name!r}: 2 units, 2 drives, 88 frames)"
-    )
+    words = f"Recording({tmp_path.name!r}: 2 units, 2 drives, 88 frames)"
+
+    assert repr(recording) == words
 
 
 def test_units_are_in_the_order_of_their_numbers(small, tmp_path):
@@ -69,6 +74,7 @@ def test_what_is_left_out_is_counted_by_its_reason(small, tmp_path):
 def test_a_recording_made_twice_into_one_folder_reads_as_once(small, tmp_path):
     once = read_recording(small.write(tmp_path / "once"))
     small.files = {name: 2 * text for name, text in small.files.items()}
+
     twice = read_recording(small.write(tmp_path / "twice"))
     n_lines = 88 + 3 * 88 + 12  # WorldData, labels, detections
 
@@ -85,6 +91,7 @@ def test_a_recording_made_twice_into_one_folder_reads_as_once(small, tmp_path):
 @pytest.mark.parametrize("index", ["car", "12", "-1"])
 def test_the_vut_may_be_called_by_its_folder_or_by_an_index(small, tmp_path, index):
     small.files[f"Eval/{LAST}"] = f"{index} pedestrian {BOX} 0.5"
+
     recording = read_recording(small.write(tmp_path))
     (found,) = recording.detections["car"][(3, 57)]
 
@@ -94,6 +101,7 @@ def test_the_vut_may_be_called_by_its_folder_or_by_an_index(small, tmp_path, ind
 def test_a_unit_folder_12_is_a_unit(small, tmp_path):
     small.add("12/3_0.txt", f"pedestrian {BOX} 5")
     small.files[f"Eval/{LAST}"] = f"12 pedestrian {BOX} 0.5\n-1 pedestrian {BOX} 0.25"
+
     recording = read_recording(small.write(tmp_path))
 
     assert recording.detections["12"][(3, 57)][0].confidence == 0.5
@@ -110,6 +118,7 @@ def test_a_recording_may_lack_the_vuts_camera(small, tmp_path):
 
 
 def _without(files, part):
+    """The files but for those whose name begins so."""
     return {name: text for name, text in files.items() if not name.startswith(part)}
 
 
@@ -146,6 +155,7 @@ def test_a_folder_without_a_frame_is_named(small, tmp_path, name):
 
 def test_a_folder_that_is_not_there_or_no_folder_is_named(tmp_path):
     refused = _refusal(tmp_path / "x")
+
     assert refused == "F: got No such file or directory; expected a recording"
 
     (tmp_path / "file").write_text("")
@@ -160,13 +170,19 @@ def test_a_recording_in_which_nobody_meets_is_refused_with_what_was_left_out(
 ):
     folder = new_folder()
     folder.drive(
-        0, 0, speeds=(10.0, 1.0), closing=0.0, n_frames=5, detected={"0": (), "car": ()}
+        0,
+        0,
+        speeds=(10.0, 1.0),
+        closing=0.0,
+        n_frames=5,
+        detected={"0": (), "car": ()},
     )
     folder.files["0/9_9.txt"] = ""
 
-    assert (
-        _refusal(folder.write(tmp_path))
-        == "F: got no drive; 1 frames without WorldData, 5 frames of drives in which"
+    message = (
+        "F: got no drive; 1 frames without WorldData, 5 frames of drives in which"
         " nothing approaches; expected frames in which the VUT and a VRU come"
         " together"
     )
+
+    assert _refusal(folder.write(tmp_path)) == message

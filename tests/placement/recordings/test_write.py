@@ -1,3 +1,5 @@
+"""Recordings as the simulator writes them, read back and judged."""
+
 import numpy as np
 import pytest
 from refusals import refused_with
@@ -21,6 +23,7 @@ MIN_HEIGHT_PX = 25.0
 
 
 def _drive(n_frames=12, **fields):
+    """A drive at a cyclist in one box."""
     box = np.tile([100.0, 200.0, 140.0, 300.0], (n_frames, 1))
     given = {
         "scenario": 3,
@@ -45,6 +48,7 @@ def test_the_files_are_those_of_the_study(tmp_path):
         for path in (tmp_path / "data").rglob("*.txt")
     }
     box = "100.0 200.0 140.0 300.0"
+
     # The frame after the drive is as its first one.
     for number, distance, car in (
         (0, 4.0, 1.0),
@@ -66,11 +70,15 @@ def test_frame_numbers_run_on_over_drives(tmp_path):
     )
     recording = read_recording(tmp_path / "data")
 
-    assert [(d.scenario, d.first_number, d.n_frames) for d in recording.drives] == [
+    expected = [
         (3, 0, 12),
         (3, 12 + N_RESETS, 12),
         (4, 2 * (12 + N_RESETS), 12),
     ]
+
+    assert [
+        (d.scenario, d.first_number, d.n_frames) for d in recording.drives
+    ] == expected
     assert recording.n_frames == 3 * (12 + N_RESETS)
 
 
@@ -82,11 +90,13 @@ def test_a_folder_that_holds_something_is_left_as_it_was(tmp_path):
         f"{tmp_path}/data: got a folder that is not empty; expected a new one"
     ):
         write_recording(tmp_path / "data", [_drive()])
+
     assert [path.name for path in tmp_path.rglob("*")] == ["data", "mine"]
 
 
 def test_an_empty_folder_is_filled(tmp_path):
     (tmp_path / "data").mkdir()
+
     write_recording(tmp_path / "data", [_drive()])
 
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
@@ -138,6 +148,7 @@ def test_drives_have_the_same_units_and_there_is_one(tmp_path):
         detections_px={"1": box},
         label_distance_m={"1": np.ones(12)},
     )
+
     for drives, message in (
         ([], "drives: got none; expected at least one"),
         (
@@ -168,8 +179,12 @@ def simulated(runs):
     vut_camera = load_vut_camera()
     by_id = {unit.id: unit for unit in load_carlancap_layout().units}
     boxes = {"car": perceive_frames(surroundings, vut_camera)}
-    for folder, unit in (("2", by_id["RSU2"]), ("9", by_id["RSU9"])):
+    for folder, unit in (
+        ("2", by_id["RSU2"]),
+        ("9", by_id["RSU9"]),
+    ):
         boxes[folder] = perceive_frames(surroundings, (unit.pose, unit.sensor))
+
     is_high = {
         name: box_height_px(seen.visible_px) >= MIN_HEIGHT_PX
         for name, seen in boxes.items()
@@ -210,6 +225,7 @@ def test_a_simulated_recording_gives_the_detected_frames_and_verdicts_of_the_sim
 ):
     axis, drives, detected = simulated
     write_recording(tmp_path / "data", drives)
+
     result = evaluate_recording(read_recording(tmp_path / "data"), rule)
 
     assert result.axis.run_start.tolist() == axis.run_start.tolist()
@@ -219,6 +235,7 @@ def test_a_simulated_recording_gives_the_detected_frames_and_verdicts_of_the_sim
     assert any(frames.any() for frames in detected.values())
 
     parties = {**result.units, "car": result.vut}
+
     for name, frames in detected.items():
         assert np.array_equal(parties[name].detected, frames)
         avoided = np.isfinite(live_confirmation_times_s(frames, axis, rule=rule))

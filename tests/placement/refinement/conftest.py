@@ -1,11 +1,14 @@
 """A wide open place with two poles, and people who walk by."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from placed_bodies import ahead_of
+from tiny_cameras import tiny_camera
 from tiny_worlds import run_of_frames, scene_of_boxes, setting_of
 
 from geometry.scene import Site
-from geometry.sensors import CameraModel
 from placement.candidates import CandidateGrid, build_candidates
 
 N_FRAMES = 40
@@ -30,46 +33,46 @@ def _build_walk(name, vru_m, *, last_brake_time_s=-1.0):
     """Someone at the places given, (n, 2); the VUT is far away."""
     vru_poses = np.column_stack([vru_m, np.zeros(len(vru_m))])
     return run_of_frames(
-        vru_poses, name=name, shapes=0, last_brake_time_s=last_brake_time_s
+        vru_poses,
+        name=name,
+        shapes=0,
+        last_brake_time_s=last_brake_time_s,
     )
 
 
 def around_the_pole(radius_m, first_deg, last_deg, n_frames=N_FRAMES):
     """Places on an arc around the origin, (n, 2)."""
-    angle = np.radians(np.linspace(first_deg, last_deg, n_frames))
-    return radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
+    return radius_m * ahead_of(np.linspace(first_deg, last_deg, n_frames))
 
 
 @pytest.fixture(scope="session")
 def arc():
+    """Builds walks around the pole."""
     return around_the_pole
 
 
 @pytest.fixture(scope="session")
 def build_meadow():
+    """Builds a scene of a pole on a meadow."""
     return _build_scene
 
 
 @pytest.fixture(scope="session")
 def build_walk():
+    """Builds a run of somebody who walks."""
     return _build_walk
 
 
 @pytest.fixture(scope="session")
 def narrow_camera():
-    return CameraModel(
-        name="narrow",
-        width_px=640,
-        height_px=480,
-        horizontal_fov_deg=40.0,
-        frame_rate_hz=10.0,
-        near_m=0.35,
-        price_eur=1000.0,
-    )
+    """A camera of 640 by 480 pixels that costs 1000 EUR."""
+    camera = tiny_camera(640, 480, name="narrow", fov_deg=40.0)
+    return replace(camera, price_eur=1000.0)
 
 
 @pytest.fixture(scope="session")
 def build_small_setting():
+    """Builds settings of few runs."""
     return setting_of
 
 
@@ -93,10 +96,11 @@ def meadow(build_meadow, build_walk, build_small_setting):
 
 @pytest.fixture(scope="session")
 def meadow_grid(meadow, narrow_camera):
+    """Eight directions at the pole."""
     grid = CandidateGrid(
-        heights_m=np.array([5.0]),
+        heights_m=[5.0],
         yaw_step_deg=45.0,
-        pitches_deg=np.array([-15.0]),
+        pitches_deg=[-15.0],
         sensors=(narrow_camera,),
     )
     return build_candidates(meadow.scene, grid)

@@ -1,3 +1,5 @@
+"""Poses that refinement proposes: in their ranges, and not in walls."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +10,7 @@ from strategies import numbers
 from tiny_worlds import unit_at
 
 from geometry.catalogue import pick_sensor
+from geometry.study_scene import load_study_scene
 from placement import refinement
 from placement.candidates import CandidateGrid, build_candidates
 from placement.optimiser import Limits
@@ -15,9 +18,10 @@ from placement.refinement import build_places, moved
 
 
 def _limits(candidates, **fields):
+    """Limits with one unit at each site."""
     sites = sorted({candidate.site_id or candidate.id for candidate in candidates})
     return Limits(
-        site_index=np.array([sites.index(c.site_id or c.id) for c in candidates]),
+        site_index=[sites.index(c.site_id or c.id) for c in candidates],
         site_capacity=np.ones(len(sites), dtype=int),
         budget_units=1,
         **fields,
@@ -26,6 +30,7 @@ def _limits(candidates, **fields):
 
 @pytest.fixture(scope="module")
 def places(meadow, meadow_grid):
+    """Where the grid's poses may move."""
     return build_places(meadow.scene, meadow_grid, _limits(meadow_grid))
 
 
@@ -39,11 +44,16 @@ def test_a_moved_pose_is_at_its_place_and_within_all_ranges(
     places, origin, height_m, yaw_deg, pitch_deg
 ):
     pose = moved(
-        places, origin, height_m=height_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg
+        places,
+        origin,
+        height_m=height_m,
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
     )
     grid = places.candidates[origin]
 
-    assert (pose.site_id, pose.sensor) == (grid.site_id, grid.sensor)
+    assert pose.site_id == grid.site_id
+    assert pose.sensor == grid.sensor
     assert np.array_equal(pose.pose.position_m[:2], grid.pose.position_m[:2])
     assert pose.pose.position_m[2] == pytest.approx(
         np.clip(height_m, 4.0, 8.0), abs=0.0051
@@ -59,6 +69,7 @@ def test_a_moved_pose_is_at_its_place_and_within_all_ranges(
 def test_a_pose_of_the_grid_keeps_its_name(places):
     for origin, candidate in enumerate(places.candidates):
         pose = candidate.pose
+
         same = moved(
             places,
             origin,
@@ -66,6 +77,7 @@ def test_a_pose_of_the_grid_keeps_its_name(places):
             yaw_deg=pose.yaw_deg,
             pitch_deg=pose.pitch_deg,
         )
+
         assert same.id == candidate.id
         assert np.array_equal(same.pose.position_m, pose.position_m)
 
@@ -73,6 +85,7 @@ def test_a_pose_of_the_grid_keeps_its_name(places):
 def test_a_pose_of_no_site_stays_at_its_height(meadow, narrow_camera):
     drone = unit_at("drone", [3.0, 4.0, 30.0], pitch_deg=-80.0, sensor=narrow_camera)
     places = build_places(meadow.scene, [drone], _limits([drone]))
+
     pose = moved(places, 0, height_m=20.0, yaw_deg=10.0, pitch_deg=-70.0)
 
     assert pose.pose.position_m.tolist() == [3.0, 4.0, 30.0]
@@ -84,8 +97,13 @@ def test_a_pose_that_hangs_outside_of_its_sites_range_may_stay_there(
 ):
     """An existing unit, 9 m up and half a metre beside a pole for 4 to 8 m."""
     high = unit_at(
-        "RSU9", [0.5, 0.0, 9.0], pitch_deg=-10.0, site_id="west", sensor=narrow_camera
+        "RSU9",
+        [0.5, 0.0, 9.0],
+        pitch_deg=-10.0,
+        site_id="west",
+        sensor=narrow_camera,
     )
+
     places = build_places(meadow.scene, [high], _limits([high]))
 
     assert places.height_range_m(0) == (4.0, 9.0)
@@ -97,8 +115,6 @@ def test_a_pose_that_hangs_outside_of_its_sites_range_may_stay_there(
 
 
 def test_nothing_is_moved_into_a_wall(narrow_camera):
-    from geometry.study_scene import load_study_scene
-
     scene = load_study_scene()
     wall = next(
         index
@@ -119,12 +135,13 @@ def test_nothing_is_moved_into_a_wall(narrow_camera):
     )
     scene = replace(scene, sites=(site,))
     grid = CandidateGrid(
-        heights_m=np.array([corners[:, 2].max() + 5.0]),
+        heights_m=[corners[:, 2].max() + 5.0],
         yaw_step_deg=360.0,
-        pitches_deg=np.array([-15.0]),
+        pitches_deg=[-15.0],
         sensors=(narrow_camera,),
     )
     candidates = build_candidates(scene, grid)
+
     places = build_places(scene, candidates, _limits(candidates))
 
     assert moved(places, 0, height_m=4.1, yaw_deg=0.0, pitch_deg=0.0) is None
@@ -134,15 +151,22 @@ def test_nothing_is_moved_into_a_wall(narrow_camera):
 def test_a_varifocal_lens_is_set_within_its_range(meadow):
     camera = pick_sensor("varifocal-1080p", "test")
     grid = CandidateGrid(
-        heights_m=np.array([5.0]),
+        heights_m=[5.0],
         yaw_step_deg=360.0,
-        pitches_deg=np.array([-15.0]),
+        pitches_deg=[-15.0],
         sensors=(camera,),
     )
     candidates = build_candidates(meadow.scene, grid)
+
     places = build_places(meadow.scene, candidates, _limits(candidates))
     pose = {"height_m": 5.0, "yaw_deg": 0.0, "pitch_deg": -15.0}
-    for asked, got in ((1.0, 26.2), (170.0, 89.6), (50.123, 50.12), (None, 89.6)):
+
+    for asked, got in (
+        (1.0, 26.2),
+        (170.0, 89.6),
+        (50.123, 50.12),
+        (None, 89.6),
+    ):
         zoomed = moved(places, 0, **pose, fov_deg=asked)
         assert zoomed.sensor.horizontal_fov_deg == got
         assert zoomed.id.endswith(f"/varifocal-1080p/{got:g}")
@@ -158,12 +182,13 @@ def test_a_varifocal_lens_is_set_within_its_range(meadow):
 def test_a_level_ring_is_tilted_and_never_only_turned(meadow):
     ring = pick_sensor("ouster-os1-128", "test")
     grid = CandidateGrid(
-        heights_m=np.array([6.0]),
+        heights_m=[6.0],
         yaw_step_deg=90.0,
-        pitches_deg=np.array([-20.0]),
+        pitches_deg=[-20.0],
         sensors=(ring,),
     )
     candidates = build_candidates(meadow.scene, grid)
+
     places = build_places(meadow.scene, candidates, _limits(candidates))
     steps = refinement._turned(candidates[0], 0, places)
 

@@ -1,7 +1,10 @@
+"""Layouts refined between the poses of the grid."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from changes import changed
 from refusals import refused_with
 from tiny_worlds import table_of
 
@@ -18,10 +21,11 @@ from placement.wishes import Wishes
 
 
 def _grid_of(scene, camera, *, yaw_step_deg, pitch_deg=-15.0, height_m=5.0):
+    """Candidates of a grid with one height and pitch."""
     grid = CandidateGrid(
-        heights_m=np.array([height_m]),
+        heights_m=[height_m],
         yaw_step_deg=yaw_step_deg,
-        pitches_deg=np.array([pitch_deg]),
+        pitches_deg=[pitch_deg],
         sensors=(camera,),
     )
     return build_candidates(scene, grid)
@@ -63,6 +67,7 @@ def placements(meadow, meadow_grid, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def refinements(meadow, placements):
+    """Refinements of all placements, by name."""
     return {
         name: refine(meadow, placement, candidates, compute=Compute(workers=1))
         for name, (candidates, placement) in placements.items()
@@ -116,12 +121,15 @@ def test_a_refined_layout_is_within_all_limits_and_what_its_placement_says(
     assert len(set(problem.table.pose_ids)) == len(problem.table.pose_ids)
 
     check_layout(refined.layout, meadow.scene)
+
     low_high = {site.id: site.height_range_m for site in meadow.scene.sites}
     places = {site.id: site.position_m[:2] for site in meadow.scene.sites}
+
     for unit in refined.layout.units:
         low, high = low_high[unit.site_id]
         assert low <= unit.pose.position_m[2] <= high
         assert np.array_equal(unit.pose.position_m[:2], places[unit.site_id])
+
     # Certificates and explanations take rows and units in the same order.
     for row, unit in zip(units, refined.layout.units, strict=True):
         assert refinement.candidates[row].pose == unit.pose
@@ -156,11 +164,9 @@ def test_most_questions_have_a_better_answer_between_the_poses_of_this_grid(
                 assert stage.bound >= stage.objective
 
         n_tried = refinements[name].n_tried
+        words = f"over 17 grid candidates and {n_tried} further poses tried"
 
-        assert (
-            f"over 17 grid candidates and {n_tried} further poses tried"
-            in certificate.solver
-        )
+        assert words in certificate.solver
         assert len(refinements[name].candidates) == 17 + n_tried
 
 
@@ -172,15 +178,16 @@ def test_a_kept_unit_stays_as_it_is_and_the_other_one_moves(placements, refineme
     assert units.keys() == {"old", "U1"} or units.keys() == {"old", "U2"}
     assert units["old"].pose is candidates[-1].pose
     assert refinement.is_improved
-    assert all(
-        move.after is None or move.after.id != "old" for move in refinement.moves
-    )
+    for move in refinement.moves:
+        assert move.after is None or move.after.id != "old"
+
     assert refinement.placement.problem.limits.is_forced.sum() == 1
 
 
 def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
     old = replace(meadow_grid[0], id="old")
     candidates = (*meadow_grid, old)
+
     placement = place(
         Assembly(
             setting=meadow,
@@ -201,6 +208,7 @@ def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
 @pytest.mark.long
 def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
     candidates, placement = placements["two units"]
+
     again = refine(meadow, placement, candidates, compute=Compute(workers=2))
     first = refinements["two units"]
 
@@ -223,12 +231,11 @@ def test_a_unit_is_turned_to_where_it_sees_earliest(
     scene = build_meadow(("pole", 0.0, 0.0))
     setting = build_small_setting(scene, [build_walk("walk", arc(18.0, 90.0, 10.0))])
     candidates = _grid_of(scene, narrow_camera, yaw_step_deg=360.0)
-    candidates = [
-        replace(candidates[0], pose=replace(candidates[0].pose, yaw_deg=30.0))
-    ]
+    candidates = [changed(candidates[0], "pose.yaw_deg", 30.0)]
     placement = place(
         Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
     )
+
     before = placement_value(placement.problem, placement.pose_index)
     (run,) = setting.runs
     latest_s = run.last_brake_time_s - setting.rule.latency_s - run.time_s[2]
@@ -258,6 +265,7 @@ def test_a_varifocal_lens_zooms_in_on_what_is_far_away(
     setting = build_small_setting(scene, [build_walk("walk", walk)])
     candidates = _grid_of(scene, camera, yaw_step_deg=90.0, pitch_deg=0.0)
     candidates = [one for one in candidates if one.pose.yaw_deg == 0.0]
+
     placement = place(
         Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
     )
@@ -278,7 +286,10 @@ def test_a_varifocal_lens_zooms_in_on_what_is_far_away(
     assert record["fov_deg"] == unit.sensor.horizontal_fov_deg
 
     (back,) = layout_from_records(
-        "l", [record], "f.json", sensors={"own": camera}
+        "l",
+        [record],
+        "f.json",
+        sensors={"own": camera},
     ).units
 
     assert back.sensor == unit.sensor
@@ -290,6 +301,7 @@ def test_a_lidar_is_aimed_too(build_meadow, build_walk, build_small_setting, arc
     setting = build_small_setting(scene, [build_walk("walk", arc(12.0, 93.0, 87.0))])
     lidar = pick_sensor("carla-ncap-lidar", "test")
     candidates = _grid_of(scene, lidar, yaw_step_deg=180.0)
+
     placement = place(
         Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
     )

@@ -1,13 +1,14 @@
+"""Rows of tables for refined poses, against the builder of tables."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiny_worlds import table_of
+from numpy.random import default_rng
+from tiny_worlds import table_of, unit_at
 
 from geometry.catalogue import pick_sensor
-from geometry.poses import Pose
 from geometry.sensors import with_fov
-from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_planning_detector
 from placement.live import LiveTable
@@ -19,19 +20,26 @@ SENSORS = ("carla-ncap-rgb", "varifocal-1080p", "carla-ncap-lidar")
 
 def _random_poses(n_poses, seed):
     """Cameras, zooms and LiDARs at three positions."""
-    rng = np.random.default_rng(seed)
-    positions = ([0.0, 0.0, 5.0], [34.0, 4.0, 6.5], [0.0, 0.0, 6.1])
+    rng = default_rng(seed)
+    positions = (
+        [0.0, 0.0, 5.0],
+        [34.0, 4.0, 6.5],
+        [0.0, 0.0, 6.1],
+    )
     poses = []
     for index in range(n_poses):
         sensor = pick_sensor(SENSORS[index % 3], "test")
         if index % 3 == 1:
             sensor = with_fov(sensor, float(rng.uniform(*sensor.fov_range_deg)), "test")
-        pose = Pose(
-            position_m=positions[rng.integers(3)],
-            yaw_deg=rng.uniform(-180.0, 180.0),
-            pitch_deg=rng.uniform(-45.0, 0.0),
+        poses.append(
+            unit_at(
+                str(index),
+                positions[rng.integers(3)],
+                yaw_deg=rng.uniform(-180.0, 180.0),
+                pitch_deg=rng.uniform(-45.0, 0.0),
+                sensor=sensor,
+            )
         )
-        poses.append(CandidatePose(id=str(index), site_id="", pose=pose, sensor=sensor))
 
     return poses
 
@@ -65,7 +73,8 @@ def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
 
     assert np.array_equal(builder.packed(poses), table.packed)
 
-    order = np.random.default_rng(0).permutation(36)
+    order = default_rng(0).permutation(36)
+
     for part in np.array_split(order, 7):
         assert np.array_equal(
             builder.packed([poses[row] for row in part]), table.packed[part]

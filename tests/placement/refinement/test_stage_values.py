@@ -1,3 +1,5 @@
+"""Values by which refined layouts are compared, stage by stage."""
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,13 +18,14 @@ def test_stages_are_those_of_the_certificate_with_the_same_values(problem):
         solution = solve_placement(problem, effort=Effort(solver="greedy"))
     except InputError:
         return
+
     values = objective_values(problem, solution.pose_index)
     stages = solution.certificate.stages
 
     assert [*values] == [stage.name for stage in stages]
-    assert [*values.values()] == pytest.approx(
-        [stage.objective for stage in stages], abs=1e-12
-    )
+    expected = [stage.objective for stage in stages]
+
+    assert [*values.values()] == pytest.approx(expected, abs=1e-12)
 
 
 @given(problems(), st.data())
@@ -31,6 +34,7 @@ def test_without_further_wishes_a_set_improves_where_its_value_is_better(problem
     sets = st.sets(st.integers(0, n_poses - 1), min_size=1, max_size=3).map(sorted)
     one = data.draw(sets)
     other = data.draw(sets)
+
     values = [placement_value(problem, units) for units in (one, other)]
 
     assert improves(
@@ -46,7 +50,8 @@ def test_units_and_cost_are_the_better_the_smaller():
     assert not improves(many, few)
     assert not improves(few, few)
 
-    dear, cheap = ({Objective.COST: cost} for cost in (1500.0, 1499.0))
+    dear = {Objective.COST: 1500.0}
+    cheap = {Objective.COST: 1499.0}
 
     assert improves(cheap, dear)
     assert not improves(dear, cheap)
@@ -55,7 +60,13 @@ def test_units_and_cost_are_the_better_the_smaller():
 
 def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
     def stage(name, objective, bound):
-        return Stage(name=name, objective=objective, bound=bound, gap=9.0, seconds=1.5)
+        return Stage(
+            name=name,
+            objective=objective,
+            bound=bound,
+            gap=9.0,
+            seconds=1.5,
+        )
 
     certificate = Certificate(
         stages=(
@@ -72,6 +83,7 @@ def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
         Objective.MEAN_MARGIN: 2.0,
         Objective.COST: 2500.0,
     }
+
     made = certify(values, certificate, "any")
 
     assert made.solver == "any"

@@ -24,6 +24,7 @@ _LAST = 41
 
 @pytest.fixture(scope="session")
 def build_setting():
+    """Builds settings of few runs."""
     return setting_of
 
 
@@ -43,9 +44,9 @@ def setting(runs):
 def candidates(setting, camera):
     """Two poses at each site."""
     grid = CandidateGrid(
-        heights_m=np.array([6.8]),
+        heights_m=[6.8],
         yaw_step_deg=180.0,
-        pitches_deg=np.array([-25.0]),
+        pitches_deg=[-25.0],
         sensors=(camera,),
     )
     return build_candidates(setting.scene, grid)
@@ -53,6 +54,7 @@ def candidates(setting, camera):
 
 @pytest.fixture(scope="session")
 def default():
+    """The default uncertainty."""
     return load_uncertainty()
 
 

@@ -3,11 +3,14 @@ hold.
 """
 
 import pickle
+import re
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from changes import changed
 from scipy.stats import t as student
 
 from geometry.errors import InputError
@@ -17,6 +20,7 @@ from placement.certify import certify, estimate_gap
 from placement.compute import Compute
 from placement.growth import SIZES, grow
 from placement.layout import Layout, load_carlancap_layout
+from placement.optimiser import apr
 from placement.pipeline import Assembly, assemble, place
 from placement.question import AUTO, Question
 from placement.sampling import out_of_sample
@@ -29,6 +33,7 @@ from placement.wishes import Wishes
 def test_limits_are_those_of_the_formula():
     bounds = [0.96, 0.97, 0.955, 0.965]
     aprs = [0.95, 0.94, 0.96, 0.93, 0.95]
+
     found = estimate_gap(bounds, aprs)
     most = np.mean(bounds) + student.ppf(0.975, 3) * np.std(bounds, ddof=1) / 2.0
     least = np.mean(aprs) - student.ppf(0.975, 4) * np.std(aprs, ddof=1) / np.sqrt(5.0)
@@ -37,7 +42,9 @@ def test_limits_are_those_of_the_formula():
     assert found.least.low == pytest.approx(least)
     assert found.gap == pytest.approx(most - least)
     assert found.bias + found.chance == pytest.approx(found.gap)
-    assert found.bias == pytest.approx(np.mean(bounds) - np.mean(aprs))
+    expected = np.mean(bounds) - np.mean(aprs)
+
+    assert found.bias == pytest.approx(expected)
 
 
 def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
@@ -48,24 +55,29 @@ def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
     with a probability of its own, so that the APR of a pair over all worlds has a
     closed form.
     """
-    n_poses, n_runs, holds = 10, 12, np.zeros(3)
-    pairs = np.array(list(combinations(range(n_poses), 2)))
+    pairs = np.array(list(combinations(range(10), 2)))
+    holds = np.zeros(3)
+
+    def draw_aprs(rng, n, sees, weight):
+        """APR of each pair in so many worlds, (n, n_pairs)."""
+        drawn = rng.random((n, *sees.shape)) < sees
+        return drawn[:, pairs].any(axis=2) @ weight
 
     for repetition in range(n_repetitions):
         rng = np.random.default_rng([7, repetition])
-        sees = rng.beta(2.0, 1.0, size=(n_poses, n_runs))
-        weight = rng.dirichlet(np.ones(n_runs))
+        sees = rng.beta(2.0, 1.0, size=(10, 12))
+        weight = rng.dirichlet(np.ones(12))
         true = (1.0 - np.prod(1.0 - sees[pairs], axis=1)) @ weight
 
-        def aprs(n, rng=rng, sees=sees, weight=weight):
-            drawn = rng.random((n, n_poses, n_runs)) < sees
-            return drawn[:, pairs].any(axis=2) @ weight  # (n, n_pairs)
-
-        blocks = [aprs(n_worlds).mean(axis=0) for _ in range(n_blocks)]
+        blocks = [
+            draw_aprs(rng, n_worlds, sees, weight).mean(axis=0) for _ in range(n_blocks)
+        ]
         bounds = [block.max() for block in blocks]  # by brute force, hence exact
         pool = sorted({int(block.argmax()) for block in blocks})
-        best = pool[int(aprs(n_judged)[:, pool].mean(axis=0).argmax())]
-        found = estimate_gap(bounds, aprs(n_judged)[:, best].tolist())
+        compared = draw_aprs(rng, n_judged, sees, weight)[:, pool].mean(axis=0)
+        best = pool[int(compared.argmax())]
+        judged = draw_aprs(rng, n_judged, sees, weight)[:, best]
+        found = estimate_gap(bounds, judged.tolist())
         holds += (
             true.max() - true[best] <= found.gap,
             true.max() <= found.most.high,
@@ -83,6 +95,7 @@ def test_gaps_hold_as_often_as_they_say():
 
 @pytest.fixture(scope="module")
 def assembly(setting, candidates):
+    """One unit in three worlds, in which messages are lost."""
     uncertainty = replace(load_uncertainty("default"), packet_loss=0.3)
     return Assembly(
         setting=setting,
@@ -96,8 +109,10 @@ def assembly(setting, candidates):
 
 @pytest.mark.long
 def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
-    found = certify(assembly, n_blocks=3, n_judged=5)
     n_runs = assembly.setting.axis.n_runs
+
+    found = certify(assembly, n_blocks=3, n_judged=5)
+
     for number, block in enumerate(found.blocks):
         assert block.first == 3 * number
 
@@ -109,15 +124,17 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
             first=block.first,
             compute=assembly.compute,
         ).table
-        part = replace(assembly, known_table=table, n_samples=0)
-        values = [_apr(part, rows) for rows in range(len(assembly.candidates))]
+        part = replace(assembly, known_table=table, n_samples=0).problem
+        values = [apr(part, [row]) for row in range(len(assembly.candidates))]
 
         assert table.axis.n_runs == 3 * n_runs
         assert block.bound == pytest.approx(max(values))
         assert block.apr == pytest.approx(max(values))
         assert values[block.found[0]] == pytest.approx(max(values))
 
-    assert found.pool[0].estimate.mean == max(one.estimate.mean for one in found.pool)
+    best = max(one.estimate.mean for one in found.pool)
+
+    assert found.pool[0].estimate.mean == best
 
 
 @pytest.mark.long
@@ -135,25 +152,23 @@ def test_tasks_that_run_elsewhere_and_in_any_order_give_the_same(assembly, monke
 
     here = certify(assembly, n_blocks=2, n_judged=4)
     there = certify(assembly, n_blocks=2, n_judged=4, run=run_backwards)
+
     assert there.blocks == here.blocks
     assert there.gap == here.gap
+
     for one, other in zip(there.pool, here.pool, strict=True):
-        assert one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
+        assert _same_aprs(one, other)
         assert one.avoided_share.tolist() == other.avoided_share.tolist()
+
     # Four worlds are two tasks.
     assert sent == [("_solve_block", 2), ("_look_at_part", 2), ("_look_at_part", 2)]
-
-
-def _apr(part, row):
-    from placement.optimiser import apr
-
-    return apr(part.problem, [row])
 
 
 @pytest.mark.long
 def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
     found = certify(assembly, n_blocks=2, n_judged=4)
     chosen = found.pool[0].layout
+
     both = out_of_sample_layouts(
         assembly.setting,
         [chosen],
@@ -167,27 +182,28 @@ def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
     assert found.judged.layout.units == chosen.units
 
 
+def _same_aprs(one, other):
+    """Have two judgements the same APR in every world?"""
+    return one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
+
+
 @pytest.mark.long
 def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
     assembly, tmp_path, monkeypatch
 ):
     cached = replace(assembly, compute=replace(assembly.compute, cache_folder=tmp_path))
-    units = [
-        one
-        for one in assembly.candidates
-        if one.sensor == assembly.candidates[0].sensor
-    ]
+    first_sensor = assembly.candidates[0].sensor
+    units = [one for one in assembly.candidates if one.sensor == first_sensor]
     layouts = [
         Layout(name=f"layout {n}", units=(unit,)) for n, unit in enumerate(units[:2])
     ]
+    lossy = replace(cached, uncertainty=replace(cached.uncertainty, packet_loss=0.9))
+
     plain = assembly.in_fresh_worlds(layouts, n_worlds=3)
     first = cached.in_fresh_worlds(layouts, n_worlds=3)
-    others = [cached.in_fresh_worlds(layouts[::-1], n_worlds=3)[1]]
-    others += [cached.in_fresh_worlds(layouts, n_worlds=3, first=7)[0]]
-    lossy = replace(assembly.uncertainty, packet_loss=0.9)
-    others += [
-        replace(cached, uncertainty=lossy).in_fresh_worlds(layouts, n_worlds=3)[0]
-    ]
+    turned = cached.in_fresh_worlds(layouts[::-1], n_worlds=3)
+    other_worlds = cached.in_fresh_worlds(layouts, n_worlds=3, first=7)
+    other_losses = lossy.in_fresh_worlds(layouts, n_worlds=3)
 
     def refuse(*given, **how):
         raise RuntimeError("looked again")
@@ -196,45 +212,43 @@ def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
     again = cached.in_fresh_worlds(layouts, n_worlds=3)
 
     for one, other, third in zip(plain, first, again, strict=True):
-        assert one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
-        assert one.apr_by_sample.tolist() == third.apr_by_sample.tolist()
+        assert _same_aprs(one, other)
+        assert _same_aprs(one, third)
         assert one.avoided_share.tolist() == third.avoided_share.tolist()
-        assert (one.layout, one.alone) == (third.layout, third.alone)
+        assert one.layout == third.layout
+        assert one.alone == third.alone
 
-    same, other_worlds, other_losses = others
+    assert _same_aprs(turned[1], plain[0])
+    assert not _same_aprs(other_worlds[0], plain[0])
+    assert other_losses[0].estimate.mean < plain[0].estimate.mean
 
-    assert same.apr_by_sample.tolist() == plain[0].apr_by_sample.tolist()
-    assert other_worlds.apr_by_sample.tolist() != plain[0].apr_by_sample.tolist()
-    assert other_losses.estimate.mean < plain[0].estimate.mean
     with pytest.raises(RuntimeError):
         assembly.in_fresh_worlds(layouts, n_worlds=3)  # without a folder
 
 
-def test_what_cannot_be_certified_is_refused(assembly):
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"n_samples": 1}, "samples: got 1; expected a whole number, at least 2"),
+        ({"n_samples": 0, "uncertainty": None}, "samples: got 0"),
+        ({"wishes": Wishes(target=0.5)}, "a target, failures or a tail"),
+    ],
+)
+def test_what_cannot_be_certified_is_refused(assembly, changes, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        certify(replace(assembly, **changes))
+
+
+def test_one_block_is_refused(assembly):
     with pytest.raises(
         InputError, match="blocks: got 1; expected a whole number, at least 2"
     ):
         certify(assembly, n_blocks=1)
 
-    with pytest.raises(
-        InputError, match="samples: got 1; expected a whole number, at least 2"
-    ):
-        certify(replace(assembly, n_samples=1))
-
-    aims = replace(assembly, wishes=Wishes(target=0.5))
-
-    with pytest.raises(InputError, match="a target, failures or a tail"):
-        certify(aims)
-
-
-def test_a_question_without_worlds_is_refused(assembly):
-    plan = replace(assembly, n_samples=0, uncertainty=None)
-    with pytest.raises(InputError, match="samples: got 0"):
-        certify(plan)
-
 
 # ---------- how many worlds are enough
 
+TWO_WORKERS = Compute(workers=2, seed=3)
 SMALL = Question(
     budget=1,
     cases="CPNC-50",
@@ -252,16 +266,21 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     monkeypatch.setattr(growing, "N_JUDGED", 6)
     monkeypatch.setattr(pipeline, "N_JUDGED", 6)
     compute = Compute(workers=2, seed=3)
+
     found = grow(SMALL, compute=compute)
     growth = found.growth
     last = None
 
     assert growth.stopped in ("same", "no better")
-    assert [one.worlds for one in growth.rounds] == [*SIZES[: len(growth.rounds)]]
+
+    expected = [*SIZES[: len(growth.rounds)]]
+
+    assert [one.worlds for one in growth.rounds] == expected
     assert growth.rounds[-1].worlds == 2 * growth.taken == 2 * found.assembly.n_samples
 
     for one in growth.rounds:
         plan = assemble(replace(SMALL, samples=one.worlds), compute=compute)
+
         alone = place(plan, asks_worlds=True)  # as if the number had been given
 
         assert one.in_sample == alone.certificate.stages[0].objective
@@ -281,7 +300,9 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
             gain = again.apr_by_sample - last.apr_by_sample
             reach = student.ppf(0.975, 5) * gain.std(ddof=1) / np.sqrt(6.0)
             limits = (gain.mean() - reach, gain.mean() + reach)
+
             assert (one.low, one.high) == pytest.approx(limits) or np.ptp(gain) == 0.0
+
         last = again
         if one.worlds == growth.taken:
             assert found.placement.layout.units == alone.layout.units
@@ -303,6 +324,7 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
 
     monkeypatch.setattr(growing, "place", placed)
     question = replace(SMALL, within="", heights="6.5", yaw_step_deg=120.0)
+
     growth = grow(question, compute=Compute(workers=2, seed=3)).growth
     first, second = chosen
 
@@ -316,7 +338,9 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
     """Rounds whose layouts differ and have some APRs in fresh worlds; each takes some
     seconds.
     """
-    units, rounds, clock = load_carlancap_layout().units, iter(range(len(aprs))), [0.0]
+    units = load_carlancap_layout().units
+    rounds = iter(range(len(aprs)))
+    clock = SimpleNamespace(now_s=0.0)
     real = place
     judge = Assembly.in_fresh_worlds
 
@@ -325,10 +349,8 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
         if error is not None and number:
             raise error
         found = real(plan, **how)
-        clock[0] += seconds
-        return replace(
-            found, layout=replace(found.layout, units=units[number : number + 1])
-        )
+        clock.now_s += seconds
+        return changed(found, "layout.units", units[number : number + 1])
 
     def judged(self, layouts, **how):
         (one,) = judge(self, layouts, **how | {"n_worlds": 4})
@@ -337,13 +359,13 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
     monkeypatch.setattr(growing, "SIZES", sizes)
     monkeypatch.setattr(growing, "place", placed)
     monkeypatch.setattr(Assembly, "in_fresh_worlds", judged)
-    monkeypatch.setattr(growing, "now_s", lambda: clock[0])
-    return grow(SMALL, compute=Compute(workers=2, seed=3))
+    monkeypatch.setattr(growing, "now_s", lambda: clock.now_s)
+    return grow(SMALL, compute=TWO_WORKERS)
 
 
-LOW, MIDDLE, HIGH = (
-    [level + 0.01 * level * n for n in range(4)] for level in (0.5, 0.6, 0.7)
-)
+LOW = [0.5 + 0.01 * 0.5 * n for n in range(4)]
+MIDDLE = [0.6 + 0.01 * 0.6 * n for n in range(4)]
+HIGH = [0.7 + 0.01 * 0.7 * n for n in range(4)]
 # 0 is within t(3) = 3.18 errors of its mean less that of LOW.
 MAYBE = [0.45, 0.75, 0.65, 0.55]
 
@@ -363,7 +385,9 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
     monkeypatch, aprs, seconds, taken, stopped
 ):
     found = scripted(monkeypatch, aprs, seconds=seconds)
-    assert (found.growth.taken, found.growth.stopped) == (taken, stopped)
+
+    assert found.growth.taken == taken
+    assert found.growth.stopped == stopped
     assert found.assembly.n_samples == taken
     assert found.placement.problem.sample_index.max() + 1 == taken
 
@@ -371,24 +395,33 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
 @pytest.mark.long
 def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
     found = scripted(monkeypatch, [LOW, HIGH], sizes=(1, 2))
-    assert (found.growth.taken, found.growth.stopped) == (2, "most")
+
+    assert found.growth.taken == 2
+    assert found.growth.stopped == "most"
 
     found = scripted(monkeypatch, [LOW, HIGH], error=InputError("memory", "8", "less"))
 
-    assert (found.growth.taken, found.growth.stopped) == (1, "memory")
+    assert found.growth.taken == 1
+    assert found.growth.stopped == "memory"
+
     with pytest.raises(InputError, match="sites"):
         scripted(monkeypatch, [LOW, HIGH], error=InputError("sites", "8", "less"))
 
 
-def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone():
-    for asked in (
+@pytest.mark.parametrize(
+    "asked",
+    [
         {"target": "0.5", "budget": None},
         {"survive": "1"},
         {"risk": "worst"},
-    ):
-        with pytest.raises(InputError, match="a target, failures or a tail"):
-            grow(replace(SMALL, **asked))
+    ],
+)
+def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone(asked):
+    with pytest.raises(InputError, match="a target, failures or a tail"):
+        grow(replace(SMALL, **asked))
 
+
+def test_a_plan_needs_a_number_of_worlds():
     with pytest.raises(
         InputError, match="samples: got 'auto'; expected a number; auto where"
     ):
@@ -396,14 +429,15 @@ def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone():
 
 
 @pytest.mark.long
-def test_a_certificate_shares_no_world_with_how_many_are_enough(assembly, monkeypatch):
+def test_a_certificate_shares_no_world_with_how_many_are_enough(monkeypatch):
     seen = []
+
+    def noted(plan, **_):
+        seen.append(plan.first_sample)
+        return place(plan)
+
     monkeypatch.setattr(growing, "N_JUDGED", 2)
-    monkeypatch.setattr(
-        growing,
-        "place",
-        lambda plan, **_: seen.append(plan.first_sample) or place(plan),
-    )
-    grow(SMALL, first=APART, compute=Compute(workers=2, seed=3))
+    monkeypatch.setattr(growing, "place", noted)
+    grow(SMALL, first=APART, compute=TWO_WORKERS)
 
     assert set(seen) == {APART}

@@ -23,10 +23,12 @@ def rates(routes):
 
 
 def changed(folder, *changes):
+    """The default demand with words changed, as a file; returns its path."""
     text = DEFAULT
     for old, new in changes:
         assert old in text
         text = text.replace(old, new, 1)
+
     path = folder / "mine.toml"
     path.write_text(text, encoding="utf-8")
     return path
@@ -34,8 +36,8 @@ def changed(folder, *changes):
 
 def test_an_arms_vehicles_are_spread_over_the_turns_that_it_has():
     found = rates(write_routes(load_demand(), WAYS, LANES))
-    # 300 on each of two lanes; straight and left have 0.6 and 0.2 of them, and nobody
 
+    # 300 on each of two lanes; straight and left have 0.6 and 0.2 of them, and nobody
     # turns right.
     assert found["north-south"] == pytest.approx(450.0)
     assert found["north-east"] == pytest.approx(150.0)
@@ -46,6 +48,7 @@ def test_an_arms_vehicles_are_spread_over_the_turns_that_it_has():
 
 def test_an_arm_may_have_a_count_of_its_own(tmp_path):
     demand = load_demand(changed(tmp_path, ("[arms]", "[arms]\nnorth = 80.0")))
+
     found = rates(write_routes(demand, WAYS, LANES))
 
     assert found["north-south"] + found["north-east"] == pytest.approx(80.0)
@@ -56,9 +59,8 @@ def test_an_arm_may_have_a_count_of_its_own(tmp_path):
 
 def test_an_arm_without_traffic_has_no_flow(tmp_path):
     demand = load_demand(changed(tmp_path, ("[arms]", "[arms]\nnorth = 0.0")))
-    assert not any(
-        name.startswith("north") for name in rates(write_routes(demand, WAYS, LANES))
-    )
+    for name in rates(write_routes(demand, WAYS, LANES)):
+        assert not name.startswith("north")
 
 
 @pytest.mark.parametrize(
@@ -96,10 +98,13 @@ def test_an_arm_without_traffic_has_no_flow(tmp_path):
 )
 def test_what_is_wrong_with_a_demand_is_one_clear_line(tmp_path, old, new, message):
     path = changed(tmp_path, (old, new))
-    with pytest.raises(InputError) as raised:
+
+    with pytest.raises(InputError) as caught:
         load_demand(path)
-    assert message in str(raised.value)
-    assert str(raised.value).startswith(str(path))
+    refusal = str(caught.value)
+
+    assert message in refusal
+    assert refusal.startswith(str(path))
 
 
 def test_an_arm_that_the_junction_does_not_have_is_told(tmp_path):

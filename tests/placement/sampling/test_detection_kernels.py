@@ -1,7 +1,10 @@
+"""Detections drawn frame by frame: noise, its links, and tables made of it."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from sampled_worlds import first_world, table_of_world
 from scipy.signal import lfilter
 from scipy.stats import kstest, norm
 
@@ -12,39 +15,41 @@ from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_frames
 from placement.sampling.detection_kernels import _linked, draw_frames, random_bits
-from placement.sampling.tables import build_drawn_tables, build_sample_tables, silence
+from placement.sampling.tables import build_drawn_tables, silence
 from placement.sampling.uncertainty import Uncertainty
 from placement.sampling.worlds import draw_samples, link_frames
 
 DRAWN = Uncertainty(draws_detections=True)
 
 
-def _table(sample, *, seed=0, **options):
-    ((_, table),) = build_sample_tables([sample], compute=Compute(seed=seed, **options))
-    return table
-
-
-def _first(setting, poses, uncertainty, seed=0):
-    return next(iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed)))
-
-
 # RandomStreams from frame to frame
 
 
 def _noise(frames, correlation, seed):
+    """Noise of frames whose neighbours are linked."""
     links = link_frames(np.asarray(frames))
     return _noise_at(
-        links.run_of_frame, links.place_of_frame, np.uint64(seed), correlation
+        links.run_of_frame,
+        links.place_of_frame,
+        np.uint64(seed),
+        correlation,
     )
 
 
 @kernel
 def _noise_at(run, place, key, correlation):
+    """Noise at places of runs."""
     noise = np.empty(len(run))
     for index in range(len(run)):
         step = np.sqrt(1.0 - correlation**2)
         noise[index] = _linked(
-            key, correlation, step, run[index], place[index], -1, 0.0
+            key,
+            correlation,
+            step,
+            run[index],
+            place[index],
+            -1,
+            0.0,
         )
 
     return noise
@@ -74,15 +79,16 @@ def test_fresh_noise_is_standard_normal_also_in_its_tails():
 @pytest.mark.parametrize("correlation", [0.0, 0.3, 0.97, 1.0])
 def test_linked_noise_is_what_a_recursive_filter_makes_of_fresh_noise(correlation):
     frames = np.concatenate([start + np.arange(30) for start in range(0, 217, 31)])
-    fresh, linked = (
-        _noise(frames, each, 6).reshape(7, 30) for each in (0.0, correlation)
-    )
+    fresh = _noise(frames, 0.0, 6).reshape(7, 30)
+    linked = _noise(frames, correlation, 6).reshape(7, 30)
     step = np.sqrt(1.0 - correlation**2)
 
     for run, noise in zip(fresh, linked, strict=True):
         assert noise[0] == run[0]
+
         start = [correlation * run[0]]
         expected, _ = lfilter([step], [1.0, -correlation], run[1:], zi=start)
+
         assert noise[1:] == pytest.approx(expected, abs=1e-12)
 
 
@@ -105,6 +111,7 @@ def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed)
     packed = np.zeros(-(-n // 8), dtype=np.uint8)
     nothing = np.zeros(n)
     own = np.array([0.0, 1.0])
+
     draw_frames(limit, weather, entry, *where, key, 0.6, nothing, key, own, packed)
     noise = _noise_at(*where, key, 0.6)
     expected = (entry >= 0) & (noise < limit[weather, entry])
@@ -127,6 +134,7 @@ def test_equal_frames_share_their_luck_and_their_order_does_not_matter():
 
 @pytest.fixture(scope="module")
 def response():
+    """The detector whose detections are drawn."""
     return load_planning_detector("response")
 
 
@@ -159,10 +167,14 @@ def watched(junction_scene, standing_still, build_setting, response, look):
 
 def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watched):
     setting, poses = watched
-    sample = _first(setting, poses, DRAWN)
+    sample = first_world(setting, poses, DRAWN)
     first, other = build_drawn_tables(
-        sample, setting.table_detector, compute=Compute(workers=1), n_draws=2
+        sample,
+        setting.table_detector,
+        compute=Compute(workers=1),
+        n_draws=2,
     )
+
     (alone,) = build_drawn_tables(
         sample, setting.table_detector, compute=Compute(workers=1)
     )
@@ -174,7 +186,9 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
 
     assert 0.2 < (cameras != drawn[:2]).mean() < 0.6  # other coins
     # Of the same kind.
-    assert cameras.mean() == pytest.approx(drawn[:2].mean(), abs=0.03)
+    expected = drawn[:2].mean()
+
+    assert cameras.mean() == pytest.approx(expected, abs=0.03)
 
     for row, pose in enumerate(poses[:2]):
         for index, run in enumerate(setting.runs):
@@ -190,6 +204,7 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
             surroundings = build_surroundings(
                 setting.scene, [replace(run, **one_frame)]
             )
+
             evidence = perceive_frames(surroundings, (pose.pose, pose.sensor))
             (likely,) = setting.table_detector.probability(
                 replace(
@@ -205,6 +220,7 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
 
 
 def evidence_distance(pose, run):
+    """Distance to the middle of the VRU. [m]"""
     return np.array(
         [np.linalg.norm([*run.vru_position_m[0], 0.9] - pose.pose.position_m)]
     )
@@ -212,10 +228,9 @@ def evidence_distance(pose, run):
 
 def test_in_fog_less_is_detected_of_the_same_frames(watched):
     setting, poses = watched
-    table = _table(_first(setting, poses, DRAWN), seed=0)
-    day, fog = (
-        table.detected(slice(None))[:, setting.axis.frames_of(run)] for run in (0, 1)
-    )
+    table = table_of_world(first_world(setting, poses, DRAWN))
+    day = table.detected(slice(None))[:, setting.axis.frames_of(0)]
+    fog = table.detected(slice(None))[:, setting.axis.frames_of(1)]
 
     assert not (fog & ~day).any()
     assert fog[0].sum() < day[0].sum()
@@ -226,7 +241,9 @@ def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
     twins = (poses[0], replace(poses[0], id="again"), poses[1])
 
     def draw(seed, which=twins):
-        return _table(_first(setting, which, DRAWN, seed), seed=0).detected(slice(None))
+        return table_of_world(
+            first_world(setting, which, DRAWN, seed), seed=0
+        ).detected(slice(None))
 
     first = draw(0)
 
@@ -236,7 +253,7 @@ def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
     assert not np.array_equal(draw(1)[0], first[0])
 
     worlds = [
-        _table(sample, seed=0).detected(slice(None))[0]
+        table_of_world(sample).detected(slice(None))[0]
         for sample in draw_samples(setting, twins[:1], DRAWN, n_samples=2, seed=0)
     ]
 
@@ -246,20 +263,21 @@ def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
 
 def test_a_lidar_counts_the_points_that_it_may_expect(watched):
     setting, poses = watched
-    drawn, planned = (
-        _table(_first(setting, poses, uncertainty), seed=0).detected([2])
-        for uncertainty in (DRAWN, Uncertainty())
-    )
+    drawn = table_of_world(first_world(setting, poses, DRAWN)).detected([2])
+    planned = table_of_world(
+        first_world(setting, poses, Uncertainty()), seed=0
+    ).detected([2])
 
     assert np.array_equal(drawn, planned)
     assert drawn.any()
 
 
 def test_nothing_is_drawn_of_a_detector_that_looks_at_boxes(setting, candidates):
-    drawn, planned = (
-        _table(_first(setting, candidates, uncertainty), seed=0).packed
-        for uncertainty in (DRAWN, Uncertainty())
-    )
+    drawn = table_of_world(first_world(setting, candidates, DRAWN)).packed
+    planned = table_of_world(
+        first_world(setting, candidates, Uncertainty()), seed=0
+    ).packed
+
     assert np.array_equal(drawn, planned)
     assert planned.any()
 
@@ -268,8 +286,8 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
     chancy = replace(setting, table_detector=response)
     calls = []
     tables = [
-        _table(
-            _first(chancy, candidates, DRAWN),
+        table_of_world(
+            first_world(chancy, candidates, DRAWN),
             workers=workers,
             progress=lambda *call: calls.append(call),
         ).packed
@@ -290,15 +308,14 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
 
 def test_the_same_messages_are_lost_in_all_weathers(watched):
     setting, poses = watched
-    sample = _first(setting, poses, Uncertainty(packet_loss=0.5))
+    sample = first_world(setting, poses, Uncertainty(packet_loss=0.5))
     every = pack_table(
         tuple(p.id for p in poses),
         setting.axis,
         np.ones((3, setting.axis.n_frames), dtype=bool),
     )
-    day, fog = (
-        silence(sample, every).detected(slice(None))[:, setting.axis.frames_of(run)]
-        for run in (0, 1)
-    )
+    day = silence(sample, every).detected(slice(None))[:, setting.axis.frames_of(0)]
+
+    fog = silence(sample, every).detected(slice(None))[:, setting.axis.frames_of(1)]
 
     assert np.array_equal(day, fog)

@@ -1,3 +1,5 @@
+"""Sources of moving traffic."""
+
 import pytest
 
 from geometry.errors import InputError
@@ -13,9 +15,9 @@ def test_every_source_of_moving_traffic_loads(name):
 
 @pytest.mark.parametrize("source", ["vissim", "toml", "traffic.xml", ""])
 def test_an_unknown_source_is_refused(source):
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as caught:
         load_traffic(source, load_study_scene())
-    assert str(refused.value).endswith(
-        "; expected sumo, or a .toml file of demand for it"
-    )
-    assert str(refused.value).startswith("traffic: got ")
+    refusal = str(caught.value)
+
+    assert refusal.endswith("; expected sumo, or a .toml file of demand for it")
+    assert refusal.startswith("traffic: got ")

@@ -1,3 +1,5 @@
+"""Files of uncertainties: what they say, leave out, and say wrongly."""
+
 import numpy as np
 import pytest
 import trimesh
@@ -47,6 +49,7 @@ waiting_share = 0.75
 
 @pytest.fixture
 def write(tmp_path, monkeypatch):
+    """Writes mine.toml; returns its name."""
     monkeypatch.chdir(tmp_path)
 
     def write_text(text):
@@ -58,21 +61,27 @@ def write(tmp_path, monkeypatch):
 
 def test_a_file_says_it_all(write):
     read = load_uncertainty(write(WHOLE))
+
     assert read.name == "mine.toml"
-    assert (read.mounting.yaw_sd_deg, read.mounting.pitch_sd_deg) == (1.0, 0.5)
-    assert (read.latency.distribution, read.latency.drawn_per) == ("uniform", "sample")
+    assert read.mounting.yaw_sd_deg == 1.0
+    assert read.mounting.pitch_sd_deg == 0.5
+    assert read.latency.distribution == "uniform"
+    assert read.latency.drawn_per == "sample"
     assert read.packet_loss == 0.1
     assert not read.draws_detections
-    assert (read.traffic.taken_share, read.traffic.along_arm_m) == (0.2, 40.0)
+    assert read.traffic.taken_share == 0.2
+    assert read.traffic.along_arm_m == 40.0
 
     van, tram = read.traffic.vehicles
 
     assert van.actor.name == "parked-van"
-    assert (tram.actor.length_m, tram.waiting_share) == (30.0, 0.75)
+    assert tram.actor.length_m == 30.0
+    assert tram.waiting_share == 0.75
 
 
 def test_what_a_file_leaves_out_is_certain(write):
     read = load_uncertainty(write("[messages]\npacket_loss = 0.3\n"))
+
     assert read.packet_loss == 0.3
     assert read.traffic.is_empty
     assert read.mounting.yaw_sd_deg == 0.0
@@ -136,8 +145,10 @@ def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
 )
 def test_what_is_wrong_with_a_file_is_said_with_its_place(write, change, message):
     assert change[0] in WHOLE
+    path = write(WHOLE.replace(*change))
+
     with pytest.raises(InputError) as caught:
-        load_uncertainty(write(WHOLE.replace(*change)))
+        load_uncertainty(path)
     assert str(caught.value).startswith(message)
 
 

@@ -28,7 +28,13 @@ def asked(setting, candidates, monkeypatch):
     """
 
     def build(
-        *, greedy, fresh=(BEHIND, AHEAD), n_samples=2, detector=None, cars=0.0, **wishes
+        *,
+        greedy,
+        fresh=(BEHIND, AHEAD),
+        n_samples=2,
+        detector=None,
+        cars=0.0,
+        **wishes,
     ):
         monkeypatch.setattr(
             pipeline, "solve_greedy", lambda problem, reduced: (greedy,)
@@ -64,6 +70,7 @@ def asked(setting, candidates, monkeypatch):
 
 
 def values_of(assembly):
+    """APR of each row alone."""
     return [apr(assembly.problem, [row]) for row in range(len(assembly.candidates))]
 
 
@@ -72,6 +79,7 @@ def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
     before = place(asked(greedy=0))
     values = values_of(asked(greedy=0))
     greedy = int(np.argmin(values))
+
     found = place(asked(greedy=greedy), asks_worlds=True)
 
     assert values[before.pose_index[0]] == max(values)
@@ -89,7 +97,9 @@ def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
         is_cost = one.name == "cost_eur"
         assert (one.bound <= one.objective) if is_cost else (one.bound >= one.objective)
 
-    assert found.layout.units[0].pose == asked(greedy=0).candidates[greedy].pose
+    expected = asked(greedy=0).candidates[greedy].pose
+
+    assert found.layout.units[0].pose == expected
     assert found.nominal.table.n_poses == 1
 
 
@@ -111,12 +121,14 @@ def test_what_was_found_stays_where_worlds_do_not_prefer_another(
     last = int(np.argmin(values_of(asked(greedy=0))))
     plain = place(asked(greedy=last, **changed))
     found = asked(greedy=last, **changed)
+
     found = place(found, asks_worlds=True)
 
     assert found.pose_index == plain.pose_index
-    assert [stage.bound for stage in found.certificate.stages] == [
-        stage.bound for stage in plain.certificate.stages
-    ]
+
+    expected = [stage.bound for stage in plain.certificate.stages]
+
+    assert [stage.bound for stage in found.certificate.stages] == expected
     assert (found.preferred is not None) == is_asked
     assert plain.preferred is None
 
@@ -124,21 +136,29 @@ def test_what_was_found_stays_where_worlds_do_not_prefer_another(
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("chance", "takes_worse"),
-    [({"cars": 1.0}, False), ({"detector": load_planning_detector("response")}, True)],
+    [
+        ({"cars": 1.0}, False),
+        ({"detector": load_planning_detector("response")}, True),
+    ],
 )
 def test_the_plan_is_overruled_where_it_cannot_tell_or_detections_are_drawn(
     asked, chance, takes_worse
 ):
     asked_of = {"n_samples": 0, **chance}
     values = values_of(asked(greedy=0, **asked_of))
+
     best = place(asked(greedy=0, **asked_of)).pose_index[0]
     as_good = [
         row for row, value in enumerate(values) if value == values[best] and row != best
     ]
     worse = [row for row, value in enumerate(values) if value < values[best] - 1e-6]
 
-    for row, is_taken in ((as_good[0], True), (worse[0], takes_worse)):
+    for row, is_taken in (
+        (as_good[0], True),
+        (worse[0], takes_worse),
+    ):
         found = place(asked(greedy=row, **asked_of), asks_worlds=True)
+
         assert found.pose_index == ((row,) if is_taken else (best,))
         assert (found.preferred is not None) == is_taken
 
@@ -157,6 +177,7 @@ def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
     build = asked(greedy=0, **response)
     two = Wishes(budget_units=2, give_up=0.0)
     pairs = [*combinations(range(len(build.candidates)), 2)]
+
     values = {pair: apr(replace(build, wishes=two).problem, pair) for pair in pairs}
     highest = max(values.values())
     lowest = min(values.values())
@@ -170,6 +191,7 @@ def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
         give_up = lost + 0.01
     else:
         give_up = 0.5 * lost
+
     plan = replace(build, wishes=replace(two, give_up=give_up))
     found = place(plan, asks_worlds=True)
     if place(plan).pose_index == greedy:

@@ -1,14 +1,16 @@
 """Road users who move otherwise than their cases say."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from met_cases import MET_CASES
+from numpy.testing import assert_allclose, assert_array_equal
+from placed_bodies import parked_at
 
-from geometry.actors import PlacedActor, pick_actor
+from geometry.actors import pick_actor
 from geometry.errors import InputError
-from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.sampling.uncertainty import (
     MeasuredPeople,
@@ -35,8 +37,13 @@ SCENE = load_study_scene()
 
 
 def _lay(rule, *cases):
+    """Runs of cases from the east."""
     runs, _ = build_runs(
-        SCENE, cases, vut=pick_actor("vut", "test"), rule=rule, approaches=["east"]
+        SCENE,
+        cases,
+        vut=pick_actor("vut", "test"),
+        rule=rule,
+        approaches=["east"],
     )
     return runs
 
@@ -44,13 +51,33 @@ def _lay(rule, *cases):
 @pytest.fixture(scope="module")
 def laid(rule):
     """Runs of four kinds of cases, and those of a car and a motorcyclist."""
+    known = load_cases()
     named = [
-        replace(load_cases()[name], vut_speeds_kmh=(v,)) for name, v in CASES.items()
+        replace(known[name], vut_speeds_kmh=(speed_kmh,))
+        for name, speed_kmh in CASES.items()
     ]
     return _lay(rule, *named, *select_cases(str(MET_CASES)).cases)
 
 
+def _run_of(laid, case):
+    """The run of a case."""
+    return next(run for run in laid if run.case.name == case)
+
+
+def _drawn(rule, runs, users, index=0):
+    """The runs with road users that are drawn anew."""
+    drawn, _ = draw_road_users(runs, users, rule, _streams(index).rng, SCENE)
+    return drawn
+
+
+def _end_of(motion):
+    """Way until the impact, and the yaw there. [m, deg]"""
+    whole_m = float(motion.distance_m(0.0))
+    return whole_m, float(motion.path.at(whole_m)[1])
+
+
 def _streams(index=0, seed=3):
+    """Streams of a world."""
     return RandomStreams(seed=seed, purpose="choose", index=index)
 
 
@@ -59,35 +86,38 @@ def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
     n_compared = 0
     for run in laid:
         case = replace(run.case, vru_speed_kmh=run.case.vru_speed_kmh + faster_kmh)
-        anew = _lay(rule, case)
-        if not anew:  # the VUT would come from beyond the mapped lane
+        again = _lay(rule, case)
+        if not again:  # the VUT would come from beyond the mapped lane
             continue
-        (anew,) = anew
+        (anew,) = again
         speed_mps = case.vru_speed_kmh * MPS_PER_KMH
-        changed = change_motion(run, rule, speed_mps=speed_mps)
-        n = min(len(anew.time_s), len(changed.time_s))
 
-        np.testing.assert_allclose(anew.time_s[-n:], changed.time_s[-n:], atol=1e-9)
+        changed = change_motion(run, rule, speed_mps=speed_mps)
+
+        n = min(len(anew.time_s), len(changed.time_s))
+        time_s = changed.time_s[-n:]
+
+        assert_allclose(anew.time_s[-n:], time_s, atol=1e-9)
 
         for body in ("vut", "vru"):
             # The planned VUT sets off no earlier, and before that it stands.
-            motions = [
-                getattr(one.encounter, f"{body}_motion") for one in (anew, changed)
-            ]
-            moves = changed.time_s[-n:] >= max(
-                motion.start_time_s for motion in motions
+            sets_off_s = max(
+                getattr(one.encounter, f"{body}_motion").start_time_s
+                for one in (anew, changed)
             )
-            assert moves.sum() > 20
-            for name in (f"{body}_position_m", f"{body}_yaw_deg"):
-                found, expected = (
-                    getattr(one, name)[-n:][moves] for one in (changed, anew)
-                )
-                np.testing.assert_allclose(found, expected, atol=2e-5, err_msg=run.id)
+            moves = time_s >= sets_off_s
 
-        np.testing.assert_array_equal(changed.vru_shape[-n:], anew.vru_shape[-n:])
-        assert changed.last_brake_time_s == pytest.approx(
-            anew.last_brake_time_s, abs=1e-5
-        )
+            assert moves.sum() > 20
+
+            for name in (f"{body}_position_m", f"{body}_yaw_deg"):
+                found = getattr(changed, name)[-n:][moves]
+                expected = getattr(anew, name)[-n:][moves]
+                assert_allclose(found, expected, atol=2e-5, err_msg=run.id)
+
+        last_s = changed.last_brake_time_s
+
+        assert_array_equal(changed.vru_shape[-n:], anew.vru_shape[-n:])
+        assert last_s == pytest.approx(anew.last_brake_time_s, abs=1e-5)
 
         n_compared += 1
 
@@ -96,31 +126,43 @@ def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
 
 def test_a_nearer_start_is_nearer_by_its_share(laid, rule):
     for run in laid:
-        speed_mps = run.encounter.vru_motion.speed_mps
-        nearer = change_motion(run, rule, speed_mps=speed_mps, nearer_share=0.25)
-        lengths = [
-            float(one.encounter.vru_motion.distance_m(0.0)) for one in (run, nearer)
-        ]
+        planned = run.encounter.vru_motion
 
-        assert lengths[1] == pytest.approx(0.75 * lengths[0], abs=1e-6)
-        np.testing.assert_allclose(
-            nearer.vru_position_m[-1], run.vru_position_m[-1], atol=1e-6
+        nearer = change_motion(
+            run,
+            rule,
+            speed_mps=planned.speed_mps,
+            nearer_share=0.25,
         )
 
-        start = run.encounter.vru_motion.path.at(0.25 * lengths[0])[0]
+        whole_m = float(planned.distance_m(0.0))
+        left_m = float(nearer.encounter.vru_motion.distance_m(0.0))
+        start_m, _ = planned.path.at(0.25 * whole_m)
 
-        np.testing.assert_allclose(nearer.vru_position_m[0], start, atol=1e-6)
+        assert left_m == pytest.approx(0.75 * whole_m, abs=1e-6)
+        assert_allclose(nearer.vru_position_m[-1], run.vru_position_m[-1], atol=1e-6)
+        assert_allclose(nearer.vru_position_m[0], start_m, atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "aside_m"), [(20.0, 0.0), (-10.0, 0.0), (15.0, 0.5), (0.0, -0.5)]
+    ("turn_deg", "aside_m"),
+    [
+        (20.0, 0.0),
+        (-10.0, 0.0),
+        (15.0, 0.5),
+        (0.0, -0.5),
+    ],
 )
 def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, aside_m):
     n_met = 0
     for run in laid:
         motion = run.encounter.vru_motion
         other = change_motion(
-            run, rule, speed_mps=motion.speed_mps, turn_deg=turn_deg, aside_m=aside_m
+            run,
+            rule,
+            speed_mps=motion.speed_mps,
+            turn_deg=turn_deg,
+            aside_m=aside_m,
         )
         if other is None:  # who is followed and turns leaves the VUT's way
             continue
@@ -139,13 +181,13 @@ def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, a
         planned, planned_yaw = motion.path.at(distances_m)
         positions, yaws = path.at(distances_m)
 
-        np.testing.assert_allclose(
+        assert_allclose(
             np.hypot(*(positions - shifted_m).T),
             np.hypot(*(planned - there_m).T),
             atol=1e-6,
         )
-        np.testing.assert_allclose(path.at(whole_m)[0], shifted_m, atol=1e-9)
-        np.testing.assert_allclose(yaws - planned_yaw, turn_deg, atol=1e-9)
+        assert_allclose(path.at(whole_m)[0], shifted_m, atol=1e-9)
+        assert_allclose(yaws - planned_yaw, turn_deg, atol=1e-9)
 
     assert n_met >= 4
 
@@ -156,15 +198,13 @@ def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a
 ):
     turned = {run.case.family: [] for run in laid}
     for index in range(25):
-        drawn, _ = draw_road_users(laid, ROBUSTNESS, rule, _streams(index).rng, SCENE)
+        drawn = _drawn(rule, laid, ROBUSTNESS, index)
         for run, other in zip(laid, drawn, strict=True):
             motion = other.encounter.vru_motion
-            before = run.encounter.vru_motion.path.at(
-                run.encounter.vru_motion.distance_m(0.0)
-            )[1]
-            turned[run.case.family].append(
-                float(motion.path.at(motion.distance_m(0.0))[1] - before)
-            )
+            _, planned_deg = _end_of(run.encounter.vru_motion)
+            _, yaw_deg = _end_of(motion)
+            turned[run.case.family].append(yaw_deg - planned_deg)
+
             assert is_way_free(other.encounter.vru, motion, SCENE, run.obstruction)
 
     for family, angles in turned.items():
@@ -176,36 +216,31 @@ def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a
 
 
 def test_a_way_through_a_parked_car_is_not_free(laid):
-    run = next(run for run in laid if run.case.name == "CPNA-25")
+    run = _run_of(laid, "CPNA-25")
     motion = run.encounter.vru_motion
-    actor = pick_actor("parked-car-small", "test")
-    (east, north), _ = motion.path.at(0.5 * float(motion.distance_m(0.0)))
-
-    def parked(east_m):
-        pose = Pose(position_m=np.array([east_m, north, 0.0]), yaw_deg=0.0)
-        return [PlacedActor(actor=actor, pose=pose)]
+    (east_m, north_m), _ = motion.path.at(0.5 * float(motion.distance_m(0.0)))
+    on_the_way = parked_at("parked-car-small", east_m, north_m)
+    aside = parked_at("parked-car-small", east_m + 30.0, north_m)
 
     assert is_way_free(run.encounter.vru, motion, SCENE, [])
-    assert not is_way_free(run.encounter.vru, motion, SCENE, parked(east))
-    assert is_way_free(run.encounter.vru, motion, SCENE, parked(east + 30.0))
+    assert not is_way_free(run.encounter.vru, motion, SCENE, [on_the_way])
+    assert is_way_free(run.encounter.vru, motion, SCENE, [aside])
 
 
 def test_whom_the_vut_does_not_reach_moves_as_planned(laid, rule):
-    run = next(run for run in laid if run.case.name == "CBLA-50")
+    run = _run_of(laid, "CBLA-50")
+    planned_mps = run.encounter.vru_motion.speed_mps
+    vut_mps = run.vut_speed_kmh * MPS_PER_KMH
     away = RoadUsers(cyclist_kmh=(0.0, 50.0))
-    faster = [
-        draw_road_users([run], away, rule, _streams(index).rng, SCENE)[0][
-            0
-        ].encounter.vru_motion.speed_mps
-        for index in range(15)
-    ]
 
-    assert max(faster) < run.vut_speed_kmh * MPS_PER_KMH
+    speeds_mps = []
+    for index in range(15):
+        (drawn,) = _drawn(rule, [run], away, index)
+        speeds_mps.append(drawn.encounter.vru_motion.speed_mps)
 
-    planned = run.encounter.vru_motion.speed_mps
-
-    assert 0 < faster.count(planned) < 15
-    assert change_motion(run, rule, speed_mps=run.vut_speed_kmh * MPS_PER_KMH) is None
+    assert max(speeds_mps) < vut_mps
+    assert 0 < speeds_mps.count(planned_mps) < 15
+    assert change_motion(run, rule, speed_mps=vut_mps) is None
     assert change_motion(run, rule, speed_mps=0.0) is None
 
 
@@ -217,24 +252,26 @@ def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
     for name, run in by_class.items():
         low, high = ROBUSTNESS.speed_kmh(name)
         planned = run.encounter.vru_motion
-        faster = []
+        whole_m, _ = _end_of(planned)
+        faster_kmh = []
         nearer = []
         for index in range(60):
-            ((other,), _) = draw_road_users(
-                [run], STRAIGHT, rule, _streams(index).rng, SCENE
-            )
+            (other,) = _drawn(rule, [run], STRAIGHT, index)
             motion = other.encounter.vru_motion
-            faster.append((motion.speed_mps - planned.speed_mps) / MPS_PER_KMH)
-            nearer.append(
-                1.0 - float(motion.distance_m(0.0)) / float(planned.distance_m(0.0))
-            )
+            left_m, _ = _end_of(motion)
+            faster_kmh.append((motion.speed_mps - planned.speed_mps) / MPS_PER_KMH)
+            nearer.append(1.0 - left_m / whole_m)
+
         # Mean and deviation of a uniform distribution, to four standard errors.
-        for values, least, most in ((faster, low, high), (nearer, 0.0, 0.25)):
-            assert least - 1e-6 <= min(values) <= max(values) <= most + 1e-6
+        for values, least, most in (
+            (faster_kmh, low, high),
+            (nearer, 0.0, 0.25),
+        ):
             spread = (most - least) / np.sqrt(12.0)
-            assert np.mean(values) == pytest.approx(
-                0.5 * (least + most), abs=4 * spread / 60**0.5
-            )
+            middle = pytest.approx(0.5 * (least + most), abs=4 * spread / 60**0.5)
+
+            assert least - 1e-6 <= min(values) <= max(values) <= most + 1e-6
+            assert np.mean(values) == middle
             assert np.std(values) == pytest.approx(spread, rel=0.2)
 
 
@@ -250,17 +287,23 @@ def test_the_same_seed_draws_the_same_and_a_run_not_by_the_others(laid, rule):
     assert speeds(laid[::-1], _streams())[::-1] == first
     assert speeds(laid[2:3], _streams()) == first[2:3]
 
-    for other in (speeds(laid, _streams(index=1)), speeds(laid, _streams(seed=4))):
-        assert all(one != another for one, another in zip(first, other, strict=True))
+    for other in (
+        speeds(laid, _streams(index=1)),
+        speeds(laid, _streams(seed=4)),
+    ):
+        for one, another in zip(first, other, strict=True):
+            assert one != another
 
 
 def test_a_run_is_the_same_in_all_weathers(laid, rule):
     rainy = [replace(run, id=f"{run.id}/rain", weather="rain") for run in laid]
-    drawn, _ = draw_road_users([*laid, *rainy], ROBUSTNESS, rule, _streams().rng, SCENE)
+    drawn = _drawn(rule, [*laid, *rainy], ROBUSTNESS)
+
     for dry, wet in zip(drawn[: len(laid)], drawn[len(laid) :], strict=True):
         assert dry.encounter is wet.encounter
         assert dry.vru_position_m is wet.vru_position_m
-        assert (dry.weather, wet.weather) == ("day", "rain")
+        assert dry.weather == "day"
+        assert wet.weather == "rain"
 
 
 # Worlds
@@ -268,7 +311,9 @@ def test_a_run_is_the_same_in_all_weathers(laid, rule):
 
 def test_worlds_differ_in_what_people_do_and_in_nothing_else(setting, candidates):
     uncertain = Uncertainty(road_users=ROBUSTNESS)
+
     worlds = list(draw_samples(setting, candidates, uncertain, n_samples=2, seed=0))
+
     for sample in worlds:
         assert not sample.looks_as_planned
         assert sample.candidates is sample.planned
@@ -282,10 +327,8 @@ def test_worlds_differ_in_what_people_do_and_in_nothing_else(setting, candidates
 
     one, other = (sample.setting.runs for sample in worlds)
 
-    assert all(
-        not np.allclose(a.vru_position_m, b.vru_position_m)
-        for a, b in zip(one, other, strict=True)
-    )
+    for a, b in zip(one, other, strict=True):
+        assert not np.allclose(a.vru_position_m, b.vru_position_m)
 
 
 # Files
@@ -325,9 +368,8 @@ def test_limits_that_cannot_be_are_refused(tmp_path, text, message):
     path = tmp_path / "mine.toml"
     path.write_text(f"[road_users]\n{lines}\n")
 
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(message)):
         load_uncertainty(str(path))
-    assert message in str(caught.value)
 
 
 def test_a_file_may_take_the_rest_from_a_name(tmp_path):
@@ -336,7 +378,8 @@ def test_a_file_may_take_the_rest_from_a_name(tmp_path):
     mine = load_uncertainty(str(path))
 
     assert mine.road_users == ROBUSTNESS
-    assert (mine.packet_loss, mine.name) == (0.2, "mine.toml")
+    assert mine.packet_loss == 0.2
+    assert mine.name == "mine.toml"
     assert mine.mounting == load_uncertainty("default").mounting
 
     path.write_text('as = "best"\n')
@@ -365,15 +408,15 @@ def test_measured_speeds_are_drawn_as_often_as_measured():
         drawn.T, (people.speed_kmh, people.start_mps2), strict=True
     ):
         expected = np.interp(shares, people.probability, values)
-        np.testing.assert_allclose(np.quantile(column, shares), expected, atol=0.1)
+        assert_allclose(np.quantile(column, shares), expected, atol=0.1)
 
     assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.05
     assert {people.draw(rng, 8.5)[0] for _ in range(20)} == {8.5}
 
 
 def test_each_run_has_people_of_its_own(laid, rule):
-    drawn, _ = draw_road_users(laid, MEASURED, rule, _streams().rng, SCENE)
-    speeds = {}
+    drawn = _drawn(rule, laid, MEASURED)
+    speeds_kmh = []
     for run, planned in zip(drawn, laid, strict=True):
         before = planned.encounter.vru_motion
         motion = run.encounter.vru_motion
@@ -381,20 +424,20 @@ def test_each_run_has_people_of_its_own(laid, rule):
         if measured is None or motion is before:
             assert motion.speed_mps == before.speed_mps
             continue
-        speed_kmh = motion.speed_mps / MPS_PER_KMH
-        speeds[run.id] = speed_kmh
 
-        assert measured.speed_kmh[0] <= speed_kmh <= measured.speed_kmh[-1]
+        speeds_kmh.append(motion.speed_mps / MPS_PER_KMH)
+
+        assert measured.speed_kmh[0] <= speeds_kmh[-1] <= measured.speed_kmh[-1]
         assert abs(first_contact_s(run.encounter)) < 1e-6
 
         if before.acceleration_distance_m > 0.0:
             start = 0.5 * motion.speed_mps**2 / motion.acceleration_distance_m
             assert measured.start_mps2[0] <= start <= measured.start_mps2[-1]
 
-    assert len(speeds) >= 3
-    assert len(set(speeds.values())) == len(speeds)
+    assert len(speeds_kmh) >= 3
+    assert len(set(speeds_kmh)) == len(speeds_kmh)
 
-    again, _ = draw_road_users(laid, MEASURED, rule, _streams(1).rng, SCENE)
+    again = _drawn(rule, laid, MEASURED, 1)
 
     assert [run.encounter.vru_motion.speed_mps for run in again] != [
         run.encounter.vru_motion.speed_mps for run in drawn
@@ -404,15 +447,19 @@ def test_each_run_has_people_of_its_own(laid, rule):
 def test_who_starts_faster_is_at_the_impact_in_the_same_moment(laid, rule):
     run = next(run for run in laid if run.encounter.vru_motion.acceleration_distance_m)
     speed_mps = run.encounter.vru_motion.speed_mps
+
     quick = change_motion(
-        run, rule, speed_mps=speed_mps, start_mps2=2.0
+        run,
+        rule,
+        speed_mps=speed_mps,
+        start_mps2=2.0,
     ).encounter.vru_motion
 
     assert quick.acceleration_distance_m == pytest.approx(speed_mps**2 / 4.0)
     assert quick.acceleration_mps2 == pytest.approx(2.0)
-    assert quick.distance_m(0.0) == pytest.approx(
-        float(run.encounter.vru_motion.distance_m(0.0)), abs=1e-6
-    )
+    expected = float(run.encounter.vru_motion.distance_m(0.0))
+
+    assert quick.distance_m(0.0) == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -438,5 +485,7 @@ def test_people_that_cannot_be_are_told_in_one_line(tmp_path, text, message):
 
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
+    refusal = str(caught.value)
+
+    assert message in refusal
+    assert "\n" not in refusal

@@ -1,7 +1,12 @@
+"""Frames that never reach the VUT: outages, dirt, low sun, lost messages."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from changes import changed
+from numpy.random import default_rng
+from sampled_worlds import first_world
 from short_runs import cut_run
 
 from geometry.catalogue import load_lidars
@@ -18,7 +23,7 @@ from placement.sampling.uncertainty import (
     Uncertainty,
     load_uncertainty,
 )
-from placement.sampling.worlds import draw_samples, link_frames
+from placement.sampling.worlds import link_frames
 
 N_RUNS = 2000
 N_FRAMES = 6
@@ -38,24 +43,24 @@ def many(setting, build_setting):
 
 @pytest.fixture(scope="module")
 def poses(look):
+    """Two cameras and a LiDAR at one pole, and a camera at each of two others."""
     east = look("east", [-130.0, 8.85, 6.8], yaw_deg=0.0, pitch_deg=-15.0, site_id="a")
-    west = replace(east, id="west", pose=replace(east.pose, yaw_deg=180.0))
-    far = replace(
-        east, id="far", site_id="b", pose=replace(east.pose, position_m=[0.0, 0.0, 6.0])
+    away = changed(east, "pose.position_m", [0.0, 0.0, 6.0])
+    west = changed(east, "pose.yaw_deg", 180.0)
+    steep = changed(away, "pose.pitch_deg", -60.0)
+    lidar = next(iter(load_lidars().values()))
+    return (
+        east,
+        replace(west, id="west"),
+        replace(away, id="far", site_id="b"),
+        replace(east, id="lidar", sensor=lidar),
+        replace(steep, id="steep", site_id="c"),
     )
-    lidar = replace(east, id="lidar", sensor=next(iter(load_lidars().values())))
-    steep = replace(
-        far, id="steep", site_id="c", pose=replace(far.pose, pitch_deg=-60.0)
-    )
-    return (east, west, far, lidar, steep)
 
 
-def told(setting, poses, uncertainty, *, draw=0, seed=0):
+def told(setting, poses, uncertainty, *, draw=0):
     """Frames that reach the VUT of all, (n_poses, n_runs, n_frames)."""
-    sample = next(
-        iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed))
-    )
-    sample = replace(sample, streams=replace(sample.streams, draw=draw))
+    sample = changed(first_world(setting, poses, uncertainty), "streams.draw", draw)
     every = np.ones((len(poses), setting.axis.n_frames), dtype=bool)
     table = pack_table(tuple(pose.id for pose in poses), setting.axis, every)
     shape = (len(poses), len(setting.runs), -1)
@@ -63,6 +68,7 @@ def told(setting, poses, uncertainty, *, draw=0, seed=0):
 
 
 def near(share, n):
+    """A share to 4.5 standard errors of n coins."""
     return pytest.approx(share, abs=4.5 * np.sqrt(share * (1.0 - share) / n))
 
 
@@ -72,24 +78,28 @@ def near(share, n):
 def test_a_unit_out_of_order_tells_nothing_for_a_run_and_a_pole_silences_all_its_units(
     many, poses
 ):
-    drawn = told(
-        many, poses, Uncertainty(outages=Outages(unit_share=0.1, pole_share=0.2))
-    )
+    outages = Outages(unit_share=0.1, pole_share=0.2)
+    drawn = told(many, poses, Uncertainty(outages=outages))
+
     assert np.array_equal(drawn.all(axis=2), drawn.any(axis=2))  # whole runs
 
     out = ~drawn[:, :, 0]
+    beside_share = (out[0] & out[1]).mean()
+    apart_share = (out[0] & out[2]).mean()
 
-    assert out.mean(axis=1).tolist() == [near(1.0 - 0.9 * 0.8, N_RUNS)] * len(poses)
+    expected = [near(0.28, N_RUNS)] * len(poses)
+
+    assert out.mean(axis=1).tolist() == expected
     # Independent but for the pole: neither, or the pole, or by chance both.
-    assert (out[0] & out[1]).mean() == near(0.2 + 0.8 * 0.1**2, N_RUNS)
-    assert (out[0] & out[2]).mean() == near(0.28**2, N_RUNS)
+    assert beside_share == near(0.2 + 0.8 * 0.1**2, N_RUNS)
+    assert apart_share == near(0.28**2, N_RUNS)
 
 
 def test_outages_are_drawn_anew_each_time_that_a_world_is_looked_at(many, poses):
     uncertainty = Uncertainty(outages=Outages(unit_share=0.5))
-    first, again, other = (
-        told(many, poses, uncertainty, draw=draw) for draw in (0, 0, 1)
-    )
+    first = told(many, poses, uncertainty, draw=0)
+    again = told(many, poses, uncertainty, draw=0)
+    other = told(many, poses, uncertainty, draw=1)
 
     assert np.array_equal(first, again)
     assert (first[0, :, 0] == other[0, :, 0]).mean() == near(0.5, N_RUNS)
@@ -97,31 +107,30 @@ def test_outages_are_drawn_anew_each_time_that_a_world_is_looked_at(many, poses)
 
 
 def test_poses_that_are_tried_for_one_unit_are_out_of_order_together(many, poses):
-    twins = (
-        poses[0],
-        replace(poses[0], id="b", pose=replace(poses[0].pose, yaw_deg=30.0)),
-    )
-    drawn = told(many, twins, Uncertainty(outages=Outages(unit_share=0.5)))
+    turned = replace(changed(poses[0], "pose.yaw_deg", 30.0), id="b")
+    uncertainty = Uncertainty(outages=Outages(unit_share=0.5))
 
-    assert np.array_equal(*drawn)
+    one, twin = told(many, (poses[0], turned), uncertainty)
+
+    assert np.array_equal(one, twin)
 
 
 # Cameras that are blinded
 
 
 def test_a_dirty_camera_sees_nothing_for_a_run_and_a_lidar_does_not_mind(many, poses):
-    clean = Uncertainty()
     dirty = Uncertainty(blinding=Blinding(dirty_share=0.3))
 
-    assert told(many, poses, clean).all()
+    assert told(many, poses, Uncertainty()).all()
 
     drawn = told(many, poses, dirty)
 
     assert np.array_equal(drawn.all(axis=2), drawn.any(axis=2))
 
     seeing = drawn[:, :, 0].mean(axis=1).tolist()
+    by_lidar = seeing.pop(3)
 
-    assert seeing.pop(3) == 1.0
+    assert by_lidar == 1.0
     assert seeing == [near(0.7, N_RUNS)] * len(seeing)
     assert not np.array_equal(told(many, poses, dirty, draw=1), drawn)
 
@@ -145,9 +154,8 @@ def test_the_sun_shines_by_day_alone(many, poses):
     nights = replace(
         many, runs=tuple(replace(run, weather="night") for run in many.runs)
     )
-    by_day, by_night = (
-        told(one, poses[:1], Uncertainty(blinding=sun)) for one in (many, nights)
-    )
+    by_day = told(many, poses[:1], Uncertainty(blinding=sun))
+    by_night = told(nights, poses[:1], Uncertainty(blinding=sun))
 
     assert not by_day.any()
     assert by_night.all()
@@ -157,20 +165,16 @@ def test_the_vut_is_dazzled_by_the_same_sun_and_each_is_another_car(many, poses)
     dirt = Blinding(dirty_share=0.3)
     sun = Blinding(low_sun_share=1.0, sun_below_deg=0.0, dazzled_within_deg=60.0)
 
-    def blinded(blinding, setting=many, towards=poses[:1]):
-        uncertainty = Uncertainty(blinding=blinding)
-        sample = next(
-            iter(draw_samples(setting, towards, uncertainty, n_samples=1, seed=0))
-        )
+    def blinded(blinding, setting=many):
+        sample = first_world(setting, poses[:1], Uncertainty(blinding=blinding))
         return blinded_frames(sample).reshape(N_RUNS, N_FRAMES)
 
     assert blinded(dirt)[:, 0].mean() == near(0.3, N_RUNS)
 
     (yaw_deg,) = {run.vut_yaw_deg[0] for run in many.runs}
-    level = replace(
-        poses[0], pose=replace(poses[0].pose, yaw_deg=yaw_deg, pitch_deg=0.0)
-    )
-    dazzled = ~told(many, [level], Uncertainty(blinding=sun))[0]
+    ahead = replace(poses[0].pose, yaw_deg=yaw_deg, pitch_deg=0.0)
+    as_the_vut = replace(poses[0], pose=ahead)
+    dazzled = ~told(many, [as_the_vut], Uncertainty(blinding=sun))[0]
 
     assert np.array_equal(blinded(sun), dazzled)
     assert dazzled.mean() == near(1.0 / 3.0, N_RUNS)
@@ -186,6 +190,7 @@ def test_single_losses_are_a_coin_per_frame_as_without_bursts():
     key = np.uint64(7)
     packed = np.full(500, 255, dtype=np.uint8)
     lose_frames(run, place, key, 0.3, np.uint64(8), 1.0, packed)
+
     coins = np.array([int(random_bits(key, int(n))) >> 12 for n in run + place])
     arrived = np.unpackbits(packed, bitorder="little").astype(bool)
 
@@ -195,6 +200,7 @@ def test_single_losses_are_a_coin_per_frame_as_without_bursts():
 def test_bursts_leave_the_share_of_losses_and_link_consecutive_frames(many, poses):
     """The chain's correlation is (1 - 1 / length)^distance."""
     lost = ~told(many, poses, Uncertainty(packet_loss=0.3, burst_frames=3.0))
+
     assert lost.mean() == pytest.approx(0.3, abs=0.02)
 
     columns = np.corrcoef(lost[0].T)
@@ -247,7 +253,8 @@ def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
 
 
 def _lasting(person, unit_person, n=20_000):
-    drawn = np.repeat(np.random.default_rng(0).standard_normal(n // 5), 5)
+    """Noise with these shares that lasts five frames of one person."""
+    drawn = np.repeat(default_rng(0).standard_normal(n // 5), 5)
     return LastingNoise(
         person=np.sqrt(person) * drawn,
         person_share=person,
@@ -257,7 +264,8 @@ def _lasting(person, unit_person, n=20_000):
 
 def test_noise_has_the_shares_and_consecutive_frames_the_correlation_of_the_table():
     lasting = _lasting(0.2, 0.3)
-    one, other = (_noise(lasting, unit=unit) for unit in (1, 2))
+    one = _noise(lasting, unit=1)
+    other = _noise(lasting, unit=2)
 
     assert one.std() == pytest.approx(1.0, abs=0.03)
 
@@ -286,13 +294,11 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
     """
     response = load_planning_detector("response")
     chancy = replace(setting, detector=response, table_detector=response)
-    shares = {"draws_detections": True, "person_share": 1.0}
-    sample = next(
-        iter(draw_samples(chancy, poses, Uncertainty(**shares), n_samples=1, seed=0))
-    )
+    uncertainty = Uncertainty(draws_detections=True, person_share=1.0)
+    sample = first_world(chancy, poses, uncertainty)
     numbers = np.unique(draw_index(setting.runs))
-    detector = sample.setting.detector
-    noise = detector._noise(numbers, np.random.default_rng(1))
+
+    noise = sample.setting.detector._noise(numbers, np.random.default_rng(1))
 
     assert noise.tolist() == sample.drawn_detector.lasting.person[numbers].tolist()
 

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 import shapely
 from junctions import protocol_scene
+from placed_bodies import ahead_of
+from short_runs import cut_run
 
 from geometry.errors import MissingExtraError
 from geometry.scene import Lane
@@ -27,12 +29,8 @@ def _loads_sumo():
     """
     if importlib.util.find_spec("libsumo") is None:
         return False
-    return (
-        subprocess.run(
-            [sys.executable, "-c", "import libsumo"], capture_output=True
-        ).returncode
-        == 0
-    )
+    command = [sys.executable, "-c", "import libsumo"]
+    return subprocess.run(command, capture_output=True).returncode == 0
 
 
 needs_sumo = pytest.mark.skipif(
@@ -44,28 +42,37 @@ LANE_REACH_M = 2.0
 
 @cache
 def network_of(scene, demand):
+    """SUMO's network of a scene."""
     return build_network(
-        scene, speed_limit_mps=demand.speed_limit_mps, approach_m=demand.approach_m
+        scene,
+        speed_limit_mps=demand.speed_limit_mps,
+        approach_m=demand.approach_m,
     )
+
+
+@pytest.fixture(scope="module")
+def cyclist_ahead(runs):
+    """A run of the study in which a cyclist is ahead, from the east."""
+    (run,) = [run for run in runs if run.id == "CBLA/east/50"]
+    return run
 
 
 def lasting(run, seconds):
     """The run with frames of its last position for so long: a window of that length."""
     n = round(10 * seconds)
-    frames = {
-        name: np.repeat(getattr(run, name)[-1:], n, axis=0)
-        for name in (
-            "vut_position_m",
-            "vut_yaw_deg",
-            "vru_position_m",
-            "vru_yaw_deg",
-            "vru_shape",
-        )
-    }
-    return replace(run, time_s=np.arange(1 - n, 1) / 10.0, **frames)
+    last = cut_run(run, np.full(n, -1))
+    return replace(last, time_s=np.arange(1 - n, 1) / 10.0)
+
+
+def along(lane):
+    """Unit vectors of a lane, ahead at its end and to its left."""
+    ahead = lane.centreline_m[-1] - lane.centreline_m[-2]
+    ahead /= np.hypot(*ahead)
+    return ahead, np.array([-ahead[1], ahead[0]])
 
 
 def drive(scene, demand, runs, seed=0):
+    """SUMO's traffic in the windows of runs."""
     groups = {run.id: (run,) for run in runs}
     return simulate_windows(
         network_of(scene, load_demand()),
@@ -79,11 +86,14 @@ def drive(scene, demand, runs, seed=0):
 
 def test_without_sumo_one_line_says_what_is_missing(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError) as raised:
+
+    with pytest.raises(MissingExtraError) as caught:
         load_traffic("sumo", protocol_scene())
-    assert str(raised.value) == str(missing_sumo())
-    assert "pip install place-rsus[traffic]" in str(raised.value)
-    assert "\n" not in str(raised.value)
+    message = str(caught.value)
+
+    assert message == str(missing_sumo())
+    assert "pip install place-rsus[traffic]" in message
+    assert "\n" not in message
 
 
 @needs_sumo
@@ -102,32 +112,28 @@ def test_every_arm_of_the_studys_junction_has_its_three_turns():
 
 
 @needs_sumo
-def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(runs):
+def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(cyclist_ahead):
     """Front bumpers, which SUMO moves along its lanes, against lanes straight on from
     the map.
     """
     scene = load_study_scene()
     demand = load_demand()
-    run = next(run for run in runs if run.id == "CBLA/east/50")
-    away = replace(lasting(run, 60.0), approach="nowhere")  # no VUT in this window
+    away = replace(lasting(cyclist_ahead, 60.0), approach="nowhere")  # no VUT
+
     found = drive(scene, demand, [away]).trajectories
     half_m = 0.5 * np.array([body.length_m for body in found.bodies])
     vehicle = np.repeat(np.arange(len(found.bodies)), np.diff(found.row_start))
-    yaw = np.radians(found.yaw_deg)
-    front = found.position_m + half_m[vehicle, None] * np.column_stack(
-        [np.cos(yaw), np.sin(yaw)]
-    )
+    ahead = ahead_of(found.yaw_deg)
+    front = found.position_m + half_m[vehicle, None] * ahead
     lines = []
     for lane in scene.lanes:
         if lane.kind == "driving":
             points = lane.centreline_m
-            for end, before in ((0, 1), (-1, -2)):
-                ahead = points[end] - points[before]
-                tip = points[end] + 150.0 * ahead / np.hypot(*ahead)
-                points = np.concatenate(
-                    [[tip], points] if end == 0 else [points, [tip]]
-                )
-            lines.append(shapely.LineString(points))
+            first = points[0] - points[1]
+            last = points[-1] - points[-2]
+            before = points[0] + 150.0 * first / np.hypot(*first)
+            behind = points[-1] + 150.0 * last / np.hypot(*last)
+            lines.append(shapely.LineString([before, *points, behind]))
 
     to_lane_m = shapely.distance(shapely.MultiLineString(lines), shapely.points(front))
     in_junction = shapely.contains_xy(shapely.Polygon(scene.outline_m), *front.T)
@@ -137,14 +143,13 @@ def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(runs):
     assert to_lane_m[~in_junction].max() <= LANE_REACH_M
 
     # They drive the right way: beside the axis on the right, and as fast as they may.
-    steps = np.diff(found.position_m, axis=0)[np.diff(vehicle) == 0]
+    goes_on = np.diff(vehicle) == 0
+    steps = np.diff(found.position_m, axis=0)[goes_on]
     speed = np.hypot(*steps.T) / 0.1
+    forwards_m = (steps * ahead[:-1][goes_on]).sum(axis=1)
 
     assert speed.max() < 1.5 * demand.speed_limit_mps
-
-    headings = np.column_stack([np.cos(yaw), np.sin(yaw)])[:-1][np.diff(vehicle) == 0]
-
-    assert ((steps * headings).sum(axis=1) > -0.05).all()
+    assert (forwards_m > -0.05).all()
 
 
 @needs_sumo
@@ -153,7 +158,9 @@ def test_the_same_seed_drives_the_same_traffic_and_another_one_another(runs):
     demand = replace(load_demand(), warm_up_s=10.0)
     ids = ("CBLA/east/50", "CBNA/east/60")
     chosen = [lasting(run, 2.0) for run in runs if run.id in ids]
-    first, again, other = (drive(scene, demand, chosen, seed) for seed in (1, 1, 2))
+    first = drive(scene, demand, chosen, 1)
+    again = drive(scene, demand, chosen, 1)
+    other = drive(scene, demand, chosen, 2)
 
     assert first.impact_s == again.impact_s
     assert np.array_equal(first.trajectories.position_m, again.trajectories.position_m)
@@ -162,53 +169,45 @@ def test_the_same_seed_drives_the_same_traffic_and_another_one_another(runs):
 
 
 @needs_sumo
-def test_vehicles_behind_the_vut_react_to_it(runs):
+def test_vehicles_behind_the_vut_react_to_it(cyclist_ahead):
     """The VUT stands still in the lanes' middle: who comes from behind stops behind
     it.
     """
     scene = load_study_scene()
-    demand = load_demand()
-    run = next(run for run in runs if run.id == "CBLA/east/50")
-    lane = next(lane for lane in scene.lanes if lane.id == "-1_0").centreline_m
-    ahead = (lane[-1] - lane[-2]) / np.hypot(*(lane[-1] - lane[-2]))
-    place = lane[-1] - 30.0 * ahead
-    yaw_deg = float(np.degrees(np.arctan2(ahead[1], ahead[0])))
-    standing = lasting(run, 90.0)
+    lane = next(lane for lane in scene.lanes if lane.id == "-1_0")
+    ahead, left = along(lane)
+    place = lane.centreline_m[-1] - 30.0 * ahead
+    standing = lasting(cyclist_ahead, 90.0)
     n = len(standing.time_s)
     standing = replace(
         standing,
         vut_speed_kmh=0.001,
         vut_position_m=np.tile(place, (n, 1)),
-        vut_yaw_deg=np.full(n, yaw_deg),
+        vut_yaw_deg=np.full(n, np.degrees(np.arctan2(ahead[1], ahead[0]))),
     )
-    busy = replace(demand, arms={"east": 1200.0})
+    busy = replace(load_demand(), arms={"east": 1200.0})
+
     found = drive(scene, busy, [standing]).trajectories
-    left = np.array([-ahead[1], ahead[0]])
-    offset = found.position_m - place
-    in_lane = np.abs(offset @ left) < 1.0
-    is_late = found.time_s > found.last_s - 60.0
-    along_m = (offset @ ahead)[in_lane & is_late]
-    behind_m = -along_m[(along_m < 0.0) & (along_m > -12.0)]
+    offset_m = found.position_m - place
+    along_m = offset_m @ ahead
+    is_closest = np.abs(offset_m @ left) < 1.0
+    is_closest &= found.time_s > found.last_s - 60.0
+    is_closest &= (along_m < 0.0) & (along_m > -12.0)
 
-    assert len(behind_m)  # somebody stands there
+    assert is_closest.any()  # somebody stands there
 
+    lengths_m = np.array([body.length_m for body in found.bodies])
     vehicle = np.repeat(np.arange(len(found.bodies)), np.diff(found.row_start))
-    closest = np.flatnonzero(in_lane & is_late)[(along_m < 0.0) & (along_m > -12.0)]
-    gap_m = behind_m - 0.5 * np.array(
-        [
-            run.encounter.vut.length_m + found.bodies[v].length_m
-            for v in vehicle[closest]
-        ]
-    )
+    both_m = cyclist_ahead.encounter.vut.length_m + lengths_m[vehicle[is_closest]]
+    gap_m = -along_m[is_closest] - 0.5 * both_m
 
     assert gap_m.min() > 0.0
 
 
 @needs_sumo
-def test_more_vehicles_than_the_lanes_can_take_are_told(runs):
+def test_more_vehicles_than_the_lanes_can_take_are_told(cyclist_ahead):
     demand = replace(load_demand(), vehicles_per_hour_per_lane=10_000.0, warm_up_s=20.0)
-    run = lasting(next(run for run in runs if run.id == "CBLA/east/50"), 2.0)
-    found = drive(load_study_scene(), demand, [run])
+    found = drive(load_study_scene(), demand, [lasting(cyclist_ahead, 2.0)])
 
     assert found.n_departed > 20
     assert found.n_waiting > found.n_departed
@@ -232,26 +231,22 @@ def test_a_pocket_for_turning_is_an_edge_of_its_own():
     """
     scene = protocol_scene()
     entry = next(lane for lane in scene.lanes if lane.id == "west-in-0")
-    points = entry.centreline_m
-    ahead = (points[-1] - points[0]) / np.hypot(*(points[-1] - points[0]))
-    left = np.array([-ahead[1], ahead[0]])
-    pocket = replace(
-        entry,
-        id="west-pocket",
-        centreline_m=np.array([points[-1] - 30.0 * ahead, points[-1]])
-        - entry.width_m * left,
-    )
-    network = network_of(replace(scene, lanes=(*scene.lanes, pocket)), load_demand())
+    ahead, left = along(entry)
+    end = entry.centreline_m[-1] - entry.width_m * left
+    pocket = replace(entry, id="west-pocket", centreline_m=[end - 30.0 * ahead, end])
 
-    assert all(
-        edges.startswith("west-in-edge-1 west-in-edge-0 ")
-        for exits in network.ways["west"].values()
-        for edges in exits.values()
-    )
+    network = network_of(replace(scene, lanes=(*scene.lanes, pocket)), load_demand())
+    ways = network.ways["west"]
+
+    assert set(ways) == {"straight", "left", "right"}
+
+    for exits in ways.values():
+        for edges in exits.values():
+            assert edges.startswith("west-in-edge-1 west-in-edge-0 ")
+
     assert network.n_entry_lanes["west"] == 2
     assert 'id="west-in-edge-0_1"' in network.xml
     assert 'id="west-in-edge-1_1"' not in network.xml
-    assert set(network.ways["west"]) == {"straight", "left", "right"}
 
 
 @needs_sumo
@@ -265,15 +260,13 @@ def test_lanes_through_the_junction_are_driven_where_the_map_has_them():
         id="through",
         kind="connecting",
         width_m=3.5,
-        centreline_m=np.array(
-            [ends["west-in-0"][-1], [0.0, -1.5], ends["east-out-0"][0]]
-        ),
+        centreline_m=[ends["west-in-0"][-1], [0.0, -1.5], ends["east-out-0"][0]],
     )
-    network = network_of(replace(scene, lanes=(*scene.lanes, through)), load_demand())
 
-    assert {turn: set(exits) for turn, exits in network.ways["west"].items()} == {
-        "straight": {"east"}
-    }
+    network = network_of(replace(scene, lanes=(*scene.lanes, through)), load_demand())
+    from_west = {turn: set(exits) for turn, exits in network.ways["west"].items()}
+
+    assert from_west == {"straight": {"east"}}
     assert set(network.ways["east"]) == {"left", "straight", "right"}
     assert "0.00,-1.50" in network.xml
 
@@ -295,13 +288,16 @@ def test_lanes_that_keep_left_are_driven_on_the_left():
 
 
 @needs_sumo
-def test_a_vut_that_comes_from_beyond_the_network_joins_in_when_it_is_there(runs):
+def test_a_vut_that_comes_from_beyond_the_network_joins_in_when_it_is_there(
+    cyclist_ahead,
+):
     """For the first second it is a kilometre away, where no lane is."""
-    run = lasting(next(run for run in runs if run.id == "CBLA/east/50"), 2.0)
+    run = lasting(cyclist_ahead, 2.0)
     position = np.array(run.vut_position_m)
     position[:10] += [1000.0, 0.0]
-    scene = load_study_scene()
     demand = replace(load_demand(), warm_up_s=10.0)
-    found = drive(scene, demand, [replace(run, vut_position_m=position)])
+
+    away = replace(run, vut_position_m=position)
+    found = drive(load_study_scene(), demand, [away])
 
     assert len(found.trajectories.bodies) > 0

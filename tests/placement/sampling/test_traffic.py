@@ -1,9 +1,13 @@
+"""Standing traffic: where it parks and waits, and in whose way it never stands."""
+
 from collections import Counter
 from dataclasses import replace
+from itertools import combinations, product
 
 import numpy as np
 import pytest
 from junctions import ARMS, MOUTH_M, build_scene, lanes_of, protocol_scene
+from sampled_worlds import first_world
 from shapely import Polygon
 
 from geometry.actors import load_actors, read_body
@@ -20,21 +24,24 @@ from placement.sampling.traffic import (
     stop_line_m,
 )
 from placement.sampling.uncertainty import StandingTraffic, VehicleKind
-from placement.sampling.worlds import RandomStreams, draw_samples
+from placement.sampling.worlds import RandomStreams
 from scenarios.cases import load_cases
 from scenarios.runs import build_runs
 
 
 def _rng(index=0, seed=3):
+    """Generator of a world."""
     return RandomStreams(seed=seed, purpose="choose", index=index).rng
 
 
 def _traffic(*, body="parked-van", **fields):
+    """Traffic of one kind of vehicle."""
     kind = VehicleKind(actor=load_actors()[body], parked_share=1.0, waiting_share=1.0)
     return StandingTraffic(**{"vehicles": (kind,), **fields})
 
 
 def _corners(placed):
+    """Corners of a vehicle's footprint, (4, 2). [m]"""
     return footprint_corners(
         placed.pose.position_m[:2],
         placed.pose.yaw_deg,
@@ -58,6 +65,7 @@ def _bus_scene():
 
 
 def _bus(waiting_share=1.0):
+    """The kind of vehicle that waits in bus lanes."""
     size = {"length_m": 12.0, "width_m": 2.55, "height_m": 3.1}
     actor = read_body({"name": "bus", **size}, "bus")
     return VehicleKind(actor=actor, parked_share=1.0, waiting_share=waiting_share)
@@ -67,9 +75,11 @@ def test_a_bus_waits_in_each_bus_lane_if_asked_for():
     scene = _bus_scene()
     traffic = StandingTraffic(bus_lane_share=1.0, vehicles=(_bus(),))
     vehicles = build_street(scene, traffic).draw(_rng())
+
     strips = strips_of(
         lane for lane in scene.lanes if lane.kind == "bus" and "-in-" in lane.id
     )
+
     assert len(vehicles) == len(strips) == 4
     for strip in strips:
         inside = [strip.contains(Polygon(body.footprint_m)) for body in vehicles]
@@ -86,44 +96,49 @@ def test_nobody_but_a_bus_waits_or_parks_in_a_bus_lane():
     scene = _bus_scene()
     traffic = _traffic(taken_share=1.0, waiting_share=1.0, following_share=1.0)
     buses = strips_of(lane for lane in scene.lanes if lane.kind == "bus")
+
     vehicles = build_street(scene, traffic).draw(_rng())
+
     assert vehicles
     for body in vehicles:
         footprint = Polygon(body.footprint_m)
-        assert not any(strip.intersects(footprint) for strip in buses)
+        for strip in buses:
+            assert not strip.intersects(footprint)
 
 
 def test_a_bus_lane_share_needs_a_bus():
-    expected = "vehicles: got no bus; expected one named bus"
-    with pytest.raises(InputError, match=expected):
+    with pytest.raises(
+        InputError, match="vehicles: got no bus; expected one named bus"
+    ):
         _traffic(bus_lane_share=0.5)
 
 
 def test_a_full_parking_lane_is_a_row_of_bumpers(junction_scene):
     traffic = _traffic(
-        taken_share=1.0, parked_gap_m=0.8, clear_of_mouth_m=5.0, along_arm_m=40.0
+        taken_share=1.0,
+        parked_gap_m=0.8,
+        clear_of_mouth_m=5.0,
+        along_arm_m=40.0,
     )
-    vehicles = build_street(junction_scene, traffic).draw(_rng())
     van = traffic.vehicles[0].actor
+
+    vehicles = build_street(junction_scene, traffic).draw(_rng())
+    poses = [vehicle.pose for vehicle in vehicles]
+    on_east_arm = sorted(
+        (pose.position_m[1], pose.position_m[0], pose.yaw_deg)
+        for pose in poses
+        if pose.position_m[0] > MOUTH_M
+    )
     # From 5 m to 40 m behind the mouth: 4.9 m and 0.8 m, six times.
     ahead = 5.0 + 0.5 * van.length_m + 5.7 * np.arange(6)
     beside = 3.5 + 0.5 * 2.6
-    on_east_arm = sorted(
-        (v.pose.position_m[1], v.pose.position_m[0], v.pose.yaw_deg)
-        for v in vehicles
-        if v.pose.position_m[0] > MOUTH_M
-    )
-
-    assert len(vehicles) == 4 * 12
-
     # Out of the junction: eastwards.
     expected = [(-beside, MOUTH_M + x, 0.0) for x in ahead]
     expected += [(beside, MOUTH_M + x, 180.0) for x in ahead]
 
+    assert len(vehicles) == 4 * 12
     assert np.array(on_east_arm) == pytest.approx(np.array(expected), abs=1e-9)
-    assert all(
-        v.pose.position_m[2] == 0.0 and v.pose.pitch_deg == 0.0 for v in vehicles
-    )
+    assert {(pose.position_m[2], pose.pitch_deg) for pose in poses} == {(0.0, 0.0)}
 
 
 def test_an_empty_street_is_empty(junction_scene):
@@ -134,8 +149,12 @@ def test_an_empty_street_is_empty(junction_scene):
 def test_the_share_of_places_taken_is_as_asked(junction_scene):
     # Places and vehicles are equally long here: every place is a coin of its own.
     traffic = _traffic(
-        taken_share=0.3, free_place_m=5.7, parked_gap_m=0.8, along_arm_m=62.0
+        taken_share=0.3,
+        free_place_m=5.7,
+        parked_gap_m=0.8,
+        along_arm_m=62.0,
     )
+
     street = build_street(junction_scene, traffic)
     n_places = 8 * 10
     counts = [len(street.draw(_rng(index))) for index in range(60)]
@@ -153,6 +172,7 @@ def test_a_queue_begins_at_the_stop_line_and_goes_on_behind(junction_scene):
         crosswalk_gap_m=3.0,
         along_arm_m=30.0,
     )
+
     vehicles = build_street(junction_scene, traffic).draw(_rng())
     # Pedestrians cross 2 m inside the mouth: the first bumper is 1 m behind it.
     middles = MOUTH_M + 1.0 + 2.45 + 6.9 * np.arange(4)
@@ -168,42 +188,41 @@ def test_a_queue_begins_at_the_stop_line_and_goes_on_behind(junction_scene):
 
 @pytest.mark.long
 def test_queues_are_as_long_as_the_shares_say(junction_scene):
-    street = build_street(
-        junction_scene,
-        _traffic(waiting_share=0.4, following_share=0.5, along_arm_m=80.0),
-    )
+    traffic = _traffic(waiting_share=0.4, following_share=0.5, along_arm_m=80.0)
+    street = build_street(junction_scene, traffic)
     lengths = Counter()
     for index in range(150):
-        arms = Counter(
-            int(np.argmax([x, y, -x, -y]))
-            for x, y, _ in (v.pose.position_m for v in street.draw(_rng(index)))
-        )
+        arms = Counter()
+        for vehicle in street.draw(_rng(index)):
+            x, y, _ = vehicle.pose.position_m
+            arms[int(np.argmax([x, y, -x, -y]))] += 1
+
         lengths.update(arms[arm] for arm in range(4))
 
     total = 4 * 150
-    for n, share in ((0, 0.6), (1, 0.4 * 0.5), (2, 0.4 * 0.25)):
+
+    for n_vehicles, share in (
+        (0, 0.6),
+        (1, 0.4 * 0.5),
+        (2, 0.4 * 0.25),
+    ):
         error = np.sqrt(share * (1.0 - share) / total)
-        assert lengths[n] / total == pytest.approx(share, abs=4.0 * error)
+        assert lengths[n_vehicles] / total == pytest.approx(share, abs=4.0 * error)
 
 
 def test_the_stop_line_is_at_the_mouth_or_before_the_crosswalk(junction_scene):
     arm = build_junction(junction_scene).arms["east"]
     (lane,) = arm.entry_lanes
 
+    def stop_m(direction):
+        """Where one stops for a crosswalk 20 m east, 3 m before it."""
+        crosswalk = Line(point_m=[20.0, 0.0], direction=direction)
+        return stop_line_m(replace(arm, crosswalk=crosswalk), lane, 3.0)
+
     assert stop_line_m(arm, lane, 3.0) == pytest.approx(1.0)
     assert stop_line_m(arm, lane, 1.5) == 0.0
-
-    outside = replace(
-        arm, crosswalk=Line(point_m=np.array([20.0, 0.0]), direction=[0.0, 1.0])
-    )
-
-    assert stop_line_m(outside, lane, 3.0) == pytest.approx(8.5 + 3.0)
-
-    along = replace(
-        arm, crosswalk=Line(point_m=np.array([20.0, 0.0]), direction=[1.0, 0.0])
-    )
-
-    assert stop_line_m(along, lane, 3.0) == 0.0
+    assert stop_m([0.0, 1.0]) == pytest.approx(8.5 + 3.0)
+    assert stop_m([1.0, 0.0]) == 0.0  # along the lane
 
 
 @pytest.mark.long
@@ -212,7 +231,9 @@ def test_kinds_come_as_often_as_their_shares_say(junction_scene):
     kinds = (
         VehicleKind(actor=actors["parked-van"], parked_share=0.25, waiting_share=0.0),
         VehicleKind(
-            actor=actors["parked-car-small"], parked_share=0.75, waiting_share=1.0
+            actor=actors["parked-car-small"],
+            parked_share=0.75,
+            waiting_share=1.0,
         ),
     )
     traffic = _traffic(vehicles=kinds, taken_share=1.0, waiting_share=1.0)
@@ -222,63 +243,63 @@ def test_kinds_come_as_often_as_their_shares_say(junction_scene):
     for index in range(12):
         for placed in street.draw(_rng(index)):
             beside_m = np.abs(placed.pose.position_m[:2]).min()
-            (waiting if beside_m < 3.5 else parked)[placed.actor.name] += 1
+            if beside_m < 3.5:
+                waiting[placed.actor.name] += 1
+            else:
+                parked[placed.actor.name] += 1
 
     n = parked.total()
+    error = np.sqrt(0.25 * 0.75 / n)
 
-    assert parked["parked-van"] / n == pytest.approx(
-        0.25, abs=4.0 * np.sqrt(0.1875 / n)
-    )
+    assert parked["parked-van"] / n == pytest.approx(0.25, abs=4.0 * error)
     assert set(waiting) == {"parked-car-small"}
 
 
 def test_nobody_stands_in_a_wall_or_in_another_one(default):
     scene = protocol_scene(boxes=[("wall", 40.0, 1.75, 0.3, 6.0, 2.0)])
     traffic = _traffic(
-        waiting_share=1.0, following_share=1.0, waiting_gap_m=0.1, along_arm_m=60.0
+        waiting_share=1.0,
+        following_share=1.0,
+        waiting_gap_m=0.1,
+        along_arm_m=60.0,
     )
-    east = [
-        _corners(v)
-        for v in build_street(scene, traffic).draw(_rng())
-        if v.pose.position_m[0] > MOUTH_M
-    ]
+
+    vehicles = build_street(scene, traffic).draw(_rng())
+    east = [_corners(v)[:, 0] for v in vehicles if v.pose.position_m[0] > MOUTH_M]
 
     assert len(east) == 10  # eleven would fit
-    assert all(c[:, 0].max() < 39.85 or c[:, 0].min() > 40.15 for c in east)
+    for x_m in east:
+        assert x_m.max() < 39.85 or x_m.min() > 40.15
 
     street = build_street(load_study_scene(), replace(default.traffic, taken_share=1.0))
     corners = [_corners(v) for v in street.draw(_rng())]
-    for i, one in enumerate(corners):
-        for other in corners[:i]:
-            assert footprint_separation(one, other) > 0.0
+
+    for one, other in combinations(corners, 2):
+        assert footprint_separation(one, other) > 0.0
 
 
 def test_a_bridge_above_the_roofs_is_in_nobodys_way():
     """A box on the ground stands in the way, one at 3 m above a van does not."""
     scene = protocol_scene(boxes=[("wall", 14.0, 1.75, 0.3, 6.0, 2.0)])
-    lifted = replace(
-        scene,
-        vertices_m=scene.vertices_m
-        + np.where(np.arange(len(scene.vertices_m)) >= 3, 3.0, 0.0)[:, None]
-        * [0.0, 0.0, 1.0],
-    )
+    vertices_m = scene.vertices_m.copy()
+    vertices_m[3:, 2] += 3.0
+    lifted = replace(scene, vertices_m=vertices_m)
     traffic = _traffic(waiting_share=1.0)
+
     counts = [len(build_street(s, traffic).draw(_rng())) for s in (scene, lifted)]
 
     assert counts == [3, 4]
 
 
 def test_what_stands_in_one_lane_does_not_depend_on_the_others(default, junction_scene):
-    fewer = replace(
-        junction_scene,
-        lanes=tuple(lane for lane in junction_scene.lanes if "north" not in lane.id),
-    )
-    all_arms, three_arms = (
-        {v.key for v in build_street(scene, default.traffic).draw(_rng())}
-        for scene in (junction_scene, fewer)
-    )
+    lanes = [lane for lane in junction_scene.lanes if "north" not in lane.id]
+    fewer = replace(junction_scene, lanes=tuple(lanes))
 
-    assert three_arms < all_arms
+    def drawn(scene):
+        street = build_street(scene, default.traffic)
+        return {vehicle.key for vehicle in street.draw(_rng())}
+
+    assert drawn(fewer) < drawn(junction_scene)
 
 
 # Whose way they stand in
@@ -287,16 +308,12 @@ def test_what_stands_in_one_lane_does_not_depend_on_the_others(default, junction
 @pytest.fixture(scope="module")
 def many_ways(actors, rule):
     """Crossing, turning, longitudinal and obstructed cases at the study's junction."""
-    names = ("CPNCO-50", "CPTAfs-50", "CBTAns-0", "CPLA-25", "CBNA", "CPFA-50")
-    cases = [
-        replace(
-            case,
-            vut_speeds_kmh=tuple(
-                sorted({min(case.vut_speeds_kmh), case.vut_speeds_kmh[-1]})
-            ),
-        )
-        for case in (load_cases()[name] for name in names)
-    ]
+    cases = []
+    for name in ("CPNCO-50", "CPTAfs-50", "CBTAns-0", "CPLA-25", "CBNA", "CPFA-50"):
+        case = load_cases()[name]
+        speeds_kmh = {min(case.vut_speeds_kmh), case.vut_speeds_kmh[-1]}
+        cases.append(replace(case, vut_speeds_kmh=tuple(sorted(speeds_kmh))))
+
     runs, _ = build_runs(load_study_scene(), cases, vut=actors["vut"], rule=rule)
     return runs
 
@@ -318,7 +335,10 @@ def _swept(run, rule):
     ):
         position, yaw = motion.path.at(np.arange(0.0, end_m, 0.02))
         yield footprint_corners(
-            position, yaw, length_m=body.length_m, width_m=body.width_m
+            position,
+            yaw,
+            length_m=body.length_m,
+            width_m=body.width_m,
         )
 
 
@@ -330,34 +350,33 @@ def test_no_sampled_vehicle_stands_in_a_swept_path(
 
     setting = build_setting(load_study_scene(), many_ways)
     crowded = replace(
-        default,
-        traffic=replace(
-            default.traffic, taken_share=0.9, waiting_share=0.9, clear_of_mouth_m=0.0
-        ),
+        default.traffic,
+        taken_share=0.9,
+        waiting_share=0.9,
+        clear_of_mouth_m=0.0,
     )
-    n_standing = n_left_out = 0
-    for sample in draw_samples(setting, (), crowded, n_samples=1, seed=4):
-        for run, planned in list(zip(sample.setting.runs, many_ways, strict=True))[::2]:
-            own, added = np.split(np.array(run.obstruction), [len(planned.obstruction)])
-            assert tuple(own) == planned.obstruction
+    sample = first_world(setting, (), replace(default, traffic=crowded), seed=4)
+    n_standing = 0
+    n_left_out = 0
 
-            n_standing += len(added)
-            n_left_out += len(sample.vehicles) - len(added)
+    for run, planned in list(zip(sample.setting.runs, many_ways, strict=True))[::2]:
+        n_planned = len(planned.obstruction)
+        added = run.obstruction[n_planned:]
+        n_standing += len(added)
+        n_left_out += len(sample.vehicles) - len(added)
 
-            for swept in _swept(run, rule):
-                for placed in added:
-                    near = (
-                        np.hypot(*(swept.mean(axis=1) - placed.pose.position_m[:2]).T)
-                        < 12.0
-                    )
-                    apart = footprint_separation(swept[near], _corners(placed))
-                    assert (
-                        apart.min(initial=np.inf) > crowded.traffic.clearance_m - 1e-9
-                    )
+        assert run.obstruction[:n_planned] == planned.obstruction
 
-            for placed in added:
-                for other in planned.obstruction:
-                    assert footprint_separation(_corners(placed), _corners(other)) > 0.0
+        for swept, placed in product(_swept(run, rule), added):
+            away_m = swept.mean(axis=1) - placed.pose.position_m[:2]
+            near = np.hypot(*away_m.T) < 12.0
+
+            apart_m = footprint_separation(swept[near], _corners(placed))
+
+            assert apart_m.min(initial=np.inf) > crowded.clearance_m - 1e-9
+
+        for placed, other in product(added, planned.obstruction):
+            assert footprint_separation(_corners(placed), _corners(other)) > 0.0
 
     assert n_standing > 2 * n_left_out > 50
 
@@ -365,13 +384,16 @@ def test_no_sampled_vehicle_stands_in_a_swept_path(
 def test_only_what_is_in_the_way_is_left_out(junction_scene, junction_runs, rule):
     """Queues on all arms: gone is the one in whose lane the VUT comes."""
     traffic = _traffic(waiting_share=1.0)
+
     vehicles = build_street(junction_scene, traffic).draw(_rng())
 
     assert len(vehicles) == 4
 
     ways = build_ways(list(junction_runs.values()), rule)
+
     clear = clear_of_ways(vehicles, ways, clearance_m=0.5)
     directions = {"east": (1, 0), "north": (0, 1), "west": (-1, 0), "south": (0, -1)}
+
     for approach, run in junction_runs.items():
         gone = set(vehicles) - set(clear[group_key(run)])
         (one,) = gone
@@ -380,18 +402,15 @@ def test_only_what_is_in_the_way_is_left_out(junction_scene, junction_runs, rule
 
 def test_all_speeds_of_a_case_see_the_same_street(runs, build_setting, default):
     setting = build_setting(load_study_scene(), runs)
-    (sample,) = draw_samples(setting, (), default, n_samples=1, seed=0)
+    sample = first_world(setting, (), default)
     streets = {}
     for run in sample.setting.runs:
-        streets.setdefault((run.case.name, run.approach), set()).add(
-            tuple(placed.key for placed in run.obstruction)
-        )
+        street = tuple(placed.key for placed in run.obstruction)
+        streets.setdefault((run.case.name, run.approach), set()).add(street)
 
     assert {len(street) for street in streets.values()} == {1}
 
 
 def test_a_scene_without_a_junction_has_no_street(default):
-    from geometry.errors import InputError
-
     with pytest.raises(InputError, match="lanes that begin or end at the outline"):
         build_street(build_scene(()), default.traffic)

@@ -1,10 +1,14 @@
+"""Worlds that are sampled: mounts, streams of luck, and heavy runs."""
+
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
+from changes import changed
 from refusals import refused_with
+from sampled_worlds import first_world, table_of_world
 
-from placement.sampling.tables import build_sample_tables
 from placement.sampling.uncertainty import LatencyJitter, MountingErrors, Uncertainty
 from placement.sampling.worlds import (
     RandomStreams,
@@ -29,9 +33,19 @@ def _offsets(sample):
     )
 
 
-def _mounting(*spread):
-    names = ("yaw_sd_deg", "pitch_sd_deg", "height_sd_m")
-    return Uncertainty(mounting=MountingErrors(**dict(zip(names, spread, strict=True))))
+def _mounting(yaw_sd_deg, pitch_sd_deg, height_sd_m):
+    """Errors of mounting with these spreads."""
+    errors = MountingErrors(
+        yaw_sd_deg=yaw_sd_deg,
+        pitch_sd_deg=pitch_sd_deg,
+        height_sd_m=height_sd_m,
+    )
+    return Uncertainty(mounting=errors)
+
+
+def _row_of(look, n_poses):
+    """Poses every metre, 6 m high."""
+    return [look(f"{n}", [float(n), 0.0, 6.0], yaw_deg=0.0) for n in range(n_poses)]
 
 
 def _record(sample):
@@ -45,9 +59,12 @@ def _record(sample):
 
 
 def test_without_uncertainty_a_sample_is_the_plan(setting, candidates):
-    (sample,) = draw_samples(setting, candidates, Uncertainty(), n_samples=1, seed=0)
+    sample = first_world(setting, candidates, Uncertainty())
+
     assert sample.candidates == candidates
-    assert all(a is b for a, b in zip(sample.candidates, candidates, strict=True))
+    for a, b in zip(sample.candidates, candidates, strict=True):
+        assert a is b
+
     assert sample.setting.runs == setting.runs
     assert np.array_equal(
         sample.setting.axis.last_brake_time_s, setting.axis.last_brake_time_s
@@ -59,40 +76,38 @@ def test_without_uncertainty_a_sample_is_the_plan(setting, candidates):
 def test_the_same_seed_draws_the_same_worlds_and_another_one_others(
     setting, candidates, default
 ):
-    def draw(**options):
-        options = {"n_samples": 2, "seed": 5, **options}
-        return [
-            _record(s) for s in draw_samples(setting, candidates, default, **options)
-        ]
+    def draw(*, n_samples=2, seed=5, **options):
+        samples = draw_samples(
+            setting, candidates, default, n_samples=n_samples, seed=seed, **options
+        )
+        return [_record(sample) for sample in samples]
 
     first = draw()
 
     assert draw() == first
     assert draw(n_samples=3)[:2] == first
 
-    for other in (draw(seed=6), draw(purpose="judge"), first[::-1]):
-        for one, another in zip(first, other, strict=True):
-            assert all(
-                part != same for part, same in zip(one[:3], another[:3], strict=True)
-            )
+    for others in (draw(seed=6), draw(purpose="judge"), first[::-1]):
+        for one, other in zip(first, others, strict=True):
+            for part in range(3):
+                assert one[part] != other[part]
 
 
-def test_worlds_are_drawn_when_they_are_asked_for_and_wishes_checked_at_once(
-    setting, default
-):
+def test_worlds_are_drawn_when_they_are_asked_for(setting, default):
     worlds = draw_samples(setting, (), default, n_samples=10**9, seed=0)
-    assert next(iter(worlds)).streams == RandomStreams(
-        seed=0, purpose="choose", index=0
-    )
+    first = RandomStreams(seed=0, purpose="choose", index=0)
 
-    for field, value, message in (
-        ("n_samples", 0, "samples: got 0; expected a whole number, at least 1"),
-        ("n_samples", 2.0, "samples: got 2.0; expected a whole number, at least 1"),
-    ):
-        with refused_with(message):
-            draw_samples(
-                setting, (), default, **{"n_samples": 1, "seed": 0, field: value}
-            )
+    assert next(iter(worlds)).streams == first
+
+
+@pytest.mark.parametrize("n_samples", [0, 2.0])
+def test_a_number_of_worlds_that_cannot_be_is_refused_at_once(
+    setting, default, n_samples
+):
+    message = f"samples: got {n_samples}; expected a whole number, at least 1"
+
+    with refused_with(message):
+        draw_samples(setting, (), default, n_samples=n_samples, seed=0)
 
 
 # Mounts
@@ -100,8 +115,9 @@ def test_worlds_are_drawn_when_they_are_asked_for_and_wishes_checked_at_once(
 
 def test_errors_have_their_spread_and_no_bias(setting, look):
     spread = (2.0, 0.5, 0.1)
-    poses = [look(f"{i}", [float(i), 0.0, 6.0], yaw_deg=0.0) for i in range(400)]
-    (sample,) = draw_samples(setting, poses, _mounting(*spread), n_samples=1, seed=1)
+    poses = _row_of(look, 400)
+
+    sample = first_world(setting, poses, _mounting(*spread), seed=1)
     off = _offsets(sample) / spread
 
     assert np.abs(off.mean(axis=0)).max() < 4.0 / np.sqrt(400)
@@ -111,11 +127,9 @@ def test_errors_have_their_spread_and_no_bias(setting, look):
 
     for planned, real in zip(poses, sample.candidates, strict=True):
         assert real.pose.position_m[:2].tolist() == planned.pose.position_m[:2].tolist()
-        assert (real.id, real.site_id, real.sensor) == (
-            planned.id,
-            planned.site_id,
-            planned.sensor,
-        )
+        assert real.id == planned.id
+        assert real.site_id == planned.site_id
+        assert real.sensor == planned.sensor
 
 
 @pytest.mark.long
@@ -123,71 +137,57 @@ def test_few_heights_stand_for_the_normal_distribution(setting, look):
     """Three, whose mean, variance and fourth moment are those of the normal
     distribution.
     """
-    poses = [look(f"{i}", [float(i), 0.0, 6.0], yaw_deg=0.0) for i in range(4000)]
-    (sample,) = draw_samples(
-        setting, poses, _mounting(0.0, 0.0, 0.1), n_samples=1, seed=1
-    )
-    steps, count = np.unique(
-        (_offsets(sample)[:, 2] / 0.1).round(9), return_counts=True
-    )
-
-    assert steps == pytest.approx([-np.sqrt(3.0), 0.0, np.sqrt(3.0)])
-
-    share = count / count.sum()
-
-    assert share == pytest.approx([1 / 6, 2 / 3, 1 / 6], abs=4.0 * np.sqrt(0.25 / 4000))
-
+    poses = _row_of(look, 4000)
     exact = np.array([1 / 6, 2 / 3, 1 / 6])
 
-    assert [exact @ steps**power for power in (1, 2, 3, 4, 5)] == pytest.approx(
-        [0, 1, 0, 3, 0]
-    )
+    sample = first_world(setting, poses, _mounting(0.0, 0.0, 0.1), seed=1)
+    off = (_offsets(sample)[:, 2] / 0.1).round(9)
+    steps, count = np.unique(off, return_counts=True)
+    moments = [exact @ steps**power for power in (1, 2, 3, 4, 5)]
+
+    assert steps == pytest.approx([-np.sqrt(3.0), 0.0, np.sqrt(3.0)])
+    assert count / 4000 == pytest.approx(exact, abs=4.0 * np.sqrt(0.25 / 4000))
+    assert moments == pytest.approx([0, 1, 0, 3, 0])
 
 
 def test_poses_of_one_mount_are_off_by_the_same(setting, candidates, look):
-    extra = [
-        look(n, [0.0, 0.0, h], yaw_deg=y) for n, h, y in (("a", 6, 0), ("b", 7, 90))
-    ]
-    poses = (*candidates, *extra)
-    (sample,) = draw_samples(
-        setting, poses, _mounting(1.0, 1.0, 0.1), n_samples=1, seed=2
-    )
-    off = _offsets(sample).round(9)
-    mounts = [mount_key(pose) for pose in poses]
+    low = look("a", [0.0, 0.0, 6], yaw_deg=0)
+    high = look("b", [0.0, 0.0, 7], yaw_deg=90)
+    poses = (*candidates, low, high)
 
-    assert len(set(mounts)) == 3
+    sample = first_world(setting, poses, _mounting(1.0, 1.0, 0.1), seed=2)
+    by_mount = {}
+    for pose, off in zip(poses, _offsets(sample).round(9), strict=True):
+        by_mount.setdefault(mount_key(pose), set()).add(tuple(off))
 
-    by_mount = {
-        mount: {tuple(row) for row, m in zip(off, mounts, strict=True) if m == mount}
-        for mount in mounts
-    }
+    assert len(by_mount) == 3
+    for rows in by_mount.values():
+        assert len(rows) == 1
 
-    assert all(len(rows) == 1 for rows in by_mount.values())
     assert len(set.union(*by_mount.values())) == 3
 
 
 def test_errors_do_not_depend_on_what_else_is_tried(setting, candidates, default):
-    all_of_them, last = (
-        next(iter(draw_samples(setting, some, default, n_samples=1, seed=3)))
-        for some in (candidates, candidates[-1:])
-    )
-    assert _offsets(all_of_them)[-1].tolist() == _offsets(last)[0].tolist()
-    assert [v.key for v in all_of_them.vehicles] == [v.key for v in last.vehicles]
+    every = first_world(setting, candidates, default, seed=3)
+    last = first_world(setting, candidates[-1:], default, seed=3)
+
+    assert _offsets(every)[-1].tolist() == _offsets(last)[0].tolist()
+    assert [v.key for v in every.vehicles] == [v.key for v in last.vehicles]
 
 
 def test_no_sensor_ends_up_underground_or_looks_over_its_shoulder(setting, look):
     low = [
-        look(f"{i}", [float(i), 0.0, 0.2], yaw_deg=0.0, pitch_deg=-89.5)
-        for i in range(50)
+        look(f"{n}", [float(n), 0.0, 0.2], yaw_deg=0.0, pitch_deg=-89.5)
+        for n in range(50)
     ]
-    low.append(look("lowest", [0.0, 9.0, 0.05], yaw_deg=0.0, pitch_deg=89.5))
-    (sample,) = draw_samples(
-        setting, low, _mounting(0.0, 20.0, 0.5), n_samples=1, seed=0
-    )
+    lowest = look("lowest", [0.0, 9.0, 0.05], yaw_deg=0.0, pitch_deg=89.5)
 
-    assert min(pose.pose.position_m[2] for pose in sample.candidates[:-1]) == 0.1
-    assert sample.candidates[-1].pose.position_m[2] >= 0.05
-    assert max(abs(pose.pose.pitch_deg) for pose in sample.candidates) == 90.0
+    sample = first_world(setting, [*low, lowest], _mounting(0.0, 20.0, 0.5))
+    poses = [candidate.pose for candidate in sample.candidates]
+
+    assert min(pose.position_m[2] for pose in poses[:-1]) == 0.1
+    assert poses[-1].position_m[2] >= 0.05
+    assert max(abs(pose.pitch_deg) for pose in poses) == 90.0
 
 
 # Latency, messages, weather
@@ -195,9 +195,9 @@ def test_no_sensor_ends_up_underground_or_looks_over_its_shoulder(setting, look)
 
 def test_a_run_that_no_braking_avoids_stays_one(setting, candidates):
     hopeless = np.full(setting.axis.n_runs, -np.inf)
-    never = replace(setting, axis=replace(setting.axis, last_brake_time_s=hopeless))
+    never = changed(setting, "axis.last_brake_time_s", hopeless)
     late = Uncertainty(latency=LatencyJitter(mean_s=0.05))
-    (sample,) = draw_samples(never, candidates, late, n_samples=1, seed=0)
+    sample = first_world(never, candidates, late)
 
     assert (sample.setting.axis.last_brake_time_s == -np.inf).all()
 
@@ -206,32 +206,25 @@ def test_the_evaluator_is_told_how_many_messages_are_lost(setting, candidates):
     lossy = replace(
         setting, radio=replace(setting.radio, packet_loss=0.4, vam_rate=0.5)
     )
-    (sample,) = draw_samples(
-        lossy, candidates, Uncertainty(packet_loss=0.2), n_samples=1, seed=0
-    )
+    sample = first_world(lossy, candidates, Uncertainty(packet_loss=0.2))
 
-    assert (sample.setting.radio.packet_loss, sample.setting.radio.vam_rate) == (
-        0.2,
-        0.5,
-    )
+    assert sample.setting.radio.packet_loss == 0.2
+    assert sample.setting.radio.vam_rate == 0.5
 
 
 # RandomStreams
 
 
 def test_every_thing_has_a_generator_of_its_own():
-    lucks = [
-        RandomStreams(seed=seed, purpose=purpose, index=index)
-        for seed in (0, 1)
-        for purpose in ("choose", "judge")
-        for index in (0, 1)
-    ]
-    first = {
-        luck.rng(*key).random() for luck in lucks for key in (("a",), ("b",), ("a", 1))
-    }
+    firsts = []
+    for seed, purpose, index in product((0, 1), ("choose", "judge"), (0, 1)):
+        streams = RandomStreams(seed=seed, purpose=purpose, index=index)
+        for key in (("a",), ("b",), ("a", 1)):
+            firsts.append(streams.rng(*key).random())
 
-    assert len(first) == 24
-    assert lucks[0].rng("a").random() == lucks[0].rng("a").random()
+            assert streams.rng(*key).random() == firsts[-1]
+
+    assert len(set(firsts)) == 24
 
 
 # Runs of great weight
@@ -241,23 +234,22 @@ def test_heavy_runs_are_there_as_often_as_they_weigh_and_are_drawn_each_by_itsel
     setting, candidates
 ):
     weight = np.array([0.1, 0.8, 0.1])  # 2.4 times the mean: twice
-    setting = replace(setting, axis=replace(setting.axis, weight=weight))
-    often = repeat_heavy_runs(setting, most=10)
-    names = list(setting.axis.run_ids)
+    setting = changed(setting, "axis.weight", weight)
+    first, second, third = setting.axis.run_ids
 
-    assert often.axis.run_ids == (names[0], names[1], f"{names[1]}+1", names[2])
+    often = repeat_heavy_runs(setting, most=10)
+
+    assert often.axis.run_ids == (first, second, f"{second}+1", third)
     assert often.axis.weight == pytest.approx([0.1, 0.4, 0.4, 0.1])
     assert repeat_heavy_runs(setting, most=1) is setting
 
-    uncertainty = Uncertainty(packet_loss=0.5)
-    seen = []
-    for drawn in (Uncertainty(), uncertainty):
-        samples = draw_samples(often, candidates, drawn, n_samples=1, seed=0)
-        ((_, table),) = build_sample_tables(samples)
+    def of_the_heavy_run(uncertainty):
+        table = table_of_world(first_world(often, candidates, uncertainty))
         frames = table.detected(slice(None))
-        seen += [frames[:, often.axis.frames_of(run)] for run in (1, 2)]
+        return [frames[:, often.axis.frames_of(run)] for run in (1, 2)]
 
-    one, copy, lossy_one, lossy_copy = seen
+    one, copy = of_the_heavy_run(Uncertainty())
+    lossy_one, lossy_copy = of_the_heavy_run(Uncertainty(packet_loss=0.5))
 
     assert np.array_equal(one, copy)
     assert one.any()
@@ -270,6 +262,7 @@ def test_weathers_of_a_repeated_run_share_its_draws(setting):
     )
     runs = (*setting.runs, *fog)
     axis = build_frame_axis(runs, np.tile([0.05, 0.4, 0.05], 2))
+
     often = repeat_heavy_runs(replace(setting, runs=runs, axis=axis), most=10)
     by_id = {run.id: run.encounter for run in often.runs}
     name = setting.runs[1].id
@@ -279,8 +272,9 @@ def test_weathers_of_a_repeated_run_share_its_draws(setting):
 
 
 def test_what_the_vut_sees_is_repeated_with_its_run(setting):
-    axis = replace(setting.axis, weight=np.array([0.1, 0.8, 0.1]))
+    axis = replace(setting.axis, weight=[0.1, 0.8, 0.1])
     seen = np.random.default_rng(0).random(axis.n_frames) < 0.5
+
     often = repeat_heavy_runs(replace(setting, axis=axis, seen_by_vut=seen), most=10)
     parts = [seen[axis.frames_of(run)] for run in (0, 1, 1, 2)]
 

@@ -17,16 +17,19 @@ from placement.verification.recomputation import stage_names
 
 @pytest.fixture
 def problem(frame_axis, rule):
+    """The best two of twelve poses."""
     return two_of_twelve(frame_axis, rule)
 
 
 @pytest.fixture
 def document(problem):
+    """The certificate of the problem, as written."""
     return document_of(problem, solve_placement(problem))
 
 
 def test_a_certificate_can_be_read_again(problem, document, tmp_path):
     save_certificate(tmp_path, document, problem)
+
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [
         CERTIFICATE_FILE,
         INSTANCE_FILE,
@@ -37,13 +40,15 @@ def test_a_certificate_can_be_read_again(problem, document, tmp_path):
     assert json.loads(text, parse_constant=pytest.fail) == document
 
     stored = load_certificate(tmp_path / CERTIFICATE_FILE)
+
     solution = solve_placement(problem)
 
     assert stored.pose_index == solution.pose_index
     assert [stage.name for stage in stored.stages] == list(stage_names(problem))
-    assert [stage.objective for stage in stored.stages] == [
-        stage.objective for stage in solution.certificate.stages
-    ]
+
+    expected = [stage.objective for stage in solution.certificate.stages]
+
+    assert [stage.objective for stage in stored.stages] == expected
     assert stored.is_proven
 
 
@@ -54,6 +59,7 @@ def test_an_infinite_gap_survives_json(problem, tmp_path):
         stages=(replace(first, objective=0.0, gap=np.inf), *others), solver="none"
     )
     document = document_of(problem, replace(solution, certificate=certificate))
+
     save_certificate(tmp_path, document, problem)
 
     assert load_certificate(tmp_path / CERTIFICATE_FILE).stages[0].gap == np.inf
@@ -111,6 +117,7 @@ def test_a_field_that_is_wrong_is_named(problem, document, tmp_path, change, mes
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff", b"[" * 100_000, b"9" * 5000])
 def test_a_file_that_is_no_certificate_is_refused(tmp_path, content):
     path = tmp_path / CERTIFICATE_FILE
+
     with pytest.raises(
         InputError, match="got No such file or directory; expected a readable"
     ):

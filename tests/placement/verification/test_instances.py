@@ -7,6 +7,7 @@ import pytest
 from changes import changed
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 from problems import questions
 
 from geometry.errors import InputError
@@ -27,15 +28,15 @@ def problem(frame_axis):
     return PlacementProblem(
         table=DetectionTable(pose_ids=("a", "b", "c"), axis=frame_axis, packed=packed),
         limits=Limits(
-            site_index=np.array([0, 1, 1]),
-            site_capacity=np.array([1, 2]),
+            site_index=[0, 1, 1],
+            site_capacity=[1, 2],
             budget_units=2,
             budget_eur=9000.0,
-            unit_cost_eur=np.array([1000.0, 2000.0, 3000.0]),
-            site_cost_eur=np.array([500.0, 0.0]),
-            is_forced=np.array([True, False, False]),
-            is_forbidden=np.array([False, True, False]),
-            is_forced_site=np.array([False, True]),
+            unit_cost_eur=[1000.0, 2000.0, 3000.0],
+            site_cost_eur=[500.0, 0.0],
+            is_forced=[True, False, False],
+            is_forbidden=[False, True, False],
+            is_forced_site=[False, True],
             rivals=np.zeros((0, 2), dtype=np.int64),
         ),
         fusion="any",
@@ -70,7 +71,7 @@ def assert_same(one, other):
             assert_same(getattr(one, field.name), getattr(other, field.name))
     elif isinstance(one, np.ndarray):
         assert one.dtype == other.dtype
-        np.testing.assert_array_equal(one, other)
+        assert_array_equal(one, other)
     elif isinstance(one, tuple) and one and hasattr(one[0], "__dataclass_fields__"):
         assert len(one) == len(other)
         for mine, theirs in zip(one, other, strict=True):
@@ -85,6 +86,7 @@ def test_every_problem_comes_back_as_it_was(problem, tmp_path):
     floors = tuple(replace(floor, share=float(floor.share)) for floor in problem.floors)
     problem = replace(problem, floors=floors)
     path = tmp_path / "instance.npz"
+
     save_problem(path, problem)
     loaded = load_problem(path)
 
@@ -103,16 +105,19 @@ def test_a_problem_with_every_wish_comes_back_and_makes_the_same_file(
 
 
 def _flipped(packed):
+    """Bits of which one is another."""
     other = packed.copy()
     other[1, 0] ^= 4
     return other
 
 
 def _with_other_frames(axis):
-    return replace(axis, run_start=np.array([0, 3, 7, 10]), time_s=np.arange(10) / 10)
+    """The axis with other frames."""
+    return replace(axis, run_start=[0, 3, 7, 10], time_s=np.arange(10) / 10)
 
 
 def _of_second_floor(**values):
+    """Changes the second of some floors."""
     return lambda floors: (floors[0], replace(floors[1], **values))
 
 
@@ -125,23 +130,23 @@ VARIATIONS = (
     ("table.axis.approaches", ("north", "north", "east")),
     ("table.axis.positions", ("0", "0", "-15")),
     ("table.axis.weathers", ("day", "day", "fog")),
-    ("table.axis.vut_speed_kmh", np.array([20.0, 30.0, 21.0])),
-    ("table.axis.weight", np.array([0.25, 0.5, 0.25])),
-    ("table.axis.last_brake_time_s", np.array([-0.1, -0.1, -np.inf])),
+    ("table.axis.vut_speed_kmh", [20.0, 30.0, 21.0]),
+    ("table.axis.weight", [0.25, 0.5, 0.25]),
+    ("table.axis.last_brake_time_s", [-0.1, -0.1, -np.inf]),
     ("table.axis", _with_other_frames),
     ("table.axis.time_s", lambda time_s: time_s - 0.01),
-    ("limits.site_index", np.array([0, 0, 1])),
-    ("limits.site_capacity", np.array([1, 3])),
+    ("limits.site_index", [0, 0, 1]),
+    ("limits.site_capacity", [1, 3]),
     ("limits.budget_units", 3),
     ("limits.budget_units", None),
     ("limits.budget_eur", 9001.0),
     ("limits.budget_eur", None),
-    ("limits.unit_cost_eur", np.array([1000.0, 2000.0, 3001.0])),
-    ("limits.site_cost_eur", np.array([500.0, 1.0])),
-    ("limits.is_forced", np.zeros(3, dtype=bool)),
-    ("limits.is_forbidden", np.zeros(3, dtype=bool)),
-    ("limits.is_forced_site", np.zeros(2, dtype=bool)),
-    ("limits.rivals", np.array([[0, 1]])),
+    ("limits.unit_cost_eur", [1000.0, 2000.0, 3001.0]),
+    ("limits.site_cost_eur", [500.0, 1.0]),
+    ("limits.is_forced", [False] * 3),
+    ("limits.is_forbidden", [False] * 3),
+    ("limits.is_forced_site", [False] * 2),
+    ("limits.rivals", [[0, 1]]),
     ("fusion", "single"),
     ("goal", "cheapest"),
     ("survive", 2),
@@ -164,10 +169,12 @@ VARIATIONS = (
 
 def test_the_hash_changes_with_whatever_changes(problem):
     hashes = [problem_hash(changed(problem, *change)) for change in VARIATIONS]
+
     hashes.append(problem_hash(problem))
 
     assert len(set(hashes)) == len(hashes)
-    assert all(len(text) == 64 for text in hashes)
+    for text in hashes:
+        assert len(text) == 64
 
 
 def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(
@@ -182,7 +189,8 @@ def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(
     assert load_problem(path).table.axis.positions == ("0", "0", "0")
 
     moved = replace(axis, positions=("-15", "0", "+0"))
-    there = replace(problem, table=replace(problem.table, axis=moved))
+    there = changed(problem, "table.axis", moved)
+
     save_problem(path, there)
 
     assert_same(load_problem(path), there)
@@ -203,11 +211,15 @@ def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(
 def test_tracks_that_live_for_ever_make_the_files_of_programs_without_a_memory(
     problem, tmp_path
 ):
-    for memory_s, is_there in ((np.inf, False), (1.0, True)):
+    for memory_s, is_there in (
+        (np.inf, False),
+        (1.0, True),
+    ):
         rule = replace(problem.rule, track_memory_s=memory_s)
         save_problem(tmp_path / "a.npz", replace(problem, rule=rule))
         with np.load(tmp_path / "a.npz") as archive:
             assert ("track_memory_s" in archive.files) == is_there
+
         assert load_problem(tmp_path / "a.npz").rule.track_memory_s == memory_s
 
 
@@ -217,7 +229,7 @@ def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(
     packed = problem.table.packed.copy()
     packed[:, -1] |= 0b11111100  # ten frames
     axis = replace(problem.table.axis, time_s=-1.0 * -problem.table.axis.time_s)
-    limits = replace(problem.limits, site_cost_eur=np.array([500.0, -0.0]))
+    limits = replace(problem.limits, site_cost_eur=[500.0, -0.0])
     table = replace(problem.table, axis=axis, packed=packed)
     same = replace(problem, table=table, limits=limits)
 
@@ -260,6 +272,7 @@ def test_every_field_that_is_missing_is_named(problem, tmp_path):
     save_problem(path, problem)
     with np.load(path) as archive:
         names = set(archive.files)
+
     for name in names - set(OPTIONAL):
         rewrite(path, problem, **{name: ...})
         with pytest.raises(InputError, match=rf"a\.npz: {name}: got nothing; expected"):

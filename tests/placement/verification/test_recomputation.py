@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from problems import questions
 
+from placement.detection_table import pack_table
 from placement.layout import Stage
 from placement.optimiser import (
+    Limits,
     PlacementProblem,
     apr_failed,
     cost_eur,
@@ -54,10 +57,12 @@ def test_the_checker_calls_nothing_of_the_optimiser():
                     names = [node.module or ""]
                 else:
                     names = []
+
                 names += [alias.name for alias in node.names]
                 # Names of the stages alone.
                 if names == ["optimiser.problem", "Objective"]:
                     continue
+
                 assert not any("optimiser" in name for name in names), module.__name__
 
         inner = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
@@ -89,14 +94,14 @@ def test_both_ways_agree_on_every_set(problem, size):
         )
     }
     allowed = np.logical_and.reduce(list(limit_checks(problem, sets).values()))
+
     floors = [floor_values(problem, floor, sets) for floor in problem.floors]
 
     for index, poses in enumerate(sets.tolist()):
-        np.testing.assert_allclose(
-            margin_s[index], run_margins_s(problem, poses), atol=1e-12
-        )
+        assert_allclose(margin_s[index], run_margins_s(problem, poses), atol=1e-12)
 
         value = placement_value(problem, poses)
+
         for name in value._fields:
             assert found[name][index] == pytest.approx(getattr(value, name), abs=1e-12)
 
@@ -123,7 +128,7 @@ def test_small_blocks_change_nothing(problem):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recomputation, "_BLOCK_BYTES", 1)
         for name, values in zip(names, whole, strict=True):
-            np.testing.assert_array_equal(stage_values(problem, name, sets), values)
+            assert_array_equal(stage_values(problem, name, sets), values)
 
 
 @given(problem=questions())
@@ -134,14 +139,17 @@ def test_no_set_is_better_than_the_simple_limits(problem):
         for poses in combinations(range(problem.table.n_poses), size):
             if not is_allowed(problem.limits, list(poses)):
                 continue
+
             assert size <= recomputation.most_units(problem)
             assert set(poses) <= set(usable.tolist())
+
             for name in stage_names(problem):
                 (value,) = stage_values(problem, name, np.array([poses]))
                 if name.is_minimised:
                     sign = -1.0
                 else:
                     sign = 1.0
+
                 assert sign * value <= sign * limits[name] + 1e-9
 
 
@@ -149,7 +157,13 @@ def test_no_set_is_better_than_the_simple_limits(problem):
 def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(problem):
     problem = replace(problem, goal="best", floors=(), survive=0)
     best = recomputation.simple_limits(problem, ())["apr"]
-    claim = Stage(name="apr", objective=best, bound=best, gap=0.0, seconds=0.0)
+    claim = Stage(
+        name="apr",
+        objective=best,
+        bound=best,
+        gap=0.0,
+        seconds=0.0,
+    )
     limits = recomputation.simple_limits(problem, [claim])
 
     for size in range(1, min(problem.table.n_poses, 3) + 1):
@@ -190,6 +204,7 @@ def test_all_sets_are_all_that_may_be_allowed(problem):
         for sets in recomputation.all_sets(problem)
         for poses in sets.tolist()
     }
+
     assert len(found) == recomputation.n_sets_of_all(problem)
 
     allowed = {
@@ -203,26 +218,18 @@ def test_all_sets_are_all_that_may_be_allowed(problem):
 
 
 def test_the_best_others_of_a_solved_problem_are_the_solution_itself(frame_axis, rule):
-    from placement.detection_table import pack_table
-    from placement.optimiser import Limits
-
-    rng = np.random.default_rng(3)
-    detected = rng.random((6, frame_axis.n_frames)) < 0.7
+    detected = np.random.default_rng(3).random((6, frame_axis.n_frames)) < 0.7
     problem = PlacementProblem(
         table=pack_table(tuple("abcdef"), frame_axis, detected),
-        limits=Limits(
-            site_index=np.arange(6),
-            site_capacity=np.ones(6, dtype=np.int64),
-            budget_units=2,
-        ),
+        limits=Limits(site_index=range(6), site_capacity=[1] * 6, budget_units=2),
         fusion="any",
         rule=replace(rule, n_confirmations=2),
     )
-    solution = solve_placement(problem)
-    stages = solution.certificate.stages
+    stages = solve_placement(problem).certificate.stages
+
     best = recomputation.best_others(problem, stages, recomputation.all_sets(problem))
 
-    assert [other.value for other in best] == pytest.approx(
-        [stage.objective for stage in stages]
-    )
     assert [other.name for other in best] == [stage.name for stage in stages]
+    expected = [stage.objective for stage in stages]
+
+    assert [other.value for other in best] == pytest.approx(expected)

@@ -2,9 +2,9 @@
 
 import pytest
 from short_runs import cut_run
+from tiny_cameras import tiny_camera
 from tiny_worlds import run_of_frames, scene_of_boxes, unit_at
 
-from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import select_cases
@@ -14,16 +14,20 @@ from scenarios.weights import weight_per_run
 
 @pytest.fixture(scope="session")
 def build_scene():
+    """Builds scenes of boxes."""
     return scene_of_boxes
 
 
 @pytest.fixture(scope="session")
 def build_run():
+    """Builds runs frame by frame."""
     return run_of_frames
 
 
 @pytest.fixture(scope="session")
 def axis_of():
+    """Builds the frame axis of runs."""
+
     def build(runs):
         return build_frame_axis(runs, weight_per_run(runs))
 
@@ -32,15 +36,8 @@ def axis_of():
 
 @pytest.fixture(scope="session")
 def small_camera():
-    return CameraModel(
-        name="small",
-        width_px=640,
-        height_px=360,
-        horizontal_fov_deg=90.0,
-        frame_rate_hz=10.0,
-        near_m=0.35,
-        price_eur=0.0,
-    )
+    """A camera of 640 by 360 pixels."""
+    return tiny_camera(640, 360)
 
 
 @pytest.fixture(scope="session")
@@ -48,7 +45,10 @@ def study_runs(actors):
     """Three cases of the study at two speeds, the last four seconds of each."""
     cases = select_cases("CPNC-50,CBNA,CBLA", speeds="30,60").cases
     runs, _ = build_runs(
-        load_study_scene(), cases, vut=actors["vut"], rule=load_aeb_rule()
+        load_study_scene(),
+        cases,
+        vut=actors["vut"],
+        rule=load_aeb_rule(),
     )
     return tuple(cut_run(run, slice(-40, None)) for run in runs)
 

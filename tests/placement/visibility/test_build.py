@@ -1,3 +1,5 @@
+"""Detection tables built, against pixels and alone against together."""
+
 import time
 from dataclasses import replace
 
@@ -5,11 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from placed_bodies import poses_beside, poses_within
 from strategies import angles_deg, cameras, numbers, pitches_deg
+from tiny_cameras import tiny_camera
 from tiny_worlds import WALLS
 
 from geometry.poses import Pose, camera_rotation
-from geometry.sensors import CameraModel, project_points
+from geometry.sensors import project_points
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, build_candidates
 from placement.compute import Compute
@@ -26,21 +30,15 @@ DETECTOR = GeometricDetector(min_iou=0.5, min_box_height_px=15.0)
 
 
 def _detected(table):
+    """Detections of all poses, (n_poses, n_frames)."""
     return table.detected(slice(None))
 
 
 def _random_world(build_scene, build_run, n_frames=150):
     """A world of walls, and two runs that jump about in it."""
     rng = np.random.default_rng(8)
-    vru = np.column_stack(
-        [rng.uniform(-14, 14, (n_frames, 2)), rng.uniform(-180, 180, n_frames)]
-    )
-    aside = rng.uniform(3.0, 6.0, n_frames) * np.exp(
-        1j * rng.uniform(0, 2 * np.pi, n_frames)
-    )
-    vut = vru + np.column_stack(
-        [aside.real, aside.imag, rng.uniform(-180, 180, n_frames)]
-    )
+    vru = poses_within(rng, n_frames, 14.0)
+    vut = poses_beside(rng, vru, 3.0, 6.0)
     runs = tuple(
         build_run(vru[part::2], vut[part::2], vru=body, name=body)
         for part, body in enumerate(("adult", "cyclist"))
@@ -50,6 +48,7 @@ def _random_world(build_scene, build_run, n_frames=150):
 
 @pytest.fixture(scope="module")
 def world(build_scene, build_run, axis_of):
+    """A random scene with runs, and their axis."""
     scene, runs = _random_world(build_scene, build_run)
     return scene, runs, axis_of(runs)
 
@@ -68,18 +67,30 @@ def candidates(mount, small_camera):
             camera=camera,
         )
         for yaw in (60.0, 90.0, 150.0, -90.0)
-        for name, camera in (("small", small_camera), ("tele", tele), ("close", close))
+        for name, camera in (
+            ("small", small_camera),
+            ("tele", tele),
+            ("close", close),
+        )
         for x in (-10.0, 3.0)
     ]
 
 
+def _build(world, candidates, **options):
+    """The table of candidates in a world: scene, runs and axis."""
+    scene, runs, axis = world
+    options = {"detector": DETECTOR} | options
+    return build_detection_table(scene, candidates, runs, axis, **options)
+
+
 @pytest.fixture(scope="module")
 def table(world, candidates):
-    scene, runs, axis = world
-    return build_detection_table(scene, candidates, runs, axis, detector=DETECTOR)
+    """The table of the candidates."""
+    return _build(world, candidates)
 
 
 def _agreement(scene, runs, candidates, detector, detected):
+    """Share of frames in which pixels say the same as the table."""
     surroundings = build_surroundings(scene, runs)
     shares = []
     for row, candidate in enumerate(candidates):
@@ -95,15 +106,16 @@ def test_the_table_detects_in_the_frames_in_which_pixels_do_at_the_studys_juncti
 ):
     scene = load_study_scene()
     grid = CandidateGrid(
-        heights_m=np.array([7.0]),
+        heights_m=[7.0],
         yaw_step_deg=90.0,
-        pitches_deg=np.array([-25.0]),
+        pitches_deg=[-25.0],
         sensors=(camera,),
     )
     some = build_candidates(scene, grid)[7::29]
     detector = load_planning_detector()
     runs = study_runs[::2]
-    table = build_detection_table(scene, some, runs, axis_of(runs), detector=detector)
+
+    table = _build((scene, runs, axis_of(runs)), some, detector=detector)
     shares = _agreement(scene, runs, some, detector, _detected(table))
 
     assert len(shares) == 4
@@ -112,31 +124,24 @@ def test_the_table_detects_in_the_frames_in_which_pixels_do_at_the_studys_juncti
 
 
 def test_rows_do_not_depend_on_their_company(world, candidates, table):
-    scene, runs, axis = world
     assert table.pose_ids == tuple(candidate.id for candidate in candidates)
 
     for row, candidate in list(enumerate(candidates))[::5]:
-        alone = build_detection_table(scene, [candidate], runs, axis, detector=DETECTOR)
+        alone = _build(world, [candidate])
         assert np.array_equal(_detected(alone)[0], _detected(table)[row])
 
 
 def test_columns_do_not_depend_on_other_runs(world, candidates, table, axis_of):
     scene, runs, axis = world
     for index, run in enumerate(runs):
-        alone = build_detection_table(
-            scene, candidates, [run], axis_of([run]), detector=DETECTOR
-        )
-        assert np.array_equal(
-            _detected(alone), _detected(table)[:, axis.frames_of(index)]
-        )
+        alone = _build((scene, [run], axis_of([run])), candidates)
+        together = _detected(table)[:, axis.frames_of(index)]
+
+        assert np.array_equal(_detected(alone), together)
 
 
 def test_two_workers_build_the_same_table_as_one(world, candidates, table):
-    scene, runs, axis = world
-    two = build_detection_table(
-        scene, candidates, runs, axis, detector=DETECTOR, compute=Compute(workers=2)
-    )
-
+    two = _build(world, candidates, compute=Compute(workers=2))
     assert np.array_equal(two.packed, table.packed)
 
 
@@ -148,24 +153,15 @@ def test_a_vru_above_the_lens_or_in_it_does_no_harm(
 ):
     run = build_run([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [1.0, 0.0, 90.0]])
     eyes = [mount(f"{z:g}", [0.0, 0.0, z]) for z in (0.4, 0.9, 1.8, 2.0)]
-    table = build_detection_table(
-        build_scene(), eyes, [run], axis_of([run]), detector=DETECTOR
-    )
+
+    table = _build((build_scene(), [run], axis_of([run])), eyes)
 
     assert _detected(table).shape == (4, 3)
 
 
 def test_a_table_of_candidates_far_away_is_empty(world, mount):
-    scene, runs, axis = world
-    table = build_detection_table(
-        scene,
-        [mount("far", [400.0, 0.0, 6.0], yaw_deg=180.0)],
-        runs,
-        axis,
-        detector=DETECTOR,
-    )
-
-    assert not table.packed.any()
+    far = mount("far", [400.0, 0.0, 6.0], yaw_deg=180.0)
+    assert not _build(world, [far]).packed.any()
 
 
 @given(
@@ -179,7 +175,14 @@ def test_a_table_of_candidates_far_away_is_empty(world, mount):
     numbers(0.1, 5.0),
 )
 def test_nothing_beyond_the_largest_distance_is_high_enough(
-    camera, min_height_px, yaw_deg, pitch_deg, pixel, times, direction, extent_m
+    camera,
+    min_height_px,
+    yaw_deg,
+    pitch_deg,
+    pixel,
+    times,
+    direction,
+    extent_m,
 ):
     """Two points of a body, both in the image, the nearer one just beyond the
     distance.
@@ -201,6 +204,7 @@ def test_nothing_beyond_the_largest_distance_is_high_enough(
     # The nearest point of the line between them counts.
     share = np.clip(first @ (first - second) / extent_m**2, 0.0, 1.0)
     assume(np.linalg.norm(first + share * (second - first)) >= limit_m)
+
     projected = project_points([first, second], pose, camera)
     size = np.array([camera.width_px, camera.height_px])
     assume((projected[:, 2] > 0.0).all())
@@ -213,24 +217,15 @@ def test_the_largest_distance_is_reached_in_the_corner_of_the_image():
     """The bound is not only safe but the least one: a short rod in the corner attains
     it.
     """
-    camera = CameraModel(
-        name="tall",
-        width_px=1,
-        height_px=1000,
-        horizontal_fov_deg=0.1,
-        frame_rate_hz=10.0,
-        near_m=0.1,
-        price_eur=0.0,
-    )
+    camera = tiny_camera(1, 1000, fov_deg=0.1, near_m=0.1)
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=1.0)
     limit_m = max_distance_m(camera, detector, vru_height_m=0.01)
     half = np.radians(0.5 * camera.vertical_fov_deg)
-    towards = np.array([np.cos(half), 0.0, -np.sin(half)])
-    across = np.array([np.sin(half), 0.0, np.cos(half)])
-    pose = Pose(position_m=np.zeros(3), yaw_deg=0.0)
-    rows = project_points(
-        [limit_m * towards, limit_m * towards + 0.01 * across], pose, camera
-    )[:, 1]
+    foot = limit_m * np.array([np.cos(half), 0.0, -np.sin(half)])
+    head = foot + 0.01 * np.array([np.sin(half), 0.0, np.cos(half)])
+    pose = Pose(position_m=[0.0, 0.0, 0.0], yaw_deg=0.0)
+
+    rows = project_points([foot, head], pose, camera)[:, 1]
 
     assert abs(rows[0] - rows[1]) == pytest.approx(1.0, rel=1e-2)
 
@@ -244,18 +239,12 @@ def test_any_distance_may_count_where_any_height_does(small_camera):
 
 
 def test_progress_counts_mount_positions(world, candidates):
-    scene, runs, axis = world
     calls = []
-    build_detection_table(
-        scene,
-        candidates,
-        runs,
-        axis,
-        detector=DETECTOR,
-        compute=Compute(
-            workers=2, progress=lambda stage, done, total: calls.append((done, total))
-        ),
-    )
+
+    def told(stage, done, total):
+        calls.append((done, total))
+
+    _build(world, candidates, compute=Compute(workers=2, progress=told))
 
     # Two positions, one of them for the model with another near distance, each.
     assert calls == [(done, 4) for done in (1, 2, 3, 4)]
@@ -290,19 +279,11 @@ def test_an_interruption_stops_after_the_positions_at_work(mount, workers):
 
 
 def test_an_error_in_a_worker_is_not_lost(world, mount, monkeypatch):
-    scene, runs, axis = world
-
     def fail(world, position_m, looks):
         raise MemoryError("no room")
 
     monkeypatch.setattr(build_module, "cast_for", fail)
+    one = mount("one", [0.0, 0.0, 6.0])
 
     with pytest.raises(MemoryError, match="no room"):
-        build_detection_table(
-            scene,
-            [mount("one", [0.0, 0.0, 6.0])],
-            runs,
-            axis,
-            detector=DETECTOR,
-            compute=Compute(workers=2),
-        )
+        _build(world, [one], compute=Compute(workers=2))

@@ -1,3 +1,5 @@
+"""Tables kept on disk, and all that their fingerprints depend on."""
+
 import logging
 import os
 from dataclasses import replace
@@ -5,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from changes import changed
+from placed_bodies import parked_at
 
-from geometry.actors import PlacedActor
 from geometry.lidar import load_lidar_detection, load_lidars
-from geometry.poses import Pose
 from geometry.weather import load_weathers
 from placement import cache
 from placement.cache import content_hash
@@ -51,13 +52,13 @@ def inputs(build_scene, build_run, mount, small_camera):
 
 
 def _fingerprint(inputs):
-    given = dict(inputs)
+    """Fingerprint of inputs."""
     return table_fingerprint(
-        given["scene"],
-        given["candidates"],
-        given["runs"],
-        given["detector"],
-        seed=given["seed"],
+        inputs["scene"],
+        inputs["candidates"],
+        inputs["runs"],
+        inputs["detector"],
+        seed=inputs["seed"],
     )
 
 
@@ -73,15 +74,15 @@ def stored(inputs, axis_of, tmp_path):
 
 
 def _load(stored, fingerprint=FINGERPRINT):
+    """The stored table, read back."""
     _, path, rest = stored
     return load_table(path, fingerprint=fingerprint, **rest)
 
 
-def test_runs_that_were_kept_on_disk_have_the_same_fingerprint(inputs, actors):
-    van = PlacedActor(
-        actor=actors["parked-van"], pose=Pose(position_m=[3.0, 2.0, 0.0], yaw_deg=0.0)
-    )
+def test_runs_that_were_kept_on_disk_have_the_same_fingerprint(inputs):
+    van = parked_at("parked-van", 3.0, 2.0)
     runs = tuple(replace(run, obstruction=(van,)) for run in inputs["runs"])
+
     # With a van of its own.
     kept = from_bytes(to_bytes(runs[0]), Run, classes=(StraightPath,))
 
@@ -123,6 +124,7 @@ def test_a_table_that_is_not_there_is_not_worth_a_line(stored, caplog):
 
 
 def _assert_one_line(caplog, path):
+    """One line of warning names the file."""
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
 
@@ -133,6 +135,8 @@ def _assert_one_line(caplog, path):
 
 
 def _foreign(**arrays):
+    """Writes arrays of something else."""
+
     def write(path):
         np.savez(path, **arrays)
 
@@ -140,6 +144,7 @@ def _foreign(**arrays):
 
 
 def _single_array(path):
+    """Write an array that is no archive."""
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
 
@@ -174,13 +179,17 @@ def test_a_damaged_or_foreign_file_is_not_used_and_logged_once(stored, caplog, d
     DAMAGES[damage](path)
 
     assert _load(stored) is None
+
     _assert_one_line(caplog, path)
 
 
 def test_a_table_made_from_other_inputs_is_not_used(stored, caplog):
     _, path, _ = stored
+
     assert _load(stored, fingerprint="f" * 32) is None
+
     _assert_one_line(caplog, path)
+
     assert caplog.messages[0].endswith(": made from other inputs")
 
 
@@ -200,6 +209,7 @@ def _saved_again(**changes):
 
 
 def _turned(arrays):
+    """Bits of which one is turned."""
     bits = arrays["packed"].copy()
     bits[0, 0] ^= 1
     return bits
@@ -227,7 +237,9 @@ def test_bits_that_were_changed_and_saved_under_the_same_name_are_not_used(
     _saved_again(**change)(path)
 
     assert _load(stored) is None
+
     _assert_one_line(caplog, path)
+
     assert caplog.messages[0].endswith(": its content is not what was written")
 
 
@@ -239,7 +251,9 @@ def test_a_table_of_another_user_is_not_believed(stored, caplog):
     os.chown(path, 4321, 4321)
 
     assert _load(stored) is None
+
     _assert_one_line(caplog, path)
+
     assert "another user may have written it" in caplog.messages[0]
 
 
@@ -255,6 +269,7 @@ def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypa
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(cache.np, "savez", full)
+
     save_table(path, table, fingerprint="f" * 32)
 
     assert caplog.messages == [
@@ -267,16 +282,18 @@ def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypa
 # Fingerprints
 
 
-def _parked(actor, *, north_m=3.0, yaw_deg=10.0):
-    pose = Pose(position_m=[3.0, north_m, 0.0], yaw_deg=yaw_deg)
-    return (PlacedActor(actor=actor, pose=pose),)
+def _parked(name, *, north_m=3.0, yaw_deg=10.0):
+    """One body that is parked, 3 m east."""
+    return (parked_at(name, 3.0, north_m, yaw_deg),)
 
 
 def _nudged(values):
+    """Values off by 1e-6."""
     return values + 1e-6
 
 
 def _without_last_triangle(scene):
+    """The scene but for its last triangle."""
     return replace(
         scene,
         triangles=scene.triangles[:-1],
@@ -286,7 +303,7 @@ def _without_last_triangle(scene):
 
 def changes(actors):
     """Paths of what is changed, and what it is then; each change by itself."""
-    van = _parked(actors["parked-van"])
+    van = _parked("parked-van")
     return [
         ("scene.vertices_m", _nudged),
         ("scene", _without_last_triangle),
@@ -318,9 +335,9 @@ def changes(actors):
         ("runs.encounter.vru.shapes.vertices_m", _nudged),
         *(("runs.weather", weather) for weather in ("night", "rain", "fog")),
         ("runs.obstruction", van),
-        ("runs.obstruction", _parked(actors["parked-van"], north_m=3.1)),
-        ("runs.obstruction", _parked(actors["parked-van"], yaw_deg=11.0)),
-        ("runs.obstruction", _parked(actors["parked-car-small"])),
+        ("runs.obstruction", _parked("parked-van", north_m=3.1)),
+        ("runs.obstruction", _parked("parked-van", yaw_deg=11.0)),
+        ("runs.obstruction", _parked("parked-car-small")),
         ("runs", lambda runs: (runs[0], replace(runs[1], obstruction=van))),
         ("runs", lambda runs: runs[::-1]),
     ]
@@ -345,14 +362,15 @@ def test_what_it_takes_to_find_somebody_by_lidar_is_part_of_the_fingerprint(
     inputs, monkeypatch
 ):
     with_lidar = changed(inputs, "candidates.sensor", LIDAR)
-    before = [_fingerprint(given) for given in (inputs, with_lidar)]
+    by_camera = _fingerprint(inputs)
+    by_lidar = _fingerprint(with_lidar)
     other = replace(
         load_lidar_detection(), min_points={"pedestrian": 1, "child": 1, "cyclist": 1}
     )
     monkeypatch.setattr(build_module, "load_lidar_detection", lambda: other)
-    after = [_fingerprint(given) for given in (inputs, with_lidar)]
 
-    assert [a == b for a, b in zip(after, before, strict=True)] == [True, False]
+    assert _fingerprint(inputs) == by_camera
+    assert _fingerprint(with_lidar) != by_lidar
 
 
 def test_the_number_of_points_is_part_of_the_fingerprint(inputs, monkeypatch):
@@ -364,6 +382,7 @@ def test_the_number_of_points_is_part_of_the_fingerprint(inputs, monkeypatch):
 
 def test_a_fingerprint_is_the_same_for_equal_inputs(inputs):
     before = _fingerprint(inputs)
+
     assert len(before) == 32
     assert int(before, 16) >= 0
 
@@ -385,14 +404,10 @@ def test_a_fingerprint_is_the_same_for_equal_inputs(inputs):
 def test_cameras_of_the_same_name_are_told_apart(inputs, small_camera):
     a, b, c = inputs["candidates"]
     other = replace(small_camera, horizontal_fov_deg=50.0)
-    found = {
-        _fingerprint(
-            {
-                **inputs,
-                "candidates": [a, replace(b, sensor=other), replace(c, sensor=third)],
-            }
-        )
-        for third in (small_camera, other)
-    }
+    turned = replace(b, sensor=other)
+    found = set()
+    for third in (small_camera, other):
+        candidates = [a, turned, replace(c, sensor=third)]
+        found.add(_fingerprint(inputs | {"candidates": candidates}))
 
     assert len(found) == 2

@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lens_cameras import MODELS, random_camera
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from numpy_sensing import boxes
+from placed_bodies import parked_at
 from tiny_worlds import WALLS
 
-from geometry.actors import PlacedActor
 from geometry.image_boxes import box_height_px
 from geometry.lenses import BrownConrady
-from geometry.poses import Pose, camera_rotation
+from geometry.poses import camera_rotation
 from geometry.sensors import is_shown, shown_points
 from placement.detectors.geometric import GeometricDetector
 from placement.visibility.build import N_POINTS
@@ -25,12 +27,10 @@ MOUNT = (1.0, -2.0, 6.0)
 
 
 @pytest.fixture(scope="module")
-def world(build_scene, build_run, actors):
-    rng = np.random.default_rng(3)
-    van = PlacedActor(
-        actor=actors["parked-van"],
-        pose=Pose(position_m=[-3.0, -4.0, 0.0], yaw_deg=30.0),
-    )
+def world(build_scene, build_run):
+    """Road users that jump about among walls and a van."""
+    rng = default_rng(3)
+    van = parked_at("parked-van", -3.0, -4.0, 30.0)
     runs = []
     for body in ("adult", "child", "cyclist"):
         vru = rng.uniform(-1.0, 1.0, (120, 3)) * [20.0, 20.0, 180.0]
@@ -41,13 +41,19 @@ def world(build_scene, build_run, actors):
 
 
 def sensing_of(world, near_m, detector=DETECTOR):
+    """What is sensed from the mount."""
     sight = cast_sight(
-        world, np.array(MOUNT), near_m=near_m, max_distance_m=1000.0, for_lidar=False
+        world,
+        np.array(MOUNT),
+        near_m=near_m,
+        max_distance_m=1000.0,
+        for_lidar=False,
     )
     return build_sensing(world, sight, np.array(MOUNT), detector)
 
 
 def looks_of(mount, rng, cameras):
+    """Cameras that look at random from the mount."""
     return [
         mount(
             f"{number}",
@@ -89,7 +95,7 @@ def evidence_of(sensing, candidate):
 def test_boxes_through_lenses_are_those_of_numpy(
     world, mount, small_camera, model, seed
 ):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     looks = looks_of(
         mount, rng, [random_camera(rng, small_camera, model) for _ in range(6)]
     )
@@ -106,8 +112,8 @@ def test_boxes_through_lenses_are_those_of_numpy(
             # is between.
             near = {"rtol": 1e-5, "atol": 0.2 if part is parts[0][1] else 1e-2}
 
-            np.testing.assert_allclose(part.visible_px[some], visible[entries], **near)
-            np.testing.assert_allclose(part.amodal_px[some], amodal[entries], **near)
+            assert_allclose(part.visible_px[some], visible[entries], **near)
+            assert_allclose(part.amodal_px[some], amodal[entries], **near)
 
             n_seen += len(entries)
 
@@ -121,7 +127,7 @@ def test_boxes_through_lenses_are_those_of_numpy(
 
 
 def test_a_lens_of_zeros_has_the_pinholes_bits(world, mount, small_camera):
-    rng = np.random.default_rng(9)
+    rng = default_rng(9)
     looks = looks_of(mount, rng, [small_camera] * 5)
     zero = [
         replace(look, sensor=replace(look.sensor, lens=BrownConrady(), roll_deg=0.0))
@@ -136,7 +142,7 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(world, mount, small_camera):
 @pytest.mark.long
 @pytest.mark.parametrize("model", MODELS)
 def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, model):
-    rng = np.random.default_rng(11)
+    rng = default_rng(11)
     looks = looks_of(
         mount, rng, [random_camera(rng, small_camera, model) for _ in range(8)]
     )
@@ -144,8 +150,10 @@ def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, mod
 
     for some in [[look] for look in looks] + [looks]:
         sight = cast_for(world, np.array(MOUNT), [(look, DETECTOR) for look in some])
+
         sensing = build_sensing(world, sight, np.array(MOUNT), DETECTOR)
         rows = [looks.index(look) for look in some]
+
         assert np.array_equal(sensing.packed(some), every[rows])
 
     assert every.any()
@@ -154,7 +162,7 @@ def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, mod
 def test_evidence_says_how_much_of_a_body_the_picture_cuts_off(
     world, mount, small_camera
 ):
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     camera = random_camera(rng, small_camera, "fisheye")
     ((_, plain), (_, part)) = sensing_of(world, 0.35).evidence(
         looks_of(mount, rng, [camera])

@@ -1,14 +1,17 @@
+"""Verdicts on points by kernels, against numpy array by array."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from numpy_sensing import NumpySensing
+from placed_bodies import parked_at, poses_beside
 from tiny_worlds import WALLS
 
-from geometry.actors import PlacedActor
 from geometry.image_boxes import box_height_px
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
 from placement.detectors import load_planning_detector
 from placement.detectors.geometric import GeometricDetector
 from placement.visibility.build import N_POINTS
@@ -17,7 +20,9 @@ from placement.visibility.sensing import build_sensing, cast_for
 
 DETECTORS = {
     "far-sighted": GeometricDetector(
-        min_iou=0.5, min_box_height_px=3.0, min_contrast=0.05
+        min_iou=0.5,
+        min_box_height_px=3.0,
+        min_contrast=0.05,
     ),
     "geometric": load_planning_detector("geometric"),
     "response": load_planning_detector("response"),
@@ -25,35 +30,33 @@ DETECTORS = {
 
 
 @pytest.fixture(scope="module")
-def world(build_scene, build_run, actors):
+def world(build_scene, build_run):
     """Road users that jump about among walls and a van, by day and in fog, the VUT near
     them.
     """
-    rng = np.random.default_rng(12)
-    van = PlacedActor(
-        actor=actors["parked-van"],
-        pose=Pose(position_m=[-3.0, -4.0, 0.0], yaw_deg=30.0),
-    )
+    rng = default_rng(12)
+    van = parked_at("parked-van", -3.0, -4.0, 30.0)
     runs = []
     for body in ("adult", "child", "cyclist"):
         vru = rng.uniform(-1.0, 1.0, (90, 3)) * [20.0, 20.0, 180.0]
-        aside = rng.uniform(2.5, 6.0, 90) * np.exp(1j * rng.uniform(0, 2 * np.pi, 90))
-        vut = vru + np.column_stack(
-            [aside.real, aside.imag, rng.uniform(-180, 180, 90)]
-        )
-        for obstruction, weather in (((), "day"), ((van,), "fog")):
-            name = f"{body}/{weather}"
-            run = build_run(vru, vut, vru=body, obstruction=obstruction, name=name)
-            runs.append(replace(run, weather=weather))
+        vut = poses_beside(rng, vru, 2.5, 6.0)
+        free = build_run(vru, vut, vru=body, name=f"{body}/day")
+        behind = build_run(vru, vut, vru=body, obstruction=(van,), name=f"{body}/fog")
+        runs += [free, replace(behind, weather="fog")]
 
     return build_world(build_scene(*WALLS), runs, n_points=N_POINTS, seed=0)
 
 
 def _sensing(world, candidates, detector, *, for_lidar=False):
+    """What candidates at one mount sense."""
     position_m = candidates[0].pose.position_m
     near_m = candidates[0].sensor.near_m
     sight = cast_sight(
-        world, position_m, near_m=near_m, max_distance_m=1000.0, for_lidar=for_lidar
+        world,
+        position_m,
+        near_m=near_m,
+        max_distance_m=1000.0,
+        for_lidar=for_lidar,
     )
     return build_sensing(world, sight, position_m, detector)
 
@@ -82,7 +85,7 @@ def _random_looks(mount, rng, small_camera, n):
 @pytest.mark.parametrize("detector", DETECTORS)
 @pytest.mark.parametrize("seed", range(4))
 def test_every_verdict_is_that_of_numpy(world, mount, small_camera, detector, seed):
-    looks = _random_looks(mount, np.random.default_rng(seed), small_camera, 12)
+    looks = _random_looks(mount, default_rng(seed), small_camera, 12)
     sensing = _sensing(world, looks, DETECTORS[detector])
     found = sensing.detected(looks)
     expected = np.array([NumpySensing(sensing).detected(look) for look in looks])
@@ -97,13 +100,14 @@ def test_every_verdict_is_that_of_numpy(world, mount, small_camera, detector, se
 def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
     world, mount, small_camera, seed
 ):
-    looks = _random_looks(mount, np.random.default_rng(100 + seed), small_camera, 8)
+    looks = _random_looks(mount, default_rng(100 + seed), small_camera, 8)
     sensing = _sensing(world, looks, DETECTORS["geometric"])
     parts = list(sensing.evidence(looks))
     row_index = np.concatenate([rows for rows, _ in parts])
 
     for row, look in enumerate(looks):
         expected = NumpySensing(sensing).evidence(look)
+
         height_px = box_height_px(expected.visible_px)
         seen = np.flatnonzero(height_px >= sensing.detector.min_box_height_px)
         picked = [np.flatnonzero(rows == row) for rows, _ in parts]
@@ -130,8 +134,11 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
                 ]
             )
             # Far outside the image single precision is coarse.
-            np.testing.assert_allclose(
-                values, getattr(expected, name)[entries], rtol=1e-5, atol=1e-3
+            assert_allclose(
+                values,
+                getattr(expected, name)[entries],
+                rtol=1e-5,
+                atol=1e-3,
             )
 
     assert len(row_index) > 0
@@ -140,7 +147,7 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
 def test_many_sensors_at_once_detect_what_each_does_alone(
     world, mount, small_camera, monkeypatch
 ):
-    looks = _random_looks(mount, np.random.default_rng(5), small_camera, 6)
+    looks = _random_looks(mount, default_rng(5), small_camera, 6)
     lidar = replace(load_lidars()["carla-ncap-lidar"], near_m=small_camera.near_m)
     looks.insert(3, replace(looks[0], id="lidar", sensor=lidar))
     sensing = _sensing(world, looks, DETECTORS["far-sighted"], for_lidar=True)
@@ -166,11 +173,10 @@ def test_many_sensors_at_once_detect_what_each_does_alone(
 def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
     world, mount, small_camera, detector
 ):
-    looks = _random_looks(mount, np.random.default_rng(9), small_camera, 12)
+    looks = _random_looks(mount, default_rng(9), small_camera, 12)
     detector = DETECTORS[detector]
-    some, every = (
-        _sensing(world, looks, detector, for_lidar=known) for known in (False, True)
-    )
+    some = _sensing(world, looks, detector, for_lidar=False)
+    every = _sensing(world, looks, detector, for_lidar=True)
 
     assert np.array_equal(some.sight.is_whole, every.sight.is_whole)
     assert np.array_equal(some.sight.visible_share, every.sight.visible_share)
@@ -187,7 +193,7 @@ def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
 def test_no_view_is_left_out_that_a_sensor_detects(
     world, mount, small_camera, detector, seed
 ):
-    looks = _random_looks(mount, np.random.default_rng(20 + seed), small_camera, 5)
+    looks = _random_looks(mount, default_rng(20 + seed), small_camera, 5)
     lidar = load_lidars()["carla-ncap-lidar"]
     looks.insert(
         2, replace(looks[0], sensor=replace(lidar, near_m=small_camera.near_m))
@@ -198,6 +204,7 @@ def test_no_view_is_left_out_that_a_sensor_detects(
     for some in (looks, looks[:1]):
         sight = cast_for(world, position_m, [(look, detector) for look in some])
         every = _sensing(world, some, detector, for_lidar=True)
+
         found = build_sensing(world, sight, position_m, detector).packed(some)
 
         assert np.array_equal(found, every.packed(some))

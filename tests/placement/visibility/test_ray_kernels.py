@@ -1,10 +1,11 @@
+"""Rays that are spared because nothing can stop them."""
+
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from placed_bodies import parked_at, poses_within
 
-from geometry.actors import PlacedActor
-from geometry.poses import Pose
 from placement.visibility import casting, ray_kernels
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
@@ -39,6 +40,7 @@ def _all_own_rays(own, *given):
 
 
 def _sight_and_rays(world, eye, **options):
+    """What is seen, and how many rays each caster cast."""
     scene = Counter(world.shared.caster)
     vut = Counter(world.vehicles.casters[0])
     parked = [Counter(caster) for caster in world.standing.casters]
@@ -82,52 +84,46 @@ def _assert_nothing_is_missed(world, eye, monkeypatch, **options):
 @pytest.mark.parametrize("for_lidar", [True, False])
 @pytest.mark.parametrize("seed", range(6))
 def test_no_ray_is_spared_that_something_stops(
-    build_scene, build_run, actors, monkeypatch, seed, for_lidar
+    build_scene, build_run, monkeypatch, seed, for_lidar
 ):
     rng = np.random.default_rng(seed)
     boxes = []
     for _ in range(12):
-        corner = np.append(
-            rng.uniform(-25.0, 25.0, 2), rng.choice([0.0, rng.uniform(0.5, 4.0)])
-        )
+        place = rng.uniform(-25.0, 25.0, 2)
+        corner = np.append(place, rng.choice([0.0, rng.uniform(0.5, 4.0)]))
         boxes.append((corner, corner + rng.uniform(0.05, 4.0, 3)))
 
-    van = PlacedActor(
-        actor=actors["parked-van"],
-        pose=Pose(
-            position_m=[*rng.uniform(-9.0, 9.0, 2), 0.0], yaw_deg=rng.uniform(-180, 180)
-        ),
-    )
-    vru = np.column_stack([rng.uniform(-30, 30, (300, 2)), rng.uniform(-180, 180, 300)])
-    vut = vru + np.column_stack(
-        [rng.uniform(-7, 7, (300, 2)), rng.uniform(-180, 180, 300)]
-    )
+    east_m, north_m = rng.uniform(-9.0, 9.0, 2)
+    van = parked_at("parked-van", east_m, north_m, rng.uniform(-180, 180))
+    vru = poses_within(rng, 300, 30.0)
+    vut = vru + poses_within(rng, 300, 7.0)
     runs = [
         build_run(vru[:200], vut[:200], vru="adult", name="a"),
         build_run(vru[200:], vut[200:], vru="cyclist", obstruction=(van,), name="b"),
     ]
     world = build_world(build_scene(*boxes), runs, n_points=N_POINTS, seed=0)
     eye = np.array([*rng.uniform(-20.0, 20.0, 2), rng.uniform(0.3, 9.0)])
+
     shares = _assert_nothing_is_missed(world, eye, monkeypatch, for_lidar=for_lidar)
 
     assert shares[0] < 0.8
 
 
 def test_from_within_the_box_of_a_parked_body_all_rays_are_cast(
-    build_scene, build_run, actors, monkeypatch
+    build_scene, build_run, monkeypatch
 ):
-    van = PlacedActor(
-        actor=actors["parked-van"], pose=Pose(position_m=[0.0, 0.0, 0.0], yaw_deg=20.0)
-    )
+    van = parked_at("parked-van", 0.0, 0.0, 20.0)
     run = build_run([[8.0, 1.0, 0.0], [-9.0, 2.0, 50.0]], obstruction=(van,))
     world = build_world(build_scene(), [run], n_points=N_POINTS, seed=0)
+
     inside = np.array([0.5, 0.0, 1.2])
-    # All of those to the van, none of as many to the empty scene.
     shares = _assert_nothing_is_missed(world, inside, monkeypatch)
 
+    # All of those to the van, none of as many to the empty scene.
     assert shares[0] == 0.5
 
-    shares = _assert_nothing_is_missed(world, np.array([0.5, 0.0, 6.0]), monkeypatch)
+    above = np.array([0.5, 0.0, 6.0])
+    shares = _assert_nothing_is_missed(world, above, monkeypatch)
 
     assert shares[0] < 0.5
 
@@ -135,13 +131,14 @@ def test_from_within_the_box_of_a_parked_body_all_rays_are_cast(
 def test_the_ground_below_all_feet_and_what_is_above_the_lens_count_for_nothing():
     ground = np.array([[[-50.0, -50, 0], [50, -50, 0], [50, 50, 0]]])
     roof = ground + [0.0, 0.0, 7.0]
+    eye = np.array([1.0, 2.0, 6.0])
+
     for triangles, is_in_the_way in (
         (ground, False),
         (roof, False),
         (ground + 0.1, True),
     ):
         nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
-        mark_nearest(
-            nearest, triangles, np.array([1.0, 2.0, 6.0]), 0.1, 100.0, 0.0, 1.8
-        )
+        mark_nearest(nearest, triangles, eye, 0.1, 100.0, 0.0, 1.8)
+
         assert np.isfinite(nearest).any() == is_in_the_way

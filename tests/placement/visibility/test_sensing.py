@@ -1,12 +1,16 @@
+"""From points to detections: weathers, pixels, plates and LiDARs."""
+
 from bisect import bisect_left
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
-from tiny_worlds import WALLS
+from numpy.random import default_rng
+from placed_bodies import poses_beside
+from tiny_worlds import WALLS, block_actor
 
-from geometry.actors import Actor, Shape
+from geometry.actors import Shape
 from geometry.lidar import (
     LidarDetection,
     beams_per_steradian,
@@ -39,14 +43,12 @@ def random_runs(build_run):
 
 
 def _jumping(build_run, reach_m):
-    rng = np.random.default_rng(8)
+    """Runs whose VRU jumps at random within a reach, with the VUT near it."""
+    rng = default_rng(8)
     runs = []
     for body in ("adult", "child", "cyclist"):
         vru = rng.uniform(-1.0, 1.0, (80, 3)) * [reach_m, reach_m, 180.0]
-        aside = rng.uniform(3.0, 6.0, 80) * np.exp(1j * rng.uniform(0, 2 * np.pi, 80))
-        vut = vru + np.column_stack(
-            [aside.real, aside.imag, rng.uniform(-180, 180, 80)]
-        )
+        vut = poses_beside(rng, vru, 3.0, 6.0)
         runs.append(build_run(vru, vut, vru=body, name=body))
 
     return tuple(runs)
@@ -54,9 +56,15 @@ def _jumping(build_run, reach_m):
 
 @pytest.fixture(scope="module")
 def table_of(axis_of):
+    """Builds the detections of candidates."""
+
     def build(scene, candidates, runs, detector=FAR_SIGHTED):
         table = build_detection_table(
-            scene, candidates, runs, axis_of(runs), detector=detector
+            scene,
+            candidates,
+            runs,
+            axis_of(runs),
+            detector=detector,
         )
         return table.detected(slice(None))
 
@@ -64,6 +72,7 @@ def table_of(axis_of):
 
 
 def _in_weathers(runs):
+    """Each run in each weather."""
     return [
         replace(run, id=f"{run.id}/{weather}", weather=weather)
         for weather in WEATHERS
@@ -94,7 +103,12 @@ def test_in_fog_the_table_loses_what_is_beyond_the_visibility_and_nothing_else(
 
 @pytest.mark.parametrize("detector", [FAR_SIGHTED, RESPONSE], ids=lambda d: d.name)
 def test_no_weather_shows_what_the_day_does_not(
-    build_scene, build_run, mount, small_camera, table_of, detector
+    build_scene,
+    build_run,
+    mount,
+    small_camera,
+    table_of,
+    detector,
 ):
     random_runs = _jumping(build_run, 40.0)
     candidates = [
@@ -160,7 +174,10 @@ def test_the_response_foretold_by_points_is_that_of_pixels(
     """
     candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
     evidence = _evidence_of_frames(
-        build_scene(*WALLS), random_runs, candidate, RESPONSE
+        build_scene(*WALLS),
+        random_runs,
+        candidate,
+        RESPONSE,
     )
     by_points, by_pixels = (RESPONSE.probability(one) for one in evidence)
     is_seen = (by_points > 0.05) | (by_pixels > 0.05)
@@ -196,7 +213,11 @@ def expected_points(monkeypatch, build_scene, axis_of):
             )
             monkeypatch.setattr(sensing, "load_lidar_detection", lambda: detection)
             table = build_detection_table(
-                build_scene(), [candidate], [run], axis_of([run]), detector=FAR_SIGHTED
+                build_scene(),
+                [candidate],
+                [run],
+                axis_of([run]),
+                detector=FAR_SIGHTED,
             )
             return not table.detected(slice(None))[0, 0]
 
@@ -211,24 +232,11 @@ def block_run(build_run):
     west.
     """
 
-    def build(distance_m, yaw_deg=0.0):
+    def build(distance_m):
         mesh = trimesh.creation.box((0.5, 1.0, 1.8)).subdivide().subdivide()
-        block = Actor(
-            name="block",
-            class_name="pedestrian",
-            length_m=0.5,
-            width_m=1.0,
-            height_m=1.8,
-            shapes=(
-                Shape(vertices_m=mesh.vertices + [0.0, 0.0, 0.9], triangles=mesh.faces),
-            ),
-        )
-        run = build_run([[distance_m + 0.25, 0.0, yaw_deg]])
-        return replace(
-            run,
-            encounter=replace(run.encounter, vru=block),
-            vru_shape=np.zeros(1, dtype=np.int64),
-        )
+        fine = Shape(vertices_m=mesh.vertices + [0.0, 0.0, 0.9], triangles=mesh.faces)
+        block = replace(block_actor(), shapes=(fine,))
+        return build_run([[distance_m + 0.25, 0.0, 0.0]], vru=block)
 
     return build
 
@@ -248,7 +256,12 @@ def test_a_plate_gets_its_area_by_the_square_of_the_distance_times_the_density(
 @pytest.mark.long
 @pytest.mark.parametrize("body", ["adult", "child", "cyclist"])
 def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
-    build_scene, build_run, mount, expected_points, monkeypatch, body
+    build_scene,
+    build_run,
+    mount,
+    expected_points,
+    monkeypatch,
+    body,
 ):
     """On average over poses all around, in the open: within 8 %."""
     candidate = mount("a", [0.0, 0.0, 1.2], camera=SURE)
@@ -267,7 +280,7 @@ def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
             build_surroundings(build_scene(), [run]),
             candidate.pose,
             SURE,
-            np.random.default_rng(0),
+            default_rng(0),
         )
 
     assert n_expected == pytest.approx(sum(n_beams), rel=0.08)
@@ -280,12 +293,17 @@ def test_a_lidars_table_leaves_of_those_with_enough_points_who_are_near_enough(
     rule = load_planning_detector()
     table = load_detector("pointrcnn-2019").lidar
     half_at_30_m = replace(
-        table, distance_m=((0.0, 60.0),) * 5, recall=((1.0, 0.0),) * 5
+        table,
+        distance_m=((0.0, 60.0),) * 5,
+        recall=((1.0, 0.0),) * 5,
     )
-    by_points, found = (
-        table_of(build_scene(), [at], random_runs, replace(rule, lidar=lidar))[0]
-        for lidar in (None, half_at_30_m)
-    )
+    by_points = table_of(build_scene(), [at], random_runs, replace(rule, lidar=None))[0]
+    found = table_of(
+        build_scene(),
+        [at],
+        random_runs,
+        replace(rule, lidar=half_at_30_m),
+    )[0]
     vru = np.concatenate([run.vru_position_m[:, :2] for run in random_runs])
     distance = np.hypot(*(vru - at.pose.position_m[:2]).T)
     clear = abs(distance - 30.0) > 0.5  # the table measures to the body's points
@@ -314,11 +332,9 @@ def test_the_table_detects_in_the_frames_in_which_a_scan_does(
     ]
     found = table_of(scene, candidates, random_runs)
     surroundings = build_surroundings(scene, random_runs)
+
     scans = np.array(
-        [
-            scan_frames(surroundings, c.pose, lidar, np.random.default_rng(0))
-            for c in candidates
-        ]
+        [scan_frames(surroundings, c.pose, lidar, default_rng(0)) for c in candidates]
     )
     agreement = (found == scans).mean(axis=1)
 
@@ -361,11 +377,9 @@ def test_the_table_of_a_ring_detects_in_the_frames_in_which_a_scan_does(
     ]
     found = table_of(scene, candidates, random_runs)
     surroundings = build_surroundings(scene, random_runs)
+
     scans = np.array(
-        [
-            scan_frames(surroundings, c.pose, RING, np.random.default_rng(0))
-            for c in candidates
-        ]
+        [scan_frames(surroundings, c.pose, RING, default_rng(0)) for c in candidates]
     )
 
     assert (found == scans).mean(axis=1).min() > 0.93

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
+from placed_bodies import one_mesh, parked_at, parts_of_frame, poses_within
 
-from geometry.actors import MovingActor, PlacedActor, pick_actor
-from geometry.poses import Pose, to_world
+from geometry.actors import MovingActor, pick_actor
 from geometry.raycast import build_caster
 from geometry.terrain import Terrain, ground_height_m, on_ground, set_down
 from placement.detectors import load_planning_detector
@@ -22,7 +24,10 @@ from placement.visibility.build import build_detection_table
 from placement.visibility.casting import build_world, cast_sight
 
 LINES_M = np.arange(-80.0, 81.0, 4.0)
-WALL = ((3.0, 8.0, 0.0), (12.0, 8.3, 1.1))
+WALL = (
+    (3.0, 8.0, 0.0),
+    (12.0, 8.3, 1.1),
+)
 NEAR_M = 0.35
 FAR_M = 1000.0
 
@@ -37,6 +42,7 @@ def with_ground(scene, height_of):
     for index in range(1, len(scene.instances)):
         own = np.unique(scene.triangles[scene.triangle_instance == index])
         lifted[own, 2] += terrain.at(lifted[own, :2].mean(axis=0))
+
     return replace(
         scene,
         vertices_m=np.concatenate([vertices, lifted]),
@@ -48,23 +54,19 @@ def with_ground(scene, height_of):
 
 
 def some_runs(build_run, seed, n_frames=12):
-    rng = np.random.default_rng(seed)
+    """Random runs of an adult and a cyclist, with a parked car and a driven van."""
+    rng = default_rng(seed)
     runs = []
     for name in ("adult", "cyclist"):
-        vru, vut = (
-            np.column_stack(
-                [rng.uniform(-25, 25, (n_frames, 2)), rng.uniform(-180, 180, n_frames)]
-            )
-            for _ in range(2)
-        )
-        car = PlacedActor(
-            actor=pick_actor("parked-car-small", "test"),
-            pose=Pose(position_m=np.append(rng.uniform(-20, 20, 2), 0.0), yaw_deg=30.0),
-        )
+        vru = poses_within(rng, n_frames, 25.0)
+        vut = poses_within(rng, n_frames, 25.0)
+        east_m, north_m = rng.uniform(-20, 20, 2)
+        car = parked_at("parked-car-small", east_m, north_m, 30.0)
+        driven = poses_within(rng, n_frames, 20.0)
         van = MovingActor(
             actor=pick_actor("parked-van", "test"),
-            position_m=rng.uniform(-20.0, 20.0, (n_frames, 2)),
-            yaw_deg=rng.uniform(-180.0, 180.0, n_frames),
+            position_m=driven[:, :2],
+            yaw_deg=driven[:, 2],
         )
         run = build_run(vru, vut, vru=name, obstruction=(car,), name=name)
         runs.append(replace(run, traffic=(van,)))
@@ -73,6 +75,7 @@ def some_runs(build_run, seed, n_frames=12):
 
 
 def on(scene, runs):
+    """Runs set down on a scene's terrain."""
     return [replace(run, obstruction=set_down(run.obstruction, scene)) for run in runs]
 
 
@@ -87,7 +90,10 @@ def test_a_lifted_world_looks_as_one_at_zero(
     evidence = []
     scans = []
     own = []
-    for scene, up_m in ((flat, 0.0), (high, 37.5)):
+    for scene, up_m in (
+        (flat, 0.0),
+        (high, 37.5),
+    ):
         here = on(scene, runs)
         candidates = [
             mount(
@@ -102,7 +108,11 @@ def test_a_lifted_world_looks_as_one_at_zero(
         ]
         tables.append(
             build_detection_table(
-                scene, candidates, here, axis, detector=load_planning_detector()
+                scene,
+                candidates,
+                here,
+                axis,
+                detector=load_planning_detector(),
             ).packed
         )
         surroundings = build_surroundings(scene, here)
@@ -110,18 +120,18 @@ def test_a_lifted_world_looks_as_one_at_zero(
             [perceive_frames(surroundings, (c.pose, camera)) for c in candidates]
         )
         own.append(perceive_frames(surroundings, load_vut_camera()))
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         scans.append(
             scan_frames(surroundings, candidates[0].pose, load_vut_lidar(), rng)
         )
 
     assert tables[0].any()
-    np.testing.assert_array_equal(*tables)
-    np.testing.assert_array_equal(*scans)
+    assert_array_equal(*tables)
+    assert_array_equal(*scans)
 
     for low, lifted in [*zip(*evidence, strict=True), own]:
-        np.testing.assert_allclose(lifted.amodal_px, low.amodal_px, atol=1.0)
-        np.testing.assert_allclose(lifted.visible_px, low.visible_px, atol=1.0)
+        assert_allclose(lifted.amodal_px, low.amodal_px, atol=1.0)
+        assert_allclose(lifted.visible_px, low.visible_px, atol=1.0)
 
     assert sum(one.visible_px.any(axis=1).sum() for one in evidence[0]) >= 10
 
@@ -130,7 +140,7 @@ def test_a_lifted_world_looks_as_one_at_zero(
 @settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     a, b = rng.uniform(0.05, 0.2, 2)
     scene = with_ground(
         build_scene(WALL),
@@ -140,62 +150,24 @@ def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, 
     world = build_world(scene, runs, n_points=40, seed=0)
     eye = on_ground(rng.uniform(-20.0, 20.0, 2), None) + [0.0, 0.0, 5.0]
     eye[2] += ground_height_m(scene, eye[:2])
+
     sight = cast_sight(world, eye, near_m=NEAR_M, max_distance_m=FAR_M)
-    frame = 0
-    for run in runs:
-        for index in range(len(run.time_s)):
-            bodies = [
-                (run.encounter.vut.shapes[0], run.vut_position_m, run.vut_yaw_deg),
-                (
-                    run.traffic[0].actor.shapes[0],
-                    run.traffic[0].position_m,
-                    run.traffic[0].yaw_deg,
-                ),
-                (
-                    run.encounter.vru.shapes[run.vru_shape[index]],
-                    run.vru_position_m,
-                    run.vru_yaw_deg,
-                ),
-            ]
-            parts = [(scene.vertices_m, scene.triangles)]
-            parts += [
-                (
-                    to_world(one.actor.shapes[0].vertices_m, one.pose),
-                    one.actor.shapes[0].triangles,
-                )
-                for one in run.obstruction
-            ]
+    eye_m = eye - world.origin_m
+    places = [(run, index) for run in runs for index in range(len(run.time_s))]
 
-            for shape, position, yaw in bodies:
-                height = ground_height_m(scene, position[index])
-                pose = Pose(
-                    position_m=np.append(position[index], height), yaw_deg=yaw[index]
-                )
-                parts.append((to_world(shape.vertices_m, pose), shape.triangles))
+    for frame, (run, index) in enumerate(places):
+        vertices_m, triangles, _ = one_mesh(parts_of_frame(scene, run, index))
+        caster = build_caster(vertices_m - world.origin_m, triangles)
+        view = world.views.view_of_frame[frame]
+        ways = world.views.points_m[view] - eye_m
+        length = np.linalg.norm(ways, axis=1)[:, None]
+        starts = (eye_m + NEAR_M * ways / length).astype(np.float32)
+        vectors = (ways * (1.0 - (NEAR_M + 1.0e-3) / length)).astype(np.float32)
+        reached = ~caster.is_blocked(starts, vectors)
+        entry = sight.entry_of_frame[frame]
+        visible = np.zeros(len(reached), dtype=bool)
+        if entry >= 0:
+            visible = sight.is_visible[entry]
 
-            first = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-            caster = build_caster(
-                np.concatenate([vertices for vertices, _ in parts]) - world.origin_m,
-                np.concatenate(
-                    [faces + n for (_, faces), n in zip(parts, first, strict=False)]
-                ),
-            )
-            view = world.views.view_of_frame[frame]
-            ways = world.views.points_m[view] - (eye - world.origin_m)
-            length = np.linalg.norm(ways, axis=1)[:, None]
-            starts = (eye - world.origin_m) + NEAR_M * ways / length
-            vectors = ways * (1.0 - (NEAR_M + 1.0e-3) / length)
-            reached = ~caster.is_blocked(
-                starts.astype(np.float32), vectors.astype(np.float32)
-            )
-            entry = sight.entry_of_frame[frame]
-            if entry >= 0:
-                visible = sight.is_visible[entry]
-            else:
-                visible = np.zeros(len(reached), dtype=bool)
-
-            assert (
-                visible == reached
-            ).mean() >= 0.9  # rays along edges may go either way
-
-            frame += 1
+        # Rays along edges may go either way.
+        assert (visible == reached).mean() >= 0.9

@@ -1,5 +1,8 @@
+"""Points on bodies' surfaces that stand for all of it."""
+
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist, pdist
 
@@ -7,16 +10,21 @@ from geometry.actors import load_actors
 from placement.visibility.build import N_POINTS
 from placement.visibility.views import build_surface, farthest_samples
 
-BODIES = (("child", 3), ("cyclist", 1))
+BODIES = (
+    ("child", 3),
+    ("cyclist", 1),
+)
 
 
 @pytest.fixture(scope="module", params=BODIES, ids=str)
 def surface(request):
+    """Points on a shape of a road user."""
     name, index = request.param
     return build_surface(load_actors()[name], index, n_points=N_POINTS, seed=0)
 
 
 def _shape(surface):
+    """The shape that a surface is of."""
     return surface.actor.shapes[surface.shape_index]
 
 
@@ -33,7 +41,11 @@ def _distance_m(points, corners):
     is_above = np.ones(height.shape, dtype=bool)
     best = np.full(height.shape, np.inf)
 
-    for start, end in ((a, b), (b, c), (c, a)):
+    for start, end in (
+        (a, b),
+        (b, c),
+        (c, a),
+    ):
         side = end - start
         is_above &= (
             np.cross(np.broadcast_to(side, foot.shape), foot - start) * normal
@@ -52,9 +64,11 @@ def _distance_m(points, corners):
 @pytest.mark.long
 def test_points_lie_on_the_mesh(surface):
     shape = _shape(surface)
+
     assert surface.points_m.shape == (N_POINTS, 3)
 
     corners = shape.vertices_m[shape.triangles]
+
     for points in np.array_split(surface.points_m, 8):
         assert _distance_m(points, corners).max() < 1e-9
 
@@ -68,7 +82,7 @@ def test_the_box_around_the_points_is_that_of_the_shape(surface):
 
 
 def test_in_any_direction_the_points_reach_nearly_as_far_as_the_body(surface):
-    directions = np.random.default_rng(1).normal(size=(500, 3))
+    directions = default_rng(1).normal(size=(500, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     body = (_shape(surface).vertices_m @ directions.T).max(axis=0)
     points = (surface.points_m @ directions.T).max(axis=0)
@@ -81,11 +95,15 @@ def test_in_any_direction_the_points_reach_nearly_as_far_as_the_body(surface):
 @pytest.mark.long
 def test_points_are_evenly_spread(surface):
     n_extremes = 26
+
     assert pdist(surface.points_m[n_extremes:]).min() > 0.05
 
     # A thicker sample of the same surface: nothing is far from a point.
     fine = build_surface(
-        surface.actor, surface.shape_index, n_points=4 * N_POINTS, seed=7
+        surface.actor,
+        surface.shape_index,
+        n_points=4 * N_POINTS,
+        seed=7,
     ).points_m
 
     assert cKDTree(surface.points_m).query(fine)[0].max() < 0.12
@@ -93,6 +111,7 @@ def test_points_are_evenly_spread(surface):
 
 def test_the_seed_decides(surface):
     again = build_surface(surface.actor, surface.shape_index, n_points=N_POINTS, seed=0)
+
     other = build_surface(surface.actor, surface.shape_index, n_points=N_POINTS, seed=1)
 
     assert np.array_equal(again.points_m, surface.points_m)
@@ -127,7 +146,7 @@ def test_the_parts_around_the_points_make_up_the_surface(surface):
 
 
 def test_samples_are_chosen_one_by_one_the_farthest_from_all_before():
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     samples = rng.normal(size=(400, 3))
     first = rng.normal(size=(4, 3))
     points = list(first)

@@ -1,3 +1,5 @@
+"""Views that are kept while there is room."""
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,6 +16,7 @@ ROWS = st.lists(st.integers(0, N_ROWS - 1), unique=True).map(
 
 
 def _truth(eye):
+    """What an eye would see, (n_rows, n_points)."""
     return np.random.default_rng(eye).random((N_ROWS, N_POINTS)) < 0.5
 
 
@@ -31,9 +34,11 @@ def test_what_is_kept_is_what_was_found_and_nothing_is_found_twice(asked):
             return _truth(eye)[index]
 
         before = set(found)
+
         assert np.array_equal(
             kept.look(eye, rows, find, foreseen=foreseen), _truth(eye)[rows]
         )
+
         if {(eye, row) for row in rows.tolist()} <= before:
             assert found == before  # what is foreseen can wait
         else:
@@ -49,8 +54,11 @@ def test_without_room_nothing_is_kept_and_all_is_found(asked):
         kept = HiddenPoints(N_ROWS, N_POINTS)
     finally:
         views._MOST_BYTES = most
+
     for eye, rows in asked:
         hidden = kept.look(eye, rows, lambda index, eye=eye: _truth(eye)[index])
         assert np.array_equal(hidden, _truth(eye)[rows])
 
-    assert len(kept._of_eye) == min(2, len({eye for eye, _ in asked}))
+    expected = min(2, len({eye for eye, _ in asked}))
+
+    assert len(kept._of_eye) == expected
