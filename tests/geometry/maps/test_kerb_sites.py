@@ -1,5 +1,10 @@
+"""Sites along kerbs, and lists of sites tidied."""
+
+from itertools import combinations
+
 import numpy as np
 import pytest
+from geometry_text import array_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -9,19 +14,22 @@ from geometry.maps.sites import SETBACK_M, kerb_sites, tidy_sites
 from geometry.maps.source_map import Thing, extrude
 from geometry.scene import Lane
 
-SQUARE = np.array([[-8, -8], [8, -8], [8, 8], [-8, 8]], dtype=float)
+SQUARE = array_of("-8 -8, 8 -8, 8 8, -8 8")
 
 
-def lane(name, points, *, width_m=3.0, kind="driving"):
-    line = np.array(points, dtype=float)
+def lane(name, points_m, *, width_m=3.0, kind="driving"):
+    """A lane of a scene through two points."""
+    line = np.array(points_m, dtype=float)
     return Lane(id=name, kind=kind, width_m=width_m, centreline_m=line)
 
 
 def east(name, y, *, begin=8.0, end=100.0, **options):
+    """A lane that leads east."""
     return lane(name, [(begin, y), (end, y)], **options)
 
 
 def positions(sites):
+    """Where sites stand, (n, 2)."""
     return np.array([site.position_m for site in sites]).reshape(-1, 2)
 
 
@@ -31,9 +39,8 @@ def test_sites_line_both_kerbs_from_the_corners_outwards():
     x = [8.5, 23.5, 38.5, 53.5]  # half a metre off the outline, to 60 m from it
     for side, name in ((1.0, "in"), (-1.0, "out")):
         kerb = found[np.sign(found[:, 1]) == side]
-        assert kerb == pytest.approx(
-            np.column_stack([x, np.full(4, side * (3.0 + SETBACK_M))])
-        )
+        expected = [(along, side * (3.0 + SETBACK_M)) for along in x]
+        assert kerb == pytest.approx(np.array(expected))
         assert sum(site.id.startswith(f"kerb {name} ") for site in sites) == 4
     assert {site.kind for site in sites} == {"kerb"}
     assert len({site.id for site in sites}) == 8
@@ -46,15 +53,15 @@ def test_the_direction_of_a_lane_does_not_matter():
 
 
 def test_parked_cars_are_beside_the_kerb_and_paths_are_not():
-    lanes = [east("a", 0.0), east("p", 2.5, width_m=2.0, kind="parking")]
-    lanes += [
+    lanes = [
+        east("a", 0.0),
+        east("p", 2.5, width_m=2.0, kind="parking"),
         east("w", 4.5, width_m=2.0, kind="walking"),
         east("c", -2.5, kind="cycling"),
     ]
     found = positions(kerb_sites(lanes, SQUARE, 20.0))
-    assert sorted(set(found[:, 1])) == pytest.approx(
-        [-1.5 - SETBACK_M, 3.5 + SETBACK_M]
-    )
+    kerbs = sorted(set(found[:, 1]))
+    assert kerbs == pytest.approx([-1.5 - SETBACK_M, 3.5 + SETBACK_M])
 
 
 @pytest.mark.parametrize("gap_m", [0.0, 0.5, 2.0, 5.0])
@@ -85,52 +92,54 @@ def test_impossible_spacings_are_refused(spacing_m):
 
 @pytest.mark.long
 @given(
-    angles=st.lists(st.integers(0, 11), min_size=1, max_size=5, unique=True),
+    twelfths=st.lists(st.integers(0, 11), min_size=1, max_size=5, unique=True),
     spacing_m=st.floats(5.0, 40.0),
-    widths=st.lists(st.floats(2.0, 5.0), min_size=5, max_size=5),
+    widths_m=st.lists(st.floats(2.0, 5.0), min_size=5, max_size=5),
 )
 def test_no_site_stands_on_the_road_and_neighbours_on_a_kerb_keep_their_distance(
-    angles, spacing_m, widths
+    twelfths, spacing_m, widths_m
 ):
+    """Roads of two lanes leave a round junction, each in its twelfth of the circle."""
     lanes = []
-    for number, angle in zip(angles, widths, strict=False):
-        way = np.array([np.cos(number * np.pi / 6), np.sin(number * np.pi / 6)])
-        left = np.array([-way[1], way[0]])
+    for twelfth, width_m in zip(twelfths, widths_m, strict=False):
+        angle = twelfth * np.pi / 6
+        ahead = np.array([np.cos(angle), np.sin(angle)])
+        left = np.array([-ahead[1], ahead[0]])
         for side in (-0.5, 0.5):
-            points = np.outer([12.0, 90.0], way) + side * angle * left
-            lanes.append(lane(f"{number}{side}", points, width_m=angle))
+            points = np.outer([12.0, 90.0], ahead) + side * width_m * left
+            lanes.append(lane(f"{twelfth}{side}", points, width_m=width_m))
     turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     outline = 12.0 * np.column_stack([np.cos(turn), np.sin(turn)])
     sites = kerb_sites(lanes, outline, spacing_m)
+
     found = positions(sites)
-    assert len(sites) >= 2 * len(angles)
+    assert len(sites) >= 2 * len(twelfths)
     assert (np.hypot(*found.T) <= 12.0 + 60.0 + 0.1).all()
     for road in lanes:
         begin, end = road.centreline_m[:, :2]
-        way = (end - begin) / np.hypot(*(end - begin))
-        along = (found - begin) @ way
-        across = (found - begin) @ [-way[1], way[0]]
-        beside = (along > 0.0) & (along < 78.0)
-        assert (np.abs(across[beside]) >= 0.5 * road.width_m + SETBACK_M - 0.06).all()
-    for road in lanes:
+        ahead = (end - begin) / np.hypot(*(end - begin))
+        along_m = (found - begin) @ ahead
+        across_m = np.abs((found - begin) @ [-ahead[1], ahead[0]])
+        beside_m = across_m[(along_m > 0.0) & (along_m < 78.0)]
+        assert (beside_m >= 0.5 * road.width_m + SETBACK_M - 0.06).all()
         for side in ("left", "right"):
-            kerb = positions(
-                [s for s in sites if s.id.startswith(f"kerb {road.id} {side} ")]
-            )
-            if len(kerb) > 1:
-                assert np.hypot(*np.diff(kerb, axis=0).T).min() >= spacing_m - 1e-2
+            start = f"kerb {road.id} {side} "
+            kerb = positions([one for one in sites if one.id.startswith(start)])
+            gaps_m = np.hypot(*np.diff(kerb, axis=0).T)
+            assert (gaps_m >= spacing_m - 1e-2).all()
 
 
 def wish(name, x, y, **said):
+    """A site of a list, and what is said of it."""
     return SiteWish(id=name, position_m=np.array([x, y], dtype=float), **said)
 
 
-def house(name="h", *, class_name="building", holes=()):
-    vertices, triangles = extrude(
-        [(0, 0), (10, 0), (10, 10), (0, 10)], bottom_m=0.0, top_m=6.0, holes_m=holes
-    )
+def house(*, class_name="building", holes=()):
+    """A building from (0, 0) to (10, 10), in metres."""
+    corners = array_of("0 0, 10 0, 10 10, 0 10")
+    vertices, triangles = extrude(corners, bottom_m=0.0, top_m=6.0, holes_m=holes)
     return Thing(
-        id=name, class_name=class_name, vertices_m=vertices, triangles=triangles
+        id="h", class_name=class_name, vertices_m=vertices, triangles=triangles
     )
 
 
@@ -159,33 +168,33 @@ def test_sites_in_buildings_are_dropped_with_the_building_named():
     assert {skip.why for skip in skipped} == {"inside building h"}
 
 
-def test_courtyards_walls_and_trees_are_no_buildings():
-    yard = [[(3, 3), (7, 3), (7, 7), (3, 7)]]
-    assert len(tidy_sites([wish("a", 5, 5)], things=[house(holes=yard)])[0]) == 1
-    assert (
-        len(tidy_sites([wish("a", 5, 5)], things=[house(class_name="vegetation")])[0])
-        == 1
-    )
+YARD = array_of("3 3, 7 3, 7 7, 3 7")
 
 
-@given(
-    st.lists(
-        st.tuples(st.floats(0, 10), st.floats(0, 10), st.integers(0, 3)), max_size=25
-    )
-)
+@pytest.mark.parametrize("thing", [house(holes=[YARD]), house(class_name="vegetation")])
+def test_courtyards_and_trees_are_no_buildings(thing):
+    kept, _ = tidy_sites([wish("a", 5, 5)], things=[thing])
+    assert len(kept) == 1
+
+
+SAID = ({}, {"cost_eur": 1.0}, {"cost_eur": 1.0, "z_m": 0.0}, {"has_power": True})
+ROW = st.tuples(st.floats(0, 10), st.floats(0, 10), st.sampled_from(SAID))
+
+
+@given(st.lists(ROW, max_size=25))
 def test_what_is_kept_is_apart_and_what_is_dropped_is_near_something_kept(rows):
-    said = ({}, {"cost_eur": 1.0}, {"cost_eur": 1.0, "z_m": 0.0}, {"has_power": True})
-    sites = [wish(f"{i}", x, y, **said[n]) for i, (x, y, n) in enumerate(rows)]
+    sites = [wish(f"{index}", x, y, **said) for index, (x, y, said) in enumerate(rows)]
     kept, skipped = tidy_sites(sites)
     assert len(kept) + len(skipped) == len(sites)
-    for index, site in enumerate(kept):
-        for other in kept[index + 1 :]:
-            assert np.hypot(*(site.position_m - other.position_m)) > 1.0
+    for one, other in combinations(kept, 2):
+        assert np.hypot(*(one.position_m - other.position_m)) > 1.0
+
     by_id = {site.id: site for site in sites}
     for skip in skipped:
         gone = by_id[skip.what.removeprefix("site ")]
         better = [site for site in kept if site.n_said >= gone.n_said]
-        assert any(np.hypot(*(gone.position_m - s.position_m)) <= 1.0 for s in better)
+        away_m = [np.hypot(*(gone.position_m - site.position_m)) for site in better]
+        assert min(away_m) <= 1.0
 
 
 def test_no_sites_give_no_sites():
