@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused_with
 
 from geometry.maps.relief import fit_terrain
-from geometry.scene import Instance, Scene
+from geometry.scene import Instance
 from geometry.scene_checks import check_scene
 from geometry.scene_sources import load_scene
 from geometry.terrain import Terrain, ground_height_m, terrain_of
@@ -18,13 +18,14 @@ from scenarios.cases import select_cases
 from scenarios.runs import build_runs
 
 
-def on_terrain(scene: Scene, terrain: Terrain) -> Scene:
+def on_terrain(scene, terrain):
     """A scene whose ground is a terrain; all else is lifted as a whole, thing by
     thing.
     """
-    keeps = [
-        i for i, thing in enumerate(scene.instances) if thing.class_name != "ground"
-    ]
+    keeps = []
+    for index, thing in enumerate(scene.instances):
+        if thing.class_name != "ground":
+            keeps.append(index)
     vertices, triangles = terrain.mesh()
     parts = [vertices]
     faces = [triangles]
@@ -40,24 +41,21 @@ def on_terrain(scene: Scene, terrain: Terrain) -> Scene:
         owner.append(np.full(len(own), number))
         start += len(points)
     ground = Instance(id="ground", class_name="ground")
+    sites = []
+    for site in scene.sites:
+        up = [0.0, 0.0, terrain.at(site.position_m[:2])]
+        sites.append(replace(site, position_m=site.position_m + up))
     return replace(
         scene,
         vertices_m=np.concatenate(parts),
         triangles=np.concatenate(faces),
         triangle_instance=np.concatenate(owner),
         instances=(ground, *(scene.instances[index] for index in keeps)),
-        sites=tuple(
-            replace(
-                site,
-                position_m=site.position_m
-                + [0.0, 0.0, terrain.at(site.position_m[:2])],
-            )
-            for site in scene.sites
-        ),
+        sites=tuple(sites),
     )
 
 
-def grid(height_of, *, half_m: float = 200.0, step_m: float = 10.0) -> Terrain:
+def grid(height_of, *, half_m=200.0, step_m=10.0):
     """A terrain from a function of east and north."""
     line = np.arange(-half_m, half_m + 1.0e-9, step_m)
     east, north = np.meshgrid(line, line)
@@ -90,7 +88,7 @@ def test_terrain_of_a_scene_is_that_of_its_ground():
     terrain = grid(lambda east, north: 0.05 * east - 0.02 * north)
     scene = on_terrain(load_scene(), terrain)
     found = terrain_of(scene)
-    np.testing.assert_array_equal(found.height_m, terrain.height_m)
+    assert_array_equal(found.height_m, terrain.height_m)
     assert_allclose(ground_height_m(scene, [[20.0, 10.0]]), [0.8])
 
 
@@ -124,9 +122,7 @@ def test_fit_of_points_on_a_plane_is_that_plane(a, b):
 
 
 def test_fit_of_points_on_a_line_is_that_of_the_nearest():
-    points = np.column_stack(
-        [np.arange(-50.0, 51.0), np.zeros(101), 0.1 * np.arange(-50.0, 51.0)]
-    )
+    points = np.outer(np.arange(-50.0, 51.0), [1.0, 0.0, 0.1])
     terrain = fit_terrain(points, half_m=20.0, step_m=2.0)
     assert terrain.at([10.0, 15.0]) == pytest.approx(1.0, abs=0.06)
     beyond = fit_terrain(np.array([[30.0, 0.0, 4.0]]), half_m=20.0, step_m=2.0)
@@ -139,11 +135,8 @@ def test_a_check_on_a_slope_finds_what_does_not_stand_on_it():
     assert check_scene(scene) == known
     first, *others = scene.sites
     high = replace(first, position_m=first.position_m + [0.0, 0.0, 1.4])
-    (found,) = [
-        one
-        for one in check_scene(replace(scene, sites=(high, *others)))
-        if one not in known
-    ]
+    findings = check_scene(replace(scene, sites=(high, *others)))
+    (found,) = [one for one in findings if one not in known]
     assert found.level == "error"
     assert found.what == f"site {first.id}"
     assert found.why == "its foot is 1.4 m above the ground"
@@ -153,23 +146,17 @@ def test_runs_on_a_slope_are_those_of_the_plane_with_parked_cars_on_the_ground(
     actors, rule
 ):
     scene = load_scene()
-    slope = on_terrain(
-        scene, grid(lambda east, north: 0.04 * (east - 100.0), half_m=400.0)
-    )
+    terrain = grid(lambda east, north: 0.04 * (east - 100.0), half_m=400.0)
+    slope = on_terrain(scene, terrain)
     cases = select_cases("CPNCO-50,CBNA", speeds="20").cases
-    flat, sloped = (
-        build_runs(one, cases, vut=actors["vut"], rule=rule)[0]
-        for one in (scene, slope)
-    )
+    flat, _ = build_runs(scene, cases, vut=actors["vut"], rule=rule)
+    sloped, _ = build_runs(slope, cases, vut=actors["vut"], rule=rule)
     assert [run.id for run in sloped] == [run.id for run in flat]
     for one, other in zip(flat, sloped, strict=True):
         assert other.last_brake_time_s == one.last_brake_time_s
-        np.testing.assert_array_equal(other.vru_position_m, one.vru_position_m)
+        assert_array_equal(other.vru_position_m, one.vru_position_m)
         for body, raised in zip(one.obstruction, other.obstruction, strict=True):
-            expected = body.pose.position_m + [
-                0.0,
-                0.0,
-                0.04 * (body.pose.position_m[0] - 100.0),
-            ]
+            up_m = 0.04 * (body.pose.position_m[0] - 100.0)
+            expected = body.pose.position_m + [0.0, 0.0, up_m]
             assert_allclose(raised.pose.position_m, expected, atol=1e-9)
     assert any(run.obstruction for run in sloped)
