@@ -9,6 +9,7 @@ import trimesh
 from hypothesis import given
 from refusals import refused_with
 from strategies import numbers
+from text_tables import rows_of
 
 from geometry.actors import (
     Actor,
@@ -76,17 +77,20 @@ def test_all_shapes_together_fill_exactly_the_declared_box(name):
 
 @pytest.mark.parametrize(
     ("name", "size_m"),
-    [
-        # CarlaNCAP study: half extents 2.446, 0.918, 0.755 m
-        ("vut", (4.892, 1.836, 1.510)),
-        ("parked-car-small", (4.316, 1.79, 1.48)),  # Euro NCAP AEB/LSS VRU v4.5.1
-        ("parked-car-large", (4.418, 1.82, 1.533)),  # Euro NCAP AEB/LSS VRU v4.5.1
-        ("adult", (0.6, 0.5, 1.8)),  # ISO 19206-2
-        ("child", (0.711, 0.298, 1.154)),  # ISO 19206-2
-        ("cyclist", (1.89, 0.5, 1.80)),  # ISO 19206-4; height with rider assumed
-        ("car", (4.023, 1.712, 1.427)),  # Euro NCAP's global vehicle target
-        ("motorcyclist", (2.08, 0.79, 1.70)),  # Euro NCAP; height with rider assumed
-    ],
+    rows_of(
+        """
+    # CarlaNCAP study: half extents 2.446, 0.918, 0.755 m
+    vut              | (4.892, 1.836, 1.51)
+    parked-car-small | (4.316, 1.79, 1.48)  # Euro NCAP AEB/LSS VRU v4.5.1
+    parked-car-large | (4.418, 1.82, 1.533)  # Euro NCAP AEB/LSS VRU v4.5.1
+    adult            | (0.6, 0.5, 1.8)  # ISO 19206-2
+    child            | (0.711, 0.298, 1.154)  # ISO 19206-2
+    cyclist          | (1.89, 0.5, 1.8)  # ISO 19206-4; height with rider assumed
+    car              | (4.023, 1.712, 1.427)  # Euro NCAP's global vehicle target
+    motorcyclist     | (2.08, 0.79, 1.7)  # Euro NCAP; height with rider assumed
+""",
+        n_texts=1,
+    ),
 )
 def test_boxes_are_those_of_their_sources(name, size_m):
     actor = load_actors()[name]
@@ -235,14 +239,14 @@ def test_what_does_not_move_has_one_shape(actors):
 
 @pytest.mark.parametrize(
     ("name", "class_name"),
-    [
-        ("vut", "vehicle"),
-        ("adult", "pedestrian"),
-        ("child", "pedestrian"),
-        ("cyclist", "cyclist"),
-        ("car", "car"),
-        ("motorcyclist", "motorcyclist"),
-    ],
+    rows_of("""
+    vut          | vehicle
+    adult        | pedestrian
+    child        | pedestrian
+    cyclist      | cyclist
+    car          | car
+    motorcyclist | motorcyclist
+"""),
 )
 def test_bodies_know_their_class(name, class_name):
     assert pick_actor(name, "test").class_name == class_name

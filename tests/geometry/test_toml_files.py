@@ -127,7 +127,7 @@ class Mount:
     costs_eur: list[float] = field(default_factory=list)
     outline_m: Points2 = field(default_factory=lambda: np.empty((0, 2)))
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         if self.name == "nowhere":
             raise InputError("mount nowhere", self.height_m, "another name")
 
@@ -143,7 +143,7 @@ class Wall(Struct, frozen=True, kw_only=True, tag="wall", tag_field="kind"):
 
     length_m: float
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         if self.length_m > 100.0:
             raise InputError("", self.length_m, "a wall that somebody would build")
 

@@ -24,6 +24,7 @@ from strategies import (
     encounters,
     numbers,
 )
+from text_tables import rows_of
 
 from geometry.actors import load_actors
 from scenarios.aeb import (
@@ -54,7 +55,7 @@ memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])
 untils_s = numbers(-1.5, 0.5)
 
 
-def _tau_s(encounter, rule=RULE) -> float:
+def _tau_s(encounter, rule=RULE):
     return -last_brake_time_s(encounter, rule)
 
 
@@ -122,7 +123,7 @@ def build_turning_encounter(
     offset_m=0.0,
     body="adult",
     vru_speed_mps=5.0 * KMH,
-) -> Encounter:
+):
     """A VUT turns, and a VRU crosses the arm into which it turns, on a line parallel to
     the VUT's.
 
@@ -179,7 +180,7 @@ def build_turning_encounter(
 
 
 @st.composite
-def turning_encounters(draw) -> Encounter:
+def turning_encounters(draw):
     side, speed_kmh = draw(
         st.sampled_from(
             [("far", 10.0), ("far", 15.0), ("far", 20.0), ("far", 25.0), ("near", 10.0)]
@@ -420,12 +421,15 @@ def test_last_brake_time_matches_a_simulation_in_small_steps(encounter, share):
 
 @pytest.mark.parametrize(
     ("side", "speed_kmh", "is_same", "build_up_s"),
-    [
-        ("far", 10.0, True, 0.0),
-        ("far", 15.0, False, 0.3),
-        ("far", 20.0, True, 0.3),
-        ("near", 10.0, False, 0.0),
-    ],
+    rows_of(
+        """
+    far  | 10.0 | True  | 0.0
+    far  | 15.0 | False | 0.3
+    far  | 20.0 | True  | 0.3
+    near | 10.0 | False | 0.0
+""",
+        n_texts=1,
+    ),
 )
 def test_last_brake_time_on_a_turn_matches_a_simulation_in_small_steps(
     side, speed_kmh, is_same, build_up_s

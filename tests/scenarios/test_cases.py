@@ -2,6 +2,7 @@ import copy
 
 import pytest
 from refusals import refused_with
+from text_tables import rows_of
 
 from geometry.errors import InputError
 from scenarios import cases
@@ -43,11 +44,14 @@ def _changed(**changes):
 @pytest.mark.parametrize(
     ("name", "kind", "actor", "vru_speed_kmh", "first_kmh", "n_speeds"),
     # CarlaNCAP study, table of scenarios.
-    [
-        ("CPNC-50", "crossing", "adult", 5.0, 20.0, 9),
-        ("CBNA", "crossing", "cyclist", 15.0, 20.0, 9),
-        ("CBLA", "longitudinal", "cyclist", 15.0, 25.0, 8),
-    ],
+    rows_of(
+        """
+    CPNC-50 | crossing     | adult   | 5.0  | 20.0 | 9
+    CBNA    | crossing     | cyclist | 15.0 | 20.0 | 9
+    CBLA    | longitudinal | cyclist | 15.0 | 25.0 | 8
+""",
+        n_texts=3,
+    ),
 )
 def test_cases_are_those_of_the_study(
     name, kind, actor, vru_speed_kmh, first_kmh, n_speeds

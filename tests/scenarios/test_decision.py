@@ -7,6 +7,7 @@ from math import erf
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from text_tables import rows_of
 
 from geometry.errors import InputError
 from scenarios.aeb import load_aeb_rule
@@ -282,15 +283,15 @@ def test_largest_of_runs_is_that_of_each_run():
 
 @pytest.mark.parametrize(
     ("text", "where", "expected"),
-    [
-        ("body_sd_m = 0", "body_sd_m", "a finite number, more than 0"),
-        ("body_sd_m = inf", "body_sd_m", "a finite number"),
-        ("threshold = 1.5", "threshold", "at least 0 and at most 1"),
-        ("threshold = -0.1", "threshold", "at least 0 and at most 1"),
-        ("box_noise_share = 0.0", "box_noise_share", "more than 0 and at most 1"),
-        ("draws = 0", "draws", "more than 0"),
-        ("drawz = 3", "drawz", "one of"),
-    ],
+    rows_of("""
+    body_sd_m = 0         | body_sd_m       | a finite number, more than 0
+    body_sd_m = inf       | body_sd_m       | a finite number
+    threshold = 1.5       | threshold       | at least 0 and at most 1
+    threshold = -0.1      | threshold       | at least 0 and at most 1
+    box_noise_share = 0.0 | box_noise_share | more than 0 and at most 1
+    draws = 0             | draws           | more than 0
+    drawz = 3             | drawz           | one of
+"""),
 )
 def test_a_rule_that_cannot_be_is_refused_in_a_line(tmp_path, text, where, expected):
     path = tmp_path / "rule.toml"

@@ -22,6 +22,7 @@ from junctions import (
 )
 from oracles import distance_to_chain_m
 from scenario_lanes import arm_lanes, build_lane, exchanged
+from text_tables import rows_of
 
 from geometry.errors import InputError
 from geometry.junction import build_junction, lane_length_m
@@ -166,12 +167,12 @@ def test_on_straight_lanes_a_run_is_that_of_zero_moved_along(
 
 @pytest.mark.parametrize(
     ("name", "approach"),
-    [
-        ("CPNA-25", "east"),
-        ("CPFA-50", "north"),
-        ("CPLA-50", "west"),
-        ("CBLA-50", "south"),
-    ],
+    rows_of("""
+    CPNA-25 | east
+    CPFA-50 | north
+    CPLA-50 | west
+    CBLA-50 | south
+"""),
 )
 @pytest.mark.parametrize("metres", [0, 15])
 def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(

@@ -289,60 +289,31 @@ def test_frame_axis_of_no_run_is_refused():
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [
-        ({"weight": [0.5, 0.5]}, "weight: got shape (2,); expected shape (3,)"),
-        (
-            {"weight": [0.5, 0.5, 0.5]},
-            "weight: got [0.5, 0.5, 0.5]; expected shares >= 0 that sum to 1",
-        ),
-        (
-            {"weight": [1.5, -0.5, 0.0]},
-            "weight: got [1.5, -0.5, 0.0]; expected shares >= 0 that sum to 1",
-        ),
-        (
-            {"last_brake_time_s": [0.0, math.nan, 0.0]},
-            "last_brake_time_s: got [0.0, nan, 0.0]; expected one time per run",
-        ),
-        (
-            {"last_brake_time_s": [0.0]},
-            "last_brake_time_s: got [0.0]; expected one time per run",
-        ),
-        (
-            {"run_start": [0, 3, 3, 10]},
-            (
-                "run_start: got [0, 3, 3, 10]; expected 0 and ascending, one more than"
-                " runs"
-            ),
-        ),
-        (
-            {"run_start": [1, 3, 8, 10]},
-            (
-                "run_start: got [1, 3, 8, 10]; expected 0 and ascending, one more than"
-                " runs"
-            ),
-        ),
-        (
-            {"run_start": [0, 3, 10]},
-            "run_start: got [0, 3, 10]; expected 0 and ascending, one more than runs",
-        ),
-        ({"run_start": [0, 3, 8, 11]}, "time_s: got 10 frames; expected 11"),
-        (
-            {"time_s": [-0.2, -0.1, 0.0, -0.4, -0.2, -0.3, -0.1, 0.0, -0.1, 0.0]},
-            "time_s: got -0.2 before -0.3; expected times that ascend within a run",
-        ),
-        (
-            {"time_s": [-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, 0.0, 0.0]},
-            "time_s: got 0.0 before 0.0; expected times that ascend within a run",
-        ),
-        (
-            {"run_start": [0, 4, 8, 10]},
-            "time_s: got 0.0 before -0.4; expected times that ascend within a run",
-        ),
-        (
-            {"vut_speed_kmh": [1.0, math.inf, 2.0]},
-            "vut_speed_kmh: got [1.0, inf, 2.0]; expected finite numbers",
-        ),
-    ],
+    changes_of("""
+    weight=[0.5, 0.5]       | weight: got shape (2,); expected shape (3,)
+    weight=[0.5, 0.5, 0.5] |
+        weight: got [0.5, 0.5, 0.5]; expected shares >= 0 that sum to 1
+    weight=[1.5, -0.5, 0.0] |
+        weight: got [1.5, -0.5, 0.0]; expected shares >= 0 that sum to 1
+    last_brake_time_s=[0.0, nan, 0.0] |
+        last_brake_time_s: got [0.0, nan, 0.0]; expected one time per run
+    last_brake_time_s=[0.0] | last_brake_time_s: got [0.0]; expected one time per run
+    run_start=[0, 3, 3, 10] |
+        run_start: got [0, 3, 3, 10]; expected 0 and ascending, one more than runs
+    run_start=[1, 3, 8, 10] |
+        run_start: got [1, 3, 8, 10]; expected 0 and ascending, one more than runs
+    run_start=[0, 3, 10] |
+        run_start: got [0, 3, 10]; expected 0 and ascending, one more than runs
+    run_start=[0, 3, 8, 11] | time_s: got 10 frames; expected 11
+    time_s=[-0.2, -0.1, 0.0, -0.4, -0.2, -0.3, -0.1, 0.0, -0.1, 0.0] |
+        time_s: got -0.2 before -0.3; expected times that ascend within a run
+    time_s=[-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, 0.0, 0.0] |
+        time_s: got 0.0 before 0.0; expected times that ascend within a run
+    run_start=[0, 4, 8, 10] |
+        time_s: got 0.0 before -0.4; expected times that ascend within a run
+    vut_speed_kmh=[1.0, inf, 2.0] |
+        vut_speed_kmh: got [1.0, inf, 2.0]; expected finite numbers
+"""),
 )
 def test_frame_axis_says_what_is_wrong(frame_axis, change, message):
     with refused_with(message):

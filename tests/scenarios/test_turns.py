@@ -8,12 +8,13 @@ from numpy.testing import assert_allclose
 from refusals import refused_with
 from scipy.integrate import cumulative_simpson
 from strategies import numbers
+from text_tables import changes_of
 
 from scenarios.courses import LEFT, RIGHT, Turn, load_turns, pick_turn
 
 
 @st.composite
-def turns(draw) -> Turn:
+def turns(draw):
     radius_m = draw(numbers(3.0, 30.0))
     clothoid_deg = draw(numbers(1.0, 60.0))
     return Turn(
@@ -145,26 +146,16 @@ def test_clothoids_alone_serve_small_angles(angle_deg):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [
-        ({"radius_m": 0.0}, "turn.radius_m: got 0.0; expected > 0 metres"),
-        ({"radius_m": np.nan}, "turn.radius_m: got nan; expected > 0 metres"),
-        (
-            {"first_radius_m": 9.0},
-            "turn.first_radius_m: got 9.0; expected more than radius_m",
-        ),
-        (
-            {"clothoid_deg": 0.0},
-            "turn.clothoid_deg: got 0.0; expected 0 < degrees < 90",
-        ),
-        (
-            {"arc_deg": 140.0},
-            (
-                "turn.arc_deg: got 140.0; expected degrees >= 0, less than 180 with"
-                " both clothoids"
-            ),
-        ),
-        ({"side": 0}, "turn.side: got 0; expected 1 (left) or -1 (right)"),
-    ],
+    changes_of("""
+    radius_m=0.0 | turn.radius_m: got 0.0; expected > 0 metres
+    radius_m=nan | turn.radius_m: got nan; expected > 0 metres
+    first_radius_m=9.0 | turn.first_radius_m: got 9.0; expected more than radius_m
+    clothoid_deg=0.0 | turn.clothoid_deg: got 0.0; expected 0 < degrees < 90
+    arc_deg=140.0 |
+        turn.arc_deg: got 140.0; expected degrees >= 0, less than 180 with both
+        clothoids
+    side=0       | turn.side: got 0; expected 1 (left) or -1 (right)
+"""),
 )
 def test_a_turn_says_what_is_wrong(change, message):
     with refused_with(message):

@@ -15,6 +15,7 @@ from junctions import MOUTH_M, build_scene, lanes_of, protocol_scene, turned
 from refusals import refused_with
 from scenario_lanes import arm_lanes, pose_at
 from strategies import KMH, numbers
+from text_tables import changes_of, rows_of
 
 from geometry.errors import InputError
 from geometry.junction import build_junction
@@ -179,15 +180,18 @@ def test_the_last_moment_of_a_straight_crossing_is_its_closed_form(
 
 @pytest.mark.parametrize(
     ("name", "speed_kmh", "vru_kmh"),
-    [
-        ("CCRs-2026-50", 50.0, 0.0),
-        ("CCRs-2026-m25", 30.0, 0.0),
-        ("CMRs-90", 20.0, 0.0),
-        ("CCRm-2026-50", 80.0, 20.0),
-        ("CCRm-2026-125", 130.0, 70.0),
-        ("CCFhos-2026-50", 50.0, 50.0),
-        ("CCFhos-2026-25", 80.0, 70.0),
-    ],
+    rows_of(
+        """
+    CCRs-2026-50   | 50.0  | 0.0
+    CCRs-2026-m25  | 30.0  | 0.0
+    CMRs-90        | 20.0  | 0.0
+    CCRm-2026-50   | 80.0  | 20.0
+    CCRm-2026-125  | 130.0 | 70.0
+    CCFhos-2026-50 | 50.0  | 50.0
+    CCFhos-2026-25 | 80.0  | 70.0
+""",
+        n_texts=1,
+    ),
 )
 def test_the_last_moment_behind_and_ahead_of_a_steady_vehicle_is_its_closed_form(
     golf, name, speed_kmh, vru_kmh
@@ -277,21 +281,12 @@ def test_a_motion_may_stand_where_it_is():
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [
-        (
-            {"deceleration_mps2": 0.0},
-            "motion.deceleration_mps2: got 0.0; expected > 0 m/s^2",
-        ),
-        (
-            {"final_speed_mps": 9.0},
-            "motion.final_speed_mps: got 9.0; expected 0 <= it < speed_mps",
-        ),
-        ({"brake_time_s": -4.5}, "motion.brake_time_s: got -4.5; expected from -4 on"),
-        (
-            {"speed_mps": -1.0},
-            "motion.speed_mps: got -1.0; expected > 0 metres per second",
-        ),
-    ],
+    changes_of("""
+    deceleration_mps2=0.0 | motion.deceleration_mps2: got 0.0; expected > 0 m/s^2
+    final_speed_mps=9.0 | motion.final_speed_mps: got 9.0; expected 0 <= it < speed_mps
+    brake_time_s=-4.5 | motion.brake_time_s: got -4.5; expected from -4 on
+    speed_mps=-1.0    | motion.speed_mps: got -1.0; expected > 0 metres per second
+"""),
 )
 def test_a_motion_that_brakes_says_what_is_wrong(change, message):
     good = {
@@ -317,13 +312,13 @@ def refusal(name, vut, lanes, *, speed_kmh=20, vru_kmh=20):
 
 @pytest.mark.parametrize(
     ("arm", "name", "reason"),
-    [
-        ("north", "CCCscp-far", "no lane leads into the junction from the far side"),
-        ("north", "CMCscp-near", "no road leads straight across from the near side"),
-        ("south", "CCCscp-near", "no lane leads into the junction from the near side"),
-        ("south", "CCCscp-far", "no road leads straight across from the far side"),
-        ("east", "CCFtap", "no lane leads towards the VUT from straight ahead"),
-    ],
+    rows_of("""
+    north | CCCscp-far  | no lane leads into the junction from the far side
+    north | CMCscp-near | no road leads straight across from the near side
+    south | CCCscp-near | no lane leads into the junction from the near side
+    south | CCCscp-far  | no road leads straight across from the far side
+    east  | CCFtap      | no lane leads towards the VUT from straight ahead
+"""),
 )
 def test_a_junction_without_a_crossing_road_carries_no_crossing_traffic(
     golf, arm, name, reason
@@ -399,20 +394,24 @@ def count(text, case_range):
 
 @pytest.mark.parametrize(
     ("text", "standard", "extended"),
-    [  # runs of the variation files, standard and extended range
-        ("CCCscp", 50, 16),
-        ("CMCscp", 50, 16),
-        ("CCFtap", 9, 7),
-        ("CMFtap", 9, 7),
-        ("CCRs-2026", 25, 10),
-        ("CCRs-FCW-2026", 15, 6),
-        ("CCRm-2026", 55, 22),
-        ("CCRb-2026", 30, 47),
-        ("CCFhos-2026", 18, 14),
-        ("CMRs", 15, 10),
-        ("CMRs-FCW", 9, 6),
-        ("CMRb", 18, 37),
-    ],
+    rows_of(
+        """
+    # runs of the variation files, standard and extended range
+    CCCscp        | 50 | 16
+    CMCscp        | 50 | 16
+    CCFtap        | 9  | 7
+    CMFtap        | 9  | 7
+    CCRs-2026     | 25 | 10
+    CCRs-FCW-2026 | 15 | 6
+    CCRm-2026     | 55 | 22
+    CCRb-2026     | 30 | 47
+    CCFhos-2026   | 18 | 14
+    CMRs          | 15 | 10
+    CMRs-FCW      | 9  | 6
+    CMRb          | 18 | 37
+""",
+        n_texts=1,
+    ),
 )
 def test_the_grids_have_as_many_runs_as_the_protocols(text, standard, extended):
     assert count(text, "standard") == standard

@@ -144,7 +144,12 @@ def test_what_has_no_room_takes_its_share_away_and_what_no_map_shows_does_not():
 
 @pytest.mark.parametrize(
     ("cases", "word"),
-    [("study", "run"), ("default", "case"), ("CBNA", "case"), ("study,CBNA", "case")],
+    rows_of("""
+    study      | run
+    default    | case
+    CBNA       | case
+    study,CBNA | case
+"""),
 )
 def test_the_runs_of_the_study_count_the_same_and_else_the_cases_do(cases, word):
     assert default_weights(cases) == word

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from osm_drawing import drawn, read_drawing
 from osm_text import arm_lanes, arms_of
+from text_tables import rows_of
 
 from geometry.errors import InputError
 from geometry.maps.importing import choose_junction, sort_junctions, survey_junctions
@@ -129,12 +130,12 @@ def town(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "street"),
-    [
-        ("High Street / Church Lane", "Church Lane"),
-        ("church lane / High Street", "Church Lane"),
-        ("Church Lane", "Church Lane"),
-        ("Station Road / Mill Lane", "Station Road"),
-    ],
+    rows_of("""
+    High Street / Church Lane | Church Lane
+    church lane / High Street | Church Lane
+    Church Lane               | Church Lane
+    Station Road / Mill Lane  | Station Road
+"""),
 )
 def test_junctions_are_chosen_by_their_streets_in_any_order(town, name, street):
     chosen = choose_junction(town, survey_junctions(town), name=name)

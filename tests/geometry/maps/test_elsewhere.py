@@ -1,13 +1,12 @@
 """Files whose content all lies somewhere else than the roads are refused."""
 
 import json
-from pathlib import Path
 
 import geopandas as gpd
 import pytest
 from osm_text import LAT_DEG, LON_DEG, OsmText, crossing
 from shapely import transform as moved
-from shapely.geometry import Polygon, box
+from shapely.geometry import box
 
 from experiments.city.inputs import CityWish, load_city
 from geometry.errors import InputError
@@ -17,23 +16,23 @@ FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 HOUSE = box(LON_DEG, LAT_DEG, LON_DEG + 1e-4, LAT_DEG + 1e-4)
 
 
-def swapped(shape: Polygon) -> Polygon:
+def swapped(shape):
     return moved(shape, lambda points: points[:, ::-1])
 
 
-def roads(folder: Path) -> Path:
+def roads(folder):
     osm = OsmText()
     crossing(osm, bearings=FOUR)
     return osm.write(folder)
 
 
-def houses(folder: Path, *shapes: Polygon, crs: str = "EPSG:4326") -> Path:
+def houses(folder, *shapes, crs="EPSG:4326"):
     path = folder / "houses.gpkg"
     gpd.GeoDataFrame(geometry=list(shapes), crs=crs).to_file(path, driver="GPKG")
     return path
 
 
-def geojson(folder: Path, shape: Polygon) -> Path:
+def geojson(folder, shape):
     path = folder / "houses.geojson"
     feature = {
         "type": "Feature",
@@ -44,7 +43,7 @@ def geojson(folder: Path, shape: Polygon) -> Path:
     return path
 
 
-def refusal(folder: Path, path: Path) -> str:
+def refusal(folder, path):
     with pytest.raises(InputError) as caught:
         read_maps([roads(folder), path], ReadingOptions())
     return str(caught.value)

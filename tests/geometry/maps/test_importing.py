@@ -1,7 +1,5 @@
 """What an import assumes stays with the scene, on disk, too."""
 
-from pathlib import Path
-
 from osm_text import LAT_DEG, LON_DEG, OsmText, crossing
 
 from geometry.maps.importing import ImportOptions, import_scene
@@ -11,7 +9,7 @@ from geometry.scene_files import load_scene_folder, save_scene
 FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 
 
-def bare_map(tmp_path: Path) -> Path:
+def bare_map(tmp_path):
     """Two crossings without poles or buildings, nothing that shows the side of the
     road.
     """

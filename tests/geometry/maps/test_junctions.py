@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from text_tables import changes_of
 
 from geometry.errors import InputError
 from geometry.frames import WGS84, transform
@@ -124,12 +125,12 @@ def test_a_junction_is_chosen_by_latitude_and_longitude(source):
 
 @pytest.mark.parametrize(
     ("choice", "message"),
-    [
-        ({"name": "street"}, "junction: got 'street'; expected one of large"),
-        ({"name": "lane"}, "junction: got 'lane'"),
-        ({"at": (0.0, 500.0)}, "X,Y: it is the other way round"),
-        ({"at": (0.0, 300.0)}, "the nearest one, small, is at 0, 0"),
-    ],
+    changes_of("""
+    name='street'   | junction: got 'street'; expected one of large
+    name='lane'     | junction: got 'lane'
+    at=(0.0, 500.0) | X,Y: it is the other way round
+    at=(0.0, 300.0) | the nearest one, small, is at 0, 0
+"""),
 )
 def test_who_is_not_meant_is_told(source, choice, message):
     with pytest.raises(InputError, match=message):

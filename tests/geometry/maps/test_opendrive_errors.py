@@ -84,13 +84,13 @@ _WHOLE = document(
 )
 
 
-def _refused(tmp_path, text: str) -> str:
+def _refused(tmp_path, text):
     with pytest.raises(InputError) as caught:
         read_text(tmp_path, text)
     return str(caught.value)
 
 
-def _plan(*pieces: str, length: float = 100.0) -> str:
+def _plan(*pieces, length=100.0):
     return document(road("5", plan="".join(pieces), length=length))
 
 

@@ -18,6 +18,7 @@ from opendrive_text import (
     to_junction,
     to_road,
 )
+from text_tables import rows_of
 
 COMPASS = ("east", "north", "west", "south")
 
@@ -258,18 +259,18 @@ def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, len
 
 @pytest.mark.parametrize(
     ("types", "limit_kmh"),
-    [
-        ('<type s="0" type="town"><speed max="50" unit="km/h"/></type>', 50.0),
-        ('<type s="0" type="town"><speed max="10"/></type>', 36.0),
-        ('<type s="0" type="town"><speed max="25" unit="mph"/></type>', 40.2),
-        ('<type s="0" type="town"><speed max="no limit"/></type>', None),
-        ('<type s="0" type="town"/>', None),
-        (
-            '<type s="30" type="rural"><speed max="70" unit="km/h"/></type>'
-            '<type s="0" type="town"><speed max="30" unit="km/h"/></type>',
-            30.0,
-        ),
-    ],
+    rows_of(
+        """
+    <type s="0" type="town"><speed max="50" unit="km/h"/></type> | 50.0
+    <type s="0" type="town"><speed max="10"/></type>             | 36.0
+    <type s="0" type="town"><speed max="25" unit="mph"/></type>  | 40.2
+    <type s="0" type="town"><speed max="no limit"/></type>       | None
+    <type s="0" type="town"/>                                    | None
+    <type s="30" type="rural"><speed max="70" unit="km/h"/></type><type s="0"
+        type="town"><speed max="30" unit="km/h"/></type> | 30.0
+""",
+        n_texts=1,
+    ),
 )
 def test_roads_have_speed_limits_where_they_lead_into_the_junction(
     tmp_path, types, limit_kmh

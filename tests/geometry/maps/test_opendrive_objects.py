@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from opendrive_text import cubic, document, geometry, read_text, road
+from text_tables import rows_of
 
 from geometry.maps.opendrive.object_shapes import build_prism
 
@@ -224,12 +225,12 @@ def test_low_vegetation_is_no_tree(thing_of):
 
 @pytest.mark.parametrize(
     ("kind", "name", "class_name"),
-    [
-        ("obstacle", "garden_wall", "wall"),
-        ("-1", "House_Brick_3", "building"),
-        ("none", "GuardRail", "wall"),
-        ("", "SimpleHedge", "vegetation"),
-    ],
+    rows_of("""
+    obstacle | garden_wall   | wall
+    -1       | House_Brick_3 | building
+    none     | GuardRail     | wall
+    | SimpleHedge   | vegetation
+"""),
 )
 def test_names_say_what_types_do_not(thing_of, kind, name, class_name):
     _, thing = thing_of(kind, f"name={name} length=4 width=2 height=2")
@@ -255,12 +256,12 @@ def test_what_has_no_size_is_noted(read):
 
 @pytest.mark.parametrize(
     ("kind", "name", "expected"),
-    [
-        ("streetLamp", "", "lamp post"),
-        ("pole", "", "pole"),
-        ("-1", "name=Speed_30", "sign"),
-        ("trafficLight", "", "traffic light"),
-    ],
+    rows_of("""
+    streetLamp   |               | lamp post
+    pole         |               | pole
+    -1           | name=Speed_30 | sign
+    trafficLight |               | traffic light
+"""),
 )
 def test_poles(read, kind, name, expected):
     text = element(kind, f"{name} height=5 zOffset=0.5")

@@ -11,9 +11,7 @@ from geometry.maps.opendrive.objects import merge_poles
 from geometry.maps.source_map import POLE_KINDS, Pole
 
 
-def _signal(
-    name: str = "", *, s: float = 50.0, t: float = -6.0, inside: str = "", **more
-) -> str:
+def _signal(name="", *, s=50.0, t=-6.0, inside="", **more):
     given_attributes = {"dynamic": "no", "type": "-1", "zOffset": 3, "height": 1} | more
     attributes = " ".join(f'{key}="{value}"' for key, value in given_attributes.items())
     return (

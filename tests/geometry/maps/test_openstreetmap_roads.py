@@ -15,6 +15,7 @@ from osm_drawing import (
     read_drawing,
 )
 from osm_text import arm_lanes, arms_of, scene_of
+from text_tables import rows_of
 
 from geometry.maps.importing import ReadingOptions, read_map, survey_junctions
 from geometry.scene_checks import lanes_that_cross
@@ -71,66 +72,42 @@ def strips_of(text):
 
 @pytest.mark.parametrize(
     ("tags", "expected"),
-    [
-        ("", "driving -2.75 1.4, driving 2.75 -1.4"),
-        ("width=7", "driving -3.5 1.8, driving 3.5 -1.8"),
-        ("est_width=6", "driving -3 1.5, driving 3 -1.5"),
-        ("oneway=yes", "driving 2.75 0"),
-        ("oneway=-1", "driving -2.75 0"),
-        ("oneway=yes; lanes=2", "driving 2.75 1.4, driving 2.75 -1.4"),
-        (
-            "lanes=3; lanes:forward=1; width=9",
-            "driving -3 3, driving -3 0, driving 3 -3",
-        ),
-        (
-            "turn:lanes:forward=left|through; lanes=3; width=9",
-            "driving -3 3, driving 3 0, driving 3 -3",
-        ),
-        ("lanes=3; lanes:both_ways=1; width=9", "driving -3 3, driving 3 -3"),
-        (  # from left to right in driving direction: the widest is the innermost
-            "oneway=yes; lanes=2; width:lanes=3.5|2.5",
-            "driving 3.5 1.2, driving 2.5 -1.8",
-        ),
-        (
-            "width:lanes:forward=3; width:lanes:backward=2.5|3.5; lanes=3;"
-            " lanes:backward=2",
-            "driving -3.5 2.8, driving -2.5 -0.2, driving 3 -3",
-        ),
-        # one for both
-        ("width=3.6", "driving -3 0.3, driving 3 -0.3"),
-        ("lanes=1; width=4", "driving -3.4 0.3, driving 3.4 -0.3"),
-        ("highway=service", "driving -2.9 0.3, driving 2.9 -0.3"),
-        (
-            "width=10; parking:right=lane; parking:right:width=2",
-            "driving -4 3, driving 4 -1, parking 2 -4",
-        ),
-        (
-            "width=6; parking:left=street_side; parking:left:orientation=perpendicular",
-            "parking -5 5.5, driving -3 1.5, driving 3 -1.5",
-        ),
-        (
-            "width=10; parking:lane:left=parallel; parking:lane:right=no_parking",
-            "parking -2 4, driving -4 1, driving 4 -3",
-        ),
-        (
-            "width=6; parking:both=lane; parking:both:restriction=no_stopping",
-            "driving -3 1.5, driving 3 -1.5",
-        ),
-        (
-            "width=9; cycleway=lane",
-            "cycling -1.5 3.8, driving -3 1.5, driving 3 -1.5, cycling 1.5 -3.8",
-        ),
-        (
-            "width=6; cycleway:right=track; sidewalk=right",
-            "driving -3 1.5, driving 3 -1.5, cycling 2 -4, walking 2.5 -6.2",
-        ),
-        (
-            "width=6; oneway=yes; cycleway=opposite_lane; cycleway:width=1",
-            "cycling -1 2.5, driving 5 -0.5",
-        ),
-        # left as the way is mapped
-        ("width=6; oneway=-1; sidewalk=left", "walking -2.5 4.2, driving -6 0"),
-    ],
+    rows_of("""
+    | driving -2.75 1.4, driving 2.75 -1.4
+    width=7                             | driving -3.5 1.8, driving 3.5 -1.8
+    est_width=6                         | driving -3 1.5, driving 3 -1.5
+    oneway=yes                          | driving 2.75 0
+    oneway=-1                           | driving -2.75 0
+    oneway=yes; lanes=2                 | driving 2.75 1.4, driving 2.75 -1.4
+    lanes=3; lanes:forward=1; width=9   | driving -3 3, driving -3 0, driving 3 -3
+    turn:lanes:forward=left|through; lanes=3; width=9 |
+        driving -3 3, driving 3 0, driving 3 -3
+    lanes=3; lanes:both_ways=1; width=9 | driving -3 3, driving 3 -3
+    # from left to right in driving direction: the widest is the innermost
+    oneway=yes; lanes=2; width:lanes=3.5|2.5 | driving 3.5 1.2, driving 2.5 -1.8
+    width:lanes:forward=3; width:lanes:backward=2.5|3.5; lanes=3; lanes:backward=2 |
+        driving -3.5 2.8, driving -2.5 -0.2, driving 3 -3
+    # one for both
+    width=3.6                           | driving -3 0.3, driving 3 -0.3
+    lanes=1; width=4                    | driving -3.4 0.3, driving 3.4 -0.3
+    highway=service                     | driving -2.9 0.3, driving 2.9 -0.3
+    width=10; parking:right=lane; parking:right:width=2 |
+        driving -4 3, driving 4 -1, parking 2 -4
+    width=6; parking:left=street_side; parking:left:orientation=perpendicular |
+        parking -5 5.5, driving -3 1.5, driving 3 -1.5
+    width=10; parking:lane:left=parallel; parking:lane:right=no_parking |
+        parking -2 4, driving -4 1, driving 4 -3
+    width=6; parking:both=lane; parking:both:restriction=no_stopping |
+        driving -3 1.5, driving 3 -1.5
+    width=9; cycleway=lane |
+        cycling -1.5 3.8, driving -3 1.5, driving 3 -1.5, cycling 1.5 -3.8
+    width=6; cycleway:right=track; sidewalk=right |
+        driving -3 1.5, driving 3 -1.5, cycling 2 -4, walking 2.5 -6.2
+    width=6; oneway=yes; cycleway=opposite_lane; cycleway:width=1 |
+        cycling -1 2.5, driving 5 -0.5
+    # left as the way is mapped
+    width=6; oneway=-1; sidewalk=left   | walking -2.5 4.2, driving -6 0
+"""),
 )
 def test_tags_say_what_lies_side_by_side(tags, expected, tmp_path):
     found = strips_of_road(tags, tmp_path)
@@ -283,14 +260,17 @@ def test_offset_side_streets_are_one_junction_and_distant_ones_two(
 
 @pytest.mark.parametrize(
     ("sides", "staggered_m", "n_arms"),
-    [
-        ("north south", 0.0, [3, 3]),
-        ("north south", 40.0, [4]),
-        ("south north", 40.0, [4]),
-        ("north south", 34.0, [3, 3]),
-        ("north north", 40.0, [3, 3]),  # on one side: two junctions of their own
-        ("north both", 40.0, [4, 3]),
-    ],
+    rows_of(
+        """
+    north south | 0.0  | [3, 3]
+    north south | 40.0 | [4]
+    south north | 40.0 | [4]
+    north south | 34.0 | [3, 3]
+    north north | 40.0 | [3, 3]  # on one side: two junctions of their own
+    north both  | 40.0 | [4, 3]
+""",
+        n_texts=1,
+    ),
 )
 def test_side_roads_35_m_apart_on_either_side_are_one_junction_if_asked_for(
     sides, staggered_m, n_arms, tmp_path
@@ -484,21 +464,24 @@ def test_nodes_that_the_file_does_not_have_cut_roads_short(tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "limit_kmh"),
-    [
-        ("maxspeed=50", 50.0),
-        ("maxspeed=20 mph", 32.2),
-        ("maxspeed=DE:zone:30", 30.0),
-        ("maxspeed=walk", 7.0),
-        ("maxspeed=none; source:maxspeed=DE:urban", None),
-        ("source:maxspeed=DE:urban", 50.0),
-        ("maxspeed=50; maxspeed:conditional=30 @ (22:00-06:00)", 50.0),
-        ("", None),
-        # The road leads away from the junction: cars come against it.
-        ("maxspeed:forward=50; maxspeed:backward=30", 30.0),
-        ("maxspeed=60; maxspeed:backward=40", 40.0),
-        ("maxspeed:forward=50", None),
-        ("oneway=-1; maxspeed:backward=30", 30.0),
-    ],
+    rows_of(
+        """
+    maxspeed=50                                          | 50.0
+    maxspeed=20 mph                                      | 32.2
+    maxspeed=DE:zone:30                                  | 30.0
+    maxspeed=walk                                        | 7.0
+    maxspeed=none; source:maxspeed=DE:urban              | None
+    source:maxspeed=DE:urban                             | 50.0
+    maxspeed=50; maxspeed:conditional=30 @ (22:00-06:00) | 50.0
+    | None
+    # The road leads away from the junction: cars come against it.
+    maxspeed:forward=50; maxspeed:backward=30            | 30.0
+    maxspeed=60; maxspeed:backward=40                    | 40.0
+    maxspeed:forward=50                                  | None
+    oneway=-1; maxspeed:backward=30                      | 30.0
+""",
+        n_texts=1,
+    ),
 )
 def test_an_arm_has_the_speed_limit_of_those_who_come(tags, limit_kmh, tmp_path):
     osm = drawn_crossing(bearings=FOUR[1:]).draw(f"road 0 0, 90 0: {tags}")
@@ -521,15 +504,18 @@ def test_the_speed_limit_next_to_the_junction_counts(tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "node", "is_junction"),
-    [
-        ("highway=motorway_link", "", False),
-        ("highway=motorway", "", False),
-        ("highway=trunk; motorroad=yes", "", False),
-        ("highway=motorway_link", "highway=traffic_signals", True),
-        ("highway=motorway_link; sidewalk=right", "", True),
-        ("highway=trunk", "", True),
-        ("highway=primary", "", True),
-    ],
+    rows_of(
+        """
+    highway=motorway_link                 |                         | False
+    highway=motorway                      |                         | False
+    highway=trunk; motorroad=yes          |                         | False
+    highway=motorway_link                 | highway=traffic_signals | True
+    highway=motorway_link; sidewalk=right |                         | True
+    highway=trunk                         |                         | True
+    highway=primary                       |                         | True
+""",
+        n_texts=2,
+    ),
 )
 def test_where_motorways_merge_and_part_is_no_junction(
     tags, node, is_junction, tmp_path

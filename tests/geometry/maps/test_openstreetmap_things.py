@@ -7,6 +7,7 @@ import pytest
 from geometry_text import array_of
 from numpy.testing import assert_allclose
 from osm_drawing import drawn, read_drawing
+from text_tables import rows_of
 
 from geometry.maps import source_map
 from geometry.maps.source_map import is_closed
@@ -53,27 +54,30 @@ def straight_lines(lines_m):
 
 @pytest.mark.parametrize(
     ("tags", "heights", "is_assumed"),
-    [
-        ("height=12", "0 12", False),
-        ("height=12,5 m; building:levels=9", "0 12.5", False),
-        ("building:levels=4", "0 12", False),
-        ("building:levels=4; roof:levels=1", "0 15", False),
-        ("building:levels=4; roof:height=2", "0 14", False),
-        ("building:levels=0; roof:levels=2", "0 6", False),
-        ("height=20; min_height=5", "5 20", False),
-        ("building:levels=6; building:min_level=2", "6 18", False),
-        ("", "0 9", True),
-        ("building=garage", "0 2.5", True),
-        ("min_height=10", "10 13", True),
-        ("building=roof; min_height=4; height=5", "4 5", False),
-        ("building=roof; height=6", "5.5 6", True),
-        ("building=roof", "4.5 5", True),
-        ("building=carport", "2.2 2.7", True),
-        ("layer=1", "4.5 9", True),
-        ("layer=1; height=12", "4.5 12", True),
-        ("layer=2; building:levels=4", "9 12", True),
-        ("layer=1; min_height=6; height=9", "6 9", False),
-    ],
+    rows_of(
+        """
+    height=12                               | 0 12    | False
+    height=12,5 m; building:levels=9        | 0 12.5  | False
+    building:levels=4                       | 0 12    | False
+    building:levels=4; roof:levels=1        | 0 15    | False
+    building:levels=4; roof:height=2        | 0 14    | False
+    building:levels=0; roof:levels=2        | 0 6     | False
+    height=20; min_height=5                 | 5 20    | False
+    building:levels=6; building:min_level=2 | 6 18    | False
+    | 0 9     | True
+    building=garage                         | 0 2.5   | True
+    min_height=10                           | 10 13   | True
+    building=roof; min_height=4; height=5   | 4 5     | False
+    building=roof; height=6                 | 5.5 6   | True
+    building=roof                           | 4.5 5   | True
+    building=carport                        | 2.2 2.7 | True
+    layer=1                                 | 4.5 9   | True
+    layer=1; height=12                      | 4.5 12  | True
+    layer=2; building:levels=4              | 9 12    | True
+    layer=1; min_height=6; height=9         | 6 9     | False
+""",
+        n_texts=2,
+    ),
 )
 def test_tags_say_how_high_a_building_is(tags, heights, is_assumed, tmp_path):
     osm = beside_road(f"way {SQUARE}: building=yes; {tags}")
@@ -89,12 +93,12 @@ def test_tags_say_how_high_a_building_is(tags, heights, is_assumed, tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "why"),
-    [
-        ("height=3; min_height=3", "not above its floor"),
-        ("building=construction", "not built yet"),
-        ("location=underground", "below the ground"),
-        ("layer=-1", "below the ground"),
-    ],
+    rows_of("""
+    height=3; min_height=3 | not above its floor
+    building=construction  | not built yet
+    location=underground   | below the ground
+    layer=-1               | below the ground
+"""),
 )
 def test_what_does_not_stand_there_is_told(tags, why, tmp_path):
     osm = beside_road(f"way {SQUARE}: building=yes; {tags}")
@@ -107,13 +111,16 @@ def test_what_does_not_stand_there_is_told(tags, why, tmp_path):
 
 @pytest.mark.parametrize(
     ("house", "way", "width_m", "bottom_m"),
-    [
-        ("", "highway=residential; width=6; tunnel=building_passage", 6.0, 4.5),
-        ("", "highway=service; width=6; covered=yes; maxheight=3", 6.0, 3.0),
-        ("", "highway=footway; covered=arcade", 3.0, 2.5),
-        ("historic=city_gate", "highway=residential; width=6", 6.0, 4.5),
-        ("building=gate", "highway=residential; width=6", 6.0, 4.5),
-    ],
+    rows_of(
+        """
+    | highway=residential; width=6; tunnel=building_passage | 6.0 | 4.5
+    | highway=service; width=6; covered=yes; maxheight=3 | 6.0 | 3.0
+    | highway=footway; covered=arcade | 3.0 | 2.5
+    historic=city_gate | highway=residential; width=6 | 6.0 | 4.5
+    building=gate | highway=residential; width=6 | 6.0 | 4.5
+""",
+        n_texts=2,
+    ),
 )
 def test_a_building_begins_above_the_ways_that_lead_through_it(
     house, way, width_m, bottom_m, tmp_path
@@ -289,14 +296,17 @@ def test_trees_stand_along_a_row_and_woods_are_told(tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "deck"),
-    [
-        ("highway=primary; width=8", (8.0, 4.5)),
-        ("highway=primary; width=8; layer=2", (8.0, 9.0)),
-        ("highway=footway", (3.0, 4.5)),
-        ("railway=rail", (5.0, 4.5)),
-        ("railway=abandoned", None),
-        ("highway=footway; layer=0; bridge=no", None),
-    ],
+    rows_of(
+        """
+    highway=primary; width=8            | (8.0, 4.5)
+    highway=primary; width=8; layer=2   | (8.0, 9.0)
+    highway=footway                     | (3.0, 4.5)
+    railway=rail                        | (5.0, 4.5)
+    railway=abandoned                   | None
+    highway=footway; layer=0; bridge=no | None
+""",
+        n_texts=1,
+    ),
 )
 def test_a_bridge_hides_and_is_passed_below(tags, deck, tmp_path):
     # The second road lies below no bridge.
@@ -339,16 +349,19 @@ def test_a_bridge_with_a_junction_near_is_told(end_m, n_decks, tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "kind", "height_m"),
-    [
-        ("highway=street_lamp; height=9", "lamp post", 9.0),
-        ("highway=street_lamp; height=high", "lamp post", None),
-        ("highway=traffic_signals", "traffic light", None),
-        ("highway=traffic_sign", "sign", None),
-        ("traffic_sign=DE:306", "sign", None),
-        ("man_made=utility_pole", "pole", None),
-        ("man_made=mast; height=12", "pole", 12.0),
-        ("man_made=surveillance; camera:mount=pole", "pole", None),
-    ],
+    rows_of(
+        """
+    highway=street_lamp; height=9            | lamp post     | 9.0
+    highway=street_lamp; height=high         | lamp post     | None
+    highway=traffic_signals                  | traffic light | None
+    highway=traffic_sign                     | sign          | None
+    traffic_sign=DE:306                      | sign          | None
+    man_made=utility_pole                    | pole          | None
+    man_made=mast; height=12                 | pole          | 12.0
+    man_made=surveillance; camera:mount=pole | pole          | None
+""",
+        n_texts=2,
+    ),
 )
 def test_poles_beside_the_road_stand_where_they_are(tags, kind, height_m, tmp_path):
     osm = beside_road(f"node 10 6: {tags}")
@@ -371,14 +384,17 @@ def test_lamps_without_a_pole_are_told(tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "keeps_left", "north_m"),
-    [
-        # Cars come from the west: their right kerb is in the south.
-        ("", False, [-3.5]),
-        ("", True, [3.5]),
-        ("traffic_signals:direction=forward", False, [-3.5]),
-        ("traffic_signals:direction=backward", False, [3.5]),
-        ("traffic_signals:direction=both", False, [-3.5, 3.5]),
-    ],
+    rows_of(
+        """
+    # Cars come from the west: their right kerb is in the south.
+    | False | [-3.5]
+    | True  | [3.5]
+    traffic_signals:direction=forward  | False | [-3.5]
+    traffic_signals:direction=backward | False | [3.5]
+    traffic_signals:direction=both     | False | [-3.5, 3.5]
+""",
+        n_texts=1,
+    ),
 )
 def test_a_signal_on_the_road_stands_at_the_kerb_beside_its_stop_line(
     tags, keeps_left, north_m, tmp_path

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from osm_drawing import drawn, read_drawing
+from text_tables import rows_of
 
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.maps.openstreetmap.placement import carriageway_left_m
@@ -52,14 +53,17 @@ def assert_lefts(source, east_m, *expected_m):
 
 @pytest.mark.parametrize(
     ("value", "way_from_left"),
-    [
-        ("left_of:1", 0.0),
-        ("middle_of:1", 0.5),
-        ("right_of:1", 1.0),
-        ("left_of:2", 1.0),
-        ("middle_of:2", 1.5),
-        ("right_of:2", 2.0),
-    ],
+    rows_of(
+        """
+    left_of:1   | 0.0
+    middle_of:1 | 0.5
+    right_of:1  | 1.0
+    left_of:2   | 1.0
+    middle_of:2 | 1.5
+    right_of:2  | 2.0
+""",
+        n_texts=1,
+    ),
 )
 def test_every_value_names_a_line_of_a_lane(tmp_path, value, way_from_left):
     osm = eastward(f"{TWO}; placement={value}", TWO)

@@ -6,6 +6,7 @@ import pyproj
 import pytest
 import trimesh
 from numpy.testing import assert_allclose
+from text_tables import rows_of
 
 from geometry.errors import InputError
 from geometry.maps import point_clouds
@@ -74,7 +75,14 @@ def size(thing):
 
 @pytest.mark.parametrize(
     ("name", "classes"),
-    [("a.las", (6, 5, 2)), ("a.laz", (1, 1, 1)), ("a.las", (0, 0, 2))],
+    rows_of(
+        """
+    a.las | (6, 5, 2)
+    a.laz | (1, 1, 1)
+    a.las | (0, 0, 2)
+""",
+        n_texts=1,
+    ),
 )
 def test_a_house_and_a_tree_stand_on_the_ground_where_they_were(
     tmp_path, name, classes

@@ -3,6 +3,7 @@
 import pytest
 import shapely
 from osm_drawing import drawn
+from text_tables import rows_of
 
 from geometry.maps.importing import ImportOptions, ReadingOptions, import_scene
 from geometry.notes import assumed_sites
@@ -36,16 +37,19 @@ def clearance_m(scene, site):
 
 @pytest.mark.parametrize(
     ("tags", "half_m"),
-    [
-        ("highway=cycleway; width=2", 1.0),
-        ("highway=cycleway", 1.0),
-        ("highway=footway", 0.9),
-        ("highway=path; width=3,5", 1.75),
-        ("highway=pedestrian", 1.5),
-        ("highway=service; service=driveway", 1.5),
-        ("highway=residential; motor_vehicle=no", 1.5),
-        ("railway=tram", 1.5),
-    ],
+    rows_of(
+        """
+    highway=cycleway; width=2             | 1.0
+    highway=cycleway                      | 1.0
+    highway=footway                       | 0.9
+    highway=path; width=3,5               | 1.75
+    highway=pedestrian                    | 1.5
+    highway=service; service=driveway     | 1.5
+    highway=residential; motor_vehicle=no | 1.5
+    railway=tram                          | 1.5
+""",
+        n_texts=1,
+    ),
 )
 @pytest.mark.parametrize(
     "sites", ["auto", pytest.param("kerb:5", marks=pytest.mark.long)]

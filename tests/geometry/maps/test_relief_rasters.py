@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ class Raster:
     driver: str = "GTiff"
     more: dict[str, Any] = field(default_factory=dict)
 
-    def write(self, path: Path) -> None:
+    def write(self, path):
         heights = np.asarray(self.heights, dtype=np.float64)
         place = rasterio.Affine(
             self.step, 0.0, self.corner[0], 0.0, -self.step, self.corner[1]

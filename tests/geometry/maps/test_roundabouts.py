@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapely
 from osm_drawing import drawn
+from text_tables import changes_of
 
 from geometry.errors import InputError
 from geometry.junction import CONNECTING
@@ -199,11 +200,11 @@ def test_ways_around_the_ring_are_lanes_of_the_scene(tmp_path):
 # ---------- what cannot be laid
 @pytest.mark.parametrize(
     ("made", "why"),
-    [
-        ({"gap": 2}, "a roundabout whose ring is not closed in the map"),
-        ({"oneway": "no"}, "a roundabout whose ring is driven both ways"),
-        ({"radius_m": 5.0, "ring_lanes": 3}, "a roundabout whose ring leaves no room"),
-    ],
+    changes_of("""
+    gap=2                      | a roundabout whose ring is not closed in the map
+    oneway='no'                | a roundabout whose ring is driven both ways
+    radius_m=5.0, ring_lanes=3 | a roundabout whose ring leaves no room
+"""),
 )
 def test_a_ring_that_cannot_be_laid_is_refused_in_one_line(made, why, tmp_path):
     path = roundabout(**made).write(tmp_path, "ring.osm")

@@ -1,4 +1,5 @@
 import pytest
+from text_tables import rows_of
 
 from geometry.errors import InputError
 from geometry.maps.source_map import kind_from_name, kind_of_class, thing_defaults
@@ -7,15 +8,15 @@ from geometry.scene import CLASS_NAMES
 
 @pytest.mark.parametrize(
     ("name", "class_name"),
-    [
-        ("House_12", "building"),
-        ("gardenWall.001", "wall"),
-        ("TREES", "vegetation"),
-        ("street lamp", "lamp post"),
-        ("traffic-light_3", "traffic light"),
-        ("hedge row", "vegetation"),
-        ("terrain", "ground"),
-    ],
+    rows_of("""
+    House_12        | building
+    gardenWall.001  | wall
+    TREES           | vegetation
+    street lamp     | lamp post
+    traffic-light_3 | traffic light
+    hedge row       | vegetation
+    terrain         | ground
+"""),
 )
 def test_names_say_what_things_are(name, class_name):
     assert kind_from_name(name).class_name == class_name
