@@ -71,6 +71,7 @@ def test_all_shapes_together_fill_exactly_the_declared_box(name):
     actor = load_actors()[name]
     vertices = np.concatenate([shape.vertices_m for shape in actor.shapes])
     half = [0.5 * actor.length_m, 0.5 * actor.width_m]
+
     assert vertices.min(axis=0) == pytest.approx([-half[0], -half[1], 0.0], abs=1e-6)
     assert vertices.max(axis=0) == pytest.approx([*half, actor.height_m], abs=1e-6)
 
@@ -121,6 +122,7 @@ def test_reference_points_are_as_far_behind_the_box_front_as_the_protocol_says(
 def test_every_shape_is_one_closed_mesh_on_the_road_that_faces_outwards(name, index):
     shape = load_actors()[name].shapes[index]
     mesh = mesh_of(shape)
+
     assert shape.vertices_m[:, 2].min() == 0.0
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -145,6 +147,7 @@ def test_axles_are_under_the_box_and_wheels_stand_below_them(name):
     front = ahead[ahead > 0.0]
     rear = ahead[ahead < 0.0]
     rear_axle_m = actor.front_axle_ahead_m - actor.wheelbase_m
+
     assert front.mean() == pytest.approx(actor.front_axle_ahead_m, abs=0.02)
     assert rear.mean() == pytest.approx(rear_axle_m, abs=0.02)
 
@@ -164,6 +167,7 @@ def test_axles_of_targets_are_as_far_from_the_box_ends_as_the_source_says(
 ):
     actor = load_actors()[name]
     rear_axle_m = actor.front_axle_ahead_m - actor.wheelbase_m
+
     assert actor.wheelbase_m == wheelbase_m
     assert 0.5 * actor.length_m - rear_axle_m == pytest.approx(front_m)
     assert 0.5 * actor.length_m + rear_axle_m == pytest.approx(rear_m)
@@ -189,6 +193,7 @@ def test_walkers_stand_together_at_rest_and_are_widest_a_quarter_of_a_cycle_late
 ):
     shapes = load_actors()[name].shapes
     widths_m = np.array([np.ptp(shape.vertices_m[:, 0]) for shape in shapes])
+
     assert np.argmin(widths_m) % 4 == 0
     assert np.argmax(widths_m) % 4 == 2
     assert widths_m[0] == pytest.approx(widths_m.min(), rel=0.01)
@@ -211,6 +216,7 @@ def test_shapes_follow_one_another_along_the_way(name):
     actor = load_actors()[name]
     n_shapes = len(actor.shapes)
     way_m = actor.cycle_m / n_shapes * np.arange(-n_shapes, 3 * n_shapes)
+
     for shift in (-0.49, 0.0, 0.49):
         index = actor.shape_index(way_m + shift * actor.cycle_m / n_shapes)
         assert index.tolist() == 4 * list(range(n_shapes))
@@ -223,6 +229,7 @@ def test_a_distance_in_its_last_bits_changes_no_shape(distance_m):
     step_m = adult.cycle_m / len(adult.shapes)
     middle_m = (np.floor(distance_m / step_m) + 0.5) * step_m
     found = adult.shape_index(middle_m + 1e-10 * np.array([-1.0, 0.0, 1.0]))
+
     assert len(set(found.tolist())) == 1
 
 
@@ -337,6 +344,7 @@ def test_an_actor_may_be_made_by_hand():
         height_m=2.0,
         shapes=(shape,),
     )
+
     assert actor.shapes[0].triangles.dtype == np.int32
     assert actor.cycle_m == 0.0
     assert actor.reference_ahead_m == 0.0

@@ -34,6 +34,7 @@ def test_the_one_file_is_there_with_its_neighbours_and_then_gone(tmp_path):
         assert member.read_text() == "shp"
         assert (member.parent / "roads.dbf").read_text() == "dbf"
         folder = member.parents[2]
+
     assert not folder.exists()
     assert names_in(tmp_path) == ["maps.zip"]
 
@@ -106,6 +107,7 @@ def test_encrypted_files_are_refused(tmp_path):
     for signature, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
         data[data.index(signature) + offset] |= 1
     path.write_bytes(data)
+
     with pytest.raises(InputError, match="encrypted"), unpacked(path, SUFFIXES):
         pass
 
@@ -114,6 +116,7 @@ def test_encrypted_files_are_refused(tmp_path):
 def test_what_is_no_archive_is_refused(tmp_path, data):
     path = tmp_path / "a.zip"
     path.write_bytes(data)
+
     with pytest.raises(InputError, match="zip"), unpacked(path, SUFFIXES):
         pass
     with (

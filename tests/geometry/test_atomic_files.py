@@ -13,6 +13,7 @@ def _names(folder):
 def test_a_file_is_written_and_nothing_else_is_left(tmp_path):
     path = tmp_path / "a.bin"
     write_atomically(path, lambda file: file.write(b"\x00new"))
+
     assert path.read_bytes() == b"\x00new"
     assert _names(tmp_path) == ["a.bin"]
 
@@ -21,6 +22,7 @@ def test_a_file_that_is_there_is_replaced(tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(b"a long old content")
     write_atomically(path, lambda file: file.write(b"new"))
+
     assert path.read_bytes() == b"new"
 
 
@@ -60,6 +62,7 @@ def test_whatever_is_raised_leaves_everything_as_it_was(tmp_path, error, is_ther
 def test_a_folder_in_the_way_is_an_error_and_stays(tmp_path):
     path = tmp_path / "a.bin"
     path.mkdir()
+
     with pytest.raises(OSError, match=r"a\.bin"):
         write_atomically(path, lambda file: file.write(b"new"))
     assert _names(tmp_path) == ["a.bin"]
@@ -85,7 +88,9 @@ def test_a_file_is_as_readable_as_any_other_new_one(tmp_path, mask, mode):
         assert os.umask(mask) == mask
     finally:
         os.umask(before)
+
     assert found == [mode, mode]
+
     write_atomically(
         tmp_path / "c.bin", lambda file: file.write(b"new"), is_private=True
     )

@@ -39,6 +39,7 @@ def _entry(**changes):
 def test_building_again_gives_the_shapes_on_disk(library, name):
     built = build_shapes(TABLE[name], name)
     kept = load_actors()[name].shapes
+
     assert len(built) == len(kept)
     for one, other in zip(built, kept, strict=True):
         meshes = [
@@ -56,6 +57,7 @@ def test_what_is_saved_is_what_is_read(library, tmp_path):
     table = {name: TABLE[name] for name in ("child",)}
     save_shapes(tmp_path / "actors.npz", table)
     actors = read_actors(table, tmp_path / "actors.npz")
+
     assert list(actors) == ["child"]
     for name, actor in actors.items():
         for one, other in zip(
@@ -113,6 +115,8 @@ def test_legs_that_are_too_short_for_the_pedals_are_refused():
 def test_building_without_manifold3d_names_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "manifold3d", None)
     body_shapes._manifold3d.cache_clear()
+
     with pytest.raises(MissingExtraError, match="pip install manifold3d"):
         build_shapes(_entry(), "ball")
+
     body_shapes._manifold3d.cache_clear()

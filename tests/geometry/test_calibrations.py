@@ -53,6 +53,7 @@ def test_what_is_written_is_read_again(
     path = tmp_path_factory.mktemp("read") / "cameras.yaml"
     path.write_text(ros_text(named) if is_ros else opencv_text(named, "both"))
     found = read_cameras(path)
+
     assert list(found) == ["north 1", "south"]
     for one in found.values():
         assert one.lens == lens
@@ -71,10 +72,13 @@ def test_files_of_others_are_told_apart(tmp_path):
         entry, files = READERS["recorded calibrations"].seeds()[kind]
         (tmp_path / entry).write_bytes(files[entry])
     (tsai,) = read_cameras(tmp_path / "tsai.xml").values()
+
     assert isinstance(tsai.lens, TsaiRadial)
+
     (opencv,) = read_cameras(tmp_path / "intrinsic.xml", size_px=(1920, 1080)).values()
     assert opencv.lens == BrownConrady(k1=-0.4, k2=0.6, p1=0.008, p2=0.001, k3=-0.6)
     assert (opencv.R_camera_world == np.eye(3)).all()  # the file does not say
+
     (kitti,) = read_cameras(tmp_path / "calib.txt", size_px=(1242, 375)).values()
     assert kitti.lens == BrownConrady()
     with pytest.raises(
@@ -150,6 +154,7 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0.1, 0, 0, 0, 0]}
 def test_what_is_wrong_in_a_calibration_is_one_line(old, new, words, tmp_path):
     path = tmp_path / "camera.yaml"
     assert old in ROS
+
     path.write_text(ROS.replace(old, new))
     if not words:
         assert read_cameras(path)["camera"].lens == BrownConrady(k1=0.1)
@@ -178,8 +183,10 @@ def test_a_calibration_as_a_layout_sees_what_the_camera_saw(
     path.write_text(opencv_text({"north": camera}, "one"))
     layout = load_layout(path)
     (unit,) = layout.units
+
     assert unit.sensor.lens == lens
     assert unit.sensor.focal_length_px == pytest.approx(900.0, rel=1e-9)
+
     ahead = camera.R_camera_world[2]
     points = (
         camera.position_m
@@ -190,8 +197,10 @@ def test_a_calibration_as_a_layout_sees_what_the_camera_saw(
     ours = project_points(points, unit.pose, unit.sensor)
     # A calibration's first pixel is at 0, here at 0.5.
     both = np.isfinite(ours[:, 0])
+
     assert both.any()
     assert ours[both, :2] - 0.5 == pytest.approx(theirs[both, :2], abs=1e-4)
+
     # It is written down again as a layout, and as a calibration.
     again = layout_from_records(
         "again",
@@ -204,6 +213,7 @@ def test_a_calibration_as_a_layout_sees_what_the_camera_saw(
         },
     )
     assert again.units[0].sensor == unit.sensor
+
     (found,) = calibrations(layout, "opencv").values()
     assert found.lens == lens
     assert found.K[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx([900, 880, 633, 361.5])
@@ -215,6 +225,7 @@ def test_the_pole_that_carries_a_calibrated_camera_is_not_seen(tmp_path):
     path = tmp_path / "camera.yaml"
     path.write_text(ROS)
     (unit,) = load_layout(path).units
+
     assert {unit.sensor.near_m} == {camera.near_m for camera in load_cameras().values()}
 
 
@@ -222,6 +233,7 @@ def test_a_calibration_that_folds_before_its_edge_is_no_layout(tmp_path):
     camera = camera_with(BrownConrady(k1=-0.9), POSE)
     path = tmp_path / "folds.yaml"
     path.write_text(opencv_text({"north": camera}, "one"))
+
     with pytest.raises(
         InputError, match="north: distortion: got a lens that folds the picture bef"
     ):

@@ -53,6 +53,7 @@ def gaps_of(a, b):
 def test_corners_go_counter_clockwise_around_the_declared_area(rectangle):
     corners = corners_of(rectangle)
     assert corners.mean(axis=0) == pytest.approx(rectangle.centre_m, abs=1e-12)
+
     area = polygon_area([tuple(corner) for corner in corners])
     assert area == pytest.approx(rectangle.length_m * rectangle.width_m, rel=1e-9)
     assert corners == pytest.approx(np.array(polygon_of(rectangle)), abs=1e-9)
@@ -62,6 +63,7 @@ def test_first_corner_is_front_left():
     north_deg = 90.0
     corners = footprint_corners([10.0, 20.0], north_deg, length_m=4.0, width_m=2.0)
     expected = array_of("9 22, 9 18, 11 18, 11 22")
+
     assert corners == pytest.approx(expected, abs=1e-12)
 
 
@@ -106,6 +108,7 @@ def test_separation_of_parallel_rectangles_is_the_larger_gap(
         abs(ahead_m) - 0.5 * (a.length_m + length_m),
         abs(left_m) - 0.5 * (a.width_m + width_m),
     )
+
     assert separation_of(a, b) == pytest.approx(expected, abs=1e-9)
 
 
@@ -113,6 +116,7 @@ def test_separation_of_parallel_rectangles_is_the_larger_gap(
 def test_gaps_from_middles_and_headings_are_those_of_the_corners(a, b):
     gaps = gaps_of(a, b)
     assert gaps.max() == pytest.approx(separation_of(a, b), abs=1e-11)
+
     # Each is what lies between the corners along a normal.
     yaws_deg = [a.yaw_deg, a.yaw_deg + 90.0, b.yaw_deg, b.yaw_deg + 90.0]
     for gap, yaw in zip(gaps, np.radians(yaws_deg), strict=True):
@@ -127,6 +131,8 @@ def test_separation_from_middles_and_headings_broadcasts():
     sizes = FootprintSizes(length_a_m=2.0, width_a_m=2.0, length_b_m=2.0, width_b_m=2.0)
     offset = np.stack([np.arange(5.0), np.zeros(5)], axis=-1)
     gaps = gaps_between(offset, np.zeros((4, 1)), 90.0, sizes=sizes)
+
     assert gaps.shape == (4, 4, 5)
+
     separation = gaps.max(axis=0)
     assert separation[3] == pytest.approx([-2.0, -1.0, 0.0, 1.0, 2.0])

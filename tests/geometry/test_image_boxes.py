@@ -35,6 +35,7 @@ def test_clipping_keeps_exactly_the_pixels_inside_the_image(box):
     inside = np.zeros_like(_pixels(box))
     inside[10 : 10 + SIZE_PX, 10 : 10 + SIZE_PX] = True
     clipped = clip_boxes(box, width_px=SIZE_PX, height_px=SIZE_PX)
+
     assert np.array_equal(_pixels(clipped), _pixels(box) & inside)
 
 
@@ -58,6 +59,7 @@ def test_mask_box_is_the_smallest_box_around_the_set_pixels(mask):
     if corners:
         left, top, right, bottom = zip(*corners, strict=True)
         expected = [min(left), min(top), max(right), max(bottom)]
+
     assert mask_box(mask).tolist() == expected
 
 

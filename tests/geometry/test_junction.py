@@ -49,6 +49,7 @@ def test_pedestrians_of_the_protocols_junction_cross_9_5_m_from_its_axes():
 def test_a_crosswalk_of_the_scene_is_taken_by_the_arm_that_it_crosses():
     scene = protocol_scene(crosswalks_m=[[[-4.0, 13.0], [4.0, 13.0]]])
     arms = build_junction(scene).arms
+
     assert arms["north"].crosswalk.point_m[1] == 13.0
     assert arms["east"].crosswalk.point_m[0] == pytest.approx(9.5)
 
@@ -61,6 +62,7 @@ def test_lanes_are_ordered_from_the_kerb_to_the_axis_however_the_junction_lies(
     for arm, bearing in ARMS.items():
         lanes += lanes_of(arm, bearing + angle_deg, n_lanes=3)
     arms = arms_of(lanes[::-1], outline_m=turned(SQUARE_M, angle_deg))
+
     for arm in arms.values():
         for ordered in (arm.lanes_in, arm.lanes_out):
             assert [lane.id[-1] for lane in ordered] == ["0", "1", "2"]
@@ -88,6 +90,7 @@ def test_arms_that_share_a_point_of_the_compass_are_told_apart_by_eight():
         lanes += lanes_of(arm, bearing)
     rim = [turned([MOUTH_M, 0.0], angle) for angle in range(0, 360, 4)]
     arms = arms_of(lanes, outline_m=np.array(rim))
+
     assert list(arms) == ["east", "north-east", "west"]
 
 
@@ -95,6 +98,7 @@ def test_a_one_way_arm_has_lanes_of_one_kind_only():
     lanes = lanes_of("east", 0.0, has_out=False)
     lanes += lanes_of("west", 180.0, has_in=False)
     arms = arms_of(lanes)
+
     assert not arms["east"].exit_lanes
     assert not arms["west"].entry_lanes
 
@@ -109,8 +113,10 @@ def test_lanes_that_do_not_reach_the_outline_are_told():
 def test_a_bent_lane_tells_how_far_it_leaves_its_line():
     lane = build_lane("bent", array_of("60 6, 40 0, 10 0"))
     near, off_near_m = lane_line(lane, is_in=True, length_m=30.0)
+
     assert near.yaw_deg == pytest.approx(180.0)
     assert off_near_m == pytest.approx(0.0, abs=1e-12)
+
     _, off_m = lane_line(lane, is_in=True, length_m=100.0)
     # The chord leads from mouth to begin; the bend lies 30 m out on the axis.
     assert off_m == pytest.approx(30.0 * 6.0 / np.hypot(50.0, 6.0))
@@ -119,6 +125,7 @@ def test_a_bent_lane_tells_how_far_it_leaves_its_line():
 def test_lines_cross_where_both_are():
     a = Line(point_m=[0.0, 1.0], direction=[2.0, 0.0])
     b = Line(point_m=[3.0, -5.0], direction=[1.0, 1.0])
+
     assert a.crossing_with(b) == pytest.approx([9.0, 1.0])
     assert a.coordinates([4.0, 3.0]) == pytest.approx([4.0, 2.0])
     assert a.turned(90.0).direction == pytest.approx([0.0, 1.0])
@@ -139,6 +146,7 @@ def test_any_number_of_arms_at_any_angle_have_names_of_their_own(angles_deg):
                 way = way[::-1]
             lanes.append(build_lane(f"{angle}-{name}", turned(way, float(angle))))
     arms = arms_of(lanes, outline_m=np.array(rim))
+
     for arm, angle in zip(arms.values(), sorted(angles_deg), strict=True):
         assert ids(arm.lanes_in) == [f"{angle}-in"]
         assert ids(arm.lanes_out) == [f"{angle}-out"]
@@ -152,6 +160,7 @@ def test_a_median_does_not_split_an_arm_but_a_block_does(median_m, n_arms):
         build_lane("out", [[11.5, -y], [61.5, -y]]),
     ]
     outline = array_of("11.5 -40, 11.5 40, -11.5 40, -11.5 -40")
+
     assert len(arms_of(lanes, outline_m=outline)) == n_arms
 
 
@@ -161,6 +170,7 @@ def test_where_traffic_keeps_left_the_kerb_is_on_the_left():
     for lane in arm_lanes(n_lanes=2):
         lanes.append(replace(lane, centreline_m=lane.centreline_m[::-1]))
     left = replace(scene, lanes=tuple(lanes), keeps_left=True)
+
     for name, arm in build_junction(left).arms.items():
         assert ids(arm.entry_lanes) == [f"{name}-out-0", f"{name}-out-1"]
         assert ids(arm.exit_lanes) == [f"{name}-in-0", f"{name}-in-1"]

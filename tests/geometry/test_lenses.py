@@ -77,6 +77,7 @@ def test_a_lens_without_distortion_is_the_pinhole(pose, camera, lens):
     points = POINTS * 5.0 + pose.position_m
     ours = project_distorted(points, calibrated(pose, camera, lens))
     pinhole = project_points(points, pose, camera)
+
     assert ours == pytest.approx(pinhole, rel=1e-9, nan_ok=True)
 
 
@@ -100,6 +101,7 @@ def test_brown_conrady_agrees_with_opencv_wherever_the_lens_keeps_the_order(
     theirs, _ = cv2.projectPoints(
         POINTS[shown], turn, offset, matrix_of(camera), np.array(terms)
     )
+
     assert ours[shown, :2] == pytest.approx(theirs[:, 0], rel=1e-8, abs=1e-6)
 
 
@@ -107,6 +109,7 @@ def test_points_that_the_polynomial_would_fold_back_are_not_shown():
     lens = BrownConrady(k1=-0.4)  # r - 0.4 r^3 stops rising at r^2 = 1 / 1.2
     edge = (1.0 / 1.2) ** 0.5
     shown = lens.distort(np.array([[edge - 1e-6, 0.0], [edge + 1e-6, 0.0]]))
+
     assert np.isfinite(shown).all(axis=1).tolist() == [True, False]
 
 
@@ -115,6 +118,7 @@ def test_tsais_lens_and_its_inverse_cancel(kappa, x, y):
     lens = TsaiRadial(kappa=kappa)
     points = np.array([[x, y]])
     shown = lens.distort(points)
+
     if np.isfinite(shown).all():
         assert lens.undistort(shown) == pytest.approx(points, abs=1e-8)
     else:  # beyond the largest radius, 2 / 3 of the turning point, that it shows
@@ -137,7 +141,9 @@ def test_a_ground_point_projects_to_its_pixel(kappa):
     )
     pixels = array_of("10 500, 400 300, 760 20, 324 -2000")
     points = ground_points(pixels, camera)
+
     assert points[:3, 2] == pytest.approx(0.0, abs=1e-9)
+
     again = project_distorted(points[:3], camera)
     assert again[:, :2] == pytest.approx(pixels[:3], abs=1e-6)
     assert np.isnan(points[3]).all()  # above the horizon
@@ -185,7 +191,9 @@ def test_to_undistort_what_is_distorted_finds_the_ray_again(lens, seed):
     turn = rng.uniform(0.0, 7.0, 200)
     rays = np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
     shown = lens.distort(rays)
+
     assert np.isfinite(shown).all()
+
     found = lens.undistort(shown)
     assert np.abs(found - rays).max() < 1e-6
 
@@ -198,8 +206,10 @@ def test_what_is_too_far_out_for_numbers_is_not_shown():
 def test_large_terms_show_the_whole_picture_and_endless_ones_are_refused():
     lens = BrownConrady(k3=1e9)
     assert lens.angle_of(lens.shown_at(0.9)) == pytest.approx(0.9)
+
     wide = replace(pick_camera("carla-ncap-rgb", "name"), lens=lens)
     assert np.isfinite(pixel_grid(replace(wide, width_px=64, height_px=36))).all()
+
     told = r"carla-ncap-rgb.lens: got .*1e\+300.*; expected terms"
     with pytest.raises(InputError, match=told):
         replace(wide, lens=BrownConrady(k1=1e300))

@@ -74,6 +74,7 @@ def test_the_ring_is_that_of_its_data_sheet():
     assert RING.frame_rate_hz == 10.0
     assert RING.reference_range_m == 40.0
     assert RING.reference_reflectivity == 0.1
+
     # Its two ranges agree with the LiDAR equation: 120 m on 80 %.
     bright = probability_at(120.0, RING, reflectivity=0.8)
     assert bright == pytest.approx(0.76, abs=0.01)
@@ -91,6 +92,7 @@ def test_beams_are_unit_vectors_in_the_middle_of_equal_cells(lidar):
     directions = beam_directions(lidar)
     assert directions.shape == (lidar.n_lines, lidar.n_columns, 3)
     assert np.linalg.norm(directions, axis=-1) == pytest.approx(1.0, abs=1e-12)
+
     azimuth, elevation = angles_deg(directions)
     for angles, fov_deg, count in (
         (azimuth, lidar.horizontal_fov_deg, lidar.n_columns),
@@ -118,6 +120,7 @@ def test_the_diagonal_cone_touches_the_field_of_view_and_holds_every_beam(lidar)
     elevations = np.linspace(-half_height, half_height, 201)
     limit = math.cos(math.radians(0.5 * lidar.diagonal_fov_deg))
     on_border = np.cos(elevations) * math.cos(half_width)
+
     assert limit == pytest.approx(on_border.min(), abs=1e-9)
     assert (beam_directions(lidar)[..., 0] >= limit - 1e-9).all()
 
@@ -139,10 +142,13 @@ def test_a_ring_turned_by_whole_columns_has_the_same_beams(lidar, n_columns):
     sine = math.sin(turn)
     rotation = [[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]
     turned = beams @ np.array(rotation)
+
     assert_allclose(turned, np.roll(beams, -n_columns, axis=1), atol=1e-12)
+
     (azimuth,), _ = angles_deg(beams[:1])
     azimuth = np.sort(azimuth)
     steps = np.diff(np.append(azimuth, azimuth[0] + 360.0))
+
     assert_allclose(steps, 360.0 / ring.n_columns, atol=1e-9)
 
 
@@ -191,6 +197,7 @@ def test_the_log_odds_follow_the_lidar_equation(
         expected = 1.0 / (1.0 + math.exp(-odds))
     else:
         expected = 0.0
+
     assert probability == pytest.approx(expected, rel=1e-9, abs=1e-300)
 
 
@@ -202,10 +209,13 @@ def test_a_pulse_along_the_surface_or_on_black_is_lost():
 def test_noise_has_the_spread_of_the_model_and_is_seeded():
     distance = np.full((200, 200), 40.0)
     noisy = noisy_ranges(STUDY, distance, np.random.default_rng(1))
+
     assert noisy.shape == distance.shape
+
     error = noisy - distance
     assert error.mean() == pytest.approx(0.0, abs=4.0 * STUDY.range_noise_m / 200.0)
     assert error.std() == pytest.approx(STUDY.range_noise_m, rel=0.02)
+
     again = noisy_ranges(STUDY, distance, np.random.default_rng(1))
     assert (again == noisy).all()
 
@@ -213,6 +223,7 @@ def test_noise_has_the_spread_of_the_model_and_is_seeded():
 def test_detection_asks_for_points_of_every_class_of_road_user():
     detection = load_lidar_detection()
     assert set(detection.min_points) == set(detection.reflectivity)
+
     # Blickfeld's default for clusters; MMDetection3D for pedestrians and cyclists.
     classes = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
     assert detection.min_points == dict.fromkeys(classes, 10)

@@ -23,6 +23,7 @@ def test_rotations_are_orthonormal_and_right_handed(yaw_deg, pitch_deg):
 def test_rotations_of_many_angles_are_those_of_each(pairs):
     yaw, pitch = np.array(pairs).T
     many = body_rotation(yaw, pitch)
+
     assert many.shape == (len(pairs), 3, 3)
     for rotation, pair in zip(many, pairs, strict=True):
         assert rotation == pytest.approx(body_rotation(*pair), abs=1e-15)
@@ -73,6 +74,7 @@ def test_to_world_of_a_point_ahead():
 def test_wrap_deg_lies_in_the_half_open_turn_and_keeps_the_direction(angle_deg):
     wrapped = float(wrap_deg(angle_deg))
     assert -180.0 < wrapped <= 180.0
+
     turns = (wrapped - angle_deg) / 360.0
     assert turns == pytest.approx(round(turns), abs=1e-12)
     assert wrap_deg(wrapped) == wrapped

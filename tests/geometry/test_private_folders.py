@@ -18,11 +18,11 @@ from geometry.cache_folders import (
     ("mode", "is_shared"),
     rows_of(
         """
-    448  | False
-    493  | False
-    455  | True
-    511  | True
-    1023 | True
+    0o700  | False
+    0o755  | False
+    0o707  | True
+    0o777  | True
+    0o1777 | True
 """,
         n_texts=0,
     ),
@@ -33,11 +33,13 @@ def test_who_else_may_write_is_told_by_the_rights_of_a_folder(
     folder = tmp_path / "cache"
     folder.mkdir()
     folder.chmod(mode)
+
     assert writable_by_others(folder) is is_shared
+
     inside = folder / "own"
-    inside.mkdir(
-        mode=0o700
-    )  # others may put another in its place, but where that is forbidden
+    # Others may put another in its place, but where that is forbidden.
+    inside.mkdir(mode=0o700)
+
     assert writable_by_others(inside) is (is_shared and not mode & 0o1000)
 
 
@@ -79,7 +81,9 @@ def test_a_folder_behind_links_is_judged_by_all_that_leads_there(tmp_path):
     target.mkdir(mode=0o700)
     (tmp_path / "first").symlink_to("open")
     (tmp_path / "link").symlink_to(tmp_path / "first" / "own")
+
     assert not writable_by_others(tmp_path / "link")
+
     (tmp_path / "open").chmod(0o777)
     assert writable_by_others(tmp_path / "link")
 
@@ -94,6 +98,7 @@ def test_files_of_another_user_are_not_believed(tmp_path):
     with open_own(path) as file:
         assert file.read() == b"mine"
     os.chown(path, 4321, 4321)
+
     assert writable_by_others(path)
     with pytest.raises(PermissionError, match="another user may have written it"):
         open_own(path)
@@ -113,8 +118,10 @@ def test_a_temporary_folder_is_the_same_unless_somebody_else_holds_its_name(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     find = private_temporary_folder.__wrapped__
     first = find()
+
     assert find() == first == tmp_path / f"place-rsus-{os.getuid()}"
     assert first.stat().st_mode & 0o777 == 0o700
+
     first.chmod(0o777)
     removed = []
     monkeypatch.setattr(
@@ -123,6 +130,7 @@ def test_a_temporary_folder_is_the_same_unless_somebody_else_holds_its_name(
         lambda remove, folder, **_: removed.append(folder),
     )
     other = find()
+
     assert other != first
     assert other.stat().st_mode & 0o777 == 0o700
     assert removed == [other]

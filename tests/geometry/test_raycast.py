@@ -73,14 +73,18 @@ def test_rays_against_a_box_are_those_of_the_slab_formula(library, seed):
     is_inside = (entry < -margin) & (leave > margin)
     is_hit = (entry > margin) & (leave > entry + margin)
     is_missed = (entry > leave + margin) | (leave < -margin)
+
     assert (is_inside | is_hit | is_missed).mean() > 0.9
+
     share = caster.first_triangle(origins, vectors)[0]
     assert share[is_hit] == pytest.approx(entry[is_hit], rel=1e-4, abs=1e-5)
     assert share[is_inside] == pytest.approx(leave[is_inside], rel=1e-4, abs=1e-5)
     assert np.isposinf(share[is_missed]).all()
+
     first = np.where(is_inside, leave, entry)
     is_clear = (is_inside | is_hit) & (np.abs(first - 1.0) > margin)
     blocked = caster.is_blocked(origins, vectors)
+
     assert np.array_equal(blocked[is_clear], first[is_clear] < 1.0)
     assert not blocked[is_missed].any()
 
@@ -92,6 +96,7 @@ def test_a_segment_ends_where_it_ends(library, side):
     # Just before, just after, away from it.
     ways = side * np.outer([9.999, 10.001, -9.0], [1.0, 0.0, 0.0])
     blocked = caster.is_blocked(origins, ways.astype(np.float32))
+
     assert blocked.tolist() == [False, True, False]
 
 
@@ -105,6 +110,7 @@ def test_the_nearest_of_several_triangles_is_hit_at_its_share_of_the_vector(libr
     share, _ = caster.first_triangle(
         origins.astype(np.float32), vectors.astype(np.float32)
     )
+
     assert share == pytest.approx([3.0, 0.25, np.inf, 4.0], rel=1e-6)
 
 
@@ -169,6 +175,7 @@ def test_blocked_means_that_the_first_hit_comes_before_the_end(library, seed):
     share, _ = caster.first_triangle(origins, vectors)
     blocked = caster.is_blocked(origins, vectors)
     is_clear = np.abs(share - 1.0) > 1e-5
+
     assert np.array_equal(blocked[is_clear], (share <= 1.0)[is_clear])
 
 
@@ -177,6 +184,7 @@ def test_nothing_is_hit_where_nothing_is(library):
     caster = build_caster(np.zeros((0, 3)), no_triangles, library=library)
     origins, vectors = random_rays(np.random.default_rng(0), 10, 5.0)
     share, index = caster.first_triangle(origins, vectors)
+
     assert not caster.is_blocked(origins, vectors).any()
     assert np.isposinf(share).all()
     assert (index == -1).all()
@@ -185,6 +193,7 @@ def test_nothing_is_hit_where_nothing_is(library):
 def test_no_rays_give_no_answers(library):
     none = np.zeros((0, 3), dtype=np.float32)
     caster = build_caster(*wall(10.0), library=library)
+
     assert caster.is_blocked(none, none).shape == (0,)
     assert [part.shape for part in caster.first_triangle(none, none)] == [(0,), (0,)]
 
@@ -194,8 +203,10 @@ def test_answers_have_the_declared_types_and_rays_may_be_strided(library):
     rays = np.zeros((4, 6), dtype=np.float32)
     rays[:, 3] = [20.0, 5.0, 20.0, 5.0]
     blocked = caster.is_blocked(rays[:, :3], rays[:, 3:])
+
     assert blocked.dtype == np.bool_
     assert blocked.tolist() == [True, False, True, False]
+
     share, _ = caster.first_triangle(rays[:, :3], rays[:, 3:])
     assert share.dtype == np.float32
     assert share == pytest.approx([0.5, 2.0, 0.5, 2.0])
@@ -211,6 +222,7 @@ def test_two_threads_get_the_answers_of_one(library):
     with ThreadPoolExecutor(2) as pool:
         blocked = list(pool.map(lambda rays: shared.is_blocked(*rays), batches))
         first = list(pool.map(lambda rays: shared.first_triangle(*rays), batches))
+
     for rays, two_blocked, (two_share, _) in zip(batches, blocked, first, strict=True):
         share, _ = alone.first_triangle(*rays)
         assert np.array_equal(alone.is_blocked(*rays), two_blocked)
@@ -294,6 +306,7 @@ def test_why_open3d_cannot_load_is_told_with_the_remedy(
 ):
     break_open3d(error)
     reason = f"Open3D cannot load ({cause}); to use it: {remedy}"
+
     assert open3d_problem() == reason
     assert caster_name() == "embree"
     with refused_with(f"--rays: got 'open3d'; expected a library that loads: {reason}"):
@@ -313,6 +326,7 @@ def test_embreex_casts_where_it_loads_and_open3d_is_not_imported(break_open3d):
 def test_open3d_casts_where_embreex_cannot_load_or_it_is_asked_for(monkeypatch):
     caster = build_caster(BOX.vertices, BOX.faces, library="open3d")
     assert isinstance(caster, raycast.Open3dCaster)
+
     monkeypatch.setattr(raycast, "embreex_problem", lambda: "embreex cannot load")
     assert caster_name() == "open3d"
     with pytest.raises(InputError, match="a library that loads: embreex cannot load"):

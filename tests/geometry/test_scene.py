@@ -170,6 +170,7 @@ def test_a_point_lies_in_a_box_if_it_is_between_all_its_sides(
         return
     is_inside = (np.abs(point) < half).all()
     found = containing_instance(scene, world)
+
     assert (found is not None) == is_inside
     assert not is_inside or found is scene.instances[0]
 
@@ -178,6 +179,7 @@ def test_between_two_bodies_is_open_air_and_in_the_second_one_is_the_second():
     west = box([2.0, 2.0, 2.0], at=[-3.0, 0.0, 0.0], yaw_deg=30.0)
     east = box([2.0, 2.0, 2.0], at=[3.0, 0.0, 0.0], yaw_deg=30.0)
     scene = scene_of(west, east)
+
     assert containing_instance(scene, [0.0, 0.0, 1.0]) is None
     assert containing_instance(scene, [3.0, 0.2, 1.0]) is scene.instances[1]
 
@@ -193,6 +195,7 @@ def test_a_hollow_that_a_box_around_it_would_fill_is_open_air():
     other = trimesh.creation.box(bounds=[[0, 2, 0], [2, 10, 5]])
     ell = trimesh.util.concatenate([wing, other])
     scene = scene_of(("building", ell.vertices, ell.faces))
+
     assert containing_instance(scene, [8.0, 8.0, 2.0]) is None
     assert containing_instance(scene, [8.0, 1.0, 2.0]) is scene.instances[0]
     assert containing_instance(scene, [1.0, 8.0, 2.0]) is scene.instances[0]
@@ -201,6 +204,7 @@ def test_a_hollow_that_a_box_around_it_would_fill_is_open_air():
 def test_a_parked_car_made_of_overlapping_parts_holds_what_is_in_any_of_them():
     (car,) = load_actors()["parked-car-large"].shapes
     scene = scene_of(("parked vehicle", car.vertices_m, car.triangles))
+
     assert containing_instance(scene, [0.0, 0.0, 0.7]) is scene.instances[0]  # body
     assert containing_instance(scene, [-0.5, 0.0, 1.3]) is scene.instances[0]  # cabin
     assert containing_instance(scene, [2.15, 0.0, 1.4]) is None  # above the bonnet

@@ -97,6 +97,7 @@ def test_what_may_be_wrong_is_found_and_nothing_else(things, expected):
         things[0][2].bounds[0][0] == 6.0
     ):  # the box at the site reaches into the junction, too
         findings = [line for line in findings if "lane" not in line]
+
     assert len(findings) == len(expected)
     for line, begin in zip(findings, expected, strict=True):
         assert line.startswith(begin)
@@ -106,6 +107,7 @@ def test_triangles_that_face_inwards_are_told():
     mesh = box(30, 30)
     mesh.invert()
     (finding,) = check_scene(with_things(("a", "building", mesh)))
+
     assert finding.why == "its triangles face inwards"
 
 
@@ -113,8 +115,10 @@ def test_no_sites_and_no_way_in_are_errors():
     (finding,) = check_scene(with_things(sites=False))
     assert finding.level == "error"
     assert finding.what == "sites"
+
     scene = with_things()
     (finding,) = check_scene(replace(scene, outline_m=scene.outline_m + 100.0))
+
     assert finding.level == "error"
     assert finding.why == "no lane ends at the junction's outline"
 
@@ -123,6 +127,7 @@ def test_assumed_heights_are_told_with_few_names():
     scene = load_study_scene()
     things = [replace(thing, is_height_assumed=True) for thing in scene.instances[:9]]
     (finding,) = check_scene(replace(scene, instances=(*things, *scene.instances[9:])))
+
     assert finding.what == ", ".join(sorted(t.id for t in things)[:6]) + " and 3 more"
 
 
@@ -131,6 +136,7 @@ def test_a_footprint_is_what_a_thing_covers_from_above():
     ring.apply_translation([30.0, 30.0, 1.5])
     scene = with_things(("a", "building", ring))
     footprint = thing_footprint(scene, len(scene.instances) - 1)
+
     assert footprint.area == pytest.approx(np.pi * 21.0, rel=0.01)
     assert len(footprint.interiors) == 1
 
@@ -138,6 +144,7 @@ def test_a_footprint_is_what_a_thing_covers_from_above():
 def test_a_lane_that_leads_over_the_opposite_carriageway_is_found():
     scene = protocol_scene()
     assert not [one for one in check_scene(scene) if "opposite directions" in one.why]
+
     y_m = 0.5 * LANE_M
     line = [[-60.0, y_m + 1.0], [-40.0, y_m - 1.0], [-MOUTH_M, -y_m]]
     over = Lane(id="over", kind="driving", width_m=LANE_M, centreline_m=np.array(line))
@@ -146,6 +153,7 @@ def test_a_lane_that_leads_over_the_opposite_carriageway_is_found():
         for one in check_scene(replace(scene, lanes=(*scene.lanes, over)))
         if "opposite directions" in one.why
     ]
+
     assert [(one.level, one.what) for one in found] == [
         ("warning", "west-out-0 and over")
     ]

@@ -93,6 +93,7 @@ def test_a_scene_comes_back_as_it_was(folder, archive):
 def test_notes_and_roads_come_back(folder):
     scene = load_scene_folder(folder)
     assert scene.notes == NOTES
+
     (road,) = scene.roads
     assert_same(road, ROAD, "name", "lanes_in")
 
@@ -101,6 +102,7 @@ def test_other_programs_see_things_upright(folder):
     meshes = trimesh.load_scene(folder / THINGS_FILE)
     # y is up: the highest building, not the street's length.
     x, y, z = np.ptp(meshes.bounds, axis=0)
+
     assert y < 30.0
     assert min(x, z) > 100.0
 
@@ -177,6 +179,7 @@ def test_a_note_that_was_changed_by_hand_says_what_it_says_now(with_phrases, tmp
     stood = 'why = "it stood inside wall 3'
     again = changed(with_phrases, tmp_path, stood, 'why = "it is at wall 3')
     (note,) = load_scene_folder(again).notes
+
     assert note.why == note.why.template == "it is at wall 3: moved 2.5 m"
     assert note.what.template == "{kind} {name}"
 
@@ -198,14 +201,18 @@ def test_what_is_no_scene_is_refused(folder, tmp_path):
         load_scene_folder(tmp_path / "gone")
     with pytest.raises(InputError, match=r"got no scene\.toml; expected a folder of"):
         load_scene_folder(tmp_path)
+
     file = tmp_path / "a.zip"
     file.write_bytes(b"PK\x03\x04 nothing")
+
     with pytest.raises(InputError, match=r"expected a scene: a folder or \.zip file"):
         load_scene_folder(file)
+
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr("../scene.toml", "x")
     with pytest.raises(InputError, match=r"There is no item named 'scene\.toml'"):
         load_scene_folder(file)
+
     broken = changed(folder, tmp_path, "version = 1", "version = 1")
     data = (broken / THINGS_FILE).read_bytes()
     for content in (b"", b"glTF", data[: len(data) // 2], b"\x00" * 100):
@@ -213,6 +220,7 @@ def test_what_is_no_scene_is_refused(folder, tmp_path):
         with pytest.raises(InputError, match=r"expected glTF 2\.0"):
             load_scene_folder(broken)
     (broken / THINGS_FILE).unlink()
+
     with pytest.raises(InputError, match="expected the meshes of the scene"):
         load_scene_folder(broken)
 
@@ -224,6 +232,7 @@ def test_a_bomb_in_an_archive_is_not_unpacked(tmp_path, monkeypatch):
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(SCENE_FILE, "#" * 2_000_000)
         archive.writestr(THINGS_FILE, "")
+
     with pytest.raises(InputError, match="more than 1,000 bytes"):
         load_scene_folder(file)
 
@@ -257,6 +266,7 @@ def test_a_junction_of_a_map_is_loaded_by_name_by_place_or_as_the_largest(tmp_pa
     with zipfile.ZipFile(packed, "w") as archive:
         archive.write(path, "map.osm")
     largest = load_scene(path)
+
     assert len(build_junction(largest).arms) == 4
     assert largest.sites
     for other in (
@@ -272,7 +282,9 @@ def test_a_junction_of_a_map_is_loaded_by_name_by_place_or_as_the_largest(tmp_pa
 def test_what_is_neither_a_scene_nor_a_map_is_named(tmp_path):
     with pytest.raises(InputError, match="got nothing there; expected a scene"):
         load_scene(tmp_path / "gone.osm")
+
     text = tmp_path / "notes.txt"
     text.write_text("nothing")
+
     with pytest.raises(InputError, match=r"notes\.txt: got .*; expected a scene"):
         load_scene(text)

@@ -27,6 +27,7 @@ def test_a_point_on_a_pixel_ray_projects_to_the_centre_of_that_pixel(
     slack_px = 1e-9 + 1e-12 * camera.focal_length_px / depth_m * (
         1.0 + np.abs(direction).max()
     )
+
     assert projected[:2] == pytest.approx([column + 0.5, row + 0.5], abs=slack_px * 100)
     assert projected[2] == pytest.approx(depth_m, abs=1e-9)
 
@@ -42,6 +43,7 @@ def test_focal_length_of_the_studys_camera(camera):
 def test_vertical_and_diagonal_fov_are_those_of_the_image_edges(camera):
     half_width = math.tan(math.radians(0.5 * camera.horizontal_fov_deg))
     half_height = half_width * camera.height_px / camera.width_px
+
     assert camera.vertical_fov_deg == pytest.approx(
         2.0 * math.degrees(math.atan(half_height))
     )
@@ -56,6 +58,7 @@ def test_nothing_outside_the_diagonal_cone_is_in_the_image(pose, camera, point):
     offset = point - pose.position_m
     assume(np.linalg.norm(offset) > 1e-3)
     cosine = np.clip(offset @ ahead / np.linalg.norm(offset), -1.0, 1.0)
+
     if math.degrees(math.acos(cosine)) > 0.5 * camera.diagonal_fov_deg + 1e-6:
         ((column, row, _),) = project_points([point], pose, camera)
         assert not (0.0 <= column <= camera.width_px and 0.0 <= row <= camera.height_px)
@@ -67,6 +70,7 @@ def test_the_optical_axis_is_the_middle_and_right_is_right(camera):
         [[1.0, 12.0, 5.0], [2.0, 12.0, 5.0], [1.0, 12.0, 6.0]], pose, camera
     )
     tenth = camera.focal_length_px / 10.0
+
     assert ahead == pytest.approx([960.0, 540.0, 10.0])
     assert east == pytest.approx([960.0 + tenth, 540.0, 10.0])
     assert above == pytest.approx([960.0, 540.0 - tenth, 10.0])
@@ -75,6 +79,7 @@ def test_the_optical_axis_is_the_middle_and_right_is_right(camera):
 def test_what_lies_behind_the_camera_has_no_pixel(camera):
     pose = Pose(position_m=[0.0, 0.0, 5.0], yaw_deg=0.0)
     behind, beside = project_points([[-3.0, 0.0, 5.0], [0.0, 1.0, 5.0]], pose, camera)
+
     assert np.isnan(behind[:2]).all()
     assert behind[2] == -3.0
     assert np.isnan(beside[:2]).all()
@@ -114,6 +119,7 @@ def test_camera_model_says_what_is_wrong(camera, change, message):
 def test_a_lens_is_set_to_any_field_of_view_in_its_range(camera, fov_deg):
     zoom = replace(camera, fov_range_deg=(30.0, 120.0))
     set_to = with_fov(zoom, fov_deg, "test")
+
     assert set_to.horizontal_fov_deg == fov_deg
     assert with_fov(set_to, zoom.horizontal_fov_deg, "test") == zoom
     assert with_fov(set_to, fov_deg, "test") is set_to

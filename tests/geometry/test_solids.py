@@ -16,6 +16,7 @@ PLACES = st.floats(min_value=-300.0, max_value=300.0)
 def test_a_box_is_that_of_trimesh(size_m):
     corners, triangles = box_mesh(size_m)
     theirs = trimesh.creation.box(extents=size_m)
+
     np.testing.assert_array_equal(corners, theirs.vertices)
     np.testing.assert_array_equal(triangles, theirs.faces)
 

@@ -94,6 +94,7 @@ def test_lanes_and_outline_are_the_published_ones_flipped_to_the_north(scene):
     assert_array_equal(scene.outline_m[[0, 6, 24]], GOLDEN_OUTLINE * NORTH)
     # All others, from the file.
     assert len(scene.lanes) == len(TOWN05["lanes"]) == 32
+
     for entry in TOWN05["lanes"]:
         line = np.array(entry["centreline_m"]) * NORTH
         assert_array_equal(lanes[entry["id"]].centreline_m, line)

@@ -74,7 +74,9 @@ def test_heights_are_those_of_the_mesh(seed):
     corners = vertices[triangles]
     share = rng.dirichlet(np.ones(3), len(triangles))
     points = np.einsum("nk,nkj->nj", share, corners)
+
     assert_allclose(terrain.at(points[:, :2]), points[:, 2], atol=1e-9)
+
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (normals[:, 2] > 0.0).all()
 
@@ -88,6 +90,7 @@ def test_terrain_of_a_scene_is_that_of_its_ground():
     terrain = grid(lambda east, north: 0.05 * east - 0.02 * north)
     scene = on_terrain(load_scene(), terrain)
     found = terrain_of(scene)
+
     assert_array_equal(found.height_m, terrain.height_m)
     assert_allclose(ground_height_m(scene, [[20.0, 10.0]]), [0.8])
 
@@ -101,7 +104,9 @@ def test_ground_that_is_no_grid_is_refused():
     scene = load_scene()
     vertices = scene.vertices_m.copy()
     ground = scene.triangles[scene.triangle_instance == 0][0, 0]
+
     assert scene.instances[0].class_name == "ground"
+
     vertices[ground] += [1.0, 2.0, 3.0]
     with refused_with(
         "town05: ground: got 4 nodes that are no grid; expected a plane z = 0, or"
@@ -118,13 +123,16 @@ def test_fit_of_points_on_a_plane_is_that_plane(a, b):
     points = np.column_stack([flat, flat @ [a, b]])
     terrain = fit_terrain(points, half_m=100.0, step_m=4.0)
     inside = rng.uniform(-99.0, 99.0, size=(500, 2))
+
     assert_allclose(terrain.at(inside), inside @ [a, b], atol=2e-3)
 
 
 def test_fit_of_points_on_a_line_is_that_of_the_nearest():
     points = np.outer(np.arange(-50.0, 51.0), [1.0, 0.0, 0.1])
     terrain = fit_terrain(points, half_m=20.0, step_m=2.0)
+
     assert terrain.at([10.0, 15.0]) == pytest.approx(1.0, abs=0.06)
+
     beyond = fit_terrain(np.array([[30.0, 0.0, 4.0]]), half_m=20.0, step_m=2.0)
     assert (beyond.height_m == 4.0).all()
 
@@ -132,11 +140,14 @@ def test_fit_of_points_on_a_line_is_that_of_the_nearest():
 def test_a_check_on_a_slope_finds_what_does_not_stand_on_it():
     scene = on_terrain(load_scene(), grid(lambda east, north: 0.02 * east))
     known = check_scene(load_scene())
+
     assert check_scene(scene) == known
+
     first, *others = scene.sites
     high = replace(first, position_m=first.position_m + [0.0, 0.0, 1.4])
     findings = check_scene(replace(scene, sites=(high, *others)))
     (found,) = [one for one in findings if one not in known]
+
     assert found.level == "error"
     assert found.what == f"site {first.id}"
     assert found.why == "its foot is 1.4 m above the ground"
@@ -151,6 +162,7 @@ def test_runs_on_a_slope_are_those_of_the_plane_with_parked_cars_on_the_ground(
     cases = select_cases("CPNCO-50,CBNA", speeds="20").cases
     flat, _ = build_runs(scene, cases, vut=actors["vut"], rule=rule)
     sloped, _ = build_runs(slope, cases, vut=actors["vut"], rule=rule)
+
     assert [run.id for run in sloped] == [run.id for run in flat]
     for one, other in zip(flat, sloped, strict=True):
         assert other.last_brake_time_s == one.last_brake_time_s

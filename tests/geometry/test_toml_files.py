@@ -37,7 +37,9 @@ def test_load_toml_reads_what_was_written(tmp_path):
 def test_load_toml_names_the_file_it_cannot_read(tmp_path):
     path = tmp_path / "missing.toml"
     said = told(load_toml, path)
+
     assert said == f"{path}: got No such file or directory; expected a readable file"
+
     said = told(load_toml, tmp_path)
     assert said == f"{tmp_path}: got Is a directory; expected a readable file"
 
@@ -46,6 +48,7 @@ def test_load_toml_names_the_line_that_is_not_toml(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text("a = 1\nb = = 2\n", encoding="utf-8")
     said = told(load_toml, path)
+
     assert said == (
         f"{path}: got Invalid value (at line 2, column 5); expected valid TOML in UTF-8"
     )
@@ -55,6 +58,7 @@ def test_load_toml_says_that_bytes_are_not_utf8(tmp_path):
     path = tmp_path / "a.toml"
     path.write_bytes(b'a = "\xff"\n')
     message = told(load_toml, path)
+
     assert message.startswith(f"{path}: got 'utf-8' codec can't decode byte 0xff")
     assert message.endswith("; expected valid TOML in UTF-8")
 
@@ -74,6 +78,7 @@ def test_take_returns_what_is_there():
     assert take(TABLE, "text", "f") == "hello"
     assert take_text(TABLE, "text", "f") == "hello"
     assert take_list(TABLE, "list", "f") == [1]
+
     number = take_number(TABLE, "number", "f")
     assert number == 3.0
     assert isinstance(number, float)
@@ -172,6 +177,7 @@ MOUNT = {
 def test_a_table_becomes_a_value_with_arrays_of_the_stated_shape():
     table = MOUNT | {"limits_m": [1, 2], "outline_m": [[0, 1]]}
     mount = read_table(table, Mount, "f.toml")
+
     assert mount.name == "a"
     assert mount.height_m == 4.0
     assert mount.limits_m == (1.0, 2.0)
@@ -183,8 +189,10 @@ def test_a_table_becomes_a_value_with_arrays_of_the_stated_shape():
 
 def test_named_tables_know_their_names():
     assert read_tables({"b": MOUNT}, Mount, "f.toml")["b"].name == "b"
+
     said = told(read_tables, {"b": 3}, Mount, "f.toml")
     assert said == "f.toml: b: got 3; expected a table of fields"
+
     message = told(read_tables, {"b": MOUNT | {"share": 2}}, Mount, "f.toml: x")
     assert (
         message == "f.toml: x.b.share: got 2; expected a number, at least 0, at most 1"
@@ -233,6 +241,7 @@ def test_named_tables_know_their_names():
 def test_a_table_says_which_field_is_wrong_and_how(change, message):
     wrong = MOUNT | change
     assert told(read_table, wrong, Mount, "f.toml") == f"f.toml: {message}"
+
     table = {"mounts": [MOUNT, wrong]}
     for where, begin in (("f.toml", "f.toml: "), ("f.toml: x", "f.toml: x.")):
         said = told(read_table, table, Mounts, where)
@@ -242,11 +251,15 @@ def test_a_table_says_which_field_is_wrong_and_how(change, message):
 def test_a_table_names_missing_and_unknown_fields():
     entry = {"name": "a", "height_m": 4}
     said = told(read_table, entry, Mount, "f.toml")
+
     assert said == "f.toml: position_m: got nothing; expected a value"
+
     said = told(read_table, {"mounts": [entry]}, Mounts, "f.toml")
     assert said == "f.toml: mounts[0].position_m: got nothing; expected a value"
+
     said = told(read_table, {"mounts": [], "titel": "x"}, Mounts, "f.toml")
     assert said == "f.toml: got 'titel'; expected one of mounts, title"
+
     said = told(read_table, {"mounts": [3]}, Mounts, "f.toml")
     assert said == "f.toml: mounts[0]: got 3; expected a table"
     assert told(read_table, 3, Mount, "f.toml") == "f.toml: got 3; expected a table"

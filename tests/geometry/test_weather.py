@@ -64,6 +64,7 @@ def test_weathers_are_what_they_are_called():
     assert night.sun_elevation_deg < 0.0
     assert night.sun_lux == 0.0
     assert night.sky_lux < 1.0 < rain.sky_lux
+
     contrast = {
         w.name: w.contrast * w.transmission(60.0) for w in (day, night, rain, fog)
     }
@@ -88,6 +89,7 @@ def test_two_ways_through_the_air_take_what_each_of_them_takes(
 ):
     weather = replace(CLEAR, visibility_m=visibility_m, rain_rate_mmph=rain)
     first, second, both = weather.transmission([a_m, b_m, a_m + b_m])
+
     assert both == pytest.approx(first * second, rel=1e-9, abs=1e-300)
     assert float(weather.transmission(0.0)) == 1.0
     assert 0.0 <= both <= min(first, second) <= 1.0
@@ -101,6 +103,7 @@ def test_rain_takes_what_itu_r_p_1814_says(rate_mmph, db_per_km):
     """1.076 R^0.67 dB/km, whatever the wavelength; on top of what haze takes."""
     wet = replace(CLEAR, rain_rate_mmph=rate_mmph)
     taken = wet.extinction_per_m - CLEAR.extinction_per_m
+
     assert _db_per_km(taken) == pytest.approx(db_per_km, rel=1e-4, abs=1e-12)
     for wavelength_nm in (550.0, 905.0, 1550.0):
         by_laser = wet.lidar_extinction_per_m(

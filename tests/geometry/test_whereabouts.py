@@ -37,6 +37,7 @@ def test_streets_of_arms_without_a_name_are_left_out(scene):
 def test_corners_and_arms_are_told_with_their_streets(scene):
     places = np.array([[-6.0, 6.0], [6.0, -6.0], [50.0, 4.0], [4.0, -50.0]])
     corner, other, along, unnamed = whereabouts(scene, places)
+
     assert corner == "north-west corner, High Street / Mill Lane"
     assert other == "south-east corner, Mill Lane"
     assert along.startswith("east arm, Mill Lane, ")

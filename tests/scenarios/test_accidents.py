@@ -101,6 +101,7 @@ def test_accidents_of_a_type_are_shared_by_its_cases_that_are_driven(
         on_foot(XGCSWGS84="", YGCSWGS84=""),
     ]
     path = atlas(rows, encoding)
+
     assert weights_of(path) == pytest.approx([0.2] * 5)
     assert caplog.messages == [
         "weights: 5 of 10 accidents of Unfallorte2023_LinRef.csv within 500 m count;"
@@ -108,6 +109,7 @@ def test_accidents_of_a_type_are_shared_by_its_cases_that_are_driven(
         " (bicycle, VUT turns), 1 of which no case is driven (bicycle, oncoming), 1"
         " with several kinds of road users, 1 without a car"
     ]
+
     near_only = weights_of(path, within_m=100.0)
     assert near_only == pytest.approx([0.125, 0.125, 0.25, 0.25, 0.25])
 
@@ -121,6 +123,7 @@ def test_day_and_night_weigh_what_happened_in_their_light(atlas):
     ]
     path = atlas(rows)
     both = (run("CPNA-25"), run("CPNA-25", "night"), run("CPNA-25", "rain"))
+
     assert weights_of(path, both) == pytest.approx([1.5 / 4.0, 2.5 / 4.0, 0.0])
     # Where one of them is driven alone, light does not matter.
     assert weights_of(path, both[1:]) == pytest.approx([1.0, 0.0])
@@ -131,6 +134,7 @@ def test_older_files_call_the_light_otherwise(atlas):
     row = on_foot(ULICHTVERH=2)
     row["LICHT"] = row.pop("ULICHTVERH")
     night = (run("CPNA-25"), run("CPNA-25", "night"))
+
     assert weights_of(atlas([row]), night) == pytest.approx([0.0, 1.0])
 
 
@@ -197,6 +201,7 @@ def test_a_register_needs_a_place_and_a_file(atlas):
         weigh(DRIVEN, f"unfallatlas:{atlas([on_foot()])}")
     with pytest.raises(InputError, match="No such file"):
         check_weights("unfallatlas:nowhere.csv")
+
     told = "unfallatlas:FILE, stats19:FILE, or a CSV file that"
     with pytest.raises(InputError, match=told):
         check_weights("unfallatlas")
@@ -288,6 +293,7 @@ def test_collisions_are_read_as_events(
 ):
     files = [({}, codes_of(vehicles), codes_of(casualties)), ({}, *CROSSES)]
     first = read_accidents("stats19", stats19(tmp_path, files)).what[0]
+
     assert first.road_user == road_user
     assert first.event == event
     assert first.unused == ""
@@ -326,16 +332,20 @@ def test_collisions_become_weights_by_day_and_night(tmp_path):
     path = stats19(tmp_path, [(told, *CROSSES) for told in cells])
     runs = (run("CPNA-25"), run("CPNA-25", "night"))
     weight = weigh(runs, f"stats19:{path}", near=HERE)
+
     assert weight == pytest.approx([1.5 / 4.0, 2.5 / 4.0])
 
 
 def test_files_of_vehicles_and_casualties_are_asked_for_by_name(tmp_path):
     path = stats19(tmp_path, [({}, *CROSSES)])
     (tmp_path / "dft-road-casualty-statistics-vehicle-2023.csv").unlink()
+
     with pytest.raises(InputError, match=r"vehicle-2023\.csv: got No such file"):
         read_accidents("stats19", path)
+
     other = path.rename(tmp_path / "a.csv")
     told = f'{other}: got the name a.csv; expected one with "collision" in it'
+
     with refused_with(told):
         read_accidents("stats19", other)
 
@@ -350,10 +360,12 @@ def test_the_table_names_cases_that_there_are_and_every_event_that_is_read():
     for kind in rules.types:
         events |= set(kind.cases)
         named |= {case for cases in kind.cases.values() for case in cases}
+
     for case in named:
         # Those with cars and motorcyclists may not have come yet.
         is_known = any(f"{name}-".startswith(f"{case}-") for name in load_cases())
         assert is_known or case[:2] in ("CC", "CM"), case
+
     read = {*rules.unfallatlas.events.values(), *rules.stats19.on_foot.values()}
     assert read <= events
 

@@ -310,6 +310,7 @@ def test_last_brake_time_before_one_who_crosses_is_to_stop_or_to_pass_behind(
     walked = side * math.copysign(1.0, angle_deg)
     clear_s = 0.5 * (encounter.vut.width_m * (1.0 - walked) + vru.length_m) / u
     expected = _crossing_tau_s(v, clear_s, build_up_s)
+
     if build_up_s == 0.0:
         assert expected == pytest.approx(crossing_tau_s(v, A_MPS2, clear_s), abs=1e-9)
     assert _tau_s(encounter, _rule(build_up_s=build_up_s)) == pytest.approx(
@@ -331,6 +332,7 @@ def test_last_brake_time_towards_one_who_comes_closer_lets_the_vut_stand_first(
     )
     standstill_s = _standstill_s(v, build_up_s)
     gap_m = (v + u) * standstill_s - _lost_m(standstill_s, build_up_s)
+
     assert _tau_s(encounter, _rule(build_up_s=build_up_s)) == pytest.approx(
         gap_m / (v + u), abs=TOLERANCE_S
     )
@@ -364,9 +366,12 @@ def test_last_brake_time_does_not_fall_between_two_time_steps(vut_speed_kmh, ons
         <= 0.0
         for time_step_s in (0.01, 0.001)
     ]
+
     assert touches[0] != touches[1]
+
     clear_s = 0.5 * (1.836 + 0.6) / u
     tau_s = crossing_tau_s(v, A_MPS2, clear_s)
+
     assert _tau_s(encounter) == pytest.approx(tau_s, abs=TOLERANCE_S)
     # Nor does the verdict: the contact at this onset lasts less than a step.
     assert has_contact(encounter, onset_s, RULE) == (onset_s > -tau_s)
@@ -382,7 +387,9 @@ def test_braking_avoids_up_to_the_last_brake_time_and_not_after(
     rule = _rule(build_up_s=build_up_s)
     last_s = last_brake_time_s(encounter, rule)
     start_s = encounter.vut_motion.start_time_s
+
     assert start_s < last_s <= 0.0
+
     earlier_s = start_s + share * (last_s - start_s)
     assert not has_contact(encounter, earlier_s, rule)
     assert not has_contact(encounter, last_s - 0.1 * share, rule)
@@ -405,6 +412,7 @@ def test_contacts_of_many_onsets_are_those_of_each(encounter, offsets_s):
         np.inf,
     ]
     together = has_contact(encounter, onsets_s, RULE)
+
     assert together.tolist() == [
         bool(has_contact(encounter, each, RULE)) for each in onsets_s
     ]
@@ -414,6 +422,7 @@ def test_contacts_of_many_onsets_are_those_of_each(encounter, offsets_s):
 def test_last_brake_time_matches_a_simulation_in_small_steps(encounter, share):
     last_s = last_brake_time_s(encounter, RULE)
     before_s = last_s - 0.003 - 0.5 * share
+
     assert not simulated_contact(encounter, before_s, deceleration_mps2=A_MPS2)
     if last_s < -0.004:
         assert simulated_contact(encounter, last_s + 0.003, deceleration_mps2=A_MPS2)
@@ -436,6 +445,7 @@ def test_last_brake_time_on_a_turn_matches_a_simulation_in_small_steps(
 ):
     encounter = build_turning_encounter(side, speed_kmh, is_same=is_same)
     last_s = last_brake_time_s(encounter, _rule(build_up_s=build_up_s))
+
     assert not _simulated_contact_on_a_turn(encounter, last_s - 0.003, build_up_s)
     assert _simulated_contact_on_a_turn(encounter, last_s + 0.003, build_up_s)
 
@@ -519,6 +529,7 @@ def test_a_confirmation_exactly_at_the_deadline_is_in_time(frame, latency_ms):
     on_grid_s = frame / 10.0
     accumulated_s = sum([0.1] * -frame) * -1.0  # the same instant with another rounding
     deadline_s = (100 * frame + latency_ms) / 1000.0
+
     for confirmation_s in (on_grid_s, accumulated_s):
         assert is_in_time(confirmation_s, deadline_s, latency_s=latency_s)
         assert not is_in_time(confirmation_s, deadline_s - 1e-6, latency_s=latency_s)
@@ -578,9 +589,11 @@ def test_contacts_are_those_of_a_simulation_in_small_steps(encounter, shares):
         [last_s - 0.01, *(last_s * share for share in shares), 0.0, np.inf]
     )
     found = find_contacts(encounter, onsets_s, RULE)
+
     assert np.array_equal(
         np.isfinite(found.time_s), has_contact(encounter, onsets_s, RULE)
     )
+
     v = encounter.vut_motion.speed_mps
     for onset_s, time_s, speed in zip(
         onsets_s, found.time_s, found.speed_mps, strict=True

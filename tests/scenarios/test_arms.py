@@ -42,6 +42,7 @@ def entries(junction, movement):
 def test_without_markings_all_lanes_lead_everywhere_from_the_usual_side():
     junction = junction_with()
     kerb_first = ["west-in-0", "west-in-1", "west-in-2"]
+
     assert entries(junction, "through") == entries(junction, "right") == kerb_first
     assert entries(junction, "left") == kerb_first[::-1]
 
@@ -52,6 +53,7 @@ def test_markings_decide_who_may_go_where():
     assert entries(junction, "through") == ["west-in-1"]
     assert entries(junction, "left") == ["west-in-2", "west-in-1"]
     assert straight_lane(junction, junction.arms["west"]).id == "west-in-1"
+
     # Lanes without a marking serve what no marked lane does.
     junction = junction_with([(), (), ("left",)])
     assert entries(junction, "through") == ["west-in-0", "west-in-1"]
@@ -79,8 +81,10 @@ def test_lanes_through_the_junction_decide_where_the_map_has_them():
     through = ("west-in-1", "east-out-1")
     left = ("west-in-2", "north-out-1")
     junction = junction_with(connections=[through, left])
+
     assert entries(junction, "through") == ["west-in-1"]
     assert entries(junction, "left") == ["west-in-2"]
+
     told = "the map has no lane from the west to the south"
     with pytest.raises(NoRoadError, match=told):
         entries(junction, "right")

@@ -31,6 +31,7 @@ def test_a_corner_is_driven_no_faster_than_it_can_be(lay, vut, angle_deg):
     scene, lane = with_corner(angle_deg)
     speeds = (20.0, 30.0, 60.0)
     runs, refusals = lay(scene, ["CBLA-50"], speeds_kmh=speeds, approaches=["west"])
+
     assert len(runs) + sum(len(one.speeds_kmh) for one in refusals) == len(speeds)
     assert refusals  # 60 km/h is too fast
     for run in runs:
@@ -55,6 +56,7 @@ def test_kinks_that_a_car_takes_within_its_lane_cost_no_run(lay):
     scene, _ = with_corner(10.0)
     speeds = (25.0, 60.0)
     runs, refusals = lay(scene, ["CBLA-50"], speeds_kmh=speeds, approaches=["west"])
+
     assert len(runs) == 2
     assert not refusals
 
@@ -67,6 +69,7 @@ def test_a_gentle_course_bends_less_and_stays_as_near_as_it_must(angle_deg, free
     gentle = follow_gently([chain], [free_m], origin=1)
     inside = (gentle.points_m[:, 0] > 0.0) & (gentle.points_m[:, 0] < 145.0)
     points = gentle.points_m[inside]
+
     # Samples lie 0.5 m apart.
     assert distance_to_chain_m(points[::50], chain).max() <= free_m + 0.07
     if abs(angle_deg) > 1.0 and free_m > 0.3:
@@ -77,9 +80,11 @@ def test_a_gentle_course_bends_less_and_stays_as_near_as_it_must(angle_deg, free
 def test_sharp_bends_of_a_scene_are_found_with_the_speed_that_they_allow():
     assert not list(find_sharp_bends(protocol_scene()))
     assert not list(find_sharp_bends(with_corner(10.0)[0]))
+
     (finding,) = find_sharp_bends(with_corner(60.0)[0])
     assert finding.level == "warning"
     assert finding.what == "arm west"
     assert finding.why.startswith("lane west-in-0 bends 4")
+
     told = "m from the junction: a lateral acceleration of 4 m/s^2 allows 1"
     assert told in finding.why

@@ -49,10 +49,13 @@ def test_speed_and_distance_are_the_areas_under_deceleration_and_speed(
     speed = np.maximum(0.0, speed_mps - np.cumsum(deceleration_mps2 * share) * step_s)
     # Exact but for the two steps with a kink.
     left_mps = braking_speed_mps(until_s, speed_mps=speed_mps, rule=rule)
+
     assert left_mps == pytest.approx(speed[-1], abs=2.0 * deceleration_mps2 * step_s)
+
     area_m = np.trapezoid(np.append(speed_mps, speed), dx=step_s)
     driven_m = braking_distance_m(until_s, speed_mps=speed_mps, rule=rule)
     slack_m = deceleration_mps2 * step_s * until_s
+
     assert driven_m == pytest.approx(area_m, abs=slack_m)
 
 
@@ -66,6 +69,7 @@ def test_speed_is_the_slope_of_the_distance(
     before_m, after_m = braking_distance_m(around_s, speed_mps=speed_mps, rule=rule)
     slope_mps = (after_m - before_m) / 2e-4
     left_mps = braking_speed_mps(time_s, speed_mps=speed_mps, rule=rule)
+
     assert left_mps == pytest.approx(slope_mps, abs=deceleration_mps2 * 1e-4)
 
 
@@ -94,9 +98,11 @@ def test_braking_ends_at_standstill(speed_mps, deceleration_mps2, build_up_s, la
 def test_without_build_up_braking_is_that_of_constant_deceleration():
     rule = rule_with(8.0, 0.0)
     assert standstill_time_s(20.0, rule=rule) == 2.5
+
     times_s = [0.0, 1.0, 2.5, 9.0]
     distances_m = braking_distance_m(times_s, speed_mps=20.0, rule=rule)
     speeds_mps = braking_speed_mps(times_s, speed_mps=20.0, rule=rule)
+
     assert distances_m.tolist() == [0.0, 16.0, 25.0, 25.0]
     assert speeds_mps.tolist() == [20.0, 12.0, 0.0, 0.0]
 

@@ -51,6 +51,7 @@ def bus_lanes(scene):
 def test_nobody_parks_on_the_bus_lane(scene, runs):
     lanes = shapely.union_all(strips_of(scene.lanes, less_m=0.11))
     parked = [body for run in runs for body in run.obstruction]
+
     assert {"parked-car-large"} <= {body.actor.name for body in parked}
     for body in parked:
         assert not lanes.intersects(shapely.Polygon(body.footprint_m))
@@ -76,6 +77,7 @@ def test_a_child_sets_off_at_the_kerb_behind_the_bus_lane(lay_slowest):
     from_vut_m = abs(float(start[1]) + 0.5 * LANE_M)
     reference_m = abs(run.case.vru_reference_m)
     expected_m = run.case.start_distance_m + LANE_M
+
     assert from_vut_m == pytest.approx(expected_m, abs=reference_m + 0.01)
 
 

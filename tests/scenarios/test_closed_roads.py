@@ -70,7 +70,9 @@ def test_nobody_is_met_on_an_arm_that_is_closed_to_them(closed_to, lay_all):
     scene = scene_with(closed_to)
     runs, refused = lay_all(scene)
     everybody = {"on foot", "bicycle", "motorcycle", "car"}
+
     assert met_there(runs, scene) == everybody - set(closed_to)
+
     closed = [one for one in refused if "arm as closed to" in str(one.reason)]
     assert {one.case.road_user for one in closed} == set(closed_to)
     # Counted as not possible, not as lacking room.
@@ -83,10 +85,12 @@ def test_nobody_parks_where_nobody_may_walk(lay_all):
     road = area_of_arm(scene).buffer(4.0)
     bodies = [body for run in runs for body in run.obstruction]
     cars = [body for body in bodies if body.actor.class_name == "parked vehicle"]
+
     assert cars
     for body in cars:
         place = shapely.Polygon(body.footprint_m)
         assert place.centroid.y > -MOUTH_M or not road.intersects(place)
+
     whys = {str(one.reason) for one in refused if not one.is_possible}
     assert "no cars park on the south arm because nobody may walk there" in whys
 

@@ -93,6 +93,7 @@ def test_time_to_collision_is_what_small_steps_find(offset, closing, yaw_a, yaw_
     there = np.add(offset, times[:, None] * closing)
     apart = separation_m((0.0, 0.0), yaw_a, 4.0, 2.0, there, yaw_b, 1.5, 0.5)
     moved_m = 0.01 * math.hypot(*closing) + 1.0e-9
+
     assert (apart[times < ttc] > -1.0e-9).all()
     if ttc < 6.0:
         assert apart[round(ttc / 0.01) if ttc < 5.99 else -1] <= moved_m
@@ -109,6 +110,7 @@ def test_who_is_on_collision_course_is_replayed_as_if_nothing_changed():
     assert found.vut_speed_kmh == 36.0
     assert found.vru_speed_kmh == 5.4
     assert found.recorded.known_s == pytest.approx(4.0, abs=0.01)
+
     encounter = replayed(found)
     for second in (-3.0, -1.0, 0.0):
         vut, _ = pose_at(encounter.vut_motion, second)
@@ -121,14 +123,17 @@ def test_who_is_on_collision_course_is_replayed_as_if_nothing_changed():
 def test_those_who_do_not_come_near_are_no_encounter():
     late = walker(at_lane_s=1.0)  # long across before the car comes
     reversing = car(yaw_deg=180.0)
+
     for tracks in (
         [car(), late],
         [walker(), walker()],
         [reversing, walker(last_s=2.8)],
     ):
         assert find_encounters(tracks, ttc_s=2.0) == ((), {})
+
     short = [car(first_s=3.0), walker(first_s=3.4)]
     found, left_out = find_encounters(short, ttc_s=2.0)
+
     assert found == ()
     assert sum(left_out.values()) == 1
 
@@ -137,8 +142,10 @@ def test_those_who_do_not_come_near_are_no_encounter():
 def test_who_stands_all_the_time_faces_where_the_file_says(heading_deg, faces_deg):
     stands = track("p", "pedestrian", lambda _: (0.3, -1.75), yaw_deg=heading_deg)
     found = find_one(car(last_s=3.8), stands)
+
     assert found.vru_speed_kmh == 0.0
     assert found.recorded.vru.yaw_deg == faces_deg
+
     ahead = np.diff(found.recorded.vru.points_m, axis=0)[0]
     assert np.degrees(np.arctan2(*ahead[::-1])) == pytest.approx(faces_deg, abs=0.1)
 
@@ -146,19 +153,25 @@ def test_who_stands_all_the_time_faces_where_the_file_says(heading_deg, faces_de
 def test_who_passes_near_is_replayed_without_the_time_between():
     passes = [car(front_at_s=4.0), walker(at_lane_s=2.0, last_s=8.0)]
     assert find_encounters(passes, ttc_s=0.5)[0] == ()
+
     found = find_one(*passes, ttc_s=None, within_m=3.0)
     assert found.ttc_s > 0.0
+
     encounter = replayed(found)
     vut, _ = pose_at(encounter.vut_motion)
     front = vut + [0.5 * VUT.length_m, 0.0]
     met, _ = pose_at(encounter.vru_motion)
+
     # The front reaches his box, which is then about in the middle of the car's way.
     assert met[0] - front[0] == pytest.approx(0.25, abs=0.26)
     assert abs(met[1] + 1.75) < 0.5
+
     parked = car(speed_mps=0.0)
     assert find_encounters([parked, walker()], ttc_s=2.0, within_m=3.0) == ((), {})
+
     parallel = [car(), track("p", "pedestrian", lambda t: (1.5 * t, 1.0))]
     _, left_out = find_encounters(parallel, ttc_s=None, within_m=5.0)
+
     assert left_out == {"their ways do not cross": 1}
 
 
@@ -218,6 +231,7 @@ def test_pairs_are_those_that_brute_force_finds(seed):
     expected = {pair for pair, ttc in least.items() if ttc < 1.98}
     maybe = {pair for pair, ttc in least.items() if ttc < math.inf}
     pairs = {(one.vehicle.id, one.vru.id) for one in found}
+
     assert pairs <= maybe
     assert len(expected - pairs) <= sum(left_out.values())
     for one in found:
@@ -245,16 +259,19 @@ def test_a_file_of_encounters_is_a_set_of_cases(cases_file):
     assert case.kind == "recorded"
     assert case.vut_speeds_kmh == (36.0,)
     assert case.road_user == "on foot"
+
     (run,), refusals = lay_recorded([case], positions=())
     assert run.id == "street-v-p/west/36"
     assert run.approach == "west"
     assert refusals == ()
     assert run.time_s[0] == pytest.approx(-4.0)
     assert run.time_s[-1] == 0.0
+
     # The walker has 0.5 m to the car's nearer edge and 1.8 m through it: braking must
     # stop the car.
     stopping_s = 10.0 / (2.0 * RULE.deceleration_mps2)
     assert run.last_brake_time_s == pytest.approx(-stopping_s, abs=0.02)
+
     names = [case.name for case in pick_cases(f"CPNA-25,{cases_file}", "cases")]
     assert names == ["CPNA-25", "street-v-p"]
     assert select_cases(str(cases_file), speeds="all").cases == (case,)
@@ -303,5 +320,6 @@ def test_two_encounters_have_two_names():
     tracks = [car(), walker(last_s=2.8), walker(last_s=2.8)]
     found, _ = find_encounters(tracks, ttc_s=2.0)
     told = "ids: got 'a-v-p'; expected every vehicle and every"
+
     with pytest.raises(InputError, match=told):
         cases_text(found, name="a", source="a.csv")

@@ -31,11 +31,13 @@ def test_a_course_along_a_circle_has_its_radius_heading_and_length(radius_m):
     length_m = np.hypot(*np.diff(points, axis=0).T).sum()
     stations = np.linspace(-0.62, -0.38, 50) * length_m  # away from the ends
     position, yaw_rad = course.at(stations)
+
     # Between its points the lane is a chord, 1 / (8 R) metres inside; smoothing takes
     # 16 / R^3.
     assert np.hypot(*position.T) == pytest.approx(
         radius_m, abs=0.125 / radius_m + 17.0 / radius_m**3
     )
+
     angle = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))
     assert np.abs(yaw_rad - angle - 0.5 * np.pi).max() < np.radians(0.2)
     assert np.diff(stations) == pytest.approx(radius_m * np.diff(angle), rel=4e-3)
@@ -75,12 +77,15 @@ def test_a_turn_between_straight_lanes_is_the_protocols(side, speed_kmh):
     out = 25.0 * np.array([[1.0, turn.side], [1.0, 5.0 * turn.side]])
     entry = follow_lane(np.array([[-80.0, 0.0], [0.0, 0.0]]), is_in=True)
     course, fitted = join_by_turn(entry, follow_lane(out, is_in=False), turn)
+
     assert fitted.angle_deg == pytest.approx(90.0, abs=1e-6)
+
     protocols = TurnPath(
         start_m=course.at(-20.0)[0], yaw_deg=0.0, straight_m=20.0, turn=fitted, **AXLES
     )
     towed = TowedPath(course=course, start_m=-20.0, **AXLES)
     distances = np.linspace(0.0, 80.0, 400)
+
     for one, other in zip(protocols.at(distances), towed.at(distances), strict=True):
         assert np.asarray(one) == pytest.approx(np.asarray(other), abs=1e-4)
 
@@ -91,6 +96,7 @@ def test_a_straight_lane_gives_a_straight_course():
     course = follow_lane(points, is_in=True)
     stations = np.linspace(-90.0, 40.0, 60)
     position, yaw_rad = course.at(stations)
+
     assert line.coordinates(position)[:, 1] == pytest.approx(0.0, abs=1e-9)
     # The origin is a point of the table, which has one every centimetre.
     assert line.coordinates(position)[:, 0] == pytest.approx(stations, abs=0.0051)
@@ -102,6 +108,7 @@ def test_lanes_one_after_the_other_are_one_course_with_its_origin_between_them()
     first = np.array([[-40.0, 0.0], [0.0, 0.0]])
     second = np.array([[0.0, 0.0], [30.0, 8.0]])
     course = follow_lanes([first, second])
+
     assert course.at(0.0)[0] == pytest.approx([0.0, 0.0], abs=0.25)
     assert course.at(25.0)[0] @ [-8.0, 30.0] == pytest.approx(0.0, abs=2.0)
 
@@ -145,15 +152,18 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     step_m = 0.25
     distances = np.arange(0.0, 0.99 * length_m - 2.0, step_m)
     position, yaw_deg = path.at(distances)
+
     assert (
         distance_to_chain_m(position, lane).max() <= 0.5 * LANE_M - 0.9
     )  # of a body 1.8 m wide
     assert np.hypot(*np.diff(position, axis=0).T).max() <= step_m + 1e-9
+
     turns = np.diff(np.radians(yaw_deg)) / step_m
     assert np.abs(turns).max() <= path.max_turn_rad_per_m + 1e-9
     assert (
         np.abs(np.diff(turns)).max() / step_m <= path.max_turn_change_rad_per_m2 + 1e-6
     )
+
     bends = np.diff(position, n=2, axis=0) / step_m**2
     assert np.hypot(*bends.T).max() <= 3.0 * path.max_turn_rad_per_m + 1e-3
 
@@ -165,8 +175,10 @@ def test_the_course_beside_another_keeps_its_distance_and_direction(lane, left_m
     station = 0.3 * course.begin_m
     place = course.tangent(station)
     there = beside.tangent(beside.station_of(place.at(0.0, left_m)))
+
     assert there.point_m == pytest.approx(place.at(0.0, left_m), abs=0.01)
     assert there.direction == pytest.approx(place.direction, abs=2e-3)
+
     back = course.reversed().tangent(-station)
     assert back.point_m == pytest.approx(place.point_m, abs=1e-6)
     assert back.direction == pytest.approx(-place.direction, abs=1e-6)

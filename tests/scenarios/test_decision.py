@@ -188,6 +188,7 @@ def test_tracks_and_decisions_equal_a_plain_filter_on_200_random_runs(drawn):
         for row, reserve_s in enumerate(RESERVES_S):
             plain = plain_probability(time_s, found, ways, run, reserve_s)
             assert_allclose(ours[row, frames], plain, atol=1e-9)
+
     assert n_live > 500
 
 
@@ -197,6 +198,7 @@ def test_a_longer_reserve_never_lowers_the_probability(drawn):
     # Ends that are steps, too.
     ways = replace(ways, time_to_stop_s=ways.time_to_stop_s.round(1))
     ours = overlap_probability(tracks, axis, ways, (0.0, 0.3, 1.0), rule=RULE)
+
     assert (np.diff(ours, axis=0) >= -1e-6).all()
     assert (np.diff(ours, axis=0) > 0.1).any()
     assert ours.max() > 0.5
@@ -242,6 +244,7 @@ def test_without_noise_the_car_brakes_at_the_last_brake_time_less_the_latency():
     (probability,) = overlap_probability(tracks, axis, ways, [0.0], rule=SURE)
     brakes_s = axis.time_s[np.argmax(probability >= 0.5)]
     last_s = axis.last_brake_time_s[0] - AEB.latency_s
+
     assert probability[-1] == pytest.approx(1.0)
     # To a frame, which are 10 ms apart.
     assert abs(brakes_s - last_s) <= 0.0101
@@ -256,6 +259,7 @@ def test_the_place_of_the_impact_is_located_as_least_squares_say():
     error = np.tile([noise_m**2, 0.0, noise_m**2], (2, 1, 301, 1))
     found_m = located_sd_m(always, error, axis, np.zeros(1), aeb=AEB, rule=SURE)
     in_time = frames_in_time(axis, latency_s=AEB.latency_s)
+
     for row, seen in enumerate(always):
         used_s = axis.time_s[in_time & seen[0]]
         design = np.column_stack([np.ones(len(used_s)), used_s])
@@ -269,6 +273,7 @@ def test_nothing_is_located_where_no_track_lives():
     never = np.zeros((1, 1, 10), dtype=bool)
     error = np.ones((1, 1, 10, 3))
     found_m = located_sd_m(never, error, axis, np.zeros(1), aeb=AEB, rule=RULE)
+
     assert found_m[0, 0] == np.inf
 
 
@@ -296,8 +301,10 @@ def test_largest_of_runs_is_that_of_each_run():
 def test_a_rule_that_cannot_be_is_refused_in_a_line(tmp_path, text, where, expected):
     path = tmp_path / "rule.toml"
     path.write_text(text)
+
     with pytest.raises(InputError) as caught:
         load_decision_rule(str(path))
+
     told = str(caught.value)
     assert where in told
     assert expected in told

@@ -92,7 +92,9 @@ def test_separation_is_that_of_the_bodies_corners():
     vut_distance = np.linspace(0.0, 30.0, 7)[:, None]
     vru_distance = np.linspace(0.0, 9.0, 5)
     separation = encounter.separation_m(vut_distance, vru_distance)
+
     assert separation.shape == (7, 5)
+
     corners = []
     for body, motion, distance in (
         (encounter.vut, encounter.vut_motion, vut_distance),
@@ -100,6 +102,7 @@ def test_separation_is_that_of_the_bodies_corners():
     ):
         size = {"length_m": body.length_m, "width_m": body.width_m}
         corners.append(footprint_corners(*motion.path.at(distance), **size))
+
     assert separation == pytest.approx(footprint_separation(*corners), abs=1e-9)
 
 
@@ -124,6 +127,7 @@ def test_between_two_looks_gaps_sag_no_deeper_than_declared(
     driven = vut.distance_m(np.minimum(time, onset_s)) + braking_m
     gaps = encounter.gaps_m(driven, vru.distance_m(time))
     separation = gaps.max(axis=0)
+
     if separation[0] <= encounter.near_m:
         ends = gaps[:, [0, -1]].min(axis=1).max()
         sag_m = 0.5 * encounter.max_gap_bend_mps2(rule.deceleration_mps2) * half_s**2
@@ -157,6 +161,7 @@ def test_first_contact_is_the_first_of_many_looks(encounter, later_s):
     time = np.arange(-1.0, 2.0, 1e-4)
     touches = separation_at(encounter, time) <= 0.0
     contact_s = first_contact_s(encounter)
+
     if touches.any():
         first = int(np.argmax(touches))
         assert time[max(first - 1, 0)] - 1e-6 <= contact_s <= time[first] + 1e-6
@@ -169,6 +174,7 @@ def test_first_contact_on_a_turn_is_the_first_of_many_looks():
     encounter = turning()
     time = np.arange(0.0, 12.0, 1e-4)
     first = np.argmax(separation_at(encounter, time) <= 0.0)
+
     assert first_contact_s(encounter) == pytest.approx(time[first], abs=1e-4)
 
 
@@ -203,7 +209,9 @@ def test_a_late_contact_is_found_and_one_from_the_start_is_at_the_start():
     length_m = 0.5 * (VUT.length_m + ADULT.length_m)
     ahead = moving([length_m + 40.0, 0.0], 0.0, 2.0)
     slow = met(moving([0.0, 0.0], 0.0, 2.1), ahead)
+
     assert first_contact_s(slow) == pytest.approx(400.0, abs=1e-6)
+
     at_once = replace(slow, vru_motion=moving([1.0, 0.0], 0.0, 2.0, start_time_s=-7.0))
     assert first_contact_s(at_once) == pytest.approx(-7.0, abs=1e-6)
 
@@ -222,6 +230,7 @@ def test_a_contact_before_the_later_one_sets_off_counts():
     path = replace(parked.path, start_m=parked.path.at(80.0)[0] + [2.0, 0.0])
     waiting = replace(encounter, vut_motion=replace(parked, path=path))
     half_m = 0.5 * (VUT.width_m + ADULT.length_m)
+
     assert first_contact_s(waiting) == pytest.approx(-half_m / 1.0, abs=1e-6)
 
 

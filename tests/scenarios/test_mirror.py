@@ -42,9 +42,11 @@ def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_on_the_ri
     scene = protocol_scene(boxes=[corner], crosswalks_m=[[[14.0, -6.0], [14.0, 6.0]]])
     right, refused = drive(scene)
     left, refused_left = drive(left_handed(scene))
+
     assert len(right) > 100
     assert {run.case.kind for run in right} == {"crossing", "longitudinal", "turning"}
     assert len(refused) == len(refused_left)
+
     ours = {run.id: run for run in left}
     for run in right:
         other_side = f"/{OTHER_SIDE[run.approach]}/"
@@ -75,6 +77,7 @@ def test_titles_say_to_which_side_the_vut_turns(is_left_handed):
         vut=pick_actor("vut", "vut"),
         rule=load_aeb_rule(),
     )
+
     assert {run.case.name for run in runs} == {case.name for case in cases}
     for run in runs:
         turned_deg = (run.vut_yaw_deg[-1] - run.vut_yaw_deg[0] + 180.0) % 360.0 - 180.0
@@ -90,6 +93,7 @@ def test_titles_say_to_which_side_the_vut_turns(is_left_handed):
 def test_a_junction_in_two_mirrors_is_itself_again():
     junction = build_junction(build_scene(lanes_of("a", 10.0, n_lanes=2)))
     twice = mirrored(mirrored(junction))
+
     assert mirrored(junction).keeps_left
     assert not twice.keeps_left
     for name, arm in twice.arms.items():

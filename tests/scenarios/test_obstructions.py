@@ -44,14 +44,18 @@ def flank_m(bodies):
 def test_nobody_parks_on_an_island_between_two_carriageways(parked):
     bodies, refusals = parked(SCENE)
     assert not refusals
+
     # The kerb is to the south of the car from the west.
     beyond_m = flank_m(bodies) - 0.5 * LANE_M
     near_m = beyond_m - 1.0
     none, (reason,) = parked(with_lane(SCENE, [[-15.0, near_m], [-80.0, near_m]]))
+
     assert not none
     assert reason.endswith("parked-car-large would stand on a traffic island")
+
     far_m = beyond_m - 6.0
     there, _ = parked(with_lane(SCENE, [[-15.0, far_m], [-80.0, far_m]]))
+
     assert places(there) == places(bodies)
 
 
@@ -70,7 +74,9 @@ def test_behind_a_corner_lies_the_road_that_crosses_and_no_island(
     ahead = np.array([np.cos(away), np.sin(away)])
     begin = corner + 0.5 * LANE_M * np.array([-ahead[1], ahead[0]])
     there, refusals = parked(with_lane(SCENE, [begin, begin + 40.0 * ahead]))
+
     assert all(reason.endswith("on a traffic island") for reason in refusals)
+
     # Farther back, where that lane has led away, there may be room again.
     is_same = places(there) == places(bodies)
     assert is_same == (not is_island)
@@ -83,6 +89,7 @@ def test_where_the_map_has_a_parking_lane_people_park_whatever_is_behind(parked)
     near = with_lane(SCENE, [[-15.0, near_m], [-80.0, near_m]])
     bay = with_lane(near, [[-15.0, bay_m], [-80.0, bay_m]], kind="parking")
     bodies, refusals = parked(bay)
+
     assert bodies
     assert not refusals
 
@@ -94,6 +101,7 @@ def test_cars_park_and_people_walk_below_what_is_raised(parked, bottom_m, is_fre
     is_roof &= np.hypot(*scene.vertices_m[:, :2].T) < 100.0
     up = np.outer(is_roof, [0.0, 0.0, bottom_m])
     bodies, refusals = parked(replace(scene, vertices_m=scene.vertices_m + up))
+
     assert bool(bodies) == is_free == (not refusals)
     if is_free:
         free, _ = parked(SCENE)

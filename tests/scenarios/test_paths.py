@@ -70,6 +70,7 @@ def test_paths_answer_for_any_shape_of_distances():
         position, heading = path.at(np.arange(6.0).reshape(2, 3))
         assert position.shape == (2, 3, 2)
         assert heading.shape == (2, 3)
+
     position, _ = straight.at(np.arange(6.0).reshape(2, 3))
     assert position[1, 2] == pytest.approx([1.0, 7.0])
 
@@ -102,7 +103,9 @@ def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(
     _, path_yaw_deg = front_axle_at(path, distance_m)
     after, before = rear_axle_m(path, distance_m + np.array([0.5, -0.5]) * step_m)
     rolled = (after - before) / step_m
+
     assert rolled @ unit(yaw_deg + 90.0) == pytest.approx(0.0, abs=1e-4)
+
     lag = np.radians(path_yaw_deg - yaw_deg)
     assert rolled @ unit(yaw_deg) == pytest.approx(np.cos(lag), abs=2e-4)
 
@@ -112,7 +115,9 @@ def test_before_the_turn_the_body_goes_straight_however_far_back(path, share):
     distance_m = path.straight_m - 100.0 * share
     middle, yaw_deg = path.at(distance_m)
     ahead_m = distance_m - path.front_axle_ahead_m
+
     assert yaw_deg == path.yaw_deg
+
     expected = path.start_m + ahead_m * unit(path.yaw_deg)
     assert middle == pytest.approx(expected, abs=1e-9)
 
@@ -126,11 +131,15 @@ def test_paths_keep_the_bounds_that_they_declare(path):
     turn = path.max_turn_rad_per_m
     slack = TABLE_M / step_m
     moves_m = np.linalg.norm(np.diff(middle, axis=0), axis=1)
+
     assert (moves_m <= step_m * (1.0 + slack)).all()
     assert (np.abs(np.diff(yaw)) <= step_m * (turn + slack)).all()
+
     slack = 4.0 * TABLE_M / step_m**2
     bend = np.linalg.norm(np.diff(middle, 2, axis=0), axis=1) / step_m**2
+
     assert (bend <= 3.0 * turn + slack).all()
+
     turn_change = np.abs(np.diff(yaw, 2)) / step_m**2
     assert (turn_change <= path.max_turn_change_rad_per_m2 + slack).all()
 
@@ -188,11 +197,15 @@ def test_a_motion_from_rest_reaches_its_speed_after_twice_the_distance_over_the_
 ):
     motion = motion_of(speed, -3.0, acceleration_m)
     up_to_speed_s = 2.0 * acceleration_m / speed
+
     # v^2 / (2 a) for so long, and then the speed itself.
     assert motion.acceleration_mps2 * up_to_speed_s == pytest.approx(speed)
+
     gaining_s = share * up_to_speed_s
     gained_m = 0.5 * motion.acceleration_mps2 * gaining_s**2
+
     assert motion.distance_m(-3.0 + gaining_s) == pytest.approx(gained_m, abs=1e-9)
+
     at_speed_m = motion.distance_m(-3.0 + up_to_speed_s + later_s)
     assert at_speed_m == pytest.approx(acceleration_m + speed * later_s, abs=1e-9)
     assert motion.distance_m(-3.5) == 0.0
@@ -206,6 +219,7 @@ def test_travel_time_inverts_the_distance(speed, acceleration_m, time_s):
     travel_s = travel_time_s(
         distance_m, speed_mps=speed, acceleration_distance_m=acceleration_m
     )
+
     assert travel_s == pytest.approx(time_s, abs=1e-6)
     assert motion.distance_m(travel_s) == pytest.approx(distance_m, abs=1e-9)
 
@@ -255,4 +269,5 @@ def test_headings_between_nodes_are_scipys_cubics(n_nodes, stride):
     at = stride * np.arange(n_nodes)
     every = np.minimum(np.arange(at[-1] + 3), at[-1])
     expected = CubicHermiteSpline(at, nodes, slope)(every)
+
     assert_array_equal(_hermite(nodes, slope, stride, len(every)), expected)

@@ -115,11 +115,14 @@ def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(lay):
     cases = select_cases("default").cases
     every = pick_positions("", "default")
     runs, refusals = lay(load_study_scene(), cases, positions=every)
+
     assert 450 <= len(runs) <= 600
     assert len({run.id for run in runs}) == len(runs)
     assert all(len(run.time_s) > 1 and run.time_s[-1] <= 0.0 for run in runs)
+
     laid_at = Counter(run.position for run in runs)
     assert set(laid_at) == {position.name for position in every}
+
     # What is not driven is told.
     wanted = 0
     for case in cases:
@@ -127,6 +130,7 @@ def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(lay):
             for number, position in enumerate(positions_of(case, every)):
                 turn = arm + number
                 wanted += len(spread_speeds(case.vut_speeds_kmh, position, turn=turn))
+
     assert wanted == len(runs) + sum(len(refusal.speeds_kmh) for refusal in refusals)
 
 
@@ -147,15 +151,18 @@ def test_on_straight_lanes_a_run_is_that_of_zero_moved_along(
     (here,), _ = laid(scene, name, "0", speeds=(speed_kmh,))
     position = Position(is_behind=is_behind, distance_m=metres)
     runs, refusals = laid(scene, name, position, speeds=(speed_kmh,))
+
     if refusals:  # nobody parks in the junction
         assert is_behind
         assert metres < 15.0
         assert refusals[0].reason.endswith("would stand on the carriageway")
         return
+
     (there,) = runs
     by = np.array([-metres, 0.0])
     if is_behind:
         by = np.array([2.0 * CROSSWALK_M + metres, 0.0])
+
     assert_same_frames(there, here, by=by, tolerance_m=1e-6)
     assert there.last_brake_time_s == pytest.approx(here.last_brake_time_s, abs=1e-6)
     if here.obstruction and not is_behind:
@@ -212,8 +219,10 @@ def test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line(
     exit_m = lane_of(scene, "east-out-0").centreline_m
     runs, refusals = laid(scene, name, f"+{metres}", speeds=(25.0,))
     reasons = ("the lanes curve", "curves too sharply", "parked")
+
     for refusal in refusals:  # the rest may be too sharp, or parked cars on the road
         assert any(reason in refusal.reason for reason in reasons)
+
     rules = load_way_rules()
     for run in runs:
         motion = run.encounter.vut_motion
@@ -339,9 +348,11 @@ def test_without_a_road_ahead_nothing_is_behind(laid, scene, position):
 def test_a_change_of_lanes_that_is_too_sharp_for_the_speed_is_refused(laid):
     scene = scene_with_exit(9.0, 0.0)  # too far aside to be eased
     runs, (refusal,) = laid(scene, "CPNA-25", "+15", speeds=(10.0, 60.0))
+
     assert [run.vut_speed_kmh for run in runs] == [10.0]
     assert refusal.speeds_kmh == (60.0,)
     assert not refusal.is_possible
+
     told = (
         r"the lanes curve: a lateral acceleration of 4 m/s\^2 allows [1-5][05] km/h"
         r" there"
@@ -352,6 +363,7 @@ def test_a_change_of_lanes_that_is_too_sharp_for_the_speed_is_refused(laid):
 def test_cases_that_are_bound_to_the_junction_have_one_place():
     bound = {name: case for name, case in CASES.items() if is_bound(case)}
     families = "CPTA CBTA CBNA CBFA CCCs CMCs CCFt CMFt"
+
     assert {name[:4] for name in bound} == set(families.split())
     for case in bound.values():
         assert positions_of(case, build_positions((15.0, 30.0))) == (AT_ZERO,)
@@ -369,6 +381,7 @@ def test_neighbours_take_turns_so_that_every_speed_is_driven(speeds, turn):
     driven = []
     for add in range(3):
         driven += spread_speeds(speeds, position, turn=turn + add)
+
     assert sorted(driven) == speeds
     assert spread_speeds(speeds, AT_ZERO, turn=turn) == tuple(speeds)
 
@@ -382,6 +395,7 @@ def test_neighbours_take_turns_so_that_every_speed_is_driven(speeds, turn):
 def test_a_position_is_read_back_by_its_name(sign, metres):
     assume(sign or metres == 0.0)
     position = read_position(f"{sign}{metres:g}", "position")
+
     assert read_position(position.name, "position") == position
     assert (position.name == "0") == (metres == 0.0 and sign != "+")
 
@@ -459,6 +473,7 @@ def test_a_change_of_lanes_is_eased_only_where_it_would_be_too_fast(laid):
         before = points[np.abs(points[:, 0] + MOUTH_M + 2.0) < 1.0]
         aside_m.append(np.abs(before[:, 1] + 0.5 * LANE_M).max())
     slow_m, fast_m = aside_m
+
     assert slow_m < 0.1 < fast_m < 0.5
 
 
@@ -466,6 +481,7 @@ def test_behind_a_lane_that_only_turns_the_next_one_leads_straight_on(laid):
     lanes = arm_lanes(n_lanes=3, arm_m=70.0)
     lanes = [lane for lane in lanes if lane.id not in ("east-out-0", "east-out-1")]
     (run,), _ = laid(build_scene(lanes), "CPFA-50", "+15", speeds=(100.0,))
+
     assert isinstance(run.encounter.vut_motion.path, StraightPath)
     # The lane at the axis.
     assert run.vut_position_m[0, 1] == pytest.approx(-0.5 * LANE_M)
@@ -517,6 +533,7 @@ def test_nobody_crosses_in_the_middle_of_another_junction(laid):
     scene = followed_scene()
     position = f"-{NEXT_M + 8.0}"
     runs, (refusal,) = laid(scene, "CPNA-25", position)
+
     assert not runs
     assert refusal.reason == "another junction is there: nobody crosses in its middle"
     assert not refusal.is_possible
@@ -527,6 +544,7 @@ def test_a_connecting_lane_behind_which_nothing_begins_is_no_part_of_an_arm():
     scene = followed_scene()
     lanes = tuple(lane for lane in scene.lanes if not lane.id.endswith("-far"))
     arm = build_junction(replace(scene, lanes=lanes)).arms["west"]
+
     assert [lane_length_m(lane) for lane in arm.lanes_in] == pytest.approx([NEXT_M])
 
 
@@ -566,6 +584,7 @@ def test_a_row_of_parked_cars_does_not_mind_a_bend_ahead_of_it(laid):
         outline_m=array_of("-11.5 -11.5, 11.5 -11.5, 11.5 14, -11.5 14"),
     )
     runs, refusals = laid(scene, "CPNCO-50", "-60")
+
     assert runs, refusals
 
 
@@ -589,6 +608,7 @@ def test_impact_points_take_turns_and_every_speed_is_driven_with_one(
 ):
     speeds = tuple(10.0 * number for number in range(1, 7))
     driven = {speed: set() for speed in speeds}
+
     for turn in range(3 * n_points):
         everything = spread_speeds(speeds, position, turn=turn)
         found = []

@@ -67,6 +67,7 @@ def test_crossing_bodies_meet_where_the_protocol_says(golf, name, speed_kmh):
     encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
     front = front_of(encounter)
     vru, vru_yaw_deg = pose_at(encounter.vru_motion)
+
     assert front - origin == pytest.approx(golden["vut_front_m"], abs=1e-5)
     assert vru - origin == pytest.approx(golden["vru_middle_m"], abs=1e-5)
     assert vru_yaw_deg == pytest.approx(golden["vru_yaw_deg"])
@@ -87,11 +88,15 @@ def test_crossing_bicycles_start_where_the_files_say_and_keep_their_last_speed(
 ):
     golden = CROSSING[name]
     motion = stage(name, golf).encounter.vru_motion
+
     assert motion.path.start_m == pytest.approx(golden["vru_start_m"], abs=1e-3)
+
     acceleration = motion.speed_mps**2 / (2.0 * motion.acceleration_distance_m)
     assert acceleration == pytest.approx(golden["acceleration_mps2"], abs=5e-4)
+
     gaining_s = 2.0 * motion.acceleration_distance_m / motion.speed_mps
     steady_s = -(motion.start_time_s + gaining_s)
+
     assert steady_s == pytest.approx(golden["steady_time_s"], abs=1e-6)
 
 
@@ -99,6 +104,7 @@ def test_crossing_bicycles_start_where_the_files_say_and_keep_their_last_speed(
 def test_obstructions_stand_at_the_protocols_gaps(golf, name):
     golden = CROSSING[name]
     parked = {body.actor.name: body for body in stage(name, golf).obstruction}
+
     assert parked.keys() == golden["bodies"].keys()
     for actor_name, box in golden["bodies"].items():
         body = parked[actor_name]
@@ -149,14 +155,17 @@ def test_turns_lead_over_the_pedestrians_line_where_the_protocol_says(golf, name
 def test_bicycles_beside_a_turning_vut_ride_on_the_protocols_line(golf, name):
     motion = stage(name, golf).encounter.vru_motion
     assert motion.path.start_m[1] == pytest.approx(GOLDEN["cbta"]["y_m"][name])
+
     golden_deg = GOLDEN["cbta"]["yaw_deg"][name]
     assert abs(off_deg(motion.path.yaw_deg, golden_deg)) < 1e-9
+
     steady_m = motion.distance_m(0.0) - motion.acceleration_distance_m
     # A corner may touch a moment before the foremost point does.
     tolerance_m = 0.02
     if name.endswith("side"):
         tolerance_m = 0.4
     golden_m = GOLDEN["cbta"]["steady_distance_m"]
+
     assert steady_m == pytest.approx(golden_m, abs=tolerance_m)
 
 
@@ -179,6 +188,7 @@ def test_every_case_meets_the_front_at_its_share_of_the_width(golf, name):
     tolerance_m = 1e-5
     if case.kind == "turning":
         tolerance_m = 0.02
+
     assert left_m == pytest.approx(impact_offset_m(case, golf), abs=tolerance_m)
 
 
@@ -189,6 +199,7 @@ def test_side_impacts_meet_the_side_at_their_share_of_the_length(golf, name, sid
     vru, vru_yaw_deg = pose_at(encounter.vru_motion)
     nose = vru + 0.5 * encounter.vru.length_m * turned([1.0, 0.0], vru_yaw_deg)
     ahead_m, left_m = turned(nose - vut, -yaw_deg)
+
     # The VUT is still turning: a corner of the bicycle's box touches before its
     # foremost point.
     assert side * left_m - 0.5 * golf.width_m == pytest.approx(0.125, abs=0.125)
@@ -261,12 +272,15 @@ def test_a_wall_hides_the_studys_cyclist_until_17_m_before_without_published_sta
     staging = stage("CBNA", golf, speed_kmh=40.0)
     (wall,) = staging.obstruction
     length_m, thickness_m, height_m = case.obstruction.wall_size_m
+
     assert wall.actor.length_m == length_m
     assert wall.actor.width_m == thickness_m
     assert wall.actor.height_m == height_m
+
     # Along the cyclist's way, 1 m beside its box, on the side from which the VUT comes.
     x = 0.41 - 0.25 - 1.0 - 0.5 * thickness_m
     y = LANE_Y_M - 17.0 - 0.5 * length_m
+
     assert wall.pose.position_m[:2] == pytest.approx([x, y])
     assert abs(off_deg(wall.pose.yaw_deg, 90.0)) < 1e-9
 

@@ -66,10 +66,12 @@ def test_published_vrus_are_at_the_collision_point_at_the_impact(
         # so that the cyclist never reaches it. Ours meet where the two paths cross.
         assert collision[1] == pytest.approx(golden["vru_start"][1] - 3.0)
         collision[1] = golden["vru_start"][1]
+
     drives = _runs_of(runs, _placement(placements, golden))
     travel_s = math.dist(collision, golden["vru_start"]) / (
         golden["vru_speed_kmh"] / 3.6
     )
+
     assert len(drives) >= 8
     for run in drives:
         assert to_carla_points(run.vru_position_m[-1]) == pytest.approx(
@@ -123,12 +125,14 @@ def test_a_placement_carries_its_parked_bodies_into_every_run(monkeypatch, actor
     }
     (placement,) = _load(monkeypatch, CROSSING, parked_rows=[row])
     first, second = placement.obstruction
+
     assert isinstance(first, PlacedActor)
     assert first.actor is second.actor is actors["parked-car-large"]
     assert first.pose.position_m == pytest.approx([-100.0, 7.0, 0.0])
     assert second.pose.position_m == pytest.approx([-100.0, 8.0 + length_m, 0.0])
     assert first.pose.yaw_deg == -90.0
     assert first.pose.pitch_deg == 0.0
+
     staging = stage_published(placement, vut_speed_kmh=40.0, vut=actors["vut"])
     assert staging.obstruction == (first, second)
 

@@ -60,6 +60,7 @@ def runs(scenes, actors, rule):
 def test_formats_differ_by_one_run_in_twenty_at_most(runs, name):
     by_case = Counter(run.case.name for run in runs["ring.xodr"])
     others = Counter(run.case.name for run in runs[name])
+
     assert others.total() == pytest.approx(by_case.total(), rel=0.05)
     assert by_case.keys() == others.keys()
 

@@ -92,6 +92,7 @@ def test_the_study_junction_has_104_runs_of_the_studys_own_cases_with_unique_ids
 def test_every_case_is_carried_or_refused_with_a_reason(all_runs, asked):
     runs, refusals = all_runs
     told = {(run.case.name, run.approach, run.vut_speed_kmh) for run in runs}
+
     for refusal in refusals:
         assert refusal.reason
         for speed in refusal.speeds_kmh:
@@ -148,6 +149,7 @@ def test_frames_hold_the_motions_and_the_gait(all_runs):
 def test_each_weather_is_a_run_of_its_own(lay):
     weathers = ("day", "rain")
     (dry, wet, *_), _ = lay(load_study_scene(), ["CPTAns-50"], weathers=weathers)
+
     assert dry.id == "CPTAns-50/east/10"
     assert wet.id == "CPTAns-50/east/10/rain"
     assert dry.weather == "day"
@@ -185,6 +187,7 @@ def test_things_in_the_way_are_named(lay):
     wall = ("shed", -9.5, -4.0, 3.0, 1.0, 2.0)  # across the near side's start
     scene = protocol_scene(boxes=[wall])
     runs, refusals = lay(scene, ["CPNA-25"], approaches=["west"])
+
     assert not runs
     assert {refusal.reason for refusal in refusals} == {"shed stands in the VRU's way"}
     assert len(refusals[0].speeds_kmh) == 11
@@ -239,6 +242,7 @@ def test_a_road_that_is_missing_is_missing_at_every_speed(lay):
     lanes = [lane for lane in lanes if not lane.id.startswith("south-out")]
     scene = limited(build_scene(lanes), {"east": 12.0})
     _, (refusal,) = lay(scene, ["CPTAfs-50"], approaches=["east"])
+
     assert refusal.limit_kmh is None
     assert refusal.speeds_kmh == load_cases()["CPTAfs-50"].vut_speeds_kmh
 
@@ -271,6 +275,7 @@ def test_arrays_of_a_run_are_read_only(runs):
 def test_frame_axis_lays_the_frames_of_runs_end_to_end(runs):
     some = runs[::20]
     axis = build_frame_axis(some, weight_per_run(some))
+
     assert axis.n_runs == len(some)
     assert axis.n_frames == sum(len(run.time_s) for run in some)
     for index, run in enumerate(some):
@@ -347,6 +352,7 @@ def test_live_confirmations_are_those_of_each_run(
     rule = rule_with(rule, n, memory_s, latency_s)
     found_s = live_confirmation_times_s(rows, axis, rule=rule)
     alone_s = live_confirmation_times_s(rows[1], axis, rule=rule)
+
     assert np.array_equal(alone_s, found_s[1])
     for run in range(axis.n_runs):
         frames = axis.frames_of(run)
@@ -366,6 +372,7 @@ def test_many_rows_are_looked_at_in_parts(rule, frame_axis):
     rows = np.random.default_rng(0).random((3, 150, frame_axis.n_frames)) < 0.6
     rule = rule_with(rule, 2, 0.1)
     found_s = live_confirmation_times_s(rows, frame_axis, rule=rule)
+
     assert found_s.shape == (3, 150, frame_axis.n_runs)
     for place in ((0, 0), (1, 63), (2, 149)):
         one_s = live_confirmation_times_s(rows[place], frame_axis, rule=rule)
@@ -400,6 +407,7 @@ def test_the_vut_brakes_for_the_live_window_that_it_knows_first(
     arrival_s = axis.time_s + drawn(data, DELAYS_S, axis)
     rule = rule_with(rule, n, memory_s)
     onsets = find_onsets(arrival_s, axis, rule=rule)
+
     for run in range(axis.n_runs):
         last_brake_s = axis.last_brake_time_s[run]
         time_s = axis.time_s[axis.frames_of(run)]
@@ -437,6 +445,7 @@ def test_a_track_that_is_lost_again_sets_nothing_in_motion(rule, frame_axis):
     axis = replace(frame_axis, last_brake_time_s=np.array([0.0, 0.0, -np.inf]))
     arrival_s = np.full(10, np.inf)
     arrival_s[3:5] = axis.time_s[3:5] + 0.025
+
     for memory_s, onset_s in ((0.2, math.inf), (0.275, -0.275), (math.inf, -0.275)):
         onsets = find_onsets(arrival_s, axis, rule=rule_with(rule, 2, memory_s))
         assert onsets.confirmation_s == pytest.approx([math.inf, -0.3, math.inf])

@@ -37,6 +37,7 @@ def refusal(tmp_path, text, name="a.csv", **options):
 def test_a_csv_file_gives_tracks_by_id_whatever_the_order_of_rows(tmp_path):
     rows = sorted(walk("a") + walk("b", "CAR"), key=lambda row: row[1])
     (a, b), n_left_out = read(tmp_path, csv_of(rows))
+
     assert a.id == "a"
     assert a.class_name == "pedestrian"
     assert b.class_name == "vehicle"
@@ -55,16 +56,21 @@ def test_times_are_of_any_clock_and_unit(tmp_path, caplog, scale, start_s):
         if scale == 1.0:
             rows[-1] = (name, f"{start_s + time_s:.1f}", *others)
     ((track,), n_left_out) = read(tmp_path, csv_of(rows))
+
     assert n_left_out == 0
     assert_allclose(track.time_s - start_s, 0.1 * np.arange(10), atol=1e-6)
     assert_allclose(track.velocity_mps(track.time_s[5:6]), [[1.0, 0.0]], atol=1e-4)
+
     word = {1.0: "s", 1.0e3: "ms", 1.0e6: "us", 1.0e9: "ns"}[scale]
     told = f"{tmp_path / 'a.csv'}: times read as {word}, in steps of 0.1 s"
+
     assert caplog.messages == ([] if scale == 1.0 else [told])
+
     # A column that says its unit needs no guess.
     caplog.clear()
     head = HEADER.replace("time", f"Timestamp [{word}]")
     ((named,), _) = read(tmp_path, csv_of(rows, head))
+
     assert_allclose(named.time_s, track.time_s)
     assert not caplog.messages
 
@@ -72,9 +78,12 @@ def test_times_are_of_any_clock_and_unit(tmp_path, caplog, scale, start_s):
 def test_a_unit_that_is_named_is_believed(tmp_path):
     rows = [(name, round(10.0 * time_s), *others) for name, time_s, *others in walk()]
     ((track,), _) = read(tmp_path, csv_of(rows, HEADER.replace("time", "time_s")))
+
     assert_allclose(track.time_s, range(10))
+
     rows = [(name, 100 * one, *others) for name, one, *others in rows]
     _, n_left_out = read(tmp_path, csv_of(rows, HEADER.replace("time", "time_s")))
+
     assert n_left_out == 10
 
 
@@ -82,6 +91,7 @@ def test_columns_frames_and_radians_of_dut_are_recognised(tmp_path):
     rows = [(7, 24 * n, "veh", 3.0 * n, 0.0, math.pi / 2, 3.0) for n in range(4)]
     text = csv_of(rows, "id,frame,label,x_est,y_est,psi_est,vel_est")
     ((track,), _) = read(tmp_path, text, frame_rate_hz=24.0)
+
     assert_allclose(track.time_s, range(4))
     assert_allclose(track.yaw_deg, 90.0)
     assert refusal(tmp_path, text).startswith("line 1: got id, frame, label, x_est")
@@ -92,6 +102,7 @@ def test_columns_may_have_other_names_and_one_class(tmp_path):
     text = csv_of(rows, "who,time,east,north")
     names = {"id": "who", "x": "east", "y": "north"}
     ((track,), _) = read(tmp_path, text, columns=names, class_name="cyclist")
+
     assert track.id == "p"
     assert track.class_name == "cyclist"
     assert np.isnan(track.yaw_deg).all()
@@ -100,6 +111,7 @@ def test_columns_may_have_other_names_and_one_class(tmp_path):
 def test_who_is_away_for_a_while_comes_back_as_somebody_else(tmp_path):
     rows = walk(steps=[*range(5), *range(30, 36)])
     (first, second), _ = read(tmp_path, csv_of(rows))
+
     assert first.id == "a.1"
     assert second.id == "a.2"
     assert len(first.time_s) == 5
@@ -109,6 +121,7 @@ def test_who_is_away_for_a_while_comes_back_as_somebody_else(tmp_path):
 def test_who_has_another_class_or_is_seen_briefly_is_counted(tmp_path):
     rows = [*walk("a", steps=range(2)), *walk("b", "horse"), *walk("c")]
     (track,), n_left_out = read(tmp_path, csv_of(rows))
+
     assert track.id == "c"
     assert n_left_out == 2
 
@@ -189,20 +202,24 @@ def test_floating_car_data_of_sumo(tmp_path):
         for n in range(4)
     )
     tracks, _ = read(tmp_path, f"<fcd-export>{steps}</fcd-export>", "a.xml")
+
     assert [track.class_name for track in tracks] == [
         "vehicle",
         "cyclist",
         "pedestrian",
     ]
+
     # The front bumper stands where SUMO's does.
     front_m = tracks[0].position_m[:, 0] + 0.5 * pick_actor("vut", "vut").length_m
     assert_allclose(front_m, [0.0, 10.0, 20.0, 30.0])
     assert_allclose(tracks[1].yaw_deg, 90.0)
+
     lost = (
         '<fcd-export><timestep time="0"><person id="p" x="1"'
         ' angle="0"/></timestep></fcd-export>'
     )
     message = "timestep 0, person p: y: got nothing; expected a finite number"
+
     assert refusal(tmp_path, lost, "a.xml") == message
 
 

@@ -45,6 +45,7 @@ def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn
     step = distance[1] - distance[0]
     angle = cumulative_simpson(curvature, dx=step, initial=0.0)
     position, angle_deg = turn.at(distance)
+
     # The curvature jumps where the turn begins and ends.
     assert_allclose(
         turn.side * np.radians(angle_deg),
@@ -52,8 +53,10 @@ def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn
         rtol=0.0,
         atol=2.0 * step / turn.radius_m,
     )
+
     east = cumulative_simpson(np.cos(np.radians(angle_deg)), dx=step, initial=0.0) - 1.0
     north = cumulative_simpson(np.sin(np.radians(angle_deg)), dx=step, initial=0.0)
+
     assert_allclose(position, np.stack([east, north], axis=-1), rtol=0.0, atol=5e-6)
 
 
@@ -63,6 +66,7 @@ def test_a_turn_ends_on_the_exit_line_at_the_tangents_length_behind_the_corner(t
     angle = turn.side * np.radians(turn.angle_deg)
     corner = np.array([turn.tangent_m, 0.0])
     exit_direction = np.array([np.cos(angle), np.sin(angle)])
+
     assert end == pytest.approx(corner + turn.tangent_m * exit_direction, abs=1e-9)
     assert end_deg == pytest.approx(turn.side * turn.angle_deg, abs=1e-9)
 
@@ -72,6 +76,7 @@ def test_another_angle_changes_the_arc_only(turn, share):
     clothoids_deg = 2.0 * turn.clothoid_deg
     angle_deg = clothoids_deg + share * (179.0 - clothoids_deg)
     other = turn.turned_by(angle_deg)
+
     assert other.angle_deg == pytest.approx(angle_deg, abs=1e-9)
     assert other == replace(turn, arc_deg=other.arc_deg)
     assert other.length_m == pytest.approx(
@@ -139,6 +144,7 @@ def test_clothoids_alone_serve_small_angles(angle_deg):
     turn = load_turns()["far_10"].turn.turned_by(angle_deg)
     assert turn.arc_deg == 0.0
     assert turn.angle_deg == pytest.approx(angle_deg)
+
     _, end_deg = turn.at(turn.length_m)
     assert end_deg == pytest.approx(angle_deg)
     assert turn.length_m == pytest.approx(2.0 * turn.clothoid_length_m)

@@ -78,6 +78,7 @@ def test_crossing_vehicles_meet_where_the_protocol_says(golf, name, speed_kmh, v
     motion = encounter.vru_motion
     vut, _ = pose_at(encounter.vut_motion)
     vru, vru_yaw_deg = pose_at(motion)
+
     assert vut == pytest.approx(golden["vut_middle_m"], abs=1e-4)
     assert vru == pytest.approx(golden["vru_middle_m"], abs=1e-4)
     assert vru_yaw_deg == pytest.approx(golden["vru_yaw_deg"])
@@ -92,6 +93,7 @@ def test_vehicles_ahead_of_a_turning_vut_meet_where_the_protocol_says(golf, name
     turning = GOLDEN["turning"]
     rear_m = turning["vut"]["middle_ahead_of_rear_axle_m"]
     golden = {key: np.array(table) for key, table in turning[name].items()}
+
     for row, speed_kmh in enumerate(turning["vut_speeds_kmh"]):
         for column, vru_kmh in enumerate(turning["vru_speeds_kmh"]):
             encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
@@ -141,10 +143,13 @@ def test_a_vehicle_ahead_brakes_so_long_before_the_impact_as_the_protocol_says(
 ):
     encounter = stage(name, golf, speed_kmh, speed_kmh).encounter
     motion = encounter.vru_motion
+
     assert motion.brake_time_s == pytest.approx(-braking_s, abs=6e-4)
+
     vut, _ = pose_at(encounter.vut_motion, motion.brake_time_s)
     vru, _ = pose_at(motion, motion.brake_time_s)
     gap_m = (vru - vut)[0] - 0.5 * (encounter.vut.length_m + encounter.vru.length_m)
+
     assert gap_m == pytest.approx(speed_kmh * KMH, abs=1e-5)  # a second behind
     assert motion.start_time_s <= motion.brake_time_s - 1.0 + 1e-6
 
@@ -175,6 +180,7 @@ def test_the_last_moment_of_a_straight_crossing_is_its_closed_form(
         last_s = left_s - braked_s
     else:
         last_s = -(beyond_m / v + 0.5 * v / a)
+
     assert last_brake_time_s(encounter, RULE) == pytest.approx(last_s, abs=2e-5)
 
 
@@ -205,6 +211,7 @@ def test_the_last_moment_behind_and_ahead_of_a_steady_vehicle_is_its_closed_form
     if name.startswith("CCFhos"):
         last_s = -(0.5 * v**2 / a + u * v / a) / (v + u)
     encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
+
     assert last_brake_time_s(encounter, RULE) == pytest.approx(last_s, abs=2e-5)
 
 
@@ -229,6 +236,7 @@ def test_behind_a_vehicle_that_brakes_the_last_moment_is_the_last_one(
         case, JUNCTION, "west", vut_speed_kmh=speed_kmh, vut=golf
     ).encounter
     last_s = last_brake_time_s(encounter, RULE)
+
     assert last_s < 0.0
     assert not has_contact(encounter, last_s, RULE)
     assert has_contact(encounter, last_s + 1e-3, RULE)
@@ -275,6 +283,7 @@ def test_the_distance_of_a_motion_that_brakes_is_the_area_under_its_speed(
 def test_a_motion_may_stand_where_it_is():
     path = StraightPath(start_m=[1.0, 2.0], yaw_deg=90.0)
     motion = Motion(path=path, speed_mps=0.0, start_time_s=-4.0)
+
     assert (motion.distance_m([-9.0, 0.0, 9.0]) == 0.0).all()
     assert motion.acceleration_mps2 == 0.0
 
@@ -347,8 +356,10 @@ def test_a_target_that_its_lanes_bend_is_too_slow_for_is_refused(golf):
         "the lanes curve: a lateral acceleration of 4 m/s^2 allows the target"
         " 35 km/h there"
     )
+
     junction = build_junction(build_scene(lanes))
     slow = stage("CCCscp-far", golf, 20, 30, junction=junction).encounter
+
     assert slow.vru_motion.speed_mps == pytest.approx(30 * KMH)
 
 
@@ -357,6 +368,7 @@ def test_parked_cars_that_do_not_fit_are_refused_with_the_reason(lay):
     # A wall all along the kerb of the western arm.
     scene = protocol_scene(boxes=[("wall", -40.0, -6.0, 60.0, 4.5, 2.0)])
     runs, (refused,) = lay(scene, [case], speeds_kmh=(30.0,), approaches=["west"])
+
     assert not runs
     assert refused.reason == "wall occupies the place of parked-car-large"
     assert refused.speeds_text == "30x30"
@@ -368,6 +380,7 @@ def test_both_speeds_stand_in_a_runs_id(lay):
     speeds = (30.0, 40.0)
     runs, refused = lay(scene, ["CCCscp-far"], speeds_kmh=speeds, approaches=["north"])
     pairs = [(vut, vru) for vut in (30, 40) for vru in (20, 30, 40, 50, 60)]
+
     assert not refused
     assert [run.id for run in runs] == [
         f"CCCscp-far/north/{vut}x{vru}" for vut, vru in pairs
@@ -421,6 +434,7 @@ def test_the_grids_have_as_many_runs_as_the_protocols(text, standard, extended):
 def test_the_year_tells_the_versions_of_a_case_apart():
     assert names("CPNA") == ["CPNA-25", "CPNA-75"]
     assert names("CPNA-2026") == ["CPNA-2026-25", "CPNA-2026-50", "CPNA-2026-75"]
+
     extended = names("CPNA-2026", case_range="extended")
     assert extended[-2:] == ["CPNA-2026-10", "CPNA-2026-90"]
     assert names("CPNA-2026-10") == ["CPNA-2026-10"]  # named in full
@@ -431,6 +445,7 @@ def test_the_year_tells_the_versions_of_a_case_apart():
 def test_only_vulnerable_road_users_are_protected_unless_all_are():
     protected = names("junction", protect="vru")
     assert protected == ["CMCscp-far", "CMCscp-near", "CMFtap"]
+
     selection = select_cases("junction", protect="vru")
     assert {case.road_user for case in selection.unprotected} == {"car"}
     assert not select_cases("junction", protect="all").unprotected
@@ -443,7 +458,9 @@ def test_only_vulnerable_road_users_are_protected_unless_all_are():
 def test_speeds_of_both_are_picked_in_pairs():
     selection = select_cases("CCCscp-far,CPNA-25", speeds="30x50,40x20")
     (case,) = selection.cases
+
     assert case.pairs_kmh == ((30.0, 50.0), (40.0, 20.0))
+
     speeds = [case.vru_speeds_kmh(vut_kmh) for vut_kmh in case.vut_speeds_kmh]
     assert speeds == [(50.0,), (20.0,)]
     assert [case.name for case in selection.left_out] == ["CPNA-25"]
@@ -457,8 +474,10 @@ def test_cases_that_cannot_be_laid_are_named_and_refused_with_their_reason(lay):
     named = load_unlaid_cases()
     assert set(named) >= {"CPRA-Cm", "CPRA-Cs", "CCFhol", "SfS-CCCscp", "SfS-CMFtap"}
     assert not set(named) & set(load_cases())
+
     cases = pick_cases("CPRA,CCFhol,SfS", "cases")
     runs, refused = lay(protocol_scene(), cases)
+
     assert not runs
     assert {one.case.name for one in refused} == {case.name for case in cases}
     for one in refused:
@@ -470,7 +489,9 @@ def test_cases_that_cannot_be_laid_are_named_and_refused_with_their_reason(lay):
 def test_cases_that_are_left_out_count_every_pair_of_speeds():
     question = Question(cases="junction", approaches="north")
     drives = drive(question, load_study_scene())
+
     assert {run.road_user for run in drives.runs} == {"motorcycle"}
+
     counts = {one.case.name: len(one.speeds_kmh) for one in drives.left_out}
     assert counts == {"CCCscp-far": 25, "CCCscp-near": 25, "CCFtap": 9}
     assert not any(one.is_possible for one in drives.left_out)
@@ -479,6 +500,7 @@ def test_cases_that_are_left_out_count_every_pair_of_speeds():
 def test_only_in_all_impact_points_take_turns():
     cases = {case.name: case for case in pick_cases("all", "cases")}
     turns = [cases[f"CCRs-2026-{point}"].impact_turn for point in (0, 25, 50, 75, 100)]
+
     assert turns == [(number, 5) for number in range(5)]
     assert cases["CPNA-2026-50"].impact_turn == cases["CPFA-50"].impact_turn == (0, 1)
     for name in ("default", "study", "protocol-4.5.1", "junction", "protocol-2026"):

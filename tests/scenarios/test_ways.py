@@ -124,10 +124,13 @@ def curved_entry():
 def test_whoever_moves_ahead_on_a_lane_that_bends_stays_in_it(vut):
     encounter = staged("CBLA-50", vut, speed_kmh=45.0)
     path = encounter.vru_motion.path
+
     assert isinstance(path, CoursePath)
+
     distances = np.linspace(0.0, float(encounter.vru_motion.distance_m(0.0)), 50)
     position, yaw_deg = path.at(distances)
     before = position[position[:, 0] < -MOUTH_M]
+
     assert distance_to_chain_m(before, curved_entry()).max() < 0.05
     assert np.ptp(yaw_deg) > 20.0
 
@@ -136,6 +139,7 @@ def test_a_lane_that_bends_only_far_away_is_driven_straight(vut):
     scene = curved_scene(straight_m=70.0)
     straight = staged("CPNA-25", vut, scene=PLAIN, speed_kmh=40.0)
     same = staged("CPNA-25", vut, scene=scene, speed_kmh=40.0)
+
     for one, other in (
         (straight.vut_motion, same.vut_motion),
         (straight.vru_motion, same.vru_motion),
@@ -145,6 +149,7 @@ def test_a_lane_that_bends_only_far_away_is_driven_straight(vut):
         assert one.start_time_s == pytest.approx(other.start_time_s, abs=1e-9)
         assert one.path.start_m == pytest.approx(other.path.start_m, abs=1e-9)
         assert one.path.yaw_deg == pytest.approx(other.path.yaw_deg, abs=1e-9)
+
     # As far as the bend, the lane is followed.
     far = staged("CBLA-50", vut, scene=scene, speed_kmh=45.0)
     assert isinstance(far.vut_motion.path, TowedPath)
@@ -162,7 +167,9 @@ def test_turns_lead_into_arms_that_lie_askew_and_pedestrians_cross_them_squarely
     encounter = staged("CPTAfs-50", vut, scene=scene)
     path = encounter.vut_motion.path
     _, tangent_deg = front_axle_at(path, path.straight_m + path.turn.length_m)
+
     assert tangent_deg == pytest.approx(bearing_deg)
+
     across_deg = encounter.vru_motion.path.yaw_deg - bearing_deg
     if abs(bearing_deg - 90.0) > 30.0:
         assert abs(np.cos(np.radians(across_deg))) == pytest.approx(0.0, abs=1e-9)
@@ -174,11 +181,15 @@ def test_a_turn_follows_the_junctions_own_lane_where_there_is_one(vut):
     arc = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     arc += [-MOUTH_M, MOUTH_M]
     scene = with_lanes(build_lane("through", arc, kind="connecting"))
+
     assert build_junction(scene).arms.keys() == build_junction(PLAIN).arms.keys()
+
     path = staged("CPTAfs-50", vut, scene=scene).vut_motion.path
     assert isinstance(path, TowedPath)
+
     front, _ = path.course.at(np.linspace(0.0, 20.0, 30))
     assert distance_to_chain_m(front, arc).max() < 0.15
+
     # Where the map has lanes through the junction, no other way is driven.
     told = "the map has no lane from the west to the south"
     with pytest.raises(NoRoadError, match=told):
@@ -246,6 +257,7 @@ def test_a_turning_car_takes_the_lane_from_which_the_junction_leads(vut, begins,
     front, _ = path.course.at(np.linspace(-10.0, 30.0, 80))
     driven = (named[begins], turn, named[ends])
     chain = without_repeats([lane.centreline_m for lane in driven])
+
     assert distance_to_chain_m(front, chain).max() < 0.01
 
 
@@ -274,6 +286,7 @@ def test_nobody_takes_the_junctions_own_lanes_for_another_junction(lay):
     scene = with_lanes(through, crosswalks_m=deep[None])
     before = [Position(distance_m=5.0)]
     runs, refusals = lay(scene, ["CPNA-25"], approaches=["west"], positions=before)
+
     assert runs
     assert not refusals
 
@@ -288,8 +301,10 @@ def test_cyclists_ride_on_the_arms_cycleway(vut):
     track = cycleway(0.0)
     scene = with_lanes(track)
     south = build_junction(scene).arms["south"]
+
     assert [lane.id for lane in south.cycleways_in] == ["track"]
     assert [lane.id for lane in south.lanes_in] == ["south-in-0"]
+
     rides = staged("CBNA-50", vut, scene=scene).vru_motion.path
     assert rides.start_m[0] == pytest.approx(track.centreline_m[0, 0])
 
@@ -298,6 +313,7 @@ def test_cyclists_ride_on_the_arms_cycleway(vut):
 def test_a_cycleway_may_end_a_little_beside_the_junctions_outline(off_m, n_found):
     arms = build_junction(with_lanes(cycleway(off_m))).arms
     counts = {name: len(arm.cycleways_in) for name, arm in arms.items()}
+
     assert counts == dict.fromkeys(ARMS, 0) | {"south": n_found}
     assert not any(arm.cycleways_out for arm in arms.values())
 
@@ -306,6 +322,7 @@ def test_cyclists_do_not_ride_between_the_lanes_of_one_direction_and_the_other(v
     south = lanes_of("south", 270.0, n_lanes=2)
     scene = build_scene([*arm_lanes(without=["south"]), *south])
     path = staged("CBNA-50", vut, scene=scene).vru_motion.path
+
     # 0.75 m inside the edge of the outer lane: two lanes of 3.5 m.
     assert path.start_m[0] == pytest.approx(2.0 * LANE_M - 0.75)
 
@@ -313,6 +330,7 @@ def test_cyclists_do_not_ride_between_the_lanes_of_one_direction_and_the_other(v
 def test_a_cyclist_comes_from_a_road_that_exists(vut):
     scene = build_scene(arm_lanes(without=["east"]))
     told = "no lane lies ahead from which the cyclist could come"
+
     with pytest.raises(NoRoadError, match=told):
         staged("CBTAfo-50", vut, scene=scene)
     assert staged("CBTAfs-100", vut, scene=scene)
@@ -324,6 +342,7 @@ def test_a_cyclist_comes_from_a_road_that_exists(vut):
 def test_obstructions_stand_outside_the_carriageway(lay, name, scene):
     runs, refusals = lay(scene, [name], approaches=["west"])
     assert all(one.reason.startswith("the lanes curve") for one in refusals)
+
     carriageway = shapely.union_all(strips_of(scene.lanes))
     for run in runs:
         for body in run.obstruction:
@@ -362,6 +381,7 @@ def test_what_needs_a_road_that_is_missing_does_not_count_as_possible(lay):
     scene = build_scene(arm_lanes(without=["north"]))
     _, refusals = lay(scene, ["CPTAfs-50", "CPLA-50"], approaches=["west"])
     (refusal,) = refusals
+
     assert refusal.case.name == "CPTAfs-50"
     assert not refusal.is_possible
 

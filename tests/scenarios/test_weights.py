@@ -120,6 +120,7 @@ def test_the_only_turn_that_a_map_allows_weighs_no_more_than_one_of_four():
     driven = [run("CBNA", arm) for arm in arms]
     driven.append(run("CBTAno-50", "north"))
     missing = [refused("CBTAno-50", arm, 10.0, is_possible=False) for arm in arms[1:]]
+
     assert weigh(driven, "case", refused=missing) == pytest.approx([1 / 5] * 5)
     assert weight_per_case(driven)[-1] == pytest.approx(1 / 2)
 
@@ -188,11 +189,15 @@ def test_a_position_can_be_named(table):
     runs = [run("CPLA-50", position=position) for position in ("0", "0", "-15", "+15")]
     head = "case,approach,position,weight\n"
     path = table(f"{head}CPLA-50,north,0,2\nCPLA-50,*,-15,1\nCPLA-50,,+15,1\n")
+
     assert weigh(runs, path) == pytest.approx([1 / 4] * 4)
+
     path = table(f"{head}CPLA-50,,'-15.0,1\nCPLA-50,,15,2\nCPLA-50,,'0,1\n")
     assert weigh(runs, path) == pytest.approx([1 / 8, 1 / 8, 1 / 4, 1 / 2])
+
     path = table(f"{head}CPLA-50,north,*,2\n")
     assert weigh(runs, path) == pytest.approx([1 / 4] * 4)
+
     path = table(f"{head}CPLA-50,north,+30,2\n")
     with refused_with(
         f"{path}: line 2: got 'CPLA-50', 'north', '+30'; expected an approach,"
@@ -277,6 +282,7 @@ def test_points_are_those_of_the_package_shared_by_the_runs_of_a_case_and_weathe
     night = scores["CPNA night"]
     cyclist = scores["CBNA"]
     expected = np.array([day / 3, day / 3, day / 3, cyclist, night])
+
     assert weight == pytest.approx(expected / expected.sum())
     # As the package splits the pedestrian's points by light: robustness is looked at by
     # day only.
@@ -286,9 +292,11 @@ def test_points_are_those_of_the_package_shared_by_the_runs_of_a_case_and_weathe
 def test_every_score_of_the_mapping_is_one_of_the_package(scores):
     points = weight_tables.load_points()
     assert set(points.values()) <= set(scores.values())
+
     frontal = [name for name in scores if "SfS" not in name and "ELK" not in name]
     # Reversing, forward creep, dooring.
     left_out = {"CPMRCm", "CPMRCs", "CPMFC", "CBDA"}
+
     assert len(points) == len(set(frontal) - left_out)
 
 
@@ -298,6 +306,7 @@ def test_cars_and_motorcyclists_have_their_points_whatever_side_year_and_impact(
     weight = weigh(driven, "euroncap-rating-2026")
     half = scores["CMCscp"] / 2.0
     expected = np.array([half, half, scores["CCRs"], scores["CCFtap"]])
+
     assert scores["CMCscp"] == 7.5
     assert weight == pytest.approx(expected / expected.sum())
 
@@ -305,7 +314,9 @@ def test_cars_and_motorcyclists_have_their_points_whatever_side_year_and_impact(
 def test_near_and_far_turns_share_their_points(scores):
     driven = (run("CPTAfs-50"), run("CPTAns-50"), run("CPTAfo-50"), run("CPNC-50"))
     weight = weigh(driven, "euroncap-rating-2026")
+
     assert weight[0] == weight[1] == pytest.approx(0.5 * weight[2])
+
     ratio = scores["CPNCO day"] / scores["CPTAfo & CPTAno"]
     assert weight[3] / weight[2] == pytest.approx(ratio)
 
@@ -348,9 +359,11 @@ def test_accident_types_weigh_by_manoeuvre_and_distance_from_the_junction():
     }
     weight = weigh(tuple(shares), "fhwa-crash-types")
     expected = np.array(list(shares.values()))
+
     assert weight.sum() == pytest.approx(1.0)
     # Shares are rounded.
     assert weight == pytest.approx(expected / expected.sum(), rel=5e-3)
+
     alone = weigh((run("CPNC-50", position="-30"), run("CPNC-50")), "fhwa-crash-types")
     assert alone == pytest.approx([0.264 / 0.488, 0.224 / 0.488])
 
@@ -373,10 +386,12 @@ def test_a_function_weighs_runs(runs):
     weight = weights.weight_by_function(
         runs, lambda run: 1.0 + 2.0 * (run.approach == "east")
     )
+
     assert weight.sum() == pytest.approx(1.0)
     assert weight[is_east] == pytest.approx(3.0 * weight[~is_east].min())
     with pytest.raises(InputError, match=r": got -1.0; expected a finite number >= 0"):
         weights.weight_by_function(runs, lambda run: -1.0)
+
     told = "weights: got 0 for all runs; expected one weight more"
     with pytest.raises(InputError, match=told):
         weights.weight_by_function(runs, lambda run: 0.0)

@@ -44,6 +44,7 @@ def dual_carriageway(stub_m):
 def test_a_stub_between_crosswalk_and_junction_is_no_arm(stub_m, tmp_path):
     source, junction = read(dual_carriageway(stub_m), tmp_path)
     lanes = arm_lanes(source, junction)
+
     assert lanes == {"north": (2, 2), "west": (1, 1), "south": (3, 3)}
     assert not list(compare_arms(arms_of(source, junction), junction.roads))
 
@@ -58,9 +59,12 @@ THREE_ARMS = """
 def test_a_road_that_the_cut_out_clips_is_no_arm_and_told(tmp_path):
     osm = drawn(THREE_ARMS).draw("road 0 0, 0 14")
     source, junction = read(osm, tmp_path)
+
     assert set(arm_lanes(source, junction)) == {"east", "west", "south"}
+
     why = "it ends nowhere, less than 10 m beyond a junction: no arm"
     told = [(skip.what, skip.why) for skip in source.skipped]
+
     assert (f"way {osm.ids[-1]}", why) in told
     assert len(junction.roads) == 3
 
@@ -80,6 +84,7 @@ def test_carriageways_with_tracks_between_them_are_one_arm(keeps_left, tmp_path)
     """)
     source, junction = read(osm, tmp_path, keeps_left=keeps_left)
     lanes = arm_lanes(source, junction)
+
     assert lanes == {"east": (1, 1), "north": (2, 2), "west": (1, 1), "south": (2, 2)}
 
 
@@ -99,6 +104,7 @@ def test_what_arms_lack_is_told(tmp_path):
         road("High Street", (-1.0, 0.0), 1, 1),
     ]
     found = compare_arms(arms_of(source, junction), roads)
+
     assert [(one.what, one.why) for one in found] == [
         (
             "road Mill Lane from the north",
@@ -151,6 +157,7 @@ def test_streets_that_meet_twice_are_told_with_their_places(tmp_path):
     path = osm.write(tmp_path)
     source = read_openstreetmap(path, keeps_left=False)
     told = r"\(High Street / Mill Lane at 13\.4\d*,52\.5\d*\)"
+
     with pytest.raises(InputError, match=told):
         choose_junction(
             source, survey_junctions(source), name="Mill Lane / High Street"
@@ -160,7 +167,9 @@ def test_streets_that_meet_twice_are_told_with_their_places(tmp_path):
 def test_junctions_are_sorted_by_what_they_have(town):
     surveyed = survey_junctions(town)
     by_name = [one.junction.name for one in sort_junctions(surveyed, "name")]
+
     assert by_name == sorted(one.junction.name for one in surveyed)
+
     by_lanes = [one.n_lanes for one in sort_junctions(surveyed, "lanes")]
     assert by_lanes == sorted(by_lanes, reverse=True)
     assert sort_junctions(surveyed, "arms") == surveyed

@@ -97,6 +97,7 @@ def test_where_traffic_keeps_left_bus_lanes_lie_at_the_left_kerb(tmp_path):
 def test_what_a_map_leaves_open_of_bus_lanes_is_told(tags, expected, why, tmp_path):
     found, source = road_from_left(tags, tmp_path)
     assert found == expected
+
     (note,) = source.skipped
     assert why in str(note.why)
 
@@ -105,10 +106,12 @@ def test_a_bus_lane_is_part_of_the_arm_and_no_way_for_cars(tmp_path):
     osm = drawn_crossing("highway=primary; lanes=4; busway=lane")
     source = read_drawing(osm, tmp_path, keeps_left=False)
     (junction,) = source.junctions
+
     for arm in arms_of(source, junction).arms.values():
         assert [lane.kind for lane in arm.lanes_in] == ["bus", "driving"]
         assert [lane.kind for lane in arm.lanes_out] == ["bus", "driving"]
         assert len(arm.entry_lanes) == len(arm.exit_lanes) == 1
+
     roads = {(road.lanes_in, road.lanes_out) for road in junction.roads}
     assert roads == {(1, 1)}
 
@@ -126,6 +129,7 @@ def test_where_a_bus_lane_ends_the_lane_of_cars_goes_straight_on(tmp_path):
     kerb, inner = (lane.centreline_m for lane in entries)
     driving = [lane.centreline_m for lane in source.lanes if lane.kind == "driving"]
     before = next(line for line in driving if line[0, 0] < -140.0)
+
     # Whole in itself: the lane of cars.
     assert np.ptp(inner[:, 1]) < 0.01
     assert abs(inner[0, 1] - before[-1, 1]) < 0.01

@@ -51,6 +51,7 @@ def volume(thing):
 def test_a_solid_is_read_where_it_stands(tmp_path, version):
     source = read_cityjson(write(tmp_path, CITY | {"version": version}))
     (thing,) = source.things
+
     assert source.crs == "EPSG:25833"
     assert source.heights == "absolute"
     assert thing.class_name == "building"
@@ -92,6 +93,7 @@ def test_the_level_of_detail_that_serves_best_is_taken(tmp_path, levels, best):
         geometries.append({"type": "MultiSurface", "lod": level, "boundaries": shell})
     house = {"type": "Building", "geometry": geometries}
     (thing,) = read_cityjson(write(tmp_path, city_of(house=house))).things
+
     assert len(thing.triangles) == 12
 
 
@@ -102,6 +104,7 @@ def test_footprints_are_raised_by_their_measured_height(tmp_path):
         "geometry": [FOOTPRINT],
     }
     (thing,) = read_cityjson(write(tmp_path, city_of(house=house))).things
+
     assert volume(thing) == pytest.approx(48.0 * 7.5)
     assert np.ptp(thing.vertices_m[:, 2]) == pytest.approx(7.5)
     assert not thing.is_height_assumed
@@ -115,6 +118,7 @@ def test_footprints_without_a_possible_height_get_the_default(tmp_path, height):
         "geometry": [FOOTPRINT],
     }
     (thing,) = read_cityjson(write(tmp_path, city_of(house=house))).things
+
     assert thing.is_height_assumed
     assert np.ptp(thing.vertices_m[:, 2]) == pytest.approx(
         kind_of_class("building").height_m
@@ -125,6 +129,7 @@ def test_a_footprint_gives_way_to_the_parts_of_its_building(tmp_path):
     house = {"type": "Building", "geometry": [FOOTPRINT], "children": ["part"]}
     part = HOUSE | {"type": "BuildingPart", "parents": ["house"]}
     source = read_cityjson(write(tmp_path, city_of(house=house, part=part)))
+
     assert [thing.id for thing in source.things] == ["part"]
 
 
@@ -140,6 +145,7 @@ def test_classes_follow_types_and_the_names_of_furniture(tmp_path):
         "soil": HOUSE | {"type": "LandUse"},
     }
     source = read_cityjson(write(tmp_path, city_of(**objects)))
+
     assert {thing.id: thing.class_name for thing in source.things} == {
         "tree": "vegetation",
         "kiosk": "wall",
@@ -153,6 +159,7 @@ def test_copies_of_templates_are_told(tmp_path):
     placed = {"type": "GeometryInstance", "template": 0, "boundaries": [7]}
     tree = {"type": "SolitaryVegetationObject", "geometry": [placed]}
     source = read_cityjson(write(tmp_path, city_of(house=HOUSE, tree=tree)))
+
     assert [thing.id for thing in source.things] == ["house"]
     assert [skip.what for skip in source.skipped] == ["1 SolitaryVegetationObject"]
 
@@ -215,6 +222,7 @@ def test_what_is_no_city_is_refused(tmp_path, text):
 def test_what_is_no_text_is_refused(tmp_path):
     path = tmp_path / "city.json"
     path.write_bytes(b"\xff\xfe\x00")
+
     with pytest.raises(InputError, match="UTF-8"):
         read_cityjson(path)
     with pytest.raises(InputError, match="readable"):
@@ -229,6 +237,7 @@ def test_real_houses_have_the_volumes_that_their_source_gives(real_input):
         for entry in json.loads(path.read_text())["CityObjects"].values()
         if entry["type"] == "Building"
     ]
+
     assert source.crs == "EPSG:28992"
     assert sorted(volume(thing) for thing in source.things) == pytest.approx(
         sorted(said), rel=1e-3

@@ -147,6 +147,7 @@ TURNED = multi_surface(
 def test_a_house_is_the_same_however_it_is_written(tmp_path, version, body):
     source = read(tmp_path, city(body, version=version))
     (thing,) = source.things
+
     assert source.crs == "EPSG:25833"
     assert source.heights == "absolute"
     assert thing.id == "house"
@@ -163,6 +164,7 @@ def test_holes_are_left_out(tmp_path):
         tmp_path, city(multi_surface([polygon(floor, holes=[hole])]))
     ).things
     a, b, c = np.swapaxes(thing.vertices_m[thing.triangles], 0, 1)
+
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(
         44.0
     )
@@ -176,6 +178,7 @@ def test_footprints_are_raised_by_their_measured_height(tmp_path, name, unit, he
     flat = multi_surface([polygon(BOX[[0, 4, 6, 2]] + ORIGIN)], level=0, name=name)
     body = f'<bldg:measuredHeight uom="{unit}">7.0</bldg:measuredHeight>{flat}'
     (thing,) = read(tmp_path, city(body)).things
+
     assert volume(thing) == pytest.approx(48.0 * height_m)
     assert not thing.is_height_assumed
 
@@ -191,6 +194,7 @@ def test_footprints_in_two_dimensions_are_read_as_such(tmp_path):
         "</gml:surfaceMember></gml:MultiSurface></bldg:lod0FootPrint>"
     )
     (thing,) = read(tmp_path, city(flat)).things
+
     assert np.allclose(np.ptp(thing.vertices_m[:, :2], axis=0), [6, 8])
     assert thing.is_height_assumed
 
@@ -204,6 +208,7 @@ def test_parts_are_things_and_their_buildings_footprint_is_none(tmp_path):
         [polygon(BOX[[0, 4, 6, 2]] + ORIGIN)], level=0, name="FootPrint"
     )
     source = read(tmp_path, city(flat + part))
+
     assert [thing.id for thing in source.things] == ["part"]
 
 
@@ -211,6 +216,7 @@ def test_northing_first_is_turned(tmp_path):
     origin = np.array([4_590_000.0, 5_820_000.0, 30.0])
     box = [polygon((BOX[face] + origin)[:, [1, 0, 2]]) for face in FACES]
     source = read(tmp_path, city(multi_surface(box), srs="urn:ogc:def:crs:EPSG::31468"))
+
     assert np.allclose(source.things[0].vertices_m.min(axis=0), origin)
     assert volume(source.things[0]) == pytest.approx(240.0)
 
@@ -224,6 +230,7 @@ def test_geographic_coordinates_become_metres(tmp_path):
         tmp_path, city(flat, srs="http://www.opengis.net/def/crs/EPSG/0/6697")
     )
     width, depth = np.ptp(source.things[0].vertices_m[:, :2], axis=0)
+
     assert width == pytest.approx(90.5, rel=0.01)
     assert depth == pytest.approx(111.0, rel=0.01)
 
@@ -235,6 +242,7 @@ def test_bridges_and_rooms_are_left_out_and_counted(tmp_path):
         f"<cityObjectMember><bldg:Bridge>{solid()}</bldg:Bridge></cityObjectMember></CityModel>",
     )
     source = read(tmp_path, text)
+
     assert len(source.things) == 1
     assert [skip.what for skip in source.skipped] == ["1 Bridge", "1 Room"]
 
@@ -301,6 +309,7 @@ def test_both_encodings_of_a_real_model_give_the_same_houses(real_input):
             real_input("buildings/lod2_buildings_v2.city.json")
         ).things
     }
+
     assert gml.crs == ""
     assert "EPSG:3068" in gml.skipped[0].what
     assert {thing.id for thing in gml.things} == set(in_json)

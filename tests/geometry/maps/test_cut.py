@@ -117,17 +117,21 @@ def unit(vector):
 def test_what_lies_around_the_junction_is_taken_and_nothing_else():
     found = cut(ROADS)
     lanes = {one.id: one for one in found.lanes}
+
     assert sorted(lanes) == ["further", "in", "out"]
     assert np.hypot(*lanes["in"].centreline_m[0]) == pytest.approx(120.0, abs=1e-6)
     assert np.hypot(*lanes["in"].centreline_m[-1]) < 9.0
     assert found.outline_m == pytest.approx(SQUARE_M, abs=0.5)
     assert [one.id for one in found.things] == ["near"]
+
     heights = found.things[0].vertices_m[:, 2]
     assert (heights.min(), heights.max()) == pytest.approx((0.0, 6.0))
+
     (pole,) = found.poles
     assert pole.id == "lamp-1"
     assert pole.position_m[2] == 0.0
     assert len(found.crosswalks_m) == 1
+
     told = notes_of(found)
     assert told["1 things in roads.xodr"] == "farther than 50 m from the junction"
     assert told["1 x building in roads.xodr"] == "not above the road"
@@ -136,13 +140,16 @@ def test_what_lies_around_the_junction_is_taken_and_nothing_else():
 def test_a_scene_has_ground_things_and_bodies_of_poles_and_a_junction():
     found = cut(ROADS)
     scene = scene_around(found, source_crs=UTM)
+
     assert [(one.id, one.class_name) for one in scene.instances] == [
         ("ground", "ground"),
         ("near", "building"),
         ("lamp-1", "lamp post"),
     ]
+
     post = scene.vertices_m[np.unique(scene.triangles[scene.triangle_instance == 2])]
     assert (post[:, 2].min(), post[:, 2].max()) == pytest.approx((0.0, 6.0))
+
     (arm,) = build_junction(scene).arms.values()
     assert [one.id for one in arm.entry_lanes] == ["in"]
     assert [one.id for one in arm.exit_lanes] == ["out"]
@@ -156,7 +163,9 @@ def test_distances_are_metres_on_the_ground_and_places_stay(east_m, north_m):
     point = AT_M + [east_m, north_m]
     here = frame.take(point, ROADS)
     lon_lat = transform(here, frame.crs, "EPSG:4326")
+
     assert transform(lon_lat, "EPSG:4326", UTM) == pytest.approx(point, abs=1e-4)
+
     # UTM shrinks by up to 0.04 % there and is turned by the convergence of its
     # meridians.
     away_m = np.hypot(east_m, north_m)
@@ -166,9 +175,11 @@ def test_distances_are_metres_on_the_ground_and_places_stay(east_m, north_m):
 def test_a_map_of_no_known_place_is_moved_to_the_junction():
     roads = replace(ROADS, crs="", source_crs="")
     found = cut(roads)
+
     assert found.frame.crs == ""
     assert found.frame.origin_m == pytest.approx(AT_M)
     assert found.outline_m == pytest.approx(SQUARE_M)
+
     scene = scene_around(found)
     assert scene.source_origin_m == pytest.approx(AT_M)
 
@@ -187,9 +198,12 @@ def city_at(middle_m):
 def test_other_files_lie_where_they_say():
     there = AT_M + [30.0, -30.0]
     found = cut(ROADS, city_at(there))
+
     assert [one.id for one in found.things] == ["near", "c.gml-near"]
+
     corners = found.things[1].vertices_m
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+
     assert middle[:2] == pytest.approx(found.frame.take(there, ROADS), abs=0.05)
     assert corners[:, 2].min() == pytest.approx(0.0)  # its own lowest point
 
@@ -198,6 +212,7 @@ def test_other_files_that_say_nothing_lie_where_the_roads_are():
     things = (house("x", (0.0, 30.0), bottom_m=0.0, top_m=6.0),)
     silent = replace(city_at(AT_M), crs="", things=things, heights="above ground")
     corners = cut(ROADS, silent).things[1].vertices_m
+
     assert corners[:, :2].mean(axis=0) == pytest.approx([0.0, 30.0], abs=1.0)
 
 
@@ -272,13 +287,17 @@ def test_lanes_are_led_straight_on_through_another_junction(aside_m):
 def test_where_the_map_ends_a_lane_is_assumed_and_told():
     surroundings, scene = imported(crossing_map(goes_on=False))
     assert "other junctions around it" not in notes_of(surroundings)
+
     (assumed,) = lines_of(scene, "assumed").values()
     entry = lines_of(scene, "driving")["near in"]
+
     assert assumed[-1] == pytest.approx(entry[0])
     assert assumed[0] == pytest.approx(entry[0] - 60.0 * unit(entry[1] - entry[0]))
+
     ((name, why),) = arms_that_end(scene)
     assert name == "east"
     assert why.startswith("the map ends 20 m from the junction")
+
     levels = [finding.level for finding in check_scene(scene) if finding.why == why]
     assert levels == ["warning"]
 
@@ -368,6 +387,8 @@ def test_an_assumed_road_ends_where_no_bend_leads_past_houses():
 def test_no_road_is_assumed_where_houses_stand_right_behind_the_map():
     scene, roads = with_houses(row_at(31))
     assert not roads
+
     junction = build_junction(scene)
     (entry,) = junction.arms["east"].entry_lanes
+
     assert not junction.is_led_on(entry)

@@ -62,6 +62,7 @@ def test_easting_and_northing_swapped(tmp_path):
     here = gpd.GeoSeries([HOUSE], crs="EPSG:4326").to_crs("EPSG:25833")[0]
     path = houses(tmp_path, swapped(here), swapped(here), crs="EPSG:25833")
     message = refusal(tmp_path, path)
+
     assert "got coordinates around 5817861, 391394" in message
     assert "easting and northing swapped?" in message
 
@@ -70,6 +71,7 @@ def test_easting_and_northing_swapped_on_the_whole_earth(tmp_path):
     """Web Mercator has no area outside of which coordinates make no sense."""
     here = gpd.GeoSeries([HOUSE], crs="EPSG:4326").to_crs("EPSG:3857")[0]
     message = refusal(tmp_path, houses(tmp_path, swapped(here), crs="EPSG:3857"))
+
     assert "all 1 things of houses.gpkg lie" in message
     assert "easting and northing swapped?" in message
 

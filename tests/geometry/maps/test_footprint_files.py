@@ -86,10 +86,12 @@ def test_what_geopandas_writes_is_read_back(tmp_path, name):
     two = MultiPolygon([one, box(X + 10, Y + 30, X + 15, Y + 35)])
     rows = {"id": ["a", "b", "c"], "height": [6.0, 12.0, 3.0]}
     source = read_footprints(write(tmp_path, rows, [HOUSE, YARD, two], name))
+
     assert source.crs == "EPSG:25833"
     assert source.heights == "above ground"
     assert source.skipped == ()
     assert ids(source.things) == ["a", "b", "c"]
+
     areas = [80.0, 375.0, 50.0]
     for thing, area, height in zip(source.things, areas, rows["height"], strict=True):
         assert is_closed(thing.triangles)
@@ -105,6 +107,7 @@ def test_zipped_shapefiles_are_read(tmp_path):
                 archive.write(file, f"houses/{file.name}")
     zipped = read_footprints(tmp_path / "a.zip")
     plain = read_footprints(path)
+
     assert_array_equal(zipped.things[0].vertices_m, plain.things[0].vertices_m)
     assert zipped.crs == plain.crs
 
@@ -114,6 +117,7 @@ def test_houses_have_their_size_on_the_ground_in_every_reference_system(tmp_path
     frame = gpd.GeoSeries([HOUSE, YARD], crs="EPSG:25833").to_crs(crs)
     path = write(tmp_path, {"height": [6.0, 12.0]}, list(frame), crs=crs)
     source = read_footprints(path)
+
     for thing, volume_there in zip(source.things, (480.0, 4500.0), strict=True):
         assert volume(thing) == pytest.approx(volume_there, rel=2e-3)
 
@@ -167,8 +171,10 @@ def test_lines_become_walls_where_something_says_so(tmp_path):
     source = read_footprints(path)
     (hedge,) = source.things
     kinds = {kind.kind: kind for kind in thing_defaults().kinds}
+
     assert hedge.class_name == "vegetation"
     assert hedge.is_height_assumed
+
     size = [10.0, kinds["hedge"].thickness_m, kinds["hedge"].height_m]
     assert np.ptp(hedge.vertices_m, axis=0) == pytest.approx(size)
     assert told(source) == ["1 lines"]
@@ -178,6 +184,7 @@ def test_lines_become_walls_where_something_says_so(tmp_path):
 def test_points_and_rows_without_geometry_are_counted(tmp_path):
     path = write(tmp_path, {"n": [1, 2, 3, 4]}, [HOUSE, Point(X, Y), None, Point(X, Y)])
     source = read_footprints(path)
+
     assert len(source.things) == 1
     assert told(source) == ["2 points", "1 rows without geometry"]
 
@@ -194,6 +201,7 @@ def test_footprints_that_cross_themselves_are_mended_and_those_without_area_are_
     flat = Polygon([(X, Y), (X + 10, Y), (X + 5, Y)])
     rows = {"id": ["bow", "flat"], "height": [2.0, 2.0]}
     source = read_footprints(write(tmp_path, rows, [bow, flat]))
+
     assert ids(source.things) == ["bow"]
     assert volume(source.things[0]) == pytest.approx(100.0)
     assert told(source) == ["building flat"]
@@ -208,6 +216,7 @@ def test_a_file_with_several_layers_is_refused(tmp_path):
     write(tmp_path, {"height": [2.0]}, [HOUSE], layer="houses")
     path = write(tmp_path, {"height": [4.0]}, [YARD], layer="yards", mode="a")
     message = "got 2 layers: houses, yards; expected a file"
+
     with pytest.raises(InputError, match=message):
         read_footprints(path)
 

@@ -46,6 +46,7 @@ def test_degrees_become_metres_on_the_ground(lon, lat):
     place = georeference(points, "EPSG:4326", where="f")
     a, b = place.to_metres(points, "f")
     _, _, distance = Geod(ellps="WGS84").inv(*points[0], *points[1])
+
     assert np.hypot(*(b - a)) == pytest.approx(distance, abs=1e-3)
 
 
@@ -55,6 +56,7 @@ def test_web_mercator_becomes_metres_on_the_ground():
     a, b = place.to_metres(points, "f")
     lonlat = in_wgs84("EPSG:3857", points)
     _, _, distance = Geod(ellps="WGS84").inv(*lonlat[0], *lonlat[1])
+
     assert np.hypot(*(b - a)) == pytest.approx(distance, abs=1e-3)
     assert distance < 62.0
 
@@ -63,6 +65,7 @@ def test_feet_become_metres_also_upwards():
     points = np.array([[985_000.0, 200_000.0, 10.0], [985_100.0, 200_000.0, 20.0]])
     place = georeference(points[:, :2], "EPSG:2263", where="f")
     a, b = place.to_metres(points, "f")
+
     assert np.hypot(*(b - a)[:2]) == pytest.approx(30.48, rel=1e-3)
     assert b[2] - a[2] == pytest.approx(3.048, rel=1e-5)
 
@@ -92,6 +95,7 @@ def test_latitude_comes_first_where_the_definition_says_so():
         points, "urn:ogc:def:crs:EPSG::6697", where="f", follows_authority=True
     )
     back = in_wgs84(place.crs, place.to_metres(points, "f"))
+
     assert np.allclose(back, points[:, ::-1], atol=1e-5)
 
 

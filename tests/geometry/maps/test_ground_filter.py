@@ -25,6 +25,7 @@ def test_lowest_points_are_those_of_a_loop_however_they_come(points, cut):
         tuple((np.array(index) + low).tolist()): heights[tuple(index)]
         for index in np.argwhere(~np.isnan(heights))
     }
+
     assert found == truth
 
 
@@ -49,6 +50,7 @@ def test_houses_are_taken_off_sloping_ground(rise, size, height, noise):
     found = filter_ground(surface)
     beside = np.ones(ground.shape, dtype=bool)
     beside[40 : 40 + size, 30 : 30 + size] = False
+
     assert np.abs(found - ground)[beside].max() < 0.5
     # Under the house the nearest ground is half a house away.
     assert np.abs(found - ground)[~beside].max() < 0.5 + abs(slope) * (0.5 * size + 2)

@@ -24,6 +24,7 @@ def bare_map(tmp_path):
 def test_a_bare_map_tells_all_that_was_assumed(tmp_path):
     scene = import_scene([bare_map(tmp_path)], ImportOptions()).scene
     told = [(note.kind, note.what) for note in assumptions(scene.notes)]
+
     assert told[:3] == [
         ("junction", "1 other junctions of map.osm"),
         ("side of the road", "side of the road"),
@@ -42,6 +43,7 @@ def test_signals_on_the_road_are_assumed_poles(tmp_path):
     scene = import_scene([osm.write(tmp_path)], ImportOptions()).scene
     assumed = assumed_sites(scene.notes)
     lights = {site.id for site in scene.sites if site.kind == "traffic light"}
+
     assert len(lights) == 4
     assert set(assumed) == lights
     assert all("4 poles at the kerbs are assumed" in why for why in assumed.values())
@@ -52,6 +54,7 @@ def test_assumptions_are_kept_on_disk(tmp_path):
     folder = tmp_path / "scene"
     folder.mkdir()
     save_scene(folder, imported.scene)
+
     assert load_scene_folder(folder).notes == imported.scene.notes
 
 
@@ -59,6 +62,7 @@ def test_listed_sites_are_not_assumed(tmp_path):
     poles = tmp_path / "poles.csv"
     poles.write_text(f"id,lat,lon,kind\na,{LAT_DEG + 1e-4},{LON_DEG + 2e-4},kerb\n")
     scene = import_scene([bare_map(tmp_path)], ImportOptions(sites=str(poles))).scene
+
     assert not assumed_sites(scene.notes)
 
 

@@ -91,6 +91,7 @@ def test_streets_go_by_their_short_names(source, name):
     found = survey_junctions(
         replace(source, junctions=(replace(one, name=named), *rest))
     )
+
     assert choose_junction(source, found, name=name).junction.name == named
 
 
@@ -114,6 +115,7 @@ def test_a_junction_is_chosen_by_latitude_and_longitude(source):
     found = survey_junctions(moved)
     lon_deg, lat_deg = transform(np.array([500_905.0, 5_800_010.0]), crs, WGS84)
     chosen = choose_junction(moved, found, name=f"{lat_deg:.6f}, {lon_deg:.6f}")
+
     assert chosen.junction.id == "other"
     with pytest.raises(
         InputError, match=r"junction: got 10\.5,20\.5; expected a point within"

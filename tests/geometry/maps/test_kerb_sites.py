@@ -37,6 +37,7 @@ def test_sites_line_both_kerbs_from_the_corners_outwards():
     sites = kerb_sites([east("in", 1.5), east("out", -1.5)], SQUARE, 15.0)
     found = positions(sites)
     x = [8.5, 23.5, 38.5, 53.5]  # half a metre off the outline, to 60 m from it
+
     for side, name in ((1.0, "in"), (-1.0, "out")):
         kerb = found[np.sign(found[:, 1]) == side]
         expected = [(along, side * (3.0 + SETBACK_M)) for along in x]
@@ -61,6 +62,7 @@ def test_parked_cars_are_beside_the_kerb_and_paths_are_not():
     ]
     found = positions(kerb_sites(lanes, SQUARE, 20.0))
     kerbs = sorted(set(found[:, 1]))
+
     assert kerbs == pytest.approx([-1.5 - SETBACK_M, 3.5 + SETBACK_M])
 
 
@@ -78,6 +80,7 @@ def test_lanes_in_pieces_are_followed_and_those_of_other_roads_are_not():
         east("far", 30.0, begin=20.0),
     ]
     found = positions(kerb_sites(lanes, SQUARE, 10.0))
+
     assert found[:, 0].max() == pytest.approx(58.5, abs=0.5)
     assert np.abs(found[:, 1]).max() == 1.5 + SETBACK_M
 
@@ -151,6 +154,7 @@ def test_of_sites_at_one_place_the_one_with_more_said_stays():
         wish("d", 3, 0),
     ]
     kept, skipped = tidy_sites(sites)
+
     assert [site.id for site in kept] == ["b", "c"]
     assert [skip.what for skip in skipped] == ["site a", "site d"]
     assert "beside b" in skipped[0].why
@@ -164,6 +168,7 @@ def test_sites_in_buildings_are_dropped_with_the_building_named():
         wish("on", 10, 5),
     ]
     kept, skipped = tidy_sites(sites, things=[house()])
+
     assert [site.id for site in kept] == ["out", "on"]
     assert {skip.why for skip in skipped} == {"inside building h"}
 

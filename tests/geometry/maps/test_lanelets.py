@@ -30,6 +30,7 @@ def read(tmp_path, text, name="map.osm"):
 def test_a_crossing_has_its_arms_lanes_and_ways_through(tmp_path):
     source = read(tmp_path, lanelet2(crossing(), {"speed_limit": "30 mph"}))
     (one,) = survey_junctions(source)
+
     assert set(one.arms) == {"north", "east", "south", "west"}
     assert one.n_lanes == 8
     assert one.n_driven == 4
@@ -49,6 +50,7 @@ def test_a_crossing_has_its_arms_lanes_and_ways_through(tmp_path):
 def test_commonroad_says_the_same(tmp_path):
     ours = read(tmp_path, lanelet2(crossing()), "a.osm")
     theirs = read(tmp_path, commonroad(crossing()), "a.xml")
+
     for one, other in zip(ours.lanes, theirs.lanes, strict=True):
         assert_array_equal(one.centreline_m, other.centreline_m)
         assert one.from_junction == other.from_junction
@@ -65,7 +67,9 @@ def test_a_lanelet_with_exchanged_sides_is_turned_and_told(tmp_path):
     lanes["in2"] = lanes["in2"][::-1]
     source = read(tmp_path, lanelet2(lanes))
     right = read(tmp_path, lanelet2(crossing()))
+
     assert len(source.lanes) == 8
+
     for one, other in zip(source.lanes, right.lanes, strict=True):
         assert_allclose(one.centreline_m, other.centreline_m)
     assert any("exchanged" in note.why for note in source.skipped)
@@ -79,6 +83,7 @@ def bounds_of(left, right):
 def test_both_ways_of_a_lanelet_are_lanes(tmp_path):
     lanes = {"road": bounds_of("0 2, 50 2", "0 -2, 50 -2")}
     assert len(read(tmp_path, lanelet2(lanes)).lanes) == 1
+
     one, back = read(tmp_path, lanelet2(lanes, {"one_way": "no"})).lanes
     assert_allclose(one.centreline_m, back.centreline_m[::-1])
 
@@ -102,10 +107,13 @@ def test_crosswalks_lights_and_houses_are_there(tmp_path):
     )
     source = read(tmp_path, lanelet2(lanes, more=more))
     walk = np.sort(source.crosswalks_m[0], axis=0)
+
     assert walk.tolist() == [[-10.5, -5.0], [-10.5, 5.0]]
+
     (pole,) = source.poles
     assert pole.kind == "traffic light"
     assert pole.position_m.tolist() == [25.0, 20.0, 0.0]
+
     (house,) = source.things
     assert np.ptp(house.vertices_m[:, :2], axis=0).tolist() == [10.0, 15.0]
     assert house.is_height_assumed
@@ -115,6 +123,7 @@ def test_a_crossing_becomes_a_scene(tmp_path):
     path = tmp_path / "map.osm"
     path.write_text(lanelet2(crossing()))
     scene = import_scene([path], ImportOptions(sites="kerb:20")).scene
+
     assert scene.crs == ""
     assert len(scene.sites) >= 4
     assert sum(lane.kind == "driving" for lane in scene.lanes) == 8
@@ -161,6 +170,7 @@ def test_who_may_use_a_lanelet_says_its_kind(tags, kind, tmp_path):
     told = "".join(f"<tag k='{key}' v='{value}'/>" for key, value in known.items())
     source = read(tmp_path, lanelet2(crossing()).replace(road, told, 1))
     kinds = {lane.id: lane.kind for lane in source.lanes}
+
     assert kinds.pop("1") == kind
     assert set(kinds.values()) == {"driving"}
 
@@ -172,7 +182,9 @@ def test_a_bus_lane_of_commonroad_is_no_way_through_for_cars(tmp_path):
     source = read(tmp_path, text, "a.xml")
     (bus,) = (lane for lane in source.lanes if lane.kind == "bus")
     (junction,) = source.junctions
+
     assert bus.to_junction == junction.id
+
     (surveyed,) = survey_junctions(source)
     assert surveyed.n_driven == 3
 
@@ -228,6 +240,7 @@ def test_every_variant_of_a_map_has_the_same_arms_and_lanes(text, tmp_path):
     source = read(tmp_path, text)
     plain = read(tmp_path, PLAIN, "plain.osm")
     (one,) = survey_junctions(source)
+
     assert len(one.arms) == 4
     assert one.n_lanes == 8
     assert len(source.connections) == 4
@@ -246,23 +259,29 @@ def test_latitudes_say_where_local_coordinates_lie(tmp_path):
     """A frame that is turned against north by 30 degrees is turned back."""
     source = read(tmp_path, with_places(PLAIN, turned_deg=30.0))
     assert source.source_crs == "EPSG:4326"
+
     (junction,) = source.junctions
     place = Transformer.from_crs(source.crs, "EPSG:4326", always_xy=True)
     lon_lat = place.transform(*junction.position_m)
+
     assert lon_lat == pytest.approx((11.0, 48.0), abs=1e-6)
+
     lane = source.lanes[0].centreline_m[:, :2]
     east, north = lane[-1] - lane[0]
+
     assert np.degrees(np.arctan2(north, east)) % 90.0 == pytest.approx(30.0, abs=0.01)
 
 
 def test_latitudes_that_do_not_fit_are_told_and_not_followed(tmp_path):
     source = read(tmp_path, PLAIN)
     assert source.crs == ""
+
     notes = [str(note) for note in source.skipped]
     expected = (
         "place of map.osm: latitude and longitude do not fit local_x and local_y: not"
         " followed"
     )
+
     assert expected in notes
 
 
@@ -282,6 +301,7 @@ def test_latitudes_that_do_not_fit_are_told_and_not_followed(tmp_path):
 def test_a_lanelet_that_cannot_be_a_lane_is_told_with_its_file(bounds, why, tmp_path):
     source = read(tmp_path, lanelet2(crossing() | {"odd": bounds}))
     assert len(source.lanes) == 8
+
     (note,) = (note for note in source.skipped if "lanelet" in str(note.what))
     assert str(note.what) == "lanelet 13 of map.osm"
     assert why in str(note.why)

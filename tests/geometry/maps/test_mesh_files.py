@@ -72,12 +72,14 @@ def write_gltf(tmp_path, points=((0, 0, 0), (5, 0, 0), (0, 5, 0)), **changes):
 def test_gltf_needs_no_words_about_unit_and_axis(tmp_path, suffix):
     up_is_y(street()).export(tmp_path / f"a.{suffix}")
     source = read_mesh(tmp_path / f"a.{suffix}")
+
     assert {thing.id: thing.class_name for thing in source.things} == {
         "House_1": "building",
         "garden wall": "wall",
         "Tree.003": "vegetation",
         "thing": "building",
     }
+
     house = next(thing for thing in source.things if thing.id == "House_1")
     assert volume(house) == pytest.approx(480.0, rel=1e-5)
     assert np.allclose(house.vertices_m.min(axis=0), [-5, -4, 0], atol=1e-5)
@@ -117,8 +119,10 @@ def test_formats_without_a_standard_need_words(tmp_path, suffix, said):
 def test_axes_are_rotations_that_lift_the_named_one(up):
     rows = np.array(UP_AXES[up], dtype=float)
     assert np.linalg.det(rows) == 1.0
+
     axis = np.zeros(3)
     axis["xyz".index(up[-1])] = -1.0 if up.startswith("-") else 1.0
+
     assert (rows @ axis).tolist() == [0.0, 0.0, 1.0]
 
 
@@ -127,6 +131,7 @@ def test_closed_solids_that_look_inwards_are_turned(tmp_path):
     solid.invert()
     solid.export(tmp_path / "a.stl")
     (thing,) = read_mesh(tmp_path / "a.stl", unit="m", up="z").things
+
     assert volume(thing) == pytest.approx(64.0)
 
 
@@ -134,6 +139,7 @@ def test_mirrored_nodes_still_look_outwards(tmp_path):
     path = write_gltf(tmp_path, nodes=[{"mesh": 0, "name": "a", "scale": [1, -1, 1]}])
     (thing,) = read_mesh(path).things
     a, b, c = thing.vertices_m[thing.triangles[0]]
+
     # In the file the sheet looks to +z, which is south, whichever way it is mirrored.
     assert np.cross(b - a, c - a)[1] < 0.0
 
@@ -142,6 +148,7 @@ def test_primitives_of_one_node_have_names_that_stay(tmp_path):
     primitives = [{"attributes": {"POSITION": 0}}] * 3
     path = write_gltf(tmp_path, meshes=[{"name": "m", "primitives": primitives}])
     names = [[thing.id for thing in read_mesh(path).things] for _ in range(2)]
+
     assert names[0] == names[1] == ["sheet", "sheet-2", "sheet-3"]
 
 
@@ -180,6 +187,7 @@ def test_sizes_of_another_unit_are_refused(tmp_path, unit, message):
 def test_broken_meshes_are_refused_in_one_line(tmp_path, name, text, message):
     path = tmp_path / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
+
     with pytest.raises(InputError, match=message) as caught:
         read_mesh(path, unit="m", up="z")
     assert "\n" not in str(caught.value)

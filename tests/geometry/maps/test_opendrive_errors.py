@@ -232,6 +232,7 @@ def test_widths_that_nobody_can_follow_are_refused(tmp_path):
     wild = cubic("width", 0.0, 1.0, 0.0, 1e8, -1e6)
     text = document(road("5", sections=section(right=[lane(-1, width=wild)])))
     message = _refused(tmp_path, text.replace('c="100000000.0"', 'c="-1e-12"'))
+
     assert message.startswith("made.xodr: road 5: edge of a lane: got ")
 
 

@@ -88,11 +88,14 @@ def test_a_curved_connecting_road_is_a_lane_on_its_circle(tmp_path):
 def test_two_streets_that_cross_make_four_arms(tmp_path, rule):
     source = read_text(tmp_path, document(crossing(rule=rule)))
     (junction,) = source.junctions
+
     assert junction.name == "East Street / North Street"
+
     # A cross of two strips 7 m wide and 20 m long.
     area_m2 = shapely.Polygon(junction.outline_m).area
     assert area_m2 == pytest.approx(2 * 140 - 49, rel=1e-2)
     assert arms_of(source, junction) == dict.fromkeys(COMPASS, (1, 1))
+
     # Roads lead away from the junction.
     into = "1"
     out_of = "-1"
@@ -103,6 +106,7 @@ def test_two_streets_that_cross_make_four_arms(tmp_path, rule):
     for number in "1234":
         expected[f"{number}/{into}"] = ("", "9")
         expected[f"{number}/{out_of}"] = ("9", "")
+
     assert ends_of(source) == expected
 
 
@@ -118,7 +122,9 @@ def test_holes_are_filled_and_the_largest_part_counts(tmp_path):
         ring += straight(str(number), x, y, hdg=hdg, length=40.0, junction="9")
     source = read_text(tmp_path, document(ring, '<junction id="9" name="ring"/>'))
     (junction,) = source.junctions
+
     assert junction.outline_m[:, 0].max() < 100.0
+
     shape = shapely.Polygon(junction.outline_m)
     assert shape.contains(shapely.Point(40.0, 20.0))
     assert junction.name == "ring"
@@ -138,6 +144,7 @@ def test_an_arm_is_led_on_to_the_outline_or_cut_off_there(tmp_path, begin_m):
     text = document(crossing())
     text = text.replace('x="10.0" y="0.0"', f'x="{begin_m}" y="0.0"')
     source = read_text(tmp_path, text)
+
     assert arms_of(source, source.junctions[0])["east"] == (1, 1)
     assert off_outline_m(source) <= 1.5
 
@@ -146,6 +153,7 @@ def test_an_arm_far_away_does_not_end_there(tmp_path):
     text = document(crossing()).replace('x="10.0" y="0.0"', 'x="300.0" y="0.0"')
     source = read_text(tmp_path, text)
     ends = ends_of(source)
+
     assert ends["1/1"] == ends["1/-1"] == ("", "")
     assert [note.what for note in source.skipped] == [
         "2 lanes that end far from their junction, such as "
@@ -164,6 +172,7 @@ def test_junctions_without_a_surface_are_noted(tmp_path, kind):
 def test_a_junction_without_connecting_roads_is_noted(tmp_path):
     text = document(road(link=to_junction("successor", "9")), '<junction id="9"/>')
     source = read_text(tmp_path, text)
+
     assert not source.junctions
     assert set(ends_of(source).values()) == {("", "")}
     assert source.skipped[0].why == "it has no connecting road with a driving lane"
@@ -172,6 +181,7 @@ def test_a_junction_without_connecting_roads_is_noted(tmp_path):
 def test_links_to_what_there_is_not_are_noted(tmp_path):
     link = to_junction("predecessor", "77") + to_road("successor", "78", "start")
     source = read_text(tmp_path, document(road(link=link)))
+
     assert [note.what for note in source.skipped] == [
         "2 links to missing roads or junctions, such as road 1, link to junction 77 "
         "and road 1, link to road 78"
@@ -209,11 +219,14 @@ def test_a_stub_of_a_road_at_the_mouth_belongs_to_the_road_beyond(tmp_path):
         (link, to_road("predecessor", "5", "end")),
         (to_east, to_road("successor", "5", "start")),
     )
+
     for before, after in changes:
         assert before in text
         text = text.replace(before, after, 1)
+
     source = read_text(tmp_path, text)
     assert arms_of(source, source.junctions[0])["east"] == (1, 1)
+
     lanes = {one.id: one for one in source.lanes}
     assert not {"5/1", "5/-1"} & set(lanes)
     assert_allclose(lanes["1/1"].centreline_m[[0, -1], :2], [[61, 1.75], [10, 1.75]])
@@ -228,6 +241,7 @@ def test_sidewalks_are_no_part_of_the_surface(tmp_path):
     parts = [road("3", length=20.0, junction="9", sections=sides), '<junction id="9"/>']
     source = read_text(tmp_path, document(*parts))
     (junction,) = source.junctions
+
     assert np.abs(junction.outline_m[:, 1]).max() == pytest.approx(3.5, abs=0.1)
 
 
@@ -277,6 +291,7 @@ def test_roads_have_speed_limits_where_they_lead_into_the_junction(
 ):
     text = document(crossing()).replace("<planView>", f"{types}<planView>", 1)
     lanes = {lane.id: lane for lane in read_text(tmp_path, text).lanes}
+
     assert lanes["1/1"].to_junction == "9"
     assert lanes["1/1"].speed_limit_kmh == limit_kmh
     assert lanes["1/-1"].speed_limit_kmh == limit_kmh  # where it leads out
@@ -289,6 +304,7 @@ def test_a_lanes_own_speed_limit_is_before_its_roads(tmp_path):
     text = document(crossing()).replace("<planView>", types, 1)
     text = text.replace('<lane id="1" type="driving" >', own, 1)
     lanes = {lane.id: lane for lane in read_text(tmp_path, text).lanes}
+
     assert [lanes[name].speed_limit_kmh for name in ("1/1", "1/-1")] == [30.0, 50.0]
 
 
@@ -304,7 +320,9 @@ def test_where_motorways_meet_is_no_junction(
     if sidewalk:
         text = text.replace("<left>", f"<left>{lane(2, 'sidewalk')}", 1)
     source = read_text(tmp_path, text)
+
     assert len(source.junctions) == n_junctions
     assert len(source.connections) == 4
+
     told = ["junction 9"] * (1 - n_junctions)
     assert [note.what for note in source.skipped] == told

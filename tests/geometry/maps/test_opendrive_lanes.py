@@ -23,7 +23,9 @@ def test_left_hand_traffic_is_right_hand_traffic_turned_round(tmp_path):
     plan = geometry('<spiral curvStart="0" curvEnd="0.03"/>')
     right = _lanes(tmp_path, road(plan=plan, rule="RHT"))
     left = read_text(tmp_path, document(road(plan=plan, rule="LHT")))
+
     assert left.keeps_left
+
     for one in left.lanes:
         assert_allclose(one.centreline_m, right[one.id].centreline_m[::-1])
 
@@ -69,7 +71,9 @@ def test_linked_pieces_are_one_lane_also_under_new_numbers(tmp_path):
     )
     offset = cubic("laneOffset", 0.0) + cubic("laneOffset", 40.0, 3.5)
     lanes = _lanes(tmp_path, road(sections=sections, offset=offset))
+
     assert set(lanes) == {"1/-1", "1/-2", "1/-1/1"}
+
     through = lanes["1/-1"].centreline_m
     assert_allclose(through[:, 1], -1.75)
     assert_allclose(through[[0, -1], 0], [0.0, 100.0])
@@ -107,6 +111,7 @@ def test_a_lane_is_there_only_where_it_has_a_width(tmp_path):
     (one,) = _lanes(
         tmp_path, road(sections=section(right=[lane(-1, width=widths)]))
     ).values()
+
     assert 20.0 <= one.centreline_m[0, 0] <= 26.0
     assert 75.0 <= one.centreline_m[-1, 0] <= 80.0
     assert not one.from_junction
@@ -120,6 +125,7 @@ def test_heights_follow_the_elevation(tmp_path):
     one = _lanes(tmp_path, road(elevation=elevation))["1/-1"]
     x, _, z = one.centreline_m.T
     expected = np.where(x < 50.0, 10.0 + 0.05 * x, 12.5 + 0.01 * (x - 50.0) ** 2)
+
     assert_allclose(z, expected, atol=1e-9)
 
 
@@ -136,6 +142,7 @@ def test_superelevation_raises_the_left_side_and_lowers_the_right(tmp_path):
         (one.centreline_m, {"1/1": 1.5, "1/-1": -1.75}[one.id]) for one in read.lanes
     ]
     edge = read.ground_m[np.abs(read.ground_m[:, 1] + 3.5) < 1e-9]
+
     for (x, y, z), t_m in ((points.T, t_m) for points, t_m in [*lines, (edge, -3.5)]):
         assert len(x) > 10
         assert_allclose(y, t_m, atol=1e-9)
@@ -146,6 +153,7 @@ def test_superelevation_raises_the_left_side_and_lowers_the_right(tmp_path):
 def test_shapes_of_cross_sections_are_left_out_and_noted(tmp_path):
     crown = '<shape s="0" t="-9" a="0.18" b="-0.02" c="0" d="0"/>'
     read = read_text(tmp_path, document(road("1", lateral=crown)))
+
     assert [note.what for note in read.skipped] == ["road 1 shape"]
     assert not read.ground_m[:, 2].any()
 

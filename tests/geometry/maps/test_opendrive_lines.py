@@ -52,6 +52,7 @@ def integrated(heading, s):
 def test_an_arc_lies_on_its_circle():
     s = np.linspace(0.0, 30.0, 7)
     points, heading = line('<arc curvature="0.1"/>', 30.0, s)
+
     assert_allclose(np.hypot(*(points - [0.0, 10.0]).T), 10.0)
     assert_allclose(heading, 0.1 * s)
 
@@ -59,6 +60,7 @@ def test_an_arc_lies_on_its_circle():
 def test_an_arc_starts_where_and_as_its_record_says():
     start = {"x": 3.0, "y": 4.0, "hdg": 1.0}
     points, heading = line('<arc curvature="-0.05"/>', 30.0, [0.0], **start)
+
     assert_allclose(points, [[3.0, 4.0]])
     assert_allclose(heading, [1.0])
 
@@ -81,6 +83,7 @@ def test_a_spiral_that_hardly_bends_more_than_an_arc_is_as_exact(change):
     shape = f'<spiral curvStart="0.01" curvEnd="{0.01 + change!r}"/>'
     points, _ = line(shape, 100.0, [100.0])
     expected = integrated(lambda u: 0.01 * u + 0.5 * change / 100.0 * u * u, 100.0)
+
     assert_allclose(points[0], expected, atol=1e-6)
 
 
@@ -93,6 +96,7 @@ def test_both_ranges_of_a_parametric_cubic_draw_the_same_curve():
     points_too, heading_too = line(by_share, 20.0, s)
     u = s + 0.001 * s**2 - 1e-4 * s**3
     v = 0.02 * s**2 + 1e-4 * s**3
+
     assert_allclose(points, np.stack([u, v], axis=1), atol=1e-9)
     assert_allclose(points_too, points, atol=1e-9)
     assert_allclose(heading_too, heading, atol=1e-9)
@@ -112,6 +116,7 @@ def test_a_parametric_cubic_that_starts_standing_still_looks_where_it_goes():
 def test_a_cubic_over_its_own_axis_is_measured_along_the_curve():
     shape = '<poly3 a="0" b="0.75" c="0" d="0"/>'
     points, heading = line(shape, 10.0, [5.0, 10.0])
+
     assert_allclose(points, [[4.0, 3.0], [8.0, 6.0]], atol=1e-6)
     assert_allclose(heading, np.arctan(0.75))
 
@@ -121,6 +126,7 @@ def test_where_two_pieces_meet_the_later_one_holds():
     after = geometry('<arc curvature="0.1"/>', s=10.0, x=10.0, length=10.0, hdg=0.5)
     joined = read(road(plan=before + after, length=20.0)).line
     _, heading = joined.at(np.array([10.0, 10.0]), np.array([9.0, 11.0]))
+
     assert_allclose(heading, [0.0, 0.5])
 
 
@@ -128,6 +134,7 @@ def test_a_piece_of_no_length_is_passed_over():
     empty = geometry(length=0.0, hdg=2.0)
     arc = geometry('<arc curvature="0.1"/>', length=20.0)
     found = read(road(plan=empty + arc, length=20.0))
+
     assert len(found.line.starts_m) == 1
 
 
@@ -136,6 +143,7 @@ def test_the_header_moves_and_turns_a_road():
     climb = cubic("elevation", 0.0, 2.0, 0.1)
     moved = read(road(plan=geometry(x=5.0), elevation=climb), **offset)
     points, heading = moved.place(np.array([10.0]), np.array([1.0]))
+
     assert_allclose(points, [[999.0, 2015.0, 33.0]])
     assert_allclose(heading, np.pi / 2)
 
@@ -193,6 +201,7 @@ def test_edges_are_the_offset_and_the_widths_added_up():
     s = samples.s_m
     center = 1.0 + np.where(s > 40.0, 0.05 * (s - 40.0), 0.0)
     width = 3.0 + np.where(s > 50.0, 0.02 * (s - 50.0) + 0.001 * (s - 50.0) ** 2, 0.0)
+
     assert_allclose(samples.lanes[1].inner_m, center)
     assert_allclose(samples.lanes[1].outer_m, center + width)
     assert_allclose(samples.lanes[-1].outer_m, center - 3.5)
@@ -209,6 +218,7 @@ def test_borders_are_edges_whichever_sign_is_used_on_the_right(sign):
     ]
     left = [lane(1, width=cubic("border", 0.0, 4.0))]
     samples = sampled(sections=section(left=left, right=borders))
+
     assert_allclose(samples.lanes[-1].outer_m, -3.0)
     assert_allclose(samples.lanes[-2].width_m, 2.0)
     assert_allclose(samples.lanes[1].outer_m, 4.0)
@@ -226,5 +236,6 @@ def test_a_jump_of_the_offset_between_sections_belongs_to_the_later_one():
     second = section(s=50.0, right=[lane(-1), lane(-2, before=-1)])
     text = road(offset=offset, sections=first + second)
     before, after = sample_road(read(text))
+
     assert_allclose(before.lanes[-1].inner_m, 0.0)
     assert_allclose(after.lanes[-2].inner_m, 0.0)

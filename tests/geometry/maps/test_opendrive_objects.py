@@ -94,6 +94,7 @@ def assert_bounds(mesh, text):
 def test_a_box_stands_on_the_road_plane_turned_with_it(thing_of):
     size = "length=20 width=6 height=4 zOffset=1"
     mesh, thing = thing_of("building", f"hdg={HALF_PI} {size}", elevation=SLOPE)
+
     assert thing.class_name == "building"
     assert not thing.is_height_assumed
     assert_bounds(mesh, "47 0 11, 53 20 15")
@@ -116,6 +117,7 @@ def test_a_cylinder_has_its_radius(thing_of):
 def test_outlines_in_the_objects_frame(thing_of):
     ring = outline(local("0 0 0 6, 4 0 0 6, 4 2 0 6, 0 2 0 6, 0 0 0 6"))
     mesh, thing = thing_of("building", f"hdg={HALF_PI}", ring)
+
     assert_bounds(mesh, "48 10 0, 50 14 6")
     assert not thing.is_height_assumed
     assert mesh.volume == pytest.approx(48.0)
@@ -125,6 +127,7 @@ def test_outlines_on_the_road_follow_it(thing_of):
     ring = outline(on_road("10 5 1 4, 30 5 1 4, 30 9 1 4, 10 9 1 4"))
     inside = f"<outlines>{ring}</outlines>"
     mesh, _ = thing_of("building", "s=0 t=0", inside, elevation=SLOPE)
+
     assert_bounds(mesh, "10 5 7, 30 9 13")
     assert_solid(mesh)
     assert mesh.volume == pytest.approx(20 * 4 * 4.0)  # a sheared box
@@ -133,6 +136,7 @@ def test_outlines_on_the_road_follow_it(thing_of):
 def test_corners_of_different_height_make_a_sloping_roof(thing_of):
     ring = outline(local("0 0 0 2, 10 0 0 6, 10 5 0 6, 0 5 0 2"))
     mesh, _ = thing_of("building", inside=ring)
+
     assert_solid(mesh)
     assert mesh.volume == pytest.approx(10 * 5 * 4.0)
 
@@ -141,6 +145,7 @@ def test_inner_outlines_do_not_count(thing_of):
     ring = outline(local("0 0 0 5, 10 0 0 5, 10 10 0 5, 0 10 0 5"))
     yard = outline(local("3 3, 6 3, 6 6, 3 6"), "outer=false")
     mesh, _ = thing_of("building", inside=f"<outlines>{ring}{yard}</outlines>")
+
     assert_solid(mesh)
     assert mesh.volume == pytest.approx(100 * 5.0)
 
@@ -148,6 +153,7 @@ def test_inner_outlines_do_not_count(thing_of):
 def test_an_open_outline_is_a_thin_wall(thing_of):
     line = outline(local("0 0 0 2, 10 0 0 2, 10 5 0 2"), "closed=false")
     mesh, _ = thing_of("fence", inside=line)
+
     assert_solid(mesh)
     # Straight pieces of 0.2 m, a little narrower at the corner that joins them.
     assert 0.7 * 15 * 0.2 * 2 < mesh.volume <= 15 * 0.2 * 2 + 1e-6
@@ -161,9 +167,11 @@ def test_a_repeat_without_distance_is_swept_along_the_road(thing_of):
     )
     arc = geometry('<arc curvature="0.01"/>')
     mesh, thing = thing_of("barrier", inside=repeat, plan=arc)
+
     assert_solid(mesh)
     # The line 5 m to the left of an arc of 100 m radius is 5 % shorter.
     assert mesh.volume == pytest.approx(95.0 * 0.5 * 2.0, rel=1e-2)
+
     radius = np.hypot(*(thing.vertices_m[:, :2] - [0.0, 100.0]).T)
     assert radius.min() == pytest.approx(94.75)
     assert radius.max() == pytest.approx(95.25)
@@ -172,6 +180,7 @@ def test_a_repeat_without_distance_is_swept_along_the_road(thing_of):
 def test_a_swept_wall_on_a_straight_road_is_a_box(thing_of):
     repeat = '<repeat s="10" length="60" distance="0"/>'
     mesh, thing = thing_of("wall", "height=2 width=0.3", repeat)
+
     assert len(thing.vertices_m) == 8
     assert_bounds(mesh, "10 9.85 0, 70 10.15 2")
     assert_solid(mesh)
@@ -184,12 +193,16 @@ def test_copies_stand_at_their_distance_and_change_on_the_way(read):
     )
     things = read(element("tree", "radius=1", repeat)).things
     ids = [thing.id for thing in things]
+
     assert ids == [f"road 1 object 7/{index}" for index in range(3)]
+
     tops = [thing.vertices_m[:, 2].max() for thing in things]
     assert_allclose(tops, [4, 6, 8])
+
     low = np.array([thing.vertices_m.min(axis=0) for thing in things])
     high = np.array([thing.vertices_m.max(axis=0) for thing in things])
     middles = 0.5 * (low + high)
+
     assert_allclose(middles[:, :2], [[10, 5], [30, 7], [50, 9]], atol=1e-6)
 
 
@@ -197,6 +210,7 @@ def test_outlines_go_with_their_copies(read):
     ring = outline(on_road("50 10, 52 10, 52 12, 50 12"))
     repeat = '<repeat s="20" length="30" distance="30" tStart="10" tEnd="10"/>'
     things = read(element("building", inside=repeat + ring)).things
+
     assert_allclose([thing.vertices_m[:, 0].min() for thing in things], [20, 50])
 
 
@@ -210,8 +224,10 @@ def test_a_tree_has_a_trunk_and_a_crown(thing_of):
     assert thing.class_name == "vegetation"
     assert not thing.is_height_assumed
     assert_solid(mesh)
+
     x, y, z = (thing.vertices_m - [50.0, 10.0, 0.0]).T
     reach = np.hypot(x, y)
+
     assert z.min() == pytest.approx(0.0)
     assert z.max() == pytest.approx(10.0)
     assert reach[z < 2.0].max() < 0.3
@@ -250,6 +266,7 @@ def test_kinds_that_hide_nothing_are_counted(read, kind):
 def test_what_has_no_size_is_noted(read):
     flat = outline(local("0 0, 1 0, 2 0"))
     source = read(element("building", "height=3") + element("building", inside=flat))
+
     assert not source.things
     assert source.skipped[0].what.startswith("2 objects (building) without size")
 
@@ -266,6 +283,7 @@ def test_what_has_no_size_is_noted(read):
 def test_poles(read, kind, name, expected):
     text = element(kind, f"{name} height=5 zOffset=0.5")
     (pole,) = read(text, elevation=SLOPE).poles
+
     assert pole.kind == expected
     assert_allclose(pole.position_m, [50, 10, 10])
     assert pole.height_m == pytest.approx(5.5)
@@ -307,6 +325,7 @@ def test_parking_spaces_side_by_side_are_one_lane(read):
         + element("parkingSpace", "s=30 t=6 length=6 width=2")
     )
     row, along, alone = (one for one in read(spaces).lanes if one.kind == "parking")
+
     assert [one.id for one in (row, along, alone)] == [
         "1/parking 1",
         "1/parking 2",
@@ -363,6 +382,7 @@ def test_prisms_over_stars_are_closed_whatever_their_corners_heights(
     vertices, triangles = build_prism(
         ring, bottom_m=np.zeros(n), top_m=tops, where="made"
     )
+
     assert_solid(trimesh.Trimesh(vertices, triangles))
 
 
@@ -370,5 +390,6 @@ def test_prisms_over_stars_are_closed_whatever_their_corners_heights(
 def test_a_crosswalk_may_be_written_as_a_road_mark(read, name):
     size = "t=0 length=3 width=8"
     (ends,) = read(element("roadMark", f"{size} {name}")).crosswalks_m
+
     assert np.hypot(*(ends[1] - ends[0])) == pytest.approx(8.0)
     assert not len(read(element("roadMark", size)).crosswalks_m)

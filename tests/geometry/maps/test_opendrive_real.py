@@ -37,7 +37,9 @@ def test_the_studys_junction_has_the_lanes_of_its_scene(town05):
     junction = min(
         town05.junctions, key=lambda one: np.hypot(*(one.position_m - middle))
     )
+
     np.testing.assert_allclose(junction.position_m, [-126.5, -1.0], atol=0.5)
+
     arms = arms_of(town05, junction)
     assert arms == dict.fromkeys(("east", "north", "west", "south"), (2, 2))
     # The scene's lanes come from the same map through another reader; its junction is a
@@ -100,6 +102,7 @@ def test_lanes_meet_their_continuation_at_the_roads_end(real_input):
     inner = [one for one in source.lanes if one.kind == "driving"]
     loose = [one for one in inner if not (one.from_junction and one.to_junction)]
     starts = np.array([one.centreline_m[0] for one in inner])
+
     for one in loose:
         if not one.to_junction:
             assert np.linalg.norm(starts - one.centreline_m[-1], axis=1).min() < 0.5, (

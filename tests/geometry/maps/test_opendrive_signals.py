@@ -40,6 +40,7 @@ def test_kinds_of_signals(tmp_path, name, more, kind):
         tmp_path, _signal(name, **more), elevation=cubic("elevation", 0.0, 7.0)
     )
     (pole,) = source.poles
+
     assert pole.kind == kind
     assert pole.id == "road 1 signal 5"
     assert_allclose(pole.position_m, [50, -6, 7])
@@ -63,6 +64,7 @@ def test_paint_is_no_pole(tmp_path, name, more):
 def test_a_painted_crosswalk_is_a_crosswalk(tmp_path):
     text = _signal(type="1000003", t=0, zOffset=0, height=0.01, width=10)
     source = _read(tmp_path, text)
+
     assert_allclose(
         sorted(source.crosswalks_m[0].tolist()), [[50, -5], [50, 5]], atol=1e-9
     )
@@ -79,6 +81,7 @@ def test_a_painted_crosswalk_without_width_spans_the_driving_lanes(tmp_path):
 def test_the_height_of_a_head_near_the_ground_says_nothing_about_its_pole(tmp_path):
     text = _signal(type="1000001", dynamic="yes", zOffset=-0.7, height=1.16)
     (pole,) = _read(tmp_path, text).poles
+
     assert pole.kind == "traffic light"
     assert pole.height_m is None
 
@@ -103,6 +106,7 @@ def test_several_signals_at_one_place_are_one_pole_as_high_as_the_highest(tmp_pa
         + _signal(s=51.0)
     )
     poles = _read(tmp_path, signals, objects=lamp).poles
+
     assert [pole.kind for pole in poles] == ["traffic light", "sign"]
     assert poles[0].id == "road 1 object 7"
     assert poles[0].height_m == pytest.approx(6.0)
@@ -132,6 +136,7 @@ def test_merged_poles_are_the_groups_of_those_close_to_one_another(rows):
             if distance_m < 0.5 and group[i] != group[j]:
                 group = [group[i] if number == group[j] else number for number in group]
     merged = merge_poles(poles)
+
     assert len(merged) == len(set(group))
     assert sorted(pole.height_m for pole in merged) == sorted(
         max(i + 1.0 for i, number in enumerate(group) if number == wanted)

@@ -84,10 +84,12 @@ UTF_16 = SMALL.replace('"1.0"?', '"1.0" encoding="UTF-16"?').encode("utf-16")
 def test_the_content_of_a_file_tells_its_format(name, content, tmp_path):
     plain = read_text(SMALL, tmp_path)
     other = read_text(content, tmp_path, name)
+
     assert len(plain.things) == 8
     assert len(plain.poles) == 3
     assert len(plain.junctions) == 1
     assert ids(other.lanes) == ids(plain.lanes)
+
     for one, two in zip(plain.lanes, other.lanes, strict=True):
         assert_array_equal(one.centreline_m, two.centreline_m)
 
@@ -96,11 +98,13 @@ def test_the_map_lies_around_its_roads_and_says_where(tmp_path):
     source = read_text(SMALL, tmp_path)
     assert source.source_crs == "EPSG:4326"
     assert source.heights == "above ground"
+
     expected = (
         r"\+proj=tmerc \+lat_0=52\.5\d+ \+lon_0=13\.4\d+ \+k=1 \+x_0=0 \+y_0=0"
         r" \+datum=WGS84 \+units=m \+no_defs"
     )
     assert re.fullmatch(expected, source.crs)
+
     ends = np.concatenate([lane.centreline_m[:, :2] for lane in source.lanes])
     assert_allclose(ends.min(axis=0) + ends.max(axis=0), 0.0, atol=10.0)
 
@@ -157,6 +161,7 @@ def document(*elements):
 def test_what_is_no_map_is_told_in_one_line(text, message, tmp_path):
     with pytest.raises(InputError) as caught:
         read_text(text, tmp_path)
+
     told = str(caught.value)
     assert message in told
     assert told.startswith(str(tmp_path / "map.osm"))
@@ -179,6 +184,7 @@ def test_a_file_that_is_not_there_is_told(tmp_path):
 def test_what_was_deleted_is_not_there(tmp_path):
     text = SMALL.replace('<way id="3"', '<way id="3" visible="false"')
     assert text != SMALL
+
     source = read_text(text, tmp_path)
     assert len(source.lanes) < len(read_text(SMALL, tmp_path).lanes)
 
@@ -187,6 +193,7 @@ def test_of_a_node_that_comes_twice_the_last_counts(tmp_path):
     again = '<node id="2" lat="1.5" lon="1"/><node id="2" lat="1.001" lon="1"/>'
     text = document(NODE, again, '<way id="1"><nd ref="1"/><nd ref="2"/>', WAY)
     lane = read_text(text, tmp_path).lanes[0]
+
     assert np.ptp(lane.centreline_m[:, 1]) == pytest.approx(110.6, abs=0.1)
 
 
@@ -195,6 +202,7 @@ def test_elements_may_come_in_any_order(tmp_path):
     backwards = "\n".join([head, *elements[::-1], tail])
     source = read_text(SMALL, tmp_path)
     other = read_text(backwards, tmp_path)
+
     assert set(ids(source.things)) == set(ids(other.things))
     for one, two in zip(source.junctions, other.junctions, strict=True):
         assert one.id == two.id
@@ -297,6 +305,7 @@ def small_pbf(tmp_path_factory):
 def test_pbf_is_the_same_map(small_pbf, tmp_path):
     one = read_text(SMALL, tmp_path)
     two = read_text(small_pbf, tmp_path, "map.osm.pbf")
+
     assert ids(one.lanes) == ids(two.lanes)
     assert ids(one.things) == ids(two.things)
 
@@ -329,9 +338,11 @@ def arm_counts(source):
 def test_neukolln(real_input):
     source = read_openstreetmap(real_input("osm/neukolln.osm"))
     assert not source.keeps_left
+
     poles = Counter(pole.kind for pole in source.poles)
     assert poles["lamp post"] == 52
     assert poles["traffic light"] == 5
+
     classes = Counter(thing.class_name for thing in source.things)
     # 210 in the file; the outlines of those with parts and what is being built are not
     # here, and two are in three for the passages that lead through them
@@ -339,6 +350,7 @@ def test_neukolln(real_input):
     assert classes["vegetation"] == 145 + 8  # trees and hedges
     assert len(source.crosswalks_m) == 18
     assert arm_counts(source) == {3: 5, 4: 1}
+
     busiest = next(one for one in source.junctions if one.id == "n27554990")
     assert busiest.name == "Karl-Marx-Straße / Karl-Marx-Platz / Thomasstraße"
     assert arm_lanes(source, busiest) == {
@@ -363,6 +375,7 @@ def test_town_in_pbf(real_input):
     # Two more have roads that the cut-out clips to stubs.
     assert arm_counts(source).total() == 109
     assert sum(thing.class_name == "building" for thing in source.things) == 2174
+
     bridges = [lane for lane in source.lanes if lane.centreline_m[:, 2].max() > 4.0]
     assert bridges  # over the motorway
     assert len(source.skipped) < 20
@@ -397,6 +410,7 @@ def test_a_fetched_map_can_be_read(tmp_path, monkeypatch):
     asked = answer_with(monkeypatch, SMALL.encode())
     path = tmp_path / "map.osm"
     fetch_openstreetmap(BBOX, path)
+
     assert "(52.4900000,13.3900000,52.5100000,13.4100000)" in asked[0]
     assert len(read_openstreetmap(path).junctions) == 1
 
@@ -434,8 +448,10 @@ def test_the_extra_is_named_where_it_is_missing(tmp_path, monkeypatch):
 def test_garching(real_input):
     source = read_openstreetmap(real_input("osm/garching_intersection.osm"))
     lines = source.crosswalks_m
+
     assert len(lines) == 5  # one way is an L over two arms
     assert np.hypot(*(lines[:, 1] - lines[:, 0]).T).max() < 10.1
+
     busiest = max(source.junctions, key=lambda junction: len(junction.roads))
     for arm in arms_of(source, busiest).arms.values():
         # Each is crossed square to its lanes.

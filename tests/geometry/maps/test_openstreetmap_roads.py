@@ -134,7 +134,9 @@ def test_where_traffic_keeps_left_lanes_lie_as_in_a_mirror(tmp_path):
 def test_what_makes_no_sense_is_told_and_usual_sizes_stand_in(tags, tmp_path):
     osm = east_west(tags)
     source = read_drawing(osm, tmp_path, keeps_left=False)
+
     assert [lane.width_m for lane in source.lanes] == [2.75, 2.75]
+
     (skipped,) = source.skipped
     assert skipped.what == f"way {osm.ids[0]}"
     assert "makes no sense" in skipped.why
@@ -205,8 +207,10 @@ def bearings_of(*angles_deg):
 def test_roads_meet_under_any_angle(angles_deg, names, tmp_path):
     osm = drawn_crossing(bearings=bearings_of(*angles_deg))
     source = read_drawing(osm, tmp_path)
+
     assert lane_counts(source) == dict.fromkeys(names.split(), (1, 1))
     assert_lanes_end_at_outlines(source)
+
     outline = source.junctions[0].outline_m
     assert np.hypot(*outline.T).max() <= 31.0
 
@@ -253,7 +257,9 @@ def test_offset_side_streets_are_one_junction_and_distant_ones_two(
         road {offset_m} 0, {offset_m} -90
     """)
     source = read_drawing(osm, tmp_path)
+
     assert_lanes_end_at_outlines(source)
+
     found = [len(arms_of(source, one).arms) for one in source.junctions]
     assert found == n_arms
 
@@ -283,6 +289,7 @@ def test_side_roads_35_m_apart_on_either_side_are_one_junction_if_asked_for(
     path = osm.write(tmp_path, "staggered.osm")
     source = read_map(path, ReadingOptions(staggered_m=staggered_m))
     found = [len(one.arms) for one in survey_junctions(source)]
+
     assert sorted(found, reverse=True) == n_arms
 
 
@@ -295,6 +302,7 @@ def test_driving_side_tag_goes_before_everything(tmp_path):
 def test_an_assumed_driving_side_is_told(tmp_path):
     osm = east_west("")
     (skipped,) = read_drawing(osm, tmp_path).skipped
+
     assert skipped.what == "side of the road"
     assert "right-hand traffic" in skipped.why
     assert not read_drawing(osm, tmp_path, keeps_left=False).skipped
@@ -308,6 +316,7 @@ def test_yards_make_no_junction_unless_signals_stand_there(tag, tmp_path):
         road 0 0, 0 80: highway=service
     """)
     source = read_drawing(osm, tmp_path)
+
     assert len(source.junctions) == bool(tag)
     if not tag:  # the road goes on as if nothing were there
         lengths = sorted(np.ptp(lane.centreline_m[:, 0]) for lane in source.lanes)
@@ -320,7 +329,9 @@ def test_roads_that_only_cross_do_not_meet(tmp_path):
         road 0 -80, 0 80: bridge=yes; layer=1
     """)
     source = read_drawing(osm, tmp_path)
+
     assert not source.junctions
+
     heights = {float(lane.centreline_m[:, 2].max()) for lane in source.lanes}
     assert heights == {0.0, 5.0}
 
@@ -339,6 +350,7 @@ def test_a_street_is_followed_over_nodes_where_only_tags_change(tmp_path):
     """)
     source = read_drawing(osm, tmp_path)
     east = [lane for lane in source.lanes if lane.centreline_m[:, 0].max() > 130.0]
+
     assert [lane.kind for lane in east] == ["driving", "driving"]
     for lane in east:
         assert 3.0 < lane.width_m < 4.0
@@ -364,6 +376,7 @@ def test_turning_lanes_begin_where_the_lane_before_them_ends(tmp_path):
             lane = replace(lane, to_junction=junction.id)
         lanes.append(lane)
     west = only_arms(replace(source, lanes=tuple(lanes)))["west"]
+
     assert len(west.entry_lanes) == 2
     assert len(west.exit_lanes) == 1
     for lane in west.entry_lanes:
@@ -378,10 +391,13 @@ def test_carriageways_lead_on_into_the_road_they_become(tmp_path):
         road -80 0, 0 0, 0 80
     """)
     source = read_drawing(osm, tmp_path)
+
     assert len(source.junctions) == 1  # a fork is none
+
     driving = [lane.centreline_m[:, :2] for lane in source.lanes]
     west_bound = next(line for line in driving if line[0, 0] > 150.0)
     gaps_m = [np.hypot(*(line[0] - west_bound[-1])) for line in driving]
+
     assert min(gaps_m) < 0.01
 
 
@@ -420,6 +436,7 @@ def test_turn_lanes_are_those_of_the_lanes_from_the_left(keeps_left, tmp_path):
         if not keeps_left:
             turns = turns[::-1]
         left_first[name] = turns
+
     assert left_first == {
         "west": [("left", "through"), (), ("through", "right")],
         "north": [(), ()],  # four markings for two lanes
@@ -433,6 +450,7 @@ def test_two_meetings_too_near_to_be_two_but_too_far_to_be_one_share_the_road(tm
     for east_m in (0, 26, 52, 78):
         osm.draw(f"road {east_m} 0, {east_m} 90: width=14; lanes=4")
     source = read_drawing(osm, tmp_path)
+
     assert len(source.junctions) == 4
     assert_lanes_end_at_outlines(source)
     for junction in source.junctions:
@@ -446,6 +464,7 @@ def test_a_road_that_only_bends_back_is_no_junction(tmp_path):
         road 0 0, 80 -3
     """)
     source = read_drawing(osm, tmp_path)
+
     assert not source.junctions
     assert "fewer than three arms" in reasons(source)
 
@@ -455,6 +474,7 @@ def test_nodes_that_the_file_does_not_have_cut_roads_short(tmp_path):
     osm.road([(0.0, 0.0), (50.0, 0.0), 999, (90.0, 0.0)])
     source = read_drawing(osm, tmp_path)
     length_m = np.ptp(source.lanes[0].centreline_m[:, 0])
+
     assert length_m == pytest.approx(50.0, abs=0.05)
     assert "nodes are missing" in reasons(source)
 
@@ -487,6 +507,7 @@ def test_an_arm_has_the_speed_limit_of_those_who_come(tags, limit_kmh, tmp_path)
     osm = drawn_crossing(bearings=FOUR[1:]).draw(f"road 0 0, 90 0: {tags}")
     arms = only_arms(read_drawing(osm, tmp_path))
     limits = {name: arm.speed_limit_kmh for name, arm in arms.items()}
+
     assert limits == dict.fromkeys(COMPASS) | {"east": limit_kmh}
 
 
@@ -528,7 +549,9 @@ def test_where_motorways_merge_and_part_is_no_junction(
         road 0 0, 90 120: oneway=yes; {tags}
     """)
     source = read_drawing(osm, tmp_path)
+
     assert bool(source.junctions) == is_junction
+
     told = [note.why for note in source.skipped]
     assert ("motorways merge or part where nobody walks" in told) == (not is_junction)
 

@@ -82,8 +82,10 @@ def straight_lines(lines_m):
 def test_tags_say_how_high_a_building_is(tags, heights, is_assumed, tmp_path):
     osm = beside_road(f"way {SQUARE}: building=yes; {tags}")
     (thing,) = read(osm, tmp_path).things
+
     assert thing.id == f"w{osm.ids[-1]}"
     assert thing.class_name == "building"
+
     bottom_m, top_m = map(float, heights.split())
     assert heights_m(thing) == (bottom_m, top_m)
     assert thing.is_height_assumed == is_assumed
@@ -103,7 +105,9 @@ def test_tags_say_how_high_a_building_is(tags, heights, is_assumed, tmp_path):
 def test_what_does_not_stand_there_is_told(tags, why, tmp_path):
     osm = beside_road(f"way {SQUARE}: building=yes; {tags}")
     source = read(osm, tmp_path)
+
     assert not source.things
+
     (skipped,) = source.skipped
     assert skipped.what == f"way {osm.ids[-1]}"
     assert why in skipped.why
@@ -148,6 +152,7 @@ def test_a_building_stays_whole_where_no_way_leads_through_it(way, tmp_path):
     """)
     things = read(osm, tmp_path).things
     house = things[0]
+
     assert len(things) == 1
     assert "over a passage" not in house.id
     assert heights_m(house) == (0.0, 12.0)
@@ -158,6 +163,7 @@ def test_a_building_stays_whole_where_no_way_leads_through_it(way, tmp_path):
 def test_a_height_that_makes_no_sense_is_told(height, tmp_path):
     osm = beside_road(f"way {SQUARE}: building=yes; height={height}")
     source = read(osm, tmp_path)
+
     assert [heights_m(thing) for thing in source.things] == [(0.0, 9.0)]
     assert "height makes no sense" in source.skipped[0].why
 
@@ -185,6 +191,7 @@ def test_a_courtyard_stays_open(outer, outer_tags, tags, tmp_path):
     members += [(way, "outer") for way in outer_ids]
     relation = osm.relation(members, {"type": "multipolygon"} | tags)
     (thing,) = read(osm, tmp_path).things
+
     if tags:
         assert thing.id == f"r{relation}"
     assert volume_m3(thing) == pytest.approx(840.0, rel=0.01)
@@ -207,7 +214,9 @@ def test_what_few_parts_leave_of_a_building_stands(tmp_path):
         way {INNER}: building:part=yes; height=25
     """)
     things = read(osm, tmp_path).things
+
     assert sorted(map(heights_m, things)) == [(0.0, 10.0), (0.0, 25.0)]
+
     volume = sum(map(volume_m3, things))
     assert volume == pytest.approx(840.0 + 400.0, rel=0.01)
 
@@ -221,7 +230,9 @@ def test_an_outline_that_crosses_itself_is_mended_and_one_without_area_told(tmp_
     missing = osm.way([(50.0, 10.0), 999, (60.0, 10.0)], {"building": "yes"})
     source = read(osm, tmp_path)
     (thing,) = source.things
+
     assert volume_m3(thing) == pytest.approx(500.0, rel=0.01)
+
     told = {skipped.what for skipped in source.skipped}
     assert told == {f"way {flat}", f"way {missing}"}
 
@@ -240,6 +251,7 @@ def test_walls_are_as_high_and_thick_as_the_map_says(tmp_path):
     source = read(osm, tmp_path)
     wall, hedge, boards = source.things
     classes = [thing.class_name for thing in source.things]
+
     assert classes == ["wall", "vegetation", "wall"]
     assert volume_m3(wall) == pytest.approx(20.0 * 3.0 * 0.5, rel=0.01)
     assert volume_m3(hedge) == pytest.approx(20.0 * 1.5 * 0.8, rel=0.01)
@@ -247,6 +259,7 @@ def test_walls_are_as_high_and_thick_as_the_map_says(tmp_path):
     assert hedge.is_height_assumed
     assert heights_m(boards) == (0.0, 1.8)
     assert all(is_closed(thing.triangles) for thing in source.things)
+
     (skipped,) = source.skipped
     assert skipped.what == f"way {osm.ids[4]}"  # the fence of no known kind
 
@@ -285,8 +298,10 @@ def test_trees_stand_along_a_row_and_woods_are_told(tmp_path):
     """)
     source = read(osm, tmp_path)
     feet = sorted(thing.vertices_m[:, 0].mean() for thing in source.things)
+
     assert_allclose(feet, [10.0, 18.0, 26.0, 34.0, 42.0], atol=0.05)
     assert all(thing.is_height_assumed for thing in source.things)
+
     (skipped,) = source.skipped
     assert skipped.what == f"way {osm.ids[-1]}"
 
@@ -316,6 +331,7 @@ def test_a_bridge_hides_and_is_passed_below(tags, deck, tmp_path):
         way -50 0, 250 0: bridge=yes; {tags}
     """)
     things = read(osm, tmp_path).things
+
     assert len(things) == (deck is not None)
     if deck is not None:
         width_m, bottom_m = deck
@@ -338,8 +354,10 @@ def test_a_bridge_with_a_junction_near_is_told(end_m, n_decks, tmp_path):
         road {end_m} 0, {end_m} 90
     """)
     source = read(osm, tmp_path)
+
     assert len(source.junctions) == 1
     assert len(source.things) == n_decks
+
     is_told = any("deck is left out" in note.why for note in source.skipped)
     assert is_told == (not n_decks)
 
@@ -366,6 +384,7 @@ def test_a_bridge_with_a_junction_near_is_told(end_m, n_decks, tmp_path):
 def test_poles_beside_the_road_stand_where_they_are(tags, kind, height_m, tmp_path):
     osm = beside_road(f"node 10 6: {tags}")
     (pole,) = read(osm, tmp_path).poles
+
     assert pole.id == f"n{osm.ids[-1]}"
     assert pole.kind == kind
     assert pole.height_m == height_m
@@ -378,6 +397,7 @@ def test_lamps_without_a_pole_are_told(tmp_path):
         node 20 6: man_made=surveillance; camera:mount=wall
     """)
     source = read(osm, tmp_path)
+
     assert not source.poles
     assert [skipped.what for skipped in source.skipped] == [f"node {osm.ids[1]}"]
 
@@ -405,7 +425,9 @@ def test_a_signal_on_the_road_stands_at_the_kerb_beside_its_stop_line(
         road 0 -80, 0 0, 0 80: width=6
     """)
     poles = read(osm, tmp_path, keeps_left=keeps_left).poles
+
     assert {pole.kind for pole in poles} == {"traffic light"}
+
     feet = sorted(pole.position_m.tolist() for pole in poles)
     assert_allclose(feet, [[-15.0, north, 0.0] for north in north_m], atol=0.05)
 
@@ -419,6 +441,7 @@ def test_signals_where_roads_meet_stand_at_every_arm_by_which_cars_come(tmp_path
     """)
     poles = read(osm, tmp_path).poles
     feet = sorted(pole.position_m[:2].round(1).tolist() for pole in poles)
+
     assert_allclose(feet, array_of("-8 -3.5, 8 3.5"), atol=0.6)
     assert len({pole.id for pole in poles}) == 2
 
@@ -439,6 +462,7 @@ def test_crosswalks_lead_over_the_road_and_two_metres_farther(tmp_path):
     ends = sorted(sorted(line.round(1).tolist()) for line in lines)
     found = np.reshape(ends, (-1, 4))
     wanted = array_of("-20 -5 -20 5, -11.25 -4.9 -8.75 4.9")
+
     assert_allclose(found, wanted, atol=0.11)
 
 
@@ -447,6 +471,7 @@ def test_a_footway_over_two_arms_is_a_crosswalk_over_each(tmp_path):
     osm = drawn(ACROSS).draw(f"way 10 -9, 10 10, -9 10: {CROSSING}")
     lines = read(osm, tmp_path).crosswalks_m
     wanted = array_of("-5 10 5 10, 10 -5 10 5")
+
     assert_allclose(straight_lines(lines), wanted, atol=0.11)
 
 
@@ -461,6 +486,7 @@ def test_two_carriageways_crossed_straight_are_one_crosswalk(tmp_path):
     """)
     lines = read(osm, tmp_path).crosswalks_m
     wanted = array_of("0 -11 0 11, 20 1 20 11")
+
     assert_allclose(straight_lines(lines), wanted, atol=0.11)
 
 

@@ -60,6 +60,7 @@ def test_counts_are_the_same_from_csv_and_geojson(tmp_path):
     )
     one = read_counts(table, crs=CRS)
     other = read_counts(points, crs=CRS)
+
     assert one.column == "Accidents"
     assert other.column == "accidents"
     assert one.values.tolist() == other.values.tolist() == [3.0, 0.5]
@@ -71,6 +72,7 @@ def test_places_without_a_count_count_once(tmp_path):
     table = tmp_path / "counts.csv"
     table.write_text("x,y\n1,2\n3,4\n")
     counts = read_counts(table, crs=CRS)
+
     assert counts.values.tolist() == [1.0, 1.0]
     assert counts.column == ""
     assert counts.positions_m.tolist() == [[1.0, 2.0], [3.0, 4.0]]
@@ -80,6 +82,7 @@ def test_counts_by_junction(tmp_path):
     table = tmp_path / "counts.csv"
     table.write_text("junction,cars,other\nn1,10,1\nA / B,20,2\n")
     counts = read_counts(table, crs="", column="cars")
+
     assert counts.positions_m is None
     assert counts.junctions == ("n1", "A / B")
     assert counts.values.tolist() == [10.0, 20.0]
@@ -126,6 +129,7 @@ def test_points_snap_to_the_nearest_junction_within_a_distance():
     junctions = np.array([[0.0, 0.0], [100.0, 0.0]])
     points = np.array([[10.0, 0.0], [70.0, 0.0], [100.0, 31.0]])
     nearest, distance = snap(points, junctions, within_m=30.0)
+
     assert nearest.tolist() == [0, 1, -1]
     assert distance.tolist() == [10.0, 30.0, 31.0]
 
@@ -137,8 +141,10 @@ def test_areas_hold_what_lies_in_them_or_near(tmp_path):
         ({"type": "Point", "coordinates": [LON_DEG, LAT_DEG]}, {"Min_APR": 0.5}),
     )
     areas = read_areas(path, crs=CRS)
+
     assert [area.name for area in areas] == ["north", "area 2"]
     assert areas[1].values["min_apr"] == 0.5
+
     points = np.array([HERE + [10.0, 0.0], HERE + [1000.0, 0.0]])
     assert areas_of(areas, points) == [[0], []]
     assert areas_of(areas, points, within_m=20.0) == [[0, 1], []]

@@ -79,6 +79,7 @@ def test_geojson_points_are_read_with_their_heights_and_properties(tmp_path):
         point(LON, LAT, ID="b"),
     )
     a, b = read_sites(path, crs=UTM)
+
     assert a.id == "7"
     assert a.z_m == 35.0
     assert not a.has_power
@@ -91,6 +92,7 @@ def test_geojson_in_another_reference_system_is_projected(tmp_path):
     crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::3857"}}
     x, y = Transformer.from_crs(UTM, "EPSG:3857", always_xy=True).transform(*AT_M)
     (site,) = read_sites(write_json(tmp_path, point(x, y, id="a"), crs=crs), crs=UTM)
+
     assert site.position_m == pytest.approx(AT_M, abs=0.01)
 
 
@@ -168,6 +170,7 @@ def test_lists_as_people_have_them(tmp_path, caplog):
     )
     path = write(tmp_path, text.replace(f"{LON:.9f}", f"{LON:.9f}".replace(".", ",")))
     (site,) = read_sites(path, crs=UTM)
+
     assert site.position_m == pytest.approx(AT_M, abs=0.01)
     assert site.max_height_m == 7.5
     assert site.cost_eur == 1250.5

@@ -69,6 +69,7 @@ def test_every_value_names_a_line_of_a_lane(tmp_path, value, way_from_left):
     osm = eastward(f"{TWO}; placement={value}", TWO)
     source = read_drawing(osm, tmp_path)
     first_m = (way_from_left - 0.5) * WIDTH_M
+
     assert_lefts(source, -50.0, first_m, first_m - WIDTH_M)
     # Without the tag the way is the middle.
     assert_lefts(source, 50.0, 1.625, -1.625)
@@ -77,6 +78,7 @@ def test_every_value_names_a_line_of_a_lane(tmp_path, value, way_from_left):
 def test_a_lane_that_opens_at_a_junction_leaves_the_others_where_they_are(tmp_path):
     osm = eastward(f"{TWO}; placement=middle_of:1", f"{THREE}; placement=middle_of:2")
     source = read_drawing(osm, tmp_path)
+
     assert_lefts(source, -50.0, 0.0, -WIDTH_M)
     assert_lefts(source, 50.0, WIDTH_M, 0.0, -WIDTH_M)
 
@@ -93,6 +95,7 @@ def test_lanes_of_the_other_direction_are_counted_as_it_sees_them(tmp_path):
     source = read_drawing(osm, tmp_path)
     # The way is the northern kerb: the right edge of their second lane.
     expected_m = [-(number + 0.5) * WIDTH_M for number in range(4)]
+
     assert_lefts(source, -50.0, *expected_m)
 
 
@@ -124,6 +127,7 @@ def test_a_transition_leads_from_one_place_to_the_next(tmp_path, between):
         crossing_at=3,
     )
     source = read_drawing(osm, tmp_path)
+
     assert_lefts(source, -250.0, 0.0, -WIDTH_M)
     assert_lefts(source, -150.0, 1.625, -1.625)
     assert_lefts(source, -175.0, 0.8125, -2.4375)
@@ -168,11 +172,14 @@ def test_surface_and_crosswalk_lie_where_the_lanes_do(tmp_path):
     walks = [line for line in source.crosswalks_m if np.abs(line[:, 0] + 50).max() < 1]
     (walk,) = walks
     south, north = sorted(walk[:, 1])
+
     # As far beyond the kerb at 0 m as beyond that at -6.5 m.
     assert north > 0.0
     assert north == pytest.approx(-6.5 - south, abs=0.01)
+
     (junction,) = source.junctions
     west = junction.outline_m[junction.outline_m[:, 0] < -6.0]
+
     assert west[:, 1].mean() < -1.0
 
 
@@ -180,6 +187,7 @@ def test_poles_stand_beside_the_carriageway_and_not_on_it(tmp_path):
     tags = f"{THREE}; placement=left_of:1"
     path = eastward(tags, tags).write(tmp_path)
     scene = import_scene([path], ImportOptions(radius_m=80.0)).scene
+
     assert scene.sites
     for site in scene.sites:
         for lane in scene.lanes:
@@ -202,5 +210,6 @@ def test_roundabouts_and_roads_without_the_tag_stay_in_the_middle(tags, told):
     lanes = [("forward", 0, WIDTH_M)]
     road = {"highway": "primary"} | tags
     left_m = carriageway_left_m(road, lanes, 0.5 * WIDTH_M, said.append)
+
     assert left_m == (0.0, 0.0)
     assert said == told

@@ -45,6 +45,7 @@ def test_clusters_are_those_of_dense_labelling(block):
     labels = voxels.clusters(keys)
     truth, n = ndimage.label(dense, structure=np.ones((3, 3, 3)))
     pairs = {(int(a), int(b)) for a, b in zip(labels, truth[dense], strict=True)}
+
     assert len(pairs) == n == labels.max() + 1
     assert labels[0] == 0
 
@@ -61,6 +62,7 @@ def test_bridges_close_gaps_of_one_and_no_more(block):
                 for sign in (1, -1)
             )
             between |= one & other
+
     assert (dense_of(voxels.bridged(keys)) == between).all()
 
 
@@ -77,11 +79,14 @@ def test_faces_enclose_the_volume_of_the_voxels_and_no_other(block):
     vertices, triangles = voxels.faces(
         keys, origin_m=np.zeros(3), voxel_m=1.0, max_triangles=10_000, where="f"
     )
+
     assert volume_m3(vertices, triangles) == pytest.approx(dense.sum())
+
     a, b, c = np.swapaxes(vertices[triangles], 0, 1)
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
     padded = np.pad(dense, 1).astype(int)
     exposed = sum(np.abs(np.diff(padded, axis=axis)).sum() for axis in range(3))
+
     assert area == pytest.approx(exposed)
 
 
@@ -90,6 +95,7 @@ def test_a_large_box_has_twelve_triangles():
     _, triangles = voxels.faces(
         keys, origin_m=np.zeros(3), voxel_m=0.25, max_triangles=12, where="f"
     )
+
     assert len(triangles) == 12
     with pytest.raises(InputError, match="12 triangles"):
         voxels.faces(
@@ -101,9 +107,12 @@ def test_hollow_things_that_stand_are_filled_and_gateways_stay():
     dense = np.ones((12, 12, 8), dtype=bool)
     dense[1:-1, 1:-1, :-1] = False  # a shell without a floor
     keys = np.sort(voxels.to_keys(np.argwhere(dense) + FIRST))
+
     assert len(voxels.filled(keys, FIRST)) == 12 * 12 * 8
+
     dense[0, 4:8, :4] = False  # and now with a gateway
     keys = np.sort(voxels.to_keys(np.argwhere(dense) + FIRST))
+
     assert np.array_equal(voxels.filled(keys, FIRST), keys)
 
 

@@ -123,6 +123,7 @@ def test_rays_find_no_hole_in_a_wall_and_nothing_beside_it(tmp_path):
     margin = 2.0 * point_clouds.VOXEL_M
     inner = (np.abs(x) < 5.0 - margin) & (z < 4.0 - margin)
     outer = (np.abs(x) > 5.0 + margin) | (z > 4.0 + margin)
+
     assert is_hit[inner].mean() > 0.995
     assert not is_hit[outer].any()
 
@@ -131,6 +132,7 @@ def test_rays_find_no_hole_in_a_wall_and_nothing_beside_it(tmp_path):
 def test_ground_may_slope(tmp_path, slope):
     path = write_las(tmp_path, [house(), ground()], (1, 1), slope=slope)
     (thing,) = read_point_cloud(path).things
+
     assert thing.vertices_m[:, 2].min() == 0.0
     assert thing.vertices_m[:, 2].max() == pytest.approx(6.0, abs=0.8)
 
@@ -142,12 +144,14 @@ def test_roofs_seen_from_the_air_get_walls(tmp_path, kind):
     path = write_las(tmp_path, [roof, ground()], (kind, 2))
     (thing,) = read_point_cloud(path).things
     volume = volume_m3(thing.vertices_m, thing.triangles)
+
     assert volume == pytest.approx(576.0, rel=0.15)
 
 
 def test_thin_scans_get_larger_voxels_and_say_so(tmp_path):
     path = write_las(tmp_path, [house(1500), ground()], (1, 2))
     source = read_point_cloud(path)
+
     assert len(source.things) == 1
     assert source.skipped[0].what == "detail below 1 m"
 
@@ -156,6 +160,7 @@ def test_classes_that_hide_nothing_are_left_out_and_counted(tmp_path):
     parts = [house(), crown(500), crown(20), ground()]
     path = write_las(tmp_path, parts, (6, 14, 7, 2))
     source = read_point_cloud(path)
+
     assert len(source.things) == 1
     assert {skip.what for skip in source.skipped} == {"500 wire", "20 noise"}
 
@@ -178,6 +183,7 @@ def test_coordinates_in_degrees_become_metres(tmp_path):
     las.z = z
     las.write(tmp_path / "a.las")
     (thing,) = read_point_cloud(tmp_path / "a.las").things
+
     assert size(thing)[2] == pytest.approx(6.0, abs=0.51)
     assert sorted(size(thing)[:2]) == pytest.approx([8.0, 12.0], abs=1.0)
 
@@ -232,6 +238,7 @@ def test_packed_points_that_claim_what_cannot_be_are_refused(
         "layers": first + 8 + 30 + 4,
         "table offset": first,
     }[place]
+
     with pytest.raises(InputError, match=message):
         read_point_cloud(patched(path, offset, data))
 

@@ -59,6 +59,7 @@ def test_assumed_poles_stand_beside_every_way(tags, half_m, sites, tmp_path):
     scene = scene_of(osm, tmp_path, sites)
     assumed = assumed_sites(scene.notes)
     west = [site for site in scene.sites if site.position_m[0] < -3.0]
+
     assert len(west) >= 2
     for site in west:
         assert site.id in assumed
@@ -72,6 +73,7 @@ def test_bridges_and_squares_leave_poles_where_they_are(tags, tmp_path):
     scene = scene_of(crossing(f"way {WAY}: {tags}"), tmp_path)
     plain = scene_of(crossing(""), tmp_path)
     places = [site.position_m.tolist() for site in scene.sites]
+
     assert places == [site.position_m.tolist() for site in plain.sites]
 
 
@@ -86,6 +88,7 @@ def test_what_is_a_node_of_a_way_is_an_assumed_pole_beside_it(tag, tmp_path):
     scene = scene_of(osm, tmp_path, "map")
     (site,) = (one for one in scene.sites if one.id == f"n{osm.nodes[-20, -4]}")
     why = str(assumed_sites(scene.notes)[site.id])
+
     assert "mapped on a way: a pole beside it is assumed" in why
     assert "moved 1.2 m beside it" in why or "moved 1.3 m beside it" in why
     assert clearance_m(scene, site) == pytest.approx(1.25, abs=0.1)
@@ -99,6 +102,7 @@ def test_a_lamp_mapped_beside_a_footway_stays_and_is_surveyed(tmp_path):
     """)
     scene = scene_of(osm, tmp_path, "map")
     (site,) = (one for one in scene.sites if one.id == f"n{osm.ids[-1]}")
+
     assert site.id not in assumed_sites(scene.notes)
     assert clearance_m(scene, site) == pytest.approx(0.6, abs=0.05)
 

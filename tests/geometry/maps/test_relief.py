@@ -91,7 +91,9 @@ def test_ground_is_that_of_the_roads_and_everything_stands_on_it():
     afloat = house("set", aside[0], ground_m[0] + 1.2)
     with_cellar = house("base", aside[1], ZERO_M - 4.0)
     found = cut(roads(afloat, with_cellar))
+
     assert found.terrain.at([40.0, -20.0]) == pytest.approx(2.4, abs=1e-3)
+
     # The floating house is set down on the lowest ground at its walls, the one with a
     # cellar stays.
     afloat, with_cellar = found.things
@@ -101,8 +103,10 @@ def test_ground_is_that_of_the_roads_and_everything_stands_on_it():
         "heights of roads.xodr",
         "1 buildings in roads.xodr",
     ]
+
     scene = scene_around(found)
     assert scene.instances[3].id == "lamp"
+
     pole = scene.vertices_m[scene.triangles[scene.triangle_instance == 3]]
     assert pole[..., 2].min() == pytest.approx(20.0 * 0.05 - 12.0 * 0.02, abs=1e-3)
 
@@ -112,7 +116,9 @@ def test_a_slope_of_centimetres_is_a_plane():
     ground_m = source.ground_m.copy()
     ground_m[:, 2] = 0.04
     found = cut(replace(source, ground_m=ground_m))
+
     assert found.terrain is None
+
     scene = scene_around(found)
     assert terrain_of(scene) is None
     assert len(scene.triangles[scene.triangle_instance == 0]) == 2
@@ -126,6 +132,7 @@ def test_a_bridge_over_the_junction_is_not_its_ground():
     plain = cut(source).terrain
     bridged = cut(replace(source, ground_m=with_bridge)).terrain
     inside = np.random.default_rng(0).uniform(-40.0, 40.0, size=(200, 2))
+
     assert_allclose(bridged.at(inside), plain.at(inside), atol=2e-3)
 
 
@@ -138,6 +145,7 @@ def test_a_file_of_heights_comes_before_the_roads_and_carries_what_they_carry():
     aside = np.array([30.0, 30.0])
     bottom_m = float(on_slope([aside])[0, 2]) + 5.0
     found = cut(roads(house("sign", aside, bottom_m)), hill)
+
     assert found.terrain.at([0.0, 40.0]) == pytest.approx(4.0, abs=0.02)
     assert lowest_m(found.things[0]) == pytest.approx(3.0 + 5.0, abs=0.05)
 
@@ -149,7 +157,9 @@ def test_things_above_the_ground_stand_on_its_lowest_point_and_walls_follow_it()
     source = roads(house("home", aside, 0.0), house("fence", -aside, 0.0, kind="wall"))
     found = cut(replace(source, heights="above ground", ground_m=ground_m))
     home, fence = found.things
+
     assert lowest_m(home) == pytest.approx(0.04 * 25.0, abs=5e-3)
+
     heights = np.unique(fence.vertices_m[:, 2].round(2))
     assert_allclose(heights, [-1.4, -1.0, 7.6, 8.0], atol=0.011)
 
@@ -162,6 +172,7 @@ def test_maps_that_count_from_another_zero_are_brought_to_the_ground():
         things.append(house(f"b{number}", place, foot))
     city = SourceMap(name="city.gml", crs="", heights="absolute", things=tuple(things))
     found = cut(roads(), city)
+
     for thing, place in zip(found.things, aside, strict=True):
         ground_m = (place - [5.0, -5.0]) @ SLOPE
         assert lowest_m(thing) == pytest.approx(ground_m, abs=5e-3)
@@ -173,6 +184,7 @@ def test_a_scene_with_terrain_comes_back_from_its_folder(tmp_path):
     again = load_scene_folder(tmp_path)
     places = np.random.default_rng(0).uniform(-150.0, 150.0, size=(200, 2))
     heights = ground_height_m(scene, places)
+
     assert heights.any()
     assert_allclose(ground_height_m(again, places), heights, atol=1e-3)
 
@@ -183,5 +195,6 @@ def test_sites_of_a_real_map_with_slopes_stand_on_the_ground(real_input):
     path = real_input("opendrive/Town03.xodr")
     scene = import_scene([path], ImportOptions(junction="222")).scene
     feet = np.array([site.position_m for site in scene.sites])
+
     assert_allclose(feet[:, 2], ground_height_m(scene, feet[:, :2]), atol=1e-9)
     assert np.ptp(feet[:, 2]) > 0.3

@@ -77,6 +77,7 @@ def read(tmp_path):
 def test_pixels_around_the_place_become_points(read):
     points = read(plane())
     offset = points[:, :2] - AT_M
+
     assert_allclose(points[:, 2], 300.0 + 0.05 * offset[:, 0] - 0.02 * offset[:, 1])
     assert np.abs(offset).max() <= 100.0 + 2.0 * 2.0
     assert len(points) >= 100**2
@@ -89,6 +90,7 @@ def test_rasters_in_another_reference_system_lie_at_the_same_place(read):
     heights = np.tile(np.arange(300.0), (300, 1))  # by column
     points = read(Raster(heights=heights, corner=corner, step=step, crs="EPSG:4326"))
     lon_lat = transform(points[:, :2], UTM, "EPSG:4326")
+
     assert_allclose((lon_lat[:, 0] - corner[0]) / step - 0.5, points[:, 2], atol=1e-3)
     assert np.hypot(*(points[:, :2] - AT_M).T).min() < 2.0
 
@@ -98,6 +100,7 @@ def test_pixels_without_a_height_are_left_out(read):
     raster.heights[:, :90] = -9999.0
     raster.heights[:40] = np.nan
     points = read(raster)
+
     assert np.isfinite(points).all()
     assert points[:, 2].min() > 280.0
     assert (points[:, 0] - AT_M[0]).min() > -21.0

@@ -54,7 +54,9 @@ def test_every_entry_has_a_way_to_all_other_arms(ring):
     source, made = ring
     n_arms = len(made.get("arms_deg", range(4)))
     (junction,) = source.junctions
+
     assert junction.fault == ""
+
     ends = {}
     begins = {}
     for lane in source.lanes:
@@ -68,6 +70,7 @@ def test_every_entry_has_a_way_to_all_other_arms(ring):
         (ends[place_of(way, 0)], begins[place_of(way, -1)])
         for way in source.connections
     }
+
     assert len(pairs) == n_arms * (n_arms - 1)
     assert {entry for entry, _ in pairs} == set(ends.values())
 
@@ -81,6 +84,7 @@ def test_ways_are_continuous_and_on_the_carriageway(ring):
     source, _ = ring
     (junction,) = source.junctions
     paved = paved_area(junction.outline_m, junction.islands_m).buffer(0.3)
+
     for way in source.connections:
         line = way.centreline_m[:, :2]
         steps = np.diff(line, axis=0)
@@ -98,6 +102,7 @@ def test_ways_lead_around_the_island_in_the_direction_of_traffic(ring):
     sign = 1.0
     if made.get("keeps_left"):
         sign = -1.0
+
     for way in source.connections:
         east, north = (way.centreline_m[:, :2] - middle).T
         angle = sign * np.degrees(np.unwrap(np.arctan2(north, east)))
@@ -115,6 +120,7 @@ def test_ways_from_one_arm_into_another_do_not_cross(ring):
     for way in source.connections:
         arms = tuple(lane.split()[0] for lane in way.id.split(" to "))
         lines.setdefault(arms, []).append(shapely.LineString(way.centreline_m))
+
     for ways in lines.values():
         for one, other in combinations(ways, 2):
             # On a lane of the ring that they share, their chords differ.
@@ -130,6 +136,7 @@ def test_the_middle_of_the_lane_bends_as_the_ring_does(radius_m, tmp_path):
     (junction,) = source.junctions
     points = np.concatenate([way.centreline_m for way in source.connections])
     far_m = np.hypot(*(points[:, :2] - junction.position_m).T)
+
     assert far_m.min() == pytest.approx(radius_m, abs=0.05)
 
 
@@ -142,7 +149,9 @@ def test_a_mini_roundabout_is_a_small_ring(turn, keeps_left, tmp_path):
     for end in ("150 0", "0 150", "-150 15", "0 -150"):
         osm.draw(f"road 0 0, {end}: name=Lane; lanes=2")
     source = read_map(osm.write(tmp_path))
+
     assert source.keeps_left == bool(keeps_left)
+
     (junction,) = source.junctions
     assert junction.id == f"n{osm.ids[0]}"
     assert len(junction.islands_m) == 1
@@ -163,6 +172,7 @@ def test_two_mini_roundabouts_side_by_side_stay_two(tmp_path):
         road 18 0, 20 -150
     """)
     source = read_map(osm.write(tmp_path))
+
     assert [len(one.islands_m) for one in source.junctions] == [1, 1]
     assert len(source.connections) == 12
 
@@ -180,12 +190,15 @@ def test_the_island_is_no_carriageway_and_carries_poles(tmp_path):
     (island,) = scene.islands_m
     sites = {site.id: site.position_m[:2] for site in scene.sites}
     middle = island.mean(axis=0)
+
     assert np.hypot(*(sites[f"n{lamp}"] - middle - [2.0, 1.0])) < 0.1
     assert not road_area(scene).intersects(shapely.Point(sites[f"n{lamp}"]))
+
     # What was mapped on the ring stands beside it.
     moved = shapely.Point(sites[f"n{road}"])
     assert not road_area(scene).intersects(moved)
     assert not [one for one in check_scene(scene) if one.level == "error"]
+
     inside = np.append(middle + [-2.0, -4.0], 1.0)
     assert containing_instance(scene, inside) is not None
 
@@ -193,6 +206,7 @@ def test_the_island_is_no_carriageway_and_carries_poles(tmp_path):
 def test_ways_around_the_ring_are_lanes_of_the_scene(tmp_path):
     path = roundabout().write(tmp_path)
     scene = import_scene([path], ImportOptions()).scene
+
     assert sum(lane.kind == CONNECTING for lane in scene.lanes) == 12
     assert not [note for note in scene.notes if "no farther" in str(note.why)]
 
@@ -210,6 +224,7 @@ def test_a_ring_that_cannot_be_laid_is_refused_in_one_line(made, why, tmp_path):
     path = roundabout(**made).write(tmp_path, "ring.osm")
     skipped = read_map(path).skipped
     (note,) = [one for one in skipped if "roundabout" in str(one.why)]
+
     assert str(note.what) == "junction n1"
     with pytest.raises(InputError, match=f"ring.osm: junction n1: got {why}"):
         import_scene([path], ImportOptions())
@@ -254,5 +269,6 @@ def test_a_block_of_one_way_streets_is_no_roundabout(tmp_path):
         road 0 60, 0 150
     """)
     source = read_map(osm.write(tmp_path))
+
     assert len(source.junctions) == 4
     assert not any(junction.islands_m for junction in source.junctions)

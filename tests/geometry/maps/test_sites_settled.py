@@ -66,10 +66,13 @@ def solid(middle, size_m, *, bottom_m=0.0, class_name="wall", name="w1"):
 def test_what_stands_in_a_wall_is_moved_out_of_it_or_refused(around):
     thin = replace(around, things=(solid((30.0, 30.0), 0.5),))
     (place,) = find_places([(30.1, 30.0)], thin)
+
     assert place.position_m == pytest.approx([30.55, 30.0])
     assert place.why == "it stood inside wall w1: moved 0.4 m out of it"
+
     thick = replace(around, things=(solid((30.0, 30.0), 8.0),))
     (place,) = find_places([(30.0, 30.0)], thick)
+
     assert place.position_m is None
     assert place.why == "it stands inside wall w1, farther than 2 m from where it could"
 
@@ -81,6 +84,7 @@ def test_a_signal_over_the_road_is_left_to_its_pole_and_others_go_to_the_kerb(ar
         *lamps("-40 1", id="alone", kind="sign"),
     )
     settled, told = settle_poles(replace(around, poles=poles))
+
     assert [pole.id for pole in settled.poles] == ["mast", "alone"]
     assert settled.poles[0] is poles[0]
     assert [skip.what for skip in told] == ["traffic light head", "sign alone"]
@@ -99,11 +103,14 @@ def test_an_import_has_no_site_in_a_lane_and_says_what_it_moved(tmp_path):
     imported = import_scene([osm.write(tmp_path)], ImportOptions(sites="map"))
     road = road_area(imported.scene)
     feet = [shapely.Point(site.position_m[:2]) for site in imported.scene.sites]
+
     assert len(feet) == 4
     assert min(road.distance(foot) for foot in feet) > 0.4
+
     told = {note.what: note.why for note in imported.scene.notes}
     assert sum("moved" in why for why in told.values()) == 3
     assert any(why == "1 m high: too low for sensors" for why in told.values())
+
     found = check_scene(imported.scene)
     assert not [one for one in found if one.what.startswith("site")]
 
@@ -128,11 +135,15 @@ def chosen(around, where="auto"):
 def test_masts_are_added_where_no_pole_is_near_the_middle(around):
     near = replace(around, poles=lamps("17 17, 40 17"))
     sites, told = chosen(near)
+
     assert set(sites) == {"p0", "p1"}
     assert told == ""
+
     far = replace(around, poles=lamps("20 20, 40 17"))
     sites, told = chosen(far)
+
     assert {"p0", "p1", "kerb-ne-1", "kerb-sw-1"} < set(sites)
+
     why = "the nearest one stands 28 m from the junction's middle: masts every 15 m"
     assert why in told
     assert set(chosen(far, "map")[0]) == {"p0", "p1"}
@@ -143,6 +154,7 @@ def test_poles_of_another_junction_are_no_sites_by_default(around):
     poles = lamps("17 17, 30 17, 45 17")
     other = replace(around, poles=poles, neighbours_m=(neighbour_m,))
     sites, told = chosen(other)
+
     assert set(sites) == {"p0", "p1"}
     assert told == (
         "lamp post p2: within 15 m of another junction, nearer than here: no site"
@@ -160,6 +172,7 @@ def test_low_sign_posts_are_no_sites_by_default(around):
     )
     posts = replace(around, poles=poles)
     sites, told = chosen(posts)
+
     assert set(sites) == {"p0", "high"}
     assert told.startswith("2 sign posts, such as unknown: lower than 4.5 m")
     assert set(chosen(posts, "map")[0]) == {"p0", "unknown", "low", "high"}
@@ -171,6 +184,7 @@ def test_other_junctions_are_known_to_what_is_cut_out(tmp_path):
         road 70 -70, 70 -170
     """)
     source = read_drawing(osm, tmp_path, keeps_left=False)
+
     assert len(source.junctions) == 2
     for junction in source.junctions:
         for radius_m, n_neighbours in ((80.0, 1), (40.0, 0)):
@@ -190,6 +204,7 @@ def test_sites_stand_below_roofs_but_not_inside_houses(around, bottom_m, heights
     roof = solid((20.0, 20.0), 8.0, bottom_m=bottom_m, **ROOF)
     covered = replace(around, things=(roof, HOUSE), poles=lamps(LAMPS))
     sites, told = chosen(covered, "map")
+
     assert set(sites) == {"p0", "p1"}
     assert sites["p0"].height_range_m.tolist() == heights_m
     assert sites["p1"].height_range_m.tolist() == [4.0, 8.0]
@@ -199,6 +214,7 @@ def test_sites_stand_below_roofs_but_not_inside_houses(around, bottom_m, heights
 def test_a_low_roof_leaves_no_room_for_a_site(around):
     roof = solid((20.0, 20.0), 8.0, bottom_m=2.5, **ROOF)
     sites, told = chosen(replace(around, things=(roof,), poles=lamps(LAMPS)), "map")
+
     assert set(sites) == {"p1", "p2"}
     assert "site p0: below a roof 2.5 m above the ground: too low for sensors" in told
 
@@ -214,6 +230,7 @@ def test_a_check_finds_every_site_on_the_road(tmp_path):
     )
     found = check_scene(replace(scene, sites=(*moved, *rest)))
     told = {one.what: one.why for one in found if one.what.startswith("site")}
+
     assert set(told) == {f"site {one.id}", f"site {two.id}"}
     assert told[f"site {one.id}"].startswith("it stands in the junction")
     assert told[f"site {two.id}"].startswith("it stands on lane ")

@@ -84,7 +84,9 @@ def slip_lanes(source):
 def test_a_slip_lane_begins_beside_the_lane_next_to_it(slip):
     source, made, half_m = slip
     lanes = slip_lanes(source)
+
     assert len(lanes) == made.get("link_lanes", 1)
+
     tips = []
     for lane in lanes:
         x = lane.centreline_m[:, 0] * made.get("side", -1)
@@ -93,6 +95,7 @@ def test_a_slip_lane_begins_beside_the_lane_next_to_it(slip):
         else:
             tips.append(x[0])
     expected = [half_m + (number + 0.5) * WIDTH_M for number in range(len(lanes))]
+
     assert sorted(tips) == pytest.approx(expected, abs=0.05)
 
 
@@ -110,6 +113,7 @@ def test_a_slip_lane_never_lies_on_the_road_that_it_leaves(slip):
 def test_the_roads_lanes_go_on_past_the_slip_lane(slip):
     source, *_ = slip
     ends = []
+
     for lane in driving(source, "secondary"):
         line = lane.centreline_m[:, :2]
         if np.ptp(line[:, 0]) > 10.0:
@@ -118,6 +122,7 @@ def test_the_roads_lanes_go_on_past_the_slip_lane(slip):
         assert np.abs(line[:, 0]).max() < 5.0
         if not lane.to_junction and abs(line[-1, 1]) < 150.0:
             ends.append(line[-1])
+
     begins = [lane.centreline_m[0, :2] for lane in driving(source)]
     for end in ends:
         assert min(np.hypot(*(begin - end)) for begin in begins) < 1e-6

@@ -47,6 +47,7 @@ def test_triangles_have_the_area_of_the_polygon_and_look_where_it_looks(
     total = normals(vertices, triangles)
     up = turn[:, 2] * (-1.0 if is_turned else 1.0)
     area = Polygon(ring[:, :2]).area
+
     assert np.linalg.norm(total, axis=1).sum() == pytest.approx(
         area, rel=1e-5, abs=1e-5
     )
@@ -57,6 +58,7 @@ def test_triangles_have_the_area_of_the_polygon_and_look_where_it_looks(
 def test_holes_stay_open_whichever_way_they_run(hole):
     vertices, triangles = triangulate([SQUARE, hole])
     assert np.allclose(normals(vertices, triangles).sum(axis=0), [0, 0, 15.0])
+
     middles = vertices[triangles].mean(axis=1)[:, :2]
     assert not shapely.contains_xy(Polygon(HOLE[:, :2]), middles).any()
 
@@ -64,6 +66,7 @@ def test_holes_stay_open_whichever_way_they_run(hole):
 def test_closing_points_and_repeated_points_change_nothing():
     closed = np.concatenate([SQUARE[:1], SQUARE, SQUARE[:1]])
     vertices, triangles = triangulate([closed])
+
     assert len(triangles) == 2
     assert np.allclose(normals(vertices, triangles).sum(axis=0), [0, 0, 16.0])
 

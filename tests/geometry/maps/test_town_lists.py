@@ -112,7 +112,9 @@ def test_a_shapefile_without_its_system_is_told_it_or_finds_it(
     path = tmp_path / "sites.shp"
     frame_of("EPSG:25833").to_file(path, encoding="utf-8")
     suffixes = [one.suffix for one in list_files(path)]
+
     assert suffixes == [".cpg", ".dbf", ".prj", ".shp", ".shx"]
+
     path.with_suffix(".prj").unlink()
     assert_at_places(path)
     assert_at_places(path, "EPSG:25833")
@@ -127,11 +129,15 @@ def test_of_several_layers_the_one_with_points_or_named_sites_is_read(
     areas = frame.set_geometry(frame.buffer(5.0))
     areas.to_file(path, layer="districts")
     frame.to_file(path, layer="trees")
+
     assert_at_places(path)
+
     others = frame.set_geometry(frame.translate(20.0, 0.0))
     others.to_file(path, layer="benches")
+
     with pytest.raises(InputError, match=r"3 layers: districts, trees, benches; .*si"):
         read_sites(path, crs=HERE)
+
     frame.to_file(path, layer="sites")
     assert_at_places(path)
     assert f"{path}: layer sites is read, of 4" in caplog.messages
@@ -145,9 +151,12 @@ def test_excel_says_the_separator_above_the_header(assert_at_places, tmp_path):
         path.write_text(head + plain, encoding="utf-8")
         assert_at_places(path)
     path.write_text("sep=|\n" + plain.replace(";", "|"), encoding="utf-8")
+
     assert_at_places(path)
+
     broken = plain.replace("6,0", "six")
     path.write_text("sep=;\n" + broken, encoding="utf-8")
+
     with pytest.raises(InputError, match="line 3: height"):
         read_sites(path, crs=HERE)
 
@@ -161,6 +170,7 @@ def test_files_of_excel_are_read_whatever_their_encoding(
     with caplog.at_level(logging.WARNING):
         assert_at_places(path)
     told = f"{path}: not UTF-8: read as Windows-1252" in caplog.messages
+
     assert told == (encoding == "cp1252")
 
 
@@ -182,8 +192,10 @@ def test_coordinates_in_metres_find_their_reference_system(
     path = csv_of(tmp_path, heads, crs)
     scene = assert_at_places(path, within_m=0.05)
     (told,) = [note for note in scene.notes if note.what == "coordinates in sites.csv"]
+
     assert str(told.why).startswith(f"taken as {name}")
     assert not told.site_ids
+
     # Who says it is told nothing.
     scene = assert_at_places(path, crs, within_m=0.05)
     assert not [note for note in scene.notes if "coordinates in" in note.what]
@@ -200,8 +212,10 @@ def test_a_system_that_is_not_the_only_one_is_asked_for(tmp_path):
         """)
     roads = read_openstreetmap(osm.write(tmp_path), keeps_left=False)
     path = csv_of(tmp_path, "id;x;y;height", "EPSG:25833")
+
     with pytest.raises(InputError) as caught:
         check_sites(str(path), roads, sites_crs="")
+
     expected = caught.value.expected
     assert "sites_crs" in expected
     assert "EPSG:25833 (ETRS89 / UTM zone 33N)" in expected
@@ -213,12 +227,14 @@ def test_a_system_that_is_not_the_only_one_is_asked_for(tmp_path):
 def test_coordinates_that_fit_no_system_are_refused(street_map, scene_with, tmp_path):
     path = tmp_path / "sites.csv"
     path.write_text("id;x;y\na;652381,2;6862047,3\n")
+
     with pytest.raises(InputError, match=r"x and y: got 652381.20, 6862047.30; .*crs"):
         scene_with(path)
     with pytest.raises(InputError, match=r"sites_crs: got 'EPSG:0'; .*pyproj knows"):
         scene_with(path, "EPSG:0")
     with pytest.raises(InputError, match=r"sites_crs: .*`sites` with a list, not auto"):
         import_scene([street_map], ImportOptions(sites_crs="EPSG:25833"))
+
     frame_of("EPSG:25833").to_file(tmp_path / "sites.gpkg")
     with pytest.raises(InputError, match=r"none: sites.gpkg says .*EPSG:25833 \(ETRS"):
         scene_with(tmp_path / "sites.gpkg", "EPSG:31468")
@@ -278,6 +294,7 @@ def test_the_number_of_a_pole_goes_before_its_name(tmp_path, caplog):
     path = tmp_path / "sites.csv"
     path.write_text(f"Bezeichnung;Mastnummer;lat;lon\nEcke;17;{LAT_DEG};{LON_DEG}\n")
     (site,) = read_sites(path, crs=HERE)
+
     assert site.id == "17"
     assert caplog.messages == [
         f"{path}: columns that are not known, and not read: Bezeichnung"
@@ -293,8 +310,10 @@ def test_all_faults_of_a_list_are_told_at_once(tmp_path):
         "c;52,5;13,4;7\n"
         "d;52,5;13,4;7;half;ja\n"
     )
+
     with pytest.raises(InputError) as caught:
         read_sites(path, crs=HERE)
+
     message = str(caught.value)
     assert "\n" not in message
     for words in (
@@ -322,6 +341,7 @@ def test_surveyed_poles_stay_where_they_were_surveyed(tmp_path):
     scene = import_scene([osm.write(tmp_path)], options).scene
     sites = {site.id: site for site in scene.sites}
     told = {str(note.what): str(note.why) for note in scene.notes}
+
     # One on a lane of the map, one inside a wall, one in the open.
     assert sites["a"].position_m[:2] == pytest.approx(places_m[0], abs=0.02)
     assert sites["a"].surveyed_m is None
@@ -331,9 +351,11 @@ def test_surveyed_poles_stay_where_they_were_surveyed(tmp_path):
     assert "its coordinates stay as surveyed" in told["site b"]
     assert sites["c"].position_m[:2] == pytest.approx(places_m[2], abs=0.02)
     assert "site c" not in told
+
     folder = tmp_path / "scene"
     folder.mkdir()
     save_scene(folder, scene)
     again = {site.id: site for site in load_scene_folder(folder).sites}
+
     assert again["b"].surveyed_m == pytest.approx(places_m[1], abs=0.02)
     assert again["a"].surveyed_m is None

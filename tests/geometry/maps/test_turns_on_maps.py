@@ -45,6 +45,7 @@ def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(
     ]
     runs, _ = build_runs(scene, cases, vut=actors["vut"], rule=build_rule(Question()))
     followed = set()
+
     for run in runs:
         path = run.encounter.vut_motion.path
         assert isinstance(path, TowedPath), run.id
