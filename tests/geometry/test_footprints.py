@@ -5,6 +5,7 @@ import pytest
 from geometry_text import array_of
 from hypothesis import given
 from oracles import overlap_area, polygon_area, polygon_distance, rectangle_polygon
+from plane_vectors import unit_vectors
 from strategies import Rectangle, numbers, rectangles
 
 from geometry.footprints import (
@@ -120,7 +121,7 @@ def test_gaps_from_middles_and_headings_are_those_of_the_corners(a, b):
     # Each is what lies between the corners along a normal.
     yaws_deg = [a.yaw_deg, a.yaw_deg + 90.0, b.yaw_deg, b.yaw_deg + 90.0]
     for gap, yaw in zip(gaps, np.radians(yaws_deg), strict=True):
-        normal = np.array([np.cos(yaw), np.sin(yaw)])
+        normal = unit_vectors(yaw)
         on_a = corners_of(a) @ normal
         on_b = corners_of(b) @ normal
         expected = max(on_b.min() - on_a.max(), on_a.min() - on_b.max())

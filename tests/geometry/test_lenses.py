@@ -8,6 +8,7 @@ import pytest
 from geometry_text import array_of
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
+from plane_vectors import lengths
 from strategies import cameras, numbers, poses
 
 from geometry.calibrations import CalibratedCamera, ground_points, project_distorted
@@ -248,5 +249,5 @@ def test_every_point_of_a_picture_is_where_its_ray_is_projected(
     middle = picture_rays([edge_px], [camera.middle_px[1]], camera)
     if isinstance(lens, BrownConrady) and (lens.p1 or lens.p2):
         return
-    angle = np.degrees(np.arctan(np.hypot(*middle.reshape(2))))
+    angle = np.degrees(np.arctan(lengths(middle.reshape(2))))
     assert angle == pytest.approx(0.5 * camera.horizontal_fov_deg, abs=1e-6)

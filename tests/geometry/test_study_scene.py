@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from geometry_text import array_of
 from numpy.testing import assert_array_equal
+from plane_vectors import lengths
 from refusals import refused_with
 from text_tables import rows_of, value_of
 
@@ -174,7 +175,7 @@ def test_every_path_of_every_run_is_clear_of_all_that_stands(scene, runs):
                 swept = footprint_corners(
                     0.5 * (begin + end),
                     yaw[0],
-                    length_m=body.length_m + np.hypot(*(end - begin)),
+                    length_m=body.length_m + lengths(end - begin),
                     width_m=body.width_m,
                 )
                 separation_m = float(footprint_separation(swept, box))

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles import distance_to_chain_m
+from plane_vectors import lengths, unit_vectors
 
 from geometry.errors import InputError
 from geometry.junction import Line
@@ -21,20 +22,20 @@ LANE_M = 3.5
 def circle(radius_m, *, step_m=1.0, turn_deg=150.0):
     """Points of a lane that turns left round the origin, from the east on."""
     angle = np.arange(0.0, np.radians(turn_deg), step_m / radius_m)
-    return radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return radius_m * unit_vectors(angle)
 
 
 @pytest.mark.parametrize("radius_m", [12.0, 30.0, 120.0])
 def test_a_course_along_a_circle_has_its_radius_heading_and_length(radius_m):
     points = circle(radius_m)
     course = follow_lane(points, is_in=True)
-    length_m = np.hypot(*np.diff(points, axis=0).T).sum()
+    length_m = lengths(np.diff(points, axis=0)).sum()
     stations = np.linspace(-0.62, -0.38, 50) * length_m  # away from the ends
     position, yaw_rad = course.at(stations)
 
     # Between its points the lane is a chord, 1 / (8 R) metres inside; smoothing takes
     # 16 / R^3.
-    assert np.hypot(*position.T) == pytest.approx(
+    assert lengths(position) == pytest.approx(
         radius_m, abs=0.125 / radius_m + 17.0 / radius_m**3
     )
 
@@ -132,14 +133,14 @@ def lanes(draw):
     bends = draw(st.lists(st.floats(-1.0 / 14.0, 1.0 / 14.0), min_size=1, max_size=4))
     curvature = np.repeat(bends, int(18.0 / step_m) + 2)
     yaw = draw(st.floats(-3.1, 3.1)) + np.append(0.0, np.cumsum(curvature * step_m))
-    steps = step_m * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    steps = step_m * unit_vectors(yaw)
     return np.cumsum(steps, axis=0) + draw(st.floats(-300.0, 300.0))
 
 
 @given(lane=lanes(), is_in=st.booleans(), body=st.sampled_from(["vru", "vut"]))
 def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     course = follow_lane(lane, is_in=is_in)
-    length_m = np.hypot(*np.diff(lane, axis=0).T).sum()
+    length_m = lengths(np.diff(lane, axis=0)).sum()
     if is_in:
         begin_m = -length_m
     else:
@@ -156,7 +157,7 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     assert (
         distance_to_chain_m(position, lane).max() <= 0.5 * LANE_M - 0.9
     )  # of a body 1.8 m wide
-    assert np.hypot(*np.diff(position, axis=0).T).max() <= step_m + 1e-9
+    assert lengths(np.diff(position, axis=0)).max() <= step_m + 1e-9
 
     turns = np.diff(np.radians(yaw_deg)) / step_m
     assert np.abs(turns).max() <= path.max_turn_rad_per_m + 1e-9
@@ -165,7 +166,7 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     )
 
     bends = np.diff(position, n=2, axis=0) / step_m**2
-    assert np.hypot(*bends.T).max() <= 3.0 * path.max_turn_rad_per_m + 1e-3
+    assert lengths(bends).max() <= 3.0 * path.max_turn_rad_per_m + 1e-3
 
 
 @given(lane=lanes(), left_m=st.floats(-4.0, 4.0))

@@ -7,6 +7,7 @@ from math import erf
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from plane_vectors import unit_vectors
 from text_tables import rows_of
 
 from geometry.errors import InputError
@@ -146,7 +147,7 @@ def drawn():
         times.append(np.arange(-n_frames + 1, 1) / 10.0)
         way_s = 0.1 * np.arange(n_frames + 40)
         yaw = rng.uniform(-3, 3) + rng.uniform(-0.3, 0.3) * way_s
-        steps = rng.uniform(3, 15) * 0.1 * np.column_stack([np.cos(yaw), np.sin(yaw)])
+        steps = rng.uniform(3, 15) * 0.1 * unit_vectors(yaw)
         position = np.cumsum(steps, axis=0) - steps.sum(axis=0) * 0.5
         places.append(np.column_stack([position, yaw]))
     axis = axis_of(times)

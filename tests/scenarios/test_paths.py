@@ -8,6 +8,7 @@ from dragged import front_axle_at
 from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
+from plane_vectors import unit_vectors
 from refusals import refused_with
 from scipy.interpolate import CubicHermiteSpline
 from strategies import angles_deg, coordinates_m, numbers
@@ -52,7 +53,7 @@ def turn_paths(draw):
 def unit(yaw_deg):
     """Unit vectors in directions."""
     yaw = np.radians(yaw_deg)
-    return np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    return unit_vectors(yaw)
 
 
 def rear_axle_m(path, distance_m):

@@ -21,6 +21,7 @@ from junctions import (
     turned,
 )
 from oracles import distance_to_chain_m
+from plane_vectors import lengths
 from scenario_lanes import arm_lanes, build_lane, exchanged
 from text_tables import rows_of
 
@@ -197,7 +198,7 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(
 
     entering = arms[approach].entry_lanes[0].centreline_m
     chain = np.concatenate([entering, leaving])
-    first = np.argmin(np.hypot(*(run.vut_position_m - chain[0]).T)) + 1
+    first = np.argmin(lengths(run.vut_position_m - chain[0])) + 1
     assert distance_to_chain_m(run.vut_position_m[first:], chain).max() < 0.7
 
 
@@ -270,7 +271,7 @@ def test_before_the_junction_a_lane_that_bends_is_followed(laid, metres, name):
     left_m = chain.length + 2.0 - chain.project(shapely.Point(impact_point(there)))
     left_of_0_m = 2.0 - impact_point(here)[0] - MOUTH_M
     assert left_m == pytest.approx(metres + left_of_0_m, abs=0.3)
-    first = np.hypot(*(there.vut_position_m - line[0]).T).argmin()
+    first = lengths(there.vut_position_m - line[0]).argmin()
     assert distance_to_chain_m(there.vut_position_m[first:], line).max() < 0.4
 
 

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from plane_vectors import unit_vectors
 from refusals import refused_with
 from scipy.integrate import cumulative_simpson
 from strategies import numbers
@@ -65,7 +66,7 @@ def test_a_turn_ends_on_the_exit_line_at_the_tangents_length_behind_the_corner(t
     end, end_deg = turn.at(turn.length_m)
     angle = turn.side * np.radians(turn.angle_deg)
     corner = np.array([turn.tangent_m, 0.0])
-    exit_direction = np.array([np.cos(angle), np.sin(angle)])
+    exit_direction = unit_vectors(angle)
 
     assert end == pytest.approx(corner + turn.tangent_m * exit_direction, abs=1e-9)
     assert end_deg == pytest.approx(turn.side * turn.angle_deg, abs=1e-9)

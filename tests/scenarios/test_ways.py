@@ -20,6 +20,7 @@ from junctions import (
     turned,
 )
 from oracles import distance_to_chain_m
+from plane_vectors import lengths, unit_vectors
 from scenario_lanes import arm_lanes, build_lane, exchanged, pose_at
 
 from geometry.footprints import footprint_corners
@@ -178,7 +179,7 @@ def test_turns_lead_into_arms_that_lie_askew_and_pedestrians_cross_them_squarely
 def test_a_turn_follows_the_junctions_own_lane_where_there_is_one(vut):
     angle = np.radians(np.linspace(-90.0, 0.0, 20))
     radius_m = MOUTH_M + 0.5 * LANE_M
-    arc = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    arc = radius_m * unit_vectors(angle)
     arc += [-MOUTH_M, MOUTH_M]
     scene = with_lanes(build_lane("through", arc, kind="connecting"))
 
@@ -204,7 +205,7 @@ def quarter_circle(radius_m, *, before, after, n_points=60):
     end = after.centreline_m[0]
     angle = np.linspace(-0.5 * np.pi, 0.0, n_points)
     middle = np.array([end[0] - radius_m, begin[1] + radius_m])
-    arc = middle + radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    arc = middle + radius_m * unit_vectors(angle)
     line = without_repeats([[begin], arc, [end]])
     return build_lane("turn", line, kind="connecting"), middle
 
@@ -212,7 +213,7 @@ def quarter_circle(radius_m, *, before, after, n_points=60):
 def without_repeats(parts):
     """Points of parts one after the other, each place once."""
     line = np.concatenate(parts)
-    is_new = np.append(True, np.hypot(*np.diff(line, axis=0).T) > 1.0e-6)
+    is_new = np.append(True, lengths(np.diff(line, axis=0)) > 1.0e-6)
     return line[is_new]
 
 
@@ -238,7 +239,7 @@ def test_a_turning_car_stays_within_a_centimetre_of_a_connecting_lane(vut, radiu
 
     position, yaw_deg = path.at(np.arange(0.0, 40.0, 0.5))
     yaw = np.radians(yaw_deg)
-    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    ahead = unit_vectors(yaw)
     axle = position + vut.front_axle_ahead_m * ahead
     assert distance_to_chain_m(axle, path.course.points_m[::5]).max() < 0.001
 
@@ -368,7 +369,7 @@ def test_parked_cars_give_way_to_a_pole_and_a_house_that_leaves_no_room_is_named
     given_way, refusals = park(pole)
     assert not refusals
     moved_m = given_way[0].obstruction[0].pose.position_m - first
-    assert 0.0 < np.hypot(*moved_m[:2]) <= 2.0
+    assert 0.0 < lengths(moved_m[:2]) <= 2.0
 
     house = ("house", first[0] - 5.0, -15.0, 12.0, 23.0, 6.0)
     runs, refusals = park(house)

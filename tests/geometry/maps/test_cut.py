@@ -8,6 +8,7 @@ import shapely
 from geometry_text import array_of, points_of
 from hypothesis import given
 from hypothesis import strategies as st
+from plane_vectors import lengths
 
 from geometry.errors import InputError
 from geometry.frames import transform
@@ -111,7 +112,7 @@ def notes_of(found):
 
 def unit(vector):
     """A vector in the same direction, of length 1."""
-    return vector / np.hypot(*vector)
+    return vector / lengths(vector)
 
 
 def test_what_lies_around_the_junction_is_taken_and_nothing_else():
@@ -119,8 +120,8 @@ def test_what_lies_around_the_junction_is_taken_and_nothing_else():
     lanes = {one.id: one for one in found.lanes}
 
     assert sorted(lanes) == ["further", "in", "out"]
-    assert np.hypot(*lanes["in"].centreline_m[0]) == pytest.approx(120.0, abs=1e-6)
-    assert np.hypot(*lanes["in"].centreline_m[-1]) < 9.0
+    assert lengths(lanes["in"].centreline_m[0]) == pytest.approx(120.0, abs=1e-6)
+    assert lengths(lanes["in"].centreline_m[-1]) < 9.0
     assert found.outline_m == pytest.approx(SQUARE_M, abs=0.5)
     assert [one.id for one in found.things] == ["near"]
 
@@ -169,7 +170,7 @@ def test_distances_are_metres_on_the_ground_and_places_stay(east_m, north_m):
     # UTM shrinks by up to 0.04 % there and is turned by the convergence of its
     # meridians.
     away_m = np.hypot(east_m, north_m)
-    assert np.hypot(*here) == pytest.approx(away_m, rel=5e-4, abs=0.01)
+    assert lengths(here) == pytest.approx(away_m, rel=5e-4, abs=0.01)
 
 
 def test_a_map_of_no_known_place_is_moved_to_the_junction():
@@ -276,7 +277,7 @@ def test_lanes_are_led_straight_on_through_another_junction(aside_m):
     (arm,) = build_junction(scene).arms.values()
     (entry,) = arm.entry_lanes
     (leaving,) = arm.exit_lanes
-    assert np.hypot(*entry.centreline_m[0]) == pytest.approx(150.0)
+    assert lengths(entry.centreline_m[0]) == pytest.approx(150.0)
     assert leaving.centreline_m[-1] == pytest.approx(lanes["far out"][-1])
 
     # The circle cuts the lane off: the map goes on, and nothing is assumed.
@@ -381,7 +382,7 @@ def row_at(east_m):
 def test_an_assumed_road_ends_where_no_bend_leads_past_houses():
     _, (road,) = with_houses(row_at(50))  # their fronts are at 48 m
     begin, end = road.centreline_m
-    assert np.hypot(*(begin - end)) == pytest.approx(19.7, abs=0.02)
+    assert lengths(begin - end) == pytest.approx(19.7, abs=0.02)
 
 
 def test_no_road_is_assumed_where_houses_stand_right_behind_the_map():

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plane_vectors import lengths
 from pyproj import Geod, Transformer
 
 from geometry.errors import InputError
@@ -47,7 +48,7 @@ def test_degrees_become_metres_on_the_ground(lon, lat):
     a, b = place.to_metres(points, "f")
     _, _, distance = Geod(ellps="WGS84").inv(*points[0], *points[1])
 
-    assert np.hypot(*(b - a)) == pytest.approx(distance, abs=1e-3)
+    assert lengths(b - a) == pytest.approx(distance, abs=1e-3)
 
 
 def test_web_mercator_becomes_metres_on_the_ground():
@@ -57,7 +58,7 @@ def test_web_mercator_becomes_metres_on_the_ground():
     lonlat = in_wgs84("EPSG:3857", points)
     _, _, distance = Geod(ellps="WGS84").inv(*lonlat[0], *lonlat[1])
 
-    assert np.hypot(*(b - a)) == pytest.approx(distance, abs=1e-3)
+    assert lengths(b - a) == pytest.approx(distance, abs=1e-3)
     assert distance < 62.0
 
 
@@ -66,7 +67,7 @@ def test_feet_become_metres_also_upwards():
     place = georeference(points[:, :2], "EPSG:2263", where="f")
     a, b = place.to_metres(points, "f")
 
-    assert np.hypot(*(b - a)[:2]) == pytest.approx(30.48, rel=1e-3)
+    assert lengths((b - a)[:2]) == pytest.approx(30.48, rel=1e-3)
     assert b[2] - a[2] == pytest.approx(3.048, rel=1e-5)
 
 

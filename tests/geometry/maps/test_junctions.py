@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plane_vectors import unit_vectors
 from text_tables import changes_of
 
 from geometry.errors import InputError
@@ -15,9 +16,7 @@ SQUARE_M = 8.0 * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 def junction(name, middle, n_arms):
     turns = np.radians(90.0 * np.arange(n_arms))
     lanes = []
-    for index, (east, north) in enumerate(
-        np.stack([np.cos(turns), np.sin(turns)], axis=1)
-    ):
+    for index, (east, north) in enumerate(unit_vectors(turns)):
         for is_in, side in ((True, 1.5), (False, -1.5)):
             near, far = (
                 np.array([r * east - side * north, r * north + side * east]) + middle

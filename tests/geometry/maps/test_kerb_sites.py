@@ -7,6 +7,7 @@ import pytest
 from geometry_text import array_of
 from hypothesis import given
 from hypothesis import strategies as st
+from plane_vectors import lengths, unit_vectors
 
 from geometry.errors import InputError
 from geometry.maps.place_lists import SiteWish
@@ -106,21 +107,21 @@ def test_no_site_stands_on_the_road_and_neighbours_on_a_kerb_keep_their_distance
     lanes = []
     for twelfth, width_m in zip(twelfths, widths_m, strict=False):
         angle = twelfth * np.pi / 6
-        ahead = np.array([np.cos(angle), np.sin(angle)])
+        ahead = unit_vectors(angle)
         left = np.array([-ahead[1], ahead[0]])
         for side in (-0.5, 0.5):
             points = np.outer([12.0, 90.0], ahead) + side * width_m * left
             lanes.append(lane(f"{twelfth}{side}", points, width_m=width_m))
     turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    outline = 12.0 * np.column_stack([np.cos(turn), np.sin(turn)])
+    outline = 12.0 * unit_vectors(turn)
     sites = kerb_sites(lanes, outline, spacing_m)
 
     found = positions(sites)
     assert len(sites) >= 2 * len(twelfths)
-    assert (np.hypot(*found.T) <= 12.0 + 60.0 + 0.1).all()
+    assert (lengths(found) <= 12.0 + 60.0 + 0.1).all()
     for road in lanes:
         begin, end = road.centreline_m[:, :2]
-        ahead = (end - begin) / np.hypot(*(end - begin))
+        ahead = (end - begin) / lengths(end - begin)
         along_m = (found - begin) @ ahead
         across_m = np.abs((found - begin) @ [-ahead[1], ahead[0]])
         beside_m = across_m[(along_m > 0.0) & (along_m < 78.0)]
@@ -128,7 +129,7 @@ def test_no_site_stands_on_the_road_and_neighbours_on_a_kerb_keep_their_distance
         for side in ("left", "right"):
             start = f"kerb {road.id} {side} "
             kerb = positions([one for one in sites if one.id.startswith(start)])
-            gaps_m = np.hypot(*np.diff(kerb, axis=0).T)
+            gaps_m = lengths(np.diff(kerb, axis=0))
             assert (gaps_m >= spacing_m - 1e-2).all()
 
 
@@ -192,13 +193,13 @@ def test_what_is_kept_is_apart_and_what_is_dropped_is_near_something_kept(rows):
     kept, skipped = tidy_sites(sites)
     assert len(kept) + len(skipped) == len(sites)
     for one, other in combinations(kept, 2):
-        assert np.hypot(*(one.position_m - other.position_m)) > 1.0
+        assert lengths(one.position_m - other.position_m) > 1.0
 
     by_id = {site.id: site for site in sites}
     for skip in skipped:
         gone = by_id[skip.what.removeprefix("site ")]
         better = [site for site in kept if site.n_said >= gone.n_said]
-        away_m = [np.hypot(*(gone.position_m - site.position_m)) for site in better]
+        away_m = [lengths(gone.position_m - site.position_m) for site in better]
         assert min(away_m) <= 1.0
 
 

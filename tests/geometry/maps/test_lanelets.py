@@ -8,6 +8,7 @@ from geometry_text import points_of
 from lanelet_text import HALF_M, WIDTH_M, commonroad, crossing, lanelet2
 from numpy.testing import assert_allclose, assert_array_equal
 from osm_tags import tags_of
+from plane_vectors import lengths
 from pyproj import Transformer
 from text_tables import rows_of
 
@@ -252,7 +253,7 @@ def test_every_variant_of_a_map_has_the_same_arms_and_lanes(text, tmp_path):
 
 def steps_m(lane):
     """Distances between the points of a lane."""
-    return np.hypot(*np.diff(lane.centreline_m[:, :2], axis=0).T)
+    return lengths(np.diff(lane.centreline_m[:, :2], axis=0))
 
 
 def test_latitudes_say_where_local_coordinates_lie(tmp_path):

@@ -18,6 +18,7 @@ from opendrive_text import (
     to_junction,
     to_road,
 )
+from plane_vectors import lengths
 from text_tables import rows_of
 
 COMPASS = ("east", "north", "west", "south")
@@ -78,7 +79,7 @@ def test_a_curved_connecting_road_is_a_lane_on_its_circle(tmp_path):
     points = found.centreline_m[:, :2]
     middles = 0.5 * (points[1:] + points[:-1])
     for places, most_m in ((points, 1.0e-9), (middles, 0.003)):
-        off_m = np.abs(np.hypot(*(places - [0.0, radius_m]).T) - (radius_m + 1.5))
+        off_m = np.abs(lengths(places - [0.0, radius_m]) - (radius_m + 1.5))
         assert off_m.max() <= most_m
     assert points[0] == pytest.approx([0.0, -1.5])
     assert points[-1] == pytest.approx([radius_m + 1.5, radius_m])

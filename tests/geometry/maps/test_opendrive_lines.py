@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from opendrive_text import cubic, geometry, lane, road, section
+from plane_vectors import lengths
 from scipy.integrate import quad
 
 from geometry.maps.opendrive.lanes import sample_road
@@ -53,7 +54,7 @@ def test_an_arc_lies_on_its_circle():
     s = np.linspace(0.0, 30.0, 7)
     points, heading = line('<arc curvature="0.1"/>', 30.0, s)
 
-    assert_allclose(np.hypot(*(points - [0.0, 10.0]).T), 10.0)
+    assert_allclose(lengths(points - [0.0, 10.0]), 10.0)
     assert_allclose(heading, 0.1 * s)
 
 
@@ -171,7 +172,7 @@ def test_samples_follow_the_line_closely_and_keep_their_distance(
     read_back = read(text)
     (samples,) = sample_road(read_back)
     points = samples.points_m[:, :2]
-    steps_m = np.hypot(*np.diff(points, axis=0).T)
+    steps_m = lengths(np.diff(points, axis=0))
     assert steps_m.max() <= 5.0 + 1e-6
     assert np.isclose(steps_m.sum(), length, rtol=5e-3, atol=1e-3)
 
@@ -180,9 +181,9 @@ def test_samples_follow_the_line_closely_and_keep_their_distance(
     left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
     for t_m in (samples.lanes[-1].inner_m, samples.lanes[-1].outer_m):
         edge = samples.points_at(t_m)[:, :2]
-        assert_allclose(np.hypot(*(edge - points).T), np.abs(t_m), atol=1e-9)
+        assert_allclose(lengths(edge - points), np.abs(t_m), atol=1e-9)
         chord = np.diff(edge, axis=0)
-        chord_m = np.hypot(*chord.T)
+        chord_m = lengths(chord)
         assert chord_m.max() <= 5.0 + 1e-6
         away = on_line + t_m[:1] * left - edge[:-1]
         area = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])

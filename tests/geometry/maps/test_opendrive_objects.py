@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from opendrive_text import cubic, document, geometry, read_text, road
+from plane_vectors import lengths
 from text_tables import rows_of
 
 from geometry.maps.opendrive.object_shapes import build_prism
@@ -172,7 +173,7 @@ def test_a_repeat_without_distance_is_swept_along_the_road(thing_of):
     # The line 5 m to the left of an arc of 100 m radius is 5 % shorter.
     assert mesh.volume == pytest.approx(95.0 * 0.5 * 2.0, rel=1e-2)
 
-    radius = np.hypot(*(thing.vertices_m[:, :2] - [0.0, 100.0]).T)
+    radius = lengths(thing.vertices_m[:, :2] - [0.0, 100.0])
     assert radius.min() == pytest.approx(94.75)
     assert radius.max() == pytest.approx(95.25)
 
@@ -391,5 +392,5 @@ def test_a_crosswalk_may_be_written_as_a_road_mark(read, name):
     size = "t=0 length=3 width=8"
     (ends,) = read(element("roadMark", f"{size} {name}")).crosswalks_m
 
-    assert np.hypot(*(ends[1] - ends[0])) == pytest.approx(8.0)
+    assert lengths(ends[1] - ends[0]) == pytest.approx(8.0)
     assert not len(read(element("roadMark", size)).crosswalks_m)

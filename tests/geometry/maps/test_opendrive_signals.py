@@ -1,11 +1,11 @@
 """Signals: traffic lights, signs, paint, and their poles."""
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from opendrive_text import cubic, document, read_text, road
+from plane_vectors import lengths
 
 from geometry.maps.opendrive.objects import merge_poles
 from geometry.maps.source_map import POLE_KINDS, Pole
@@ -130,7 +130,7 @@ def test_merged_poles_are_the_groups_of_those_close_to_one_another(rows):
     group = list(range(len(poles)))
     for i, one in enumerate(poles):
         for j, other in enumerate(poles):
-            distance_m = np.hypot(*(one.position_m - other.position_m)[:2])
+            distance_m = lengths((one.position_m - other.position_m)[:2])
             if abs(distance_m - 0.5) < 0.1:
                 return  # places are told apart to a few centimetres
             if distance_m < 0.5 and group[i] != group[j]:

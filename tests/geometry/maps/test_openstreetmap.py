@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from osm_drawing import FOUR, assert_lanes_end_at_outlines, drawn_crossing
 from osm_text import OsmText, arm_lanes, arms_of
+from plane_vectors import lengths
 
 from geometry.errors import InputError, MissingExtraError
 from geometry.maps.openstreetmap import fetch_openstreetmap, read_openstreetmap
@@ -450,7 +451,7 @@ def test_garching(real_input):
     lines = source.crosswalks_m
 
     assert len(lines) == 5  # one way is an L over two arms
-    assert np.hypot(*(lines[:, 1] - lines[:, 0]).T).max() < 10.1
+    assert lengths(lines[:, 1] - lines[:, 0]).max() < 10.1
 
     busiest = max(source.junctions, key=lambda junction: len(junction.roads))
     for arm in arms_of(source, busiest).arms.values():
@@ -459,5 +460,5 @@ def test_garching(real_input):
             ahead = np.diff(arm.lanes_in[0].centreline_m[-2:], axis=0)[0]
         else:
             ahead = np.diff(arm.lanes_out[0].centreline_m[:2], axis=0)[0]
-        cosine = ahead @ arm.crosswalk.direction / np.hypot(*ahead)
+        cosine = ahead @ arm.crosswalk.direction / lengths(ahead)
         assert abs(cosine) < 0.3

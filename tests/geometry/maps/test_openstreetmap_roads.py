@@ -15,6 +15,7 @@ from osm_drawing import (
     read_drawing,
 )
 from osm_text import arm_lanes, arms_of, scene_of
+from plane_vectors import lengths
 from text_tables import rows_of
 
 from geometry.maps.importing import ReadingOptions, read_map, survey_junctions
@@ -212,7 +213,7 @@ def test_roads_meet_under_any_angle(angles_deg, names, tmp_path):
     assert_lanes_end_at_outlines(source)
 
     outline = source.junctions[0].outline_m
-    assert np.hypot(*outline.T).max() <= 31.0
+    assert lengths(outline).max() <= 31.0
 
 
 def test_one_way_arms_have_lanes_in_one_direction(tmp_path):
@@ -396,7 +397,7 @@ def test_carriageways_lead_on_into_the_road_they_become(tmp_path):
 
     driving = [lane.centreline_m[:, :2] for lane in source.lanes]
     west_bound = next(line for line in driving if line[0, 0] > 150.0)
-    gaps_m = [np.hypot(*(line[0] - west_bound[-1])) for line in driving]
+    gaps_m = [lengths(line[0] - west_bound[-1]) for line in driving]
 
     assert min(gaps_m) < 0.01
 
@@ -416,7 +417,7 @@ def test_where_one_lane_becomes_three_at_a_fork_all_stay_on_their_side(tmp_path)
     (one,) = (lane for lane in scene.lanes if lane.centreline_m[0, 0] < -150.0)
     end = one.centreline_m[-1]
     assert end[1] < -1.0  # to the right of the axis
-    gaps_m = [np.hypot(*(lane.centreline_m[0] - end)) for lane in scene.lanes]
+    gaps_m = [lengths(lane.centreline_m[0] - end) for lane in scene.lanes]
     assert sum(gap_m < 0.01 for gap_m in gaps_m) == 3
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from osm_drawing import drawn, read_drawing
+from plane_vectors import lengths
 from text_tables import rows_of
 
 from geometry.maps.importing import ImportOptions, import_scene
@@ -191,7 +192,7 @@ def test_poles_stand_beside_the_carriageway_and_not_on_it(tmp_path):
     assert scene.sites
     for site in scene.sites:
         for lane in scene.lanes:
-            away = np.hypot(*(lane.centreline_m[:, :2] - site.position_m[:2]).T)
+            away = lengths(lane.centreline_m[:, :2] - site.position_m[:2])
             assert away.min() > 0.5 * lane.width_m
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 from numpy.testing import assert_allclose
+from plane_vectors import lengths
 from refusals import refused_with
 
 from geometry.errors import InputError, MissingExtraError
@@ -92,7 +93,7 @@ def test_rasters_in_another_reference_system_lie_at_the_same_place(read):
     lon_lat = transform(points[:, :2], UTM, "EPSG:4326")
 
     assert_allclose((lon_lat[:, 0] - corner[0]) / step - 0.5, points[:, 2], atol=1e-3)
-    assert np.hypot(*(points[:, :2] - AT_M).T).min() < 2.0
+    assert lengths(points[:, :2] - AT_M).min() < 2.0
 
 
 def test_pixels_without_a_height_are_left_out(read):

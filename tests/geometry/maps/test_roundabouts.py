@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapely
 from osm_drawing import drawn
+from plane_vectors import lengths
 from text_tables import changes_of
 
 from geometry.errors import InputError
@@ -90,7 +91,7 @@ def test_ways_are_continuous_and_on_the_carriageway(ring):
         steps = np.diff(line, axis=0)
         turns = np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))
         assert np.abs(np.degrees(turns)).max() < 15.0
-        assert np.hypot(*steps.T).max() < 25.0
+        assert lengths(steps).max() < 25.0
         assert paved.contains(shapely.LineString(line).buffer(0.9, cap_style="flat"))
 
 
@@ -126,7 +127,7 @@ def test_ways_from_one_arm_into_another_do_not_cross(ring):
             # On a lane of the ring that they share, their chords differ.
             met = shapely.get_coordinates(shapely.intersection(one, other))
             if one.crosses(other):
-                far_m = np.hypot(*(met - middle).T)
+                far_m = lengths(met - middle)
                 assert far_m == pytest.approx(made["radius_m"], abs=0.1)
 
 
@@ -135,7 +136,7 @@ def test_the_middle_of_the_lane_bends_as_the_ring_does(radius_m, tmp_path):
     source = read(tmp_path, radius_m=radius_m)
     (junction,) = source.junctions
     points = np.concatenate([way.centreline_m for way in source.connections])
-    far_m = np.hypot(*(points[:, :2] - junction.position_m).T)
+    far_m = lengths(points[:, :2] - junction.position_m)
 
     assert far_m.min() == pytest.approx(radius_m, abs=0.05)
 
@@ -191,7 +192,7 @@ def test_the_island_is_no_carriageway_and_carries_poles(tmp_path):
     sites = {site.id: site.position_m[:2] for site in scene.sites}
     middle = island.mean(axis=0)
 
-    assert np.hypot(*(sites[f"n{lamp}"] - middle - [2.0, 1.0])) < 0.1
+    assert lengths(sites[f"n{lamp}"] - middle - [2.0, 1.0]) < 0.1
     assert not road_area(scene).intersects(shapely.Point(sites[f"n{lamp}"]))
 
     # What was mapped on the ring stands beside it.

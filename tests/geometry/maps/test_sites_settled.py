@@ -9,6 +9,7 @@ from geometry_text import array_of
 from hypothesis import given
 from hypothesis import strategies as st
 from osm_drawing import drawn_crossing, read_drawing
+from plane_vectors import lengths
 
 from geometry.maps.cut import cut_out
 from geometry.maps.importing import ImportOptions, import_scene
@@ -39,7 +40,7 @@ def test_no_place_lies_on_a_lane_and_none_moves_without_need(around, points):
         assert bool(place.why) == is_on_road
         if place.position_m is None:
             continue
-        away_m = float(np.hypot(*(place.position_m - point)))
+        away_m = float(lengths(place.position_m - point))
         clearance_m = road.distance(shapely.Point(place.position_m))
         assert away_m <= 15.0
         if not is_on_road:

@@ -5,6 +5,7 @@ import pytest
 import shapely
 from osm_drawing import drawn
 from osm_text import as_drawn
+from plane_vectors import lengths
 
 from geometry.maps.importing import ImportOptions, import_scene, read_map
 
@@ -125,7 +126,7 @@ def test_the_roads_lanes_go_on_past_the_slip_lane(slip):
 
     begins = [lane.centreline_m[0, :2] for lane in driving(source)]
     for end in ends:
-        assert min(np.hypot(*(begin - end)) for begin in begins) < 1e-6
+        assert min(lengths(begin - end) for begin in begins) < 1e-6
 
 
 def test_no_note_says_that_the_map_ends_where_the_slip_lane_begins(slip, tmp_path):

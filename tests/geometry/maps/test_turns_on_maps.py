@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracles import distance_to_chain_m
+from plane_vectors import lengths
 
 from geometry.junction import CONNECTING, build_junction
 from geometry.maps.cut import build_scene, cut_out
@@ -53,7 +54,7 @@ def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(
         away_m = {
             lane.id: distance_to_chain_m(lane.centreline_m, front).max()
             for lane in junction.connections
-            if np.hypot(*(lane.centreline_m[0] - front[0])) < 0.5
+            if lengths(lane.centreline_m[0] - front[0]) < 0.5
         }
         nearest = min(away_m, key=away_m.__getitem__)
         assert away_m[nearest] < 0.01, run.id
