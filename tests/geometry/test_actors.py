@@ -160,7 +160,10 @@ def test_the_vut_has_the_wheelbase_of_its_source():
     ("name", "wheelbase_m", "front_m", "rear_m"),
     # Euro NCAP, targets.gvt and targets.motorcycle: from the rear axle to both ends of
     # the box
-    [("car", 2.475, 3.3395, 0.6835), ("motorcyclist", 1.41, 1.713, 0.367)],
+    [
+        ("car", 2.475, 3.3395, 0.6835),
+        ("motorcyclist", 1.41, 1.713, 0.367),
+    ],
 )
 def test_axles_of_targets_are_as_far_from_the_box_ends_as_the_source_says(
     name, wheelbase_m, front_m, rear_m
@@ -177,7 +180,10 @@ def test_axles_of_targets_are_as_far_from_the_box_ends_as_the_source_says(
     ("name", "low_m3", "high_m3"),
     # A small car fills half of its box or more; a motorcycle of 0.2 t and a rider of 80
     # kg.
-    [("car", 5.0, 7.0), ("motorcyclist", 0.25, 0.45)],
+    [
+        ("car", 5.0, 7.0),
+        ("motorcyclist", 0.25, 0.45),
+    ],
 )
 def test_bodies_have_the_volume_of_such_bodies(name, low_m3, high_m3):
     (shape,) = load_actors()[name].shapes
@@ -187,7 +193,13 @@ def test_bodies_have_the_volume_of_such_bodies(name, low_m3, high_m3):
 # Outlines
 
 
-@pytest.mark.parametrize(("name", "spread"), [("adult", 1.7), ("child", 2.0)])
+@pytest.mark.parametrize(
+    ("name", "spread"),
+    [
+        ("adult", 1.7),
+        ("child", 2.0),
+    ],
+)
 def test_walkers_stand_together_at_rest_and_are_widest_a_quarter_of_a_cycle_later(
     name, spread
 ):

@@ -74,7 +74,12 @@ def test_a_missing_folder_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)]
+    ("mask", "mode"),
+    [
+        (0o022, 0o644),
+        (0o077, 0o600),
+        (0o002, 0o664),
+    ],
 )
 def test_a_file_is_as_readable_as_any_other_new_one(tmp_path, mask, mode):
     before = os.umask(mask)

@@ -97,7 +97,12 @@ def test_two_ways_through_the_air_take_what_each_of_them_takes(
 
 @pytest.mark.parametrize(
     ("rate_mmph", "db_per_km"),
-    [(0.0, 0.0), (1.0, 1.076), (10.0, 5.0329), (100.0, 23.541)],
+    [
+        (0.0, 0.0),
+        (1.0, 1.076),
+        (10.0, 5.0329),
+        (100.0, 23.541),
+    ],
 )
 def test_rain_takes_what_itu_r_p_1814_says(rate_mmph, db_per_km):
     """1.076 R^0.67 dB/km, whatever the wavelength; on top of what haze takes."""

@@ -64,7 +64,12 @@ def test_on_an_open_arm_everybody_is_met(lay_all):
 
 @pytest.mark.parametrize(
     "closed_to",
-    [("on foot",), ("bicycle",), ("motorcycle",), ("on foot", "bicycle", "motorcycle")],
+    [
+        ("on foot",),
+        ("bicycle",),
+        ("motorcycle",),
+        ("on foot", "bicycle", "motorcycle"),
+    ],
 )
 def test_nobody_is_met_on_an_arm_that_is_closed_to_them(closed_to, lay_all):
     scene = scene_with(closed_to)

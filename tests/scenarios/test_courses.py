@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles import distance_to_chain_m
 from plane_vectors import lengths, unit_vectors
+from refusal_words import refused_about
 
-from geometry.errors import InputError
 from geometry.junction import Line
 from scenarios.courses import follow_lane, follow_lanes, join_by_turn, pick_turn
 from scenarios.encounters import Encounter, first_contact_s
@@ -71,7 +71,12 @@ def test_two_bodies_on_a_circle_touch_when_their_corners_do(actors):
 
 
 @pytest.mark.parametrize(
-    ("side", "speed_kmh"), [("near", 10.0), ("far", 10.0), ("far", 20.0)]
+    ("side", "speed_kmh"),
+    [
+        ("near", 10.0),
+        ("far", 10.0),
+        ("far", 20.0),
+    ],
 )
 def test_a_turn_between_straight_lanes_is_the_protocols(side, speed_kmh):
     turn = pick_turn(side, speed_kmh)
@@ -115,12 +120,12 @@ def test_lanes_one_after_the_other_are_one_course_with_its_origin_between_them()
 
 
 def test_a_lane_without_length_has_no_course():
-    with pytest.raises(InputError, match="at least two different points"):
+    with refused_about("at least two different points"):
         follow_lane(np.array([[1.0, 1.0], [1.0, 1.0]]), is_in=True)
 
 
 def test_beside_a_bend_sharper_than_asked_for_there_is_no_course():
-    with pytest.raises(InputError, match="left_m: got 14"):
+    with refused_about("left_m: got 14"):
         follow_lane(circle(12.0), is_in=True).offset(14.0)
 
 

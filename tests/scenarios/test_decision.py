@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from plane_vectors import unit_vectors
+from refusal_words import refused_about
 from text_tables import rows_of
 
 from geometry.errors import InputError
@@ -319,5 +320,5 @@ def test_a_rule_of_ones_own_keeps_what_it_does_not_say(tmp_path):
 
 
 def test_an_unknown_rule_is_refused():
-    with pytest.raises(InputError, match="decision: got 'careful'; expected default"):
+    with refused_about("decision: got 'careful'; expected default"):
         load_decision_rule("careful")

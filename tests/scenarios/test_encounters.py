@@ -197,7 +197,11 @@ def test_a_short_touch_of_two_corners_is_not_overlooked():
 
 @pytest.mark.parametrize(
     ("yaw_deg", "speed_mps"),
-    [(0.0, 5.0), (90.0, 5.0), (180.0, 0.1)],  # as fast beside it, away, slowly past it
+    [
+        (0.0, 5.0),
+        (90.0, 5.0),
+        (180.0, 0.1),
+    ],  # as fast beside it, away, slowly past it
 )
 def test_bodies_that_never_touch_have_no_first_contact(yaw_deg, speed_mps):
     rides = moving([0.0, 2.0], yaw_deg, speed_mps)

@@ -61,7 +61,12 @@ def test_nobody_parks_on_an_island_between_two_carriageways(parked):
 
 
 @pytest.mark.parametrize(
-    ("skew_deg", "is_island"), [(0.0, True), (50.0, True), (80.0, False)]
+    ("skew_deg", "is_island"),
+    [
+        (0.0, True),
+        (50.0, True),
+        (80.0, False),
+    ],
 )
 def test_behind_a_corner_lies_the_road_that_crosses_and_no_island(
     parked, skew_deg, is_island
@@ -95,7 +100,13 @@ def test_where_the_map_has_a_parking_lane_people_park_whatever_is_behind(parked)
     assert not refusals
 
 
-@pytest.mark.parametrize(("bottom_m", "is_free"), [(4.5, True), (0.0, False)])
+@pytest.mark.parametrize(
+    ("bottom_m", "is_free"),
+    [
+        (4.5, True),
+        (0.0, False),
+    ],
+)
 def test_cars_park_and_people_walk_below_what_is_raised(parked, bottom_m, is_free):
     scene = protocol_scene(boxes=[("roof", -30.0, 0.0, 40.0, 40.0, 3.0)])
     is_roof = scene.vertices_m[:, 0] > -100.0

@@ -262,7 +262,14 @@ def test_a_travel_time_of_nonsense_is_refused(
         )
 
 
-@pytest.mark.parametrize(("n_nodes", "stride"), [(2, 4), (5, 4), (60, 8)])
+@pytest.mark.parametrize(
+    ("n_nodes", "stride"),
+    [
+        (2, 4),
+        (5, 4),
+        (60, 8),
+    ],
+)
 def test_headings_between_nodes_are_scipys_cubics(n_nodes, stride):
     rng = np.random.default_rng(n_nodes)
     nodes = np.cumsum(rng.normal(size=n_nodes))

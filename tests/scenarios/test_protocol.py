@@ -192,7 +192,13 @@ def test_every_case_meets_the_front_at_its_share_of_the_width(golf, name):
     assert left_m == pytest.approx(impact_offset_m(case, golf), abs=tolerance_m)
 
 
-@pytest.mark.parametrize(("name", "side"), [("CBTAfs-side", 1), ("CBTAns-side", -1)])
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [
+        ("CBTAfs-side", 1),
+        ("CBTAns-side", -1),
+    ],
+)
 def test_side_impacts_meet_the_side_at_their_share_of_the_length(golf, name, side):
     encounter = stage(name, golf).encounter
     vut, yaw_deg = pose_at(encounter.vut_motion)

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from oracles import separation_m
+from refusal_words import refused_about
 from refusals import refused_with
 from text_tables import changes_of
 
 from geometry.actors import PlacedActor
-from geometry.errors import InputError
 from geometry.frames import to_carla_points, to_carla_yaw
 from geometry.tables import read_table
 from scenarios import published
@@ -188,7 +188,7 @@ def test_a_longitudinal_case_needs_one_heading():
         "vru_yaw_deg": 90.0,
         "collision_point_m": [-40.0, 0.0],
     }
-    with pytest.raises(InputError, match="expected one heading for VUT and VRU"):
+    with refused_about("expected one heading for VUT and VRU"):
         published._build_placement(
             read_table(entry, published._Entry, "runs.toml"),
             "runs.toml: placements[0]",

@@ -248,7 +248,11 @@ TWO_LANES = arm_lanes(n_lanes=2)
 
 
 @pytest.mark.parametrize(
-    ("begins", "ends"), [("west-in-0", "north-out-1"), ("west-in-1", "north-out-0")]
+    ("begins", "ends"),
+    [
+        ("west-in-0", "north-out-1"),
+        ("west-in-1", "north-out-0"),
+    ],
 )
 def test_a_turning_car_takes_the_lane_from_which_the_junction_leads(vut, begins, ends):
     named = {lane.id: lane for lane in TWO_LANES}
@@ -268,7 +272,13 @@ def test_without_a_lane_from_which_the_junction_leads_no_lane_is_followed(vut):
 
 
 # 3.5 and 6.2 m/s^2 to the side.
-@pytest.mark.parametrize(("speed_kmh", "follows"), [(15.0, True), (20.0, False)])
+@pytest.mark.parametrize(
+    ("speed_kmh", "follows"),
+    [
+        (15.0, True),
+        (20.0, False),
+    ],
+)
 def test_a_connecting_lane_too_sharp_for_the_speed_is_left_for_the_protocols_curve(
     vut, speed_kmh, follows
 ):
@@ -310,7 +320,14 @@ def test_cyclists_ride_on_the_arms_cycleway(vut):
     assert rides.start_m[0] == pytest.approx(track.centreline_m[0, 0])
 
 
-@pytest.mark.parametrize(("off_m", "n_found"), [(0.0, 1), (4.0, 1), (8.0, 0)])
+@pytest.mark.parametrize(
+    ("off_m", "n_found"),
+    [
+        (0.0, 1),
+        (4.0, 1),
+        (8.0, 0),
+    ],
+)
 def test_a_cycleway_may_end_a_little_beside_the_junctions_outline(off_m, n_found):
     arms = build_junction(with_lanes(cycleway(off_m))).arms
     counts = {name: len(arm.cycleways_in) for name, arm in arms.items()}

@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from osm_tags import tags_of
 from plane_vectors import lengths
 from pyproj import Transformer
+from refusal_words import refused_about
 from text_tables import rows_of
 
-from geometry.errors import InputError
 from geometry.maps.importing import (
     ImportOptions,
     import_scene,
@@ -149,7 +149,7 @@ OF_NO_NUMBERS = {"road": ([(0, "x"), (1, "nan")], [(0, 0), (9, 0)])}
     ],
 )
 def test_what_is_no_map_is_refused(tmp_path, text, name, told):
-    with pytest.raises(InputError, match=told):
+    with refused_about(told):
         read(tmp_path, text, name)
 
 
@@ -325,5 +325,5 @@ def test_a_lanelet_that_cannot_be_a_lane_is_told_with_its_file(bounds, why, tmp_
     ],
 )
 def test_a_broken_map_of_lanelets_is_refused_in_a_line(text, message, tmp_path):
-    with pytest.raises(InputError, match=re.escape(message)):
+    with refused_about(re.escape(message)):
         read(tmp_path, text)

@@ -311,7 +311,11 @@ def test_a_lanes_own_speed_limit_is_before_its_roads(tmp_path):
 
 @pytest.mark.parametrize(
     ("n_motorways", "sidewalk", "n_junctions"),
-    [(4, False, 0), (4, True, 1), (3, False, 1)],
+    [
+        (4, False, 0),
+        (4, True, 1),
+        (3, False, 1),
+    ],
 )
 def test_where_motorways_meet_is_no_junction(
     tmp_path, n_motorways, sidewalk, n_junctions

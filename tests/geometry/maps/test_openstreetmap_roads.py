@@ -248,7 +248,13 @@ def test_dual_carriageways_cross_in_one_junction(tmp_path):
     assert_lanes_end_at_outlines(source)
 
 
-@pytest.mark.parametrize(("offset_m", "n_arms"), [(15, [4]), (60, [3, 3])])
+@pytest.mark.parametrize(
+    ("offset_m", "n_arms"),
+    [
+        (15, [4]),
+        (60, [3, 3]),
+    ],
+)
 def test_offset_side_streets_are_one_junction_and_distant_ones_two(
     offset_m, n_arms, tmp_path
 ):
@@ -563,7 +569,11 @@ CROSSES = ("-90 0, 0 0", "0 0, 90 0", "0 0, 0 90", "0 -90, 0 0")
 
 @pytest.mark.parametrize(
     ("kind", "roads", "is_junction"),
-    [("trunk", PARTS, False), ("trunk", CROSSES, True), ("primary", PARTS, True)],
+    [
+        ("trunk", PARTS, False),
+        ("trunk", CROSSES, True),
+        ("primary", PARTS, True),
+    ],
 )
 def test_trunk_roads_merge_only_where_no_ways_cross(kind, roads, is_junction, tmp_path):
     osm = drawn("")

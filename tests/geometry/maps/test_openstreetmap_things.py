@@ -345,7 +345,13 @@ def test_a_bridge_over_water_is_no_thing(tmp_path):
     assert not read(osm, tmp_path).things
 
 
-@pytest.mark.parametrize(("end_m", "n_decks"), [(130, 0), (300, 1)])
+@pytest.mark.parametrize(
+    ("end_m", "n_decks"),
+    [
+        (130, 0),
+        (300, 1),
+    ],
+)
 def test_a_bridge_with_a_junction_near_is_told(end_m, n_decks, tmp_path):
     osm = drawn(f"""
         road 50 -80, 50 80

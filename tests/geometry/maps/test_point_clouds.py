@@ -6,6 +6,7 @@ import pyproj
 import pytest
 import trimesh
 from numpy.testing import assert_allclose
+from refusal_words import refused_about
 from text_tables import rows_of
 
 from geometry.errors import InputError
@@ -209,7 +210,7 @@ def patched(path, offset, data):
 )
 def test_headers_that_claim_what_cannot_be_are_refused(tmp_path, offset, data, message):
     path = patched(write_las(tmp_path, [house(100)], (1,)), offset, data)
-    with pytest.raises(InputError, match=message):
+    with refused_about(message):
         read_point_cloud(path)
 
 
@@ -239,21 +240,21 @@ def test_packed_points_that_claim_what_cannot_be_are_refused(
         "table offset": first,
     }[place]
 
-    with pytest.raises(InputError, match=message):
+    with refused_about(message):
         read_point_cloud(patched(path, offset, data))
 
 
 def test_clouds_of_nothing_but_ground_are_refused(tmp_path):
-    with pytest.raises(InputError, match="only ground"):
+    with refused_about("only ground"):
         read_point_cloud(write_las(tmp_path, [ground()], (1,)))
-    with pytest.raises(InputError, match="no points"):
+    with refused_about("no points"):
         read_point_cloud(write_las(tmp_path, [ground(0)], ()))
 
 
 def test_degrees_are_refused(tmp_path):
     small = house(500) * 1e-4 + [13.0, 52.0, 0.0]
     path = write_las(tmp_path, [small], (1,), crs=None, origin=(0.0, 0.0, 0.0))
-    with pytest.raises(InputError, match="degrees where metres"):
+    with refused_about("degrees where metres"):
         read_point_cloud(path)
 
 
@@ -261,14 +262,14 @@ def test_unknown_options_and_endings_are_refused(tmp_path):
     path = write_las(tmp_path, [house(100)], (1,))
     with pytest.raises(InputError):
         read_point_cloud(path, class_name="castle")
-    with pytest.raises(InputError, match="one of"):
+    with refused_about("one of"):
         read_point_cloud(tmp_path / "a.e57")
-    with pytest.raises(InputError, match="readable"):
+    with refused_about("readable"):
         read_point_cloud(tmp_path / "b.las")
 
 
 def test_too_many_voxels_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(point_clouds, "_MAX_VOXELS", 100)
     path = write_las(tmp_path, [house()], (1,))
-    with pytest.raises(InputError, match="a larger voxel"):
+    with refused_about("a larger voxel"):
         read_point_cloud(path)

@@ -199,7 +199,11 @@ LAMPS = "17 17, 17 -17, -19 19"  # below the roof, in the open, inside the house
 
 
 @pytest.mark.parametrize(
-    ("bottom_m", "heights_m"), [(4.5, [4.0, 4.2]), (20.0, [4.0, 8.0])]
+    ("bottom_m", "heights_m"),
+    [
+        (4.5, [4.0, 4.2]),
+        (20.0, [4.0, 8.0]),
+    ],
 )
 def test_sites_stand_below_roofs_but_not_inside_houses(around, bottom_m, heights_m):
     roof = solid((20.0, 20.0), 8.0, bottom_m=bottom_m, **ROOF)

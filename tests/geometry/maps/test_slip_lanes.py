@@ -158,7 +158,11 @@ def test_roads_that_both_lead_away_do_not_follow_each_other(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("road_class", "n_lanes"), [("secondary", 2), ("secondary_link", 4)]
+    ("road_class", "n_lanes"),
+    [
+        ("secondary", 2),
+        ("secondary_link", 4),
+    ],
 )
 def test_a_ramp_does_not_go_on_round_a_sharp_corner(road_class, n_lanes, tmp_path):
     osm = drawn(f"""
