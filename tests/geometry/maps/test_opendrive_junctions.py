@@ -18,6 +18,7 @@ from opendrive_text import (
     to_junction,
     to_road,
 )
+from opendrive_words import section_of
 from plane_vectors import lengths
 from text_tables import rows_of
 
@@ -60,7 +61,7 @@ def test_a_curved_connecting_road_is_a_lane_on_its_circle(tmp_path):
         plan=curve,
         length=length_m,
         junction="9",
-        sections=section(right=[lane(-1, width=3.0), lane(-2, "sidewalk")]),
+        sections=section_of("-1 width=3, -2 sidewalk"),
     )
     widening = lane(-1, width=cubic("width", 0.0, 0.0, 0.2))
     widens = straight(
@@ -238,8 +239,9 @@ def test_a_stub_of_a_road_at_the_mouth_belongs_to_the_road_beyond(tmp_path):
 
 
 def test_sidewalks_are_no_part_of_the_surface(tmp_path):
-    sides = section(left=[lane(1), lane(2, "sidewalk", width=9.0)], right=[lane(-1)])
-    parts = [road("3", length=20.0, junction="9", sections=sides), '<junction id="9"/>']
+    sides = section_of("1, 2 sidewalk width=9, -1")
+    inside = road("3", length=20.0, junction="9", sections=sides)
+    parts = [inside, '<junction id="9"/>']
     source = read_text(tmp_path, document(*parts))
     (junction,) = source.junctions
 

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from opendrive_text import cubic, geometry, lane, road, section
-from plane_vectors import lengths
+from opendrive_words import cubics, section_of
+from plane_vectors import lengths, unit_vectors
 from scipy.integrate import quad
 
 from geometry.maps.opendrive.lanes import sample_road
@@ -167,7 +168,7 @@ def test_samples_follow_the_line_closely_and_keep_their_distance(
         plan=geometry(shape, length=length),
         length=length,
         offset=cubic("laneOffset", 0.0, offset),
-        sections=section(right=[lane(-1, width=3.0)]),
+        sections=section_of("-1 width=3"),
     )
     read_back = read(text)
     (samples,) = sample_road(read_back)
@@ -178,47 +179,48 @@ def test_samples_follow_the_line_closely_and_keep_their_distance(
 
     between = 0.5 * (samples.s_m[1:] + samples.s_m[:-1])
     on_line, heading = read_back.line.at(between)
-    left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
+    left = unit_vectors(heading + 0.5 * np.pi)
     for t_m in (samples.lanes[-1].inner_m, samples.lanes[-1].outer_m):
         edge = samples.points_at(t_m)[:, :2]
         assert_allclose(lengths(edge - points), np.abs(t_m), atol=1e-9)
         chord = np.diff(edge, axis=0)
         chord_m = lengths(chord)
         assert chord_m.max() <= 5.0 + 1e-6
+
         away = on_line + t_m[:1] * left - edge[:-1]
         area = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
         assert (area / np.maximum(chord_m, 1e-9)).max() <= 0.03
 
 
 def test_edges_are_the_offset_and_the_widths_added_up():
-    widths = cubic("width", 0.0, 3.0) + cubic("width", 50.0, 3.0, 0.02, 0.001)
+    widths = cubics("width", "0 3, 50 3 0.02 0.001")
+    right = [lane(-2, width=2.0), lane(-1)]
     samples = sampled(
-        offset=cubic("laneOffset", 0.0, 1.0) + cubic("laneOffset", 40.0, 1.0, 0.05),
-        sections=section(
-            left=[lane(1, width=widths)],
-            right=[lane(-2, width=2.0), lane(-1, width=3.5)],
-        ),
+        offset=cubics("laneOffset", "0 1, 40 1 0.05"),
+        sections=section(left=[lane(1, width=widths)], right=right),
     )
     s = samples.s_m
-    center = 1.0 + np.where(s > 40.0, 0.05 * (s - 40.0), 0.0)
-    width = 3.0 + np.where(s > 50.0, 0.02 * (s - 50.0) + 0.001 * (s - 50.0) ** 2, 0.0)
+    after_40_m = np.maximum(s - 40.0, 0.0)
+    after_50_m = np.maximum(s - 50.0, 0.0)
+    center = 1.0 + 0.05 * after_40_m
+    width = 3.0 + 0.02 * after_50_m + 0.001 * after_50_m**2
 
-    assert_allclose(samples.lanes[1].inner_m, center)
-    assert_allclose(samples.lanes[1].outer_m, center + width)
+    left = samples.lanes[1]
+    assert_allclose(left.inner_m, center)
+    assert_allclose(left.outer_m, center + width)
     assert_allclose(samples.lanes[-1].outer_m, center - 3.5)
-    assert_allclose(samples.lanes[-2].inner_m, center - 3.5)
-    assert_allclose(samples.lanes[-2].outer_m, center - 5.5)
-    assert_allclose(samples.lanes[-2].width_m, 2.0)
+    outer = samples.lanes[-2]
+    assert_allclose(outer.inner_m, center - 3.5)
+    assert_allclose(outer.outer_m, center - 5.5)
+    assert_allclose(outer.width_m, 2.0)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_borders_are_edges_whichever_sign_is_used_on_the_right(sign):
-    borders = [
-        lane(-1, width=cubic("border", 0.0, sign * 3.0)),
-        lane(-2, width=cubic("border", 0.0, sign * 5.0)),
-    ]
-    left = [lane(1, width=cubic("border", 0.0, 4.0))]
-    samples = sampled(sections=section(left=left, right=borders))
+    inner = lane(-1, width=cubic("border", 0.0, sign * 3.0))
+    outer = lane(-2, width=cubic("border", 0.0, sign * 5.0))
+    left = lane(1, width=cubic("border", 0.0, 4.0))
+    samples = sampled(sections=section(left=[left], right=[inner, outer]))
 
     assert_allclose(samples.lanes[-1].outer_m, -3.0)
     assert_allclose(samples.lanes[-2].width_m, 2.0)
@@ -226,15 +228,15 @@ def test_borders_are_edges_whichever_sign_is_used_on_the_right(sign):
 
 
 def test_widths_hold_where_a_lane_has_borders_too():
-    both = cubic("width", 0.0, 3.0) + cubic("border", 0.0, -9.0)
+    both = cubics("width", "0 3") + cubics("border", "0 -9")
     samples = sampled(sections=section(right=[lane(-1, width=both)]))
     assert_allclose(samples.lanes[-1].outer_m, -3.0)
 
 
 def test_a_jump_of_the_offset_between_sections_belongs_to_the_later_one():
-    offset = cubic("laneOffset", 0.0, 0.0) + cubic("laneOffset", 50.0, 3.5)
-    first = section(right=[lane(-1, after=-2)])
-    second = section(s=50.0, right=[lane(-1), lane(-2, before=-1)])
+    offset = cubics("laneOffset", "0 0, 50 3.5")
+    first = section_of("-1 after=-2")
+    second = section_of("-1, -2 before=-1", s=50.0)
     text = road(offset=offset, sections=first + second)
     before, after = sample_road(read(text))
 
