@@ -341,6 +341,7 @@ def test_the_key_of_a_placed_body_is_its_content(actors):
     assert place().key == key
     assert hash(place().key) == hash(key)
     assert place(x_m=0.0).key == place(x_m=-0.0).key
+
     others = [place(x_m=1.1), place(yaw_deg=1.0), place("parked-van")]
     assert len({key, *(other.key for other in others)}) == 4
 

@@ -107,6 +107,7 @@ def test_encrypted_files_are_refused(tmp_path):
     data = bytearray(path.read_bytes())
     for signature, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
         data[data.index(signature) + offset] |= 1
+
     path.write_bytes(data)
 
     with refused_about("encrypted"), unpacked(path, SUFFIXES):
@@ -135,6 +136,7 @@ def test_damaged_archives_are_opened_or_refused(tmp_path, data):
     ).read_bytes()
     path = tmp_path / "maps.zip"
     path.write_bytes(data.draw(damaged(sound)))
+
     try:
         with unpacked(path, SUFFIXES) as member:
             assert member.is_file()

@@ -53,7 +53,12 @@ def test_the_fisheye_of_opencvs_sample_is_equidistant(tmp_path, suffix, text):
     path.write_text(text)
     (camera,) = read_cameras(path).values()
 
-    assert camera.lens == Fisheye(k1=0.0, k2=0.0, k3=0.0, k4=0.0)
+    assert camera.lens == Fisheye(
+        k1=0.0,
+        k2=0.0,
+        k3=0.0,
+        k4=0.0,
+    )
 
     model, _ = calibrated_sensor("camera", camera)
     # Of an equidistant lens the radius in focal lengths is the angle: 960 / 500 rad.

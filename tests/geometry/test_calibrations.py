@@ -46,9 +46,20 @@ def test_what_is_written_is_read_again(
 ):
     k1, k2, k3, k4, k5 = terms
     if is_fisheye:
-        lens = Fisheye(k1=k1, k2=k2, k3=k3, k4=k4)
+        lens = Fisheye(
+            k1=k1,
+            k2=k2,
+            k3=k3,
+            k4=k4,
+        )
     else:
-        lens = BrownConrady(k1=k1, k2=k2, p1=k3, p2=k4, k3=k5)
+        lens = BrownConrady(
+            k1=k1,
+            k2=k2,
+            p1=k3,
+            p2=k4,
+            k3=k5,
+        )
     camera = camera_with(lens, pose)
     named = {"north 1": camera, "south": camera}
     path = tmp_path_factory.mktemp("read") / "cameras.yaml"
@@ -77,7 +88,13 @@ def test_files_of_others_are_told_apart(tmp_path):
     assert isinstance(tsai.lens, TsaiRadial)
 
     (opencv,) = read_cameras(tmp_path / "intrinsic.xml", size_px=(1920, 1080)).values()
-    assert opencv.lens == BrownConrady(k1=-0.4, k2=0.6, p1=0.008, p2=0.001, k3=-0.6)
+    assert opencv.lens == BrownConrady(
+        k1=-0.4,
+        k2=0.6,
+        p1=0.008,
+        p2=0.001,
+        k3=-0.6,
+    )
     assert (opencv.R_camera_world == np.eye(3)).all()  # the file does not say
 
     (kitti,) = read_cameras(tmp_path / "calib.txt", size_px=(1242, 375)).values()
@@ -169,9 +186,19 @@ def test_a_calibration_as_a_layout_sees_what_the_camera_saw(
 ):
     k1, k2, k3, k4, _ = (0.3 * term for term in terms)
     if is_fisheye:
-        lens = Fisheye(k1=k1, k2=k2, k3=k3, k4=k4)
+        lens = Fisheye(
+            k1=k1,
+            k2=k2,
+            k3=k3,
+            k4=k4,
+        )
     else:
-        lens = BrownConrady(k1=k1, k2=k2, p1=0.05 * k3, p2=0.05 * k4)
+        lens = BrownConrady(
+            k1=k1,
+            k2=k2,
+            p1=0.05 * k3,
+            p2=0.05 * k4,
+        )
     camera = camera_with(lens, pose)
     turn = Rotation.from_euler("z", -roll, degrees=True).as_matrix()
     camera = replace(camera, R_camera_world=turn @ camera.R_camera_world)

@@ -129,7 +129,12 @@ def test_gaps_from_middles_and_headings_are_those_of_the_corners(a, b):
 
 
 def test_separation_from_middles_and_headings_broadcasts():
-    sizes = FootprintSizes(length_a_m=2.0, width_a_m=2.0, length_b_m=2.0, width_b_m=2.0)
+    sizes = FootprintSizes(
+        length_a_m=2.0,
+        width_a_m=2.0,
+        length_b_m=2.0,
+        width_b_m=2.0,
+    )
     offset = np.stack([np.arange(5.0), np.zeros(5)], axis=-1)
     gaps = gaps_between(offset, np.zeros((4, 1)), 90.0, sizes=sizes)
 

@@ -46,7 +46,9 @@ def test_a_direction_in_carla_is_the_same_direction_in_the_world(yaw_deg, pitch_
         np.sin(pitch),
     ]
     pose = from_carla_pose(
-        position_m=[1.0, 2.0, 3.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg
+        position_m=[1.0, 2.0, 3.0],
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
     )
     ahead = body_rotation(pose.yaw_deg, pose.pitch_deg)[:, 0]
 

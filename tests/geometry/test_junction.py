@@ -61,6 +61,7 @@ def test_lanes_are_ordered_from_the_kerb_to_the_axis_however_the_junction_lies(
     lanes = []
     for arm, bearing in ARMS.items():
         lanes += lanes_of(arm, bearing + angle_deg, n_lanes=3)
+
     arms = arms_of(lanes[::-1], outline_m=turned(SQUARE_M, angle_deg))
 
     for arm in arms.values():
@@ -88,6 +89,7 @@ def test_arms_that_share_a_point_of_the_compass_are_told_apart_by_eight():
     lanes = []
     for arm, bearing in bearings.items():
         lanes += lanes_of(arm, bearing)
+
     rim = [turned([MOUTH_M, 0.0], angle) for angle in range(0, 360, 4)]
     arms = arms_of(lanes, outline_m=np.array(rim))
 
@@ -149,6 +151,7 @@ def test_any_number_of_arms_at_any_angle_have_names_of_their_own(angles_deg):
             if name == "out":
                 way = way[::-1]
             lanes.append(build_lane(f"{angle}-{name}", turned(way, float(angle))))
+
     arms = arms_of(lanes, outline_m=np.array(rim))
 
     for arm, angle in zip(arms.values(), sorted(angles_deg), strict=True):
@@ -179,6 +182,7 @@ def test_where_traffic_keeps_left_the_kerb_is_on_the_left():
     lanes = []
     for lane in arm_lanes(n_lanes=2):
         lanes.append(replace(lane, centreline_m=lane.centreline_m[::-1]))
+
     left = replace(scene, lanes=tuple(lanes), keeps_left=True)
 
     for name, arm in build_junction(left).arms.items():

@@ -332,6 +332,7 @@ def test_folders_of_programs_that_were_killed_are_removed(start, compiled, tmp_p
     folder = Path(shutil.copytree(compiled, tmp_path / "compiled"))
     left = folder / "running-killed"
     young = folder / "running-young"
+
     for one in (left, young):
         (one / "within").mkdir(parents=True)
     os.utime(left, (1.0, 1.0))
@@ -371,4 +372,5 @@ print(sorted(names), file=sys.stderr)
 """
     before = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n" + count
     _, told = _end(start(tmp_path / "compiled", before=before))
+
     assert "['add', 'total']" in told

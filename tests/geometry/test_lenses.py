@@ -32,9 +32,24 @@ def terms_within(*limits):
 
 TERMS = terms_within(0.4, 0.4, 0.02, 0.02, 0.2)
 LENSES = st.one_of(
-    TERMS.map(lambda k: BrownConrady(k1=k[0], k2=k[1], p1=k[2], p2=k[3], k3=k[4])),
+    TERMS.map(
+        lambda k: BrownConrady(
+            k1=k[0],
+            k2=k[1],
+            p1=k[2],
+            p2=k[3],
+            k3=k[4],
+        )
+    ),
     numbers(-0.4, 0.4).map(lambda kappa: TsaiRadial(kappa=kappa)),
-    TERMS.map(lambda k: Fisheye(k1=0.5 * k[0], k2=0.5 * k[1], k3=k[2], k4=k[4] / 20.0)),
+    TERMS.map(
+        lambda k: Fisheye(
+            k1=0.5 * k[0],
+            k2=0.5 * k[1],
+            k3=k[2],
+            k4=k[4] / 20.0,
+        )
+    ),
 )
 POINTS = np.random.default_rng(1).uniform([-8, -8, -2], [8, 8, 6], (200, 3))
 
@@ -93,7 +108,13 @@ def test_brown_conrady_agrees_with_opencv_wherever_the_lens_keeps_the_order(
         CAMERA,
         R_camera_world=rotation,
         position_m=np.array([1.0, 2.0, 3.0]),
-        lens=BrownConrady(k1=k1, k2=k2, p1=p1, p2=p2, k3=k3),
+        lens=BrownConrady(
+            k1=k1,
+            k2=k2,
+            p1=p1,
+            p2=p2,
+            k3=k3,
+        ),
     )
     ours = project_distorted(POINTS, camera)
     shown = np.isfinite(ours[:, 0])
@@ -166,7 +187,12 @@ def test_a_fisheye_agrees_with_opencv_wherever_the_lens_keeps_the_order(terms, t
         fx_px=500.0,
         fy_px=490.0,
         R_camera_world=rotation,
-        lens=Fisheye(k1=k1, k2=k2, k3=k3, k4=k4),
+        lens=Fisheye(
+            k1=k1,
+            k2=k2,
+            k3=k3,
+            k4=k4,
+        ),
     )
     ours = project_distorted(POINTS, camera)[:, :2]
     theirs, _ = cv2.fisheye.projectPoints(
@@ -177,11 +203,13 @@ def test_a_fisheye_agrees_with_opencv_wherever_the_lens_keeps_the_order(terms, t
         np.array(terms),
     )
     shown = ~np.isnan(ours[:, 0])
+
     assert ours[shown] == pytest.approx(theirs[shown, 0], rel=1e-7, abs=1e-6)
 
     # So near the axis these terms turn nothing round.
     x, y, z = (POINTS @ rotation.T).T
     straight = (z > 0) & (np.hypot(x, y) < 0.3 * z)
+
     assert shown[straight].all()
 
 
@@ -239,9 +267,12 @@ def test_every_point_of_a_picture_is_where_its_ray_is_projected(
     pixels = np.random.default_rng(seed).random((100, 2)) * size
     rays = picture_rays(*pixels.T, camera)
     lit = np.isfinite(rays).all(axis=1)
+
     assert is_shown(rays[lit], camera).all()
+
     again = shown_points(rays[lit], camera)
     off = np.abs(again - pixels[lit]) / camera.focal_length_px
+
     assert off.max(initial=0.0) < 1e-9
 
     # Half a width from the middle is half of the field of view.
@@ -250,4 +281,5 @@ def test_every_point_of_a_picture_is_where_its_ray_is_projected(
     if isinstance(lens, BrownConrady) and (lens.p1 or lens.p2):
         return
     angle = np.degrees(np.arctan(lengths(middle.reshape(2))))
+
     assert angle == pytest.approx(0.5 * camera.horizontal_fov_deg, abs=1e-6)

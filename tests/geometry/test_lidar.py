@@ -163,6 +163,7 @@ def test_the_density_of_beams_sums_up_to_their_number(lidar):
 
     per_azimuth, _ = quad(per_elevation, -half_height, half_height)
     n_beams = lidar.n_lines * lidar.n_columns
+
     assert 2.0 * half_width * per_azimuth == pytest.approx(n_beams, rel=1e-9)
 
 

@@ -68,6 +68,7 @@ def test_a_users_own_group_is_nobody_else(
     monkeypatch.setattr(pwd, "getpwuid", lambda uid: SimpleNamespace(pw_name="ann"))
     found = SimpleNamespace(gr_name=group, gr_mem=members)
     monkeypatch.setattr(grp, "getgrgid", lambda gid: found)
+
     assert writable_by_others(folder) is is_shared
     if os.getuid() == 0:
         os.chown(folder, 4321, 0)
@@ -95,6 +96,7 @@ def test_files_of_another_user_are_not_believed(tmp_path):
     path = tmp_path / "file"
     path.write_bytes(b"mine")
     path.chmod(0o600)
+
     with open_own(path) as file:
         assert file.read() == b"mine"
     os.chown(path, 4321, 4321)

@@ -126,6 +126,7 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
         build_caster(vertices, triangles, library=name) for name in raycast.CASTERS
     ]
     blocked, also = (caster.is_blocked(origins, vectors) for caster in casters)
+
     assert np.array_equal(blocked, also)
 
     (one_share, one), (other_share, other) = (
@@ -133,6 +134,7 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
     )
     assert_allclose(one_share, other_share, rtol=1e-5)
     assert (one >= 0).any()
+
     # Where two triangles cross or share an edge, either may come first: both are met
     # there.
     where = np.flatnonzero(one != other)
@@ -151,8 +153,10 @@ def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, 
     caster = build_caster(vertices, triangles, library=library)
     origins, vectors = random_rays(rng, 2000, 60.0)
     share, index = caster.first_triangle(origins, vectors)
+
     assert share.dtype == np.float32
     assert index.dtype == np.int64
+
     is_hit = np.isfinite(share)
     assert is_hit.any()
     assert np.array_equal(is_hit, index >= 0)
@@ -162,6 +166,7 @@ def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, 
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     hits = origins[is_hit] + share[is_hit, None] * vectors[is_hit]
+
     assert np.einsum("ij,ij->i", hits - a, normals) == pytest.approx(0.0, abs=2e-3)
 
 
@@ -219,6 +224,7 @@ def test_two_threads_get_the_answers_of_one(library):
     batches = [random_rays(rng, 20_000, 60.0) for _ in range(8)]
     alone = build_caster(vertices, triangles, library=library)
     shared = build_caster(vertices, triangles, library=library)
+
     with ThreadPoolExecutor(2) as pool:
         blocked = list(pool.map(lambda rays: shared.is_blocked(*rays), batches))
         first = list(pool.map(lambda rays: shared.first_triangle(*rays), batches))

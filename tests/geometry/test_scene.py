@@ -28,6 +28,7 @@ def scene_of(*bodies):
     """A scene of (class name, vertices, triangles)."""
     vertices = [np.zeros((0, 3))]
     triangles = [np.zeros((0, 3), dtype=int)]
+
     instances = []
     owner = []
     for index, (class_name, points, faces) in enumerate(bodies):
@@ -35,6 +36,7 @@ def scene_of(*bodies):
         vertices.append(points)
         owner += [index] * len(faces)
         instances.append(Instance(id=f"body-{index}", class_name=class_name))
+
     return Scene(
         name="junction",
         vertices_m=np.concatenate(vertices),

@@ -28,6 +28,7 @@ def with_things(*meshes, class_name="building", sites=(POLE,)):
     triangles = [scene.triangles]
     index = [scene.triangle_instance]
     instances = list(scene.instances)
+
     for name, mesh in zip("ab", meshes, strict=False):
         triangles.append(np.asarray(mesh.faces) + sum(map(len, vertices)))
         vertices.append(np.asarray(mesh.vertices))
@@ -141,7 +142,9 @@ def test_a_lane_that_leads_over_the_opposite_carriageway_is_found():
     y_m = 0.5 * LANE_M
     line = [[-60.0, y_m + 1.0], [-40.0, y_m - 1.0], [-MOUTH_M, -y_m]]
     wrong = replace(scene, lanes=(*scene.lanes, build_lane("over", line)))
+
     assert not opposite(scene)
+
     (found,) = opposite(wrong)
 
     assert found.level == "warning"

@@ -20,7 +20,12 @@ from geometry.study_scene import load_study_scene
 
 NOTES = (
     Note(what="way 1", why='too "short"'),
-    Note(what="2 masts", why="assumed", kind="sites", site_ids=("lamp-s1", "lamp-s2")),
+    Note(
+        what="2 masts",
+        why="assumed",
+        kind="sites",
+        site_ids=("lamp-s1", "lamp-s2"),
+    ),
 )
 
 STUDY = load_study_scene()
@@ -30,7 +35,11 @@ THINGS = tuple(
 )
 LIMITED = replace(STUDY.lanes[0], speed_limit_kmh=50.0)
 ROAD = LeadingRoad(
-    name="A Street", point_m=[20.0, 0.0], direction=[1.0, 0.0], lanes_in=1, lanes_out=2
+    name="A Street",
+    point_m=[20.0, 0.0],
+    direction=[1.0, 0.0],
+    lanes_in=1,
+    lanes_out=2,
 )
 SCENE = replace(
     STUDY,
@@ -77,8 +86,10 @@ def assert_same(one, other, *names):
 def test_a_scene_comes_back_as_it_was(folder, archive):
     for again in (load_scene_folder(folder), load_scene_folder(archive)):
         assert_same(again, SCENE, "name", "crs", "instances", "keeps_left")
+
         ours = again.vertices_m[again.triangles]
         theirs = SCENE.vertices_m[SCENE.triangles]
+
         assert ours == pytest.approx(theirs, abs=2e-5)
         assert np.array_equal(again.triangle_instance, SCENE.triangle_instance)
         for one, other in zip(again.lanes, SCENE.lanes, strict=True):
@@ -155,7 +166,12 @@ def moved_sign():
         name="3",
         away=2.5,
     )
-    return Note(what=what, why=why, kind="sites", site_ids=("4711",))
+    return Note(
+        what=what,
+        why=why,
+        kind="sites",
+        site_ids=("4711",),
+    )
 
 
 @pytest.fixture
@@ -219,6 +235,7 @@ def test_what_is_no_scene_is_refused(folder, tmp_path):
         (broken / THINGS_FILE).write_bytes(content)
         with refused_about(r"expected glTF 2\.0"):
             load_scene_folder(broken)
+
     (broken / THINGS_FILE).unlink()
 
     with refused_about("expected the meshes of the scene"):
@@ -229,6 +246,7 @@ def test_a_bomb_in_an_archive_is_not_unpacked(tmp_path, monkeypatch):
     limits = {SCENE_FILE: 1000, THINGS_FILE: 1000}
     monkeypatch.setattr("geometry.scene_files._MAX_BYTES", limits)
     file = tmp_path / "bomb.zip"
+
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(SCENE_FILE, "#" * 2_000_000)
         archive.writestr(THINGS_FILE, "")
@@ -265,6 +283,7 @@ def test_a_junction_of_a_map_is_loaded_by_name_by_place_or_as_the_largest(tmp_pa
     packed = tmp_path / "map.zip"
     with zipfile.ZipFile(packed, "w") as archive:
         archive.write(path, "map.osm")
+
     largest = load_scene(path)
 
     assert len(build_junction(largest).arms) == 4

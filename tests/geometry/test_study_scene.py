@@ -119,8 +119,10 @@ def test_the_study_scene_is_made_of_closed_bodies_on_the_road(scene):
         a, b, c = np.moveaxis(scene.vertices_m[triangles], 1, 0)
         # Outward normals of a closed mesh: positive volume, and the areas cancel out.
         normals = np.cross(b - a, c - a)
+
         assert np.einsum("ij,ij->", a - a.mean(axis=0), normals) > 0.0
         assert normals.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
+
         lowest_m = vertices_of(scene, index)[:, 2].min()
         assert lowest_m > -1e-9
         if instance.class_name != "traffic light":
@@ -134,6 +136,7 @@ def test_walls_go_from_end_to_end_and_close_the_corner(scene):
         vertices = vertices_of(scene, index)
         low = [*(ends.min(axis=0) - half), 0.0]
         high = [*(ends.max(axis=0) + half), entry["height_m"]]
+
         assert vertices.min(axis=0) == pytest.approx(low)
         assert vertices.max(axis=0) == pytest.approx(high)
 
@@ -148,6 +151,7 @@ def test_no_solid_body_of_the_study_scene_stands_in_another(scene):
         b = vertices_of(scene, second)[:, :2]
         a_then_b = b.min(axis=0) - a.max(axis=0)
         b_then_a = a.min(axis=0) - b.max(axis=0)
+
         assert max(*a_then_b, *b_then_a) > 0.0, instances
 
 
@@ -263,6 +267,7 @@ def changed(key, value):
     table = copy.deepcopy(SMALL)
     *path, last = [int(part) if part.isdigit() else part for part in key.split(".")]
     entry = table
+
     for part in path:
         entry = entry[part]
     if value is None:
@@ -298,11 +303,13 @@ def test_a_scene_is_built_as_its_file_says(load):
     house = vertices_of(scene, 1) - [10.0, -4.0, 0.0]
     turn = np.radians(-30.0)  # clockwise in CARLA's frame
     along = house[:, :2] @ [np.cos(turn), np.sin(turn)]
+
     assert (along.min(), along.max()) == pytest.approx((-3.0, 3.0))
 
     x, y, z = vertices_of(scene, 5).T
     assert (z.min(), z.max()) == pytest.approx((0.0, 9.0))
     assert np.hypot(x - 3.0, y - 4.0).max() == pytest.approx(0.1)
+
     _, y, z = vertices_of(scene, 6).T
     assert (y.min(), y.max()) == pytest.approx((0.0, 4.0))
     assert z.mean() == pytest.approx(7.0, abs=1e-6)

@@ -26,11 +26,13 @@ def on_terrain(scene, terrain):
     for index, thing in enumerate(scene.instances):
         if thing.class_name != "ground":
             keeps.append(index)
+
     vertices, triangles = terrain.mesh()
     parts = [vertices]
     faces = [triangles]
     owner = [np.zeros(len(triangles))]
     start = len(vertices)
+
     for number, index in enumerate(keeps, start=1):
         own = scene.triangles[scene.triangle_instance == index]
         used, place = np.unique(own, return_inverse=True)
@@ -41,10 +43,12 @@ def on_terrain(scene, terrain):
         owner.append(np.full(len(own), number))
         start += len(points)
     ground = Instance(id="ground", class_name="ground")
+
     sites = []
     for site in scene.sites:
         up = [0.0, 0.0, terrain.at(site.position_m[:2])]
         sites.append(replace(site, position_m=site.position_m + up))
+
     return replace(
         scene,
         vertices_m=np.concatenate(parts),

@@ -19,6 +19,7 @@ def scene(tmp_path_factory):
         (0, 1, "High Street"),
     ):
         osm.road([(90.0 * east, 90.0 * north), middle], name=name)
+
     osm.road([(0.0, -90.0), middle])
     return import_scene(
         [osm.write(tmp_path_factory.mktemp("map"))], ImportOptions()

@@ -45,7 +45,10 @@ def table(rows, separator=","):
     """A file of rows as text."""
     text = io.StringIO()
     writer = csv.DictWriter(
-        text, list(rows[0]), delimiter=separator, lineterminator="\r\n"
+        text,
+        list(rows[0]),
+        delimiter=separator,
+        lineterminator="\r\n",
     )
     writer.writeheader()
     writer.writerows(rows)
@@ -179,6 +182,7 @@ def refusal(text, folder, runs=DRIVEN, near=HERE):
         text = text.encode()
     path = folder / "a.csv"
     path.write_bytes(text)
+
     with pytest.raises(InputError) as caught:
         weigh(runs, f"unfallatlas:{path}", near=near)
     return str(caught.value).replace(str(path), "a.csv")
@@ -222,6 +226,7 @@ def stats19(
     of_vehicle = ("vehicle_type", "vehicle_manoeuvre", "vehicle_direction_to")
     of_casualty = ("vehicle_reference", "casualty_class", "pedestrian_movement")
     rows = {"collision": [], "vehicle": [], "casualty": []}
+
     for number, (cells, vehicles, casualties) in enumerate(collisions):
         key = {index: f"2023{number:06d}"}
         rows["collision"].append(key | place | cells)
@@ -358,6 +363,7 @@ def test_the_table_names_cases_that_there_are_and_every_event_that_is_read():
     rules = load_accident_rules()
     events = set()
     named = set()
+
     for kind in rules.types:
         events |= set(kind.cases)
         named |= {case for cases in kind.cases.values() for case in cases}

@@ -157,7 +157,9 @@ def build_turning_encounter(
         sense = -1.0
     travel_m = 7.5
     travel_s = travel_time_s(
-        travel_m, speed_mps=vru_speed_mps, acceleration_distance_m=2.0
+        travel_m,
+        speed_mps=vru_speed_mps,
+        acceleration_distance_m=2.0,
     )
 
     def starting(vut_start_s):
@@ -206,6 +208,7 @@ def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
     vru = encounter.vru
     time = encounter.vut_motion.start_time_s
     speed = encounter.vut_motion.speed_mps
+
     driven = 0.0
     step_s = 5.0e-4
     steps = []
@@ -219,6 +222,7 @@ def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
         driven = driven + speed * step_s
         time = time + step_s
         steps.append((time, speed, driven))
+
     times, speeds, distances = np.array(steps).T
     points, angles_deg = path.turn.at(distances - path.straight_m)
     vru_places, vru_yaws_deg = encounter.vru_motion.path.at(
@@ -230,6 +234,7 @@ def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
     )
     yaw = 0.0
     ahead_m = path.front_axle_ahead_m
+
     for index, angle in enumerate(np.radians(angles_deg).tolist()):
         yaw += math.sin(angle - yaw) / path.wheelbase_m * float(speeds[index]) * step_s
         vut_at = (
@@ -361,7 +366,10 @@ def test_last_brake_time_does_not_fall_between_two_time_steps(vut_speed_kmh, ons
     )
     touches = [
         smallest_separation_m(
-            encounter, onset_s, rule=RULE, time_step_s=time_step_s
+            encounter,
+            onset_s,
+            rule=RULE,
+            time_step_s=time_step_s,
         ).item()
         <= 0.0
         for time_step_s in (0.01, 0.001)
@@ -501,7 +509,10 @@ def test_the_live_track_is_that_of_a_simulation_frame_by_frame(
     time_s = np.arange(1 - len(detected), 1) / 10.0
     rule = _rule(n_confirmations=n, track_memory_s=memory_s)
     assert live_confirmation_time_s(
-        detected, time_s, until_s=until_s, rule=rule
+        detected,
+        time_s,
+        until_s=until_s,
+        rule=rule,
     ) == simulated_track_s(detected, time_s, until_s=until_s, memory_s=memory_s, n=n)
 
 
@@ -552,7 +563,11 @@ def test_speed_at_contact_on_a_crossing_is_what_braking_leaves_at_the_line(
     rule = _rule(build_up_s=build_up_s)
     vru = load_actors()[body]
     encounter = build_encounter(
-        vru=vru, vut_speed_mps=v, vru_speed_mps=u, angle_deg=90.0, touch=0.0
+        vru=vru,
+        vut_speed_mps=v,
+        vru_speed_mps=u,
+        angle_deg=90.0,
+        touch=0.0,
     )
     clear_s = 0.5 * (encounter.vut.width_m + vru.length_m) / u
     assume(early_s > 1e-6)
@@ -574,6 +589,7 @@ def test_speed_at_contact_on_a_crossing_is_what_braking_leaves_at_the_line(
         braked = 0.5 * reached_s**2 / build_up_s
     else:
         braked = reached_s - 0.5 * build_up_s
+
     assert found.time_s == pytest.approx(in_the_way_s, abs=1e-5)
     assert found.speed_mps == pytest.approx(v - A_MPS2 * braked, abs=1e-4)
 
@@ -602,10 +618,12 @@ def test_contacts_are_those_of_a_simulation_in_small_steps(encounter, shares):
             assert time_s == 0.0
             assert speed == v
             continue
+
         since_s = _looks_s(encounter, RULE, 2.0e-4)
         touches = _separation_m(encounter, onset_s, since_s, RULE) <= 0.0
         if not touches.any():
             continue  # a contact shorter than a step, or none
         look_s = since_s[touches.argmax()]
+
         assert onset_s + look_s - 2.1e-4 <= time_s <= onset_s + look_s + 5e-6
         assert speed == pytest.approx(v - A_MPS2 * (time_s - onset_s), abs=1e-9)

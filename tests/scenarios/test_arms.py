@@ -24,6 +24,7 @@ def junction_with(turns=(), connections=()):
     marked = {f"west-in-{number}": words for number, words in enumerate(turns)}
     lanes = [dataclasses.replace(lane, turns=marked.get(lane.id, ())) for lane in lanes]
     named = {lane.id: lane for lane in lanes}
+
     for before, after in connections:
         line = [named[before].centreline_m[-1], named[after].centreline_m[0]]
         lanes.append(build_lane(f"{before} {after}", line, kind="connecting"))
@@ -66,12 +67,17 @@ def test_what_no_lane_is_marked_for_is_not_driven(vut):
     def stage(name, speed_kmh):
         case = load_cases()[name]
         return stage_by_protocol(
-            case, junction, "west", vut_speed_kmh=speed_kmh, vut=vut
+            case,
+            junction,
+            "west",
+            vut_speed_kmh=speed_kmh,
+            vut=vut,
         )
 
     told = "according to its markings, no lane from the west leads to the l"
     with pytest.raises(NoRoadError, match=told):
         stage("CPTAfs-50", 10.0)
+
     # A cyclist crosses in the junction's middle: there the car drives straight on.
     motion = stage("CBNA-50", 30.0).encounter.vut_motion
     assert motion.path.start_m[1] == pytest.approx(-1.5 * LANE_M)

@@ -38,13 +38,17 @@ def test_a_corner_is_driven_no_faster_than_it_can_be(lay, vut, angle_deg):
     for run in runs:
         aside_mps2 = lateral_mps2(run.encounter.vut_motion, run.encounter.vut)
         assert aside_mps2 <= load_way_rules().max_lateral_mps2
+
         # As seen from outside, by the body's turning from frame to frame.
         yaw = np.unwrap(np.radians(run.vut_yaw_deg))
         turning = np.abs(np.diff(yaw)) * 10.0
+
         assert turning.max() * run.vut_speed_kmh / 3.6 < 4.4
+
         ahead = unit_vectors(yaw)
         front = run.vut_position_m + vut.front_axle_ahead_m * ahead
         mapped = front[front[:, 0] > -60.0]
+
         assert distance_to_chain_m(mapped, lane.centreline_m).max() < 0.7
     for one in refusals:
         assert one.reason.startswith("the lanes curve")

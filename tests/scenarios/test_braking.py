@@ -28,7 +28,9 @@ build_ups_s = st.one_of(st.just(0.0), numbers(0.01, 2.0))
 def rule_with(deceleration_mps2, build_up_s):
     """The rule with another deceleration."""
     return dataclasses.replace(
-        RULE, deceleration_mps2=deceleration_mps2, build_up_s=build_up_s
+        RULE,
+        deceleration_mps2=deceleration_mps2,
+        build_up_s=build_up_s,
     )
 
 
@@ -79,6 +81,7 @@ def test_braking_ends_at_standstill(speed_mps, deceleration_mps2, build_up_s, la
     standstill_s = float(standstill_time_s(speed_mps, rule=rule))
     around_s = [standstill_s - 1e-3, standstill_s + later_s]
     before_mps, after_mps = braking_speed_mps(around_s, speed_mps=speed_mps, rule=rule)
+
     assert after_mps < 1e-9
     if standstill_s > 1e-3:
         assert before_mps > 0.0
@@ -86,6 +89,7 @@ def test_braking_ends_at_standstill(speed_mps, deceleration_mps2, build_up_s, la
     stopped_m = braking_distance_m(around_s[1], speed_mps=speed_mps, rule=rule)
     a = deceleration_mps2
     b = build_up_s
+
     if speed_mps >= 0.5 * a * b:
         assert standstill_s >= b - 1e-9
         expected = speed_mps**2 / (2.0 * a) + 0.5 * speed_mps * b - a * b**2 / 24.0

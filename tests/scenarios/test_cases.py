@@ -298,6 +298,7 @@ def test_in_all_a_case_of_2026_drives_what_that_of_2023_does_not():
         else:
             speeds = set()
         twin = of_2023.get(case.name)
+
         if case.range == "extended":
             assert not speeds
             continue

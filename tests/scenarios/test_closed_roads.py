@@ -53,6 +53,7 @@ def met_there(runs, scene):
     for run in runs:
         if shapely.LineString(run.vru_position_m).intersects(area):
             met.add(run.road_user)
+
     return met
 
 

@@ -75,7 +75,10 @@ def find_one(*tracks, ttc_s=2.0, **limits):
 def replayed(found):
     """An encounter at the speeds at which it was recorded."""
     return found.recorded.encounter(
-        vut=VUT, vut_speed_mps=10.0, vru=ADULT, vru_speed_mps=1.5
+        vut=VUT,
+        vut_speed_mps=10.0,
+        vru=ADULT,
+        vru_speed_mps=1.5,
     )
 
 
@@ -87,7 +90,12 @@ angles = st.floats(-180.0, 180.0)
 @given(st.tuples(coordinates, coordinates), st.tuples(speeds, speeds), angles, angles)
 @settings(max_examples=60)
 def test_time_to_collision_is_what_small_steps_find(offset, closing, yaw_a, yaw_b):
-    sizes = FootprintSizes(length_a_m=4.0, width_a_m=2.0, length_b_m=1.5, width_b_m=0.5)
+    sizes = FootprintSizes(
+        length_a_m=4.0,
+        width_a_m=2.0,
+        length_b_m=1.5,
+        width_b_m=0.5,
+    )
     ttc = float(time_to_collision_s(offset, closing, yaw_a, yaw_b, sizes=sizes))
     times = np.arange(0.0, 6.0, 0.01)
     there = np.add(offset, times[:, None] * closing)
@@ -209,6 +217,7 @@ def least_time_s(one, other):
     boxes = [(VUT.length_m, VUT.width_m), (ADULT.length_m, ADULT.width_m)]
     steps = np.arange(0.0, 2.02, 0.01)
     best = math.inf
+
     for time in one.time_s:
         bodies = []
         for each, box in zip((one, other), boxes, strict=True):
@@ -216,6 +225,7 @@ def least_time_s(one, other):
             velocity = each.velocity_mps(np.array(time))
             yaw = math.degrees(math.atan2(velocity[1], velocity[0]))
             bodies += [here + velocity * steps[:, None], yaw, *box]
+
         apart = separation_m(*bodies)
         if apart[0] <= 0.0:
             break
@@ -230,10 +240,12 @@ def least_time_s(one, other):
 def test_pairs_are_those_that_brute_force_finds(seed):
     tracks = random_tracks(np.random.default_rng(seed))
     found, left_out = find_encounters(tracks, ttc_s=2.0)
+
     least = {}
     for one in tracks[:2]:
         for other in tracks[2:]:
             least[one.id, other.id] = least_time_s(one, other)
+
     expected = {pair for pair, ttc in least.items() if ttc < 1.98}
     maybe = {pair for pair, ttc in least.items() if ttc < math.inf}
     pairs = {(one.vehicle.id, one.vru.id) for one in found}
@@ -286,17 +298,21 @@ def test_a_file_of_encounters_is_a_set_of_cases(cases_file):
 def test_recorded_cases_stay_where_they_were(cases_file):
     (case,) = load_own_cases(cases_file).values()
     runs, _ = lay_recorded([case], approaches=["east"])
+
     assert runs == ()
+
     vut = moved(case.recorded.vut)
     vru = moved(case.recorded.vru)
     far = replace(case.recorded, vut=vut, vru=vru)
     runs, (refusal,) = lay_recorded([replace(case, recorded=far)])
+
     assert runs == ()
     assert refusal.reason.startswith("it was recorded ")
 
     apart = replace(case.recorded, vru=vru)
     _, (refusal,) = lay_recorded([replace(case, recorded=apart)])
     told = "at these speeds, the recorded paths do not lead to an impact"
+
     assert refusal.reason == told
 
 

@@ -67,6 +67,7 @@ def test_two_bodies_on_a_circle_touch_when_their_corners_do(actors):
     )
     corner = np.arctan2(0.5 * body.length_m, radius_m - 0.5 * body.width_m)
     contact_s = -3.0 + (ahead_m - 2.0 * corner * radius_m) / (fast_mps - slow_mps)
+
     assert first_contact_s(encounter) == pytest.approx(contact_s, abs=2e-3)
 
 
@@ -87,7 +88,11 @@ def test_a_turn_between_straight_lanes_is_the_protocols(side, speed_kmh):
     assert fitted.angle_deg == pytest.approx(90.0, abs=1e-6)
 
     protocols = TurnPath(
-        start_m=course.at(-20.0)[0], yaw_deg=0.0, straight_m=20.0, turn=fitted, **AXLES
+        start_m=course.at(-20.0)[0],
+        yaw_deg=0.0,
+        straight_m=20.0,
+        turn=fitted,
+        **AXLES,
     )
     towed = TowedPath(course=course, start_m=-20.0, **AXLES)
     distances = np.linspace(0.0, 80.0, 400)

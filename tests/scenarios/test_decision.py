@@ -56,6 +56,7 @@ def plain_track(time_s, detected, position_m, covariance_m2):
     state = cov = None
     streak = 0
     seen_s = -math.inf
+
     is_confirmed = False
     for frame, now_s in enumerate(time_s):
         if now_s - seen_s > AEB.track_memory_s + 1e-9:
@@ -90,6 +91,7 @@ def plain_track(time_s, detected, position_m, covariance_m2):
         is_confirmed = is_confirmed or streak >= AEB.n_confirmations
         is_live = state is not None and is_confirmed
         found.append((state, cov, is_live))
+
     return found
 
 
@@ -100,6 +102,7 @@ def plain_probability(time_s, found, ways, run, reserve_s):
     end_s = ways.time_to_stop_s[run] + reserve_s
     steps = 0.1 * np.arange(100)
     taus = [*steps[steps < end_s], end_s]
+
     probabilities = []
     for now_s, (state, cov, is_live) in zip(time_s, found, strict=True):
         largest = 0.0
@@ -109,6 +112,7 @@ def plain_probability(time_s, found, ways, run, reserve_s):
                 here = plain_overlap(state, cov, tau, at, ways, run)
                 largest = max(largest, here)
         probabilities.append(largest)
+
     return np.array(probabilities)
 
 
@@ -129,11 +133,13 @@ def plain_overlap(state, cov, tau, at, ways, run):
     s = abs(math.sin(angle))
     length, width = ways.half_vru_m[run]
     half = ways.half_vut_m + [c * length + s * width, s * length + c * width]
+
     probability = 1.0
     for h, m, one_sd in zip(half, mean, sd, strict=True):
         above = erf((h - m) / (one_sd * 2**0.5))
         below = erf((-h - m) / (one_sd * 2**0.5))
         probability *= (above - below) / 2
+
     return probability
 
 
@@ -151,6 +157,7 @@ def drawn():
         steps = rng.uniform(3, 15) * 0.1 * unit_vectors(yaw)
         position = np.cumsum(steps, axis=0) - steps.sum(axis=0) * 0.5
         places.append(np.column_stack([position, yaw]))
+
     axis = axis_of(times)
     seen = rng.random((3, axis.n_frames)) < rng.choice([0.05, 0.5, 0.9], axis.n_frames)
     position_m = rng.normal(0.0, 8.0, (3, axis.n_frames, 2))
@@ -173,6 +180,7 @@ def test_tracks_and_decisions_equal_a_plain_filter_on_200_random_runs(drawn):
     worlds_m = np.stack([position_m + 1.0, position_m])
     tracks = track(seen, worlds_m, covariance_m2, axis, aeb=AEB, rule=RULE)
     ours = overlap_probability(tracks, axis, ways, RESERVES_S, rule=RULE, world=1)
+
     n_live = 0
     for run in range(axis.n_runs):
         frames = axis.frames_of(run)
@@ -180,7 +188,9 @@ def test_tracks_and_decisions_equal_a_plain_filter_on_200_random_runs(drawn):
         ours_of_run = (seen[:, frames], position_m[:, frames], covariance_m2[:, frames])
         found = plain_track(time_s, *ours_of_run)
         is_live = [lives for _, _, lives in found]
+
         assert_array_equal(tracks.is_live[frames], is_live)
+
         for offset, (state, cov, lives) in enumerate(found):
             if lives:
                 n_live += 1

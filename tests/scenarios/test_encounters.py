@@ -67,7 +67,12 @@ def moving(start_m, yaw_deg, speed_mps, **more):
 
 def met(vut_motion, vru_motion, vru=ADULT):
     """An encounter of the car with somebody, by default an adult."""
-    return Encounter(vut=VUT, vut_motion=vut_motion, vru=vru, vru_motion=vru_motion)
+    return Encounter(
+        vut=VUT,
+        vut_motion=vut_motion,
+        vru=vru,
+        vru_motion=vru_motion,
+    )
 
 
 def turning():
@@ -253,6 +258,7 @@ def test_search_finds_the_leftmost_point_of_discs_however_small(discs):
         for first, second, radius in discs:
             away = np.hypot(cells.first_s - first, cells.second_s - second) - radius
             distance = np.minimum(distance, away)
+
         moves = np.hypot(cells.half_first_s, cells.half_second_s)
         may_touch = distance <= moves
         return Measures(
@@ -264,8 +270,14 @@ def test_search_finds_the_leftmost_point_of_discs_however_small(discs):
     grids = np.meshgrid(np.arange(-2.0, 13.0), np.arange(-2.0, 6.0))
     first, second = (grid.ravel() for grid in grids)
     half = np.full(first.shape, 0.5)
-    cells = Cells(first_s=first, second_s=second, half_first_s=half, half_second_s=half)
+    cells = Cells(
+        first_s=first,
+        second_s=second,
+        half_first_s=half,
+        half_second_s=half,
+    )
     safe_s, touch_s = find_first_touch(cells, measure, tolerance_s=1e-6)
+
     if not discs:
         assert safe_s == touch_s == np.inf
     else:

@@ -22,11 +22,15 @@ def parked(lay):
 
     def find(scene):
         runs, refusals = lay(
-            scene, ["CPNCO-50"], speeds_kmh=(30.0,), approaches=["west"]
+            scene,
+            ["CPNCO-50"],
+            speeds_kmh=(30.0,),
+            approaches=["west"],
         )
         bodies = []
         for run in runs:
             bodies += [body for body in run.obstruction if "car" in body.actor.name]
+
         return bodies, [refusal.reason for refusal in refusals]
 
     return find

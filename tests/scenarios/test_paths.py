@@ -86,11 +86,13 @@ def test_the_front_axle_follows_the_line_and_is_ahead_of_the_middle_of_the_body(
     middle, yaw_deg = path.at(distance_m)
     front_axle, path_yaw_deg = front_axle_at(path, distance_m)
     before_middle = middle + path.front_axle_ahead_m * unit(yaw_deg)
+
     assert before_middle == pytest.approx(front_axle, abs=TABLE_M)
 
     point, angle_deg = path.turn.at(distance_m - path.straight_m)
     ahead = (path.straight_m + point[0]) * unit(path.yaw_deg)
     left = point[1] * unit(path.yaw_deg + 90.0)
+
     assert front_axle == pytest.approx(path.start_m + ahead + left, abs=1e-9)
     assert path_yaw_deg == pytest.approx(path.yaw_deg + angle_deg, abs=1e-9)
 
@@ -218,7 +220,9 @@ def test_travel_time_inverts_the_distance(speed, acceleration_m, time_s):
     motion = motion_of(speed, 0.0, acceleration_m)
     distance_m = float(motion.distance_m(time_s))
     travel_s = travel_time_s(
-        distance_m, speed_mps=speed, acceleration_distance_m=acceleration_m
+        distance_m,
+        speed_mps=speed,
+        acceleration_distance_m=acceleration_m,
     )
 
     assert travel_s == pytest.approx(time_s, abs=1e-6)
@@ -258,7 +262,9 @@ def test_a_travel_time_of_nonsense_is_refused(
 ):
     with refused_with(message):
         travel_time_s(
-            distance_m, speed_mps=speed_mps, acceleration_distance_m=acceleration_m
+            distance_m,
+            speed_mps=speed_mps,
+            acceleration_distance_m=acceleration_m,
         )
 
 

@@ -194,12 +194,14 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(
     leaving = arm.exit_lanes[0].centreline_m
     points = np.array([impact_point(run), leaving[-1]])
     beyond_m, exit_m = arm.crosswalk.coordinates(points)[:, 1]
+
     # Longitudinal: the VUT's front meets its rear there; crossing: its flank.
     assert np.sign(exit_m) * beyond_m == pytest.approx(metres, abs=0.2)
 
     entering = arms[approach].entry_lanes[0].centreline_m
     chain = np.concatenate([entering, leaving])
     first = np.argmin(lengths(run.vut_position_m - chain[0])) + 1
+
     assert distance_to_chain_m(run.vut_position_m[first:], chain).max() < 0.7
 
 
@@ -237,11 +239,14 @@ def test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line(
             eased_m = rules.max_ease_aside_m
         before = place[place[:, 0] < -MOUTH_M - 3.0]
         off_m = np.abs(before[:, 1] + 0.5 * LANE_M).max(initial=0.0)
+
         assert off_m < max(0.1, eased_m)
+
         after = place[place[:, 0] > MOUTH_M + 6.0]
         if len(after):
             off_m = distance_to_chain_m(after, exit_m).max()
             assert off_m < max(0.2, eased_m + 0.1)
+
         turn = np.abs(np.diff(np.unwrap(np.radians(yaw_deg)))) / np.diff(distance)
         assert turn.max() * motion.speed_mps**2 < 1.1 * rules.max_lateral_mps2
 
@@ -271,13 +276,16 @@ def test_before_the_junction_a_lane_that_bends_is_followed(laid, metres, name):
     scene = build_scene([one for one in lanes if one.id != "west-out-0"])
     (here,), _ = laid(scene, name, "0")
     (there,), _ = laid(scene, name, f"-{metres}")
+
     assert isinstance(there.encounter.vut_motion.path, TowedPath)
 
     # Of 0 the lane ends 2 m before the crosswalk.
     chain = shapely.LineString(line)
     left_m = chain.length + 2.0 - chain.project(shapely.Point(impact_point(there)))
     left_of_0_m = 2.0 - impact_point(here)[0] - MOUTH_M
+
     assert left_m == pytest.approx(metres + left_of_0_m, abs=0.3)
+
     first = lengths(there.vut_position_m - line[0]).argmin()
     assert distance_to_chain_m(there.vut_position_m[first:], line).max() < 0.4
 
@@ -294,6 +302,7 @@ def test_the_lane_of_the_map_leads_through_the_junction(laid):
     scene = build_scene([*plain.lanes, through])
     (run,), _ = laid(scene, "CPFA-50", "+20", speeds=(35.0,))
     inside = run.vut_position_m[np.abs(run.vut_position_m[:, 0]) < MOUTH_M - 4.0]
+
     assert distance_to_chain_m(inside, bulge).max() < 0.55  # it cuts the bends
     assert impact_point(run)[1] == pytest.approx(end[1], abs=0.6)
 
@@ -315,6 +324,7 @@ def test_positions_beyond_the_mapped_lanes_are_refused_with_the_reason(lay, laid
         approaches=["west"],
         is_spread=False,
     )
+
     # The crosswalk lies 2 m inside the mouth.
     assert [run.position for run in runs] == ["0", "-41.9", "+0", "+41.9"]
     assert [(one.position, one.reason, one.is_possible) for one in refusals] == [
@@ -457,12 +467,15 @@ def test_what_is_no_position_is_told(text):
 def test_a_frame_axis_knows_where_each_run_is(laid):
     runs, _ = laid(protocol_scene(), "CPLA-50", "-15", speeds=(20.0, 30.0))
     assert [run.id for run in runs] == ["CPLA-50/west-15/20", "CPLA-50/west-15/30"]
+
     axis = build_frame_axis(runs, np.full(2, 0.5))
     assert axis.positions == ("-15", "-15")
 
     names = [field.name for field in dataclasses.fields(axis)]
     fields = {name: getattr(axis, name) for name in names}
+
     assert FrameAxis(**fields | {"positions": ()}).positions == ("0", "0")
+
     for positions in (("0",), ("15", "15"), ("-015", "-015")):
         with refused_about("positions: got"):
             FrameAxis(**fields | {"positions": positions})
@@ -475,11 +488,13 @@ def test_a_frame_axis_knows_where_each_run_is(laid):
 def test_a_change_of_lanes_is_eased_only_where_it_would_be_too_fast(laid):
     scene = scene_with_exit(2.0, 0.0)
     runs, _ = laid(scene, "CPFA-50", "+15", speeds=(20.0, 60.0))
+
     aside_m = []
     for run in runs:
         points = run.encounter.vut_motion.path.course.points_m
         before = points[np.abs(points[:, 0] + MOUTH_M + 2.0) < 1.0]
         aside_m.append(np.abs(before[:, 1] + 0.5 * LANE_M).max())
+
     slow_m, fast_m = aside_m
 
     assert slow_m < 0.1 < fast_m < 0.5
@@ -514,6 +529,7 @@ def followed_scene():
             tip = lane.centreline_m[0]
         beyond = tip - [ACROSS_M, 0.0]
         far = beyond - [200.0, 0.0]
+
         for name, kind, line in (
             ("through", "connecting", [tip, beyond]),
             ("far", "driving", [beyond, far]),
@@ -521,6 +537,7 @@ def followed_scene():
             if is_in:
                 line = line[::-1]
             pieces.append(build_lane(f"{lane.id}-{name}", line, kind=kind))
+
     return build_scene([*arm_lanes(without=["west"]), *near, *pieces])
 
 
@@ -529,11 +546,13 @@ def test_a_lane_is_followed_straight_on_through_another_junction(laid, name):
     scene = followed_scene()
     arm = build_junction(scene).arms["west"]
     lanes = (*arm.lanes_in, *arm.lanes_out)
+
     assert [round(lane_length_m(lane)) for lane in lanes] == [227, 227]
 
     position = f"-{NEXT_M + ACROSS_M + 10.0}"
     (run,), _ = laid(scene, name, position)
     (same,), _ = laid(protocol_scene(), name, position)
+
     assert_same_frames(run, same, tolerance_m=1e-9)
 
 
@@ -567,8 +586,10 @@ def test_where_the_map_ends_a_vru_sets_off_beyond_if_a_lane_is_assumed_there(
         lanes.append(build_lane("beyond", line, kind="assumed"))
     scene = build_scene(lanes)
     runs, refusals = laid(scene, "CBLA-50", "-15")
+
     assert bool(runs) == is_assumed
     assert bool(refusals) != is_assumed
+
     if runs:
         (same,), _ = laid(protocol_scene(), "CBLA-50", "-15")
         assert_same_frames(runs[0], same, tolerance_m=1e-9)
@@ -600,12 +621,14 @@ def test_cars_park_on_spaces_that_a_wide_lane_has_beside_who_drives(laid):
     own = lane_of(protocol_scene(), "west-in-0")
     wide = exchanged(arm_lanes(), replace(own, width_m=12.0))
     runs, (refusal,) = laid(build_scene(wide), "CPNCO-50", "-30")
+
     assert not runs
     assert "would stand on the carriageway" in refusal.reason
 
     line = array_of("-200 -5.5, -15 -5.5")
     row = build_lane("spaces", line, kind="parking", width_m=4.0)
     runs, refusals = laid(build_scene([*wide, row]), "CPNCO-50", "-30")
+
     assert runs, refusals
 
 
@@ -622,7 +645,10 @@ def test_impact_points_take_turns_and_every_speed_is_driven_with_one(
         found = []
         for number in range(n_points):
             part = spread_speeds(
-                speeds, position, turn=turn, impact_turn=(number, n_points)
+                speeds,
+                position,
+                turn=turn,
+                impact_turn=(number, n_points),
             )
             found += part
             for speed in part:

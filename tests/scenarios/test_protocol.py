@@ -37,7 +37,11 @@ def stage(name, golf, *, speed_kmh=None, approach="west", junction=JUNCTION):
     case = load_cases()[name]
     speed_kmh = speed_kmh or case.vut_speeds_kmh[0]
     return stage_by_protocol(
-        case, junction, approach, vut_speed_kmh=speed_kmh, vut=golf
+        case,
+        junction,
+        approach,
+        vut_speed_kmh=speed_kmh,
+        vut=golf,
     )
 
 
@@ -111,6 +115,7 @@ def test_obstructions_stand_at_the_protocols_gaps(golf, name):
         size = turned([body.actor.length_m, body.actor.width_m], body.pose.yaw_deg)
         half_x, half_y = 0.5 * np.abs(size)
         x, y = body.pose.position_m[:2] - origin_of(golden)
+
         # The files place reference points: a gap of 0.2 m comes out as 0.22.
         assert [x - half_x, x + half_x] == pytest.approx(box["x_m"], abs=0.021)
         assert [y - half_y, y + half_y] == pytest.approx(box["y_m"], abs=0.021)
@@ -125,11 +130,14 @@ def test_whoever_is_ahead_sets_off_at_the_protocols_trigger_gap(golf, name):
     ):
         encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
         start_s = encounter.vru_motion.start_time_s
+
         assert -start_s == pytest.approx(golden["time_start_to_impact_s"], abs=1e-6)
+
         vut, _ = pose_at(encounter.vut_motion, start_s)
         vru, _ = pose_at(encounter.vru_motion, start_s)
         ahead_m, left_m = vru - vut
         half_m = 0.5 * (encounter.vut.length_m + encounter.vru.length_m)
+
         assert ahead_m - half_m == pytest.approx(gap_m, abs=6e-4)
         assert left_m == pytest.approx(golden["vru_left_m"], abs=1e-9)
 
@@ -141,13 +149,18 @@ def test_turns_lead_over_the_pedestrians_line_where_the_protocol_says(golf, name
     for index, speed_kmh in enumerate(golden["vut_speeds_kmh"]):
         encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
         motion = encounter.vru_motion
+
         assert motion.path.start_m == pytest.approx(golden["vru_start_m"], abs=1e-6)
         assert abs(off_deg(motion.path.yaw_deg, golden["vru_yaw_deg"])) < 1e-9
+
         path = encounter.vut_motion.path
         begin, _ = front_axle_at(path, path.straight_m)
+
         assert begin == pytest.approx(golden["curve_start_m"][index], abs=2e-4)
+
         driven_m = path.straight_m + golden["path_after_curve_start_m"][index]
         line, _ = front_axle_at(path, driven_m)
+
         assert line == pytest.approx(golden["line_crossing_m"][index], abs=2e-4)
 
 
@@ -301,7 +314,9 @@ def test_from_the_other_side_a_run_is_the_mirror_image(
     golf, percent, speed_kmh, vru_speed_kmh, name
 ):
     case = replace(
-        load_cases()[name], impact_percent=percent, vru_speed_kmh=vru_speed_kmh
+        load_cases()[name],
+        impact_percent=percent,
+        vru_speed_kmh=vru_speed_kmh,
     )
     other_side = {"near": "far", "far": "near"}[case.vru_side]
     other = replace(case, impact_percent=100.0 - percent, vru_side=other_side)
@@ -316,6 +331,7 @@ def test_from_the_other_side_a_run_is_the_mirror_image(
         mirror = getattr(mirrored.encounter, who)
         position, yaw_deg = motion.path.at(motion.distance_m(times_s))
         image, image_yaw_deg = mirror.path.at(mirror.distance_m(times_s))
+
         assert in_mirror(position) == pytest.approx(image, abs=1e-5)
         assert np.abs(off_deg(-np.asarray(yaw_deg), image_yaw_deg)).max() < 1e-9
     for body, image in zip(staged.obstruction, mirrored.obstruction, strict=True):

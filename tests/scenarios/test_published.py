@@ -142,7 +142,9 @@ def test_a_crossing_may_be_a_degree_out_of_square(monkeypatch, actors, vru_yaw_d
     (placement,) = _load(monkeypatch, _changed(vru_yaw_deg=vru_yaw_deg))
     for speed_kmh in placement.case.vut_speeds_kmh:
         encounter = stage_published(
-            placement, vut_speed_kmh=speed_kmh, vut=actors["vut"]
+            placement,
+            vut_speed_kmh=speed_kmh,
+            vut=actors["vut"],
         ).encounter
         assert separation_m(encounter, np.array([0.0])) == pytest.approx(0.0, abs=0.01)
 

@@ -38,6 +38,7 @@ def scenes(tmp_path_factory):
         scene = import_scene([path], ImportOptions()).scene
         lanes = tuple(replace(lane, speed_limit_kmh=None) for lane in scene.lanes)
         found[name] = replace(scene, lanes=lanes)
+
     return found
 
 

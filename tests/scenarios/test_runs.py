@@ -35,6 +35,7 @@ def asked_of(approach, *, is_thorough):
         names = {case.family: name for name, case in cases.items()}.values()
         cases = {name: cases[name] for name in names}
     arms = list(ARMS)
+
     for number, (name, case) in enumerate(cases.items()):
         lap, turn = divmod(number, len(arms))
         low_kmh, high_kmh = case.speed_limits_kmh
@@ -68,6 +69,7 @@ def all_runs(lay, asked):
         for name, arm, speed in sorted(asked):
             if arm == approach:
                 speeds.setdefault(name, []).append(speed)
+
         cases = [
             replace(load_cases()[name], vut_speeds_kmh=tuple(driven))
             for name, driven in speeds.items()
@@ -75,6 +77,7 @@ def all_runs(lay, asked):
         laid, refused = lay(load_study_scene(), cases, approaches=[approach])
         runs += laid
         refusals += refused
+
     return runs, refusals
 
 
@@ -133,12 +136,16 @@ def test_frames_hold_the_motions_and_the_gait(all_runs):
             wanted, wanted_yaw_deg = motion.path.at(motion.distance_m(run.time_s))
             assert np.array_equal(position, wanted)
             assert np.array_equal(yaw_deg, wanted_yaw_deg)
+
         walked_m = encounter.vru_motion.distance_m(run.time_s)
         shapes = encounter.vru.shape_index(walked_m)
+
         assert np.array_equal(run.vru_shape, shapes)
+
         # People on foot and on bicycles move their limbs.
         is_moving = len(set(shapes.tolist())) > 1
         assert is_moving == (encounter.vru.cycle_m > 0.0)
+
         standing = run.time_s <= encounter.vru_motion.start_time_s
         assert (run.vru_shape[standing] == 0).all()
 
@@ -162,6 +169,7 @@ def test_runs_that_are_known_are_taken_and_the_others_laid(lay):
     case = load_cases()["CPTAns-50"]
     laid, _ = lay(scene, [case])
     known, _ = lay(scene, [case], known=laid[:1])
+
     assert [run.id for run in known] == [run.id for run in laid]
     assert known[0] is laid[0]
     assert known[1] is not laid[1]
@@ -219,11 +227,14 @@ def test_nothing_is_driven_faster_than_the_speed_limit(lay):
     }
     every, _ = lay(free, cases, **options)
     runs, refusals = lay(scene, cases, **options)
+
     slow = []
     for run in every:
         if run.vut_speed_kmh <= limits_kmh.get(run.approach, np.inf):
             slow.append(run.id)
+
     assert [run.id for run in runs] == slow
+
     approaches = {run.approach for run in runs if run.case.name == "CPNA-25"}
     assert approaches >= {"west", "south", "east"}
 
@@ -233,6 +244,7 @@ def test_nothing_is_driven_faster_than_the_speed_limit(lay):
         ("east", "faster than the speed limit of 42 km/h", False),
         ("north", "faster than the speed limit of 15 km/h", False),
     }
+
     unlimited, _ = lay(scene, cases, keeps_limits=False, **options)
     assert [run.id for run in unlimited] == [run.id for run in every]
 
@@ -255,9 +267,11 @@ def test_frames_lie_on_the_10_hz_grid_and_end_at_the_impact(runs):
         n_frames = len(run.time_s)
         assert run.time_s.tolist() == [step / 10.0 for step in range(1 - n_frames, 1)]
         assert run.time_s[-1] == 0.0
+
         # All of the drive: one frame more would be before anybody sets off.
         motions = (run.encounter.vut_motion, run.encounter.vru_motion)
         first_s = min(motion.start_time_s for motion in motions)
+
         assert run.time_s[0] >= first_s - 1e-6
         assert run.time_s[0] - 0.1 < first_s
 
@@ -331,7 +345,10 @@ def test_frame_axis_says_what_is_wrong(frame_axis, change, message):
 def rule_with(rule, n, memory_s=math.inf, latency_s=0.025):
     """A rule with so many confirmations."""
     return replace(
-        rule, n_confirmations=n, track_memory_s=memory_s, latency_s=latency_s
+        rule,
+        n_confirmations=n,
+        track_memory_s=memory_s,
+        latency_s=latency_s,
     )
 
 
@@ -390,10 +407,12 @@ def windows_of(axis, run, arrival_s, n):
     frames = axis.frames_of(run)
     time_s = axis.time_s[frames].tolist()
     known_s = arrival_s[frames].tolist()
+
     windows = []
     for last in range(n - 1, len(time_s)):
         all_known_s = max(known_s[last - n + 1 : last + 1])
         windows.append((all_known_s, time_s[last], last))
+
     return windows
 
 
@@ -423,6 +442,7 @@ def test_the_vut_brakes_for_the_live_window_that_it_knows_first(
 
         live = [one for one in in_time if lives(one[2])]
         late = [one for one in windows if one not in in_time]
+
         assert onsets.is_in_time[run] == bool(live)
         for group, has_onset in (
             (live, True),

@@ -55,6 +55,7 @@ def test_times_are_of_any_clock_and_unit(tmp_path, caplog, scale, start_s):
         rows.append((name, f"{(start_s + time_s) * scale:.0f}", *others))
         if scale == 1.0:
             rows[-1] = (name, f"{start_s + time_s:.1f}", *others)
+
     ((track,), n_left_out) = read(tmp_path, csv_of(rows))
 
     assert n_left_out == 0

@@ -17,7 +17,10 @@ def twins(crossing_runs):
 
 def corners(actor, position_m, yaw_deg):
     return footprint_corners(
-        position_m, yaw_deg, length_m=actor.length_m, width_m=actor.width_m
+        position_m,
+        yaw_deg,
+        length_m=actor.length_m,
+        width_m=actor.width_m,
     )
 
 
@@ -30,6 +33,7 @@ def test_no_twin_comes_nearer_than_the_clearance_to_where_the_car_ever_is(twins)
         car = corners(run.encounter.vut, *motion.path.at(along_m))
         user = corners(run.encounter.vru, run.vru_position_m, run.vru_yaw_deg)
         gap_m = footprint_separation(car[:, None], user[None]).min()
+
         assert gap_m >= RULE.clearance_m - 0.02, (run.id, twin.kind)
 
 
@@ -49,7 +53,9 @@ def test_who_stops_slows_down_as_the_rule_says_and_stands_at_the_clearance(twins
         step_s = np.diff(run.time_s).mean()
         speed = np.linalg.norm(np.diff(run.vru_position_m, axis=0), axis=1) / step_s
         slowing = -np.diff(speed) / step_s
+
         assert slowing.max() <= RULE.stop_mps2 + 1e-6
+
         # It could still stop where it has to: nobody is nearer than that.
         own_mps = run.encounter.vru_motion.speed_mps
         assert speed[-1] < 0.75 * own_mps

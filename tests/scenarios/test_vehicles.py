@@ -108,9 +108,11 @@ def test_vehicles_ahead_of_a_turning_vut_meet_where_the_protocol_says(golf, name
             x, y = vut - rear_m * ahead(yaw_deg)
             front = vru + 0.5 * encounter.vru.length_m * ahead(vru_yaw_deg)
             place = (row, column)
+
             assert x == pytest.approx(golden["vut_rear_axle_x_m"][place], abs=2e-4)
             assert y == pytest.approx(golden["vut_rear_axle_y_m"][place], abs=2e-4)
             assert yaw_deg == pytest.approx(golden["vut_yaw_deg"][place], abs=1e-3)
+
             expected = [golden["vru_front_x_m"][place], 1.75]
             assert front == pytest.approx(expected, abs=2e-4)
 
@@ -124,6 +126,7 @@ def test_three_cars_are_parked_where_the_protocol_says(golf, family, side):
         size = np.array([body.actor.length_m, body.actor.width_m])
         middle = body.pose.position_m[:2]
         x, y = np.stack([middle - 0.5 * size, middle + 0.5 * size], axis=1)
+
         assert body.actor.name == f"parked-car-{name.removesuffix('_2')}"
         assert x == pytest.approx(golden[f"{name}_x_m"], abs=1e-6)
         assert y == pytest.approx(golden[f"{name}_y_m"], abs=1e-6)
@@ -239,7 +242,11 @@ def test_behind_a_vehicle_that_brakes_the_last_moment_is_the_last_one(
     )
     case = replace(case, braking=braking, vru_speed_kmh=speed_kmh)
     encounter = stage_by_protocol(
-        case, JUNCTION, "west", vut_speed_kmh=speed_kmh, vut=golf
+        case,
+        JUNCTION,
+        "west",
+        vut_speed_kmh=speed_kmh,
+        vut=golf,
     ).encounter
     last_s = last_brake_time_s(encounter, RULE)
 
@@ -283,6 +290,7 @@ def test_the_distance_of_a_motion_that_brakes_is_the_area_under_its_speed(
     area_m = speed.sum() * step_s
     steepest = max(motion.acceleration_mps2, deceleration_mps2)
     distance_m = float(motion.distance_m(start_s + until_s))
+
     assert distance_m == pytest.approx(area_m, abs=steepest * step_s**2 + 1e-9)
 
 
@@ -321,6 +329,7 @@ def refusal(name, vut, lanes, *, speed_kmh=20, vru_kmh=20):
     junction = build_junction(build_scene(lanes))
     with pytest.raises(CannotCarryError) as caught:
         stage(name, vut, speed_kmh, vru_kmh, junction=junction)
+
     assert isinstance(caught.value, NoRoadError)
     return str(caught.value)
 
@@ -347,6 +356,7 @@ def bent_road(*, radius_m):
     along = np.append(0.0, np.linspace(4.0, 120.0, 60))
     angle = np.maximum(along - 8.0, 0.0) / radius_m
     north = MOUTH_M + np.minimum(along, 8.0) + radius_m * np.sin(angle)
+
     for lane in lanes_of("north", 90.0):
         east = lane.centreline_m[0, 0] + radius_m * (1.0 - np.cos(angle))
         line = np.stack([east, north], axis=-1)
@@ -408,6 +418,7 @@ def count(text, case_range):
     for case in cases:
         for vut_kmh in case.vut_speeds_kmh:
             n_runs += len(case.vru_speeds_kmh(vut_kmh))
+
     return n_runs
 
 

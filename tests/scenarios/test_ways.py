@@ -90,7 +90,9 @@ def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
     speed_kmh = min(load_cases()[name].vut_speeds_kmh[0], 50.0)
     encounter = staged(name, vut, speed_kmh=speed_kmh)
     motion = encounter.vut_motion
+
     assert isinstance(motion.path, TowedPath)
+
     distances = np.linspace(0.0, float(motion.distance_m(0.0)), 60)
     stations = motion.path.start_m + distances
     front, _ = motion.path.course.at(stations)
@@ -98,6 +100,7 @@ def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
     # Turns begin up to so far before the mouth.
     is_before = front[:, 0] < -MOUTH_M - 14.0
     is_mapped = is_before & (stations > 15.0 - mapped_m)
+
     if is_mapped.any():
         assert distance_to_chain_m(front[is_mapped], curved_entry()).max() < 0.05
 
@@ -113,6 +116,7 @@ def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
         tolerance_m = 0.12
         if case.vru.length_m >= 2.0:
             tolerance_m = 0.2
+
         assert left_m == pytest.approx(wanted_m, abs=tolerance_m)
 
 
@@ -220,7 +224,9 @@ def without_repeats(parts):
 def left_turn(radius_m):
     """The protocol's junction with a quarter of a circle from the west to the north."""
     turn, middle = quarter_circle(
-        radius_m, before=NAMED["west-in-0"], after=NAMED["north-out-0"]
+        radius_m,
+        before=NAMED["west-in-0"],
+        after=NAMED["north-out-0"],
     )
     return with_lanes(turn), middle
 
@@ -235,12 +241,14 @@ def test_a_turning_car_stays_within_a_centimetre_of_a_connecting_lane(vut, radiu
     off_m = np.abs(np.hypot(x, y) - radius_m)
     off_m = np.where(x < 0.0, np.abs(y + radius_m), off_m)
     off_m = np.where((x >= 0.0) & (y > 0.0), np.abs(x - radius_m), off_m)
+
     assert off_m.max() < 0.01
 
     position, yaw_deg = path.at(np.arange(0.0, 40.0, 0.5))
     yaw = np.radians(yaw_deg)
     ahead = unit_vectors(yaw)
     axle = position + vut.front_axle_ahead_m * ahead
+
     assert distance_to_chain_m(axle, path.course.points_m[::5]).max() < 0.001
 
 
@@ -384,13 +392,17 @@ def test_parked_cars_give_way_to_a_pole_and_a_house_that_leaves_no_room_is_named
     first = free[0].obstruction[0].pose.position_m
     pole = ("pole", first[0] + 1.9, first[1], 0.2, 0.2, 4.0)
     given_way, refusals = park(pole)
+
     assert not refusals
+
     moved_m = given_way[0].obstruction[0].pose.position_m - first
     assert 0.0 < lengths(moved_m[:2]) <= 2.0
 
     house = ("house", first[0] - 5.0, -15.0, 12.0, 23.0, 6.0)
     runs, refusals = park(house)
+
     assert not runs
+
     reasons = {refusal.reason for refusal in refusals}
     assert reasons == {"house occupies the place of parked-car-small"}
 

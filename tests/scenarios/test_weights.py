@@ -129,18 +129,24 @@ def test_the_only_turn_that_a_map_allows_weighs_no_more_than_one_of_four():
 def test_what_has_no_room_takes_its_share_away_and_what_no_map_shows_does_not():
     runs = [run("CBNA", speed_kmh=20), run("CBNA", position="-15"), run("CBLA")]
     whole = weight_per_case(runs)
+
     assert whole == pytest.approx([1 / 4, 1 / 4, 1 / 2])
+
     off_the_map = refused("CBNA", "north", 20.0, position="-45", is_possible=False)
     elsewhere = refused("CPLA-50", "north", 20.0)
     weight = weight_per_case(runs, refused=[off_the_map, elsewhere])
+
     assert weight == pytest.approx(whole)
 
     no_room = refused("CBNA", "north", 30.0, 40.0, 50.0)  # one of four speeds is left
     by_room = np.array([1 / 16, 1 / 4, 1 / 2])
     weight = weight_per_case(runs, refused=[no_room])
+
     assert weight == pytest.approx(by_room / by_room.sum())
+
     twice = [*runs, run("CBNA", weather="night", speed_kmh=20)]
     shared = weight_per_case(twice, refused=[no_room])
+
     assert shared[[0, 3]].sum() == pytest.approx(weight[0])
 
 
@@ -271,6 +277,7 @@ def scores():
     points = {}
     for name, parts in model.TOTAL_SCORES.items():
         points[name] = sum(part or 0.0 for part in parts.values())
+
     return points
 
 

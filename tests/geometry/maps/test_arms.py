@@ -92,7 +92,11 @@ def road(name, direction, n_in, n_out):
     """A road that leads to the junction in the direction of a unit vector."""
     unit = np.array(direction)
     return LeadingRoad(
-        name=name, point_m=12.0 * unit, direction=unit, lanes_in=n_in, lanes_out=n_out
+        name=name,
+        point_m=12.0 * unit,
+        direction=unit,
+        lanes_in=n_in,
+        lanes_out=n_out,
     )
 
 

@@ -17,12 +17,14 @@ def road_from_left(tags, folder, *, keeps_left=False):
     osm = drawn(f"road -50 0, 50 0: highway=primary; {tags}")
     source = read_drawing(osm, folder, keeps_left=keeps_left)
     lanes = sorted(source.lanes, key=lambda lane: -lane.centreline_m[:, 1].mean())
+
     found = []
     for lane in lanes:
         arrow = "<"
         if lane.centreline_m[-1, 0] > lane.centreline_m[0, 0]:
             arrow = ">"
         found.append(f"{WORDS[lane.kind]} {arrow}")
+
     return ", ".join(found), source
 
 

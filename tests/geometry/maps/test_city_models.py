@@ -133,6 +133,7 @@ def test_footprints_are_raised_by_their_measured_height(only_thing):
 def test_footprints_without_a_possible_height_get_the_default(only_thing, height):
     thing = only_thing(building(FOOTPRINT, attributes={"measuredHeight": height}))
     default_m = kind_of_class("building").height_m
+
     assert thing.is_height_assumed
     assert np.ptp(thing.vertices_m[:, 2]) == pytest.approx(default_m)
 
@@ -231,10 +232,12 @@ def test_what_is_no_text_is_refused(tmp_path):
 def test_real_houses_have_the_volumes_that_their_source_gives(real_input):
     path = real_input("buildings/3dbag_b2.city.json")
     source = read_cityjson(path)
+
     said = []
     for entry in json.loads(path.read_text())["CityObjects"].values():
         if entry["type"] == "Building":
             said.append(entry["attributes"]["b3_volume_lod22"])
+
     found = [volume(thing) for thing in source.things]
 
     assert source.crs == "EPSG:28992"

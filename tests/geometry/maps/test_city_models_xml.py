@@ -43,10 +43,12 @@ def polygon(points, *, holes=(), write=pos_list, attributes=""):
     """An area with holes."""
     rings = [("exterior", points)]
     rings += [("interior", hole) for hole in holes]
+
     body = ""
     for kind, ring in rings:
         told = write([*ring, ring[0]])
         body += f"<gml:{kind}><gml:LinearRing>{told}</gml:LinearRing></gml:{kind}>"
+
     return f"<gml:Polygon {attributes}>{body}</gml:Polygon>"
 
 
@@ -324,6 +326,7 @@ def test_both_encodings_of_a_real_model_give_the_same_houses(real_input):
     gml = read_citygml(real_input("buildings/lod2_buildings_v3.gml"))
     other = read_cityjson(real_input("buildings/lod2_buildings_v2.city.json"))
     in_json = {thing.id: thing for thing in other.things}
+
     assert gml.crs == ""
     assert "EPSG:3068" in gml.skipped[0].what
     assert {thing.id for thing in gml.things} == set(in_json)

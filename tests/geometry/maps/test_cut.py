@@ -49,7 +49,10 @@ def house(name, middle, *, bottom_m=5.0, top_m=11.0):
     corners = np.array(middle) + 0.25 * SQUARE_M + AT_M
     vertices, triangles = extrude(corners, bottom_m=bottom_m, top_m=top_m)
     return Thing(
-        id=name, class_name="building", vertices_m=vertices, triangles=triangles
+        id=name,
+        class_name="building",
+        vertices_m=vertices,
+        triangles=triangles,
     )
 
 
@@ -58,7 +61,12 @@ def place(x, y):
     return np.array([AT_M[0] + x, AT_M[1] + y, 5.0])
 
 
-JUNCTION = MapJunction(id="j", name="A / B", outline_m=SQUARE_M + AT_M, height_m=5.0)
+JUNCTION = MapJunction(
+    id="j",
+    name="A / B",
+    outline_m=SQUARE_M + AT_M,
+    height_m=5.0,
+)
 LANES = (
     lane("in", "300 1.5, 8 1.5", to="j", n_points=30),
     lane("out", "8 -1.5, 60 -1.5", start="j"),
@@ -68,7 +76,12 @@ LANES = (
     lane("walk", "60 5, 8 5", kind="walking", to="j"),
 )
 POLES = (
-    Pole(id="lamp, 1", kind="lamp post", position_m=place(10, 10), height_m=6.0),
+    Pole(
+        id="lamp, 1",
+        kind="lamp post",
+        position_m=place(10, 10),
+        height_m=6.0,
+    ),
     Pole(id="off", kind="sign", position_m=place(500, 0)),
 )
 ROADS = SourceMap(
@@ -96,7 +109,11 @@ def cut(*sources, radius_m=50.0):
 def scene_around(found, *, source_crs="", radius_m=50.0):
     """The scene of what lies around the junction."""
     return build_scene(
-        found, name="a", source_crs=source_crs, sites=(), radius_m=radius_m
+        found,
+        name="a",
+        source_crs=source_crs,
+        sites=(),
+        radius_m=radius_m,
     )
 
 
@@ -191,9 +208,17 @@ def city_at(middle_m):
     there = transform(transform(middle_m, UTM, "EPSG:4326"), "EPSG:4326", crs)
     vertices, triangles = extrude(there + SQUARE_M, bottom_m=500.0, top_m=510.0)
     thing = Thing(
-        id="near", class_name="building", vertices_m=vertices, triangles=triangles
+        id="near",
+        class_name="building",
+        vertices_m=vertices,
+        triangles=triangles,
     )
-    return SourceMap(name="c.gml", crs=crs, heights="absolute", things=(thing,))
+    return SourceMap(
+        name="c.gml",
+        crs=crs,
+        heights="absolute",
+        things=(thing,),
+    )
 
 
 def test_other_files_lie_where_they_say():
@@ -248,7 +273,11 @@ def crossing_map(*, goes_on=True, aside_m=0.0):
         ]
     other = replace(JUNCTION, id="k", outline_m=JUNCTION.outline_m + [34.0, 0.0])
     return replace(
-        ROADS, lanes=tuple(lanes), junctions=(JUNCTION, other), things=(), poles=()
+        ROADS,
+        lanes=tuple(lanes),
+        junctions=(JUNCTION, other),
+        things=(),
+        poles=(),
     )
 
 
@@ -262,9 +291,12 @@ def imported(source):
 def test_lanes_are_led_straight_on_through_another_junction(aside_m):
     surroundings, scene = imported(crossing_map(aside_m=aside_m))
     through = lines_of(scene, "connecting")
+
     assert through.keys() == {"far in to near in", "near out to far out"}
+
     lanes = {one.id: one.centreline_m for one in scene.lanes}
     middle = through["near out to far out"]
+
     assert middle[0] == pytest.approx(lanes["near out"][-1])
     assert middle[-1] == pytest.approx(lanes["far out"][0])
 
@@ -272,11 +304,14 @@ def test_lanes_are_led_straight_on_through_another_junction(aside_m):
     chord = unit(middle[-1] - middle[0])
     ahead_m = (middle - middle[0]) @ chord
     left_m = (middle - middle[0]) @ [-chord[1], chord[0]]
+
     assert (np.diff(ahead_m) > 0.0).all()
     assert np.abs(left_m).max() <= 0.2 * aside_m + 0.02
+
     (arm,) = build_junction(scene).arms.values()
     (entry,) = arm.entry_lanes
     (leaving,) = arm.exit_lanes
+
     assert lengths(entry.centreline_m[0]) == pytest.approx(150.0)
     assert leaving.centreline_m[-1] == pytest.approx(lanes["far out"][-1])
 
@@ -323,9 +358,11 @@ def test_the_maps_own_lanes_lead_through_junctions_and_else_straight_ones():
     )
     surroundings, scene = imported(replace(crossing_map(), connections=connections))
     found = lines_of(scene, "connecting")
+
     assert found.keys() == {"own turn", "their way"}
     assert len(found["their way"]) == 3
     assert "other junctions around it" not in notes_of(surroundings)
+
     (arm,) = build_junction(scene).arms.values()
     # From here, over that way, and beyond.
     assert len(arm.exit_lanes[0].centreline_m) == 5
@@ -339,10 +376,12 @@ def with_houses(middles):
     houses = tuple(house(f"house {x} {y}", (x, y)) for x, y in points_of(middles))
     _, scene = imported(replace(crossing_map(goes_on=False), things=houses))
     assumed = [one for one in scene.lanes if one.kind == "assumed"]
+
     footprints = []
     for index, instance in enumerate(scene.instances):
         if instance.class_name == "building":
             footprints.append(thing_footprint(scene, index))
+
     assert len(footprints) == len(houses)
 
     built = shapely.union_all(footprints)
@@ -350,6 +389,7 @@ def with_houses(middles):
         line = shapely.LineString(one.centreline_m)
         strip = line.buffer(0.5 * one.width_m, cap_style="flat")
         assert not shapely.intersects(built, strip)
+
     return scene, assumed
 
 
@@ -363,13 +403,16 @@ def test_an_assumed_road_bends_past_a_house(side):
     begin = entry.centreline_m[0]
     line = Line(point_m=begin, direction=begin - entry.centreline_m[-1])
     ahead, left = line.coordinates(road.centreline_m[:-1]).T
+
     assert (ahead**2 + left**2) / (2.0 * left) == pytest.approx(-side * 100.0)
     assert junction.is_led_on(entry)
 
     followed = junction.followed(entry).centreline_m
     assert followed[0] == pytest.approx(road.centreline_m[0])
+
     own = followed[-len(entry.centreline_m) :]
     assert own == pytest.approx(entry.centreline_m)
+
     ((_, why),) = arms_that_end(scene)
     assert "come round a bend, past the buildings there" in why
 

@@ -44,14 +44,17 @@ def test_a_junctions_surroundings_make_the_scene_of_the_whole_map(city):
     for one in junctions:
         options = ImportOptions(junction=one.junction.id)
         part = around.around(one.junction)
+
         assert len(part[0].lanes) < len(maps[0].lanes)
         assert len(part[0].things) < len(maps[0].things)
+
         whole = import_scene([city], options)
         cut = cut_scene(part, one, options)
         known, told = (
             replace(scene, notes=assumptions(scene.notes))
             for scene in (whole.scene, cut.scene)
         )
+
         assert same(told, known)
         assert cut.scene.roads
 

@@ -105,6 +105,7 @@ def test_zipped_shapefiles_are_read(tmp_path):
         for file in tmp_path.glob("a.*"):
             if file.suffix != ".zip":
                 archive.write(file, f"houses/{file.name}")
+
     zipped = read_footprints(tmp_path / "a.zip")
     plain = read_footprints(path)
 

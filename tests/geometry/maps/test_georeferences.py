@@ -85,7 +85,10 @@ def test_northing_comes_first_where_the_definition_says_so():
 def test_the_other_order_is_taken_if_only_it_lies_where_the_system_is_meant_for():
     east_north = np.array([[4_590_000.0, 5_820_000.0], [4_590_100.0, 5_820_300.0]])
     place = georeference(
-        east_north, "urn:ogc:def:crs:EPSG::31468", where="f", follows_authority=True
+        east_north,
+        "urn:ogc:def:crs:EPSG::31468",
+        where="f",
+        follows_authority=True,
     )
     assert np.array_equal(place.to_metres(east_north, "f"), east_north)
 
@@ -93,7 +96,10 @@ def test_the_other_order_is_taken_if_only_it_lies_where_the_system_is_meant_for(
 def test_latitude_comes_first_where_the_definition_says_so():
     points = np.array([[35.68, 139.76], [35.681, 139.762]])
     place = georeference(
-        points, "urn:ogc:def:crs:EPSG::6697", where="f", follows_authority=True
+        points,
+        "urn:ogc:def:crs:EPSG::6697",
+        where="f",
+        follows_authority=True,
     )
     back = in_wgs84(place.crs, place.to_metres(points, "f"))
 

@@ -16,10 +16,12 @@ def test_lowest_points_are_those_of_a_loop_however_they_come(points, cut):
     lowest.add(array[:cut])
     lowest.add(array[cut:])
     low, heights = lowest.grid("f")
+
     truth = {}
     for x, y, z in points:
         cell = (int(np.floor(x)), int(np.floor(y)))
         truth[cell] = min(z, truth.get(cell, np.inf))
+
     found = {
         tuple((np.array(index) + low).tolist()): heights[tuple(index)]
         for index in np.argwhere(~np.isnan(heights))

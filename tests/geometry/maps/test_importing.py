@@ -39,6 +39,7 @@ def test_signals_on_the_road_are_assumed_poles(tmp_path):
     middle = osm.node(0.0, 0.0, highway="traffic_signals")
     for east, north in FOUR:
         osm.road([(80.0 * east, 80.0 * north), middle], oneway="yes")
+
     osm.node(20.0, 20.0, man_made="pole")
     scene = import_scene([osm.write(tmp_path)], ImportOptions()).scene
     assumed = assumed_sites(scene.notes)

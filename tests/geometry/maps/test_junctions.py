@@ -33,6 +33,7 @@ def junction(name, middle, n_arms):
                     from_junction="" if is_in else name,
                 )
             )
+
     return (
         MapJunction(id=name, name=f"{name} Street", outline_m=SQUARE_M + middle),
         lanes,

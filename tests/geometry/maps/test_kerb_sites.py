@@ -21,7 +21,12 @@ SQUARE = array_of("-8 -8, 8 -8, 8 8, -8 8")
 def lane(name, points_m, *, width_m=3.0, kind="driving"):
     """A lane of a scene through two points."""
     line = np.array(points_m, dtype=float)
-    return Lane(id=name, kind=kind, width_m=width_m, centreline_m=line)
+    return Lane(
+        id=name,
+        kind=kind,
+        width_m=width_m,
+        centreline_m=line,
+    )
 
 
 def east(name, y, *, begin=8.0, end=100.0, **options):
@@ -112,6 +117,7 @@ def test_no_site_stands_on_the_road_and_neighbours_on_a_kerb_keep_their_distance
         for side in (-0.5, 0.5):
             points = np.outer([12.0, 90.0], ahead) + side * width_m * left
             lanes.append(lane(f"{twelfth}{side}", points, width_m=width_m))
+
     turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     outline = 12.0 * unit_vectors(turn)
     sites = kerb_sites(lanes, outline, spacing_m)
@@ -125,6 +131,7 @@ def test_no_site_stands_on_the_road_and_neighbours_on_a_kerb_keep_their_distance
         along_m = (found - begin) @ ahead
         across_m = np.abs((found - begin) @ [-ahead[1], ahead[0]])
         beside_m = across_m[(along_m > 0.0) & (along_m < 78.0)]
+
         assert (beside_m >= 0.5 * road.width_m + SETBACK_M - 0.06).all()
         for side in ("left", "right"):
             start = f"kerb {road.id} {side} "
@@ -143,7 +150,10 @@ def house(*, class_name="building", holes=()):
     corners = array_of("0 0, 10 0, 10 10, 0 10")
     vertices, triangles = extrude(corners, bottom_m=0.0, top_m=6.0, holes_m=holes)
     return Thing(
-        id="h", class_name=class_name, vertices_m=vertices, triangles=triangles
+        id="h",
+        class_name=class_name,
+        vertices_m=vertices,
+        triangles=triangles,
     )
 
 
@@ -191,6 +201,7 @@ ROW = st.tuples(st.floats(0, 10), st.floats(0, 10), st.sampled_from(SAID))
 def test_what_is_kept_is_apart_and_what_is_dropped_is_near_something_kept(rows):
     sites = [wish(f"{index}", x, y, **said) for index, (x, y, said) in enumerate(rows)]
     kept, skipped = tidy_sites(sites)
+
     assert len(kept) + len(skipped) == len(sites)
     for one, other in combinations(kept, 2):
         assert lengths(one.position_m - other.position_m) > 1.0

@@ -94,6 +94,7 @@ def test_crosswalks_lights_and_houses_are_there(tmp_path):
     more = ""
     refs = ""
     corners = points_of("20 20, 30 20, 30 35, 20 35, 20 20")
+
     for number, (x, y) in enumerate(corners, 900):
         more += (
             f"<node id='{number}' lat='50' lon='8'><tag k='local_x' v='{x}'/>"

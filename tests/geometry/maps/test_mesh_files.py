@@ -105,6 +105,7 @@ def test_objects_of_an_obj_file_are_things(tmp_path):
     street().export(tmp_path / "a.obj")
     source = read_mesh(tmp_path / "a.obj", unit="m", up="z")
     ids = {thing.id for thing in source.things}
+
     assert ids == {"House_1", "garden wall", "Tree.003", "thing"}
     assert len(source.things) == 4
 

@@ -23,10 +23,18 @@ _SHAPES = (
     geometry(length=20.0)
     + geometry('<arc curvature="0.01"/>', s=20.0, x=20.0, length=20.0)
     + geometry(
-        '<spiral curvStart="0.01" curvEnd="-0.02"/>', s=40.0, x=40.0, y=2.0, length=20.0
+        '<spiral curvStart="0.01" curvEnd="-0.02"/>',
+        s=40.0,
+        x=40.0,
+        y=2.0,
+        length=20.0,
     )
     + geometry(
-        '<poly3 a="0" b="0" c="0.01" d="0"/>', s=60.0, x=60.0, y=2.0, length=20.0
+        '<poly3 a="0" b="0" c="0.01" d="0"/>',
+        s=60.0,
+        x=60.0,
+        y=2.0,
+        length=20.0,
     )
     + geometry(
         '<paramPoly3 aU="0" bU="20" cU="0" dU="0" aV="0" bV="0" cV="1" dV="0"'
@@ -70,7 +78,9 @@ _WHOLE = document(
             left=[lane(1, after=1)], right=[lane(-1, after=-1), lane(-2, "sidewalk")]
         )
         + section(
-            s=50.0, left=[lane(1, width=cubic("border", 0.0, 4.0))], right=[lane(-1)]
+            s=50.0,
+            left=[lane(1, width=cubic("border", 0.0, 4.0))],
+            right=[lane(-1)],
         ),
         objects=_OBJECTS,
         signals=_SIGNALS,

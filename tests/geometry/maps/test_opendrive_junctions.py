@@ -38,6 +38,7 @@ def off_outline_m(source):
             if junction:
                 point = shapely.Point(one.centreline_m[tip, :2])
                 away_m.append(rings[junction].distance(point))
+
     return max(away_m)
 
 
@@ -65,11 +66,17 @@ def test_a_curved_connecting_road_is_a_lane_on_its_circle(tmp_path):
     )
     widening = lane(-1, width=cubic("width", 0.0, 0.0, 0.2))
     widens = straight(
-        "21", 0.0, 40.0, length=20.0, junction="9", sections=section(right=[widening])
+        "21",
+        0.0,
+        40.0,
+        length=20.0,
+        junction="9",
+        sections=section(right=[widening]),
     )
     source = read_text(tmp_path, document(crossing(), turn, widens))
     # The lane 21/-1 begins without a width: it does not lead from end to end.
     ids = [one.id for one in source.connections]
+
     assert ids == ["11/1", "11/-1", "12/1", "12/-1", "20/-1"]
     assert not set(ids) & {one.id for one in source.lanes}
 
@@ -77,8 +84,10 @@ def test_a_curved_connecting_road_is_a_lane_on_its_circle(tmp_path):
     assert found.from_junction == "9"
     assert found.to_junction == "9"
     assert found.width_m == pytest.approx(3.0)
+
     points = found.centreline_m[:, :2]
     middles = 0.5 * (points[1:] + points[:-1])
+
     for places, most_m in ((points, 1.0e-9), (middles, 0.003)):
         off_m = np.abs(lengths(places - [0.0, radius_m]) - (radius_m + 1.5))
         assert off_m.max() <= most_m
@@ -104,6 +113,7 @@ def test_two_streets_that_cross_make_four_arms(tmp_path, rule):
     if rule == "LHT":
         into = "-1"
         out_of = "1"
+
     expected = {}
     for number in "1234":
         expected[f"{number}/{into}"] = ("", "9")
@@ -122,6 +132,7 @@ def test_holes_are_filled_and_the_largest_part_counts(tmp_path):
     for number, (x, y, angle_deg) in enumerate(plan):
         hdg = np.radians(angle_deg)
         ring += straight(str(number), x, y, hdg=hdg, length=40.0, junction="9")
+
     source = read_text(tmp_path, document(ring, '<junction id="9" name="ring"/>'))
     (junction,) = source.junctions
 
@@ -267,8 +278,10 @@ def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, len
     joint = straight("8", 50.0, length=length_m, link=from_road + into_junction)
     into_joint = to_road("successor", "8", "start")
     joined = read("8", road("1", length=50.0, link=into_joint), joint)
+
     assert list(ends_of(joined).items()) == list(ends_of(plain).items())
     assert any(one.to_junction == "9" for one in joined.lanes)
+
     (told,) = joined.skipped
     assert told.what == "road 8"
     assert told.why == "shorter than 1 mm: its neighbours are joined"

@@ -37,6 +37,7 @@ def test_left_hand_traffic_is_right_hand_traffic_turned_round(lanes_of, tmp_path
     left = read_text(tmp_path, document(road(plan=plan, rule="LHT")))
 
     assert left.keeps_left
+
     for one in left.lanes:
         assert_allclose(one.centreline_m, right[one.id].centreline_m[::-1])
 
@@ -84,6 +85,7 @@ def test_linked_pieces_are_one_lane_also_under_new_numbers(lanes_of):
     after = section_of("-1, -2 before=-1, -3 sidewalk before=-2", s=40.0)
     offset = cubics("laneOffset", "0, 40 3.5")
     lanes = lanes_of(sections=before + after, offset=offset)
+
     assert set(lanes) == {"1/-1", "1/-2", "1/-1/1"}
 
     through = lanes["1/-1"].centreline_m
@@ -166,5 +168,6 @@ def test_a_namespace_makes_no_difference(tmp_path):
 def test_most_roads_say_which_side_traffic_keeps(tmp_path):
     roads = [road("1", rule="LHT"), road("2", rule="LHT"), road("3", rule="RHT")]
     read = read_text(tmp_path, document(*roads))
+
     assert read.keeps_left
     assert [note.what for note in read.skipped] == ["rule of 1 of 3 roads"]

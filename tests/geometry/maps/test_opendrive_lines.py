@@ -174,21 +174,26 @@ def test_samples_follow_the_line_closely_and_keep_their_distance(
     (samples,) = sample_road(read_back)
     points = samples.points_m[:, :2]
     steps_m = lengths(np.diff(points, axis=0))
+
     assert steps_m.max() <= 5.0 + 1e-6
     assert np.isclose(steps_m.sum(), length, rtol=5e-3, atol=1e-3)
 
     between = 0.5 * (samples.s_m[1:] + samples.s_m[:-1])
     on_line, heading = read_back.line.at(between)
     left = unit_vectors(heading + 0.5 * np.pi)
+
     for t_m in (samples.lanes[-1].inner_m, samples.lanes[-1].outer_m):
         edge = samples.points_at(t_m)[:, :2]
         assert_allclose(lengths(edge - points), np.abs(t_m), atol=1e-9)
+
         chord = np.diff(edge, axis=0)
         chord_m = lengths(chord)
+
         assert chord_m.max() <= 5.0 + 1e-6
 
         away = on_line + t_m[:1] * left - edge[:-1]
         area = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
+
         assert (area / np.maximum(chord_m, 1e-9)).max() <= 0.03
 
 
@@ -209,6 +214,7 @@ def test_edges_are_the_offset_and_the_widths_added_up():
     assert_allclose(left.inner_m, center)
     assert_allclose(left.outer_m, center + width)
     assert_allclose(samples.lanes[-1].outer_m, center - 3.5)
+
     outer = samples.lanes[-2]
     assert_allclose(outer.inner_m, center - 3.5)
     assert_allclose(outer.outer_m, center - 5.5)

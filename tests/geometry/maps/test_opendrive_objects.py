@@ -30,6 +30,7 @@ def element(kind, attributes="", inside=""):
     for default in ("s=50", "t=10"):
         if not re.search(rf"\b{default[:2]}", attributes):
             place += f"{default} "
+
     told = quoted(f"{place}{attributes}")
     return f'<object id="7" type="{kind}" {told}>{inside}</object>'
 
@@ -381,7 +382,10 @@ def test_prisms_over_stars_are_closed_whatever_their_corners_heights(
     ring = np.stack([reach * np.cos(angles), reach * np.sin(angles)], axis=1)
     tops = np.array(heights[:n])
     vertices, triangles = build_prism(
-        ring, bottom_m=np.zeros(n), top_m=tops, where="made"
+        ring,
+        bottom_m=np.zeros(n),
+        top_m=tops,
+        where="made",
     )
 
     assert_solid(trimesh.Trimesh(vertices, triangles))

@@ -65,7 +65,13 @@ def test_paint_is_no_pole(read, name, more):
 
 
 def test_a_painted_crosswalk_is_a_crosswalk(read):
-    text = signal(type="1000003", t=0, zOffset=0, height=0.01, width=10)
+    text = signal(
+        type="1000003",
+        t=0,
+        zOffset=0,
+        height=0.01,
+        width=10,
+    )
     source = read(text)
 
     (ends,) = source.crosswalks_m
@@ -103,7 +109,13 @@ def test_several_signals_at_one_place_are_one_pole_as_high_as_the_highest(read):
     lamp = '<object id="7" type="pole" s="50.1" t="-6" height="6" radius="0.05"/>'
     signals = (
         signal(zOffset=2, height=0.8)
-        + signal(type="1000001", dynamic="yes", s=50.4, zOffset=3.4, height=0.8)
+        + signal(
+            type="1000001",
+            dynamic="yes",
+            s=50.4,
+            zOffset=3.4,
+            height=0.8,
+        )
         + signal(s=51.0)
     )
     poles = read(signals, objects=lamp).poles
@@ -126,8 +138,14 @@ def test_merged_poles_are_the_groups_of_those_close_to_one_another(rows):
     for index, (x, y, kind) in enumerate(rows):
         place = [x, y, 0.0]
         height_m = index + 1.0
-        pole = Pole(id=str(index), kind=kind, position_m=place, height_m=height_m)
+        pole = Pole(
+            id=str(index),
+            kind=kind,
+            position_m=place,
+            height_m=height_m,
+        )
         poles.append(pole)
+
     group = list(range(len(poles)))
     for i, one in enumerate(poles):
         for j, other in enumerate(poles):
@@ -136,12 +154,14 @@ def test_merged_poles_are_the_groups_of_those_close_to_one_another(rows):
                 return  # places are told apart to a few centimetres
             if distance_m < 0.5:
                 group = [group[i] if number == group[j] else number for number in group]
+
     members = {}
     for one, number in zip(poles, group, strict=True):
         members.setdefault(number, []).append(one)
 
     merged = merge_poles(poles)
     heights_m = [max(one.height_m for one in found) for found in members.values()]
+
     assert sorted(pole.height_m for pole in merged) == sorted(heights_m)
     for pole in merged:
         kinds = {one.kind for one in members[group[int(pole.id)]]}

@@ -266,6 +266,7 @@ def test_roads_that_lie_anyhow_are_read(tags, seed, tmp_path):
     rng = np.random.default_rng(seed)
     osm = OsmText()
     nodes = [osm.node(*rng.uniform(-60.0, 60.0, 2)) for _ in range(12)]
+
     for way in range(7):
         picked = rng.integers(0, 12, rng.integers(1, 6))
         told = {"highway": "residential"}
@@ -279,9 +280,11 @@ def test_roads_that_lie_anyhow_are_read(tags, seed, tmp_path):
         source = read_openstreetmap(path)
     except InputError as error:
         refusal = str(error)
+
     if refusal:
         assert "expected a map with roads" in refusal
         return
+
     known = {"", *ids(source.junctions)}
     for lane in source.lanes:
         assert {lane.from_junction, lane.to_junction} <= known
@@ -298,6 +301,7 @@ def small_pbf(tmp_path_factory):
     text.write_text(SMALL)
     binary = folder / "map.osm.pbf"
     target = osmium.io.File(str(binary), "pbf,pbf_compression=none")
+
     with osmium.SimpleWriter(target) as writer:
         for element in osmium.FileProcessor(str(text)):
             writer.add(element)

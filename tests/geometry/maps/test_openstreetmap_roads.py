@@ -53,6 +53,7 @@ def strips_of_road(tags, folder, *, keeps_left=False):
         length_m = lane.centreline_m[-1, 0] - lane.centreline_m[0, 0]
         width_m = float(np.sign(length_m) * lane.width_m)
         strips.append((lane.kind, round(width_m, 3), round(float(middle_m), 2)))
+
     return sorted(strips, key=lambda strip: -strip[2])
 
 
@@ -113,6 +114,7 @@ def strips_of(text):
 def test_tags_say_what_lies_side_by_side(tags, expected, tmp_path):
     found = strips_of_road(tags, tmp_path)
     wanted = strips_of(expected)
+
     assert [strip[:2] for strip in found] == [strip[:2] for strip in wanted]
 
     places_m = [strip[2] for strip in found]
@@ -123,6 +125,7 @@ def test_where_traffic_keeps_left_lanes_lie_as_in_a_mirror(tmp_path):
     tags = "lanes=3; lanes:forward=2"
     left = strips_of_road(tags, tmp_path, keeps_left=True)
     mirrored = strips_of_road(tags, tmp_path)[::-1]
+
     assert [strip[:2] for strip in left] == [strip[:2] for strip in mirrored]
 
     places_m = [-strip[2] for strip in mirrored]
@@ -166,6 +169,7 @@ def test_four_roads_of_two_lanes_meet(tmp_path):
     osm = drawn_crossing("width=6")
     source = read_drawing(osm, tmp_path)
     (junction,) = source.junctions
+
     assert junction.id == f"n{osm.nodes[0, 0]}"
     assert junction.name == "Street 0 / Street 1 / Street 2 / Street 3"
     assert lane_counts(source) == dict.fromkeys(COMPASS, (1, 1))
@@ -186,6 +190,7 @@ def test_four_roads_of_two_lanes_meet(tmp_path):
     # Traffic keeps right: what leads east lies south of the axis.
     leaving = [lane for lane in source.lanes if lane.from_junction]
     (east,) = (lane for lane in leaving if lane.centreline_m[-1, 0] > 50.0)
+
     assert east.centreline_m[:, 1].max() < 0.0
     assert east.from_junction == junction.id
     assert not east.to_junction
@@ -236,12 +241,14 @@ def test_dual_carriageways_cross_in_one_junction(tmp_path):
         way 8 -120, 8 -8, 8 8, 8 120: {street}
     """)
     source = read_drawing(osm, tmp_path)
+
     assert not source.keeps_left
     # The carriageways show it.
     assert not any("side" in skipped.what for skipped in source.skipped)
 
     (junction,) = source.junctions
     met = [osm.nodes[x, y] for x in (-8, 8) for y in (-8, 8)]
+
     assert junction.id == f"n{min(met)}"
     assert junction.name == "Long Avenue / Wide Street"
     assert lane_counts(source) == dict.fromkeys(COMPASS, (2, 2))
@@ -293,6 +300,7 @@ def test_side_roads_35_m_apart_on_either_side_are_one_junction_if_asked_for(
     for east_m, side in zip((0, 35), sides.split(), strict=True):
         for north_m in ends_m[side]:
             osm.draw(f"road {east_m} 0, {east_m} {north_m}: name=Lane {east_m}")
+
     path = osm.write(tmp_path, "staggered.osm")
     source = read_map(path, ReadingOptions(staggered_m=staggered_m))
     found = [len(one.arms) for one in survey_junctions(source)]
@@ -376,12 +384,14 @@ def test_turning_lanes_begin_where_the_lane_before_them_ends(tmp_path):
     """)
     source = read_drawing(osm, tmp_path)
     (junction,) = source.junctions
+
     # Lanes before those of the junction are its own, too.
     lanes = []
     for lane in source.lanes:
         if not lane.from_junction and not lane.to_junction:
             lane = replace(lane, to_junction=junction.id)
         lanes.append(lane)
+
     west = only_arms(replace(source, lanes=tuple(lanes)))["west"]
 
     assert len(west.entry_lanes) == 2
@@ -418,11 +428,14 @@ def test_where_one_lane_becomes_three_at_a_fork_all_stay_on_their_side(tmp_path)
     """)
     source = read_drawing(osm, tmp_path, keeps_left=False)
     scene = scene_of(source, source.junctions[0], source.lanes)
+
     assert not list(lanes_that_cross(scene))
 
     (one,) = (lane for lane in scene.lanes if lane.centreline_m[0, 0] < -150.0)
     end = one.centreline_m[-1]
+
     assert end[1] < -1.0  # to the right of the axis
+
     gaps_m = [lengths(lane.centreline_m[0] - end) for lane in scene.lanes]
     assert sum(gap_m < 0.01 for gap_m in gaps_m) == 3
 
@@ -437,6 +450,7 @@ def test_turn_lanes_are_those_of_the_lanes_from_the_left(keeps_left, tmp_path):
         road 0 0, 100 0: oneway=-1; turn:lanes=reverse|odd; lanes=2
     """)
     source = read_drawing(osm, tmp_path, keeps_left=keeps_left)
+
     left_first = {}
     for name, arm in only_arms(source).items():
         turns = [lane.turns for lane in arm.entry_lanes]
@@ -456,6 +470,7 @@ def test_two_meetings_too_near_to_be_two_but_too_far_to_be_one_share_the_road(tm
     osm = drawn("road -90 0, 0 0, 26 0, 52 0, 78 0, 180 0: width=14; lanes=4")
     for east_m in (0, 26, 52, 78):
         osm.draw(f"road {east_m} 0, {east_m} 90: width=14; lanes=4")
+
     source = read_drawing(osm, tmp_path)
 
     assert len(source.junctions) == 4

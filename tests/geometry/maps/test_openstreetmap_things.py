@@ -135,7 +135,9 @@ def test_a_building_begins_above_the_ways_that_lead_through_it(
     """)
     things = read(osm, tmp_path).things
     (over,) = (thing for thing in things if "over a passage" in thing.id)
+
     assert heights_m(over) == (bottom_m, 12.0)
+
     on_ground = [heights_m(thing) for thing in things if thing is not over]
     assert on_ground == [(0.0, 12.0)] * 2
 
@@ -185,6 +187,7 @@ def test_a_courtyard_stays_open(outer, outer_tags, tags, tmp_path):
     osm = drawn(ROAD)
     for ring in outer:
         osm.draw(f"way {ring}: {outer_tags}")
+
     osm.draw(f"way {INNER}")
     *outer_ids, inner_id = osm.ids[1:]
     members = [(inner_id, "inner")]
@@ -275,6 +278,7 @@ def test_a_tree_has_a_trunk_and_a_crown(tmp_path):
     tags = "natural=tree; height=8; diameter_crown=4; circumference=1"
     osm = beside_road(f"node 10 10: {tags}")
     (tree,) = read(osm, tmp_path).things
+
     assert tree.id == f"n{osm.ids[-1]}"
     assert tree.class_name == "vegetation"
     assert not tree.is_height_assumed
@@ -284,9 +288,12 @@ def test_a_tree_has_a_trunk_and_a_crown(tmp_path):
 
     points = tree.vertices_m - [10.0, 10.0, 0.0]
     assert np.ptp(points[:, :2], axis=0).max() == pytest.approx(4.0, abs=0.3)
+
     trunk = points[points[:, 2] < 1.0]
     radius_m = np.hypot(trunk[:, 0], trunk[:, 1]).max()
+
     assert radius_m == pytest.approx(0.5 / math.pi, abs=0.02)
+
     crown = points[points[:, 2] > 2.4]
     assert crown[:, 2].min() == pytest.approx(2.5, abs=0.2)
 

@@ -103,12 +103,14 @@ def test_lanes_of_the_other_direction_are_counted_as_it_sees_them(tmp_path):
 def test_a_road_against_the_order_of_its_nodes(tmp_path):
     backward = "oneway=-1; lanes=2"
     osm = eastward(f"{backward}; placement=left_of:1", backward)
+
     # Drawn from east to west, driven from west to east.
     assert_lefts(read_drawing(osm, tmp_path), -50.0, -1.625, -4.875)
 
     # The start of the drawing is the eastern end.
     tips = "placement:start=right_of:2; placement:end=left_of:1"
     source = read_drawing(eastward(f"{backward}; {tips}", backward), tmp_path)
+
     assert lefts_at(source, -90.0)[0] < 0.0
     assert lefts_at(source, -15.0)[-1] > 0.0
 

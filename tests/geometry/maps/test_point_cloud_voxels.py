@@ -42,6 +42,7 @@ INDICES = st.integers(1, voxels.MAX_VOXELS_PER_AXIS)
 def test_keys_and_cells_are_inverse_and_equally_ordered(cells):
     keys = voxels.to_keys(np.array(cells))
     assert voxels.to_cells(keys).tolist() == [list(cell) for cell in cells]
+
     in_order = np.lexsort(np.array(cells).T[::-1])
     assert (np.argsort(keys, kind="stable") == in_order).all()
 
@@ -62,6 +63,7 @@ def test_bridges_close_gaps_of_one_and_no_more(block):
     dense, keys = block
     between = dense.copy()
     padded = np.pad(dense, 1)
+
     for step in np.argwhere(np.ones((3, 3, 3))) - 1:
         if step.any():
             one = np.roll(padded, step, axis=(0, 1, 2))
@@ -101,6 +103,7 @@ def test_faces_enclose_the_volume_of_the_voxels_and_no_other(block):
 def test_a_large_box_has_twelve_triangles():
     keys = keys_of(np.ones((20, 30, 40)))
     _, triangles = faces_of(keys, voxel_m=0.25, max_triangles=12)
+
     assert len(triangles) == 12
     with refused_about("12 triangles"):
         faces_of(keys, voxel_m=0.25, max_triangles=11)

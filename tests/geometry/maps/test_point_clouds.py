@@ -90,18 +90,23 @@ def test_a_house_and_a_tree_stand_on_the_ground_where_they_were(
 ):
     path = write_las(tmp_path, [house(), crown(), ground()], classes, name=name)
     source = read_point_cloud(path)
+
     assert source.crs == "EPSG:25833"
     assert source.heights == "above ground"
+
     solid, tree = sorted(source.things, key=lambda thing: -size(thing).max())
     assert solid.class_name == "building"
+
     is_vegetation = tree.class_name == "vegetation"
     assert is_vegetation == (classes[1] == 5)
 
     place = solid.vertices_m - [*ORIGIN[:2], 0.0]
     assert_allclose(place.min(axis=0), [-6.0, -4.0, 0.0], atol=0.51)
     assert_allclose(place.max(axis=0), [6.0, 4.0, 6.0], atol=0.51)
+
     volume = volume_m3(solid.vertices_m, solid.triangles)
     assert volume == pytest.approx(576.0, rel=0.15)
+
     # Under the crown one can look through.
     heights = tree.vertices_m[:, 2]
     assert heights.min() == pytest.approx(3.0, abs=0.5)

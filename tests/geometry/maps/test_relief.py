@@ -36,14 +36,25 @@ def on_slope(points, up_m=0.0):
 def arm(name, ends, **junctions):
     """A lane on the slope from one place to another."""
     line = on_slope(np.linspace(*array_of(ends), 30))
-    return MapLane(id=name, kind="driving", width_m=3.5, centreline_m=line, **junctions)
+    return MapLane(
+        id=name,
+        kind="driving",
+        width_m=3.5,
+        centreline_m=line,
+        **junctions,
+    )
 
 
 def house(name, middle, bottom_m, *, kind="building"):
     """A house of 10 m by 10 m, 9 m high."""
     corners = HOUSE_M + middle
     vertices, triangles = extrude(corners, bottom_m=bottom_m, top_m=bottom_m + 9.0)
-    return Thing(id=name, class_name=kind, vertices_m=vertices, triangles=triangles)
+    return Thing(
+        id=name,
+        class_name=kind,
+        vertices_m=vertices,
+        triangles=triangles,
+    )
 
 
 def roads(*things):
@@ -82,7 +93,12 @@ def lowest_m(thing):
     return thing.vertices_m[:, 2].min()
 
 
-JUNCTION = MapJunction(id="7", name="", outline_m=SQUARE_M, height_m=ZERO_M)
+JUNCTION = MapJunction(
+    id="7",
+    name="",
+    outline_m=SQUARE_M,
+    height_m=ZERO_M,
+)
 
 
 def test_ground_is_that_of_the_roads_and_everything_stands_on_it():
@@ -167,10 +183,17 @@ def test_things_above_the_ground_stand_on_its_lowest_point_and_walls_follow_it()
 def test_maps_that_count_from_another_zero_are_brought_to_the_ground():
     aside = array_of("30 30, -30 30, -30 -30")
     feet = on_slope(aside)[:, 2] + 47.3  # above the ellipsoid
+
     things = []
     for number, (place, foot) in enumerate(zip(aside, feet, strict=True)):
         things.append(house(f"b{number}", place, foot))
-    city = SourceMap(name="city.gml", crs="", heights="absolute", things=tuple(things))
+
+    city = SourceMap(
+        name="city.gml",
+        crs="",
+        heights="absolute",
+        things=tuple(things),
+    )
     found = cut(roads(), city)
 
     for thing, place in zip(found.things, aside, strict=True):

@@ -47,8 +47,14 @@ class Raster:
             "count": self.count,
         }
         about = {"dtype": "float64", "crs": self.crs, "nodata": self.nodata}
+
         with rasterio.open(
-            path, "w", driver=self.driver, **size, **about, **self.more
+            path,
+            "w",
+            driver=self.driver,
+            **size,
+            **about,
+            **self.more,
         ) as raster:
             for band in range(1, self.count + 1):
                 raster.write(heights, band)
@@ -61,7 +67,12 @@ def plane(n=200, step=2.0, **options):
     corner = AT_M + [-0.5 * n * step, 0.5 * n * step]
     steps = (np.arange(n) + 0.5) * step - 0.5 * n * step
     heights = 300.0 + 0.05 * steps[None, :] + 0.02 * steps[:, None]
-    return Raster(heights=heights, corner=corner, step=step, **options)
+    return Raster(
+        heights=heights,
+        corner=corner,
+        step=step,
+        **options,
+    )
 
 
 @pytest.fixture
@@ -90,7 +101,14 @@ def test_rasters_in_another_reference_system_lie_at_the_same_place(read):
     step = 2.0e-5
     corner = np.array([lon, lat]) + 150 * step * np.array([-1.0, 1.0])
     heights = np.tile(np.arange(300.0), (300, 1))  # by column
-    points = read(Raster(heights=heights, corner=corner, step=step, crs="EPSG:4326"))
+    points = read(
+        Raster(
+            heights=heights,
+            corner=corner,
+            step=step,
+            crs="EPSG:4326",
+        )
+    )
     lon_lat = transform(points[:, :2], UTM, "EPSG:4326")
 
     assert_allclose((lon_lat[:, 0] - corner[0]) / step - 0.5, points[:, 2], atol=1e-3)

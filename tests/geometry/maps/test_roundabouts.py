@@ -66,6 +66,7 @@ def test_every_entry_has_a_way_to_all_other_arms(ring):
             ends[place_of(lane, -1)] = arm
         if lane.from_junction:
             begins[place_of(lane, 0)] = arm
+
     # From the very end of a lane to the very begin of another one.
     pairs = {
         (ends[place_of(way, 0)], begins[place_of(way, -1)])
@@ -90,6 +91,7 @@ def test_ways_are_continuous_and_on_the_carriageway(ring):
         line = way.centreline_m[:, :2]
         steps = np.diff(line, axis=0)
         turns = np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))
+
         assert np.abs(np.degrees(turns)).max() < 15.0
         assert lengths(steps).max() < 25.0
         assert paved.contains(shapely.LineString(line).buffer(0.9, cap_style="flat"))
@@ -117,6 +119,7 @@ def test_ways_from_one_arm_into_another_do_not_cross(ring):
     source, made = ring
     (island,) = source.junctions[0].islands_m
     middle = shapely.get_coordinates(area_of(island).centroid)[0]
+
     lines = {}
     for way in source.connections:
         arms = tuple(lane.split()[0] for lane in way.id.split(" to "))
@@ -153,6 +156,7 @@ def test_a_mini_roundabout_is_a_small_ring(turn, keeps_left, tmp_path):
     osm = drawn(f"node 0 0: highway=mini_roundabout; direction={turn}")
     for end in ("150 0", "0 150", "-150 15", "0 -150"):
         osm.draw(f"road 0 0, {end}: name=Lane; lanes=2")
+
     source = read_map(osm.write(tmp_path))
 
     assert source.keeps_left == bool(keeps_left)

@@ -38,18 +38,22 @@ def test_no_place_lies_on_a_lane_and_none_moves_without_need(around, points):
     for point, place in zip(points, find_places(points, around), strict=True):
         is_on_road = road.distance(shapely.Point(point)) == 0.0
         assert bool(place.why) == is_on_road
+
         if place.position_m is None:
             continue
         away_m = float(lengths(place.position_m - point))
         clearance_m = road.distance(shapely.Point(place.position_m))
+
         assert away_m <= 15.0
         if not is_on_road:
             assert clearance_m > 0.0
             continue
         assert clearance_m > 0.4
+
         # No point on a circle that is clearly smaller is half a metre beside the road.
         ring = shapely.Point(point).buffer(0.9 * away_m, quad_segs=32)
         on_ring = shapely.points(np.array(ring.exterior.coords))
+
         assert shapely.distance(on_ring, road).max() < 0.5
 
 
@@ -57,10 +61,15 @@ def solid(middle, size_m, *, bottom_m=0.0, class_name="wall", name="w1"):
     """A box, 8 m long from south to north and 3 m high."""
     corners = array_of("-1 -1, 1 -1, 1 1, -1 1") * [0.5 * size_m, 4.0]
     vertices, triangles = extrude(
-        corners + middle, bottom_m=bottom_m, top_m=bottom_m + 3.0
+        corners + middle,
+        bottom_m=bottom_m,
+        top_m=bottom_m + 3.0,
     )
     return Thing(
-        id=name, class_name=class_name, vertices_m=vertices, triangles=triangles
+        id=name,
+        class_name=class_name,
+        vertices_m=vertices,
+        triangles=triangles,
     )
 
 

@@ -35,6 +35,7 @@ def crossing(*, parts, link_lanes=1, side=-1, is_merge=False):
     for places, tags in parts:
         points = ", ".join(f"0 {place}" for place in places.split())
         osm.draw(f"way {points}: {ROAD}; {tags}")
+
     corner = f"{45 * side} 0"
     link = [corner, f"{30 * side} -15", f"{10 * side} -40", "0 -70"]
     if not is_merge:
@@ -95,6 +96,7 @@ def test_a_slip_lane_begins_beside_the_lane_next_to_it(slip):
             tips.append(x[-1])
         else:
             tips.append(x[0])
+
     expected = [half_m + (number + 0.5) * WIDTH_M for number in range(len(lanes))]
 
     assert sorted(tips) == pytest.approx(expected, abs=0.05)
@@ -142,10 +144,12 @@ def test_a_lane_that_ends_goes_on_into_the_slip_lane(tmp_path):
         lane.centreline_m for lane in driving(source) if lane.centreline_m[0, 1] > 150.0
     ]
     kerb, *others = (line[-1] for line in sorted(before, key=lambda line: line[0, 0]))
+
     assert slip.centreline_m[0, :2] == pytest.approx(kerb[:2], abs=1e-6)
 
     after = [lane.centreline_m for lane in driving(source) if lane.to_junction]
     begins = sorted(line[0, 0] for line in after if np.ptp(line[:, 0]) < 3.0)
+
     assert begins == pytest.approx([end[0] for end in others], abs=1e-6)
 
 

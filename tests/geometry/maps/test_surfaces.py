@@ -59,6 +59,7 @@ def test_triangles_have_the_area_of_the_polygon_and_look_where_it_looks(
 def test_holes_stay_open_whichever_way_they_run(hole):
     vertices, triangles = triangulate([SQUARE, hole])
     total = normals(vertices, triangles).sum(axis=0)
+
     assert_allclose(total, [0, 0, 15.0], atol=1e-8)
 
     middles = vertices[triangles].mean(axis=1)[:, :2]
@@ -70,6 +71,7 @@ def test_closing_points_and_repeated_points_change_nothing():
     vertices, triangles = triangulate([closed])
 
     assert len(triangles) == 2
+
     total = normals(vertices, triangles).sum(axis=0)
     assert_allclose(total, [0, 0, 16.0], atol=1e-8)
 
@@ -117,5 +119,6 @@ def test_a_box_without_its_lid_is_open_and_kept_as_it_is():
 
     assert not is_closed(triangles)
     assert len(triangles) == 10
+
     from_middle = vertices[triangles[0]].mean(axis=0) - 0.5
     assert from_middle @ normals(vertices, triangles)[0] < 0

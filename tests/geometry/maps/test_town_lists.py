@@ -81,6 +81,7 @@ def csv_of(folder, heads, crs, *, digits=2):
             text = f"{number:,.{digits}f}"
             cells.append(text.translate(str.maketrans(",.", ".,")))
         lines.append(";".join([*cells, "6,0"]))
+
     path = folder / "sites.csv"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
@@ -151,6 +152,7 @@ def test_excel_says_the_separator_above_the_header(assert_at_places, tmp_path):
     for head in ("sep=;\n", "SEP=;\r\n", '"sep=;"\n', "\ufeffsep=;\n"):
         path.write_text(head + plain, encoding="utf-8")
         assert_at_places(path)
+
     path.write_text("sep=|\n" + plain.replace(";", "|"), encoding="utf-8")
 
     assert_at_places(path)
@@ -170,6 +172,7 @@ def test_files_of_excel_are_read_whatever_their_encoding(
     path.write_text(path.read_text(encoding="utf-8"), encoding=encoding)
     with caplog.at_level(logging.WARNING):
         assert_at_places(path)
+
     told = f"{path}: not UTF-8: read as Windows-1252" in caplog.messages
 
     assert told == (encoding == "cp1252")
@@ -211,6 +214,7 @@ def test_a_system_that_is_not_the_only_one_is_asked_for(tmp_path):
             road -1000 {at_m}, 1000 {at_m}
             road {at_m} -1000, {at_m} 1000
         """)
+
     roads = read_openstreetmap(osm.write(tmp_path), keeps_left=False)
     path = csv_of(tmp_path, "id;x;y;height", "EPSG:25833")
 
@@ -334,6 +338,7 @@ def test_surveyed_poles_stay_where_they_were_surveyed(tmp_path):
     osm.draw("way 20 20, 40 20, 40 40, 20 40, 20 20: building=yes")
     places_m = array_of("3 30, 21 30, -20 20")
     lines = ["id;lat;lon"]
+
     for name, (lon, lat) in zip("abc", transform(places_m, HERE, WGS84), strict=True):
         lines.append(f"{name};{lat:.9f};{lon:.9f}")
     path = tmp_path / "sites.csv"

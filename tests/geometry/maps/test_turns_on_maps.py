@@ -50,6 +50,7 @@ def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(
     for run in runs:
         path = run.encounter.vut_motion.path
         assert isinstance(path, TowedPath), run.id
+
         front, _ = path.course.at(np.linspace(0.0, 60.0, 600))
         away_m = {
             lane.id: distance_to_chain_m(lane.centreline_m, front).max()
@@ -57,7 +58,9 @@ def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(
             if lengths(lane.centreline_m[0] - front[0]) < 0.5
         }
         nearest = min(away_m, key=away_m.__getitem__)
+
         assert away_m[nearest] < 0.01, run.id
+
         followed.add(nearest)
     assert len(followed) == 8  # each way from each of four arms
 
