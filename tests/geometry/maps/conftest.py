@@ -1,3 +1,5 @@
+"""Files that nobody here made, for tests of what is read of maps."""
+
 from pathlib import Path
 
 import pytest

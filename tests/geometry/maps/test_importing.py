@@ -1,20 +1,18 @@
 """What an import assumes stays with the scene, on disk, too."""
 
-from osm_text import LAT_DEG, LON_DEG, OsmText, crossing
+from osm_drawing import FOUR, drawn_crossing
+from osm_text import LAT_DEG, LON_DEG, OsmText
 
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.notes import Note, assumed_sites, assumptions
 from geometry.scene_files import load_scene_folder, save_scene
-
-FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 
 
 def bare_map(tmp_path):
     """Two crossings without poles or buildings, nothing that shows the side of the
     road.
     """
-    osm = OsmText()
-    crossing(osm, bearings=FOUR, highway="residential")
+    osm = drawn_crossing("highway=residential")
     middle = osm.node(340.0, 0.0)
     osm.road([(300.0, 0.0), middle, (380.0, 0.0)])
     osm.road([(340.0, -40.0), middle])
