@@ -1,3 +1,5 @@
+"""Rotations and poses: axes, angles and coordinates."""
+
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -53,17 +55,18 @@ def test_camera_axes_are_right_down_ahead():
 @given(poses(), points_m, points_m)
 def test_to_world_keeps_distances_and_puts_the_origin_at_the_pose(pose, a, b):
     world = to_world(np.stack([a, b, np.zeros(3)]), pose)
-    assert np.linalg.norm(world[0] - world[1]) == pytest.approx(
-        np.linalg.norm(a - b), abs=1e-9
-    )
+    apart_m = np.linalg.norm(a - b)
+
+    assert np.linalg.norm(world[0] - world[1]) == pytest.approx(apart_m, abs=1e-9)
     assert np.array_equal(world[2], pose.position_m)
 
 
 def test_to_world_of_a_point_ahead():
     pose = Pose(position_m=[1.0, 2.0, 3.0], yaw_deg=90.0)
-    assert to_world([[5.0, 0.0, 0.0], [0.0, 5.0, 0.0]], pose) == pytest.approx(
-        np.array([[1.0, 7.0, 3.0], [-4.0, 2.0, 3.0]])
-    )
+    ahead, left = to_world([[5.0, 0.0, 0.0], [0.0, 5.0, 0.0]], pose)
+
+    assert ahead == pytest.approx([1.0, 7.0, 3.0])
+    assert left == pytest.approx([-4.0, 2.0, 3.0])
 
 
 @given(numbers(-1.0e4, 1.0e4))

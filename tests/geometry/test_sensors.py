@@ -1,3 +1,5 @@
+"""Cameras: where points are in the picture, and lenses that zoom."""
+
 import math
 from dataclasses import replace
 
@@ -24,44 +26,46 @@ def test_a_point_on_a_pixel_ray_projects_to_the_centre_of_that_pixel(
     (projected,) = project_points([pose.position_m + depth_m * direction], pose, camera)
     # The point's coordinates are rounded at 300 m: the error in pixels grows with focal
     # / depth.
-    slack_px = 1e-9 + 1e-12 * camera.focal_length_px / depth_m * (
-        1.0 + np.abs(direction).max()
-    )
+    reach = 1.0 + np.abs(direction).max()
+    slack_px = 1e-7 + 1e-10 * camera.focal_length_px / depth_m * reach
 
-    assert projected[:2] == pytest.approx([column + 0.5, row + 0.5], abs=slack_px * 100)
+    assert projected[:2] == pytest.approx([column + 0.5, row + 0.5], abs=slack_px)
     assert projected[2] == pytest.approx(depth_m, abs=1e-9)
 
 
 def test_focal_length_of_the_studys_camera(camera):
+    half_angle = math.tan(math.radians(55.0))
+
     assert camera.focal_length_px == pytest.approx(672.2, abs=0.05)
-    assert camera.focal_length_px == pytest.approx(
-        960.0 / math.tan(math.radians(55.0)), rel=1e-15
-    )
+    assert camera.focal_length_px == pytest.approx(960.0 / half_angle, rel=1e-15)
 
 
 @given(cameras())
 def test_vertical_and_diagonal_fov_are_those_of_the_image_edges(camera):
     half_width = math.tan(math.radians(0.5 * camera.horizontal_fov_deg))
     half_height = half_width * camera.height_px / camera.width_px
+    half_diagonal = math.hypot(half_width, half_height)
+    vertical_deg = 2.0 * math.degrees(math.atan(half_height))
+    diagonal_deg = 2.0 * math.degrees(math.atan(half_diagonal))
 
-    assert camera.vertical_fov_deg == pytest.approx(
-        2.0 * math.degrees(math.atan(half_height))
-    )
-    assert camera.diagonal_fov_deg == pytest.approx(
-        2.0 * math.degrees(math.atan(math.hypot(half_width, half_height)))
-    )
+    assert camera.vertical_fov_deg == pytest.approx(vertical_deg)
+    assert camera.diagonal_fov_deg == pytest.approx(diagonal_deg)
 
 
 @given(poses(), cameras(), points_m)
 def test_nothing_outside_the_diagonal_cone_is_in_the_image(pose, camera, point):
     ahead = body_rotation(pose.yaw_deg, pose.pitch_deg)[:, 0]
     offset = point - pose.position_m
-    assume(np.linalg.norm(offset) > 1e-3)
-    cosine = np.clip(offset @ ahead / np.linalg.norm(offset), -1.0, 1.0)
+    away_m = np.linalg.norm(offset)
+    assume(away_m > 1e-3)
+    cosine = np.clip(offset @ ahead / away_m, -1.0, 1.0)
+    off_axis_deg = math.degrees(math.acos(cosine))
 
-    if math.degrees(math.acos(cosine)) > 0.5 * camera.diagonal_fov_deg + 1e-6:
+    if off_axis_deg > 0.5 * camera.diagonal_fov_deg + 1e-6:
         ((column, row, _),) = project_points([point], pose, camera)
-        assert not (0.0 <= column <= camera.width_px and 0.0 <= row <= camera.height_px)
+        is_beside = not 0.0 <= column <= camera.width_px
+        is_above_or_below = not 0.0 <= row <= camera.height_px
+        assert is_beside or is_above_or_below
 
 
 def test_the_optical_axis_is_the_middle_and_right_is_right(camera):

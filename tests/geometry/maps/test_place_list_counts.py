@@ -4,9 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from geometry_text import array_of
 from numpy.testing import assert_allclose
 from osm_text import LAT_DEG, LON_DEG
 from refusal_words import refused_about
+from text_tables import rows_of
 
 from geometry.frames import transform
 from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
@@ -16,34 +18,23 @@ HERE = transform([LON_DEG, LAT_DEG], "EPSG:4326", CRS)
 
 
 def geojson(path, *features):
-    path.write_text(
-        json.dumps(
-            {
-                "type": "FeatureCollection",
-                "features": [
-                    {"type": "Feature", "geometry": geometry, "properties": values}
-                    for geometry, values in features
-                ],
-            }
-        )
-    )
+    """A file of features: a geometry and values each."""
+    told = []
+    for geometry, values in features:
+        told.append({"type": "Feature", "geometry": geometry, "properties": values})
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": told}))
     return path
 
 
+def point(lon_deg=LON_DEG):
+    """The geometry of a place on the latitude of the map."""
+    return {"type": "Point", "coordinates": [lon_deg, LAT_DEG]}
+
+
 def square(half_deg):
-    low = np.array([LON_DEG, LAT_DEG]) - half_deg
-    high = np.array([LON_DEG, LAT_DEG]) + half_deg
-    ring = [
-        [low[0], low[1]],
-        [high[0], low[1]],
-        [high[0], high[1]],
-        [low[0], high[1]],
-        list(low),
-    ]
-    return {
-        "type": "Polygon",
-        "coordinates": [[list(map(float, point)) for point in ring]],
-    }
+    """The geometry of a square around the place of the map."""
+    ring = half_deg * array_of("-1 -1, 1 -1, 1 1, -1 1, -1 -1") + [LON_DEG, LAT_DEG]
+    return {"type": "Polygon", "coordinates": [ring.tolist()]}
 
 
 def test_counts_are_the_same_from_csv_and_geojson(tmp_path):
@@ -53,10 +44,8 @@ def test_counts_are_the_same_from_csv_and_geojson(tmp_path):
     )
     points = geojson(
         tmp_path / "counts.geojson",
-        *(
-            ({"type": "Point", "coordinates": [lon, LAT_DEG]}, {"accidents": count})
-            for lon, count in ((LON_DEG, 3), (LON_DEG + 0.01, 0.5))
-        ),
+        (point(), {"accidents": 3}),
+        (point(LON_DEG + 0.01), {"accidents": 0.5}),
     )
     one = read_counts(table, crs=CRS)
     other = read_counts(points, crs=CRS)
@@ -89,28 +78,19 @@ def test_counts_by_junction(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "column", "message"),
-    [
-        (
-            "x,y,count\n1,2,-1\n",
-            "",
-            r"line 2: count: got '-1'; expected a number, at least 0",
-        ),
-        (
-            "x,y,count\n1,2,many\n",
-            "",
-            r"count: got 'many'; expected a number, at least 0",
-        ),
-        ("x,y\n1,2\n", "cars", r"column: got 'cars'; expected one of x, y"),
-        (
-            "count\n1\n",
-            "",
-            r"lat and lon: got nothing; expected x and y, or lat and lon",
-        ),
-        ("x,y\n", "", r"got nothing; expected a row for each place"),
-    ],
+    ("column", "message", "text"),
+    rows_of(
+        r"""
+          | line 2: count: got '-1'; expected a number, at least 0 | 'x,y,count\n1,2,-1'
+          | count: got 'many'; expected a number, at least 0 | 'x,y,count\n1,2,many\n'
+     cars | column: got 'cars'; expected one of x, y                 | 'x,y\n1,2\n'
+          | lat and lon: got nothing; expected x and y, or lat and lon | 'count\n1\n'
+          | got nothing; expected a row for each place               | 'x,y\n'
+""",
+        n_texts=2,
+    ),
 )
-def test_bad_counts_are_one_line(tmp_path, text, column, message):
+def test_bad_counts_are_one_line(tmp_path, column, message, text):
     path = tmp_path / "counts.csv"
     path.write_text(text)
     with refused_about(message):
@@ -124,8 +104,8 @@ def test_a_map_of_no_known_place_takes_no_layers(tmp_path):
 
 
 def test_points_snap_to_the_nearest_junction_within_a_distance():
-    junctions = np.array([[0.0, 0.0], [100.0, 0.0]])
-    points = np.array([[10.0, 0.0], [70.0, 0.0], [100.0, 31.0]])
+    junctions = array_of("0 0, 100 0")
+    points = array_of("10 0, 70 0, 100 31")
     nearest, distance = snap(points, junctions, within_m=30.0)
 
     assert nearest.tolist() == [0, 1, -1]
@@ -136,7 +116,7 @@ def test_areas_hold_what_lies_in_them_or_near(tmp_path):
     path = geojson(
         tmp_path / "areas.geojson",
         (square(0.001), {"name": "north"}),
-        ({"type": "Point", "coordinates": [LON_DEG, LAT_DEG]}, {"Min_APR": 0.5}),
+        (point(), {"Min_APR": 0.5}),
     )
     areas = read_areas(path, crs=CRS)
 
