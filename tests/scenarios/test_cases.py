@@ -1,3 +1,5 @@
+"""Cases: what the packaged ones are, and what is told of a table of others."""
+
 import copy
 
 import pytest
@@ -33,6 +35,7 @@ def _load(monkeypatch, table):
 
 
 def _changed(**changes):
+    """The table of a good case with other values; without those that are None."""
     table = copy.deepcopy(GOOD)
     for key, value in changes.items():
         if value is None:

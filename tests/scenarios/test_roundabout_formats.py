@@ -44,14 +44,17 @@ def scenes(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def runs(scenes, actors, rule):
+    """Runs of every case on each scene, at the first speed of each case."""
+    cases = [at_first_speed(case) for case in load_cases().values()]
+    positions = build_positions([0.0, 15.0])
     found = {}
     for name, scene in scenes.items():
         laid, _ = build_runs(
             scene,
-            [at_first_speed(case) for case in load_cases().values()],
+            cases,
             vut=actors["vut"],
             rule=rule,
-            positions=build_positions([0.0, 15.0]),
+            positions=positions,
         )
         found[name] = laid
     return found

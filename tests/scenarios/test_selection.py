@@ -1,3 +1,5 @@
+"""Cases and speeds chosen by their names."""
+
 import pytest
 from text_tables import rows_of
 
@@ -6,6 +8,7 @@ from scenarios.cases import select_cases
 
 
 def speeds(selection):
+    """Speeds that are driven, by the names of cases."""
     return {case.name: case.vut_speeds_kmh for case in selection.cases}
 
 

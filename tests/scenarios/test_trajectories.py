@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from text_tables import rows_of
 
 from geometry.actors import pick_actor
 from geometry.errors import InputError
@@ -14,22 +15,34 @@ HEADER = "id,time,x,y,heading,class"
 
 
 def csv_of(rows, header=HEADER):
-    return "\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n"
+    """The text of a table with commas."""
+    lines = [header]
+    for row in rows:
+        lines.append(",".join(map(str, row)))
+    return "\n".join(lines) + "\n"
 
 
 def walk(name="a", word="pedestrian", *, steps=range(10), step_s=0.1, speed_mps=1.0):
-    return [(name, n * step_s, n * step_s * speed_mps, 2.0, 90.0, word) for n in steps]
+    """Rows of somebody who walks east from (0, 2)."""
+    rows = []
+    for n in steps:
+        time_s = n * step_s
+        rows.append((name, time_s, time_s * speed_mps, 2.0, 90.0, word))
+    return rows
 
 
 def read(tmp_path, text, name="a.csv", **options):
+    """What is read of a text."""
     path = tmp_path / name
     path.write_text(text)
     return read_tracks(path, **options)
 
 
 def refusal(tmp_path, text, name="a.csv", **options):
+    """What is told of a text behind the name of its file."""
     with pytest.raises(InputError) as caught:
         read(tmp_path, text, name, **options)
+
     assert "\n" not in str(caught.value)
     return str(caught.value).removeprefix(f"{tmp_path / name}: ")
 
@@ -64,8 +77,11 @@ def test_times_are_of_any_clock_and_unit(tmp_path, caplog, scale, start_s):
 
     word = {1.0: "s", 1.0e3: "ms", 1.0e6: "us", 1.0e9: "ns"}[scale]
     told = f"{tmp_path / 'a.csv'}: times read as {word}, in steps of 0.1 s"
+    expected = [told]
+    if scale == 1.0:
+        expected = []
 
-    assert caplog.messages == ([] if scale == 1.0 else [told])
+    assert caplog.messages == expected
 
     # A column that says its unit needs no guess.
     caplog.clear()
@@ -128,87 +144,60 @@ def test_who_has_another_class_or_is_seen_briefly_is_counted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        (
-            walk(steps=[0, 1, 1, 2]),
-            "line 4: time: got 0.1 s after 0.1 s; expected times of a that",
-        ),
-        (
-            walk(steps=[0, 2, 1]),
-            "line 4: time: got 0.1 s after 0.2 s; expected times of a that",
-        ),
-        (
-            [*walk(steps=range(8)), ("a", 0.75, 0.75, 2.0, 90.0, "pedestrian")],
-            (
-                "line 10: time: got 0.05 s after the one before; expected steps of 0.1"
-                " s, as in most"
-            ),
-        ),
-        (
-            [*walk(), ("a", 1.0, 9.9, 2.0, 90.0, "pedestrian")],
-            (
-                "line 12: got 9.0 m in 0.1 s; expected a track of a without jumps, at"
-                " most 12 m/s"
-            ),
-        ),
-        (
-            [*walk(), ("a", 1.0, "nan", 2.0, 90.0, "ped")],
-            "line 12: x: got 'nan'; expected a fini",
-        ),
-        (
-            [*walk(), ("a", "1e999", 1.0, 2.0, 0.0, "ped")],
-            "line 12: time: got '1e999'; expected",
-        ),
-        ([*walk(), ("a", 1.0, 1.0)], "line 12: got 3 columns; expected 6"),
-        ([], "got nobody; expected trajectories of road users"),
-    ],
+    ("message", "steps", "more"),
+    rows_of("""
+    line 4: time: got 0.1 s after 0.1 s; expected times of a that | 0 1 1 2 |
+    line 4: time: got 0.1 s after 0.2 s; expected times of a that | 0 2 1   |
+    line 10: time: got 0.05 s after the one before; expected steps of 0.1 s, as in most
+        | 0 1 2 3 4 5 6 7 | a,0.75,0.75,2,90,pedestrian
+    line 6: got 9.0 m in 0.1 s; expected a track of a without jumps, at most 12 m/s
+        | 0 1 2 3 | a,0.4,9.3,2,90,pedestrian
+    line 6: x: got 'nan'; expected a fini      | 0 1 2 3 | a,1.0,nan,2,90,ped
+    line 6: time: got '1e999'; expected        | 0 1 2 3 | a,1e999,1.0,2,0,ped
+    line 6: got 3 columns; expected 6          | 0 1 2 3 | a,1.0,1.0
+    got nobody; expected trajectories of road users |    |
+"""),
 )
-def test_what_cannot_be_is_told_with_its_line(tmp_path, rows, message):
-    assert refusal(tmp_path, csv_of(rows)).startswith(message)
+def test_what_cannot_be_is_told_with_its_line(tmp_path, message, steps, more):
+    text = csv_of(walk(steps=map(int, steps.split())))
+    assert refusal(tmp_path, text + more).startswith(message)
 
 
 @pytest.mark.parametrize(
-    ("header", "options", "message"),
-    [
-        ("id,time,x,class", {}, "expected a column y, one of y, y_m, y_est"),
-        ("id,x,y,class", {}, "expected a column time in seconds, or frame with `rate`"),
-        ("id,time,x,y", {}, "expected a column with the class, or `class`"),
-        (
-            "id,time,x,y",
-            {"columns": {"x": "east"}},
-            "got 'east'; expected a column: id, time",
-        ),
-        (
-            "id,time,x,y",
-            {"columns": {"up": "x"}},
-            "columns: got 'up'; expected one of id, time",
-        ),
-        (
-            "id,time,x,y",
-            {"class_name": "dog"},
-            "class: got 'dog'; expected one of pedestrian",
-        ),
-    ],
+    ("header", "message", "options"),
+    rows_of(
+        """
+    id,time,x,class | expected a column y, one of y, y_m, y_est              | {}
+    id,x,y,class    | expected a column time in seconds, or frame with `rate` | {}
+    id,time,x,y     | expected a column with the class, or `class`           | {}
+    id,time,x,y     | got 'east'; expected a column: id, time |
+        {'columns': {'x': 'east'}}
+    id,time,x,y     | columns: got 'up'; expected one of id, time |
+        {'columns': {'up': 'x'}}
+    id,time,x,y     | class: got 'dog'; expected one of pedestrian |
+        {'class_name': 'dog'}
+""",
+        n_texts=2,
+    ),
 )
-def test_missing_columns_are_named(tmp_path, header, options, message):
+def test_missing_columns_are_named(tmp_path, header, message, options):
     assert message in refusal(tmp_path, csv_of([], header), **options)
 
 
 def test_floating_car_data_of_sumo(tmp_path):
-    steps = "".join(
-        f'<timestep time="{n}"><vehicle id="v" x="{10 * n}" y="5" angle="90" type="t"/>'
-        f'<vehicle id="b" x="0" y="{n}" angle="0" type="DEFAULT_BIKETYPE"/>'
-        f'<person id="p" x="1" y="{n}" angle="0"/></timestep>'
-        for n in range(4)
-    )
+    steps = ""
+    for n in range(4):
+        steps += (
+            f'<timestep time="{n}">'
+            f'<vehicle id="v" x="{10 * n}" y="5" angle="90" type="t"/>'
+            f'<vehicle id="b" x="0" y="{n}" angle="0" type="DEFAULT_BIKETYPE"/>'
+            f'<person id="p" x="1" y="{n}" angle="0"/></timestep>'
+        )
     tracks, _ = read(tmp_path, f"<fcd-export>{steps}</fcd-export>", "a.xml")
 
-    assert [track.class_name for track in tracks] == [
-        "vehicle",
-        "cyclist",
-        "pedestrian",
-    ]
+    classes = [track.class_name for track in tracks]
+
+    assert classes == ["vehicle", "cyclist", "pedestrian"]
 
     # The front bumper stands where SUMO's does.
     front_m = tracks[0].position_m[:, 0] + 0.5 * pick_actor("vut", "vut").length_m
@@ -225,10 +214,8 @@ def test_floating_car_data_of_sumo(tmp_path):
 
 
 def test_other_files_are_refused(tmp_path):
-    assert (
-        refusal(tmp_path, "", "a.txt") == "got '.txt'; expected .csv, or .xml of SUMO"
-    )
-    assert (
-        refusal(tmp_path, "<a/>", "a.xml")
-        == "got 'a'; expected an element <fcd-export>"
-    )
+    text = refusal(tmp_path, "", "a.txt")
+    other = refusal(tmp_path, "<a/>", "a.xml")
+
+    assert text == "got '.txt'; expected .csv, or .xml of SUMO"
+    assert other == "got 'a'; expected an element <fcd-export>"

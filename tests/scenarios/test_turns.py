@@ -1,3 +1,5 @@
+"""Turns of the protocol: clothoids and arcs, against integrals."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -9,55 +11,55 @@ from plane_vectors import unit_vectors
 from refusals import refused_with
 from scipy.integrate import cumulative_simpson
 from strategies import numbers
-from text_tables import changes_of
+from text_tables import changes_of, rows_of
 
 from scenarios.courses import LEFT, RIGHT, Turn, load_turns, pick_turn
 
 
 @st.composite
 def turns(draw):
+    """Turns that come out of a straight line or of a wider bend."""
     radius_m = draw(numbers(3.0, 30.0))
     clothoid_deg = draw(numbers(1.0, 60.0))
+    times_wider = draw(st.one_of(st.just(np.inf), numbers(1.05, 300.0)))
+    arc_deg = draw(numbers(0.0, 0.95 * (180.0 - 2.0 * clothoid_deg)))
     return Turn(
-        first_radius_m=draw(
-            st.one_of(st.just(np.inf), numbers(1.05, 300.0).map(radius_m.__mul__))
-        ),
+        first_radius_m=times_wider * radius_m,
         radius_m=radius_m,
         clothoid_deg=clothoid_deg,
-        arc_deg=draw(numbers(0.0, 0.95 * (180.0 - 2.0 * clothoid_deg))),
+        arc_deg=arc_deg,
         side=draw(st.sampled_from([LEFT, RIGHT])),
     )
 
 
 @given(turns())
 def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn):
-    clothoid_m = turn.clothoid_length_m
-    arc_m = turn.arc_length_m
+    arc_begin_m = turn.clothoid_length_m
+    arc_end_m = arc_begin_m + turn.arc_length_m
     distance = np.linspace(-1.0, turn.length_m + 1.0, 4001)
+    step = distance[1] - distance[0]
+    bend = 1.0 / turn.radius_m
+    first_bend = 1.0 / turn.first_radius_m
     curvature = np.interp(
         distance,
-        [0.0, clothoid_m, clothoid_m + arc_m, turn.length_m],
-        1.0
-        / np.array(
-            [turn.first_radius_m, turn.radius_m, turn.radius_m, turn.first_radius_m]
-        ),
+        [0.0, arc_begin_m, arc_end_m, turn.length_m],
+        [first_bend, bend, bend, first_bend],
+        left=0.0,
+        right=0.0,
     )
-    curvature[(distance < 0.0) | (distance > turn.length_m)] = 0.0
-    step = distance[1] - distance[0]
-    angle = cumulative_simpson(curvature, dx=step, initial=0.0)
     position, angle_deg = turn.at(distance)
 
+    def integral(values):
+        return cumulative_simpson(values, dx=step, initial=0.0)
+
     # The curvature jumps where the turn begins and ends.
-    assert_allclose(
-        turn.side * np.radians(angle_deg),
-        angle,
-        rtol=0.0,
-        atol=2.0 * step / turn.radius_m,
-    )
+    slack = 2.0 * step / turn.radius_m
+    angle = turn.side * np.radians(angle_deg)
+    assert_allclose(angle, integral(curvature), rtol=0.0, atol=slack)
 
-    east = cumulative_simpson(np.cos(np.radians(angle_deg)), dx=step, initial=0.0) - 1.0
-    north = cumulative_simpson(np.sin(np.radians(angle_deg)), dx=step, initial=0.0)
-
+    ahead, left = unit_vectors(np.radians(angle_deg)).T
+    east = integral(ahead) - 1.0
+    north = integral(left)
     assert_allclose(position, np.stack([east, north], axis=-1), rtol=0.0, atol=5e-6)
 
 
@@ -80,10 +82,9 @@ def test_another_angle_changes_the_arc_only(turn, share):
 
     assert other.angle_deg == pytest.approx(angle_deg, abs=1e-9)
     assert other == replace(turn, arc_deg=other.arc_deg)
-    assert other.length_m == pytest.approx(
-        2.0 * turn.clothoid_length_m
-        + np.radians(angle_deg - clothoids_deg) * turn.radius_m
-    )
+
+    arc_m = np.radians(angle_deg - clothoids_deg) * turn.radius_m
+    assert other.length_m == pytest.approx(2.0 * turn.clothoid_length_m + arc_m)
 
 
 def test_speeds_pick_the_turns_of_the_protocol_and_faster_ones_take_the_fastest():
@@ -100,36 +101,24 @@ def test_speeds_pick_the_turns_of_the_protocol_and_faster_ones_take_the_fastest(
 
 
 @pytest.mark.parametrize(
-    ("side", "speed_kmh", "message"),
-    [
-        ("left", 10.0, "turn: got 'left'; expected one of far, near"),
-        (
-            "far",
-            12.0,
-            (
-                "speed of a far turn: got 12.0; "
-                "expected 10, 15, 20 km/h, or beyond the first or the last"
-            ),
-        ),
-        (
-            "near",
-            0.0,
-            (
-                "speed of a near turn: got 0.0; expected 10 km/h, or beyond the first"
-                " or the last"
-            ),
-        ),
-        (
-            "near",
-            np.nan,
-            (
-                "speed of a near turn: got nan; expected 10 km/h, or beyond the first"
-                " or the last"
-            ),
-        ),
-    ],
+    ("side", "message", "speed_kmh"),
+    rows_of(
+        """
+    left | turn: got 'left'; expected one of far, near | 10.0
+    far  |
+        speed of a far turn: got 12.0; expected 10, 15, 20 km/h, or beyond the first or
+        the last | 12.0
+    near |
+        speed of a near turn: got 0.0; expected 10 km/h, or beyond the first or the last
+        | 0.0
+    near |
+        speed of a near turn: got nan; expected 10 km/h, or beyond the first or the last
+        | nan
+""",
+        n_texts=2,
+    ),
 )
-def test_a_turn_that_is_not_tabulated_is_refused(side, speed_kmh, message):
+def test_a_turn_that_is_not_tabulated_is_refused(side, message, speed_kmh):
     with refused_with(message):
         pick_turn(side, speed_kmh)
 
