@@ -81,11 +81,11 @@ def test_counts_by_junction(tmp_path):
     ("message", "column", "text"),
     rows_of(
         r"""
-    line 2: count: got '-1'; expected a number, at least 0     |      | 'x,y,count\n1,2,-1'
-    count: got 'many'; expected a number, at least 0     |      | 'x,y,count\n1,2,many\n'
-    column: got 'cars'; expected one of x, y                   | cars | 'x,y\n1,2\n'
-    lat and lon: got nothing; expected x and y, or lat and lon |      | 'count\n1\n'
-    got nothing; expected a row for each place                 |      | 'x,y\n'
+    line 2: count: got '-1'; expected a number, at least 0 |  | 'x,y,count\n1,2,-1\n'
+    count: got 'many'; expected a number, at least 0       |  | 'x,y,count\n1,2,many\n'
+    column: got 'cars'; expected one of x, y               | cars | 'x,y\n1,2\n'
+    lat and lon: got nothing; expected x and y, or lat and lon |  | 'count\n1\n'
+    got nothing; expected a row for each place             |  | 'x,y\n'
 """,
         n_texts=2,
     ),
