@@ -9,7 +9,6 @@ import trimesh
 from hypothesis import given
 from refusals import refused_with
 from strategies import numbers
-from text_tables import rows_of
 
 from geometry.actors import (
     Actor,
@@ -78,20 +77,16 @@ def test_all_shapes_together_fill_exactly_the_declared_box(name):
 
 @pytest.mark.parametrize(
     ("name", "size_m"),
-    rows_of(
-        """
-    # CarlaNCAP study: half extents 2.446, 0.918, 0.755 m
-    vut              | (4.892, 1.836, 1.51)
-    parked-car-small | (4.316, 1.79, 1.48)  # Euro NCAP AEB/LSS VRU v4.5.1
-    parked-car-large | (4.418, 1.82, 1.533)  # Euro NCAP AEB/LSS VRU v4.5.1
-    adult            | (0.6, 0.5, 1.8)  # ISO 19206-2
-    child            | (0.711, 0.298, 1.154)  # ISO 19206-2
-    cyclist          | (1.89, 0.5, 1.8)  # ISO 19206-4; height with rider assumed
-    car              | (4.023, 1.712, 1.427)  # Euro NCAP's global vehicle target
-    motorcyclist     | (2.08, 0.79, 1.7)  # Euro NCAP; height with rider assumed
-""",
-        n_texts=1,
-    ),
+    [
+        ("vut", (4.892, 1.836, 1.51)),
+        ("parked-car-small", (4.316, 1.79, 1.48)),  # Euro NCAP AEB/LSS VRU v4.5.1
+        ("parked-car-large", (4.418, 1.82, 1.533)),  # Euro NCAP AEB/LSS VRU v4.5.1
+        ("adult", (0.6, 0.5, 1.8)),  # ISO 19206-2
+        ("child", (0.711, 0.298, 1.154)),  # ISO 19206-2
+        ("cyclist", (1.89, 0.5, 1.8)),  # ISO 19206-4; height with rider assumed
+        ("car", (4.023, 1.712, 1.427)),  # Euro NCAP's global vehicle target
+        ("motorcyclist", (2.08, 0.79, 1.7)),  # Euro NCAP; height with rider assumed
+    ],
 )
 def test_boxes_are_those_of_their_sources(name, size_m):
     actor = load_actors()[name]
@@ -258,14 +253,14 @@ def test_what_does_not_move_has_one_shape(actors):
 
 @pytest.mark.parametrize(
     ("name", "class_name"),
-    rows_of("""
-    vut          | vehicle
-    adult        | pedestrian
-    child        | pedestrian
-    cyclist      | cyclist
-    car          | car
-    motorcyclist | motorcyclist
-"""),
+    [
+        ("vut", "vehicle"),
+        ("adult", "pedestrian"),
+        ("child", "pedestrian"),
+        ("cyclist", "cyclist"),
+        ("car", "car"),
+        ("motorcyclist", "motorcyclist"),
+    ],
 )
 def test_bodies_know_their_class(name, class_name):
     assert pick_actor(name, "test").class_name == class_name

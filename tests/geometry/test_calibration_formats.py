@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from refusal_words import refused_about
 
 from geometry.calibrations import calibrated_sensor, read_cameras
 from geometry.errors import InputError
@@ -205,5 +204,5 @@ def test_a_calibration_that_is_not_read_is_named_with_what_would_do(tmp_path, na
 def test_a_layout_that_is_none_is_called_no_calibration(tmp_path):
     path = tmp_path / "layout.json"
     path.write_text('{"units": []}')
-    with refused_about("no list 'layout'"):
+    with pytest.raises(InputError, match="no list 'layout'"):
         load_layout(path)

@@ -7,10 +7,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from readers import READERS
-from refusal_words import refused_about
 from scipy.spatial.transform import Rotation
 from strategies import numbers, poses
-from text_tables import rows_of
 
 from experiments.export.calibration import calibrations
 from experiments.export.opencv import opencv_text
@@ -44,13 +42,21 @@ def camera_with(lens, pose):
 
 def lens_of(terms, *, is_fisheye):
     """A lens with five terms, of which one of a fish-eye takes the first four."""
+    first, second, third, fourth, fifth = terms
     if is_fisheye:
-        names = "k1 k2 k3 k4"
-        kind = Fisheye
-    else:
-        names = "k1 k2 p1 p2 k3"
-        kind = BrownConrady
-    return kind(**dict(zip(names.split(), terms, strict=False)))
+        return Fisheye(
+            k1=first,
+            k2=second,
+            k3=third,
+            k4=fourth,
+        )
+    return BrownConrady(
+        k1=first,
+        k2=second,
+        p1=third,
+        p2=fourth,
+        k3=fifth,
+    )
 
 
 @given(pose=poses(), terms=TERMS, is_fisheye=st.booleans(), is_ros=st.booleans())
@@ -97,9 +103,13 @@ def test_files_of_others_are_told_apart(tmp_path):
 
     (kitti,) = read_cameras(tmp_path / "calib.txt", size_px=(1242, 375)).values()
     assert kitti.lens == BrownConrady()
-    with refused_about(r"calib\.txt: got no size of pictures; expected their"):
+    with pytest.raises(
+        InputError, match=r"calib\.txt: got no size of pictures; expected their"
+    ):
         read_cameras(tmp_path / "calib.txt")
-    with refused_about("tsai: lens: got Tsai's radial term; expected Brown-Con"):
+    with pytest.raises(
+        InputError, match="tsai: lens: got Tsai's radial term; expected Brown-Con"
+    ):
         ros_text({"tsai": tsai})
 
 
@@ -113,28 +123,50 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0.1, 0, 0, 0, 0]}
 
 @pytest.mark.parametrize(
     ("words", "old", "new"),
-    rows_of(
-        r"""
-    | 'plumb_bob' | 'rational_polynomial'
-    distortion_model: got |
-        'data: [0.1, 0, 0, 0, 0]' | 'data: [0.1, 0, 0, 0, 0, 1, 0, 0]'
-    got 'equidistant with 5 terms'; expected plumb_bob, or 4 |
-        'plumb_bob' | 'equidistant'
-    distortion_coefficients: got 5 of another kind | 'data: [0.1, ' | 'data: [[0.1], '
-    camera_matrix: got [[900.0, 1.0, 640.0 | '[900, 0, 640' | '[900, 1, 640'
-    fx_px: got -9.0; expected pixels, > 0 | '[900, 0, 640' | '[-9, 0, 640'
-    ; expected a calibration in YAML | '360, 0, 0, 1]}' | '360, 0'
-    image_height: got nothing; expected 1 finite numbers | 'image_height: 720\n' | ''
-    camera_matrix: got 9 of another kind or size | 'data: [900' | 'data: [.nan'
-    cameras: got 1; expected maps with camera_matrix | '1280\n' | '1280\ncameras: [1]\n'
-    image_width: got 1280.5; expected a whole number | '1280\n' | '1280.5\n'
-    got no camera; expected at least one | '1280\n' | '1280\ncameras: []\n'
-    a rotation |
-        'plumb_bob' | 'plumb_bob\nR: [-1, 0, 0, 0, 1, 0, 0, 0, 1]\nt: [0, 0, 1]'
-    translation: got nothing | '1280\n' | '1280\nstatic_transform: {transform: 1}\n'
-""",
-        n_texts=1,
-    )
+    [
+        ("", "plumb_bob", "rational_polynomial"),
+        (
+            "distortion_model: got",
+            "data: [0.1, 0, 0, 0, 0]",
+            "data: [0.1, 0, 0, 0, 0, 1, 0, 0]",
+        ),
+        (
+            "got 'equidistant with 5 terms'; expected plumb_bob, or 4",
+            "plumb_bob",
+            "equidistant",
+        ),
+        (
+            "distortion_coefficients: got 5 of another kind",
+            "data: [0.1, ",
+            "data: [[0.1], ",
+        ),
+        ("camera_matrix: got [[900.0, 1.0, 640.0", "[900, 0, 640", "[900, 1, 640"),
+        ("fx_px: got -9.0; expected pixels, > 0", "[900, 0, 640", "[-9, 0, 640"),
+        ("; expected a calibration in YAML", "360, 0, 0, 1]}", "360, 0"),
+        (
+            "image_height: got nothing; expected 1 finite numbers",
+            "image_height: 720\n",
+            "",
+        ),
+        ("camera_matrix: got 9 of another kind or size", "data: [900", "data: [.nan"),
+        (
+            "cameras: got 1; expected maps with camera_matrix",
+            "1280\n",
+            "1280\ncameras: [1]\n",
+        ),
+        ("image_width: got 1280.5; expected a whole number", "1280\n", "1280.5\n"),
+        ("got no camera; expected at least one", "1280\n", "1280\ncameras: []\n"),
+        (
+            "a rotation",
+            "plumb_bob",
+            "plumb_bob\nR: [-1, 0, 0, 0, 1, 0, 0, 0, 1]\nt: [0, 0, 1]",
+        ),
+        (
+            "translation: got nothing",
+            "1280\n",
+            "1280\nstatic_transform: {transform: 1}\n",
+        ),
+    ]
     + [
         (
             "got cameras camera, camera; expected at least one, each",
@@ -217,5 +249,7 @@ def test_a_calibration_that_folds_before_its_edge_is_no_layout(tmp_path):
     path = tmp_path / "folds.yaml"
     path.write_text(opencv_text({"north": camera}, "one"))
 
-    with refused_about("north: distortion: got a lens that folds the picture bef"):
+    with pytest.raises(
+        InputError, match="north: distortion: got a lens that folds the picture bef"
+    ):
         load_layout(path)

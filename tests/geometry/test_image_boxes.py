@@ -30,7 +30,14 @@ def test_iou_is_the_share_of_common_pixels(a, b):
 
 
 def test_iou_broadcasts_and_is_zero_for_empty_or_touching_boxes():
-    a = np.array([[0, 0, 2, 2], [2, 0, 4, 2], [5, 5, 5, 9], [3, 3, 1, 1]], dtype=float)
+    a = np.array(
+        [
+            [0.0, 0.0, 2.0, 2.0],
+            [2.0, 0.0, 4.0, 2.0],
+            [5.0, 5.0, 5.0, 9.0],
+            [3.0, 3.0, 1.0, 1.0],
+        ]
+    )
     assert iou(a, [0, 0, 2, 2]).tolist() == [1.0, 0.0, 0.0, 0.0]
     assert iou(a[:, None], a[None]).shape == (4, 4)
 

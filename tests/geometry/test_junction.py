@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from geometry_text import array_of
 from junctions import (
     ARMS,
     MOUTH_M,
@@ -14,9 +13,9 @@ from junctions import (
     protocol_scene,
     turned,
 )
-from refusal_words import refused_about
 from scenario_lanes import arm_lanes, build_lane
 
+from geometry.errors import InputError
 from geometry.junction import Line, build_junction, lane_length_m, lane_line
 from geometry.study_scene import load_study_scene
 
@@ -106,14 +105,23 @@ def test_a_one_way_arm_has_lanes_of_one_kind_only():
 
 
 def test_lanes_that_do_not_reach_the_outline_are_told():
-    far = build_lane("far", array_of("100 0, 50 0"))
+    far = build_lane("far", np.array([[100.0, 0.0], [50.0, 0.0]]))
     told = "protocol: lanes: got 1; expected lanes that begin"
-    with refused_about(told):
+    with pytest.raises(InputError, match=told):
         arms_of([far])
 
 
 def test_a_bent_lane_tells_how_far_it_leaves_its_line():
-    lane = build_lane("bent", array_of("60 6, 40 0, 10 0"))
+    lane = build_lane(
+        "bent",
+        np.array(
+            [
+                [60.0, 6.0],
+                [40.0, 0.0],
+                [10.0, 0.0],
+            ]
+        ),
+    )
     near, off_near_m = lane_line(lane, is_in=True, length_m=30.0)
 
     assert near.yaw_deg == pytest.approx(180.0)
@@ -172,7 +180,14 @@ def test_a_median_does_not_split_an_arm_but_a_block_does(median_m, n_arms):
         build_lane("in", [[61.5, y], [11.5, y]]),
         build_lane("out", [[11.5, -y], [61.5, -y]]),
     ]
-    outline = array_of("11.5 -40, 11.5 40, -11.5 40, -11.5 -40")
+    outline = np.array(
+        [
+            [11.5, -40.0],
+            [11.5, 40.0],
+            [-11.5, 40.0],
+            [-11.5, -40.0],
+        ]
+    )
 
     assert len(arms_of(lanes, outline_m=outline)) == n_arms
 

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from refusals import refused_with
 from scipy.integrate import quad
 from strategies import numbers
-from text_tables import changes_of
 
 from geometry import lidar as lidar_module
 from geometry.lidar import (
@@ -233,31 +232,61 @@ def test_detection_asks_for_points_of_every_class_of_road_user():
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    changes_of("""
-    horizontal_fov_deg=360.1 |
-        horizontal_fov_deg: got 360.1; expected 0 < degrees <= 360
-    horizontal_fov_deg=0.0 | horizontal_fov_deg: got 0.0; expected 0 < degrees <= 360
-    vertical_fov_deg=180.0 | vertical_fov_deg: got 180.0; expected 0 < degrees < 180
-    vertical_fov_deg=nan | vertical_fov_deg: got nan; expected 0 < degrees < 180
-    n_lines=0         | n_lines: got 0; expected a whole number of lines, > 0
-    n_lines=2.0       | n_lines: got 2.0; expected a whole number of lines, > 0
-    n_lines=True      | n_lines: got True; expected a whole number of lines, > 0
-    range_m=inf       | range_m: got inf; expected a positive number
-    near_m=0.0        | near_m: got 0.0; expected a positive number
-    near_m=300.0      | near_m: got 300.0; expected metres, less than range_m
-    frame_rate_hz=0.0 | frame_rate_hz: got 0.0; expected a positive number
-    frame_rate_hz=5.0 |
-        frame_rate_hz: got 5.0; expected at least 10: so often all units are taken to
-        look
-    range_noise_m=-0.1 | range_noise_m: got -0.1; expected a number, at least 0
-    price_eur=nan     | price_eur: got nan; expected euros, 0 to 1,000,000,000
-    reference_reflectivity=1.5 |
-        reference_reflectivity: got 1.5; expected 0 < share <= 1
-    reference_probability=1.0 |
-        reference_probability: got 1.0; expected 0 < probability < 1
-    points_per_second=500.0 |
-        points_per_second: got 500.0; expected a point per line and frame or more
-"""),
+    [
+        (
+            {"horizontal_fov_deg": 360.1},
+            "horizontal_fov_deg: got 360.1; expected 0 < degrees <= 360",
+        ),
+        (
+            {"horizontal_fov_deg": 0.0},
+            "horizontal_fov_deg: got 0.0; expected 0 < degrees <= 360",
+        ),
+        (
+            {"vertical_fov_deg": 180.0},
+            "vertical_fov_deg: got 180.0; expected 0 < degrees < 180",
+        ),
+        (
+            {"vertical_fov_deg": math.nan},
+            "vertical_fov_deg: got nan; expected 0 < degrees < 180",
+        ),
+        ({"n_lines": 0}, "n_lines: got 0; expected a whole number of lines, > 0"),
+        ({"n_lines": 2.0}, "n_lines: got 2.0; expected a whole number of lines, > 0"),
+        ({"n_lines": True}, "n_lines: got True; expected a whole number of lines, > 0"),
+        ({"range_m": math.inf}, "range_m: got inf; expected a positive number"),
+        ({"near_m": 0.0}, "near_m: got 0.0; expected a positive number"),
+        ({"near_m": 300.0}, "near_m: got 300.0; expected metres, less than range_m"),
+        ({"frame_rate_hz": 0.0}, "frame_rate_hz: got 0.0; expected a positive number"),
+        (
+            {"frame_rate_hz": 5.0},
+            (
+                "frame_rate_hz: got 5.0; expected at least 10: so often all "
+                "units are taken to look"
+            ),
+        ),
+        (
+            {"range_noise_m": -0.1},
+            "range_noise_m: got -0.1; expected a number, at least 0",
+        ),
+        (
+            {"price_eur": math.nan},
+            "price_eur: got nan; expected euros, 0 to 1,000,000,000",
+        ),
+        (
+            {"reference_reflectivity": 1.5},
+            "reference_reflectivity: got 1.5; expected 0 < share <= 1",
+        ),
+        (
+            {"reference_probability": 1.0},
+            "reference_probability: got 1.0; expected 0 < probability < 1",
+        ),
+        (
+            {"points_per_second": 500.0},
+            (
+                "points_per_second: got 500.0; expected a point per line and "
+                "frame or more"
+            ),
+        ),
+    ],
 )
 def test_lidar_model_says_what_is_wrong(change, message):
     with refused_with(f"cube.{message}"):
@@ -266,14 +295,21 @@ def test_lidar_model_says_what_is_wrong(change, message):
 
 @pytest.mark.parametrize(
     ("entry", "message"),
-    changes_of("""
-    min_points=0, reflectivity=0.1 |
-        min_points: got 0; expected a whole number of points, > 0
-    min_points=2.5, reflectivity=0.1 |
-        min_points: got 2.5; expected a whole number of points, > 0
-    min_points=3, reflectivity=2.0 | reflectivity: got 2.0; expected 0 < share <= 1
-    min_points=3 | reflectivity: got nothing; expected a value
-"""),
+    [
+        (
+            {"min_points": 0, "reflectivity": 0.1},
+            "min_points: got 0; expected a whole number of points, > 0",
+        ),
+        (
+            {"min_points": 2.5, "reflectivity": 0.1},
+            "min_points: got 2.5; expected a whole number of points, > 0",
+        ),
+        (
+            {"min_points": 3, "reflectivity": 2.0},
+            "reflectivity: got 2.0; expected 0 < share <= 1",
+        ),
+        ({"min_points": 3}, "reflectivity: got nothing; expected a value"),
+    ],
 )
 def test_the_detection_table_says_what_is_wrong(entry, message):
     with refused_with(f"lidars.toml: detection.child.{message}"):

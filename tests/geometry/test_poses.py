@@ -6,7 +6,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from refusals import refused_with
 from strategies import angles_deg, numbers, points_m, poses
-from text_tables import changes_of
 
 from geometry.poses import Pose, body_rotation, camera_rotation, to_world, wrap_deg
 
@@ -85,12 +84,20 @@ def test_wrap_deg_lies_in_the_half_open_turn_and_keeps_the_direction(angle_deg):
 
 @pytest.mark.parametrize(
     ("fields", "message"),
-    changes_of("""
-    position_m=[0.0, 1.0], yaw_deg=0.0 | position_m: got shape (2,); expected shape (3,)
-    position_m=[0.0, 1.0, 2.0], yaw_deg=nan | yaw_deg: got nan; expected finite numbers
-    position_m=[0.0, 1.0, 2.0], yaw_deg=0.0, pitch_deg=inf |
-        pitch_deg: got inf; expected finite numbers
-"""),
+    [
+        (
+            {"position_m": [0.0, 1.0], "yaw_deg": 0.0},
+            "position_m: got shape (2,); expected shape (3,)",
+        ),
+        (
+            {"position_m": [0.0, 1.0, 2.0], "yaw_deg": np.nan},
+            "yaw_deg: got nan; expected finite numbers",
+        ),
+        (
+            {"position_m": [0.0, 1.0, 2.0], "yaw_deg": 0.0, "pitch_deg": np.inf},
+            "pitch_deg: got inf; expected finite numbers",
+        ),
+    ],
 )
 def test_pose_says_what_is_wrong(fields, message):
     with refused_with(message):

@@ -2,7 +2,6 @@ import os
 import tempfile
 
 import pytest
-from text_tables import rows_of
 
 from geometry import cache_folders
 from geometry.cache_folders import (
@@ -16,16 +15,13 @@ from geometry.cache_folders import (
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no such rights")
 @pytest.mark.parametrize(
     ("mode", "is_shared"),
-    rows_of(
-        """
-    0o700  | False
-    0o755  | False
-    0o707  | True
-    0o777  | True
-    0o1777 | True
-""",
-        n_texts=0,
-    ),
+    [
+        (448, False),
+        (493, False),
+        (455, True),
+        (511, True),
+        (1023, True),
+    ],
 )
 def test_who_else_may_write_is_told_by_the_rights_of_a_folder(
     tmp_path, mode, is_shared

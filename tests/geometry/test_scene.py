@@ -1,7 +1,6 @@
 """Scenes and what they are made of; inside of which body a point lies."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -76,25 +75,37 @@ UNITS = "expected a whole number, 1 to 1,000"
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "message"),
+    ("field", "message", "value"),
     [
-        ("position_m", [1.0, 2.0], "got shape (2,); expected shape (3,)"),
+        ("position_m", "got shape (2,); expected shape (3,)", [1.0, 2.0]),
         (
             "position_m",
-            [1.0, 2.0, math.nan],
             "got [1.0, 2.0, nan]; expected finite numbers",
+            [1.0, 2.0, np.nan],
         ),
-        ("height_range_m", [8.0, 4.0], f"got [8.0, 4.0]; {LOW_HIGH}"),
-        ("height_range_m", [0.0, 4.0], f"got [0.0, 4.0]; {LOW_HIGH}"),
-        ("height_range_m", [-1.0, 4.0], f"got [-1.0, 4.0]; {LOW_HIGH}"),
-        ("capacity_units", 0, f"got 0; {UNITS}"),
-        ("capacity_units", -1, f"got -1; {UNITS}"),
-        ("capacity_units", 1.0, f"got 1.0; {UNITS}"),
-        ("capacity_units", True, f"got True; {UNITS}"),
-        ("capacity_units", "2", f"got '2'; {UNITS}"),
+        (
+            "height_range_m",
+            "got [8.0, 4.0]; expected [low, high] in metres, 0 < low <= high",
+            [8.0, 4.0],
+        ),
+        (
+            "height_range_m",
+            "got [0.0, 4.0]; expected [low, high] in metres, 0 < low <= high",
+            [0.0, 4.0],
+        ),
+        (
+            "height_range_m",
+            "got [-1.0, 4.0]; expected [low, high] in metres, 0 < low <= high",
+            [-1.0, 4.0],
+        ),
+        ("capacity_units", "got 0; expected a whole number, 1 to 1,000", 0),
+        ("capacity_units", "got -1; expected a whole number, 1 to 1,000", -1),
+        ("capacity_units", "got 1.0; expected a whole number, 1 to 1,000", 1.0),
+        ("capacity_units", "got True; expected a whole number, 1 to 1,000", True),
+        ("capacity_units", "got '2'; expected a whole number, 1 to 1,000", "2"),
     ],
 )
-def test_a_site_says_what_is_wrong(field, value, message):
+def test_a_site_says_what_is_wrong(field, message, value):
     assert told(Site, **SITE | {field: value}) == f"site pole.{field}: {message}"
 
 
@@ -149,21 +160,24 @@ def test_a_scene_is_read_only_and_short_in_print():
 
 # Inside of what
 
-sizes_m = st.tuples(*[numbers(0.5, 40.0)] * 3)
+edges_m = numbers(0.5, 40.0)
+sizes_m = st.tuples(edges_m, edges_m, edges_m)
+shares = numbers(-1.5, 1.5)
 
 
 @given(
     sizes_m,
     points_m,
     angles_deg,
-    st.tuples(*[numbers(-1.5, 1.5)] * 3),
+    st.tuples(shares, shares, shares),
     st.sampled_from(["building", "wall", "vegetation", "parked vehicle"]),
 )
 def test_a_point_lies_in_a_box_if_it_is_between_all_its_sides(
     size_m, middle_m, yaw_deg, share, class_name
 ):
     half = 0.5 * np.array(size_m)
-    scene = scene_of(box(size_m, at=middle_m, yaw_deg=yaw_deg, class_name=class_name))
+    body = box(size_m, at=middle_m, yaw_deg=yaw_deg, class_name=class_name)
+    scene = scene_of(body)
     point = half * share  # relative to the middle of the box
     pose = Pose(position_m=middle_m, yaw_deg=yaw_deg)
     world = to_world(point + [0, 0, half[2]], pose)
@@ -207,10 +221,15 @@ def test_a_parked_car_made_of_overlapping_parts_holds_what_is_in_any_of_them():
     (car,) = load_actors()["parked-car-large"].shapes
     scene = scene_of(("parked vehicle", car.vertices_m, car.triangles))
 
-    assert containing_instance(scene, [0.0, 0.0, 0.7]) is scene.instances[0]  # body
-    assert containing_instance(scene, [-0.5, 0.0, 1.3]) is scene.instances[0]  # cabin
-    assert containing_instance(scene, [2.15, 0.0, 1.4]) is None  # above the bonnet
-    assert containing_instance(scene, [0.0, 0.0, 0.05]) is None  # below the floor
+    in_body = [0.0, 0.0, 0.7]
+    in_cabin = [-0.5, 0.0, 1.3]
+    above_bonnet = [2.15, 0.0, 1.4]
+    below_floor = [0.0, 0.0, 0.05]
+
+    assert containing_instance(scene, in_body) is scene.instances[0]
+    assert containing_instance(scene, in_cabin) is scene.instances[0]
+    assert containing_instance(scene, above_bonnet) is None
+    assert containing_instance(scene, below_floor) is None
 
 
 def test_a_point_must_be_a_point():

@@ -10,7 +10,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from refusals import refused_with
 from strategies import cameras, numbers, points_m, poses
-from text_tables import changes_of
 
 from geometry.poses import Pose, body_rotation
 from geometry.sensors import project_points, with_fov
@@ -91,25 +90,58 @@ def test_what_lies_behind_the_camera_has_no_pixel(camera):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    changes_of("""
-    width_px=0 | cam.width_px: got 0; expected a whole number of pixels, > 0
-    height_px=1.5 | cam.height_px: got 1.5; expected a whole number of pixels, > 0
-    width_px=True | cam.width_px: got True; expected a whole number of pixels, > 0
-    horizontal_fov_deg=180.0 |
-        cam.horizontal_fov_deg: got 180.0; expected 0 < degrees < 180
-    horizontal_fov_deg=nan | cam.horizontal_fov_deg: got nan; expected 0 < degrees < 180
-    frame_rate_hz=0.0 | cam.frame_rate_hz: got 0.0; expected a positive number
-    frame_rate_hz=5.0 |
-        cam.frame_rate_hz: got 5.0; expected at least 10: so often all units are taken
-        to look
-    near_m=inf | cam.near_m: got inf; expected a positive number
-    price_eur=-1.0 | cam.price_eur: got -1.0; expected euros, 0 to 1,000,000,000
-    fov_range_deg=(120.0, 30.0) |
-        cam.fov_range_deg: got [120.0, 30.0]; expected [low, high] in degrees, 0 < low <
-        high < 180
-    fov_range_deg=(30.0, 100.0) |
-        cam.horizontal_fov_deg: got 110.0; expected 30 .. 100 degrees, its fov_range_deg
-"""),
+    [
+        (
+            {"width_px": 0},
+            "cam.width_px: got 0; expected a whole number of pixels, > 0",
+        ),
+        (
+            {"height_px": 1.5},
+            "cam.height_px: got 1.5; expected a whole number of pixels, > 0",
+        ),
+        (
+            {"width_px": True},
+            "cam.width_px: got True; expected a whole number of pixels, > 0",
+        ),
+        (
+            {"horizontal_fov_deg": 180.0},
+            "cam.horizontal_fov_deg: got 180.0; expected 0 < degrees < 180",
+        ),
+        (
+            {"horizontal_fov_deg": math.nan},
+            "cam.horizontal_fov_deg: got nan; expected 0 < degrees < 180",
+        ),
+        (
+            {"frame_rate_hz": 0.0},
+            "cam.frame_rate_hz: got 0.0; expected a positive number",
+        ),
+        (
+            {"frame_rate_hz": 5.0},
+            (
+                "cam.frame_rate_hz: got 5.0; expected at least 10: so often all "
+                "units are taken to look"
+            ),
+        ),
+        ({"near_m": math.inf}, "cam.near_m: got inf; expected a positive number"),
+        (
+            {"price_eur": -1.0},
+            "cam.price_eur: got -1.0; expected euros, 0 to 1,000,000,000",
+        ),
+        (
+            {"fov_range_deg": (120.0, 30.0)},
+            (
+                "cam.fov_range_deg: got [120.0, 30.0]; expected [low, high] in "
+                "degrees, 0 < low < high < 180"
+            ),
+        ),
+        (
+            {"fov_range_deg": (30.0, 100.0)},
+            (
+                "cam.horizontal_fov_deg: got 110.0; expected 30 .. 100 degrees, "
+                "its fov_range_deg"
+            ),
+        ),
+    ],
 )
 def test_camera_model_says_what_is_wrong(camera, change, message):
     with refused_with(message):

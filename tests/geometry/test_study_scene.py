@@ -1,6 +1,7 @@
 """The study's junction, and scenes of boxes from files."""
 
 import copy
+import math
 import re
 import tomllib
 from collections import Counter
@@ -10,11 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from geometry_text import array_of
 from numpy.testing import assert_array_equal
-from plane_vectors import lengths
 from refusals import refused_with
-from text_tables import rows_of, value_of
 
 from geometry import study_scene
 from geometry.actors import load_actors
@@ -30,12 +28,26 @@ NORTH = np.array([1.0, -1.0])  # CARLA's frame is left-handed
 
 # Town05's road network, as published with CARLA and Scenic. CARLA's frame.
 GOLDEN_LANES = {
-    "-1_0": ("driving", 3.5, "-61.76 -4.31, -111.4 -4.18"),
-    "5_0": ("parking", 3.0, "-118.26 -25.88, -117.91 -76.82"),
-    "-50_1": ("driving", 3.5, "-131.61 13.85, -131.58 15.83, -131.48 27.38"),
-    "2_1": ("driving", 3.5, "-177.29 2.98, -143.17 2.89"),
+    "-1_0": ("driving", 3.5, [(-61.76, -4.31), (-111.4, -4.18)]),
+    "5_0": ("parking", 3.0, [(-118.26, -25.88), (-117.91, -76.82)]),
+    "-50_1": (
+        "driving",
+        3.5,
+        [
+            (-131.61, 13.85),
+            (-131.58, 15.83),
+            (-131.48, 27.38),
+        ],
+    ),
+    "2_1": ("driving", 3.5, [(-177.29, 2.98), (-143.17, 2.89)]),
 }
-GOLDEN_OUTLINE = array_of("-111.41 -5.93, -116.36 13.66, -113.05 -6.12")
+GOLDEN_OUTLINE = np.array(
+    [
+        [-111.41, -5.93],
+        [-116.36, 13.66],
+        [-113.05, -6.12],
+    ]
+)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +103,7 @@ def test_lanes_and_outline_are_the_published_ones_flipped_to_the_north(scene):
         lane = lanes[name]
         assert lane.kind == kind
         assert lane.width_m == width_m
-        assert_array_equal(lane.centreline_m, array_of(points) * NORTH)
+        assert_array_equal(lane.centreline_m, np.array(points) * NORTH)
     assert_array_equal(scene.outline_m[[0, 6, 24]], GOLDEN_OUTLINE * NORTH)
     # All others, from the file.
     assert len(scene.lanes) == len(TOWN05["lanes"]) == 32
@@ -179,7 +191,7 @@ def test_every_path_of_every_run_is_clear_of_all_that_stands(scene, runs):
                 swept = footprint_corners(
                     0.5 * (begin + end),
                     yaw[0],
-                    length_m=body.length_m + lengths(end - begin),
+                    length_m=body.length_m + np.linalg.norm(end - begin),
                     width_m=body.width_m,
                 )
                 separation_m = float(footprint_separation(swept, box))
@@ -315,46 +327,49 @@ def test_a_scene_is_built_as_its_file_says(load):
     assert z.mean() == pytest.approx(7.0, abs=1e-6)
 
 
-WRONG = """
-    name  | None  | got nothing; expected a value
-    crs   | ''    | got ''; expected text
-    frame | None  | got nothing; expected a value
-    frame | 'enu' | got 'enu'; expected one of carla-left-handed
-    ground | None | got nothing; expected a value
-    ground | 3    | got 3; expected a table
-    ground.half_size_m | 0.0 | got 0.0; expected a number > 0
-    outline_m | None | got nothing; expected a value
-    outline_m | [[1.0, 2.0, 3.0]] | got shape (1, 3); expected shape (-1, 2)
-    outline_m | [[1.0, 2.0], [3.0]] |
-        got [[1.0, 2.0], [3.0]]; expected numbers of shape (-1, 2)
-    walls | 3   | got 3; expected a list
-    walls.0 | 3 | got 3; expected a table
-    walls.0.id       | None | got nothing; expected a value
-    walls.0.height_m | None | got nothing; expected a value
-    walls.0.height_m | -2.0 | got -2.0; expected a number > 0
-    walls.0.thickness_m | nan | got nan; expected a finite number
-    walls.0.to_m | [1.0]      | got shape (1,); expected shape (2,)
-    walls.0.to_m | [1.0, inf] | got [1.0, inf]; expected finite numbers
-    walls.0.to_m | 'there'    | got 'there'; expected a list
-    buildings.0.yaw_deg  | 'north' | got 'north'; expected a finite number
-    buildings.0.length_m | 0.0     | got 0.0; expected a number > 0
-    parked_rows.0.gap_m | -0.5 | got -0.5; expected a number, at least 0
-    parked_rows.0.gap_m | True | got True; expected a finite number
-    poles.0.radius_m | -1.0 | got -1.0; expected a number > 0
-    poles.0.kind     | None | got nothing; expected a value
-    poles.0.capacity_units | None | got nothing; expected a value
-    poles.0.height_range_m | [8.0] | got shape (1,); expected shape (2,)
-    mast_arms.0.height_m | None | got nothing; expected a value
-    lanes.0.width_m | 0.0 | got 0.0; expected a number > 0
-    lanes.0.centreline_m | [1.0, 2.0] | got shape (2,); expected shape (-1, 2)
-"""
-
-
-@pytest.mark.parametrize(("key", "value", "told"), rows_of(WRONG))
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        ("name", None, "got nothing; expected a value"),
+        ("crs", "", "got ''; expected text"),
+        ("frame", None, "got nothing; expected a value"),
+        ("frame", "enu", "got 'enu'; expected one of carla-left-handed"),
+        ("ground", None, "got nothing; expected a value"),
+        ("ground", 3, "got 3; expected a table"),
+        ("ground.half_size_m", 0.0, "got 0.0; expected a number > 0"),
+        ("outline_m", None, "got nothing; expected a value"),
+        ("outline_m", [[1.0, 2.0, 3.0]], "got shape (1, 3); expected shape (-1, 2)"),
+        (
+            "outline_m",
+            [[1.0, 2.0], [3.0]],
+            "got [[1.0, 2.0], [3.0]]; expected numbers of shape (-1, 2)",
+        ),
+        ("walls", 3, "got 3; expected a list"),
+        ("walls.0", 3, "got 3; expected a table"),
+        ("walls.0.id", None, "got nothing; expected a value"),
+        ("walls.0.height_m", None, "got nothing; expected a value"),
+        ("walls.0.height_m", -2.0, "got -2.0; expected a number > 0"),
+        ("walls.0.thickness_m", math.nan, "got nan; expected a finite number"),
+        ("walls.0.to_m", [1.0], "got shape (1,); expected shape (2,)"),
+        ("walls.0.to_m", [1.0, math.inf], "got [1.0, inf]; expected finite numbers"),
+        ("walls.0.to_m", "there", "got 'there'; expected a list"),
+        ("buildings.0.yaw_deg", "north", "got 'north'; expected a finite number"),
+        ("buildings.0.length_m", 0.0, "got 0.0; expected a number > 0"),
+        ("parked_rows.0.gap_m", -0.5, "got -0.5; expected a number, at least 0"),
+        ("parked_rows.0.gap_m", True, "got True; expected a finite number"),
+        ("poles.0.radius_m", -1.0, "got -1.0; expected a number > 0"),
+        ("poles.0.kind", None, "got nothing; expected a value"),
+        ("poles.0.capacity_units", None, "got nothing; expected a value"),
+        ("poles.0.height_range_m", [8.0], "got shape (1,); expected shape (2,)"),
+        ("mast_arms.0.height_m", None, "got nothing; expected a value"),
+        ("lanes.0.width_m", 0.0, "got 0.0; expected a number > 0"),
+        ("lanes.0.centreline_m", [1.0, 2.0], "got shape (2,); expected shape (-1, 2)"),
+    ],
+)
 def test_a_scene_file_says_which_field_is_wrong(load, key, value, told):
     where = re.sub(r"\.(\d)", r"[\1]", key)
     with refused_with(f"small.toml: {where}: {told}"):
-        load(changed(key, value_of(value)))
+        load(changed(key, value))
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from refusals import refused_with
-from text_tables import changes_of, rows_of
 
 from geometry.weather import (
     CONTRAST_AT_VISIBILITY,
@@ -131,22 +130,19 @@ def _exponent(visibility_m, wavelength_nm=905.0):
 
 @pytest.mark.parametrize(
     ("visibility_m", "exponent"),
-    rows_of(
-        """
-    50001.0 | 1.6
-    50000.0 | 1.3
-    6001.0  | 1.3
-    6000.0  | 1.3  # 0.16 * 6 + 0.34
-    2000.0  | 0.66
-    1001.0  | 0.50016
-    1000.0  | 0.5
-    700.0   | 0.2
-    500.0   | 0.0
-    499.0   | 0.0
-    50.0    | 0.0
-""",
-        n_texts=0,
-    ),
+    [
+        (50001.0, 1.6),
+        (50000.0, 1.3),
+        (6001.0, 1.3),
+        (6000.0, 1.3),  # 0.16 * 6 + 0.34
+        (2000.0, 0.66),
+        (1001.0, 0.50016),
+        (1000.0, 0.5),
+        (700.0, 0.2),
+        (500.0, 0.0),
+        (499.0, 0.0),
+        (50.0, 0.0),
+    ],
 )
 @pytest.mark.parametrize("wavelength_nm", [905.0, 1550.0])
 def test_haze_takes_less_of_long_waves_by_kims_exponent(
@@ -176,18 +172,24 @@ def test_fog_takes_the_same_of_a_laser_and_of_light():
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    changes_of("""
-    visibility_m=0.0 | visibility_m: got 0.0; expected metres, > 0
-    visibility_m=nan | visibility_m: got nan; expected metres, > 0
-    rain_rate_mmph=-1.0 | rain_rate_mmph: got -1.0; expected mm/h, at least 0
-    sun_elevation_deg=91.0 | sun_elevation_deg: got 91.0; expected -90 .. 90 degrees
-    sun_lux=-1.0     | sun_lux: got -1.0; expected lux, at least 0
-    sky_lux=nan      | sky_lux: got nan; expected lux, at least 0
-    has_lamps=1.0    | has_lamps: got 1.0; expected true or false
-    contrast=0.0     | contrast: got 0.0; expected 0 < contrast <= 1
-    contrast=1.1     | contrast: got 1.1; expected 0 < contrast <= 1
-    wetness=-0.1     | wetness: got -0.1; expected 0 .. 1
-"""),
+    [
+        ({"visibility_m": 0.0}, "visibility_m: got 0.0; expected metres, > 0"),
+        ({"visibility_m": math.nan}, "visibility_m: got nan; expected metres, > 0"),
+        (
+            {"rain_rate_mmph": -1.0},
+            "rain_rate_mmph: got -1.0; expected mm/h, at least 0",
+        ),
+        (
+            {"sun_elevation_deg": 91.0},
+            "sun_elevation_deg: got 91.0; expected -90 .. 90 degrees",
+        ),
+        ({"sun_lux": -1.0}, "sun_lux: got -1.0; expected lux, at least 0"),
+        ({"sky_lux": math.nan}, "sky_lux: got nan; expected lux, at least 0"),
+        ({"has_lamps": 1.0}, "has_lamps: got 1.0; expected true or false"),
+        ({"contrast": 0.0}, "contrast: got 0.0; expected 0 < contrast <= 1"),
+        ({"contrast": 1.1}, "contrast: got 1.1; expected 0 < contrast <= 1"),
+        ({"wetness": -0.1}, "wetness: got -0.1; expected 0 .. 1"),
+    ],
 )
 def test_a_weather_says_what_is_wrong(change, message):
     with refused_with(f"weather clear.{message}"):

@@ -36,7 +36,14 @@ def test_streets_of_arms_without_a_name_are_left_out(scene):
 
 
 def test_corners_and_arms_are_told_with_their_streets(scene):
-    places = np.array([[-6.0, 6.0], [6.0, -6.0], [50.0, 4.0], [4.0, -50.0]])
+    places = np.array(
+        [
+            [-6.0, 6.0],
+            [6.0, -6.0],
+            [50.0, 4.0],
+            [4.0, -50.0],
+        ]
+    )
     corner, other, along, unnamed = whereabouts(scene, places)
 
     assert corner == "north-west corner, High Street / Mill Lane"

@@ -16,7 +16,6 @@ from oracles import (
     simulated_contact,
     simulated_track_s,
 )
-from plane_vectors import unit_vectors
 from refusals import refused_with
 from scipy.optimize import brentq
 from strategies import (
@@ -27,7 +26,6 @@ from strategies import (
     encounters,
     numbers,
 )
-from text_tables import rows_of
 
 from geometry.actors import load_actors
 from scenarios.aeb import (
@@ -154,7 +152,9 @@ def build_turning_encounter(
 
     def front_m(distance_m):
         middle, yaw_deg = path.at(distance_m)
-        return middle + 0.5 * vut.length_m * unit_vectors(np.radians(yaw_deg))
+        yaw = math.radians(yaw_deg)
+        ahead = np.array([math.cos(yaw), math.sin(yaw)])
+        return middle + 0.5 * vut.length_m * ahead
 
     meeting_m = brentq(lambda d: turn.side * front_m(d)[1] - line_m, 0.0, 60.0)
     east_m = front_m(meeting_m)[0] + offset_m
@@ -448,15 +448,12 @@ def test_last_brake_time_matches_a_simulation_in_small_steps(encounter, share):
 
 @pytest.mark.parametrize(
     ("side", "speed_kmh", "is_same", "build_up_s"),
-    rows_of(
-        """
-    far  | 10.0 | True  | 0.0
-    far  | 15.0 | False | 0.3
-    far  | 20.0 | True  | 0.3
-    near | 10.0 | False | 0.0
-""",
-        n_texts=1,
-    ),
+    [
+        ("far", 10.0, True, 0.0),
+        ("far", 15.0, False, 0.3),
+        ("far", 20.0, True, 0.3),
+        ("near", 10.0, False, 0.0),
+    ],
 )
 def test_last_brake_time_on_a_turn_matches_a_simulation_in_small_steps(
     side, speed_kmh, is_same, build_up_s

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from junctions import LANE_M, MOUTH_M, build_scene, protocol_scene, turned
 from oracles import distance_to_chain_m
-from plane_vectors import unit_vectors
 from scenario_lanes import arm_lanes, build_lane, exchanged
 
 from scenarios.bends import find_sharp_bends
@@ -45,7 +44,7 @@ def test_a_corner_is_driven_no_faster_than_it_can_be(lay, vut, angle_deg):
 
         assert turning.max() * run.vut_speed_kmh / 3.6 < 4.4
 
-        ahead = unit_vectors(yaw)
+        ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
         front = run.vut_position_m + vut.front_axle_ahead_m * ahead
         mapped = front[front[:, 0] > -60.0]
 

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusals import refused_with
 from strategies import KMH, numbers
-from text_tables import changes_of
 
 from scenarios.aeb import (
     braking_distance_m,
@@ -132,20 +131,46 @@ def test_rule_is_that_of_the_study():
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    changes_of("""
-    deceleration_mps2=0.0 | aeb.deceleration_mps2: got 0.0; expected a number, 1 to 15
-    deceleration_mps2=nan | aeb.deceleration_mps2: got nan; expected a number, 1 to 15
-    frame_rate_hz=inf | aeb.frame_rate_hz: got inf; expected a positive number
-    deceleration_mps2=1e-300 |
-        aeb.deceleration_mps2: got 1e-300; expected a number, 1 to 15
-    build_up_s=1000.0 | aeb.build_up_s: got 1000.0; expected a number, 0 to 2
-    build_up_s=-0.1 | aeb.build_up_s: got -0.1; expected a number, 0 to 2
-    build_up_s=inf  | aeb.build_up_s: got inf; expected a number, 0 to 2
-    latency_s=-0.1  | aeb.latency_s: got -0.1; expected a number, 0 to 60
-    n_confirmations=0 | aeb.n_confirmations: got 0; expected a number, 1 to 1000
-    n_confirmations=True | aeb.n_confirmations: got True; expected a whole number
-    n_confirmations=2.5 | aeb.n_confirmations: got 2.5; expected a whole number
-"""),
+    [
+        (
+            {"deceleration_mps2": 0.0},
+            "aeb.deceleration_mps2: got 0.0; expected a number, 1 to 15",
+        ),
+        (
+            {"deceleration_mps2": math.nan},
+            "aeb.deceleration_mps2: got nan; expected a number, 1 to 15",
+        ),
+        (
+            {"frame_rate_hz": math.inf},
+            "aeb.frame_rate_hz: got inf; expected a positive number",
+        ),
+        (
+            {"deceleration_mps2": 1e-300},
+            "aeb.deceleration_mps2: got 1e-300; expected a number, 1 to 15",
+        ),
+        (
+            {"build_up_s": 1000.0},
+            "aeb.build_up_s: got 1000.0; expected a number, 0 to 2",
+        ),
+        ({"build_up_s": -0.1}, "aeb.build_up_s: got -0.1; expected a number, 0 to 2"),
+        (
+            {"build_up_s": math.inf},
+            "aeb.build_up_s: got inf; expected a number, 0 to 2",
+        ),
+        ({"latency_s": -0.1}, "aeb.latency_s: got -0.1; expected a number, 0 to 60"),
+        (
+            {"n_confirmations": 0},
+            "aeb.n_confirmations: got 0; expected a number, 1 to 1000",
+        ),
+        (
+            {"n_confirmations": True},
+            "aeb.n_confirmations: got True; expected a whole number",
+        ),
+        (
+            {"n_confirmations": 2.5},
+            "aeb.n_confirmations: got 2.5; expected a whole number",
+        ),
+    ],
 )
 def test_rule_says_what_is_wrong(change, message):
     with refused_with(message):

@@ -3,9 +3,7 @@
 import copy
 
 import pytest
-from refusal_words import refused_about
 from refusals import refused_with
-from text_tables import rows_of
 
 from geometry.errors import InputError
 from scenarios import cases
@@ -48,14 +46,11 @@ def _changed(**changes):
 @pytest.mark.parametrize(
     ("name", "kind", "actor", "vru_speed_kmh", "first_kmh", "n_speeds"),
     # CarlaNCAP study, table of scenarios.
-    rows_of(
-        """
-    CPNC-50 | crossing     | adult   | 5.0  | 20.0 | 9
-    CBNA    | crossing     | cyclist | 15.0 | 20.0 | 9
-    CBLA    | longitudinal | cyclist | 15.0 | 25.0 | 8
-""",
-        n_texts=3,
-    ),
+    [
+        ("CPNC-50", "crossing", "adult", 5.0, 20.0, 9),
+        ("CBNA", "crossing", "cyclist", 15.0, 20.0, 9),
+        ("CBLA", "longitudinal", "cyclist", 15.0, 25.0, 8),
+    ],
 )
 def test_cases_are_those_of_the_study(
     name, kind, actor, vru_speed_kmh, first_kmh, n_speeds
@@ -214,7 +209,9 @@ def test_a_set_is_picked_with_its_own_speeds():
 
 @pytest.mark.parametrize("text", ["CPXX", "", "study,,CBLA", "cbla"])
 def test_unknown_cases_list_sets_and_cases(text):
-    with refused_about(r"cases: got '.*'; expected one of default, study, protocol"):
+    with pytest.raises(
+        InputError, match=r"cases: got '.*'; expected one of default, study, protocol"
+    ):
         cases.pick_cases(text, "cases")
 
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from junctions import LANE_M, protocol_scene
-from plane_vectors import lengths, unit_vectors
 from scenario_lanes import build_lane
 
 SCENE = protocol_scene()
@@ -81,7 +80,7 @@ def test_behind_a_corner_lies_the_road_that_crosses_and_no_island(
     # A lane whose nearer edge begins behind the cars and leads away, to the south and
     # west.
     away = np.radians(180.0 + skew_deg)
-    ahead = unit_vectors(away)
+    ahead = np.array([np.cos(away), np.sin(away)])
     begin = corner + 0.5 * LANE_M * np.array([-ahead[1], ahead[0]])
     there, refusals = parked(with_lane(SCENE, [begin, begin + 40.0 * ahead]))
 
@@ -114,7 +113,7 @@ def test_where_the_map_has_a_parking_lane_people_park_whatever_is_behind(parked)
 def test_cars_park_and_people_walk_below_what_is_raised(parked, bottom_m, is_free):
     scene = protocol_scene(boxes=[("roof", -30.0, 0.0, 40.0, 40.0, 3.0)])
     is_roof = scene.vertices_m[:, 0] > -100.0
-    is_roof &= lengths(scene.vertices_m[:, :2]) < 100.0
+    is_roof &= np.linalg.norm(scene.vertices_m[:, :2], axis=-1) < 100.0
     up = np.outer(is_roof, [0.0, 0.0, bottom_m])
     bodies, refusals = parked(replace(scene, vertices_m=scene.vertices_m + up))
 

@@ -8,11 +8,9 @@ from dragged import front_axle_at
 from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
-from plane_vectors import unit_vectors
 from refusals import refused_with
 from scipy.interpolate import CubicHermiteSpline
 from strategies import angles_deg, coordinates_m, numbers
-from text_tables import changes_of
 
 from scenarios.courses import pick_turn
 from scenarios.paths import Motion, StraightPath, TurnPath, _hermite, travel_time_s
@@ -53,7 +51,7 @@ def turn_paths(draw):
 def unit(yaw_deg):
     """Unit vectors in directions."""
     yaw = np.radians(yaw_deg)
-    return unit_vectors(yaw)
+    return np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
 
 
 def rear_axle_m(path, distance_m):
@@ -154,14 +152,16 @@ def test_a_straight_path_declares_that_it_never_turns():
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    changes_of("""
-    start_m=[0.0]   | start_m: got shape (1,); expected shape (2,)
-    yaw_deg=inf     | yaw_deg: got inf; expected finite degrees
-    straight_m=-1.0 | straight_m: got -1.0; expected metres, at least 0
-    wheelbase_m=0.0 | wheelbase_m: got 0.0; expected > 0 metres
-    front_axle_ahead_m=2.9 |
-        front_axle_ahead_m: got 2.9; expected 0 <= metres <= wheelbase
-"""),
+    [
+        ({"start_m": [0.0]}, "start_m: got shape (1,); expected shape (2,)"),
+        ({"yaw_deg": np.inf}, "yaw_deg: got inf; expected finite degrees"),
+        ({"straight_m": -1.0}, "straight_m: got -1.0; expected metres, at least 0"),
+        ({"wheelbase_m": 0.0}, "wheelbase_m: got 0.0; expected > 0 metres"),
+        (
+            {"front_axle_ahead_m": 2.9},
+            "front_axle_ahead_m: got 2.9; expected 0 <= metres <= wheelbase",
+        ),
+    ],
 )
 def test_a_turn_path_says_what_is_wrong(change, message):
     with refused_with(message):
@@ -231,13 +231,24 @@ def test_travel_time_inverts_the_distance(speed, acceleration_m, time_s):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    changes_of("""
-    speed_mps=-1.0 | motion.speed_mps: got -1.0; expected > 0 metres per second
-    speed_mps=nan | motion.speed_mps: got nan; expected > 0 metres per second
-    start_time_s=inf             | motion.start_time_s: got inf; expected a finite time
-    acceleration_distance_m=-0.1 |
-        motion.acceleration_distance_m: got -0.1; expected metres, at least 0
-"""),
+    [
+        (
+            {"speed_mps": -1.0},
+            "motion.speed_mps: got -1.0; expected > 0 metres per second",
+        ),
+        (
+            {"speed_mps": np.nan},
+            "motion.speed_mps: got nan; expected > 0 metres per second",
+        ),
+        (
+            {"start_time_s": np.inf},
+            "motion.start_time_s: got inf; expected a finite time",
+        ),
+        (
+            {"acceleration_distance_m": -0.1},
+            ("motion.acceleration_distance_m: got -0.1; expected metres, at least 0"),
+        ),
+    ],
 )
 def test_a_motion_says_what_is_wrong(change, message):
     with refused_with(message):

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from oracles import separation_m
-from refusal_words import refused_about
 from refusals import refused_with
-from text_tables import changes_of
 
 from geometry.actors import PlacedActor
+from geometry.errors import InputError
 from geometry.frames import to_carla_points, to_carla_yaw
 from geometry.tables import read_table
 from scenarios import published
@@ -149,22 +148,48 @@ def test_a_placement_without_parked_bodies_has_none(monkeypatch):
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    changes_of("""
-    approach=''      | {0}.approach: got ''; expected text
-    vut_start_m=None | {0}.vut_start_m: got nothing; expected a value
-    vru_start_m=[1.0] | {0}.vru_start_m: got shape (1,); expected shape (2,)
-    vut_yaw_deg='left' | {0}.vut_yaw_deg: got 'left'; expected a finite number
-    collision_point_m=[1.0, 2.0, 3.0] |
-        {0}.collision_point_m: got shape (3,); expected shape (2,)
-    vru_yaw_deg=180.0 | {0}: got paths at 0.0 degrees; expected perpendicular paths
-    vru_yaw_deg=30.0 | {0}: got paths at 30.0 degrees; expected perpendicular paths
-    vru_yaw_deg=91.5 | {0}: got paths at 88.5 degrees; expected perpendicular paths
-    collision_point_m=[-110.0, -3.0] |
-        {0}.collision_point_m: got [-110.0, -3.0]; expected a point on the VUT's path
-    vru_yaw_deg=270.0 |
-        {0}: got paths that meet behind a start; expected starts before the meeting
-        point
-"""),
+    [
+        ({"approach": ""}, "{0}.approach: got ''; expected text"),
+        ({"vut_start_m": None}, "{0}.vut_start_m: got nothing; expected a value"),
+        (
+            {"vru_start_m": [1.0]},
+            "{0}.vru_start_m: got shape (1,); expected shape (2,)",
+        ),
+        (
+            {"vut_yaw_deg": "left"},
+            "{0}.vut_yaw_deg: got 'left'; expected a finite number",
+        ),
+        (
+            {"collision_point_m": [1.0, 2.0, 3.0]},
+            "{0}.collision_point_m: got shape (3,); expected shape (2,)",
+        ),
+        (
+            {"vru_yaw_deg": 180.0},
+            "{0}: got paths at 0.0 degrees; expected perpendicular paths",
+        ),
+        (
+            {"vru_yaw_deg": 30.0},
+            "{0}: got paths at 30.0 degrees; expected perpendicular paths",
+        ),
+        (
+            {"vru_yaw_deg": 91.5},
+            "{0}: got paths at 88.5 degrees; expected perpendicular paths",
+        ),
+        (
+            {"collision_point_m": [-110.0, -3.0]},
+            (
+                "{0}.collision_point_m: got [-110.0, -3.0]; expected a point on "
+                "the VUT's path"
+            ),
+        ),
+        (
+            {"vru_yaw_deg": 270.0},
+            (
+                "{0}: got paths that meet behind a start; expected starts before "
+                "the meeting point"
+            ),
+        ),
+    ],
 )
 def test_placements_say_what_is_wrong(monkeypatch, changes, message):
     with refused_with(message.format("town05_runs.toml: placements[0]")):
@@ -181,7 +206,7 @@ def test_a_longitudinal_case_needs_one_heading():
         "vru_yaw_deg": 90.0,
         "collision_point_m": [-40.0, 0.0],
     }
-    with refused_about("expected one heading for VUT and VRU"):
+    with pytest.raises(InputError, match="expected one heading for VUT and VRU"):
         published._build_placement(
             read_table(entry, published._Entry, "runs.toml"),
             "runs.toml: placements[0]",

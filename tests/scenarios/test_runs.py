@@ -13,7 +13,6 @@ from junctions import ARMS, build_scene, protocol_scene
 from oracles import separation_m, simulated_track_s
 from refusals import refused_with
 from strategies import frame_axes, numbers
-from text_tables import changes_of
 
 from geometry.study_scene import load_study_scene
 from scenarios.cases import load_cases
@@ -181,10 +180,16 @@ def test_runs_that_are_known_are_taken_and_the_others_laid(lay):
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    changes_of("""
-    approaches=["up"] | approach: got 'up'; expected one of east, north, west, south
-    weathers=["snow"] | weather: got 'snow'; expected one of day, night, rain, fog
-"""),
+    [
+        (
+            {"approaches": ["up"]},
+            "approach: got 'up'; expected one of east, north, west, south",
+        ),
+        (
+            {"weathers": ["snow"]},
+            "weather: got 'snow'; expected one of day, night, rain, fog",
+        ),
+    ],
 )
 def test_unknown_words_list_the_known_ones(lay, options, message):
     with refused_with(message):
@@ -277,8 +282,14 @@ def test_frames_lie_on_the_10_hz_grid_and_end_at_the_impact(runs):
 
 
 def test_arrays_of_a_run_are_read_only(runs):
-    fields = "time_s vut_position_m vut_yaw_deg vru_position_m vru_yaw_deg"
-    for field in fields.split():
+    fields = [
+        "time_s",
+        "vut_position_m",
+        "vut_yaw_deg",
+        "vru_position_m",
+        "vru_yaw_deg",
+    ]
+    for field in fields:
         with pytest.raises(ValueError, match="read-only"):
             getattr(runs[0], field)[0] = 0.0
 
@@ -308,31 +319,60 @@ def test_frame_axis_of_no_run_is_refused():
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    changes_of("""
-    weight=[0.5, 0.5]       | weight: got shape (2,); expected shape (3,)
-    weight=[0.5, 0.5, 0.5] |
-        weight: got [0.5, 0.5, 0.5]; expected shares >= 0 that sum to 1
-    weight=[1.5, -0.5, 0.0] |
-        weight: got [1.5, -0.5, 0.0]; expected shares >= 0 that sum to 1
-    last_brake_time_s=[0.0, nan, 0.0] |
-        last_brake_time_s: got [0.0, nan, 0.0]; expected one time per run
-    last_brake_time_s=[0.0] | last_brake_time_s: got [0.0]; expected one time per run
-    run_start=[0, 3, 3, 10] |
-        run_start: got [0, 3, 3, 10]; expected 0 and ascending, one more than runs
-    run_start=[1, 3, 8, 10] |
-        run_start: got [1, 3, 8, 10]; expected 0 and ascending, one more than runs
-    run_start=[0, 3, 10] |
-        run_start: got [0, 3, 10]; expected 0 and ascending, one more than runs
-    run_start=[0, 3, 8, 11] | time_s: got 10 frames; expected 11
-    time_s=[-0.2, -0.1, 0.0, -0.4, -0.2, -0.3, -0.1, 0.0, -0.1, 0.0] |
-        time_s: got -0.2 before -0.3; expected times that ascend within a run
-    time_s=[-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, 0.0, 0.0] |
-        time_s: got 0.0 before 0.0; expected times that ascend within a run
-    run_start=[0, 4, 8, 10] |
-        time_s: got 0.0 before -0.4; expected times that ascend within a run
-    vut_speed_kmh=[1.0, inf, 2.0] |
-        vut_speed_kmh: got [1.0, inf, 2.0]; expected finite numbers
-"""),
+    [
+        ({"weight": [0.5, 0.5]}, "weight: got shape (2,); expected shape (3,)"),
+        (
+            {"weight": [0.5, 0.5, 0.5]},
+            "weight: got [0.5, 0.5, 0.5]; expected shares >= 0 that sum to 1",
+        ),
+        (
+            {"weight": [1.5, -0.5, 0.0]},
+            "weight: got [1.5, -0.5, 0.0]; expected shares >= 0 that sum to 1",
+        ),
+        (
+            {"last_brake_time_s": [0.0, math.nan, 0.0]},
+            "last_brake_time_s: got [0.0, nan, 0.0]; expected one time per run",
+        ),
+        (
+            {"last_brake_time_s": [0.0]},
+            "last_brake_time_s: got [0.0]; expected one time per run",
+        ),
+        (
+            {"run_start": [0, 3, 3, 10]},
+            (
+                "run_start: got [0, 3, 3, 10]; expected 0 and ascending, one "
+                "more than runs"
+            ),
+        ),
+        (
+            {"run_start": [1, 3, 8, 10]},
+            (
+                "run_start: got [1, 3, 8, 10]; expected 0 and ascending, one "
+                "more than runs"
+            ),
+        ),
+        (
+            {"run_start": [0, 3, 10]},
+            ("run_start: got [0, 3, 10]; expected 0 and ascending, one more than runs"),
+        ),
+        ({"run_start": [0, 3, 8, 11]}, "time_s: got 10 frames; expected 11"),
+        (
+            {"time_s": [-0.2, -0.1, 0.0, -0.4, -0.2, -0.3, -0.1, 0.0, -0.1, 0.0]},
+            ("time_s: got -0.2 before -0.3; expected times that ascend within a run"),
+        ),
+        (
+            {"time_s": [-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, 0.0, 0.0]},
+            ("time_s: got 0.0 before 0.0; expected times that ascend within a run"),
+        ),
+        (
+            {"run_start": [0, 4, 8, 10]},
+            ("time_s: got 0.0 before -0.4; expected times that ascend within a run"),
+        ),
+        (
+            {"vut_speed_kmh": [1.0, math.inf, 2.0]},
+            "vut_speed_kmh: got [1.0, inf, 2.0]; expected finite numbers",
+        ),
+    ],
 )
 def test_frame_axis_says_what_is_wrong(frame_axis, change, message):
     with refused_with(message):

@@ -1,7 +1,6 @@
 """Cases and speeds chosen by their names."""
 
 import pytest
-from text_tables import rows_of
 
 from geometry.errors import InputError
 from scenarios.cases import select_cases
@@ -32,17 +31,23 @@ def test_a_case_without_the_speed_is_left_out_and_told():
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    rows_of("""
-    70     | speeds: got 70; expected 10 to 60 km/h as the protocol drives these cases
-    20,nan | speeds: got 'nan'; expected km/h with commas between
-    inf    | speeds: got 'inf'; expected km/h
-    -5     | speeds: got '-5'; expected km/h
-    0      | speeds: got '0'; expected km/h
-    1e9    | speeds: got '1e9'; expected km/h
-    20,,30 | speeds: got ''; expected km/h
-    40-20  | speeds: got '40-20'; expected the lower speed first
-    61-62  | speeds: got '61-62'; expected 10 to 60 km/h
-"""),
+    [
+        (
+            "70",
+            (
+                "speeds: got 70; expected 10 to 60 km/h as the protocol drives "
+                "these cases"
+            ),
+        ),
+        ("20,nan", "speeds: got 'nan'; expected km/h with commas between"),
+        ("inf", "speeds: got 'inf'; expected km/h"),
+        ("-5", "speeds: got '-5'; expected km/h"),
+        ("0", "speeds: got '0'; expected km/h"),
+        ("1e9", "speeds: got '1e9'; expected km/h"),
+        ("20,,30", "speeds: got ''; expected km/h"),
+        ("40-20", "speeds: got '40-20'; expected the lower speed first"),
+        ("61-62", "speeds: got '61-62'; expected 10 to 60 km/h"),
+    ],
 )
 def test_speeds_that_cannot_be_driven_are_told(text, message):
     with pytest.raises(InputError) as caught:

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from text_tables import rows_of
 
 from geometry.actors import pick_actor
 from geometry.errors import InputError
@@ -145,40 +144,66 @@ def test_who_has_another_class_or_is_seen_briefly_is_counted(tmp_path):
 
 @pytest.mark.parametrize(
     ("message", "steps", "more"),
-    rows_of("""
-    line 4: time: got 0.1 s after 0.1 s; expected times of a that | 0 1 1 2 |
-    line 4: time: got 0.1 s after 0.2 s; expected times of a that | 0 2 1   |
-    line 10: time: got 0.05 s after the one before; expected steps of 0.1 s, as in most
-        | 0 1 2 3 4 5 6 7 | a,0.75,0.75,2,90,pedestrian
-    line 6: got 9.0 m in 0.1 s; expected a track of a without jumps, at most 12 m/s
-        | 0 1 2 3 | a,0.4,9.3,2,90,pedestrian
-    line 6: x: got 'nan'; expected a fini      | 0 1 2 3 | a,1.0,nan,2,90,ped
-    line 6: time: got '1e999'; expected        | 0 1 2 3 | a,1e999,1.0,2,0,ped
-    line 6: got 3 columns; expected 6          | 0 1 2 3 | a,1.0,1.0
-    got nobody; expected trajectories of road users |    |
-"""),
+    [
+        (
+            "line 4: time: got 0.1 s after 0.1 s; expected times of a that",
+            [0, 1, 1, 2],
+            "",
+        ),
+        (
+            "line 4: time: got 0.1 s after 0.2 s; expected times of a that",
+            [0, 2, 1],
+            "",
+        ),
+        (
+            (
+                "line 10: time: got 0.05 s after the one before; expected steps "
+                "of 0.1 s, as in most"
+            ),
+            range(8),
+            "a,0.75,0.75,2,90,pedestrian",
+        ),
+        (
+            (
+                "line 6: got 9.0 m in 0.1 s; expected a track of a without "
+                "jumps, at most 12 m/s"
+            ),
+            range(4),
+            "a,0.4,9.3,2,90,pedestrian",
+        ),
+        ("line 6: x: got 'nan'; expected a fini", range(4), "a,1.0,nan,2,90,ped"),
+        ("line 6: time: got '1e999'; expected", range(4), "a,1e999,1.0,2,0,ped"),
+        ("line 6: got 3 columns; expected 6", range(4), "a,1.0,1.0"),
+        ("got nobody; expected trajectories of road users", [], ""),
+    ],
 )
 def test_what_cannot_be_is_told_with_its_line(tmp_path, message, steps, more):
-    text = csv_of(walk(steps=map(int, steps.split())))
+    text = csv_of(walk(steps=steps))
     assert refusal(tmp_path, text + more).startswith(message)
 
 
 @pytest.mark.parametrize(
     ("header", "message", "options"),
-    rows_of(
-        """
-    id,time,x,class | expected a column y, one of y, y_m, y_est              | {}
-    id,x,y,class    | expected a column time in seconds, or frame with `rate` | {}
-    id,time,x,y     | expected a column with the class, or `class`           | {}
-    id,time,x,y     | got 'east'; expected a column: id, time |
-        {'columns': {'x': 'east'}}
-    id,time,x,y     | columns: got 'up'; expected one of id, time |
-        {'columns': {'up': 'x'}}
-    id,time,x,y     | class: got 'dog'; expected one of pedestrian |
-        {'class_name': 'dog'}
-""",
-        n_texts=2,
-    ),
+    [
+        ("id,time,x,class", "expected a column y, one of y, y_m, y_est", {}),
+        ("id,x,y,class", "expected a column time in seconds, or frame with `rate`", {}),
+        ("id,time,x,y", "expected a column with the class, or `class`", {}),
+        (
+            "id,time,x,y",
+            "got 'east'; expected a column: id, time",
+            {"columns": {"x": "east"}},
+        ),
+        (
+            "id,time,x,y",
+            "columns: got 'up'; expected one of id, time",
+            {"columns": {"up": "x"}},
+        ),
+        (
+            "id,time,x,y",
+            "class: got 'dog'; expected one of pedestrian",
+            {"class_name": "dog"},
+        ),
+    ],
 )
 def test_missing_columns_are_named(tmp_path, header, message, options):
     assert message in refusal(tmp_path, csv_of([], header), **options)

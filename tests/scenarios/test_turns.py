@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from plane_vectors import unit_vectors
 from refusals import refused_with
 from scipy.integrate import cumulative_simpson
 from strategies import numbers
-from text_tables import changes_of, rows_of
 
 from scenarios.courses import LEFT, RIGHT, Turn, load_turns, pick_turn
 
@@ -57,9 +55,9 @@ def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn
     angle = turn.side * np.radians(angle_deg)
     assert_allclose(angle, integral(curvature), rtol=0.0, atol=slack)
 
-    ahead, left = unit_vectors(np.radians(angle_deg)).T
-    east = integral(ahead) - 1.0
-    north = integral(left)
+    yaw = np.radians(angle_deg)
+    east = integral(np.cos(yaw)) - 1.0
+    north = integral(np.sin(yaw))
     assert_allclose(position, np.stack([east, north], axis=-1), rtol=0.0, atol=5e-6)
 
 
@@ -68,7 +66,7 @@ def test_a_turn_ends_on_the_exit_line_at_the_tangents_length_behind_the_corner(t
     end, end_deg = turn.at(turn.length_m)
     angle = turn.side * np.radians(turn.angle_deg)
     corner = np.array([turn.tangent_m, 0.0])
-    exit_direction = unit_vectors(angle)
+    exit_direction = np.array([np.cos(angle), np.sin(angle)])
 
     assert end == pytest.approx(corner + turn.tangent_m * exit_direction, abs=1e-9)
     assert end_deg == pytest.approx(turn.side * turn.angle_deg, abs=1e-9)
@@ -102,21 +100,33 @@ def test_speeds_pick_the_turns_of_the_protocol_and_faster_ones_take_the_fastest(
 
 @pytest.mark.parametrize(
     ("side", "message", "speed_kmh"),
-    rows_of(
-        """
-    left | turn: got 'left'; expected one of far, near | 10.0
-    far  |
-        speed of a far turn: got 12.0; expected 10, 15, 20 km/h, or beyond the first or
-        the last | 12.0
-    near |
-        speed of a near turn: got 0.0; expected 10 km/h, or beyond the first or the last
-        | 0.0
-    near |
-        speed of a near turn: got nan; expected 10 km/h, or beyond the first or the last
-        | nan
-""",
-        n_texts=2,
-    ),
+    [
+        ("left", "turn: got 'left'; expected one of far, near", 10.0),
+        (
+            "far",
+            (
+                "speed of a far turn: got 12.0; expected 10, 15, 20 km/h, or "
+                "beyond the first or the last"
+            ),
+            12.0,
+        ),
+        (
+            "near",
+            (
+                "speed of a near turn: got 0.0; expected 10 km/h, or beyond the "
+                "first or the last"
+            ),
+            0.0,
+        ),
+        (
+            "near",
+            (
+                "speed of a near turn: got nan; expected 10 km/h, or beyond the "
+                "first or the last"
+            ),
+            np.nan,
+        ),
+    ],
 )
 def test_a_turn_that_is_not_tabulated_is_refused(side, message, speed_kmh):
     with refused_with(message):
@@ -142,16 +152,26 @@ def test_clothoids_alone_serve_small_angles(angle_deg):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    changes_of("""
-    radius_m=0.0 | turn.radius_m: got 0.0; expected > 0 metres
-    radius_m=nan | turn.radius_m: got nan; expected > 0 metres
-    first_radius_m=9.0 | turn.first_radius_m: got 9.0; expected more than radius_m
-    clothoid_deg=0.0 | turn.clothoid_deg: got 0.0; expected 0 < degrees < 90
-    arc_deg=140.0 |
-        turn.arc_deg: got 140.0; expected degrees >= 0, less than 180 with both
-        clothoids
-    side=0       | turn.side: got 0; expected 1 (left) or -1 (right)
-"""),
+    [
+        ({"radius_m": 0.0}, "turn.radius_m: got 0.0; expected > 0 metres"),
+        ({"radius_m": np.nan}, "turn.radius_m: got nan; expected > 0 metres"),
+        (
+            {"first_radius_m": 9.0},
+            "turn.first_radius_m: got 9.0; expected more than radius_m",
+        ),
+        (
+            {"clothoid_deg": 0.0},
+            "turn.clothoid_deg: got 0.0; expected 0 < degrees < 90",
+        ),
+        (
+            {"arc_deg": 140.0},
+            (
+                "turn.arc_deg: got 140.0; expected degrees >= 0, less than 180 "
+                "with both clothoids"
+            ),
+        ),
+        ({"side": 0}, "turn.side: got 0; expected 1 (left) or -1 (right)"),
+    ],
 )
 def test_a_turn_says_what_is_wrong(change, message):
     with refused_with(message):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from plane_vectors import lengths
 
 from geometry.footprints import footprint_corners, footprint_separation
 from scenarios.decision import load_decision_rule
@@ -56,7 +55,7 @@ def test_who_stops_slows_down_as_the_rule_says_and_stands_at_the_clearance(twins
     assert stopping
     for run in stopping:
         step_s = np.diff(run.time_s).mean()
-        speed = lengths(np.diff(run.vru_position_m, axis=0)) / step_s
+        speed = np.linalg.norm(np.diff(run.vru_position_m, axis=0), axis=-1) / step_s
         slowing = -np.diff(speed) / step_s
 
         assert slowing.max() <= RULE.stop_mps2 + 1e-6

@@ -9,7 +9,6 @@ import pytest
 import shapely
 from case_names import case_names
 from dragged import front_axle_at
-from geometry_text import array_of
 from junctions import (
     ARMS,
     LANE_M,
@@ -20,7 +19,6 @@ from junctions import (
     turned,
 )
 from oracles import distance_to_chain_m
-from plane_vectors import lengths, unit_vectors
 from scenario_lanes import arm_lanes, build_lane, exchanged, pose_at
 
 from geometry.footprints import footprint_corners
@@ -43,13 +41,9 @@ def bent(lane, *, radius_m=RADIUS_M, straight_m=0.0):
     along = np.arange(0.0, 120.0, 2.0)
     curve = np.maximum(along - straight_m, 0.0) / radius_m
     radius = radius_m + left[0]
-    places = np.stack(
-        [
-            -MOUTH_M - np.minimum(along, straight_m) - radius * np.sin(curve),
-            radius * np.cos(curve) - radius_m,
-        ],
-        axis=-1,
-    )
+    west_m = MOUTH_M + np.minimum(along, straight_m) + radius * np.sin(curve)
+    north_m = radius * np.cos(curve) - radius_m
+    places = np.stack([-west_m, north_m], axis=-1)
     if ahead[-1] > ahead[0]:
         places = places[::-1]
     return replace(lane, centreline_m=places)
@@ -183,7 +177,7 @@ def test_turns_lead_into_arms_that_lie_askew_and_pedestrians_cross_them_squarely
 def test_a_turn_follows_the_junctions_own_lane_where_there_is_one(vut):
     angle = np.radians(np.linspace(-90.0, 0.0, 20))
     radius_m = MOUTH_M + 0.5 * LANE_M
-    arc = radius_m * unit_vectors(angle)
+    arc = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     arc += [-MOUTH_M, MOUTH_M]
     scene = with_lanes(build_lane("through", arc, kind="connecting"))
 
@@ -209,7 +203,7 @@ def quarter_circle(radius_m, *, before, after, n_points=60):
     end = after.centreline_m[0]
     angle = np.linspace(-0.5 * np.pi, 0.0, n_points)
     middle = np.array([end[0] - radius_m, begin[1] + radius_m])
-    arc = middle + radius_m * unit_vectors(angle)
+    arc = middle + radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     line = without_repeats([[begin], arc, [end]])
     return build_lane("turn", line, kind="connecting"), middle
 
@@ -217,7 +211,7 @@ def quarter_circle(radius_m, *, before, after, n_points=60):
 def without_repeats(parts):
     """Points of parts one after the other, each place once."""
     line = np.concatenate(parts)
-    is_new = np.append(True, lengths(np.diff(line, axis=0)) > 1.0e-6)
+    is_new = np.append(True, np.linalg.norm(np.diff(line, axis=0), axis=-1) > 1.0e-6)
     return line[is_new]
 
 
@@ -246,7 +240,7 @@ def test_a_turning_car_stays_within_a_centimetre_of_a_connecting_lane(vut, radiu
 
     position, yaw_deg = path.at(np.arange(0.0, 40.0, 0.5))
     yaw = np.radians(yaw_deg)
-    ahead = unit_vectors(yaw)
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
     axle = position + vut.front_axle_ahead_m * ahead
 
     assert distance_to_chain_m(axle, path.course.points_m[::5]).max() < 0.001
@@ -396,7 +390,7 @@ def test_parked_cars_give_way_to_a_pole_and_a_house_that_leaves_no_room_is_named
     assert not refusals
 
     moved_m = given_way[0].obstruction[0].pose.position_m - first
-    assert 0.0 < lengths(moved_m[:2]) <= 2.0
+    assert 0.0 < np.linalg.norm(moved_m[:2]) <= 2.0
 
     house = ("house", first[0] - 5.0, -15.0, 12.0, 23.0, 6.0)
     runs, refusals = park(house)
@@ -418,7 +412,17 @@ def test_what_needs_a_road_that_is_missing_does_not_count_as_possible(lay):
 
 def test_a_turn_that_no_curve_makes_is_refused(vut):
     # The lane out bends away at once, back towards where the VUT came from.
-    back = build_lane("north-out-0", array_of("1.75 11.5, 1 13, -6 15, -9 14"))
+    back = build_lane(
+        "north-out-0",
+        np.array(
+            [
+                [1.75, 11.5],
+                [1.0, 13.0],
+                [-6.0, 15.0],
+                [-9.0, 14.0],
+            ]
+        ),
+    )
     scene = build_scene(exchanged(arm_lanes(), back))
     with pytest.raises(CannotCarryError, match="lane"):
         staged("CPTAfs-50", vut, scene=scene, speed_kmh=20.0)

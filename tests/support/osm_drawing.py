@@ -1,6 +1,5 @@
 """Maps of OpenStreetMap drawn as text: a line for each road, way or node."""
 
-from geometry_text import points_of
 from osm_tags import tags_of
 from osm_text import OsmText, as_drawn, crossing
 
@@ -44,7 +43,10 @@ class OsmDrawing(OsmText):
         """Add one road, way or node."""
         head, _, tag_text = line.partition(":")
         kind, _, place_text = head.strip().partition(" ")
-        places = points_of(place_text)
+        places = []
+        for part in place_text.split(","):
+            east_m, north_m = part.split()
+            places.append((float(east_m), float(north_m)))
         tags = {}
         if kind == "road":
             tags["highway"] = "residential"

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from osm_drawing import drawn, drawn_crossing, read_drawing
 from osm_text import arms_of
-from text_tables import rows_of
 
 WORDS = {"driving": "car", "bus": "bus", "cycling": "bicycle"}
 
@@ -58,24 +57,37 @@ def test_every_spelling_of_a_bus_lane_at_both_kerbs(tags, tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "expected"),
-    rows_of("""
-    lanes=3; lanes:forward=2; busway:right=lane        | car <, car >, bus >
-    oneway=yes; lanes=2; lanes:bus=1                   | car >, bus >
-    oneway=yes; lanes=2; busway:left=lane              | bus >, car >
-    oneway=yes; lanes=3; bus:lanes=designated|yes|yes; vehicle:lanes=no|yes|yes |
-        bus >, car >, car >
-    # Buses come against a one-way road.
-    oneway=yes; lanes=2; busway=opposite_lane          | bus <, car >
-    oneway=yes; lanes=3; lanes:forward=2; lanes:psv:backward=1 | bus <, car >, car >
-    # A lane for cyclists that the list counts and `lanes` does not.
-    oneway=yes; lanes=2; vehicle:lanes=yes|no|no; bus:lanes=yes|designated|no;
-        bicycle:lanes=no|no|designated | car >, bus >
-    # Cars may use what buses may use too, and carpools are cars.
-    oneway=yes; lanes=2; access:lanes=yes|yes; bus:lanes=yes|designated | car >, car >
-    oneway=yes; lanes=2; hov:lanes=designated|yes      | car >, car >
-    oneway=yes; lanes=2; vehicle:lanes=yes|destination | car >, car >
-    oneway=-1; lanes=2; busway=lane                    | bus <, car <
-"""),
+    [
+        ("lanes=3; lanes:forward=2; busway:right=lane", "car <, car >, bus >"),
+        ("oneway=yes; lanes=2; lanes:bus=1", "car >, bus >"),
+        ("oneway=yes; lanes=2; busway:left=lane", "bus >, car >"),
+        (
+            (
+                "oneway=yes; lanes=3; bus:lanes=designated|yes|yes; "
+                "vehicle:lanes=no|yes|yes"
+            ),
+            "bus >, car >, car >",
+        ),
+        ("oneway=yes; lanes=2; busway=opposite_lane", "bus <, car >"),
+        (
+            "oneway=yes; lanes=3; lanes:forward=2; lanes:psv:backward=1",
+            "bus <, car >, car >",
+        ),
+        (
+            (
+                "oneway=yes; lanes=2; vehicle:lanes=yes|no|no; "
+                "bus:lanes=yes|designated|no; bicycle:lanes=no|no|designated"
+            ),
+            "car >, bus >",
+        ),
+        (
+            ("oneway=yes; lanes=2; access:lanes=yes|yes; bus:lanes=yes|designated"),
+            "car >, car >",
+        ),
+        ("oneway=yes; lanes=2; hov:lanes=designated|yes", "car >, car >"),
+        ("oneway=yes; lanes=2; vehicle:lanes=yes|destination", "car >, car >"),
+        ("oneway=-1; lanes=2; busway=lane", "bus <, car <"),
+    ],
 )
 def test_where_a_bus_lane_lies_and_who_else_uses_it(tags, expected, tmp_path):
     found, _ = road_from_left(tags, tmp_path)
@@ -89,12 +101,19 @@ def test_where_traffic_keeps_left_bus_lanes_lie_at_the_left_kerb(tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "expected", "why"),
-    rows_of("""
-    oneway=yes; lanes=1; busway=lane | car >, bus >        | buses have all its lanes
-    oneway=yes; lanes=3; bus:lanes=yes|designated | car >, car >, bus > |
-        do not fit their number
-    lanes=3; lanes:psv=1 | car <, car >, bus > | names no direction
-"""),
+    [
+        (
+            "oneway=yes; lanes=1; busway=lane",
+            "car >, bus >",
+            "buses have all its lanes",
+        ),
+        (
+            "oneway=yes; lanes=3; bus:lanes=yes|designated",
+            "car >, car >, bus >",
+            "do not fit their number",
+        ),
+        ("lanes=3; lanes:psv=1", "car <, car >, bus >", "names no direction"),
+    ],
 )
 def test_what_a_map_leaves_open_of_bus_lanes_is_told(tags, expected, why, tmp_path):
     found, source = road_from_left(tags, tmp_path)

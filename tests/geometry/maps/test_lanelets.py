@@ -4,15 +4,12 @@ import re
 
 import numpy as np
 import pytest
-from geometry_text import points_of
 from lanelet_text import HALF_M, WIDTH_M, commonroad, crossing, lanelet2
 from numpy.testing import assert_allclose, assert_array_equal
 from osm_tags import tags_of
-from plane_vectors import lengths
 from pyproj import Transformer
-from refusal_words import refused_about
-from text_tables import rows_of
 
+from geometry.errors import InputError
 from geometry.maps.importing import (
     ImportOptions,
     import_scene,
@@ -76,13 +73,8 @@ def test_a_lanelet_with_exchanged_sides_is_turned_and_told(tmp_path):
     assert any("exchanged" in note.why for note in source.skipped)
 
 
-def bounds_of(left, right):
-    """Left and right bound of a lanelet, each a text of places."""
-    return points_of(left), points_of(right)
-
-
 def test_both_ways_of_a_lanelet_are_lanes(tmp_path):
-    lanes = {"road": bounds_of("0 2, 50 2", "0 -2, 50 -2")}
+    lanes = {"road": ([(0.0, 2.0), (50.0, 2.0)], [(0.0, -2.0), (50.0, -2.0)])}
     assert len(read(tmp_path, lanelet2(lanes)).lanes) == 1
 
     one, back = read(tmp_path, lanelet2(lanes, {"one_way": "no"})).lanes
@@ -90,10 +82,18 @@ def test_both_ways_of_a_lanelet_are_lanes(tmp_path):
 
 
 def test_crosswalks_lights_and_houses_are_there(tmp_path):
-    lanes = crossing() | {"zebra": bounds_of("-12 -5, -12 5", "-9 -5, -9 5")}
+    lanes = crossing() | {
+        "zebra": ([(-12.0, -5.0), (-12.0, 5.0)], [(-9.0, -5.0), (-9.0, 5.0)])
+    }
     more = ""
     refs = ""
-    corners = points_of("20 20, 30 20, 30 35, 20 35, 20 20")
+    corners = [
+        (20.0, 20.0),
+        (30.0, 20.0),
+        (30.0, 35.0),
+        (20.0, 35.0),
+        (20.0, 20.0),
+    ]
 
     for number, (x, y) in enumerate(corners, 900):
         more += (
@@ -134,8 +134,8 @@ def test_a_crossing_becomes_a_scene(tmp_path):
 EMPTY_LANELET = (
     "<osm version='0.6'><relation id='1'><tag k='type' v='lanelet'/></relation></osm>"
 )
-ZEBRA = {"zebra": bounds_of("0 1, 9 1", "0 0, 9 0")}
-OF_A_POINT = {"road": bounds_of("0 1", "0 0, 9 0")}
+ZEBRA = {"zebra": ([(0.0, 1.0), (9.0, 1.0)], [(0.0, 0.0), (9.0, 0.0)])}
+OF_A_POINT = {"road": ([(0.0, 1.0)], [(0.0, 0.0), (9.0, 0.0)])}
 OF_NO_NUMBERS = {"road": ([(0, "x"), (1, "nan")], [(0, 0), (9, 0)])}
 
 
@@ -150,20 +150,20 @@ OF_NO_NUMBERS = {"road": ([(0, "x"), (1, "nan")], [(0, 0), (9, 0)])}
     ],
 )
 def test_what_is_no_map_is_refused(tmp_path, text, name, told):
-    with refused_about(told):
+    with pytest.raises(InputError, match=told):
         read(tmp_path, text, name)
 
 
 @pytest.mark.parametrize(
     ("tags", "kind"),
-    rows_of("""
-    subtype=bus_lane | bus
-    participant:vehicle:bus=yes; participant:vehicle:taxi=yes | bus
-    participant:bicycle=yes                           | cycling
-    participant:vehicle=yes; participant:bicycle=yes  | driving
-    participant:vehicle=yes; participant:vehicle:car=no | bus
-    participant:pedestrian=no                         | driving
-"""),
+    [
+        ("subtype=bus_lane", "bus"),
+        ("participant:vehicle:bus=yes; participant:vehicle:taxi=yes", "bus"),
+        ("participant:bicycle=yes", "cycling"),
+        ("participant:vehicle=yes; participant:bicycle=yes", "driving"),
+        ("participant:vehicle=yes; participant:vehicle:car=no", "bus"),
+        ("participant:pedestrian=no", "driving"),
+    ],
 )
 def test_who_may_use_a_lanelet_says_its_kind(tags, kind, tmp_path):
     """The first one leads in from the west."""
@@ -254,7 +254,7 @@ def test_every_variant_of_a_map_has_the_same_arms_and_lanes(text, tmp_path):
 
 def steps_m(lane):
     """Distances between the points of a lane."""
-    return lengths(np.diff(lane.centreline_m[:, :2], axis=0))
+    return np.linalg.norm(np.diff(lane.centreline_m[:, :2], axis=0), axis=-1)
 
 
 def test_latitudes_say_where_local_coordinates_lie(tmp_path):
@@ -291,11 +291,11 @@ def test_latitudes_that_do_not_fit_are_told_and_not_followed(tmp_path):
     ("bounds", "why"),
     [
         (
-            bounds_of("30 30, 50 30", "30 30, 50 30"),
+            ([(30.0, 30.0), (50.0, 30.0)], [(30.0, 30.0), (50.0, 30.0)]),
             "it is 0 m wide and 20 m long",
         ),
         (
-            bounds_of("30 30, 30 30.01", "33 30, 33 30.01"),
+            ([(30.0, 30.0), (30.0, 30.01)], [(33.0, 30.0), (33.0, 30.01)]),
             "m wide and 0.01 m long",
         ),
     ],
@@ -326,5 +326,5 @@ def test_a_lanelet_that_cannot_be_a_lane_is_told_with_its_file(bounds, why, tmp_
     ],
 )
 def test_a_broken_map_of_lanelets_is_refused_in_a_line(text, message, tmp_path):
-    with refused_about(re.escape(message)):
+    with pytest.raises(InputError, match=re.escape(message)):
         read(tmp_path, text)

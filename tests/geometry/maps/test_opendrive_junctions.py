@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import shapely
-from geometry_text import array_of
 from numpy.testing import assert_allclose
 from opendrive_text import (
     arms_of,
@@ -18,9 +17,6 @@ from opendrive_text import (
     to_junction,
     to_road,
 )
-from opendrive_words import section_of
-from plane_vectors import lengths
-from text_tables import rows_of
 
 COMPASS = ("east", "north", "west", "south")
 
@@ -62,7 +58,7 @@ def test_a_curved_connecting_road_is_a_lane_on_its_circle(tmp_path):
         plan=curve,
         length=length_m,
         junction="9",
-        sections=section_of("-1 width=3, -2 sidewalk"),
+        sections=section(right=[lane(-1, width=3.0), lane(-2, "sidewalk")]),
     )
     widening = lane(-1, width=cubic("width", 0.0, 0.0, 0.2))
     widens = straight(
@@ -89,7 +85,9 @@ def test_a_curved_connecting_road_is_a_lane_on_its_circle(tmp_path):
     middles = 0.5 * (points[1:] + points[:-1])
 
     for places, most_m in ((points, 1.0e-9), (middles, 0.003)):
-        off_m = np.abs(lengths(places - [0.0, radius_m]) - (radius_m + 1.5))
+        off_m = np.abs(
+            np.linalg.norm(places - [0.0, radius_m], axis=-1) - (radius_m + 1.5)
+        )
         assert off_m.max() <= most_m
     assert points[0] == pytest.approx([0.0, -1.5])
     assert points[-1] == pytest.approx([radius_m + 1.5, radius_m])
@@ -127,7 +125,15 @@ def test_the_outline_is_where_the_lanes_of_the_arms_end(tmp_path):
 
 
 def test_holes_are_filled_and_the_largest_part_counts(tmp_path):
-    plan = array_of("20 0 0, 60 0 90, 60 40 180, 20 40 270, 500 0 0")
+    plan = np.array(
+        [
+            [20.0, 0.0, 0.0],
+            [60.0, 0.0, 90.0],
+            [60.0, 40.0, 180.0],
+            [20.0, 40.0, 270.0],
+            [500.0, 0.0, 0.0],
+        ]
+    )
     ring = ""
     for number, (x, y, angle_deg) in enumerate(plan):
         hdg = np.radians(angle_deg)
@@ -242,15 +248,20 @@ def test_a_stub_of_a_road_at_the_mouth_belongs_to_the_road_beyond(tmp_path):
 
     lanes = {one.id: one for one in source.lanes}
     assert not {"5/1", "5/-1"} & set(lanes)
-    assert_allclose(lanes["1/1"].centreline_m[[0, -1], :2], [[61, 1.75], [10, 1.75]])
-    assert lanes["1/1"].from_junction == ""
-    assert lanes["1/1"].to_junction == "9"
-    assert_allclose(lanes["1/-1"].centreline_m[[0, -1], 0], [10, 61])
-    assert (np.diff(lanes["1/-1"].centreline_m[:, 0]) > 0).all()
+
+    coming = lanes["1/1"]
+    ends_m = coming.centreline_m[[0, -1], :2]
+    assert_allclose(ends_m, np.array([[61.0, 1.75], [10.0, 1.75]]))
+    assert coming.from_junction == ""
+    assert coming.to_junction == "9"
+
+    x = lanes["1/-1"].centreline_m[:, 0]
+    assert_allclose(x[[0, -1]], [10, 61])
+    assert (np.diff(x) > 0).all()
 
 
 def test_sidewalks_are_no_part_of_the_surface(tmp_path):
-    sides = section_of("1, 2 sidewalk width=9, -1")
+    sides = section(left=[lane(1), lane(2, "sidewalk", width=9.0)], right=[lane(-1)])
     inside = road("3", length=20.0, junction="9", sections=sides)
     parts = [inside, '<junction id="9"/>']
     source = read_text(tmp_path, document(*parts))
@@ -289,18 +300,21 @@ def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, len
 
 @pytest.mark.parametrize(
     ("types", "limit_kmh"),
-    rows_of(
-        """
-    <type s="0" type="town"><speed max="50" unit="km/h"/></type> | 50.0
-    <type s="0" type="town"><speed max="10"/></type>             | 36.0
-    <type s="0" type="town"><speed max="25" unit="mph"/></type>  | 40.2
-    <type s="0" type="town"><speed max="no limit"/></type>       | None
-    <type s="0" type="town"/>                                    | None
-    <type s="30" type="rural"><speed max="70" unit="km/h"/></type><type s="0"
-        type="town"><speed max="30" unit="km/h"/></type> | 30.0
-""",
-        n_texts=1,
-    ),
+    [
+        ('<type s="0" type="town"><speed max="50" unit="km/h"/></type>', 50.0),
+        ('<type s="0" type="town"><speed max="10"/></type>', 36.0),
+        ('<type s="0" type="town"><speed max="25" unit="mph"/></type>', 40.2),
+        ('<type s="0" type="town"><speed max="no limit"/></type>', None),
+        ('<type s="0" type="town"/>', None),
+        (
+            (
+                '<type s="30" type="rural"><speed max="70" '
+                'unit="km/h"/></type><type s="0" type="town"><speed max="30" '
+                'unit="km/h"/></type>'
+            ),
+            30.0,
+        ),
+    ],
 )
 def test_roads_have_speed_limits_where_they_lead_into_the_junction(
     tmp_path, types, limit_kmh

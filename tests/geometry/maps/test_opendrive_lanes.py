@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from opendrive_text import document, geometry, lane, read_text, road, section
-from opendrive_words import cubics, section_of
-from text_tables import rows_of
+from opendrive_text import cubic, document, geometry, lane, read_text, road, section
 
 
 @pytest.fixture
@@ -26,8 +24,12 @@ def ends(lane_read):
 
 def test_right_lanes_follow_the_road_and_left_ones_come_back(lanes_of):
     lanes = lanes_of()
-    assert_allclose(ends(lanes["1/-1"]), [[0, -1.75, 0], [100, -1.75, 0]])
-    assert_allclose(ends(lanes["1/1"]), [[100, 1.75, 0], [0, 1.75, 0]])
+    assert_allclose(
+        ends(lanes["1/-1"]), np.array([[0.0, -1.75, 0.0], [100.0, -1.75, 0.0]])
+    )
+    assert_allclose(
+        ends(lanes["1/1"]), np.array([[100.0, 1.75, 0.0], [0.0, 1.75, 0.0]])
+    )
     assert lanes["1/1"].width_m == pytest.approx(3.5)
 
 
@@ -50,25 +52,25 @@ def test_a_reversed_lane_is_driven_the_other_way(lanes_of):
 
 @pytest.mark.parametrize(
     ("written", "kind"),
-    rows_of("""
-    driving        | driving
-    entry          | driving
-    exit           | driving
-    onRamp         | driving
-    offRamp        | driving
-    connectingRamp | driving
-    bidirectional  | driving
-    HOV            | driving
-    bus            | bus
-    taxi           | bus
-    parking        | parking
-    biking         | cycling
-    sidewalk       | walking
-    walking        | walking
-"""),
+    [
+        ("driving", "driving"),
+        ("entry", "driving"),
+        ("exit", "driving"),
+        ("onRamp", "driving"),
+        ("offRamp", "driving"),
+        ("connectingRamp", "driving"),
+        ("bidirectional", "driving"),
+        ("HOV", "driving"),
+        ("bus", "bus"),
+        ("taxi", "bus"),
+        ("parking", "parking"),
+        ("biking", "cycling"),
+        ("sidewalk", "walking"),
+        ("walking", "walking"),
+    ],
 )
 def test_types_of_lanes(lanes_of, written, kind):
-    (found,) = lanes_of(sections=section_of(f"-1 {written}")).values()
+    (found,) = lanes_of(sections=section(right=[lane(-1, written)])).values()
     assert found.kind == kind
 
 
@@ -77,13 +79,15 @@ def test_types_of_lanes(lanes_of, written, kind):
     ["none", "border", "shoulder", "stop", "median", "rail", "curb", "something-new"],
 )
 def test_types_that_are_no_lanes(lanes_of, written):
-    assert not lanes_of(sections=section_of(f"-1 {written}"))
+    assert not lanes_of(sections=section(right=[lane(-1, written)]))
 
 
 def test_linked_pieces_are_one_lane_also_under_new_numbers(lanes_of):
-    before = section_of("-1 after=-2, -2 sidewalk after=-3")
-    after = section_of("-1, -2 before=-1, -3 sidewalk before=-2", s=40.0)
-    offset = cubics("laneOffset", "0, 40 3.5")
+    before = section(right=[lane(-1, after=-2), lane(-2, "sidewalk", after=-3)])
+    after = section(
+        right=[lane(-1), lane(-2, before=-1), lane(-3, "sidewalk", before=-2)], s=40.0
+    )
+    offset = cubic("laneOffset", 0.0) + cubic("laneOffset", 40.0, 3.5)
     lanes = lanes_of(sections=before + after, offset=offset)
 
     assert set(lanes) == {"1/-1", "1/-2", "1/-1/1"}
@@ -92,30 +96,39 @@ def test_linked_pieces_are_one_lane_also_under_new_numbers(lanes_of):
     assert_allclose(through[:, 1], -1.75)
     assert_allclose(through[[0, -1], 0], [0.0, 100.0])
     assert (np.diff(through[:, 0]) > 0.0).all()
-    assert_allclose(ends(lanes["1/-1/1"]), [[40, 1.75, 0], [100, 1.75, 0]])
+    assert_allclose(
+        ends(lanes["1/-1/1"]), np.array([[40.0, 1.75, 0.0], [100.0, 1.75, 0.0]])
+    )
 
 
 @pytest.mark.parametrize(
     ("before", "after", "begin_m", "ids"),
     [
         # Only the later one links them.
-        ("-1", "-1 before=-1", 40.0, {"1/-1"}),
-        ("-1", "-1", 40.0, {"1/-1", "1/-1/1"}),
+        ({}, {"before": -1}, 40.0, {"1/-1"}),
+        ({}, {}, 40.0, {"1/-1", "1/-1/1"}),
         # Links to lanes that are not there.
-        ("-1 after=-7", "-1 before=9", 40.0, {"1/-1", "1/-1/1"}),
+        ({"after": -7}, {"before": 9}, 40.0, {"1/-1", "1/-1/1"}),
         # A last section without length does not hide the end.
-        ("-1 after=-1", "-1 before=-1", 100.0, {"1/-1"}),
+        ({"after": -1}, {"before": -1}, 100.0, {"1/-1"}),
     ],
 )
 def test_pieces_are_joined_where_one_of_them_links_the_other(
     lanes_of, before, after, begin_m, ids
 ):
-    sections = section_of(before) + section_of(after, s=begin_m)
+    first = section(right=[lane(-1, **before)])
+    second = section(right=[lane(-1, **after)], s=begin_m)
+    sections = first + second
     assert set(lanes_of(sections=sections)) == ids
 
 
 def test_a_lane_is_there_only_where_it_has_a_width(lanes_of):
-    widths = cubics("width", "0 0, 20 0 0.1, 50 3, 80 0")
+    widths = (
+        cubic("width", 0.0, 0.0)
+        + cubic("width", 20.0, 0.0, 0.1)
+        + cubic("width", 50.0, 3.0)
+        + cubic("width", 80.0, 0.0)
+    )
     sections = section(right=[lane(-1, width=widths)])
     (one,) = lanes_of(sections=sections).values()
     begin, end = ends(one)
@@ -127,7 +140,9 @@ def test_a_lane_is_there_only_where_it_has_a_width(lanes_of):
 
 
 def test_heights_follow_the_elevation(lanes_of):
-    elevation = cubics("elevation", "0 10 0.05, 50 12.5 0 0.01")
+    elevation = cubic("elevation", 0.0, 10.0, 0.05) + cubic(
+        "elevation", 50.0, 12.5, 0.0, 0.01
+    )
     x, _, z = lanes_of(elevation=elevation)["1/-1"].centreline_m.T
     expected = np.where(x < 50.0, 10.0 + 0.05 * x, 12.5 + 0.01 * (x - 50.0) ** 2)
 
@@ -136,9 +151,12 @@ def test_heights_follow_the_elevation(lanes_of):
 
 def test_superelevation_raises_the_left_side_and_lowers_the_right(tmp_path):
     text = road(
-        sections=section_of("1 width=3, -1"),
-        lateral=cubics("superelevation", "0 0.02 0.0005, 60 0.05"),
-        elevation=cubics("elevation", "0 10 0.05"),
+        sections=section(left=[lane(1, width=3.0)], right=[lane(-1)]),
+        lateral=(
+            cubic("superelevation", 0.0, 0.02, 0.0005)
+            + cubic("superelevation", 60.0, 0.05)
+        ),
+        elevation=cubic("elevation", 0.0, 10.0, 0.05),
     )
     read = read_text(tmp_path, document(text))
     lines = {one.id: one.centreline_m for one in read.lanes}

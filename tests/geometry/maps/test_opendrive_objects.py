@@ -5,13 +5,10 @@ import re
 import numpy as np
 import pytest
 import trimesh
-from geometry_text import array_of
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from opendrive_text import cubic, document, geometry, read_text, road
-from plane_vectors import lengths
-from text_tables import rows_of
 
 from geometry.maps.opendrive.object_shapes import build_prism
 
@@ -40,24 +37,25 @@ def outline(corners, attributes=""):
     return f"<outline {quoted(attributes)}>{corners}</outline>"
 
 
-def corners_of(tag, keys, text):
+def corners_of(tag, keys, corners):
     """Corners of an outline: their numbers in the order of the keys."""
-    corners = ""
-    for part in text.split(", "):
-        pairs = zip(keys.split(), part.split(), strict=False)
-        told = " ".join(f"{key}={number}" for key, number in pairs)
-        corners += f"<{tag} {quoted(told)}/>"
-    return corners
+    elements = ""
+    for corner in corners:
+        told = ""
+        for key, number in zip(keys, corner, strict=False):
+            told += f'{key}="{number}" '
+        elements += f"<{tag} {told}/>"
+    return elements
 
 
-def local(text):
+def local(corners):
     """Corners in the object's frame: u, v, z and height."""
-    return corners_of("cornerLocal", "u v z height", text)
+    return corners_of("cornerLocal", ("u", "v", "z", "height"), corners)
 
 
-def on_road(text):
+def on_road(corners):
     """Corners along the road: s, t, dz and height."""
-    return corners_of("cornerRoad", "s t dz height", text)
+    return corners_of("cornerRoad", ("s", "t", "dz", "height"), corners)
 
 
 @pytest.fixture
@@ -88,9 +86,9 @@ def assert_solid(mesh):
     assert mesh.volume > 0.0
 
 
-def assert_bounds(mesh, text):
+def assert_bounds(mesh, expected_m):
     """A mesh reaches from its lowest corner to its highest one."""
-    assert_allclose(mesh.bounds, array_of(text), atol=1e-9)
+    assert_allclose(mesh.bounds, expected_m, atol=1e-9)
 
 
 def test_a_box_stands_on_the_road_plane_turned_with_it(thing_of):
@@ -99,7 +97,7 @@ def test_a_box_stands_on_the_road_plane_turned_with_it(thing_of):
 
     assert thing.class_name == "building"
     assert not thing.is_height_assumed
-    assert_bounds(mesh, "47 0 11, 53 20 15")
+    assert_bounds(mesh, [(47.0, 0.0, 11.0), (53.0, 20.0, 15.0)])
     assert_solid(mesh)
 
 
@@ -112,31 +110,59 @@ def test_a_building_without_height_gets_one_and_says_so(thing_of):
 def test_a_cylinder_has_its_radius(thing_of):
     mesh, thing = thing_of("barrier", "radius=2 height=3")
     assert thing.class_name == "wall"
-    assert_bounds(mesh, "48 8 0, 52 12 3")
+    assert_bounds(mesh, [(48.0, 8.0, 0.0), (52.0, 12.0, 3.0)])
     assert_solid(mesh)
 
 
 def test_outlines_in_the_objects_frame(thing_of):
-    ring = outline(local("0 0 0 6, 4 0 0 6, 4 2 0 6, 0 2 0 6, 0 0 0 6"))
+    ring = outline(
+        local(
+            [
+                (0.0, 0.0, 0.0, 6.0),
+                (4.0, 0.0, 0.0, 6.0),
+                (4.0, 2.0, 0.0, 6.0),
+                (0.0, 2.0, 0.0, 6.0),
+                (0.0, 0.0, 0.0, 6.0),
+            ]
+        )
+    )
     mesh, thing = thing_of("building", f"hdg={HALF_PI}", ring)
 
-    assert_bounds(mesh, "48 10 0, 50 14 6")
+    assert_bounds(mesh, [(48.0, 10.0, 0.0), (50.0, 14.0, 6.0)])
     assert not thing.is_height_assumed
     assert mesh.volume == pytest.approx(48.0)
 
 
 def test_outlines_on_the_road_follow_it(thing_of):
-    ring = outline(on_road("10 5 1 4, 30 5 1 4, 30 9 1 4, 10 9 1 4"))
+    ring = outline(
+        on_road(
+            [
+                (10.0, 5.0, 1.0, 4.0),
+                (30.0, 5.0, 1.0, 4.0),
+                (30.0, 9.0, 1.0, 4.0),
+                (10.0, 9.0, 1.0, 4.0),
+            ]
+        )
+    )
     inside = f"<outlines>{ring}</outlines>"
     mesh, _ = thing_of("building", "s=0 t=0", inside, elevation=SLOPE)
 
-    assert_bounds(mesh, "10 5 7, 30 9 13")
+    assert_bounds(mesh, [(10.0, 5.0, 7.0), (30.0, 9.0, 13.0)])
     assert_solid(mesh)
     assert mesh.volume == pytest.approx(20 * 4 * 4.0)  # a sheared box
 
 
 def test_corners_of_different_height_make_a_sloping_roof(thing_of):
-    ring = outline(local("0 0 0 2, 10 0 0 6, 10 5 0 6, 0 5 0 2"))
+    ring = outline(
+        local(
+            [
+                (0.0, 0.0, 0.0, 2.0),
+                (10.0, 0.0, 0.0, 6.0),
+                (10.0, 5.0, 0.0, 6.0),
+                (0.0, 5.0, 0.0, 2.0),
+            ]
+        )
+    )
     mesh, _ = thing_of("building", inside=ring)
 
     assert_solid(mesh)
@@ -144,8 +170,27 @@ def test_corners_of_different_height_make_a_sloping_roof(thing_of):
 
 
 def test_inner_outlines_do_not_count(thing_of):
-    ring = outline(local("0 0 0 5, 10 0 0 5, 10 10 0 5, 0 10 0 5"))
-    yard = outline(local("3 3, 6 3, 6 6, 3 6"), "outer=false")
+    ring = outline(
+        local(
+            [
+                (0.0, 0.0, 0.0, 5.0),
+                (10.0, 0.0, 0.0, 5.0),
+                (10.0, 10.0, 0.0, 5.0),
+                (0.0, 10.0, 0.0, 5.0),
+            ]
+        )
+    )
+    yard = outline(
+        local(
+            [
+                (3.0, 3.0),
+                (6.0, 3.0),
+                (6.0, 6.0),
+                (3.0, 6.0),
+            ]
+        ),
+        "outer=false",
+    )
     mesh, _ = thing_of("building", inside=f"<outlines>{ring}{yard}</outlines>")
 
     assert_solid(mesh)
@@ -153,7 +198,16 @@ def test_inner_outlines_do_not_count(thing_of):
 
 
 def test_an_open_outline_is_a_thin_wall(thing_of):
-    line = outline(local("0 0 0 2, 10 0 0 2, 10 5 0 2"), "closed=false")
+    line = outline(
+        local(
+            [
+                (0.0, 0.0, 0.0, 2.0),
+                (10.0, 0.0, 0.0, 2.0),
+                (10.0, 5.0, 0.0, 2.0),
+            ]
+        ),
+        "closed=false",
+    )
     mesh, _ = thing_of("fence", inside=line)
 
     assert_solid(mesh)
@@ -174,7 +228,7 @@ def test_a_repeat_without_distance_is_swept_along_the_road(thing_of):
     # The line 5 m to the left of an arc of 100 m radius is 5 % shorter.
     assert mesh.volume == pytest.approx(95.0 * 0.5 * 2.0, rel=1e-2)
 
-    radius = lengths(thing.vertices_m[:, :2] - [0.0, 100.0])
+    radius = np.linalg.norm(thing.vertices_m[:, :2] - [0.0, 100.0], axis=-1)
     assert radius.min() == pytest.approx(94.75)
     assert radius.max() == pytest.approx(95.25)
 
@@ -184,7 +238,7 @@ def test_a_swept_wall_on_a_straight_road_is_a_box(thing_of):
     mesh, thing = thing_of("wall", "height=2 width=0.3", repeat)
 
     assert len(thing.vertices_m) == 8
-    assert_bounds(mesh, "10 9.85 0, 70 10.15 2")
+    assert_bounds(mesh, [(10.0, 9.85, 0.0), (70.0, 10.15, 2.0)])
     assert_solid(mesh)
 
 
@@ -205,11 +259,30 @@ def test_copies_stand_at_their_distance_and_change_on_the_way(read):
     high = np.array([thing.vertices_m.max(axis=0) for thing in things])
     middles = 0.5 * (low + high)
 
-    assert_allclose(middles[:, :2], [[10, 5], [30, 7], [50, 9]], atol=1e-6)
+    assert_allclose(
+        middles[:, :2],
+        np.array(
+            [
+                [10.0, 5.0],
+                [30.0, 7.0],
+                [50.0, 9.0],
+            ]
+        ),
+        atol=1e-6,
+    )
 
 
 def test_outlines_go_with_their_copies(read):
-    ring = outline(on_road("50 10, 52 10, 52 12, 50 12"))
+    ring = outline(
+        on_road(
+            [
+                (50.0, 10.0),
+                (52.0, 10.0),
+                (52.0, 12.0),
+                (50.0, 12.0),
+            ]
+        )
+    )
     repeat = '<repeat s="20" length="30" distance="30" tStart="10" tEnd="10"/>'
     things = read(element("building", inside=repeat + ring)).things
 
@@ -238,17 +311,17 @@ def test_a_tree_has_a_trunk_and_a_crown(thing_of):
 
 def test_low_vegetation_is_no_tree(thing_of):
     mesh, _ = thing_of("vegetation", "length=10 width=1 height=1.5")
-    assert_bounds(mesh, "45 9.5 0, 55 10.5 1.5")
+    assert_bounds(mesh, [(45.0, 9.5, 0.0), (55.0, 10.5, 1.5)])
 
 
 @pytest.mark.parametrize(
     ("kind", "name", "class_name"),
-    rows_of("""
-    obstacle | garden_wall   | wall
-    -1       | House_Brick_3 | building
-    none     | GuardRail     | wall
-    | SimpleHedge   | vegetation
-"""),
+    [
+        ("obstacle", "garden_wall", "wall"),
+        ("-1", "House_Brick_3", "building"),
+        ("none", "GuardRail", "wall"),
+        ("", "SimpleHedge", "vegetation"),
+    ],
 )
 def test_names_say_what_types_do_not(thing_of, kind, name, class_name):
     _, thing = thing_of(kind, f"name={name} length=4 width=2 height=2")
@@ -266,7 +339,15 @@ def test_kinds_that_hide_nothing_are_counted(read, kind):
 
 
 def test_what_has_no_size_is_noted(read):
-    flat = outline(local("0 0, 1 0, 2 0"))
+    flat = outline(
+        local(
+            [
+                (0.0, 0.0),
+                (1.0, 0.0),
+                (2.0, 0.0),
+            ]
+        )
+    )
     source = read(element("building", "height=3") + element("building", inside=flat))
 
     assert not source.things
@@ -275,12 +356,12 @@ def test_what_has_no_size_is_noted(read):
 
 @pytest.mark.parametrize(
     ("kind", "name", "expected"),
-    rows_of("""
-    streetLamp   |               | lamp post
-    pole         |               | pole
-    -1           | name=Speed_30 | sign
-    trafficLight |               | traffic light
-"""),
+    [
+        ("streetLamp", "", "lamp post"),
+        ("pole", "", "pole"),
+        ("-1", "name=Speed_30", "sign"),
+        ("trafficLight", "", "traffic light"),
+    ],
 )
 def test_poles(read, kind, name, expected):
     text = element(kind, f"{name} height=5 zOffset=0.5")
@@ -307,9 +388,36 @@ def test_a_row_of_lamps_is_one_pole_each(read):
     [
         ("length=4 width=8", "", 4),
         (f"length=8 width=4 hdg={HALF_PI}", "", 4),
-        ("", outline(local("-2 -4, 2 -4, 2 4, -2 4, -2 -4")), 4),
-        ("length=99", outline(on_road("48 -4, 52 -4, 52 4, 48 4")), 4),
-        ("", outline(on_road("50 -4, 50 4")), 4),
+        (
+            "",
+            outline(
+                local(
+                    [
+                        (-2.0, -4.0),
+                        (2.0, -4.0),
+                        (2.0, 4.0),
+                        (-2.0, 4.0),
+                        (-2.0, -4.0),
+                    ]
+                )
+            ),
+            4,
+        ),
+        (
+            "length=99",
+            outline(
+                on_road(
+                    [
+                        (48.0, -4.0),
+                        (52.0, -4.0),
+                        (52.0, 4.0),
+                        (48.0, 4.0),
+                    ]
+                )
+            ),
+            4,
+        ),
+        ("", outline(on_road([(50.0, -4.0), (50.0, 4.0)])), 4),
         # Nearly square: it leads across the road.
         ("length=4 width=3.5", "", 1.75),
     ],
@@ -333,10 +441,14 @@ def test_parking_spaces_side_by_side_are_one_lane(read):
         "1/parking 2",
         "1/parking 3",
     ]
-    assert_allclose(row.centreline_m[[0, -1], :2], [[18.75, -6], [46.25, -6]])
+    assert_allclose(
+        row.centreline_m[[0, -1], :2], np.array([[18.75, -6.0], [46.25, -6.0]])
+    )
     assert row.width_m == pytest.approx(5.0)
     # To the left of the road traffic comes back.
-    assert_allclose(along.centreline_m[[0, -1], :2], [[33, 6], [27, 6]])
+    assert_allclose(
+        along.centreline_m[[0, -1], :2], np.array([[33.0, 6.0], [27.0, 6.0]])
+    )
     assert along.width_m == pytest.approx(2.0)
     assert alone.centreline_m[0, 0] == pytest.approx(78.75)
 
@@ -394,7 +506,7 @@ def test_prisms_over_stars_are_closed_whatever_their_corners_heights(
 @pytest.mark.parametrize("name", ["subtype=crosswalk", "name=crossWalk"])
 def test_a_crosswalk_may_be_written_as_a_road_mark(read, name):
     size = "t=0 length=3 width=8"
-    (ends,) = read(element("roadMark", f"{size} {name}")).crosswalks_m
+    (ends,) = read(element("roadMark", [(size, name)])).crosswalks_m
 
-    assert lengths(ends[1] - ends[0]) == pytest.approx(8.0)
+    assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(8.0)
     assert not len(read(element("roadMark", size)).crosswalks_m)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import shapely
 from opendrive_text import arms_of
-from plane_vectors import lengths
 
 from geometry.maps.opendrive import read_opendrive
 from geometry.study_scene import load_study_scene
@@ -36,7 +35,10 @@ def test_town05_has_its_junctions(town05):
 def test_the_studys_junction_has_the_lanes_of_its_scene(town05):
     study = load_study_scene()
     middle = 0.5 * (study.outline_m.min(axis=0) + study.outline_m.max(axis=0))
-    junction = min(town05.junctions, key=lambda one: lengths(one.position_m - middle))
+    junction = min(
+        town05.junctions,
+        key=lambda one: np.linalg.norm(one.position_m - middle),
+    )
 
     np.testing.assert_allclose(junction.position_m, [-126.5, -1.0], atol=0.5)
 

@@ -15,8 +15,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from osm_drawing import FOUR, assert_lanes_end_at_outlines, drawn_crossing
 from osm_text import OsmText, arm_lanes, arms_of
-from plane_vectors import lengths
-from refusal_words import refused_about
 
 from geometry.errors import InputError, MissingExtraError
 from geometry.maps.openstreetmap import fetch_openstreetmap, read_openstreetmap
@@ -172,14 +170,14 @@ def test_what_is_no_map_is_told_in_one_line(text, message, tmp_path):
 
 def test_too_many_elements_are_refused(tmp_path, monkeypatch):
     monkeypatch.setitem(DEFAULTS["reading"], "max_nodes", 20)
-    with refused_about("more than 20 elements; expected fewer"):
+    with pytest.raises(InputError, match="more than 20 elements; expected fewer"):
         read_text(SMALL, tmp_path)
 
 
 def test_a_file_that_is_not_there_is_told(tmp_path):
-    with refused_about("No such file"):
+    with pytest.raises(InputError, match="No such file"):
         read_openstreetmap(tmp_path / "none.osm")
-    with refused_about("expected a readable file"):
+    with pytest.raises(InputError, match="expected a readable file"):
         read_openstreetmap(tmp_path)
 
 
@@ -244,18 +242,57 @@ def test_what_is_no_length_is_none(text):
 
 # ---------------------------------------------------------------- fuzzing
 
-KEYS = """
-    lanes lanes:forward lanes:backward lanes:both_ways width width:lanes turn:lanes
-    oneway parking:left parking:both:orientation cycleway sidewalk junction layer bridge
-    highway service name
-"""
-VALUES = """
-    0 -1 -3 1 2 3 5 2.5|3 3|4| 12'3" 99999999999 1e308 NaN 🙂
-    yes no left both lane track separate roundabout primary_link service motorway
-"""
+KEYS = [
+    "lanes",
+    "lanes:forward",
+    "lanes:backward",
+    "lanes:both_ways",
+    "width",
+    "width:lanes",
+    "turn:lanes",
+    "oneway",
+    "parking:left",
+    "parking:both:orientation",
+    "cycleway",
+    "sidewalk",
+    "junction",
+    "layer",
+    "bridge",
+    "highway",
+    "service",
+    "name",
+]
+VALUES = [
+    "",
+    "0",
+    "-1",
+    "-3",
+    "1",
+    "2",
+    "3",
+    "5",
+    "2.5|3",
+    "3|4|",
+    "12'3\"",
+    "99999999999",
+    "1e308",
+    "NaN",
+    "🙂",
+    "yes",
+    "no",
+    "left",
+    "both",
+    "lane",
+    "track",
+    "separate",
+    "roundabout",
+    "primary_link",
+    "service",
+    "motorway",
+]
 TAGS = st.dictionaries(
-    st.sampled_from(KEYS.split()),
-    st.sampled_from(["", *VALUES.split()]),
+    st.sampled_from(KEYS),
+    st.sampled_from(VALUES),
 )
 
 
@@ -319,13 +356,13 @@ def test_pbf_is_the_same_map(small_pbf, tmp_path):
 def test_a_zero_byte_in_a_text_never_reaches_osmium(small_pbf, tmp_path):
     # It would read on behind its memory, and the process would end there.
     broken = small_pbf.replace(b"residential", b"resi\0ential")
-    with refused_about("a zero byte in a text"):
+    with pytest.raises(InputError, match="a zero byte in a text"):
         read_text(broken, tmp_path, "map.osm.pbf")
 
 
 def test_pbf_is_read_up_to_a_limit(small_pbf, tmp_path, monkeypatch):
     monkeypatch.setitem(DEFAULTS["reading"], "max_unpacked_bytes", 1000)
-    with refused_about("more than 1,000 bytes when unpacked"):
+    with pytest.raises(InputError, match="more than 1,000 bytes when unpacked"):
         read_text(small_pbf, tmp_path, "map.osm.pbf")
 
 
@@ -426,7 +463,7 @@ def test_a_server_that_does_not_answer_with_a_map_leaves_no_file(
     content, tmp_path, monkeypatch
 ):
     answer_with(monkeypatch, content)
-    with refused_about("https://"):
+    with pytest.raises(InputError, match="https://"):
         fetch_openstreetmap(BBOX, tmp_path / "map.osm")
     assert not list(tmp_path.iterdir())
 
@@ -441,7 +478,7 @@ def test_a_server_that_does_not_answer_with_a_map_leaves_no_file(
     ],
 )
 def test_a_box_that_is_none_is_refused(bbox, tmp_path):
-    with refused_about("bbox"):
+    with pytest.raises(InputError, match="bbox"):
         fetch_openstreetmap(bbox, tmp_path / "map.osm")
 
 
@@ -456,7 +493,7 @@ def test_garching(real_input):
     lines = source.crosswalks_m
 
     assert len(lines) == 5  # one way is an L over two arms
-    assert lengths(lines[:, 1] - lines[:, 0]).max() < 10.1
+    assert np.linalg.norm(lines[:, 1] - lines[:, 0], axis=-1).max() < 10.1
 
     busiest = max(source.junctions, key=lambda junction: len(junction.roads))
     for arm in arms_of(source, busiest).arms.values():
@@ -465,5 +502,5 @@ def test_garching(real_input):
             ahead = np.diff(arm.lanes_in[0].centreline_m[-2:], axis=0)[0]
         else:
             ahead = np.diff(arm.lanes_out[0].centreline_m[:2], axis=0)[0]
-        cosine = ahead @ arm.crosswalk.direction / lengths(ahead)
+        cosine = ahead @ arm.crosswalk.direction / np.linalg.norm(ahead, axis=-1)
         assert abs(cosine) < 0.3

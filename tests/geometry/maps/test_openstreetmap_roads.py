@@ -15,8 +15,6 @@ from osm_drawing import (
     read_drawing,
 )
 from osm_text import arm_lanes, arms_of, scene_of
-from plane_vectors import lengths
-from text_tables import rows_of
 
 from geometry.maps.importing import ReadingOptions, read_map, survey_junctions
 from geometry.scene_checks import lanes_that_cross
@@ -45,7 +43,11 @@ def east_west(tags):
 
 
 def strips_of_road(tags, folder, *, keeps_left=False):
-    """Strips of a road that leads east, from left to right, as `strips_of` has them."""
+    """Kind, width and place to the left of each strip of a road that leads east.
+
+    They come from left to right; widths are negative westwards: ("driving", 3.0, -1.5)
+    is driven east, 3 m wide and 1.5 m to the right. [m]
+    """
     source = read_drawing(east_west(tags), folder, keeps_left=keeps_left)
     strips = []
     for lane in source.lanes:
@@ -57,63 +59,175 @@ def strips_of_road(tags, folder, *, keeps_left=False):
     return sorted(strips, key=lambda strip: -strip[2])
 
 
-def strips_of(text):
-    """Kind, width and place to the left of each strip; widths are negative westwards.
-
-    "driving 3 -1.5" is driven east, 3 m wide and 1.5 m to the right. [m]
-    """
-    strips = []
-    for part in text.split(", "):
-        kind, width, place = part.split()
-        strips.append((kind, float(width), float(place)))
-    return strips
-
-
 # ---------------------------------------------------------------- cross-sections
 
 
 @pytest.mark.parametrize(
     ("tags", "expected"),
-    rows_of("""
-    | driving -2.75 1.4, driving 2.75 -1.4
-    width=7                             | driving -3.5 1.8, driving 3.5 -1.8
-    est_width=6                         | driving -3 1.5, driving 3 -1.5
-    oneway=yes                          | driving 2.75 0
-    oneway=-1                           | driving -2.75 0
-    oneway=yes; lanes=2                 | driving 2.75 1.4, driving 2.75 -1.4
-    lanes=3; lanes:forward=1; width=9   | driving -3 3, driving -3 0, driving 3 -3
-    turn:lanes:forward=left|through; lanes=3; width=9 |
-        driving -3 3, driving 3 0, driving 3 -3
-    lanes=3; lanes:both_ways=1; width=9 | driving -3 3, driving 3 -3
-    # from left to right in driving direction: the widest is the innermost
-    oneway=yes; lanes=2; width:lanes=3.5|2.5 | driving 3.5 1.2, driving 2.5 -1.8
-    width:lanes:forward=3; width:lanes:backward=2.5|3.5; lanes=3; lanes:backward=2 |
-        driving -3.5 2.8, driving -2.5 -0.2, driving 3 -3
-    # one for both
-    width=3.6                           | driving -3 0.3, driving 3 -0.3
-    lanes=1; width=4                    | driving -3.4 0.3, driving 3.4 -0.3
-    highway=service                     | driving -2.9 0.3, driving 2.9 -0.3
-    width=10; parking:right=lane; parking:right:width=2 |
-        driving -4 3, driving 4 -1, parking 2 -4
-    width=6; parking:left=street_side; parking:left:orientation=perpendicular |
-        parking -5 5.5, driving -3 1.5, driving 3 -1.5
-    width=10; parking:lane:left=parallel; parking:lane:right=no_parking |
-        parking -2 4, driving -4 1, driving 4 -3
-    width=6; parking:both=lane; parking:both:restriction=no_stopping |
-        driving -3 1.5, driving 3 -1.5
-    width=9; cycleway=lane |
-        cycling -1.5 3.8, driving -3 1.5, driving 3 -1.5, cycling 1.5 -3.8
-    width=6; cycleway:right=track; sidewalk=right |
-        driving -3 1.5, driving 3 -1.5, cycling 2 -4, walking 2.5 -6.2
-    width=6; oneway=yes; cycleway=opposite_lane; cycleway:width=1 |
-        cycling -1 2.5, driving 5 -0.5
-    # left as the way is mapped
-    width=6; oneway=-1; sidewalk=left   | walking -2.5 4.2, driving -6 0
-"""),
+    [
+        (
+            "",
+            [
+                ("driving", -2.75, 1.4),
+                ("driving", 2.75, -1.4),
+            ],
+        ),
+        (
+            "width=7",
+            [
+                ("driving", -3.5, 1.8),
+                ("driving", 3.5, -1.8),
+            ],
+        ),
+        (
+            "est_width=6",
+            [
+                ("driving", -3.0, 1.5),
+                ("driving", 3.0, -1.5),
+            ],
+        ),
+        ("oneway=yes", [("driving", 2.75, 0.0)]),
+        ("oneway=-1", [("driving", -2.75, 0.0)]),
+        (
+            "oneway=yes; lanes=2",
+            [
+                ("driving", 2.75, 1.4),
+                ("driving", 2.75, -1.4),
+            ],
+        ),
+        (
+            "lanes=3; lanes:forward=1; width=9",
+            [
+                ("driving", -3.0, 3.0),
+                ("driving", -3.0, 0.0),
+                ("driving", 3.0, -3.0),
+            ],
+        ),
+        (
+            "turn:lanes:forward=left|through; lanes=3; width=9",
+            [
+                ("driving", -3.0, 3.0),
+                ("driving", 3.0, 0.0),
+                ("driving", 3.0, -3.0),
+            ],
+        ),
+        (
+            "lanes=3; lanes:both_ways=1; width=9",
+            [
+                ("driving", -3.0, 3.0),
+                ("driving", 3.0, -3.0),
+            ],
+        ),
+        (
+            "oneway=yes; lanes=2; width:lanes=3.5|2.5",
+            [
+                ("driving", 3.5, 1.2),
+                ("driving", 2.5, -1.8),
+            ],
+        ),
+        (
+            (
+                "width:lanes:forward=3; width:lanes:backward=2.5|3.5; lanes=3; "
+                "lanes:backward=2"
+            ),
+            [
+                ("driving", -3.5, 2.8),
+                ("driving", -2.5, -0.2),
+                ("driving", 3.0, -3.0),
+            ],
+        ),
+        (
+            "width=3.6",
+            [
+                ("driving", -3.0, 0.3),
+                ("driving", 3.0, -0.3),
+            ],
+        ),
+        (
+            "lanes=1; width=4",
+            [
+                ("driving", -3.4, 0.3),
+                ("driving", 3.4, -0.3),
+            ],
+        ),
+        (
+            "highway=service",
+            [
+                ("driving", -2.9, 0.3),
+                ("driving", 2.9, -0.3),
+            ],
+        ),
+        (
+            "width=10; parking:right=lane; parking:right:width=2",
+            [
+                ("driving", -4.0, 3.0),
+                ("driving", 4.0, -1.0),
+                ("parking", 2.0, -4.0),
+            ],
+        ),
+        (
+            (
+                "width=6; parking:left=street_side; "
+                "parking:left:orientation=perpendicular"
+            ),
+            [
+                ("parking", -5.0, 5.5),
+                ("driving", -3.0, 1.5),
+                ("driving", 3.0, -1.5),
+            ],
+        ),
+        (
+            ("width=10; parking:lane:left=parallel; parking:lane:right=no_parking"),
+            [
+                ("parking", -2.0, 4.0),
+                ("driving", -4.0, 1.0),
+                ("driving", 4.0, -3.0),
+            ],
+        ),
+        (
+            "width=6; parking:both=lane; parking:both:restriction=no_stopping",
+            [
+                ("driving", -3.0, 1.5),
+                ("driving", 3.0, -1.5),
+            ],
+        ),
+        (
+            "width=9; cycleway=lane",
+            [
+                ("cycling", -1.5, 3.8),
+                ("driving", -3.0, 1.5),
+                ("driving", 3.0, -1.5),
+                ("cycling", 1.5, -3.8),
+            ],
+        ),
+        (
+            "width=6; cycleway:right=track; sidewalk=right",
+            [
+                ("driving", -3.0, 1.5),
+                ("driving", 3.0, -1.5),
+                ("cycling", 2.0, -4.0),
+                ("walking", 2.5, -6.2),
+            ],
+        ),
+        (
+            "width=6; oneway=yes; cycleway=opposite_lane; cycleway:width=1",
+            [
+                ("cycling", -1.0, 2.5),
+                ("driving", 5.0, -0.5),
+            ],
+        ),
+        (
+            "width=6; oneway=-1; sidewalk=left",
+            [
+                ("walking", -2.5, 4.2),
+                ("driving", -6.0, 0.0),
+            ],
+        ),
+    ],
 )
 def test_tags_say_what_lies_side_by_side(tags, expected, tmp_path):
     found = strips_of_road(tags, tmp_path)
-    wanted = strips_of(expected)
+    wanted = expected
 
     assert [strip[:2] for strip in found] == [strip[:2] for strip in wanted]
 
@@ -205,20 +319,23 @@ def bearings_of(*angles_deg):
 @pytest.mark.parametrize(
     ("angles_deg", "names"),
     [
-        ((0, 180, 270), "east west south"),
-        ((0, 72, 144, 216, 288), "east north north-west south-west south"),
-        ((0, 180, 40, 220), "east south-west west north-east"),
+        ((0, 180, 270), ["east", "west", "south"]),
+        (
+            (0, 72, 144, 216, 288),
+            ["east", "north", "north-west", "south-west", "south"],
+        ),
+        ((0, 180, 40, 220), ["east", "south-west", "west", "north-east"]),
     ],
 )
 def test_roads_meet_under_any_angle(angles_deg, names, tmp_path):
     osm = drawn_crossing(bearings=bearings_of(*angles_deg))
     source = read_drawing(osm, tmp_path)
 
-    assert lane_counts(source) == dict.fromkeys(names.split(), (1, 1))
+    assert lane_counts(source) == dict.fromkeys(names, (1, 1))
     assert_lanes_end_at_outlines(source)
 
     outline = source.junctions[0].outline_m
-    assert lengths(outline).max() <= 31.0
+    assert np.linalg.norm(outline, axis=-1).max() <= 31.0
 
 
 def test_one_way_arms_have_lanes_in_one_direction(tmp_path):
@@ -280,24 +397,21 @@ def test_offset_side_streets_are_one_junction_and_distant_ones_two(
 
 @pytest.mark.parametrize(
     ("sides", "staggered_m", "n_arms"),
-    rows_of(
-        """
-    north south | 0.0  | [3, 3]
-    north south | 40.0 | [4]
-    south north | 40.0 | [4]
-    north south | 34.0 | [3, 3]
-    north north | 40.0 | [3, 3]  # on one side: two junctions of their own
-    north both  | 40.0 | [4, 3]
-""",
-        n_texts=1,
-    ),
+    [
+        (["north", "south"], 0.0, [3, 3]),
+        (["north", "south"], 40.0, [4]),
+        (["south", "north"], 40.0, [4]),
+        (["north", "south"], 34.0, [3, 3]),
+        (["north", "north"], 40.0, [3, 3]),  # on one side: two junctions of their own
+        (["north", "both"], 40.0, [4, 3]),
+    ],
 )
 def test_side_roads_35_m_apart_on_either_side_are_one_junction_if_asked_for(
     sides, staggered_m, n_arms, tmp_path
 ):
     osm = drawn("road -90 0, 0 0, 35 0, 150 0: name=Main Street")
     ends_m = {"north": [90], "south": [-90], "both": [90, -90]}
-    for east_m, side in zip((0, 35), sides.split(), strict=True):
+    for east_m, side in zip((0, 35), sides, strict=True):
         for north_m in ends_m[side]:
             osm.draw(f"road {east_m} 0, {east_m} {north_m}: name=Lane {east_m}")
 
@@ -413,7 +527,7 @@ def test_carriageways_lead_on_into_the_road_they_become(tmp_path):
 
     driving = [lane.centreline_m[:, :2] for lane in source.lanes]
     west_bound = next(line for line in driving if line[0, 0] > 150.0)
-    gaps_m = [lengths(line[0] - west_bound[-1]) for line in driving]
+    gaps_m = [np.linalg.norm(line[0] - west_bound[-1]) for line in driving]
 
     assert min(gaps_m) < 0.01
 
@@ -436,7 +550,7 @@ def test_where_one_lane_becomes_three_at_a_fork_all_stay_on_their_side(tmp_path)
 
     assert end[1] < -1.0  # to the right of the axis
 
-    gaps_m = [lengths(lane.centreline_m[0] - end) for lane in scene.lanes]
+    gaps_m = [np.linalg.norm(lane.centreline_m[0] - end) for lane in scene.lanes]
     assert sum(gap_m < 0.01 for gap_m in gaps_m) == 3
 
 
@@ -506,24 +620,20 @@ def test_nodes_that_the_file_does_not_have_cut_roads_short(tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "limit_kmh"),
-    rows_of(
-        """
-    maxspeed=50                                          | 50.0
-    maxspeed=20 mph                                      | 32.2
-    maxspeed=DE:zone:30                                  | 30.0
-    maxspeed=walk                                        | 7.0
-    maxspeed=none; source:maxspeed=DE:urban              | None
-    source:maxspeed=DE:urban                             | 50.0
-    maxspeed=50; maxspeed:conditional=30 @ (22:00-06:00) | 50.0
-    | None
-    # The road leads away from the junction: cars come against it.
-    maxspeed:forward=50; maxspeed:backward=30            | 30.0
-    maxspeed=60; maxspeed:backward=40                    | 40.0
-    maxspeed:forward=50                                  | None
-    oneway=-1; maxspeed:backward=30                      | 30.0
-""",
-        n_texts=1,
-    ),
+    [
+        ("maxspeed=50", 50.0),
+        ("maxspeed=20 mph", 32.2),
+        ("maxspeed=DE:zone:30", 30.0),
+        ("maxspeed=walk", 7.0),
+        ("maxspeed=none; source:maxspeed=DE:urban", None),
+        ("source:maxspeed=DE:urban", 50.0),
+        ("maxspeed=50; maxspeed:conditional=30 @ (22:00-06:00)", 50.0),
+        ("", None),
+        ("maxspeed:forward=50; maxspeed:backward=30", 30.0),
+        ("maxspeed=60; maxspeed:backward=40", 40.0),
+        ("maxspeed:forward=50", None),
+        ("oneway=-1; maxspeed:backward=30", 30.0),
+    ],
 )
 def test_an_arm_has_the_speed_limit_of_those_who_come(tags, limit_kmh, tmp_path):
     osm = drawn_crossing(bearings=FOUR[1:]).draw(f"road 0 0, 90 0: {tags}")
@@ -547,18 +657,15 @@ def test_the_speed_limit_next_to_the_junction_counts(tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "node", "is_junction"),
-    rows_of(
-        """
-    highway=motorway_link                 |                         | False
-    highway=motorway                      |                         | False
-    highway=trunk; motorroad=yes          |                         | False
-    highway=motorway_link                 | highway=traffic_signals | True
-    highway=motorway_link; sidewalk=right |                         | True
-    highway=trunk                         |                         | True
-    highway=primary                       |                         | True
-""",
-        n_texts=2,
-    ),
+    [
+        ("highway=motorway_link", "", False),
+        ("highway=motorway", "", False),
+        ("highway=trunk; motorroad=yes", "", False),
+        ("highway=motorway_link", "highway=traffic_signals", True),
+        ("highway=motorway_link; sidewalk=right", "", True),
+        ("highway=trunk", "", True),
+        ("highway=primary", "", True),
+    ],
 )
 def test_where_motorways_merge_and_part_is_no_junction(
     tags, node, is_junction, tmp_path

@@ -4,10 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from geometry_text import array_of
 from numpy.testing import assert_allclose
 from osm_drawing import drawn, read_drawing
-from text_tables import rows_of
 
 from geometry.maps import source_map
 from geometry.maps.source_map import is_closed
@@ -54,30 +52,27 @@ def straight_lines(lines_m):
 
 @pytest.mark.parametrize(
     ("tags", "heights", "is_assumed"),
-    rows_of(
-        """
-    height=12                               | 0 12    | False
-    height=12,5 m; building:levels=9        | 0 12.5  | False
-    building:levels=4                       | 0 12    | False
-    building:levels=4; roof:levels=1        | 0 15    | False
-    building:levels=4; roof:height=2        | 0 14    | False
-    building:levels=0; roof:levels=2        | 0 6     | False
-    height=20; min_height=5                 | 5 20    | False
-    building:levels=6; building:min_level=2 | 6 18    | False
-    | 0 9     | True
-    building=garage                         | 0 2.5   | True
-    min_height=10                           | 10 13   | True
-    building=roof; min_height=4; height=5   | 4 5     | False
-    building=roof; height=6                 | 5.5 6   | True
-    building=roof                           | 4.5 5   | True
-    building=carport                        | 2.2 2.7 | True
-    layer=1                                 | 4.5 9   | True
-    layer=1; height=12                      | 4.5 12  | True
-    layer=2; building:levels=4              | 9 12    | True
-    layer=1; min_height=6; height=9         | 6 9     | False
-""",
-        n_texts=2,
-    ),
+    [
+        ("height=12", (0.0, 12.0), False),
+        ("height=12,5 m; building:levels=9", (0.0, 12.5), False),
+        ("building:levels=4", (0.0, 12.0), False),
+        ("building:levels=4; roof:levels=1", (0.0, 15.0), False),
+        ("building:levels=4; roof:height=2", (0.0, 14.0), False),
+        ("building:levels=0; roof:levels=2", (0.0, 6.0), False),
+        ("height=20; min_height=5", (5.0, 20.0), False),
+        ("building:levels=6; building:min_level=2", (6.0, 18.0), False),
+        ("", (0.0, 9.0), True),
+        ("building=garage", (0.0, 2.5), True),
+        ("min_height=10", (10.0, 13.0), True),
+        ("building=roof; min_height=4; height=5", (4.0, 5.0), False),
+        ("building=roof; height=6", (5.5, 6.0), True),
+        ("building=roof", (4.5, 5.0), True),
+        ("building=carport", (2.2, 2.7), True),
+        ("layer=1", (4.5, 9.0), True),
+        ("layer=1; height=12", (4.5, 12.0), True),
+        ("layer=2; building:levels=4", (9.0, 12.0), True),
+        ("layer=1; min_height=6; height=9", (6.0, 9.0), False),
+    ],
 )
 def test_tags_say_how_high_a_building_is(tags, heights, is_assumed, tmp_path):
     osm = beside_road(f"way {SQUARE}: building=yes; {tags}")
@@ -86,7 +81,7 @@ def test_tags_say_how_high_a_building_is(tags, heights, is_assumed, tmp_path):
     assert thing.id == f"w{osm.ids[-1]}"
     assert thing.class_name == "building"
 
-    bottom_m, top_m = map(float, heights.split())
+    bottom_m, top_m = heights
     assert heights_m(thing) == (bottom_m, top_m)
     assert thing.is_height_assumed == is_assumed
     assert volume_m3(thing) == pytest.approx(100.0 * (top_m - bottom_m), rel=0.01)
@@ -95,12 +90,12 @@ def test_tags_say_how_high_a_building_is(tags, heights, is_assumed, tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "why"),
-    rows_of("""
-    height=3; min_height=3 | not above its floor
-    building=construction  | not built yet
-    location=underground   | below the ground
-    layer=-1               | below the ground
-"""),
+    [
+        ("height=3; min_height=3", "not above its floor"),
+        ("building=construction", "not built yet"),
+        ("location=underground", "below the ground"),
+        ("layer=-1", "below the ground"),
+    ],
 )
 def test_what_does_not_stand_there_is_told(tags, why, tmp_path):
     osm = beside_road(f"way {SQUARE}: building=yes; {tags}")
@@ -115,16 +110,13 @@ def test_what_does_not_stand_there_is_told(tags, why, tmp_path):
 
 @pytest.mark.parametrize(
     ("house", "way", "width_m", "bottom_m"),
-    rows_of(
-        """
-    | highway=residential; width=6; tunnel=building_passage | 6.0 | 4.5
-    | highway=service; width=6; covered=yes; maxheight=3 | 6.0 | 3.0
-    | highway=footway; covered=arcade | 3.0 | 2.5
-    historic=city_gate | highway=residential; width=6 | 6.0 | 4.5
-    building=gate | highway=residential; width=6 | 6.0 | 4.5
-""",
-        n_texts=2,
-    ),
+    [
+        ("", "highway=residential; width=6; tunnel=building_passage", 6.0, 4.5),
+        ("", "highway=service; width=6; covered=yes; maxheight=3", 6.0, 3.0),
+        ("", "highway=footway; covered=arcade", 3.0, 2.5),
+        ("historic=city_gate", "highway=residential; width=6", 6.0, 4.5),
+        ("building=gate", "highway=residential; width=6", 6.0, 4.5),
+    ],
 )
 def test_a_building_begins_above_the_ways_that_lead_through_it(
     house, way, width_m, bottom_m, tmp_path
@@ -318,17 +310,14 @@ def test_trees_stand_along_a_row_and_woods_are_told(tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "deck"),
-    rows_of(
-        """
-    highway=primary; width=8            | (8.0, 4.5)
-    highway=primary; width=8; layer=2   | (8.0, 9.0)
-    highway=footway                     | (3.0, 4.5)
-    railway=rail                        | (5.0, 4.5)
-    railway=abandoned                   | None
-    highway=footway; layer=0; bridge=no | None
-""",
-        n_texts=1,
-    ),
+    [
+        ("highway=primary; width=8", (8.0, 4.5)),
+        ("highway=primary; width=8; layer=2", (8.0, 9.0)),
+        ("highway=footway", (3.0, 4.5)),
+        ("railway=rail", (5.0, 4.5)),
+        ("railway=abandoned", None),
+        ("highway=footway; layer=0; bridge=no", None),
+    ],
 )
 def test_a_bridge_hides_and_is_passed_below(tags, deck, tmp_path):
     # The second road lies below no bridge.
@@ -380,19 +369,16 @@ def test_a_bridge_with_a_junction_near_is_told(end_m, n_decks, tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "kind", "height_m"),
-    rows_of(
-        """
-    highway=street_lamp; height=9            | lamp post     | 9.0
-    highway=street_lamp; height=high         | lamp post     | None
-    highway=traffic_signals                  | traffic light | None
-    highway=traffic_sign                     | sign          | None
-    traffic_sign=DE:306                      | sign          | None
-    man_made=utility_pole                    | pole          | None
-    man_made=mast; height=12                 | pole          | 12.0
-    man_made=surveillance; camera:mount=pole | pole          | None
-""",
-        n_texts=2,
-    ),
+    [
+        ("highway=street_lamp; height=9", "lamp post", 9.0),
+        ("highway=street_lamp; height=high", "lamp post", None),
+        ("highway=traffic_signals", "traffic light", None),
+        ("highway=traffic_sign", "sign", None),
+        ("traffic_sign=DE:306", "sign", None),
+        ("man_made=utility_pole", "pole", None),
+        ("man_made=mast; height=12", "pole", 12.0),
+        ("man_made=surveillance; camera:mount=pole", "pole", None),
+    ],
 )
 def test_poles_beside_the_road_stand_where_they_are(tags, kind, height_m, tmp_path):
     osm = beside_road(f"node 10 6: {tags}")
@@ -417,17 +403,13 @@ def test_lamps_without_a_pole_are_told(tmp_path):
 
 @pytest.mark.parametrize(
     ("tags", "keeps_left", "north_m"),
-    rows_of(
-        """
-    # Cars come from the west: their right kerb is in the south.
-    | False | [-3.5]
-    | True  | [3.5]
-    traffic_signals:direction=forward  | False | [-3.5]
-    traffic_signals:direction=backward | False | [3.5]
-    traffic_signals:direction=both     | False | [-3.5, 3.5]
-""",
-        n_texts=1,
-    ),
+    [
+        ("", False, [-3.5]),
+        ("", True, [3.5]),
+        ("traffic_signals:direction=forward", False, [-3.5]),
+        ("traffic_signals:direction=backward", False, [3.5]),
+        ("traffic_signals:direction=both", False, [-3.5, 3.5]),
+    ],
 )
 def test_a_signal_on_the_road_stands_at_the_kerb_beside_its_stop_line(
     tags, keeps_left, north_m, tmp_path
@@ -455,7 +437,7 @@ def test_signals_where_roads_meet_stand_at_every_arm_by_which_cars_come(tmp_path
     poles = read(osm, tmp_path).poles
     feet = sorted(pole.position_m[:2].round(1).tolist() for pole in poles)
 
-    assert_allclose(feet, array_of("-8 -3.5, 8 3.5"), atol=0.6)
+    assert_allclose(feet, np.array([[-8.0, -3.5], [8.0, 3.5]]), atol=0.6)
     assert len({pole.id for pole in poles}) == 2
 
 
@@ -474,7 +456,7 @@ def test_crosswalks_lead_over_the_road_and_two_metres_farther(tmp_path):
     lines = read(osm, tmp_path).crosswalks_m
     ends = sorted(sorted(line.round(1).tolist()) for line in lines)
     found = np.reshape(ends, (-1, 4))
-    wanted = array_of("-20 -5 -20 5, -11.25 -4.9 -8.75 4.9")
+    wanted = np.array([[-20.0, -5.0, -20.0, 5.0], [-11.25, -4.9, -8.75, 4.9]])
 
     assert_allclose(found, wanted, atol=0.11)
 
@@ -483,7 +465,7 @@ def test_a_footway_over_two_arms_is_a_crosswalk_over_each(tmp_path):
     # Over the eastern and the northern arm.
     osm = drawn(ACROSS).draw(f"way 10 -9, 10 10, -9 10: {CROSSING}")
     lines = read(osm, tmp_path).crosswalks_m
-    wanted = array_of("-5 10 5 10, 10 -5 10 5")
+    wanted = np.array([[-5.0, 10.0, 5.0, 10.0], [10.0, -5.0, 10.0, 5.0]])
 
     assert_allclose(straight_lines(lines), wanted, atol=0.11)
 
@@ -498,7 +480,7 @@ def test_two_carriageways_crossed_straight_are_one_crosswalk(tmp_path):
         way 20 11, 20 6: {CROSSING}
     """)
     lines = read(osm, tmp_path).crosswalks_m
-    wanted = array_of("0 -11 0 11, 20 1 20 11")
+    wanted = np.array([[0.0, -11.0, 0.0, 11.0], [20.0, 1.0, 20.0, 11.0]])
 
     assert_allclose(straight_lines(lines), wanted, atol=0.11)
 

@@ -4,12 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from geometry_text import array_of
 from numpy.testing import assert_allclose
 from osm_text import LAT_DEG, LON_DEG
-from refusal_words import refused_about
-from text_tables import rows_of
 
+from geometry.errors import InputError
 from geometry.frames import transform
 from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
 
@@ -33,7 +31,15 @@ def point(lon_deg=LON_DEG):
 
 def square(half_deg):
     """The geometry of a square around the place of the map."""
-    ring = half_deg * array_of("-1 -1, 1 -1, 1 1, -1 1, -1 -1") + [LON_DEG, LAT_DEG]
+    ring = half_deg * np.array(
+        [
+            [-1.0, -1.0],
+            [1.0, -1.0],
+            [1.0, 1.0],
+            [-1.0, 1.0],
+            [-1.0, -1.0],
+        ]
+    ) + [LON_DEG, LAT_DEG]
     return {"type": "Polygon", "coordinates": [ring.tolist()]}
 
 
@@ -79,33 +85,50 @@ def test_counts_by_junction(tmp_path):
 
 @pytest.mark.parametrize(
     ("message", "column", "text"),
-    rows_of(
-        r"""
-    line 2: count: got '-1'; expected a number, at least 0 |  | 'x,y,count\n1,2,-1\n'
-    count: got 'many'; expected a number, at least 0       |  | 'x,y,count\n1,2,many\n'
-    column: got 'cars'; expected one of x, y               | cars | 'x,y\n1,2\n'
-    lat and lon: got nothing; expected x and y, or lat and lon |  | 'count\n1\n'
-    got nothing; expected a row for each place             |  | 'x,y\n'
-""",
-        n_texts=2,
-    ),
+    [
+        (
+            "line 2: count: got '-1'; expected a number, at least 0",
+            "",
+            "x,y,count\n1,2,-1\n",
+        ),
+        (
+            "count: got 'many'; expected a number, at least 0",
+            "",
+            "x,y,count\n1,2,many\n",
+        ),
+        ("column: got 'cars'; expected one of x, y", "cars", "x,y\n1,2\n"),
+        (
+            "lat and lon: got nothing; expected x and y, or lat and lon",
+            "",
+            "count\n1\n",
+        ),
+        ("got nothing; expected a row for each place", "", "x,y\n"),
+    ],
 )
 def test_bad_counts_are_one_line(tmp_path, message, column, text):
     path = tmp_path / "counts.csv"
     path.write_text(text)
-    with refused_about(message):
+    with pytest.raises(InputError, match=message):
         read_counts(path, crs=CRS, column=column)
 
 
 def test_a_map_of_no_known_place_takes_no_layers(tmp_path):
     path = geojson(tmp_path / "areas.geojson", (square(0.01), {}))
-    with refused_about(r"expected a map that says where on earth it lies"):
+    with pytest.raises(
+        InputError, match=r"expected a map that says where on earth it lies"
+    ):
         read_areas(path, crs="")
 
 
 def test_points_snap_to_the_nearest_junction_within_a_distance():
-    junctions = array_of("0 0, 100 0")
-    points = array_of("10 0, 70 0, 100 31")
+    junctions = np.array([[0.0, 0.0], [100.0, 0.0]])
+    points = np.array(
+        [
+            [10.0, 0.0],
+            [70.0, 0.0],
+            [100.0, 31.0],
+        ]
+    )
     nearest, distance = snap(points, junctions, within_m=30.0)
 
     assert nearest.tolist() == [0, 1, -1]

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 from osm_drawing import drawn, read_drawing
-from plane_vectors import lengths
-from text_tables import rows_of
 
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.maps.openstreetmap.placement import carriageway_left_m
@@ -54,17 +52,14 @@ def assert_lefts(source, east_m, *expected_m):
 
 @pytest.mark.parametrize(
     ("value", "way_from_left"),
-    rows_of(
-        """
-    left_of:1   | 0.0
-    middle_of:1 | 0.5
-    right_of:1  | 1.0
-    left_of:2   | 1.0
-    middle_of:2 | 1.5
-    right_of:2  | 2.0
-""",
-        n_texts=1,
-    ),
+    [
+        ("left_of:1", 0.0),
+        ("middle_of:1", 0.5),
+        ("right_of:1", 1.0),
+        ("left_of:2", 1.0),
+        ("middle_of:2", 1.5),
+        ("right_of:2", 2.0),
+    ],
 )
 def test_every_value_names_a_line_of_a_lane(tmp_path, value, way_from_left):
     osm = eastward(f"{TWO}; placement={value}", TWO)
@@ -194,7 +189,9 @@ def test_poles_stand_beside_the_carriageway_and_not_on_it(tmp_path):
     assert scene.sites
     for site in scene.sites:
         for lane in scene.lanes:
-            away = lengths(lane.centreline_m[:, :2] - site.position_m[:2])
+            away = np.linalg.norm(
+                lane.centreline_m[:, :2] - site.position_m[:2], axis=-1
+            )
             assert away.min() > 0.5 * lane.width_m
 
 

@@ -6,8 +6,6 @@ import pyproj
 import pytest
 import trimesh
 from numpy.testing import assert_allclose
-from refusal_words import refused_about
-from text_tables import rows_of
 
 from geometry.errors import InputError
 from geometry.maps import point_clouds
@@ -36,11 +34,24 @@ def crown(n=10_000):
 def ground(n=40_000, *, beside_house=True):
     """Points on the ground, by default none below the house."""
     rng = np.random.default_rng(RNG_SEED)
-    points = np.column_stack([rng.uniform(-40, 40, (n, 2)), rng.normal(0.0, 0.02, n)])
-    under = (np.abs(points[:, 0]) < 6.0) & (np.abs(points[:, 1]) < 4.0)
+    flat = rng.uniform(-40, 40, (n, 2))
+    points = np.column_stack([flat, rng.normal(0.0, 0.02, n)])
     if beside_house:
-        return points[~under]
+        is_under = (np.abs(flat) < [6.0, 4.0]).all(axis=1)
+        return points[~is_under]
     return points
+
+
+def new_las(points, offsets, crs, *, scale=0.001):
+    """Points in a reference system, to be written."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = [scale, scale, 0.001]
+    header.offsets = offsets
+    if crs:
+        header.add_crs(pyproj.CRS(crs))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    return las
 
 
 def write_las(
@@ -54,19 +65,19 @@ def write_las(
     slope=0.0,
 ):
     """A file of parts, each of one class."""
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales = [0.001] * 3
-    header.offsets = origin
-    if crs:
-        header.add_crs(pyproj.CRS(crs))
-    las = laspy.LasData(header)
     points = np.concatenate(parts)
     points[:, 2] += slope * points[:, 0]
-    las.x, las.y, las.z = (points + origin).T
+    las = new_las(points + origin, origin, crs)
     counts = [len(part) for part in parts]
     las.classification = np.repeat(classes, counts).astype(np.uint8)
-    las.write(tmp_path / name)
-    return tmp_path / name
+    path = tmp_path / name
+    las.write(path)
+    return path
+
+
+def volume(thing):
+    """Volume of a thing. [m3]"""
+    return volume_m3(thing.vertices_m, thing.triangles)
 
 
 def size(thing):
@@ -76,14 +87,11 @@ def size(thing):
 
 @pytest.mark.parametrize(
     ("name", "classes"),
-    rows_of(
-        """
-    a.las | (6, 5, 2)
-    a.laz | (1, 1, 1)
-    a.las | (0, 0, 2)
-""",
-        n_texts=1,
-    ),
+    [
+        ("a.las", (6, 5, 2)),
+        ("a.laz", (1, 1, 1)),
+        ("a.las", (0, 0, 2)),
+    ],
 )
 def test_a_house_and_a_tree_stand_on_the_ground_where_they_were(
     tmp_path, name, classes
@@ -94,7 +102,7 @@ def test_a_house_and_a_tree_stand_on_the_ground_where_they_were(
     assert source.crs == "EPSG:25833"
     assert source.heights == "above ground"
 
-    solid, tree = sorted(source.things, key=lambda thing: -size(thing).max())
+    tree, solid = sorted(source.things, key=lambda thing: size(thing).max())
     assert solid.class_name == "building"
 
     is_vegetation = tree.class_name == "vegetation"
@@ -104,8 +112,7 @@ def test_a_house_and_a_tree_stand_on_the_ground_where_they_were(
     assert_allclose(place.min(axis=0), [-6.0, -4.0, 0.0], atol=0.51)
     assert_allclose(place.max(axis=0), [6.0, 4.0, 6.0], atol=0.51)
 
-    volume = volume_m3(solid.vertices_m, solid.triangles)
-    assert volume == pytest.approx(576.0, rel=0.15)
+    assert volume(solid) == pytest.approx(576.0, rel=0.15)
 
     # Under the crown one can look through.
     heights = tree.vertices_m[:, 2]
@@ -118,14 +125,17 @@ def test_rays_find_no_hole_in_a_wall_and_nothing_beside_it(tmp_path):
     high = [5.0, 0.0, 4.0]
     wall = np.random.default_rng(1).uniform(low, high, (8000, 3))
     parts = [wall, ground(beside_house=False)]
-    path = write_las(tmp_path, parts, (1, 1), origin=(0.0, 0.0, 0.0))
+    path = write_las(tmp_path, parts, (1, 1), origin=np.zeros(3))
     (thing,) = read_point_cloud(path).things
-    grids = np.meshgrid(np.linspace(-8, 8, 161), np.linspace(0.1, 5.0, 50))
-    x, z = (grid.ravel() for grid in grids)
+
+    x = np.repeat(np.linspace(-8, 8, 161), 50)
+    z = np.tile(np.linspace(0.1, 5.0, 50), 161)
     origins = np.column_stack([x, np.full(len(x), -20.0), z])
     caster = build_caster(thing.vertices_m, thing.triangles)
     ahead = np.tile([0.0, 1.0, 0.0], (len(x), 1))
-    is_hit = np.isfinite(caster.first_triangle(origins, ahead)[0])
+    distance_m, _ = caster.first_triangle(origins, ahead)
+    is_hit = np.isfinite(distance_m)
+
     margin = 2.0 * point_clouds.VOXEL_M
     inner = (np.abs(x) < 5.0 - margin) & (z < 4.0 - margin)
     outer = (np.abs(x) > 5.0 + margin) | (z > 4.0 + margin)
@@ -138,9 +148,10 @@ def test_rays_find_no_hole_in_a_wall_and_nothing_beside_it(tmp_path):
 def test_ground_may_slope(tmp_path, slope):
     path = write_las(tmp_path, [house(), ground()], (1, 1), slope=slope)
     (thing,) = read_point_cloud(path).things
+    heights = thing.vertices_m[:, 2]
 
-    assert thing.vertices_m[:, 2].min() == 0.0
-    assert thing.vertices_m[:, 2].max() == pytest.approx(6.0, abs=0.8)
+    assert heights.min() == 0.0
+    assert heights.max() == pytest.approx(6.0, abs=0.8)
 
 
 @pytest.mark.parametrize("kind", [1, 6])
@@ -149,9 +160,8 @@ def test_roofs_seen_from_the_air_get_walls(tmp_path, kind):
     roof = roof[roof[:, 2] > 5.99]
     path = write_las(tmp_path, [roof, ground()], (kind, 2))
     (thing,) = read_point_cloud(path).things
-    volume = volume_m3(thing.vertices_m, thing.triangles)
 
-    assert volume == pytest.approx(576.0, rel=0.15)
+    assert volume(thing) == pytest.approx(576.0, rel=0.15)
 
 
 def test_thin_scans_get_larger_voxels_and_say_so(tmp_path):
@@ -179,19 +189,15 @@ def test_the_class_of_points_without_one_is_the_callers(tmp_path):
 
 def test_coordinates_in_degrees_become_metres(tmp_path):
     lonlat = pyproj.Transformer.from_crs("EPSG:25833", "EPSG:4326", always_xy=True)
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales = [1e-8, 1e-8, 0.001]
-    header.offsets = [13.0, 52.0, 0.0]
-    header.add_crs(pyproj.CRS("EPSG:4326"))
-    las = laspy.LasData(header)
     x, y, z = (np.concatenate([house(), ground()]) + ORIGIN).T
-    las.x, las.y = lonlat.transform(x, y)
-    las.z = z
+    points = np.column_stack([*lonlat.transform(x, y), z])
+    las = new_las(points, [13.0, 52.0, 0.0], "EPSG:4326", scale=1e-8)
     las.write(tmp_path / "a.las")
     (thing,) = read_point_cloud(tmp_path / "a.las").things
+    *across_m, height_m = size(thing)
 
-    assert size(thing)[2] == pytest.approx(6.0, abs=0.51)
-    assert sorted(size(thing)[:2]) == pytest.approx([8.0, 12.0], abs=1.0)
+    assert height_m == pytest.approx(6.0, abs=0.51)
+    assert sorted(across_m) == pytest.approx([8.0, 12.0], abs=1.0)
 
 
 def patched(path, offset, data):
@@ -215,7 +221,7 @@ def patched(path, offset, data):
 )
 def test_headers_that_claim_what_cannot_be_are_refused(tmp_path, offset, data, message):
     path = patched(write_las(tmp_path, [house(100)], (1,)), offset, data)
-    with refused_about(message):
+    with pytest.raises(InputError, match=message):
         read_point_cloud(path)
 
 
@@ -245,21 +251,21 @@ def test_packed_points_that_claim_what_cannot_be_are_refused(
         "table offset": first,
     }[place]
 
-    with refused_about(message):
+    with pytest.raises(InputError, match=message):
         read_point_cloud(patched(path, offset, data))
 
 
 def test_clouds_of_nothing_but_ground_are_refused(tmp_path):
-    with refused_about("only ground"):
+    with pytest.raises(InputError, match="only ground"):
         read_point_cloud(write_las(tmp_path, [ground()], (1,)))
-    with refused_about("no points"):
+    with pytest.raises(InputError, match="no points"):
         read_point_cloud(write_las(tmp_path, [ground(0)], ()))
 
 
 def test_degrees_are_refused(tmp_path):
     small = house(500) * 1e-4 + [13.0, 52.0, 0.0]
-    path = write_las(tmp_path, [small], (1,), crs=None, origin=(0.0, 0.0, 0.0))
-    with refused_about("degrees where metres"):
+    path = write_las(tmp_path, [small], (1,), crs=None, origin=np.zeros(3))
+    with pytest.raises(InputError, match="degrees where metres"):
         read_point_cloud(path)
 
 
@@ -267,14 +273,14 @@ def test_unknown_options_and_endings_are_refused(tmp_path):
     path = write_las(tmp_path, [house(100)], (1,))
     with pytest.raises(InputError):
         read_point_cloud(path, class_name="castle")
-    with refused_about("one of"):
+    with pytest.raises(InputError, match="one of"):
         read_point_cloud(tmp_path / "a.e57")
-    with refused_about("readable"):
+    with pytest.raises(InputError, match="readable"):
         read_point_cloud(tmp_path / "b.las")
 
 
 def test_too_many_voxels_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(point_clouds, "_MAX_VOXELS", 100)
     path = write_las(tmp_path, [house()], (1,))
-    with refused_about("a larger voxel"):
+    with pytest.raises(InputError, match="a larger voxel"):
         read_point_cloud(path)

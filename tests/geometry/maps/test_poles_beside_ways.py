@@ -3,7 +3,6 @@
 import pytest
 import shapely
 from osm_drawing import drawn
-from text_tables import rows_of
 
 from geometry.maps.importing import ImportOptions, ReadingOptions, import_scene
 from geometry.notes import assumed_sites
@@ -37,19 +36,16 @@ def clearance_m(scene, site):
 
 @pytest.mark.parametrize(
     ("tags", "half_m"),
-    rows_of(
-        """
-    highway=cycleway; width=2             | 1.0
-    highway=cycleway                      | 1.0
-    highway=footway                       | 0.9
-    highway=path; width=3,5               | 1.75
-    highway=pedestrian                    | 1.5
-    highway=service; service=driveway     | 1.5
-    highway=residential; motor_vehicle=no | 1.5
-    railway=tram                          | 1.5
-""",
-        n_texts=1,
-    ),
+    [
+        ("highway=cycleway; width=2", 1.0),
+        ("highway=cycleway", 1.0),
+        ("highway=footway", 0.9),
+        ("highway=path; width=3,5", 1.75),
+        ("highway=pedestrian", 1.5),
+        ("highway=service; service=driveway", 1.5),
+        ("highway=residential; motor_vehicle=no", 1.5),
+        ("railway=tram", 1.5),
+    ],
 )
 @pytest.mark.parametrize(
     "sites", ["auto", pytest.param("kerb:5", marks=pytest.mark.long)]

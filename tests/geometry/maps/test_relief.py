@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from geometry_text import array_of
 from numpy.testing import assert_allclose
 
 from geometry.maps.cut import build_scene, cut_out
@@ -20,8 +19,22 @@ from geometry.maps.source_map import (
 from geometry.scene_files import load_scene_folder, save_scene
 from geometry.terrain import ground_height_m, terrain_of
 
-SQUARE_M = array_of("-8 -8, 8 -8, 8 8, -8 8")
-HOUSE_M = array_of("-5 -5, 5 -5, 5 5, -5 5")
+SQUARE_M = np.array(
+    [
+        [-8.0, -8.0],
+        [8.0, -8.0],
+        [8.0, 8.0],
+        [-8.0, 8.0],
+    ]
+)
+HOUSE_M = np.array(
+    [
+        [-5.0, -5.0],
+        [5.0, -5.0],
+        [5.0, 5.0],
+        [-5.0, 5.0],
+    ]
+)
 SLOPE = np.array([0.05, -0.02])
 ZERO_M = 312.0  # of the junction's middle above the sea
 RADIUS_M = 60.0
@@ -35,7 +48,7 @@ def on_slope(points, up_m=0.0):
 
 def arm(name, ends, **junctions):
     """A lane on the slope from one place to another."""
-    line = on_slope(np.linspace(*array_of(ends), 30))
+    line = on_slope(np.linspace(*np.array(ends), 30))
     return MapLane(
         id=name,
         kind="driving",
@@ -60,8 +73,8 @@ def house(name, middle, bottom_m, *, kind="building"):
 def roads(*things):
     """A map of a road on the slope, with these things and a lamp beside it."""
     lanes = (
-        arm("in", "-150 -2, -8 -2", to_junction="7"),
-        arm("out", "8 -2, 150 -2", from_junction="7"),
+        arm("in", [(-150.0, -2.0), (-8.0, -2.0)], to_junction="7"),
+        arm("out", [(8.0, -2.0), (150.0, -2.0)], from_junction="7"),
     )
     line = np.linspace(-160.0, 160.0, 81)
     grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
@@ -102,7 +115,7 @@ JUNCTION = MapJunction(
 
 
 def test_ground_is_that_of_the_roads_and_everything_stands_on_it():
-    aside = array_of("30 30, -30 30")
+    aside = np.array([[30.0, 30.0], [-30.0, 30.0]])
     ground_m = on_slope(aside)[:, 2]
     afloat = house("set", aside[0], ground_m[0] + 1.2)
     with_cellar = house("base", aside[1], ZERO_M - 4.0)
@@ -167,7 +180,14 @@ def test_a_file_of_heights_comes_before_the_roads_and_carries_what_they_carry():
 
 
 def test_things_above_the_ground_stand_on_its_lowest_point_and_walls_follow_it():
-    corners = array_of("-150 -150, 150 -150, 150 150, -150 150")
+    corners = np.array(
+        [
+            [-150.0, -150.0],
+            [150.0, -150.0],
+            [150.0, 150.0],
+            [-150.0, 150.0],
+        ]
+    )
     ground_m = np.column_stack([corners, 0.04 * corners[:, 1]])
     aside = np.array([20.0, 30.0])
     source = roads(house("home", aside, 0.0), house("fence", -aside, 0.0, kind="wall"))
@@ -181,7 +201,13 @@ def test_things_above_the_ground_stand_on_its_lowest_point_and_walls_follow_it()
 
 
 def test_maps_that_count_from_another_zero_are_brought_to_the_ground():
-    aside = array_of("30 30, -30 30, -30 -30")
+    aside = np.array(
+        [
+            [30.0, 30.0],
+            [-30.0, 30.0],
+            [-30.0, -30.0],
+        ]
+    )
     feet = on_slope(aside)[:, 2] + 47.3  # above the ellipsoid
 
     things = []

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from geometry_text import array_of
 from hypothesis import given
 from hypothesis import strategies as st
 from osm_drawing import drawn_crossing, read_drawing
-from plane_vectors import lengths
 
 from geometry.maps.cut import cut_out
 from geometry.maps.importing import ImportOptions, import_scene
@@ -32,16 +30,21 @@ def around(tmp_path_factory):
 PLACE = st.floats(-70.0, 70.0)
 
 
-@given(points=st.lists(st.tuples(PLACE, PLACE), min_size=1, max_size=8))
+PLACES = st.lists(st.tuples(PLACE, PLACE), min_size=1, max_size=8)
+
+
+@given(points=PLACES)
 def test_no_place_lies_on_a_lane_and_none_moves_without_need(around, points):
     road = covered_area(around.outline_m, around.lanes)
-    for point, place in zip(points, find_places(points, around), strict=True):
+    found = find_places(points, around)
+
+    for point, place in zip(points, found, strict=True):
         is_on_road = road.distance(shapely.Point(point)) == 0.0
         assert bool(place.why) == is_on_road
 
         if place.position_m is None:
             continue
-        away_m = float(lengths(place.position_m - point))
+        away_m = float(np.linalg.norm(place.position_m - point))
         clearance_m = road.distance(shapely.Point(place.position_m))
 
         assert away_m <= 15.0
@@ -59,7 +62,14 @@ def test_no_place_lies_on_a_lane_and_none_moves_without_need(around, points):
 
 def solid(middle, size_m, *, bottom_m=0.0, class_name="wall", name="w1"):
     """A box, 8 m long from south to north and 3 m high."""
-    corners = array_of("-1 -1, 1 -1, 1 1, -1 1") * [0.5 * size_m, 4.0]
+    corners = np.array(
+        [
+            [-1.0, -1.0],
+            [1.0, -1.0],
+            [1.0, 1.0],
+            [-1.0, 1.0],
+        ]
+    ) * [0.5 * size_m, 4.0]
     vertices, triangles = extrude(
         corners + middle,
         bottom_m=bottom_m,
@@ -89,9 +99,9 @@ def test_what_stands_in_a_wall_is_moved_out_of_it_or_refused(around):
 
 def test_a_signal_over_the_road_is_left_to_its_pole_and_others_go_to_the_kerb(around):
     poles = (
-        *lamps("16 16", id="mast", kind="pole"),
-        *lamps("12 5", id="head", kind="traffic light"),
-        *lamps("-40 1", id="alone", kind="sign"),
+        *lamps([(16.0, 16.0)], id="mast", kind="pole"),
+        *lamps([(12.0, 5.0)], id="head", kind="traffic light"),
+        *lamps([(-40.0, 1.0)], id="alone", kind="sign"),
     )
     settled, told = settle_poles(replace(around, poles=poles))
 
@@ -128,7 +138,7 @@ def test_an_import_has_no_site_in_a_lane_and_says_what_it_moved(tmp_path):
 def lamps(places, **about):
     """Lamp posts p0, p1 and so on at places, unless more is said about them."""
     poles = []
-    for number, at in enumerate(array_of(places)):
+    for number, at in enumerate(np.array(places)):
         told = {"kind": "lamp post", "id": f"p{number}"} | about
         poles.append(Pole(position_m=np.append(at, 0.0), **told))
     return tuple(poles)
@@ -143,13 +153,13 @@ def chosen(around, where="auto"):
 
 
 def test_masts_are_added_where_no_pole_is_near_the_middle(around):
-    near = replace(around, poles=lamps("17 17, 40 17"))
+    near = replace(around, poles=lamps([(17.0, 17.0), (40.0, 17.0)]))
     sites, told = chosen(near)
 
     assert set(sites) == {"p0", "p1"}
     assert told == ""
 
-    far = replace(around, poles=lamps("20 20, 40 17"))
+    far = replace(around, poles=lamps([(20.0, 20.0), (40.0, 17.0)]))
     sites, told = chosen(far)
 
     assert {"p0", "p1", "kerb-ne-1", "kerb-sw-1"} < set(sites)
@@ -160,8 +170,21 @@ def test_masts_are_added_where_no_pole_is_near_the_middle(around):
 
 
 def test_poles_of_another_junction_are_no_sites_by_default(around):
-    neighbour_m = array_of("47 -8, 63 -8, 63 8, 47 8")
-    poles = lamps("17 17, 30 17, 45 17")
+    neighbour_m = np.array(
+        [
+            [47.0, -8.0],
+            [63.0, -8.0],
+            [63.0, 8.0],
+            [47.0, 8.0],
+        ]
+    )
+    poles = lamps(
+        [
+            (17.0, 17.0),
+            (30.0, 17.0),
+            (45.0, 17.0),
+        ]
+    )
     other = replace(around, poles=poles, neighbours_m=(neighbour_m,))
     sites, told = chosen(other)
 
@@ -175,10 +198,10 @@ def test_poles_of_another_junction_are_no_sites_by_default(around):
 
 def test_low_sign_posts_are_no_sites_by_default(around):
     poles = (
-        *lamps("17 17"),
-        *lamps("17 -17", id="unknown", kind="sign"),
-        *lamps("-17 17", id="low", kind="sign", height_m=4.4),
-        *lamps("-17 -17", id="high", kind="sign", height_m=6.0),
+        *lamps([(17.0, 17.0)]),
+        *lamps([(17.0, -17.0)], id="unknown", kind="sign"),
+        *lamps([(-17.0, 17.0)], id="low", kind="sign", height_m=4.4),
+        *lamps([(-17.0, -17.0)], id="high", kind="sign", height_m=6.0),
     )
     posts = replace(around, poles=poles)
     sites, told = chosen(posts)
@@ -204,7 +227,11 @@ def test_other_junctions_are_known_to_what_is_cut_out(tmp_path):
 
 ROOF = {"class_name": "building", "name": "roof"}
 HOUSE = solid((-20.0, 20.0), 8.0, class_name="building", name="house")
-LAMPS = "17 17, 17 -17, -19 19"  # below the roof, in the open, inside the house
+LAMPS = [
+    (17.0, 17.0),
+    (17.0, -17.0),
+    (-19.0, 19.0),
+]  # below the roof, in the open, inside the house
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import pytest
 import shapely
 from osm_drawing import drawn
 from osm_text import as_drawn
-from plane_vectors import lengths
 
 from geometry.maps.importing import ImportOptions, import_scene, read_map
 
@@ -20,7 +19,7 @@ def crossing(*, parts, link_lanes=1, side=-1, is_merge=False):
 
     Parameters
     ----------
-    parts : list of (str, str)
+    parts : list of (list of float, str)
         The road's places north of the origin, and its tags, from north to south. Places
         are the signal at 0, where the slip road leaves or joins, and others. [m]
     link_lanes : int
@@ -33,7 +32,7 @@ def crossing(*, parts, link_lanes=1, side=-1, is_merge=False):
     """
     osm = drawn("node 0 0: highway=traffic_signals")
     for places, tags in parts:
-        points = ", ".join(f"0 {place}" for place in places.split())
+        points = ", ".join(f"0 {north_m}" for north_m in places)
         osm.draw(f"way {points}: {ROAD}; {tags}")
 
     corner = f"{45 * side} 0"
@@ -52,15 +51,18 @@ def crossing(*, parts, link_lanes=1, side=-1, is_merge=False):
     """)
 
 
-WHOLE = "160 70 0 -160"
+WHOLE = [160, 70, 0, -160]
 # Each with half the width of the road where the slip lane begins. [m]
 KINDS = {
     "plain": ({"parts": [(WHOLE, TWO)]}, WIDTH_M),
-    "widened": ({"parts": [("160 76", TWO), ("76 70 0 -160", THREE)]}, 1.5 * WIDTH_M),
+    "widened": (
+        {"parts": [([160, 76], TWO), ([76, 70, 0, -160], THREE)]},
+        1.5 * WIDTH_M,
+    ),
     "two lanes of its own": ({"parts": [(WHOLE, TWO)], "link_lanes": 2}, WIDTH_M),
     "to the left": ({"parts": [(WHOLE, TWO)], "side": 1}, WIDTH_M),
     "of a road with both directions": ({"parts": [(WHOLE, "lanes=2")]}, WIDTH_M),
-    "that joins": ({"parts": [("160 0 -70 -160", TWO)], "is_merge": True}, WIDTH_M),
+    "that joins": ({"parts": [([160, 0, -70, -160], TWO)], "is_merge": True}, WIDTH_M),
 }
 
 
@@ -128,7 +130,7 @@ def test_the_roads_lanes_go_on_past_the_slip_lane(slip):
 
     begins = [lane.centreline_m[0, :2] for lane in driving(source)]
     for end in ends:
-        assert min(lengths(begin - end) for begin in begins) < 1e-6
+        assert min(np.linalg.norm(begin - end) for begin in begins) < 1e-6
 
 
 def test_no_note_says_that_the_map_ends_where_the_slip_lane_begins(slip, tmp_path):

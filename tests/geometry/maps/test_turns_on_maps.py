@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracles import distance_to_chain_m
-from plane_vectors import lengths
 
 from geometry.junction import CONNECTING, build_junction
 from geometry.maps.cut import build_scene, cut_out
@@ -55,7 +54,7 @@ def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(
         front, _ = path.course.at(np.linspace(0.0, 60.0, 600))
         away_m = {}
         for lane in junction.connections:
-            if lengths(lane.centreline_m[0] - front[0]) < 0.5:
+            if np.linalg.norm(lane.centreline_m[0] - front[0]) < 0.5:
                 off_m = distance_to_chain_m(lane.centreline_m, front)
                 away_m[lane.id] = off_m.max()
         nearest = min(away_m, key=away_m.__getitem__)
