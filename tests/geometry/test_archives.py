@@ -100,7 +100,10 @@ def test_links_are_refused(tmp_path):
 
 def test_large_archives_are_refused_before_they_are_unpacked(tmp_path, monkeypatch):
     monkeypatch.setattr(archives, "MAX_UNPACKED_BYTES", 1000)
-    files = [("a.shp", b"x" * 600), ("b.dbf", b"x" * 600)]
+    files = [
+        ("a.shp", b"x" * 600),
+        ("b.dbf", b"x" * 600),
+    ]
     path = pack(tmp_path, files, zipfile.ZIP_STORED)
 
     with pytest.raises(InputError, match="at most 1,000"), unpacked(path, SUFFIXES):

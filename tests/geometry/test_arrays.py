@@ -1,3 +1,5 @@
+"""Arrays of values: copied, read-only, of the right shape."""
+
 import numpy as np
 import pytest
 from refusals import refused_with

@@ -1,3 +1,5 @@
+"""Files that are there as a whole or not at all."""
+
 import os
 import stat
 
@@ -7,6 +9,7 @@ from geometry.writing import write_atomically
 
 
 def _names(folder):
+    """Names of what is in a folder."""
     return sorted(path.name for path in folder.iterdir())
 
 

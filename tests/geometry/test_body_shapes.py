@@ -1,3 +1,5 @@
+"""Shapes of bodies, built as the table of actors says."""
+
 import sys
 from importlib.resources import files
 
@@ -17,12 +19,20 @@ TABLE = load_toml(files("geometry") / "data" / "actors.toml")
 
 @pytest.fixture
 def library():
+    """The library that joins bodies; skips where it is not installed."""
     return pytest.importorskip("manifold3d")
 
 
 def _entry(**changes):
     """A ball on a pole, 1 x 1 x 2 m."""
-    pole = {"spheres": [[0, 0, 0.0, 0], [0.1, 0, 0, 0], [0, 0.1, 0, 0], [0, 0, 1.5, 0]]}
+    pole = {
+        "spheres": [
+            [0, 0, 0.0, 0],
+            [0.1, 0, 0, 0],
+            [0, 0.1, 0, 0],
+            [0, 0, 1.5, 0],
+        ]
+    }
     ball = {"spheres": [[0, 0, 1.5, 0.5]]}
     return {
         "class_name": "pedestrian",

@@ -1,3 +1,5 @@
+"""The catalogue of sensors, and sensors of one's own."""
+
 import json
 from dataclasses import replace
 

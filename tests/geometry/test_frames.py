@@ -1,3 +1,5 @@
+"""Frames of coordinates: CARLA's, the project's, and those on earth."""
+
 import numpy as np
 import pytest
 from hypothesis import given

@@ -67,5 +67,8 @@ def test_mask_box_is_the_smallest_box_around_the_set_pixels(mask):
 
 
 def test_box_height_is_the_vertical_extent():
-    boxes = [[1.0, 2.0, 30.0, 44.5], [0.0, 0.0, 0.0, 0.0]]
+    boxes = [
+        [1.0, 2.0, 30.0, 44.5],
+        [0.0, 0.0, 0.0, 0.0],
+    ]
     assert box_height_px(boxes).tolist() == [42.5, 0.0]

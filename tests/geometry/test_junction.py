@@ -155,7 +155,10 @@ def test_any_number_of_arms_at_any_angle_have_names_of_their_own(angles_deg):
     for angle in angles_deg:
         for name, side_m in (("in", 1.75), ("out", -1.75)):
             reach_m = np.sqrt(25.0**2 - side_m**2)
-            way = [[reach_m + 80.0, side_m], [reach_m, side_m]]
+            way = [
+                [reach_m + 80.0, side_m],
+                [reach_m, side_m],
+            ]
             if name == "out":
                 way = way[::-1]
             lanes.append(build_lane(f"{angle}-{name}", turned(way, float(angle))))

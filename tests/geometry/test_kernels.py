@@ -76,6 +76,7 @@ for line in sys.stdin:
 
 @pytest.fixture(scope="module")
 def starter():
+    """A function that starts a process with the compiled kernels."""
     with subprocess.Popen(
         [sys.executable, "-c", _STARTER],
         stdin=subprocess.PIPE,
@@ -124,6 +125,7 @@ def compiled(start, tmp_path_factory):
 
 
 def _end(wait):
+    """What a process told, and with which code it ended."""
     code, out, err = wait()
     assert code == 0, err
     total, hits = out.split()

@@ -262,6 +262,7 @@ def test_large_terms_show_the_whole_picture_and_endless_ones_are_refused():
 
     wide = pick_camera("carla-ncap-rgb", "name")
     small = replace(wide, lens=lens, width_px=64, height_px=36)
+
     assert np.isfinite(pixel_grid(small)).all()
 
     told = r"carla-ncap-rgb.lens: got .*1e\+300.*; expected terms"

@@ -139,7 +139,11 @@ def test_a_ring_turned_by_whole_columns_has_the_same_beams(lidar, n_columns):
     turn = 2.0 * math.pi * n_columns / ring.n_columns
     cosine = math.cos(turn)
     sine = math.sin(turn)
-    rotation = [[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]
+    rotation = [
+        [cosine, sine, 0.0],
+        [-sine, cosine, 0.0],
+        [0.0, 0.0, 1.0],
+    ]
     turned = beams @ np.array(rotation)
 
     assert_allclose(turned, np.roll(beams, -n_columns, axis=1), atol=1e-12)

@@ -1,3 +1,5 @@
+"""Folders that nobody else can read or write."""
+
 import os
 import tempfile
 
@@ -16,11 +18,11 @@ from geometry.cache_folders import (
 @pytest.mark.parametrize(
     ("mode", "is_shared"),
     [
-        (448, False),
-        (493, False),
-        (455, True),
-        (511, True),
-        (1023, True),
+        (0o700, False),
+        (0o755, False),
+        (0o707, True),
+        (0o777, True),
+        (0o1777, True),
     ],
 )
 def test_who_else_may_write_is_told_by_the_rights_of_a_folder(

@@ -50,7 +50,12 @@ WALL = np.array(
         [0.0, -5.0, 5.0],
     ]
 )
-WALL_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
+WALL_TRIANGLES = np.array(
+    [
+        [0, 1, 2],
+        [0, 2, 3],
+    ]
+)
 
 
 def wall(x_m):

@@ -140,7 +140,11 @@ def test_a_footprint_is_what_a_thing_covers_from_above():
 def test_a_lane_that_leads_over_the_opposite_carriageway_is_found():
     scene = protocol_scene()
     y_m = 0.5 * LANE_M
-    line = [[-60.0, y_m + 1.0], [-40.0, y_m - 1.0], [-MOUTH_M, -y_m]]
+    line = [
+        [-60.0, y_m + 1.0],
+        [-40.0, y_m - 1.0],
+        [-MOUTH_M, -y_m],
+    ]
     wrong = replace(scene, lanes=(*scene.lanes, build_lane("over", line)))
 
     assert not opposite(scene)

@@ -70,7 +70,13 @@ def test_nothing_outside_the_diagonal_cone_is_in_the_image(pose, camera, point):
 def test_the_optical_axis_is_the_middle_and_right_is_right(camera):
     pose = Pose(position_m=[1.0, 2.0, 5.0], yaw_deg=90.0, pitch_deg=0.0)  # looks north
     ahead, east, above = project_points(
-        [[1.0, 12.0, 5.0], [2.0, 12.0, 5.0], [1.0, 12.0, 6.0]], pose, camera
+        [
+            [1.0, 12.0, 5.0],
+            [2.0, 12.0, 5.0],
+            [1.0, 12.0, 6.0],
+        ],
+        pose,
+        camera,
     )
     tenth = camera.focal_length_px / 10.0
 

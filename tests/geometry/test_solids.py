@@ -23,7 +23,10 @@ def test_a_box_is_that_of_trimesh(size_m):
 
 @given(st.tuples(PLACES, PLACES), st.floats(3.0, 12.0), st.floats(0.05, 0.5))
 def test_a_pole_is_that_of_trimesh(foot_m, height_m, radius_m):
-    ends = [[*foot_m, 0.0], [*foot_m, height_m]]
+    ends = [
+        [*foot_m, 0.0],
+        [*foot_m, height_m],
+    ]
     _check_cylinder(ends, radius_m, n_sides=10)
 
 
@@ -40,6 +43,7 @@ def test_a_level_arm_is_that_of_trimesh(start_m, yaw_deg, length_m, n_sides):
 
 
 def _check_cylinder(ends, radius_m, *, n_sides):
+    """A mesh is a closed cylinder with this radius and length."""
     corners, triangles = cylinder_mesh(ends, radius_m=radius_m, n_sides=n_sides)
     theirs = trimesh.creation.cylinder(radius=radius_m, segment=ends, sections=n_sides)
     np.testing.assert_array_equal(corners, theirs.vertices)

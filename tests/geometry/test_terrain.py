@@ -123,7 +123,17 @@ def test_ground_that_is_no_grid_is_refused():
 def test_fit_of_points_on_a_plane_is_that_plane(a, b):
     rng = np.random.default_rng(0)
     flat = rng.uniform(-120.0, 120.0, size=(2000, 2))
-    flat = np.concatenate([flat, [[-120, -120], [-120, 120], [120, -120], [120, 120]]])
+    flat = np.concatenate(
+        [
+            flat,
+            [
+                [-120, -120],
+                [-120, 120],
+                [120, -120],
+                [120, 120],
+            ],
+        ]
+    )
     points = np.column_stack([flat, flat @ [a, b]])
     terrain = fit_terrain(points, half_m=100.0, step_m=4.0)
     inside = rng.uniform(-99.0, 99.0, size=(500, 2))

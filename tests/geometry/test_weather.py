@@ -1,3 +1,5 @@
+"""Weathers: what they do to sight, and what is told of wrong ones."""
+
 import math
 from dataclasses import replace
 
@@ -131,8 +133,8 @@ def _exponent(visibility_m, wavelength_nm=905.0):
 @pytest.mark.parametrize(
     ("visibility_m", "exponent"),
     [
-        (50001.0, 1.6),
-        (50000.0, 1.3),
+        (50_001.0, 1.6),
+        (50_000.0, 1.3),
         (6001.0, 1.3),
         (6000.0, 1.3),  # 0.16 * 6 + 0.34
         (2000.0, 0.66),

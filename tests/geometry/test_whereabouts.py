@@ -11,6 +11,7 @@ from geometry.study_scene import load_study_scene
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
+    """The scene of a crossing of two named streets and one without a name."""
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     for east, north, name in (
@@ -56,7 +57,11 @@ def test_corners_and_arms_are_told_with_their_streets(scene):
 def test_a_corner_is_named_by_the_arms_on_either_side_wherever_on_it_a_pole_stands(
     scene,
 ):
-    north_west = [[-3.5, 9.0], [-9.0, 3.5], [-8.0, 8.0]]
+    north_west = [
+        [-3.5, 9.0],
+        [-9.0, 3.5],
+        [-8.0, 8.0],
+    ]
     assert {words.split(",")[0] for words in whereabouts(scene, north_west)} == {
         "north-west corner"
     }

@@ -381,6 +381,7 @@ def test_last_brake_time_does_not_fall_between_two_time_steps(vut_speed_kmh, ons
         vut_drive_s=5.0 - onset_s,
     )
     touches = set()
+
     for time_step_s in (0.01, 0.001):
         apart_m = smallest_separation_m(
             encounter,
@@ -430,6 +431,7 @@ def test_contacts_of_many_onsets_are_those_of_each(encounter, offsets_s):
     onsets_s = [last_s, -np.inf, 0.0, np.inf]
     for offset_s in offsets_s:
         onsets_s.append(last_s + offset_s)
+
     together = has_contact(encounter, onsets_s, RULE)
     one_by_one = [bool(has_contact(encounter, each, RULE)) for each in onsets_s]
 
@@ -618,6 +620,7 @@ def test_contacts_are_those_of_a_simulation_in_small_steps(encounter, shares):
 
     v = encounter.vut_motion.speed_mps
     contacts = zip(onsets_s, found.time_s, found.speed_mps, strict=True)
+
     for onset_s, time_s, speed in contacts:
         if onset_s >= 0.0:
             assert time_s == 0.0

@@ -15,7 +15,10 @@ from scenarios.positions import build_positions
 
 pytestmark = pytest.mark.long
 # Across the arm to the south, 2 m inside its mouth.
-CROSSWALK_M = [[-6.0, 1.0 - MOUTH_M], [6.0, 1.0 - MOUTH_M]]
+CROSSWALK_M = [
+    [-6.0, 1.0 - MOUTH_M],
+    [6.0, 1.0 - MOUTH_M],
+]
 
 
 def scene_with(closed_to, *, crosswalks_m=()):

@@ -168,6 +168,7 @@ def test_who_stands_all_the_time_faces_where_the_file_says(heading_deg, faces_de
 
     east, north = np.diff(found.recorded.vru.points_m, axis=0)[0]
     ahead_deg = np.degrees(np.arctan2(north, east))
+
     assert ahead_deg == pytest.approx(faces_deg, abs=0.1)
 
 
@@ -224,7 +225,10 @@ def random_tracks(rng):
 
 def least_time_s(one, other):
     """Least time to collision of two tracks until they touch, by steps of 10 ms."""
-    boxes = [(VUT.length_m, VUT.width_m), (ADULT.length_m, ADULT.width_m)]
+    boxes = [
+        (VUT.length_m, VUT.width_m),
+        (ADULT.length_m, ADULT.width_m),
+    ]
     steps = np.arange(0.0, 2.02, 0.01)
     best = math.inf
 

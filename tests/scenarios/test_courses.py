@@ -124,8 +124,18 @@ def test_a_straight_lane_gives_a_straight_course():
 
 
 def test_lanes_one_after_the_other_are_one_course_with_its_origin_between_them():
-    first = np.array([[-40.0, 0.0], [0.0, 0.0]])
-    second = np.array([[0.0, 0.0], [30.0, 8.0]])
+    first = np.array(
+        [
+            [-40.0, 0.0],
+            [0.0, 0.0],
+        ]
+    )
+    second = np.array(
+        [
+            [0.0, 0.0],
+            [30.0, 8.0],
+        ]
+    )
     course = follow_lanes([first, second])
     origin, _ = course.at(0.0)
     beyond, _ = course.at(25.0)

@@ -69,7 +69,12 @@ def plain_track(time_s, detected, position_m, covariance_m2):
         for unit in np.flatnonzero(detected[:, frame]):
             z = position_m[unit, frame]
             ee, en, nn = covariance_m2[unit, frame]
-            R = np.array([[ee, en], [en, nn]])
+            R = np.array(
+                [
+                    [ee, en],
+                    [en, nn],
+                ]
+            )
             H = np.eye(2, 4)
             if state is None:
                 state = np.concatenate([z, [0.0, 0.0]])

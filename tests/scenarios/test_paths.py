@@ -30,7 +30,12 @@ TURN_PATH = TurnPath(
 )
 
 
-TURNS = (("far", 10), ("far", 15), ("far", 20), ("near", 10))
+TURNS = (
+    ("far", 10),
+    ("far", 15),
+    ("far", 20),
+    ("near", 10),
+)
 
 
 @st.composite

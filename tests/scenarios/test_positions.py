@@ -642,7 +642,12 @@ def test_cars_park_on_spaces_that_a_wide_lane_has_beside_who_drives(laid):
     assert not runs
     assert "would stand on the carriageway" in refusal.reason
 
-    line = np.array([[-200.0, -5.5], [-15.0, -5.5]])
+    line = np.array(
+        [
+            [-200.0, -5.5],
+            [-15.0, -5.5],
+        ]
+    )
     row = build_lane("spaces", line, kind="parking", width_m=4.0)
     runs, refusals = laid(build_scene([*wide, row]), "CPNCO-50", "-30")
 

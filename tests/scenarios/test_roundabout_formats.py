@@ -47,6 +47,7 @@ def runs(scenes, actors, rule):
     """Runs of every case on each scene, at the first speed of each case."""
     cases = [at_first_speed(case) for case in load_cases().values()]
     positions = build_positions([0.0, 15.0])
+
     found = {}
     for name, scene in scenes.items():
         laid, _ = build_runs(
@@ -57,6 +58,7 @@ def runs(scenes, actors, rule):
             positions=positions,
         )
         found[name] = laid
+
     return found
 
 

@@ -218,6 +218,7 @@ def test_floating_car_data_of_sumo(tmp_path):
             f'<vehicle id="b" x="0" y="{n}" angle="0" type="DEFAULT_BIKETYPE"/>'
             f'<person id="p" x="1" y="{n}" angle="0"/></timestep>'
         )
+
     tracks, _ = read(tmp_path, f"<fcd-export>{steps}</fcd-export>", "a.xml")
 
     classes = [track.class_name for track in tracks]

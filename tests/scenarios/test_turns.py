@@ -53,11 +53,13 @@ def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn
     # The curvature jumps where the turn begins and ends.
     slack = 2.0 * step / turn.radius_m
     angle = turn.side * np.radians(angle_deg)
+
     assert_allclose(angle, integral(curvature), rtol=0.0, atol=slack)
 
     yaw = np.radians(angle_deg)
     east = integral(np.cos(yaw)) - 1.0
     north = integral(np.sin(yaw))
+
     assert_allclose(position, np.stack([east, north], axis=-1), rtol=0.0, atol=5e-6)
 
 

@@ -19,6 +19,7 @@ from geometry.notes import assumptions
 
 @pytest.fixture(scope="module")
 def city(tmp_path_factory):
+    """A real town, of which every junction is cut out."""
     return write_city(tmp_path_factory.mktemp("city"))
 
 

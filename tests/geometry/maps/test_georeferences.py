@@ -9,9 +9,22 @@ from pyproj import Geod, Transformer
 from geometry.errors import InputError
 from geometry.maps.georeferences import georeference, horizontal_crs
 
-BERLIN_UTM = np.array([[390_000.0, 5819000.0], [390300.0, 5819400.0]])
-IN_DEGREES = [(13.4, 52.5), (13.41, 52.51)]
-BERLIN_GK = np.array([[4590000.0, 5820000.0], [4590100.0, 5820300.0]])
+BERLIN_UTM = np.array(
+    [
+        [390_000.0, 5_819_000.0],
+        [390_300.0, 5_819_400.0],
+    ]
+)
+IN_DEGREES = [
+    (13.4, 52.5),
+    (13.41, 52.51),
+]
+BERLIN_GK = np.array(
+    [
+        [4_590_000.0, 5_820_000.0],
+        [4_590_100.0, 5_820_300.0],
+    ]
+)
 
 
 def in_wgs84(crs, points):
@@ -51,7 +64,12 @@ def test_spellings_of_one_reference_system_mean_the_same(spelling):
 
 @given(lon=st.floats(-179.0, 178.0), lat=st.floats(-80.0, 80.0))
 def test_degrees_become_metres_on_the_ground(lon, lat):
-    points = np.array([[lon, lat], [lon + 0.002, lat + 0.001]])
+    points = np.array(
+        [
+            [lon, lat],
+            [lon + 0.002, lat + 0.001],
+        ]
+    )
     place = georeference(points, "EPSG:4326", where="f")
     a, b = place.to_metres(points, "f")
 
@@ -59,7 +77,12 @@ def test_degrees_become_metres_on_the_ground(lon, lat):
 
 
 def test_web_mercator_becomes_metres_on_the_ground():
-    points = np.array([[1489000.0, 6894000.0], [1489100.0, 6894000.0]])
+    points = np.array(
+        [
+            [1_489_000.0, 6_894_000.0],
+            [1_489_100.0, 6_894_000.0],
+        ]
+    )
     place = georeference(points, "EPSG:3857", where="f")
     a, b = place.to_metres(points, "f")
     true_m = distance_m(in_wgs84("EPSG:3857", points))
@@ -69,7 +92,12 @@ def test_web_mercator_becomes_metres_on_the_ground():
 
 
 def test_feet_become_metres_also_upwards():
-    points = np.array([[985000.0, 200000.0, 10.0], [985100.0, 200000.0, 20.0]])
+    points = np.array(
+        [
+            [985_000.0, 200_000.0, 10.0],
+            [985_100.0, 200_000.0, 20.0],
+        ]
+    )
     place = georeference(points[:, :2], "EPSG:2263", where="f")
     a, b = place.to_metres(points, "f")
 
@@ -95,7 +123,12 @@ def test_of_two_orders_that_of_the_definition_is_taken_if_it_can_be(points):
 
 
 def test_latitude_comes_first_where_the_definition_says_so():
-    points = np.array([[35.68, 139.76], [35.681, 139.762]])
+    points = np.array(
+        [
+            [35.68, 139.76],
+            [35.681, 139.762],
+        ]
+    )
     place = georeference(
         points,
         "urn:ogc:def:crs:EPSG::6697",
@@ -115,7 +148,12 @@ def test_coordinates_from_nowhere_lose_their_reference_system_with_a_note():
 
 def test_data_beside_an_area_of_use_keep_their_reference_system():
     # Passau is at 13.4 E; UTM 32 ends at 12.
-    passau = np.array([[830000.0, 5390_000.0], [830100.0, 5390100.0]])
+    passau = np.array(
+        [
+            [830_000.0, 5_390_000.0],
+            [830_100.0, 5_390_100.0],
+        ]
+    )
 
     assert georeference(passau, "EPSG:25832", where="f").crs == "EPSG:25832"
 

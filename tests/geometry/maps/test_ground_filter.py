@@ -67,6 +67,6 @@ def test_single_points_below_the_ground_are_not_ground():
 
 def test_points_from_all_over_the_country_are_refused():
     lowest = LowestPoints()
-    lowest.add(np.array([[0.0, 0.0, 0.0], [90000.0, 90000.0, 0.0]]))
+    lowest.add(np.array([[0.0, 0.0, 0.0], [90_000.0, 90_000.0, 0.0]]))
     with pytest.raises(InputError, match=r"90\.0 km"):
         lowest.grid("f")

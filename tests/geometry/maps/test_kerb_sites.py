@@ -236,6 +236,7 @@ def test_what_is_kept_is_apart_and_what_is_dropped_is_near_something_kept(rows):
     sites = []
     for index, (x, y, said) in enumerate(rows):
         sites.append(wish(str(index), x, y, **said))
+
     kept, skipped = tidy_sites(sites)
 
     assert len(kept) + len(skipped) == len(sites)

@@ -88,7 +88,14 @@ def test_gltf_needs_no_words_about_unit_and_axis(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-@pytest.mark.parametrize(("unit", "up"), [("m", "z"), ("cm", "z"), ("ft", "-x")])
+@pytest.mark.parametrize(
+    ("unit", "up"),
+    [
+        ("m", "z"),
+        ("cm", "z"),
+        ("ft", "-x"),
+    ],
+)
 def test_other_formats_are_read_in_the_unit_and_axis_that_are_named(
     tmp_path, suffix, unit, up
 ):

@@ -95,12 +95,14 @@ _WHOLE = document(
 
 
 def _refused(tmp_path, text):
+    """What is told of a text."""
     with pytest.raises(InputError) as caught:
         read_text(tmp_path, text)
     return str(caught.value)
 
 
 def _plan(*pieces, length=100.0):
+    """A document of one road with a plan view."""
     return document(road("5", plan="".join(pieces), length=length))
 
 

@@ -20,6 +20,7 @@ _WKT = (
 
 
 def _read(tmp_path, reference):
+    """What is read of a document with a header."""
     header = f"<geoReference><![CDATA[{reference}]]></geoReference>"
     return read_text(tmp_path, document(road(), header=header))
 

@@ -251,6 +251,7 @@ def test_a_stub_of_a_road_at_the_mouth_belongs_to_the_road_beyond(tmp_path):
 
     coming = lanes["1/1"]
     ends_m = coming.centreline_m[[0, -1], :2]
+
     assert_allclose(ends_m, np.array([[61.0, 1.75], [10.0, 1.75]]))
     assert coming.from_junction == ""
     assert coming.to_junction == "9"

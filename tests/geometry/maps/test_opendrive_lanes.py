@@ -119,6 +119,7 @@ def test_pieces_are_joined_where_one_of_them_links_the_other(
     first = section(right=[lane(-1, **before)])
     second = section(right=[lane(-1, **after)], s=begin_m)
     sections = first + second
+
     assert set(lanes_of(sections=sections)) == ids
 
 

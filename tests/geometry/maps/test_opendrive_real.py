@@ -63,6 +63,7 @@ def test_the_studys_junction_has_the_lanes_of_its_scene(town05):
 def test_every_junction_of_town05_has_three_or_four_arms(town05):
     n_arms = {one.id: len(arms_of(town05, one)) for one in town05.junctions}
     three = {"224", "905", "924", "943", "1050", "1148", "1162", "1260"}
+
     assert {name for name, n in n_arms.items() if n == 3} == three
     assert set(n_arms.values()) == {3, 4}
 

@@ -456,7 +456,12 @@ def test_crosswalks_lead_over_the_road_and_two_metres_farther(tmp_path):
     lines = read(osm, tmp_path).crosswalks_m
     ends = sorted(sorted(line.round(1).tolist()) for line in lines)
     found = np.reshape(ends, (-1, 4))
-    wanted = np.array([[-20.0, -5.0, -20.0, 5.0], [-11.25, -4.9, -8.75, 4.9]])
+    wanted = np.array(
+        [
+            [-20.0, -5.0, -20.0, 5.0],
+            [-11.25, -4.9, -8.75, 4.9],
+        ]
+    )
 
     assert_allclose(found, wanted, atol=0.11)
 
@@ -465,7 +470,12 @@ def test_a_footway_over_two_arms_is_a_crosswalk_over_each(tmp_path):
     # Over the eastern and the northern arm.
     osm = drawn(ACROSS).draw(f"way 10 -9, 10 10, -9 10: {CROSSING}")
     lines = read(osm, tmp_path).crosswalks_m
-    wanted = np.array([[-5.0, 10.0, 5.0, 10.0], [10.0, -5.0, 10.0, 5.0]])
+    wanted = np.array(
+        [
+            [-5.0, 10.0, 5.0, 10.0],
+            [10.0, -5.0, 10.0, 5.0],
+        ]
+    )
 
     assert_allclose(straight_lines(lines), wanted, atol=0.11)
 
@@ -480,7 +490,12 @@ def test_two_carriageways_crossed_straight_are_one_crosswalk(tmp_path):
         way 20 11, 20 6: {CROSSING}
     """)
     lines = read(osm, tmp_path).crosswalks_m
-    wanted = np.array([[0.0, -11.0, 0.0, 11.0], [20.0, 1.0, 20.0, 11.0]])
+    wanted = np.array(
+        [
+            [0.0, -11.0, 0.0, 11.0],
+            [20.0, 1.0, 20.0, 11.0],
+        ]
+    )
 
     assert_allclose(straight_lines(lines), wanted, atol=0.11)
 

@@ -20,6 +20,7 @@ def geojson(path, *features):
     told = []
     for geometry, values in features:
         told.append({"type": "Feature", "geometry": geometry, "properties": values})
+
     path.write_text(json.dumps({"type": "FeatureCollection", "features": told}))
     return path
 
@@ -121,7 +122,12 @@ def test_a_map_of_no_known_place_takes_no_layers(tmp_path):
 
 
 def test_points_snap_to_the_nearest_junction_within_a_distance():
-    junctions = np.array([[0.0, 0.0], [100.0, 0.0]])
+    junctions = np.array(
+        [
+            [0.0, 0.0],
+            [100.0, 0.0],
+        ]
+    )
     points = np.array(
         [
             [10.0, 0.0],

@@ -115,7 +115,12 @@ JUNCTION = MapJunction(
 
 
 def test_ground_is_that_of_the_roads_and_everything_stands_on_it():
-    aside = np.array([[30.0, 30.0], [-30.0, 30.0]])
+    aside = np.array(
+        [
+            [30.0, 30.0],
+            [-30.0, 30.0],
+        ]
+    )
     ground_m = on_slope(aside)[:, 2]
     afloat = house("set", aside[0], ground_m[0] + 1.2)
     with_cellar = house("base", aside[1], ZERO_M - 4.0)

@@ -65,7 +65,12 @@ def plane(n=200, step=2.0, **options):
     east_m = (np.arange(n) + 0.5) * step - half_m
     south_m = east_m[:, None]
     heights = 300.0 + 0.05 * east_m + 0.02 * south_m
-    return Raster(heights=heights, corner=corner, step=step, **options)
+    return Raster(
+        heights=heights,
+        corner=corner,
+        step=step,
+        **options,
+    )
 
 
 @pytest.fixture
@@ -105,7 +110,12 @@ def test_rasters_in_another_reference_system_lie_at_the_same_place(read):
     step = 2.0e-5
     corner = np.array([lon, lat]) + 150 * step * np.array([-1.0, 1.0])
     by_column = np.tile(np.arange(300.0), (300, 1))
-    raster = Raster(heights=by_column, corner=corner, step=step, crs="EPSG:4326")
+    raster = Raster(
+        heights=by_column,
+        corner=corner,
+        step=step,
+        crs="EPSG:4326",
+    )
     points = read(raster)
     lon_lat = transform(points[:, :2], UTM, "EPSG:4326")
 

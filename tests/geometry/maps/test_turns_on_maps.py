@@ -40,10 +40,12 @@ def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(
 ):
     scene = scene_of(real_input(f"opendrive/{name}.xodr"))
     junction = build_junction(scene)
+
     cases = []
     for case in ("CPTAfs-50", "CPTAns-50"):
         # At higher speeds some ways are too tight.
         cases.append(replace(load_cases()[case], vut_speeds_kmh=(10.0,)))
+
     runs, _ = build_runs(scene, cases, vut=actors["vut"], rule=build_rule(Question()))
     followed = set()
 
@@ -60,6 +62,7 @@ def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(
         nearest = min(away_m, key=away_m.__getitem__)
 
         assert away_m[nearest] < 0.01, run.id
+
         followed.add(nearest)
 
     assert len(followed) == 8  # each way from each of four arms
