@@ -161,7 +161,8 @@ def test_any_number_of_arms_at_any_angle_have_names_of_their_own(angles_deg):
             ]
             if name == "out":
                 way = way[::-1]
-            lanes.append(build_lane(f"{angle}-{name}", turned(way, float(angle))))
+            line = turned(way, float(angle))
+            lanes.append(build_lane(f"{angle}-{name}", line))
 
     arms = arms_of(lanes, outline_m=np.array(rim))
 

@@ -306,6 +306,7 @@ def test_every_point_of_a_picture_is_where_its_ray_is_projected(
     middle = picture_rays([edge_px], [camera.middle_px[1]], camera)
     if isinstance(lens, BrownConrady) and (lens.p1 or lens.p2):
         return
-    angle = np.degrees(np.arctan(np.linalg.norm(middle.reshape(2))))
+    radius = np.linalg.norm(middle)
+    angle = np.degrees(np.arctan(radius))
 
     assert angle == pytest.approx(0.5 * camera.horizontal_fov_deg, abs=1e-6)

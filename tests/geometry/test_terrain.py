@@ -22,27 +22,25 @@ def on_terrain(scene, terrain):
     """A scene whose ground is a terrain; all else is lifted as a whole, thing by
     thing.
     """
-    keeps = []
-    for index, thing in enumerate(scene.instances):
-        if thing.class_name != "ground":
-            keeps.append(index)
-
     vertices, triangles = terrain.mesh()
+    things = [Instance(id="ground", class_name="ground")]
     parts = [vertices]
     faces = [triangles]
     owner = [np.zeros(len(triangles))]
     start = len(vertices)
 
-    for number, index in enumerate(keeps, start=1):
+    for index, thing in enumerate(scene.instances):
+        if thing.class_name == "ground":
+            continue
         own = scene.triangles[scene.triangle_instance == index]
         used, place = np.unique(own, return_inverse=True)
         points = scene.vertices_m[used].copy()
         points[:, 2] += terrain.at(points[:, :2]).min()
         parts.append(points)
         faces.append(place.reshape(-1, 3) + start)
-        owner.append(np.full(len(own), number))
+        owner.append(np.full(len(own), len(things)))
+        things.append(thing)
         start += len(points)
-    ground = Instance(id="ground", class_name="ground")
 
     sites = []
     for site in scene.sites:
@@ -54,7 +52,7 @@ def on_terrain(scene, terrain):
         vertices_m=np.concatenate(parts),
         triangles=np.concatenate(faces),
         triangle_instance=np.concatenate(owner),
-        instances=(ground, *(scene.instances[index] for index in keeps)),
+        instances=tuple(things),
         sites=tuple(sites),
     )
 
@@ -79,15 +77,22 @@ def test_heights_are_those_of_the_mesh(seed):
     share = rng.dirichlet(np.ones(3), len(triangles))
     points = np.einsum("nk,nkj->nj", share, corners)
 
-    assert_allclose(terrain.at(points[:, :2]), points[:, 2], atol=1e-9)
+    found_m = terrain.at(points[:, :2])
+    assert_allclose(found_m, points[:, 2], atol=1e-9)
 
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    a, b, c = np.swapaxes(corners, 0, 1)
+    normals = np.cross(b - a, c - a)
+
     assert (normals[:, 2] > 0.0).all()
 
 
 def test_beyond_the_grid_heights_are_those_of_its_edge():
     slope = grid(lambda east, north: 0.05 * east, half_m=10.0)
-    assert_allclose(slope.at([[50.0, 3.0], [-50.0, 90.0]]), [0.5, -0.5])
+    beyond = [
+        [50.0, 3.0],
+        [-50.0, 90.0],
+    ]
+    assert_allclose(slope.at(beyond), [0.5, -0.5])
 
 
 def test_terrain_of_a_scene_is_that_of_its_ground():
@@ -100,8 +105,11 @@ def test_terrain_of_a_scene_is_that_of_its_ground():
 
 
 def test_a_plane_at_zero_is_no_terrain():
-    assert terrain_of(load_scene()) is None
-    assert terrain_of(on_terrain(load_scene(), grid(lambda e, n: 0.0 * e))) is None
+    scene = load_scene()
+    level = grid(lambda east, north: 0.0 * east)
+
+    assert terrain_of(scene) is None
+    assert terrain_of(on_terrain(scene, level)) is None
 
 
 def test_ground_that_is_no_grid_is_refused():
@@ -147,12 +155,15 @@ def test_fit_of_points_on_a_line_is_that_of_the_nearest():
 
     assert terrain.at([10.0, 15.0]) == pytest.approx(1.0, abs=0.06)
 
-    beyond = fit_terrain(np.array([[30.0, 0.0, 4.0]]), half_m=20.0, step_m=2.0)
-    assert (beyond.height_m == 4.0).all()
+    beyond = np.array([[30.0, 0.0, 4.0]])
+    level = fit_terrain(beyond, half_m=20.0, step_m=2.0)
+
+    assert (level.height_m == 4.0).all()
 
 
 def test_a_check_on_a_slope_finds_what_does_not_stand_on_it():
-    scene = on_terrain(load_scene(), grid(lambda east, north: 0.02 * east))
+    slope = grid(lambda east, north: 0.02 * east)
+    scene = on_terrain(load_scene(), slope)
     known = check_scene(load_scene())
 
     assert check_scene(scene) == known

@@ -32,8 +32,11 @@ def test_a_corner_is_driven_no_faster_than_it_can_be(lay, vut, angle_deg):
     speeds = (20.0, 30.0, 60.0)
     runs, refusals = lay(scene, ["CBLA-50"], speeds_kmh=speeds, approaches=["west"])
 
-    assert len(runs) + sum(len(one.speeds_kmh) for one in refusals) == len(speeds)
-    assert refusals  # 60 km/h is too fast
+    n_refused = sum(len(one.speeds_kmh) for one in refusals)
+
+    assert len(runs) + n_refused == len(speeds)
+    # 60 km/h is too fast.
+    assert refusals
     for run in runs:
         aside_mps2 = lateral_mps2(run.encounter.vut_motion, run.encounter.vut)
         assert aside_mps2 <= load_way_rules().max_lateral_mps2
@@ -48,7 +51,10 @@ def test_a_corner_is_driven_no_faster_than_it_can_be(lay, vut, angle_deg):
         front = run.vut_position_m + vut.front_axle_ahead_m * ahead
         mapped = front[front[:, 0] > -60.0]
 
-        assert distance_to_chain_m(mapped, lane.centreline_m).max() < 0.7
+        off_m = distance_to_chain_m(mapped, lane.centreline_m)
+
+        assert off_m.max() < 0.7
+
     for one in refusals:
         assert one.reason.startswith("the lanes curve")
         assert not one.is_possible
@@ -69,23 +75,30 @@ def test_kinks_that_a_car_takes_within_its_lane_cost_no_run(lay):
 @given(angle_deg=st.floats(-30.0, 30.0), free_m=st.floats(0.1, 0.6))
 def test_a_gentle_course_bends_less_and_stays_as_near_as_it_must(angle_deg, free_m):
     corner = np.array([80.0, 0.0])
-    chain = np.array([0.0 * corner, corner, corner + turned(corner, angle_deg)])
+    end = corner + turned(corner, angle_deg)
+    chain = np.array([[0.0, 0.0], corner, end])
     gentle = follow_gently([chain], [free_m], origin=1)
-    inside = (gentle.points_m[:, 0] > 0.0) & (gentle.points_m[:, 0] < 145.0)
-    points = gentle.points_m[inside]
+    x = gentle.points_m[:, 0]
+    points = gentle.points_m[(x > 0.0) & (x < 145.0)]
 
     # Samples lie 0.5 m apart.
-    assert distance_to_chain_m(points[::50], chain).max() <= free_m + 0.07
+    off_m = distance_to_chain_m(points[::50], chain)
+    assert off_m.max() <= free_m + 0.07
+
     if abs(angle_deg) > 1.0 and free_m > 0.3:
-        assert gentle.max_bend_per_m <= follow_lane(chain, is_in=True).max_bend_per_m
+        exact = follow_lane(chain, is_in=True)
+        assert gentle.max_bend_per_m <= exact.max_bend_per_m
 
 
 @pytest.mark.long
 def test_sharp_bends_of_a_scene_are_found_with_the_speed_that_they_allow():
-    assert not list(find_sharp_bends(protocol_scene()))
-    assert not list(find_sharp_bends(with_corner(10.0)[0]))
+    gentle, _ = with_corner(10.0)
+    sharp, _ = with_corner(60.0)
 
-    (finding,) = find_sharp_bends(with_corner(60.0)[0])
+    assert not list(find_sharp_bends(protocol_scene()))
+    assert not list(find_sharp_bends(gentle))
+
+    (finding,) = find_sharp_bends(sharp)
     assert finding.level == "warning"
     assert finding.what == "arm west"
     assert finding.why.startswith("lane west-in-0 bends 4")

@@ -61,8 +61,16 @@ def plain_track(time_s, detected, position_m, covariance_m2):
             is_confirmed = False
         if state is not None:
             dt = now_s - time_s[frame - 1]
-            F = np.kron([[1.0, dt], [0.0, 1.0]], np.eye(2))
-            Q = np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(2))
+            step = [
+                [1.0, dt],
+                [0.0, 1.0],
+            ]
+            noise = [
+                [dt**3 / 3, dt**2 / 2],
+                [dt**2 / 2, dt],
+            ]
+            F = np.kron(step, np.eye(2))
+            Q = np.kron(noise, np.eye(2))
 
             state = F @ state
             cov = F @ cov @ F.T + RULE.acceleration_noise_m2ps3 * Q
@@ -125,7 +133,12 @@ def plain_overlap(state, cov, tau, at, ways, run):
     mean = F @ state - [east, north]
     spread = F @ cov @ F.T
     spread += np.eye(2) * RULE.acceleration_noise_m2ps3 * tau**3 / 3
-    turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+    turn = np.array(
+        [
+            [np.cos(yaw), np.sin(yaw)],
+            [-np.sin(yaw), np.cos(yaw)],
+        ]
+    )
     mean = turn @ mean
     spread = np.diag(turn @ spread @ turn.T)
     sd = np.sqrt(spread + [RULE.car_along_sd_m**2, RULE.car_across_sd_m**2])
@@ -162,10 +175,12 @@ def drawn():
         places.append(np.column_stack([position, yaw]))
 
     axis = axis_of(times)
-    seen = rng.random((3, axis.n_frames)) < rng.choice([0.05, 0.5, 0.9], axis.n_frames)
+    chance = rng.choice([0.05, 0.5, 0.9], axis.n_frames)
+    seen = rng.random((3, axis.n_frames)) < chance
     position_m = rng.normal(0.0, 8.0, (3, axis.n_frames, 2))
     root = rng.normal(0.0, 0.7, (3, axis.n_frames, 2, 2))
-    error = root @ np.swapaxes(root, -1, -2) + 0.01 * np.eye(2)
+    square = root @ np.swapaxes(root, -1, -2)
+    error = square + 0.01 * np.eye(2)
     covariance_m2 = error.reshape(3, -1, 4)[..., [0, 1, 3]]
     ways = CarWays(
         place=np.concatenate(places),
@@ -214,8 +229,10 @@ def test_a_longer_reserve_never_lowers_the_probability(drawn):
     ways = replace(ways, time_to_stop_s=ways.time_to_stop_s.round(1))
     ours = overlap_probability(tracks, axis, ways, (0.0, 0.3, 1.0), rule=RULE)
 
-    assert (np.diff(ours, axis=0) >= -1e-6).all()
-    assert (np.diff(ours, axis=0) > 0.1).any()
+    more = np.diff(ours, axis=0)
+
+    assert (more >= -1e-6).all()
+    assert (more > 0.1).any()
     assert ours.max() > 0.5
     assert (ours[:, ~tracks.is_live] == 0.0).all()
 
@@ -257,7 +274,8 @@ def crossing(noise_m2):
 def test_without_noise_the_car_brakes_at_the_last_brake_time_less_the_latency():
     axis, tracks, ways = crossing(1e-16)
     (probability,) = overlap_probability(tracks, axis, ways, [0.0], rule=SURE)
-    brakes_s = axis.time_s[np.argmax(probability >= 0.5)]
+    first = np.argmax(probability >= 0.5)
+    brakes_s = axis.time_s[first]
     last_s = axis.last_brake_time_s[0] - AEB.latency_s
 
     assert probability[-1] == pytest.approx(1.0)
@@ -271,15 +289,18 @@ def test_the_place_of_the_impact_is_located_as_least_squares_say():
     axis, _, _ = crossing(noise_m**2)
     always = np.ones((2, 1, 301), dtype=bool)
     always[1, 0, 200:] = False
-    error = np.tile([noise_m**2, 0.0, noise_m**2], (2, 1, 301, 1))
+    covariance_m2 = [noise_m**2, 0.0, noise_m**2]
+    error = np.tile(covariance_m2, (2, 1, 301, 1))
     found_m = located_sd_m(always, error, axis, np.zeros(1), aeb=AEB, rule=SURE)
     in_time = frames_in_time(axis, latency_s=AEB.latency_s)
 
     for row, seen in enumerate(always):
         used_s = axis.time_s[in_time & seen[0]]
         design = np.column_stack([np.ones(len(used_s)), used_s])
-        at_impact = noise_m**2 * np.linalg.inv(design.T @ design)[0, 0]
-        assert found_m[row, 0] == pytest.approx(math.sqrt(at_impact), rel=1e-3)
+        spread = np.linalg.inv(design.T @ design)
+        expected_m = noise_m * math.sqrt(spread[0, 0])
+        assert found_m[row, 0] == pytest.approx(expected_m, rel=1e-3)
+
     assert found_m[1, 0] > found_m[0, 0]
 
 
@@ -295,7 +316,9 @@ def test_nothing_is_located_where_no_track_lives():
 def test_largest_of_runs_is_that_of_each_run():
     axis = axis_of([np.arange(3.0), np.arange(2.0)])
     values = np.array([[0.1, 0.5, 0.2, 0.0, 0.3]])
-    assert_array_equal(largest_of_runs(values, axis), [[0.5, 0.3]])
+    largest = largest_of_runs(values, axis)
+
+    assert_array_equal(largest, [[0.5, 0.3]])
 
 
 # ---------- rules of one's own

@@ -50,7 +50,8 @@ def set_off_together(encounter):
     """The VRU waits at the place that it had reached when the VUT set off."""
     vru = encounter.vru_motion
     start_s = encounter.vut_motion.start_time_s
-    path = replace(vru.path, start_m=vru.path.at(vru.distance_m(start_s))[0])
+    start_m, _ = vru.path.at(vru.distance_m(start_s))
+    path = replace(vru.path, start_m=start_m)
     motion = replace(vru, path=path, start_time_s=start_s)
     return replace(encounter, vru_motion=motion)
 

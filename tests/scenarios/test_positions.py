@@ -243,7 +243,9 @@ def test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line(
             off_m = distance_to_chain_m(after, exit_m).max()
             assert off_m < max(0.2, eased_m + 0.1)
 
-        turn = np.abs(np.diff(np.unwrap(np.radians(yaw_deg)))) / np.diff(distance)
+        yaw = np.unwrap(np.radians(yaw_deg))
+        turn = np.abs(np.diff(yaw)) / np.diff(distance)
+
         assert turn.max() * motion.speed_mps**2 < 1.1 * rules.max_lateral_mps2
 
 

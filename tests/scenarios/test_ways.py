@@ -81,7 +81,8 @@ def staged(name, vut, *, scene=CURVED, approach="west", speed_kmh=None):
 @pytest.mark.parametrize("name", case_names())
 def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
     # Nothing faster is driven round this bend.
-    speed_kmh = min(load_cases()[name].vut_speeds_kmh[0], 50.0)
+    case = load_cases()[name]
+    speed_kmh = min(case.vut_speeds_kmh[0], 50.0)
     encounter = staged(name, vut, speed_kmh=speed_kmh)
     motion = encounter.vut_motion
 
@@ -98,7 +99,6 @@ def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
     if is_mapped.any():
         assert distance_to_chain_m(front[is_mapped], curved_entry()).max() < 0.05
 
-    case = load_cases()[name]
     if case.impact_face == "front" and case.kind != "turning":
         position, yaw_deg = pose_at(motion)
         point, vru_deg = pose_at(encounter.vru_motion)

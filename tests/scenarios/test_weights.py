@@ -94,7 +94,9 @@ def test_weights_by_case_are_those_of_sharing_out_level_by_level(places):
             return
         groups = {}
         for index in members:
-            groups.setdefault(levels[0](runs[index]), []).append(index)
+            name = levels[0](runs[index])
+            groups.setdefault(name, []).append(index)
+
         for group in groups.values():
             share_out(group, amount / len(groups), levels[1:])
 

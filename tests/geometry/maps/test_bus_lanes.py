@@ -140,13 +140,12 @@ def test_a_bus_lane_is_part_of_the_arm_and_no_way_for_cars(tmp_path):
 def test_where_a_bus_lane_ends_the_lane_of_cars_goes_straight_on(tmp_path):
     """The kerb lane begins at the cars' lane, not at the one for buses."""
     tags = "highway=primary; oneway=yes; lanes=2; name=Long Road"
-    osm = drawn_crossing(
-        bearings=(
-            (0.0, 1.0),
-            (0.0, -1.0),
-            (1.0, 0.0),
-        )
-    ).draw(f"""
+    but_west = (
+        (0.0, 1.0),
+        (0.0, -1.0),
+        (1.0, 0.0),
+    )
+    osm = drawn_crossing(bearings=but_west).draw(f"""
         road -150 0, -60 0: {tags}; busway=lane
         road -60 0, 0 0: {tags}
     """)

@@ -170,7 +170,8 @@ def test_who_may_use_a_lanelet_says_its_kind(tags, kind, tmp_path):
     road = "<tag k='subtype' v='road'/>"
     known = {"subtype": "road"} | tags_of(tags)
     told = "".join(f"<tag k='{key}' v='{value}'/>" for key, value in known.items())
-    source = read(tmp_path, lanelet2(crossing()).replace(road, told, 1))
+    text = lanelet2(crossing()).replace(road, told, 1)
+    source = read(tmp_path, text)
     kinds = {lane.id: lane.kind for lane in source.lanes}
 
     assert kinds.pop("1") == kind

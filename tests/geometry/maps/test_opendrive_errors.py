@@ -242,7 +242,8 @@ def test_a_curve_that_winds_up_is_refused(tmp_path):
 
 def test_widths_that_nobody_can_follow_are_refused(tmp_path):
     wild = cubic("width", 0.0, 1.0, 0.0, 1e8, -1e6)
-    text = document(road("5", sections=section(right=[lane(-1, width=wild)])))
+    sections = section(right=[lane(-1, width=wild)])
+    text = document(road("5", sections=sections))
     message = _refused(tmp_path, text.replace('c="100000000.0"', 'c="-1e-12"'))
 
     assert message.startswith("made.xodr: road 5: edge of a lane: got ")

@@ -121,7 +121,8 @@ def test_two_streets_that_cross_make_four_arms(tmp_path, rule):
 
 
 def test_the_outline_is_where_the_lanes_of_the_arms_end(tmp_path):
-    assert off_outline_m(read_text(tmp_path, document(crossing()))) < 0.1
+    plain = read_text(tmp_path, document(crossing()))
+    assert off_outline_m(plain) < 0.1
 
 
 def test_holes_are_filled_and_the_largest_part_counts(tmp_path):

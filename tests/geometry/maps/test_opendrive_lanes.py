@@ -47,7 +47,9 @@ def test_left_hand_traffic_is_right_hand_traffic_turned_round(lanes_of, tmp_path
 def test_a_reversed_lane_is_driven_the_other_way(lanes_of):
     reversed_lane = lane(-1, extra='direction="reversed"')
     lanes = lanes_of(sections=section(right=[reversed_lane]))
-    assert_allclose(ends(lanes["1/-1"])[0], [100, -1.75, 0])
+    begin, _ = ends(lanes["1/-1"])
+
+    assert_allclose(begin, [100, -1.75, 0])
 
 
 @pytest.mark.parametrize(
@@ -70,7 +72,8 @@ def test_a_reversed_lane_is_driven_the_other_way(lanes_of):
     ],
 )
 def test_types_of_lanes(lanes_of, written, kind):
-    (found,) = lanes_of(sections=section(right=[lane(-1, written)])).values()
+    sections = section(right=[lane(-1, written)])
+    (found,) = lanes_of(sections=sections).values()
     assert found.kind == kind
 
 
@@ -181,7 +184,8 @@ def test_shapes_of_cross_sections_are_left_out_and_noted(tmp_path):
 
 def test_a_namespace_makes_no_difference(tmp_path):
     root = 'OpenDRIVE xmlns="http://code.asam.net/simulation/standard/opendrive_schema"'
-    assert len(read_text(tmp_path, document(road(), root=root)).lanes) == 2
+    text = document(road(), root=root)
+    assert len(read_text(tmp_path, text).lanes) == 2
 
 
 def test_most_roads_say_which_side_traffic_keeps(tmp_path):

@@ -506,7 +506,7 @@ def test_prisms_over_stars_are_closed_whatever_their_corners_heights(
 @pytest.mark.parametrize("name", ["subtype=crosswalk", "name=crossWalk"])
 def test_a_crosswalk_may_be_written_as_a_road_mark(read, name):
     size = "t=0 length=3 width=8"
-    (ends,) = read(element("roadMark", [(size, name)])).crosswalks_m
+    (ends,) = read(element("roadMark", f"{size} {name}")).crosswalks_m
 
     assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(8.0)
     assert not len(read(element("roadMark", size)).crosswalks_m)

@@ -499,8 +499,10 @@ def test_garching(real_input):
     for arm in arms_of(source, busiest).arms.values():
         # Each is crossed square to its lanes.
         if arm.lanes_in:
-            ahead = np.diff(arm.lanes_in[0].centreline_m[-2:], axis=0)[0]
+            line = arm.lanes_in[0].centreline_m
+            ahead = line[-1] - line[-2]
         else:
-            ahead = np.diff(arm.lanes_out[0].centreline_m[:2], axis=0)[0]
-        cosine = ahead @ arm.crosswalk.direction / np.linalg.norm(ahead, axis=-1)
+            line = arm.lanes_out[0].centreline_m
+            ahead = line[1] - line[0]
+        cosine = ahead @ arm.crosswalk.direction / np.linalg.norm(ahead)
         assert abs(cosine) < 0.3

@@ -506,7 +506,8 @@ def test_turning_lanes_begin_where_the_lane_before_them_ends(tmp_path):
             lane = replace(lane, to_junction=junction.id)
         lanes.append(lane)
 
-    west = only_arms(replace(source, lanes=tuple(lanes)))["west"]
+    changed = replace(source, lanes=tuple(lanes))
+    west = only_arms(changed)["west"]
 
     assert len(west.entry_lanes) == 2
     assert len(west.exit_lanes) == 1

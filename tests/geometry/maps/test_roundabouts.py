@@ -88,7 +88,9 @@ def test_ways_are_continuous_and_on_the_carriageway(ring):
     for way in source.connections:
         line = way.centreline_m[:, :2]
         steps = np.diff(line, axis=0)
-        turns = np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))
+        east, north = steps.T
+        yaw = np.unwrap(np.arctan2(north, east))
+        turns = np.diff(yaw)
 
         assert np.abs(np.degrees(turns)).max() < 15.0
         assert np.linalg.norm(steps, axis=-1).max() < 25.0

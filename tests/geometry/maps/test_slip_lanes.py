@@ -139,7 +139,7 @@ def test_no_note_says_that_the_map_ends_where_the_slip_lane_begins(slip, tmp_pat
 
 
 def test_a_lane_that_ends_goes_on_into_the_slip_lane(tmp_path):
-    osm = crossing(parts=[("160 70", THREE), ("70 0 -160", TWO)])
+    osm = crossing(parts=[([160, 70], THREE), ([70, 0, -160], TWO)])
     source = as_drawn(read_map(osm.write(tmp_path)))
     (slip,) = slip_lanes(source)
     before = [
@@ -160,7 +160,8 @@ def test_roads_that_both_lead_away_do_not_follow_each_other(tmp_path):
         way 0 0, 0 100: {ROAD}; oneway=yes; lanes=1
         way 0 0, 0 -100: {ROAD}; oneway=yes; lanes=1
     """)
-    assert len(driving(read_map(osm.write(tmp_path)))) == 2
+    source = read_map(osm.write(tmp_path))
+    assert len(driving(source)) == 2
 
 
 @pytest.mark.parametrize(
@@ -175,4 +176,5 @@ def test_a_ramp_does_not_go_on_round_a_sharp_corner(road_class, n_lanes, tmp_pat
         way -100 0, 0 0: {ROAD}; lanes=2
         way 0 0, -50 87: highway={road_class}; lanes=2
     """)
-    assert len(driving(read_map(osm.write(tmp_path)))) == n_lanes
+    source = read_map(osm.write(tmp_path))
+    assert len(driving(source)) == n_lanes

@@ -95,7 +95,9 @@ def test_holes_stay_open_whichever_way_they_run(hole):
     assert_allclose(total, [0, 0, 15.0], atol=1e-8)
 
     middles = vertices[triangles].mean(axis=1)[:, :2]
-    assert not shapely.contains_xy(Polygon(HOLE[:, :2]), middles).any()
+    opening = Polygon(HOLE[:, :2])
+
+    assert not shapely.contains_xy(opening, middles).any()
 
 
 def test_closing_points_and_repeated_points_change_nothing():

@@ -44,7 +44,8 @@ def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(
     cases = []
     for case in ("CPTAfs-50", "CPTAns-50"):
         # At higher speeds some ways are too tight.
-        cases.append(replace(load_cases()[case], vut_speeds_kmh=(10.0,)))
+        slow = replace(load_cases()[case], vut_speeds_kmh=(10.0,))
+        cases.append(slow)
 
     runs, _ = build_runs(scene, cases, vut=actors["vut"], rule=build_rule(Question()))
     followed = set()
