@@ -119,6 +119,8 @@ def test_of_two_orders_that_of_the_definition_is_taken_if_it_can_be(points):
         where="f",
         follows_authority=True,
     )
+
+    assert place.crs == "EPSG:31468"
     assert np.array_equal(place.to_metres(points, "f"), BERLIN_GK)
 
 

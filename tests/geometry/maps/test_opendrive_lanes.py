@@ -112,6 +112,8 @@ def test_linked_pieces_are_one_lane_also_under_new_numbers(lanes_of):
         ({}, {}, 40.0, {"1/-1", "1/-1/1"}),
         # Links to lanes that are not there.
         ({"after": -7}, {"before": 9}, 40.0, {"1/-1", "1/-1/1"}),
+        # The later one names another one.
+        ({"after": -1}, {"before": 9}, 40.0, {"1/-1", "1/-1/1"}),
         # A last section without length does not hide the end.
         ({"after": -1}, {"before": -1}, 100.0, {"1/-1"}),
     ],
