@@ -35,7 +35,9 @@ def test_a_course_along_a_circle_has_its_radius_heading_and_length(radius_m):
     # Between its points the lane is a chord, 1 / (8 R) metres inside; smoothing takes
     # 16 / R^3.
     slack_m = 0.125 / radius_m + 17.0 / radius_m**3
-    assert np.linalg.norm(position, axis=-1) == pytest.approx(radius_m, abs=slack_m)
+    found_m = np.linalg.norm(position, axis=-1)
+
+    assert found_m == pytest.approx(radius_m, abs=slack_m)
 
     east, north = position.T
     angle = np.unwrap(np.arctan2(north, east))
@@ -84,7 +86,12 @@ def test_two_bodies_on_a_circle_touch_when_their_corners_do(actors):
 def test_a_turn_between_straight_lanes_is_the_protocols(side, speed_kmh):
     turn = pick_turn(side, speed_kmh)
     entry = follow_lane(np.array([[-80.0, 0.0], [0.0, 0.0]]), is_in=True)
-    out = np.array([[25.0, 25.0], [25.0, 125.0]]) * [1.0, turn.side]
+    out = np.array(
+        [
+            [25.0, 25.0 * turn.side],
+            [25.0, 125.0 * turn.side],
+        ]
+    )
     leaving = follow_lane(out, is_in=False)
     course, fitted = join_by_turn(entry, leaving, turn)
 
@@ -109,7 +116,10 @@ def test_a_turn_between_straight_lanes_is_the_protocols(side, speed_kmh):
 
 def test_a_straight_lane_gives_a_straight_course():
     line = Line(point_m=[3.0, -2.0], direction=[3.0, 4.0])
-    points = np.array([line.at(along_m) for along_m in (-60.0, -20.0, -19.0, 0.0)])
+    points = []
+    for along_m in (-60.0, -20.0, -19.0, 0.0):
+        points.append(line.at(along_m))
+
     course = follow_lane(points, is_in=True)
     stations = np.linspace(-90.0, 40.0, 60)
     position, yaw_rad = course.at(stations)
@@ -147,7 +157,7 @@ def test_lanes_one_after_the_other_are_one_course_with_its_origin_between_them()
 
 def test_a_lane_without_length_has_no_course():
     with pytest.raises(InputError, match="at least two different points"):
-        follow_lane(np.array([[1.0, 1.0], [1.0, 1.0]]), is_in=True)
+        follow_lane(np.ones((2, 2)), is_in=True)
 
 
 def test_beside_a_bend_sharper_than_asked_for_there_is_no_course():
@@ -170,7 +180,8 @@ def lanes(draw):
     curvature = np.repeat(bends, int(18.0 / step_m) + 2)
     turned = np.append(0.0, np.cumsum(curvature * step_m))
     yaw = first_yaw + turned
-    steps = step_m * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    steps = step_m * ahead
     return np.cumsum(steps, axis=0) + place_m
 
 
@@ -194,7 +205,9 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     off_m = distance_to_chain_m(position, lane)
     # A body 1.8 m wide stays in its lane.
     assert off_m.max() <= 0.5 * LANE_M - 0.9
-    assert np.linalg.norm(np.diff(position, axis=0), axis=-1).max() <= step_m + 1e-9
+
+    steps_m = np.linalg.norm(np.diff(position, axis=0), axis=-1)
+    assert steps_m.max() <= step_m + 1e-9
 
     turns = np.diff(np.radians(yaw_deg)) / step_m
     assert np.abs(turns).max() <= path.max_turn_rad_per_m + 1e-9
@@ -203,7 +216,9 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     assert np.abs(changes).max() <= path.max_turn_change_rad_per_m2 + 1e-6
 
     bends = np.diff(position, n=2, axis=0) / step_m**2
-    assert np.linalg.norm(bends, axis=-1).max() <= 3.0 * path.max_turn_rad_per_m + 1e-3
+    sharpest_per_m = np.linalg.norm(bends, axis=-1).max()
+
+    assert sharpest_per_m <= 3.0 * path.max_turn_rad_per_m + 1e-3
 
 
 @given(lane=lanes(), left_m=st.floats(-4.0, 4.0))

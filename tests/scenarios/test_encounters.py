@@ -195,7 +195,9 @@ def test_a_short_touch_of_two_corners_is_not_overlooked():
     y = 0.5 * VUT.width_m + 0.5 * ADULT.length_m - u * leaves_s
 
     def encounter(inside_m):
-        return met(moving([0.0, 0.0], 0.0, v), moving([x, y - inside_m], 90.0, u))
+        one = moving([0.0, 0.0], 0.0, v)
+        other = moving([x, y - inside_m], 90.0, u)
+        return met(one, other)
 
     assert first_contact_s(encounter(depth_m)) == pytest.approx(leaves_s, abs=1e-6)
     assert first_contact_s(encounter(-depth_m)) == np.inf
@@ -222,7 +224,9 @@ def test_a_late_contact_is_found_and_one_from_the_start_is_at_the_start():
 
     assert first_contact_s(slow) == pytest.approx(400.0, abs=1e-6)
 
-    at_once = replace(slow, vru_motion=moving([1.0, 0.0], 0.0, 2.0, start_time_s=-7.0))
+    early = moving([1.0, 0.0], 0.0, 2.0, start_time_s=-7.0)
+    at_once = replace(slow, vru_motion=early)
+
     assert first_contact_s(at_once) == pytest.approx(-7.0, abs=1e-6)
 
 
@@ -237,7 +241,8 @@ def test_a_contact_before_the_later_one_sets_off_counts():
     )
     # The VRU walks over the line while the VUT still stands there.
     parked = replace(encounter.vut_motion, start_time_s=50.0)
-    path = replace(parked.path, start_m=parked.path.at(80.0)[0] + [2.0, 0.0])
+    met_m, _ = parked.path.at(80.0)
+    path = replace(parked.path, start_m=met_m + [2.0, 0.0])
     waiting = replace(encounter, vut_motion=replace(parked, path=path))
     half_m = 0.5 * (VUT.width_m + ADULT.length_m)
 

@@ -12,7 +12,8 @@ SCENE = protocol_scene()
 
 def with_lane(scene, line_m, **about):
     """The scene with another lane beside the arm from which the car comes."""
-    return replace(scene, lanes=(*scene.lanes, build_lane("beside", line_m, **about)))
+    beside = build_lane("beside", line_m, **about)
+    return replace(scene, lanes=(*scene.lanes, beside))
 
 
 @pytest.fixture
@@ -52,13 +53,15 @@ def test_nobody_parks_on_an_island_between_two_carriageways(parked):
     # The kerb is to the south of the car from the west.
     beyond_m = flank_m(bodies) - 0.5 * LANE_M
     near_m = beyond_m - 1.0
-    none, (reason,) = parked(with_lane(SCENE, [[-15.0, near_m], [-80.0, near_m]]))
+    near = with_lane(SCENE, [[-15.0, near_m], [-80.0, near_m]])
+    none, (reason,) = parked(near)
 
     assert not none
     assert reason.endswith("parked-car-large would stand on a traffic island")
 
     far_m = beyond_m - 6.0
-    there, _ = parked(with_lane(SCENE, [[-15.0, far_m], [-80.0, far_m]]))
+    far = with_lane(SCENE, [[-15.0, far_m], [-80.0, far_m]])
+    there, _ = parked(far)
 
     assert places(there) == places(bodies)
 
@@ -81,7 +84,8 @@ def test_behind_a_corner_lies_the_road_that_crosses_and_no_island(
     # west.
     away = np.radians(180.0 + skew_deg)
     ahead = np.array([np.cos(away), np.sin(away)])
-    begin = corner + 0.5 * LANE_M * np.array([-ahead[1], ahead[0]])
+    left = np.array([-ahead[1], ahead[0]])
+    begin = corner + 0.5 * LANE_M * left
     there, refusals = parked(with_lane(SCENE, [begin, begin + 40.0 * ahead]))
 
     assert all(reason.endswith("on a traffic island") for reason in refusals)
@@ -111,7 +115,8 @@ def test_where_the_map_has_a_parking_lane_people_park_whatever_is_behind(parked)
     ],
 )
 def test_cars_park_and_people_walk_below_what_is_raised(parked, bottom_m, is_free):
-    scene = protocol_scene(boxes=[("roof", -30.0, 0.0, 40.0, 40.0, 3.0)])
+    roof = ("roof", -30.0, 0.0, 40.0, 40.0, 3.0)
+    scene = protocol_scene(boxes=[roof])
     is_roof = scene.vertices_m[:, 0] > -100.0
     is_roof &= np.linalg.norm(scene.vertices_m[:, :2], axis=-1) < 100.0
     up = np.outer(is_roof, [0.0, 0.0, bottom_m])

@@ -139,10 +139,13 @@ def test_paths_keep_the_bounds_that_they_declare(path):
     moves_m = np.linalg.norm(np.diff(middle, axis=0), axis=1)
 
     assert (moves_m <= step_m * (1.0 + slack)).all()
-    assert (np.abs(np.diff(yaw)) <= step_m * (turn + slack)).all()
+
+    turned = np.abs(np.diff(yaw))
+    assert (turned <= step_m * (turn + slack)).all()
 
     slack = 4.0 * TABLE_M / step_m**2
-    bend = np.linalg.norm(np.diff(middle, 2, axis=0), axis=1) / step_m**2
+    changes_m = np.diff(middle, 2, axis=0)
+    bend = np.linalg.norm(changes_m, axis=1) / step_m**2
 
     assert (bend <= 3.0 * turn + slack).all()
 

@@ -196,7 +196,8 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(
 
     entering = arms[approach].entry_lanes[0].centreline_m
     chain = np.concatenate([entering, leaving])
-    first = np.argmin(np.linalg.norm(run.vut_position_m - chain[0], axis=-1)) + 1
+    away_m = np.linalg.norm(run.vut_position_m - chain[0], axis=-1)
+    first = np.argmin(away_m) + 1
 
     assert distance_to_chain_m(run.vut_position_m[first:], chain).max() < 0.7
 
@@ -284,7 +285,9 @@ def test_before_the_junction_a_lane_that_bends_is_followed(laid, metres, name):
 
     assert left_m == pytest.approx(metres + left_of_0_m, abs=0.3)
 
-    first = np.linalg.norm(there.vut_position_m - line[0], axis=-1).argmin()
+    away_m = np.linalg.norm(there.vut_position_m - line[0], axis=-1)
+    first = away_m.argmin()
+
     assert distance_to_chain_m(there.vut_position_m[first:], line).max() < 0.4
 
 
@@ -299,7 +302,8 @@ def test_the_lane_of_the_map_leads_through_the_junction(laid):
     through = build_lane("through", bulge, kind="connecting")
     scene = build_scene([*plain.lanes, through])
     (run,), _ = laid(scene, "CPFA-50", "+20", speeds=(35.0,))
-    inside = run.vut_position_m[np.abs(run.vut_position_m[:, 0]) < MOUTH_M - 4.0]
+    east_m = run.vut_position_m[:, 0]
+    inside = run.vut_position_m[np.abs(east_m) < MOUTH_M - 4.0]
 
     assert distance_to_chain_m(inside, bulge).max() < 0.55  # it cuts the bends
     assert impact_point(run)[1] == pytest.approx(end[1], abs=0.6)
@@ -357,7 +361,13 @@ FAR_ASIDE = build_scene(
 )
 
 
-@pytest.mark.parametrize("scene", [build_scene(arm_lanes(without=["east"])), FAR_ASIDE])
+@pytest.mark.parametrize(
+    "scene",
+    [
+        build_scene(arm_lanes(without=["east"])),
+        FAR_ASIDE,
+    ],
+)
 @pytest.mark.parametrize("position", ["+0", "+15"])
 def test_without_a_road_ahead_nothing_is_behind(laid, scene, position):
     runs, (refusal,) = laid(scene, "CPNA-25", position)
@@ -508,7 +518,8 @@ def test_a_change_of_lanes_is_eased_only_where_it_would_be_too_fast(laid):
 def test_behind_a_lane_that_only_turns_the_next_one_leads_straight_on(laid):
     lanes = arm_lanes(n_lanes=3, arm_m=70.0)
     lanes = [lane for lane in lanes if lane.id not in ("east-out-0", "east-out-1")]
-    (run,), _ = laid(build_scene(lanes), "CPFA-50", "+15", speeds=(100.0,))
+    scene = build_scene(lanes)
+    (run,), _ = laid(scene, "CPFA-50", "+15", speeds=(100.0,))
 
     assert isinstance(run.encounter.vut_motion.path, StraightPath)
     # The lane at the axis.

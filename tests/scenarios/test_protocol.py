@@ -112,7 +112,8 @@ def test_obstructions_stand_at_the_protocols_gaps(golf, name):
     assert parked.keys() == golden["bodies"].keys()
     for actor_name, box in golden["bodies"].items():
         body = parked[actor_name]
-        size = turned([body.actor.length_m, body.actor.width_m], body.pose.yaw_deg)
+        along_and_across_m = [body.actor.length_m, body.actor.width_m]
+        size = turned(along_and_across_m, body.pose.yaw_deg)
         half_x, half_y = 0.5 * np.abs(size)
         x, y = body.pose.position_m[:2] - origin_of(golden)
 

@@ -154,7 +154,8 @@ def test_frames_hold_the_motions_and_the_gait(all_runs):
 
 def test_each_weather_is_a_run_of_its_own(lay):
     weathers = ("day", "rain")
-    (dry, wet, *_), _ = lay(load_study_scene(), ["CPTAns-50"], weathers=weathers)
+    scene = load_study_scene()
+    (dry, wet, *_), _ = lay(scene, ["CPTAns-50"], weathers=weathers)
 
     assert dry.id == "CPTAns-50/east/10"
     assert wet.id == "CPTAns-50/east/10/rain"
@@ -174,7 +175,9 @@ def test_runs_that_are_known_are_taken_and_the_others_laid(lay):
     assert known[1] is not laid[1]
 
     # A case of the same name that says something else is another one.
-    others, _ = lay(scene, [replace(case, vru_reference_m=0.1)], known=laid)
+    changed = replace(case, vru_reference_m=0.1)
+    others, _ = lay(scene, [changed], known=laid)
+
     assert not set(others) & set(laid)
 
 
@@ -244,7 +247,9 @@ def test_nothing_is_driven_faster_than_the_speed_limit(lay):
     assert approaches >= {"west", "south", "east"}
 
     fast = [one for one in refusals if one.limit_kmh is not None]
-    assert sum(len(one.speeds_kmh) for one in fast) == len(every) - len(slow)
+    n_refused = sum(len(one.speeds_kmh) for one in fast)
+
+    assert n_refused == len(every) - len(slow)
     assert {(one.approach, one.reason, one.is_possible) for one in fast} == {
         ("east", "faster than the speed limit of 42 km/h", False),
         ("north", "faster than the speed limit of 15 km/h", False),
@@ -270,7 +275,9 @@ def test_a_road_that_is_missing_is_missing_at_every_speed(lay):
 def test_frames_lie_on_the_10_hz_grid_and_end_at_the_impact(runs):
     for run in runs:
         n_frames = len(run.time_s)
-        assert run.time_s.tolist() == [step / 10.0 for step in range(1 - n_frames, 1)]
+        on_grid_s = np.arange(1 - n_frames, 1) / 10.0
+
+        assert run.time_s.tolist() == on_grid_s.tolist()
         assert run.time_s[-1] == 0.0
 
         # All of the drive: one frame more would be before anybody sets off.
@@ -395,7 +402,8 @@ def rule_with(rule, n, memory_s=math.inf, latency_s=0.025):
 def drawn(data, elements, axis):
     """An element for each frame of an axis."""
     n = axis.n_frames
-    return np.array(data.draw(st.lists(elements, min_size=n, max_size=n)))
+    values = data.draw(st.lists(elements, min_size=n, max_size=n))
+    return np.array(values)
 
 
 memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])
@@ -405,7 +413,9 @@ memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])
 def test_live_confirmations_are_those_of_each_run(
     rule, axis, n, memory_s, latency_s, data
 ):
-    rows = np.stack([drawn(data, st.booleans(), axis) for _ in range(2)])
+    first = drawn(data, st.booleans(), axis)
+    second = drawn(data, st.booleans(), axis)
+    rows = np.stack([first, second])
     rule = rule_with(rule, n, memory_s, latency_s)
     found_s = live_confirmation_times_s(rows, axis, rule=rule)
     alone_s = live_confirmation_times_s(rows[1], axis, rule=rule)
@@ -426,7 +436,8 @@ def test_live_confirmations_are_those_of_each_run(
 
 
 def test_many_rows_are_looked_at_in_parts(rule, frame_axis):
-    rows = np.random.default_rng(0).random((3, 150, frame_axis.n_frames)) < 0.6
+    rng = np.random.default_rng(0)
+    rows = rng.random((3, 150, frame_axis.n_frames)) < 0.6
     rule = rule_with(rule, 2, 0.1)
     found_s = live_confirmation_times_s(rows, frame_axis, rule=rule)
 
@@ -477,7 +488,8 @@ def test_the_vut_brakes_for_the_live_window_that_it_knows_first(
 
         def lives(frame, time_s=time_s, seen=seen, last_brake_s=last_brake_s):
             stops = [t for t, s in zip(time_s[frame:], seen[frame:], strict=True) if s]
-            gaps = np.diff([*stops, max(last_brake_s - rule.latency_s, stops[-1])])
+            end_s = max(last_brake_s - rule.latency_s, stops[-1])
+            gaps = np.diff([*stops, end_s])
             return (gaps <= memory_s + 1e-9).all()
 
         live = [one for one in in_time if lives(one[2])]
@@ -502,7 +514,8 @@ def test_a_track_that_is_lost_again_sets_nothing_in_motion(rule, frame_axis):
     """Second run, frames at -0.4 .. 0 s, seen at -0.4 and -0.3 s; last moment at -0.025
     s.
     """
-    axis = replace(frame_axis, last_brake_time_s=np.array([0.0, 0.0, -np.inf]))
+    last_s = np.array([0.0, 0.0, -np.inf])
+    axis = replace(frame_axis, last_brake_time_s=last_s)
     arrival_s = np.full(10, np.inf)
     arrival_s[3:5] = axis.time_s[3:5] + 0.025
 

@@ -124,7 +124,9 @@ def test_three_cars_are_parked_where_the_protocol_says(golf, family, side):
     for name, body in zip(("large", "small", "small_2"), parked, strict=True):
         size = np.array([body.actor.length_m, body.actor.width_m])
         middle = body.pose.position_m[:2]
-        x, y = np.stack([middle - 0.5 * size, middle + 0.5 * size], axis=1)
+        low = middle - 0.5 * size
+        high = middle + 0.5 * size
+        x, y = np.stack([low, high], axis=1)
 
         assert body.actor.name == f"parked-car-{name.removesuffix('_2')}"
         assert x == pytest.approx(golden[f"{name}_x_m"], abs=1e-6)
@@ -156,7 +158,9 @@ def test_a_vehicle_ahead_brakes_so_long_before_the_impact_as_the_protocol_says(
 
     vut, _ = pose_at(encounter.vut_motion, motion.brake_time_s)
     vru, _ = pose_at(motion, motion.brake_time_s)
-    gap_m = (vru - vut)[0] - 0.5 * (encounter.vut.length_m + encounter.vru.length_m)
+    ahead_m, _ = vru - vut
+    lengths_m = encounter.vut.length_m + encounter.vru.length_m
+    gap_m = ahead_m - 0.5 * lengths_m
 
     assert gap_m == pytest.approx(speed_kmh * KMH, abs=1e-5)  # a second behind
     assert motion.start_time_s <= motion.brake_time_s - 1.0 + 1e-6
@@ -214,7 +218,9 @@ def test_the_last_moment_behind_and_ahead_of_a_steady_vehicle_is_its_closed_form
     # comes on.
     last_s = -0.5 * (v - u) / a
     if name.startswith("CCFhos"):
-        last_s = -(0.5 * v**2 / a + u * v / a) / (v + u)
+        stop_m = 0.5 * v**2 / a
+        come_m = u * v / a
+        last_s = -(stop_m + come_m) / (v + u)
     encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
 
     assert last_brake_time_s(encounter, RULE) == pytest.approx(last_s, abs=2e-5)
@@ -387,8 +393,10 @@ def test_a_target_that_its_lanes_bend_is_too_slow_for_is_refused(golf):
 def test_parked_cars_that_do_not_fit_are_refused_with_the_reason(lay):
     case = replace(load_cases()["CCCscp-near"], pairs_kmh=((30.0, 30.0),))
     # A wall all along the kerb of the western arm.
-    scene = protocol_scene(boxes=[("wall", -40.0, -6.0, 60.0, 4.5, 2.0)])
-    runs, (refused,) = lay(scene, [case], speeds_kmh=(30.0,), approaches=["west"])
+    wall = ("wall", -40.0, -6.0, 60.0, 4.5, 2.0)
+    scene = protocol_scene(boxes=[wall])
+    runs, refusals = lay(scene, [case], speeds_kmh=(30.0,), approaches=["west"])
+    (refused,) = refusals
 
     assert not runs
     assert refused.reason == "wall occupies the place of parked-car-large"
@@ -517,9 +525,12 @@ def test_cases_that_are_left_out_count_every_pair_of_speeds():
 
 def test_only_in_all_impact_points_take_turns():
     cases = {case.name: case for case in pick_cases("all", "cases")}
-    turns = [cases[f"CCRs-2026-{point}"].impact_turn for point in (0, 25, 50, 75, 100)]
+    turns = []
+    for point in (0, 25, 50, 75, 100):
+        turns.append(cases[f"CCRs-2026-{point}"].impact_turn)
 
     assert turns == [(number, 5) for number in range(5)]
     assert cases["CPNA-2026-50"].impact_turn == cases["CPFA-50"].impact_turn == (0, 1)
     for name in ("default", "study", "protocol-4.5.1", "junction", "protocol-2026"):
-        assert {case.impact_turn for case in pick_cases(name, "cases")} == {(0, 1)}
+        picked = pick_cases(name, "cases")
+        assert {case.impact_turn for case in picked} == {(0, 1)}

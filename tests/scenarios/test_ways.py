@@ -171,13 +171,15 @@ def test_turns_lead_into_arms_that_lie_askew_and_pedestrians_cross_them_squarely
 
     across_deg = encounter.vru_motion.path.yaw_deg - bearing_deg
     if abs(bearing_deg - 90.0) > 30.0:
-        assert abs(np.cos(np.radians(across_deg))) == pytest.approx(0.0, abs=1e-9)
+        across = np.radians(across_deg)
+        assert np.cos(across) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_turn_follows_the_junctions_own_lane_where_there_is_one(vut):
     angle = np.radians(np.linspace(-90.0, 0.0, 20))
     radius_m = MOUTH_M + 0.5 * LANE_M
-    arc = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    on_circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    arc = radius_m * on_circle
     arc += [-MOUTH_M, MOUTH_M]
     scene = with_lanes(build_lane("through", arc, kind="connecting"))
 
@@ -203,7 +205,8 @@ def quarter_circle(radius_m, *, before, after, n_points=60):
     end = after.centreline_m[0]
     angle = np.linspace(-0.5 * np.pi, 0.0, n_points)
     middle = np.array([end[0] - radius_m, begin[1] + radius_m])
-    arc = middle + radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    on_circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    arc = middle + radius_m * on_circle
     line = without_repeats([[begin], arc, [end]])
     return build_lane("turn", line, kind="connecting"), middle
 
@@ -211,7 +214,8 @@ def quarter_circle(radius_m, *, before, after, n_points=60):
 def without_repeats(parts):
     """Points of parts one after the other, each place once."""
     line = np.concatenate(parts)
-    is_new = np.append(True, np.linalg.norm(np.diff(line, axis=0), axis=-1) > 1.0e-6)
+    steps_m = np.linalg.norm(np.diff(line, axis=0), axis=-1)
+    is_new = np.append(True, steps_m > 1.0e-6)
     return line[is_new]
 
 
@@ -234,7 +238,8 @@ def test_a_turning_car_stays_within_a_centimetre_of_a_connecting_lane(vut, radiu
     # Straight before the circle, on it, and straight behind it.
     off_m = np.abs(np.hypot(x, y) - radius_m)
     off_m = np.where(x < 0.0, np.abs(y + radius_m), off_m)
-    off_m = np.where((x >= 0.0) & (y > 0.0), np.abs(x - radius_m), off_m)
+    is_beyond = (x >= 0.0) & (y > 0.0)
+    off_m = np.where(is_beyond, np.abs(x - radius_m), off_m)
 
     assert off_m.max() < 0.01
 
@@ -295,7 +300,8 @@ def test_nobody_takes_the_junctions_own_lanes_for_another_junction(lay):
     through = build_lane("through", line, kind="connecting")
     # The crosswalk lies so deep in the junction that 5 m before it is still inside.
     inside = build_junction(PLAIN).arms["west"].crosswalk
-    deep = np.array([inside.at(-9.0), inside.at(9.0)]) + [8.0, 0.0]
+    ends = np.array([inside.at(-9.0), inside.at(9.0)])
+    deep = ends + [8.0, 0.0]
     scene = with_lanes(through, crosswalks_m=deep[None])
     before = [Position(distance_m=5.0)]
     runs, refusals = lay(scene, ["CPNA-25"], approaches=["west"], positions=before)

@@ -128,7 +128,8 @@ def test_no_site_stands_on_the_road_and_neighbours_on_a_kerb_keep_their_distance
             lanes.append(lane(f"{twelfth}{side}", points, width_m=width_m))
 
     turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    outline = 12.0 * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    on_circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    outline = 12.0 * on_circle
     sites = kerb_sites(lanes, outline, spacing_m)
 
     found = positions(sites)
@@ -151,7 +152,8 @@ def test_no_site_stands_on_the_road_and_neighbours_on_a_kerb_keep_their_distance
 
 def wish(name, x, y, **said):
     """A site of a list, and what is said of it."""
-    return SiteWish(id=name, position_m=np.array([x, y], dtype=float), **said)
+    position_m = np.array([x, y], dtype=float)
+    return SiteWish(id=name, position_m=position_m, **said)
 
 
 def house(*, class_name="building", holes=()):

@@ -427,6 +427,13 @@ def test_crosswalks_lead_the_long_way(read, attributes, inside, half_m):
     assert_allclose(sorted(ends.tolist()), [[50, -half_m], [50, half_m]], atol=1e-9)
 
 
+def test_the_long_way_of_a_crosswalk_may_lead_along_the_road(read):
+    (ends,) = read(element("crosswalk", "t=0 length=8 width=3")).crosswalks_m
+    expected = np.array([[46.0, 0.0], [54.0, 0.0]])
+
+    assert_allclose(sorted(ends.tolist()), expected, atol=1e-9)
+
+
 def test_parking_spaces_side_by_side_are_one_lane(read):
     repeat = '<repeat s="20" length="25" distance="2.5" tStart="-6" tEnd="-6"/>'
     spaces = (
