@@ -1,3 +1,5 @@
+"""Bodies of road users and parked cars: sizes, meshes, gaits."""
+
 import dataclasses
 from importlib.resources import files
 
@@ -25,47 +27,39 @@ DATA = files("geometry") / "data"
 NAMES = tuple(load_actors())
 WHEELED = [name for name in NAMES if load_actors()[name].wheelbase_m > 0.0]
 MOVING = [name for name in NAMES if name not in WHEELED]
-SHAPES = [
-    (name, index) for name in NAMES for index in range(len(load_actors()[name].shapes))
-]
+SHAPES = []
+for actor_name, named_actor in load_actors().items():
+    SHAPES += [(actor_name, index) for index in range(len(named_actor.shapes))]
 
 
-def _mesh(shape) -> trimesh.Trimesh:
+def mesh_of(shape):
+    """The mesh of a shape as it is."""
     return trimesh.Trimesh(shape.vertices_m, shape.triangles, process=False)
 
 
-def _depth_m(shape, axis: int, *, side: int = -1, step_m: float = 0.01) -> np.ndarray:
-    """Depth of the body along a horizontal axis, by parallel rays: rows up, columns
-    across.
+def depth_m(shape, side):
+    """Depth of the body seen from the left (1) or the right (-1), by parallel rays 1 cm
+    apart.
     """
-    across = np.arange(-2.5, 2.5, step_m) + 0.5 * step_m
-    up = np.arange(0.0, 2.0, step_m) + 0.5 * step_m
-    origins = np.zeros((len(up), len(across), 3), dtype=np.float32)
-    origins[..., 1 - axis], origins[..., 2], origins[..., axis] = (
-        across,
-        up[:, None],
-        5.0 * side,
-    )
+    ahead, up = np.meshgrid(np.arange(-2.495, 2.5, 0.01), np.arange(0.005, 2.0, 0.01))
+    beside = np.full(ahead.size, 5.0 * side)
+    origins = np.column_stack([ahead.ravel(), beside, up.ravel()]).astype(np.float32)
     vectors = np.zeros_like(origins)
-    vectors[..., axis] = -10.0 * side
+    vectors[:, 1] = -10.0 * side
     caster = build_caster(shape.vertices_m, shape.triangles, library="embree")
-    share = caster.first_triangle(origins.reshape(-1, 3), vectors.reshape(-1, 3))[0]
-    return 10.0 * share.reshape(len(up), len(across))
+    share, _ = caster.first_triangle(origins, vectors)
+    return 10.0 * share
 
 
-def _assert_same_but_for_edges(depth_m, other_m):
+def assert_same_but_for_edges(one_m, other_m):
     """Small triangles are merged with a tolerance of 2 mm; at the outline it decides on
     a hit.
     """
-    is_hit = np.isfinite(depth_m)
+    is_hit = np.isfinite(one_m)
     is_other = np.isfinite(other_m)
     assert (is_hit != is_other).sum() < 0.02 * is_hit.sum()
     both = is_hit & is_other
-    assert (np.abs(depth_m[both] - other_m[both]) > 5e-3).mean() < 0.04
-
-
-def _width_m(shape, axis: int) -> float:
-    return float(np.ptp(shape.vertices_m[:, axis]))
+    assert (np.abs(one_m[both] - other_m[both]) > 5e-3).mean() < 0.04
 
 
 # Boxes
@@ -76,29 +70,22 @@ def test_all_shapes_together_fill_exactly_the_declared_box(name):
     actor = load_actors()[name]
     vertices = np.concatenate([shape.vertices_m for shape in actor.shapes])
     half = [0.5 * actor.length_m, 0.5 * actor.width_m]
+
     assert vertices.min(axis=0) == pytest.approx([-half[0], -half[1], 0.0], abs=1e-6)
     assert vertices.max(axis=0) == pytest.approx([*half, actor.height_m], abs=1e-6)
-
-
-@pytest.mark.parametrize(("name", "index"), SHAPES)
-def test_every_shape_stands_on_the_road(name, index):
-    assert load_actors()[name].shapes[index].vertices_m[:, 2].min() == 0.0
 
 
 @pytest.mark.parametrize(
     ("name", "size_m"),
     [
-        (
-            "vut",
-            (4.892, 1.836, 1.510),
-        ),  # CarlaNCAP study: half extents 2.446, 0.918, 0.755 m
+        ("vut", (4.892, 1.836, 1.51)),
         ("parked-car-small", (4.316, 1.79, 1.48)),  # Euro NCAP AEB/LSS VRU v4.5.1
         ("parked-car-large", (4.418, 1.82, 1.533)),  # Euro NCAP AEB/LSS VRU v4.5.1
         ("adult", (0.6, 0.5, 1.8)),  # ISO 19206-2
         ("child", (0.711, 0.298, 1.154)),  # ISO 19206-2
-        ("cyclist", (1.89, 0.5, 1.80)),  # ISO 19206-4; height with rider assumed
+        ("cyclist", (1.89, 0.5, 1.8)),  # ISO 19206-4; height with rider assumed
         ("car", (4.023, 1.712, 1.427)),  # Euro NCAP's global vehicle target
-        ("motorcyclist", (2.08, 0.79, 1.70)),  # Euro NCAP; height with rider assumed
+        ("motorcyclist", (2.08, 0.79, 1.7)),  # Euro NCAP; height with rider assumed
     ],
 )
 def test_boxes_are_those_of_their_sources(name, size_m):
@@ -127,38 +114,40 @@ def test_reference_points_are_as_far_behind_the_box_front_as_the_protocol_says(
 
 
 @pytest.mark.parametrize(("name", "index"), SHAPES)
-def test_every_shape_is_one_closed_mesh_whose_normals_point_outwards(name, index):
-    mesh = _mesh(load_actors()[name].shapes[index])
+def test_every_shape_is_one_closed_mesh_on_the_road_that_faces_outwards(name, index):
+    shape = load_actors()[name].shapes[index]
+    mesh = mesh_of(shape)
+
+    assert shape.vertices_m[:, 2].min() == 0.0
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert mesh.volume > 0.0
     assert len(mesh.split(only_watertight=False)) == 1
-
-
-@pytest.mark.parametrize(("name", "index"), SHAPES)
-def test_every_vertex_belongs_to_a_triangle_with_area(name, index):
-    shape = load_actors()[name].shapes[index]
+    # Every vertex belongs to a triangle with area.
     assert set(shape.triangles.ravel().tolist()) == set(range(len(shape.vertices_m)))
-    assert (_mesh(shape).area_faces > 0.0).all()
+    assert (mesh.area_faces > 0.0).all()
 
 
 @pytest.mark.parametrize("name", WHEELED)
 def test_cars_and_the_motorcyclist_are_symmetric(name):
     (shape,) = load_actors()[name].shapes
-    _assert_same_but_for_edges(_depth_m(shape, 1, side=-1), _depth_m(shape, 1, side=1))
+    assert_same_but_for_edges(depth_m(shape, -1), depth_m(shape, 1))
 
 
-def test_axles_are_under_the_box_and_wheels_stand_below_them():
-    for name in WHEELED:
-        actor = load_actors()[name]
-        (shape,) = actor.shapes
-        ahead = shape.vertices_m[shape.vertices_m[:, 2] < 0.01, 0]
-        front = ahead[ahead > 0.0]
-        rear = ahead[ahead < 0.0]
-        assert front.mean() == pytest.approx(actor.front_axle_ahead_m, abs=0.02)
-        assert rear.mean() == pytest.approx(
-            actor.front_axle_ahead_m - actor.wheelbase_m, abs=0.02
-        )
+@pytest.mark.parametrize("name", WHEELED)
+def test_axles_are_under_the_box_and_wheels_stand_below_them(name):
+    actor = load_actors()[name]
+    (shape,) = actor.shapes
+    ahead = shape.vertices_m[shape.vertices_m[:, 2] < 0.01, 0]
+    front = ahead[ahead > 0.0]
+    rear = ahead[ahead < 0.0]
+    rear_axle_m = actor.front_axle_ahead_m - actor.wheelbase_m
+
+    assert front.mean() == pytest.approx(actor.front_axle_ahead_m, abs=0.02)
+    assert rear.mean() == pytest.approx(rear_axle_m, abs=0.02)
+
+
+def test_the_vut_has_the_wheelbase_of_its_source():
     assert load_actors()["vut"].wheelbase_m == 2.85
 
 
@@ -166,13 +155,17 @@ def test_axles_are_under_the_box_and_wheels_stand_below_them():
     ("name", "wheelbase_m", "front_m", "rear_m"),
     # Euro NCAP, targets.gvt and targets.motorcycle: from the rear axle to both ends of
     # the box
-    [("car", 2.475, 3.3395, 0.6835), ("motorcyclist", 1.41, 1.713, 0.367)],
+    [
+        ("car", 2.475, 3.3395, 0.6835),
+        ("motorcyclist", 1.41, 1.713, 0.367),
+    ],
 )
 def test_axles_of_targets_are_as_far_from_the_box_ends_as_the_source_says(
     name, wheelbase_m, front_m, rear_m
 ):
     actor = load_actors()[name]
     rear_axle_m = actor.front_axle_ahead_m - actor.wheelbase_m
+
     assert actor.wheelbase_m == wheelbase_m
     assert 0.5 * actor.length_m - rear_axle_m == pytest.approx(front_m)
     assert 0.5 * actor.length_m + rear_axle_m == pytest.approx(rear_m)
@@ -182,21 +175,32 @@ def test_axles_of_targets_are_as_far_from_the_box_ends_as_the_source_says(
     ("name", "low_m3", "high_m3"),
     # A small car fills half of its box or more; a motorcycle of 0.2 t and a rider of 80
     # kg.
-    [("car", 5.0, 7.0), ("motorcyclist", 0.25, 0.45)],
+    [
+        ("car", 5.0, 7.0),
+        ("motorcyclist", 0.25, 0.45),
+    ],
 )
 def test_bodies_have_the_volume_of_such_bodies(name, low_m3, high_m3):
     (shape,) = load_actors()[name].shapes
-    assert low_m3 < _mesh(shape).volume < high_m3
+    assert low_m3 < mesh_of(shape).volume < high_m3
 
 
 # Outlines
 
 
-@pytest.mark.parametrize(("name", "spread"), [("adult", 1.7), ("child", 2.0)])
+@pytest.mark.parametrize(
+    ("name", "spread"),
+    [
+        ("adult", 1.7),
+        ("child", 2.0),
+    ],
+)
 def test_walkers_stand_together_at_rest_and_are_widest_a_quarter_of_a_cycle_later(
     name, spread
 ):
-    widths_m = np.array([_width_m(shape, 0) for shape in load_actors()[name].shapes])
+    shapes = load_actors()[name].shapes
+    widths_m = np.array([np.ptp(shape.vertices_m[:, 0]) for shape in shapes])
+
     assert np.argmin(widths_m) % 4 == 0
     assert np.argmax(widths_m) % 4 == 2
     assert widths_m[0] == pytest.approx(widths_m.min(), rel=0.01)
@@ -208,9 +212,7 @@ def test_half_a_cycle_later_the_body_is_its_own_mirror_image(name):
     shapes = load_actors()[name].shapes
     half = len(shapes) // 2
     for now, later in zip(shapes, shapes[half:] + shapes[:half], strict=True):
-        _assert_same_but_for_edges(
-            _depth_m(now, 1, side=-1), _depth_m(later, 1, side=1)
-        )
+        assert_same_but_for_edges(depth_m(now, -1), depth_m(later, 1))
 
 
 # Gait
@@ -221,6 +223,7 @@ def test_shapes_follow_one_another_along_the_way(name):
     actor = load_actors()[name]
     n_shapes = len(actor.shapes)
     way_m = actor.cycle_m / n_shapes * np.arange(-n_shapes, 3 * n_shapes)
+
     for shift in (-0.49, 0.0, 0.49):
         index = actor.shape_index(way_m + shift * actor.cycle_m / n_shapes)
         assert index.tolist() == 4 * list(range(n_shapes))
@@ -233,14 +236,16 @@ def test_a_distance_in_its_last_bits_changes_no_shape(distance_m):
     step_m = adult.cycle_m / len(adult.shapes)
     middle_m = (np.floor(distance_m / step_m) + 0.5) * step_m
     found = adult.shape_index(middle_m + 1e-10 * np.array([-1.0, 0.0, 1.0]))
+
     assert len(set(found.tolist())) == 1
 
 
 def test_what_does_not_move_has_one_shape(actors):
     for name in WHEELED:
-        assert len(actors[name].shapes) == 1
-        assert actors[name].cycle_m == 0.0
-        assert actors[name].shape_index(np.linspace(0.0, 9.0, 6)).tolist() == [0] * 6
+        actor = actors[name]
+        assert len(actor.shapes) == 1
+        assert actor.cycle_m == 0.0
+        assert not actor.shape_index(np.linspace(0.0, 9.0, 6)).any()
 
 
 # Catalogue
@@ -327,16 +332,13 @@ def test_the_key_of_a_placed_body_is_its_content(actors):
         pose = Pose(position_m=np.array([x_m, 2.0, 0.0]), yaw_deg=yaw_deg)
         return PlacedActor(actor=actors[name], pose=pose)
 
-    assert place().key == place().key
+    key = place().key
+    assert place().key == key
+    assert hash(place().key) == hash(key)
     assert place(x_m=0.0).key == place(x_m=-0.0).key
-    assert hash(place().key) == hash(place().key)
-    others = {
-        place(x_m=1.1).key,
-        place(yaw_deg=1.0).key,
-        place("parked-van").key,
-        place().key,
-    }
-    assert len(others) == 4
+
+    others = [place(x_m=1.1), place(yaw_deg=1.0), place("parked-van")]
+    assert len({key, *(other.key for other in others)}) == 4
 
 
 def test_an_actor_may_be_made_by_hand():
@@ -350,6 +352,7 @@ def test_an_actor_may_be_made_by_hand():
         height_m=2.0,
         shapes=(shape,),
     )
+
     assert actor.shapes[0].triangles.dtype == np.int32
     assert actor.cycle_m == 0.0
     assert actor.reference_ahead_m == 0.0

@@ -1,3 +1,5 @@
+"""Files within .zip archives, and archives that mean harm."""
+
 import stat
 import zipfile
 
@@ -14,6 +16,7 @@ SUFFIXES = (".geojson", ".shp", ".xml")
 
 
 def pack(tmp_path, files, compression=zipfile.ZIP_DEFLATED):
+    """An archive of files: names and contents."""
     path = tmp_path / "maps.zip"
     with zipfile.ZipFile(path, "w", compression) as archive:
         for name, data in files:
@@ -22,18 +25,23 @@ def pack(tmp_path, files, compression=zipfile.ZIP_DEFLATED):
 
 
 def names_in(tmp_path):
+    """Names of what is in the folder."""
     return sorted(path.name for path in tmp_path.iterdir())
 
 
 def test_the_one_file_is_there_with_its_neighbours_and_then_gone(tmp_path):
-    path = pack(
-        tmp_path,
-        [("a/b/roads.SHP", "shp"), ("a/b/roads.dbf", "dbf"), ("readme.txt", "")],
-    )
+    files = [
+        ("a/b/roads.SHP", "shp"),
+        ("a/b/roads.dbf", "dbf"),
+        ("readme.txt", ""),
+    ]
+    path = pack(tmp_path, files)
+
     with unpacked(path, SUFFIXES) as member:
         assert member.read_text() == "shp"
         assert (member.parent / "roads.dbf").read_text() == "dbf"
         folder = member.parents[2]
+
     assert not folder.exists()
     assert names_in(tmp_path) == ["maps.zip"]
 
@@ -84,18 +92,20 @@ def test_archives_that_lead_astray_are_refused(tmp_path, files, message):
 def test_links_are_refused(tmp_path):
     link = zipfile.ZipInfo("a.shp")
     link.external_attr = (stat.S_IFLNK | 0o777) << 16
-    with (
-        pytest.raises(InputError, match="link"),
-        unpacked(pack(tmp_path, [(link, "/etc")]), SUFFIXES),
-    ):
+    path = pack(tmp_path, [(link, "/etc")])
+
+    with pytest.raises(InputError, match="link"), unpacked(path, SUFFIXES):
         pass
 
 
 def test_large_archives_are_refused_before_they_are_unpacked(tmp_path, monkeypatch):
     monkeypatch.setattr(archives, "MAX_UNPACKED_BYTES", 1000)
-    path = pack(
-        tmp_path, [("a.shp", b"x" * 600), ("b.dbf", b"x" * 600)], zipfile.ZIP_STORED
-    )
+    files = [
+        ("a.shp", b"x" * 600),
+        ("b.dbf", b"x" * 600),
+    ]
+    path = pack(tmp_path, files, zipfile.ZIP_STORED)
+
     with pytest.raises(InputError, match="at most 1,000"), unpacked(path, SUFFIXES):
         pass
 
@@ -105,7 +115,9 @@ def test_encrypted_files_are_refused(tmp_path):
     data = bytearray(path.read_bytes())
     for signature, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
         data[data.index(signature) + offset] |= 1
+
     path.write_bytes(data)
+
     with pytest.raises(InputError, match="encrypted"), unpacked(path, SUFFIXES):
         pass
 
@@ -114,23 +126,22 @@ def test_encrypted_files_are_refused(tmp_path):
 def test_what_is_no_archive_is_refused(tmp_path, data):
     path = tmp_path / "a.zip"
     path.write_bytes(data)
+
     with pytest.raises(InputError, match="zip"), unpacked(path, SUFFIXES):
         pass
-    with (
-        pytest.raises(InputError, match="readable"),
-        unpacked(tmp_path / "none.zip", SUFFIXES),
-    ):
+
+    missing = tmp_path / "none.zip"
+    with pytest.raises(InputError, match="readable"), unpacked(missing, SUFFIXES):
         pass
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_archives_are_opened_or_refused(tmp_path, data):
-    sound = pack(
-        tmp_path, [("a/b.shp", "shape" * 50), ("a/b.dbf", "table" * 50)]
-    ).read_bytes()
-    path = tmp_path / "maps.zip"
+    path = pack(tmp_path, [("a/b.shp", "shape" * 50), ("a/b.dbf", "table" * 50)])
+    sound = path.read_bytes()
     path.write_bytes(data.draw(damaged(sound)))
+
     try:
         with unpacked(path, SUFFIXES) as member:
             assert member.is_file()

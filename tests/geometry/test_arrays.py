@@ -1,3 +1,5 @@
+"""Arrays of values: copied, read-only, of the right shape."""
+
 import numpy as np
 import pytest
 from refusals import refused_with
@@ -10,6 +12,7 @@ def test_float_array_is_a_read_only_copy():
     source = np.array([1.0, 2.0])
     array = float_array(source, (2,), "a")
     source[0] = 9.0
+
     assert array.tolist() == [1.0, 2.0]
     with pytest.raises(ValueError, match="read-only"):
         array[0] = 5.0
@@ -46,7 +49,9 @@ def test_float_array_says_what_is_wrong(values, shape, message):
 def test_freeze_shares_memory_and_cannot_be_written_through():
     array = np.zeros(3)
     view = freeze(array)
+
     assert np.shares_memory(array, view)
     with pytest.raises(ValueError, match="read-only"):
         view[0] = 1.0
+
     array[0] = 1.0  # the owner still can

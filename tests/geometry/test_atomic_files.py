@@ -1,3 +1,5 @@
+"""Files that are there as a whole or not at all."""
+
 import os
 import stat
 
@@ -7,12 +9,14 @@ from geometry.writing import write_atomically
 
 
 def _names(folder):
+    """Names of what is in a folder."""
     return sorted(path.name for path in folder.iterdir())
 
 
 def test_a_file_is_written_and_nothing_else_is_left(tmp_path):
     path = tmp_path / "a.bin"
     write_atomically(path, lambda file: file.write(b"\x00new"))
+
     assert path.read_bytes() == b"\x00new"
     assert _names(tmp_path) == ["a.bin"]
 
@@ -21,6 +25,7 @@ def test_a_file_that_is_there_is_replaced(tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(b"a long old content")
     write_atomically(path, lambda file: file.write(b"new"))
+
     assert path.read_bytes() == b"new"
 
 
@@ -60,6 +65,7 @@ def test_whatever_is_raised_leaves_everything_as_it_was(tmp_path, error, is_ther
 def test_a_folder_in_the_way_is_an_error_and_stays(tmp_path):
     path = tmp_path / "a.bin"
     path.mkdir()
+
     with pytest.raises(OSError, match=r"a\.bin"):
         write_atomically(path, lambda file: file.write(b"new"))
     assert _names(tmp_path) == ["a.bin"]
@@ -71,7 +77,12 @@ def test_a_missing_folder_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)]
+    ("mask", "mode"),
+    [
+        (0o022, 0o644),
+        (0o077, 0o600),
+        (0o002, 0o664),
+    ],
 )
 def test_a_file_is_as_readable_as_any_other_new_one(tmp_path, mask, mode):
     before = os.umask(mask)
@@ -85,7 +96,9 @@ def test_a_file_is_as_readable_as_any_other_new_one(tmp_path, mask, mode):
         assert os.umask(mask) == mask
     finally:
         os.umask(before)
+
     assert found == [mode, mode]
+
     write_atomically(
         tmp_path / "c.bin", lambda file: file.write(b"new"), is_private=True
     )

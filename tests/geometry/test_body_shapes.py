@@ -1,3 +1,5 @@
+"""Shapes of bodies, built as the table of actors says."""
+
 import sys
 from importlib.resources import files
 
@@ -17,12 +19,20 @@ TABLE = load_toml(files("geometry") / "data" / "actors.toml")
 
 @pytest.fixture
 def library():
+    """The library that joins bodies; skips where it is not installed."""
     return pytest.importorskip("manifold3d")
 
 
 def _entry(**changes):
     """A ball on a pole, 1 x 1 x 2 m."""
-    pole = {"spheres": [[0, 0, 0.0, 0], [0.1, 0, 0, 0], [0, 0.1, 0, 0], [0, 0, 1.5, 0]]}
+    pole = {
+        "spheres": [
+            [0, 0, 0.0, 0],
+            [0.1, 0, 0, 0],
+            [0, 0.1, 0, 0],
+            [0, 0, 1.5, 0],
+        ]
+    }
     ball = {"spheres": [[0, 0, 1.5, 0.5]]}
     return {
         "class_name": "pedestrian",
@@ -39,6 +49,7 @@ def _entry(**changes):
 def test_building_again_gives_the_shapes_on_disk(library, name):
     built = build_shapes(TABLE[name], name)
     kept = load_actors()[name].shapes
+
     assert len(built) == len(kept)
     for one, other in zip(built, kept, strict=True):
         meshes = [
@@ -56,6 +67,7 @@ def test_what_is_saved_is_what_is_read(library, tmp_path):
     table = {name: TABLE[name] for name in ("child",)}
     save_shapes(tmp_path / "actors.npz", table)
     actors = read_actors(table, tmp_path / "actors.npz")
+
     assert list(actors) == ["child"]
     for name, actor in actors.items():
         for one, other in zip(
@@ -113,6 +125,8 @@ def test_legs_that_are_too_short_for_the_pedals_are_refused():
 def test_building_without_manifold3d_names_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "manifold3d", None)
     body_shapes._manifold3d.cache_clear()
+
     with pytest.raises(MissingExtraError, match="pip install manifold3d"):
         build_shapes(_entry(), "ball")
+
     body_shapes._manifold3d.cache_clear()

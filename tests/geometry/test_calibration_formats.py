@@ -51,7 +51,14 @@ def test_the_fisheye_of_opencvs_sample_is_equidistant(tmp_path, suffix, text):
     path = tmp_path / f"camera.{suffix}"
     path.write_text(text)
     (camera,) = read_cameras(path).values()
-    assert camera.lens == Fisheye(k1=0.0, k2=0.0, k3=0.0, k4=0.0)
+
+    assert camera.lens == Fisheye(
+        k1=0.0,
+        k2=0.0,
+        k3=0.0,
+        k4=0.0,
+    )
+
     model, _ = calibrated_sensor("camera", camera)
     # Of an equidistant lens the radius in focal lengths is the angle: 960 / 500 rad.
     assert model.horizontal_fov_deg == pytest.approx(2.0 * np.degrees(960.0 / 500.0))
@@ -63,11 +70,14 @@ def test_without_the_switch_it_is_brown_conrady(tmp_path, switch):
     text = OPENCV.replace("SWITCH", switch)
     path.write_text(text)
     (camera,) = read_cameras(path).values()
+
     assert camera.lens == BrownConrady()
+
     # As old samples of OpenCV have written it.
     for key in ("camera_matrix", "distortion_coefficients"):
         text = text.replace(key, key.title())
     path.write_text(text.replace("image_width", "image_Width"))
+
     assert read_cameras(path)["camera"].fx_px == 500.0
 
 
@@ -87,6 +97,7 @@ def test_without_the_switch_it_is_brown_conrady(tmp_path, switch):
 def test_no_other_lens_is_taken_for_brown_conradys(tmp_path, switch, words):
     path = tmp_path / "camera.yml"
     path.write_text(OPENCV.replace("SWITCH", switch))
+
     with pytest.raises(InputError) as caught:
         read_cameras(path)
     assert words in str(caught.value)
@@ -179,8 +190,10 @@ def test_a_calibration_that_is_not_read_is_named_with_what_would_do(tmp_path, na
     suffix, text = UNREAD[name]
     path = tmp_path / f"camera.{suffix}"
     path.write_text(text)
+
     with pytest.raises(InputError) as caught:
         load_layout(path)
+
     message = str(caught.value)
     assert "\n" not in message
     assert message.startswith(f"{path}: got ")

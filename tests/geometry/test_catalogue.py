@@ -1,3 +1,5 @@
+"""The catalogue of sensors, and sensors of one's own."""
+
 import json
 from dataclasses import replace
 
@@ -23,7 +25,10 @@ from placement.packing import from_bytes, to_bytes
     ("name", "horizontal_fov_deg"),
     # CarlaNCAP study: 110 deg in the table of sensors, 90 deg in the text and the
     # released code.
-    [("carla-ncap-rgb", 110.0), ("carla-ncap-rgb-90", 90.0)],
+    [
+        ("carla-ncap-rgb", 110.0),
+        ("carla-ncap-rgb-90", 90.0),
+    ],
 )
 def test_the_studys_camera_is_in_the_catalogue(name, horizontal_fov_deg):
     camera = pick_camera(name, "test")
@@ -55,6 +60,7 @@ def test_only_a_varifocal_camera_has_a_range_of_fields_of_view():
     assert load_cameras()["carla-ncap-rgb"].fov_range_deg is None
     assert load_cameras()["varifocal-1080p"].fov_range_deg == (26.2, 89.6)
     assert read_sensor("a", ENTRY, "camera", "f.toml").fov_range_deg is None
+
     zoom = read_sensor("a", {**ENTRY, "fov_range_deg": [30, 60]}, "camera", "f.toml")
     assert zoom.fov_range_deg == (30.0, 60.0)
     assert isinstance(zoom.fov_range_deg[0], float)
@@ -97,9 +103,11 @@ def test_somebodys_own_models_are_read_and_told_apart_from_the_catalogue(tmp_pat
     path = tmp_path / "mine.toml"
     path.write_text(OWN)
     (camera,) = load_catalogue(path).values()
+
     assert camera.name == "mine"
     assert camera.width_px == 1280
     assert camera.price_eur == 700.0
+
     record = own_sensor_record(camera)
     assert read_sensor("mine", record, record["kind"], "a layout") == camera
     assert all(own_sensor_record(model) is None for model in load_cameras().values())
@@ -160,8 +168,10 @@ def test_a_camera_with_a_lens_is_read_and_written_again(tmp_path):
         + 'lens = {model = "brown-conrady", k1 = -0.1, p1 = 0.001}\nroll_deg = 2.0\n'
     )
     (camera,) = load_catalogue(path).values()
+
     assert camera.lens == BrownConrady(k1=-0.1, p1=0.001)
     assert not camera.is_pinhole
+
     record = own_sensor_record(camera)
     assert record["lens"] == {"model": "brown-conrady", "k1": -0.1, "p1": 0.001}
     assert (
@@ -180,10 +190,12 @@ def test_a_field_of_view_is_what_a_fisheye_shows():
     assert camera.focal_length_px == pytest.approx(960.0 / np.radians(30.0))
     assert camera.vertical_fov_deg == pytest.approx(60.0 * 1080 / 1920)
     assert camera.diagonal_fov_deg == pytest.approx(60.0 * np.hypot(1920, 1080) / 1920)
+
     wide = {**ENTRY, "horizontal_fov_deg": 190.0, "lens": {"model": "fisheye"}}
     assert read_sensor("a", wide, "camera", "f").focal_length_px == pytest.approx(
         960 / np.radians(95)
     )
+
     zero = read_sensor(
         "a", {**ENTRY, "lens": {"model": "tsai", "kappa": 0.0}}, "camera", "f.toml"
     )

@@ -104,7 +104,7 @@ TOOLS = (
 )  # of this repository
 
 
-def opened(text: str) -> set[str]:
+def opened(text):
     """Calls in a source that open, read or write what a path names."""
     found = set()
     for node in ast.walk(ast.parse(text)):

@@ -1,3 +1,5 @@
+"""Errors in one line: what was got and what is expected."""
+
 import pytest
 
 from geometry.errors import InputError, Unquoted

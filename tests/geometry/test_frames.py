@@ -1,3 +1,5 @@
+"""Frames of coordinates: CARLA's, the project's, and those on earth."""
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -32,6 +34,7 @@ def test_yaw_comes_back_from_carla_as_the_same_direction(yaw_deg):
 def test_carla_is_left_handed_and_the_world_is_not():
     basis = from_carla_points(np.eye(3))
     assert np.linalg.det(basis) == -1.0
+
     east, south, up = basis
     assert np.array_equal(np.cross(east, -south), up)
 
@@ -45,9 +48,12 @@ def test_a_direction_in_carla_is_the_same_direction_in_the_world(yaw_deg, pitch_
         np.sin(pitch),
     ]
     pose = from_carla_pose(
-        position_m=[1.0, 2.0, 3.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg
+        position_m=[1.0, 2.0, 3.0],
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
     )
     ahead = body_rotation(pose.yaw_deg, pose.pitch_deg)[:, 0]
+
     assert ahead == pytest.approx(from_carla_points(ahead_carla), abs=1e-12)
 
 
@@ -65,6 +71,8 @@ def test_to_geographic_agrees_with_the_radii_of_the_wgs84_ellipsoid():
     meridian_m = a * (1.0 - e2) / w**3
     normal_m = a / w
     north, east = to_geographic([[0.0, 10.0, 5.0], [10.0, 0.0, 5.0]], TOWN05_CRS)
+
     assert north == pytest.approx([8.0, 49.0 + np.degrees(10.0 / meridian_m)], abs=1e-9)
+
     east_deg = np.degrees(10.0 / (normal_m * np.cos(np.radians(49.0))))
     assert east == pytest.approx([8.0 + east_deg, 49.0], abs=1e-9)

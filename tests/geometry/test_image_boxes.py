@@ -1,7 +1,10 @@
+"""Boxes in pictures, against sets of pixels."""
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from strategies import boxes_px
 
 from geometry.image_boxes import box_height_px, clip_boxes, iou, mask_box
@@ -21,11 +24,20 @@ def _pixels(box, margin_px=10):
 def test_iou_is_the_share_of_common_pixels(a, b):
     union = (_pixels(a) | _pixels(b)).sum()
     common = (_pixels(a) & _pixels(b)).sum()
-    assert iou(a, b) == pytest.approx(common / union if union else 0.0, abs=1e-15)
+    share = common / max(union, 1)
+
+    assert iou(a, b) == pytest.approx(share, abs=1e-15)
 
 
 def test_iou_broadcasts_and_is_zero_for_empty_or_touching_boxes():
-    a = np.array([[0, 0, 2, 2], [2, 0, 4, 2], [5, 5, 5, 9], [3, 3, 1, 1]], dtype=float)
+    a = np.array(
+        [
+            [0.0, 0.0, 2.0, 2.0],
+            [2.0, 0.0, 4.0, 2.0],
+            [5.0, 5.0, 5.0, 9.0],
+            [3.0, 3.0, 1.0, 1.0],
+        ]
+    )
     assert iou(a, [0, 0, 2, 2]).tolist() == [1.0, 0.0, 0.0, 0.0]
     assert iou(a[:, None], a[None]).shape == (4, 4)
 
@@ -35,34 +47,28 @@ def test_clipping_keeps_exactly_the_pixels_inside_the_image(box):
     inside = np.zeros_like(_pixels(box))
     inside[10 : 10 + SIZE_PX, 10 : 10 + SIZE_PX] = True
     clipped = clip_boxes(box, width_px=SIZE_PX, height_px=SIZE_PX)
+
     assert np.array_equal(_pixels(clipped), _pixels(box) & inside)
 
 
-@given(
-    st.integers(1, 7).flatmap(
-        lambda columns: st.lists(
-            st.lists(st.booleans(), min_size=columns, max_size=columns),
-            min_size=1,
-            max_size=7,
-        )
-    )
-)
+@given(arrays(bool, st.tuples(st.integers(1, 7), st.integers(1, 7))))
 def test_mask_box_is_the_smallest_box_around_the_set_pixels(mask):
-    corners = [
-        (column, row, column + 1, row + 1)
-        for row, line in enumerate(mask)
-        for column, value in enumerate(line)
-        if value
-    ]
+    rows, columns = np.nonzero(mask)
     expected = [0.0] * 4
-    if corners:
-        left, top, right, bottom = zip(*corners, strict=True)
-        expected = [min(left), min(top), max(right), max(bottom)]
+    if mask.any():
+        expected = [
+            columns.min(),
+            rows.min(),
+            columns.max() + 1,
+            rows.max() + 1,
+        ]
+
     assert mask_box(mask).tolist() == expected
 
 
 def test_box_height_is_the_vertical_extent():
-    assert box_height_px([[1.0, 2.0, 30.0, 44.5], [0.0, 0.0, 0.0, 0.0]]).tolist() == [
-        42.5,
-        0.0,
+    boxes = [
+        [1.0, 2.0, 30.0, 44.5],
+        [0.0, 0.0, 0.0, 0.0],
     ]
+    assert box_height_px(boxes).tolist() == [42.5, 0.0]

@@ -76,6 +76,7 @@ for line in sys.stdin:
 
 @pytest.fixture(scope="module")
 def starter():
+    """A function that starts a process with the compiled kernels."""
     with subprocess.Popen(
         [sys.executable, "-c", _STARTER],
         stdin=subprocess.PIPE,
@@ -124,6 +125,7 @@ def compiled(start, tmp_path_factory):
 
 
 def _end(wait):
+    """What a process told, and with which code it ended."""
     code, out, err = wait()
     assert code == 0, err
     total, hits = out.split()
@@ -140,6 +142,7 @@ def test_code_is_compiled_once_and_said_so_also_by_two_processes_at_once(
 ):
     folder = tmp_path / "compiled"
     both = [start(folder), start(folder)]
+
     for wait in both:
         _, told = _end(wait)
         assert told in (COMPILING, [])
@@ -166,6 +169,7 @@ def test_damaged_code_is_compiled_anew(start, compiled, tmp_path, place, harm):
     data[at] ^= 16
     file.write_bytes({"cut": data[:at], "flipped": data}[harm])
     hits, told = _end(start(folder))
+
     assert hits == 0
     assert len(told) == 2
     assert told[0].startswith("cached machine code not used, made anew: ")
@@ -181,10 +185,12 @@ def test_code_is_compiled_anew_when_kernels_beside_it_change(start, tmp_path):
         "from geometry.kernels import kernel\nfrom doubling_kernels import twice\n\n"
         f"@kernel\ndef total{total}"
     )
+
     assert [_end(start(tmp_path / "cache", modules=tmp_path))[0] for _ in range(2)] == [
         0,
         1,
     ]
+
     (tmp_path / "doubling_kernels.py").write_text(twice.replace("x + x", "2.0 * x"))
     assert [_end(start(tmp_path / "cache", modules=tmp_path))[0] for _ in range(2)] == [
         0,
@@ -204,6 +210,7 @@ def test_where_no_folder_can_be_made_a_private_temporary_one_has_the_code(
         f"compiled code is cached in {instead}: {folder} cannot be made (Not a"
         " directory)"
     )
+
     assert _end(start(folder, before=temporary)) == (0, [told, *COMPILING])
     assert _end(start(folder, before=temporary)) == (1, [told])
 
@@ -219,7 +226,9 @@ def test_code_of_a_folder_into_which_others_may_write_is_not_run(
         f"compiled code is cached in {instead}: {folder} can be written to by other"
         " users"
     )
+
     assert _end(start(folder, before=temporary)) == (0, [told, *COMPILING])
+
     folder.chmod(0o700)
     assert _end(start(folder)) == (1, [])
 
@@ -230,6 +239,7 @@ def test_code_that_others_may_write_is_not_run(start, compiled, tmp_path):
     (file,) = folder.glob("*.kernel")
     file.chmod(0o666)
     hits, told = _end(start(folder))
+
     assert hits == 0
     assert len(told) == 2
     assert "another user may have written it" in told[0]
@@ -245,6 +255,7 @@ def test_code_of_another_user_is_not_run(start, compiled, tmp_path):
     (file,) = folder.glob("*.kernel")
     os.chown(file, 4321, 4321)
     hits, told = _end(start(folder))
+
     assert hits == 0
     assert len(told) == 2
     assert "another user may have written it" in told[0]
@@ -261,6 +272,7 @@ def full(*args, **options):
 geometry.kernels.write_atomically = full
 """
     hits, told = _end(start(folder, before=fill))
+
     assert hits == 0
     assert told == [
         *COMPILING,
@@ -280,6 +292,7 @@ shutil.rmtree({str(folder)!r})
 open({str(folder)!r}, "w").close()
 """
     hits, told = _end(start(folder, before=gone))
+
     assert hits == 0
     assert told[0].startswith(f"machine code not cached: {folder}: ")
     assert told[1:] == COMPILING
@@ -301,6 +314,7 @@ def build_and_lose(self):
 geometry.kernels._OnDisk._build = build_and_lose
 """
     hits, told = _end(start(folder, before=lose))
+
     assert hits == 0
     assert told[0] == COMPILING[0]
     assert told[1].startswith(f"machine code not cached: {folder}: ")
@@ -310,6 +324,7 @@ geometry.kernels._OnDisk._build = build_and_lose
 def test_only_kernels_stay_in_the_folder_when_the_program_ends(start, tmp_path):
     folder = tmp_path / "compiled"
     ends = "import atexit, summing; summing.total(3.5, 4); atexit._run_exitfuncs()\n"
+
     assert _end(start(folder, before=ends)) == (1, COMPILING)
     assert [path.suffix for path in folder.iterdir()] == [".kernel"]
 
@@ -319,9 +334,11 @@ def test_folders_of_programs_that_were_killed_are_removed(start, compiled, tmp_p
     folder = Path(shutil.copytree(compiled, tmp_path / "compiled"))
     left = folder / "running-killed"
     young = folder / "running-young"
+
     for one in (left, young):
         (one / "within").mkdir(parents=True)
     os.utime(left, (1.0, 1.0))
+
     assert _end(start(folder)) == (1, [])
     assert not left.exists()
     assert young.exists()
@@ -357,4 +374,5 @@ print(sorted(names), file=sys.stderr)
 """
     before = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n" + count
     _, told = _end(start(tmp_path / "compiled", before=before))
+
     assert "['add', 'total']" in told

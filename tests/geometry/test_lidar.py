@@ -1,3 +1,5 @@
+"""LiDARs: their beams, what comes back of them, and what detection asks for."""
+
 import math
 from dataclasses import replace
 
@@ -12,7 +14,6 @@ from strategies import numbers
 
 from geometry import lidar as lidar_module
 from geometry.lidar import (
-    LidarModel,
     beam_directions,
     beams_per_steradian,
     load_lidar_detection,
@@ -27,7 +28,8 @@ SQUARE_CLEAR = {"reflectivity": 0.1, "incidence_cos": 1.0, "extinction_per_m": 0
 
 
 @st.composite
-def lidars(draw) -> LidarModel:
+def lidars(draw):
+    """LiDARs of any field of view and few beams."""
     n_lines = draw(st.integers(1, 30))
     return replace(
         STUDY,
@@ -39,14 +41,15 @@ def lidars(draw) -> LidarModel:
 
 
 def angles_deg(directions):
-    azimuth = np.degrees(np.arctan2(directions[..., 1], directions[..., 0]))
-    elevation = np.degrees(
-        np.arctan2(directions[..., 2], np.hypot(*directions[..., :2].T).T)
-    )
+    """Azimuths and elevations of directions (..., 3)."""
+    x, y, z = np.moveaxis(directions, -1, 0)
+    azimuth = np.degrees(np.arctan2(y, x))
+    elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
     return azimuth, elevation
 
 
 def probability_at(distance_m, lidar=STUDY, **changes):
+    """Probability of a return from a black wall in clear air."""
     return return_probability(lidar, distance_m, **(SQUARE_CLEAR | changes))
 
 
@@ -70,10 +73,10 @@ def test_the_ring_is_that_of_its_data_sheet():
     assert RING.frame_rate_hz == 10.0
     assert RING.reference_range_m == 40.0
     assert RING.reference_reflectivity == 0.1
+
     # Its two ranges agree with the LiDAR equation: 120 m on 80 %.
-    assert probability_at(120.0, RING, reflectivity=0.8) == pytest.approx(
-        0.76, abs=0.01
-    )
+    bright = probability_at(120.0, RING, reflectivity=0.8)
+    assert bright == pytest.approx(0.76, abs=0.01)
 
 
 @given(lidars())
@@ -88,6 +91,7 @@ def test_beams_are_unit_vectors_in_the_middle_of_equal_cells(lidar):
     directions = beam_directions(lidar)
     assert directions.shape == (lidar.n_lines, lidar.n_columns, 3)
     assert np.linalg.norm(directions, axis=-1) == pytest.approx(1.0, abs=1e-12)
+
     azimuth, elevation = angles_deg(directions)
     for angles, fov_deg, count in (
         (azimuth, lidar.horizontal_fov_deg, lidar.n_columns),
@@ -99,12 +103,10 @@ def test_beams_are_unit_vectors_in_the_middle_of_equal_cells(lidar):
 
 
 def test_beams_go_from_the_lowest_line_up_and_from_right_to_left():
-    directions = beam_directions(STUDY)
-    assert (
-        directions[0, 0] @ [0.0, 1.0, 0.0] < 0.0 < directions[0, -1] @ [0.0, 1.0, 0.0]
-    )
-    assert directions[0, 0, 2] < 0.0 < directions[-1, 0, 2]
-    assert (directions[..., 0] > 0.0).all()
+    x, y, z = np.moveaxis(beam_directions(STUDY), -1, 0)
+    assert y[0, 0] < 0.0 < y[0, -1]
+    assert z[0, 0] < 0.0 < z[-1, 0]
+    assert (x > 0.0).all()
 
 
 @given(lidars())
@@ -116,9 +118,9 @@ def test_the_diagonal_cone_touches_the_field_of_view_and_holds_every_beam(lidar)
     half_height = math.radians(0.5 * lidar.vertical_fov_deg)
     elevations = np.linspace(-half_height, half_height, 201)
     limit = math.cos(math.radians(0.5 * lidar.diagonal_fov_deg))
-    assert limit == pytest.approx(
-        (np.cos(elevations) * math.cos(half_width)).min(), abs=1e-9
-    )
+    on_border = np.cos(elevations) * math.cos(half_width)
+
+    assert limit == pytest.approx(on_border.min(), abs=1e-9)
     assert (beam_directions(lidar)[..., 0] >= limit - 1e-9).all()
 
 
@@ -137,12 +139,19 @@ def test_a_ring_turned_by_whole_columns_has_the_same_beams(lidar, n_columns):
     turn = 2.0 * math.pi * n_columns / ring.n_columns
     cosine = math.cos(turn)
     sine = math.sin(turn)
-    turned = beams @ np.array(
-        [[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]
-    )
+    rotation = [
+        [cosine, sine, 0.0],
+        [-sine, cosine, 0.0],
+        [0.0, 0.0, 1.0],
+    ]
+    turned = beams @ np.array(rotation)
+
     assert_allclose(turned, np.roll(beams, -n_columns, axis=1), atol=1e-12)
-    azimuth = np.sort(angles_deg(beams[:1])[0][0])
+
+    (azimuth,), _ = angles_deg(beams[:1])
+    azimuth = np.sort(azimuth)
     steps = np.diff(np.append(azimuth, azimuth[0] + 360.0))
+
     assert_allclose(steps, 360.0 / ring.n_columns, atol=1e-9)
 
 
@@ -150,19 +159,20 @@ def test_a_ring_turned_by_whole_columns_has_the_same_beams(lidar, n_columns):
 def test_the_density_of_beams_sums_up_to_their_number(lidar):
     half_width = math.radians(0.5 * lidar.horizontal_fov_deg)
     half_height = math.radians(0.5 * lidar.vertical_fov_deg)
-    per_azimuth, _ = quad(
-        lambda e: float(beams_per_steradian(lidar, math.degrees(e))) * math.cos(e),
-        -half_height,
-        half_height,
-    )
+
+    def per_elevation(angle):
+        density = float(beams_per_steradian(lidar, math.degrees(angle)))
+        return density * math.cos(angle)
+
+    per_azimuth, _ = quad(per_elevation, -half_height, half_height)
     n_beams = lidar.n_lines * lidar.n_columns
+
     assert 2.0 * half_width * per_azimuth == pytest.approx(n_beams, rel=1e-9)
 
 
 def test_the_reference_target_comes_back_with_the_reference_probability():
-    assert probability_at(STUDY.reference_range_m) == pytest.approx(
-        STUDY.reference_probability
-    )
+    probability = probability_at(STUDY.reference_range_m)
+    assert probability == pytest.approx(STUDY.reference_probability)
     assert STUDY.reference_probability == 0.9
 
 
@@ -183,15 +193,15 @@ def test_the_log_odds_follow_the_lidar_equation(
         incidence_cos=cosine,
         extinction_per_m=extinction,
     )
-    signal = (
-        reflectivity * cosine / distance**2 * math.exp(-2.0 * extinction * distance)
-    )
+    left = math.exp(-2.0 * extinction * distance)
+    signal = reflectivity * cosine / distance**2 * left
     reference = lidar.reference_reflectivity / lidar.reference_range_m**2
     odds = math.log(9.0) + math.log(signal / reference) / lidar.threshold_width
     if odds > -700.0:
         expected = 1.0 / (1.0 + math.exp(-odds))
     else:
         expected = 0.0
+
     assert probability == pytest.approx(expected, rel=1e-9, abs=1e-300)
 
 
@@ -203,10 +213,13 @@ def test_a_pulse_along_the_surface_or_on_black_is_lost():
 def test_noise_has_the_spread_of_the_model_and_is_seeded():
     distance = np.full((200, 200), 40.0)
     noisy = noisy_ranges(STUDY, distance, np.random.default_rng(1))
+
     assert noisy.shape == distance.shape
+
     error = noisy - distance
     assert error.mean() == pytest.approx(0.0, abs=4.0 * STUDY.range_noise_m / 200.0)
     assert error.std() == pytest.approx(STUDY.range_noise_m, rel=0.02)
+
     again = noisy_ranges(STUDY, distance, np.random.default_rng(1))
     assert (again == noisy).all()
 
@@ -214,6 +227,7 @@ def test_noise_has_the_spread_of_the_model_and_is_seeded():
 def test_detection_asks_for_points_of_every_class_of_road_user():
     detection = load_lidar_detection()
     assert set(detection.min_points) == set(detection.reflectivity)
+
     # Blickfeld's default for clusters; MMDetection3D for pedestrians and cyclists.
     classes = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
     assert detection.min_points == dict.fromkeys(classes, 10)
@@ -249,8 +263,8 @@ def test_detection_asks_for_points_of_every_class_of_road_user():
         (
             {"frame_rate_hz": 5.0},
             (
-                "frame_rate_hz: got 5.0; expected at least 10: so often all units are"
-                " taken to look"
+                "frame_rate_hz: got 5.0; expected at least 10: so often all "
+                "units are taken to look"
             ),
         ),
         (
@@ -271,7 +285,10 @@ def test_detection_asks_for_points_of_every_class_of_road_user():
         ),
         (
             {"points_per_second": 500.0},
-            "points_per_second: got 500.0; expected a point per line and frame or more",
+            (
+                "points_per_second: got 500.0; expected a point per line and "
+                "frame or more"
+            ),
         ),
     ],
 )

@@ -1,3 +1,5 @@
+"""Rotations and poses: axes, angles and coordinates."""
+
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -22,6 +24,7 @@ def test_rotations_are_orthonormal_and_right_handed(yaw_deg, pitch_deg):
 def test_rotations_of_many_angles_are_those_of_each(pairs):
     yaw, pitch = np.array(pairs).T
     many = body_rotation(yaw, pitch)
+
     assert many.shape == (len(pairs), 3, 3)
     for rotation, pair in zip(many, pairs, strict=True):
         assert rotation == pytest.approx(body_rotation(*pair), abs=1e-15)
@@ -51,17 +54,18 @@ def test_camera_axes_are_right_down_ahead():
 @given(poses(), points_m, points_m)
 def test_to_world_keeps_distances_and_puts_the_origin_at_the_pose(pose, a, b):
     world = to_world(np.stack([a, b, np.zeros(3)]), pose)
-    assert np.linalg.norm(world[0] - world[1]) == pytest.approx(
-        np.linalg.norm(a - b), abs=1e-9
-    )
+    apart_m = np.linalg.norm(a - b)
+
+    assert np.linalg.norm(world[0] - world[1]) == pytest.approx(apart_m, abs=1e-9)
     assert np.array_equal(world[2], pose.position_m)
 
 
 def test_to_world_of_a_point_ahead():
     pose = Pose(position_m=[1.0, 2.0, 3.0], yaw_deg=90.0)
-    assert to_world([[5.0, 0.0, 0.0], [0.0, 5.0, 0.0]], pose) == pytest.approx(
-        np.array([[1.0, 7.0, 3.0], [-4.0, 2.0, 3.0]])
-    )
+    ahead, left = to_world([[5.0, 0.0, 0.0], [0.0, 5.0, 0.0]], pose)
+
+    assert ahead == pytest.approx([1.0, 7.0, 3.0])
+    assert left == pytest.approx([-4.0, 2.0, 3.0])
 
 
 @given(numbers(-1.0e4, 1.0e4))
@@ -72,6 +76,7 @@ def test_to_world_of_a_point_ahead():
 def test_wrap_deg_lies_in_the_half_open_turn_and_keeps_the_direction(angle_deg):
     wrapped = float(wrap_deg(angle_deg))
     assert -180.0 < wrapped <= 180.0
+
     turns = (wrapped - angle_deg) / 360.0
     assert turns == pytest.approx(round(turns), abs=1e-12)
     assert wrap_deg(wrapped) == wrapped
@@ -85,11 +90,11 @@ def test_wrap_deg_lies_in_the_half_open_turn_and_keeps_the_direction(angle_deg):
             "position_m: got shape (2,); expected shape (3,)",
         ),
         (
-            {"position_m": [0.0, 1.0, 2.0], "yaw_deg": float("nan")},
+            {"position_m": [0.0, 1.0, 2.0], "yaw_deg": np.nan},
             "yaw_deg: got nan; expected finite numbers",
         ),
         (
-            {"position_m": [0.0, 1.0, 2.0], "yaw_deg": 0.0, "pitch_deg": float("inf")},
+            {"position_m": [0.0, 1.0, 2.0], "yaw_deg": 0.0, "pitch_deg": np.inf},
             "pitch_deg: got inf; expected finite numbers",
         ),
     ],

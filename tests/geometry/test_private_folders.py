@@ -1,3 +1,5 @@
+"""Folders that nobody else can read or write."""
+
 import os
 import tempfile
 
@@ -15,7 +17,13 @@ from geometry.cache_folders import (
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no such rights")
 @pytest.mark.parametrize(
     ("mode", "is_shared"),
-    [(0o700, False), (0o755, False), (0o707, True), (0o777, True), (0o1777, True)],
+    [
+        (0o700, False),
+        (0o755, False),
+        (0o707, True),
+        (0o777, True),
+        (0o1777, True),
+    ],
 )
 def test_who_else_may_write_is_told_by_the_rights_of_a_folder(
     tmp_path, mode, is_shared
@@ -23,11 +31,13 @@ def test_who_else_may_write_is_told_by_the_rights_of_a_folder(
     folder = tmp_path / "cache"
     folder.mkdir()
     folder.chmod(mode)
+
     assert writable_by_others(folder) is is_shared
+
     inside = folder / "own"
-    inside.mkdir(
-        mode=0o700
-    )  # others may put another in its place, but where that is forbidden
+    # Others may put another in its place, but where that is forbidden.
+    inside.mkdir(mode=0o700)
+
     assert writable_by_others(inside) is (is_shared and not mode & 0o1000)
 
 
@@ -56,6 +66,7 @@ def test_a_users_own_group_is_nobody_else(
     monkeypatch.setattr(pwd, "getpwuid", lambda uid: SimpleNamespace(pw_name="ann"))
     found = SimpleNamespace(gr_name=group, gr_mem=members)
     monkeypatch.setattr(grp, "getgrgid", lambda gid: found)
+
     assert writable_by_others(folder) is is_shared
     if os.getuid() == 0:
         os.chown(folder, 4321, 0)
@@ -69,7 +80,9 @@ def test_a_folder_behind_links_is_judged_by_all_that_leads_there(tmp_path):
     target.mkdir(mode=0o700)
     (tmp_path / "first").symlink_to("open")
     (tmp_path / "link").symlink_to(tmp_path / "first" / "own")
+
     assert not writable_by_others(tmp_path / "link")
+
     (tmp_path / "open").chmod(0o777)
     assert writable_by_others(tmp_path / "link")
 
@@ -81,9 +94,11 @@ def test_files_of_another_user_are_not_believed(tmp_path):
     path = tmp_path / "file"
     path.write_bytes(b"mine")
     path.chmod(0o600)
+
     with open_own(path) as file:
         assert file.read() == b"mine"
     os.chown(path, 4321, 4321)
+
     assert writable_by_others(path)
     with pytest.raises(PermissionError, match="another user may have written it"):
         open_own(path)
@@ -103,8 +118,10 @@ def test_a_temporary_folder_is_the_same_unless_somebody_else_holds_its_name(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     find = private_temporary_folder.__wrapped__
     first = find()
+
     assert find() == first == tmp_path / f"place-rsus-{os.getuid()}"
     assert first.stat().st_mode & 0o777 == 0o700
+
     first.chmod(0o777)
     removed = []
     monkeypatch.setattr(
@@ -113,6 +130,7 @@ def test_a_temporary_folder_is_the_same_unless_somebody_else_holds_its_name(
         lambda remove, folder, **_: removed.append(folder),
     )
     other = find()
+
     assert other != first
     assert other.stat().st_mode & 0o777 == 0o700
     assert removed == [other]

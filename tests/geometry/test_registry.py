@@ -1,3 +1,5 @@
+"""What is loaded by its name, and names that nothing has."""
+
 import pytest
 from refusals import refused_with
 

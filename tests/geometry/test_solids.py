@@ -16,13 +16,17 @@ PLACES = st.floats(min_value=-300.0, max_value=300.0)
 def test_a_box_is_that_of_trimesh(size_m):
     corners, triangles = box_mesh(size_m)
     theirs = trimesh.creation.box(extents=size_m)
+
     np.testing.assert_array_equal(corners, theirs.vertices)
     np.testing.assert_array_equal(triangles, theirs.faces)
 
 
 @given(st.tuples(PLACES, PLACES), st.floats(3.0, 12.0), st.floats(0.05, 0.5))
 def test_a_pole_is_that_of_trimesh(foot_m, height_m, radius_m):
-    ends = [[*foot_m, 0.0], [*foot_m, height_m]]
+    ends = [
+        [*foot_m, 0.0],
+        [*foot_m, height_m],
+    ]
     _check_cylinder(ends, radius_m, n_sides=10)
 
 
@@ -39,6 +43,7 @@ def test_a_level_arm_is_that_of_trimesh(start_m, yaw_deg, length_m, n_sides):
 
 
 def _check_cylinder(ends, radius_m, *, n_sides):
+    """A mesh is a closed cylinder with this radius and length."""
     corners, triangles = cylinder_mesh(ends, radius_m=radius_m, n_sides=n_sides)
     theirs = trimesh.creation.cylinder(radius=radius_m, segment=ends, sections=n_sides)
     np.testing.assert_array_equal(corners, theirs.vertices)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused_with
 
 from geometry.maps.relief import fit_terrain
-from geometry.scene import Instance, Scene
+from geometry.scene import Instance
 from geometry.scene_checks import check_scene
 from geometry.scene_sources import load_scene
 from geometry.terrain import Terrain, ground_height_m, terrain_of
@@ -18,46 +18,46 @@ from scenarios.cases import select_cases
 from scenarios.runs import build_runs
 
 
-def on_terrain(scene: Scene, terrain: Terrain) -> Scene:
+def on_terrain(scene, terrain):
     """A scene whose ground is a terrain; all else is lifted as a whole, thing by
     thing.
     """
-    keeps = [
-        i for i, thing in enumerate(scene.instances) if thing.class_name != "ground"
-    ]
     vertices, triangles = terrain.mesh()
+    things = [Instance(id="ground", class_name="ground")]
     parts = [vertices]
     faces = [triangles]
     owner = [np.zeros(len(triangles))]
     start = len(vertices)
-    for number, index in enumerate(keeps, start=1):
+
+    for index, thing in enumerate(scene.instances):
+        if thing.class_name == "ground":
+            continue
         own = scene.triangles[scene.triangle_instance == index]
         used, place = np.unique(own, return_inverse=True)
         points = scene.vertices_m[used].copy()
         points[:, 2] += terrain.at(points[:, :2]).min()
         parts.append(points)
         faces.append(place.reshape(-1, 3) + start)
-        owner.append(np.full(len(own), number))
+        owner.append(np.full(len(own), len(things)))
+        things.append(thing)
         start += len(points)
-    ground = Instance(id="ground", class_name="ground")
+
+    sites = []
+    for site in scene.sites:
+        up = [0.0, 0.0, terrain.at(site.position_m[:2])]
+        sites.append(replace(site, position_m=site.position_m + up))
+
     return replace(
         scene,
         vertices_m=np.concatenate(parts),
         triangles=np.concatenate(faces),
         triangle_instance=np.concatenate(owner),
-        instances=(ground, *(scene.instances[index] for index in keeps)),
-        sites=tuple(
-            replace(
-                site,
-                position_m=site.position_m
-                + [0.0, 0.0, terrain.at(site.position_m[:2])],
-            )
-            for site in scene.sites
-        ),
+        instances=tuple(things),
+        sites=tuple(sites),
     )
 
 
-def grid(height_of, *, half_m: float = 200.0, step_m: float = 10.0) -> Terrain:
+def grid(height_of, *, half_m=200.0, step_m=10.0):
     """A terrain from a function of east and north."""
     line = np.arange(-half_m, half_m + 1.0e-9, step_m)
     east, north = np.meshgrid(line, line)
@@ -76,34 +76,49 @@ def test_heights_are_those_of_the_mesh(seed):
     corners = vertices[triangles]
     share = rng.dirichlet(np.ones(3), len(triangles))
     points = np.einsum("nk,nkj->nj", share, corners)
-    assert_allclose(terrain.at(points[:, :2]), points[:, 2], atol=1e-9)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+    found_m = terrain.at(points[:, :2])
+    assert_allclose(found_m, points[:, 2], atol=1e-9)
+
+    a, b, c = np.swapaxes(corners, 0, 1)
+    normals = np.cross(b - a, c - a)
+
     assert (normals[:, 2] > 0.0).all()
 
 
 def test_beyond_the_grid_heights_are_those_of_its_edge():
     slope = grid(lambda east, north: 0.05 * east, half_m=10.0)
-    assert_allclose(slope.at([[50.0, 3.0], [-50.0, 90.0]]), [0.5, -0.5])
+    beyond = [
+        [50.0, 3.0],
+        [-50.0, 90.0],
+    ]
+    assert_allclose(slope.at(beyond), [0.5, -0.5])
 
 
 def test_terrain_of_a_scene_is_that_of_its_ground():
     terrain = grid(lambda east, north: 0.05 * east - 0.02 * north)
     scene = on_terrain(load_scene(), terrain)
     found = terrain_of(scene)
-    np.testing.assert_array_equal(found.height_m, terrain.height_m)
+
+    assert_array_equal(found.height_m, terrain.height_m)
     assert_allclose(ground_height_m(scene, [[20.0, 10.0]]), [0.8])
 
 
 def test_a_plane_at_zero_is_no_terrain():
-    assert terrain_of(load_scene()) is None
-    assert terrain_of(on_terrain(load_scene(), grid(lambda e, n: 0.0 * e))) is None
+    scene = load_scene()
+    level = grid(lambda east, north: 0.0 * east)
+
+    assert terrain_of(scene) is None
+    assert terrain_of(on_terrain(scene, level)) is None
 
 
 def test_ground_that_is_no_grid_is_refused():
     scene = load_scene()
     vertices = scene.vertices_m.copy()
     ground = scene.triangles[scene.triangle_instance == 0][0, 0]
+
     assert scene.instances[0].class_name == "ground"
+
     vertices[ground] += [1.0, 2.0, 3.0]
     with refused_with(
         "town05: ground: got 4 nodes that are no grid; expected a plane z = 0, or"
@@ -116,34 +131,48 @@ def test_ground_that_is_no_grid_is_refused():
 def test_fit_of_points_on_a_plane_is_that_plane(a, b):
     rng = np.random.default_rng(0)
     flat = rng.uniform(-120.0, 120.0, size=(2000, 2))
-    flat = np.concatenate([flat, [[-120, -120], [-120, 120], [120, -120], [120, 120]]])
+    flat = np.concatenate(
+        [
+            flat,
+            [
+                [-120, -120],
+                [-120, 120],
+                [120, -120],
+                [120, 120],
+            ],
+        ]
+    )
     points = np.column_stack([flat, flat @ [a, b]])
     terrain = fit_terrain(points, half_m=100.0, step_m=4.0)
     inside = rng.uniform(-99.0, 99.0, size=(500, 2))
+
     assert_allclose(terrain.at(inside), inside @ [a, b], atol=2e-3)
 
 
 def test_fit_of_points_on_a_line_is_that_of_the_nearest():
-    points = np.column_stack(
-        [np.arange(-50.0, 51.0), np.zeros(101), 0.1 * np.arange(-50.0, 51.0)]
-    )
+    points = np.outer(np.arange(-50.0, 51.0), [1.0, 0.0, 0.1])
     terrain = fit_terrain(points, half_m=20.0, step_m=2.0)
+
     assert terrain.at([10.0, 15.0]) == pytest.approx(1.0, abs=0.06)
-    beyond = fit_terrain(np.array([[30.0, 0.0, 4.0]]), half_m=20.0, step_m=2.0)
-    assert (beyond.height_m == 4.0).all()
+
+    beyond = np.array([[30.0, 0.0, 4.0]])
+    level = fit_terrain(beyond, half_m=20.0, step_m=2.0)
+
+    assert (level.height_m == 4.0).all()
 
 
 def test_a_check_on_a_slope_finds_what_does_not_stand_on_it():
-    scene = on_terrain(load_scene(), grid(lambda east, north: 0.02 * east))
+    slope = grid(lambda east, north: 0.02 * east)
+    scene = on_terrain(load_scene(), slope)
     known = check_scene(load_scene())
+
     assert check_scene(scene) == known
+
     first, *others = scene.sites
     high = replace(first, position_m=first.position_m + [0.0, 0.0, 1.4])
-    (found,) = [
-        one
-        for one in check_scene(replace(scene, sites=(high, *others)))
-        if one not in known
-    ]
+    findings = check_scene(replace(scene, sites=(high, *others)))
+    (found,) = [one for one in findings if one not in known]
+
     assert found.level == "error"
     assert found.what == f"site {first.id}"
     assert found.why == "its foot is 1.4 m above the ground"
@@ -153,23 +182,18 @@ def test_runs_on_a_slope_are_those_of_the_plane_with_parked_cars_on_the_ground(
     actors, rule
 ):
     scene = load_scene()
-    slope = on_terrain(
-        scene, grid(lambda east, north: 0.04 * (east - 100.0), half_m=400.0)
-    )
+    terrain = grid(lambda east, north: 0.04 * (east - 100.0), half_m=400.0)
+    slope = on_terrain(scene, terrain)
     cases = select_cases("CPNCO-50,CBNA", speeds="20").cases
-    flat, sloped = (
-        build_runs(one, cases, vut=actors["vut"], rule=rule)[0]
-        for one in (scene, slope)
-    )
+    flat, _ = build_runs(scene, cases, vut=actors["vut"], rule=rule)
+    sloped, _ = build_runs(slope, cases, vut=actors["vut"], rule=rule)
+
     assert [run.id for run in sloped] == [run.id for run in flat]
     for one, other in zip(flat, sloped, strict=True):
         assert other.last_brake_time_s == one.last_brake_time_s
-        np.testing.assert_array_equal(other.vru_position_m, one.vru_position_m)
+        assert_array_equal(other.vru_position_m, one.vru_position_m)
         for body, raised in zip(one.obstruction, other.obstruction, strict=True):
-            expected = body.pose.position_m + [
-                0.0,
-                0.0,
-                0.04 * (body.pose.position_m[0] - 100.0),
-            ]
+            up_m = 0.04 * (body.pose.position_m[0] - 100.0)
+            expected = body.pose.position_m + [0.0, 0.0, up_m]
             assert_allclose(raised.pose.position_m, expected, atol=1e-9)
     assert any(run.obstruction for run in sloped)

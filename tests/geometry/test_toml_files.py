@@ -1,3 +1,5 @@
+"""Tables of TOML files, read into values, and what is told of wrong ones."""
+
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
@@ -19,7 +21,8 @@ from geometry.tables import (
 from geometry.text_formats import load_toml
 
 
-def _message(function, *arguments) -> str:
+def told(function, *arguments):
+    """In which words something is refused."""
     with pytest.raises(InputError) as caught:
         function(*arguments)
     return str(caught.value)
@@ -33,30 +36,29 @@ def test_load_toml_reads_what_was_written(tmp_path):
 
 def test_load_toml_names_the_file_it_cannot_read(tmp_path):
     path = tmp_path / "missing.toml"
-    assert (
-        _message(load_toml, path)
-        == f"{path}: got No such file or directory; expected a readable file"
-    )
-    assert (
-        _message(load_toml, tmp_path)
-        == f"{tmp_path}: got Is a directory; expected a readable file"
-    )
+    said = told(load_toml, path)
+
+    assert said == f"{path}: got No such file or directory; expected a readable file"
+
+    said = told(load_toml, tmp_path)
+    assert said == f"{tmp_path}: got Is a directory; expected a readable file"
 
 
 def test_load_toml_names_the_line_that_is_not_toml(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text("a = 1\nb = = 2\n", encoding="utf-8")
-    assert (
-        _message(load_toml, path)
-        == f"{path}: got Invalid value (at line 2, column 5); expected valid TOML in"
-        " UTF-8"
+    said = told(load_toml, path)
+
+    assert said == (
+        f"{path}: got Invalid value (at line 2, column 5); expected valid TOML in UTF-8"
     )
 
 
 def test_load_toml_says_that_bytes_are_not_utf8(tmp_path):
     path = tmp_path / "a.toml"
     path.write_bytes(b'a = "\xff"\n')
-    message = _message(load_toml, path)
+    message = told(load_toml, path)
+
     assert message.startswith(f"{path}: got 'utf-8' codec can't decode byte 0xff")
     assert message.endswith("; expected valid TOML in UTF-8")
 
@@ -76,6 +78,7 @@ def test_take_returns_what_is_there():
     assert take(TABLE, "text", "f") == "hello"
     assert take_text(TABLE, "text", "f") == "hello"
     assert take_list(TABLE, "list", "f") == [1]
+
     number = take_number(TABLE, "number", "f")
     assert number == 3.0
     assert isinstance(number, float)
@@ -83,10 +86,8 @@ def test_take_returns_what_is_there():
 
 @pytest.mark.parametrize("function", [take, take_number, take_text, take_list])
 def test_take_names_the_missing_field(function):
-    assert (
-        _message(function, TABLE, "gone", "f.toml: x")
-        == "f.toml: x.gone: got nothing; expected a value"
-    )
+    said = told(function, TABLE, "gone", "f.toml: x")
+    assert said == "f.toml: x.gone: got nothing; expected a value"
 
 
 @pytest.mark.parametrize(
@@ -102,13 +103,13 @@ def test_take_names_the_missing_field(function):
     ],
 )
 def test_take_says_what_kind_of_value_is_expected(function, key, message):
-    assert _message(function, TABLE, key, "f") == message
+    assert told(function, TABLE, key, "f") == message
 
 
 def test_pick_lists_the_known_names_in_order():
     known = {"b": 2, "a": 1}
     assert pick(known, "b", "f") == 2
-    assert _message(pick, known, "c", "f.x") == "f.x: got 'c'; expected one of a, b"
+    assert told(pick, known, "c", "f.x") == "f.x: got 'c'; expected one of a, b"
 
 
 # Tables read into values
@@ -131,7 +132,7 @@ class Mount:
     costs_eur: list[float] = field(default_factory=list)
     outline_m: Points2 = field(default_factory=lambda: np.empty((0, 2)))
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         if self.name == "nowhere":
             raise InputError("mount nowhere", self.height_m, "another name")
 
@@ -147,7 +148,7 @@ class Wall(Struct, frozen=True, kw_only=True, tag="wall", tag_field="kind"):
 
     length_m: float
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         if self.length_m > 100.0:
             raise InputError("", self.length_m, "a wall that somebody would build")
 
@@ -174,9 +175,9 @@ MOUNT = {
 
 
 def test_a_table_becomes_a_value_with_arrays_of_the_stated_shape():
-    mount = read_table(
-        {**MOUNT, "limits_m": [1, 2], "outline_m": [[0, 1]]}, Mount, "f.toml"
-    )
+    table = MOUNT | {"limits_m": [1, 2], "outline_m": [[0, 1]]}
+    mount = read_table(table, Mount, "f.toml")
+
     assert mount.name == "a"
     assert mount.height_m == 4.0
     assert mount.limits_m == (1.0, 2.0)
@@ -188,13 +189,13 @@ def test_a_table_becomes_a_value_with_arrays_of_the_stated_shape():
 
 def test_named_tables_know_their_names():
     assert read_tables({"b": MOUNT}, Mount, "f.toml")["b"].name == "b"
+
+    said = told(read_tables, {"b": 3}, Mount, "f.toml")
+    assert said == "f.toml: b: got 3; expected a table of fields"
+
+    message = told(read_tables, {"b": MOUNT | {"share": 2}}, Mount, "f.toml: x")
     assert (
-        _message(read_tables, {"b": 3}, Mount, "f.toml")
-        == "f.toml: b: got 3; expected a table of fields"
-    )
-    assert (
-        _message(read_tables, {"b": {**MOUNT, "share": 2}}, Mount, "f.toml: x")
-        == "f.toml: x.b.share: got 2; expected a number, at least 0, at most 1"
+        message == "f.toml: x.b.share: got 2; expected a number, at least 0, at most 1"
     )
 
 
@@ -238,46 +239,35 @@ def test_named_tables_know_their_names():
     ],
 )
 def test_a_table_says_which_field_is_wrong_and_how(change, message):
-    assert (
-        _message(read_table, {**MOUNT, **change}, Mount, "f.toml")
-        == f"f.toml: {message}"
-    )
-    table = {"mounts": [MOUNT, {**MOUNT, **change}]}
-    assert (
-        _message(read_table, table, Mounts, "f.toml") == f"f.toml: mounts[1].{message}"
-    )
-    assert (
-        _message(read_table, table, Mounts, "f.toml: x")
-        == f"f.toml: x.mounts[1].{message}"
-    )
+    wrong = MOUNT | change
+    assert told(read_table, wrong, Mount, "f.toml") == f"f.toml: {message}"
+
+    table = {"mounts": [MOUNT, wrong]}
+    for where, begin in (("f.toml", "f.toml: "), ("f.toml: x", "f.toml: x.")):
+        said = told(read_table, table, Mounts, where)
+        assert said == f"{begin}mounts[1].{message}"
 
 
 def test_a_table_names_missing_and_unknown_fields():
     entry = {"name": "a", "height_m": 4}
-    assert (
-        _message(read_table, entry, Mount, "f.toml")
-        == "f.toml: position_m: got nothing; expected a value"
-    )
-    assert (
-        _message(read_table, {"mounts": [entry]}, Mounts, "f.toml")
-        == "f.toml: mounts[0].position_m: got nothing; expected a value"
-    )
-    assert (
-        _message(read_table, {"mounts": [], "titel": "x"}, Mounts, "f.toml")
-        == "f.toml: got 'titel'; expected one of mounts, title"
-    )
-    assert (
-        _message(read_table, {"mounts": [3]}, Mounts, "f.toml")
-        == "f.toml: mounts[0]: got 3; expected a table"
-    )
-    assert _message(read_table, 3, Mount, "f.toml") == "f.toml: got 3; expected a table"
+    said = told(read_table, entry, Mount, "f.toml")
+
+    assert said == "f.toml: position_m: got nothing; expected a value"
+
+    said = told(read_table, {"mounts": [entry]}, Mounts, "f.toml")
+    assert said == "f.toml: mounts[0].position_m: got nothing; expected a value"
+
+    said = told(read_table, {"mounts": [], "titel": "x"}, Mounts, "f.toml")
+    assert said == "f.toml: got 'titel'; expected one of mounts, title"
+
+    said = told(read_table, {"mounts": [3]}, Mounts, "f.toml")
+    assert said == "f.toml: mounts[0]: got 3; expected a table"
+    assert told(read_table, 3, Mount, "f.toml") == "f.toml: got 3; expected a table"
 
 
 def test_what_a_value_checks_itself_is_said_in_its_own_words():
-    assert (
-        _message(read_table, {**MOUNT, "name": "nowhere"}, Mount, "f.toml")
-        == "mount nowhere: got 4.0; expected another name"
-    )
+    said = told(read_table, MOUNT | {"name": "nowhere"}, Mount, "f.toml")
+    assert said == "mount nowhere: got 4.0; expected another name"
 
 
 @pytest.mark.parametrize(
@@ -301,9 +291,6 @@ def test_what_a_value_checks_itself_is_said_in_its_own_words():
     ],
 )
 def test_tables_that_one_field_tells_apart_say_what_is_wrong(thing, message):
-    assert read_table(
-        {"thing": {"kind": "pole", "height_m": 1}}, Place, "f.toml"
-    ).thing == Pole(height_m=1.0)
-    assert (
-        _message(read_table, {"thing": thing}, Place, "f.toml") == f"f.toml: {message}"
-    )
+    pole = {"thing": {"kind": "pole", "height_m": 1}}
+    assert read_table(pole, Place, "f.toml").thing == Pole(height_m=1.0)
+    assert told(read_table, {"thing": thing}, Place, "f.toml") == f"f.toml: {message}"

@@ -1,3 +1,5 @@
+"""Weathers: what they do to sight, and what is told of wrong ones."""
+
 import math
 from dataclasses import replace
 
@@ -63,6 +65,7 @@ def test_weathers_are_what_they_are_called():
     assert night.sun_elevation_deg < 0.0
     assert night.sun_lux == 0.0
     assert night.sky_lux < 1.0 < rain.sky_lux
+
     contrast = {
         w.name: w.contrast * w.transmission(60.0) for w in (day, night, rain, fog)
     }
@@ -87,6 +90,7 @@ def test_two_ways_through_the_air_take_what_each_of_them_takes(
 ):
     weather = replace(CLEAR, visibility_m=visibility_m, rain_rate_mmph=rain)
     first, second, both = weather.transmission([a_m, b_m, a_m + b_m])
+
     assert both == pytest.approx(first * second, rel=1e-9, abs=1e-300)
     assert float(weather.transmission(0.0)) == 1.0
     assert 0.0 <= both <= min(first, second) <= 1.0
@@ -94,12 +98,18 @@ def test_two_ways_through_the_air_take_what_each_of_them_takes(
 
 @pytest.mark.parametrize(
     ("rate_mmph", "db_per_km"),
-    [(0.0, 0.0), (1.0, 1.076), (10.0, 5.0329), (100.0, 23.541)],
+    [
+        (0.0, 0.0),
+        (1.0, 1.076),
+        (10.0, 5.0329),
+        (100.0, 23.541),
+    ],
 )
 def test_rain_takes_what_itu_r_p_1814_says(rate_mmph, db_per_km):
     """1.076 R^0.67 dB/km, whatever the wavelength; on top of what haze takes."""
     wet = replace(CLEAR, rain_rate_mmph=rate_mmph)
     taken = wet.extinction_per_m - CLEAR.extinction_per_m
+
     assert _db_per_km(taken) == pytest.approx(db_per_km, rel=1e-4, abs=1e-12)
     for wavelength_nm in (550.0, 905.0, 1550.0):
         by_laser = wet.lidar_extinction_per_m(
@@ -125,11 +135,11 @@ def _exponent(visibility_m, wavelength_nm=905.0):
     [
         (50_001.0, 1.6),
         (50_000.0, 1.3),
-        (6_001.0, 1.3),
-        (6_000.0, 1.3),  # 0.16 * 6 + 0.34
-        (2_000.0, 0.66),
-        (1_001.0, 0.50016),
-        (1_000.0, 0.5),
+        (6001.0, 1.3),
+        (6000.0, 1.3),  # 0.16 * 6 + 0.34
+        (2000.0, 0.66),
+        (1001.0, 0.50016),
+        (1000.0, 0.5),
         (700.0, 0.2),
         (500.0, 0.0),
         (499.0, 0.0),

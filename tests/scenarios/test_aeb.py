@@ -1,3 +1,5 @@
+"""When the car must brake at the latest, and what is left of an impact."""
+
 import dataclasses
 import math
 
@@ -54,7 +56,8 @@ memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])
 untils_s = numbers(-1.5, 0.5)
 
 
-def _tau_s(encounter, rule=RULE) -> float:
+def _tau_s(encounter, rule=RULE):
+    """How long before the impact the car must brake."""
     return -last_brake_time_s(encounter, rule)
 
 
@@ -69,12 +72,13 @@ def smallest_separation_m(encounter, onset_s, *, rule, time_step_s=0.001):
     often.
     """
     since_onset = _looks_s(encounter, rule, time_step_s)
-    return _separation_m(
-        encounter, np.reshape(onset_s, (-1, 1)), since_onset, rule
-    ).min(axis=1)
+    onsets_s = np.reshape(onset_s, (-1, 1))
+    apart_m = _separation_m(encounter, onsets_s, since_onset, rule)
+    return apart_m.min(axis=1)
 
 
 def _rule(**changes):
+    """The default rule with some values changed."""
     return dataclasses.replace(RULE, **changes)
 
 
@@ -83,10 +87,12 @@ def _lost_m(time_s, build_up_s):
     if build_up_s > 0.0 and time_s <= build_up_s:
         return A_MPS2 * time_s**3 / (6.0 * build_up_s)
     full_s = time_s - build_up_s
-    return A_MPS2 * (build_up_s**2 / 6.0 + 0.5 * build_up_s * full_s + 0.5 * full_s**2)
+    square_s2 = build_up_s**2 / 6.0 + 0.5 * build_up_s * full_s + 0.5 * full_s**2
+    return A_MPS2 * square_s2
 
 
 def _standstill_s(v, build_up_s):
+    """How long a car of a speed brakes until it stands."""
     if v < 0.5 * A_MPS2 * build_up_s:
         return math.sqrt(2.0 * v * build_up_s / A_MPS2)
     return v / A_MPS2 + 0.5 * build_up_s
@@ -107,10 +113,11 @@ def _crossing_tau_s(v, clear_s, build_up_s):
     standstill_s = _standstill_s(v, build_up_s)
     if _lost_m(standstill_s, build_up_s) <= v * clear_s:
         return _stop_tau_s(v, build_up_s)
-    t = brentq(
-        lambda t: _lost_m(t, build_up_s) - v * clear_s, 0.0, standstill_s, xtol=1e-12
-    )
-    return t - clear_s
+
+    def missing_m(time_s):
+        return _lost_m(time_s, build_up_s) - v * clear_s
+
+    return brentq(missing_m, 0.0, standstill_s, xtol=1e-12) - clear_s
 
 
 def build_turning_encounter(
@@ -122,7 +129,7 @@ def build_turning_encounter(
     offset_m=0.0,
     body="adult",
     vru_speed_mps=5.0 * KMH,
-) -> Encounter:
+):
     """A VUT turns, and a VRU crosses the arm into which it turns, on a line parallel to
     the VUT's.
 
@@ -146,45 +153,60 @@ def build_turning_encounter(
     def front_m(distance_m):
         middle, yaw_deg = path.at(distance_m)
         yaw = math.radians(yaw_deg)
-        return middle + 0.5 * vut.length_m * np.array([math.cos(yaw), math.sin(yaw)])
+        ahead = np.array([math.cos(yaw), math.sin(yaw)])
+        return middle + 0.5 * vut.length_m * ahead
 
     meeting_m = brentq(lambda d: turn.side * front_m(d)[1] - line_m, 0.0, 60.0)
     east_m = front_m(meeting_m)[0] + offset_m
     if is_same:
         sense = 1.0
+        vru_yaw_deg = 0.0
     else:
         sense = -1.0
+        vru_yaw_deg = 180.0
     travel_m = 7.5
     travel_s = travel_time_s(
-        travel_m, speed_mps=vru_speed_mps, acceleration_distance_m=2.0
+        travel_m,
+        speed_mps=vru_speed_mps,
+        acceleration_distance_m=2.0,
+    )
+
+    vru_path = StraightPath(
+        start_m=[east_m - sense * travel_m, turn.side * line_m],
+        yaw_deg=vru_yaw_deg,
     )
 
     def starting(vut_start_s):
+        vut_motion = Motion(path=path, speed_mps=v, start_time_s=vut_start_s)
+        vru_motion = Motion(
+            path=vru_path,
+            speed_mps=vru_speed_mps,
+            start_time_s=vut_start_s + meeting_m / v - travel_s,
+            acceleration_distance_m=2.0,
+        )
         return Encounter(
             vut=vut,
-            vut_motion=Motion(path=path, speed_mps=v, start_time_s=vut_start_s),
+            vut_motion=vut_motion,
             vru=vru,
-            vru_motion=Motion(
-                path=StraightPath(
-                    start_m=[east_m - sense * travel_m, turn.side * line_m],
-                    yaw_deg=0.0 if is_same else 180.0,
-                ),
-                speed_mps=vru_speed_mps,
-                start_time_s=vut_start_s + meeting_m / v - travel_s,
-                acceleration_distance_m=2.0,
-            ),
+            vru_motion=vru_motion,
         )
 
     return starting(-first_contact_s(starting(0.0)))
 
 
+TURNS = (
+    ("far", 10.0),
+    ("far", 15.0),
+    ("far", 20.0),
+    ("far", 25.0),
+    ("near", 10.0),
+)
+
+
 @st.composite
-def turning_encounters(draw) -> Encounter:
-    side, speed_kmh = draw(
-        st.sampled_from(
-            [("far", 10.0), ("far", 15.0), ("far", 20.0), ("far", 25.0), ("near", 10.0)]
-        )
-    )
+def turning_encounters(draw):
+    """A turning VUT and a VRU anywhere about its way."""
+    side, speed_kmh = draw(st.sampled_from(TURNS))
     return build_turning_encounter(
         side,
         speed_kmh,
@@ -205,6 +227,7 @@ def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
     vru = encounter.vru
     time = encounter.vut_motion.start_time_s
     speed = encounter.vut_motion.speed_mps
+
     driven = 0.0
     step_s = 5.0e-4
     steps = []
@@ -218,17 +241,18 @@ def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
         driven = driven + speed * step_s
         time = time + step_s
         steps.append((time, speed, driven))
+
     times, speeds, distances = np.array(steps).T
     points, angles_deg = path.turn.at(distances - path.straight_m)
-    vru_places, vru_yaws_deg = encounter.vru_motion.path.at(
-        encounter.vru_motion.distance_m(times)
-    )
+    motion = encounter.vru_motion
+    vru_places, vru_yaws_deg = motion.path.at(motion.distance_m(times))
     vru_yaws_deg = np.broadcast_to(vru_yaws_deg, times.shape)
-    reach_m = 0.5 * (
-        math.hypot(vut.length_m, vut.width_m) + math.hypot(vru.length_m, vru.width_m)
-    )
+    diagonal_m = math.hypot(vut.length_m, vut.width_m)
+    vru_diagonal_m = math.hypot(vru.length_m, vru.width_m)
+    reach_m = 0.5 * (diagonal_m + vru_diagonal_m)
     yaw = 0.0
     ahead_m = path.front_axle_ahead_m
+
     for index, angle in enumerate(np.radians(angles_deg).tolist()):
         yaw += math.sin(angle - yaw) / path.wheelbase_m * float(speeds[index]) * step_s
         vut_at = (
@@ -238,13 +262,12 @@ def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
         vru_at = vru_places[index]
         if times[index] < onset_s or math.dist(vut_at, vru_at) > reach_m:
             continue
-        overlap = overlap_area(
-            rectangle_polygon(vut_at, math.degrees(yaw), vut.length_m, vut.width_m),
-            rectangle_polygon(
-                vru_at, float(vru_yaws_deg[index]), vru.length_m, vru.width_m
-            ),
-        )
-        if overlap > 1.0e-9:
+
+        vut_yaw_deg = math.degrees(yaw)
+        vru_yaw_deg = float(vru_yaws_deg[index])
+        car = rectangle_polygon(vut_at, vut_yaw_deg, vut.length_m, vut.width_m)
+        user = rectangle_polygon(vru_at, vru_yaw_deg, vru.length_m, vru.width_m)
+        if overlap_area(car, user) > 1.0e-9:
             return True
     return False
 
@@ -273,13 +296,12 @@ def test_last_brake_time_behind_one_ahead_is_that_to_brake_away_the_closing_spee
         turn_deg=turn_deg,
         origin_m=(east_m, north_m),
     )
+    expected_s = _stop_tau_s(v - u, build_up_s)
+    found_s = _tau_s(encounter, _rule(build_up_s=build_up_s))
+
     if build_up_s == 0.0:
-        assert _stop_tau_s(v - u, 0.0) == pytest.approx(
-            (v - u) / (2.0 * A_MPS2), rel=1e-12
-        )
-    assert _tau_s(encounter, _rule(build_up_s=build_up_s)) == pytest.approx(
-        _stop_tau_s(v - u, build_up_s), abs=TOLERANCE_S
-    )
+        assert expected_s == pytest.approx((v - u) / (2.0 * A_MPS2), rel=1e-12)
+    assert found_s == pytest.approx(expected_s, abs=TOLERANCE_S)
 
 
 @given(
@@ -308,12 +330,13 @@ def test_last_brake_time_before_one_who_crosses_is_to_stop_or_to_pass_behind(
     # From its middle at side x half width, until its rear has passed the far edge.
     walked = side * math.copysign(1.0, angle_deg)
     clear_s = 0.5 * (encounter.vut.width_m * (1.0 - walked) + vru.length_m) / u
-    expected = _crossing_tau_s(v, clear_s, build_up_s)
+    expected_s = _crossing_tau_s(v, clear_s, build_up_s)
+    found_s = _tau_s(encounter, _rule(build_up_s=build_up_s))
+
     if build_up_s == 0.0:
-        assert expected == pytest.approx(crossing_tau_s(v, A_MPS2, clear_s), abs=1e-9)
-    assert _tau_s(encounter, _rule(build_up_s=build_up_s)) == pytest.approx(
-        expected, abs=TOLERANCE_S
-    )
+        at_once_s = crossing_tau_s(v, A_MPS2, clear_s)
+        assert expected_s == pytest.approx(at_once_s, abs=1e-9)
+    assert found_s == pytest.approx(expected_s, abs=TOLERANCE_S)
 
 
 @given(vut_speeds, vru_speeds, build_ups_s, angles_deg)
@@ -330,9 +353,10 @@ def test_last_brake_time_towards_one_who_comes_closer_lets_the_vut_stand_first(
     )
     standstill_s = _standstill_s(v, build_up_s)
     gap_m = (v + u) * standstill_s - _lost_m(standstill_s, build_up_s)
-    assert _tau_s(encounter, _rule(build_up_s=build_up_s)) == pytest.approx(
-        gap_m / (v + u), abs=TOLERANCE_S
-    )
+
+    found_s = _tau_s(encounter, _rule(build_up_s=build_up_s))
+
+    assert found_s == pytest.approx(gap_m / (v + u), abs=TOLERANCE_S)
 
 
 @pytest.mark.parametrize(
@@ -356,16 +380,22 @@ def test_last_brake_time_does_not_fall_between_two_time_steps(vut_speed_kmh, ons
         touch=0.0,
         vut_drive_s=5.0 - onset_s,
     )
-    touches = [
-        smallest_separation_m(
-            encounter, onset_s, rule=RULE, time_step_s=time_step_s
-        ).item()
-        <= 0.0
-        for time_step_s in (0.01, 0.001)
-    ]
-    assert touches[0] != touches[1]
+    touches = set()
+
+    for time_step_s in (0.01, 0.001):
+        apart_m = smallest_separation_m(
+            encounter,
+            onset_s,
+            rule=RULE,
+            time_step_s=time_step_s,
+        )
+        touches.add(apart_m.item() <= 0.0)
+
+    assert touches == {False, True}
+
     clear_s = 0.5 * (1.836 + 0.6) / u
     tau_s = crossing_tau_s(v, A_MPS2, clear_s)
+
     assert _tau_s(encounter) == pytest.approx(tau_s, abs=TOLERANCE_S)
     # Nor does the verdict: the contact at this onset lasts less than a step.
     assert has_contact(encounter, onset_s, RULE) == (onset_s > -tau_s)
@@ -381,7 +411,9 @@ def test_braking_avoids_up_to_the_last_brake_time_and_not_after(
     rule = _rule(build_up_s=build_up_s)
     last_s = last_brake_time_s(encounter, rule)
     start_s = encounter.vut_motion.start_time_s
+
     assert start_s < last_s <= 0.0
+
     earlier_s = start_s + share * (last_s - start_s)
     assert not has_contact(encounter, earlier_s, rule)
     assert not has_contact(encounter, last_s - 0.1 * share, rule)
@@ -396,23 +428,21 @@ def test_braking_avoids_up_to_the_last_brake_time_and_not_after(
 )
 def test_contacts_of_many_onsets_are_those_of_each(encounter, offsets_s):
     last_s = last_brake_time_s(encounter, RULE)
-    onsets_s = [
-        *(last_s + offset_s for offset_s in offsets_s),
-        last_s,
-        -np.inf,
-        0.0,
-        np.inf,
-    ]
+    onsets_s = [last_s, -np.inf, 0.0, np.inf]
+    for offset_s in offsets_s:
+        onsets_s.append(last_s + offset_s)
+
     together = has_contact(encounter, onsets_s, RULE)
-    assert together.tolist() == [
-        bool(has_contact(encounter, each, RULE)) for each in onsets_s
-    ]
+    one_by_one = [bool(has_contact(encounter, each, RULE)) for each in onsets_s]
+
+    assert together.tolist() == one_by_one
 
 
 @given(encounters(), numbers(0.0, 1.0))
 def test_last_brake_time_matches_a_simulation_in_small_steps(encounter, share):
     last_s = last_brake_time_s(encounter, RULE)
     before_s = last_s - 0.003 - 0.5 * share
+
     assert not simulated_contact(encounter, before_s, deceleration_mps2=A_MPS2)
     if last_s < -0.004:
         assert simulated_contact(encounter, last_s + 0.003, deceleration_mps2=A_MPS2)
@@ -432,6 +462,7 @@ def test_last_brake_time_on_a_turn_matches_a_simulation_in_small_steps(
 ):
     encounter = build_turning_encounter(side, speed_kmh, is_same=is_same)
     last_s = last_brake_time_s(encounter, _rule(build_up_s=build_up_s))
+
     assert not _simulated_contact_on_a_turn(encounter, last_s - 0.003, build_up_s)
     assert _simulated_contact_on_a_turn(encounter, last_s + 0.003, build_up_s)
 
@@ -472,9 +503,8 @@ def test_a_vut_that_brakes_before_it_sets_off_stays_where_it_is():
 
 @given(detections, st.integers(1, 6))
 def test_confirmation_is_what_a_counter_of_consecutive_frames_says(detected, n):
-    assert confirmation_mask(detected, n_confirmations=n).tolist() == naive_confirmed(
-        detected, n
-    )
+    found = confirmation_mask(detected, n_confirmations=n)
+    assert found.tolist() == naive_confirmed(detected, n)
 
 
 # Tracks that live
@@ -486,9 +516,16 @@ def test_the_live_track_is_that_of_a_simulation_frame_by_frame(
 ):
     time_s = np.arange(1 - len(detected), 1) / 10.0
     rule = _rule(n_confirmations=n, track_memory_s=memory_s)
-    assert live_confirmation_time_s(
-        detected, time_s, until_s=until_s, rule=rule
-    ) == simulated_track_s(detected, time_s, until_s=until_s, memory_s=memory_s, n=n)
+    found_s = live_confirmation_time_s(detected, time_s, until_s=until_s, rule=rule)
+    expected_s = simulated_track_s(
+        detected,
+        time_s,
+        until_s=until_s,
+        memory_s=memory_s,
+        n=n,
+    )
+
+    assert found_s == expected_s
 
 
 def test_a_track_may_be_exactly_as_old_as_its_memory():
@@ -515,16 +552,15 @@ def test_a_confirmation_exactly_at_the_deadline_is_in_time(frame, latency_ms):
     on_grid_s = frame / 10.0
     accumulated_s = sum([0.1] * -frame) * -1.0  # the same instant with another rounding
     deadline_s = (100 * frame + latency_ms) / 1000.0
+
     for confirmation_s in (on_grid_s, accumulated_s):
         assert is_in_time(confirmation_s, deadline_s, latency_s=latency_s)
         assert not is_in_time(confirmation_s, deadline_s - 1e-6, latency_s=latency_s)
 
 
 def test_no_confirmation_is_never_in_time_and_nothing_is_before_minus_infinity():
-    assert is_in_time([math.inf, -3.0], [0.0, -math.inf], latency_s=0.025).tolist() == [
-        False,
-        False,
-    ]
+    found = is_in_time([math.inf, -3.0], [0.0, -math.inf], latency_s=0.025)
+    assert found.tolist() == [False, False]
 
 
 # ---------- what is left of an impact
@@ -537,12 +573,17 @@ def test_speed_at_contact_on_a_crossing_is_what_braking_leaves_at_the_line(
     rule = _rule(build_up_s=build_up_s)
     vru = load_actors()[body]
     encounter = build_encounter(
-        vru=vru, vut_speed_mps=v, vru_speed_mps=u, angle_deg=90.0, touch=0.0
+        vru=vru,
+        vut_speed_mps=v,
+        vru_speed_mps=u,
+        angle_deg=90.0,
+        touch=0.0,
     )
     clear_s = 0.5 * (encounter.vut.width_m + vru.length_m) / u
     assume(early_s > 1e-6)
     found = find_contacts(encounter, -early_s, rule)
-    way_m, standstill_s = v * early_s, _standstill_s(v, build_up_s)
+    way_m = v * early_s
+    standstill_s = _standstill_s(v, build_up_s)
 
     def short_m(time_s):
         return v * time_s - _lost_m(time_s, build_up_s) - way_m
@@ -559,6 +600,7 @@ def test_speed_at_contact_on_a_crossing_is_what_braking_leaves_at_the_line(
         braked = 0.5 * reached_s**2 / build_up_s
     else:
         braked = reached_s - 0.5 * build_up_s
+
     assert found.time_s == pytest.approx(in_the_way_s, abs=1e-5)
     assert found.speed_mps == pytest.approx(v - A_MPS2 * braked, abs=1e-4)
 
@@ -570,25 +612,26 @@ def test_speed_at_contact_on_a_crossing_is_what_braking_leaves_at_the_line(
 )
 def test_contacts_are_those_of_a_simulation_in_small_steps(encounter, shares):
     last_s = last_brake_time_s(encounter, RULE)
-    onsets_s = np.array(
-        [last_s - 0.01, *(last_s * share for share in shares), 0.0, np.inf]
-    )
+    onsets_s = np.append(last_s * np.array(shares), [last_s - 0.01, 0.0, np.inf])
     found = find_contacts(encounter, onsets_s, RULE)
-    assert np.array_equal(
-        np.isfinite(found.time_s), has_contact(encounter, onsets_s, RULE)
-    )
+    touches = has_contact(encounter, onsets_s, RULE)
+
+    assert np.array_equal(np.isfinite(found.time_s), touches)
+
     v = encounter.vut_motion.speed_mps
-    for onset_s, time_s, speed in zip(
-        onsets_s, found.time_s, found.speed_mps, strict=True
-    ):
+    contacts = zip(onsets_s, found.time_s, found.speed_mps, strict=True)
+
+    for onset_s, time_s, speed in contacts:
         if onset_s >= 0.0:
             assert time_s == 0.0
             assert speed == v
             continue
+
         since_s = _looks_s(encounter, RULE, 2.0e-4)
         touches = _separation_m(encounter, onset_s, since_s, RULE) <= 0.0
         if not touches.any():
             continue  # a contact shorter than a step, or none
         look_s = since_s[touches.argmax()]
+
         assert onset_s + look_s - 2.1e-4 <= time_s <= onset_s + look_s + 5e-6
         assert speed == pytest.approx(v - A_MPS2 * (time_s - onset_s), abs=1e-9)

@@ -1,3 +1,5 @@
+"""Cases: what the packaged ones are, and what is told of a table of others."""
+
 import copy
 
 import pytest
@@ -31,6 +33,7 @@ def _load(monkeypatch, table):
 
 
 def _changed(**changes):
+    """The table of a good case with other values; without those that are None."""
     table = copy.deepcopy(GOOD)
     for key, value in changes.items():
         if value is None:
@@ -174,6 +177,7 @@ def test_a_case_like_another_says_only_what_differs(monkeypatch):
         "Z": {"as": "Y", "title": "last"},
     }
     cases_by_name = _load(monkeypatch, table)
+
     assert (
         cases_by_name["Y"].impact_percent == cases_by_name["Z"].impact_percent == 25.0
     )
@@ -198,6 +202,7 @@ def test_a_set_is_picked_with_its_own_speeds():
     picked = {case.name: case for case in cases.pick_cases("study", "cases")}
     assert picked["CPNCO-50"].vut_speeds_kmh[0] == 20.0
     assert cases.load_cases()["CPNCO-50"].vut_speeds_kmh[0] == 10.0
+
     every = {**cases.load_cases(), **cases.load_unlaid_cases()}
     assert {case.name for case in cases.load_case_sets()["all"]} == set(every)
 
@@ -234,6 +239,7 @@ def test_own_cases_are_read_from_a_file_and_may_be_like_ours(tmp_path):
     path.write_text(OWN)
     near, far, ours = cases.pick_cases(f"{path},CBLA", "cases")
     like = cases.load_cases()["CPNA-25"]
+
     assert near.name == "SCHOOL"
     assert far.name == "SCHOOL-FAR"
     assert ours.name == "CBLA"
@@ -274,6 +280,7 @@ def test_own_cases_are_read_from_a_file_and_may_be_like_ours(tmp_path):
 def test_own_cases_that_are_wrong_are_told_with_file_and_field(tmp_path, text, message):
     path = tmp_path / "own.toml"
     path.write_text(text)
+
     with pytest.raises(InputError) as caught:
         cases.pick_cases(str(path), "cases")
     assert str(caught.value).startswith(f"{path}{message}")
@@ -283,6 +290,7 @@ def test_in_all_a_case_of_2026_drives_what_that_of_2023_does_not():
     every = cases.load_case_sets()["all"]
     driven = {case.name: case for case in cases.pick_cases("all", "cases")}
     of_2023 = cases.twins(every)
+
     assert of_2023["CPNA-2026-25"].name == "CPNA-25"
     for case in every:
         if case.name in driven:
@@ -290,6 +298,7 @@ def test_in_all_a_case_of_2026_drives_what_that_of_2023_does_not():
         else:
             speeds = set()
         twin = of_2023.get(case.name)
+
         if case.range == "extended":
             assert not speeds
             continue

@@ -6,6 +6,7 @@ from math import erf
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from geometry.errors import InputError
 from scenarios.aeb import load_aeb_rule
@@ -26,7 +27,7 @@ RESERVES_S = (0.0, 0.33, 1.0)
 
 
 def axis_of(times, last_brake_s=None):
-    """Frame axis of runs with these times."""
+    """Frame axis of runs with these times; by default they must brake by 0 s."""
     n_runs = len(times)
     if last_brake_s is None:
         last_brake_s = np.zeros(n_runs)
@@ -52,6 +53,7 @@ def plain_track(time_s, detected, position_m, covariance_m2):
     state = cov = None
     streak = 0
     seen_s = -math.inf
+
     is_confirmed = False
     for frame, now_s in enumerate(time_s):
         if now_s - seen_s > AEB.track_memory_s + 1e-9:
@@ -59,14 +61,28 @@ def plain_track(time_s, detected, position_m, covariance_m2):
             is_confirmed = False
         if state is not None:
             dt = now_s - time_s[frame - 1]
-            F = np.kron([[1.0, dt], [0.0, 1.0]], np.eye(2))
-            Q = np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(2))
+            step = [
+                [1.0, dt],
+                [0.0, 1.0],
+            ]
+            noise = [
+                [dt**3 / 3, dt**2 / 2],
+                [dt**2 / 2, dt],
+            ]
+            F = np.kron(step, np.eye(2))
+            Q = np.kron(noise, np.eye(2))
+
             state = F @ state
             cov = F @ cov @ F.T + RULE.acceleration_noise_m2ps3 * Q
         for unit in np.flatnonzero(detected[:, frame]):
             z = position_m[unit, frame]
             ee, en, nn = covariance_m2[unit, frame]
-            R = np.array([[ee, en], [en, nn]])
+            R = np.array(
+                [
+                    [ee, en],
+                    [en, nn],
+                ]
+            )
             H = np.eye(2, 4)
             if state is None:
                 state = np.concatenate([z, [0.0, 0.0]])
@@ -85,6 +101,7 @@ def plain_track(time_s, detected, position_m, covariance_m2):
         is_confirmed = is_confirmed or streak >= AEB.n_confirmations
         is_live = state is not None and is_confirmed
         found.append((state, cov, is_live))
+
     return found
 
 
@@ -94,32 +111,51 @@ def plain_probability(time_s, found, ways, run, reserve_s):
     place_s = time_s[0] + 0.1 * np.arange(len(places))
     end_s = ways.time_to_stop_s[run] + reserve_s
     steps = 0.1 * np.arange(100)
+    taus = [*steps[steps < end_s], end_s]
+
     probabilities = []
     for now_s, (state, cov, is_live) in zip(time_s, found, strict=True):
         largest = 0.0
-        for tau in [*steps[steps < end_s], end_s] if is_live else ():
-            east, north, yaw = (
-                np.interp(now_s + tau, place_s, places[:, i]) for i in range(3)
-            )
-            F = np.kron([[1.0, tau]], np.eye(2))
-            mean = F @ state - [east, north]
-            spread = F @ cov @ F.T
-            spread += np.eye(2) * RULE.acceleration_noise_m2ps3 * tau**3 / 3
-            turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
-            mean = turn @ mean
-            spread = np.diag(turn @ spread @ turn.T)
-            sd = np.sqrt(spread + [RULE.car_along_sd_m**2, RULE.car_across_sd_m**2])
-            angle = math.atan2(state[3], state[2]) - yaw
-            c, s = abs(math.cos(angle)), abs(math.sin(angle))
-            length, width = ways.half_vru_m[run]
-            half = ways.half_vut_m + [c * length + s * width, s * length + c * width]
-            inside = [
-                (erf((h - m) / (s * 2**0.5)) - erf((-h - m) / (s * 2**0.5))) / 2
-                for h, m, s in zip(half, mean, sd, strict=True)
-            ]
-            largest = max(largest, inside[0] * inside[1])
+        if is_live:
+            for tau in taus:
+                at = [np.interp(now_s + tau, place_s, column) for column in places.T]
+                here = plain_overlap(state, cov, tau, at, ways, run)
+                largest = max(largest, here)
         probabilities.append(largest)
+
     return np.array(probabilities)
+
+
+def plain_overlap(state, cov, tau, at, ways, run):
+    """Probability that a body and the car, at a place with a yaw, overlap after tau."""
+    east, north, yaw = at
+    F = np.kron([[1.0, tau]], np.eye(2))
+    mean = F @ state - [east, north]
+    spread = F @ cov @ F.T
+    spread += np.eye(2) * RULE.acceleration_noise_m2ps3 * tau**3 / 3
+    turn = np.array(
+        [
+            [np.cos(yaw), np.sin(yaw)],
+            [-np.sin(yaw), np.cos(yaw)],
+        ]
+    )
+    mean = turn @ mean
+    spread = np.diag(turn @ spread @ turn.T)
+    sd = np.sqrt(spread + [RULE.car_along_sd_m**2, RULE.car_across_sd_m**2])
+
+    angle = math.atan2(state[3], state[2]) - yaw
+    c = abs(math.cos(angle))
+    s = abs(math.sin(angle))
+    length, width = ways.half_vru_m[run]
+    half = ways.half_vut_m + [c * length + s * width, s * length + c * width]
+
+    probability = 1.0
+    for h, m, one_sd in zip(half, mean, sd, strict=True):
+        above = erf((h - m) / (one_sd * 2**0.5))
+        below = erf((-h - m) / (one_sd * 2**0.5))
+        probability *= (above - below) / 2
+
+    return probability
 
 
 @pytest.fixture(scope="module")
@@ -133,14 +169,18 @@ def drawn():
         times.append(np.arange(-n_frames + 1, 1) / 10.0)
         way_s = 0.1 * np.arange(n_frames + 40)
         yaw = rng.uniform(-3, 3) + rng.uniform(-0.3, 0.3) * way_s
-        steps = rng.uniform(3, 15) * 0.1 * np.column_stack([np.cos(yaw), np.sin(yaw)])
+        ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+        steps = 0.1 * rng.uniform(3, 15) * ahead
         position = np.cumsum(steps, axis=0) - steps.sum(axis=0) * 0.5
         places.append(np.column_stack([position, yaw]))
+
     axis = axis_of(times)
-    seen = rng.random((3, axis.n_frames)) < rng.choice([0.05, 0.5, 0.9], axis.n_frames)
+    chance = rng.choice([0.05, 0.5, 0.9], axis.n_frames)
+    seen = rng.random((3, axis.n_frames)) < chance
     position_m = rng.normal(0.0, 8.0, (3, axis.n_frames, 2))
     root = rng.normal(0.0, 0.7, (3, axis.n_frames, 2, 2))
-    error = root @ np.swapaxes(root, -1, -2) + 0.01 * np.eye(2)
+    square = root @ np.swapaxes(root, -1, -2)
+    error = square + 0.01 * np.eye(2)
     covariance_m2 = error.reshape(3, -1, 4)[..., [0, 1, 3]]
     ways = CarWays(
         place=np.concatenate(places),
@@ -158,24 +198,27 @@ def test_tracks_and_decisions_equal_a_plain_filter_on_200_random_runs(drawn):
     worlds_m = np.stack([position_m + 1.0, position_m])
     tracks = track(seen, worlds_m, covariance_m2, axis, aeb=AEB, rule=RULE)
     ours = overlap_probability(tracks, axis, ways, RESERVES_S, rule=RULE, world=1)
+
     n_live = 0
     for run in range(axis.n_runs):
         frames = axis.frames_of(run)
         time_s = axis.time_s[frames]
-        found = plain_track(
-            time_s, seen[:, frames], position_m[:, frames], covariance_m2[:, frames]
-        )
-        is_live = [one[2] for one in found]
-        np.testing.assert_array_equal(tracks.is_live[frames], is_live)
+        ours_of_run = (seen[:, frames], position_m[:, frames], covariance_m2[:, frames])
+        found = plain_track(time_s, *ours_of_run)
+        is_live = [lives for _, _, lives in found]
+
+        assert_array_equal(tracks.is_live[frames], is_live)
+
         for offset, (state, cov, lives) in enumerate(found):
             if lives:
                 n_live += 1
                 at = frames.start + offset
-                np.testing.assert_allclose(tracks.state[1, at], state, atol=1e-9)
-                np.testing.assert_allclose(tracks.covariance[at], cov, atol=1e-9)
+                assert_allclose(tracks.state[1, at], state, atol=1e-9)
+                assert_allclose(tracks.covariance[at], cov, atol=1e-9)
         for row, reserve_s in enumerate(RESERVES_S):
             plain = plain_probability(time_s, found, ways, run, reserve_s)
-            np.testing.assert_allclose(ours[row, frames], plain, atol=1e-9)
+            assert_allclose(ours[row, frames], plain, atol=1e-9)
+
     assert n_live > 500
 
 
@@ -185,8 +228,11 @@ def test_a_longer_reserve_never_lowers_the_probability(drawn):
     # Ends that are steps, too.
     ways = replace(ways, time_to_stop_s=ways.time_to_stop_s.round(1))
     ours = overlap_probability(tracks, axis, ways, (0.0, 0.3, 1.0), rule=RULE)
-    assert (np.diff(ours, axis=0) >= -1e-6).all()
-    assert (np.diff(ours, axis=0) > 0.1).any()
+
+    more = np.diff(ours, axis=0)
+
+    assert (more >= -1e-6).all()
+    assert (more > 0.1).any()
     assert ours.max() > 0.5
     assert (ours[:, ~tracks.is_live] == 0.0).all()
 
@@ -210,14 +256,9 @@ def crossing(noise_m2):
     axis = axis_of([time_s], [-stop_s])
     # The car's front meets the edge of a body that is far from both its corners.
     place_m = np.column_stack([np.full(301, 2.25), WALK_MPS * time_s])
-    tracks = track(
-        np.ones((1, 301), dtype=bool),
-        place_m[None, None],
-        np.tile([noise_m2, 0.0, noise_m2], (1, 301, 1)),
-        axis,
-        aeb=AEB,
-        rule=SURE,
-    )
+    always = np.ones((1, 301), dtype=bool)
+    noise = np.tile([noise_m2, 0.0, noise_m2], (1, 301, 1))
+    tracks = track(always, place_m[None, None], noise, axis, aeb=AEB, rule=SURE)
     # Its middle is at 0 at the impact.
     car_m = SPEED_MPS * (-3.0 + 0.1 * np.arange(60))
     ways = CarWays(
@@ -233,8 +274,10 @@ def crossing(noise_m2):
 def test_without_noise_the_car_brakes_at_the_last_brake_time_less_the_latency():
     axis, tracks, ways = crossing(1e-16)
     (probability,) = overlap_probability(tracks, axis, ways, [0.0], rule=SURE)
-    brakes_s = axis.time_s[np.argmax(probability >= 0.5)]
+    first = np.argmax(probability >= 0.5)
+    brakes_s = axis.time_s[first]
     last_s = axis.last_brake_time_s[0] - AEB.latency_s
+
     assert probability[-1] == pytest.approx(1.0)
     # To a frame, which are 10 ms apart.
     assert abs(brakes_s - last_s) <= 0.0101
@@ -246,14 +289,18 @@ def test_the_place_of_the_impact_is_located_as_least_squares_say():
     axis, _, _ = crossing(noise_m**2)
     always = np.ones((2, 1, 301), dtype=bool)
     always[1, 0, 200:] = False
-    error = np.tile([noise_m**2, 0.0, noise_m**2], (2, 1, 301, 1))
+    covariance_m2 = [noise_m**2, 0.0, noise_m**2]
+    error = np.tile(covariance_m2, (2, 1, 301, 1))
     found_m = located_sd_m(always, error, axis, np.zeros(1), aeb=AEB, rule=SURE)
     in_time = frames_in_time(axis, latency_s=AEB.latency_s)
+
     for row, seen in enumerate(always):
         used_s = axis.time_s[in_time & seen[0]]
         design = np.column_stack([np.ones(len(used_s)), used_s])
-        at_impact = noise_m**2 * np.linalg.inv(design.T @ design)[0, 0]
-        assert found_m[row, 0] == pytest.approx(math.sqrt(at_impact), rel=1e-3)
+        spread = np.linalg.inv(design.T @ design)
+        expected_m = noise_m * math.sqrt(spread[0, 0])
+        assert found_m[row, 0] == pytest.approx(expected_m, rel=1e-3)
+
     assert found_m[1, 0] > found_m[0, 0]
 
 
@@ -262,13 +309,16 @@ def test_nothing_is_located_where_no_track_lives():
     never = np.zeros((1, 1, 10), dtype=bool)
     error = np.ones((1, 1, 10, 3))
     found_m = located_sd_m(never, error, axis, np.zeros(1), aeb=AEB, rule=RULE)
+
     assert found_m[0, 0] == np.inf
 
 
 def test_largest_of_runs_is_that_of_each_run():
     axis = axis_of([np.arange(3.0), np.arange(2.0)])
     values = np.array([[0.1, 0.5, 0.2, 0.0, 0.3]])
-    np.testing.assert_array_equal(largest_of_runs(values, axis), [[0.5, 0.3]])
+    largest = largest_of_runs(values, axis)
+
+    assert_array_equal(largest, [[0.5, 0.3]])
 
 
 # ---------- rules of one's own
@@ -289,11 +339,14 @@ def test_largest_of_runs_is_that_of_each_run():
 def test_a_rule_that_cannot_be_is_refused_in_a_line(tmp_path, text, where, expected):
     path = tmp_path / "rule.toml"
     path.write_text(text)
+
     with pytest.raises(InputError) as caught:
         load_decision_rule(str(path))
-    assert where in str(caught.value)
-    assert expected in str(caught.value)
-    assert str(path) in str(caught.value)
+
+    told = str(caught.value)
+    assert where in told
+    assert expected in told
+    assert str(path) in told
 
 
 def test_a_rule_of_ones_own_keeps_what_it_does_not_say(tmp_path):

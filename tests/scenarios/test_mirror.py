@@ -1,3 +1,5 @@
+"""Where traffic keeps left, all is as in a mirror."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -11,29 +13,45 @@ from scenarios.aeb import load_aeb_rule
 from scenarios.cases import select_cases
 from scenarios.runs import build_runs
 
+FLIP = np.array([1.0, -1.0])
+FLIP_IN_SPACE = np.array([1.0, -1.0, 1.0])
 OTHER_SIDE = {"east": "east", "north": "south", "west": "west", "south": "north"}
 
 
 def left_handed(scene):
     """The same junction in a mirror that swaps north and south."""
-    flip = np.array([1.0, -1.0])
+    lanes = []
+    for lane in scene.lanes:
+        lanes.append(replace(lane, centreline_m=lane.centreline_m * FLIP))
+
     return replace(
         scene,
-        vertices_m=scene.vertices_m * [1.0, -1.0, 1.0],
+        vertices_m=scene.vertices_m * FLIP_IN_SPACE,
         triangles=scene.triangles[:, ::-1],
-        outline_m=scene.outline_m * flip,
-        lanes=tuple(
-            replace(one, centreline_m=one.centreline_m * flip) for one in scene.lanes
-        ),
-        crosswalks_m=scene.crosswalks_m * flip,
+        outline_m=scene.outline_m * FLIP,
+        lanes=tuple(lanes),
+        crosswalks_m=scene.crosswalks_m * FLIP,
         keeps_left=True,
     )
 
 
-def drive(scene):
+def drive(scene, cases="study,protocol-4.5.1,protocol-2026", speeds="20,50"):
+    """Runs of cases, and what is refused."""
     # Not "all", where impact points take turns, in another order of the arms.
-    cases = select_cases("study,protocol-4.5.1,protocol-2026", speeds="20,50").cases
-    return build_runs(scene, cases, vut=pick_actor("vut", "vut"), rule=load_aeb_rule())
+    chosen = select_cases(cases, speeds=speeds).cases
+    vut = pick_actor("vut", "vut")
+    return build_runs(scene, chosen, vut=vut, rule=load_aeb_rule())
+
+
+def assert_mirrored(found_m, positions_m):
+    """Positions are those of the other side."""
+    assert_allclose(found_m, positions_m * FLIP, rtol=0.0, atol=1e-6)
+
+
+def assert_turned_back(found_deg, yaws_deg):
+    """Each yaw is the negative of the other, but for full turns."""
+    turn = np.radians(found_deg + yaws_deg)
+    assert_allclose(np.cos(turn), 1.0, rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.long
@@ -42,46 +60,45 @@ def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_on_the_ri
     scene = protocol_scene(boxes=[corner], crosswalks_m=[[[14.0, -6.0], [14.0, 6.0]]])
     right, refused = drive(scene)
     left, refused_left = drive(left_handed(scene))
+
     assert len(right) > 100
     assert {run.case.kind for run in right} == {"crossing", "longitudinal", "turning"}
     assert len(refused) == len(refused_left)
+
     ours = {run.id: run for run in left}
     for run in right:
         other_side = f"/{OTHER_SIDE[run.approach]}/"
         twin = ours.pop(run.id.replace(f"/{run.approach}/", other_side))
+
         assert twin.last_brake_time_s == pytest.approx(run.last_brake_time_s, abs=1e-6)
-        for who in ("vut", "vru"):
-            position = getattr(run, f"{who}_position_m") * [1.0, -1.0]
-            found = getattr(twin, f"{who}_position_m")
-            assert_allclose(found, position, rtol=0.0, atol=1e-6)
-            turn = getattr(twin, f"{who}_yaw_deg") + getattr(run, f"{who}_yaw_deg")
-            assert_allclose(np.cos(np.radians(turn)), 1.0, rtol=0.0, atol=1e-6)
+        assert_mirrored(twin.vut_position_m, run.vut_position_m)
+        assert_mirrored(twin.vru_position_m, run.vru_position_m)
+        assert_turned_back(twin.vut_yaw_deg, run.vut_yaw_deg)
+        assert_turned_back(twin.vru_yaw_deg, run.vru_yaw_deg)
         for one, other in zip(run.obstruction, twin.obstruction, strict=True):
+            there_m = one.pose.position_m * FLIP_IN_SPACE
             assert other.actor is one.actor
-            assert other.pose.position_m == pytest.approx(
-                one.pose.position_m * [1.0, -1.0, 1.0], abs=1e-6
-            )
+            assert other.pose.position_m == pytest.approx(there_m, abs=1e-6)
+
     assert not ours
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("is_left_handed", [False, True])
-def test_titles_say_to_which_side_the_vut_turns(is_left_handed):
-    scene = protocol_scene()
-    cases = select_cases("CPTAfs-50,CBTAfs-side,CPTAns-50,CBTAns-0", speeds="10").cases
-    runs, _ = build_runs(
-        left_handed(scene) if is_left_handed else scene,
-        cases,
-        vut=pick_actor("vut", "vut"),
-        rule=load_aeb_rule(),
-    )
-    assert {run.case.name for run in runs} == {case.name for case in cases}
+@pytest.mark.parametrize("change", [replace, left_handed])
+def test_titles_say_to_which_side_the_vut_turns(change):
+    names = {"CPTAfs-50", "CBTAfs-side", "CPTAns-50", "CBTAns-0"}
+    runs, _ = drive(change(protocol_scene()), ",".join(names), "10")
+
+    assert {run.case.name for run in runs} == names
     for run in runs:
         turned_deg = (run.vut_yaw_deg[-1] - run.vut_yaw_deg[0] + 180.0) % 360.0 - 180.0
         if turned_deg > 5.0:
-            side, other = ("left", "right")
+            side = "left"
+            other = "right"
         else:
-            side, other = ("right", "left")
+            side = "right"
+            other = "left"
+
         assert abs(turned_deg) > 5.0
         assert f"turns {side}" in run.case.title
         assert other not in run.case.title
@@ -90,6 +107,7 @@ def test_titles_say_to_which_side_the_vut_turns(is_left_handed):
 def test_a_junction_in_two_mirrors_is_itself_again():
     junction = build_junction(build_scene(lanes_of("a", 10.0, n_lanes=2)))
     twice = mirrored(mirrored(junction))
+
     assert mirrored(junction).keeps_left
     assert not twice.keeps_left
     for name, arm in twice.arms.items():

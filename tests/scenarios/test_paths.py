@@ -1,3 +1,5 @@
+"""Paths of bodies, and motions along them."""
+
 import dataclasses
 
 import numpy as np
@@ -5,42 +7,44 @@ import pytest
 from dragged import front_axle_at
 from hypothesis import example, given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 from refusals import refused_with
 from scipy.interpolate import CubicHermiteSpline
 from strategies import angles_deg, coordinates_m, numbers
 
-from scenarios.courses import Turn, pick_turn
+from scenarios.courses import pick_turn
 from scenarios.paths import Motion, StraightPath, TurnPath, _hermite, travel_time_s
 
 TABLE_M = 1e-6  # what the table of a turn may be off
-WHEELBASE_M = 2.85
-FRONT_AXLE_AHEAD_M = 1.45
 speeds = numbers(0.5, 30.0)
 accelerations_m = st.one_of(st.just(0.0), numbers(0.1, 10.0))
 
 
-def build_turn_path(turn: Turn, **changes) -> TurnPath:
-    values = {
-        "start_m": [0.0, 0.0],
-        "yaw_deg": 0.0,
-        "straight_m": 5.0,
-        "turn": turn,
-        "wheelbase_m": WHEELBASE_M,
-        "front_axle_ahead_m": FRONT_AXLE_AHEAD_M,
-    }
-    return TurnPath(**values | changes)
+TURN_PATH = TurnPath(
+    start_m=[0.0, 0.0],
+    yaw_deg=0.0,
+    straight_m=5.0,
+    turn=pick_turn("far", 10.0),
+    wheelbase_m=2.85,
+    front_axle_ahead_m=1.45,
+)
+
+
+TURNS = (
+    ("far", 10),
+    ("far", 15),
+    ("far", 20),
+    ("near", 10),
+)
 
 
 @st.composite
-def turn_paths(draw) -> TurnPath:
-    side, speed_kmh = draw(
-        st.sampled_from([("far", 10), ("far", 15), ("far", 20), ("near", 10)])
-    )
+def turn_paths(draw):
+    """Turns of the protocol by several angles, anywhere, of cars of several sizes."""
+    turn = pick_turn(*draw(st.sampled_from(TURNS)))
     wheelbase_m = draw(st.sampled_from([2.0, 2.85, 4.0]))
-    return build_turn_path(
-        pick_turn(side, speed_kmh).turned_by(
-            draw(st.sampled_from([60.0, 90.0, 120.0]))
-        ),
+    return TurnPath(
+        turn=turn.turned_by(draw(st.sampled_from([60.0, 90.0, 120.0]))),
         start_m=[draw(coordinates_m), draw(coordinates_m)],
         yaw_deg=draw(angles_deg),
         straight_m=draw(numbers(0.0, 40.0)),
@@ -49,14 +53,16 @@ def turn_paths(draw) -> TurnPath:
     )
 
 
-def _unit(yaw_deg):
+def unit(yaw_deg):
+    """Unit vectors in directions."""
     yaw = np.radians(yaw_deg)
     return np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
 
 
-def _rear_axle_m(path, distance_m):
+def rear_axle_m(path, distance_m):
+    """Middle of the rear axle after a distance."""
     middle, yaw_deg = path.at(distance_m)
-    return middle - (path.wheelbase_m - path.front_axle_ahead_m) * _unit(yaw_deg)
+    return middle - (path.wheelbase_m - path.front_axle_ahead_m) * unit(yaw_deg)
 
 
 # Straight on
@@ -64,10 +70,11 @@ def _rear_axle_m(path, distance_m):
 
 def test_paths_answer_for_any_shape_of_distances():
     straight = StraightPath(start_m=[1.0, 2.0], yaw_deg=90.0)
-    for path in (straight, build_turn_path(pick_turn("far", 10.0))):
+    for path in (straight, TURN_PATH):
         position, heading = path.at(np.arange(6.0).reshape(2, 3))
         assert position.shape == (2, 3, 2)
         assert heading.shape == (2, 3)
+
     position, _ = straight.at(np.arange(6.0).reshape(2, 3))
     assert position[1, 2] == pytest.approx([1.0, 7.0])
 
@@ -81,17 +88,15 @@ def test_the_front_axle_follows_the_line_and_is_ahead_of_the_middle_of_the_body(
 ):
     middle, yaw_deg = path.at(distance_m)
     front_axle, path_yaw_deg = front_axle_at(path, distance_m)
-    assert middle + path.front_axle_ahead_m * _unit(yaw_deg) == pytest.approx(
-        front_axle, abs=TABLE_M
-    )
-    on_turn_m = distance_m - path.straight_m
-    point, angle_deg = path.turn.at(on_turn_m)
-    turn_start = path.start_m + path.straight_m * _unit(path.yaw_deg)
-    ahead = _unit(path.yaw_deg)
-    left = _unit(path.yaw_deg + 90.0)
-    assert front_axle == pytest.approx(
-        turn_start + point[0] * ahead + point[1] * left, abs=1e-9
-    )
+    before_middle = middle + path.front_axle_ahead_m * unit(yaw_deg)
+
+    assert before_middle == pytest.approx(front_axle, abs=TABLE_M)
+
+    point, angle_deg = path.turn.at(distance_m - path.straight_m)
+    ahead = (path.straight_m + point[0]) * unit(path.yaw_deg)
+    left = point[1] * unit(path.yaw_deg + 90.0)
+
+    assert front_axle == pytest.approx(path.start_m + ahead + left, abs=1e-9)
     assert path_yaw_deg == pytest.approx(path.yaw_deg + angle_deg, abs=1e-9)
 
 
@@ -102,13 +107,13 @@ def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(
     step_m = 0.05
     _, yaw_deg = path.at(distance_m)
     _, path_yaw_deg = front_axle_at(path, distance_m)
-    rolled = (
-        np.subtract(*_rear_axle_m(path, distance_m + np.array([0.5, -0.5]) * step_m))
-        / step_m
-    )
-    assert rolled @ _unit(yaw_deg + 90.0) == pytest.approx(0.0, abs=1e-4)
+    after, before = rear_axle_m(path, distance_m + np.array([0.5, -0.5]) * step_m)
+    rolled = (after - before) / step_m
+
+    assert rolled @ unit(yaw_deg + 90.0) == pytest.approx(0.0, abs=1e-4)
+
     lag = np.radians(path_yaw_deg - yaw_deg)
-    assert rolled @ _unit(yaw_deg) == pytest.approx(np.cos(lag), abs=2e-4)
+    assert rolled @ unit(yaw_deg) == pytest.approx(np.cos(lag), abs=2e-4)
 
 
 @given(turn_paths(), numbers(0.0, 1.0))
@@ -116,10 +121,11 @@ def test_before_the_turn_the_body_goes_straight_however_far_back(path, share):
     distance_m = path.straight_m - 100.0 * share
     middle, yaw_deg = path.at(distance_m)
     ahead_m = distance_m - path.front_axle_ahead_m
+
     assert yaw_deg == path.yaw_deg
-    assert middle == pytest.approx(
-        path.start_m + ahead_m * _unit(path.yaw_deg), abs=1e-9
-    )
+
+    expected = path.start_m + ahead_m * unit(path.yaw_deg)
+    assert middle == pytest.approx(expected, abs=1e-9)
 
 
 @given(turn_paths())
@@ -130,16 +136,21 @@ def test_paths_keep_the_bounds_that_they_declare(path):
     yaw = np.radians(yaw_deg)
     turn = path.max_turn_rad_per_m
     slack = TABLE_M / step_m
-    assert (
-        np.linalg.norm(np.diff(middle, axis=0), axis=1) <= step_m * (1.0 + slack)
-    ).all()
-    assert (np.abs(np.diff(yaw)) <= step_m * (turn + slack)).all()
-    bend = np.linalg.norm(np.diff(middle, 2, axis=0), axis=1) / step_m**2
-    assert (bend <= 3.0 * turn + 4.0 * TABLE_M / step_m**2).all()
+    moves_m = np.linalg.norm(np.diff(middle, axis=0), axis=1)
+
+    assert (moves_m <= step_m * (1.0 + slack)).all()
+
+    turned = np.abs(np.diff(yaw))
+    assert (turned <= step_m * (turn + slack)).all()
+
+    slack = 4.0 * TABLE_M / step_m**2
+    changes_m = np.diff(middle, 2, axis=0)
+    bend = np.linalg.norm(changes_m, axis=1) / step_m**2
+
+    assert (bend <= 3.0 * turn + slack).all()
+
     turn_change = np.abs(np.diff(yaw, 2)) / step_m**2
-    assert (
-        turn_change <= path.max_turn_change_rad_per_m2 + 4.0 * TABLE_M / step_m**2
-    ).all()
+    assert (turn_change <= path.max_turn_change_rad_per_m2 + slack).all()
 
 
 def test_a_straight_path_declares_that_it_never_turns():
@@ -162,13 +173,14 @@ def test_a_straight_path_declares_that_it_never_turns():
 )
 def test_a_turn_path_says_what_is_wrong(change, message):
     with refused_with(message):
-        build_turn_path(pick_turn("far", 10.0), **change)
+        dataclasses.replace(TURN_PATH, **change)
 
 
 # Motion
 
 
-def _motion(speed_mps, start_time_s=0.0, acceleration_distance_m=0.0):
+def motion_of(speed_mps, start_time_s=0.0, acceleration_distance_m=0.0):
+    """A motion straight on."""
     return Motion(
         path=StraightPath(start_m=[0.0, 0.0], yaw_deg=0.0),
         speed_mps=speed_mps,
@@ -181,7 +193,7 @@ def _motion(speed_mps, start_time_s=0.0, acceleration_distance_m=0.0):
 def test_a_motion_stands_until_its_start_and_then_keeps_its_speed(
     speed, start_s, time_s, later_s
 ):
-    motion = _motion(speed, start_s)
+    motion = motion_of(speed, start_s)
     if time_s <= start_s:
         assert motion.distance_m(time_s) == 0.0
     else:
@@ -194,28 +206,33 @@ def test_a_motion_stands_until_its_start_and_then_keeps_its_speed(
 def test_a_motion_from_rest_reaches_its_speed_after_twice_the_distance_over_the_speed(
     speed, acceleration_m, share, later_s
 ):
-    motion = _motion(speed, -3.0, acceleration_m)
+    motion = motion_of(speed, -3.0, acceleration_m)
     up_to_speed_s = 2.0 * acceleration_m / speed
+
     # v^2 / (2 a) for so long, and then the speed itself.
     assert motion.acceleration_mps2 * up_to_speed_s == pytest.approx(speed)
+
     gaining_s = share * up_to_speed_s
-    assert motion.distance_m(-3.0 + gaining_s) == pytest.approx(
-        0.5 * motion.acceleration_mps2 * gaining_s**2, abs=1e-9
-    )
-    assert motion.distance_m(-3.0 + up_to_speed_s + later_s) == pytest.approx(
-        acceleration_m + speed * later_s, abs=1e-9
-    )
+    gained_m = 0.5 * motion.acceleration_mps2 * gaining_s**2
+
+    assert motion.distance_m(-3.0 + gaining_s) == pytest.approx(gained_m, abs=1e-9)
+
+    at_speed_m = motion.distance_m(-3.0 + up_to_speed_s + later_s)
+    assert at_speed_m == pytest.approx(acceleration_m + speed * later_s, abs=1e-9)
     assert motion.distance_m(-3.5) == 0.0
 
 
 @example(1.0, 2.0, 1.0)  # not yet up to speed
 @given(speeds, accelerations_m, numbers(0.0, 60.0))
 def test_travel_time_inverts_the_distance(speed, acceleration_m, time_s):
-    motion = _motion(speed, 0.0, acceleration_m)
+    motion = motion_of(speed, 0.0, acceleration_m)
     distance_m = float(motion.distance_m(time_s))
     travel_s = travel_time_s(
-        distance_m, speed_mps=speed, acceleration_distance_m=acceleration_m
+        distance_m,
+        speed_mps=speed,
+        acceleration_distance_m=acceleration_m,
     )
+
     assert travel_s == pytest.approx(time_s, abs=1e-6)
     assert motion.distance_m(travel_s) == pytest.approx(distance_m, abs=1e-9)
 
@@ -237,13 +254,13 @@ def test_travel_time_inverts_the_distance(speed, acceleration_m, time_s):
         ),
         (
             {"acceleration_distance_m": -0.1},
-            "motion.acceleration_distance_m: got -0.1; expected metres, at least 0",
+            ("motion.acceleration_distance_m: got -0.1; expected metres, at least 0"),
         ),
     ],
 )
 def test_a_motion_says_what_is_wrong(change, message):
     with refused_with(message):
-        dataclasses.replace(_motion(1.0), **change)
+        dataclasses.replace(motion_of(1.0), **change)
 
 
 @pytest.mark.parametrize(
@@ -264,11 +281,20 @@ def test_a_travel_time_of_nonsense_is_refused(
 ):
     with refused_with(message):
         travel_time_s(
-            distance_m, speed_mps=speed_mps, acceleration_distance_m=acceleration_m
+            distance_m,
+            speed_mps=speed_mps,
+            acceleration_distance_m=acceleration_m,
         )
 
 
-@pytest.mark.parametrize(("n_nodes", "stride"), [(2, 4), (5, 4), (60, 8)])
+@pytest.mark.parametrize(
+    ("n_nodes", "stride"),
+    [
+        (2, 4),
+        (5, 4),
+        (60, 8),
+    ],
+)
 def test_headings_between_nodes_are_scipys_cubics(n_nodes, stride):
     rng = np.random.default_rng(n_nodes)
     nodes = np.cumsum(rng.normal(size=n_nodes))
@@ -276,4 +302,5 @@ def test_headings_between_nodes_are_scipys_cubics(n_nodes, stride):
     at = stride * np.arange(n_nodes)
     every = np.minimum(np.arange(at[-1] + 3), at[-1])
     expected = CubicHermiteSpline(at, nodes, slope)(every)
-    np.testing.assert_array_equal(_hermite(nodes, slope, stride, len(every)), expected)
+
+    assert_array_equal(_hermite(nodes, slope, stride, len(every)), expected)

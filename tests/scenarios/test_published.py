@@ -1,3 +1,5 @@
+"""The runs that others have published, and placements told in files."""
+
 import copy
 import math
 import tomllib
@@ -15,30 +17,22 @@ from geometry.tables import read_table
 from scenarios import published
 from scenarios.published import stage_published
 
-GOLDEN = tomllib.loads(
-    (Path(__file__).parents[1] / "golden" / "carla_ncap_runs.toml").read_text(
-        encoding="utf-8"
-    )
-)["runs"]
+GOLDEN_FILE = Path(__file__).parents[1] / "golden" / "carla_ncap_runs.toml"
+GOLDEN = tomllib.loads(GOLDEN_FILE.read_text(encoding="utf-8"))["runs"]
 VRU_NAMES = {"bicycle": "cyclist", "pedestrian": "adult"}
 
 
 def _placement(placements, golden):
-    (found,) = (
-        placement
-        for placement in placements
-        if (placement.case.name, placement.approach)
-        == (golden["case"], golden["approach_from"])
-    )
+    """The placement that a published run has."""
+    meant = (golden["case"], golden["approach_from"])
+    (found,) = [one for one in placements if (one.case.name, one.approach) == meant]
     return found
 
 
 def _runs_of(runs, placement):
-    return [
-        run
-        for run in runs
-        if (run.case.name, run.approach) == (placement.case.name, placement.approach)
-    ]
+    """Runs of all speeds of a placement."""
+    meant = (placement.case.name, placement.approach)
+    return [run for run in runs if (run.case.name, run.approach) == meant]
 
 
 def test_all_ten_published_placements_are_there():
@@ -65,18 +59,18 @@ def test_published_vrus_are_at_the_collision_point_at_the_impact(
         # so that the cyclist never reaches it. Ours meet where the two paths cross.
         assert collision[1] == pytest.approx(golden["vru_start"][1] - 3.0)
         collision[1] = golden["vru_start"][1]
+
     drives = _runs_of(runs, _placement(placements, golden))
-    travel_s = math.dist(collision, golden["vru_start"]) / (
-        golden["vru_speed_kmh"] / 3.6
-    )
+    speed_mps = golden["vru_speed_kmh"] / 3.6
+    travel_s = math.dist(collision, golden["vru_start"]) / speed_mps
+
     assert len(drives) >= 8
     for run in drives:
-        assert to_carla_points(run.vru_position_m[-1]) == pytest.approx(
-            collision, abs=1e-6
-        )
-        assert run.encounter.vru_motion.start_time_s == pytest.approx(
-            -travel_s, abs=1e-6
-        )
+        met_m = to_carla_points(run.vru_position_m[-1])
+        start_s = run.encounter.vru_motion.start_time_s
+
+        assert met_m == pytest.approx(collision, abs=1e-6)
+        assert start_s == pytest.approx(-travel_s, abs=1e-6)
 
 
 # Placements from TOML
@@ -94,15 +88,13 @@ CROSSING = {
 
 def _load(monkeypatch, *entries, **table):
     """What ``load_placements`` makes of a file; nothing is remembered."""
-    monkeypatch.setattr(
-        published,
-        "load_data",
-        lambda package, name: {"scene": "town05", "placements": list(entries), **table},
-    )
+    table |= {"scene": "town05", "placements": list(entries)}
+    monkeypatch.setattr(published, "load_data", lambda package, name: table)
     return published.load_placements.__wrapped__()
 
 
 def _changed(**changes):
+    """The entry of a crossing with other values; without those that are None."""
     entry = copy.deepcopy(CROSSING)
     for key, value in changes.items():
         if value is None:
@@ -122,12 +114,14 @@ def test_a_placement_carries_its_parked_bodies_into_every_run(monkeypatch, actor
     }
     (placement,) = _load(monkeypatch, CROSSING, parked_rows=[row])
     first, second = placement.obstruction
+
     assert isinstance(first, PlacedActor)
     assert first.actor is second.actor is actors["parked-car-large"]
     assert first.pose.position_m == pytest.approx([-100.0, 7.0, 0.0])
     assert second.pose.position_m == pytest.approx([-100.0, 8.0 + length_m, 0.0])
     assert first.pose.yaw_deg == -90.0
     assert first.pose.pitch_deg == 0.0
+
     staging = stage_published(placement, vut_speed_kmh=40.0, vut=actors["vut"])
     assert staging.obstruction == (first, second)
 
@@ -136,10 +130,13 @@ def test_a_placement_carries_its_parked_bodies_into_every_run(monkeypatch, actor
 def test_a_crossing_may_be_a_degree_out_of_square(monkeypatch, actors, vru_yaw_deg):
     (placement,) = _load(monkeypatch, _changed(vru_yaw_deg=vru_yaw_deg))
     for speed_kmh in placement.case.vut_speeds_kmh:
-        encounter = stage_published(
-            placement, vut_speed_kmh=speed_kmh, vut=actors["vut"]
-        ).encounter
-        assert separation_m(encounter, np.array([0.0])) == pytest.approx(0.0, abs=0.01)
+        staging = stage_published(
+            placement,
+            vut_speed_kmh=speed_kmh,
+            vut=actors["vut"],
+        )
+        apart_m = separation_m(staging.encounter, np.array([0.0]))
+        assert apart_m == pytest.approx(0.0, abs=0.01)
 
 
 def test_a_placement_without_parked_bodies_has_none(monkeypatch):
@@ -181,15 +178,15 @@ def test_a_placement_without_parked_bodies_has_none(monkeypatch):
         (
             {"collision_point_m": [-110.0, -3.0]},
             (
-                "{0}.collision_point_m: got [-110.0, -3.0]; expected a point on the"
-                " VUT's path"
+                "{0}.collision_point_m: got [-110.0, -3.0]; expected a point on "
+                "the VUT's path"
             ),
         ),
         (
             {"vru_yaw_deg": 270.0},
             (
-                "{0}: got paths that meet behind a start; expected starts before the"
-                " meeting point"
+                "{0}: got paths that meet behind a start; expected starts before "
+                "the meeting point"
             ),
         ),
     ],

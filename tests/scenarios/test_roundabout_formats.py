@@ -38,21 +38,27 @@ def scenes(tmp_path_factory):
         scene = import_scene([path], ImportOptions()).scene
         lanes = tuple(replace(lane, speed_limit_kmh=None) for lane in scene.lanes)
         found[name] = replace(scene, lanes=lanes)
+
     return found
 
 
 @pytest.fixture(scope="module")
 def runs(scenes, actors, rule):
+    """Runs of every case on each scene, at the first speed of each case."""
+    cases = [at_first_speed(case) for case in load_cases().values()]
+    positions = build_positions([0.0, 15.0])
+
     found = {}
     for name, scene in scenes.items():
         laid, _ = build_runs(
             scene,
-            [at_first_speed(case) for case in load_cases().values()],
+            cases,
             vut=actors["vut"],
             rule=rule,
-            positions=build_positions([0.0, 15.0]),
+            positions=positions,
         )
         found[name] = laid
+
     return found
 
 
@@ -60,6 +66,7 @@ def runs(scenes, actors, rule):
 def test_formats_differ_by_one_run_in_twenty_at_most(runs, name):
     by_case = Counter(run.case.name for run in runs["ring.xodr"])
     others = Counter(run.case.name for run in runs[name])
+
     assert others.total() == pytest.approx(by_case.total(), rel=0.05)
     assert by_case.keys() == others.keys()
 

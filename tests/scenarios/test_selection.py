@@ -1,3 +1,5 @@
+"""Cases and speeds chosen by their names."""
+
 import pytest
 
 from geometry.errors import InputError
@@ -5,6 +7,7 @@ from scenarios.cases import select_cases
 
 
 def speeds(selection):
+    """Speeds that are driven, by the names of cases."""
     return {case.name: case.vut_speeds_kmh for case in selection.cases}
 
 
@@ -32,8 +35,8 @@ def test_a_case_without_the_speed_is_left_out_and_told():
         (
             "70",
             (
-                "speeds: got 70; expected 10 to 60 km/h as the protocol drives these"
-                " cases"
+                "speeds: got 70; expected 10 to 60 km/h as the protocol drives "
+                "these cases"
             ),
         ),
         ("20,nan", "speeds: got 'nan'; expected km/h with commas between"),

@@ -12,12 +12,17 @@ RULE = load_decision_rule()
 
 @pytest.fixture(scope="module")
 def twins(crossing_runs):
+    """Twins of runs: the same but for who is met, who gets out of the way."""
     return build_twins(crossing_runs, RULE)
 
 
 def corners(actor, position_m, yaw_deg):
+    """Corners of a body on the ground, at each place."""
     return footprint_corners(
-        position_m, yaw_deg, length_m=actor.length_m, width_m=actor.width_m
+        position_m,
+        yaw_deg,
+        length_m=actor.length_m,
+        width_m=actor.width_m,
     )
 
 
@@ -30,6 +35,7 @@ def test_no_twin_comes_nearer_than_the_clearance_to_where_the_car_ever_is(twins)
         car = corners(run.encounter.vut, *motion.path.at(along_m))
         user = corners(run.encounter.vru, run.vru_position_m, run.vru_yaw_deg)
         gap_m = footprint_separation(car[:, None], user[None]).min()
+
         assert gap_m >= RULE.clearance_m - 0.02, (run.id, twin.kind)
 
 
@@ -37,7 +43,9 @@ def test_who_crosses_stops_or_turns_off_and_who_rides_ahead_moves_aside(
     twins, crossing_runs
 ):
     kinds = {(twin.run.case.family, twin.kind) for twin in twins}
-    assert {("CBNA", "stops"), ("CBNA", "turns off"), ("CBLA", "aside")} <= kinds
+    expected = {("CBNA", "stops"), ("CBNA", "turns off"), ("CBLA", "aside")}
+
+    assert expected <= kinds
     assert {of for name, of in kinds if name == "CBLA"} == {"aside"}
     assert len({twin.of_run for twin in twins}) == len(crossing_runs)
 
@@ -47,9 +55,11 @@ def test_who_stops_slows_down_as_the_rule_says_and_stands_at_the_clearance(twins
     assert stopping
     for run in stopping:
         step_s = np.diff(run.time_s).mean()
-        speed = np.linalg.norm(np.diff(run.vru_position_m, axis=0), axis=1) / step_s
+        speed = np.linalg.norm(np.diff(run.vru_position_m, axis=0), axis=-1) / step_s
         slowing = -np.diff(speed) / step_s
+
         assert slowing.max() <= RULE.stop_mps2 + 1e-6
+
         # It could still stop where it has to: nobody is nearer than that.
         own_mps = run.encounter.vru_motion.speed_mps
         assert speed[-1] < 0.75 * own_mps
@@ -70,7 +80,6 @@ def test_nobody_walks_through_what_is_parked(twins):
     for run in hidden:
         user = corners(run.encounter.vru, run.vru_position_m, run.vru_yaw_deg)
         for parked in run.obstruction:
-            there = corners(
-                parked.actor, parked.pose.position_m[:2], parked.pose.yaw_deg
-            )
+            pose = parked.pose
+            there = corners(parked.actor, pose.position_m[:2], pose.yaw_deg)
             assert footprint_separation(user, there).min() > 0.0

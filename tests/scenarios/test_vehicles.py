@@ -11,13 +11,13 @@ import pytest
 from dragged import has_contact
 from hypothesis import given
 from hypothesis import strategies as st
-from junctions import ARMS, MOUTH_M, build_scene, lanes_of, protocol_scene, turned
+from junctions import MOUTH_M, build_scene, lanes_of, protocol_scene, turned
 from refusals import refused_with
+from scenario_lanes import arm_lanes, pose_at
 from strategies import KMH, numbers
 
 from geometry.errors import InputError
 from geometry.junction import build_junction
-from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
 from placement.question import Question
 from placement.setting import drive
@@ -31,25 +31,21 @@ from scenarios.cases import (
 )
 from scenarios.paths import Motion, StraightPath
 from scenarios.protocol import stage_by_protocol
-from scenarios.runs import build_runs
 from scenarios.staging import CannotCarryError, NoRoadError
 
-GOLDEN = tomllib.loads(
-    (Path(__file__).parents[1] / "golden" / "euroncap_junction.toml").read_text(
-        encoding="utf-8"
-    )
-)
+FILE = Path(__file__).parents[1] / "golden" / "euroncap_junction.toml"
+GOLDEN = tomllib.loads(FILE.read_text(encoding="utf-8"))
 JUNCTION = build_junction(protocol_scene())
 RULE = load_aeb_rule()
 CROSSING = tuple(GOLDEN["crossing"])
 
 
 @pytest.fixture(scope="module")
-def golf(actors):
+def golf(vut):
     """The VUT that the files assume."""
     size = GOLDEN["turning"]["vut"]
     return replace(
-        actors["vut"],
+        vut,
         name="golf",
         length_m=size["length_m"],
         width_m=size["width_m"],
@@ -59,59 +55,65 @@ def golf(actors):
 
 
 def stage(name, vut, speed_kmh, vru_kmh, *, approach="west", junction=JUNCTION):
+    """A case at its speeds, with the bodies beside."""
     (case,) = pick_cases(name, "cases", case_range="extended")
     case = at_vru_speed(case, vru_kmh)
     return stage_by_protocol(case, junction, approach, vut_speed_kmh=speed_kmh, vut=vut)
 
 
-def at(motion, time_s=0.0):
-    position, yaw_deg = motion.path.at(motion.distance_m(time_s))
-    return np.asarray(position), float(yaw_deg)
+def ahead(yaw_deg):
+    """Unit vector in a direction."""
+    return turned([1.0, 0.0], yaw_deg)
 
 
 # ---------- poses at the impact
 @pytest.mark.parametrize("name", CROSSING)
 @pytest.mark.parametrize(
-    ("speed_kmh", "vru_kmh"), [(20, 60), (40, 40), (60, 20), (80, 30)]
+    ("speed_kmh", "vru_kmh"),
+    [
+        (20, 60),
+        (40, 40),
+        (60, 20),
+        (80, 30),
+    ],
 )
 def test_crossing_vehicles_meet_where_the_protocol_says(golf, name, speed_kmh, vru_kmh):
     golden = GOLDEN["crossing"][name]
     encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
-    vut, _ = at(encounter.vut_motion)
-    vru, vru_yaw_deg = at(encounter.vru_motion)
+    motion = encounter.vru_motion
+    vut, _ = pose_at(encounter.vut_motion)
+    vru, vru_yaw_deg = pose_at(motion)
+
     assert vut == pytest.approx(golden["vut_middle_m"], abs=1e-4)
     assert vru == pytest.approx(golden["vru_middle_m"], abs=1e-4)
     assert vru_yaw_deg == pytest.approx(golden["vru_yaw_deg"])
     # At its speed for the protocol's 3.5 s.
-    assert encounter.vru_motion.speed_mps == pytest.approx(vru_kmh * KMH)
-    assert encounter.vru_motion.start_time_s == pytest.approx(-3.5, abs=1e-6)
-    assert encounter.vru_motion.acceleration_distance_m == 0.0
+    assert motion.speed_mps == pytest.approx(vru_kmh * KMH)
+    assert motion.start_time_s == pytest.approx(-3.5, abs=1e-6)
+    assert motion.acceleration_distance_m == 0.0
 
 
 @pytest.mark.parametrize("name", ["CCFtap", "CMFtap"])
 def test_vehicles_ahead_of_a_turning_vut_meet_where_the_protocol_says(golf, name):
-    golden = GOLDEN["turning"][name]
     turning = GOLDEN["turning"]
     rear_m = turning["vut"]["middle_ahead_of_rear_axle_m"]
+    golden = {key: np.array(table) for key, table in turning[name].items()}
+
     for row, speed_kmh in enumerate(turning["vut_speeds_kmh"]):
         for column, vru_kmh in enumerate(turning["vru_speeds_kmh"]):
             encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
-            vut, yaw_deg = at(encounter.vut_motion)
-            vru, vru_yaw_deg = at(encounter.vru_motion)
-            rear = vut - rear_m * turned([1.0, 0.0], yaw_deg)
-            front = vru + 0.5 * encounter.vru.length_m * turned([1.0, 0.0], vru_yaw_deg)
-            assert rear[0] == pytest.approx(
-                golden["vut_rear_axle_x_m"][row][column], abs=2e-4
-            )
-            assert rear[1] == pytest.approx(
-                golden["vut_rear_axle_y_m"][row][column], abs=2e-4
-            )
-            assert yaw_deg == pytest.approx(
-                golden["vut_yaw_deg"][row][column], abs=1e-3
-            )
-            assert front == pytest.approx(
-                [golden["vru_front_x_m"][row][column], 1.75], abs=2e-4
-            )
+            vut, yaw_deg = pose_at(encounter.vut_motion)
+            vru, vru_yaw_deg = pose_at(encounter.vru_motion)
+            x, y = vut - rear_m * ahead(yaw_deg)
+            front = vru + 0.5 * encounter.vru.length_m * ahead(vru_yaw_deg)
+            place = (row, column)
+
+            assert x == pytest.approx(golden["vut_rear_axle_x_m"][place], abs=2e-4)
+            assert y == pytest.approx(golden["vut_rear_axle_y_m"][place], abs=2e-4)
+            assert yaw_deg == pytest.approx(golden["vut_yaw_deg"][place], abs=1e-3)
+
+            expected = [golden["vru_front_x_m"][place], 1.75]
+            assert front == pytest.approx(expected, abs=2e-4)
 
 
 @pytest.mark.parametrize("family", ["CCCscp", "CMCscp"])
@@ -119,18 +121,16 @@ def test_vehicles_ahead_of_a_turning_vut_meet_where_the_protocol_says(golf, name
 def test_three_cars_are_parked_where_the_protocol_says(golf, family, side):
     golden = GOLDEN["parked"][side]
     parked = stage(f"{family}-{side}", golf, 40, 60).obstruction
-    names = ("large", "small", "small_2")
-    assert [body.actor.name for body in parked] == [
-        "parked-car-large",
-        "parked-car-small",
-        "parked-car-small",
-    ]
-    for name, body in zip(names, parked, strict=True):
+    for name, body in zip(("large", "small", "small_2"), parked, strict=True):
         size = np.array([body.actor.length_m, body.actor.width_m])
-        low = body.pose.position_m[:2] - 0.5 * size
-        high = body.pose.position_m[:2] + 0.5 * size
-        assert [low[0], high[0]] == pytest.approx(golden[f"{name}_x_m"], abs=1e-6)
-        assert [low[1], high[1]] == pytest.approx(golden[f"{name}_y_m"], abs=1e-6)
+        middle = body.pose.position_m[:2]
+        low = middle - 0.5 * size
+        high = middle + 0.5 * size
+        x, y = np.stack([low, high], axis=1)
+
+        assert body.actor.name == f"parked-car-{name.removesuffix('_2')}"
+        assert x == pytest.approx(golden[f"{name}_x_m"], abs=1e-6)
+        assert y == pytest.approx(golden[f"{name}_y_m"], abs=1e-6)
         assert body.pose.yaw_deg == pytest.approx(0.0, abs=1e-9)
 
 
@@ -140,26 +140,28 @@ def test_where_one_of_both_is_faster_than_60_kmh_no_cars_are_parked(golf):
     assert not stage("CCCscp-far", golf, 20, 80).obstruction
 
 
-@pytest.mark.parametrize(
-    ("speed_kmh", "braking_s"),
-    [
-        *zip(
-            GOLDEN["braking"]["vut_speeds_kmh"],
-            GOLDEN["braking"]["time_braking_to_impact_s"],
-            strict=True,
-        )
-    ],
+BRAKING = GOLDEN["braking"]
+BRAKING_S = dict(
+    zip(BRAKING["vut_speeds_kmh"], BRAKING["time_braking_to_impact_s"], strict=True)
 )
+
+
+@pytest.mark.parametrize(("speed_kmh", "braking_s"), BRAKING_S.items())
 @pytest.mark.parametrize("name", ["CCRb-2026-50", "CMRb-25"])
 def test_a_vehicle_ahead_brakes_so_long_before_the_impact_as_the_protocol_says(
     golf, name, speed_kmh, braking_s
 ):
     encounter = stage(name, golf, speed_kmh, speed_kmh).encounter
     motion = encounter.vru_motion
+
     assert motion.brake_time_s == pytest.approx(-braking_s, abs=6e-4)
-    vut, _ = at(encounter.vut_motion, motion.brake_time_s)
-    vru, _ = at(motion, motion.brake_time_s)
-    gap_m = (vru - vut)[0] - 0.5 * (encounter.vut.length_m + encounter.vru.length_m)
+
+    vut, _ = pose_at(encounter.vut_motion, motion.brake_time_s)
+    vru, _ = pose_at(motion, motion.brake_time_s)
+    ahead_m, _ = vru - vut
+    lengths_m = encounter.vut.length_m + encounter.vru.length_m
+    gap_m = ahead_m - 0.5 * lengths_m
+
     assert gap_m == pytest.approx(speed_kmh * KMH, abs=1e-5)  # a second behind
     assert motion.start_time_s <= motion.brake_time_s - 1.0 + 1e-6
 
@@ -190,6 +192,7 @@ def test_the_last_moment_of_a_straight_crossing_is_its_closed_form(
         last_s = left_s - braked_s
     else:
         last_s = -(beyond_m / v + 0.5 * v / a)
+
     assert last_brake_time_s(encounter, RULE) == pytest.approx(last_s, abs=2e-5)
 
 
@@ -215,8 +218,11 @@ def test_the_last_moment_behind_and_ahead_of_a_steady_vehicle_is_its_closed_form
     # comes on.
     last_s = -0.5 * (v - u) / a
     if name.startswith("CCFhos"):
-        last_s = -(0.5 * v**2 / a + u * v / a) / (v + u)
+        stop_m = 0.5 * v**2 / a
+        come_m = u * v / a
+        last_s = -(stop_m + come_m) / (v + u)
     encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
+
     assert last_brake_time_s(encounter, RULE) == pytest.approx(last_s, abs=2e-5)
 
 
@@ -238,9 +244,14 @@ def test_behind_a_vehicle_that_brakes_the_last_moment_is_the_last_one(
     )
     case = replace(case, braking=braking, vru_speed_kmh=speed_kmh)
     encounter = stage_by_protocol(
-        case, JUNCTION, "west", vut_speed_kmh=speed_kmh, vut=golf
+        case,
+        JUNCTION,
+        "west",
+        vut_speed_kmh=speed_kmh,
+        vut=golf,
     ).encounter
     last_s = last_brake_time_s(encounter, RULE)
+
     assert last_s < 0.0
     assert not has_contact(encounter, last_s, RULE)
     assert has_contact(encounter, last_s + 1e-3, RULE)
@@ -271,24 +282,24 @@ def test_the_distance_of_a_motion_that_brakes_is_the_area_under_its_speed(
     )
     step_s = until_s / 4000
     middles = start_s + step_s * (np.arange(4000) + 0.5)
-    if acceleration_m == 0.0:
-        gained = 1.0
-    else:
+    gained = np.ones(4000)
+    if acceleration_m > 0.0:
         gained = np.minimum((middles - start_s) / up_to_speed_s, 1.0)
     lost = deceleration_mps2 * np.maximum(middles - motion.brake_time_s, 0.0)
-    speed = np.maximum(
-        speed_mps * gained - lost, share * speed_mps * (middles > start_s)
-    )
+    speed = np.maximum(speed_mps * gained - lost, share * speed_mps)
     speed = np.where(middles < motion.brake_time_s, speed_mps * gained, speed)
+
+    area_m = speed.sum() * step_s
     steepest = max(motion.acceleration_mps2, deceleration_mps2)
-    assert float(motion.distance_m(start_s + until_s)) == pytest.approx(
-        speed.sum() * step_s, abs=steepest * step_s**2 + 1e-9
-    )
+    distance_m = float(motion.distance_m(start_s + until_s))
+
+    assert distance_m == pytest.approx(area_m, abs=steepest * step_s**2 + 1e-9)
 
 
 def test_a_motion_may_stand_where_it_is():
     path = StraightPath(start_m=[1.0, 2.0], yaw_deg=90.0)
     motion = Motion(path=path, speed_mps=0.0, start_time_s=-4.0)
+
     assert (motion.distance_m([-9.0, 0.0, 9.0]) == 0.0).all()
     assert motion.acceleration_mps2 == 0.0
 
@@ -320,135 +331,113 @@ def test_a_motion_that_brakes_says_what_is_wrong(change, message):
         "deceleration_mps2": 4.0,
     }
     with refused_with(message):
-        Motion(**{**good, **change})
+        Motion(**good | change)
 
 
 # ---------- on other junctions
-def refused(
-    name, vut, lanes, *, approach="west", speed_kmh=20, vru_kmh=20, **scene_fields
-):
-    junction = build_junction(build_scene(lanes, **scene_fields))
+def refusal(name, vut, lanes, *, speed_kmh=20, vru_kmh=20):
+    """Why a case finds no road on a junction of these lanes."""
+    junction = build_junction(build_scene(lanes))
     with pytest.raises(CannotCarryError) as caught:
-        stage(name, vut, speed_kmh, vru_kmh, approach=approach, junction=junction)
-    return caught.value
+        stage(name, vut, speed_kmh, vru_kmh, junction=junction)
+
+    assert isinstance(caught.value, NoRoadError)
+    return str(caught.value)
 
 
-def arms_without(*names):
-    return [
-        lane
-        for arm, bearing in ARMS.items()
-        if arm not in names
-        for lane in lanes_of(arm, bearing)
-    ]
-
-
-def test_a_junction_without_a_crossing_road_carries_no_crossing_traffic(golf):
-    no_far = arms_without("north")
-    no_near = arms_without("south")
-    for lanes, name, reason in (
-        (no_far, "CCCscp-far", "no lane leads into the junction from the far side"),
-        (no_far, "CMCscp-near", "no road leads straight across from the near side"),
-        (no_near, "CCCscp-near", "no lane leads into the junction from the near side"),
-        (no_near, "CCCscp-far", "no road leads straight across from the far side"),
-        (
-            arms_without("east"),
-            "CCFtap",
-            "no lane leads towards the VUT from straight ahead",
-        ),
-    ):
-        error = refused(name, golf, lanes)
-        assert isinstance(error, NoRoadError)
-        assert str(error) == reason
+@pytest.mark.parametrize(
+    ("arm", "name", "reason"),
+    [
+        ("north", "CCCscp-far", "no lane leads into the junction from the far side"),
+        ("north", "CMCscp-near", "no road leads straight across from the near side"),
+        ("south", "CCCscp-near", "no lane leads into the junction from the near side"),
+        ("south", "CCCscp-far", "no road leads straight across from the far side"),
+        ("east", "CCFtap", "no lane leads towards the VUT from straight ahead"),
+    ],
+)
+def test_a_junction_without_a_crossing_road_carries_no_crossing_traffic(
+    golf, arm, name, reason
+):
+    assert refusal(name, golf, arm_lanes(without=[arm])) == reason
 
 
 def bent_road(*, radius_m):
     """The protocol's junction with a northern arm that turns right behind its mouth."""
-    lanes = []
+    lanes = arm_lanes(without=["north"])
+    along = np.append(0.0, np.linspace(4.0, 120.0, 60))
+    angle = np.maximum(along - 8.0, 0.0) / radius_m
+    north = MOUTH_M + np.minimum(along, 8.0) + radius_m * np.sin(angle)
+
     for lane in lanes_of("north", 90.0):
-        along = np.append(0.0, np.linspace(4.0, 120.0, 60))
-        angle = np.maximum(along - 8.0, 0.0) / radius_m
-        offset_m = lane.centreline_m[0, 0]
-        east = offset_m + radius_m * (1.0 - np.cos(angle))
-        north = MOUTH_M + np.minimum(along, 8.0) + radius_m * np.sin(angle)
-        places = np.stack([east, north], axis=-1)
-        is_in = lane.id.startswith("north-in")
-        lanes.append(
-            Lane(
-                id=lane.id,
-                kind="driving",
-                width_m=lane.width_m,
-                centreline_m=places[::-1] if is_in else places,
-            )
-        )
-    return [*arms_without("north"), *lanes]
+        east = lane.centreline_m[0, 0] + radius_m * (1.0 - np.cos(angle))
+        line = np.stack([east, north], axis=-1)
+        if lane.id.startswith("north-in"):
+            line = line[::-1]
+        lanes.append(replace(lane, centreline_m=line))
+    return lanes
 
 
 def test_a_target_that_its_lanes_bend_is_too_slow_for_is_refused(golf):
-    error = refused(
-        "CCCscp-far", golf, bent_road(radius_m=30.0), speed_kmh=20, vru_kmh=60
-    )
-    assert isinstance(error, NoRoadError)
-    assert str(error) == (
+    lanes = bent_road(radius_m=30.0)
+    assert refusal("CCCscp-far", golf, lanes, vru_kmh=60) == (
         "the lanes curve: a lateral acceleration of 4 m/s^2 allows the target"
         " 35 km/h there"
     )
-    junction = build_junction(build_scene(bent_road(radius_m=30.0)))
+
+    junction = build_junction(build_scene(lanes))
     slow = stage("CCCscp-far", golf, 20, 30, junction=junction).encounter
+
     assert slow.vru_motion.speed_mps == pytest.approx(30 * KMH)
 
 
-def test_parked_cars_that_do_not_fit_are_refused_with_the_reason(actors, rule):
-    case = replace(
-        load_cases()["CCCscp-near"], vut_speeds_kmh=(30.0,), pairs_kmh=((30.0, 30.0),)
-    )
+def test_parked_cars_that_do_not_fit_are_refused_with_the_reason(lay):
+    case = replace(load_cases()["CCCscp-near"], pairs_kmh=((30.0, 30.0),))
     # A wall all along the kerb of the western arm.
-    scene = protocol_scene(boxes=[("wall", -40.0, -6.0, 60.0, 4.5, 2.0)])
-    runs, (refusal,) = build_runs(
-        scene, [case], vut=actors["vut"], rule=rule, approaches=["west"]
-    )
+    wall = ("wall", -40.0, -6.0, 60.0, 4.5, 2.0)
+    scene = protocol_scene(boxes=[wall])
+    runs, refusals = lay(scene, [case], speeds_kmh=(30.0,), approaches=["west"])
+    (refused,) = refusals
+
     assert not runs
-    assert refusal.reason == "wall occupies the place of parked-car-large"
-    assert refusal.speeds_text == "30x30"
-    assert refusal.is_possible
+    assert refused.reason == "wall occupies the place of parked-car-large"
+    assert refused.speeds_text == "30x30"
+    assert refused.is_possible
 
 
-def test_both_speeds_stand_in_a_runs_id(actors, rule):
-    case = replace(load_cases()["CCCscp-far"], vut_speeds_kmh=(30.0, 40.0))
-    runs, refusals = build_runs(
-        protocol_scene(), [case], vut=actors["vut"], rule=rule, approaches=["north"]
-    )
-    assert not refusals
+def test_both_speeds_stand_in_a_runs_id(lay):
+    scene = protocol_scene()
+    speeds = (30.0, 40.0)
+    runs, refused = lay(scene, ["CCCscp-far"], speeds_kmh=speeds, approaches=["north"])
+    pairs = [(vut, vru) for vut in (30, 40) for vru in (20, 30, 40, 50, 60)]
+
+    assert not refused
     assert [run.id for run in runs] == [
-        f"CCCscp-far/north/{vut}x{vru}"
-        for vut in (30, 40)
-        for vru in (20, 30, 40, 50, 60)
+        f"CCCscp-far/north/{vut}x{vru}" for vut, vru in pairs
     ]
-    assert [run.case.vru_speed_kmh for run in runs] == [
-        20.0,
-        30.0,
-        40.0,
-        50.0,
-        60.0,
-    ] * 2
+    assert [run.case.vru_speed_kmh for run in runs] == [vru for _, vru in pairs]
     assert {run.road_user for run in runs} == {"car"}
 
 
 # ---------- cases in the words of a user
 def names(text, **choice):
+    """Names of the cases that a text picks."""
     return [case.name for case in select_cases(text, **choice).cases]
 
 
 def count(text, case_range):
     """Runs of some cases on one approach, at one place."""
     cases = select_cases(text, case_range=case_range).cases
-    return sum(
-        len(case.vru_speeds_kmh(vut)) for case in cases for vut in case.vut_speeds_kmh
-    )
+    n_runs = 0
+    for case in cases:
+        for vut_kmh in case.vut_speeds_kmh:
+            n_runs += len(case.vru_speeds_kmh(vut_kmh))
+
+    return n_runs
 
 
 @pytest.mark.parametrize(
     ("text", "standard", "extended"),
-    [  # runs of the variation files, standard and extended range
+    [
         ("CCCscp", 50, 16),
         ("CMCscp", 50, 16),
         ("CCFtap", 9, 7),
@@ -471,22 +460,19 @@ def test_the_grids_have_as_many_runs_as_the_protocols(text, standard, extended):
 def test_the_year_tells_the_versions_of_a_case_apart():
     assert names("CPNA") == ["CPNA-25", "CPNA-75"]
     assert names("CPNA-2026") == ["CPNA-2026-25", "CPNA-2026-50", "CPNA-2026-75"]
-    assert names("CPNA-2026", case_range="extended")[-2:] == [
-        "CPNA-2026-10",
-        "CPNA-2026-90",
-    ]
+
+    extended = names("CPNA-2026", case_range="extended")
+    assert extended[-2:] == ["CPNA-2026-10", "CPNA-2026-90"]
     assert names("CPNA-2026-10") == ["CPNA-2026-10"]  # named in full
     assert load_cases()["CPNA-2026-25"].vut_speeds_kmh == (10, 20, 30, 40, 50, 60)
     assert load_cases()["CPNA-2026-25"].family == "CPNA"
 
 
 def test_only_vulnerable_road_users_are_protected_unless_all_are():
+    protected = names("junction", protect="vru")
+    assert protected == ["CMCscp-far", "CMCscp-near", "CMFtap"]
+
     selection = select_cases("junction", protect="vru")
-    assert [case.name for case in selection.cases] == [
-        "CMCscp-far",
-        "CMCscp-near",
-        "CMFtap",
-    ]
     assert {case.road_user for case in selection.unprotected} == {"car"}
     assert not select_cases("junction", protect="all").unprotected
     with refused_with(
@@ -498,11 +484,11 @@ def test_only_vulnerable_road_users_are_protected_unless_all_are():
 def test_speeds_of_both_are_picked_in_pairs():
     selection = select_cases("CCCscp-far,CPNA-25", speeds="30x50,40x20")
     (case,) = selection.cases
+
     assert case.pairs_kmh == ((30.0, 50.0), (40.0, 20.0))
-    assert [case.vru_speeds_kmh(vut) for vut in case.vut_speeds_kmh] == [
-        (50.0,),
-        (20.0,),
-    ]
+
+    speeds = [case.vru_speeds_kmh(vut_kmh) for vut_kmh in case.vut_speeds_kmh]
+    assert speeds == [(50.0,), (20.0,)]
     assert [case.name for case in selection.left_out] == ["CPNA-25"]
     with pytest.raises(
         InputError, match="speeds: got 30x55; expected speeds that go together"
@@ -510,37 +496,41 @@ def test_speeds_of_both_are_picked_in_pairs():
         select_cases("CCCscp-far", speeds="30x55")
 
 
-def test_cases_that_cannot_be_laid_are_named_and_refused_with_their_reason(
-    actors, rule
-):
+def test_cases_that_cannot_be_laid_are_named_and_refused_with_their_reason(lay):
     named = load_unlaid_cases()
     assert set(named) >= {"CPRA-Cm", "CPRA-Cs", "CCFhol", "SfS-CCCscp", "SfS-CMFtap"}
-    cases = pick_cases("CPRA,CCFhol,SfS", "cases")
-    runs, refusals = build_runs(protocol_scene(), cases, vut=actors["vut"], rule=rule)
-    assert not runs
-    assert {refusal.case.name for refusal in refusals} == {case.name for case in cases}
-    assert all(
-        refusal.reason == named[refusal.case.name].not_laid for refusal in refusals
-    )
-    assert not any(refusal.is_possible for refusal in refusals)
     assert not set(named) & set(load_cases())
+
+    cases = pick_cases("CPRA,CCFhol,SfS", "cases")
+    runs, refused = lay(protocol_scene(), cases)
+
+    assert not runs
+    assert {one.case.name for one in refused} == {case.name for case in cases}
+    for one in refused:
+        assert one.reason == named[one.case.name].not_laid
+        assert not one.is_possible
 
 
 @pytest.mark.long
 def test_cases_that_are_left_out_count_every_pair_of_speeds():
     question = Question(cases="junction", approaches="north")
     drives = drive(question, load_study_scene())
+
     assert {run.road_user for run in drives.runs} == {"motorcycle"}
-    assert {
-        refusal.case.name: len(refusal.speeds_kmh) for refusal in drives.left_out
-    } == {"CCCscp-far": 25, "CCCscp-near": 25, "CCFtap": 9}
-    assert not any(refusal.is_possible for refusal in drives.left_out)
+
+    counts = {one.case.name: len(one.speeds_kmh) for one in drives.left_out}
+    assert counts == {"CCCscp-far": 25, "CCCscp-near": 25, "CCFtap": 9}
+    assert not any(one.is_possible for one in drives.left_out)
 
 
 def test_only_in_all_impact_points_take_turns():
     cases = {case.name: case for case in pick_cases("all", "cases")}
-    turns = [cases[f"CCRs-2026-{point}"].impact_turn for point in (0, 25, 50, 75, 100)]
+    turns = []
+    for point in (0, 25, 50, 75, 100):
+        turns.append(cases[f"CCRs-2026-{point}"].impact_turn)
+
     assert turns == [(number, 5) for number in range(5)]
     assert cases["CPNA-2026-50"].impact_turn == cases["CPFA-50"].impact_turn == (0, 1)
     for name in ("default", "study", "protocol-4.5.1", "junction", "protocol-2026"):
-        assert {case.impact_turn for case in pick_cases(name, "cases")} == {(0, 1)}
+        picked = pick_cases(name, "cases")
+        assert {case.impact_turn for case in picked} == {(0, 1)}

@@ -1,4 +1,5 @@
-from collections.abc import Callable
+"""Files that nobody here made, for tests of what is read of maps."""
+
 from pathlib import Path
 
 import pytest
@@ -7,12 +8,12 @@ _FOLDER = Path(__file__).parents[4] / "shared" / "inputs"
 
 
 @pytest.fixture(scope="session")
-def real_input() -> Callable[[str], Path]:
+def real_input():
     """Path of a file that nobody here made; the test is skipped where these are not at
     hand.
     """
 
-    def find(name: str) -> Path:
+    def find(name):
         path = _FOLDER / name
         if not path.exists():
             pytest.skip(

@@ -1,44 +1,30 @@
 """Lanes for buses, in all spellings that maps have for them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from osm_tags import tags_of
-from osm_text import OsmText, arms_of, as_drawn, crossing
+from osm_drawing import drawn, drawn_crossing, read_drawing
+from osm_text import arms_of
 
-from geometry.maps.openstreetmap import read_openstreetmap
-from geometry.maps.source_map import SourceMap
-
-FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
+WORDS = {"driving": "car", "bus": "bus", "cycling": "bicycle"}
 
 
-def read(osm: OsmText, folder: Path, **options: bool) -> SourceMap:
-    options = {"keeps_left": False} | options
-    return as_drawn(read_openstreetmap(osm.write(folder), **options))
-
-
-def road_from_left(
-    tags: str, folder: Path, **options: bool
-) -> tuple[list[str], SourceMap]:
-    """Lanes across a road that leads east, from its left side to its right.
+def road_from_left(tags, folder, *, keeps_left=False):
+    """Lanes across a road that leads east, from its left side to its right; its map.
 
     "car >" is driven east, "bus <" west.
     """
-    osm = OsmText()
-    osm.way([(-50.0, 0.0), (50.0, 0.0)], tags_of("highway=primary", tags))
-    source = read(osm, folder, **options)
-    words = {"driving": "car", "bus": "bus", "cycling": "bicycle"}
+    osm = drawn(f"road -50 0, 50 0: highway=primary; {tags}")
+    source = read_drawing(osm, folder, keeps_left=keeps_left)
     lanes = sorted(source.lanes, key=lambda lane: -lane.centreline_m[:, 1].mean())
+
     found = []
     for lane in lanes:
-        is_east = lane.centreline_m[-1, 0] > lane.centreline_m[0, 0]
-        arrow = ">" if is_east else "<"
-        found.append(f"{words[lane.kind]} {arrow}")
-    return found, source
+        arrow = "<"
+        if lane.centreline_m[-1, 0] > lane.centreline_m[0, 0]:
+            arrow = ">"
+        found.append(f"{WORDS[lane.kind]} {arrow}")
 
-
-TWO_WAYS = ["bus <", "car <", "car >", "bus >"]
+    return ", ".join(found), source
 
 
 @pytest.mark.parametrize(
@@ -65,41 +51,42 @@ TWO_WAYS = ["bus <", "car <", "car >", "bus >"]
 )
 def test_every_spelling_of_a_bus_lane_at_both_kerbs(tags, tmp_path):
     found, source = road_from_left(tags, tmp_path)
-    assert found == TWO_WAYS
+    assert found == "bus <, car <, car >, bus >"
     assert not source.skipped
 
 
 @pytest.mark.parametrize(
     ("tags", "expected"),
     [
-        ("lanes=3; lanes:forward=2; busway:right=lane", ["car <", "car >", "bus >"]),
-        ("oneway=yes; lanes=2; lanes:bus=1", ["car >", "bus >"]),
-        ("oneway=yes; lanes=2; busway:left=lane", ["bus >", "car >"]),
+        ("lanes=3; lanes:forward=2; busway:right=lane", "car <, car >, bus >"),
+        ("oneway=yes; lanes=2; lanes:bus=1", "car >, bus >"),
+        ("oneway=yes; lanes=2; busway:left=lane", "bus >, car >"),
         (
-            "oneway=yes; lanes=3; bus:lanes=designated|yes|yes;"
-            " vehicle:lanes=no|yes|yes",
-            ["bus >", "car >", "car >"],
+            (
+                "oneway=yes; lanes=3; bus:lanes=designated|yes|yes; "
+                "vehicle:lanes=no|yes|yes"
+            ),
+            "bus >, car >, car >",
         ),
-        # Buses come against a one-way road.
-        ("oneway=yes; lanes=2; busway=opposite_lane", ["bus <", "car >"]),
+        ("oneway=yes; lanes=2; busway=opposite_lane", "bus <, car >"),
         (
             "oneway=yes; lanes=3; lanes:forward=2; lanes:psv:backward=1",
-            ["bus <", "car >", "car >"],
+            "bus <, car >, car >",
         ),
-        # A lane for cyclists that the list counts and `lanes` does not.
         (
-            "oneway=yes; lanes=2; vehicle:lanes=yes|no|no; bus:lanes=yes|designated|no;"
-            " bicycle:lanes=no|no|designated",
-            ["car >", "bus >"],
+            (
+                "oneway=yes; lanes=2; vehicle:lanes=yes|no|no; "
+                "bus:lanes=yes|designated|no; bicycle:lanes=no|no|designated"
+            ),
+            "car >, bus >",
         ),
-        # Cars may use what buses may use too, and carpools are cars.
         (
-            "oneway=yes; lanes=2; access:lanes=yes|yes; bus:lanes=yes|designated",
-            ["car >", "car >"],
+            ("oneway=yes; lanes=2; access:lanes=yes|yes; bus:lanes=yes|designated"),
+            "car >, car >",
         ),
-        ("oneway=yes; lanes=2; hov:lanes=designated|yes", ["car >", "car >"]),
-        ("oneway=yes; lanes=2; vehicle:lanes=yes|destination", ["car >", "car >"]),
-        ("oneway=-1; lanes=2; busway=lane", ["bus <", "car <"]),
+        ("oneway=yes; lanes=2; hov:lanes=designated|yes", "car >, car >"),
+        ("oneway=yes; lanes=2; vehicle:lanes=yes|destination", "car >, car >"),
+        ("oneway=-1; lanes=2; busway=lane", "bus <, car <"),
     ],
 )
 def test_where_a_bus_lane_lies_and_who_else_uses_it(tags, expected, tmp_path):
@@ -109,7 +96,7 @@ def test_where_a_bus_lane_lies_and_who_else_uses_it(tags, expected, tmp_path):
 
 def test_where_traffic_keeps_left_bus_lanes_lie_at_the_left_kerb(tmp_path):
     found, _ = road_from_left("lanes=4; busway=lane", tmp_path, keeps_left=True)
-    assert found == ["bus >", "car >", "car <", "bus <"]
+    assert found == "bus >, car >, car <, bus <"
 
 
 @pytest.mark.parametrize(
@@ -117,65 +104,70 @@ def test_where_traffic_keeps_left_bus_lanes_lie_at_the_left_kerb(tmp_path):
     [
         (
             "oneway=yes; lanes=1; busway=lane",
-            ["car >", "bus >"],
+            "car >, bus >",
             "buses have all its lanes",
         ),
         (
             "oneway=yes; lanes=3; bus:lanes=yes|designated",
-            ["car >", "car >", "bus >"],
+            "car >, car >, bus >",
             "do not fit their number",
         ),
-        ("lanes=3; lanes:psv=1", ["car <", "car >", "bus >"], "names no direction"),
+        ("lanes=3; lanes:psv=1", "car <, car >, bus >", "names no direction"),
     ],
 )
 def test_what_a_map_leaves_open_of_bus_lanes_is_told(tags, expected, why, tmp_path):
     found, source = road_from_left(tags, tmp_path)
     assert found == expected
+
     (note,) = source.skipped
     assert why in str(note.why)
 
 
 def test_a_bus_lane_is_part_of_the_arm_and_no_way_for_cars(tmp_path):
-    osm = OsmText()
-    crossing(osm, bearings=FOUR, highway="primary", lanes="4", busway="lane")
-    source = read(osm, tmp_path)
+    osm = drawn_crossing("highway=primary; lanes=4; busway=lane")
+    source = read_drawing(osm, tmp_path, keeps_left=False)
     (junction,) = source.junctions
+
     for arm in arms_of(source, junction).arms.values():
         assert [lane.kind for lane in arm.lanes_in] == ["bus", "driving"]
         assert [lane.kind for lane in arm.lanes_out] == ["bus", "driving"]
         assert len(arm.entry_lanes) == len(arm.exit_lanes) == 1
+
     roads = {(road.lanes_in, road.lanes_out) for road in junction.roads}
     assert roads == {(1, 1)}
 
 
 def test_where_a_bus_lane_ends_the_lane_of_cars_goes_straight_on(tmp_path):
     """The kerb lane begins at the cars' lane, not at the one for buses."""
-    osm = OsmText()
-    middle = crossing(osm, bearings=((0.0, 1.0), (0.0, -1.0), (1.0, 0.0)))
-    change = osm.node(-60.0, 0.0)
-    tags = {"highway": "primary", "oneway": "yes", "lanes": "2", "name": "Long Road"}
-    osm.way([(-150.0, 0.0), change], tags | {"busway": "lane"})
-    osm.way([change, middle], tags)
-    source = read(osm, tmp_path)
-    (junction,) = source.junctions
-    kerb, inner = arms_of(source, junction).arms["west"].entry_lanes
-    before = next(
-        lane
-        for lane in source.lanes
-        if lane.kind == "driving" and lane.centreline_m[0, 0] < -140.0
+    tags = "highway=primary; oneway=yes; lanes=2; name=Long Road"
+    but_west = (
+        (0.0, 1.0),
+        (0.0, -1.0),
+        (1.0, 0.0),
     )
+    osm = drawn_crossing(bearings=but_west).draw(f"""
+        road -150 0, -60 0: {tags}; busway=lane
+        road -60 0, 0 0: {tags}
+    """)
+    source = read_drawing(osm, tmp_path, keeps_left=False)
+    (junction,) = source.junctions
+    entries = arms_of(source, junction).arms["west"].entry_lanes
+    kerb, inner = (lane.centreline_m for lane in entries)
+    driving = [lane.centreline_m for lane in source.lanes if lane.kind == "driving"]
+    before = next(line for line in driving if line[0, 0] < -140.0)
+
     # Whole in itself: the lane of cars.
-    assert np.ptp(inner.centreline_m[:, 1]) < 0.01
-    assert abs(inner.centreline_m[0, 1] - before.centreline_m[-1, 1]) < 0.01
+    assert np.ptp(inner[:, 1]) < 0.01
+    assert abs(inner[0, 1] - before[-1, 1]) < 0.01
     # The lane at the kerb leaves it where the bus lane has ended.
-    assert abs(kerb.centreline_m[0, 1] - before.centreline_m[-1, 1]) < 0.01
-    assert kerb.centreline_m[-1, 1] < inner.centreline_m[-1, 1] - 3.0
+    assert abs(kerb[0, 1] - before[-1, 1]) < 0.01
+    assert kerb[-1, 1] < inner[-1, 1] - 3.0
 
 
 @pytest.mark.parametrize("value", ["no", "psv", "bus"])
 def test_a_street_for_buses_alone_is_no_road_for_cars(value, tmp_path):
-    osm = OsmText()
-    osm.road([(-50.0, 0.0), (50.0, 0.0)])
-    tags = {"highway": "unclassified", "motor_vehicle": value, "bus": "yes"}
-    osm.way([(-50.0, 30.0), (50.0, 30.0)], tags)
-    assert len(read(osm, tmp_path).lanes) == 2
+    osm = drawn(f"""
+        road -50 0, 50 0
+        way -50 30, 50 30: highway=unclassified; motor_vehicle={value}; bus=yes
+    """)
+    assert len(read_drawing(osm, tmp_path).lanes) == 2

@@ -1,64 +1,81 @@
+"""Houses out of CityGML, in all the ways in which it writes them."""
+
+from itertools import product
+
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from geometry.errors import InputError
 from geometry.maps.city_models import read_citygml, read_cityjson
 from geometry.maps.source_map import is_closed, volume_m3
 
 ORIGIN = np.array([390_000.0, 5_819_000.0, 30.0])
-BOX = np.array([[x, y, z] for x in (0, 6) for y in (0, 8) for z in (0, 5)], dtype=float)
-FACES = [
-    [0, 1, 3, 2],
-    [4, 6, 7, 5],
-    [0, 4, 5, 1],
-    [2, 3, 7, 6],
-    [0, 2, 6, 4],
-    [1, 5, 7, 3],
-]
+BOX = np.array(list(product((0.0, 6.0), (0.0, 8.0), (0.0, 5.0))))
+FACES = np.array(
+    [
+        [0.0, 1.0, 3.0, 2.0],
+        [4.0, 6.0, 7.0, 5.0],
+        [0.0, 4.0, 5.0, 1.0],
+        [2.0, 3.0, 7.0, 6.0],
+        [0.0, 2.0, 6.0, 4.0],
+        [1.0, 5.0, 7.0, 3.0],
+    ]
+).astype(int)
 KINDS = ["Wall", "Wall", "Wall", "Wall", "Ground", "Roof"]
 VERSIONS = ["1.0", "2.0", "3.0"]
 
 
-def numbers(points):
-    return " ".join(f"{value:.3f}" for value in np.asarray(points).reshape(-1))
+def numbers(points, between=" "):
+    """Coordinates as text, to a millimetre."""
+    return between.join(f"{value:.3f}" for value in np.ravel(points))
 
 
 def pos_list(points):
+    """Points as GML has them today."""
     return f"<gml:posList>{numbers(points)}</gml:posList>"
 
 
 def single_positions(points):
+    """Points, each by itself."""
     return "".join(f"<gml:pos>{numbers(point)}</gml:pos>" for point in points)
 
 
 def old_coordinates(points):
-    text = " ".join(",".join(f"{value:.3f}" for value in point) for point in points)
+    """Points as GML had them once."""
+    text = " ".join(numbers(point, ",") for point in points)
     return f"<gml:coordinates>{text}</gml:coordinates>"
 
 
 def polygon(points, *, holes=(), write=pos_list, attributes=""):
-    rings = [("exterior", points), *(("interior", hole) for hole in holes)]
-    body = "".join(
-        f"<gml:{kind}><gml:LinearRing>"
-        + write([*ring, ring[0]])
-        + f"</gml:LinearRing></gml:{kind}>"
-        for kind, ring in rings
-    )
+    """An area with holes."""
+    rings = [("exterior", points)]
+    rings += [("interior", hole) for hole in holes]
+
+    body = ""
+    for kind, ring in rings:
+        told = write([*ring, ring[0]])
+        body += f"<gml:{kind}><gml:LinearRing>{told}</gml:LinearRing></gml:{kind}>"
+
     return f"<gml:Polygon {attributes}>{body}</gml:Polygon>"
 
 
 def members(polygons):
+    """Areas as members of a surface."""
     return "".join(
         f"<gml:surfaceMember>{text}</gml:surfaceMember>" for text in polygons
     )
 
 
 def faces(**options):
+    """The six sides of the house."""
     return [polygon(BOX[face] + ORIGIN, **options) for face in FACES]
 
 
-def solid(level=2, polygons=None):
-    shell = members(faces() if polygons is None else polygons)
+def solid(level=2, shell=None):
+    """The house as a solid of a level of detail."""
+    if shell is None:
+        shell = members(faces())
     return (
         f"<bldg:lod{level}Solid><gml:Solid><gml:exterior><gml:CompositeSurface>{shell}"
         f"</gml:CompositeSurface></gml:exterior></gml:Solid></bldg:lod{level}Solid>"
@@ -66,6 +83,7 @@ def solid(level=2, polygons=None):
 
 
 def multi_surface(polygons, level=2, name="MultiSurface"):
+    """Areas of a level of detail."""
     return (
         f"<bldg:lod{level}{name}><gml:MultiSurface>{members(polygons)}"
         f"</gml:MultiSurface></bldg:lod{level}{name}>"
@@ -75,15 +93,15 @@ def multi_surface(polygons, level=2, name="MultiSurface"):
 def city(
     body, *, version="2.0", srs="urn:ogc:def:crs:EPSG::25833", feature="bldg:Building"
 ):
+    """A file with one feature."""
     core = f"http://www.opengis.net/citygml/{version}"
     building = f"http://www.opengis.net/citygml/building/{version}"
+    envelope = ""
     if srs:
         envelope = (
             f'<gml:boundedBy><gml:Envelope srsName="{srs}"><gml:lowerCorner>0 0'
             " 0</gml:lowerCorner></gml:Envelope></gml:boundedBy>"
         )
-    else:
-        envelope = ""
     return (
         f'<CityModel xmlns="{core}" xmlns:bldg="{building}" '
         'xmlns:gml="http://www.opengis.net/gml"'
@@ -93,36 +111,45 @@ def city(
     )
 
 
-def read(tmp_path, text):
-    path = tmp_path / "city.gml"
-    path.write_text(text)
-    return read_citygml(path)
+@pytest.fixture
+def read(tmp_path):
+    """A function that reads a file with a text."""
+
+    def build(text):
+        path = tmp_path / "city.gml"
+        path.write_text(text)
+        return read_citygml(path)
+
+    return build
 
 
 def volume(thing):
+    """Volume of a thing. [m3]"""
     return volume_m3(thing.vertices_m, thing.triangles)
 
 
-BOUNDED = "".join(
-    f"<bldg:boundedBy><bldg:{kind}Surface>{multi_surface([text])}</bldg:{kind}Surface></bldg:boundedBy>"
-    for kind, text in zip(KINDS, faces(), strict=True)
-)
-REFERRED = "".join(
-    f"<bldg:boundedBy><bldg:{kind}Surface>"
-    + multi_surface([polygon(BOX[face] + ORIGIN, attributes=f'gml:id="p{index}"')])
-    + f"</bldg:{kind}Surface></bldg:boundedBy>"
-    for index, (kind, face) in enumerate(zip(KINDS, FACES, strict=True))
-) + solid(polygons=[]).replace(
-    "<gml:CompositeSurface>",
-    "<gml:CompositeSurface>"
-    + "".join(f'<gml:surfaceMember xlink:href="#p{index}"/>' for index in range(6)),
-)
-TURNED = multi_surface(
-    "<gml:OrientableSurface"
-    f' orientation="-"><gml:baseSurface>{polygon((BOX[face] + ORIGIN)[::-1])}'
-    "</gml:baseSurface></gml:OrientableSurface>"
-    for face in FACES
-)
+def bounded(kind, surface):
+    """A surface of a kind that bounds the house."""
+    return (
+        f"<bldg:boundedBy><bldg:{kind}Surface>{multi_surface([surface])}"
+        f"</bldg:{kind}Surface></bldg:boundedBy>"
+    )
+
+
+BOUNDED = "".join(map(bounded, KINDS, faces()))
+REFERRED = ""
+REFERENCES = ""
+TURNED = []
+for number, (surface_kind, corners) in enumerate(zip(KINDS, FACES, strict=True)):
+    named = polygon(BOX[corners] + ORIGIN, attributes=f'gml:id="p{number}"')
+    REFERRED += bounded(surface_kind, named)
+    REFERENCES += f'<gml:surfaceMember xlink:href="#p{number}"/>'
+    TURNED.append(
+        '<gml:OrientableSurface orientation="-"><gml:baseSurface>'
+        f"{polygon((BOX[corners] + ORIGIN)[::-1])}"
+        "</gml:baseSurface></gml:OrientableSurface>"
+    )
+REFERRED += solid(shell=REFERENCES)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -135,7 +162,7 @@ TURNED = multi_surface(
         BOUNDED,
         BOUNDED.replace("boundedBy", "boundary"),
         REFERRED,
-        TURNED,
+        multi_surface(TURNED),
         multi_surface(faces()),
         multi_surface(faces(write=single_positions)),
         multi_surface(faces(write=old_coordinates)),
@@ -144,44 +171,63 @@ TURNED = multi_surface(
         multi_surface(faces()[:2], level=4) + solid(2),
     ],
 )
-def test_a_house_is_the_same_however_it_is_written(tmp_path, version, body):
-    source = read(tmp_path, city(body, version=version))
+def test_a_house_is_the_same_however_it_is_written(read, version, body):
+    source = read(city(body, version=version))
     (thing,) = source.things
+
     assert source.crs == "EPSG:25833"
     assert source.heights == "absolute"
     assert thing.id == "house"
-    assert np.allclose(thing.vertices_m.min(axis=0), ORIGIN)
-    assert np.allclose(thing.vertices_m.max(axis=0), ORIGIN + [6, 8, 5])
+    assert_allclose(thing.vertices_m.min(axis=0), ORIGIN)
+    assert_allclose(thing.vertices_m.max(axis=0), ORIGIN + [6, 8, 5])
     assert is_closed(thing.triangles)
     assert volume(thing) == pytest.approx(240.0)
 
 
-def test_holes_are_left_out(tmp_path):
+def test_holes_are_left_out(read):
     floor = BOX[FACES[4]] + ORIGIN
-    hole = ORIGIN + np.array([[2, 2, 0], [4, 2, 0], [4, 4, 0], [2, 4, 0]])
-    (thing,) = read(
-        tmp_path, city(multi_surface([polygon(floor, holes=[hole])]))
-    ).things
-    a, b, c = np.swapaxes(thing.vertices_m[thing.triangles], 0, 1)
-    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(
-        44.0
+    hole = (
+        np.array(
+            [
+                [2.0, 2.0, 0.0],
+                [4.0, 2.0, 0.0],
+                [4.0, 4.0, 0.0],
+                [2.0, 4.0, 0.0],
+            ]
+        )
+        + ORIGIN
     )
+    body = multi_surface([polygon(floor, holes=[hole])])
+    (thing,) = read(city(body)).things
+    a, b, c = np.swapaxes(thing.vertices_m[thing.triangles], 0, 1)
+    areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+    assert areas.sum() == pytest.approx(44.0)
+
+
+FLOOR = BOX[[0, 4, 6, 2]] + ORIGIN
 
 
 @pytest.mark.parametrize("name", ["FootPrint", "RoofEdge"])
 @pytest.mark.parametrize(
-    ("unit", "height_m"), [("m", 7.0), ("urn:ogc:def:uom:UCUM::m", 7.0), ("ft", 2.1336)]
+    ("unit", "height_m"),
+    [
+        ("m", 7.0),
+        ("urn:ogc:def:uom:UCUM::m", 7.0),
+        ("ft", 2.1336),
+    ],
 )
-def test_footprints_are_raised_by_their_measured_height(tmp_path, name, unit, height_m):
-    flat = multi_surface([polygon(BOX[[0, 4, 6, 2]] + ORIGIN)], level=0, name=name)
+def test_footprints_are_raised_by_their_measured_height(read, name, unit, height_m):
+    flat = multi_surface([polygon(FLOOR)], level=0, name=name)
     body = f'<bldg:measuredHeight uom="{unit}">7.0</bldg:measuredHeight>{flat}'
-    (thing,) = read(tmp_path, city(body)).things
+    (thing,) = read(city(body)).things
+
     assert volume(thing) == pytest.approx(48.0 * height_m)
     assert not thing.is_height_assumed
 
 
-def test_footprints_in_two_dimensions_are_read_as_such(tmp_path):
-    square = (BOX[[0, 4, 6, 2]] + ORIGIN)[:, :2]
+def test_footprints_in_two_dimensions_are_read_as_such(read):
+    square = FLOOR[:, :2]
     ring = [*square, square[0], square[0]]  # 12 numbers: also four points of three
     text = f"<gml:posList>{numbers(ring)}</gml:posList>"
     flat = (
@@ -190,51 +236,58 @@ def test_footprints_in_two_dimensions_are_read_as_such(tmp_path):
         f"<gml:exterior><gml:LinearRing>{text}</gml:LinearRing></gml:exterior></gml:Polygon>"
         "</gml:surfaceMember></gml:MultiSurface></bldg:lod0FootPrint>"
     )
-    (thing,) = read(tmp_path, city(flat)).things
-    assert np.allclose(np.ptp(thing.vertices_m[:, :2], axis=0), [6, 8])
+    (thing,) = read(city(flat)).things
+
+    assert_allclose(np.ptp(thing.vertices_m[:, :2], axis=0), [6, 8])
     assert thing.is_height_assumed
 
 
-def test_parts_are_things_and_their_buildings_footprint_is_none(tmp_path):
+def test_parts_are_things_and_their_buildings_footprint_is_none(read):
     part = (
         '<bldg:consistsOfBuildingPart><bldg:BuildingPart gml:id="part">'
         f"{solid()}</bldg:BuildingPart></bldg:consistsOfBuildingPart>"
     )
-    flat = multi_surface(
-        [polygon(BOX[[0, 4, 6, 2]] + ORIGIN)], level=0, name="FootPrint"
-    )
-    source = read(tmp_path, city(flat + part))
+    flat = multi_surface([polygon(FLOOR)], level=0, name="FootPrint")
+    source = read(city(flat + part))
+
     assert [thing.id for thing in source.things] == ["part"]
 
 
-def test_northing_first_is_turned(tmp_path):
+def test_northing_first_is_turned(read):
     origin = np.array([4_590_000.0, 5_820_000.0, 30.0])
     box = [polygon((BOX[face] + origin)[:, [1, 0, 2]]) for face in FACES]
-    source = read(tmp_path, city(multi_surface(box), srs="urn:ogc:def:crs:EPSG::31468"))
-    assert np.allclose(source.things[0].vertices_m.min(axis=0), origin)
-    assert volume(source.things[0]) == pytest.approx(240.0)
+    source = read(city(multi_surface(box), srs="urn:ogc:def:crs:EPSG::31468"))
+
+    (thing,) = source.things
+    assert_allclose(thing.vertices_m.min(axis=0), origin)
+    assert volume(thing) == pytest.approx(240.0)
 
 
-def test_geographic_coordinates_become_metres(tmp_path):
+def test_geographic_coordinates_become_metres(read):
     lat_lon = np.array(
-        [[35.68, 139.76, 0.0], [35.68, 139.761, 0.0], [35.681, 139.761, 0.0]]
+        [
+            [35.68, 139.76, 0.0],
+            [35.68, 139.761, 0.0],
+            [35.681, 139.761, 0.0],
+        ]
     )
     flat = multi_surface([polygon(lat_lon)], level=0, name="FootPrint")
-    source = read(
-        tmp_path, city(flat, srs="http://www.opengis.net/def/crs/EPSG/0/6697")
-    )
+    source = read(city(flat, srs="http://www.opengis.net/def/crs/EPSG/0/6697"))
+
     width, depth = np.ptp(source.things[0].vertices_m[:, :2], axis=0)
+
     assert width == pytest.approx(90.5, rel=0.01)
     assert depth == pytest.approx(111.0, rel=0.01)
 
 
-def test_bridges_and_rooms_are_left_out_and_counted(tmp_path):
+def test_bridges_and_rooms_are_left_out_and_counted(read):
     room = f"<bldg:interiorRoom><bldg:Room>{solid()}</bldg:Room></bldg:interiorRoom>"
     text = city(solid() + room).replace(
         "</CityModel>",
         f"<cityObjectMember><bldg:Bridge>{solid()}</bldg:Bridge></cityObjectMember></CityModel>",
     )
-    source = read(tmp_path, text)
+    source = read(text)
+
     assert len(source.things) == 1
     assert [skip.what for skip in source.skipped] == ["1 Bridge", "1 Room"]
 
@@ -277,30 +330,27 @@ DOUBLING = "".join(
         ),
     ],
 )
-def test_broken_files_are_refused_in_one_line(tmp_path, text, message):
+def test_broken_files_are_refused_in_one_line(read, text, message):
     with pytest.raises(InputError, match=message) as caught:
-        read(tmp_path, text)
+        read(text)
     assert "\n" not in str(caught.value)
 
 
-def test_references_in_a_circle_are_refused(tmp_path):
+def test_references_in_a_circle_are_refused(read):
     ring = (
         '<bldg:lod2MultiSurface><gml:MultiSurface gml:id="m"><gml:surfaceMember'
         ' xlink:href="#m"/></gml:MultiSurface></bldg:lod2MultiSurface>'
     )
     with pytest.raises(InputError, match="nested too deeply"):
-        read(tmp_path, city(ring))
+        read(city(ring))
 
 
 @pytest.mark.long
 def test_both_encodings_of_a_real_model_give_the_same_houses(real_input):
     gml = read_citygml(real_input("buildings/lod2_buildings_v3.gml"))
-    in_json = {
-        thing.id: thing
-        for thing in read_cityjson(
-            real_input("buildings/lod2_buildings_v2.city.json")
-        ).things
-    }
+    other = read_cityjson(real_input("buildings/lod2_buildings_v2.city.json"))
+    in_json = {thing.id: thing for thing in other.things}
+
     assert gml.crs == ""
     assert "EPSG:3068" in gml.skipped[0].what
     assert {thing.id for thing in gml.things} == set(in_json)
@@ -309,6 +359,8 @@ def test_both_encodings_of_a_real_model_give_the_same_houses(real_input):
         twin = in_json[thing.id]
         assert is_closed(thing.triangles)
         assert volume(thing) == pytest.approx(volume(twin), abs=1e-6)
-        for side in ("min", "max"):
-            ends = [getattr(item.vertices_m, side)(axis=0) for item in (thing, twin)]
-            assert np.allclose(*ends, atol=1e-3)
+        bounds = [
+            (one.vertices_m.min(axis=0), one.vertices_m.max(axis=0))
+            for one in (thing, twin)
+        ]
+        assert_allclose(*bounds, atol=1e-3, rtol=1e-5)

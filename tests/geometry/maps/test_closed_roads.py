@@ -37,6 +37,7 @@ def test_tags_say_who_may_not_use_a_road(tags, closed_to, tmp_path):
     osm.way([(-50.0, 0.0), (50.0, 0.0)], tags_of(tags))
     source = read_openstreetmap(osm.write(tmp_path), keeps_left=False)
     lanes = [one for one in source.lanes if one.kind == "driving"]
+
     assert lanes
     assert {one.closed_to for one in lanes} == {closed_to}
 
@@ -47,6 +48,7 @@ def test_a_scene_keeps_it(tmp_path):
     closed = replace(first, closed_to=("on foot", "motorcycle"))
     save_scene(tmp_path, replace(scene, lanes=(closed, *others)))
     loaded = load_scene(tmp_path)
+
     assert loaded.lanes[0].closed_to == ("on foot", "motorcycle")
     assert {one.closed_to for one in loaded.lanes[1:]} == {()}
 
@@ -57,6 +59,7 @@ def test_a_motorway_of_opendrive_is_closed(tmp_path):
     text = document(crossing()).replace("<planView>", motorway, 1)
     source = read_text(tmp_path, text)
     closed = {one.id.partition("/")[0] for one in source.lanes if one.closed_to}
+
     assert len(closed) == 1
     assert {one.closed_to for one in source.lanes if one.closed_to} == {
         ("on foot", "bicycle")

@@ -19,6 +19,7 @@ from geometry.notes import assumptions
 
 @pytest.fixture(scope="module")
 def city(tmp_path_factory):
+    """A real town, of which every junction is cut out."""
     return write_city(tmp_path_factory.mktemp("city"))
 
 
@@ -39,18 +40,22 @@ def same(one, other):
 def test_a_junctions_surroundings_make_the_scene_of_the_whole_map(city):
     maps, junctions = read_maps([city], ReadingOptions())
     around = Neighbourhoods(maps, radius_m=80.0)
+
     assert len(junctions) == 3
     for one in junctions:
         options = ImportOptions(junction=one.junction.id)
         part = around.around(one.junction)
+
         assert len(part[0].lanes) < len(maps[0].lanes)
         assert len(part[0].things) < len(maps[0].things)
+
         whole = import_scene([city], options)
         cut = cut_scene(part, one, options)
         known, told = (
             replace(scene, notes=assumptions(scene.notes))
             for scene in (whole.scene, cut.scene)
         )
+
         assert same(told, known)
         assert cut.scene.roads
 
@@ -61,12 +66,15 @@ def test_lanes_through_other_junctions_come_along(real_input):
         [real_input("opendrive/multi_intersections.xodr")], ReadingOptions()
     )
     part = Neighbourhoods(maps, radius_m=40.0).around(junctions[0].junction)
+
     assert len(part[0].connections) < len(maps[0].connections)
     assert len(part[0].junctions) < len(maps[0].junctions)
+
     options = ImportOptions(sites="kerb:15", radius_m=40.0)
     cut, whole = (
         cut_scene(source, junctions[0], options).scene for source in (part, maps)
     )
+
     assert same(
         *(replace(scene, notes=assumptions(scene.notes)) for scene in (cut, whole))
     )

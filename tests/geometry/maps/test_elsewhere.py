@@ -1,39 +1,45 @@
 """Files whose content all lies somewhere else than the roads are refused."""
 
 import json
-from pathlib import Path
 
 import geopandas as gpd
 import pytest
-from osm_text import LAT_DEG, LON_DEG, OsmText, crossing
+from osm_drawing import drawn_crossing
+from osm_text import LAT_DEG, LON_DEG
 from shapely import transform as moved
-from shapely.geometry import Polygon, box
+from shapely.geometry import box
 
 from experiments.city.inputs import CityWish, load_city
 from geometry.errors import InputError
 from geometry.maps.importing import ReadingOptions, read_maps
 
-FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 HOUSE = box(LON_DEG, LAT_DEG, LON_DEG + 1e-4, LAT_DEG + 1e-4)
 
 
-def swapped(shape: Polygon) -> Polygon:
+def swapped(shape):
+    """A shape with its coordinates in the other order."""
     return moved(shape, lambda points: points[:, ::-1])
 
 
-def roads(folder: Path) -> Path:
-    osm = OsmText()
-    crossing(osm, bearings=FOUR)
-    return osm.write(folder)
+def house_in(crs):
+    """The house in another reference system."""
+    return gpd.GeoSeries([HOUSE], crs="EPSG:4326").to_crs(crs)[0]
 
 
-def houses(folder: Path, *shapes: Polygon, crs: str = "EPSG:4326") -> Path:
+def roads(folder):
+    """A file of a crossing."""
+    return drawn_crossing().write(folder)
+
+
+def houses(folder, *shapes, crs="EPSG:4326"):
+    """A file of houses in a reference system."""
     path = folder / "houses.gpkg"
     gpd.GeoDataFrame(geometry=list(shapes), crs=crs).to_file(path, driver="GPKG")
     return path
 
 
-def geojson(folder: Path, shape: Polygon) -> Path:
+def geojson(folder, shape):
+    """A file of one house, in degrees."""
     path = folder / "houses.geojson"
     feature = {
         "type": "Feature",
@@ -44,7 +50,8 @@ def geojson(folder: Path, shape: Polygon) -> Path:
     return path
 
 
-def refusal(folder: Path, path: Path) -> str:
+def refusal(folder, path):
+    """What is told of houses that do not lie where the crossing does."""
     with pytest.raises(InputError) as caught:
         read_maps([roads(folder), path], ReadingOptions())
     return str(caught.value)
@@ -60,24 +67,27 @@ def test_latitude_and_longitude_swapped(tmp_path):
 
 @pytest.mark.long
 def test_easting_and_northing_swapped(tmp_path):
-    here = gpd.GeoSeries([HOUSE], crs="EPSG:4326").to_crs("EPSG:25833")[0]
+    here = house_in("EPSG:25833")
     path = houses(tmp_path, swapped(here), swapped(here), crs="EPSG:25833")
     message = refusal(tmp_path, path)
+
     assert "got coordinates around 5817861, 391394" in message
     assert "easting and northing swapped?" in message
 
 
 def test_easting_and_northing_swapped_on_the_whole_earth(tmp_path):
     """Web Mercator has no area outside of which coordinates make no sense."""
-    here = gpd.GeoSeries([HOUSE], crs="EPSG:4326").to_crs("EPSG:3857")[0]
-    message = refusal(tmp_path, houses(tmp_path, swapped(here), crs="EPSG:3857"))
+    path = houses(tmp_path, swapped(house_in("EPSG:3857")), crs="EPSG:3857")
+    message = refusal(tmp_path, path)
+
     assert "all 1 things of houses.gpkg lie" in message
     assert "easting and northing swapped?" in message
 
 
 def test_the_neighbouring_zone(tmp_path):
-    here = gpd.GeoSeries([HOUSE], crs="EPSG:4326").to_crs("EPSG:25833")[0]
-    message = refusal(tmp_path, houses(tmp_path, here, crs="EPSG:25832"))
+    path = houses(tmp_path, house_in("EPSG:25833"), crs="EPSG:25832")
+    message = refusal(tmp_path, path)
+
     assert "lie 410 km away: coordinates of another place, or of another" in message
 
 

@@ -1,22 +1,18 @@
 """What an import assumes stays with the scene, on disk, too."""
 
-from pathlib import Path
-
-from osm_text import LAT_DEG, LON_DEG, OsmText, crossing
+from osm_drawing import FOUR, drawn_crossing
+from osm_text import LAT_DEG, LON_DEG, OsmText
 
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.notes import Note, assumed_sites, assumptions
 from geometry.scene_files import load_scene_folder, save_scene
 
-FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 
-
-def bare_map(tmp_path: Path) -> Path:
+def bare_map(tmp_path):
     """Two crossings without poles or buildings, nothing that shows the side of the
     road.
     """
-    osm = OsmText()
-    crossing(osm, bearings=FOUR, highway="residential")
+    osm = drawn_crossing("highway=residential")
     middle = osm.node(340.0, 0.0)
     osm.road([(300.0, 0.0), middle, (380.0, 0.0)])
     osm.road([(340.0, -40.0), middle])
@@ -26,6 +22,7 @@ def bare_map(tmp_path: Path) -> Path:
 def test_a_bare_map_tells_all_that_was_assumed(tmp_path):
     scene = import_scene([bare_map(tmp_path)], ImportOptions()).scene
     told = [(note.kind, note.what) for note in assumptions(scene.notes)]
+
     assert told[:3] == [
         ("junction", "1 other junctions of map.osm"),
         ("side of the road", "side of the road"),
@@ -40,10 +37,12 @@ def test_signals_on_the_road_are_assumed_poles(tmp_path):
     middle = osm.node(0.0, 0.0, highway="traffic_signals")
     for east, north in FOUR:
         osm.road([(80.0 * east, 80.0 * north), middle], oneway="yes")
+
     osm.node(20.0, 20.0, man_made="pole")
     scene = import_scene([osm.write(tmp_path)], ImportOptions()).scene
     assumed = assumed_sites(scene.notes)
     lights = {site.id for site in scene.sites if site.kind == "traffic light"}
+
     assert len(lights) == 4
     assert set(assumed) == lights
     assert all("4 poles at the kerbs are assumed" in why for why in assumed.values())
@@ -54,6 +53,7 @@ def test_assumptions_are_kept_on_disk(tmp_path):
     folder = tmp_path / "scene"
     folder.mkdir()
     save_scene(folder, imported.scene)
+
     assert load_scene_folder(folder).notes == imported.scene.notes
 
 
@@ -61,6 +61,7 @@ def test_listed_sites_are_not_assumed(tmp_path):
     poles = tmp_path / "poles.csv"
     poles.write_text(f"id,lat,lon,kind\na,{LAT_DEG + 1e-4},{LON_DEG + 2e-4},kerb\n")
     scene = import_scene([bare_map(tmp_path)], ImportOptions(sites=str(poles))).scene
+
     assert not assumed_sites(scene.notes)
 
 

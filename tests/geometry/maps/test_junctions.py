@@ -1,3 +1,5 @@
+"""Which junction of a map is meant: the largest, or one that is told."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -8,55 +10,73 @@ from geometry.frames import WGS84, transform
 from geometry.maps.importing import choose_junction, survey_junctions
 from geometry.maps.source_map import MapJunction, MapLane, SourceMap
 
-SQUARE_M = 8.0 * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
+SQUARE_M = 8.0 * np.array(
+    [
+        [1.0, -1.0],
+        [1.0, 1.0],
+        [-1.0, 1.0],
+        [-1.0, -1.0],
+    ]
+)
 
 
 def junction(name, middle, n_arms):
-    turns = np.radians(90.0 * np.arange(n_arms))
+    """A junction and its lanes: one in and one out on each arm, from the east on."""
     lanes = []
-    for index, (east, north) in enumerate(
-        np.stack([np.cos(turns), np.sin(turns)], axis=1)
-    ):
-        for is_in, side in ((True, 1.5), (False, -1.5)):
-            near, far = (
-                np.array([r * east - side * north, r * north + side * east]) + middle
-                for r in (8.0, 60.0)
-            )
-            points = np.array([far, near] if is_in else [near, far])
-            lanes.append(
-                MapLane(
-                    id=f"{name}-{index}-{is_in}",
-                    kind="driving",
-                    width_m=3.0,
-                    centreline_m=np.column_stack([points, np.zeros(2)]),
-                    to_junction=name if is_in else "",
-                    from_junction="" if is_in else name,
-                )
-            )
-    return (
-        MapJunction(id=name, name=f"{name} Street", outline_m=SQUARE_M + middle),
-        lanes,
-    )
+    for index in range(n_arms):
+        angle = 0.5 * np.pi * index
+        ahead = np.array([np.cos(angle), np.sin(angle)])
+        left = np.array([-ahead[1], ahead[0]])
+        near = middle + 8.0 * ahead
+        far = middle + 60.0 * ahead
+        coming = MapLane(
+            id=f"{name}-{index}-in",
+            kind="driving",
+            width_m=3.0,
+            centreline_m=in_space(far + 1.5 * left, near + 1.5 * left),
+            to_junction=name,
+        )
+        leaving = MapLane(
+            id=f"{name}-{index}-out",
+            kind="driving",
+            width_m=3.0,
+            centreline_m=in_space(near - 1.5 * left, far - 1.5 * left),
+            from_junction=name,
+        )
+        lanes += [coming, leaving]
+
+    outline_m = SQUARE_M + middle
+    return MapJunction(id=name, name=f"{name} Street", outline_m=outline_m), lanes
+
+
+def in_space(*points):
+    """Points of the plane at height zero."""
+    return np.column_stack([points, np.zeros(len(points))])
 
 
 @pytest.fixture
 def source():
-    parts = [
-        junction("small", (0.0, 0.0), 3),
-        junction("large", (500.0, 0.0), 4),
-        junction("other", (900.0, 0.0), 3),
-    ]
+    """A map with a junction of four arms and two of three, in a row."""
+    junctions = []
+    lanes = []
+    for name, east_m, n_arms in (("small", 0, 3), ("large", 500, 4), ("other", 900, 3)):
+        one, own = junction(name, (east_m, 0.0), n_arms)
+        junctions.append(one)
+        lanes += own
+
     return SourceMap(
         name="m.xodr",
         crs="",
-        junctions=tuple(one for one, _ in parts),
-        lanes=tuple(lane for _, lanes in parts for lane in lanes),
+        junctions=tuple(junctions),
+        lanes=tuple(lanes),
     )
 
 
 def test_junctions_are_listed_by_arms_and_the_first_is_taken(source):
     found = survey_junctions(source)
-    assert [(one.junction.id, len(one.arms), one.n_lanes) for one in found] == [
+    listed = [(one.junction.id, len(one.arms), one.n_lanes) for one in found]
+
+    assert listed == [
         ("large", 4, 8),
         ("other", 3, 6),  # nearer to the middle of the map
         ("small", 3, 6),
@@ -68,28 +88,20 @@ def test_junctions_are_listed_by_arms_and_the_first_is_taken(source):
 
 
 @pytest.mark.parametrize(
-    "name",
+    ("named", "name"),
     [
-        *(
-            "Main St / N 3rd Ave",
-            "3RD AVENUE NORTH & main street",
-            "main st. and 3rd ave n",
-        ),
-        *("Hauptstr. / Sankt-Georg-Platz", "St. Georg Pl. x Hauptstraße"),
+        ("Main Street / North 3rd Avenue", "Main St / N 3rd Ave"),
+        ("3rd Avenue North / Main Street", "3RD AVENUE NORTH & main street"),
+        ("3rd Avenue North / Main Street", "main st. and 3rd ave n"),
+        ("Hauptstraße / St.-Georg-Platz", "Hauptstr. / Sankt-Georg-Platz"),
+        ("Hauptstraße / St.-Georg-Platz", "St. Georg Pl. x Hauptstraße"),
     ],
 )
-def test_streets_go_by_their_short_names(source, name):
-    is_german = "aupt" in name
-    if is_german:
-        named = "Hauptstraße / St.-Georg-Platz"
-    else:
-        named = "Main Street / North 3rd Avenue"
-    if name.startswith("3RD") or name.endswith(" n"):
-        named = "3rd Avenue North / Main Street"
+def test_streets_go_by_their_short_names(source, named, name):
     one, *rest = source.junctions
-    found = survey_junctions(
-        replace(source, junctions=(replace(one, name=named), *rest))
-    )
+    renamed = replace(one, name=named)
+    found = survey_junctions(replace(source, junctions=(renamed, *rest)))
+
     assert choose_junction(source, found, name=name).junction.name == named
 
 
@@ -100,19 +112,22 @@ def test_a_name_that_no_junction_has_lists_those_like_it_first(source):
 
 def test_a_junction_is_chosen_by_latitude_and_longitude(source):
     crs = "EPSG:32633"
+    junctions = []
+    for one in source.junctions:
+        outline_m = one.outline_m + [500_000.0, 5_800_000.0]
+        junctions.append(replace(one, outline_m=outline_m))
+
     moved = replace(
         source,
         crs=crs,
         source_crs=crs,
-        junctions=tuple(
-            replace(one, outline_m=one.outline_m + [500_000.0, 5_800_000.0])
-            for one in source.junctions
-        ),
+        junctions=tuple(junctions),
         lanes=(),
     )
     found = survey_junctions(moved)
     lon_deg, lat_deg = transform(np.array([500_905.0, 5_800_010.0]), crs, WGS84)
     chosen = choose_junction(moved, found, name=f"{lat_deg:.6f}, {lon_deg:.6f}")
+
     assert chosen.junction.id == "other"
     with pytest.raises(
         InputError, match=r"junction: got 10\.5,20\.5; expected a point within"
@@ -146,5 +161,7 @@ def test_a_map_without_junctions_is_told(source):
 
 def test_a_junction_that_no_lane_reaches_has_no_arms(source):
     lonely = MapJunction(id="lonely", name="", outline_m=SQUARE_M + 5000.0)
-    found = survey_junctions(replace(source, junctions=(*source.junctions, lonely)))
+    junctions = (*source.junctions, lonely)
+    found = survey_junctions(replace(source, junctions=junctions))
+
     assert found[-1].arms == ()

@@ -1,11 +1,12 @@
 """Maps of lanelets: a crossing drawn here, as Lanelet2 and as CommonRoad."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from lanelet_text import HALF_M, WIDTH_M, commonroad, crossing, lanelet2
+from numpy.testing import assert_allclose, assert_array_equal
+from osm_tags import tags_of
 from pyproj import Transformer
 
 from geometry.errors import InputError
@@ -17,7 +18,8 @@ from geometry.maps.importing import (
 )
 
 
-def read(tmp_path: Path, text: str, name: str = "map.osm"):
+def read(tmp_path, text, name="map.osm"):
+    """The map of a file with a text."""
     path = tmp_path / name
     path.write_text(text)
     return read_map(path)
@@ -26,6 +28,7 @@ def read(tmp_path: Path, text: str, name: str = "map.osm"):
 def test_a_crossing_has_its_arms_lanes_and_ways_through(tmp_path):
     source = read(tmp_path, lanelet2(crossing(), {"speed_limit": "30 mph"}))
     (one,) = survey_junctions(source)
+
     assert set(one.arms) == {"north", "east", "south", "west"}
     assert one.n_lanes == 8
     assert one.n_driven == 4
@@ -43,18 +46,14 @@ def test_a_crossing_has_its_arms_lanes_and_ways_through(tmp_path):
 
 
 def test_commonroad_says_the_same(tmp_path):
-    ours, theirs = (
-        read(tmp_path, text, name)
-        for text, name in (
-            (lanelet2(crossing()), "a.osm"),
-            (commonroad(crossing()), "a.xml"),
-        )
-    )
+    ours = read(tmp_path, lanelet2(crossing()), "a.osm")
+    theirs = read(tmp_path, commonroad(crossing()), "a.xml")
+
     for one, other in zip(ours.lanes, theirs.lanes, strict=True):
-        assert np.array_equal(one.centreline_m, other.centreline_m)
+        assert_array_equal(one.centreline_m, other.centreline_m)
         assert one.from_junction == other.from_junction
         assert one.to_junction == other.to_junction
-    assert np.array_equal(ours.junctions[0].outline_m, theirs.junctions[0].outline_m)
+    assert_array_equal(ours.junctions[0].outline_m, theirs.junctions[0].outline_m)
 
 
 def test_the_side_of_the_road_is_seen(tmp_path):
@@ -66,30 +65,42 @@ def test_a_lanelet_with_exchanged_sides_is_turned_and_told(tmp_path):
     lanes["in2"] = lanes["in2"][::-1]
     source = read(tmp_path, lanelet2(lanes))
     right = read(tmp_path, lanelet2(crossing()))
+
     assert len(source.lanes) == 8
+
     for one, other in zip(source.lanes, right.lanes, strict=True):
-        assert np.allclose(one.centreline_m, other.centreline_m)
+        assert_allclose(one.centreline_m, other.centreline_m)
     assert any("exchanged" in note.why for note in source.skipped)
 
 
 def test_both_ways_of_a_lanelet_are_lanes(tmp_path):
     lanes = {"road": ([(0.0, 2.0), (50.0, 2.0)], [(0.0, -2.0), (50.0, -2.0)])}
     assert len(read(tmp_path, lanelet2(lanes)).lanes) == 1
-    ways = read(tmp_path, lanelet2(lanes, {"one_way": "no"})).lanes
-    assert np.allclose(ways[0].centreline_m, ways[1].centreline_m[::-1])
+
+    one, back = read(tmp_path, lanelet2(lanes, {"one_way": "no"})).lanes
+    assert_allclose(one.centreline_m, back.centreline_m[::-1])
 
 
 def test_crosswalks_lights_and_houses_are_there(tmp_path):
     lanes = crossing() | {
         "zebra": ([(-12.0, -5.0), (-12.0, 5.0)], [(-9.0, -5.0), (-9.0, 5.0)])
     }
-    corners = [(20, 20), (30, 20), (30, 35), (20, 35), (20, 20)]
-    more = "".join(
-        f"<node id='{900 + at}' lat='50' lon='8'><tag k='local_x' v='{x}'/>"
-        f"<tag k='local_y' v='{y}'/></node>"
-        for at, (x, y) in enumerate(corners)
-    )
-    refs = "".join(f"<nd ref='{900 + at}'/>" for at in range(5))
+    more = ""
+    refs = ""
+    corners = [
+        (20.0, 20.0),
+        (30.0, 20.0),
+        (30.0, 35.0),
+        (20.0, 35.0),
+        (20.0, 20.0),
+    ]
+
+    for number, (x, y) in enumerate(corners, 900):
+        more += (
+            f"<node id='{number}' lat='50' lon='8'><tag k='local_x' v='{x}'/>"
+            f"<tag k='local_y' v='{y}'/></node>"
+        )
+        refs += f"<nd ref='{number}'/>"
     more += (
         f"<way id='900'>{refs}</way><way id='901'><nd ref='900'/><nd ref='901'/>"
         "<tag k='type' v='traffic_light'/></way><relation id='900'>"
@@ -97,13 +108,14 @@ def test_crosswalks_lights_and_houses_are_there(tmp_path):
         "<tag k='subtype' v='building'/></relation>"
     )
     source = read(tmp_path, lanelet2(lanes, more=more))
-    assert np.sort(source.crosswalks_m[0], axis=0).tolist() == [
-        [-10.5, -5.0],
-        [-10.5, 5.0],
-    ]
+    walk = np.sort(source.crosswalks_m[0], axis=0)
+
+    assert walk.tolist() == [[-10.5, -5.0], [-10.5, 5.0]]
+
     (pole,) = source.poles
     assert pole.kind == "traffic light"
     assert pole.position_m.tolist() == [25.0, 20.0, 0.0]
+
     (house,) = source.things
     assert np.ptp(house.vertices_m[:, :2], axis=0).tolist() == [10.0, 15.0]
     assert house.is_height_assumed
@@ -113,36 +125,28 @@ def test_a_crossing_becomes_a_scene(tmp_path):
     path = tmp_path / "map.osm"
     path.write_text(lanelet2(crossing()))
     scene = import_scene([path], ImportOptions(sites="kerb:20")).scene
+
     assert scene.crs == ""
     assert len(scene.sites) >= 4
     assert sum(lane.kind == "driving" for lane in scene.lanes) == 8
 
 
+EMPTY_LANELET = (
+    "<osm version='0.6'><relation id='1'><tag k='type' v='lanelet'/></relation></osm>"
+)
+ZEBRA = {"zebra": ([(0.0, 1.0), (9.0, 1.0)], [(0.0, 0.0), (9.0, 0.0)])}
+OF_A_POINT = {"road": ([(0.0, 1.0)], [(0.0, 0.0), (9.0, 0.0)])}
+OF_NO_NUMBERS = {"road": ([(0, "x"), (1, "nan")], [(0, 0), (9, 0)])}
+
+
 @pytest.mark.parametrize(
     ("text", "name", "told"),
     [
-        (
-            "<osm version='0.6'><relation id='1'>"
-            "<tag k='type' v='lanelet'/></relation></osm>",
-            "a.osm",
-            "no nodes",
-        ),
-        (
-            lanelet2({"zebra": ([(0, 1), (9, 1)], [(0, 0), (9, 0)])}),
-            "a.osm",
-            "no lanelet for cars",
-        ),
-        (
-            lanelet2({"road": ([(0, 1)], [(0, 0), (9, 0)])}),
-            "a.osm",
-            "no lanelet for cars",
-        ),
+        (EMPTY_LANELET, "a.osm", "no nodes"),
+        (lanelet2(ZEBRA), "a.osm", "no lanelet for cars"),
+        (lanelet2(OF_A_POINT), "a.osm", "no lanelet for cars"),
         ("<commonRoad/>", "a.xml", "no lanelet for cars"),
-        (
-            commonroad({"road": ([(0, "x"), (1, "nan")], [(0, 0), (9, 0)])}),
-            "a.xml",
-            "no lanelet for cars",
-        ),
+        (commonroad(OF_NO_NUMBERS), "a.xml", "no lanelet for cars"),
     ],
 )
 def test_what_is_no_map_is_refused(tmp_path, text, name, told):
@@ -153,34 +157,37 @@ def test_what_is_no_map_is_refused(tmp_path, text, name, told):
 @pytest.mark.parametrize(
     ("tags", "kind"),
     [
-        ({"subtype": "bus_lane"}, "bus"),
-        ({"participant:vehicle:bus": "yes", "participant:vehicle:taxi": "yes"}, "bus"),
-        ({"participant:bicycle": "yes"}, "cycling"),
-        ({"participant:vehicle": "yes", "participant:bicycle": "yes"}, "driving"),
-        ({"participant:vehicle": "yes", "participant:vehicle:car": "no"}, "bus"),
-        ({"participant:pedestrian": "no"}, "driving"),
+        ("subtype=bus_lane", "bus"),
+        ("participant:vehicle:bus=yes; participant:vehicle:taxi=yes", "bus"),
+        ("participant:bicycle=yes", "cycling"),
+        ("participant:vehicle=yes; participant:bicycle=yes", "driving"),
+        ("participant:vehicle=yes; participant:vehicle:car=no", "bus"),
+        ("participant:pedestrian=no", "driving"),
     ],
 )
 def test_who_may_use_a_lanelet_says_its_kind(tags, kind, tmp_path):
     """The first one leads in from the west."""
     road = "<tag k='subtype' v='road'/>"
-    known = {"subtype": "road"} | tags
+    known = {"subtype": "road"} | tags_of(tags)
     told = "".join(f"<tag k='{key}' v='{value}'/>" for key, value in known.items())
-    source = read(tmp_path, lanelet2(crossing()).replace(road, told, 1))
+    text = lanelet2(crossing()).replace(road, told, 1)
+    source = read(tmp_path, text)
     kinds = {lane.id: lane.kind for lane in source.lanes}
+
     assert kinds.pop("1") == kind
     assert set(kinds.values()) == {"driving"}
 
 
 def test_a_bus_lane_of_commonroad_is_no_way_through_for_cars(tmp_path):
     urban = "<laneletType>urban</laneletType>"
-    text = commonroad(crossing()).replace(
-        urban, f"{urban}<laneletType>busLane</laneletType>", 1
-    )
+    bus = f"{urban}<laneletType>busLane</laneletType>"
+    text = commonroad(crossing()).replace(urban, bus, 1)
     source = read(tmp_path, text, "a.xml")
     (bus,) = (lane for lane in source.lanes if lane.kind == "bus")
     (junction,) = source.junctions
+
     assert bus.to_junction == junction.id
+
     (surveyed,) = survey_junctions(source)
     assert surveyed.n_driven == 3
 
@@ -188,7 +195,7 @@ def test_a_bus_lane_of_commonroad_is_no_way_through_for_cars(tmp_path):
 # ---------- Autoware's files
 
 
-def with_places(text: str, *, turned_deg: float = 0.0) -> str:
+def with_places(text, *, turned_deg=0.0):
     """A map in local coordinates with the latitudes and longitudes that they mean.
 
     Local (0, 0) lies at 48 degrees north, 11 degrees east; its x axis points
@@ -199,8 +206,8 @@ def with_places(text: str, *, turned_deg: float = 0.0) -> str:
     )
     angle = np.radians(turned_deg)
 
-    def placed(match: re.Match[str]) -> str:
-        x, y = float(match[1]), float(match[2])
+    def placed(match):
+        x, y = map(float, match.groups())
         east = x * np.cos(angle) - y * np.sin(angle)
         north = x * np.sin(angle) + y * np.cos(angle)
         lat, lon = to_deg.transform(east, north)
@@ -236,47 +243,58 @@ def test_every_variant_of_a_map_has_the_same_arms_and_lanes(text, tmp_path):
     source = read(tmp_path, text)
     plain = read(tmp_path, PLAIN, "plain.osm")
     (one,) = survey_junctions(source)
+
     assert len(one.arms) == 4
     assert one.n_lanes == 8
     assert len(source.connections) == 4
     for lane, same in zip(source.lanes, plain.lanes, strict=True):
-        steps_m = [
-            np.hypot(*np.diff(one.centreline_m[:, :2], axis=0).T)
-            for one in (lane, same)
-        ]
         # The shape is that of the local coordinates.
-        np.testing.assert_allclose(*steps_m, atol=1e-6)
+        assert_allclose(steps_m(lane), steps_m(same), atol=1e-6)
         assert lane.width_m == pytest.approx(same.width_m, abs=1e-6)
+
+
+def steps_m(lane):
+    """Distances between the points of a lane."""
+    return np.linalg.norm(np.diff(lane.centreline_m[:, :2], axis=0), axis=-1)
 
 
 def test_latitudes_say_where_local_coordinates_lie(tmp_path):
     """A frame that is turned against north by 30 degrees is turned back."""
     source = read(tmp_path, with_places(PLAIN, turned_deg=30.0))
     assert source.source_crs == "EPSG:4326"
+
     (junction,) = source.junctions
     place = Transformer.from_crs(source.crs, "EPSG:4326", always_xy=True)
     lon_lat = place.transform(*junction.position_m)
+
     assert lon_lat == pytest.approx((11.0, 48.0), abs=1e-6)
+
     lane = source.lanes[0].centreline_m[:, :2]
     east, north = lane[-1] - lane[0]
+
     assert np.degrees(np.arctan2(north, east)) % 90.0 == pytest.approx(30.0, abs=0.01)
 
 
 def test_latitudes_that_do_not_fit_are_told_and_not_followed(tmp_path):
     source = read(tmp_path, PLAIN)
     assert source.crs == ""
+
     notes = [str(note) for note in source.skipped]
     expected = (
         "place of map.osm: latitude and longitude do not fit local_x and local_y: not"
         " followed"
     )
+
     assert expected in notes
 
 
 @pytest.mark.parametrize(
     ("bounds", "why"),
     [
-        (([(30.0, 30.0), (50.0, 30.0)],) * 2, "it is 0 m wide and 20 m long"),
+        (
+            ([(30.0, 30.0), (50.0, 30.0)], [(30.0, 30.0), (50.0, 30.0)]),
+            "it is 0 m wide and 20 m long",
+        ),
         (
             ([(30.0, 30.0), (30.0, 30.01)], [(33.0, 30.0), (33.0, 30.01)]),
             "m wide and 0.01 m long",
@@ -286,6 +304,7 @@ def test_latitudes_that_do_not_fit_are_told_and_not_followed(tmp_path):
 def test_a_lanelet_that_cannot_be_a_lane_is_told_with_its_file(bounds, why, tmp_path):
     source = read(tmp_path, lanelet2(crossing() | {"odd": bounds}))
     assert len(source.lanes) == 8
+
     (note,) = (note for note in source.skipped if "lanelet" in str(note.what))
     assert str(note.what) == "lanelet 13 of map.osm"
     assert why in str(note.why)

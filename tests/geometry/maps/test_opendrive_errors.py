@@ -22,10 +22,18 @@ _SHAPES = (
     geometry(length=20.0)
     + geometry('<arc curvature="0.01"/>', s=20.0, x=20.0, length=20.0)
     + geometry(
-        '<spiral curvStart="0.01" curvEnd="-0.02"/>', s=40.0, x=40.0, y=2.0, length=20.0
+        '<spiral curvStart="0.01" curvEnd="-0.02"/>',
+        s=40.0,
+        x=40.0,
+        y=2.0,
+        length=20.0,
     )
     + geometry(
-        '<poly3 a="0" b="0" c="0.01" d="0"/>', s=60.0, x=60.0, y=2.0, length=20.0
+        '<poly3 a="0" b="0" c="0.01" d="0"/>',
+        s=60.0,
+        x=60.0,
+        y=2.0,
+        length=20.0,
     )
     + geometry(
         '<paramPoly3 aU="0" bU="20" cU="0" dU="0" aV="0" bV="0" cV="1" dV="0"'
@@ -69,7 +77,9 @@ _WHOLE = document(
             left=[lane(1, after=1)], right=[lane(-1, after=-1), lane(-2, "sidewalk")]
         )
         + section(
-            s=50.0, left=[lane(1, width=cubic("border", 0.0, 4.0))], right=[lane(-1)]
+            s=50.0,
+            left=[lane(1, width=cubic("border", 0.0, 4.0))],
+            right=[lane(-1)],
         ),
         objects=_OBJECTS,
         signals=_SIGNALS,
@@ -84,13 +94,15 @@ _WHOLE = document(
 )
 
 
-def _refused(tmp_path, text: str) -> str:
+def _refused(tmp_path, text):
+    """What is told of a text."""
     with pytest.raises(InputError) as caught:
         read_text(tmp_path, text)
     return str(caught.value)
 
 
-def _plan(*pieces: str, length: float = 100.0) -> str:
+def _plan(*pieces, length=100.0):
+    """A document of one road with a plan view."""
     return document(road("5", plan="".join(pieces), length=length))
 
 
@@ -230,8 +242,10 @@ def test_a_curve_that_winds_up_is_refused(tmp_path):
 
 def test_widths_that_nobody_can_follow_are_refused(tmp_path):
     wild = cubic("width", 0.0, 1.0, 0.0, 1e8, -1e6)
-    text = document(road("5", sections=section(right=[lane(-1, width=wild)])))
+    sections = section(right=[lane(-1, width=wild)])
+    text = document(road("5", sections=sections))
     message = _refused(tmp_path, text.replace('c="100000000.0"', 'c="-1e-12"'))
+
     assert message.startswith("made.xodr: road 5: edge of a lane: got ")
 
 

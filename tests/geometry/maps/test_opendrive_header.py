@@ -20,6 +20,7 @@ _WKT = (
 
 
 def _read(tmp_path, reference):
+    """What is read of a document with a header."""
     header = f"<geoReference><![CDATA[{reference}]]></geoReference>"
     return read_text(tmp_path, document(road(), header=header))
 
@@ -49,6 +50,7 @@ def test_carla_writes_a_point_and_means_a_projection(tmp_path):
 def test_what_a_projection_says_about_heights_is_left_out(tmp_path):
     reference = "+proj=utm +zone=32 +geoidgrids=egm96_15.gtx +vunits=m +ellps=GRS80"
     source = _read(tmp_path, reference)
+
     assert source.crs == "+proj=utm +zone=32 +ellps=GRS80"
     assert source.source_crs == reference
 
@@ -83,4 +85,5 @@ def test_the_offset_brings_lanes_into_the_projection(tmp_path):
     header = '<offset x="500000" y="5400000" z="100" hdg="0"/>'
     source = read_text(tmp_path, document(road(), header=header))
     lane = next(one for one in source.lanes if one.id == "1/-1")
+
     assert lane.centreline_m[0].tolist() == [500000.0, 5399998.25, 100.0]

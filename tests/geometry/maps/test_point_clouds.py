@@ -1,8 +1,11 @@
+"""Houses and trees out of clouds of points."""
+
 import laspy
 import numpy as np
 import pyproj
 import pytest
 import trimesh
+from numpy.testing import assert_allclose
 
 from geometry.errors import InputError
 from geometry.maps import point_clouds
@@ -15,24 +18,40 @@ RNG_SEED = 7
 
 
 def house(n=40_000, size=(12.0, 8.0, 6.0)):
+    """Points on a house around the origin."""
     solid = trimesh.creation.box(size)
     solid.apply_translation([0.0, 0.0, 0.5 * size[2]])
     return solid.sample(n, seed=RNG_SEED)
 
 
 def crown(n=10_000):
+    """Points on the crown of a tree, 3 to 7 m high."""
     ball = trimesh.creation.icosphere(radius=2.0)
     ball.apply_translation([20.0, 0.0, 5.0])
     return ball.sample(n, seed=RNG_SEED)
 
 
 def ground(n=40_000, *, beside_house=True):
+    """Points on the ground, by default none below the house."""
     rng = np.random.default_rng(RNG_SEED)
-    points = np.column_stack([rng.uniform(-40, 40, (n, 2)), rng.normal(0.0, 0.02, n)])
-    under = (np.abs(points[:, 0]) < 6.0) & (np.abs(points[:, 1]) < 4.0)
+    flat = rng.uniform(-40, 40, (n, 2))
+    points = np.column_stack([flat, rng.normal(0.0, 0.02, n)])
     if beside_house:
-        return points[~under]
+        is_under = (np.abs(flat) < [6.0, 4.0]).all(axis=1)
+        return points[~is_under]
     return points
+
+
+def new_las(points, offsets, crs, *, scale=0.001):
+    """Points in a reference system, to be written."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = [scale, scale, 0.001]
+    header.offsets = offsets
+    if crs:
+        header.add_crs(pyproj.CRS(crs))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    return las
 
 
 def write_las(
@@ -45,79 +64,82 @@ def write_las(
     origin=ORIGIN,
     slope=0.0,
 ):
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales = [0.001] * 3
-    header.offsets = origin
-    if crs:
-        header.add_crs(pyproj.CRS(crs))
-    las = laspy.LasData(header)
+    """A file of parts, each of one class."""
     points = np.concatenate(parts)
     points[:, 2] += slope * points[:, 0]
-    las.x, las.y, las.z = (points + origin).T
-    las.classification = np.repeat(classes, [len(part) for part in parts]).astype(
-        np.uint8
-    )
-    las.write(tmp_path / name)
-    return tmp_path / name
+    las = new_las(points + origin, origin, crs)
+    counts = [len(part) for part in parts]
+    las.classification = np.repeat(classes, counts).astype(np.uint8)
+    path = tmp_path / name
+    las.write(path)
+    return path
+
+
+def volume(thing):
+    """Volume of a thing. [m3]"""
+    return volume_m3(thing.vertices_m, thing.triangles)
 
 
 def size(thing):
+    """Length, width and height of a thing."""
     return np.ptp(thing.vertices_m, axis=0)
 
 
 @pytest.mark.parametrize(
     ("name", "classes"),
-    [("a.las", (6, 5, 2)), ("a.laz", (1, 1, 1)), ("a.las", (0, 0, 2))],
+    [
+        ("a.las", (6, 5, 2)),
+        ("a.laz", (1, 1, 1)),
+        ("a.las", (0, 0, 2)),
+    ],
 )
 def test_a_house_and_a_tree_stand_on_the_ground_where_they_were(
     tmp_path, name, classes
 ):
-    source = read_point_cloud(
-        write_las(tmp_path, [house(), crown(), ground()], classes, name=name)
-    )
+    path = write_las(tmp_path, [house(), crown(), ground()], classes, name=name)
+    source = read_point_cloud(path)
+
     assert source.crs == "EPSG:25833"
     assert source.heights == "above ground"
-    by_size = sorted(source.things, key=lambda thing: -size(thing).max())
-    solid, tree = by_size
+
+    tree, solid = sorted(source.things, key=lambda thing: size(thing).max())
     assert solid.class_name == "building"
-    assert tree.class_name == ("vegetation" if classes[1] == 5 else "building")
-    low = solid.vertices_m.min(axis=0)
-    high = solid.vertices_m.max(axis=0)
-    assert np.allclose(low, [ORIGIN[0] - 6, ORIGIN[1] - 4, 0.0], atol=0.51)
-    assert np.allclose(high, [ORIGIN[0] + 6, ORIGIN[1] + 4, 6.0], atol=0.51)
-    assert volume_m3(solid.vertices_m, solid.triangles) == pytest.approx(
-        576.0, rel=0.15
-    )
+
+    is_vegetation = tree.class_name == "vegetation"
+    assert is_vegetation == (classes[1] == 5)
+
+    place = solid.vertices_m - [*ORIGIN[:2], 0.0]
+    assert_allclose(place.min(axis=0), [-6.0, -4.0, 0.0], atol=0.51)
+    assert_allclose(place.max(axis=0), [6.0, 4.0, 6.0], atol=0.51)
+
+    assert volume(solid) == pytest.approx(576.0, rel=0.15)
+
     # Under the crown one can look through.
-    assert tree.vertices_m[:, 2].min() == pytest.approx(3.0, abs=0.5)
-    assert tree.vertices_m[:, 2].max() == pytest.approx(7.0, abs=0.5)
+    heights = tree.vertices_m[:, 2]
+    assert heights.min() == pytest.approx(3.0, abs=0.5)
+    assert heights.max() == pytest.approx(7.0, abs=0.5)
 
 
 def test_rays_find_no_hole_in_a_wall_and_nothing_beside_it(tmp_path):
-    wall = np.column_stack(
-        [
-            np.random.default_rng(1).uniform(-5.0, 5.0, 8000),
-            np.zeros(8000),
-            np.random.default_rng(2).uniform(0.0, 4.0, 8000),
-        ]
-    )
-    source = read_point_cloud(
-        write_las(
-            tmp_path, [wall, ground(beside_house=False)], (1, 1), origin=(0.0, 0.0, 0.0)
-        )
-    )
-    (thing,) = source.things
-    x, z = (
-        a.ravel()
-        for a in np.meshgrid(np.linspace(-8, 8, 161), np.linspace(0.1, 5.0, 50))
-    )
+    low = [-5.0, 0.0, 0.0]
+    high = [5.0, 0.0, 4.0]
+    wall = np.random.default_rng(1).uniform(low, high, (8000, 3))
+    parts = [wall, ground(beside_house=False)]
+    path = write_las(tmp_path, parts, (1, 1), origin=np.zeros(3))
+    (thing,) = read_point_cloud(path).things
+
+    x = np.repeat(np.linspace(-8, 8, 161), 50)
+    z = np.tile(np.linspace(0.1, 5.0, 50), 161)
     origins = np.column_stack([x, np.full(len(x), -20.0), z])
     caster = build_caster(thing.vertices_m, thing.triangles)
     ahead = np.tile([0.0, 1.0, 0.0], (len(x), 1))
-    is_hit = np.isfinite(caster.first_triangle(origins, ahead)[0])
+    distance_m, _ = caster.first_triangle(origins, ahead)
+    is_hit = np.isfinite(distance_m)
+
     margin = 2.0 * point_clouds.VOXEL_M
     inner = (np.abs(x) < 5.0 - margin) & (z < 4.0 - margin)
     outer = (np.abs(x) > 5.0 + margin) | (z > 4.0 + margin)
+
     assert is_hit[inner].mean() > 0.995
     assert not is_hit[outer].any()
 
@@ -126,57 +148,60 @@ def test_rays_find_no_hole_in_a_wall_and_nothing_beside_it(tmp_path):
 def test_ground_may_slope(tmp_path, slope):
     path = write_las(tmp_path, [house(), ground()], (1, 1), slope=slope)
     (thing,) = read_point_cloud(path).things
-    assert thing.vertices_m[:, 2].min() == 0.0
-    assert thing.vertices_m[:, 2].max() == pytest.approx(6.0, abs=0.8)
+    heights = thing.vertices_m[:, 2]
+
+    assert heights.min() == 0.0
+    assert heights.max() == pytest.approx(6.0, abs=0.8)
 
 
 @pytest.mark.parametrize("kind", [1, 6])
 def test_roofs_seen_from_the_air_get_walls(tmp_path, kind):
     roof = house()
     roof = roof[roof[:, 2] > 5.99]
-    (thing,) = read_point_cloud(write_las(tmp_path, [roof, ground()], (kind, 2))).things
-    assert volume_m3(thing.vertices_m, thing.triangles) == pytest.approx(
-        576.0, rel=0.15
-    )
+    path = write_las(tmp_path, [roof, ground()], (kind, 2))
+    (thing,) = read_point_cloud(path).things
+
+    assert volume(thing) == pytest.approx(576.0, rel=0.15)
 
 
 def test_thin_scans_get_larger_voxels_and_say_so(tmp_path):
-    source = read_point_cloud(write_las(tmp_path, [house(1500), ground()], (1, 2)))
+    path = write_las(tmp_path, [house(1500), ground()], (1, 2))
+    source = read_point_cloud(path)
+
     assert len(source.things) == 1
     assert source.skipped[0].what == "detail below 1 m"
 
 
 def test_classes_that_hide_nothing_are_left_out_and_counted(tmp_path):
-    path = write_las(
-        tmp_path, [house(), crown(500), crown(20), ground()], (6, 14, 7, 2)
-    )
+    parts = [house(), crown(500), crown(20), ground()]
+    path = write_las(tmp_path, parts, (6, 14, 7, 2))
     source = read_point_cloud(path)
+
     assert len(source.things) == 1
     assert {skip.what for skip in source.skipped} == {"500 wire", "20 noise"}
 
 
 def test_the_class_of_points_without_one_is_the_callers(tmp_path):
     path = write_las(tmp_path, [house(), ground()], (1, 1))
-    assert read_point_cloud(path, class_name="wall").things[0].class_name == "wall"
+    (thing,) = read_point_cloud(path, class_name="wall").things
+    assert thing.class_name == "wall"
 
 
 def test_coordinates_in_degrees_become_metres(tmp_path):
-    parts = [house(), ground()]
     lonlat = pyproj.Transformer.from_crs("EPSG:25833", "EPSG:4326", always_xy=True)
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = [1e-8, 1e-8, 0.001], [13.0, 52.0, 0.0]
-    header.add_crs(pyproj.CRS("EPSG:4326"))
-    las = laspy.LasData(header)
-    x, y, z = (np.concatenate(parts) + ORIGIN).T
-    las.x, las.y = lonlat.transform(x, y)
-    las.z = z
+    x, y, z = (np.concatenate([house(), ground()]) + ORIGIN).T
+    points = np.column_stack([*lonlat.transform(x, y), z])
+    las = new_las(points, [13.0, 52.0, 0.0], "EPSG:4326", scale=1e-8)
     las.write(tmp_path / "a.las")
     (thing,) = read_point_cloud(tmp_path / "a.las").things
-    assert size(thing)[2] == pytest.approx(6.0, abs=0.51)
-    assert sorted(size(thing)[:2]) == pytest.approx([8.0, 12.0], abs=1.0)
+    *across_m, height_m = size(thing)
+
+    assert height_m == pytest.approx(6.0, abs=0.51)
+    assert sorted(across_m) == pytest.approx([8.0, 12.0], abs=1.0)
 
 
 def patched(path, offset, data):
+    """A file with other bytes at a place."""
     content = bytearray(path.read_bytes())
     content[offset : offset + len(data)] = data
     path.write_bytes(content)
@@ -225,6 +250,7 @@ def test_packed_points_that_claim_what_cannot_be_are_refused(
         "layers": first + 8 + 30 + 4,
         "table offset": first,
     }[place]
+
     with pytest.raises(InputError, match=message):
         read_point_cloud(patched(path, offset, data))
 
@@ -238,10 +264,9 @@ def test_clouds_of_nothing_but_ground_are_refused(tmp_path):
 
 def test_degrees_are_refused(tmp_path):
     small = house(500) * 1e-4 + [13.0, 52.0, 0.0]
+    path = write_las(tmp_path, [small], (1,), crs=None, origin=np.zeros(3))
     with pytest.raises(InputError, match="degrees where metres"):
-        read_point_cloud(
-            write_las(tmp_path, [small], (1,), crs=None, origin=(0.0, 0.0, 0.0))
-        )
+        read_point_cloud(path)
 
 
 def test_unknown_options_and_endings_are_refused(tmp_path):
@@ -256,5 +281,6 @@ def test_unknown_options_and_endings_are_refused(tmp_path):
 
 def test_too_many_voxels_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(point_clouds, "_MAX_VOXELS", 100)
+    path = write_las(tmp_path, [house()], (1,))
     with pytest.raises(InputError, match="a larger voxel"):
-        read_point_cloud(write_las(tmp_path, [house()], (1,)))
+        read_point_cloud(path)

@@ -1,3 +1,5 @@
+"""Maps in the project's own terms: what they hold, and what is refused."""
+
 import pytest
 
 from geometry.errors import InputError
