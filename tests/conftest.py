@@ -13,13 +13,13 @@ if (
 ):  # all workers and the commands they begin would compile SciPy anew
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-    sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
+    sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache/bytecode")
     os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
 
-import numpy as np
 import pytest
 from _pytest.doctest import DoctestModule
 from hypothesis import settings
+from tiny_worlds import three_runs
 
 from geometry.actors import load_actors
 from geometry.catalogue import load_cameras
@@ -27,7 +27,7 @@ from geometry.study_scene import load_study_scene
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import pick_cases
 from scenarios.published import load_placements
-from scenarios.runs import FrameAxis, build_runs
+from scenarios.runs import build_runs
 
 # How long an example takes is no test. The same examples are drawn each time, so that a
 # change that lands is judged by what it changes; fewer where little hangs on geometry
@@ -87,6 +87,7 @@ def pytest_collection_modifyitems(items):
 
 
 def _turn(nodeid):
+    """Place of a test in the order of files: the lower, the earlier."""
     for turn, files in enumerate((*COMPILES, NEEDS_NO_KERNELS)):
         if nodeid.startswith(files):
             return turn
@@ -160,14 +161,4 @@ def runs(actors, rule):
 @pytest.fixture
 def frame_axis():
     """Three runs of 3, 5 and 2 frames with weights 1/2, 1/4, 1/4."""
-    return FrameAxis(
-        run_ids=("A/north/20", "A/north/30", "B/north/20"),
-        cases=("A", "A", "B"),
-        approaches=("north", "north", "north"),
-        weathers=("day",) * 3,
-        vut_speed_kmh=np.array([20.0, 30.0, 20.0]),
-        weight=np.array([0.5, 0.25, 0.25]),
-        last_brake_time_s=np.array([-0.1, -0.2, -np.inf]),
-        run_start=np.array([0, 3, 8, 10]),
-        time_s=np.array([-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, -0.1, 0.0]),
-    )
+    return three_runs()

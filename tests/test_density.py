@@ -108,12 +108,13 @@ def read(*folders):
         pytest.skip("needs a checkout of git")
     names = [name for name in listed.stdout.split("\0") if name]
     paths = [ROOT / name for name in names]
-    return [path.read_text(encoding="utf-8") for path in paths if path.exists()]
+    return [path.read_text() for path in paths if path.exists()]
 
 
 def test_counting_sees_each_kind_of_packing():
     text = '"""Doc."""\n# why\na, b = 1, 2\nf(*(a, b), 1 if a else 2)\n'
     figures = count([text])
+
     assert figures.lines == 4
     assert figures.docstring_lines == 1
     assert figures.comment_lines == 1

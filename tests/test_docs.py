@@ -64,13 +64,14 @@ _WRITTEN = (
 
 def _text_of(file: Path) -> str:
     """Text of a file; of the changelog only what is new and still there."""
-    text = file.read_text(encoding="utf-8")
+    text = file.read_text()
     if file.name != "CHANGELOG.md":
         return text
     return text.split("\n## ")[1].split("### Removed")[0]
 
 
 def _commands() -> Iterator[tuple[Path, str]]:
+    """Page and words of each command line in the pages."""
     for page in PAGES:
         fence = ""
         text = _text_of(page).replace("\\\n", " ")
@@ -217,6 +218,7 @@ def test_names_in_brackets_behind_a_file_are_in_it(page):
 
 
 def _options(command: click.Command) -> Iterator[str]:
+    """Options of a command and of those below it."""
     for parameter in command.params:
         yield from (*parameter.opts, *parameter.secondary_opts)
     if isinstance(command, click.Group):
@@ -256,6 +258,8 @@ def _prose(text: str) -> Iterator[str]:
 
 
 def _missing_in_module(file: Path, known_names: Iterable[str]) -> list[str]:
+    """What a module's prose names and is not there."""
+
     def missing(text: str) -> list[str]:
         text = text.replace("../", "")  # in code these are names of users' files
         alone = set(_BARE_FILE.findall(text)).difference(known_names)
@@ -283,6 +287,7 @@ def test_files_and_modules_named_in_docstrings_and_comments_exist(folder):
         for file in sorted((ROOT / folder).rglob("*.py"))
         for name in _missing_in_module(file, known)
     }
+
     assert missing == set()
 
 
@@ -292,9 +297,11 @@ def test_example_files_are_what_pages_say():
     assert load_latency_budget(str(files / "latency.toml")).worst_s == pytest.approx(
         0.072
     )
+
     uncertainty = load_uncertainty(str(files / "uncertainty.toml"))
     assert uncertainty.mounting.yaw_sd_deg == 2.0
     assert uncertainty.packet_loss == 0.0
+
     sites = read_sites(files / "poles.csv", crs="EPSG:25833")
     assert [site.id for site in sites if site.is_forbidden] == ["museum"]
 
@@ -305,19 +312,21 @@ def test_public_names_are_in_the_api_pages(package):
     shown: set[str] = set()
     for page in API_PAGES:
         module = ""
-        for line in page.read_text(encoding="utf-8").splitlines():
+        for line in page.read_text().splitlines():
             if line.startswith(".. currentmodule:: "):
                 module = line.split()[-1]
             elif module == package and (
                 found := re.match(r"\.\. auto(?:class|function):: (\w+)$", line)
             ):
                 shown.add(found[1])
+
     assert shown == names
 
 
 def test_version_is_one_in_all_places():
     project = tomllib.loads(_text_of(ROOT / "pyproject.toml"))["project"]
     version = project["version"]
+
     assert f"\nversion: {version}\n" in _text_of(ROOT / "CITATION.cff")
     assert f"version {version}, " in _text_of(ROOT / "README.md").replace("\n", " ")
     assert f"\n## {version}\n" in (ROOT / "CHANGELOG.md").read_text()

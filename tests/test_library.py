@@ -25,5 +25,6 @@ def test_nothing_is_loaded_before_it_is_used(name):
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
+
     assert name in loaded
     assert not {"numpy", "msgspec", "trimesh", "geometry.errors"} & set(loaded)

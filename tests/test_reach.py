@@ -47,7 +47,7 @@ def imported_names(module):
     else:
         package = module.rpartition(".")[0]
     names = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         if isinstance(node, ast.ImportFrom):
@@ -87,7 +87,8 @@ def reach(start):
 
 
 def n_tokens(module):
-    text = file_of(module).read_text(encoding="utf-8")
+    """How much there is to read in a module."""
+    text = file_of(module).read_text()
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     return sum(token.type not in NO_TOKENS for token in tokens)
 

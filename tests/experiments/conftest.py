@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from browser_pages import start_browser
 from command_results import answer
 from interactive_pages import build_evaluation, build_layout
+from json_files import read_json, write_json
 from once import make_once
 from partial_pages import blank_pictures
 from small_results import (
@@ -37,6 +39,7 @@ of 60.
 
 @pytest.fixture(scope="session")
 def small_setting():
+    """Six runs of the study's cases at its junction."""
     return build_small_setting()
 
 
@@ -108,10 +111,17 @@ def part_of_many(small_setting, tmp_path_factory):
                 GroundViews, "shape", lambda self, unit: shapes[units.index(unit) % 50]
             )
             part = interactive_part(small_setting, {"many": evaluation})
-        (folder / "part.json").write_text(json.dumps(part))
+        write_json((folder / "part.json"), part)
 
     folder = make_once(tmp_path_factory, "part-of-many", build)
-    return json.loads((folder / "part.json").read_text())
+    return read_json(folder / "part.json")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium, where there is one."""
+    with start_browser() as opened:
+        yield opened
 
 
 @pytest.fixture
@@ -188,7 +198,10 @@ def layout(camera):
         name='two, "quoted"',
         units=tuple(
             CandidatePose(
-                id=f"pole, {index}/ü", site_id=f"site-{index}", pose=pose, sensor=camera
+                id=f"pole, {index}/ü",
+                site_id=f"site-{index}",
+                pose=pose,
+                sensor=camera,
             )
             for index, pose in enumerate(poses)
         ),

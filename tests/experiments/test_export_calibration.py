@@ -30,6 +30,7 @@ BUILDS = [awkward_layout, pytest.param(large_layout, marks=pytest.mark.long)]
 
 
 def cameras_of(layout):
+    """Units that are cameras."""
     return [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
 
 
@@ -42,12 +43,14 @@ def points_before(unit):
 
 
 def expected_px(unit, points_m):
+    """Where points are in a unit's picture, in OpenCV's pixels."""
     return project_points(points_m, unit.pose, unit.sensor)[:, :2] - HALF_PIXEL
 
 
 def read_opencv(text, tmp_path):
+    """Name and cameras of a file, read by OpenCV."""
     path = tmp_path / "cameras.yaml"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     assert storage.isOpened()
     node = storage.getNode("cameras")
@@ -74,10 +77,13 @@ def test_opencv_projects_as_the_camera_model_does(build, tmp_path):
     layout = build()
     name, cameras = read_opencv(to_opencv(layout), tmp_path)
     assert name == layout.name
+
     for unit, camera in zip(cameras_of(layout), cameras, strict=True):
         assert camera["id"] == unit.id
+
         size = (camera["image_width"], camera["image_height"])
         assert size == (unit.sensor.width_px, unit.sensor.height_px)
+
         points_m = points_before(unit)
         for rotation in (camera["rvec"], cv2.Rodrigues(camera["R"])[0]):
             found, _ = cv2.projectPoints(
@@ -94,13 +100,20 @@ def test_the_principal_point_is_in_the_middle_of_the_image(tmp_path):
     layout = level_layout(yaw_deg=90.0)  # looks north, over the origin
     _, (camera,) = read_opencv(to_opencv(layout), tmp_path)
     found, _ = cv2.projectPoints(
-        np.array([[0.0, 10.0, 6.0], [1.0, 10.0, 6.0], [0.0, 10.0, 5.0]]),
+        np.array(
+            [
+                [0.0, 10.0, 6.0],
+                [1.0, 10.0, 6.0],
+                [0.0, 10.0, 5.0],
+            ]
+        ),
         camera["rvec"],
         camera["t"],
         camera["camera_matrix"],
         None,
     )
     middle, east, below = found[:, 0]
+
     assert_allclose(middle, [959.5, 539.5])  # pixels 0 .. 1919 and 0 .. 1079
     assert east[0] > middle[0]
     assert below[1] > middle[1]
@@ -111,11 +124,13 @@ def test_ros_camera_infos_and_transforms_project_as_the_camera_model_does(build)
     layout = build()
     documents = list(yaml.safe_load_all(to_ros(layout)))
     assert len({document["camera_name"] for document in documents}) == len(documents)
+
     for unit, info in zip(cameras_of(layout), documents, strict=True):
         assert info["unit"] == unit.id
         assert info["image_width"] == unit.sensor.width_px
         assert info["image_height"] == unit.sensor.height_px
         assert info["distortion_model"] == "plumb_bob"
+
         matrices = {}
         for key, shape in (
             ("camera_matrix", (3, 3)),
@@ -126,11 +141,14 @@ def test_ros_camera_infos_and_transforms_project_as_the_camera_model_does(build)
             assert (info[key]["rows"], info[key]["cols"]) == shape
             assert all(isinstance(value, float) for value in info[key]["data"])
             matrices[key] = np.array(info[key]["data"]).reshape(shape)
+
         np.testing.assert_array_equal(matrices["rectification_matrix"], np.eye(3))
         assert not matrices["distortion_coefficients"].any()
+
         frames = info["static_transform"]
         assert frames["header"]["frame_id"] == "map"
         assert frames["child_frame_id"] == f"{info['camera_name']}_optical_frame"
+
         move = frames["transform"]
         turn = Rotation.from_quat([move["rotation"][axis] for axis in "xyzw"])
         place_m = np.array([move["translation"][axis] for axis in "xyz"])
@@ -140,6 +158,7 @@ def test_ros_camera_infos_and_transforms_project_as_the_camera_model_does(build)
         )
         projected = optical @ matrices["projection_matrix"].T
         found = projected[:, :2] / projected[:, 2:]
+
         assert_allclose(found, expected_px(unit, points_m), atol=1e-6)
         np.testing.assert_array_equal(
             matrices["projection_matrix"][:, :3], matrices["camera_matrix"]
@@ -151,6 +170,7 @@ def test_ros_names_are_legal_and_each_is_there_once():
     ids = ["A b", "a_b", "a-b", "a_b_2", "ü", "7", "ß", "<&>"]
     layout = Layout(name="names", units=tuple(replace(one, id=name) for name in ids))
     names = camera_names(calibrations(layout, "ros"))
+
     assert len(set(names)) == len(names) == len(ids)
     assert all(name.replace("_", "").isalnum() and name.isascii() for name in names)
     assert all(name[0].isalpha() for name in names)
@@ -161,11 +181,18 @@ def test_ros_names_are_legal_and_each_is_there_once():
 def test_lidars_are_left_out_and_named(export):
     text = export(awkward_layout())
     assert "# Left out, for they are no cameras: lidar ä, lidar b\n" in text
+
     cameras = Layout(name="cameras", units=tuple(cameras_of(awkward_layout())))
     assert "Left out" not in export(cameras)
 
 
-@pytest.mark.parametrize(("name", "export"), [("opencv", to_opencv), ("ros", to_ros)])
+@pytest.mark.parametrize(
+    ("name", "export"),
+    [
+        ("opencv", to_opencv),
+        ("ros", to_ros),
+    ],
+)
 def test_lidars_alone_are_refused(name, export):
     with refused_with(
         f"{name}: got a layout of LiDARs only; expected at least one camera"
@@ -181,6 +208,7 @@ def test_yaml_numbers_come_back_bit_by_bit(value):
         to_ros(Layout(name="far", units=(replace(unit, pose=pose),)))
     )
     again = document["static_transform"]["transform"]["translation"]["x"]
+
     assert isinstance(again, float)
     assert again == value
 
@@ -202,6 +230,7 @@ def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
     asked = ("export --calibration", path, "--size 1920 1080 --quiet --format")
     out = answer(run(*asked, "ros"))
     (document,) = yaml.safe_load_all(out)
+
     assert document["distortion_coefficients"]["data"] == [
         -0.4,
         0.6,
@@ -211,8 +240,10 @@ def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
     ]
     assert document["unit"] == "north"
     assert document["distortion_model"] == "plumb_bob"
+
     (tmp_path / "north.yaml").write_text(run(*asked, "opencv")[1])
     again = run("export --calibration", tmp_path / "north.yaml", "--quiet --format ros")
+
     assert again == (0, out, "")
     assert run(*asked, "carla")[::2] == (
         2,
@@ -221,6 +252,7 @@ def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
             " ros\n"
         ),
     )
+
     both = run(*asked, "ros", "--layout carlancap-12")
     assert (
         both[2]
@@ -234,5 +266,6 @@ def test_of_the_two_quaternions_of_a_rotation_the_one_with_positive_w_is_written
 ):
     rotation = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
     written = quaternion(rotation)
+
     assert written[3] >= 0.0
     assert_allclose(Rotation.from_quat(written).as_matrix(), rotation, atol=1e-12)

@@ -23,16 +23,18 @@ TOLD = {"cpm-uper": "10 messages of "}  # what is said of a file that was writte
 
 @pytest.fixture
 def layout_path(tmp_path):
+    """File of a layout at no site."""
     path = tmp_path / "layout.json"
     layout = awkward_layout()
     text = to_json(layout)
     for unit in layout.units:  # the study's junction has other sites
         text = text.replace(f'"site": "{unit.site_id}"', '"site": ""')
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
     return path
 
 
 def call(*arguments):
+    """Result of the command by itself."""
     return CliRunner().invoke(
         command, [str(one) for one in arguments], obj=StageProgress()
     )
@@ -43,7 +45,9 @@ def test_every_format_is_described():
     written = [module for module in modules if " = ExportFormat(" in module.read_text()]
     several = {"uper": ["cpm-uper"]}
     names = [several.get(one.stem, [one.stem]) for one in written]
+
     assert sorted(FORMAT_NAMES) == sorted(itertools.chain(*names))
+
     help_text = call("--help").output
     assert all(f"\n    {name} " in help_text for name in FORMAT_NAMES)
     assert [name for name in FORMAT_NAMES if FORMATS[name].is_binary] == BINARY
@@ -56,11 +60,14 @@ def test_notes_tell_the_truth(name, build):
     layout = build()
     note = load_format(name)
     content = note.write(layout, map_scene())
+
     assert isinstance(content, bytes) == FORMATS[name].is_binary
+    # Bear a date.
     assert content == note.write(layout, map_scene()) or name in (
         "gpkg",
         "dxf",
-    )  # bear a date
+    )
+
     if note.has_lidars:
         gone = []
     else:
@@ -68,6 +75,7 @@ def test_notes_tell_the_truth(name, build):
     assert bool(gone) == (not note.has_lidars and build is awkward_layout)
     if isinstance(content, str):
         assert content.endswith("\n")
+
     if name in ("geojson", "gpkg", "kml", "cpm", "cpm-uper"):  # need a place on earth
         with pytest.raises(InputError, match="a scene without crs"):
             note.write(layout, placeless_scene())
@@ -81,10 +89,13 @@ def test_every_format_is_written_to_a_file_whole(name, layout_path, tmp_path):
     out = tmp_path / f"out.{name}"
     given = ["--layout", layout_path, "--format", name]
     result = call(*given, "--out", out)
+
     assert result.exit_code == 0, result.output
     assert result.stdout == ""
+
     said = "left out, for they are no cameras: lidar ä, lidar b\n"
     said = TOLD.get(name, "" if load_format(name).has_lidars else said)
+
     assert result.stderr.startswith(said)
     assert bool(result.stderr) == bool(said)
     assert out.stat().st_size > 0
@@ -113,6 +124,7 @@ def test_an_old_file_survives_a_failure(name, layout_path, tmp_path, monkeypatch
 
     monkeypatch.setattr(Path, "replace", fail)
     result = call("--layout", layout_path, "--format", name, "--out", out)
+
     assert result.exit_code == 2
     assert "No space left on device" in result.stderr
     assert out.read_text() == "old"

@@ -17,6 +17,7 @@ from export_layouts import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
+from json_files import write_json
 from pyproj import Transformer
 
 from experiments.export.cpm import to_cpm
@@ -38,9 +39,8 @@ from placement.layout import (
 
 @pytest.fixture(scope="module")
 def validator():
-    text = (files("experiments") / "data" / "layout.schema.json").read_text(
-        encoding="utf-8"
-    )
+    """Validator of layout files, whose schema is one."""
+    text = (files("experiments") / "data/layout.schema.json").read_text()
     schema = json.loads(text)
     jsonschema.Draft202012Validator.check_schema(schema)
     assert schema["properties"]["schema"]["const"] == SCHEMA
@@ -56,8 +56,9 @@ def test_layout_files_are_as_the_schema_says_and_read_back(build, validator, tmp
     text = to_json(layout)
     validator.validate(json.loads(text))
     path = tmp_path / "layout.json"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
     again = load_layout(path)
+
     assert again.name == layout.name
     assert again.scene_name == layout.scene_name
     assert layout_records(again) == layout_records(layout)
@@ -113,7 +114,7 @@ def test_the_schema_refuses_what_the_reader_refuses(what, validator, tmp_path):
     else:
         place[key] = value
     path = tmp_path / "layout.json"
-    path.write_text(json.dumps(damaged), encoding="utf-8")
+    write_json(path, damaged)
     if what in FINE:
         load_layout(path)
         assert validator.is_valid(damaged)
@@ -128,13 +129,18 @@ def test_an_own_lidar_is_in_the_schema(validator):
     (one,) = layout.units
     own = replace(one, sensor=replace(one.sensor, name="mine"))
     document = json.loads(to_json(replace(layout, units=(own,))))
+
     assert document["sensors"]["mine"]["kind"] == "lidar"
+
     validator.validate(document)
     for key in list(document["sensors"]["mine"]):
         damaged = copy.deepcopy(document)
         del damaged["sensors"]["mine"][key]
         assert not validator.is_valid(damaged), key
-    for fov_deg, is_fine in ((360.0, True), (360.1, False)):
+    for fov_deg, is_fine in (
+        (360.0, True),
+        (360.1, False),
+    ):
         document["sensors"]["mine"]["horizontal_fov_deg"] = fov_deg
         assert validator.is_valid(document) == is_fine
 
@@ -147,12 +153,14 @@ LENGTH = range(1, 4094)
 
 
 def stations_of(layout, scene):
+    """Stations of a file of messages."""
     document = json.loads(to_cpm(layout, scene))
     assert document["standard"].startswith("ETSI TS 103 324")
     return document["stations"]
 
 
 def sensors_of(station):
+    """Sensors of a station."""
     rsu, information = station["messages"][0]["payload"]["cpmContainers"]
     assert rsu == {"containerId": 2, "containerData": {}}
     assert information["containerId"] == 3
@@ -176,6 +184,7 @@ def test_cpm_sensors_are_where_the_units_are(build, scene):
             "referencePosition"
         ]
         assert all(isinstance(reference[key], int) for key in ("latitude", "longitude"))
+
         origin = to_local.transform(
             reference["longitude"] / 1e7, reference["latitude"] / 1e7
         )
@@ -185,19 +194,23 @@ def test_cpm_sensors_are_where_the_units_are(build, scene):
             assert sensor["sensorType"] == (
                 2 if isinstance(unit.sensor, LidarModel) else 3
             )
+
             shape = sensor["perceptionRegionShape"]["radial"]
             offset = [
                 shape["shapeReferencePoint"][f"{axis}Coordinate"] for axis in "xyz"
             ]
             assert all(value in OFFSET for value in offset)
+
             found_m = np.append(origin, 0.0) + np.array(offset) / 100.0
             # n stands for more than n - 1 and at most n centimetres.
             above_m = found_m - unit.pose.position_m
+
             assert above_m.min() > -1e-4
             assert above_m.max() < 0.0101
             assert shape["range"] in LENGTH
             assert all(value in ANGLE for key, value in shape.items() if "Angle" in key)
         named += station["units"]
+
     assert sorted(named) == sorted(units)
 
 
@@ -227,6 +240,7 @@ def test_cpm_opens_from_left_to_right_and_from_below_to_above(yaw_deg, pitch_deg
     ):
         opening = (shape[end] - shape[start]) % 3600 / 10.0
         assert opening == pytest.approx(fov_deg, abs=0.11)
+
         middle = shape[start] / 10.0 + 0.5 * opening
         assert (middle - middle_deg + 180.0) % 360.0 - 180.0 == pytest.approx(
             0.0, abs=0.16
@@ -236,13 +250,16 @@ def test_cpm_opens_from_left_to_right_and_from_below_to_above(yaw_deg, pitch_deg
 def test_cpm_by_hand():
     layout = level_layout(90.0, -10.0)  # looks north, 110 degrees wide
     (station,) = stations_of(layout, load_study_scene())
+
     assert station["site"] == ""
     assert station["units"] == ["one"]
+
     (sensor,) = sensors_of(station)
     # 2 atan(tan(55 deg) 1080 / 1920) = 77.56 deg high: -48.8 .. 28.8 deg, tenths
     # rounded up. As far as an adult is 40 px high.
     shape = sensor["perceptionRegionShape"]["radial"]
     adult_m = load_actors()["adult"].height_m
+
     assert shape.pop("range") == int(np.ceil(10.0 * 672.2 * adult_m / 40.0))
     assert shape == {
         "shapeReferencePoint": {"xCoordinate": 0, "yCoordinate": 0, "zCoordinate": 600},
@@ -252,18 +269,21 @@ def test_cpm_by_hand():
         "verticalOpeningAngleEnd": 288,
     }
     assert sensor["shadowingApplies"] is True
+
     reference = station["messages"][0]["payload"]["managementContainer"][
         "referencePosition"
     ]
     assert reference["latitude"] == 490000000
     assert reference["longitude"] == 80000000
+
     lidar = stations_of(level_layout(0.0, kind="lidar"), load_study_scene())[0]
     assert sensors_of(lidar)[0]["perceptionRegionShape"]["radial"]["range"] == 2500
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 45.0, 180.0])
 @pytest.mark.parametrize(
-    ("pitch_deg", "low", "high"), [(0.0, 3375, 225), (-30.0, 3075, 525)]
+    ("pitch_deg", "low", "high"),
+    [(0.0, 3375, 225), (-30.0, 3075, 525)],
 )
 def test_cpm_opens_all_but_a_tenth_of_a_turn_where_a_lidar_scans_all_round(
     yaw_deg, pitch_deg, low, high
@@ -273,6 +293,7 @@ def test_cpm_opens_all_but_a_tenth_of_a_turn_where_a_lidar_scans_all_round(
     ring = replace(unit, sensor=load_lidars()["ouster-os1-128"])
     (station,) = stations_of(Layout(name="ring", units=(ring,)), load_study_scene())
     shape = sensors_of(station)[0]["perceptionRegionShape"]["radial"]
+
     assert shape["stationaryHorizontalOpeningAngleStart"] == 0
     assert shape["stationaryHorizontalOpeningAngleEnd"] == 3599
     assert shape["verticalOpeningAngleStart"] == low
@@ -289,12 +310,14 @@ def test_cpm_does_not_open_beyond_straight_down():
 def test_cpm_refuses_what_the_standard_has_no_numbers_for():
     with pytest.raises(InputError, match=r"^cpm: got a scene without crs"):
         to_cpm(awkward_layout(), placeless_scene())
+
     one = level_layout(0.0).units[0]
     many = tuple(replace(one, id=f"{index}", site_id="mast") for index in range(129))
     with pytest.raises(
         InputError, match=r"^cpm: mast: got 129 units; expected at most 128$"
     ):
         to_cpm(Layout(name="many", units=many), load_study_scene())
+
     far = replace(
         one,
         id="far",

@@ -49,6 +49,7 @@ def assert_same(found, expected, *, rtol=0.0):
 
 
 def coordinates(frame):
+    """Places of a table of points, (n, 3)."""
     return np.column_stack([frame.geometry.x, frame.geometry.y, frame.geometry.z])
 
 
@@ -58,11 +59,14 @@ def test_a_geopackage_lies_in_the_map_with_every_field(build, tmp_path):
     path = tmp_path / "units.gpkg"
     path.write_bytes(to_geopackage(layout, map_scene()))
     frame = gpd.read_file(path, layer="units")
+
     assert frame.crs == MAP_CRS
     assert_allclose(coordinates(frame), in_map(layout), atol=1e-6)
+
     expected = pd.DataFrame(drawn_records(layout, map_scene()))
     assert "map_x" in expected.columns
     assert_same(pd.DataFrame(frame.drop(columns="geometry")), expected)
+
     with sqlite3.connect(path) as database:
         rows = database.execute(
             "select table_name, z from gpkg_geometry_columns"
@@ -78,6 +82,7 @@ def test_a_geopackage_of_a_map_in_degrees_is_in_degrees(tmp_path):
         to_geopackage(layout, replace(map_scene(), source_crs="EPSG:4326"))
     )
     frame = gpd.read_file(path)
+
     assert frame.crs == "EPSG:4326"
     assert_allclose(coordinates(frame.to_crs(MAP_CRS)), in_map(layout), atol=1e-6)
 
@@ -88,9 +93,11 @@ def test_a_geopackage_of_a_scene_without_a_map_lies_in_the_world_frame(tmp_path)
     path = tmp_path / "units.gpkg"
     path.write_bytes(to_geopackage(layout, scene))
     frame = gpd.read_file(path)
+
     np.testing.assert_array_equal(
         coordinates(frame), [unit.pose.position_m for unit in layout.units]
     )
+
     again = frame.to_crs("EPSG:4326")
     geojson = gpd.read_file(io.StringIO(to_geojson(layout, scene.crs, scene)))
     assert_allclose(coordinates(again), coordinates(geojson), atol=1e-9)
@@ -100,11 +107,14 @@ def test_a_geopackage_of_a_scene_without_a_map_lies_in_the_world_frame(tmp_path)
 def test_geojson_is_read_by_geopandas(build, tmp_path):
     layout = build()
     path = tmp_path / "units.geojson"
-    path.write_text(to_geojson(layout, map_scene().crs, map_scene()), encoding="utf-8")
+    path.write_text(to_geojson(layout, map_scene().crs, map_scene()))
     frame = gpd.read_file(path)
+
     assert frame.crs == "EPSG:4979"  # WGS 84 with heights
+
     ground = frame.set_crs("EPSG:4326", allow_override=True).to_crs(MAP_CRS)
     assert_allclose(coordinates(ground), in_map(layout), atol=1e-6)
+
     expected = pd.DataFrame(drawn_records(layout, map_scene()))
     assert_same(pd.DataFrame(frame[expected.columns]), expected, rtol=1e-14)
 
@@ -113,9 +123,11 @@ def test_geojson_is_read_by_geopandas(build, tmp_path):
 def test_kml_is_read_by_gdal(build, tmp_path):
     layout = build()
     path = tmp_path / "units.kml"
-    path.write_text(to_kml(layout, map_scene()), encoding="utf-8")
+    path.write_text(to_kml(layout, map_scene()))
     frame = gpd.read_file(path)
+
     assert frame.crs == "EPSG:4326"
+
     ground = frame.set_crs("EPSG:4326", allow_override=True).to_crs(MAP_CRS)
     assert_allclose(coordinates(ground), in_map(layout), atol=1e-6)
     assert frame.Name.tolist() == [unit.id for unit in layout.units]
@@ -131,7 +143,9 @@ def test_the_kml_camera_looks_where_the_unit_looks():
     layout = awkward_layout()
     root = ElementTree.fromstring(to_kml(layout, load_study_scene()))
     space = {"k": "http://www.opengis.net/kml/2.2"}
+
     assert root.find("k:Document/k:name", space).text == layout.name
+
     for unit, camera in zip(
         layout.units, root.iterfind(".//k:Camera", space), strict=True
     ):
@@ -172,9 +186,10 @@ def test_maps_need_a_place_on_earth(name, export):
 
 def test_the_records_of_a_layout_are_all_there():
     keys = {key for record in layout_records(awkward_layout()) for key in record}
+    # Or the tests above say little.
     assert {
         "camera",
         "lidar",
         "latency_s",
         "fov_deg",
-    } <= keys  # or the tests above say little
+    } <= keys

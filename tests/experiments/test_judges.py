@@ -5,7 +5,6 @@ ETSI's modules are no package: the variable ETSI_ASN1 names their folders, separ
 """
 
 import importlib.util
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import judging
 import numpy as np
 import pytest
+from json_files import write_json
 from judging import NoJudge, prove_with_scip
 
 pytestmark = pytest.mark.judges
@@ -24,6 +24,7 @@ def all_runs():
 
 
 def ask(judge, *arguments, **options):
+    """Answer of a judge; the test is skipped where it cannot be had."""
     try:
         return judge(*arguments, **options)
     except NoJudge as error:
@@ -48,6 +49,7 @@ def test_asams_checker_finds_an_actor_that_is_nobody(all_runs, tmp_path, monkeyp
 
     monkeypatch.setattr(judging, "to_openscenario", write_nobody)
     said = ask(judging.judge_openscenario, all_runs[:1], tmp_path)
+
     assert "Entity not declared" in said["issues"][0]
 
 
@@ -55,12 +57,14 @@ def test_asams_checker_finds_no_issue_in_roads_but_those_made(tmp_path, monkeypa
     said = ask(judging.judge_opendrive, tmp_path)
     assert said["issues"] == []
     assert said["checks"]["completed"] > 0
+
     write = judging.to_opendrive
 
     def write_gaps(*given):
         return write(*given).replace('contactPoint="end"', 'contactPoint="start"')
 
     monkeypatch.setattr(judging, "to_opendrive", write_gaps)
+
     assert "gaps" in judging.judge_opendrive(tmp_path)["issues"][0]
 
 
@@ -77,11 +81,13 @@ def test_commonroad_finds_a_body_that_is_too_long(all_runs, tmp_path):
     longer = replace(run.encounter.vut, length_m=run.encounter.vut.length_m + 1.0)
     wrong = replace(run, encounter=replace(run.encounter, vut=longer))
     off_s = ask(judging.judge_impacts, [wrong], tmp_path, n_runs=1)
+
     assert off_s.max() > judging.STEP_S + 1.0e-6
 
 
 def test_carlas_classes_turn_cameras_as_ours(tmp_path, monkeypatch):
     assert ask(judging.judge_carla, tmp_path) < 1.0e-4  # of single precision
+
     write = judging.to_carla
     monkeypatch.setattr(
         judging,
@@ -171,5 +177,6 @@ def test_scip_agrees_with_trying_each_pose_and_with_nothing_else(
         answer = {"stages": [], "highest": proof}
     else:
         answer = proof | {"highest": None}
-    (folder / "summary.json").write_text(json.dumps(answer), encoding="utf-8")
+    write_json((folder / "summary.json"), answer)
+
     assert prove_with_scip(folder).is_same == (off == 0.0)

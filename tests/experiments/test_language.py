@@ -18,6 +18,8 @@ import numpy as np
 import pytest
 from babel.messages.extract import extract_from_file
 from babel.messages.pofile import read_po
+from command_results import output
+from json_files import UNIT, write_json
 from made_up_language import Bracketed, left_over
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.text import Text
@@ -64,12 +66,19 @@ from placement.wishes import assumed_prices, load_prices
 from scenarios.cases import ROAD_USER_GROUPS, load_cases, load_unlaid_cases, worded_for
 
 ROOT = Path(experiments.__file__).parent
-CATALOGUES = sorted((ROOT / "languages" / "de").glob("*.po"))
+CATALOGUES = sorted((ROOT / "languages/de").glob("*.po"))
 PACKAGES = (experiments, placement, scenarios, geometry)
-KEYWORDS = {"tr": None, "trn": (1, 2), "mark": None, "Phrase": None}
+KEYWORDS = {
+    "tr": None,
+    "trn": (1, 2),
+    "mark": None,
+    "Phrase": None,
+}
 
 
 class Upside(Messages):
+    """A language in capital letters."""
+
     def find(self, message):
         return message.upper().replace("{N", "{n")
 
@@ -102,6 +111,7 @@ def messages_of_code():
 
 @cache
 def translations():
+    """Entries of all catalogues, by message and file."""
     found = {}
     for path in CATALOGUES:
         with path.open("rb") as file:
@@ -112,6 +122,7 @@ def translations():
 
 
 def names_in_braces(text):
+    """Names of the values that a message has."""
     return sorted(
         name for _, name, _, _ in string.Formatter().parse(text) if name is not None
     )
@@ -122,7 +133,9 @@ def test_every_message_has_a_translation():
     known = translations()
     messages = messages_of_code()
     missing = {one: where for one, where in messages.items() if one not in known}
+
     assert not missing
+
     empty = [
         one
         for one in messages
@@ -171,6 +184,7 @@ def test_no_message_stands_within_an_f_string_where_extraction_misses_it():
 def test_numbers_among_the_values_are_written_as_the_language_does():
     assert tr("{a:.2f} of {b:,}", a=1.5, b=1200) == "1.50 of 1,200"
     assert localized("1,200.50") == "1,200.50"
+
     with speaking("de"):
         assert tr("{a:.2f} of {b:,}", a=1.5, b=1200) == "1,50 of 1.200"
         assert localized("1,200.50") == "1.200,50"
@@ -187,9 +201,11 @@ def test_a_phrase_is_translated_with_the_phrases_and_numbers_within_it():
         name="A",
     )
     assert (str(why), tr(why)) == ("lamp post stands 2.5 m away, next to A",) * 2
+
     with speaking("de"):
         assert tr(why) == "Laternenmast stands 2,5 m away, next to A"
         assert tr("{why}.", why=why) == "Laternenmast stands 2,5 m away, next to A."
+
         joined = join_phrases([thing, "A"], "; ")
         assert tr(joined) == "Laternenmast; A"
 
@@ -203,6 +219,7 @@ def test_copies_of_a_phrase_are_translated_too(copied):
     )
     again = copied(phrase)
     assert again == phrase
+
     with speaking("de"):
         assert tr(again) == tr(phrase) != phrase
 
@@ -239,7 +256,8 @@ class Said(HTMLParser):
 
     def __init__(self, page):
         super().__init__()
-        self.open, self.texts = [], []
+        self.open = []
+        self.texts = []
         self.feed(page)
 
     def handle_starttag(self, tag, attributes):
@@ -300,19 +318,14 @@ def mine(tmp_path):
     """Files of a layout of a camera, of one with a LiDAR, too, and of a private
     area.
     """
-    unit = {
-        "site": "",
-        "x_m": -115.0,
-        "y_m": 8.6,
-        "z_m": 8.0,
-        "yaw_deg": -135.0,
-        "pitch_deg": -25.0,
-    }
-    camera = unit | {"id": "U1", "camera": "carla-ncap-rgb", "latency_s": 0.5}
-    lidar = unit | {"id": "U2", "x_m": -113.5, "lidar": "carla-ncap-lidar"}
-    for name, units in (("mine-1", [camera]), ("mine-2", [camera, lidar])):
-        text = json.dumps({"name": name, "layout": units})
-        (tmp_path / f"{name}.json").write_text(text, encoding="utf-8")
+    camera = UNIT | {"id": "U1", "latency_s": 0.5}
+    lidar = UNIT | {"id": "U2", "x_m": -113.5, "lidar": "carla-ncap-lidar"}
+    del lidar["camera"]
+    for name, units in (
+        ("mine-1", [camera]),
+        ("mine-2", [camera, lidar]),
+    ):
+        write_json(tmp_path / f"{name}.json", {"name": name, "layout": units})
     garden = write_garden(tmp_path, (-130.0, -10.0, -100.0, 10.0), name="garden-1")
     return [tmp_path / "mine-1.json", tmp_path / "mine-2.json", garden]
 
@@ -344,10 +357,11 @@ def test_no_word_on_a_terminal_is_left_over(run, mine, few_runs, monkeypatch, as
     )
     for path in mine:
         asked = asked.replace(path.stem.upper(), str(path))
-    code, text, err = run(asked, "--language de --out out-1")
-    assert code == 0, err
+    text = output(run(asked, "--language de --out out-1"))
+
     assert text.count("⟦") > 20
     assert not left_over(re.sub(r"--[a-z-]+", "", text))
+
     page = Path("out-1/report.html")
     assert page.exists() == (asked.startswith(("--", "evaluate", "compare")))
     assert not page.exists() or not visible_words(page.read_text())
@@ -365,8 +379,8 @@ def test_no_word_of_a_sheet_is_left_over(run, mine, small_setting, monkeypatch):
         keep(pages, figure)
 
     monkeypatch.setattr(PdfPages, "savefig", savefig)
-    code, text, err = run("sheet --layout", mine[1], "--out s-1.pdf --language de")
-    assert code == 0, err
+    text = output(run("sheet --layout", mine[1], "--out s-1.pdf --language de"))
+
     assert len(texts) > 40
     assert not {text: left_over(text) for text in [*texts, text] if left_over(text)}
 
@@ -377,14 +391,18 @@ def test_the_language_is_that_of_the_option_else_of_the_environment(run, monkeyp
     asked = "pareto --max 1 --quiet"
     english = run(asked)
     german = run(asked, "--language de")
+
     assert "The best of" in english[1]
     assert "Die besten von" in german[1]
+
     monkeypatch.setenv("PLACE_RSUS_LANGUAGE", "de")
     assert run(asked) == german
     assert run(asked, "--language en") == english
     assert language() == "en"
+
     wrong = "place-rsus: --language: got 'fr'; expected one of en, de\n"
     assert run(asked, "--language fr") == (2, "", wrong)
+
     monkeypatch.setenv("PLACE_RSUS_LANGUAGE", "fr")
     assert run(asked) == (2, "", wrong)
 
@@ -411,9 +429,9 @@ def test_no_word_of_a_report_is_left_over(
         radio=Radio(packet_loss=0.1, vam_rate=0.5),
     )
     lay_runs_of(monkeypatch, odd)
-    code, _, err = run(asked, "--out out --language de")
-    assert code == 0, err
+    output(run(asked, "--out out --language de"))
     page = Path("out/report.html").read_text()
+
     assert '<html lang="de">' in page
     assert not visible_words(page)
     assert len(drawn) > 50
@@ -449,12 +467,13 @@ def test_what_the_packages_below_say_is_known():
     texts += [objective.label for objective in Objective]
     with speaking("de", Bracketed()):
         left = {text: left_over(tr(text)) for text in texts}
+
     assert len(texts) > 150
     assert not {text: words for text, words in left.items() if words}
 
 
 def test_words_of_scripts_are_in_the_page():
-    templates = ROOT / "report" / "templates"
+    templates = ROOT / "report/templates"
     scripts = "".join(path.read_text() for path in sorted(templates.glob("*.js")))
     literal = r'"((?:[^"\\]|\\.)*)"'
     calls = re.findall(r'say\(((?:[^"()]|"(?:[^"\\]|\\.)*")*)', scripts)
@@ -465,8 +484,10 @@ def test_words_of_scripts_are_in_the_page():
     with speaking("de", Bracketed()):
         page = page_environment().get_template("words.html.j2").render()
     words = json.loads(re.search(r">(\{.*\})<", page)[1])
+
     assert len(asked) > 60
     assert set(asked) <= set(words)
+
     with speaking("en"):
         assert not page_environment().get_template("words.html.j2").render().strip()
 
@@ -475,6 +496,7 @@ def test_no_word_of_the_planners_page_is_left_over():
     with speaking("de", Bracketed()):
         page = page_html()
     assert '<html lang="de">' in page
+
     keys = {*"lnop"}
     assert not {
         text: words for text, words in visible_words(page).items() if set(words) - keys
@@ -486,15 +508,17 @@ def test_scripts_of_the_planners_page_say_literals_and_nothing_else():
     sentence.
     """
     scripts = [
-        path.read_text() for path in sorted((ROOT / "planner" / "page").glob("*.js"))
+        path.read_text() for path in sorted((ROOT / "planner/page").glob("*.js"))
     ]
     code = re.sub(
         r"^ *//.*|(?<=[;{},]) // .*", "", "\n".join(scripts), flags=re.MULTILINE
     )
     literal = r'"(?:[^"\\\n]|\\.)*"'
     left = re.sub(rf"\btr(n\({literal}, {literal}|\({literal})", "", code)
+
     assert not re.findall(r"\btrn?\(.*", left)
     assert len(page_messages()) > 200
+
     phrases = [
         one
         for one in re.findall(literal, left)
@@ -549,6 +573,7 @@ def test_what_the_planner_refuses_is_translated():
     }
     options |= {"it on the command line: a network is a program"}
     options |= {"--tiles", "an address such as https://HOST/{z}/{x}/{y}.png"}
+
     # Of the command line, in English; and numbers of variants, which the page gives.
     assert texts == {*options, "1:1: 1", "0 to 1"}
 
@@ -564,7 +589,12 @@ def test_an_error_is_translated_with_all_that_it_names():
 
 
 def test_counted_runs_stand_in_german_where_the_nominative_does():
-    both = ByRuns(units=("a",), runs_avoided=65, runs_avoided_here=64, is_proven=True)
+    both = ByRuns(
+        units=("a",),
+        runs_avoided=65,
+        runs_avoided_here=64,
+        is_proven=True,
+    )
     for found in (both, replace(both, is_proven=False)):
         with speaking("de"):
             (text,) = doubt_sentences((), found, n_runs=107)

@@ -85,6 +85,7 @@ def test_each_stage_is_one_line_where_there_is_no_terminal(capsys):
         ("write", 0),
     ):
         progress(stage, done, 2)
+
     assert capsys.readouterr() == ("", "read ...\nsolve ...\nwrite ...\n")
 
 
@@ -92,6 +93,7 @@ def test_quiet_shows_nothing_and_keeps_the_times(capsys):
     progress = StageProgress()
     progress.start(quiet=True)
     progress("read", 0, 0)
+
     assert list(progress.finish()) == ["start", "read", "total"]
     assert capsys.readouterr() == ("", "")
 
@@ -120,8 +122,10 @@ def test_a_terminal_gets_a_bar_that_is_gone_in_the_end(monkeypatch):
         while select.select([main_end], [], [], 0.1)[0]:  # a read may give a part only
             shown += os.read(main_end, 100_000).decode()
     os.close(main_end)
+
     assert "detection table" in shown
     assert "5/7" in shown
+
     plain = re.sub(r"\x1b\[[\d;?]*\w", "", shown)
     assert re.search(r"5/7 +\d:\d\d:\d\d left \d:\d\d:\d\d", plain)
     assert shown.rindex("\x1b[2K") > shown.rindex("detection table")  # erased
@@ -133,6 +137,7 @@ def test_parts_of_a_stage_count_as_one_and_the_total_is_their_sum():
     for stage in ("solve", "solve: first", "solve: second", "write"):
         progress(stage, 0, 0)
     seconds = progress.finish()
+
     assert list(seconds) == ["start", "solve", "write", "total"]
     assert seconds["total"] == pytest.approx(sum(progress.seconds.values()), abs=0.002)
 
@@ -199,6 +204,7 @@ def test_signals_are_left_alone_outside_the_main_thread():
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
+
     assert held == [[]]
 
 
@@ -212,9 +218,8 @@ def test_signals_are_left_alone_outside_the_main_thread():
     ],
 )
 def test_what_does_not_listen_is_ended(prepare, work, tmp_path):
-    script = (
-        tmp_path / "stuck.py"
-    )  # a file: machine code is kept by the file that it comes from
+    # A file: machine code is kept by the file that it comes from.
+    script = tmp_path / "stuck.py"
     script.write_text(STUCK.format(prepare=prepare, work=work))
     process = subprocess.Popen(
         [sys.executable, str(script)],
@@ -223,13 +228,17 @@ def test_what_does_not_listen_is_ended(prepare, work, tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     )
+
     assert process.stderr is not None
+
     lines = iter(process.stderr.readline, "")  # a kernel says first that it is compiled
     assert next(line for line in lines if "compiling" not in line) == "solve ...\n"
+
     time.sleep(0.2)  # until it is at work
     began_s = time.monotonic()
     process.send_signal(signal.SIGINT)
     _, message = process.communicate(timeout=30)
+
     assert process.returncode == 130
     assert message == "place-rsus: interrupted in stage 'solve': nothing was written\n"
     assert time.monotonic() - began_s < 5.0  # 0.7 s, and a busy machine
@@ -248,11 +257,14 @@ def test_without_a_terminal_a_long_stage_says_how_far_it_is(monkeypatch, capsys)
         "junctions: 1 of 3",
         "junctions: 2 of 3",
     ]
+
     assert capsys.readouterr().err.splitlines() == lines
+
     monkeypatch.setattr(progress_module, "LINE_EVERY_S", 60.0)
     progress = StageProgress()
     progress.start(quiet=False)
     for done in range(3):
         progress("junctions", done, 3)
     progress.stop()
+
     assert capsys.readouterr().err.splitlines() == lines[:1]

@@ -29,6 +29,7 @@ collisions.
 
 
 def asked(*options):
+    """Result of the command."""
     return CliRunner().invoke(remake.main, options)
 
 
@@ -40,6 +41,7 @@ def test_every_file_of_results_is_of_one_command_or_made_by_hand():
         if path.is_file() and "latest" not in path.parts
     }
     left_out = {name for result in RESULTS for name in result.leaves_out}
+
     assert len(kept) == len(set(kept))
     assert {path for path in files if path.name not in left_out} == set(kept)
     assert all(result.command or result.by_hand for result in RESULTS)
@@ -48,10 +50,9 @@ def test_every_file_of_results_is_of_one_command_or_made_by_hand():
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_percentage_of_a_page_is_checked_or_is_none_of_ours(page):
     name = page.relative_to(ROOT).as_posix()
-    text = page.read_text(encoding="utf-8")
-    checked = [
-        match.span() for match in re.finditer(r"(?ms)^```sh\n.*?^```", text)
-    ]  # comments of commands
+    text = page.read_text()
+    # Comments of commands.
+    checked = [match.span() for match in re.finditer(r"(?ms)^```sh\n.*?^```", text)]
     for quote in QUOTES:
         if quote.page == name:
             checked += spans(quote, text)
@@ -66,6 +67,7 @@ def test_every_percentage_of_a_page_is_checked_or_is_none_of_ours(page):
         for figure in re.finditer(r"\d[\d.]* %", text)
         if not any(start <= figure.start() < end for start, end in checked)
     ]
+
     assert missing == []
 
 
@@ -126,6 +128,7 @@ def test_a_check_names_file_and_line_of_what_differs_and_writes_nothing(project)
         '{"apr": 0.94, "runs": 1000,\n"seconds": 3}'
     )
     done = asked("--check")
+
     assert done.exit_code == 2
     assert done.output.splitlines() == [
         'results/apr.json:1: there is \'{"apr": 0.94, "runs": 1000,\';'
@@ -138,6 +141,7 @@ def test_a_check_names_file_and_line_of_what_differs_and_writes_nothing(project)
 def test_results_and_pages_are_written_anew_and_agree_from_then_on(project):
     assert asked().exit_code == 0
     assert (project / "page.md").read_text() == PAGE.replace("94.0", "94.5")
+
     done = asked("--check")
     assert done.exit_code == 0, done.output
 
@@ -145,8 +149,10 @@ def test_results_and_pages_are_written_anew_and_agree_from_then_on(project):
 def test_what_has_gone_is_told(project):
     (project / "page.md").write_text(PAGE.replace("proven", "best of all"))
     done = asked("--check", "--only", "quote")
+
     assert done.exit_code == 2
     assert "page.md: got 'best of all'; expected a line" in done.output
+
     (project / "page.md").write_text(PAGE.replace("collisions", "accidents"))
     assert "page.md: got no such text" in asked("--check", "--only", "quote").output
     assert asked("--only", "quota").exit_code == 2
@@ -156,6 +162,7 @@ def test_a_command_that_fails_is_told(project, monkeypatch):
     broken = Result(name="broken", files=("x",), command="echo no disk >&2; exit 3")
     monkeypatch.setattr(remake, "load_list", lambda: ([broken], [], []))
     done = asked()
+
     assert done.exit_code == 2
     assert "got exit code 3: no disk" in done.output
 
@@ -165,4 +172,5 @@ def test_output_behind_each_command_of_a_page_is_compared(tmp_path):
     printed = {"a": "1 pole\n", "b": "scene\n3 poles\n"}
     quote = Quote(name="q", page="p.md", block="console")
     (found,) = stale_pieces(quote, text, tmp_path, printed.__getitem__)
+
     assert found.computed == "$ a\n1 pole\n$ b\n...\n3 poles\n"

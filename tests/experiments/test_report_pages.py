@@ -7,7 +7,7 @@ import subprocess
 from dataclasses import replace
 
 import pytest
-from browser_pages import open_page, start_browser
+from browser_pages import open_page
 from interactive_pages import EVIL, build_evaluation, build_layout, with_evil_names
 from partial_pages import blank_pictures, build_result
 from small_results import lay_runs_of
@@ -30,12 +30,6 @@ KINDS = ("placement", "comparison", "missed", "many")
 MAX_BYTES = 8_000_000
 LEAST_CONTRAST = 4.5
 """WCAG 2.2, success criterion 1.4.3, of letters of any size."""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with start_browser() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +73,7 @@ def address(request, addresses):
 
 
 def texts(page, selector):
+    """Texts of elements, in words."""
     return [
         " ".join(text.split()) for text in page.locator(selector).all_text_contents()
     ]
@@ -91,6 +86,7 @@ def test_every_kind_is_small_and_tells_what_it_is_about(browser, addresses):
         with open_page(browser, path.as_uri()) as page:
             headings[kind] = texts(page, "h2")
             assert page.is_visible("#player-plan svg")
+
     assert {
         "Runs that are not avoided",
     } <= set(headings["placement"])
@@ -103,7 +99,10 @@ def test_every_kind_is_small_and_tells_what_it_is_about(browser, addresses):
 
 
 def test_runs_that_are_missed_are_told_where_there_are_any(browser, addresses):
-    for kind, is_told in (("missed", True), ("many", False)):
+    for kind, is_told in (
+        ("missed", True),
+        ("many", False),
+    ):
         with open_page(browser, addresses[kind].as_uri()) as page:
             assert ("with an impact" in " ".join(texts(page, "summary"))) == is_told
 
@@ -111,6 +110,7 @@ def test_runs_that_are_missed_are_told_where_there_are_any(browser, addresses):
 def test_on_a_phone_letters_are_large_and_nothing_scrolls_sideways(browser, address):
     with open_page(browser, address, width=360, reduced_motion="reduce") as page:
         assert page.get_attribute("#contents", "open") is None
+
         check_letters_are_no_smaller_than_9_pixels(page)
         check_contents_lead_to_every_section(page)
         check_nothing_scrolls_sideways_even_if_all_is_unfolded(page)
@@ -195,11 +195,13 @@ def test_the_first_screen_needs_no_script_and_is_on_the_first_screen(
     with open_page(browser, path.as_uri(), java_script_enabled=False) as page:
         lowest = page.locator(".overview").bounding_box()
         assert lowest["y"] + lowest["height"] < 1150
+
         # Letters of the plan's legend, of 8 pt in a figure that is 4 inches wide.
         plan = page.locator(".overview figure img").bounding_box()
         assert 8.0 / 72.0 * plan["width"] / NARROW_IN >= 11.0
         assert page.locator(".cards > div").count() == 5
     text = path.read_text()
+
     assert text.index("</header>") < 1_500_000
 
 
@@ -208,6 +210,7 @@ def test_contents_without_scripts_name_no_section_that_is_missing(browser, addre
     with open_page(browser, path.as_uri(), java_script_enabled=False) as page:
         links = page.locator("#contents a").all()
         shown = [link.get_attribute("href") for link in links if link.is_visible()]
+
         assert len(shown) > 8
         assert all(page.is_visible(target) for target in shown)
         assert "#watch" not in shown
@@ -324,16 +327,20 @@ def test_the_keyboard_enlarges_a_figure_and_comes_back(browser, addresses):
         style = "getComputedStyle(document.activeElement)"
         page.keyboard.press("Shift+Tab")
         page.keyboard.press("Tab")
-        assert (
-            page.evaluate(f"{style}.outlineStyle") == "solid"
-        )  # one sees where one is
+
+        # One sees where one is.
+        assert page.evaluate(f"{style}.outlineStyle") == "solid"
+
         page.keyboard.press("Enter")
         image = page.locator("dialog[open] img")
+
         assert image.bounding_box()["width"] == int(image.get_attribute("width")) > 1000
         assert page.evaluate("document.documentElement.scrollWidth") <= 360
+
         page.keyboard.press("Escape")
         assert page.locator("dialog[open]").count() == 0
         assert page.evaluate("document.activeElement.textContent") == "Enlarge"
+
         page.locator("figure img").first.click()
         page.click("dialog[open] button")
         assert page.locator("dialog[open]").count() == 0
@@ -359,6 +366,7 @@ def test_paper_has_every_section_and_what_was_folded_but_not_what_is_long(
             " true; })"
         )
         page.pdf(path=path, prefer_css_page_size=True)
+
         if has_scripts:  # the screen is as it was
             assert page.locator("main details[open].paper-length").count() < (
                 page.locator("main details.paper-length").count()
@@ -367,7 +375,9 @@ def test_paper_has_every_section_and_what_was_folded_but_not_what_is_long(
         [reader, "-layout", str(path), "-"], check=True, capture_output=True, text=True
     ).stdout
     pages = printed.split("\f")[:-1]
+
     assert len(pages) > 3
+
     words = " ".join(printed.split())
     assert all(heading in words for heading in headings)
     assert "How far each assumption is varied, and why" in words
@@ -393,4 +403,5 @@ def test_a_table_that_runs_over_a_page_has_its_heads_on_each(
         for line in printed.splitlines()
         if line.split()[:3] == ["mark", "id", "site"]
     ]
+
     assert len(heads) >= 3

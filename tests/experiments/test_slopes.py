@@ -68,11 +68,13 @@ def lifted(layout, scene):
 
 @pytest.fixture(scope="module")
 def hill():
+    """The study's junction on a slope."""
     return hillside(load_study_scene())
 
 
 @pytest.fixture(scope="module")
 def layout(hill):
+    """Four units 6 m above the slope."""
     return lifted(build_layout(4), hill)
 
 
@@ -83,6 +85,7 @@ def test_heights_are_those_above_the_ground_below(hill, layout):
         assert above_ground(unit, load_study_scene()) is unit
     assert [row[5] for row in unit_table("hill", layout, hill).rows] == ["6.00"] * 4
     assert [one.height_m for one in build_unit_records(layout, hill)] == [6.0] * 4
+
     flat = build_unit_records(layout, load_study_scene())
     assert [one.height_m for one in flat] == [None] * 4
 
@@ -99,10 +102,12 @@ def test_a_unit_may_hang_below_the_height_of_the_middle_but_not_in_the_ground(hi
         unit, pose=Pose(position_m=np.array([-200.0, -30.0, -1.0]), yaw_deg=0.0)
     )
     check_layout(Layout(name="low", units=(low,)), hill)
+
     with pytest.raises(
         InputError, match=r"unit 1.z_m: got -1\.0; expected a height above the ro"
     ):
         check_layout(Layout(name="low", units=(low,)), load_study_scene())
+
     buried = replace(
         unit, pose=Pose(position_m=np.array([-60.0, 0.0, 5.0]), yaw_deg=0.0)
     )
@@ -115,6 +120,7 @@ def test_a_unit_may_hang_below_the_height_of_the_middle_but_not_in_the_ground(hi
 def test_a_scene_keeps_how_high_it_lies(hill, tmp_path):
     save_scene(tmp_path, hill)
     assert load_scene(str(tmp_path)).zero_height_m == ZERO_M
+
     save_scene(tmp_path, replace(hill, zero_height_m=None))
     assert load_scene(str(tmp_path)).zero_height_m is None
 
@@ -124,12 +130,15 @@ def test_tables_and_maps_have_heights_above_the_ground_and_those_of_the_map(
 ):
     z_m = [unit.pose.position_m[2] for unit in layout.units]
     table = pd.DataFrame(placed_records(layout, hill))
+
     assert table["height_m"].to_numpy() == pytest.approx(6.0, abs=1e-3)
     assert table["z_m"].tolist() == z_m
     assert table["map_z"].to_numpy() == pytest.approx(np.array(z_m) + ZERO_M, abs=1e-3)
+
     features = json.loads(to_geojson(layout, hill.crs, hill))["features"]
     found = [feature["geometry"]["coordinates"][2] for feature in features]
     assert found == table["map_z"].tolist()
+
     nowhere = placed_records(layout, replace(hill, zero_height_m=None))
     assert all("map_z" not in record and "height_m" in record for record in nowhere)
     assert placed_records(layout, load_study_scene()) == layout_records(layout)
@@ -139,7 +148,9 @@ def test_globes_are_told_heights_above_the_ground(hill, layout):
     root = ElementTree.fromstring(to_kml(layout, hill))
     name = "{http://www.opengis.net/kml/2.2}"
     altitudes = [float(one.text) for one in root.iter(f"{name}altitude")]
+
     assert altitudes == pytest.approx([6.0] * 4, abs=1e-3)
+
     points = [one.find(f"{name}coordinates").text for one in root.iter(f"{name}Point")]
     assert [float(text.split(",")[2]) for text in points] == altitudes
 
@@ -170,6 +181,7 @@ def test_messages_have_an_altitude_where_the_map_counts_from_the_ellipsoid(
             "referencePosition"
         ]["altitude"]
         expected_m = ZERO_M + 0.08 * (east_m + 127.0) + 0.03 * north_m
+
         assert altitude["altitudeValue"] == pytest.approx(100.0 * expected_m, abs=1.0)
         assert altitude["altitudeConfidence"] == "unavailable"
 
@@ -199,9 +211,12 @@ def test_scenarios_drive_on_the_ground(small_setting, hill):
     run = replace(small_setting.runs[0], terrain=terrain)
     root = ElementTree.fromstring(to_openscenario(run, road_network="a.xodr"))
     places = [one.attrib for one in root.iter("WorldPosition")]
+
     assert len(places) > 20
+
     at = np.array([[float(one[axis]) for axis in "xyz"] for one in places])
     assert at[:, 2] == pytest.approx(terrain.at(at[:, :2]), abs=1e-3)
+
     flat = ElementTree.fromstring(
         to_openscenario(small_setting.runs[0], road_network="a.xodr")
     ).iter("WorldPosition")

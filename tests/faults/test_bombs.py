@@ -42,6 +42,7 @@ def zeros(n_bytes, head=b""):
 
 
 def pack(path, members):
+    """Archive of some members."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, content in members.items():
             if isinstance(content, bytes):
@@ -68,11 +69,13 @@ def glb(n_bytes):
 
 
 def scene_of_toml(path):
+    """An archive whose table unpacks to 22 MB."""
     table = b"a = 1\n" + b"# a line of a comment\n" * 1_000_000  # 22 MB
     return pack(path, {SCENE_FILE: table, THINGS_FILE: b"glTF", "noise": NOISE})
 
 
 def scene_of_mesh(path):
+    """An archive whose mesh unpacks to 301 MiB."""
     n_bytes = 301 << 20
     mesh = zeros(n_bytes, glb(n_bytes))
     return pack(path, {SCENE_FILE: b"a = 1", THINGS_FILE: mesh, "noise": NOISE * 3})
@@ -97,7 +100,8 @@ def shifted_roofs(path):
     import laspy
 
     header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = [0.01] * 3, [390_000.0, 5_819_000.0, 35.0]
+    header.scales = [0.01] * 3
+    header.offsets = [390_000.0, 5_819_000.0, 35.0]
     las = laspy.LasData(header)
     x, y = (
         axis.ravel() for axis in np.meshgrid(0.25 * np.arange(60), 0.25 * np.arange(60))

@@ -3,12 +3,12 @@ time.
 """
 
 import io
-import json
 import os
 import zipfile
 
 import numpy as np
 import pytest
+from json_files import write_json
 
 from experiments import main as program
 from geometry.errors import InputError
@@ -27,6 +27,7 @@ from scenarios.weight_tables import weight_from_csv
 
 
 def refusal(function, *arguments):
+    """The line in which a function refuses."""
     with pytest.raises(InputError) as caught:
         function(*arguments)
     message = str(caught.value)
@@ -70,7 +71,13 @@ def test_an_origin_of_400_digits(tmp_path):
             instances=(),
             sites=(),
             lanes=(),
-            outline_m=np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]),
+            outline_m=np.array(
+                [
+                    [0.0, 0.0],
+                    [1.0, 0.0],
+                    [1.0, 1.0],
+                ]
+            ),
             crs="",
             source_origin_m=[10**400, 0],
         )
@@ -84,7 +91,10 @@ def packed(path, *, encrypts=False, damages=False):
         archive.writestr(THINGS_FILE, b"glTF" * 100)
     data = bytearray(buffer.getvalue())
     if encrypts:  # bit 0 of the flags, in the local header and in the directory
-        for magic, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        for magic, offset in (
+            (b"PK\x03\x04", 6),
+            (b"PK\x01\x02", 8),
+        ):
             data[data.index(magic) + offset] |= 1
     if damages:
         start = data.index(SCENE_FILE.encode()) + len(SCENE_FILE)
@@ -112,28 +122,30 @@ def test_scene_archives_that_unpack_to_far_more(tmp_path, name):
 def test_cityjson_whose_type_is_an_object(tmp_path):
     path = tmp_path / "a.city.json"
     geometry = {"type": {}, "lod": "1", "boundaries": []}
-    path.write_text(
-        json.dumps(
-            {
-                "type": "CityJSON",
-                "version": "2.0",
-                "transform": {"scale": [1, 1, 1], "translate": [0, 0, 0]},
-                "vertices": [[0, 0, 0]],
-                "CityObjects": {"a": {"type": "Building", "geometry": [geometry]}},
-            }
-        )
+    write_json(
+        path,
+        {
+            "type": "CityJSON",
+            "version": "2.0",
+            "transform": {"scale": [1, 1, 1], "translate": [0, 0, 0]},
+            "vertices": [[0, 0, 0]],
+            "CityObjects": {"a": {"type": "Building", "geometry": [geometry]}},
+        },
     )
 
     assert "a.geometry[0].type: got {}; expected text" in refusal(read_map, path)
 
 
-@pytest.mark.parametrize("vertex", [[1e308, 0.0], [200.0, 91.0]])
+@pytest.mark.parametrize(
+    "vertex",
+    [[1e308, 0.0], [200.0, 91.0]],
+)
 def test_private_ground_that_lies_nowhere(tmp_path, vertex):
     path = tmp_path / "a.geojson"
     ring = [[0.0, 0.0], vertex, [0.0, 1.0], [0.0, 0.0]]
     polygon = {"type": "Polygon", "coordinates": [ring]}
     feature = {"type": "Feature", "properties": {}, "geometry": polygon}
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    write_json(path, {"type": "FeatureCollection", "features": [feature]})
 
     assert "coordinates that cannot be" in refusal(
         load_private_ground, path, load_scene()

@@ -158,6 +158,7 @@ _VERBS = ("load_", "read_", "open_", "parse_", "import_", "weight_from_", "unpac
 
 
 def _takes_a_path(function):
+    """True if a function takes a path first."""
     arguments = [*function.args.args, *function.args.kwonlyargs][:1]
     return any(
         "Path" in ast.unparse(one.annotation) for one in arguments if one.annotation
@@ -171,7 +172,7 @@ def test_every_reader_is_registered():
         for path in (ROOT / package).rglob("*.py"):
             module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
             module = module.removesuffix(".__init__")
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text()
             if not any(f"\ndef {verb}" in text for verb in _VERBS):
                 continue
 
@@ -188,7 +189,7 @@ def test_every_reader_is_registered():
 
 @cache
 def _text_of(path):
-    return path.read_text(encoding="utf-8")
+    return path.read_text()
 
 
 def test_every_registered_reader_exists():

@@ -14,6 +14,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
+from json_files import write_json
 
 from experiments.results.folders import MARKER, new_result_folder
 from geometry import gltf
@@ -26,7 +27,7 @@ from geometry.scene_files import THINGS_FILE, load_scene_folder, save_scene
 from geometry.scene_sources import SCENE_FILE
 from geometry.study_scene import load_study_scene
 
-HOSTILE = Path(__file__).parents[3] / "shared" / "inputs" / "trials4" / "hostile"
+HOSTILE = Path(__file__).parents[3] / "shared/inputs/trials4/hostile"
 FAR = "metres within 10,000 of the origin"
 _LIMIT_BYTES = 4_000_000_000
 _LIMIT_S = 120
@@ -34,6 +35,7 @@ _LIMIT_S = 120
 
 @pytest.fixture
 def folder(tmp_path):
+    """The study's junction as a folder."""
     path = tmp_path / "scene"
     path.mkdir()
     save_scene(path, load_study_scene())
@@ -89,9 +91,9 @@ def test_a_scene_with_a_size_that_no_junction_has_is_refused(
     folder, key, value, message
 ):
     _change_toml(folder, key, value)
-    with pytest.raises(InputError, match=message) as refused:
+    with pytest.raises(InputError, match=message) as caught:
         load_scene_folder(folder)
-    assert str(refused.value).startswith(f"{folder}/{SCENE_FILE}: ")
+    assert str(caught.value).startswith(f"{folder}/{SCENE_FILE}: ")
 
 
 def test_a_lane_with_too_many_points_is_refused(folder):
@@ -173,9 +175,7 @@ def test_a_gltf_opens_plain_files_of_its_folder_alone(tmp_path, name, message):
     (tmp_path / "link").symlink_to("/dev/zero")
     (tmp_path / "folder").mkdir()
     path = tmp_path / "house.gltf"
-    path.write_text(
-        json.dumps({"asset": {"version": "2.0"}, "buffers": [{"uri": name}]})
-    )
+    write_json(path, {"asset": {"version": "2.0"}, "buffers": [{"uri": name}]})
 
     with pytest.raises(InputError, match=message):
         read_mesh(path)
@@ -186,7 +186,7 @@ def test_all_buffers_of_a_gltf_have_the_size_of_one_mesh(tmp_path, monkeypatch):
     (tmp_path / "a.bin").write_bytes(bytes(1000))
     path = tmp_path / "house.gltf"
     buffers = [{"uri": "a.bin", "byteLength": 1000}] * 2
-    path.write_text(json.dumps({"asset": {"version": "2.0"}, "buffers": buffers}))
+    write_json(path, {"asset": {"version": "2.0"}, "buffers": buffers})
 
     with pytest.raises(InputError, match="got 1,000 bytes; expected at most 500"):
         read_mesh(path)
@@ -236,7 +236,7 @@ def test_a_character_that_nobody_sees_in_a_sites_id_is_refused_at_reading(
     tmp_path, hidden
 ):
     path = tmp_path / "poles.csv"
-    path.write_text(f"id,x,y\nLP{hidden}12,1,2\n", encoding="utf-8")
+    path.write_text(f"id,x,y\nLP{hidden}12,1,2\n")
 
     with pytest.raises(
         InputError, match=r"poles\.csv: line 2: id: got .*; expected printable"
@@ -250,7 +250,7 @@ def test_a_character_that_nobody_sees_in_a_site_of_geojson_is_refused_at_reading
     path = tmp_path / "poles.geojson"
     point = {"type": "Point", "coordinates": [10.0, 48.0]}
     feature = {"type": "Feature", "geometry": point, "properties": {"id": "a\u00adb"}}
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    write_json(path, {"type": "FeatureCollection", "features": [feature]})
 
     with pytest.raises(
         InputError, match=r"poles\.geojson: .*: id: got .*; expected printable"
@@ -261,16 +261,24 @@ def test_a_character_that_nobody_sees_in_a_site_of_geojson_is_refused_at_reading
 def test_names_of_a_map_lose_what_nobody_sees():
     assert clean_name("Haupt\u00adstra\u00dfe\u200b\u00a01\n") == "Hauptstra\u00dfe 1 "
 
-    outline_m = np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
+    outline_m = np.array(
+        [
+            [0.0, 0.0],
+            [9.0, 0.0],
+            [0.0, 9.0],
+        ]
+    )
     junction = MapJunction(id="n\u200b1", name="A\u00ad/B", outline_m=outline_m)
 
-    assert (junction.id, junction.name) == ("n1", "A/B")
+    assert junction.id == "n1"
+    assert junction.name == "A/B"
 
     line_m = np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
     fields = {"kind": "driving", "width_m": 3.0, "centreline_m": line_m}
     lane = MapLane(id="w\u20601", to_junction="n\u200b1", **fields)
 
-    assert (lane.id, lane.to_junction) == ("w1", "n1")
+    assert lane.id == "w1"
+    assert lane.to_junction == "n1"
 
 
 @pytest.mark.parametrize("key", ["name", "id", "kind"])
@@ -283,6 +291,7 @@ def test_a_character_that_nobody_sees_in_a_scenes_ids_is_refused(folder, key):
 
 
 def _fail_while_writing(folder, error):
+    """Fail once a summary is written."""
     with new_result_folder(folder) as new:
         (new / MARKER).write_text("{}")
         raise error
@@ -292,6 +301,7 @@ def test_a_fault_while_results_are_written_keeps_its_own_words(tmp_path):
     fault = InputError("lane 3.width_m", 0.0, "0.5 to 30 metres")
     with pytest.raises(InputError) as refused:
         _fail_while_writing(tmp_path / "out", fault)
+
     kept = tmp_path / "out.unfinished"
     words = (
         "lane 3.width_m: got 0.0; expected 0.5 to 30 metres; what was computed is"

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from json_files import write_json
 from refusals import refused_with
 
 from experiments import main as program
@@ -36,20 +37,24 @@ def make_pipe(path):
 
 
 def make_socket(path):
+    """A socket of this machine."""
     with socket.socket(socket.AF_UNIX) as one:
         one.bind(str(path))
 
 
 def make_link(path):
+    """A link to a file beside it."""
     (path.parent / "target").write_text("theirs")
     path.symlink_to("target")
 
 
 def make_dangling(path):
+    """A link to nothing."""
     path.symlink_to("nowhere")
 
 
 def make_loop(path):
+    """A link to itself."""
     path.symlink_to(path.name)
 
 
@@ -215,6 +220,7 @@ def test_sensors_and_sites_have_bounds(camera):
         "kind": "lamp post",
         "height_range_m": [3, 8],
     }
+
     for make, message in (
         (
             lambda: replace(camera, width_px=10**9),
@@ -238,6 +244,7 @@ def test_sensors_and_sites_have_bounds(camera):
 
 
 def refusal(capsys, *arguments):
+    """The line in which a command refuses."""
     with pytest.raises(SystemExit) as ended:
         program.main(arguments)
     told = capsys.readouterr().err
@@ -311,14 +318,13 @@ def test_options_without_effect_or_bounds_are_refused(capsys, arguments, message
 
 def test_an_unknown_reference_system_of_private_ground(tmp_path, capsys):
     path = tmp_path / "a.geojson"
-    path.write_text(
-        json.dumps(
-            {
-                "type": "FeatureCollection",
-                "crs": {"properties": {"name": "EPSG:nonsense"}},
-                "features": [],
-            }
-        )
+    write_json(
+        path,
+        {
+            "type": "FeatureCollection",
+            "crs": {"properties": {"name": "EPSG:nonsense"}},
+            "features": [],
+        },
     )
     told = refusal(capsys, "--budget", "3", "--quiet", "--no-look", str(path))
 

@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 import pytest
+from json_files import read_json
 from small_results import (
     build_small_baseline,
     build_small_setting,
@@ -51,6 +52,7 @@ ASKED = Question(budget=2, give_up=0.0, time_limit_s=60.0)
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
+    """Results with a report, as they were written."""
     folder = tmp_path_factory.mktemp("placed") / "results"
     write_small_results(folder, build_small_setting(), ASKED, has_report=True)
     return folder
@@ -101,23 +103,28 @@ def deeply_failed(folder):
 
 @pytest.fixture
 def results(written, tmp_path):
+    """A copy of them to change."""
     return Path(shutil.copytree(written, tmp_path / "results"))
 
 
 def verified(folder, scene=""):
+    """What ``verify`` finds."""
     return run_verification(folder, scene=scene, progress=StageProgress())
 
 
 def verified_deeply(folder):
+    """What ``verify --deep`` finds."""
     return run_verification(folder, question=ASKED, progress=StageProgress())
 
 
 def failed(found):
+    """Names of the checks that fail."""
     return [check.name for check in found.checks if not check.passed]
 
 
 def edit(path, change):
-    document = json.loads(path.read_text())
+    """Change a file of JSON."""
+    document = read_json(path)
     change(document)
     path.write_text(json.dumps(document, indent=2))
 
@@ -144,6 +151,7 @@ summary = partial(told, "summary.json")
 
 
 def both(*keys, **values):
+    """Values otherwise in certificate and summary alike."""
     return chained(certificate(*keys, **values), summary(*keys, **values))
 
 
@@ -173,7 +181,7 @@ def instance(change):
     """
 
     def rewrite(folder):
-        row = json.loads((folder / "certificate.json").read_text())["layout"][0]["row"]
+        row = read_json(folder / "certificate.json")["layout"][0]["row"]
         problem, mounts = change(load_stored_problem(folder / "instance.npz"), row)
         save_problem(folder / "instance.npz", problem, mounts)
         told = instance_of(problem, mounts)
@@ -188,35 +196,36 @@ def mounts(**values):
     """
 
     def change(stored, row):
-        assert stored.mounts is not None
-
-        changed = {
-            name: new(getattr(stored.mounts, name), row) for name, new in values.items()
-        }
-        return stored._replace(mounts=replace(stored.mounts, **changed))
+        return stored._replace(mounts=otherwise(stored.mounts, values, row))
 
     return instance(change)
 
 
 def axis(**values):
+    """Fields of the runs otherwise: functions of the old value."""
+
     def change(stored, row):
         table = stored.problem.table
-        changed = {name: new(getattr(table.axis, name)) for name, new in values.items()}
-        table = replace(table, axis=replace(table.axis, **changed))
+        table = replace(table, axis=otherwise(table.axis, values))
         return stored._replace(problem=replace(stored.problem, table=table))
 
     return instance(change)
 
 
 def limits(**values):
+    """Fields of the limits otherwise: functions as those of mounts."""
+
     def change(stored, row):
-        old = stored.problem.limits
-        changed = {name: new(getattr(old, name), row) for name, new in values.items()}
-        return stored._replace(
-            problem=replace(stored.problem, limits=replace(old, **changed))
-        )
+        changed = otherwise(stored.problem.limits, values, row)
+        return stored._replace(problem=replace(stored.problem, limits=changed))
 
     return instance(change)
+
+
+def otherwise(thing, values, *given):
+    """A copy of a thing with other fields, each a function of the old one."""
+    changed = {name: new(getattr(thing, name), *given) for name, new in values.items()}
+    return replace(thing, **changed)
 
 
 def at(index, value):
@@ -231,10 +240,13 @@ def at(index, value):
 
 
 def at_row(value):
+    """A value otherwise in the first unit's row."""
     return lambda array, row: at(row, value)(array)
 
 
 def chained(*changes):
+    """Several changes, one after the other."""
+
     def change(folder):
         for one in changes:
             one(folder)
@@ -243,6 +255,8 @@ def chained(*changes):
 
 
 def runs(change):
+    """The table of runs otherwise."""
+
     def rewrite(folder):
         table = pd.read_parquet(folder / "runs.parquet")
         change(table)
@@ -251,7 +265,19 @@ def runs(change):
     return rewrite
 
 
+def column(**values):
+    """Columns of the table of runs otherwise: values, or functions of the old ones."""
+
+    def change(table):
+        for name, value in values.items():
+            table[name] = value(table[name]) if callable(value) else value
+
+    return runs(change)
+
+
 def replaced(name, old, new):
+    """The first of some words in a file otherwise."""
+
     def change(folder):
         text = (folder / name).read_text()
         assert old in text
@@ -262,16 +288,23 @@ def replaced(name, old, new):
 
 
 def appended(name, text):
-    return lambda folder: (
-        (folder / name).write_text((folder / name).read_text() + text) and None
-    )
+    """A file with more at its end."""
+    return lambda folder: written_as(name, (folder / name).read_text() + text)(folder)
+
+
+def written_as(name, text):
+    """A file that says something else, or a new one."""
+    return lambda folder: (folder / name).write_text(text)
 
 
 def missing(name):
+    """A file that is gone."""
     return lambda folder: (folder / name).unlink()
 
 
 def without_row_of(name):
+    """A table without its last row."""
+
     def change(folder):
         lines = (folder / name).read_text().splitlines(keepends=True)
         (folder / name).write_text("".join(lines[:-1]))
@@ -284,7 +317,7 @@ def row_of_equal_value(folder):
 
     In the instance both detect the same from now on.
     """
-    document = json.loads((folder / "certificate.json").read_text())
+    document = read_json(folder / "certificate.json")
     row = document["layout"][0]["row"]
     other = (row + 1) % document["instance"]["n_poses"]
 
@@ -303,6 +336,7 @@ def row_of_equal_value(folder):
 
 
 def another_bit(stored, row):
+    """A bit otherwise of a pose that is not used."""
     table = stored.problem.table
     unused = next(index for index in range(table.n_poses) if index != row)
     packed = table.packed.copy()
@@ -314,7 +348,7 @@ def another_bit(stored, row):
 
 def all_of_all(folder):
     """Everybody avoids every run, in all files alike: the headline says 100 %."""
-    runs(lambda table: table.__setitem__("is_avoided", True))(folder)
+    column(is_avoided=True)(folder)
     ratios = pd.read_csv(folder / "apr.csv", keep_default_na=False, dtype=str)
     ratios.loc[ratios["apr"] != "", "apr"] = "1.0"
     ratios["n_avoided"] = ratios["n_runs"]
@@ -372,7 +406,7 @@ def highest(document):
 
 def all_of_one(folder):
     """The evaluator's outcomes of a party, and every ratio that follows from them."""
-    name = json.loads((folder / "summary.json").read_text())["name"]
+    name = read_json(folder / "summary.json")["name"]
 
     def turn(table):
         table.loc[
@@ -519,7 +553,7 @@ FOUND = {
         ),
         "another last brake time": axis(last_brake_time_s=at(0, -9.0)),
         "another speed": axis(vut_speed_kmh=at(0, 9.0)),
-        "weights of runs": runs(lambda t: t.__setitem__("weight", 1.0)),
+        "weights of runs": column(weight=1.0),
     },
     "?whether the detection table is right": {
         "a bit of the table": instance(another_bit)
@@ -547,7 +581,7 @@ FOUND = {
     },
     "apr.csv": {
         "a ratio": replaced("apr.csv", ",1.0,", ",0.5,"),
-        "an outcome": runs(lambda t: t.__setitem__("is_avoided", ~t["is_avoided"])),
+        "an outcome": column(is_avoided=lambda old: ~old),
     },
     "?outcomes in runs.parquet": {"outcomes and all that follows": all_of_one},
     "layout.csv": {"layout.csv": replaced("layout.csv", "-20", "-21")},
@@ -558,9 +592,7 @@ FOUND = {
     },
     "?report.html": {"report.html": appended("report.html", "<p>x")},
     "?report.html: not there": {"no report.html": missing("report.html")},
-    "?what a.txt": {
-        "another file": lambda folder: (folder / "a.txt").write_text("x") and None
-    },
+    "?what a.txt": {"another file": written_as("a.txt", "x")},
 }
 
 
@@ -570,12 +602,10 @@ DEEP = {
     "runs.parquet": {
         "all runs avoided, everywhere": all_of_all,
         "outcomes and all that follows": all_of_one,
-        "margins": runs(lambda t: t.__setitem__("margin_s", 9.0)),
-        "when a run is confirmed": runs(
-            lambda t: t.__setitem__("confirmation_time_s", 0.1)
-        ),
-        "how much is detected": runs(lambda t: t.__setitem__("detected_share", 1.0)),
-        "impact speeds": runs(lambda t: t.__setitem__("impact_speed_kmh", 1.0)),
+        "margins": column(margin_s=9.0),
+        "when a run is confirmed": column(confirmation_time_s=0.1),
+        "how much is detected": column(detected_share=1.0),
+        "impact speeds": column(impact_speed_kmh=1.0),
     },
     "certificate.json": {
         "a bit of a pose that is not used": instance(another_bit),
@@ -608,19 +638,15 @@ DEEP = {
         "a number in the report": replaced("report.html", " %", "9 %"),
         "a picture in the report": another_picture,
         "no report": missing("report.html"),
-        "an empty report": lambda folder: (
-            (folder / "report.html").write_text("") and None
-        ),
+        "an empty report": written_as("report.html", ""),
     },
     "plan.png": {"another plan": flipped("plan.png"), "no plan": missing("plan.png")},
     "layout.csv": {"no layout.csv": missing("layout.csv")},
     "layout.geojson": {"no layout.geojson": missing("layout.geojson")},
-    "a.txt": {
-        "another file": lambda folder: (folder / "a.txt").write_text("x") and None
-    },
+    "a.txt": {"another file": written_as("a.txt", "x")},
     "recommended.json": {
-        "a recommendation": lambda folder: (
-            shutil.copy(folder / "layout.json", folder / "recommended.json") and None
+        "a recommendation": lambda folder: shutil.copy(
+            folder / "layout.json", folder / "recommended.json"
         )
     },
 }
@@ -648,7 +674,7 @@ REFUSED = {
         'layout.json: got the key "layout" twice',
     ),
     "half an instance": (
-        lambda folder: (folder / "instance.npz").write_bytes(b"PK") and None,
+        written_as("instance.npz", "PK"),
         "instance.npz: got ",
     ),
     "no certificate": (
@@ -698,17 +724,6 @@ def test_what_nobody_has_changed_is_the_same_when_it_is_made_anew(results, deep)
     assert "seconds, versions of programs" in left
 
 
-@pytest.mark.parametrize("name", ["report.html", "runs.parquet", "certificate.json"])
-def test_without_new_hashes_whatever_is_changed_is_found_by_its_hash(results, name):
-    if name != "certificate.json":
-        change = flipped(name)
-    else:
-        change = appended(name, "\n")
-    change(results)
-
-    assert f"file {name}" in failed(verified(results))
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -743,7 +758,7 @@ def test_every_value_of_a_summary_is_compared_with_the_one_made_anew(written):
     """Whatever is changed differs; times and versions do not count, what was asked is
     used.
     """
-    document = json.loads((written / "summary.json").read_text())
+    document = read_json(written / "summary.json")
     assert anew.differences(document, json.loads(json.dumps(document))) == []
 
     n_changed = 0

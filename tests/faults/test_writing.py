@@ -36,11 +36,11 @@ def folder(tmp_path):
 @pytest.fixture
 def start(folder):
     """Begins to write: the writer's process id."""
-    folders = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "support")))
+    folders = os.pathsep.join(map(str, (ROOT, ROOT / "tests/support")))
     maker = subprocess.Popen(
         [
             sys.executable,
-            str(ROOT / "tests" / "support" / "writing_process.py"),
+            str(ROOT / "tests/support/writing_process.py"),
             str(folder),
         ],
         stdin=subprocess.PIPE,
@@ -175,6 +175,7 @@ def test_a_full_disk_is_said_and_the_old_stays(tmp_path, caplog):
         write_table(folder, 2)
         with pytest.raises(InputError, match="No space left on device") as caught:
             write_results(folder, 2)
+
         kept = folder / "latest.unfinished"
         assert str(caught.value).endswith(f"what was computed is kept in {kept}")
         assert (kept / MARKER).read_text() == "2\n" * 20_000
@@ -213,6 +214,7 @@ def test_a_folder_without_rights_is_refused_before_anything_is_computed(caplog):
             write_table(folder, 2)
             with pytest.raises(InputError, match="Permission denied"):
                 write_results(folder, 2)
+
         assert caplog.messages[0].endswith("Permission denied")
         assert assert_whole(folder) == "1\n" * 20_000
     finally:

@@ -68,24 +68,38 @@ def _firefox(folder):
 
 
 @contextmanager
-def open_page(browser, address, *, width=1280, **options):
-    """A page that must neither complain nor ask for anything from elsewhere."""
-    context = browser.new_context(viewport={"width": width, "height": 900}, **options)
+def open_page(
+    browser,
+    address,
+    *,
+    width=1280,
+    height=900,
+    before=None,
+    own=("file:", "data:", "blob:"),
+    may_complain=False,
+    may_ask_people=False,
+    **options,
+):
+    """A page that must neither complain nor ask for anything but what begins as `own`.
+
+    Something may be done `before` it goes to the address; what it complains of is of no
+    account if it may, and so are its dialogs.
+    """
+    viewport = {"width": width, "height": height}
+    context = browser.new_context(viewport=viewport, **options)
     page = context.new_page()
     complaints = []
+    asked = []
     page.on("console", lambda message: complaints.append(message.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("dialog", lambda dialog: complaints.append(dialog.message))
-    page.on(
-        "request",
-        lambda request: (
-            None
-            if request.url.startswith(("file:", "data:", "blob:"))
-            else complaints.append(request.url)
-        ),
-    )
+    page.on("request", lambda request: asked.append(request.url))
+    if not may_ask_people:
+        page.on("dialog", lambda dialog: complaints.append(dialog.message))
+    if before is not None:
+        before(page)
     page.goto(address)
     yield page
     context.close()
 
-    assert complaints == []
+    assert [url for url in asked if not url.startswith(own)] == []
+    assert may_complain or complaints == []

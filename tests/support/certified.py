@@ -15,6 +15,7 @@ Document = dict[str, Any]
 
 
 def document_of(problem: PlacementProblem, solution: Solution) -> Document:
+    """Certificate of a solution."""
     return build_certificate(
         problem,
         solution.certificate,

@@ -9,7 +9,11 @@ from osm_text import OsmText
 
 from placement.question import Question
 
-PLACES_M = ((0.0, 0.0), (250.0, 0.0), (500.0, 10.0))
+PLACES_M = (
+    (0.0, 0.0),
+    (250.0, 0.0),
+    (500.0, 10.0),
+)
 FEW_RUNS = Question(cases="CPNC-50", along_arms="0", speeds="50")
 FEW_RUNS_OPTIONS = ("--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50")
 
@@ -28,7 +32,11 @@ def write_city(folder: Path, name: str = "tiny.osm", *, east_m: float = 0.0) -> 
     for letter, node, (x, y) in zip("ABC", nodes, places, strict=True):
         for up in (100.0,) if letter == "B" else (100.0, -100.0):
             osm.road([node, osm.node(x, y + up)], name=f"{letter} Lane")
-        house = [(x + 17.0, y + 17.0), (x + 37.0, y + 17.0), (x + 37.0, y + 37.0)]
+        house = [
+            (x + 17.0, y + 17.0),
+            (x + 37.0, y + 17.0),
+            (x + 37.0, y + 37.0),
+        ]
         osm.way(
             [*house, (x + 17.0, y + 37.0), house[0]], {"building": "yes", "height": "9"}
         )

@@ -186,6 +186,7 @@ def wounded(rng: random.Random, data: bytes, name: str = "") -> bytes:
 
 
 def _plain_numbers(rng: random.Random) -> list[bytes]:
+    """Numbers as text: one at an edge, any one, and two plain ones."""
     return [
         str(rng.choice(_EDGES)).encode(),
         repr(rng.uniform(-1e6, 1e6)).encode(),

@@ -111,6 +111,7 @@ class DaskProcesses:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
+    """End a process and its children."""
     import psutil
 
     if process.poll() is None:
@@ -131,7 +132,12 @@ def dask_processes(
     tls += ("--tls-key", str(own))
     file = folder / "scheduler.json"
     options = ("--scheduler", file, "--tls-ca", authority, "--tls-cert", own)
-    cluster = DaskProcesses(folder=folder, tls=tls, options=options, file=file)
+    cluster = DaskProcesses(
+        folder=folder,
+        tls=tls,
+        options=options,
+        file=file,
+    )
     try:
         cluster.scheduler = cluster.start(
             "scheduler", "--port", 0, "--protocol", "tls", *of_scheduler

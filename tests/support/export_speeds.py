@@ -27,10 +27,8 @@ def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
         pose = replace(unit.pose, yaw_deg=unit.pose.yaw_deg + number)
         units.append(replace(unit, id=f"unit {number}", pose=pose))
 
-    layout, few = (
-        replace(study, units=tuple(units)),
-        replace(study, units=tuple(units[:1])),
-    )
+    layout = replace(study, units=tuple(units))
+    few = replace(study, units=tuple(units[:1]))
 
     def row(
         name: str, what: str, write: Callable[..., str | bytes]
@@ -63,7 +61,7 @@ def main(path: Path = Path("results/exports.md")) -> None:
         "",
         *markdown_table(heads, measure_exports()),
     ]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path.write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

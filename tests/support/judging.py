@@ -86,10 +86,10 @@ def judge_openscenario(runs: Sequence[Run], folder: Path) -> Any:
     """
     firsts = {run.case.name: run for run in reversed(runs)}
     roads = to_opendrive(None, load_study_scene())
-    (folder / "roads.xodr").write_text(roads, encoding="utf-8")
+    (folder / "roads.xodr").write_text(roads)
     for case, run in firsts.items():
         text = to_openscenario(run, road_network="roads.xodr")
-        (folder / f"{case}.xosc").write_text(text, encoding="utf-8")
+        (folder / f"{case}.xosc").write_text(text)
     return judge_apart("xosc", folder)
 
 
@@ -105,9 +105,12 @@ def judge_opendrive(folder: Path) -> Any:
     left = replace(
         scene, lanes=lanes, outline_m=scene.outline_m * flip, keeps_left=True
     )
-    for side, one in (("right", scene), ("left", left)):
+    for side, one in (
+        ("right", scene),
+        ("left", left),
+    ):
         text = to_opendrive(load_carlancap_layout(), one)
-        (folder / f"{side}.xodr").write_text(text, encoding="utf-8")
+        (folder / f"{side}.xodr").write_text(text)
     return judge_apart("xodr", folder)
 
 
@@ -119,7 +122,7 @@ def judge_carla(folder: Path) -> float:
     Blueprints and attributes are known to CARLA's server alone and not checked.
     """
     layout = load_carlancap_layout()
-    (folder / "layout.json").write_text(to_carla(layout), encoding="utf-8")
+    (folder / "layout.json").write_text(to_carla(layout))
     axes = judge_apart("carla", folder)["axes"]
     if len(axes) != len(layout.units):
         return float("inf")
@@ -199,7 +202,13 @@ def judge_impacts(runs: Sequence[Run], folder: Path, n_runs: int = 100) -> Float
             [0.5 * body.length_m, 0.5 * body.width_m] for body in (met.vut, met.vru)
         ]
         path = folder / f"{index}.npz"
-        np.savez(path, id=run.id, time_s=time_s, pose=np.array(pose), half_sizes=sizes)
+        np.savez(
+            path,
+            id=run.id,
+            time_s=time_s,
+            pose=np.array(pose),
+            half_sizes=sizes,
+        )
 
     touch_s = judge_apart("touch", folder)["touch_s"].values()
     return np.abs([np.inf if one is None else one for one in touch_s])
@@ -236,7 +245,7 @@ def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
     """
     from pyscipopt import Model, quicksum
 
-    answer = json.loads((path / "summary.json").read_text(encoding="utf-8"))
+    answer = json.loads((path / "summary.json").read_text())
     # Another layout may have been chosen.
     stage = (answer["highest"] or answer)["stages"][0]
     with np.load(path / "instance.npz", allow_pickle=False) as file:
@@ -291,7 +300,12 @@ def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    kw_only=True,
+    eq=False,
+)
 class _InstanceRun:
     """A run of ``instance.npz``: its frames before the last moment, and who detects in
     them.
@@ -331,6 +345,7 @@ class _InstanceRun:
 
 
 def _read_runs(instance: dict[str, Any]) -> list[_InstanceRun]:
+    """Runs of an instance, as its file has them."""
     time_s = instance["time_s"]
     sees = (
         np.unpackbits(instance["packed"], axis=1, bitorder="little", count=len(time_s))
@@ -354,7 +369,7 @@ def _read_runs(instance: dict[str, Any]) -> list[_InstanceRun]:
     return runs
 
 
-@njit  # type: ignore[untyped-decorator]
+@njit
 def _avoids(
     seen: BoolArray, time_s: FloatArray, moment_s: float, memory_s: float, n: int
 ) -> bool:
@@ -374,7 +389,7 @@ def _avoids(
     return is_confirmed and moment_s - last_s <= memory_s
 
 
-@njit  # type: ignore[untyped-decorator]
+@njit
 def _join(
     sees: BoolArray,
     seen: BoolArray,

@@ -33,7 +33,10 @@ def judge_by_asam(kind: str, folder: Path) -> dict[str, Any]:
         result = Result()
         config.set_config_param("InputFile", str(path))
         result.register_checker_bundle(
-            name=constants.BUNDLE_NAME, description="", version="", summary=""
+            name=constants.BUNDLE_NAME,
+            description="",
+            version="",
+            summary="",
         )
         check.run_checks(config, result)
 
@@ -46,7 +49,12 @@ def judge_by_asam(kind: str, folder: Path) -> dict[str, Any]:
 
     name = {"xosc": "asam-qc-openscenarioxml", "xodr": "asam-qc-opendrive"}[kind]
     version = importlib.metadata.version(name)
-    return {"version": version, "n": len(paths), "checks": statuses, "issues": issues}
+    return {
+        "version": version,
+        "n": len(paths),
+        "checks": statuses,
+        "issues": issues,
+    }
 
 
 def judge_touches(folder: Path) -> dict[str, Any]:
@@ -85,7 +93,7 @@ def judge_transforms(folder: Path) -> dict[str, Any]:
     import carla  # type: ignore[import-not-found]
 
     axes = {}
-    for unit in json.loads((folder / "layout.json").read_text(encoding="utf-8")):
+    for unit in json.loads((folder / "layout.json").read_text()):
         found = carla.Transform(
             carla.Location(**unit["transform"]["location"]),
             carla.Rotation(**unit["transform"]["rotation"]),

@@ -7,13 +7,31 @@ from geometry.scene import Instance, Lane, Scene
 LANE_M = 3.5
 MOUTH_M = 11.5
 ARM_M = 250.0  # Euro NCAP AEB/LSS VRU: intersection
-SQUARE_M = MOUTH_M * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
-ARMS = {"east": 0.0, "north": 90.0, "west": 180.0, "south": 270.0}
+SQUARE_M = MOUTH_M * np.array(
+    [
+        [1.0, -1.0],
+        [1.0, 1.0],
+        [-1.0, 1.0],
+        [-1.0, -1.0],
+    ]
+)
+ARMS = {
+    "east": 0.0,
+    "north": 90.0,
+    "west": 180.0,
+    "south": 270.0,
+}
 
 
 def turned(points_m, angle_deg):
+    """Points turned by an angle around the origin."""
     angle = np.radians(angle_deg)
-    matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    matrix = np.array(
+        [
+            [np.cos(angle), -np.sin(angle)],
+            [np.sin(angle), np.cos(angle)],
+        ]
+    )
     return np.asarray(points_m) @ matrix.T
 
 
@@ -22,9 +40,18 @@ def lanes_of(arm, bearing_deg, *, n_lanes=1, arm_m=ARM_M, has_in=True, has_out=T
     lanes = []
     for index in range(n_lanes):
         offset_m = (n_lanes - index - 0.5) * LANE_M  # 0 is at the kerb
-        way_in = [[MOUTH_M + arm_m, offset_m], [MOUTH_M, offset_m]]
-        way_out = [[MOUTH_M, -offset_m], [MOUTH_M + arm_m, -offset_m]]
-        for exists, name, way in ((has_in, "in", way_in), (has_out, "out", way_out)):
+        way_in = [
+            [MOUTH_M + arm_m, offset_m],
+            [MOUTH_M, offset_m],
+        ]
+        way_out = [
+            [MOUTH_M, -offset_m],
+            [MOUTH_M + arm_m, -offset_m],
+        ]
+        for exists, name, way in (
+            (has_in, "in", way_in),
+            (has_out, "out", way_out),
+        ):
             if exists:
                 lanes.append(
                     Lane(
@@ -45,7 +72,13 @@ def build_scene(lanes, *, name="protocol", boxes=(), crosswalks_m=(), outline_m=
     instance_of = []
     instances = [Instance(id="ground", class_name="ground")]
     vertices.append(
-        np.array([[-400.0, -400.0, 0.0], [400.0, -400.0, 0.0], [0.0, 600.0, 0.0]])
+        np.array(
+            [
+                [-400.0, -400.0, 0.0],
+                [400.0, -400.0, 0.0],
+                [0.0, 600.0, 0.0],
+            ]
+        )
     )
     triangles.append(np.array([[0, 1, 2]]))
     instance_of.append(np.array([0]))

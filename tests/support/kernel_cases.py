@@ -40,10 +40,12 @@ def random_chains(rng: np.random.Generator, *, n_frames: int = N_FRAMES) -> Chai
 
 
 def n_chains_of(chains: Chains) -> int:
+    """How many chains there are."""
     return len(chains.start) - 1
 
 
 def n_links_of(chains: Chains, chain: int) -> int:
+    """How many links a chain has."""
     return int(chains.start[chain + 1] - chains.start[chain])
 
 

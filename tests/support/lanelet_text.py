@@ -10,6 +10,7 @@ REACH_M = 60.0  # of a lane; half the junction; to the ends of the roads
 def turned(
     points: list[tuple[float, float]], quarter: int
 ) -> list[tuple[float, float]]:
+    """Points turned by some quarters."""
     for _ in range(quarter):
         points = [(-y, x) for x, y in points]
     return points
@@ -26,7 +27,10 @@ def crossing(*, keeps_left: bool = False) -> dict[str, tuple[list, list]]:
         side = -1.0
     lanes = {}
     for quarter in range(4):
-        for name, x, is_in in (("in", -REACH_M, True), ("out", -HALF_M, False)):
+        for name, x, is_in in (
+            ("in", -REACH_M, True),
+            ("out", -HALF_M, False),
+        ):
             if is_in:
                 lane = side
             else:
@@ -46,7 +50,13 @@ def crossing(*, keeps_left: bool = False) -> dict[str, tuple[list, list]]:
             lanes[f"{name}{quarter}"] = tuple(
                 turned(bound, quarter) for bound in bounds
             )
-        inner, outer = ([(-HALF_M, y), (HALF_M, y)] for y in (0.0, side * WIDTH_M))
+        inner, outer = (
+            [
+                (-HALF_M, y),
+                (HALF_M, y),
+            ]
+            for y in (0.0, side * WIDTH_M)
+        )
         if side > 0.0:
             bounds = (outer, inner)
         else:
@@ -86,6 +96,8 @@ def lanelet2(lanes: dict, tags: dict[str, str] | None = None, more: str = "") ->
 
 
 def commonroad(lanes: dict) -> str:
+    """Lanes as a file of CommonRoad."""
+
     def bound(points: list[tuple[float, float]]) -> str:
         return "".join(f"<point><x>{x}</x><y>{y}</y></point>" for x, y in points)
 

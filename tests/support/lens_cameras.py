@@ -20,10 +20,21 @@ def random_lens(rng, model: str) -> Lens:
         0.01,
     ]
     if model == "brown-conrady":
-        return BrownConrady(k1=k1, k2=k2, k3=k3, p1=p1, p2=p2)
+        return BrownConrady(
+            k1=k1,
+            k2=k2,
+            k3=k3,
+            p1=p1,
+            p2=p2,
+        )
     if model == "tsai":
         return TsaiRadial(kappa=k1)
-    return Fisheye(k1=0.5 * k1, k2=0.5 * k2, k3=k3, k4=k4)
+    return Fisheye(
+        k1=0.5 * k1,
+        k2=0.5 * k2,
+        k3=k3,
+        k4=k4,
+    )
 
 
 def random_camera(rng, base, model: str):

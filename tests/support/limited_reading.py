@@ -23,11 +23,11 @@ class Process:
     def ask(self, reader: str, path: Path, *, is_sound: bool = False) -> dict[str, str]:
         """What became of a file; a process that ends or waits has failed."""
         if self.running is None:
-            folders = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "support")))
+            folders = os.pathsep.join(map(str, (ROOT, ROOT / "tests/support")))
             self.running = subprocess.Popen(
                 [
                     sys.executable,
-                    str(ROOT / "tests" / "support" / "reading_process.py"),
+                    str(ROOT / "tests/support/reading_process.py"),
                 ],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,

@@ -6,6 +6,7 @@ from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout, load_carlancap_layout
+from scenarios.confirmation import is_in_time, live_confirmation_time_s
 
 
 def made_verdict(axis, onset_s, *, is_avoided=None, detected=None):
@@ -23,6 +24,24 @@ def made_verdict(axis, onset_s, *, is_avoided=None, detected=None):
     )
 
 
+def live_verdict(axis, detected, rule):
+    """What the rule makes of detections, run by run as on the road."""
+    confirmation_s = np.empty(axis.n_runs)
+    for index in range(axis.n_runs):
+        frames = axis.frames_of(index)
+        confirmation_s[index] = live_confirmation_time_s(
+            detected[frames], axis.time_s[frames], until_s=np.inf, rule=rule
+        )
+    return Verdict(
+        detected=detected,
+        confirmation_time_s=confirmation_s,
+        onset_time_s=confirmation_s + rule.latency_s,
+        is_avoided=is_in_time(
+            confirmation_s, axis.last_brake_time_s, latency_s=rule.latency_s
+        ),
+    )
+
+
 def avoiding(axis, is_avoided, detected=None):
     """Avoids these runs, a second before the impact."""
     avoided = np.array(is_avoided, dtype=bool)
@@ -35,7 +54,13 @@ def made_evaluation(axis, together, *, name="mine", ids=("RSU0",), **others):
     sensor = load_carlancap_layout().units[0].sensor
     pose = Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0)
     units = tuple(
-        CandidatePose(id=unit, site_id="", pose=pose, sensor=sensor) for unit in ids
+        CandidatePose(
+            id=unit,
+            site_id="",
+            pose=pose,
+            sensor=sensor,
+        )
+        for unit in ids
     )
     verdicts = {"vut": together, "rsu_all": together, "vut_and_rsus": together}
     return Evaluation(

@@ -6,7 +6,7 @@ or not it is in the field of view. Sums are made in the same order, so that boxe
 the same to the last bit but for points that only rounding puts outside the convex hull.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -81,12 +81,8 @@ class NumpySensing:
         evidence = self.evidence(candidate)
         found = []
         for contrast in made.contrast:
-            fields = {
-                name: getattr(evidence, name) for name in evidence.__dataclass_fields__
-            }
-            found.append(
-                made.detector.is_expected(Evidence(**fields | {"contrast": contrast}))
-            )
+            seen = replace(evidence, contrast=contrast)
+            found.append(made.detector.is_expected(seen))
 
         return np.array(found)
 
@@ -105,6 +101,7 @@ def boxes(columns, rows, hidden):
 
 
 def areas(boxes_px):
+    """Areas of boxes, (n,). [px^2]"""
     return (boxes_px[:, 2:] - boxes_px[:, :2]).prod(axis=1)
 
 
@@ -122,6 +119,7 @@ def count_points(sensing, rotation, lidar):
     view = sight.view_index
     offsets = views.points_m[view] - sensing.eye_m
     distance = np.linalg.norm(offsets, axis=-1)
+
     ahead, left, up = np.moveaxis(offsets @ rotation, -1, 0)
     azimuth_deg = np.degrees(np.arctan2(left, ahead))
     elevation_deg = np.degrees(np.arctan2(up, np.hypot(ahead, left)))
@@ -130,6 +128,7 @@ def count_points(sensing, rotation, lidar):
         & (np.abs(azimuth_deg) <= 0.5 * lidar.horizontal_fov_deg)
         & (np.abs(elevation_deg) <= 0.5 * lidar.vertical_fov_deg)
     )
+
     areas = np.stack([surface.area_m2 for surface in sensing.world.surfaces])
     area = areas[views.surface_index[view]] @ np.swapaxes(
         body_rotation(views.yaw_deg[view]), 1, 2
@@ -137,25 +136,21 @@ def count_points(sensing, rotation, lidar):
     facing_m2 = np.maximum(0.0, -(area * offsets).sum(axis=-1) / distance)
     beams = is_hit * facing_m2 / distance**2 * beams_per_steradian(lidar, elevation_deg)
     cosine = facing_m2 / np.maximum(np.linalg.norm(area, axis=-1), 1.0e-12)
+
     detection = load_lidar_detection()
     reflectivity = np.array([detection.reflectivity[name] for name in VRU_CLASSES])
     needed = np.array([detection.min_points[name] for name in VRU_CLASSES])
     classes = sensing.vru_class[entries]
-    return np.stack(
-        [
-            (
-                beams
-                * return_probability(
-                    lidar,
-                    distance,
-                    reflectivity=reflectivity[classes][:, None],
-                    incidence_cos=cosine,
-                    extinction_per_m=weather.lidar_extinction_per_m(
-                        lidar.wavelength_nm
-                    ),
-                )
-            ).sum(axis=1)
-            >= needed[classes]
-            for weather in views.weathers
-        ]
-    )
+
+    detected = []
+    for weather in views.weathers:
+        returned = return_probability(
+            lidar,
+            distance,
+            reflectivity=reflectivity[classes][:, None],
+            incidence_cos=cosine,
+            extinction_per_m=weather.lidar_extinction_per_m(lidar.wavelength_nm),
+        )
+        n_points = (beams * returned).sum(axis=1)
+        detected.append(n_points >= needed[classes])
+    return np.stack(detected)

@@ -14,6 +14,7 @@ LINE = "<line/>"
 
 
 def document(*parts: str, header: str = "", root: str = "OpenDRIVE") -> str:
+    """A file of some roads."""
     return (
         f'<?xml version="1.0"?><{root}><header revMajor="1" revMinor="7"'
         f' name="made">{header}</header>{"".join(parts)}</{root.split()[0]}>'
@@ -29,6 +30,7 @@ def geometry(
     hdg: float = 0.0,
     length: float = 100.0,
 ) -> str:
+    """A piece of a road's middle line. [m, rad]"""
     return (
         f'<geometry s="{s}" x="{x}" y="{y}" hdg="{hdg}"'
         f' length="{length}">{shape}</geometry>'
@@ -36,6 +38,7 @@ def geometry(
 
 
 def cubic(tag: str, start: float, *coefficients: float) -> str:
+    """A polynomial of up to four coefficients."""
     a, b, c, d = (*coefficients, 0.0, 0.0, 0.0, 0.0)[:4]
     if tag in ("width", "border"):
         key = "sOffset"
@@ -53,9 +56,13 @@ def lane(
     after: int | None = None,
     extra: str = "",
 ) -> str:
+    """A lane with its width."""
     links = "".join(
         f'<{tag} id="{other}"/>'
-        for tag, other in (("predecessor", before), ("successor", after))
+        for tag, other in (
+            ("predecessor", before),
+            ("successor", after),
+        )
         if other is not None
     )
     if isinstance(width, str):
@@ -70,6 +77,7 @@ def lane(
 def section(
     *, s: float = 0.0, left: Sequence[str] = (), right: Sequence[str] = ()
 ) -> str:
+    """Lanes to the left and right of a road's middle."""
     return (
         f'<laneSection s="{s}"><left>{"".join(left)}</left><center><lane id="0"'
         f' type="none"/></center><right>{"".join(right)}</right></laneSection>'
@@ -95,6 +103,7 @@ def road(
     signals: str = "",
     street: str = "",
 ) -> str:
+    """A road with its lanes."""
     if plan is None:
         plan = geometry(length=length)
     if rule:
@@ -112,10 +121,12 @@ def road(
 
 
 def to_road(side: str, other: str, contact: str) -> str:
+    """A link to a road."""
     return f'<{side} elementType="road" elementId="{other}" contactPoint="{contact}"/>'
 
 
 def to_junction(side: str, junction: str) -> str:
+    """A link to a junction."""
     return f'<{side} elementType="junction" elementId="{junction}"/>'
 
 
@@ -123,11 +134,22 @@ def crossing(*, rule: str = "RHT", half_m: float = 10.0, kind: str = "default") 
     """Two streets that cross at the origin: four roads of 50 m, straight connecting
     roads only.
     """
-    turns = {"1": 0.0, "2": 90.0, "3": 180.0, "4": 270.0}  # where the arms lie, degrees
+    # Where the arms lie, degrees.
+    turns = {
+        "1": 0.0,
+        "2": 90.0,
+        "3": 180.0,
+        "4": 270.0,
+    }
     roads = []
     links = []
     for name, angle in turns.items():
-        unit = {0.0: (1, 0), 90.0: (0, 1), 180.0: (-1, 0), 270.0: (0, -1)}[angle]
+        unit = {
+            0.0: (1, 0),
+            90.0: (0, 1),
+            180.0: (-1, 0),
+            270.0: (0, -1),
+        }[angle]
         roads.append(
             road(
                 name,
@@ -151,7 +173,12 @@ def crossing(*, rule: str = "RHT", half_m: float = 10.0, kind: str = "default") 
         roads.append(
             road(
                 name,
-                plan=geometry(x=x, y=y, hdg=hdg, length=2.0 * half_m),
+                plan=geometry(
+                    x=x,
+                    y=y,
+                    hdg=hdg,
+                    length=2.0 * half_m,
+                ),
                 length=2.0 * half_m,
                 junction="9",
                 rule=rule,
@@ -169,8 +196,9 @@ def crossing(*, rule: str = "RHT", half_m: float = 10.0, kind: str = "default") 
 
 
 def read_text(folder: Path, text: str) -> SourceMap:
+    """The map that a text is read as."""
     path = folder / "made.xodr"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
     return read_opendrive(path)
 
 

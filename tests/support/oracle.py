@@ -191,17 +191,17 @@ class Oracle:
             r for r in range(self.n_runs) if margins[r] > -inf and self.weight[r] > 0.0
         ]
         avoided = sum(self.weight[run] for run in counts)
+        mean_margin_s = 0.0
+        if counts:
+            weighted = sum(self.weight[run] * margins[run] for run in counts)
+            mean_margin_s = weighted / avoided
         values = {
             "units": float(len(poses)),
             "cost_eur": self.cost_eur(poses),
             "apr": self._apr(poses),
             "apr_one_failed": self._after_failures(poses, 1, self._apr),
             "smallest_margin_s": min((margins[run] for run in counts), default=0.0),
-            "mean_margin_s": (
-                sum(self.weight[run] * margins[run] for run in counts) / avoided
-                if counts
-                else 0.0
-            ),
+            "mean_margin_s": mean_margin_s,
         }
         if self.problem.survive:
             values["apr_survived"] = self._after_failures(

@@ -81,6 +81,7 @@ def _answer(problem: PlacementProblem, effort: Effort) -> tuple[Solution | None,
 
 
 def _solver_of(way: str) -> str:
+    """Name of the solver behind a way of solving."""
     if way in SOLVERS:
         return way
     if way == "large":

@@ -76,7 +76,10 @@ def polygon_distance(polygon_a, polygon_b):
 
     return min(
         to_side(corner, here[index - 1], here[index])
-        for corners, here in ((polygon_a, polygon_b), (polygon_b, polygon_a))
+        for corners, here in (
+            (polygon_a, polygon_b),
+            (polygon_b, polygon_a),
+        )
         for corner in corners
         for index in range(4)
     )

@@ -89,7 +89,7 @@ class OsmText:
 
     def write(self, folder: Path, name: str = "map.osm") -> Path:
         path = folder / name
-        path.write_text(self.text(), encoding="utf-8")
+        path.write_text(self.text())
         return path
 
 
@@ -118,30 +118,21 @@ def as_drawn(source: SourceMap) -> SourceMap:
     """A map that was read from a drawing, in the coordinates in which it was drawn."""
     to_map = Transformer.from_crs("EPSG:4326", source.crs, always_xy=True)
     shift = np.array([*to_map.transform(LON_DEG, LAT_DEG), 0.0])
+
+    def moved(thing, name, by_m=shift):
+        return replace(thing, **{name: getattr(thing, name) - by_m})
+
+    junctions = []
+    for junction in source.junctions:
+        roads = [moved(road, "point_m", shift[:2]) for road in junction.roads]
+        there = moved(junction, "outline_m", shift[:2])
+        junctions.append(replace(there, roads=tuple(roads)))
     return replace(
         source,
-        lanes=tuple(
-            replace(lane, centreline_m=lane.centreline_m - shift)
-            for lane in source.lanes
-        ),
-        junctions=tuple(
-            replace(
-                junction,
-                outline_m=junction.outline_m - shift[:2],
-                roads=tuple(
-                    replace(road, point_m=road.point_m - shift[:2])
-                    for road in junction.roads
-                ),
-            )
-            for junction in source.junctions
-        ),
-        things=tuple(
-            replace(thing, vertices_m=thing.vertices_m - shift)
-            for thing in source.things
-        ),
-        poles=tuple(
-            replace(pole, position_m=pole.position_m - shift) for pole in source.poles
-        ),
+        lanes=tuple(moved(lane, "centreline_m") for lane in source.lanes),
+        junctions=tuple(junctions),
+        things=tuple(moved(thing, "vertices_m") for thing in source.things),
+        poles=tuple(moved(pole, "position_m") for pole in source.poles),
         crosswalks_m=source.crosswalks_m - shift[:2],
     )
 

@@ -49,6 +49,7 @@ def blank_png(drawn: Axes | Figure) -> bytes:
 
 
 def _texts(artist: Artist) -> list[Text]:
+    """Texts of an artist that are written by hand."""
     if isinstance(artist, Axes):
         labels = (artist.xaxis.label, artist.yaxis.label, artist.title)
         return [*labels, *artist.texts]
@@ -68,6 +69,7 @@ class BlankSource:
 def _never_cached(
     make_or_read: Callable[..., Any], folder: Path | None, *given: Any, **named: Any
 ) -> Any:
+    """Make a value anew, whatever is cached."""
     return make_or_read(None, *given, **named)
 
 
@@ -184,12 +186,14 @@ def _schema(kind):
 
 
 def _evaluation():
+    """Ratios of which none is known."""
     party = {"all": None, "by_case": {}}
     parties = dict.fromkeys(("vut", "rsu_all", "vut_and_rsus"), party)
     return {**parties, "units": {}, "apr_without_worst_unit": None}
 
 
 def _compared(name):
+    """A layout beside another one, as results have it."""
     return {
         "name": name,
         "layout": [A_UNIT],

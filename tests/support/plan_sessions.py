@@ -6,6 +6,7 @@ import threading
 import pytest
 from small_results import build_small_grid
 
+from experiments.planner.plan import Variant
 from experiments.planner.plan_files import Plan
 from experiments.planner.session import Session
 from experiments.planner.tasks import Tasks, Work
@@ -61,16 +62,18 @@ class InThread:
 
 
 def small_work(folder, **asked):
+    """What tasks need, with a cache of their own."""
     compute = Compute(workers=2, cache_folder=folder)
     return Work(question=Question(**asked), scratch=folder, compute=compute)
 
 
-def small_session(folder, setting, *, variants=(), asked=None, **given):
+def small_session(folder, setting, *, units=(), asked=None, **given):
+    """A session that begins with a variant called "mine" of these units, if any."""
     work = small_work(
         folder, cases="CPNC-50", along_arms="0", speeds="50", **(asked or {})
     )
-    if variants:
-        plan = Plan(variants=tuple(variants))
+    if units:
+        plan = Plan(variants=(Variant(name="mine", units=tuple(units)),))
     else:
         plan = None
     begun = work.question  # another question has other runs
@@ -88,6 +91,7 @@ def few_poses(monkeypatch):
 
 
 def start_server(folder, setting, *, keeps_open=True, **given):
+    """A server of a session of few runs, which runs."""
     # Only the extra plan has what it needs.
     from experiments.planner.server import RunningServer
 

@@ -12,6 +12,7 @@ PAVEMENT = (-110.0, 10.0, -100.0, 12.0)  # a strip north-east of the junction
 
 
 def write_garden(folder, sides=PAVEMENT, *, name="garden"):
+    """File of a rectangle: lowest and highest east and north. [m]"""
     corners = np.array(box(*sides).exterior.coords)
     ring = to_geographic(corners, load_study_scene().crs).tolist()
     shape = {"type": "Polygon", "coordinates": [ring]}

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
+from tiny_worlds import axis_of_runs
 
 from geometry.arrays import BoolArray, FloatArray
 from placement.detection_table import pack_table
@@ -30,33 +31,31 @@ def problems(draw: st.DrawFn) -> PlacementProblem:
         [-0.01, -0.125, -0.325, -np.inf], n_runs, p=[0.4, 0.3, 0.2, 0.1]
     )
     last_brake -= rng.random(n_runs) * draw(st.sampled_from([0.0, 0.3]))
-    axis = FrameAxis(
-        run_ids=tuple(map(str, range(n_runs))),
-        cases=("CPNA-50",) * n_runs,
-        approaches=("north",) * n_runs,
-        weathers=("day",) * n_runs,
-        vut_speed_kmh=np.full(n_runs, 30.0),
+    time_s = [np.arange(1 - n, 1) / 10.0 for n in n_frames]
+    axis = axis_of_runs(
+        np.cumsum([0, *n_frames]),
+        np.concatenate(time_s),
+        last_brake,
         weight=share / share.sum(),
-        last_brake_time_s=last_brake,
-        run_start=np.cumsum([0, *n_frames]),
-        time_s=np.concatenate([np.arange(1 - n, 1) / 10.0 for n in n_frames]),
     )
+
     n_poses = draw(st.sampled_from([6, 5, 4, 3, 2, 1]))
-    detected = rng.random((n_poses, n_frames.sum())) < draw(
-        st.sampled_from([0.6, 0.8, 0.4])
-    )
+    share = draw(st.sampled_from([0.6, 0.8, 0.4]))
+    detected = rng.random((n_poses, n_frames.sum())) < share
+
     n_sites = draw(st.sampled_from(sorted({n_poses, 1 + n_poses // 2, 1})))
     site_index = rng.integers(n_sites, size=n_poses)
     site_capacity = rng.integers(1, 3, size=n_sites)
-    max_units = np.minimum(
-        site_capacity, np.bincount(site_index, minlength=n_sites)
-    ).sum()
+    n_poses_of = np.bincount(site_index, minlength=n_sites)
+    max_units = int(np.minimum(site_capacity, n_poses_of).sum())
+    budget_units = min(draw(st.sampled_from([3, 2, 1])), max_units)
+
     return PlacementProblem(
         table=pack_table(tuple(map(str, range(n_poses))), axis, detected),
         limits=Limits(
             site_index=site_index,
             site_capacity=site_capacity,
-            budget_units=min(draw(st.sampled_from([3, 2, 1])), int(max_units)),
+            budget_units=budget_units,
             unit_cost_eur=np.full(n_poses, 1500.0),
         ),
         fusion=draw(st.sampled_from(["any", "single"])),
@@ -83,6 +82,7 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
     kinds = draw(
         st.sets(st.sampled_from(["money", "wishes", "floors", "failures", "samples"]))
     )
+
     if "money" in kinds:
         limits = replace(
             limits,
@@ -90,6 +90,7 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
             site_cost_eur=rng.integers(0, 3, n_sites).astype(np.float64),
             budget_eur=draw(st.sampled_from([None, 8.0, 5.0, 3.0])),
         )
+
     if "wishes" in kinds:
         rivals = [
             (a, b) for a, b in combinations(range(n_sites), 2) if rng.random() < 0.2
@@ -101,6 +102,7 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
             is_forced_site=rng.random(n_sites) < 0.15,
             rivals=np.array(rivals, dtype=np.int64).reshape(-1, 2),
         )
+
     floors: list[Floor] = []
     if "failures" in kinds:
         n_failures = draw(st.integers(0, 3))
@@ -108,18 +110,15 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
         n_failures = 0
     if n_failures:
         limits = replace(limits, failing=draw(st.sampled_from(["unit", "site"])))
+
     if "floors" in kinds:
-        floors.append(
-            Floor(
-                name="--target",
-                share=rng.choice([1.0, 0.75, 0.5]),
-                n_failures=n_failures,
-            )
-        )
+        share = rng.choice([1.0, 0.75, 0.5])
+        floors.append(Floor(name="--target", share=share, n_failures=n_failures))
         counted = rng.random(n_runs) < 0.5
         if problem.table.axis.weight[counted].sum() > 0.0:
             share = rng.choice([1.0, 0.5])
             floors.append(Floor(name="--min-case-apr", share=share, is_counted=counted))
+
     sample_index = None
     weight = problem.table.axis.weight
     if "samples" in kinds:
@@ -127,17 +126,23 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
         if not (np.bincount(sample_index, weights=weight, minlength=2) > 0.0).all():
             sample_index = None
     if floors:
-        goals = ["best", "fewest", "cheapest"]
+        goal = draw(st.sampled_from(["best", "fewest", "cheapest"]))
+        survive = 0
     else:
-        goals = ["best"]
+        goal = "best"
+        survive = n_failures
+    tail = 1.0
+    if sample_index is not None:
+        tail = draw(st.sampled_from([1.0, 0.5, 0.1]))
+
     return replace(
         problem,
         limits=limits,
         floors=tuple(floors),
-        goal=draw(st.sampled_from(goals)),
-        survive=0 if floors else n_failures,
+        goal=goal,
+        survive=survive,
         sample_index=sample_index,
-        tail=1.0 if sample_index is None else draw(st.sampled_from([1.0, 0.5, 0.1])),
+        tail=tail,
     )
 
 
@@ -157,11 +162,13 @@ def random_problem(rng: np.random.Generator) -> PlacementProblem:
     n_poses = int(rng.choice([1, 2, 3, 4, 5, 6, 7, 8, 10, 14]))
     n_sites = int(rng.integers(1, n_poses + 1))
     site_index = rng.integers(n_sites, size=n_poses)
+
     if rng.random() < 0.4:
         seen_by_vut = random_sight(rng, axis)
     else:
         seen_by_vut = None
     detected = random_detections(rng, axis, n_poses, seen_by_vut)
+
     sample_index = rng.integers(0, rng.integers(2, 4), axis.n_runs)
     weight_of_worlds = np.bincount(sample_index, weights=axis.weight)
     is_sampled = rng.random() < 0.5 and bool((weight_of_worlds > 0.0).all())
@@ -169,12 +176,15 @@ def random_problem(rng: np.random.Generator) -> PlacementProblem:
         tail = float(rng.choice([1.0, 0.5, 0.3, 0.1]))
     else:
         tail = 1.0
+        sample_index = None
+
     n_failures = int(rng.choice([0, 0, 1, 2, 3]))
     floors = random_floors(rng, axis, n_failures)
     if floors:
         goal = rng.choice(["best", "fewest", "cheapest"]).item()
     else:
         goal = "best"
+
     if not floors and rng.random() < 0.5:
         survive = n_failures
     else:
@@ -193,7 +203,7 @@ def random_problem(rng: np.random.Generator) -> PlacementProblem:
         floors=floors,
         goal=goal,
         survive=survive,
-        sample_index=sample_index if is_sampled else None,
+        sample_index=sample_index,
         tail=tail,
         seen_by_vut=seen_by_vut,
     )
@@ -214,9 +224,11 @@ def random_detections(
         seen = np.zeros(axis.n_frames, dtype=bool)
     else:
         seen = seen_by_vut
+
     if rng.random() < 0.5:
         adds_nothing = rng.random(n_poses) < 0.4
         detected[adds_nothing] &= seen
+
     if n_poses > 1 and rng.random() < 0.5:
         for pose in np.flatnonzero(rng.random(n_poses) < 0.4):
             detected[pose] &= detected[rng.integers(n_poses)]
@@ -233,10 +245,12 @@ def kinds_of(problem: PlacementProblem) -> frozenset[str]:
         detected = detected & ~seen
     adds_nothing = bool((~detected.any(axis=1)).any())
     has_levels = len(set(axis.run_ids)) < axis.n_runs
+
     weight = axis.weight[axis.weight > 0.0]
     is_tail = problem.tail < 1.0
     is_forced_site = bool(limits.is_forced_site.any())
     has_case_floor = any(floor.is_counted is not None for floor in problem.floors)
+
     kinds = {
         "tail": is_tail,
         "pose adds nothing": adds_nothing,
@@ -272,10 +286,12 @@ def random_axis(rng: np.random.Generator) -> FrameAxis:
     last_brake_s -= rng.random(n_runs) * rng.choice([0.0, 0.2])
     ends_s = rng.choice([0.0, 0.05], n_runs)
     weight = random_weights(rng, n_runs)
+
     time_s = [
         np.arange(1 - count, 1) / 10.0 - end_s
         for count, end_s in zip(n_frames, ends_s, strict=True)
     ]
+
     run_ids = list(map(str, range(n_runs)))
     if rng.random() < 0.15:  # levels: a run again, with a later deadline
         level = int(rng.integers(n_runs))
@@ -285,17 +301,14 @@ def random_axis(rng: np.random.Generator) -> FrameAxis:
         later_s = min(last_brake_s[level] + 0.1, 0.0)
         last_brake_s = np.append(last_brake_s, later_s)
         n_runs += 1
+
     run_start = np.cumsum([0, *(len(times) for times in time_s)])
-    return FrameAxis(
-        run_ids=tuple(run_ids),
-        cases=("CPNA-50",) * n_runs,
-        approaches=("north",) * n_runs,
-        weathers=("day",) * n_runs,
-        vut_speed_kmh=np.full(n_runs, 30.0),
+    return axis_of_runs(
+        run_start,
+        np.concatenate(time_s),
+        last_brake_s,
         weight=weight / weight.sum(),
-        last_brake_time_s=last_brake_s,
-        run_start=run_start,
-        time_s=np.concatenate(time_s),
+        ids=run_ids,
     )
 
 
@@ -307,6 +320,7 @@ def random_weights(rng: np.random.Generator, n_runs: int) -> FloatArray:
     is_small = rng.random(n_runs) < 0.5
     small = {"ties": rng.choice([1, 2, 3, 6], n_runs) * 0.4e-9, "nothing": 1.0e-300}
     whole = rng.integers(1, 4, n_runs).astype(np.float64)
+
     weight = {
         "alike": np.ones(n_runs),
         "any": rng.random(n_runs) + 0.01,
@@ -323,25 +337,39 @@ def random_limits(rng: np.random.Generator, site_index: Any, n_sites: int) -> Li
     """Units, money, capacities and wishes."""
     n_poses = len(site_index)
     has_prices, has_wishes = rng.random(2) < 0.4
-    unit = float(rng.choice([1.0, 333.33, 1.0e6]))
+    unit_eur = float(rng.choice([1.0, 333.33, 1.0e6]))
     rivals = [(a, b) for a in range(n_sites) for b in range(a) if rng.random() < 0.1]
     is_all = n_poses <= 5 and rng.random() < 0.2
-    return Limits(
+    site_capacity = rng.integers(1, 4, n_sites)
+    budget_units = None
+    if not is_all:
+        budget_units = int(rng.integers(1, 4))
+
+    limits = Limits(
         site_index=site_index,
-        site_capacity=rng.integers(1, 4, n_sites),
-        budget_units=None if is_all else int(rng.integers(1, 4)),
-        unit_cost_eur=unit
-        * (rng.integers(0, 5, n_poses) if has_prices else np.ones(n_poses)),
-        site_cost_eur=unit * rng.integers(0, 4, n_sites) if has_prices else None,
-        budget_eur=(
-            unit * rng.integers(3, 12) if has_prices and rng.random() < 0.5 else None
-        ),
-        is_forced=rng.random(n_poses) < 0.15 if has_wishes else None,
-        is_forbidden=rng.random(n_poses) < 0.15 if has_wishes else None,
-        is_forced_site=rng.random(n_sites) < 0.25 if has_wishes else None,
-        rivals=np.array(rivals if has_wishes else [], dtype=np.int64).reshape(-1, 2),
-        failing=rng.choice(["unit", "site"]).item(),
+        site_capacity=site_capacity,
+        budget_units=budget_units,
+        unit_cost_eur=np.full(n_poses, unit_eur),
     )
+
+    if has_prices:
+        limits = replace(
+            limits,
+            unit_cost_eur=unit_eur * rng.integers(0, 5, n_poses),
+            site_cost_eur=unit_eur * rng.integers(0, 4, n_sites),
+        )
+        if rng.random() < 0.5:
+            limits = replace(limits, budget_eur=unit_eur * rng.integers(3, 12))
+
+    if has_wishes:
+        limits = replace(
+            limits,
+            is_forced=rng.random(n_poses) < 0.15,
+            is_forbidden=rng.random(n_poses) < 0.15,
+            is_forced_site=rng.random(n_sites) < 0.25,
+            rivals=np.array(rivals, dtype=np.int64).reshape(-1, 2),
+        )
+    return replace(limits, failing=rng.choice(["unit", "site"]).item())
 
 
 def random_floors(
@@ -352,6 +380,7 @@ def random_floors(
         return ()
     share = float(rng.choice([1.0, 0.75, 0.5, 0.1, 0.0]))
     floors = [Floor(name="--target", share=share, n_failures=n_failures)]
+
     is_counted = rng.random(axis.n_runs) < 0.5
     if axis.weight[is_counted].sum() > 0.0 and rng.random() < 0.5:
         share = float(rng.choice([1.0, 0.5]))

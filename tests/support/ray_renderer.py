@@ -24,7 +24,12 @@ VRU = 1
 VUT = 2  # instance codes; STATIC also where nothing is hit
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    kw_only=True,
+    eq=False,
+)
 class Lens:
     """A camera at its place, with the rays of its pixels."""
 
@@ -38,7 +43,12 @@ class Lens:
     down: FloatRays
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    kw_only=True,
+    eq=False,
+)
 class View:
     """A part of a camera's image: instances and depths."""
 

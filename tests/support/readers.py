@@ -11,26 +11,38 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from importlib import import_module
+from importlib.resources import files as shipped
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 Files = Mapping[str, bytes]  # by name, in a folder
+Seeds = Mapping[str, tuple[str, Files]]  # by kind: what is read, and all files
 
-TOML_FOLDER = Path(__file__).parents[2] / "docs" / "files"
+TOML_FOLDER = Path(__file__).parents[2] / "docs/files"
 
 
 @dataclass(frozen=True)
 class Reader:
     """A function that reads what a user gives, and what it can be given."""
 
-    read: Callable[[Path], Any]
     # Sound files by what they are, each alone in a folder but for those that belong to
     # it; the first name is what is read, "." stands for the folder.
-    seeds: Callable[[], Mapping[str, tuple[str, Files]]]
+    seeds: Callable[[], Seeds]
     covers: tuple[str, ...]  # functions behind it, by module and name
+    read: Callable[[Path], Any] | None = None  # the first of `covers` if not said
+    takes: type = Path  # what that function takes
     share: int = 1  # of the time: about as many as it has formats
+
+    def __post_init__(self):
+        if self.read is None:
+            object.__setattr__(self, "read", self._read_by_first)
+
+    def _read_by_first(self, path):
+        module, _, name = self.covers[0].rpartition(".")
+        return getattr(import_module(module), name)(self.takes(path))
 
 
 def _written(write: Callable[[Path], object]) -> Files:
@@ -45,6 +57,7 @@ def _written(write: Callable[[Path], object]) -> Files:
 
 
 def _one(name: str, data: bytes | str) -> tuple[str, Files]:
+    """A file alone in a folder."""
     return name, {name: data.encode() if isinstance(data, str) else data}
 
 
@@ -52,30 +65,51 @@ def _one(name: str, data: bytes | str) -> tuple[str, Files]:
 
 
 def _osm() -> str:
+    """A crossing with a building, a lamp, a crossing on foot and a wall."""
     from osm_text import OsmText, crossing
 
     osm = OsmText()
     crossing(
         osm,
-        bearings=[(1, 0), (0, 1), (-1, 0), (0, -1)],
+        bearings=[
+            (1, 0),
+            (0, 1),
+            (-1, 0),
+            (0, -1),
+        ],
         lanes="2",
         maxspeed="50",
         width="7",
     )
     osm.way(
-        [(20.0, 20.0), (40.0, 20.0), (40.0, 30.0), (20.0, 20.0)], {"building": "yes"}
+        [
+            (20.0, 20.0),
+            (40.0, 20.0),
+            (40.0, 30.0),
+            (20.0, 20.0),
+        ],
+        {"building": "yes"},
     )
     osm.node(8.0, 8.0, highway="street_lamp", height="6 m")
     osm.node(12.0, 0.0, highway="crossing")
-    osm.way([(9.0, -30.0), (9.0, -60.0)], {"barrier": "wall", "height": "2"})
     osm.way(
-        [(-20.0, 20.0), (-40.0, 20.0), (-40.0, 30.0), (-20.0, 20.0)],
+        [(9.0, -30.0), (9.0, -60.0)],
+        {"barrier": "wall", "height": "2"},
+    )
+    osm.way(
+        [
+            (-20.0, 20.0),
+            (-40.0, 20.0),
+            (-40.0, 30.0),
+            (-20.0, 20.0),
+        ],
         {"building:part": "yes"},
     )
     return osm.text()
 
 
 def _pbf() -> bytes:
+    """The same, packed."""
     import osmium
 
     def write(folder: Path) -> None:
@@ -89,6 +123,7 @@ def _pbf() -> bytes:
 
 
 def _xodr() -> str:
+    """A crossing with objects, signals and a road of its own."""
     from opendrive_text import crossing, document, road
 
     objects = (
@@ -112,7 +147,17 @@ def _xodr() -> str:
     return document(crossing(), extra, header=header)
 
 
+def _geojson(*shapes, **properties):
+    """Text of features with the same properties."""
+    features = [
+        {"type": "Feature", "properties": properties, "geometry": shape}
+        for shape in shapes
+    ]
+    return json.dumps({"type": "FeatureCollection", "features": features})
+
+
 def _features() -> dict[str, Any]:
+    """Two footprints in GeoJSON."""
     ring = [
         [13.36, 52.5],
         [13.3601, 52.5],
@@ -143,6 +188,7 @@ def _features() -> dict[str, Any]:
 
 
 def _features_as(driver: str, name: str) -> Files:
+    """Two footprints in a format of GDAL."""
     import geopandas
     from shapely.geometry import box
 
@@ -157,6 +203,7 @@ def _features_as(driver: str, name: str) -> Files:
 
 
 def _zipped(files: Files) -> bytes:
+    """Files in an archive."""
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in files.items():
@@ -176,6 +223,7 @@ _FACES = [
 
 
 def _city_json() -> dict[str, Any]:
+    """A house of two parts, and a tree."""
     surfaces = [[face] for face in _FACES]
     solid = {"type": "Solid", "lod": "2", "boundaries": [surfaces]}
     flat = {"type": "MultiSurface", "lod": "1.2", "boundaries": surfaces[:2]}
@@ -194,16 +242,16 @@ def _city_json() -> dict[str, Any]:
 
 
 def _city_gml() -> str:
-    rings = "".join(
-        "<gml:surfaceMember><gml:Polygon><gml:exterior><gml:LinearRing><gml:posList>"
-        + " ".join(
-            f"{_CORNERS[i][0] + 390_000} {_CORNERS[i][1] + 5_819_000} {_CORNERS[i][2]}"
-            for i in [*face, face[0]]
+    """A house."""
+    places = [f"{x + 390_000} {y + 5_819_000} {z}" for x, y, z in _CORNERS]
+    rings = ""
+    for face in _FACES:
+        corners = " ".join(places[i] for i in [*face, face[0]])
+        rings += (
+            "<gml:surfaceMember><gml:Polygon><gml:exterior><gml:LinearRing>"
+            f"<gml:posList>{corners}</gml:posList></gml:LinearRing></gml:exterior>"
+            "</gml:Polygon></gml:surfaceMember>"
         )
-        + "</gml:posList></gml:LinearRing></gml:exterior></gml:Polygon>"
-        + "</gml:surfaceMember>"
-        for face in _FACES
-    )
     return (
         '<CityModel xmlns="http://www.opengis.net/citygml/2.0" '
         'xmlns:bldg="http://www.opengis.net/citygml/building/2.0" '
@@ -220,6 +268,7 @@ def _city_gml() -> str:
 
 
 def _mesh(suffix: str) -> Files:
+    """A house and a tree in a format of meshes."""
     import trimesh
 
     def write(folder: Path) -> None:
@@ -239,6 +288,7 @@ def _mesh(suffix: str) -> Files:
 
 
 def _points(suffix: str) -> bytes:
+    """A house on the ground as a cloud of 2,600 points."""
     import laspy
     import trimesh
 
@@ -248,14 +298,16 @@ def _points(suffix: str) -> bytes:
     ground = np.column_stack([rng.uniform(-8, 8, (600, 2)), np.zeros(600)])
     points = np.concatenate([solid.sample(2000, seed=1), ground])
     header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = [0.001] * 3, [390_000.0, 5_819_000.0, 35.0]
+    header.scales = [0.001] * 3
+    header.offsets = [390_000.0, 5_819_000.0, 35.0]
     las = laspy.LasData(header)
     las.x, las.y, las.z = (points + header.offsets).T
     las.classification = np.repeat([6, 2], [2000, 600]).astype(np.uint8)
     return _written(lambda folder: las.write(folder / f"a.{suffix}"))[f"a.{suffix}"]
 
 
-def _streets() -> Mapping[str, tuple[str, Files]]:
+def _streets() -> Seeds:
+    """Maps of roads."""
     from lanelet_text import commonroad, crossing, lanelet2
 
     text = _osm().encode()
@@ -268,7 +320,8 @@ def _streets() -> Mapping[str, tuple[str, Files]]:
     }
 
 
-def _things() -> Mapping[str, tuple[str, Files]]:
+def _things() -> Seeds:
+    """Maps of buildings and other things."""
     shapes = _features_as("ESRI Shapefile", "a.shp")
     return {
         "geojson": _one("a.geojson", json.dumps(_features())),
@@ -297,13 +350,9 @@ def _read_things(path: Path) -> Any:
     return read_map(path, ReadingOptions(unit="m", up="z"))
 
 
-def _sites() -> Mapping[str, tuple[str, Files]]:
+def _sites() -> Seeds:
+    """Lists of places for sensors."""
     point = {"type": "Point", "coordinates": [13.38, 52.51, 35.0]}
-    feature = {
-        "type": "Feature",
-        "geometry": point,
-        "properties": {"id": 7, "cost_eur": 10},
-    }
     return {
         "csv": _one(
             "a.csv",
@@ -311,10 +360,7 @@ def _sites() -> Mapping[str, tuple[str, Files]]:
             "a;390000;5819000;35.5;4;8;Lamp_Post;2500;yes;no;2;no\nb;390010.5;5819000;;;;;;;;;YES\n",
         ),
         "degrees": _one("a.csv", "id,latitude_deg,Longitude\na,52.51,13.38\n"),
-        "geojson": _one(
-            "a.geojson",
-            json.dumps({"type": "FeatureCollection", "features": [feature]}),
-        ),
+        "geojson": _one("a.geojson", _geojson(point, id=7, cost_eur=10)),
     }
 
 
@@ -324,7 +370,8 @@ def _read_sites(path: Path) -> Any:
     return read_sites(path, crs="EPSG:25833")
 
 
-def _places() -> Mapping[str, tuple[str, Files]]:
+def _places() -> Seeds:
+    """Lists and areas with weights of junctions."""
     square = [
         [13.37, 52.5],
         [13.39, 52.5],
@@ -340,21 +387,7 @@ def _places() -> Mapping[str, tuple[str, Files]]:
         "degrees": _one("a.csv", "lat,lon,count\n52.51,13.38,3\n"),
         "junctions": _one("a.csv", "junction,weight\nA Street / B Street,2.5\n"),
     } | {
-        kind: _one(
-            "a.geojson",
-            json.dumps(
-                {
-                    "type": "FeatureCollection",
-                    "features": [
-                        {
-                            "type": "Feature",
-                            "geometry": shape,
-                            "properties": {"min_apr": 0.5},
-                        }
-                    ],
-                }
-            ),
-        )
+        kind: _one("a.geojson", _geojson(shape, min_apr=0.5))
         for kind, shape in shapes.items()
     }
 
@@ -367,7 +400,8 @@ def _read_places(path: Path) -> Any:
     return read_counts(path, crs="EPSG:25833")
 
 
-def _city_folder() -> Mapping[str, tuple[str, Files]]:
+def _city_folder() -> Seeds:
+    """What a city's folder says of its junctions."""
     import msgspec
 
     from experiments.city.answer import CityEntry, CityFrontRecord, CityManifest
@@ -378,7 +412,15 @@ def _city_folder() -> Mapping[str, tuple[str, Files]]:
         maps=(CityMapRecord(name="a.osm", sha256="0", has_roads=True),),
         crs="EPSG:25833",
         bounds=(0.0, 0.0, 1.0, 1.0),
-        junctions=(CityEntry(id="1", map="a.osm", folder="1", key="0", sha256="0"),),
+        junctions=(
+            CityEntry(
+                id="1",
+                map="a.osm",
+                folder="1",
+                key="0",
+                sha256="0",
+            ),
+        ),
     )
     front = CityFrontRecord(
         **dict.fromkeys(("key", "id", "name", "map", "scene", "reason"), "1"),
@@ -394,7 +436,10 @@ def _city_folder() -> Mapping[str, tuple[str, Files]]:
     )
     return {
         name: _one(f"{name}.json", msgspec.json.encode(record))
-        for name, record in (("manifest", manifest), ("front", front))
+        for name, record in (
+            ("manifest", manifest),
+            ("front", front),
+        )
     }
 
 
@@ -411,81 +456,56 @@ def _read_city_folder(path: Path) -> Any:
 
 @cache
 def _small_scene() -> Any:
+    """A junction with a wall."""
     from junctions import protocol_scene
 
     return protocol_scene(boxes=[("wall", 20.0, 20.0, 8.0, 1.0, 3.0)])
 
 
-def _scenes() -> Mapping[str, tuple[str, Files]]:
-    from dataclasses import replace
-
+def _scenes() -> Seeds:
+    """A scene as a folder and as an archive."""
     from geometry.notes import Note
     from geometry.scene_files import save_scene
 
     scene = replace(
-        _small_scene(), notes=(Note(what="a", why="b", kind="sites", site_ids=("c",)),)
+        _small_scene(),
+        notes=(
+            Note(
+                what="a",
+                why="b",
+                kind="sites",
+                site_ids=("c",),
+            ),
+        ),
     )
     files = _written(lambda folder: save_scene(folder, scene))
     return {"folder": (".", files), "zip": _one("a.zip", _zipped(files))}
 
 
-def _read_scene(path: Path) -> Any:
-    from geometry.scene_sources import load_scene
-
-    return load_scene(path)
-
-
-def _box_scene() -> Mapping[str, tuple[str, Files]]:
-    from importlib.resources import files
-
+def _box_scene() -> Seeds:
     return {
-        "toml": _one(
-            "a.toml", (files("geometry") / "data" / "town05.toml").read_bytes()
-        )
+        "toml": _one("a.toml", (shipped("geometry") / "data/town05.toml").read_bytes())
     }
-
-
-def _read_box_scene(path: Path) -> Any:
-    from geometry.study_scene import load_box_scene
-
-    return load_box_scene(path)
 
 
 # ---------- what is asked
 
 
 def _example(name: str) -> tuple[str, Files]:
+    """A file of the documentation."""
     return _one("a.toml", (TOML_FOLDER / name).read_bytes())
 
 
-def _read_sensors(path: Path) -> Any:
-    from geometry.catalogue import load_catalogue
-
-    return load_catalogue(path)
-
-
-def _sensors() -> Mapping[str, tuple[str, Files]]:
-    from importlib.resources import files
-
-    lidars = (files("geometry") / "data" / "lidars.toml").read_text()
+def _sensors() -> Seeds:
+    """Catalogues of cameras and of LiDARs."""
+    lidars = (shipped("geometry") / "data/lidars.toml").read_text()
     table = lidars[lidars.index("[lidars.carla-ncap-lidar]") :]
     lidar = table.split("\n\n")[0].replace(".carla-ncap-lidar]", ".mine]")
     return {"cameras": _example("cameras.toml"), "lidars": _one("a.toml", lidar)}
 
 
-def _read_question(path: Path) -> Any:
-    from placement.question import load_question
-
-    return load_question(path)
-
-
-def _read_own_cases(path: Path) -> Any:
-    from scenarios.cases import load_own_cases
-
-    return load_own_cases(path)
-
-
-def _own_cases() -> Mapping[str, tuple[str, Files]]:
+def _own_cases() -> Seeds:
+    """A case like one of ours, and a recorded one."""
     text = """
     [SCHOOL]
     as = "CPNA-25"
@@ -515,7 +535,8 @@ def _read_trajectories(path: Path) -> Any:
     return find_encounters(tracks[:6], ttc_s=2.0)
 
 
-def _trajectories() -> Mapping[str, tuple[str, Files]]:
+def _trajectories() -> Seeds:
+    """A car and a pedestrian who come near each other."""
     rows = [
         f"{name},{0.1 * step:.1f},"
         f"{x + 0.1 * step * u},{y + 0.1 * step * v},{heading},{word}"
@@ -546,48 +567,25 @@ def _read_layout_list(path: Path) -> Any:
     return load_layout(path, scene=scene)
 
 
-def _layout_lists() -> Mapping[str, tuple[str, Files]]:
+def _layout_lists() -> Seeds:
+    """A layout as a list of cameras."""
     head = "Name;Latitude;Longitude;Height [m];Bearing;Tilt;Model"
     row = "C1;0,0000798;10,5102222;6,5;135;20;carla-ncap-rgb"
     return {"csv": _one("a.csv", f"{head}\n{row}\n")}
 
 
-def _read_latency(path: Path) -> Any:
-    from placement.latency import load_latency_budget
-
-    return load_latency_budget(str(path))
+def _latencies() -> Seeds:
+    return {"parts": _example("latency.toml")}
 
 
-def _latencies() -> Mapping[str, tuple[str, Files]]:
-    name, files = _example("latency.toml")
-    return {"parts": (name, files)}
-
-
-def _read_decision_rule(path: Path) -> Any:
-    from scenarios.decision import load_decision_rule
-
-    return load_decision_rule(str(path))
-
-
-def _decision_rules() -> Mapping[str, tuple[str, Files]]:
-    from importlib.resources import files
-
-    text = (files("scenarios") / "data" / "decision.toml").read_text(encoding="utf-8")
+def _decision_rules() -> Seeds:
+    text = (shipped("scenarios") / "data/decision.toml").read_text()
     return {"built in": _one("decision.toml", text)}
 
 
-def _read_uncertainty(path: Path) -> Any:
-    from placement.sampling.uncertainty import load_uncertainty
-
-    return load_uncertainty(str(path))
-
-
-def _uncertainties() -> Mapping[str, tuple[str, Files]]:
-    from importlib.resources import files
-
-    text = (files("placement") / "data" / "uncertainty.toml").read_text(
-        encoding="utf-8"
-    )
+def _uncertainties() -> Seeds:
+    """Each uncertainty by its name, and that of the documentation."""
+    text = (shipped("placement") / "data/uncertainty.toml").read_text()
     shared = text.index('[aimed."by eye"]')
     rest = text.index("[robustness]")
     text = text[:shared] + text[rest:]  # no section of any of the names
@@ -600,40 +598,29 @@ def _uncertainties() -> Mapping[str, tuple[str, Files]]:
     return files_of
 
 
-def _read_detector(path: Path) -> Any:
-    from placement.detectors import load_detector
-
-    return load_detector(str(path))
-
-
-def _detectors() -> Mapping[str, tuple[str, Files]]:
-    from importlib.resources import files
-
-    table = files("placement.detectors") / "data" / "detectors.toml"
+def _detectors() -> Seeds:
+    table = shipped("placement.detectors") / "data/detectors.toml"
     return {"response": _one("a.toml", table.read_bytes())}
 
 
-def _read_layout(path: Path) -> Any:
-    from placement.layout import load_layout
-
-    return load_layout(path)
-
-
-def _layouts() -> Mapping[str, tuple[str, Files]]:
-    place = {"x_m": 1.0, "y_m": 2.0, "z_m": 5.0, "yaw_deg": 90.0, "pitch_deg": -20.0}
+def _layouts() -> Seeds:
+    """A layout of two cameras and a LiDAR."""
+    place = {
+        "x_m": 1.0,
+        "y_m": 2.0,
+        "z_m": 5.0,
+        "yaw_deg": 90.0,
+        "pitch_deg": -20.0,
+    }
     mine = {
-        **{
-            "kind": "camera",
-            "width_px": 640,
-            "height_px": 480,
-            "horizontal_fov_deg": 60.0,
-        },
-        **{
-            "frame_rate_hz": 10.0,
-            "near_m": 0.5,
-            "price_eur": 100.0,
-            "fov_range_deg": [30.0, 90.0],
-        },
+        "kind": "camera",
+        "width_px": 640,
+        "height_px": 480,
+        "horizontal_fov_deg": 60.0,
+        "frame_rate_hz": 10.0,
+        "near_m": 0.5,
+        "price_eur": 100.0,
+        "fov_range_deg": [30.0, 90.0],
     }
     units = [
         {
@@ -644,7 +631,12 @@ def _layouts() -> Mapping[str, tuple[str, Files]]:
             "latency_s": 0.1,
         },
         {"id": "U2", **place, "lidar": "carla-ncap-lidar"},
-        {"id": "U3", **place, "camera": "mine", "fov_deg": 45.0},
+        {
+            "id": "U3",
+            **place,
+            "camera": "mine",
+            "fov_deg": 45.0,
+        },
     ]
     layout = {
         "name": "a",
@@ -657,6 +649,7 @@ def _layouts() -> Mapping[str, tuple[str, Files]]:
 
 @cache
 def _small_runs() -> Any:
+    """Four runs of the study."""
     from geometry.actors import load_actors
     from geometry.study_scene import load_study_scene
     from scenarios.aeb import load_aeb_rule
@@ -676,7 +669,8 @@ def _read_weights(path: Path) -> Any:
     return weight_from_csv(path, _small_runs())
 
 
-def _weights() -> Mapping[str, tuple[str, Files]]:
+def _weights() -> Seeds:
+    """Weights by case and approach."""
     rows = "CPNC-50,*,2,day\n"
     return {
         "commas": _one("a.csv", "case,approach,weight,weather\n" + rows),
@@ -693,7 +687,8 @@ def _read_accidents(path: Path) -> Any:
     return read_accidents(STATS19 if "collision" in path.name else UNFALLATLAS, path)
 
 
-def _accidents() -> Mapping[str, tuple[str, Files]]:
+def _accidents() -> Seeds:
+    """Two accidents of the German atlas, and one of the British statistics."""
     atlas = (
         "UJAHR;UART;UTYP1;ULICHTVERH;IstRad;IstPKW;IstFuss;IstKrad;XGCSWGS84;YGCSWGS84\n"
         "2023;6;4;0;0;1;1;0;13,405;52,52\n2023;5;3;2;1;1;0;0;13,406;52,521\n"
@@ -729,28 +724,23 @@ def _read_private_ground(path: Path) -> Any:
     return load_private_ground(path, load_study_scene())
 
 
-def _private_ground() -> Mapping[str, tuple[str, Files]]:
+def _private_ground() -> Seeds:
+    """A garden at the study's junction."""
     from pyproj import Transformer
 
     from geometry.study_scene import load_study_scene
 
     crs = load_study_scene().crs
     to_degrees = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
-    ring = [[-120.0, 0.0], [-110.0, 0.0], [-110.0, 10.0], [-120.0, 0.0]]
-    feature = {
-        "type": "Feature",
-        "properties": {"name": "garden"},
-        "geometry": {
-            "type": "Polygon",
-            "coordinates": [[list(to_degrees.transform(*point)) for point in ring]],
-        },
-    }
-    return {
-        "geojson": _one(
-            "a.geojson",
-            json.dumps({"type": "FeatureCollection", "features": [feature]}),
-        )
-    }
+    ring = [
+        [-120.0, 0.0],
+        [-110.0, 0.0],
+        [-110.0, 10.0],
+        [-120.0, 0.0],
+    ]
+    corners = [list(to_degrees.transform(*point)) for point in ring]
+    garden = {"type": "Polygon", "coordinates": [corners]}
+    return {"geojson": _one("a.geojson", _geojson(garden, name="garden"))}
 
 
 # ---------- recordings
@@ -763,7 +753,8 @@ def _read_recording(path: Path) -> Any:
     return evaluate_recording(read_recording(path), load_aeb_rule(), min_confidence=0.5)
 
 
-def _recordings() -> Mapping[str, tuple[str, Files]]:
+def _recordings() -> Seeds:
+    """A drive of 42 frames in which a unit and the car label a pedestrian."""
     files: dict[str, bytes] = {}
     for index in range(42):
         before = max(0, 11 - index)
@@ -808,7 +799,8 @@ _KITTI = (
 )
 
 
-def _many_boxes() -> Mapping[str, tuple[str, Files]]:
+def _many_boxes() -> Seeds:
+    """Boxes in each format of recordings."""
     person = {"personID": 1, "positionID": 456826, "views": []}
     for view in range(7):
         if view:
@@ -870,6 +862,7 @@ _FILE_STORAGE = (
 
 
 def _read_calibration(path: Path) -> Any:
+    """Cameras of a file; of a pair of files, what they say together."""
     from geometry.calibrations import read_cameras, read_opencv_camera
 
     if path.name == "intrinsic.xml":
@@ -877,7 +870,8 @@ def _read_calibration(path: Path) -> Any:
     return read_cameras(path, size_px=(1242, 375))
 
 
-def _calibrations() -> Mapping[str, tuple[str, Files]]:
+def _calibrations() -> Seeds:
+    """Calibrations in each format."""
     pair = {"intrinsic.xml": _INTRINSIC.encode(), "extrinsic.xml": _EXTRINSIC.encode()}
     return {
         "tsai": _one("tsai.xml", _TSAI),
@@ -897,48 +891,26 @@ def _calibrations() -> Mapping[str, tuple[str, Files]]:
 def _certified() -> Files:
     """A small problem and its certificate."""
     from certified import document_of, two_of_twelve
+    from tiny_worlds import three_runs
 
     from placement.optimiser import solve_placement
     from placement.proof_files import save_certificate
     from scenarios.aeb import load_aeb_rule
-    from scenarios.runs import FrameAxis
 
-    axis = FrameAxis(
-        run_ids=("A/north/20", "A/north/30", "B/north/20"),
-        cases=("A", "A", "B"),
-        approaches=("north",) * 3,
-        weathers=("day",) * 3,
-        vut_speed_kmh=np.array([20.0, 30.0, 20.0]),
-        weight=np.array([0.5, 0.25, 0.25]),
-        last_brake_time_s=np.array([-0.1, -0.2, -np.inf]),
-        run_start=np.array([0, 3, 8, 10]),
-        time_s=np.array([-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, -0.1, 0.0]),
-    )
-    problem = two_of_twelve(axis, load_aeb_rule())
+    problem = two_of_twelve(three_runs(), load_aeb_rule())
     document = document_of(problem, solve_placement(problem))
     return _written(lambda folder: save_certificate(folder, document, problem))
 
 
-def _read_problem(path: Path) -> Any:
-    from placement.verification.instances import load_problem
-
-    return load_problem(path)
-
-
-def _read_certificate(path: Path) -> Any:
-    from placement.verification.certificates import load_certificate
-
-    return load_certificate(path)
-
-
 @cache
 def _results() -> Files:
+    """A folder of results."""
     from small_results import build_small_setting, write_small_results
 
     return _written(lambda folder: write_small_results(folder, build_small_setting()))
 
 
-def _result_folders() -> Mapping[str, tuple[str, Files]]:
+def _result_folders() -> Seeds:
     return {"placement": (".", _results())}
 
 
@@ -959,39 +931,33 @@ def _read_verified(path: Path) -> Any:
 
 @cache
 def _table() -> tuple[Any, Any]:
-    from geometry.study_scene import load_study_scene
-    from placement.layout import Layout, load_carlancap_layout
+    """Units and runs of a detection table."""
+    from placement.layout import load_carlancap_layout
     from scenarios.runs import build_frame_axis
     from scenarios.weights import weight_per_run
 
     runs = _small_runs()
-    layout: Layout = load_carlancap_layout()
-
-    assert load_study_scene()
-
-    return layout.units, build_frame_axis(runs, weight_per_run(runs))
+    axis = build_frame_axis(runs, weight_per_run(runs))
+    return load_carlancap_layout().units, axis
 
 
 _FINGERPRINT = "0123456789abcdef" * 2
 
 
-def _tables() -> Mapping[str, tuple[str, Files]]:
+def _tables() -> Seeds:
+    """A cached table in which nothing is detected."""
     from placement.detection_table import DetectionTable
     from placement.visibility import save_table
 
     units, axis = _table()
     packed = np.zeros((len(units), -(-axis.n_frames // 8)), dtype=np.uint8)
-    table = DetectionTable(
-        pose_ids=tuple(u.id for u in units), axis=axis, packed=packed
-    )
-    return {
-        "npz": (
-            "a.npz",
-            _written(
-                lambda f: save_table(f / "a.npz", table, fingerprint=_FINGERPRINT)
-            ),
-        )
-    }
+    ids = tuple(unit.id for unit in units)
+    table = DetectionTable(pose_ids=ids, axis=axis, packed=packed)
+
+    def write(folder):
+        save_table(folder / "a.npz", table, fingerprint=_FINGERPRINT)
+
+    return {"npz": ("a.npz", _written(write))}
 
 
 def _read_table(path: Path) -> Any:
@@ -1001,20 +967,15 @@ def _read_table(path: Path) -> Any:
     return load_table(path, fingerprint=_FINGERPRINT, candidates=units, axis=axis)
 
 
-def _read_demand(path: Path) -> object:
-    from placement.sampling.moving.demand import load_demand
-
-    return load_demand(path)
-
-
-def _demands() -> Mapping[str, tuple[str, Files]]:
+def _demands() -> Seeds:
     import placement
 
-    source = Path(placement.__path__[0]) / "data" / "demand.toml"
+    source = Path(placement.__path__[0]) / "data/demand.toml"
     return {"default": _one("a.toml", source.read_bytes().decode())}
 
 
-def _manifests() -> Mapping[str, tuple[str, Files]]:
+def _manifests() -> Seeds:
+    """Manifest of a dataset with one unit and one drive."""
     from msgspec import json
 
     from experiments.perception_lab.dataset import (
@@ -1024,7 +985,11 @@ def _manifests() -> Mapping[str, tuple[str, Files]]:
         DatasetUnit,
     )
 
-    rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    rows = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
     unit = DatasetUnit(
         folder="0",
         id="U1",
@@ -1060,16 +1025,11 @@ def _manifests() -> Mapping[str, tuple[str, Files]]:
     return {"manifest": _one(MANIFEST, json.encode(record))}
 
 
-def _read_manifest(path: Path) -> Any:
-    from experiments.perception_lab.dataset import load_manifest
-
-    return load_manifest(path)
-
-
 _CORNER_M = (400_000.0, 5_800_000.0)
 
 
-def _rasters() -> Mapping[str, tuple[str, Files]]:
+def _rasters() -> Seeds:
+    """Heights of 80 by 80 metres."""
     import rasterio
 
     def write(folder: Path) -> None:
@@ -1105,15 +1065,16 @@ def _read_raster(path: Path) -> Any:
 
 
 READERS: Mapping[str, Reader] = {
-    "heights": Reader(_read_raster, _rasters, ("geometry.maps.relief.read_elevation",)),
+    "heights": Reader(
+        read=_read_raster,
+        seeds=_rasters,
+        covers=("geometry.maps.relief.read_elevation",),
+    ),
     "datasets": Reader(
-        _read_manifest,
         _manifests,
         ("experiments.perception_lab.dataset.load_manifest",),
     ),
-    "demand": Reader(
-        _read_demand, _demands, ("placement.sampling.moving.demand.load_demand",)
-    ),
+    "demand": Reader(_demands, ("placement.sampling.moving.demand.load_demand",)),
     "street maps": Reader(
         read=_read_street_map,
         seeds=_streets,
@@ -1150,9 +1111,9 @@ READERS: Mapping[str, Reader] = {
         share=8,
     ),
     "sites": Reader(
-        _read_sites,
-        _sites,
-        (
+        read=_read_sites,
+        seeds=_sites,
+        covers=(
             "geometry.maps.place_lists.read_sites",
             "geometry.maps.place_lists.read_csv_rows",
             "geometry.maps.place_lists.read_site_rows",
@@ -1160,20 +1121,22 @@ READERS: Mapping[str, Reader] = {
         ),
     ),
     "places of a city": Reader(
-        _read_places,
-        _places,
-        (
+        read=_read_places,
+        seeds=_places,
+        covers=(
             "geometry.maps.place_lists.read_counts",
             "geometry.maps.place_lists.read_areas",
         ),
     ),
     "folder of a city": Reader(
-        _read_city_folder,
-        _city_folder,
-        ("experiments.city.answer.load_manifest", "experiments.city.answer.load_front"),
+        read=_read_city_folder,
+        seeds=_city_folder,
+        covers=(
+            "experiments.city.answer.load_manifest",
+            "experiments.city.answer.load_front",
+        ),
     ),
     "scenes": Reader(
-        read=_read_scene,
         seeds=_scenes,
         covers=(
             "geometry.scene_sources.load_scene",
@@ -1181,53 +1144,44 @@ READERS: Mapping[str, Reader] = {
             "geometry.scene_files.load_scene_folder",
         ),
     ),
-    "scenes of boxes": Reader(
-        _read_box_scene, _box_scene, ("geometry.study_scene.load_box_scene",)
-    ),
+    "scenes of boxes": Reader(_box_scene, ("geometry.study_scene.load_box_scene",)),
     "sensors": Reader(
-        _read_sensors,
         _sensors,
         ("geometry.catalogue.load_catalogue", "geometry.text_formats.load_toml"),
     ),
     "question": Reader(
-        _read_question,
         lambda: {"example": _example("question.toml")},
         ("placement.question.load_question", "placement.question.load_question_values"),
     ),
-    "own cases": Reader(
-        _read_own_cases, _own_cases, ("scenarios.cases.load_own_cases",)
-    ),
+    "own cases": Reader(_own_cases, ("scenarios.cases.load_own_cases",)),
     "trajectories": Reader(
-        _read_trajectories, _trajectories, ("scenarios.trajectories.read_tracks",)
+        read=_read_trajectories,
+        seeds=_trajectories,
+        covers=("scenarios.trajectories.read_tracks",),
     ),
     "layout lists": Reader(
-        _read_layout_list,
-        _layout_lists,
-        ("placement.foreign_layouts.read_layout_rows",),
+        read=_read_layout_list,
+        seeds=_layout_lists,
+        covers=("placement.foreign_layouts.read_layout_rows",),
     ),
     "latency budget": Reader(
-        _read_latency, _latencies, ("placement.latency.load_latency_budget",)
+        _latencies, ("placement.latency.load_latency_budget",), takes=str
     ),
     "decision rule": Reader(
-        _read_decision_rule,
-        _decision_rules,
-        ("scenarios.decision.load_decision_rule",),
+        _decision_rules, ("scenarios.decision.load_decision_rule",), takes=str
     ),
     "uncertainty": Reader(
-        _read_uncertainty,
-        _uncertainties,
-        ("placement.sampling.uncertainty.load_uncertainty",),
+        _uncertainties, ("placement.sampling.uncertainty.load_uncertainty",), takes=str
     ),
     "detector": Reader(
-        _read_detector,
         _detectors,
         (
             "placement.detectors.registry.load_detector",
             "placement.detectors.response.load_response_file",
         ),
+        takes=str,
     ),
     "layout": Reader(
-        _read_layout,
         _layouts,
         (
             "placement.layout.load_layout",
@@ -1237,15 +1191,19 @@ READERS: Mapping[str, Reader] = {
         ),
     ),
     "weights": Reader(
-        _read_weights, _weights, ("scenarios.weight_tables.weight_from_csv",)
+        read=_read_weights,
+        seeds=_weights,
+        covers=("scenarios.weight_tables.weight_from_csv",),
     ),
     "accidents": Reader(
-        _read_accidents, _accidents, ("scenarios.accidents.read_accidents",)
+        read=_read_accidents,
+        seeds=_accidents,
+        covers=("scenarios.accidents.read_accidents",),
     ),
     "no-look areas": Reader(
-        _read_private_ground,
-        _private_ground,
-        (
+        read=_read_private_ground,
+        seeds=_private_ground,
+        covers=(
             "placement.private_ground.load_private_ground",
             "placement.forbidden_views.load_forbidden_areas",
         ),
@@ -1283,7 +1241,6 @@ READERS: Mapping[str, Reader] = {
         share=2,
     ),
     "placement problems": Reader(
-        read=_read_problem,
         seeds=lambda: {"npz": _one("instance.npz", _certified()["instance.npz"])},
         covers=(
             "placement.verification.instances.load_problem",
@@ -1291,7 +1248,6 @@ READERS: Mapping[str, Reader] = {
         ),
     ),
     "certificates": Reader(
-        read=_read_certificate,
         seeds=lambda: {
             "json": _one("certificate.json", _certified()["certificate.json"])
         },
@@ -1308,11 +1264,13 @@ READERS: Mapping[str, Reader] = {
         ),
     ),
     "results to verify": Reader(
-        _read_verified, _result_folders, ("experiments.jobs.verify.run_verification",)
+        read=_read_verified,
+        seeds=_result_folders,
+        covers=("experiments.jobs.verify.run_verification",),
     ),
     "cached tables": Reader(
-        _read_table,
-        _tables,
-        ("placement.visibility.build.load_table", "placement.cache.load_arrays"),
+        read=_read_table,
+        seeds=_tables,
+        covers=("placement.visibility.build.load_table", "placement.cache.load_arrays"),
     ),
 }

@@ -52,6 +52,7 @@ def main() -> None:
 
 
 def _limit(max_bytes: int | None, max_cpu_s: float) -> None:
+    """Limit memory and processor time; None and 0: not at all."""
     _, most = resource.getrlimit(resource.RLIMIT_AS)
     soft = most
     if max_bytes is not None:

@@ -142,7 +142,8 @@ def lanelet_roundabout(
             points: list[tuple[float, float]], ways: list[float], turn: float
         ) -> tuple[list, list]:
             """Bounds beside points with directions, turned to the arm."""
-            cosine, sine = math.cos(turn), math.sin(turn)
+            cosine = math.cos(turn)
+            sine = math.sin(turn)
             bounds: tuple[list, list] = ([], [])
             for (x, y), way in zip(points, ways, strict=True):
                 for bound, side in zip(bounds, (HALF_M, -HALF_M), strict=True):
@@ -169,8 +170,14 @@ def lanelet_roundabout(
 
         turn = number * quarter
         far = begin + arm_m
-        into = [(far, HALF_M), (begin, HALF_M)]
-        out = [(begin, -HALF_M), (far, -HALF_M)]
+        into = [
+            (far, HALF_M),
+            (begin, HALF_M),
+        ]
+        out = [
+            (begin, -HALF_M),
+            (far, -HALF_M),
+        ]
         found[f"in{number}"] = line(into, [math.pi, math.pi], turn)
         found[f"out{number}"] = line(out, [0.0, 0.0], turn)
         entry = arc((begin, across), shape.bend_m, -quarter, -math.pi + meets)

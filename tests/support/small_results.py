@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from json_files import as_json
 
 from experiments.jobs import placement, search
 from experiments.progress import StageProgress
@@ -38,6 +39,7 @@ RUNS = (
 
 
 def build_small_setting() -> Setting:
+    """Six runs of the study's cases at its junction."""
     scene = load_study_scene()
     rule = load_aeb_rule()
     cases = pick_cases("CPNC-50,CBNA,CBLA", "cases")
@@ -106,6 +108,19 @@ def small_world(setting: Setting) -> Iterator[pytest.MonkeyPatch]:
         yield patch
 
 
+def place_small(question, out, **compute):
+    """Plain result of a placement by two workers."""
+    progress = StageProgress()
+    result = placement.run_placement(
+        question,
+        out=out,
+        compute=Compute(workers=2, progress=progress, **compute),
+        command="place-rsus",
+        progress=progress,
+    )
+    return as_json(result)
+
+
 def write_small_results(
     folder: Path,
     setting: Setting,
@@ -123,10 +138,4 @@ def write_small_results(
     with small_world(setting) as patch:
         if not has_report:
             patch.setattr(placement, "write_report", write_blank_report)
-        placement.run_placement(
-            question or Question(budget=2, time_limit_s=60.0),
-            out=folder,
-            compute=Compute(workers=2),
-            command="place-rsus",
-            progress=StageProgress(),
-        )
+        place_small(question or Question(budget=2, time_limit_s=60.0), folder)

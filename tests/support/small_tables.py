@@ -10,7 +10,10 @@ from placement.optimiser import Limits, PlacementProblem
 from scenarios.aeb import AebRule
 
 RULE = AebRule(
-    deceleration_mps2=7.72, latency_s=0.025, n_confirmations=1, frame_rate_hz=10.0
+    deceleration_mps2=7.72,
+    latency_s=0.025,
+    n_confirmations=1,
+    frame_rate_hz=10.0,
 )
 MARGIN_S = 0.065
 """Of a run that is avoided: its only frame in time is at -0.1 s, the last moment at

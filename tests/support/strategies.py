@@ -17,6 +17,7 @@ KMH = 1.0 / 3.6
 
 
 def numbers(low: float, high: float) -> st.SearchStrategy[float]:
+    """Floats within a range."""
     return st.floats(low, high, allow_subnormal=False)
 
 
@@ -28,6 +29,7 @@ points_m = st.tuples(coordinates_m, coordinates_m, coordinates_m).map(np.array)
 
 @st.composite
 def poses(draw) -> Pose:
+    """Poses anywhere near the origin."""
     return Pose(
         position_m=draw(points_m), yaw_deg=draw(angles_deg), pitch_deg=draw(pitches_deg)
     )
@@ -35,6 +37,7 @@ def poses(draw) -> Pose:
 
 @st.composite
 def cameras(draw) -> CameraModel:
+    """Cameras of any resolution and field of view."""
     return CameraModel(
         name="any",
         width_px=draw(st.integers(1, 4000)),
@@ -70,6 +73,8 @@ def boxes_px(draw, size_px: int = 40, margin_px: int = 0) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Rectangle:
+    """A rectangle on the ground."""
+
     centre_m: tuple[float, float]
     yaw_deg: float
     length_m: float
@@ -125,7 +130,12 @@ def build_encounter(
     vut_middle = np.array([-0.5 * vut.length_m, 0.0])
 
     turn = np.radians(turn_deg)
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    rotation = np.array(
+        [
+            [np.cos(turn), -np.sin(turn)],
+            [np.sin(turn), np.cos(turn)],
+        ]
+    )
 
     def motion(middle, direction, yaw_deg, speed_mps, drive_s):
         start = rotation @ (middle - direction * speed_mps * drive_s) + origin_m

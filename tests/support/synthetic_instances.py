@@ -50,7 +50,12 @@ class SyntheticSize:
         return self.n_sites * len(self.heights_m) * self.poses_per_mount
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    kw_only=True,
+    eq=False,
+)
 class SyntheticInstance:
     """V[c, f] as packed bits, the pole of every pose, and units per pole; runs weigh
     alike.
@@ -72,7 +77,12 @@ class SyntheticInstance:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    kw_only=True,
+    eq=False,
+)
 class _Frames:
     """Positions of VRU and parked van by frame, (n_frames, 2), and heights in metres;
     0: none.
@@ -97,6 +107,7 @@ def build_synthetic_instance(
     fill = partial(_fill_mount, packed, size, axis, frames, seed)
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fill, range(size.n_sites * len(size.heights_m))))
+
     per_site = len(size.heights_m) * size.poses_per_mount
     return SyntheticInstance(
         axis=axis,
@@ -129,6 +140,7 @@ def _drive(
     speed_mps = random.uniform(1.0, 4.5, size=n_runs) * random.choice(
         [-1.0, 1.0], size=n_runs
     )
+
     velocity = (
         np.where(walks_along, [[1.0], [0.0]], [[0.0], [1.0]]).T * speed_mps[:, None]
     )
@@ -139,6 +151,7 @@ def _drive(
     van_end = van_start + np.column_stack(
         [random.uniform(3.0, 7.0, size=n_runs), np.zeros(n_runs)]
     )
+
     van_height_m = random.uniform(1.4, 3.0, size=n_runs)
     van_height_m[random.random(n_runs) > _PARKED_SHARE] = 0.0
 
@@ -147,10 +160,7 @@ def _drive(
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
 
     def to_world(street_m: FloatArray, index: IntArray) -> FloatArray:
-        world_m: FloatArray = (
-            street_m[:, :1] * ahead[index] + street_m[:, 1:] * left[index]
-        )
-        return world_m
+        return street_m[:, :1] * ahead[index] + street_m[:, 1:] * left[index]
 
     every = np.arange(n_runs)
     impact = np.column_stack([along_m, across_m])
@@ -160,6 +170,7 @@ def _drive(
         van_end_m=to_world(van_end, every)[run],
         van_height_m=van_height_m[run],
     )
+
     axis = FrameAxis(
         run_ids=tuple(f"synthetic/{number}" for number in every),
         cases=("synthetic",) * n_runs,
@@ -189,6 +200,7 @@ def _fill_mount(
     distance_m = np.hypot(offset_m[:, 0], offset_m[:, 1])
     azimuth_deg = np.degrees(np.arctan2(offset_m[:, 1], offset_m[:, 0]))
     elevation_deg = np.degrees(np.arctan2(0.5 * _VRU_M - height_m, distance_m))
+
     seen = ~_is_hidden(_pole_m(size, site), height_m, frames)
     seen &= ~_is_grown_over(
         azimuth_deg, distance_m, np.random.default_rng([seed, 1, site])
@@ -197,6 +209,7 @@ def _fill_mount(
         np.random.default_rng([seed, 2, mount]).random(axis.n_frames) < _MISSED_SHARE
     )
     seen &= ~missed
+
     n_pitches = len(size.pitches_deg)
     n_zooms = len(size.zooms_deg)
     rows = np.empty((size.n_yaws, n_pitches, n_zooms, packed.shape[1]), dtype=np.uint8)
@@ -231,6 +244,7 @@ def _pole_m(size: SyntheticSize, site: int) -> FloatArray:
         side = _KERB_M
     else:
         side = -_KERB_M
+
     along_m = _KERB_M + (_ARM_M - _KERB_M) * number / max(per_arm - 1, 1)
     turn = 0.5 * np.pi * arm
     return np.array(
@@ -277,7 +291,7 @@ def _is_hidden(pole_m: FloatArray, height_m: float, frames: _Frames) -> BoolArra
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (to_van[:, 0] * van[:, 1] - to_van[:, 1] * van[:, 0]) / cross
         along = (to_van[:, 0] * sight[:, 1] - to_van[:, 1] * sight[:, 0]) / cross
+
     line_m = height_m + share * (0.5 * _VRU_M - height_m)
     is_met = (share > 0.0) & (share < 1.0) & (along >= 0.0) & (along <= 1.0)
-    is_hidden: BoolArray = is_met & (line_m < frames.van_height_m)
-    return is_hidden
+    return is_met & (line_m < frames.van_height_m)

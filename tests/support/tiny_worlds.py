@@ -72,7 +72,14 @@ def scene_of_boxes(
         triangle_instance=np.repeat(np.arange(len(faces)), list(map(len, faces))),
         instances=tuple(instances),
         sites=tuple(sites),
-        outline_m=np.array([[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]]),
+        outline_m=np.array(
+            [
+                [-5.0, -5.0],
+                [5.0, -5.0],
+                [5.0, 5.0],
+                [-5.0, 5.0],
+            ]
+        ),
         lanes=(),
         crs="EPSG:32633",
     )
@@ -81,8 +88,22 @@ def scene_of_boxes(
 def _ground(reach_m: float) -> FloatArray:
     """Corners of a square on the road, or of one far below it without a reach."""
     if reach_m > 0.0:
-        return reach_m * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    return np.array([[0.0, 0, -9], [1, 0, -9], [1, 1, -9], [0, 1, -9]])
+        return reach_m * np.array(
+            [
+                [-1.0, -1, 0],
+                [1, -1, 0],
+                [1, 1, 0],
+                [-1, 1, 0],
+            ]
+        )
+    return np.array(
+        [
+            [0.0, 0, -9],
+            [1, 0, -9],
+            [1, 1, -9],
+            [0, 1, -9],
+        ]
+    )
 
 
 def block_actor(
@@ -137,7 +158,10 @@ def run_of_frames(
         weather=weather,
         vut_speed_kmh=20.0,
         encounter=Encounter(
-            vut=actors["vut"], vut_motion=motion, vru=body, vru_motion=motion
+            vut=actors["vut"],
+            vut_motion=motion,
+            vru=body,
+            vru_motion=motion,
         ),
         time_s=np.arange(1.0 - n_frames, 1.0) / 10.0,
         vut_position_m=vut_array[:, :2],
@@ -219,6 +243,21 @@ def table_of(
         setting.axis,
         detector=setting.table_detector,
         **options,
+    )
+
+
+def three_runs():
+    """Three runs of 3, 5 and 2 frames with weights 1/2, 1/4, 1/4."""
+    return FrameAxis(
+        run_ids=("A/north/20", "A/north/30", "B/north/20"),
+        cases=("A", "A", "B"),
+        approaches=("north",) * 3,
+        weathers=("day",) * 3,
+        vut_speed_kmh=np.array([20.0, 30.0, 20.0]),
+        weight=np.array([0.5, 0.25, 0.25]),
+        last_brake_time_s=np.array([-0.1, -0.2, -np.inf]),
+        run_start=np.array([0, 3, 8, 10]),
+        time_s=np.array([-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, -0.1, 0.0]),
     )
 
 

@@ -37,17 +37,20 @@ NAMES = (MARKER, "layout.json", "apr.csv", "report.html")
 
 
 def write_table(folder: Path, number: int) -> None:
+    """Write a table whose bytes are all one number."""
     packed = np.full((len(POSES), N_FRAMES // 8), number % 256, dtype=np.uint8)
     table = DetectionTable(pose_ids=("a", "b", "c"), axis=AXIS, packed=packed)
-    save_table(folder / "cache" / "table.npz", table, fingerprint=FINGERPRINT)
+    save_table(folder / "cache/table.npz", table, fingerprint=FINGERPRINT)
 
 
 def read_table(folder: Path) -> DetectionTable | None:
-    path = folder / "cache" / "table.npz"
+    """The table in a folder, if it is whole."""
+    path = folder / "cache/table.npz"
     return load_table(path, fingerprint=FINGERPRINT, candidates=POSES, axis=AXIS)
 
 
 def write_results(folder: Path, number: int) -> None:
+    """Write results whose files all say one number."""
     with new_result_folder(folder / "latest") as new:
         for name in NAMES:
             text = (f"{number}\n" * 20_000).encode()
@@ -55,6 +58,7 @@ def write_results(folder: Path, number: int) -> None:
 
 
 def write_for_ever(folder: Path) -> None:
+    """Write table and results over and over."""
     number = os.getpid()
     while True:
         number += 1

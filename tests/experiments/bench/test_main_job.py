@@ -14,6 +14,7 @@ print("Found and proven on the table", file=sys.stderr, flush=True)
 time.sleep(0.2)
 """
     timing = time_command([sys.executable, "-c", program], dict(os.environ))
+
     assert timing.first_line_s is not None
     assert timing.first_line_s < timing.wall_s - 0.1
     assert timing.processor_s > 0.0

@@ -1,9 +1,9 @@
 """The main job does no more than ``results/work.json`` allows."""
 
-import json
 from pathlib import Path
 
 import pytest
+from json_files import read_json
 
 from experiments.bench.work import (
     QUESTIONS,
@@ -16,7 +16,8 @@ LIMITS = Path(__file__).parents[3] / "results/work.json"
 
 
 def limits(question):
-    return json.loads(LIMITS.read_text(encoding="utf-8"))["most"][question]
+    """Most work that a question may take."""
+    return read_json(LIMITS)["most"][question]
 
 
 @pytest.mark.long
@@ -35,7 +36,11 @@ def test_every_question_has_limits_of_every_count():
 
 @pytest.mark.parametrize(
     ("name", "share"),
-    [("rays", 1.3), ("figures", 2.0), ("modules before the first lines", 1.1)],
+    [
+        ("rays", 1.3),
+        ("figures", 2.0),
+        ("modules before the first lines", 1.1),
+    ],
     ids=["30 % more rays", "a second drawing", "a heavy import"],
 )
 def test_a_loss_is_named_with_both_numbers(name, share):
@@ -67,4 +72,5 @@ def test_calls_and_results_are_counted_and_functions_work_as_before():
             assert Caster().cast([1, 2], None) == [0.0, 0.0]
             Caster().cast([1], bodies=None)
     Caster().cast([1], None)
+
     assert counter.counts == {"rays": 3, "hits": 3}

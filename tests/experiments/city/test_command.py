@@ -29,12 +29,14 @@ def test_the_first_line_says_what_matters_and_json_says_all(
     few = ("--coarse", "--max-units", 1, "--junctions", "n1;n3", *FEW_RUNS_OPTIONS)
     few += ("--workers", 1)
     code, text, err = run("city", path, "--budget", 1, "--out", out, *few)
+
     assert code == 0
     assert text.startswith("1 sensor at 1 of 2 junctions for ")
     assert (
         "Junctions: 2 of 3; done already: 0. Weights: every junction counts the same."
         in err
     )
+
     result = ask("city", path, "--budget 1 --out", out, *few)
     assert result["units"] == 1
     assert result["computed"] == 0
@@ -43,13 +45,21 @@ def test_the_first_line_says_what_matters_and_json_says_all(
         "apr",
         "apr_one_failed",
     ]
+
     manifest = load_manifest(out / "manifest.json")
     assert [entry.folder for entry in manifest.junctions] == ["n1", "n3"]
 
 
 def test_names_are_never_cut_and_no_line_is_wider_than_a_terminal():
     name = " / ".join(f"{letter}-Street of a very long name" for letter in "ABC")
-    lines = table(["junction", "units"], [[name, "2"], ["n1", "1"]])
+    lines = table(
+        ["junction", "units"],
+        [
+            [name, "2"],
+            ["n1", "1"],
+        ],
+    )
+
     assert max(map(len, lines)) <= 80
     assert " ".join(line.removesuffix("2").strip() for line in lines[1:-1]) == name
 
@@ -157,8 +167,10 @@ def test_what_was_not_done_stands_in_the_text():
         versions={},
     )
     lines = city_text(result, "city").splitlines()
+
     assert lines[0] == "First."
     assert "  A / B: It could not be computed: no lane leads in." in lines
+
     known = city_text(
         replace_fields(result, junctions=(replace_fields(failed, cause="no site"),)),
         "city",
@@ -167,5 +179,6 @@ def test_what_was_not_done_stands_in_the_text():
         "A / B: There is no pole or other place that could carry another sensor."
         in " ".join(known.split())
     )
+
     many = replace_fields(result, junctions=(failed,) * 20)
     assert "  and 8 more: junctions.csv" in city_text(many, "city")

@@ -1,3 +1,5 @@
+"""Commands as a whole: what they print, refuse, write, and leave when interrupted."""
+
 import json
 import os
 import re
@@ -9,22 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_results import answer, refusal
+from command_results import answer, output, refusal
+from json_files import UNIT, read_json, write_json
 
-from experiments.jobs import evaluation as evaluation_job
 from experiments.progress import StageProgress
 from geometry.catalogue import load_cameras
 
-UNIT = {
-    "id": "A",
-    "site": "",
-    "x_m": -115.0,
-    "y_m": 8.6,
-    "z_m": 8.0,
-    "yaw_deg": -135.0,
-    "pitch_deg": -25.0,
-    "camera": "carla-ncap-rgb",
-}
 KEYS = {
     "layout",
     "fusion",
@@ -54,13 +46,14 @@ def layout_file(tmp_path):
             key: value for key, value in (UNIT | fields).items() if value is not ...
         }
         path: Path = tmp_path / name
-        path.write_text(json.dumps({"layout": [unit]}), encoding="utf-8")
+        write_json(path, {"layout": [unit]})
         return path
 
     return write
 
 
 def assert_refused(result: tuple[int, str, str], message: str) -> None:
+    """Nothing but this line is said."""
     assert result == (2, "", f"place-rsus: {message}\n")
 
 
@@ -176,12 +169,13 @@ def test_a_file_that_is_no_layout_is_refused(run, tmp_path, content, message):
 
 def test_an_empty_layout_and_repeated_ids_are_refused(run, tmp_path):
     path = tmp_path / "mine.json"
-    path.write_text(json.dumps({"layout": []}))
+    write_json(path, {"layout": []})
     assert_refused(
         run("evaluate --layout", path),
         "layout mine: got no unit; expected at least one unit",
     )
-    path.write_text(json.dumps({"layout": [UNIT, UNIT]}))
+
+    write_json(path, {"layout": [UNIT, UNIT]})
     assert_refused(
         run("evaluate --layout", path),
         "layout mine: id: got 'A'; expected every id once",
@@ -254,11 +248,13 @@ def test_a_unit_inside_a_building_or_far_away_is_refused(
     code, _, err = run(
         "export --format csv --layout", layout_file(x_m=x_m, y_m=y_m, z_m=z_m)
     )
+
     assert code == 2
     assert (
         err == "place-rsus: layout mine: A: got a pose inside building"
         f" {scene.instances[building].id}; expected a pose in the open air\n"
     )
+
     code, _, err = run("export --format csv --layout", layout_file(x_m=1e300))
     assert code == 2
     assert (
@@ -271,7 +267,11 @@ def test_a_unit_inside_a_building_or_far_away_is_refused(
 def test_a_bad_out_is_refused_before_anything_is_computed(run, small_study, tmp_path):
     (tmp_path / "file").write_text("mine")
     message = "got '{0}/file'; expected a folder, not a file"
-    for command in (["--budget", 1], ["evaluate", "--layout", "carlancap-12"]):
+
+    for command in (
+        ["--budget", 1],
+        ["evaluate", "--layout", "carlancap-12"],
+    ):
         assert (
             refusal(run(*command, "--quiet --out", tmp_path / "file"))
             == f"--out: {message.format(tmp_path)}"
@@ -298,6 +298,7 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
 ):
     monkeypatch.setattr("placement.memory.machine_bytes", lambda: 2**20)
     code, out, err = run(*command, "--quiet")
+
     assert code == 2
     assert out == ""
     assert re.fullmatch(
@@ -316,8 +317,10 @@ def test_placement_prints_one_object_and_writes_a_report(
     ask, few_runs, whole_placement
 ):
     assert (whole_placement / "err").read_text().splitlines()[0] == "setting ..."
+
     out = (whole_placement / "out").read_text()
     summary = json.loads(out, parse_constant=pytest.fail)
+
     assert set(summary) >= KEYS
     assert [list(unit) for unit in summary["layout"]] == [[*UNIT, "kind", "place"]] * 2
     assert summary["budget"] == 2
@@ -337,8 +340,10 @@ def test_placement_prints_one_object_and_writes_a_report(
     assert set(summary["evaluation"]["units"]) == {
         unit["id"] for unit in summary["layout"]
     }
+
     study = summary["baseline"]["evaluation"]
     assert set(study["units"]) == {f"RSU{number}" for number in range(12)}
+
     for evaluation in (summary["evaluation"], study):
         for party in ("vut", "rsu_all", "vut_and_rsus"):
             ratios = evaluation[party]
@@ -368,12 +373,15 @@ def test_placement_prints_one_object_and_writes_a_report(
         "SHA256SUMS",
         "plan.png",
     }
+
     results = whole_placement / "results"
-    assert json.loads((results / "latest/summary.json").read_text()) == summary
+    assert read_json(results / "latest/summary.json") == summary
     assert list(results.iterdir()) == [results / "latest"]
+
     # What was written is read again.
     layout = results / "latest/layout.json"
     again = ask("evaluate --layout", layout)
+
     assert set(again) >= KEYS
     assert again["layout"] == summary["layout"]
     assert again["evaluation"] == summary["evaluation"]
@@ -407,11 +415,10 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         short = answer(run(*arguments, "--quiet"))
         assert max(map(len, short.splitlines())) <= 100
         assert len(short.splitlines()) <= 40
-        code, out, _ = run(*arguments, "--verbose")
-        assert code == 0
-        assert (
-            max(map(len, out.splitlines()[1:])) <= 80
-        )  # the first line holds the name
+
+        out = output(run(*arguments, "--verbose"))
+        # The first line holds the name.
+        assert max(map(len, out.splitlines()[1:])) <= 80
         assert len(out) > len(short)
         assert "100.0 %" in out
 
@@ -424,43 +431,17 @@ def test_layouts_of_one_name_are_named_by_their_folders(ask, small_study, layout
     other.write_bytes(Path(path).read_bytes())
     summary = ask("compare", path, other)
     home = Path(path).resolve().parent.name
+
     assert [summary["name"], summary["compared"][0]["name"]] == [
         f"mine of {home}",
         "mine of other",
     ]
 
 
-@pytest.mark.long
-def test_comparison_of_a_layout_with_itself_finds_no_difference(
-    ask, small_study, layout_file
-):
-    path = layout_file()
-    summary = ask("compare", path, path, "--out out")
-    assert set(summary) >= KEYS
-    (other,) = summary["compared"]
-    assert summary["name"] == "mine"
-    assert other["name"] == "mine (2)"
-    assert summary["evaluation"] == other["evaluation"]
-    assert other["runs_gained"] == other["runs_lost"] == []
-    assert "mine (2)" in Path("out/report.html").read_text()
-
-
-def test_what_json_lacks_becomes_null(run, monkeypatch):
-    monkeypatch.setattr(
-        evaluation_job,
-        "run_evaluation",
-        lambda *given, **options: {"gap": float("inf")},
-    )
-    assert run("evaluate --layout carlancap-12 --json --quiet") == (
-        0,
-        '{\n  "gap": null\n}\n',
-        "",
-    )
-
-
 def test_export_writes_to_stdout_or_to_a_file(run):
     text = answer(run("export --layout carlancap-12 --format carla"))
     assert len(json.loads(text)) == 12
+
     arguments = ["export --layout carlancap-12 --format carla --out rsus.json"]
     assert run(*arguments) == (0, "", "")
     assert Path("rsus.json").read_text() == text
@@ -486,6 +467,7 @@ def test_a_reader_that_goes_away_gets_no_traceback():
         check=False,
     )
     os.close(writer)
+
     assert done.returncode == 1
     assert done.stderr == b""
 
@@ -537,12 +519,14 @@ def test_a_damaged_cache_file_is_made_anew(
     good = np.load(table)["packed"]
     table.write_bytes(b"no table")
     code, _, err = run("--budget 1")
+
     assert code == 130
     assert err.splitlines()[:3] == [
         "setting ...",
         "detection table ...",
         "optimise ...",
     ]
+
     (record,) = [r for r in caplog.records if r.name.startswith("placement")]
     assert "\n" not in record.getMessage()
     assert record.getMessage().startswith(
@@ -559,6 +543,7 @@ def test_a_cache_that_cannot_be_written_to_is_done_without(
     monkeypatch.setenv("PLACE_RSUS_CACHE", "file")
     interrupt_at("optimise")
     code, out, err = run("--budget 1 --out out")  # --quiet also hides warnings
+
     assert code == 130
     assert out == ""
     assert (
@@ -580,11 +565,14 @@ def test_an_interruption_says_what_was_kept_and_leaves_nothing(
         request.getfixturevalue("own_cache")
     interrupt_at(stage)
     code, out, err = run("--budget 1")
+
     assert code == 130
     assert out == ""
+
     kept = "nothing was written to results/latest"
     if stage not in STAGES[:2]:
         kept += "; the detection table is cached for the next call"
+
     assert err.splitlines()[-1] == f"place-rsus: interrupted in stage '{stage}': {kept}"
     assert os.listdir() == []  # noqa: PTH208
 
@@ -601,6 +589,7 @@ def test_an_interruption_leaves_earlier_results_as_they_were(
     ):
         interrupt_at(stage, signum)
         arguments = ["evaluate --layout carlancap-12 --out", out, "--quiet"]
+
         assert run(*arguments) == (
             code,
             "",
@@ -610,6 +599,7 @@ def test_an_interruption_leaves_earlier_results_as_they_were(
             ),
         )
         assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
     assert list(Path().iterdir()) == [out]
 
 
@@ -618,5 +608,6 @@ def test_an_interruption_of_an_evaluation_needs_no_folder(
 ):
     interrupt_at("evaluate")
     code, _, err = run("evaluate --layout carlancap-12 --quiet")
+
     assert code == 130
     assert err == "place-rsus: interrupted in stage 'evaluate': nothing was written\n"

@@ -9,7 +9,7 @@ import click
 import pytest
 from click.shell_completion import ShellComplete
 from click.testing import CliRunner
-from command_results import answer, refusal
+from command_results import answer, output, refusal
 
 from experiments.cli.options import PROGRAM, SECTIONS
 from experiments.cli.terminal import sentences
@@ -18,12 +18,14 @@ from experiments.progress import StderrLog
 
 
 def _commands(group=cli, path=()):
+    """Path of words and command of each command, from the program down."""
     yield path, group
     for name, command in getattr(group, "commands", {}).items():
         yield from _commands(command, (*path, name))
 
 
 def _help_of(path, command, option="--help"):
+    """What a command says when it is asked for help."""
     return CliRunner().invoke(cli, [*path, option], prog_name="place-rsus").output
 
 
@@ -39,6 +41,7 @@ def test_every_help_fits_80_columns_and_shows_examples(path, command):
 
 
 def _shown(text):
+    """Options that stand in a help's list."""
     return re.findall(r"^  (?:-\w, )?(--[-\w]+)", text, flags=re.M)
 
 
@@ -56,6 +59,7 @@ def test_sections_hold_every_option_once():
         < text.index("What is asked:")
         < text.index("--budget N")
     )
+
     known = {
         getattr(param, "section", PROGRAM)
         for _, one in _commands()
@@ -76,11 +80,13 @@ def test_the_short_help_shows_at_most_25_options_and_all_of_them_elsewhere(
     if "--help-all" in short:
         every = _shown(_help_of(path, command, "--help-all"))
         assert set(short) < set(every)
+
         options = [param for param in command.params if isinstance(param, click.Option)]
         assert len(every) == len(options) + 1  # --help
 
 
 def _completed(*words):
+    """What a shell offers behind some words."""
     shell = ShellComplete(cli, {}, "place-rsus", "_PLACE_RSUS_COMPLETE")
     return [
         (item.value, item.type)
@@ -95,7 +101,10 @@ def test_a_shell_completes_commands_options_words_and_files():
         ("geojson", "plain"),
         ("gpkg", "plain"),
     ]
-    assert _completed("--fusion", "") == [("any", "plain"), ("single", "plain")]
+    assert _completed("--fusion", "") == [
+        ("any", "plain"),
+        ("single", "plain"),
+    ]
     assert _completed("evaluate", "--layout", "carl") == [("carlancap-12", "plain")]
     assert _completed("evaluate", "--layout", "my/lay") == [("my/lay", "file")]
     assert _completed("--scene", "") == [("", "file")]
@@ -105,11 +114,13 @@ def test_a_shell_completes_commands_options_words_and_files():
 def test_completion_scripts_are_what_their_shell_reads(run, shell):
     script = answer(run("completion", shell))
     assert "_PLACE_RSUS_COMPLETE" in script
+
     if shutil.which(shell) is None:
         pytest.skip(f"no {shell} here to read it")
     checked = subprocess.run(
         [shell, "-n"], input=script, capture_output=True, text=True
     )
+
     assert checked.returncode == 0
     assert checked.stderr == ""
 
@@ -117,8 +128,7 @@ def test_completion_scripts_are_what_their_shell_reads(run, shell):
 @pytest.mark.long
 @pytest.mark.usefixtures("without_figures", "own_cache")
 def test_verbose_tells_sizes_bounds_and_seconds(run, small_study, caplog):
-    code, out, _ = run("--budget 1 --verbose --json --out found")
-    assert code == 0
+    out = output(run("--budget 1 --verbose --json --out found"))
     assert out.startswith("{")
     for line in (
         r"detection table: \d+ poses, \d+ frames",
@@ -127,9 +137,11 @@ def test_verbose_tells_sizes_bounds_and_seconds(run, small_study, caplog):
         r"evaluate: [\d.]+ s",
     ):
         assert any(re.fullmatch(line, told) for told in caplog.messages)
+
     caplog.clear()
     run("--budget 1 --json --out found")
     told = [record for record in caplog.records if record.levelno < logging.WARNING]
+
     assert not told  # the next call tells no more than it is asked to
 
 
@@ -144,9 +156,8 @@ def test_quiet_and_verbose_are_one_or_the_other(run):
         refusal(run("--budget 1 --verbose --quiet"))
         == "--quiet, --verbose: got both; expected one of them"
     )
-    assert not logging.getLogger("placement").isEnabledFor(
-        logging.INFO
-    )  # whatever comes next
+    # Whatever comes next.
+    assert not logging.getLogger("placement").isEnabledFor(logging.INFO)
 
 
 def test_a_number_is_not_split_from_its_unit():

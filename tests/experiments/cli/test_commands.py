@@ -1,3 +1,5 @@
+"""Commands that the program has."""
+
 import subprocess
 import sys
 
@@ -15,6 +17,7 @@ HELD = "print('loaded:', *(name for name in sys.modules if name in places))"
 def test_a_command_loads_and_its_line_is_the_first_sentence_of_its_help(name):
     entry = COMMANDS[name]
     command = load_entry(entry.place)
+
     assert isinstance(command, click.Command)
     assert command.get_short_help_str(limit=1_000) == entry.line
     assert cli.get_command(click.Context(cli), name) is command
@@ -38,5 +41,6 @@ def test_the_help_of_the_program_loads_no_command():
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     shown, _, loaded = run.stdout.partition("loaded:")
+
     assert loaded.split() == []
     assert all(f"  {name} " in shown for name in COMMANDS)

@@ -1,3 +1,5 @@
+"""``place-rsus doctor``: what it finds of the machine."""
+
 import json
 import re
 import tomllib
@@ -16,11 +18,13 @@ PROJECT = Path(__file__).parents[3] / "pyproject.toml"
 def test_what_is_installed_is_told(run, tmp_path):
     code, out, _ = run("doctor --json")
     summary = json.loads(out)
+
     assert code == 0
     assert summary["is_well"]
     assert summary["libraries"]["numpy"]
     assert "HIGHS" in summary["milp_solvers"]
     assert summary["rays"]["by"] in ("open3d", "embree")
+
     code, text, _ = run("doctor")
     assert "mixed-integer solvers: HIGHS" in text
     assert max(map(len, text.splitlines())) <= 80
@@ -33,6 +37,7 @@ def test_every_extra_is_looked_for_by_the_name_of_its_package():
         names = [re.split(r"[<>=;~! ]", one, maxsplit=1)[0] for one in requirements]
         wanted[extra] = names
     listed = load_data("experiments", "installed.toml")["extras"]
+
     assert {one["extra"] for one in listed} == wanted.keys()
     for one in listed:
         assert one["package"] in wanted[one["extra"]]
@@ -49,8 +54,10 @@ def test_what_is_missing_is_told_with_what_it_costs(tmp_path, monkeypatch):
     )
     (tmp_path / "table-1.npz").write_bytes(b"x" * 2**20)
     summary = examine(tmp_path)
+
     assert not summary["is_well"]
     assert summary["cache"]["files"] == 1
+
     text = doctor_text(summary)
     assert "requests               not installed (place-rsus[online])" in text
     assert "MISSING: place-rsus does not work without it" in text

@@ -85,5 +85,6 @@ def test_a_question_asked_again_loads_nothing_that_computes_or_draws(
         number, packages = loaded_by(
             script, XDG_CACHE_HOME=str(tmp_path), NUMBA_CACHE_DIR=compiled
         )
+
     assert packages & HEAVY == {"numpy", "shapely", "jinja2", "pyproj"}
     assert number <= MOST_ASKED_AGAIN

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = (
-    pytest.mark.long
-)  # in one process, quickly: tests/experiments/cli/test_cli.py
+# In one process, quickly: tests/experiments/cli/test_cli.py.
+pytestmark = pytest.mark.long
 STAGES = ("detection table", "optimise", "evaluate", "write results")
 OUT = "found"
 COMMAND = [
@@ -99,10 +98,11 @@ def test_ctrl_c_ends_the_program_in_every_stage_and_leaves_nothing(ends, stage):
     assert end["last"].startswith("place-rsus: interrupted in stage '")
     assert f": nothing was written to {OUT}" in end["last"]
     assert end["left"] == []
+    # Whole tables and runs: no temporary file.
     assert set(end["kept"]) <= {
         ".npz",
         ".msgpack",
-    }  # whole tables and runs: no temporary file
+    }
 
 
 def test_a_table_that_is_done_is_kept_for_the_next_call(ends):

@@ -5,6 +5,7 @@ import io
 import json
 import math
 import re
+from functools import partial
 from pathlib import Path
 
 import click
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from command_results import answer
+from json_files import UNIT, write_json
 from PIL import Image
 
 from experiments import main
@@ -24,39 +26,15 @@ from placement.latency import load_latency_budget
 from placement.question import Question
 from placement.setting import build_rule
 
-UNIT = {
-    "site": "",
-    "x_m": -115.0,
-    "y_m": 8.6,
-    "z_m": 8.0,
-    "yaw_deg": -135.0,
-    "pitch_deg": -25.0,
-    "camera": "carla-ncap-rgb",
-}
 PARTIES = ["vut", "A", "B", "rsu_all", "vut_and_rsus"]
 
 
 @pytest.fixture
 def layout_file(tmp_path):
     """Two units at one pose; the second one takes 1.5 s, whatever the others take."""
-    units = [{"id": "A", **UNIT}, {"id": "B", **UNIT, "latency_s": 1.5}]
     path = tmp_path / "mine.json"
-    path.write_text(json.dumps({"layout": units}), encoding="utf-8")
+    write_json(path, {"layout": [UNIT, UNIT | {"id": "B", "latency_s": 1.5}]})
     return path
-
-
-@pytest.fixture
-def run_latency(run, small_study, monkeypatch, layout_file):
-    """Runs the command on a few runs."""
-    monkeypatch.setattr(
-        latency_job, "build_setting", lambda question, scene, **options: small_study
-    )
-    main.cli.add_command(latency)
-
-    def run_command(*arguments):
-        return run("latency --layout", layout_file, "--quiet", *arguments)
-
-    return run_command
 
 
 @pytest.fixture
@@ -64,10 +42,16 @@ def run_refused(run, layout_file):
     """Runs the command with what it refuses before it computes anything."""
     main.cli.add_command(latency)
 
-    def run_command(*arguments):
-        return run("latency --layout", layout_file, "--quiet", *arguments)
+    return partial(run, "latency --layout", layout_file, "--quiet")
 
-    return run_command
+
+@pytest.fixture
+def run_latency(run_refused, small_study, monkeypatch):
+    """Runs the command on a few runs."""
+    monkeypatch.setattr(
+        latency_job, "build_setting", lambda question, scene, **options: small_study
+    )
+    return run_refused
 
 
 def _mean_s(summary) -> float:
@@ -86,13 +70,14 @@ def test_the_curve_at_the_studys_latency_is_what_evaluate_finds(
     summary = json.loads(answer(run_latency("--json")))
     assert summary["budget"]["name"] == "study"
     assert _mean_s(summary) == 0.025
+
     parties = summary["parties"]
     assert list(parties) == PARTIES
 
-    code, out, _ = run("evaluate --layout", layout_file, "--json --quiet")
-    assert code == 0
+    out = answer(run("evaluate --layout", layout_file, "--json --quiet"))
     evaluated = json.loads(out)["evaluation"]
     evaluated |= evaluated["units"]
+
     for name, party in parties.items():
         for key in ("at_best", "at_mean", "at_worst"):
             assert party[key] == pytest.approx(evaluated[name]["all"])
@@ -108,6 +93,7 @@ def test_table_figure_and_csv(run_latency):
     folder.mkdir(parents=True)
     (folder / "notes.txt").write_text("kept")
     out = answer(run_latency("--budget cpm-100ms --out", folder, "--vut-latency 0.02"))
+
     assert out.startswith("mine on 6 runs:\n")
     assert max(map(len, out.splitlines())) <= 80
     assert re.search(r"^ +25 ms( +[<>]?[\d.]+ %){3}$", out, re.MULTILINE)
@@ -122,22 +108,23 @@ def test_table_figure_and_csv(run_latency):
         "latency.csv",
         "latency.png",
     }
+
     with Image.open(folder / "latency.png") as picture:
         assert picture.width == 1088
     text = (folder / "latency.csv").read_text()
     rows = list(csv.DictReader(io.StringIO(text)))
+
     assert list(rows[0]) == ["latency_s", *PARTIES]
     assert len(rows) == 101
 
-    code, _, _ = run_latency("--budget cpm-100ms --out", folder, "--vut-latency 0.02")
-    assert code == 0
+    answer(run_latency("--budget cpm-100ms --out", folder, "--vut-latency 0.02"))
     assert (folder / "latency.csv").read_text() == text
 
 
 def test_one_number_is_a_budget_too(run_latency):
-    code, out, _ = run_latency("--latency 0.04 --max 0.1 --json")
-    assert code == 0
+    out = answer(run_latency("--latency 0.04 --max 0.1 --json"))
     summary = json.loads(out)
+
     assert summary["budget"]["name"] == "40 ms"
     assert _mean_s(summary) == 0.04
     assert summary["latencies_s"] == pytest.approx(np.linspace(0.0, 0.1, 21))
@@ -196,11 +183,20 @@ def test_a_budget_file_that_is_wrong_is_told_by_part_and_field(run_refused):
 
 
 @pytest.mark.parametrize(
-    ("level", "longest_s"), [(0.4, math.inf), (0.5, 0.01), (0.9, 0.0), (1.0, -math.inf)]
+    ("level", "longest_s"),
+    [
+        (0.4, math.inf),
+        (0.5, 0.01),
+        (0.9, 0.0),
+        (1.0, -math.inf),
+    ],
 )
 def test_the_longest_latency_is_the_last_before_the_apr_falls(level, longest_s):
     party = PartyLatency(
-        at_best=0.9, at_mean=0.5, at_worst=0.4, apr=(0.9, 0.5, 0.5, 0.4, 0.6)
+        at_best=0.9,
+        at_mean=0.5,
+        at_worst=0.4,
+        apr=(0.9, 0.5, 0.5, 0.4, 0.6),
     )
     assert party.longest_s((0.0, 0.005, 0.01, 0.015, 0.02), level) == longest_s
 
@@ -213,20 +209,28 @@ def test_curves_and_the_budgets_range_are_drawn():
         "vut_and_rsus": (1.0, 0.5),
     }
     parties = {
-        name: PartyLatency(at_best=high, at_mean=high, at_worst=low, apr=(high, low))
+        name: PartyLatency(
+            at_best=high,
+            at_mean=high,
+            at_worst=low,
+            apr=(high, low),
+        )
         for name, (high, low) in apr.items()
     }
     axes = plot_latency((0.0, 0.5), parties, load_latency_budget("cpm-50ms"))
     lines = {line.get_gid(): line for line in axes.get_lines()}
+
     assert set(lines) == {*parties, "mean"}
     assert np.array(lines["rsu_all"].get_data()).tolist() == [
         [0.0, 500.0],
         [100.0, 50.0],
     ]
+
     looks = [
         (lines[name].get_linestyle(), lines[name].get_linewidth()) for name in parties
     ]
     assert len(set(looks)) == len(parties)  # not by colour alone
+
     (shade,) = axes.patches
     assert shade.get_x() == pytest.approx(42.0)
     assert shade.get_width() == pytest.approx(93.0)
@@ -236,6 +240,7 @@ def test_curves_and_the_budgets_range_are_drawn():
 
 
 def _short(latency_s):
+    """A latency in few digits. [s]"""
     if latency_s is None:
         return None
     return f"{latency_s:.9g}"
@@ -244,6 +249,7 @@ def _short(latency_s):
 @click.command()
 @question_options(*JUDGED)
 def _plain(*, question):
+    """A command that says what it was asked."""
     click.echo(f"{_short(build_rule(question).latency_s)} {question.speeds}")
 
 
@@ -261,18 +267,11 @@ def test_a_command_gets_the_latency_of_the_budget(arguments, expected):
     assert done.output == expected + "\n"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            "--latency-budget study --latency 0.05",
-            "latency_s: got it beside `latency_budget`; expected one of them",
-        )
-    ],
-)
-def test_a_budget_that_a_command_cannot_take_is_told(arguments, message):
-    done = CliRunner().invoke(_plain, arguments.split())
+def test_a_budget_that_a_command_cannot_take_is_told():
+    done = CliRunner().invoke(_plain, ["--latency-budget=study", "--latency=0.05"])
     assert isinstance(done.exception, InputError)
+
+    message = "latency_s: got it beside `latency_budget`; expected one of them"
     assert str(done.exception) == message
 
 

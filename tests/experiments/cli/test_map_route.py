@@ -15,7 +15,12 @@ from experiments.cli.options import OF_SCENE
 from experiments.export.json import to_json
 from geometry.registry import load_entry
 
-FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
+FOUR = (
+    (1.0, 0.0),
+    (0.0, 1.0),
+    (-1.0, 0.0),
+    (0.0, -1.0),
+)
 
 
 def all_commands() -> Iterator[tuple[str, click.Command]]:
@@ -32,6 +37,7 @@ def all_commands() -> Iterator[tuple[str, click.Command]]:
 
 @pytest.fixture
 def map_path(tmp_path: Path) -> Path:
+    """A crossing in OpenStreetMap."""
     osm = OsmText()
     crossing(osm, bearings=FOUR)
     return osm.write(tmp_path)
@@ -46,7 +52,7 @@ def layout_path(tmp_path: Path) -> Path:
         text = text.replace(f'"site": "{unit.site_id}"', '"site": ""')
     text = text.replace('"town05"', '"map/n1"')
     path = tmp_path / "layout.json"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
     return path
 
 
@@ -58,6 +64,7 @@ def test_every_command_with_a_scene_has_the_options_of_a_map():
         if "scene" in asked:
             with_scene.add(name)
             lacking[name] = set(OF_SCENE) - asked
+
     assert {"export", "render", "verify", "evaluate", "sheet", "plan"} <= with_scene
     assert {name: missing for name, missing in lacking.items() if missing} == {}
 
@@ -75,6 +82,7 @@ def test_export_takes_a_map(run, map_path, layout_path):
     )
     assert code == 0, err
     assert "traffic keeps" in err
+
     for feature in json.loads(out)["features"]:
         place = feature["geometry"]["coordinates"][:2]
         assert place == pytest.approx([LON_DEG, LAT_DEG], abs=0.01)
@@ -92,9 +100,9 @@ def test_a_junction_that_a_map_lacks_is_refused(command, run, map_path, layout_p
     words = ["--junction", "nowhere", "--scene", map_path]
     if not command.startswith("verify"):
         words += ["--layout", layout_path]
-    code, _, err = run(f"{command} --quiet", *words)
-    assert code == 2
-    assert "--junction: got 'nowhere'; expected one of n1 (Street 0" in err
+    line = refusal(run(f"{command} --quiet", *words))
+
+    assert "--junction: got 'nowhere'; expected one of n1 (Street 0" in line
 
 
 @pytest.mark.parametrize(
@@ -115,10 +123,12 @@ def test_a_result_made_with_a_map_is_verified_with_it(run, map_path):
         *asked,
     )
     assert code == 0, err
+
     for words in (asked, asked[:2]):
         code, out, err = run("verify out --quiet", *words)
         assert code == 0, out + err
         assert "checks: all OK" in out
     code, out, _ = run("verify out --quiet", *asked[:2], "--sites", "kerb:10")
+
     assert code == 1
     assert "FAILED" in out

@@ -71,13 +71,17 @@ def test_traffic_drives_by_in_sampled_worlds(
     asked = "--budget 1 --samples 1 --traffic sumo --quiet --workers 1"
     summary = ask(asked, "--out with")
     moving = summary["sampled"]["moving"]
+
     assert summary["sampled"]["traffic_source"] == "SUMO, demand default"
     assert moving["n_runs"] == 2 * summary["runs"]
     assert 0 <= moving["n_left_out"] < moving["n_vehicles"]
-    page = Path("with/report.html").read_text(encoding="utf-8")
+
+    page = Path("with/report.html").read_text()
     said = f"{moving['n_left_out']} of {moving['n_vehicles']}"
+
     assert page.count(said) >= 2  # in the answer and among the assumptions
     assert "vehicles that drive by (SUMO, demand default)" in page
+
     request.getfixturevalue("without_figures")
     _, out, _ = run(asked, "--json --out again")
     assert json.loads(out)["sampled"] == summary["sampled"]

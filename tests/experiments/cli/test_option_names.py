@@ -1,3 +1,5 @@
+"""Names of options."""
+
 import click
 import pytest
 

@@ -7,12 +7,13 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_results import answer, refusal
+from json_files import read_json
 from msgspec.structs import asdict as fields_of
 from PIL import Image
 from small_tables import avoiding_problem
+from tiny_worlds import unit_at
 
 from experiments import main
 from experiments.cli.pareto import front_text, pareto
@@ -55,15 +56,20 @@ def test_every_number_of_units_has_a_proven_layout(run_pareto):
     folder.mkdir(parents=True)
     (folder / "notes.txt").write_text("kept")
     summary = json.loads(answer(run_pareto("--max 3 --out", folder, "--json")))
+
     assert summary["by"] == "units"
     assert summary["optimised"] == "first"
     assert summary["is_proven"]
+
     points = summary["points"]
     assert [point["units"] for point in points] == [1, 2, 3]
+
     values = [(point["apr"], point["apr_one_failed"]) for point in points]
     assert all(fewer <= more for fewer, more in pairwise(values))
+
     for point in points:
         assert [stage["gap"] for stage in point["stages"]] == [0.0] * 2
+
         layout = layout_from_records("any", point["layout"], "pareto.json")
         assert len(layout.units) == len(point["pose_ids"]) <= point["units"]
         assert point["cost_eur"] == sum(unit.sensor.price_eur for unit in layout.units)
@@ -74,11 +80,13 @@ def test_every_number_of_units_has_a_proven_layout(run_pareto):
         "pareto.json",
         "pareto.png",
     }
-    assert json.loads((folder / "pareto.json").read_text()) == summary
+    assert read_json(folder / "pareto.json") == summary
+
     rows = list(csv.DictReader(io.StringIO((folder / "pareto.csv").read_text())))
     assert [float(row["apr_bound"]) for row in rows] == [
         point["apr"] for point in points
     ]
+
     with Image.open(folder / "pareto.png") as picture:
         assert picture.width == 1088
 
@@ -86,16 +94,17 @@ def test_every_number_of_units_has_a_proven_layout(run_pareto):
 # Quickly: what is written, below, and placement/optimiser/test_cost_front.py
 @pytest.mark.long
 def test_money_and_kept_units_and_the_text(run_pareto):
-    code, out, _ = run_pareto("--by cost --site-cost 1000 --max 2 --json")
-    assert code == 0
+    out = answer(run_pareto("--by cost --site-cost 1000 --max 2 --json"))
     summary = json.loads(out)
     costs = [point["cost_eur"] for point in summary["points"]]
+
     assert costs[0] == 2500.0
     assert all(cheaper < dearer for cheaper, dearer in pairwise(costs))
     assert summary["sentences"][0].startswith("Proven: for each sum of money ")
 
     out = answer(run_pareto("--keep carlancap-12 --max 1"))
     rows = [line.split() for line in out.splitlines()]
+
     assert [row[0] for row in rows if row[-1:] == ["proven"]] == ["12", "13"]
     assert max(map(len, out.splitlines())) <= 80
 
@@ -131,6 +140,7 @@ def test_options_that_are_left_out_do_not_reach_other_commands():
 
     names = {param.name for param in main.cli.params}
     assert {"budget", "target", "survive", "keep"} <= names
+
     (limit,) = (param for param in main.cli.params if param.name == "time_limit_s")
     assert limit.default == 60.0
     assert "keep" in {param.name for param in pareto.params}
@@ -140,39 +150,21 @@ def test_options_that_are_left_out_do_not_reach_other_commands():
 # Text, table, figure
 
 
-def candidates_of(problem, unit_poses):
-    return [unit_poses(name) for name in problem.table.pose_ids]
+def described(front, problem):
+    """Record of a front whose poses are called p0, p1 and so on."""
+    candidates = [unit_at(f"p{name}") for name in problem.table.pose_ids]
+    return describe_front(front, problem, candidates)
 
 
-@pytest.fixture
-def unit_poses(camera):
-    from geometry.poses import Pose
-    from placement.candidates import CandidatePose
-
-    pose = Pose(position_m=np.array([0.0, 0.0, 5.0]), yaw_deg=0.0, pitch_deg=-20.0)
-    return lambda name: CandidatePose(
-        id=f"p{name}", site_id="", pose=pose, sensor=camera
-    )
+def drawn(front, problem):
+    """The figure of a front."""
+    return plot_front(described(front, problem))
 
 
-@pytest.fixture
-def drawn(unit_poses):
-    """Draws a front of a problem."""
-
-    def draw(front, problem):
-        return plot_front(
-            describe_front(front, problem, candidates_of(problem, unit_poses))
-        )
-
-    return draw
-
-
-def test_the_text_says_what_is_not_proven(loosened_front, unit_poses, small_study):
+def test_the_text_says_what_is_not_proven(loosened_front, small_study):
     problem = avoiding_problem(["1100", "0110", "0011"])
     summary = FrontResult(
-        **fields_of(
-            describe_front(loosened_front, problem, candidates_of(problem, unit_poses))
-        ),
+        **fields_of(described(loosened_front, problem)),
         command="place-rsus pareto",
         **fields_of(build_drives_record(small_study)),
         seconds={},
@@ -181,10 +173,12 @@ def test_the_text_says_what_is_not_proven(loosened_front, unit_poses, small_stud
     text = front_text(summary, None)
     rows = [line.split() for line in text.splitlines()]
     first = ("1", "50.0", "%", "50.0", "0.0", "%", "0.065", "0.065", "1,000", "proven")
+
     assert [*first] in rows
     assert ["one", "fails", "<=", "75.00", "%"] in [row[-5:] for row in rows]
     assert summary.is_proven is False
     assert max(map(len, text.splitlines())) <= 80
+
     rows = front_rows(summary)
     assert [row["apr_one_failed_bound"] for row in rows] == [0.0, 0.75]
     assert [row["mean_margin_s_bound"] for row in rows] == [None, None]
@@ -192,10 +186,11 @@ def test_the_text_says_what_is_not_proven(loosened_front, unit_poses, small_stud
 
 
 def test_open_bounds_are_drawn_apart_and_kinds_differ_by_more_than_colour(
-    loosened_front, drawn
+    loosened_front,
 ):
     axes = drawn(loosened_front, avoiding_problem(["1100", "0110", "0011"]))
     lines = {line.get_gid(): line for line in axes.get_lines() if line.get_gid()}
+
     assert lines["apr"].get_ydata().tolist() == [50.0, 100.0]
     assert lines["apr_one_failed"].get_ydata().tolist() == [0.0, 50.0]
     assert lines["apr_one_failed bound"].get_xdata().tolist() == [2.0]
@@ -206,19 +201,21 @@ def test_open_bounds_are_drawn_apart_and_kinds_differ_by_more_than_colour(
     assert not [patch for patch in axes.patches if patch.get_gid() == "settled"]
 
 
-def test_where_nothing_grows_the_ground_is_grey(drawn):
+def test_where_nothing_grows_the_ground_is_grey():
     problem = avoiding_problem(["11", "11", "10"])
     front = pareto_front(problem, max_units=4)
     axes = drawn(front, problem)
     (shade,) = (patch for patch in axes.patches if patch.get_gid() == "settled")
+
     assert shade.get_x() == front.settled == 2.0
     assert shade.get_x() + shade.get_width() == pytest.approx(axes.get_xlim()[1])
 
 
-def test_costs_are_drawn_as_steps_to_the_right_edge(drawn):
+def test_costs_are_drawn_as_steps_to_the_right_edge():
     problem = avoiding_problem(["1100", "0011"], price_eur=[1000.0, 2000.0])
     axes = drawn(cost_front(problem), problem)
     steps = [line for line in axes.get_lines() if line.get_drawstyle() == "steps-post"]
+
     assert steps[0].get_xdata().tolist() == [1000.0, 3000.0, axes.get_xlim()[1]]
     assert steps[0].get_ydata().tolist() == [50.0, 100.0, 100.0]
     assert axes.get_xlabel() == "cost (EUR)"
@@ -231,6 +228,7 @@ def test_a_bound_is_only_ever_tightened():
         .certificate.stages[0]
     )
     loose = replace(stage, bound=0.9, gap=0.8)
+
     assert tightened(loose, 0.7).bound == 0.7
     assert tightened(loose, 0.95).bound == 0.9
     assert tightened(loose, 0.5).gap == 0.0

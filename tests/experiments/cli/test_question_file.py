@@ -17,16 +17,19 @@ from placement.question import Question, load_question
 @click.command(cls=SectionedCommand)
 @question_options(*PLANNED, *JUDGED, defaults={"time_limit_s": 60.0})
 def _plan(*, question):
+    """A command that plans, and says its question."""
     click.echo(repr(question))
 
 
 @click.command(cls=SectionedCommand)
 @question_options(*JUDGED)
 def _judge(*, question):
+    """A command that judges, and says its question."""
     click.echo(repr(question))
 
 
 def asked(command, *arguments):
+    """Question that a command was given."""
     done = CliRunner().invoke(command, arguments, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done.output.strip()
@@ -40,9 +43,14 @@ def path(tmp_path):
 def test_a_file_gives_what_the_command_line_does_not(path):
     path.write_text("budget = 3\ncases = 'CBNA'\nrefine = true\nsite_cost = 10\n")
     plain = Question(
-        budget=3, cases="CBNA", refine=True, site_cost_eur=10.0, time_limit_s=60.0
+        budget=3,
+        cases="CBNA",
+        refine=True,
+        site_cost_eur=10.0,
+        time_limit_s=60.0,
     )
     assert asked(_plan, "--question", str(path)) == repr(plain)
+
     given = asked(
         _plan,
         "--cases",
@@ -57,7 +65,11 @@ def test_a_file_gives_what_the_command_line_does_not(path):
     )
     assert given == repr(
         Question(
-            budget=2, cases="CBLA", refine=False, site_cost_eur=10.0, time_limit_s=1.0
+            budget=2,
+            cases="CBLA",
+            refine=False,
+            site_cost_eur=10.0,
+            time_limit_s=1.0,
         )
     )
 
@@ -78,6 +90,7 @@ def test_the_question_in_use_is_saved_and_asks_the_same_again(path):
         "--refine",
     )
     said = asked(_plan, *arguments, "--save-question", str(path))
+
     assert repr(load_question(path)) == said
     assert asked(_plan, "--question", str(path)) == said
 
@@ -111,10 +124,13 @@ def test_a_network_that_only_the_file_names_is_refused(path, command):
     )
     with pytest.raises(InputError, match=said):
         asked(command, "--question", str(path))
+
     trusted = asked(command, "--question", str(path), "--detector", "mail/net.onnx")
     assert "detector='mail/net.onnx'" in trusted
+
     path.write_text('detector = "mail/net.onnx+pointrcnn-2019"\n')
     with pytest.raises(InputError, match="expected no network, which is a program"):
         asked(command, "--question", str(path))
+
     path.write_text('detector = "response.toml"\n')
     assert "detector='response.toml'" in asked(command, "--question", str(path))

@@ -20,6 +20,8 @@ from placement.question import question_fields
 
 @pytest.fixture(scope="module")
 def options():
+    """Options of a command made from a question."""
+
     @click.command()
     @question_options(*QUESTION_OPTIONS, has_file=False)
     def ask(*, question):
@@ -47,6 +49,7 @@ def test_each_option_has_the_name_default_and_words_of_its_field(options):
 def test_help_names_options_in_place_of_fields(name):
     known = question_fields()
     text = help_of(known[name])
+
     assert not {*re.findall("`([a-z_0-9]+)`", text)} & set(known)
     assert set(re.findall(r"--[a-z][a-z-]*", text)) <= set(
         map(option_of, known.values())

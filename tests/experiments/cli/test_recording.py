@@ -1,9 +1,11 @@
+"""Recorded drives on the command line: chosen, evaluated, refused."""
+
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_results import refusal
+from command_results import answer, refusal
 
 from placement.recordings import WrittenDrive, write_recording
 
@@ -59,8 +61,10 @@ def test_a_recording_is_evaluated(run, recording):
     code, out, err = run("evaluate --recording", recording, "--json")
     assert code == 0
     assert err == "read recording ...\nevaluate ...\n"
+
     summary = json.loads(out, parse_constant=pytest.fail)
     assert set(summary) >= KEYS
+
     evaluation = summary["evaluation"]
     assert [evaluation[key]["all"] for key in ("vut", "rsu_all", "vut_and_rsus")] == [
         1.0
@@ -89,12 +93,11 @@ def test_the_best_recorded_unit_is_chosen(ask, recording):
 
 
 def test_tables_are_printed(run, recording):
-    code, out, _ = run("evaluate --recording", recording, "--quiet")
-    assert code == 0
+    out = answer(run("evaluate --recording", recording, "--quiet"))
     assert "RSU0" in out
     assert "Skipped: 30 frames between drives (bodies back at their starts)." in out
-    code, out, _ = run("--budget 1 --recording", recording, "--quiet --fusion single")
-    assert code == 0
+
+    out = answer(run("--budget 1 --recording", recording, "--quiet --fusion single"))
     assert out.startswith(
         "Best 1 of 2 recorded units on 1 drives (fusion single): RSU0\n"
     )
@@ -116,10 +119,9 @@ def test_braking_and_confidence_are_heard(run, recording):
         (["--track-memory", 0.3], 0.0),
         (["--min-confidence", 1], 1.0),
     ):
-        code, out, _ = run(
-            "evaluate --recording", recording, "--json --quiet", *arguments
+        out = answer(
+            run("evaluate --recording", recording, "--json --quiet", *arguments)
         )
-        assert code == 0
         assert json.loads(out)["apr"] == apr
 
 

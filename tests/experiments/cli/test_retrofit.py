@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from command_results import answer, refusal
+from json_files import UNIT, read_json, write_json
 
 from experiments import main
 from experiments.cli.pareto import retrofit, retrofit_text
@@ -17,23 +18,15 @@ from experiments.results.record import to_plain
 from placement.layout import layout_from_records
 from placement.retrofit import load_labour
 
-UNIT = {
-    "site": "mast-e",
-    "x_m": -115.0,
-    "y_m": 8.6,
-    "z_m": 8.0,
-    "yaw_deg": -135.0,
-    "pitch_deg": -25.0,
-    "camera": "carla-ncap-rgb",
-}
+ON_MAST = UNIT | {"site": "mast-e"}
 
 
 @pytest.fixture
 def layout_file(tmp_path):
     """Two units at one place that look apart."""
-    units = [{"id": "A", **UNIT}, {"id": "B", **UNIT, "yaw_deg": 40.0}]
+    units = [ON_MAST, ON_MAST | {"id": "B", "yaw_deg": 40.0}]
     path = tmp_path / "mine.json"
-    path.write_text(json.dumps({"name": "mine", "layout": units}), encoding="utf-8")
+    write_json(path, {"name": "mine", "layout": units})
     return path
 
 
@@ -55,6 +48,7 @@ def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
     )
     labour = load_labour()
     before = summary["before"]
+
     assert [change["actions"][0]["action"] for change in summary["removals"]] == [
         "remove"
     ] * 2
@@ -68,31 +62,39 @@ def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
         assert change["apr"] <= change["apr_cars_see"] <= before["apr_cars_see"]
         assert len(change["layout"]) == 1
         assert not change["gained"]
+
     for change in summary["re_aims"]:
         (action,) = change["actions"]
         moved = {record["id"]: record for record in change["layout"]}[action["unit"]]
+
         assert moved["x_m"] == -115.0
         assert moved["y_m"] == 8.6
         assert moved["z_m"] == 8.0
+
         bearing_deg = (90.0 - moved["yaw_deg"]) % 360.0
         assert f"to bearing {bearing_deg:.1f}, tilt " in action["words"]
         assert change["compared"] == 2 * 4
     addition = summary["addition"]
     combination = summary["combination"]
+
     assert addition["price_eur"] == 1500.0
     assert [record["id"] for record in addition["layout"]] == ["A", "B", "N1"]
+
     layout_from_records("any", addition["layout"], "retrofit.json")
     assert combination["price_eur"] <= 2100.0
     assert combination["is_better"]
+
     every = [*summary["removals"], *summary["re_aims"], addition, combination]
     assert all(change["is_proven"] for change in every)
+
     best_alone = max(
         (c["apr"], c["apr_one_failed"]) for c in [*summary["re_aims"], addition]
     )
     assert (combination["apr"], combination["apr_one_failed"]) >= best_alone
 
     assert {path.name for path in folder.iterdir()} == {"retrofit.csv", "retrofit.json"}
-    assert json.loads((folder / "retrofit.json").read_text()) == summary
+    assert read_json(folder / "retrofit.json") == summary
+
     rows = list(csv.DictReader(io.StringIO((folder / "retrofit.csv").read_text())))
     assert [row["kind"] for row in rows] == [
         "as it is",
@@ -108,6 +110,7 @@ def test_the_text_is_narrow_and_has_the_users_price(run_retrofit):
     out = answer(run_retrofit("--visit-cost 123"))
     assert max(map(len, out.splitlines())) <= 80
     assert len(re.findall(r"^ +remove [AB] +123 ", out, re.MULTILINE)) == 2
+
     words = " ".join(out.split())
     assert "A visit costs 123 EUR: --visit-cost." in words
     assert "together:" not in words
@@ -134,6 +137,7 @@ def test_what_cannot_be_is_one_line(run_retrofit, arguments, message):
 def change(
     words, *, better=True, gained=(), lost=(), price_eur=500.0, proven=True, apr=0.9
 ):
+    """A change of a layout, as results have it."""
     return {
         "actions": [
             {"action": word.split()[0], "unit": word.split()[1], "words": word}
@@ -158,9 +162,10 @@ def change(
 
 
 def summary_of(**changes):
+    """A plain result with one change of each kind."""
     return {
         "name": "mine",
-        "layout": [{"id": "A", **UNIT}, {"id": "B", **UNIT}],
+        "layout": [ON_MAST, ON_MAST | {"id": "B"}],
         "candidates": 9,
         "runs": 10,
         "fusion": "any",
@@ -208,6 +213,7 @@ def test_sentences_tell_where_nothing_is_better():
         return words(msgspec.convert(summary_of(**changes), RetrofitResult))
 
     assert said() == []
+
     useless = change(["re-aim A to yaw 0, pitch -15"], better=False)
     nothing = {"re_aims": [useless], "addition": None, "combination": None}
     assert said(removals=[change(["remove A"])], **nothing) == [

@@ -21,6 +21,7 @@ BUDGET_EUR = 5600.0
 
 
 def model_of(unit):
+    """Name of a unit's model."""
     return unit.get("camera") or unit["lidar"]
 
 
@@ -38,6 +39,7 @@ def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(
         COSTS_EUR[model_of(unit)] for unit in found["layout"]
     )
     assert found["spent_eur"] <= BUDGET_EUR
+
     study = load_carlancap_layout().units  # always among the candidates
     n_candidates = len(study)
     for model in COSTS_EUR:
@@ -53,16 +55,24 @@ def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(
             )
         )
         assert alone.certificate.stages[0].objective <= found["apr"] + 1e-9
+
     assert found["candidates"] == n_candidates
 
 
 def test_what_is_mounted_is_told_where_it_is_not_the_default():
     def unit(name, **model):
-        pose = {"x_m": 1.0, "y_m": 2.0, "z_m": 6.0, "yaw_deg": 0.0, "pitch_deg": -15.0}
+        pose = {
+            "x_m": 1.0,
+            "y_m": 2.0,
+            "z_m": 6.0,
+            "yaw_deg": 0.0,
+            "pitch_deg": -15.0,
+        }
         return UnitRecord(id=name, site="lamp", **pose, **model)
 
     wide, long = ({"camera": model} for model in list(COSTS_EUR)[:2])
     mixed = [unit("U1", **wide), unit("U2", **long), unit("U3", **long)]
+
     assert unit_notes(mixed)[1:] == [
         "models: carla-ncap-rgb (U1); basler-aca1920-50gc-16mm (U2, U3)"
     ]

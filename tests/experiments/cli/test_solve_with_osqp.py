@@ -73,6 +73,7 @@ def test_the_solve_command_bounds_the_apr_by_osqp(ask, instance, calls, solver):
     summary = ask("solve", instance, "--solver", solver)
     assert sum(calls) > 0
     assert f"OSQP {osqp.__version__}" in summary["solver"]
+
     first = summary["stages"][0]
     assert first["name"] == "apr"
     assert first["objective"] <= first["bound"] < 1.0

@@ -33,15 +33,17 @@ for command in sys.argv[1:]:
         assert not ended.code, ended.code
 print(*{name.split(".")[0] for name in sys.modules}, file=sys.stderr)
 """
+# A unit must not hang inside a thing.
 GEOMETRY = {
     "numpy",
     "scipy",
     "shapely",
     "trimesh",
-}  # a unit must not hang inside a thing
+}
 
 
 def _loaded_by(code: str, *arguments: str) -> set[str]:
+    """Large libraries that a process has loaded when it ends."""
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments],
         env=os.environ | {"PYTHONPATH": str(Path.cwd())},

@@ -1,6 +1,7 @@
 """What placing, evaluating and comparing print: every number once, in 80 columns."""
 
 import re
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -33,6 +34,7 @@ def ratios(n_cases, start=0.5):
 
 
 def unit(unit_id):
+    """A unit, as results have it."""
     return {
         "id": unit_id,
         "site": "corner-ne",
@@ -45,25 +47,19 @@ def unit(unit_id):
     }
 
 
-def placement_table(summary, out, *, is_verbose=True):
-    return answer_text(
-        placement_parts(build_result(**summary), out), is_verbose=is_verbose
-    )
+def table(parts_of, summary, out, *, is_verbose=True):
+    """What the terminal says of a result."""
+    parts = parts_of(build_result(**summary), out)
+    return answer_text(parts, is_verbose=is_verbose)
 
 
-def evaluation_table(summary, out, *, is_verbose=True):
-    return answer_text(
-        evaluation_parts(build_result(**summary), out), is_verbose=is_verbose
-    )
-
-
-def comparison_table(summary, out, *, is_verbose=True):
-    return answer_text(
-        comparison_parts(build_result(**summary), out), is_verbose=is_verbose
-    )
+placement_table = partial(table, placement_parts)
+evaluation_table = partial(table, evaluation_parts)
+comparison_table = partial(table, comparison_parts)
 
 
 def evaluation_summary(n_cases, ids, name="mine"):
+    """Fields of an evaluation in which every ratio is another one."""
     return {
         "name": name,
         "runs": 240,
@@ -83,6 +79,7 @@ def evaluation_summary(n_cases, ids, name="mine"):
 
 
 def comparison_summary(n_cases, name="mine", other="carlancap-12", gained=(), lost=()):
+    """Fields of a comparison with one other layout."""
     baseline = {
         "units": {},
         "rsu_all": ratios(n_cases, 0.4),
@@ -106,6 +103,7 @@ def comparison_summary(n_cases, name="mine", other="carlancap-12", gained=(), lo
 
 
 def placement_summary(n_cases, ids=("U1", "U2", "U3"), gap=0.0):
+    """Fields of a placement, compared with the study's layout and greedy choice."""
     found = comparison_summary(n_cases)
     (baseline,) = found.pop("compared")
     del found["differences"]
@@ -147,6 +145,7 @@ def cells(text):
 
 
 def expected(*parties):
+    """Cells of the table of ratios, by row."""
     rows = {"all runs": [percent(party["all"]) for party in parties]}
     for case in parties[0]["by_case"]:
         rows[case] = [percent(party["by_case"][case]) for party in parties]
@@ -158,7 +157,9 @@ def test_an_evaluation_shows_every_ratio_once_in_80_columns(n_cases, n_units):
     ids = [f"RSU{index}" for index in range(n_units)]
     summary = evaluation_summary(n_cases, ids)
     text = evaluation_table(summary, OUT)
+
     assert all(len(line) <= 80 and line == line.rstrip() for line in text.splitlines())
+
     evaluation = summary["evaluation"]
     assert cells(text) == expected(
         *evaluation["units"].values(),
@@ -166,6 +167,7 @@ def test_an_evaluation_shows_every_ratio_once_in_80_columns(n_cases, n_units):
         evaluation["vut_and_rsus"],
         evaluation["vut"],
     )
+
     heads = [line for line in text.splitlines() if line.startswith("  APR")]
     assert "".join(heads).split("APR", 1)[1].split()[0] == "RSU0"
     assert all(f" {unit_id}" in "".join(heads) for unit_id in ids)
@@ -176,6 +178,7 @@ def test_a_placement_shows_every_ratio_once_in_80_columns(n_cases):
     summary = placement_summary(n_cases)
     text = placement_table(summary, OUT)
     assert all(len(line) <= 80 for line in text.splitlines())
+
     evaluation = summary["evaluation"]
     assert cells(text) == expected(
         evaluation["rsu_all"],
@@ -203,8 +206,10 @@ def test_the_first_five_disagreements_are_told_and_how_many_more_there_are():
         entries = [entry | {"on_table": index % 2 == 0} for index in range(n_entries)]
         text = placement_table(placement_summary(1) | {"disagreements": entries}, OUT)
         assert all(len(line) <= 80 for line in text.splitlines())
+
         words = " ".join(text.split())
         told = "corner-ne/5m/-135/-45 in CBTAfs-100/north/20: avoided only by the"
+
         assert words.count(told) == min(n_entries, 5)
         assert words.count(f"{told} table; {entry['cause']}") == min(
             (n_entries + 1) // 2, 3
@@ -215,9 +220,11 @@ def test_the_first_five_disagreements_are_told_and_how_many_more_there_are():
 def test_road_users_that_announce_themselves_have_columns_where_there_are_any():
     summary = evaluation_summary(3, ["U1"])
     assert "VAM" not in evaluation_table(summary, None)
+
     evaluation = summary["evaluation"]
     evaluation |= {"vam": ratios(3, 0.2), "all_sources": ratios(3, 0.95)}
     text = evaluation_table(summary, None)
+
     assert cells(text) == expected(
         evaluation["units"]["U1"],
         *(
@@ -231,8 +238,12 @@ def test_the_cost_is_that_of_all_units_and_of_their_sites_as_far_as_known():
     summary = evaluation_summary(1, ["U1", "U2", "U3"])
     text = evaluation_table(summary, None)
     assert "cost: unknown: 3 sensors unknown (catalogue), poles unknown" in text
+
     summary |= {"sensors_eur": 12_000.0, "sites_eur": 7120.0}
-    for prices, by in (((), "own prices"), (("told",), "assumed")):
+    for prices, by in (
+        ((), "own prices"),
+        (("told",), "assumed"),
+    ):
         told = " ".join(
             evaluation_table(summary | {"assumed_prices": prices}, None).split()
         )
@@ -240,9 +251,11 @@ def test_the_cost_is_that_of_all_units_and_of_their_sites_as_far_as_known():
         assert f"cost: 19,120 EUR: {bought}, poles 7,120 EUR ({by})." in told
     existing = {"existing": ("U1", "U2"), "sensors_eur": 4_000.0}
     told = evaluation_table(summary | existing, None)
+
     assert "1 new sensor 4,000 EUR (catalogue; 2 exist)" in told
     assert told.count("(existing)") == 2
     assert "three cameras (two exist) on one pole prevent" in " ".join(told.split())
+
     summary |= {"existing": ("U1", "U2", "U3")}
     assert "nothing to buy; all 3 sensors exist" in evaluation_table(summary, None)
 
@@ -252,9 +265,12 @@ def test_a_comparison_shows_every_ratio_once_and_the_runs_that_differ(n_cases):
     gained = [f"CBTAfs-{100 + run}/north/{run}" for run in range(60)]
     summary = comparison_summary(n_cases, gained=gained)
     text = comparison_table(summary, OUT)
+
     assert all(len(line) <= 80 for line in text.splitlines())
+
     evaluation = summary["evaluation"]
     baseline = summary["compared"][0]["evaluation"]
+
     assert cells(text) == expected(
         evaluation["rsu_all"],
         evaluation["vut_and_rsus"],
@@ -274,17 +290,26 @@ def test_long_names_are_broken_not_cut(name):
     text = comparison_table(comparison_summary(13, name=name), OUT)
     lines = text.splitlines()
     assert all(len(line) <= 80 for line in lines)
+
     end = next(index for index, line in enumerate(lines) if "all runs" in line)
     begin = max(index for index, line in enumerate(lines[:end]) if not line)
     heads = lines[begin + 1 : end]
     first = len("  CBTAfs-100  ")
     cell = next(line for line in lines if "all runs" in line).index("%") + 1
     first_column = "".join(line[first:cell] for line in heads)
+
     assert first_column.replace(" ", "") == name.replace(" ", "")
 
 
 @pytest.mark.parametrize(
-    ("n_units", "n_blocks"), [(1, 1), (3, 1), (4, 1), (5, 2), (12, 2)]
+    ("n_units", "n_blocks"),
+    [
+        (1, 1),
+        (3, 1),
+        (4, 1),
+        (5, 2),
+        (12, 2),
+    ],
 )
 def test_columns_are_narrower_where_that_saves_a_block(n_units, n_blocks):
     ids = [f"U{index}" for index in range(n_units)]
@@ -295,6 +320,7 @@ def test_columns_are_narrower_where_that_saves_a_block(n_units, n_blocks):
 def test_ids_are_cut_in_no_table():
     ids = ["corner-ne/5m/-135/-45/own-camera-of-a-long-name", "corner-ne/5m/-135/-30"]
     lines = evaluation_table(evaluation_summary(3, ids), None).splitlines()
+
     assert [line.split()[0] for line in lines if line.startswith("  corner")] == ids
     assert all(len(line) <= 80 for line in lines)
 
@@ -307,13 +333,20 @@ def test_a_case_without_weight_has_a_dash():
         party["by_case"]["CBTAfs-101"] = None
     summary["evaluation"]["units"]["U1"]["by_case"]["CBTAfs-101"] = None
     text = evaluation_table(summary, None)
+
     assert "nan" not in text
+
     (row,) = (line for line in text.splitlines() if "CBTAfs-101" in line)
     assert row.split()[1:] == ["\N{EN DASH}"] * 4
 
 
 @pytest.mark.parametrize(
-    ("gap", "words"), [(0.0, "proven"), (0.0056, "0.6 %"), (float("inf"), "open")]
+    ("gap", "words"),
+    [
+        (0.0, "proven"),
+        (0.0056, "0.6 %"),
+        (float("inf"), "open"),
+    ],
 )
 def test_a_gap_is_proven_or_a_number_or_open(gap, words):
     (row,) = (
@@ -348,7 +381,9 @@ def test_what_is_left_after_a_failure_is_told_for_units_and_for_poles():
     two = EvaluationRecord(
         **shares, units={"a": share, "b": share}, apr_without_worst_unit=0.625
     )
+
     assert failure_notes(two) == []  # the table of all layouts has it
+
     on_one_pole = msgspec.structs.replace(two, apr_without_worst_site=0.0)
     assert failure_notes(on_one_pole) == [
         "if the most important pole fails with all its units, the others reach 0.0 %."
@@ -376,6 +411,7 @@ def test_in_short_every_answer_fits_on_a_screen(n_cases):
         )
         assert f"Written to {OUT}: report.html and more." in lines
         assert "VUT alone" in text
+
     for words in (
         "Proven in the planning model",
         "greedy",

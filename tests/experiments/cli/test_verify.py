@@ -12,19 +12,18 @@ import numpy as np
 import opendrive_text
 import pytest
 from command_results import answer, refusal
+from json_files import change_json, read_json
 from osm_text import LAT_DEG, LON_DEG, OsmText
 from osm_text import crossing as crossing_streets
-from small_results import lay_runs_of
+from small_results import lay_runs_of, place_small
 
 from experiments.cli import first_answer
 from experiments.jobs import placement, search
-from experiments.progress import StageProgress
 from experiments.results.record import to_plain
 from geometry.errors import InputError
 from geometry.scene_files import pack_scene, save_scene
 from geometry.scene_sources import load_scene
 from geometry.study_scene import load_study_scene
-from placement.compute import Compute
 from placement.proof_files import save_problem, scene_hash
 from placement.question import Question
 from placement.verification.instances import load_problem, load_stored_problem
@@ -37,13 +36,8 @@ def written(small_setting, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         lay_runs_of(patch, small_setting)
         patch.setattr(placement, "write_report", lambda *given, **options: None)
-        placement.run_placement(
-            Question(budget=2, within="carlancap-12", give_up=0.0, time_limit_s=60.0),
-            out=folder,
-            compute=Compute(workers=2),
-            command="place-rsus",
-            progress=StageProgress(),
-        )
+        asked = {"budget": 2, "give_up": 0.0, "time_limit_s": 60.0}
+        place_small(Question(within="carlancap-12", **asked), folder)
     return folder
 
 
@@ -53,18 +47,14 @@ def results(written, tmp_path):
     return Path(shutil.copytree(written, tmp_path / "results"))
 
 
-def edit(path, change):
-    document = json.loads(path.read_text())
-    change(document)
-    path.write_text(json.dumps(document))
-
-
 @pytest.mark.long
 def test_what_was_written_is_verified_in_a_line_per_check(run, results):
     out = answer(run("verify", results, "--quiet"))
     assert max(map(len, out.splitlines())) <= 80 + len(str(results))
+
     checks = [line for line in out.splitlines() if line.startswith("  OK ")]
     left_out = "Not checked: verdicts, bill, report (--deep), who made it (--key)."
+
     assert out.splitlines()[-1] == f"{len(checks)} checks: all OK. {left_out}"
     assert "FAILED" not in out
     for words in (
@@ -90,7 +80,8 @@ def test_json_says_the_same(ask, results):
     ]
     assert all(stage["is_proven_again"] for stage in summary["stages"])
     assert not any("rests on" in line for line in summary["not_checked"])
-    written = json.loads((results / "summary.json").read_text())
+
+    written = read_json(results / "summary.json")
     assert summary["solver"] == written["solver"]
     assert [stage["objective"] for stage in summary["stages"]] == [
         stage["objective"] for stage in written["stages"]
@@ -102,14 +93,16 @@ def test_what_was_changed_fails_with_exit_code_1(run, results):
     def move(document):
         document["layout"][0]["yaw_deg"] += 1.0
 
-    edit(results / "layout.json", move)
+    change_json(results / "layout.json", move)
     code, out, err = run("verify", results, "--quiet")
+
     assert code == 1
     assert err == ""
     assert "  FAILED layout file: it does not show the certificate's units" in out
     assert "  FAILED file layout.json: changed, says SHA256SUMS" in out
     assert "  FAILED layout.csv: another layout than layout.json" in out
     assert " checks: 5 FAILED. Not checked: " in out.splitlines()[-1]
+
     code, out, err = run("verify", results, "--quiet --json")
     assert code == 1
     assert err == ""
@@ -121,8 +114,9 @@ def test_a_solver_that_lied_is_told(run, results):
         for stage in document["stages"]:
             stage |= {"objective": stage["objective"] / 2, "bound": stage["bound"] / 2}
 
-    edit(results / "certificate.json", lie)
+    change_json(results / "certificate.json", lie)
     code, out, _ = run("verify", results, "--quiet")
+
     assert code == 1
     assert "  FAILED apr: recomputed 1, claimed 0.5" in out
     assert "disproved" not in out.partition("Not checked here")[2]
@@ -135,14 +129,14 @@ def test_another_instance_is_told(run, results):
     table = replace(problem.table, packed=packed)
     save_problem(results / "instance.npz", replace(problem, table=table))
     code, out, _ = run("verify", results, "--quiet")
+
     assert code == 1
     assert "  FAILED instance: SHA-256 " in out
 
 
 def test_proofs_that_rest_on_the_solver_are_said_to(run, results, monkeypatch):
     monkeypatch.setattr("placement.verification.verify._MAX_LOOKS", 0)
-    code, out, _ = run("verify", results, "--quiet")
-    assert code == 0
+    out = answer(run("verify", results, "--quiet"))
     assert "that no layout is better in mean_margin_s: this rests on" in out
 
 
@@ -151,6 +145,7 @@ def test_a_file_that_is_missing_or_damaged_is_named(run, results, name):
     path = results / name
     path.write_bytes(path.read_bytes()[:100])
     assert refusal(run("verify", results, "--quiet")).startswith(f"{path}: got ")
+
     path.unlink()
     assert refusal(run("verify", results, "--quiet")).startswith(
         f"{path}: got No such file or directory; expected "
@@ -159,17 +154,14 @@ def test_a_file_that_is_missing_or_damaged_is_named(run, results, name):
 
 def test_a_folder_that_is_none_is_refused(run, tmp_path):
     for folder in (tmp_path / "none", __file__):
-        code, out, err = run("verify", folder)
-        assert code == 2
-        assert out == ""
-        assert err.endswith(
-            f"{folder}: got no folder; expected a folder with results\n"
-        )
+        line = refusal(run("verify", folder))
+        assert line.endswith(f"{folder}: got no folder; expected a folder with results")
 
 
 def test_a_folder_that_does_not_say_what_was_asked_cannot_be_made_anew(run, results):
-    edit(results / "summary.json", lambda d: d.pop("asked"))
+    change_json(results / "summary.json", lambda d: d.pop("asked"))
     line = refusal(run("verify", results, "--deep --quiet"))
+
     assert "--deep: got " in line
     assert (
         "which does not say what was asked; expected a placement of this version"
@@ -179,7 +171,7 @@ def test_a_folder_that_does_not_say_what_was_asked_cannot_be_made_anew(run, resu
 
 @pytest.mark.long
 def test_a_network_that_a_folder_names_is_not_run(run, results):
-    edit(
+    change_json(
         results / "summary.json",
         lambda d: d["asked"]["question"].update(detector="x.onnx"),
     )
@@ -190,16 +182,23 @@ def test_a_network_that_a_folder_names_is_not_run(run, results):
 
 
 # ---------- the scene that a result was made with
-FOUR = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
+FOUR = [
+    (1.0, 0.0),
+    (0.0, 1.0),
+    (-1.0, 0.0),
+    (0.0, -1.0),
+]
 
 
 def street_map(folder):
+    """A crossing in OpenStreetMap."""
     osm = OsmText()
     crossing_streets(osm, bearings=FOUR, highway="residential", lanes="2")
     return osm.write(folder)
 
 
 def road_map(folder):
+    """A crossing in OpenDRIVE."""
     (folder / "roads.xodr").write_text(
         opendrive_text.document(opendrive_text.crossing())
     )
@@ -207,17 +206,20 @@ def road_map(folder):
 
 
 def lane_map(folder):
+    """A crossing of lanelets."""
     (folder / "lanes.osm").write_text(lanelet_text.lanelet2(lanelet_text.crossing()))
     return folder / "lanes.osm"
 
 
 def scene_folder(folder):
+    """The study's junction as a folder."""
     (folder / "scene").mkdir()
     save_scene(folder / "scene", load_study_scene())
     return folder / "scene"
 
 
 def scene_archive(folder):
+    """The study's junction as an archive."""
     pack_scene(scene_folder(folder), folder / "scene.zip")
     return folder / "scene.zip"
 
@@ -255,7 +257,7 @@ def test_the_scene_is_read_as_the_job_read_it(
         told = placement.build_asked_record(
             given["asked"], given["compute"], given["command"]
         )
-        edit(results / "summary.json", lambda d: d.update(asked=to_plain(told)))
+        change_json(results / "summary.json", lambda d: d.update(asked=to_plain(told)))
         raise InputError("here", "the question", "nothing more")
 
     monkeypatch.setattr("experiments.scene.run._pictures", lambda scene: {})
@@ -264,7 +266,9 @@ def test_the_scene_is_read_as_the_job_read_it(
     monkeypatch.setattr(placement, "run_placement", stop)
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
     source = build(tmp_path)
+
     assert run("--scene", source, *options, "--budget 2 --quiet")[0] == 2
+
     problem, mounts = load_stored_problem(results / "instance.npz")
     (scene,) = solved
     stored = replace(mounts, scene_sha256=scene_hash(scene), scene_name=scene.name)
@@ -275,6 +279,7 @@ def test_the_scene_is_read_as_the_job_read_it(
     _, out, _ = run("verify", results, "--scene", moved, "--quiet --json")
     details = {one["name"]: one["detail"] for one in json.loads(out)["checks"]}
     found = details["scene as it stands"]
+
     # The poses are the study's, and not at the sites of this scene: that is told of the
     # right one.
     assert "may have changed" not in found
@@ -292,17 +297,19 @@ def test_a_result_of_any_scene_is_verified_with_it(kind, run, tmp_path, monkeypa
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
     source = build(tmp_path)
     few = "--cases CBLA,CPLA-25 --speeds 50 --yaw-step 90 --heights 6"
-    code, _, err = run(
-        "--scene",
-        source,
-        *options,
-        "--budget 1",
-        few,
-        "--out",
-        tmp_path / "r",
-        "--quiet",
+    answer(
+        run(
+            "--scene",
+            source,
+            *options,
+            "--budget 1",
+            few,
+            "--out",
+            tmp_path / "r",
+            "--quiet",
+        )
     )
-    assert code == 0, err
     code, out, err = run("verify", tmp_path / "r", "--scene", source, "--quiet")
+
     assert (code, err) == (0, ""), out
     assert "  OK     scene as it stands: SHA-256 " in out

@@ -17,7 +17,7 @@ from dask_cluster import dask_processes, write_certificates
 
 from experiments.engine import cluster as job
 from experiments.engine.start import EngineWish, start_engine
-from experiments.engine.tasks import WorkerDiedError, map_tasks
+from experiments.engine.tasks import WorkerDiedError
 from geometry.errors import InputError
 
 pytestmark = [
@@ -27,6 +27,7 @@ pytestmark = [
 
 
 def wish_for(cluster, **more):
+    """What is wished for to use the workers of a cluster."""
     _, file, _, authority, _, own = cluster.options
     given = {"scheduler": str(file), "tls_ca": authority, "tls_cert": own}
     return EngineWish(**(given | more))
@@ -34,6 +35,7 @@ def wish_for(cluster, **more):
 
 @contextmanager
 def engine_of(wish, told=None):
+    """The engine that a wish starts; what it says is kept in `told`."""
     tell = (told if told is not None else []).append
     with start_engine(wish, n_tasks=4, tell=tell) as engine:
         yield engine
@@ -52,25 +54,30 @@ def engine(cluster):
         yield started
 
 
-def answers_of(engine, function, those, **more):
-    return dict(map_tasks(function, those, engine=engine, **more))
-
-
 def test_answers_are_those_of_this_process_and_shared_values_are_sent_once(engine):
     expected = {number: number * number for number in range(20)}
-    assert answers_of(engine, tasks.square, range(20)) == expected
+    assert tasks.answers_of(engine, tasks.square, range(20)) == expected
+
     before = engine.n_shared_bytes
     shared = (b"x" * 1_000_000,)
-    found = answers_of(engine, bytes.count, [b"x", b"y", b"xx"], shared=shared)
+    found = tasks.answers_of(engine, bytes.count, [b"x", b"y", b"xx"], shared=shared)
+
     assert found == {b"x": 1_000_000, b"y": 0, b"xx": 500_000}
     assert engine.n_shared_bytes - before < 1_001_000
 
 
 def test_a_task_that_kills_its_workers_is_told_and_takes_no_other_with_it(engine):
-    found = answers_of(
+    found = tasks.answers_of(
         engine, tasks.end_at_3, range(6), failed=lambda task, error: type(error)
     )
-    assert found == {0: 0, 1: 1, 2: 4, 3: WorkerDiedError, 4: 16, 5: 25}
+    assert found == {
+        0: 0,
+        1: 1,
+        2: 4,
+        3: WorkerDiedError,
+        4: 16,
+        5: 25,
+    }
 
 
 def test_of_workers_that_die_at_work_nothing_is_lost(engine, cluster):
@@ -83,15 +90,16 @@ def test_of_workers_that_die_at_work_nothing_is_lost(engine, cluster):
             yield number
 
     expected = {number: number * number for number in range(30)}
-    assert answers_of(engine, tasks.square, killing()) == expected
+
+    assert tasks.answers_of(engine, tasks.square, killing()) == expected
 
 
 def test_errors_are_tried_thrice_unless_nobody_can_answer(engine, tmp_path):
     shared = (tmp_path,)
     with pytest.raises(ValueError, match="invalid literal"):
-        answers_of(engine, tasks.count_calls, ["x"], shared=shared)
+        tasks.answers_of(engine, tasks.count_calls, ["x"], shared=shared)
     with pytest.raises(InputError, match="here: got 'refused'; expected a number"):
-        answers_of(engine, tasks.count_calls, ["refused"], shared=shared)
+        tasks.answers_of(engine, tasks.count_calls, ["refused"], shared=shared)
     assert len(list(tmp_path.glob("x-*"))) == 3
     assert len(list(tmp_path.glob("refused-*"))) == 1
 
@@ -159,6 +167,7 @@ def test_workers_with_another_program_are_refused_before_and_after(tmp_path):
         )
         with pytest.raises(InputError, match=said), engine_of(wish_for(cluster)):
             pass
+
         # One that joins later finds the plugin, and never serves.
         cluster.stop_workers()
         cluster.start_worker()
@@ -169,11 +178,14 @@ def test_workers_with_another_program_are_refused_before_and_after(tmp_path):
             while not told[-1:] or "0.0.9" not in told[-1]:
                 assert time.monotonic() < until_s
                 time.sleep(0.1)
-            found = answers_of(engine, tasks.square, range(9))
+            found = tasks.answers_of(engine, tasks.square, range(9))
+
             assert found == {number: number * number for number in range(9)}
+
             while len(engine._client.nthreads()) > 1:  # it leaves
                 assert time.monotonic() < until_s
                 time.sleep(0.1)
+
     assert re.match(said, told[-1])
 
 
@@ -181,7 +193,8 @@ def test_an_answer_of_another_program_ends_all(engine, monkeypatch):
     known = job.program()
     monkeypatch.setattr(job, "program", lambda: "place-rsus 2 (code 0, Python 4)")
     with pytest.raises(InputError) as caught:
-        answers_of(engine, tasks.square, [1])
+        tasks.answers_of(engine, tasks.square, [1])
+
     said = f"a worker with {known}; expected scheduler and workers with place-rsus 2"
     assert said in str(caught.value)
 
@@ -211,4 +224,4 @@ def test_a_scheduler_that_dies_is_one_line(tmp_path, monkeypatch):
             pytest.raises(InputError, match=said),
             engine_of(wish_for(cluster)) as engine,
         ):
-            answers_of(engine, tasks.square, killing())
+            tasks.answers_of(engine, tasks.square, killing())

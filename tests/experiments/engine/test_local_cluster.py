@@ -15,7 +15,6 @@ pytest.importorskip("distributed")
 import engine_tasks as tasks
 
 from experiments.engine.start import EngineWish, start_engine
-from experiments.engine.tasks import map_tasks
 
 pytestmark = [
     pytest.mark.long,
@@ -23,23 +22,23 @@ pytestmark = [
 ]
 
 
-def answers_of(engine, function, those, **more):
-    return dict(map_tasks(function, those, engine=engine, **more))
-
-
 @pytest.fixture(scope="module")
 def local():
+    """An engine of two workers with a limit of memory."""
     wish = EngineWish(workers=2, scheduler="local", max_bytes=400 * 2**20)
     with start_engine(wish, n_tasks=4, tell=print) as started:
         yield started
 
 
 def test_a_local_scheduler_answers_the_same_and_limits_memory(local):
-    assert answers_of(local, tasks.square, range(6)) == {
+    assert tasks.answers_of(local, tasks.square, range(6)) == {
         number: number * number for number in range(6)
     }
+
     sizes = [1_000_000, 600 * 2**20]
-    found = answers_of(local, tasks.take, sizes, failed=lambda task, error: str(error))
+    found = tasks.answers_of(
+        local, tasks.take, sizes, failed=lambda task, error: str(error)
+    )
     assert found == {1_000_000: 1_000_000, 600 * 2**20: "more memory than it may take"}
 
 
@@ -93,13 +92,16 @@ def heard_by_tls(address, port):
 def test_strangers_on_this_machine_get_nothing_and_run_nothing(local, tmp_path):
     import psutil
 
-    answers_of(local, tasks.square, range(4))  # all is up
+    tasks.answers_of(local, tasks.square, range(4))  # all is up
     found = list(listening(psutil.Process()))
+
     assert len(found) >= 4  # a scheduler, and workers
+
     mark = tmp_path / "mark"
     n_silent = 0
     for address, port in found:
         assert address == "127.0.0.1"
+
         with socket.create_connection((address, port), timeout=5.0) as talk:
             talk.sendall(b"GET /info/main/workers.html HTTP/1.1\r\nHost: x\r\n\r\n")
             try:
@@ -108,11 +110,14 @@ def test_strangers_on_this_machine_get_nothing_and_run_nothing(local, tmp_path):
                 answer = b""
         # HTTP servers, which dask starts in any case, know no address.
         assert not answer or answer.startswith((b"HTTP/1.1 404", b"\x15\x03"))
+
         if answer.startswith(b"HTTP"):
             continue
         n_silent += 1
         assert not heard_by_tls(address, port)
+
     assert n_silent >= 3  # a scheduler and two workers
+
     attacked = local._client.scheduler.address.rpartition(":")[2]
     done = subprocess.run(
         [sys.executable, "-c", ATTACK, attacked, str(mark)],
@@ -120,10 +125,11 @@ def test_strangers_on_this_machine_get_nothing_and_run_nothing(local, tmp_path):
         text=True,
         timeout=60,
     )
+
     assert done.returncode == 0, done.stderr
     assert [line.split(" got ")[0] for line in done.stdout.splitlines()] == [
         "without credentials",
         "with credentials of its own",
     ]
     assert not mark.exists()
-    assert answers_of(local, tasks.square, [2]) == {2: 4}
+    assert tasks.answers_of(local, tasks.square, [2]) == {2: 4}

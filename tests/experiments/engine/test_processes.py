@@ -14,21 +14,25 @@ from experiments.engine.tasks import WorkerDiedError, map_tasks
 
 @pytest.fixture(scope="module")
 def workers():
+    """A process with 512 MiB."""
     started = Processes(1, max_bytes=2**29)
     yield started
     started.close()
 
 
 def answers_of(workers, function, tasks, **more):
+    """Answers in the order of tasks."""
     return [answer for _, answer in map_tasks(function, tasks, engine=workers, **more)]
 
 
 def pids(workers):
+    """Process ids of all workers."""
     return [one._pid.result() for one in workers._all]
 
 
 def test_a_process_takes_one_task_after_the_other_and_survives_errors(workers):
     assert answers_of(workers, abs, [-3, -4]) == [3, 4]
+
     before = pids(workers)
     assert len(before) == 1
     with pytest.raises(TypeError, match=r"^bad operand"):
@@ -51,6 +55,7 @@ def test_shared_values_are_sent_once_for_many_tasks():
         found = answers_of(workers, bytes.count, [b"x"] * 5, shared=shared)
     finally:
         workers.close()
+
     assert found == [100_000] * 5
     assert 100_000 < workers.n_shared_bytes < 101_000
     assert workers.n_tasks == 5
@@ -86,7 +91,9 @@ def test_processes_end_with_their_workers():
     workers = Processes(2, max_bytes=2**30)
     futures = [workers.submit(time.sleep, (), 60.0) for _ in range(2)]
     started = pids(workers)
+
     assert len(started) == 2
+
     workers.close()
     assert not any(future.cancelled() for future in futures)
     for pid in started:

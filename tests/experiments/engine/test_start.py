@@ -13,6 +13,7 @@ from geometry.errors import InputError, MissingExtraError
 
 
 def start(wish, n_tasks=4):
+    """The engine that a wish has started; it has ended."""
     told = []
     with start_engine(wish, n_tasks=n_tasks, tell=told.append) as engine:
         return engine
@@ -22,7 +23,10 @@ def test_several_workers_and_tasks_make_processes_and_one_of_either_none():
     several = start(EngineWish(workers=3), n_tasks=2)
     assert isinstance(several, Processes)
     assert several.capacity == 2
-    for wish, n_tasks in ((EngineWish(workers=1), 9), (EngineWish(workers=9), 1)):
+    for wish, n_tasks in (
+        (EngineWish(workers=1), 9),
+        (EngineWish(workers=9), 1),
+    ):
         assert isinstance(start(wish, n_tasks), Here)
     assert isinstance(start(EngineWish(workers=4).with_workers(0)), Here)
 
@@ -63,6 +67,7 @@ def test_a_scheduler_that_is_none_or_not_safe_is_refused(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cut.json").write_text(CUT_OFF)
     (tmp_path / "open.json").write_text('{"address": "tcp://10.0.0.1:8786"}')
+
     with refused_with(said):
         start(EngineWish(scheduler=scheduler))
 
@@ -128,5 +133,7 @@ def test_the_command_line_refuses_in_one_line(run, tmp_path, options, said):
     path = write_city(tmp_path)
     command = ("city", path, "--budget", 1, "--out", tmp_path / "city")
     code, out, err = run(*command, *FEW_RUNS_OPTIONS, "--quiet", *options.split())
-    assert (code, out) == (2, "")
+
+    assert code == 2
+    assert out == ""
     assert err == f"place-rsus: {said}\n"

@@ -48,6 +48,7 @@ def test_answers_come_as_they_end_and_tasks_are_made_when_somebody_is_free():
     for task, answer in map_tasks(pow, tasks(), engine=engine, shared=(2,)):
         found[task] = answer
         n_made.append(len(made))
+
     assert found == {number: 2**number for number in range(7)}
     assert next(iter(found)) == 2  # the last of the first three
     assert engine.most == 3
@@ -55,6 +56,8 @@ def test_answers_come_as_they_end_and_tasks_are_made_when_somebody_is_free():
 
 
 def fail_at(number, calls):
+    """A function that fails at one task, and notes which it was given."""
+
     def function(task):
         calls.append(task)
         if task == number:
@@ -73,6 +76,7 @@ def test_a_task_that_raises_is_tried_thrice_and_then_answered_by_the_caller(engi
         engine=engine(),
         failed=lambda task, error: f"{task}: {error!r}",
     )
+
     assert dict(answers) == {0: 0, 1: "1: KeyError(1)", 2: 2}
     assert calls.count(1) == TRIES
     with pytest.raises(KeyError):

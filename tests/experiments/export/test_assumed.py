@@ -19,10 +19,16 @@ def test_assumed_sites_are_told_in_the_file(name):
     layout = load_carlancap_layout()
     study = load_study_scene()
     site = layout.units[0].site_id
-    note = Note(what="a mast", why="no mast in the map", kind="sites", site_ids=(site,))
+    note = Note(
+        what="a mast",
+        why="no mast in the map",
+        kind="sites",
+        site_ids=(site,),
+    )
     write = load_format(name).write
     text = str(write(layout, replace(study, notes=(note,))))
     n_units = sum(unit.site_id == site for unit in layout.units)
+
     assert text.count("no mast in the map") == n_units
     assert "assumed" not in str(write(layout, study))
 
@@ -39,6 +45,7 @@ def test_who_mounts_a_unit_on_a_surveyed_pole_gets_its_surveyed_place():
         sites.append(site)
     surveyed = surveyed_positions_m(layout.units, replace(scene, sites=tuple(sites)))
     model = positions_m(layout)
+
     assert surveyed[:, :2] == pytest.approx(model[:, :2] + moved_m)
     assert surveyed[:, 2].tolist() == model[:, 2].tolist()
     assert surveyed_positions_m(layout.units, scene).tolist() == model.tolist()

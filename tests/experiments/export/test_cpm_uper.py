@@ -9,6 +9,7 @@ import pytest
 from export_layouts import level_layout
 from numpy.testing import assert_allclose
 from pyproj import Transformer
+from tiny_worlds import unit_at
 
 from experiments.export.cpm import RELEASES, build_stations, fuse_m2, to_cpm
 from experiments.export.uper import decode, encode, split, tell_load, to_cpm_uper
@@ -22,9 +23,8 @@ from experiments.export.watched import (
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
-from placement.candidates import CandidatePose, is_ring
+from placement.candidates import is_ring
 from placement.layout import Layout, load_carlancap_layout
 from placement.sampling.uncertainty import BY_EYE, CALIBRATED
 from scenarios.aeb import load_aeb_rule
@@ -46,7 +46,21 @@ GOLDEN = {
 }
 
 
+def containers(message):
+    """The containers of a message, that of objects last if there is one."""
+    return message["payload"]["cpmContainers"]
+
+
+def objects_of(message):
+    """What a message says is perceived; nothing in one about sensors alone."""
+    last = containers(message)[-1]
+    if last["containerId"] != 5:
+        return []
+    return last["containerData"]["perceivedObjects"]
+
+
 def seen_in(run, seed, share=0.5):
+    """A run in which a unit detects by lot."""
     rng = np.random.default_rng(seed)
     detected = {"one": rng.random(len(run.time_s)) < share}
     return WatchedRun(run=run, detected=detected, rule=load_aeb_rule())
@@ -54,6 +68,7 @@ def seen_in(run, seed, share=0.5):
 
 @pytest.fixture(scope="module")
 def runs():
+    """A pedestrian, a cyclist, a motorcyclist, and a car."""
     ids = (
         "CPNC-50/east/40",
         "CBLA/east/25",
@@ -69,26 +84,25 @@ def test_objects_are_where_the_run_has_them(runs):
         watched = seen_in(run, 7)
         (station,) = build_stations(level_layout(0.0), SCENE, watched)
         by_time = {
-            message["payload"]["managementContainer"]["referenceTime"]: message[
-                "payload"
-            ]
+            message["payload"]["managementContainer"]["referenceTime"]: message
             for message in station.messages
         }
         mast_m = level_layout(0.0).units[0].pose.position_m[:2]
         told = 0
         for frame in np.flatnonzero(watched.detected["one"]):
-            payload = by_time[round(1000 * (run.time_s[frame] - run.time_s[0])) + 25]
-            found = payload["cpmContainers"][-1]
-            assert found["containerId"] == 5
-            (one,) = found["containerData"]["perceivedObjects"]
+            message = by_time[round(1000 * (run.time_s[frame] - run.time_s[0])) + 25]
+            (one,) = objects_of(message)
             assert one["measurementDeltaTime"] == -25
+
             at_m = [
                 one["position"][f"{axis}Coordinate"]["value"] / 100.0 for axis in "xyz"
             ]
             assert_allclose(at_m[:2], run.vru_position_m[frame] - mast_m, atol=0.012)
+
             # n stands for more than n - 1 and at most n centimetres.
             up_cm = np.ceil(50.0 * run.encounter.vru.height_m - 1e-6)
             assert at_m[2] == pytest.approx(up_cm / 100.0, abs=1e-9)
+
             if 0 < frame < len(run.time_s) - 1:
                 steps_m = run.vru_position_m[frame + 1] - run.vru_position_m[frame - 1]
                 over_s = run.time_s[frame + 1] - run.time_s[frame - 1]
@@ -98,10 +112,11 @@ def test_objects_are_where_the_run_has_them(runs):
                 assert_allclose(speeds, steps_m / over_s, atol=0.6)
             told += 1
         assert told > 3
+
         sensors = [
             time
-            for time, payload in by_time.items()
-            if any(one["containerId"] == 3 for one in payload["cpmContainers"])
+            for time, message in by_time.items()
+            if any(one["containerId"] == 3 for one in containers(message))
         ]
         assert np.diff(sensors).min() >= 1000 - 1
 
@@ -115,11 +130,7 @@ def test_confidences_are_those_of_the_reports_and_of_the_track(runs):
         watched = replace(seen_in(run, 7, share=0.9), aimed=aimed)
         (station,) = build_stations(layout, SCENE, watched)
         frames = np.flatnonzero(watched.detected["one"])
-        found = [
-            one["payload"]["cpmContainers"][-1]["containerData"]["perceivedObjects"][0]
-            for one in station.messages
-            if one["payload"]["cpmContainers"][-1]["containerId"] == 5
-        ]
+        found = [one for message in station.messages for one in objects_of(message)]
         (errors_m2,) = report_covariances_m2(watched, layout.units)
         tracks = follow_watched(watched, layout.units).tracks
         for frame, one in zip(frames, found, strict=True):
@@ -130,6 +141,7 @@ def test_confidences_are_those_of_the_reports_and_of_the_track(runs):
                 expected = math.ceil(196.0 * math.sqrt(variance) - 1e-6)
                 # Beyond 40.94 m: out of range.
                 assert confidence == min(expected, 4095)
+
                 velocity = one["velocity"]["cartesianVelocity"][f"{axis}Velocity"]
                 sd_mps = math.sqrt(tracks.covariance[frame, row, row])
                 expected = min(math.ceil(196.0 * sd_mps - 1e-6), 126)
@@ -137,17 +149,32 @@ def test_confidences_are_those_of_the_reports_and_of_the_track(runs):
                     expected = 127
                 assert velocity["confidence"] == expected
             (matrix,) = one["lowerTriangularCorrelationMatrices"]
+
             assert matrix["matrix"] == [[round(100.0 * en / math.sqrt(ee * nn))]]
             assert one["position"]["zCoordinate"]["confidence"] == 4096
         assert tracks.is_live.any()
+
         # The run ends near the mast.
         told[aimed] = found[-1]["position"]["xCoordinate"]["confidence"]
+
     assert told[CALIBRATED] < told[BY_EYE]
 
 
 def test_reports_of_several_units_are_fused_by_their_inverses():
-    fused = fuse_m2(np.array([[1.0, 0.0, 4.0], [1.0, 0.0, 4.0], [0.5, 0.0, 2.0]]))
-    np.testing.assert_allclose(fused, [[0.25, 0.0], [0.0, 1.0]], atol=1e-12)
+    fused = fuse_m2(
+        np.array(
+            [
+                [1.0, 0.0, 4.0],
+                [1.0, 0.0, 4.0],
+                [0.5, 0.0, 2.0],
+            ]
+        )
+    )
+    np.testing.assert_allclose(
+        fused,
+        [[0.25, 0.0], [0.0, 1.0]],
+        atol=1e-12,
+    )
 
 
 @pytest.mark.long
@@ -162,9 +189,10 @@ def test_both_releases_open_to_the_same_side():
     shapes = []
     for release in RELEASES:
         (station,) = build_stations(level_layout(30.0), SCENE, release=release)
-        sensors = station.messages[0]["payload"]["cpmContainers"][1]["containerData"]
+        sensors = containers(station.messages[0])[1]["containerData"]
         shapes.append(sensors[0]["perceptionRegionShape"]["radial"])
     old, new = shapes
+
     assert (
         old["stationaryHorizontalOpeningAngleStart"]
         == 900 - new["horizontalOpeningAngleEnd"]
@@ -179,6 +207,7 @@ def test_the_load_of_the_channel_is_that_of_the_bytes(runs):
     span_s = (messages[-1][0] - messages[0][0]) / 1000.0
     bytes_per_s = sum(len(data) for _, data in messages) / span_s
     words = tell_load(content)
+
     assert f"{bytes_per_s:.0f} to {bytes_per_s:.0f} bytes per second" in words
     assert (
         f"together {100.0 * 8.0 * bytes_per_s / 6.0e6:.2f} % of a channel of 6 Mbit/s"
@@ -196,11 +225,10 @@ def test_what_units_detect_in_a_run_is_the_evaluators():
         sensor_id
         for station in document["stations"]
         for message in station["messages"]
-        for container in message["payload"]["cpmContainers"]
-        if container["containerId"] == 5
-        for one in container["containerData"]["perceivedObjects"]
+        for one in objects_of(message)
         for sensor_id in one["sensorIdList"]
     ]
+
     assert (
         len(told) == sum(int(frames.sum()) for frames in watched.detected.values()) > 0
     )
@@ -218,17 +246,12 @@ def random_layout(rng):
     kinds = [*load_cameras().values(), *load_lidars().values()]
     middle_m = rng.uniform(-60.0, 60.0, 2)
     units = tuple(
-        CandidatePose(
-            id=f"unit {number}",
+        unit_at(
+            f"unit {number}",
+            [*(middle_m + rng.uniform(-3.0, 3.0, 2)), rng.uniform(2.0, 12.0)],
+            yaw_deg=float(rng.uniform(-180.0, 180.0)),
+            pitch_deg=float(rng.uniform(-90.0, 45.0)),
             site_id="site",
-            pose=Pose(
-                position_m=[
-                    *(middle_m + rng.uniform(-3.0, 3.0, 2)),
-                    rng.uniform(2.0, 12.0),
-                ],
-                yaw_deg=float(rng.uniform(-180.0, 180.0)),
-                pitch_deg=float(rng.uniform(-90.0, 45.0)),
-            ),
             sensor=kinds[rng.integers(len(kinds))],
         )
         for number in range(rng.integers(1, 5))
@@ -257,17 +280,13 @@ def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs):
         (station,) = build_stations(layout, SCENE, watched, release=release)
         found = [decode(encode(one, release), release) for one in station.messages]
         assert found == list(station.messages)
-        (message,) = [
-            one
-            for one in found
-            if one["payload"]["cpmContainers"][-1]["containerId"] == 5
-        ]
+
         (first, *_) = found
         place = first["payload"]["managementContainer"]["referencePosition"]
         origin_m = to_local.transform(place["longitude"] / 1e7, place["latitude"] / 1e7)
         for unit, sensor in zip(
             layout.units,
-            first["payload"]["cpmContainers"][1]["containerData"],
+            containers(first)[1]["containerData"],
             strict=True,
         ):
             shape = sensor["perceptionRegionShape"]["radial"]
@@ -275,8 +294,10 @@ def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs):
                 shape["shapeReferencePoint"][f"{axis}Coordinate"] for axis in "xyz"
             ]
             above -= 100.0 * (unit.pose.position_m - [*origin_m, 0.0])
+
             assert above.min() > -0.01  # n: more than n - 1 and at most n of them
             assert above.max() < 1.01
+
             if not is_ring(unit.sensor):
                 half_deg = 0.5 * unit.sensor.horizontal_fov_deg
                 name = next(
@@ -293,20 +314,20 @@ def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs):
                     < (shape[name] - 10.0 * (begin - half_deg) + 100.0) % 3600 - 100.0
                     < 1.001
                 )
-        (one,) = message["payload"]["cpmContainers"][-1]["containerData"][
-            "perceivedObjects"
-        ]
+        (one,) = [one for message in found for one in objects_of(message)]
         assert one["sensorIdList"] == [len(layout.units) - 1]
+
         at_m = [*run.vru_position_m[frame], 0.5 * run.encounter.vru.height_m]
         above = [one["position"][f"{axis}Coordinate"]["value"] for axis in "xyz"]
         above -= 100.0 * (np.array(at_m) - [*origin_m, 0.0])
+
         assert above.min() > -0.01
         assert above.max() < 1.01
+
         around_s = run.time_s[frame] + np.array([-5e-4, 5e-4])
         way_m = np.diff(motion.path.at(motion.distance_m(around_s))[0], axis=0)[0]
         velocity = one["velocity"]["cartesianVelocity"]
         speeds = [velocity[f"{axis}Velocity"]["value"] for axis in "xy"]
         asked = 100.0 * way_m / 1e-3
-        assert (
-            np.abs(speeds - asked - 0.5) < 0.6
-        ).all()  # and what a start changes in a moment
+        # And what a start changes in a moment.
+        assert (np.abs(speeds - asked - 0.5) < 0.6).all()

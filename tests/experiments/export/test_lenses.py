@@ -24,14 +24,24 @@ FIELDS = {
 
 
 def layout_with(**fields):
+    """A layout of one camera with some fields."""
     camera = read_sensor("mine", FIELDS | fields, "camera", "test")
     pose = Pose(position_m=np.array([1.0, 2.0, 6.0]), yaw_deg=30.0, pitch_deg=-20.0)
-    unit = CandidatePose(id="north", site_id="", pose=pose, sensor=camera)
+    unit = CandidatePose(
+        id="north",
+        site_id="",
+        pose=pose,
+        sensor=camera,
+    )
     return Layout(name="one", units=(unit,))
 
 
 @pytest.mark.parametrize(
-    "lens", [{"model": "fisheye", "k1": -0.02}, {"model": "tsai", "kappa": 0.1}]
+    "lens",
+    [
+        {"model": "fisheye", "k1": -0.02},
+        {"model": "tsai", "kappa": 0.1},
+    ],
 )
 def test_carla_refuses_a_lens_in_one_line(lens):
     layout = layout_with(lens=lens)
@@ -57,8 +67,10 @@ def test_a_calibration_has_principal_point_aspect_and_roll():
         [0, 1.02 * focal, 0.45 * 1080 - 0.5],
         [0, 0, 1],
     ]
+
     assert pytest.approx(np.array(expected)) == found.K
     assert found.lens == BrownConrady()
+
     # Turned clockwise by a right angle, its right is what was down.
     (level,) = calibrations(layout_with(), "opencv").values()
     assert found.R_camera_world[0] == pytest.approx(level.R_camera_world[1])

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_results import refusal
 from export_layouts import awkward_layout, large_layout
+from json_files import read_json
 from numpy.testing import assert_allclose
 from PIL import Image
 from short_runs import cut_run
@@ -74,6 +76,7 @@ def watched():
 
 @pytest.fixture(scope="module")
 def topics(watched):
+    """The run as it is read back."""
     return read_mcap(to_mcap(load_carlancap_layout(), SCENE, watched))
 
 
@@ -82,8 +85,10 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
     assert len(topics["/bodies"]) == len(run.time_s)
     for frame, (time_s, update) in enumerate(topics["/bodies"]):
         assert time_s == pytest.approx(run.time_s[frame] - run.time_s[0], abs=1e-6)
+
         boxes = {entity.id: entity.cubes[0] for entity in update.entities}
         assert len(boxes) == 2 + len(run.obstruction) > 2
+
         for name, body, at_m, yaw_deg in (
             ("vut", run.encounter.vut, run.vut_position_m, run.vut_yaw_deg),
             ("vru", run.encounter.vru, run.vru_position_m, run.vru_yaw_deg),
@@ -95,8 +100,10 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
                 [*at_m[frame], 0.5 * body.height_m],
                 atol=1e-9,
             )
+
             turn = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
             off_deg = math.degrees(turn) - yaw_deg[frame]
+
             assert (off_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9)
             assert size.x == body.length_m
             assert size.y == body.width_m
@@ -110,10 +117,12 @@ def test_detections_confirmation_and_braking_follow_the_rule(topics, watched):
         zip(states, topics["/detections"], strict=True)
     ):
         assert state["detecting"] == ([first.id] if frame >= 10 else [])
+
         points = update.entities[0].lines[0].points
         assert len(points) == 2 * state["n_detecting"]
         assert state["is_confirmed"] == (frame >= 12)  # the third in a row
         assert state["would_brake"] == (frame >= 13)  # 25 ms later
+
     assert states[-1]["last_brake_time_s"] == watched.run.last_brake_time_s
 
 
@@ -121,14 +130,17 @@ def test_the_track_has_an_ellipse_and_turns_red_when_the_car_decides(topics, wat
     followed = follow_watched(watched, load_carlancap_layout().units)
     states = [state for _, state in topics["/state"]]
     decides = [state["decides_to_brake"] for state in states]
+
     assert decides == followed.brakes.tolist()
     # Nobody brakes before a track is confirmed, and this run is braked for.
     assert not decides[11]
     assert decides[-1]
+
     reds = []
     for frame, (_, update) in enumerate(topics["/decision"]):
         ring, ways = (entity.lines for entity in update.entities)
         assert len(ring) == (frame >= 12)
+
         if not ring:
             continue
         reds.append(ring[0].color.r > 0.8 and ring[0].color.g < 0.2)
@@ -138,6 +150,7 @@ def test_the_track_has_an_ellipse_and_turns_red_when_the_car_decides(topics, wat
         # 95 % of a normal place in the plane: chi-square of two degrees, 5.991.
         squared = np.einsum("ni,ij,nj->n", off_m, inverse, off_m)
         assert_allclose(squared, 5.991, atol=0.01)
+
         first, *_, last = ways[0].points
         speed_mps = math.hypot(last.x - first.x, last.y - first.y) / followed.ahead_s
         along_mps = np.hypot(*followed.tracks.state[0, frame, 2:])
@@ -150,6 +163,7 @@ def test_frusta_show_the_corners_of_the_image(topics):
     (_, update), units = topics["/units"][0], load_carlancap_layout().units
     by_id = {entity.id: entity for entity in update.entities}
     assert list(by_id) == [unit.id for unit in units]
+
     for unit in units:
         line = by_id[unit.id].lines[0]
         ((_, calibration),) = topics[f"/calibration/{unit.id}"]
@@ -161,7 +175,12 @@ def test_frusta_show_the_corners_of_the_image(topics):
         height = calibration.height - 0.5
         assert_allclose(
             pixels,
-            [[-0.5, -0.5], [width, -0.5], [width, height], [-0.5, height]],
+            [
+                [-0.5, -0.5],
+                [width, -0.5],
+                [width, height],
+                [-0.5, height],
+            ],
             atol=1e-6,
         )
 
@@ -171,6 +190,7 @@ def test_the_scenes_meshes_are_whole(topics):
     assert [entity.id for entity in update.entities] == [
         thing.id for thing in SCENE.instances
     ]
+
     triangles = sum(len(entity.triangles[0].indices) // 3 for entity in update.entities)
     assert triangles == len(SCENE.triangles)
 
@@ -181,10 +201,12 @@ def test_any_layout_is_written_without_a_run(build):
     layout = build()
     found = read_mcap(to_mcap(layout, SCENE))
     assert {"/scene", "/units", "/tf"} <= set(found)
+
     ((_, transforms),) = found["/tf"]
     assert [one.child_frame_id for one in transforms.transforms] == [
         u.id for u in layout.units
     ]
+
     cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
     assert sum(topic.startswith("/calibration/") for topic in found) == len(cameras)
 
@@ -195,12 +217,13 @@ def test_a_recording_is_small(watched):
 
 def test_foxgloves_layout_names_topics_that_exist(topics):
 
-    layout = json.loads(Path("docs/files/foxglove.json").read_text(encoding="utf-8"))
+    layout = read_json(Path("docs/files/foxglove.json"))
     shown = set(layout["configById"]["3D!scene"]["topics"])
     plotted = {
         path["value"].split(".")[0]
         for path in layout["configById"]["Plot!state"]["paths"]
     }
+
     assert shown | plotted <= set(topics)
 
 
@@ -215,14 +238,19 @@ def test_pictures_are_what_a_reduced_camera_draws(watched):
     found = read_mcap(to_mcap(one, SCENE, short, pictures=Compute()))
     (unit,) = one.units
     ((_, calibration),) = found[f"/calibration/{unit.id}"]
+
     assert calibration.width == 640
+
     small = replace(unit.sensor, width_px=640, height_px=calibration.height)
     backdrop = build_backdrop(SCENE, few.obstruction)
     images = found[f"/image/{unit.id}"]
+
     assert [time_s for time_s, _ in images] == pytest.approx([0.0, 0.1])
+
     for frame, (_, image) in enumerate(images):
         assert image.frame_id == unit.id
         assert image.format == "jpeg"
+
         shown = np.asarray(Image.open(BytesIO(image.data)), dtype=float)
         weather = pick_weather(few.weather, "weather")
         drawn = draw_picture(
@@ -235,6 +263,5 @@ def test_pictures_are_what_a_reduced_camera_draws(watched):
 
 def test_pictures_of_other_formats_are_refused(run):
     asked = "export --format cpm --layout carlancap-12 --run CPNC-50/east/40"
-    code, _, err = run(asked, "--pictures")
-    assert code == 2
-    assert "--pictures: got it; expected none: cpm has no such option" in err
+    line = refusal(run(asked, "--pictures"))
+    assert "--pictures: got it; expected none: cpm has no such option" in line

@@ -26,12 +26,14 @@ def scene():
 
 
 def written(tmp_path: Path, scene) -> Path:
+    """The study's roads and cameras, as a file."""
     path = tmp_path / "roads.xodr"
-    path.write_text(to_opendrive(load_carlancap_layout(), scene), encoding="utf-8")
+    path.write_text(to_opendrive(load_carlancap_layout(), scene))
     return path
 
 
 def driving(lanes) -> list[np.ndarray]:
+    """Centrelines of lanes for driving."""
     return [
         np.asarray(lane.centreline_m)[:, :2] for lane in lanes if lane.kind == "driving"
     ]
@@ -63,8 +65,10 @@ def test_lanes_are_read_back_where_they_are(tmp_path, scene):
     source = read_map(written(tmp_path, scene))
     ours = driving(scene.lanes)
     theirs = driving(source.lanes)
+
     assert len(ours) == len(theirs)
     assert max(off_m(line, theirs) for line in ours) < 0.01
+
     (one,) = survey_junctions(source)
     assert set(one.arms) == set(build_junction(scene).arms)
 
@@ -76,6 +80,7 @@ def test_ways_of_the_map_are_read_back_and_none_is_assumed(tmp_path, scene):
     again = read_map(written(tmp_path, some))
     ways = [lane.centreline_m for lane in some.lanes if lane.kind == CONNECTING]
     read = [lane.centreline_m[:, :2] for lane in again.connections]
+
     assert len(read) == len(ways) == 5
     assert max(off_m(line, read) for line in ways) < 0.05
 
@@ -90,7 +95,9 @@ def test_a_mirrored_scene_keeps_left(tmp_path, scene):
         scene, lanes=lanes, outline_m=scene.outline_m * flip, keeps_left=True
     )
     source = read_map(written(tmp_path, turned))
+
     assert source.keeps_left
+
     theirs = driving(source.lanes)
     assert max(off_m(line, theirs) for line in driving(turned.lanes)) < 0.01
 
@@ -126,6 +133,7 @@ def test_a_lane_that_widens_has_no_step(tmp_path, scene):
     )
     text = to_opendrive(load_carlancap_layout(), replace(scene, lanes=lanes))
     ways = re.findall(r'<width sOffset="0.0" a="([\d.]+)" b="(-?[\d.e-]+)"', text)
+
     assert any(float(a) == 5.0 and float(b) < 0.0 for a, b in ways) or any(
         float(b) > 0.0 for _, b in ways
     )
@@ -139,10 +147,18 @@ def test_a_single_straight_lane_is_a_road(tmp_path):
         centreline_m=np.array([[-50.0, 0], [-9, 0]]),
     )
     scene = load_study_scene()
-    square = np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]])
+    square = np.array(
+        [
+            [-9.0, -9.0],
+            [9.0, -9.0],
+            [9.0, 9.0],
+            [-9.0, 9.0],
+        ]
+    )
     text = to_opendrive(
         load_carlancap_layout(), replace(scene, lanes=(lane,), outline_m=square)
     )
+
     assert text.count("<road ") == 1
     assert 'length="41.0"' in text
 
@@ -158,6 +174,7 @@ def test_netconvert_accepts_it(tmp_path, scene):
         text=True,
         check=False,
     )
+
     assert done.returncode == 0, done.stderr
     assert "Error" not in done.stderr
     assert (tmp_path / "net.xml").read_text().count("<connection ") > 0

@@ -1,9 +1,11 @@
+"""Runs as OpenSCENARIO, read back by the library and against the schema."""
+
 import importlib.metadata
 import importlib.util
 import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -58,37 +60,24 @@ def some_runs():
     """By case and weather: one run each, from the first approach that carries the
     case.
     """
+    lay = partial(
+        build_runs, load_study_scene(), vut=load_actors()["vut"], rule=load_aeb_rule()
+    )
     cases = [
         replace(load_cases()[name], vut_speeds_kmh=(speed_kmh,))
         for name, speed_kmh in CASES.items()
     ]
-    new = [
-        (
-            replace(load_cases()[name], vut_speeds_kmh=(pair[0],), pairs_kmh=(pair,))
-            if load_cases()[name].pairs_kmh
-            else replace(load_cases()[name], vut_speeds_kmh=(pair[0],))
-        )
-        for name, pair in JUNCTION_2026.items()
-    ]
-    newer, _ = build_runs(
-        load_study_scene(), new, vut=load_actors()["vut"], rule=load_aeb_rule()
-    )
-    runs, _ = build_runs(
-        load_study_scene(),
-        cases,
-        vut=load_actors()["vut"],
-        rule=load_aeb_rule(),
-        weathers=WEATHERS,
-    )
-    met, _ = build_runs(
-        load_study_scene(),
-        select_cases(str(MET_CASES)).cases,
-        vut=load_actors()["vut"],
-        rule=load_aeb_rule(),
-    )
-    return {
-        (run.case.name, run.weather): run for run in reversed([*runs, *met, *newer])
-    }
+    newer = []
+    for name, pair in JUNCTION_2026.items():
+        case = replace(load_cases()[name], vut_speeds_kmh=pair[:1])
+        if case.pairs_kmh:
+            case = replace(case, pairs_kmh=(pair,))
+        newer.append(case)
+    met = select_cases(str(MET_CASES)).cases
+
+    runs, _ = lay(cases, weathers=WEATHERS)
+    others, _ = lay([*met, *newer])
+    return {(run.case.name, run.weather): run for run in reversed([*runs, *others])}
 
 
 @pytest.fixture(scope="module")
@@ -145,18 +134,26 @@ def middles_m(track, ahead_m):
     )
 
 
+def initial(root, entity):
+    """What a body does at first."""
+    return next(one for one in root.iter("Private") if one.get("entityRef") == entity)
+
+
 def init_position(root, entity):
-    private = next(p for p in root.iter("Private") if p.get("entityRef") == entity)
+    """Where a body begins: east, north, up, yaw. [m, rad]"""
+    private = initial(root, entity)
     place = private.find("PrivateAction/TeleportAction/Position/WorldPosition")
     return np.array([float(place.get(key)) for key in ("x", "y", "z", "h")])
 
 
 def init_speed_mps(root, entity):
-    private = next(p for p in root.iter("Private") if p.get("entityRef") == entity)
+    """How fast a body begins."""
+    private = initial(root, entity)
     return float(next(private.iter("AbsoluteTargetSpeed")).get("value"))
 
 
 def box_of(root, entity):
+    """Element and bounding box of a body."""
     body = next(o for o in root.iter("ScenarioObject") if o.get("name") == entity)[0]
     center = body.find("BoundingBox/Center")
     size = body.find("BoundingBox/Dimensions")
@@ -167,6 +164,7 @@ def box_of(root, entity):
 
 @pytest.fixture(scope="module")
 def schema():
+    """The standard's schema, as the library brings it."""
     import xmlschema
 
     (path,) = (
@@ -202,6 +200,7 @@ def test_trajectories_read_back_are_the_frames_to_a_millimetre(
     run = some_runs[case, "day"]
     tracks = read_trajectories(written(case))
     assert set(tracks) == {"vut", "vru"}
+
     ahead_m = {
         "vut": rear_axle_m(run.encounter.vut),
         "vru": rear_axle_m(run.encounter.vru) if is_vehicle(run.encounter.vru) else 0.0,
@@ -214,10 +213,12 @@ def test_trajectories_read_back_are_the_frames_to_a_millimetre(
         times_s = tracks[name][:, 0] + run.time_s[0]
         is_frame = np.abs(times_s[:, None] - run.time_s).min(axis=1) < 1e-6
         track = tracks[name][is_frame]
+
         assert_allclose(track[:, 0], run.time_s - run.time_s[0], rtol=0.0, atol=1e-6)
         assert_allclose(
             middles_m(track, ahead_m[name]), position_m, rtol=0.0, atol=1e-3
         )
+
         turned_deg = (track[:, 3] - yaw_deg + 180.0) % 360.0 - 180.0
         assert_allclose(turned_deg, 0.0, atol=1e-3)
         assert (np.abs(np.diff(track[:, 3])) < 90.0).all()
@@ -247,9 +248,11 @@ def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, written
         x_m, y_m, z_m, yaw_rad = init_position(root, name)
         np.testing.assert_array_equal([x_m, y_m, z_m], [*tracks[name][0, 1:3], 0.0])
         assert np.degrees(yaw_rad) == pytest.approx(tracks[name][0, 3])
+
         step_s = np.array([0.0, 1.0e-4])
         slope_mps = np.diff(motion.distance_m(run.time_s[0] + step_s))[0] / 1.0e-4
         assert init_speed_mps(root, name) == pytest.approx(slope_mps, abs=2e-3)
+
     assert {init_speed_mps(root, "vut")} <= {0.0, round(run.vut_speed_kmh / 3.6, 3)}
 
 
@@ -264,7 +267,9 @@ def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(
         f"obstruction-{index}": placed.actor
         for index, placed in enumerate(run.obstruction, 1)
     }
+
     assert [o.get("name") for o in root.iter("ScenarioObject")] == list(bodies)
+
     for name, actor in bodies.items():
         body, box = box_of(root, name)
         if is_vehicle(actor):
@@ -281,15 +286,18 @@ def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(
                 "height": actor.height_m,
             }
         )
+
         if is_vehicle(actor):
             front = body.find("Axles/FrontAxle")
             rear = body.find("Axles/RearAxle")
             assert float(rear.get("positionX")) == 0.0
+
             inside_m = [
                 middle_m - actor.length_m / 2.0,
                 middle_m + actor.length_m / 2.0,
             ]
             radius_m = float(front.get("wheelDiameter")) / 2.0
+
             assert inside_m[0] <= -radius_m + 1e-9
             assert float(front.get("positionX")) + radius_m <= inside_m[1] + 1e-9
             assert float(front.get("positionZ")) == pytest.approx(radius_m)
@@ -306,8 +314,10 @@ def test_parked_bodies_stand_where_the_run_has_them(some_runs, written):
             _, box = box_of(root, f"obstruction-{index}")
             track = np.array([[0.0, x_m, y_m, np.degrees(yaw_rad)]])
             (middle_m,) = middles_m(track, -box["x"])
+
             assert_allclose(middle_m, placed.pose.position_m[:2], atol=1e-3, rtol=0.0)
             assert np.degrees(yaw_rad) == pytest.approx(placed.pose.yaw_deg, abs=1e-3)
+
             n_seen += 1
     assert n_seen >= 8
 
@@ -328,8 +338,10 @@ def test_road_users_have_the_standards_kinds_and_riders_are_named(
 ):
     root = ET.fromstring(written(case))
     body, _ = box_of(root, "vru")
+
     assert body.tag == element
     assert body.get(f"{element.lower()}Category") == category
+
     notes = [p.get("value") for p in body.iter("Property") if p.get("name") == "note"]
     assert any("rider" in note for note in notes) == (
         category in ("bicycle", "motorbike")
@@ -356,6 +368,7 @@ def test_a_wall_is_an_object_that_is_no_vehicle(some_runs):
         to_openscenario(replace(run, obstruction=(placed,)), road_network="Town05.xodr")
     )
     body, box = box_of(root, "obstruction-1")
+
     assert body.tag == "MiscObject"
     assert box["x"] == 0.0
     assert box["z"] == 1.1
@@ -405,6 +418,7 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
     run = some_runs["CPNCO-50", "night"]
     root = ET.fromstring(to_openscenario(run, road_network="maps/Town05.xodr"))
     assert root.find("RoadNetwork/LogicFile").get("filepath") == "maps/Town05.xodr"
+
     header = root.find("FileHeader")
     assert header.get("revMajor") == "1"
     assert header.get("revMinor") == "3"
@@ -419,6 +433,7 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
         "vru_speed_kmh": "5",
         "is_avoidable_by_braking": "true",
     }
+
     times_s = {
         p.get("name"): float(p.get("value")) for p in root.iter("ParameterDeclaration")
     }
@@ -429,8 +444,10 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
         },
         abs=1e-6,
     )
+
     stop = root.find("Storyboard/StopTrigger")
     (condition,) = stop.iter("SimulationTimeCondition")
+
     assert condition.get("rule") == "greaterThan"
     assert float(condition.get("value")) == times_s["impact_time_s"]
 
@@ -442,6 +459,7 @@ def test_a_run_that_no_braking_avoids_has_no_last_brake_time(some_runs):
     assert [p.get("name") for p in root.iter("ParameterDeclaration")] == [
         "impact_time_s"
     ]
+
     (avoidable,) = (
         p.get("value")
         for p in root.iter("Property")
@@ -466,6 +484,7 @@ def test_the_same_run_gives_the_same_text_whatever_the_library_wrote_before(
     values = [
         value for part in ET.fromstring(first).iter() for value in part.attrib.values()
     ]
+
     assert "-0.0" not in values
 
 
@@ -477,6 +496,7 @@ def test_headings_do_not_jump_by_a_full_turn(some_runs, written):
     again = to_openscenario(
         replace(run, vut_yaw_deg=yaw_deg), road_network="Town05.xodr"
     )
+
     assert again == written("CPTAfs-50")
 
 
@@ -489,6 +509,7 @@ def test_words_of_a_case_are_escaped(some_runs):
             replace(run, case=replace(run.case, title=title)), road_network="a & b.xodr"
         )
     )
+
     assert root.find("FileHeader").get("description") == f"{run.id}: {title}"
     assert root.find("RoadNetwork/LogicFile").get("filepath") == "a & b.xodr"
 
@@ -521,6 +542,7 @@ def test_a_file_that_the_schema_rejects_is_named_with_place_and_reason(
 ):
     text = written("CPNA-25")
     validate_openscenario(text)
+
     with pytest.raises(InputError) as caught:
         validate_openscenario(break_it(text))
     assert where in caught.value.where
@@ -537,6 +559,7 @@ def test_what_cannot_be_exported_is_refused(some_runs):
         InputError, match="weather: got 'hail'; expected one of day, fog, night, rain"
     ):
         to_openscenario(replace(run, weather="hail"), road_network="Town05.xodr")
+
     for changes, reason in (
         ({"wheelbase_m": 0.0}, "actor vut.wheelbase_m: got 0.0; expected > 0 metres"),
         (

@@ -33,12 +33,14 @@ def views():
 def test_a_view_is_ahead_of_its_camera_within_the_field_of_view(views):
     for unit, view in zip(TWO.units, views[:-1], strict=True):
         assert view.unit == unit.id
+
         ways = shapely.get_coordinates(view.area) - unit.pose.position_m[:2]
         off_deg = np.degrees(np.arctan2(ways[:, 1], ways[:, 0])) - unit.pose.yaw_deg
         off_deg = (off_deg + 180.0) % 360.0 - 180.0
         # Tilted down, a camera sees farther to the sides below itself; corners stick
         # out of cells.
         far = np.linalg.norm(ways, axis=1) > 25.0
+
         assert np.abs(off_deg[far]).max() < 0.5 * unit.sensor.horizontal_fov_deg + 12.0
         assert view.area.area > 100.0
         assert shapely.is_valid(view.area)
@@ -50,6 +52,7 @@ def test_what_no_camera_sees_is_road_outside_of_all_views(views):
     assert unseen.area.area > 0.0
     for view in views[:-1]:
         assert unseen.area.intersection(view.area).area == pytest.approx(0.0, abs=1e-6)
+
     nobody = find_views(
         replace(TWO, units=level_layout(0.0, kind="lidar").units), SCENE
     )
@@ -67,10 +70,12 @@ def test_other_programs_read_the_same_areas(name, views, tmp_path):
     else:
         table = gpd.read_file(path)
     areas = table[table.geom_type.isin(["Polygon", "MultiPolygon"])].to_crs(SCENE.crs)
+
     assert len(areas) == len(views)
     assert_allclose(
         areas.area, [view.area.area for view in views], rtol=1e-5, atol=1e-3
     )
+
     names = areas["Name" if name == "kml" else "id"].tolist()
     assert names == [*(f"view of {unit.id}" for unit in TWO.units), UNSEEN]
     assert sum(table.geom_type == "Point") == (0 if name == "gpkg" else len(TWO.units))
@@ -80,6 +85,7 @@ ezdxf = pytest.importorskip("ezdxf", reason="the extra dxf is not installed")
 
 
 def rings_of(space, layer):
+    """Polygons of the closed lines on a layer."""
     lines = space.query(f'LWPOLYLINE[layer=="{layer}"]')
     return [
         shapely.Polygon([point[:2] for point in line]) for line in lines if line.closed
@@ -90,12 +96,16 @@ def test_a_drawing_has_poles_units_and_views_on_their_layers(views):
     drawing = ezdxf.read(io.StringIO(to_dxf(TWO, SCENE)))
     assert drawing.audit().errors == []
     assert drawing.units == 6  # metres
+
     space = drawing.modelspace()
     poles = space.query('CIRCLE[layer=="POLES"]')
     feet = np.array([list(pole.dxf.center)[:2] for pole in poles])
+
     assert_allclose(feet, [site.position_m[:2] for site in SCENE.sites], atol=1e-9)
+
     for unit, arrow in zip(TWO.units, space.query('LINE[layer=="UNITS"]'), strict=True):
         assert_allclose(list(arrow.dxf.start), unit.pose.position_m, atol=1e-9)
+
         way = np.array(arrow.dxf.end) - np.array(arrow.dxf.start)
         yaw_deg = np.degrees(np.arctan2(way[1], way[0]))
         assert (yaw_deg - unit.pose.yaw_deg + 180.0) % 360.0 - 180.0 == pytest.approx(
@@ -118,15 +128,20 @@ def test_a_drawing_has_junction_kerbs_and_buildings_as_closed_lines_and_a_legend
     drawing = ezdxf.read(io.StringIO(to_dxf(TWO, SCENE)))
     space = drawing.modelspace()
     (junction,) = rings_of(space, "JUNCTION")
+
     assert junction.area == pytest.approx(shapely.Polygon(SCENE.outline_m).area)
+
     # One ring around all lanes: no line between two that touch.
     (road,) = rings_of(space, "KERBS")
     assert road.area == pytest.approx(road_area(SCENE).area, rel=2e-3)
+
     buildings = rings_of(space, "BUILDING")
     kinds = [thing.class_name for thing in SCENE.instances]
     assert len(buildings) == kinds.count("building") == 4
+
     texts = [text.dxf.text for text in space.query('TEXT[layer=="LEGEND"]')]
     drawn = {entity.dxf.layer.partition("-")[0] for entity in space}
+
     assert drawn <= {text.partition(":")[0] for text in texts}
     assert texts[0].startswith("Coordinates: +proj=tmerc")
 
@@ -166,5 +181,6 @@ def test_a_drawing_is_in_the_maps_own_metres(scene):
     records = [json.loads(load_format("json").write(layout, scene))["layout"]]
     (record,) = records[0]
     length_m = np.linalg.norm(np.array(arrow.dxf.end) - np.array(arrow.dxf.start))
+
     assert length_m == pytest.approx(4.0, rel=2e-3)  # a map's scale
     assert arrow.dxf.start[2] == record["z_m"]

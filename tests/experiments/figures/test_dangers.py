@@ -17,10 +17,12 @@ def layout():
 
 
 def marks(axes, name):
+    """Artists of a name."""
     return [artist for artist in axes.get_children() if artist.get_gid() == name]
 
 
 def impacts(*points):
+    """Runs that end at some places."""
     runs = [
         SimpleNamespace(vru_position_m=np.array([[9.0, 9.0], point]))
         for point in points
@@ -31,6 +33,7 @@ def impacts(*points):
 def test_impacts_within_six_metres_are_one_place():
     setting = impacts((0.0, 0.0), (20.0, 0.0), (3.0, 4.0), (20.0, 6.1))
     places = find_places(setting)
+
     assert [place.runs.tolist() for place in places] == [[0, 2], [1], [3]]
     assert places[0].position_m.tolist() == [1.5, 2.0]
     assert [place.runs.tolist() for place in find_places(impacts((1.0, 2.0)))] == [[0]]
@@ -40,6 +43,7 @@ def test_every_run_is_at_one_place_and_none_is_wide(small_setting):
     places = find_places(small_setting)
     rows = np.concatenate([place.runs for place in places])
     assert sorted(rows.tolist()) == list(range(small_setting.axis.n_runs))
+
     for place in places:
         points = [small_setting.runs[run].vru_position_m[-1] for run in place.runs]
         assert max(np.hypot(*(a - b)) for a in points for b in points) <= 6.0
@@ -62,9 +66,11 @@ def test_each_place_shows_its_share_by_weight_the_darker_the_more_is_left(
         share = axis.weight[several.runs[0]] / axis.weight[several.runs].sum()
         expected.add(f"{round(100.0 * share)}")
     axes = plot_dangers(setting, layout, is_avoided)
+
     assert len(marks(axes, "place")) == len(places)
     assert {text.get_text() for text in marks(axes, "share")} == expected
     assert len(marks(axes, "share")) == len(places) - 1
+
     colours = {tuple(mark.get_markerfacecolor()) for mark in marks(axes, "place")}
     assert {SHADES(0.0), SHADES(1.0)} <= colours
     assert len(marks(axes, "unit")) == 2
@@ -82,6 +88,7 @@ def test_places_that_do_not_count_are_left_out_and_a_narrow_figure_is_drawn(
     axes = plot_dangers(
         replace(small_setting, axis=axis), layout, none, width_in=NARROW_IN
     )
+
     assert len(marks(axes, "place")) == len(places) - 1
     assert root_figure(axes).get_figwidth() == NARROW_IN
     assert to_png(axes).startswith(b"\x89PNG")
@@ -91,7 +98,11 @@ def test_what_is_not_quite_none_or_all_is_not_shown_as_it(small_setting, layout)
     place = find_places(impacts(*[(0.0, 0.0)] * 1000))[0]
     axis = SimpleNamespace(weight=np.full(1000, 1e-3), n_runs=1000)
     setting = SimpleNamespace(scene=small_setting.scene, axis=axis)
-    for n_avoided, text in ((0, "0"), (1, "1"), (999, "99")):
+    for n_avoided, text in (
+        (0, "0"),
+        (1, "1"),
+        (999, "99"),
+    ):
         axes = plot_dangers(
             setting, layout, np.arange(1000) < n_avoided, places=[place]
         )

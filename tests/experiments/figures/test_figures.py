@@ -1,22 +1,22 @@
+"""Heatmaps of evaluations: cells, marks, words; and names that can be drawn."""
+
 from dataclasses import replace
 
 import matplotlib
 import numpy as np
 import pytest
+from made_verdicts import made_evaluation
 from matplotlib.axes import Axes
 
 from experiments.figures.axes import describe_run, to_png, unit_labels
 from experiments.figures.evaluation import plot_heatmaps
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
-from placement.evaluation import Evaluation, Verdict
-from placement.layout import Layout
+from placement.evaluation import Verdict
 
 matplotlib.use("agg")
 RED = "#CC0000"
 
 
-def build_evaluation(axis, camera, *, name="mine", ids=("RSU0", "RSU1"), seed=3):
+def build_evaluation(axis, *, name="mine", ids=("RSU0", "RSU1"), seed=0):
     """Random detections and verdicts that need not belong together."""
     rng = np.random.default_rng(seed)
 
@@ -29,24 +29,20 @@ def build_evaluation(axis, camera, *, name="mine", ids=("RSU0", "RSU1"), seed=3)
             is_avoided=rng.random(axis.n_runs) < 0.5,
         )
 
-    pose = Pose(position_m=[1.0, 2.0, 7.0], yaw_deg=30.0, pitch_deg=-20.0)
-    units = tuple(
-        CandidatePose(id=unit_id, site_id="s", pose=pose, sensor=camera)
-        for unit_id in ids
-    )
-    return Evaluation(
-        layout=Layout(name=name, units=units),
-        axis=axis,
+    made = made_evaluation(
+        axis,
+        verdict(),
+        name=name,
+        ids=ids,
         vut=verdict(),
-        units={unit_id: verdict() for unit_id in ids},
-        rsu_all=verdict(),
         vut_and_rsus=verdict(),
     )
+    return replace(made, units={unit_id: verdict() for unit_id in ids})
 
 
 @pytest.fixture
-def evaluation(frame_axis, camera):
-    return build_evaluation(frame_axis, camera)
+def evaluation(frame_axis):
+    return build_evaluation(frame_axis)
 
 
 def texts(figure):
@@ -62,6 +58,7 @@ def test_heatmap_cells_are_the_detections(evaluation):
         np.testing.assert_array_equal(
             np.asarray(image.get_array()), [row.detected[frames] for row in rows]
         )
+
         labels = [label.get_text() for label in axes.get_yticklabels()]
         assert labels == ["VUT", "RSU0", "RSU1", "all RSUs"]
 
@@ -72,6 +69,7 @@ def test_heatmap_cells_are_centred_on_their_frames(evaluation):
         times = evaluation.axis.time_s[evaluation.axis.frames_of(run_index)]
         left, right, bottom, top = axes.get_images()[0].get_extent()
         edges = np.linspace(left, right, len(times) + 1)
+
         np.testing.assert_allclose(0.5 * (edges[1:] + edges[:-1]), times, atol=1e-12)
         assert bottom == 3.5
         assert top == -0.5
@@ -83,6 +81,7 @@ def test_heatmap_draws_the_last_brake_time_as_a_dashed_red_line(evaluation):
         (line,) = [
             line for line in axes.get_lines() if line.get_gid() == "last brake time"
         ]
+
         assert list(line.get_xdata()) == [last_brake_s] * 2
         assert line.get_color() == RED
         assert line.is_dashed()
@@ -103,6 +102,7 @@ def test_heatmap_marks_confirmations_and_names_outcomes(evaluation):
         rows = [evaluation.vut, *evaluation.units.values(), evaluation.rsu_all]
         times = [row.confirmation_time_s[run_index] for row in rows]
         assert list(marks.get_xdata()) == times
+
         (outcomes,) = axes.child_axes
         for label, row, time_s in zip(
             outcomes.get_yticklabels(), rows, times, strict=True
@@ -129,6 +129,7 @@ def test_a_heatmap_names_tracks_that_were_lost_again(evaluation):
         replace(evaluation, rsu_all=replace(late, onset_time_s=onset)), [run_index]
     )[0]
     (outcomes,) = axes.child_axes
+
     assert outcomes.get_yticklabels()[-1].get_text() == "lost again"
 
 
@@ -148,19 +149,20 @@ def test_figures_leave_no_trace_in_pyplot(evaluation):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["$x^{", "_hidden", "雪", "a\\b", "%s {}"])
-def test_any_name_can_be_drawn(frame_axis, camera, name):
-    evaluation = build_evaluation(frame_axis, camera, name=name, ids=(name, f"{name}2"))
+def test_any_name_can_be_drawn(frame_axis, name):
+    evaluation = build_evaluation(frame_axis, name=name, ids=(name, f"{name}2"))
     assert to_png(plot_heatmaps(evaluation, [0])[0]).startswith(b"\x89PNG")
 
 
-def test_unit_labels_are_ids_only_where_all_are_short(frame_axis, camera):
-    short = build_evaluation(frame_axis, camera).layout
+def test_unit_labels_are_ids_only_where_all_are_short(frame_axis):
+    short = build_evaluation(frame_axis).layout
     assert unit_labels(short) == {"RSU0": "RSU0", "RSU1": "RSU1"}
-    long = build_evaluation(frame_axis, camera, ids=("RSU0", "corner-ne/7m/45")).layout
+
+    long = build_evaluation(frame_axis, ids=("RSU0", "corner-ne/7m/45")).layout
     assert unit_labels(long) == {"RSU0": "#1", "corner-ne/7m/45": "#2"}
 
 
-def test_a_run_in_words_names_its_weather_unless_it_is_day(frame_axis, camera):
+def test_a_run_in_words_names_its_weather_unless_it_is_day(frame_axis):
     axis = replace(frame_axis, weathers=("day", "night", "rain"))
     words = [describe_run(axis, index) for index in range(3)]
     place = [
@@ -169,6 +171,8 @@ def test_a_run_in_words_names_its_weather_unless_it_is_day(frame_axis, camera):
             axis.cases, axis.approaches, axis.vut_speed_kmh, strict=True
         )
     ]
+
     assert words == [place[0], f"{place[1]}, night", f"{place[2]}, rain"]
-    drawn = texts(plot_heatmaps(build_evaluation(axis, camera), [1])[0])
+
+    drawn = texts(plot_heatmaps(build_evaluation(axis), [1])[0])
     assert any(text.startswith(f"{words[1]}: ") for text in drawn)

@@ -1,3 +1,5 @@
+"""Pictures of a run over time, and films of them."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +15,7 @@ from placement.setting import drive_one
 
 
 def run_of(case, approach="east", speeds="40"):
+    """A run of a case."""
     return drive_one(
         Question(cases=case, approaches=approach, speeds=speeds), load_study_scene()
     )
@@ -20,6 +23,7 @@ def run_of(case, approach="east", speeds="40"):
 
 @pytest.fixture(scope="module")
 def child():
+    """A child behind parked cars."""
     return run_of("CPNCO-50")
 
 
@@ -30,6 +34,7 @@ def strip(child):
 
 
 def captions(panels):
+    """Titles of panels."""
     return [axes.get_title() for axes in panels]
 
 
@@ -37,6 +42,7 @@ def captions(panels):
 def test_a_strip_leads_over_the_last_useful_frame_to_the_impact(child, strip):
     titles = captions(strip)
     assert len(titles) == 6
+
     last = child.time_s[child.time_s <= child.last_brake_time_s].max()
     assert titles[3].startswith(f"\N{MINUS SIGN}{-last:.1f} s: ")
     assert titles[5].startswith("impact: ")
@@ -46,6 +52,7 @@ def test_a_strip_leads_over_the_last_useful_frame_to_the_impact(child, strip):
 def test_the_parked_cars_hide_the_child_until_late(strip):
     titles = captions(strip)
     shares = [int(title.split(": ")[1].split()[0]) for title in titles]
+
     assert shares[0] == 0
     # At the impact the child is too near to fit into the image.
     assert shares[:-1] == sorted(shares[:-1])
@@ -68,6 +75,7 @@ def test_bodies_stand_where_the_run_has_them(child, strip):
             if hasattr(patch, "get_xy") and len(np.atleast_2d(patch.get_xy())) == 5
         ]
     )
+
     for position in (child.vut_position_m[-1], child.vru_position_m[-1]):
         assert np.hypot(*(middles - position).T).min() == pytest.approx(0.0, abs=1e-9)
     assert vut.length_m > 4.0
@@ -76,10 +84,10 @@ def test_bodies_stand_where_the_run_has_them(child, strip):
 @pytest.mark.long
 def test_a_still_is_written_in_the_form_that_the_name_asks_for(child, tmp_path):
     path = tmp_path / "film.png"
-    own = replace(
-        child, case=replace(child.case, name="雪")
-    )  # not in the font: as in to_png
+    # Not in the font: as in to_png.
+    own = replace(child, case=replace(child.case, name="雪"))
     save_film(path, load_study_scene(), own)
+
     assert path.read_bytes().startswith(b"\x89PNG")
     assert list(tmp_path.iterdir()) == [path]
 
@@ -103,6 +111,7 @@ def test_an_animation_has_a_picture_per_frame_and_tells_its_progress(
     shown = run.time_s >= max(
         run.encounter.vru_motion.start_time_s, run.last_brake_time_s - 0.1
     )
+
     assert n_frames == len(told) == shown.sum()
     assert milliseconds == 100
 

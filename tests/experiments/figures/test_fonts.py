@@ -11,9 +11,13 @@ from ...support.osm_text import OsmText
 
 
 def crossing(name, tmp_path):
+    """A crossing of two streets of one name."""
     osm = OsmText()
     middle = osm.node(0.0, 0.0, highway="traffic_signals")
-    for ends in (((-150.0, 0.0), (150.0, 0.0)), ((0.0, -150.0), (0.0, 150.0))):
+    for ends in (
+        ((-150.0, 0.0), (150.0, 0.0)),
+        ((0.0, -150.0), (0.0, 150.0)),
+    ):
         before, after = (osm.node(*end) for end in ends)
         tags = {"highway": "primary", "lanes": "2", "name": name}
         osm.way([before, middle, after], tags)
@@ -44,7 +48,9 @@ def test_a_street_that_cannot_be_drawn_is_named_by_its_arm(tmp_path, monkeypatch
     scene = crossing("Mühlenstraße", tmp_path)
     middle = scene.outline_m.mean(axis=0)
     drawn = {label.text for label in arm_names(scene, middle, 60.0)}
+
     assert "Mühlenstraße (north)" in drawn
+
     monkeypatch.setattr(fonts, "families_for", lambda text: None)
     drawn = {label.text for label in arm_names(scene, middle, 60.0)}
     assert drawn == {"north arm", "east arm", "south arm", "west arm"}

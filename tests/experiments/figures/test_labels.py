@@ -22,8 +22,10 @@ def test_labels_of_one_place_are_put_apart_and_inside():
         axes, [*labels, TextLabel(text="at the edge of it", point_m=(44.5, 44.5))]
     )
     found = boxes(axes)
+
     assert len(found) == 13
     assert not any(one.overlaps(other) for one, other in combinations(found, 2))
+
     frame = axes.get_window_extent()
     assert all(frame.x0 <= box.x0 and box.x1 <= frame.x1 for box in found)
 
@@ -36,7 +38,9 @@ def test_what_has_no_room_is_left_out_unless_it_is_kept():
     ]
     draw_labels(axes, [*many, TextLabel(text="kept" * 3, point_m=(0.0, 0.0))])
     texts = [text.get_text() for text in axes.texts]
+
     assert texts[-1] == "kept" * 3
     assert 1 < len(texts) < 40
+
     draw_labels(axes, [TextLabel(text="beyond", point_m=(99.0, 0.0))])
     assert "beyond" not in [text.get_text() for text in axes.texts]

@@ -1,3 +1,5 @@
+"""The plan of a junction with units, and what of the ground they see."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -5,16 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.path import Path
+from matplotlib.text import Text
+from tiny_worlds import unit_at
 
 from experiments.figures.axes import GREY, to_png
 from experiments.figures.outlines import ground_footprint
 from experiments.figures.plan import plot_plan
 from geometry.catalogue import load_cameras
 from geometry.notes import Note
-from geometry.poses import Pose
 from geometry.sensors import project_points
 from geometry.study_scene import load_study_scene
-from placement.candidates import CandidatePose
 from placement.layout import Layout, load_carlancap_layout
 from placement.question import Question
 from placement.setting import build_setting
@@ -22,8 +24,19 @@ from placement.setting import build_setting
 CAMERA = load_cameras()["carla-ncap-rgb"]
 
 
+def lines_of(axes):
+    """Lines of a figure by their names."""
+    return {line.get_gid(): line for line in axes.get_lines()}
+
+
+def texts_of(shown):
+    """Texts of a figure or of a legend."""
+    return [text.get_text() for text in shown.findobj(Text)]
+
+
 @pytest.fixture(scope="module")
 def setting():
+    """The study's cases at its junction."""
     return build_setting(
         Question(cases="CPNC-50,CBNA,CBLA", along_arms="0"), load_study_scene()
     )
@@ -40,8 +53,7 @@ def is_inside(points_m, corners_m):
     normals = (
         np.stack([-edges[:, 1], edges[:, 0]], axis=1) / lengths[lengths > 1e-9, None]
     )
-    depth = ((points_m[:, None] - starts) * normals).sum(axis=2).min(axis=1)
-    return depth
+    return ((points_m[:, None] - starts) * normals).sum(axis=2).min(axis=1)
 
 
 @given(
@@ -53,15 +65,14 @@ def is_inside(points_m, corners_m):
 def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
     yaw_deg, pitch_deg, height_m, max_range_m
 ):
-    pose = Pose(position_m=[3.0, -4.0, height_m], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    unit = CandidatePose(id="u", site_id="", pose=pose, sensor=CAMERA)
+    place_m = [3.0, -4.0, height_m]
+    unit = unit_at("u", place_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
     corners = ground_footprint(unit, max_range_m=max_range_m)
     rng = np.random.default_rng(0)
-    points = pose.position_m[:2] + rng.uniform(-1.1, 1.1, (400, 2)) * max_range_m
-    column, row, depth = project_points(
-        np.column_stack([points, np.zeros(400)]), pose, CAMERA
-    ).T
-    range_m = np.hypot(*(points - pose.position_m[:2]).T)
+    points = place_m[:2] + rng.uniform(-1.1, 1.1, (400, 2)) * max_range_m
+    ground = np.column_stack([points, np.zeros(400)])
+    column, row, depth = project_points(ground, unit.pose, CAMERA).T
+    range_m = np.hypot(*(points - place_m[:2]).T)
     seen = (
         (depth > 0.0)
         & (column >= 0.0)
@@ -76,12 +87,12 @@ def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
     inside = is_inside(points, corners)
     # The disc is a polygon of 180 corners: 0.02 % too small at most.
     clear = np.abs(inside) > 1e-3 * max_range_m
+
     np.testing.assert_array_equal(inside[clear] > 0.0, seen[clear])
 
 
 def test_footprint_is_empty_above_the_horizon():
-    pose = Pose(position_m=[0.0, 0.0, 7.0], yaw_deg=0.0, pitch_deg=80.0)
-    unit = CandidatePose(id="u", site_id="", pose=pose, sensor=CAMERA)
+    unit = unit_at("u", pitch_deg=80.0)
     assert ground_footprint(unit, max_range_m=50.0).shape == (0, 2)
 
 
@@ -89,8 +100,9 @@ def test_footprint_is_empty_above_the_horizon():
 def test_plan_marks_every_unit_at_its_position(setting):
     layout = load_carlancap_layout()
     axes = plot_plan(setting, layout)
-    marks = {line.get_gid(): line for line in axes.get_lines()}
+    marks = lines_of(axes)
     names = {text.get_text(): text for text in axes.texts}
+
     for unit in layout.units:
         np.testing.assert_array_equal(
             np.ravel(marks[f"unit:{unit.id}"].get_data()), unit.pose.position_m[:2]
@@ -107,8 +119,10 @@ def test_plan_draws_other_layouts_but_labels_only_its_own(setting):
         for line in axes.get_lines()
         if line.get_markerfacecolor() == "white" and isinstance(line.get_marker(), Path)
     ]
+
     assert len(open_marks) == 12
-    assert not {"RSU2", "RSU11"} & {text.get_text() for text in axes.texts}
+    assert not {"RSU2", "RSU11"} & set(texts_of(axes))
+
     legend = axes.get_legend()
     assert "the study's 12 cameras (carlancap-12): camera" in [
         text.get_text() for text in legend.get_texts()
@@ -118,21 +132,27 @@ def test_plan_draws_other_layouts_but_labels_only_its_own(setting):
 def test_existing_units_are_grey_on_the_plan(setting):
     mine = Layout(name="mine", units=load_carlancap_layout().units[:2])
     axes = plot_plan(setting, mine, existing=["RSU1"])
-    marks = {line.get_gid(): line for line in axes.get_lines()}
+    marks = lines_of(axes)
+
     assert marks["unit:RSU1"].get_markerfacecolor() == GREY
     assert marks["unit:RSU0"].get_markerfacecolor() != GREY
-    words = [text.get_text() for text in axes.get_legend().get_texts()]
+
+    words = texts_of(axes.get_legend())
     assert "existing: mounted already" in words
 
 
 def test_plan_is_in_metres_north_up_around_the_junction(setting):
     axes = plot_plan(setting, load_carlancap_layout(), half_size_m=45.0)
     assert axes.get_aspect() == 1.0
-    for limits, column in ((axes.get_xlim(), 0), (axes.get_ylim(), 1)):
+
+    for limits, column in (
+        (axes.get_xlim(), 0),
+        (axes.get_ylim(), 1),
+    ):
         outline = setting.scene.outline_m[:, column]
         assert limits[1] - limits[0] == pytest.approx(90.0)
         assert limits[0] < outline.min() < outline.max() < limits[1]
-    assert "N" in [text.get_text() for text in axes.texts]
+    assert "N" in texts_of(axes)
 
 
 @pytest.mark.long
@@ -145,7 +165,7 @@ def test_plan_draws_a_scene_with_nothing_in_it(setting):
 def test_the_tip_of_a_camera_points_where_it_looks(setting):
     units = load_carlancap_layout().units[:4]
     axes = plot_plan(setting, Layout(name="mine", units=units))
-    lines = {line.get_gid(): line for line in axes.get_lines()}
+    lines = lines_of(axes)
     for unit in units:
         tip = lines[f"unit:{unit.id}"].get_marker().vertices[0]
         yaw_deg = np.degrees(np.arctan2(tip[1], tip[0]))
@@ -159,30 +179,32 @@ def test_two_units_on_a_pole_are_two_arrows_from_it(setting):
         for i, yaw in enumerate((0.0, 5.0, 180.0))
     ]
     axes = plot_plan(setting, Layout(name="mine", units=tuple(units)))
-    lines = {line.get_gid(): line for line in axes.get_lines()}
+    lines = lines_of(axes)
     ends = []  # of the darts, east of the pole in points
     for i in range(3):
         dart = lines[f"unit:U{i}"]
         outline = dart.get_marker().vertices
         ends.append(0.5 * dart.get_markersize() * outline[:, 0] / np.abs(outline).max())
+
     assert ends[0].min() >= 0.0  # east of the pole, the last one west of it
     assert ends[2].max() <= 1e-9
-    assert (
-        ends[1].max() > 1.5 * ends[0].max()
-    )  # before the first one, which looks there, too
-    assert {"U0, U1", "U2"} <= {text.get_text() for text in axes.texts}
+    # Before the first one, which looks there, too.
+    assert ends[1].max() > 1.5 * ends[0].max()
+    assert {"U0, U1", "U2"} <= set(texts_of(axes))
 
 
 def test_assumed_sites_and_arms_are_named(setting):
     unit = load_carlancap_layout().units[0]
     note = Note(
-        what="a mast", why="none in the map", kind="sites", site_ids=(unit.site_id,)
+        what="a mast",
+        why="none in the map",
+        kind="sites",
+        site_ids=(unit.site_id,),
     )
     scene = replace(setting.scene, notes=(note,))
     layout = Layout(name="mine", units=(replace(unit, id="U1"),))
     axes = plot_plan(replace(setting, scene=scene), layout)
-    texts = {text.get_text() for text in axes.texts}
+    texts = set(texts_of(axes))
+
     assert {"U1 (assumed)", "north arm", "west arm"} <= texts
-    assert "assumed site: not mapped there" in {
-        text.get_text() for text in axes.get_legend().get_texts()
-    }
+    assert "assumed site: not mapped there" in texts_of(axes.get_legend())

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.patches import PathPatch
 from numpy.testing import assert_allclose
+from tiny_worlds import unit_at
 
 from experiments.figures.axes import new_axes
 from experiments.figures.outlines import (
@@ -25,24 +26,25 @@ from experiments.parts.sheet import _direction, _draw_plan, _tilt
 from experiments.parts.units import unit_table
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
-from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
-from placement.candidates import CandidatePose, is_in_view
+from placement.candidates import is_in_view
 from placement.layout import Layout
 
+CAMERA = load_cameras()["carla-ncap-rgb"]
 RING = load_lidars()["ouster-os1-128"]
 PLACE = np.array([-120.0, 3.0, 6.0])
 
 
 def _unit(sensor=RING, yaw_deg=0.0, pitch_deg=0.0, unit_id="U1"):
-    pose = Pose(position_m=PLACE, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    return CandidatePose(id=unit_id, site_id="", pose=pose, sensor=sensor)
+    """A LiDAR that scans all round, 6 m high, or another sensor."""
+    return unit_at(unit_id, PLACE, yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=sensor)
 
 
 def test_a_level_ring_sees_the_ground_between_two_circles():
     unit = _unit(yaw_deg=70.0)
     outer, inner = ground_rings(unit, max_range_m=35.0)
     assert_allclose(np.hypot(*(outer - PLACE[:2]).T), 35.0)
+
     blind_m = 6.0 / math.tan(math.radians(22.5))
     assert_allclose(np.hypot(*(inner - PLACE[:2]).T), blind_m, atol=0.1)
     np.testing.assert_array_equal(ground_footprint(unit, max_range_m=35.0), outer)
@@ -67,6 +69,7 @@ def test_the_rings_hold_exactly_the_ground_in_view(horizontal_fov_deg, pitch_deg
     drawn = shapely.contains_xy(shapely.Polygon(outer).buffer(0.0), points)
     if len(inner):
         drawn &= ~shapely.contains_xy(shapely.Polygon(inner).buffer(0.0), points)
+
     # 2 degrees between bearings, and a tenth of a metre: only what is near to a border
     # may differ.
     assert (drawn == is_seen).mean() > 0.97
@@ -74,44 +77,37 @@ def test_the_rings_hold_exactly_the_ground_in_view(horizontal_fov_deg, pitch_deg
 
 
 def test_cameras_and_narrow_lidars_have_no_blind_disc():
-    for sensor in (
-        next(iter(load_cameras().values())),
-        load_lidars()["carla-ncap-lidar"],
-    ):
-        assert (
-            len(blind_footprint(_unit(sensor, pitch_deg=-20.0), max_range_m=35.0)) == 0
-        )
+    for sensor in (CAMERA, load_lidars()["carla-ncap-lidar"]):
+        unit = _unit(sensor, pitch_deg=-20.0)
+        assert len(blind_footprint(unit, max_range_m=35.0)) == 0
 
 
 def test_the_words_say_that_it_scans_all_round():
-    assert [compass_word(_unit(yaw_deg=90.0)), looking_words(_unit())] == [
-        "all round",
-        "scanning all round",
-    ]
-    camera = _unit(next(iter(load_cameras().values())), yaw_deg=90.0)
-    assert [compass_word(camera), looking_words(camera)] == [
-        "north",
-        "looking to the north",
-    ]
-    layout = Layout(name="two", units=(_unit(), replace(camera, id="U2")))
-    assert [row[6] for row in unit_table("two", layout, load_study_scene()).rows] == [
-        "all round",
-        "0.0",
-    ]
+    assert compass_word(_unit(yaw_deg=90.0)) == "all round"
+    assert looking_words(_unit()) == "scanning all round"
+
+    camera = _unit(CAMERA, yaw_deg=90.0, unit_id="U2")
+    assert compass_word(camera) == "north"
+    assert looking_words(camera) == "looking to the north"
+
+    layout = Layout(name="two", units=(_unit(), camera))
+    table = unit_table("two", layout, load_study_scene())
+    assert [row[6] for row in table.rows] == ["all round", "0.0"]
 
 
 @pytest.mark.long
 def test_the_plan_marks_a_ring_by_a_disc_and_draws_its_blind_spot(small_setting):
-    camera = _unit(next(iter(load_cameras().values())), pitch_deg=-30.0, unit_id="U2")
+    camera = _unit(CAMERA, pitch_deg=-30.0, unit_id="U2")
     axes = plot_plan(small_setting, Layout(name="two", units=(_unit(), camera)))
     marks = {line.get_gid(): line for line in axes.get_lines()}
+
     assert marks["unit:U1"].get_marker() == "o"
     assert marks["unit:U2"].get_marker() != "o"
-    legend = axes.get_legend()
-    assert legend is not None
-    texts = [text.get_text() for text in legend.get_texts()]
+
+    texts = [text.get_text() for text in axes.get_legend().get_texts()]
     assert "two: LiDAR that scans all round" in texts
     assert any(text.startswith("two: camera") for text in texts)
+
     fill = next(
         p
         for p in axes.patches
@@ -119,23 +115,26 @@ def test_the_plan_marks_a_ring_by_a_disc_and_draws_its_blind_spot(small_setting)
     )
     # What runs the other way round inside is a hole.
     outer, inner = fill.get_path().to_polygons()
+
     assert shapely.LinearRing(outer).is_ccw
     assert not shapely.LinearRing(inner).is_ccw
     assert shapely.Polygon(outer).contains(shapely.Polygon(inner))
+
     alone = plot_plan(small_setting, Layout(name="one", units=(_unit(),))).get_legend()
-    assert alone is not None
     assert not any("camera" in text.get_text() for text in alone.get_texts())
 
 
 def test_the_sheet_says_how_a_ring_hangs_and_draws_an_arrow_only_where_it_helps():
     level = _unit(yaw_deg=90.0)
     tilted = _unit(yaw_deg=90.0, pitch_deg=-12.0)
+
     assert _direction(level).startswith(
         "all round: turning it changes its axes, not what it sees"
     )
     assert _direction(tilted).startswith("all round\nits front to the north")
     assert _tilt(level) == "none: level, its axis upright"
     assert _tilt(tilted) == "front 12.0° down, back equally far up"
+
     arrows = []
     for unit in (level, tilted):
         axes = new_axes(4.0, 4.0)
@@ -145,10 +144,11 @@ def test_the_sheet_says_how_a_ring_hangs_and_draws_an_arrow_only_where_it_helps(
 
 
 def test_the_player_gets_a_round_sign():
-    camera = _unit(next(iter(load_cameras().values())), pitch_deg=-30.0, unit_id="U2")
+    camera = _unit(CAMERA, pitch_deg=-30.0, unit_id="U2")
     ring, other = unit_records(
         Layout(name="two", units=(_unit(), camera)), load_study_scene()
     )
+
     assert ring["kind"] == "ring"
     assert other["kind"] == "camera"
     assert "scans all round" in ring["title"]
@@ -170,5 +170,6 @@ def test_nothing_beside_a_ring_is_out_of_its_view(
         math.sin(elevation),
     ]
     points = PLACE + distance_m * np.array([way, [-1.0, 0.0, 0.0], [-1.0, -0.0, 0.0]])
+
     assert is_in_view(_unit(), points).all()
     assert is_in_view(_unit(yaw_deg=math.remainder(azimuth_deg, 360.0)), points).all()

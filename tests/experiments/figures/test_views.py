@@ -27,13 +27,19 @@ def views(small_setting):
 
 
 def mounted(sensor=CAMERA, *, yaw_deg=90.0, pitch_deg=-12.0, site="corner-sw"):
+    """A camera at a site."""
     foot_m = next(
         each for each in load_study_scene().sites if each.id == site
     ).position_m
     pose = Pose(
         position_m=foot_m + [0.0, 0.0, 8.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg
     )
-    return CandidatePose(id="U1", site_id=site, pose=pose, sensor=sensor)
+    return CandidatePose(
+        id="U1",
+        site_id=site,
+        pose=pose,
+        sensor=sensor,
+    )
 
 
 def test_a_camera_reaches_as_far_as_the_tallest_road_user_is_high_enough_in_the_image(
@@ -58,6 +64,7 @@ def test_a_camera_reaches_as_far_as_the_tallest_road_user_is_high_enough_in_the_
         blind,
         axis=replace(small_setting.axis, weathers=("fog",) * small_setting.axis.n_runs),
     )
+
     assert GroundViews(foggy).reach_m(CAMERA) == 0.0
     assert views.reach_m(load_lidars()["ouster-os1-128"]) == 120.0
 
@@ -75,6 +82,7 @@ def test_no_view_runs_through_houses(small_setting, views, yaw_deg):
     image = shapely.Polygon(
         ground_footprint(unit, max_range_m=views.reach_m(unit.sensor))
     )
+
     assert shapely.area(shapely.intersection(image, houses)) > 50.0
     assert shapely.area(shapely.intersection(views.shape(unit), houses)) == 0.0
 
@@ -102,7 +110,7 @@ def test_a_view_is_what_rays_reach(small_setting, views, name):
     is_seen = is_in_view(unit, points_m) & (depth_m <= reach_m) & ~is_hidden
     shape = views.shape(unit)
     is_drawn = shapely.contains_xy(shape, points_m[:, :2])
+
     assert is_seen.sum() > 100
-    assert (
-        is_drawn != is_seen
-    ).mean() < 0.03  # a degree and a metre wide are the borders
+    # A degree and a metre wide are the borders.
+    assert (is_drawn != is_seen).mean() < 0.03

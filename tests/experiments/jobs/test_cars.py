@@ -2,16 +2,20 @@
 folder.
 """
 
-import json
 import shutil
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from small_results import build_small_baseline, build_small_grid, lay_runs_of
+from json_files import read_json, write_json
+from small_results import (
+    build_small_baseline,
+    build_small_grid,
+    lay_runs_of,
+    place_small,
+)
 
 from experiments.cli.running import cache_folder
-from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.jobs.evaluation import run_comparison
 from experiments.jobs.verify import run_verification
@@ -44,18 +48,12 @@ def cached(progress=silent):
 
 
 def asked(out, **options):
-    progress = StageProgress()
-    result = placement.run_placement(
-        Question(budget=2, **options),
-        out=out,
-        compute=cached(progress),
-        command="place-rsus",
-        progress=progress,
-    )
-    return json.loads(to_json_text(result))
+    """Plain result of a placement for two units."""
+    return place_small(Question(budget=2, **options), out, cache_folder=cache_folder())
 
 
 def failed(folder):
+    """Names of the checks that fail."""
     checks = run_verification(folder, progress=StageProgress()).checks
     return [check.name for check in checks if not check.passed]
 
@@ -84,15 +82,18 @@ def test_answers_are_judged_by_what_cars_see(answers):
         share = summary["cars"]
         evaluation = summary["evaluation"]
         assert share == {"blind": 0.0, "see": 1.0, "0.3": 0.3}[cars]
+
         blind = evaluation["rsu_all"]["all"]
         seeing = evaluation["vut_and_rsus"]["all"]
         judged = (evaluation["headline"] or evaluation["rsu_all"])["all"]
+
         assert judged == pytest.approx(share * seeing + (1.0 - share) * blind)
         # Table and evaluator see the same with the car's own sensors as without.
         assert summary["apr"] == pytest.approx(judged, abs=0.05)
         assert summary["greedy"]["evaluation"]["headline"] is None or cars != "blind"
         assert all(stage["gap"] == 0.0 for stage in summary["stages"])
         assert failed(folder / cars) == []
+
     assert (
         summaries["see"]["apr"] >= summaries["0.3"]["apr"] >= summaries["blind"]["apr"]
     )
@@ -105,31 +106,36 @@ def test_answers_are_judged_by_what_cars_see(answers):
 @pytest.mark.long
 def test_another_share_of_cars_is_found_out(answers, tmp_path):
     shutil.copytree(answers[0], tmp_path, dirs_exist_ok=True)
-    for cars, other in (("see", 0.5), ("0.3", 0.5), ("blind", 1.0)):
+    for cars, other in (
+        ("see", 0.5),
+        ("0.3", 0.5),
+        ("blind", 1.0),
+    ):
         path = tmp_path / cars / "summary.json"
-        summary = json.loads(path.read_text())
-        path.write_text(json.dumps(summary | {"cars": other}))
+        summary = read_json(path)
+        write_json(path, summary | {"cars": other})
         assert "summary.json: cars" in failed(tmp_path / cars)
-        path.write_text(json.dumps(summary))
-    certificate = tmp_path / "see" / "certificate.json"
-    document = json.loads(certificate.read_text())
+
+        write_json(path, summary)
+    certificate = tmp_path / "see/certificate.json"
+    document = read_json(certificate)
     document["model"]["cars"] = 0.5
-    certificate.write_text(json.dumps(document))
+    write_json(certificate, document)
+
     assert "model" in failed(tmp_path / "see")
+
     document["model"]["cars"] = 1.0
     del document["model"]["in_words"]["cars"]
-    certificate.write_text(json.dumps(document))
+    write_json(certificate, document)
+
     assert "model in words" in failed(tmp_path / "see")
 
 
 def test_blind_cars_are_asked_about_as_before(small_study):
-    without, blind, see = (
-        assemble(question, compute=cached())
-        for question in (
-            Question(budget=2),
-            *(Question(budget=2, cars=cars) for cars in "01"),
-        )
-    )
+    without = assemble(Question(budget=2), compute=cached())
+    blind = assemble(Question(budget=2, cars="0"), compute=cached())
+    see = assemble(Question(budget=2, cars="1"), compute=cached())
+
     assert without.problem.seen_by_vut is blind.problem.seen_by_vut is None
     assert with_sight(small_study) is small_study
     assert see.problem.table.n_poses == blind.problem.table.n_poses
@@ -140,6 +146,7 @@ def test_blind_cars_are_asked_about_as_before(small_study):
 def test_comparisons_follow(small_study, tmp_path):
     layout = build_small_baseline(small_study.scene)
     assert layout is not None
+
     first = replace(layout, name="first", units=layout.units[:1])
     for cars in ("see", "0.3"):
         progress = StageProgress()
@@ -151,8 +158,10 @@ def test_comparisons_follow(small_study, tmp_path):
             command="place-rsus compare",
             progress=progress,
         )
+
         assert result.apr == result.evaluation.judged.all
         assert result.evaluation.judged.all >= result.evaluation.rsu_all.all
+
         left = result.compared[0].evaluation.apr_without_worst_unit
         assert left >= result.cars * result.evaluation.vut.all - 1e-9
 
@@ -164,6 +173,7 @@ def test_what_units_add_is_told_one_by_one(small_study):
         found = build_added(small_study, evaluation, fusion=fusion)
         everything = found.groups[0]
         assert everything.gain == pytest.approx(everything.with_units - everything.vut)
+
         gains = [unit.gain for unit in found.units]
         assert {unit.unit for unit in found.units} == {unit.id for unit in layout.units}
         assert everything.vut + sum(gains) == pytest.approx(
@@ -172,21 +182,26 @@ def test_what_units_add_is_told_one_by_one(small_study):
         assert fusion == "single" or everything.with_units == pytest.approx(
             evaluation.vut_and_rsus.is_avoided @ small_study.axis.weight
         )
+
         first = found.units[0]
         told = by_unit(found.units)
+
         assert told.startswith(f"{first.unit} adds {100.0 * first.gain:.1f} points")
         assert {unit.unit for unit in found.alone} == {unit.id for unit in layout.units}
+
         blind = evaluation.rsu_all.is_avoided
         if fusion == "single":
             alone = [one.is_avoided for one in evaluation.units.values()]
             blind = np.any(alone, axis=0)
         gains = [unit.gain for unit in found.alone]
         assert sum(gains) == pytest.approx(blind @ small_study.axis.weight, abs=1e-9)
+
         kinds = {group.kind for group in found.groups}
         assert kinds >= {"all", "case"}
     unit = layout.units[0]
     names = [f"unit {number}" for number in range(MAX_UNITS + 1)]
     many = replace(layout, units=tuple(replace(unit, id=name) for name in names))
+
     assert build_added(small_study, replace(evaluation, layout=many)).units == ()
     assert by_unit(()) == by_unit(found.units[:1]) == ""
 
@@ -218,7 +233,12 @@ def test_words_that_mean_nothing_are_refused(options, message):
 @pytest.mark.parametrize("detector", ["geometric", "response"])
 def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
-    question = Question(budget=2, cars="see", samples=2, detector=detector)
+    question = Question(
+        budget=2,
+        cars="see",
+        samples=2,
+        detector=detector,
+    )
     if detector == "response":
         change = {"detector": load_detector("response")}
         change["table_detector"] = load_planning_detector("response")
@@ -226,17 +246,23 @@ def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector
     assembly = assemble(question, compute=cached())
     seen = assembly.problem.seen_by_vut
     n_frames = small_study.axis.n_frames
+
     assert seen.shape == (2 * n_frames,)
+
     worlds = seen.reshape(2, n_frames)
     planned = assembly.setting.seen_by_vut
+
     assert worlds.any(axis=1).all()
     if detector == "response":  # each world has misses of its own
         assert not np.array_equal(*worlds)
         assert not np.array_equal(worlds[0], planned)
+
     summary = asked(tmp_path / "out", cars="see", samples=2)
     (subject, *_) = summary["sampled"]["layouts"]
+
     assert 0.0 < subject["mean"] <= 1.0
     assert failed(tmp_path / "out") == []
+
     layout = Layout(name="two", units=tuple(assembly.candidates[:2]))
     drawn = load_drawn(question, assembly.scene, n_samples=3)
     blind = replace(assembly.setting, cars=0.0, seen_by_vut=None)
@@ -244,6 +270,7 @@ def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector
         out_of_sample_layouts(setting, [layout], drawn, n_samples=3)[0].apr_by_sample
         for setting in (assembly.setting, blind)
     )
+
     assert (seeing >= by_units).all()
     assert seeing.sum() > by_units.sum()
 
@@ -258,8 +285,10 @@ def test_nothing_is_lost_where_the_car_sees_all(small_study):
     )
     apr = best.is_avoided @ setting.axis.weight
     standing = find_standing(setting, layout.units)
+
     assert standing.worst.apr == pytest.approx(apr)
     assert standing.worst.lost_run_ids == ()
+
     half = replace(setting, cars=0.5)
     blind = find_standing(small_study, layout.units)
     assert find_standing(half, layout.units).worst.apr == pytest.approx(
@@ -274,6 +303,7 @@ def test_whose_failure_costs_what_with_and_without_the_car(small_study):
     by_units = find_failures(evaluation, small_study.rule)
     seeing = replace(evaluation, cars=1.0)
     with_car = find_failures(seeing, small_study.rule)
+
     assert with_car.none_failed.apr == pytest.approx(
         seeing.headline.is_avoided @ axis.weight
     )
@@ -282,6 +312,7 @@ def test_whose_failure_costs_what_with_and_without_the_car(small_study):
     assert apr_one_failed(replace(evaluation, cars=0.3), small_study.rule) >= (
         0.3 * with_car.one_failed[0].apr + 0.7 * by_units.one_failed[0].apr - 1e-12
     )
+
     one = replace(seeing, layout=replace(layout, units=layout.units[:1]))
     assert (
         apr_one_failed(one, small_study.rule) == evaluation.vut.is_avoided @ axis.weight

@@ -6,20 +6,16 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems
+from small_tables import avoiding_problem
 
 from experiments.jobs import cheaper_sites
-from placement.detection_table import pack_table
 from placement.optimiser import (
-    Limits,
-    PlacementProblem,
     is_feasible,
     placement_value,
     solve_placement,
 )
 from placement.optimiser.presolve import presolve_freely
 from placement.question import Question
-from scenarios.aeb import AebRule
-from scenarios.runs import FrameAxis
 
 
 def prices_of(problem, seed):
@@ -30,37 +26,6 @@ def prices_of(problem, seed):
         sensor_eur=np.full(problem.table.n_poses, 1500.0),
         site_eur=rng.choice([0.0, 1000.0, 300_000.0], limits.n_sites),
         site_of=limits.site_index,
-    )
-
-
-def one_run_problem():
-    """A run that both of two poses avoid, at a site each."""
-    axis = FrameAxis(
-        run_ids=("A/north/20",),
-        cases=("A",),
-        approaches=("north",),
-        weathers=("day",),
-        vut_speed_kmh=np.array([20.0]),
-        weight=np.array([1.0]),
-        last_brake_time_s=np.array([-0.05]),
-        run_start=np.array([0, 4]),
-        time_s=np.array([-0.3, -0.2, -0.1, 0.0]),
-    )
-    return PlacementProblem(
-        table=pack_table(("a", "b"), axis, np.ones((2, 4), dtype=bool)),
-        limits=Limits(
-            site_index=np.array([0, 1]),
-            site_capacity=np.array([1, 1]),
-            budget_units=1,
-            unit_cost_eur=np.full(2, 1500.0),
-        ),
-        fusion="any",
-        rule=AebRule(
-            deceleration_mps2=7.72,
-            latency_s=0.025,
-            n_confirmations=2,
-            frame_rate_hz=10.0,
-        ),
     )
 
 
@@ -93,15 +58,19 @@ def test_what_is_found_is_worth_it_and_no_single_exchange_is_missed(problem, see
         # With fusion "single" poses are not ranked by what they reach together.
         assert not good or problem.fusion == "single"
         return
+
     assert is_feasible(problem, found)
     assert is_worth_it(problem, prices, chosen, found)
 
 
 def test_a_cheaper_pole_that_sees_the_same_is_told_in_one_line():
-    problem = one_run_problem()
+    problem = avoiding_problem(["1", "1"], price_eur=[1500.0] * 2, budget_units=1)
     sites = [
         SimpleNamespace(id=name, kind="lamp post", cost_eur=cost_eur)
-        for name, cost_eur in (("dear", 5000.0), ("cheap", 1000.0))
+        for name, cost_eur in (
+            ("dear", 5000.0),
+            ("cheap", 1000.0),
+        )
     ]
     sensor = SimpleNamespace(price_eur=1500.0)
     poses = tuple(
@@ -124,9 +93,11 @@ def test_a_cheaper_pole_that_sees_the_same_is_told_in_one_line():
             compute=SimpleNamespace(cache_folder=None),
         ),
     )
+
     assert cheaper_sites.cheaper_sentence(found) == (
         "Cheaper sites would give 100.0 %, and 0.0 % if one sensor fails, for 4,000"
         " EUR less: U1 at cheap (planning model; found, not proven)."
     )
+
     placement.pose_index = (1,)
     assert cheaper_sites.cheaper_sentence(found) == ""

@@ -22,6 +22,7 @@ pytestmark = pytest.mark.usefixtures("small_study")
 
 
 def place(out, **options):
+    """Result of a placement."""
     progress = StageProgress()
     return placement.run_placement(
         Question(budget=2, **options),
@@ -37,20 +38,26 @@ def test_a_located_layout_gives_up_no_more_than_may_be_and_is_the_same_again(tmp
     usual = place(tmp_path / "usual")
     first = place(tmp_path / "first", located_m=0.4, decision="default")
     again = place(tmp_path / "again", located_m=0.4)
+
     assert first.layout == again.layout
     assert first.located == again.located
     assert first.located.share >= first.located.share_before
     assert first.located.n_judged >= 1
+
     highest = usual.highest.stages[0].objective
     assert first.apr >= highest - 0.01 - 1.0e-9
+
     of_aims, of_choice = words(first.aims, first.located)
     assert "within 0.4 m at the last moment" in of_choice
+
     known, by_eye = first.aims.layouts[0].located
     assert f"{100 * known:.1f} % of the runs; with aims known to 1°, " in of_aims
     assert f"{100 * by_eye:.1f} %." in of_aims
+
     decided = first.decision.layouts[0]
     by_eye = decided.by_aim["by eye"]
     assert decided.by_aim["calibrated"].located["0.40"] >= by_eye.located["0.40"]
+
     for one in decided.by_aim.values():
         # Who asks for more braking for nothing avoids no less.
         avoided = [rule.avoided for rule in one.best]
@@ -66,6 +73,7 @@ def test_tracks_of_nothing_brake_as_often_as_the_decision_lets_them_through():
     detector = load_detector("pole-2015")
     rate = detector.false_tracks_per_hour
     found = false_brakings_per_hour(detector, rule)
+
     # Wilson's interval of 10 of 40: 14.2 to 40.2 %.
     assert found.value == pytest.approx(0.25 * rate.value)
     assert found.low == pytest.approx(0.142 * rate.low, rel=2e-3)

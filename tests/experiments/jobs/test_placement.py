@@ -1,11 +1,12 @@
-import json
+"""Placements, evaluations and comparisons as jobs: what they return and write."""
+
 import re
 from dataclasses import fields, replace
 
 import pytest
+from json_files import as_json, read_json
 
 from experiments.cli.running import cache_folder
-from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.jobs.evaluation import run_comparison, run_evaluation
 from experiments.jobs.verify import run_verification
@@ -18,6 +19,7 @@ from placement.question import Question
 
 
 def place(out, **options):
+    """Plain result of a placement for one unit, unless another is asked for."""
     progress = options.get("progress", StageProgress())
     given = {
         "out": out,
@@ -30,10 +32,11 @@ def place(out, **options):
     asked |= {name: options.pop(name) for name in names}
     question = options.pop("question", Question())
     result = placement.run_placement(replace(question, **asked), **(given | options))
-    return json.loads(to_json_text(result))
+    return as_json(result)
 
 
 def evaluate(layout, out=None):
+    """Plain result of an evaluation."""
     progress = StageProgress()
     result = run_evaluation(
         Question(),
@@ -43,10 +46,11 @@ def evaluate(layout, out=None):
         command="place-rsus",
         progress=progress,
     )
-    return json.loads(to_json_text(result))
+    return as_json(result)
 
 
 def compare(layouts, out, **asked):
+    """Plain result of a comparison."""
     result = run_comparison(
         Question(**asked),
         layouts=layouts,
@@ -55,10 +59,11 @@ def compare(layouts, out, **asked):
         command="place-rsus",
         progress=StageProgress(),
     )
-    return json.loads(to_json_text(result))
+    return as_json(result)
 
 
 def named(name: str, n_units: int = 1) -> Layout:
+    """Some of the study's units under a name."""
     return Layout(name=name, units=load_carlancap_layout().units[:n_units])
 
 
@@ -67,8 +72,10 @@ def named(name: str, n_units: int = 1) -> Layout:
 def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
     progress = StageProgress()
     summary = place(tmp_path / "out", progress=progress)
-    assert json.loads((tmp_path / "out/summary.json").read_text()) == summary
+
+    assert read_json(tmp_path / "out/summary.json") == summary
     assert load_layout(tmp_path / "out/layout.json").name == "best-1"
+
     stages = ["setting", "detection table", "optimise", "greedy", "explain"]
     assert list(summary["seconds"]) == [
         "start",
@@ -80,6 +87,7 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
         "write results",
         "total",
     ]
+
     page = (tmp_path / "out/report.html").read_text()
     assert "place-rsus --budget 1 &lt;&amp;&gt;" in page
     assert "1 <&>" not in page
@@ -98,8 +106,10 @@ def test_the_number_of_worlds_is_told_and_gives_the_same_answer(tmp_path, monkey
     monkeypatch.setattr(pipeline, "N_JUDGED", 2)
     found = place(tmp_path / "auto", samples="auto")
     growth = found["sampled"]["growth"]
+
     assert found["sampled"]["chosen_in"] == growth["taken"]
     assert [one["worlds"] for one in growth["rounds"]][-1] >= growth["taken"]
+
     again = place(tmp_path / "number", samples=growth["taken"])
     assert again["layout"] == found["layout"]
     assert again["apr"] == found["apr"]
@@ -108,9 +118,8 @@ def test_the_number_of_worlds_is_told_and_gives_the_same_answer(tmp_path, monkey
 
 @pytest.mark.usefixtures("small_study", "without_figures")
 def test_a_layout_brings_its_own_sensors_along(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        pipeline, "find_baseline", lambda scene: None
-    )  # the study's poses
+    # The study's poses.
+    monkeypatch.setattr(pipeline, "find_baseline", lambda scene: None)
     catalogue = tmp_path / "mine.toml"
     catalogue.write_text(
         """
@@ -124,11 +133,15 @@ def test_a_layout_brings_its_own_sensors_along(tmp_path, monkeypatch):
         """
     )
     summary = place(tmp_path / "out", sensors=f"{catalogue}:wide")
+
     assert summary["layout"][0]["camera"] == "wide"
+
     catalogue.unlink()
     layout = load_layout(tmp_path / "out/layout.json")
+
     assert layout.units[0].sensor.horizontal_fov_deg == 120.0
     assert evaluate(layout)["cost_eur"] == 100.0
+
     catalogue.write_text("[cameras]")
     with pytest.raises(InputError, match="got no model"):
         place(tmp_path / "out", sensors=str(catalogue))
@@ -148,6 +161,7 @@ def test_nothing_is_written_where_no_folder_is_given(
 ):
     monkeypatch.chdir(tmp_path)
     summary = evaluate(named("one"))
+
     assert list(tmp_path.iterdir()) == []
     assert list(summary["seconds"]) == ["start", "setting", "evaluate", "total"]
 
@@ -162,14 +176,17 @@ def test_an_evaluation_of_one_unit_is_that_of_all(small_study):
 def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     layouts = [named("twin", 2), named("twin", 1), named("other", 3)]
     summary = compare(layouts, tmp_path / "out")
+
     assert summary["name"] == "twin"
     assert [other["name"] for other in summary["compared"]] == ["twin (2)", "other"]
     assert summary["compared"][0]["runs_lost"] == []
+
     names = re.findall(
         r"^([^,]*),vut,all,all,all,all,", (tmp_path / "out/apr.csv").read_text(), re.M
     )
     assert list(dict.fromkeys(names)) == ["twin", "twin (2)", "other", "expert rule"]
     assert [other["name"] for other in summary["compared"]] == ["twin (2)", "other"]
+
     page = (tmp_path / "out/report.html").read_text()
     assert all(name in page for name in names)
 
@@ -184,12 +201,18 @@ def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
 ):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
     summary = place(
-        tmp_path / "out", samples=2, risk="worst", budget=2, packet_loss=0.25
+        tmp_path / "out",
+        samples=2,
+        risk="worst",
+        budget=2,
+        packet_loss=0.25,
     )
     sampled = summary["sampled"]
+
     assert sampled["samples"] == 3
     assert sampled["uncertainty"]["packet_loss"] == 0.25
     assert sampled["tail"] == 0.5
+
     subject, *others = sampled["layouts"]
     assert subject["name"] == "best-2"
     assert [other["name"] for other in others] == [
@@ -200,6 +223,7 @@ def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
     assert len(subject["apr_by_sample"]) == 3
     assert subject["worst"] == min(subject["apr_by_sample"])
     assert summary["surrogate_disagreement"] is not None
+
     page = (tmp_path / "out/report.html").read_text()
     assert "If the world is not as planned" in page
     assert "25.0 % of the messages lost" in page
@@ -222,10 +246,12 @@ def test_a_layout_chosen_in_worlds_is_verified_and_has_an_apr_there(
     summary = place(tmp_path / "out", samples=2, **asked)
     first = summary["stages"][0]
     in_worlds = summary["sampled"]["layouts"][0]["in_sample"]
+
     assert 0.0 < in_worlds <= 1.0
     assert (first["name"] == "cost_eur") == ("least" in asked)
     if first["name"] == "apr":
         assert in_worlds == pytest.approx(first["objective"])
+
     checked = run_verification(tmp_path / "out", progress=StageProgress())
     assert [check for check in checked.checks if not check.passed] == []
 

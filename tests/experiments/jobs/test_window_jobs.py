@@ -1,9 +1,11 @@
-import json
+"""``place-rsus solve``: placement problems in files, and other questions about them."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from command_results import answer, refusal
+from small_tables import RULE
 
 from placement.detection_table import pack_table
 from placement.optimiser import (
@@ -15,7 +17,6 @@ from placement.optimiser import (
     sturdy_problem,
 )
 from placement.proof_files import save_problem
-from scenarios.aeb import AebRule
 
 
 @pytest.fixture
@@ -38,23 +39,34 @@ def problem(frame_axis):
             unit_cost_eur=np.array([5.0, 7.0]),
         ),
         fusion="any",
-        rule=AebRule(
-            deceleration_mps2=7.72,
-            latency_s=0.025,
-            n_confirmations=2,
-            frame_rate_hz=10.0,
-        ),
+        rule=replace(RULE, n_confirmations=2),
     )
 
 
-def solve(run, *arguments):
-    out = answer(run("solve", *arguments, "--json --quiet"))
-    return json.loads(out)
+@pytest.fixture
+def solve(ask, tmp_path):
+    """The answer to a question about a problem in a file."""
+
+    def write_and_solve(problem, *arguments):
+        save_problem(tmp_path / "one.npz", problem)
+        return ask("solve", tmp_path / "one.npz", *arguments)
+
+    return write_and_solve
 
 
-def test_a_placement_problem_is_solved_as_it_was_asked(run, problem, tmp_path):
-    save_problem(tmp_path / "one.npz", problem)
-    summary = solve(run, tmp_path / "one.npz")
+@pytest.fixture
+def refuse(run, tmp_path):
+    """The line that refuses a question about a problem in a file."""
+
+    def write_and_refuse(problem, *arguments):
+        save_problem(tmp_path / "one.npz", problem)
+        return refusal(run("solve", tmp_path / "one.npz", *arguments, "--quiet"))
+
+    return write_and_refuse
+
+
+def test_a_placement_problem_is_solved_as_it_was_asked(solve, problem):
+    summary = solve(problem)
     assert summary["chosen_names"] == ["east"]
     assert summary["objective"] == 0.5
     assert summary["bound"] == 0.5
@@ -63,45 +75,41 @@ def test_a_placement_problem_is_solved_as_it_was_asked(run, problem, tmp_path):
     assert [stage["name"] for stage in summary["stages"]][-1] == "cost_eur"
 
 
-def test_another_question_may_be_asked(run, problem, tmp_path):
-    save_problem(tmp_path / "one.npz", problem)
-    assert solve(run, tmp_path / "one.npz", "--budget", 2)["chosen_names"] == [
+def test_another_question_may_be_asked(solve, problem):
+    assert solve(problem, "--budget", 2)["chosen_names"] == [
         "west",
         "east",
     ]
-    assert solve(run, tmp_path / "one.npz", "--budget-cost", 5)["chosen_names"] == [
-        "west"
-    ]
-    both = solve(run, tmp_path / "one.npz", "--budget-cost", 20)
+    assert solve(problem, "--budget-cost", 5)["chosen_names"] == ["west"]
+
+    both = solve(problem, "--budget-cost", 20)
     assert both["chosen_names"] == ["east"]  # the file's one unit holds
-    summary = solve(run, tmp_path / "one.npz", "--target", "max")
+
+    summary = solve(problem, "--target", "max")
     assert summary["goal"] == "fewest"
     assert summary["objective"] == 2.0
     assert summary["chosen"] == [0, 1]
-    assert solve(run, tmp_path / "one.npz", "--target", "0.2")["objective"] == 1.0
+    assert solve(problem, "--target", "0.2")["objective"] == 1.0
 
 
-def test_a_question_without_an_answer_says_the_best_there_is(run, problem, tmp_path):
-    save_problem(tmp_path / "one.npz", problem)
-    assert refusal(run("solve", tmp_path / "one.npz", "--target 0.9 --quiet")) == (
+def test_a_question_without_an_answer_says_the_best_there_is(refuse, problem):
+    assert refuse(problem, "--target 0.9") == (
         "--target: got 0.9; expected at most 0.75, which all candidate"
         " poses together reach"
     )
 
 
-def test_tracks_may_be_asked_to_live_for_another_time(run, problem, tmp_path):
+def test_tracks_may_be_asked_to_live_for_another_time(solve, problem):
     seen = problem.table.detected(slice(None))
     seen[0, 5] = False  # west loses sight 0.2 s before the last moment
     table = pack_table(problem.table.pose_ids, problem.table.axis, seen)
     problem = replace(problem, table=table)
-    save_problem(tmp_path / "one.npz", problem)
     lasting, short = (
-        solve(run, tmp_path / "one.npz", "--budget", 2, "--track-memory", memory_s)[
-            "objective"
-        ]
+        solve(problem, "--budget", 2, "--track-memory", memory_s)["objective"]
         for memory_s in ("inf", "0.1")
     )
     both = replace(problem, rule=replace(problem.rule, track_memory_s=0.1))
+
     assert short == apr(both, [0, 1])
     assert short < lasting == apr(problem, [0, 1])
 
@@ -131,24 +139,17 @@ def test_a_memory_shorter_than_a_frame_is_refused(run, problem, tmp_path):
         ),
     ],
 )
-def test_wrong_options_are_told_in_one_line(run, problem, tmp_path, arguments, message):
-    save_problem(tmp_path / "one.npz", problem)
-    code, out, err = run("solve", tmp_path / "one.npz", *arguments, "--quiet")
-    assert code == 2
-    assert out == ""
-    (line,) = err.splitlines()
-    assert line.startswith(f"place-rsus: {message}")
+def test_wrong_options_are_told_in_one_line(refuse, problem, arguments, message):
+    line = refuse(problem, *arguments)
+    assert line.startswith(f"{message}")
 
 
 def test_a_file_without_a_placement_problem_is_refused_in_one_line(run, tmp_path):
     path = tmp_path / "scp41.txt"
     path.write_text("3 4\n1 2 3 4\n")
     for file in (path, tmp_path / "none"):
-        code, out, err = run("solve", file, "--quiet")
-        assert code == 2
-        assert out == ""
-        (line,) = err.splitlines()
-        assert line.startswith(f"place-rsus: {file}: got ")
+        line = refusal(run("solve", file, "--quiet"))
+        assert line.startswith(f"{file}: got ")
 
 
 @pytest.fixture
@@ -168,13 +169,13 @@ def demanding(problem):
 
 
 def test_a_budget_takes_the_place_of_the_files_own_and_no_other_demand(
-    run, demanding, tmp_path
+    solve, demanding
 ):
-    save_problem(tmp_path / "one.npz", demanding)
-    own = solve(run, tmp_path / "one.npz")
+    own = solve(demanding)
     assert own["chosen_names"] == ["west"]
     assert own["replaced"] == []
-    two = solve(run, tmp_path / "one.npz", "--budget", 2)
+
+    two = solve(demanding, "--budget", 2)
     assert two["replaced"] == ["at most 1 unit"]
     assert two["question"] == [
         "the best layout",
@@ -183,7 +184,8 @@ def test_a_budget_takes_the_place_of_the_files_own_and_no_other_demand(
         "target: an APR of at least 20 %",
         "min_case_apr in A: an APR of at least 100 % in 1 of 3 runs",
     ]
-    cheap = solve(run, tmp_path / "one.npz", "--budget-cost", 100)
+
+    cheap = solve(demanding, "--budget-cost", 100)
     assert cheap["chosen_names"] == ["west"]
     assert cheap["replaced"] == []
     assert "at most 1 unit" in cheap["question"]
@@ -205,10 +207,9 @@ def test_a_floor_that_a_smaller_budget_does_not_reach_is_refused(
 
 
 def test_a_target_takes_the_place_of_the_files_own_and_of_its_number_of_units(
-    run, demanding, tmp_path
+    solve, demanding
 ):
-    save_problem(tmp_path / "one.npz", demanding)
-    summary = solve(run, tmp_path / "one.npz", "--target", 0.7)
+    summary = solve(demanding, "--target", 0.7)
     assert summary["replaced"] == [
         "the best layout",
         "at most 1 unit",
@@ -223,11 +224,11 @@ def test_a_target_takes_the_place_of_the_files_own_and_of_its_number_of_units(
 
 @pytest.mark.parametrize("solver", ["auto", "greedy"])
 def test_every_solver_reaches_the_files_floors_or_refuses(
-    run, demanding, tmp_path, solver
+    solve, run, demanding, tmp_path, solver
 ):
-    save_problem(tmp_path / "one.npz", demanding)
-    summary = solve(run, tmp_path / "one.npz", "--solver", solver)
+    summary = solve(demanding, "--solver", solver)
     assert summary["chosen_names"] == ["west"]  # east is worth more, and misses a floor
+
     beyond = replace(
         demanding, floors=(*demanding.floors, Floor(name="more", share=0.7))
     )
@@ -241,9 +242,9 @@ def test_the_first_lines_say_what_is_asked_and_what_was_replaced(
     run, demanding, tmp_path
 ):
     save_problem(tmp_path / "one.npz", demanding)
-    code, out, _ = run("solve", tmp_path / "one.npz", "--budget 2 --quiet")
-    assert code == 0
+    out = answer(run("solve", tmp_path / "one.npz", "--budget 2 --quiet"))
     words = " ".join(out.split())
+
     assert words.startswith(
         "one.npz: best layout asked: the best layout; first the highest APR that is"
         " left when any unit fails; at most 2 units; target: an APR of at least 20 %;"
@@ -252,31 +253,30 @@ def test_the_first_lines_say_what_is_asked_and_what_was_replaced(
     )
 
 
-def test_what_may_be_given_up_is_found_anew_for_another_budget(run, problem, tmp_path):
+def test_what_may_be_given_up_is_found_anew_for_another_budget(solve, problem):
     file = sturdy_problem(problem, solve_placement(problem), 0.1)
     assert file.floors[0].share == pytest.approx(0.4)
-    save_problem(tmp_path / "one.npz", file)
     # Two units reach 75 %: of these a tenth of the runs may be given up.
-    assert solve(run, tmp_path / "one.npz", "--budget", 2)["question"] == [
+    assert solve(file, "--budget", 2)["question"] == [
         "the best layout",
         "first the highest APR that is left when any unit fails",
         "at most 2 units",
         "give_up: an APR of at least 65 %",
     ]
+
     # Of a single unit nothing is given up.
-    one = solve(run, tmp_path / "one.npz", "--budget", 1)
+    one = solve(file, "--budget", 1)
     assert one["question"] == ["the best layout", "at most 1 unit"]
     assert one["chosen_names"] == ["east"]
-    shorter = solve(run, tmp_path / "one.npz", "--target", 0.5)
+
+    shorter = solve(file, "--target", 0.5)
     assert shorter["question"] == [
         "the fewest units",
         "--target: an APR of at least 50 %",
     ]
 
 
-def test_a_budget_is_refused_for_a_file_that_asks_for_the_fewest_units(
-    run, problem, tmp_path
-):
+def test_a_budget_is_refused_for_a_file_that_asks_for_the_fewest_units(refuse, problem):
     floors = (Floor(name="target", share=0.5),)
     fewest = replace(
         problem,
@@ -284,8 +284,7 @@ def test_a_budget_is_refused_for_a_file_that_asks_for_the_fewest_units(
         floors=floors,
         limits=replace(problem.limits, budget_units=None),
     )
-    save_problem(tmp_path / "one.npz", fewest)
-    assert refusal(run("solve", tmp_path / "one.npz", "--budget 2 --quiet")) == (
+    assert refuse(fewest, "--budget 2") == (
         "--budget: got it for a file that asks for the fewest units; expected"
         " --target, or a file that asks for the best layout"
     )

@@ -17,17 +17,24 @@ from placement.explain.tolerances import MountingError, Standing
 
 
 def said(*, heavy_runs=(), by_runs=None, mounting=None):
+    """Sentences of doubt about an answer for 482 runs."""
     return doubt_sentences(heavy_runs, by_runs, mounting, n_runs=482)
 
 
 def standing(aim_deg, height_m, apr=1.0, lost=(), error="pitch", step=1.0):
+    """Errors that lose nothing, and the worst of those that are compared."""
     worst = MountingError(
-        unit_id="U3", kind=error, step=step, apr=apr, lost_run_ids=lost
+        unit_id="U3",
+        kind=error,
+        step=step,
+        apr=apr,
+        lost_run_ids=lost,
     )
     return Standing(aim_deg=aim_deg, height_m=height_m, worst=worst)
 
 
 def heavy(*weight):
+    """Heavy runs among runs of these weights."""
     names = tuple(f"CBTAno-50/north/{index}" for index in range(len(weight)))
     return find_heavy_runs(SimpleNamespace(weight=np.array(weight), run_ids=names))
 
@@ -74,7 +81,10 @@ def test_heavy_runs_are_named_the_heaviest_first():
 )
 def test_it_is_said_whether_the_layout_is_the_same_by_runs(here, is_proven, text):
     record = ByRuns(
-        units=("a",), runs_avoided=435, runs_avoided_here=here, is_proven=is_proven
+        units=("a",),
+        runs_avoided=435,
+        runs_avoided_here=here,
+        is_proven=is_proven,
     )
     assert said(by_runs=record) == [text]
 
@@ -148,6 +158,7 @@ def test_the_evaluator_recommends_and_the_proof_is_about_the_other(decided_by, w
             runner("greedy-3", 0.902, 0.482, 0.95),
         ),
     )
+
     assert recommended_sentences(record, is_proven=True) == [
         "Recommended: greedy-3, in recommended.json. The evaluator prefers it to"
         f" best-3: {why}. All else here is about best-3, which is proven best on the"

@@ -1,3 +1,5 @@
+"""Latencies of an answer in words."""
+
 from dataclasses import replace
 
 import pytest
@@ -10,6 +12,7 @@ OWN = f"{PLAIN}; units with a latency of their own: "
 
 
 def layout(*latencies_s):
+    """Units with latencies of their own, where one is given. [s]"""
     units = load_carlancap_layout().units
     return Layout(
         name="any",

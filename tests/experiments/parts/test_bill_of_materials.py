@@ -1,3 +1,5 @@
+"""The bill: sensors and sites with their prices, in tables and as a file."""
+
 import csv
 import io
 from dataclasses import replace
@@ -61,6 +63,7 @@ def test_sensors_are_counted_by_model_and_sites_are_paid_once(build, scene):
     assumed_eur = load_prices().cost_eur(scene.sites[1])
     bill = build_bill(layout, scene)
     camera, lidar = bill.sensors
+
     assert camera.kind == "camera"
     assert camera.count == 2
     assert camera.price_eur == 1500.0
@@ -80,6 +83,7 @@ def test_sensors_are_counted_by_model_and_sites_are_paid_once(build, scene):
     assert bill.assumed[0].startswith(
         f"No price is known for 1 site of the kind {kind}:"
     )
+
     sensors, sites = bill_tables(bill)
     assert sensors.rows[-1] == ["all", "", "3", "", "7,000"]
     assert sites.rows[-1] == ["all", "", "3", f"{800 + assumed_eur:,.0f}", ""]
@@ -91,9 +95,11 @@ def test_what_is_unknown_is_never_zero(build, scene):
     bill = build_bill(build((None, "own")), scene)
     assert bill_sentences(bill) == ["No price is known."]
     assert bill.sites_eur is None
+
     sensors, sites = bill_tables(bill)
     assert sensors.rows[0][3:] == ["unknown"] * 2
     assert [row[3] for row in sites.rows] == ["unknown"] * 2
+
     rows = list(csv.DictReader(io.StringIO(bill_of_materials_csv(bill))))
     assert all(row["price_eur"] == row["sum_eur"] == "" for row in rows)
 
@@ -109,6 +115,7 @@ def test_a_price_for_every_site_that_was_asked_for_is_known_also_where_it_is_zer
             cost_eur,
             2.0 * cost_eur,
         ]
+
         whole = f"{6000.0 + 4.0 * cost_eur:,.0f} EUR"
         assert bill_sentences(bill) == [f"All lines together: {whole}."]
 
@@ -117,10 +124,12 @@ def test_what_hangs_there_already_is_not_paid_for(build, scene):
     layout = build((0, "camera"), (0, "camera"), (1, "camera"))
     bill = build_bill(layout, scene, kept_ids=("U0",), site_cost_eur=100.0)
     (camera,) = bill.sensors
+
     assert camera.n_units == 3
     assert camera.count == 2
     assert camera.sum_eur == 3000.0
     assert [site.sum_eur for site in bill.sites] == [0.0, 100.0]
+
     sensors, sites = bill_tables(bill)
     assert sensors.columns[2:4] == ["units", "to buy"]
     assert sites.rows[0][3] == "already there"
@@ -142,6 +151,7 @@ def test_the_file_has_the_same_items(build, scene):
 def test_the_part_renders_escaped_and_says_what_is_not_in_it(build, scene):
     part = bill_section(build_bill(build((0, "own")), scene))
     page = render_section(part)
+
     assert "<b>" not in page
     assert "=own&lt;b&gt;" in page
     assert "calibration (about 10,000 EUR, assumed)" in page
@@ -158,8 +168,10 @@ def test_assumed_sites_are_marked_in_table_and_file(build, scene):
     bill = build_bill(
         build((0, "camera"), (1, "camera")), replace(scene, notes=(note,))
     )
+
     assert [item.assumed for item in bill.sites] == ["", "none in the map"]
     assert bill_tables(bill)[1].rows[1][0] == f"{scene.sites[1].id} (assumed)"
+
     rows = list(csv.DictReader(io.StringIO(bill_of_materials_csv(bill))))
     assert [row["assumed"] for row in rows if row["part"] == "site"] == [
         "",

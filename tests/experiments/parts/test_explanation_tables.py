@@ -15,6 +15,7 @@ from experiments.parts.explanation import (
 
 
 def explained(**parts):
+    """A record of what is missed, if anything."""
     plain = {"not_avoided": [], "runs_without_weight": 0}
     return msgspec.convert(plain | parts, ExplainedRecord)
 
@@ -22,6 +23,7 @@ def explained(**parts):
 def missed(
     run, outcome="never seen", *, late_s=None, reasons=(), rescue=None, unit="a"
 ):
+    """A run that is not avoided, as results have it."""
     return {
         "run": run,
         "outcome": outcome,
@@ -37,11 +39,19 @@ def missed(
     }
 
 
-HELPER = {"unit": "c", "site": "pole", "distance_m": 12.34, "margin_s": 0.5}
+HELPER = {
+    "unit": "c",
+    "site": "pole",
+    "distance_m": 12.34,
+    "margin_s": 0.5,
+}
 MISSED = [
     missed(
         "r5",
-        reasons=[("hidden", "wall-ne-1", 20), ("out of view", "", 8)],
+        reasons=[
+            ("hidden", "wall-ne-1", 20),
+            ("out of view", "", 8),
+        ],
         rescue=HELPER,
     ),
     missed(
@@ -65,6 +75,7 @@ def test_runs_that_are_not_avoided_are_told_with_causes_and_remedies():
     assert missed_sentences(explained()) == [
         "On the detection table, every run is avoided."
     ]
+
     rows = missed_table(found).rows
     assert rows[0] == [
         "r5",
@@ -135,6 +146,7 @@ def test_runs_without_weight_are_counted_in_one_sentence_and_nowhere_else():
         "On the detection table, every run that counts is avoided.",
         "Left out: 1 run of weight 0.",
     ]
+
     found = explained(not_avoided=MISSED[2:3], runs_without_weight=7)
     assert missed_sentences(found)[:2] == [
         "On the detection table, 1 run is not avoided: confirmed too late.",
@@ -144,6 +156,7 @@ def test_runs_without_weight_are_counted_in_one_sentence_and_nowhere_else():
 
 
 def terminal(found):
+    """What the terminal says."""
     return answer_text(explanation_parts(found), is_verbose=True)
 
 
@@ -151,6 +164,7 @@ def test_a_terminal_shows_it_in_80_columns():
     runs = [missed(f"run-{i}", reasons=[("hidden", f"wall-{i}", 3)]) for i in range(10)]
     text = terminal(explained(not_avoided=MISSED + runs))
     assert max(map(len, text.splitlines())) <= 80
+
     words = " ".join(text.split())
     for expected in (
         "r5, r6: never seen; for a hidden by wall-ne-1; avoidable with c",
@@ -161,6 +175,7 @@ def test_a_terminal_shows_it_in_80_columns():
 
 
 def render(found):
+    """What the report shows."""
     return render_section(missed_section(found))
 
 
@@ -168,6 +183,7 @@ def test_the_report_has_a_section_on_what_is_missed():
     page = render(explained())
     assert "every run is avoided" in page
     assert "<details" not in page
+
     page = render(explained(not_avoided=MISSED))
     assert "Runs that are not avoided</h2>" in page
     assert "hidden by wall-ne-1 in 20 of 30 frames" in page

@@ -1,4 +1,7 @@
+"""What is left after failures of units, pairs and poles: words, tables, section."""
+
 import math
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -19,6 +22,7 @@ LABELS = {"A": "#1", "B": "#2", "C": "#3"}
 
 
 def left(unit_ids, apr, lost=(), margin_s=0.25):
+    """What is left after some units have failed."""
     return Failure(
         unit_ids=tuple(unit_ids),
         apr=apr,
@@ -28,6 +32,7 @@ def left(unit_ids, apr, lost=(), margin_s=0.25):
 
 
 def build_failures(one, two=(), apr=1.0):
+    """Failures of one unit and of two."""
     return Failures(
         none_failed=left("", apr), one_failed=tuple(one), two_failed=tuple(two)
     )
@@ -77,6 +82,7 @@ def test_the_worst_unit_and_pair_are_named_by_their_labels():
         [left("BC", 0.5, ["r", "s", "t"]), left("AB", 0.75, ["r"]), left("AC", 1.0)],
     )
     _, one, two = failure_sentences(failures, LABELS)
+
     assert (
         one == "If #2 fails, the others still prevent 75.0 %; 2 runs are lost. No other"
         " single failure is worse. 2 of the 3 units can fail alone without losing a"
@@ -87,9 +93,11 @@ def test_the_worst_unit_and_pair_are_named_by_their_labels():
         == "If two units fail at once, #2 and #3 matter most: 50.0 % remain. 1 of the 3"
         " pairs of units can fail without losing a run."
     )
+
     losing = [left(pair, 0.5, ["r"]) for pair in ("AB", "AC", "BC")]
     failures = build_failures([left(unit, 1.0) for unit in "ABC"], losing)
     two = failure_sentences(failures, LABELS)[2]
+
     assert two.endswith(" 50.0 % remain. Any two failures together lose runs.")
 
 
@@ -112,8 +120,10 @@ def test_a_table_lists_the_first_runs_and_says_how_many_are_left_out():
 def test_of_many_failures_the_worst_are_shown_and_it_is_told():
     units = [left([f"U{index}"], index / 200.0) for index in range(200)]
     table = failure_table(units, {}, of="unit")
+
     assert table.caption == f"If one unit fails: the {MAX_ROWS} worst of 200 units"
     assert [row[0] for row in table.rows] == [f"U{index}" for index in range(MAX_ROWS)]
+
     pairs = [left(["a", "b"], 0.5)] * 13
     assert failure_table(pairs, {}, of="pair").caption.endswith("12 worst of 13 pairs")
     assert any(
@@ -138,7 +148,15 @@ def build(frame_axis):
     return build_evaluation
 
 
-@pytest.mark.parametrize(("n_units", "n_tables"), [(1, 1), (2, 1), (3, 2), (13, 1)])
+@pytest.mark.parametrize(
+    ("n_units", "n_tables"),
+    [
+        (1, 1),
+        (2, 1),
+        (3, 2),
+        (13, 1),
+    ],
+)
 def test_the_part_has_a_table_of_pairs_where_it_says_something(
     build, rule, n_units, n_tables
 ):
@@ -146,13 +164,16 @@ def test_the_part_has_a_table_of_pairs_where_it_says_something(
     evaluation = build(ids)
     part = failures_section(evaluation, rule, {})
     tables = tables_of(part)
+
     assert len(tables) == n_tables
+
     if n_units == 3:
         expected = {" and ".join(pair) for pair in combinations(ids, 2)}
         assert {row[0] for row in tables[1].rows} == expected
     assert part.blocks[0] == " ".join(
         failure_sentences(find_failures(evaluation, rule), {})
     )
+
     page = render_section(part)
     assert "<b>" not in page
     assert page.count("<table>") == n_tables
@@ -160,27 +181,11 @@ def test_the_part_has_a_table_of_pairs_where_it_says_something(
 
 
 def test_a_pole_with_two_units_is_told_beside_the_units():
-    pole = Failure(
-        unit_ids=("A", "B"),
-        apr=0.25,
-        smallest_margin_s=0.1,
-        lost_run_ids=("r1",),
-        site_id="lamp 7",
-    )
-    alone = Failure(
-        unit_ids=("C",),
-        apr=1.0,
-        smallest_margin_s=0.1,
-        lost_run_ids=(),
-        site_id="lamp 8",
-    )
-    units = [left(name, 1.0) for name in "ABC"]
-    failures = Failures(
-        none_failed=left("", 1.0),
-        one_failed=units,
-        two_failed=(),
-        site_failed=(pole, alone),
-    )
+    pole = replace(left("AB", 0.25, ["r1"]), site_id="lamp 7")
+    alone = replace(left("C", 1.0), site_id="lamp 8")
+    units = build_failures([left(name, 1.0) for name in "ABC"])
+    failures = replace(units, site_failed=(pole, alone))
+
     assert (
         failure_sentences(failures, LABELS)[-1]
         == "A pole fails with all its units (power cut, crash). If the pole of #1 and "
@@ -188,8 +193,10 @@ def test_a_pole_with_two_units_is_told_beside_the_units():
     )
     assert [
         row[:3] for row in failure_table(failures.site_failed, LABELS, of="pole").rows
-    ] == [["lamp 7", "#1 and #2", "25.0 %"], ["lamp 8", "#3", "100.0 %"]]
-    unshared = Failures(
-        none_failed=left("", 1.0), one_failed=units, two_failed=(), site_failed=(alone,)
-    )
+    ] == [
+        ["lamp 7", "#1 and #2", "25.0 %"],
+        ["lamp 8", "#3", "100.0 %"],
+    ]
+
+    unshared = replace(units, site_failed=(alone,))
     assert "No two units share a pole" in failure_sentences(unshared, LABELS)[-1]

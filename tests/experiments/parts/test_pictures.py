@@ -1,3 +1,5 @@
+"""Pictures of the report: their size and palette."""
+
 import base64
 import io
 
@@ -19,7 +21,9 @@ def test_a_picture_is_the_whole_figure_whether_asked_by_it_or_by_its_axes():
         axes.plot([0.0, 1.0])
         pictures.append(build_picture((axes.figure, axes)[which], **words))
     picture, other = pictures
+
     assert other == picture
+
     image = matplotlib.image.imread(io.BytesIO(base64.b64decode(picture.image)))
     assert image.shape[:2] == (picture.height_px, picture.width_px) == (320, 480)
     assert picture.width_in == 3.0
@@ -36,12 +40,14 @@ def test_axes_without_a_figure_are_no_picture():
 
 
 def as_png(levels):
+    """Levels, (h, w, 3), as a file."""
     buffer = io.BytesIO()
     Image.fromarray(levels).save(buffer, format="png")
     return buffer.getvalue()
 
 
 def levels_of(png):
+    """Levels of a file, (h, w, 3)."""
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
 
 
@@ -61,12 +67,15 @@ def draw_many_lines():
 def test_a_large_picture_gets_a_palette_that_keeps_even_the_colour_of_a_small_mark():
     png = draw_many_lines()
     assert len(png) > MAX_TRUE_COLOUR_BYTES
+
     reduced = with_palette(png)
     assert len(reduced) < 0.5 * len(png)
     assert Image.open(io.BytesIO(reduced)).mode == "P"
+
     before = levels_of(png)
     after = levels_of(reduced)
     assert np.abs(after - before).max() <= 32
+
     is_mark = (before == [0xD5, 0x5E, 0x00]).all(axis=2)
     assert 20 < is_mark.sum() < 400
     assert np.abs(after[is_mark] - before[is_mark]).max() <= 16
@@ -76,8 +85,10 @@ def test_what_a_palette_would_change_or_not_shrink_stays_as_it_is(monkeypatch):
     monkeypatch.setattr(section, "MAX_TRUE_COLOUR_BYTES", 3000)
     rng = np.random.default_rng(0)
     noise = as_png(rng.integers(0, 256, (64, 64, 3), dtype=np.uint8))
+
     assert len(noise) > 3000
     assert with_palette(noise) == noise
+
     small = as_png(rng.integers(0, 256, (20, 20, 3), dtype=np.uint8))
     assert len(small) < 3000
     assert with_palette(small) == small

@@ -1,3 +1,5 @@
+"""Data of the report's interactive part, and its page."""
+
 import json
 import math
 import re
@@ -73,10 +75,13 @@ def test_records_say_what_runs_and_evaluation_say(small_setting, evaluation):
     part = interactive_part(small_setting, {"ours": evaluation, "other": other})
     player = read(part)
     names = [party["name"] for party in player["parties"]]
+
     assert names[0] == "VUT"
     assert names[-3:] == ["all RSUs", "VUT and RSUs", "other: all RSUs"]
+
     by_id = {run.id: run for run in small_setting.runs}
     assert {record["id"] for record in player["runs"]} == set(by_id)
+
     verdicts = [
         evaluation.vut,
         *evaluation.units.values(),
@@ -90,9 +95,11 @@ def test_records_say_what_runs_and_evaluation_say(small_setting, evaluation):
         index = axis.run_ids.index(record["id"])
         n = len(run.time_s)
         bits = unpack_bits(record["bits"], n_rows=len(verdicts), n=n)
+
         for row, verdict in zip(bits, verdicts, strict=True):
             assert (row == verdict.detected[axis.frames_of(index)]).all()
         assert np.abs(np.array(record["time"]) / 1000.0 - run.time_s).max() <= 0.0005
+
         for key, position, yaw in (
             ("car", run.vut_position_m, run.vut_yaw_deg),
             ("road", run.vru_position_m, run.vru_yaw_deg),
@@ -117,11 +124,13 @@ def test_records_say_what_runs_and_evaluation_say(small_setting, evaluation):
                     assert shown is None
             assert avoided == verdict.is_avoided[index]
         assert len(record["parked"]) == len(run.obstruction)
+
         # Where the car is at the last moment: between its places in the frames around
         # it.
         after = int(np.searchsorted(run.time_s, run.last_brake_time_s))
         place = np.array(record["lastPlace"]) / 100.0
         ends = run.vut_position_m[after - 1 : after + 1]
+
         assert (place >= ends.min(axis=0) - 0.02).all()
         assert (place <= ends.max(axis=0) + 0.02).all()
 
@@ -137,9 +146,11 @@ def test_runs_asked_for_come_first_then_those_not_avoided_each_once(small_settin
     runs = read(
         interactive_part(small_setting, {"a": evaluation}, first_runs=[first, first])
     )["runs"]
+
     assert sorted(run["id"] for run in runs) == sorted(axis.run_ids)
     assert runs[0]["id"] == first
     assert runs[0]["group"] == SHOWN_ABOVE
+
     avoided = [
         bool(verdict.is_avoided[axis.run_ids.index(run["id"])]) for run in runs[1:]
     ]
@@ -154,13 +165,17 @@ def test_the_page_opens_with_a_run_not_avoided_in_which_units_detect(small_setti
     axis = evaluation.axis
     verdict = evaluation.rsu_all
     lost = np.flatnonzero(~verdict.is_avoided)
+
     assert 0 < len(lost) < axis.n_runs
+
     detected = verdict.detected.copy()
     # Two frames confirm nobody.
     detected[axis.frames_of(lost[-1])][:2] = True
     seen = replace(evaluation, rsu_all=replace(verdict, detected=detected))
     player = read(interactive_part(small_setting, {"a": seen}))
+
     assert player["runs"][player["first"]]["id"] == axis.run_ids[lost[-1]]
+
     asked = interactive_part(small_setting, {"a": seen}, first_runs=[axis.run_ids[3]])
     assert read(asked)["first"] == 0
 
@@ -170,6 +185,7 @@ def test_runs_that_do_not_fit_are_left_out(small_setting, evaluation, monkeypatc
     part = interactive_part(
         small_setting, {"a": evaluation}, first_runs=["CBLA/east/25"]
     )
+
     assert part["n_runs"] == 1
     assert part["n_all"] == evaluation.axis.n_runs
     assert read(part)["runs"][0]["id"] == "CBLA/east/25"
@@ -189,6 +205,8 @@ def test_plan_holds_the_road(small_setting):
 
 
 class Tags(HTMLParser):
+    """Ids and the number of scripts of a page."""
+
     def __init__(self, page):
         super().__init__()
         self.ids = []
@@ -214,6 +232,7 @@ def test_a_page_stays_whole_whatever_things_are_called(small_setting):
         )
     )
     page = page_around(interactive_part(setting, {EVIL: evil, f"{EVIL}2": evil}))
+
     assert Tags(page).scripts == Tags(tame).scripts
     assert Tags(page).ids == Tags(tame).ids
     assert len(set(Tags(page).ids)) == len(Tags(page).ids)
@@ -225,6 +244,7 @@ def test_a_page_stays_whole_whatever_things_are_called(small_setting):
 @pytest.mark.long
 def test_two_hundred_units_fit_into_the_page(part_of_many):
     assert len(part_of_many["player_json"]) < 0.5e6
+
     names = [party["name"] for party in read(part_of_many)["parties"]]
     assert names[-2:] == ["VAM", "all sources"]
     assert len(names) == 205

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from browser_pages import open_page, start_browser
+from browser_pages import open_page
 from interactive_pages import (
     EVIL,
     build_evaluation,
@@ -28,13 +28,8 @@ FRAME = "document.getElementById('player-frame')"
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with start_browser() as opened:
-        yield opened
-
-
-@pytest.fixture(scope="module")
 def part(small_setting):
+    """The interactive part for two layouts."""
     evaluation = build_evaluation(
         small_setting, build_layout(5), share=0.3, with_vam=True
     )
@@ -48,12 +43,14 @@ def address(part, tmp_path_factory):
 
 
 def write_page(part, folder):
+    """Address of a page around an interactive part."""
     path = folder / "page.html"
-    path.write_text(page_around(part), encoding="utf-8")
+    path.write_text(page_around(part))
     return path.as_uri()
 
 
 def seconds(milliseconds):
+    """A time as the player writes it."""
     if milliseconds < 0:
         sign = "\N{MINUS SIGN}"
     else:
@@ -62,6 +59,7 @@ def seconds(milliseconds):
 
 
 def go_to(page, frame):
+    """Move the player's slider to a frame."""
     page.evaluate(f"{FRAME}.value = {frame}; {FRAME}.dispatchEvent(new Event('input'))")
 
 
@@ -75,16 +73,19 @@ def test_the_player_shows_what_the_records_say(browser, address, part):
             last = max(
                 frame for frame, ms in enumerate(run["time"]) if ms <= run["last"]
             )
+
             assert page.evaluate(f"Number({FRAME}.value)") == last
             assert (
                 page.locator("#player-timeline .mark.last")
                 .inner_text()
                 .endswith(f"{seconds(run['last'])} s")
             )
+
             n_marks = page.locator("#player-timeline .mark").count()
             assert n_marks == 1 + (run["confirmed"][fused] is not None) + (
                 run["onset"][fused] is not None
             )
+
             for frame in (0, last, len(run["time"]) - 1):
                 go_to(page, frame)
                 ms = run["time"][frame]
@@ -92,12 +93,14 @@ def test_the_player_shows_what_the_records_say(browser, address, part):
                     page.get_attribute("#player-frame", "aria-valuetext")
                     == f"{seconds(ms)} s"
                 )
+
                 words = page.inner_text("#player-status")
                 left = run["last"] - ms
                 if left >= 0:
                     expected = f"{seconds(left)} s left until"
                 else:
                     expected = f"{seconds(-left)} s ago"
+
                 assert expected in words
                 assert words.startswith("Impact." if ms == 0 else f"{seconds(ms)} s.")
 
@@ -143,9 +146,11 @@ def test_units_light_up_in_just_the_frames_in_which_they_detect(browser, address
             }})"""
         )
         lit = np.array(shown).transpose(2, 1, 0)
+
         assert (lit[0] == bits[1 : n_units + 1]).all()
         assert lit[0].any()
         assert not lit[0].all()
+
         times = np.array(run["time"])
         for unit, confirmed in zip(lit[1], run["confirmed"][1:], strict=False):
             if confirmed is not None:
@@ -156,7 +161,9 @@ def test_units_light_up_in_just_the_frames_in_which_they_detect(browser, address
         # The heatmap's rows, too: what they cover is as long as the detections.
         page.click("#player-details summary")
         page.wait_for_selector("#player-table tbody tr")
+
         assert page.locator("#player-table tbody tr").count() == len(data["parties"])
+
         for index, row in enumerate(page.locator("#player-table tbody tr").all()):
             never = "never" in row.locator("td").first.inner_text()
             assert never == (not bits[index].any())
@@ -167,20 +174,26 @@ def test_the_player_runs_and_stops_by_the_keyboard_alone(browser, address):
         go_to(page, 0)
         page.focus("#player-play")
         page.keyboard.press("Enter")
+
         assert page.inner_text("#player-play") == "Pause"
+
         page.wait_for_function(f"Number({FRAME}.value) >= 3")
         page.keyboard.press("Enter")
         assert page.inner_text("#player-play") == "Play"
+
         page.focus("#player-frame")
         before = page.evaluate(f"Number({FRAME}.value)")
         page.keyboard.press("ArrowRight")
+
         assert page.evaluate(f"Number({FRAME}.value)") == before + 1
+
         go_to(page, page.evaluate(f"Number({FRAME}.max) - 1"))
         page.select_option("#player-speed", "2")
         page.click("#player-play")
         page.wait_for_function(
             "document.getElementById('player-play').textContent === 'Play'"
         )
+
         assert page.inner_text("#player-status").startswith("Impact.")
 
 
@@ -188,6 +201,7 @@ def test_nothing_moves_by_itself_where_motion_is_not_wanted(browser, address):
     with open_page(browser, address, reduced_motion="reduce") as page:
         go_to(page, 0)
         assert page.inner_text("#player-play") == "Next frame"
+
         page.click("#player-play")
         page.wait_for_timeout(300)
         assert page.evaluate(f"Number({FRAME}.value)") == 1
@@ -209,20 +223,25 @@ def test_tables_sort_by_numbers_with_units_and_back(browser, address):
         original = order(page)
         name, price, spare = page.locator("#sorted thead button").all()
         price.click()
+
         assert order(page) == ["unit 9", "a unit", "unit 10", "unit 1"]
         assert (
             page.locator("#sorted th[aria-sort=ascending]")
             .inner_text()
             .startswith("price")
         )
+
         price.click()
         assert order(page) == ["unit 10", "a unit", "unit 9", "unit 1"]
+
         price.click()
         assert order(page) == original
         assert page.locator("#sorted [aria-sort]").count() == 0
+
         name.focus()
         page.keyboard.press("Enter")
         assert order(page) == ["a unit", "unit 1", "unit 9", "unit 10"]
+
         spare.click()
         assert order(page) == ["unit 9", "unit 1", "unit 10", "a unit"]
         assert page.locator("#sorted [aria-sort]").count() == 1
@@ -245,14 +264,19 @@ def test_tables_and_the_player_speak_german(browser, part, tmp_path):
         words = page_environment().get_template("words.html.j2").render()
     page = re.sub(r'<table id="sorted">.*</table>', GERMAN, page, flags=re.S)
     path = tmp_path / "page.html"
-    path.write_text(page.replace("<main>", f"{words}<main>"), encoding="utf-8")
+    path.write_text(page.replace("<main>", f"{words}<main>"))
     with open_page(browser, path.as_uri()) as opened:
-        for head, wanted in (("Name", "ÄBCZ"), ("Preis", "BCÄZ"), ("Reserve", "BZÄC")):
+        for head, wanted in (
+            ("Name", "ÄBCZ"),
+            ("Preis", "BCÄZ"),
+            ("Reserve", "BZÄC"),
+        ):
             opened.locator("#sorted thead button", has_text=head).click()
             assert (
                 "".join(opened.locator("#sorted tbody th").all_inner_texts()) == wanted
             )
         status = opened.inner_text("#player-status")
+
         assert re.match(r"(\W?\d+,\d\d s|Aufprall)\. ", status)
         assert "Sensor" in status
         assert opened.inner_text("#player-play") == "Abspielen"
@@ -273,9 +297,11 @@ def test_print_shows_the_last_moment_and_no_controls(browser, address, part):
         go_to(page, 0)
         page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
         page.emulate_media(media="print")
+
         assert page.evaluate(f"Number({FRAME}.value)") == last
         assert not page.is_visible("#player-play")
         assert page.is_visible("#player-plan svg")
+
         page.evaluate("window.dispatchEvent(new Event('afterprint'))")
         assert page.evaluate(f"Number({FRAME}.value)") == 0
 

@@ -1,3 +1,5 @@
+"""Dangers by position: table and figures."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +11,12 @@ from experiments.parts.section import Box
 
 
 def test_shares_by_position_and_approach(frame_axis):
+    # Weights 1/2, 1/4, 1/4.
     axis = replace(
         frame_axis, positions=("-15", "0", "0"), approaches=("north", "south", "north")
-    )  # weights 1/2, 1/4, 1/4
+    )
     table = position_table("best", np.array([False, True, False]), axis)
+
     assert table.columns == [
         "where",
         "APR",
@@ -37,6 +41,7 @@ def test_the_first_and_the_last_layout_are_drawn_side_by_side(
     }
     found = section(small_setting, shown, fusion="any")
     (box,) = [block for block in found.blocks if isinstance(block, Box)]
+
     assert [picture.title for picture in box.blocks] == [
         "Where it is still dangerous with <a>",
         "Where it is still dangerous with c",
@@ -46,9 +51,11 @@ def test_the_first_and_the_last_layout_are_drawn_side_by_side(
     )
     assert tables_of(found) == []  # there is one position
     assert "&lt;a&gt;" in render_section(found)
+
     names = tuple("0" if row else "-15" for row in range(axis.n_runs))
     along = replace(small_setting, axis=replace(axis, positions=names))
     alone = section(along, {"<a>": shown["<a>"]}, fusion="any")
     (box,) = [block for block in alone.blocks if isinstance(block, Box)]
+
     assert len(box.blocks) == 1
     assert len(tables_of(alone)) == 1

@@ -1,10 +1,12 @@
-import json
+"""Private ground: read from files, seen by cameras, told."""
+
 from dataclasses import replace
 from types import SimpleNamespace
 
 import geopandas
 import numpy as np
 import pytest
+from command_results import refusal
 from private_garden import write_garden
 from shapely import box
 from small_results import assemble_without_runs
@@ -24,10 +26,6 @@ from placement.private_ground import load_private_ground, private_shares
 from placement.question import Question
 
 
-def summarise(*given, **options):
-    return build_private_ground_record(*given, **options)
-
-
 @pytest.fixture
 def scene():
     return load_study_scene()
@@ -42,8 +40,10 @@ def test_polygons_come_into_the_world_frame(garden, scene):
     ground = load_private_ground(garden, scene)
     assert ground.names == ("garden",)
     assert ground.area_m2 == pytest.approx([20.0], rel=1e-3)
+
     low = ground.points_m[:, :2].min(axis=0)
     high = ground.points_m[:, :2].max(axis=0)
+
     assert low == pytest.approx([-109.5, 10.5], abs=0.05)
     assert high == pytest.approx([-100.5, 11.5], abs=0.05)
 
@@ -57,7 +57,9 @@ def test_a_map_of_no_known_place_takes_its_own_coordinates(scene, tmp_path):
     )
     frame.to_file(path, driver="GPKG")
     ground = load_private_ground(path, lost)
+
     assert ground.points_m[:, :2].min(axis=0) == pytest.approx([10.5, 10.5])
+
     frame.set_crs("EPSG:25832").to_file(tmp_path / "b.gpkg", driver="GPKG")
     with pytest.raises(
         InputError, match="expected a scene that says where on earth it lies"
@@ -70,13 +72,18 @@ def test_a_map_of_no_known_place_takes_its_own_coordinates(scene, tmp_path):
 def test_poses_that_look_in_are_no_candidates(garden, scene):
     plan = assemble_without_runs(Question(budget=1, no_look=str(garden)), scene)
     everything = assemble_without_runs(Question(budget=1), scene)
+
     assert 0 < len(plan.candidates) < len(everything.candidates)
     assert (private_shares(scene, plan.candidates, plan.private_ground) == 0.0).all()
+
     some = assemble_without_runs(
         Question(budget=1, no_look=str(garden), no_look_share=0.5), scene
     )
     assert len(plan.candidates) < len(some.candidates) <= len(everything.candidates)
-    summary = summarise(plan.candidates[:2], scene, plan.private_ground)
+
+    summary = build_private_ground_record(
+        plan.candidates[:2], scene, plan.private_ground
+    )
     assert (
         private_ground_sentence(summary)
         == "No camera has the private area in its picture."
@@ -87,11 +94,13 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
     ground = load_private_ground(garden, scene)
     units = load_carlancap_layout().units
     shares = private_shares(scene, units, ground)[:, 0]
-    summary = summarise(units, scene, ground)
+    summary = build_private_ground_record(units, scene, ground)
     sentence = private_ground_sentence(summary)
+
     for unit, share in zip(units, shares, strict=True):
         assert summary.units[unit.id] == {"garden": share}
         assert (f"{unit.id} sees " in sentence) == (share > 0.0)
+
     watching = [unit for unit, share in zip(units, shares, strict=True) if share > 0.0]
     assert watching
     with pytest.raises(
@@ -106,32 +115,24 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
 
 def test_what_belongs_to_areas_needs_areas(run):
     option = "--no-look-share"
-    code, _, err = run("--budget 1", option, "0.5")
-    assert code == 2
-    assert err.endswith(
-        f"place-rsus: {option}: got it without --no-look; expected both\n"
-    )
+    line = refusal(run("--budget 1", option, "0.5"))
+    assert line.endswith(f"{option}: got it without --no-look; expected both")
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("command", ["compare"])
 def test_layouts_are_judged_by_what_they_see_of_private_ground(
-    garden, run, small_study, command
+    garden, run, ask, scene, small_study
 ):
-    asked = ("--no-look", garden, "--quiet")
-    layouts = ("--layout carlancap-12",)
-    if command == "compare":
-        layouts = ("carlancap-12", "carlancap-12")
-    summary = json.loads(run(command, *layouts, *asked, "--json")[1])
+    asked = ("compare carlancap-12 carlancap-12 --no-look", garden)
+    summary = ask(*asked)
     seen = summary["private_ground"]["units"]
-    ground = load_private_ground(garden, load_study_scene())
-    expected = private_shares(
-        load_study_scene(), load_carlancap_layout().units, ground
-    )[:, 0]
+    ground = load_private_ground(garden, scene)
+    expected = private_shares(scene, load_carlancap_layout().units, ground)[:, 0]
+
     assert [shares["garden"] for shares in seen.values()] == pytest.approx(expected)
-    if command == "compare":
-        assert summary["compared"][0]["private_ground"] == summary["private_ground"]
-    _, text, _ = run(command, *layouts, *asked)
+    assert summary["compared"][0]["private_ground"] == summary["private_ground"]
+
+    _, text, _ = run(*asked, "--quiet")
     assert "Warning: private ground is in view: RSU" in text
 
 
@@ -161,22 +162,27 @@ def test_what_an_existing_camera_looks_into_is_a_warning_before_all_else(monkeyp
     seen = {"A": {"garden": 0.25}, "B": {"garden": 0.5}, "C": {"garden": 0.0}}
     ground = PrivateGroundRecord(areas=areas, units=seen)
     result = SimpleNamespace(private_ground=ground, existing=("A", "C"))
+
     assert existing_views.warnings(result) == [
         "Warning: private ground is in view: B sees 50.0 % of garden, A sees 25.0 %"
         " of garden."
     ]
+
     # In a placement B was chosen, within --no-look-share.
     monkeypatch.setattr(existing_views, "PlacementResult", SimpleNamespace)
     assert existing_views.warnings(result) == [
         "Warning: an existing camera has private ground in view: A sees 25.0 % of"
         " garden."
     ]
+
     result.existing = ("C",)
     assert existing_views.warnings(result) == []
+
     # With the other warnings, above the figures of a report.
     result.existing = ("A",)
     result.driven = ()
     result.without_effect = ()
     monkeypatch.setattr(answer, "preferred", lambda result: [])
     monkeypatch.setattr(answer, "planned_only", lambda result: [])
+
     assert answer.warnings(result) == existing_views.warnings(result) != []

@@ -1,3 +1,5 @@
+"""Tables of what cameras see of private ground."""
+
 import msgspec
 from msgspec import UNSET
 from partial_pages import render_section, tables_of
@@ -35,6 +37,7 @@ def test_areas_are_rows_and_units_columns_what_is_seen_most_first():
         {"A": "#1", "B": "#2"},
     )
     (table,) = tables_of(part)
+
     assert table.columns == [
         "area",
         "size (m²)",
@@ -46,6 +49,7 @@ def test_areas_are_rows_and_units_columns_what_is_seen_most_first():
         ["<yard>", "11", "50.0 %", "25.0 %", "50.0 %"],
         ["lawn", "10", "10.0 %", "0.0 %", "10.0 %"],
     ]
+
     page = render_section(part)
     assert "<yard>" not in page
     assert "&lt;yard&gt;" in page
@@ -58,6 +62,7 @@ def test_of_many_units_and_areas_those_that_matter_are_shown_and_it_is_told():
     }
     part = private_ground_section(summary(shares), {})
     (table,) = tables_of(part)
+
     assert table.columns[3:] == [f"U{unit}" for unit in range(200 - MAX_UNITS, 200)]
     assert [row[0] for row in table.rows] == [
         f"area{area}" for area in range(99, 99 - MAX_AREAS, -1)

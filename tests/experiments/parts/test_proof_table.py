@@ -11,7 +11,14 @@ from experiments.results.record import StageRecord
 
 
 def stage(name: str, value: float, bound: float, gap: float | None) -> StageRecord:
-    return StageRecord(name=name, objective=value, bound=bound, gap=gap, seconds=1.0)
+    """An objective with its bound."""
+    return StageRecord(
+        name=name,
+        objective=value,
+        bound=bound,
+        gap=gap,
+        seconds=1.0,
+    )
 
 
 OPEN = [

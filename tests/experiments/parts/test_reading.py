@@ -1,6 +1,5 @@
 """Result folders are read back whole, or refused in one line."""
 
-import json
 import math
 import shutil
 from contextlib import suppress
@@ -9,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from command_results import answer
+from json_files import change_json
 
 from experiments.export.json import to_json_text
 from experiments.jobs import placement
@@ -21,6 +22,7 @@ from placement.layout import load_carlancap_layout
 
 @pytest.fixture(scope="module")
 def folder_of_one(tmp_path_factory):
+    """Where the result is, once it is made."""
     return tmp_path_factory.mktemp("results") / "out"
 
 
@@ -31,8 +33,7 @@ def folder(folder_of_one, small_study, without_figures, run, tmp_path, monkeypat
         study = load_carlancap_layout()
         few = replace(study, units=study.units[:2])
         monkeypatch.setattr(placement, "find_baseline", lambda scene: few)
-        code, _, errors = run("--budget 2 --out", folder_of_one, "--quiet")
-        assert code == 0, errors
+        answer(run("--budget 2 --out", folder_of_one, "--quiet"))
     shutil.copytree(folder_of_one, tmp_path / "result")
     return tmp_path / "result"
 
@@ -44,12 +45,16 @@ def test_a_result_is_read_back(folder):
     assert (
         build_unit_records(result.layout, load_study_scene()) == result.summary.layout
     )
-    text = (folder / "summary.json").read_text(encoding="utf-8")
+
+    text = (folder / "summary.json").read_text()
     assert to_json_text(result.summary) == text
+
     together = result.runs.query("layout == @result.layout.name and party == 'rsu_all'")
     assert len(together) == result.summary.runs
+
     share = together["weight"][together["is_avoided"]].sum()
     assert share == pytest.approx(result.summary.evaluation.rsu_all.all)
+
     of_all = result.apr.query(
         "layout == @result.layout.name and party == 'rsu_all' and case == 'all' "
         "and approach == 'all' and weather == 'all' and vut_speed_kmh == 'all'"
@@ -60,17 +65,14 @@ def test_a_result_is_read_back(folder):
     )
 
 
-def rewrite(path, change):
-    summary = json.loads(path.read_text(encoding="utf-8"))
-    change(summary)
-    path.write_text(json.dumps(summary), encoding="utf-8")
-
-
 def change_summary(change):
-    return lambda folder: rewrite(folder / "summary.json", change)
+    """Damage to a summary."""
+    return lambda folder: change_json(folder / "summary.json", change)
 
 
 def change_runs(change):
+    """Damage to the table of runs."""
+
     def damage(folder):
         path = folder / "runs.parquet"
         change(pd.read_parquet(path)).to_parquet(path)
@@ -79,14 +81,18 @@ def change_runs(change):
 
 
 def change_text(name, change):
+    """Damage to a file of text."""
+
     def damage(folder):
         path = folder / name
-        path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
+        path.write_text(change(path.read_text()))
 
     return damage
 
 
 def cut_off(name, share=0.5):
+    """Damage that leaves the first part of a file."""
+
     def damage(folder):
         data = (folder / name).read_bytes()
         (folder / name).write_bytes(data[: math.floor(share * len(data))])
@@ -208,6 +214,7 @@ BROKEN = {
 def test_what_is_broken_or_of_other_results_is_refused_in_one_line(what, folder):
     damage, expected = BROKEN[what]
     damage(folder)
+
     with pytest.raises(InputError, match=expected) as caught:
         load_result(folder)
     assert "\n" not in str(caught.value)
@@ -248,13 +255,14 @@ def test_runs_with_a_wrong_byte_are_refused_or_read(folder):
             load_result(folder)
             continue
         n_refused += 1
+
     assert n_refused > 0
 
 
 def test_layouts_may_be_called_as_what_is_missing(folder):
     """ "nan" is text in apr.csv, not a number that is none."""
     for name in ("nan", "12"):
-        rewrite(
+        change_json(
             folder / "summary.json",
             lambda summary, name=name: summary.update(name=name),
         )

@@ -1,8 +1,8 @@
 """The evaluator's choice among the layouts that lead, written beside the one found."""
 
-import json
-
 import pytest
+from command_results import output
+from json_files import read_json
 
 from experiments.parts import alternatives
 from placement.layout import load_layout
@@ -18,23 +18,25 @@ def test_what_the_evaluator_recommends_is_written_and_what_is_proven_still_verif
     )
     out = tmp_path / "out"
     command = ("--budget 2 --give-up 0 --out", out, "--workers 2")
-    code, told, _ = run(*command, "--verbose")
-    assert code == 0
-    summary = json.loads((out / "summary.json").read_text())
+    told = output(run(*command, "--verbose"))
+    summary = read_json(out / "summary.json")
     found = summary["front_runners"]
     names = [one["name"] for one in found["layouts"]]
+
     assert (
         names[0] == summary["name"] == load_layout(out / "layout.json").name == "best-2"
     )
+
     recommended = load_layout(out / "recommended.json")
     assert recommended.name == found["recommended"] == names[1] != "best-2"
+
     sentence = f"Recommended: {names[1]}, in recommended.json."
     assert sentence in told
     assert sentence in (out / "report.html").read_text()
     assert 0 < told.index("Recommended:") < told.index("The highest APR with fewer")
     assert summary["mounting"]["worst"]["unit_id"] in {"U1", "U2"}
-    code, verified, _ = run("verify", out, "--quiet")
-    assert code == 0, verified
+
+    output(run("verify", out, "--quiet"))
 
 
 @pytest.mark.long
@@ -45,14 +47,19 @@ def test_where_the_layout_found_is_recommended_nothing_is_written_beside_it(
     monkeypatch.setattr(
         alternatives, "recommend", lambda runners, mounted_wrongly: (0, "order")
     )
-    code, told, _ = run("--budget 2 --give-up 0 --out", tmp_path / "out", "--workers 2")
-    assert code == 0
+    told = output(run("--budget 2 --give-up 0 --out", tmp_path / "out", "--workers 2"))
+
     assert not (tmp_path / "out/recommended.json").exists()
     assert "Recommended:" not in told
 
 
 @pytest.mark.parametrize(
-    ("weights", "asks"), [("", True), ("case", True), ("run", False)]
+    ("weights", "asks"),
+    [
+        ("", True),
+        ("case", True),
+        ("run", False),
+    ],
 )
 def test_weights_that_somebody_chose_are_meant(weights, asks, monkeypatch):
     asked = []
@@ -66,4 +73,5 @@ def test_weights_that_somebody_chose_are_meant(weights, asks, monkeypatch):
     alternatives.find_other_weights(
         nothing, question, question, compute=nothing, progress=lambda *given: None
     )
+
     assert bool(asked) == asks

@@ -1,4 +1,5 @@
-import json
+"""Units of a recording, chosen and evaluated: against all choices."""
+
 import shutil
 from functools import cache
 from itertools import combinations
@@ -7,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from json_files import read_json, write_json
 from oracles import naive_confirmed
 
 from experiments.cli.recording import recording_text
@@ -27,31 +29,28 @@ N_FRAMES = 14
 SPEEDS_MPS = (6.0, 7.0, 8.0, 9.0, 10.0)
 
 
-def _write(folder, detected, *, vut=True):
+def _write(folder, detected):
     """Pedestrians that cross; detected: (n_units + 1, n_drives, n_frames), the car
     comes last.
     """
     names = [str(unit) for unit in range(len(detected) - 1)] + ["car"]
-    seen = {
-        name: rows
-        for name, rows in zip(names, detected, strict=True)
-        if vut or name != "car"
-    }
-    drives = [
-        WrittenDrive(
+    seen = dict(zip(names, detected, strict=True))
+    labels_px = dict.fromkeys(names, np.tile(BOX, (N_FRAMES, 1)))
+    ahead_s = np.arange(N_FRAMES)[::-1] / 10.0
+    drives = []
+    for index, speed_mps in enumerate(SPEEDS_MPS):
+        found_px = {name: rows[index][:, None] * BOX for name, rows in seen.items()}
+        drive = WrittenDrive(
             scenario=index % 2,
             vru_class="pedestrian",
-            vut_speed_mps=speed,
+            vut_speed_mps=speed_mps,
             vru_speed_mps=1.5,
-            distance_m=2.0 + speed * np.arange(N_FRAMES)[::-1] / 10.0,
-            labels_px={name: np.tile(BOX, (N_FRAMES, 1)) for name in seen},
-            detections_px={
-                name: rows[index][:, None] * BOX for name, rows in seen.items()
-            },
-            label_distance_m={name: np.full(N_FRAMES, 20.0) for name in seen},
+            distance_m=2.0 + speed_mps * ahead_s,
+            labels_px=labels_px,
+            detections_px=found_px,
+            label_distance_m=dict.fromkeys(names, np.full(N_FRAMES, 20.0)),
         )
-        for index, speed in enumerate(SPEEDS_MPS)
-    ]
+        drives.append(drive)
     write_recording(folder, drives)
     # Drives are read scenario by scenario.
     order = sorted(range(N_DRIVES), key=lambda index: index % 2)
@@ -59,6 +58,7 @@ def _write(folder, detected, *, vut=True):
 
 
 def _random(seed, share):
+    """Detections by lot, (n_units + 1, n_drives, n_frames)."""
     return np.random.default_rng(seed).random((N_UNITS + 1, N_DRIVES, N_FRAMES)) < share
 
 
@@ -120,27 +120,21 @@ def _avoided(detected, speeds_mps, units, fusion):
     ]
 
 
-def _place(folder, **options):
+def _place(folder, budget=2, fusion="any", **options):
+    """Plain summary of a choice among the units of a recording."""
+    question = Question(budget=budget, fusion=fusion, time_limit_s=60.0)
+    return _evaluate(folder, question, chooses=True, **options)
+
+
+def _evaluate(folder, question=Question(), **options):  # noqa: B008 - frozen
+    """Plain summary of a recording; of a choice among its units if it `chooses`."""
     given = {"min_confidence": 0.0, "out": None, "progress": StageProgress()}
-    asked = {
-        "budget": options.pop("budget_units", 2),
-        "fusion": options.pop("fusion", "any"),
-    }
-    question = Question(**asked, time_limit_s=60.0)
-    return to_plain(
-        run_recording(question, folder=folder, chooses=True, **(given | options))
-    )
+    return to_plain(run_recording(question, folder=folder, **(given | options)))
 
 
-def _evaluate(folder, question=None, **options):
-    given = {"min_confidence": 0.0, "out": None, "progress": StageProgress()}
-    return to_plain(
-        run_recording(question or Question(), folder=folder, **(given | options))
-    )
-
-
-def record_of(summary):
-    return msgspec.convert(summary, RecordedResult)
+def _text(summary, folder=None):
+    """What the terminal says of a plain summary."""
+    return recording_text(msgspec.convert(summary, RecordedResult), folder)
 
 
 @pytest.mark.long
@@ -155,40 +149,33 @@ def record_of(summary):
 )
 def test_no_other_choice_of_units_prevents_more(recorded, fusion, seed, share):
     folder, detected, speeds = recorded(seed, share)
+
+    def apr(units, fusion=fusion):
+        return np.mean(_avoided(detected, speeds, units, fusion))
+
+    def without_worst(units):
+        return min(apr([unit for unit in units if unit != failed]) for failed in units)
+
     for budget in (1, 2, 3, N_UNITS):
-        summary = _place(folder, budget_units=budget, fusion=fusion)
+        summary = _place(folder, budget, fusion)
         chosen = [int(unit["folder"]) for unit in summary["layout"]]
-        aprs = {
-            units: np.mean(_avoided(detected, speeds, units, fusion))
-            for units in combinations(range(N_UNITS), budget)
-        }
-        best = max(aprs.values())
-        assert summary["apr"] == pytest.approx(best)
+        aprs = {units: apr(units) for units in combinations(range(N_UNITS), budget)}
+        best = pytest.approx(max(aprs.values()))
+
+        assert summary["apr"] == best
         # What adds nothing is left out.
         assert len(chosen) <= budget
-        assert np.mean(_avoided(detected, speeds, chosen, fusion)) == pytest.approx(
-            best
-        )
-        assert summary["bound"] == pytest.approx(best)
+        assert apr(chosen) == best
+        assert summary["bound"] == best
         assert summary["gap"] == 0.0
+
         # Among the best ones, none loses less when one unit fails.
-        robust = {
-            units: min(
-                np.mean(
-                    _avoided(
-                        detected, speeds, [u for u in units if u != failed], fusion
-                    )
-                )
-                for failed in units
-            )
-            for units, apr in aprs.items()
-            if apr == pytest.approx(best)
-        }
-        if best > 0.0:
-            assert summary["apr_without_worst_unit"] == pytest.approx(
-                max(robust.values())
-            )
-        everything = np.mean(_avoided(detected, speeds, range(N_UNITS), "any"))
+        equal = [units for units, value in aprs.items() if value == best]
+        left = max(without_worst(units) for units in equal)
+        if max(aprs.values()) > 0.0:
+            assert summary["apr_without_worst_unit"] == pytest.approx(left)
+
+        everything = apr(range(N_UNITS), "any")
         assert summary["baseline"]["rsu_all"]["all"] == pytest.approx(everything)
         assert [stage["name"] for stage in summary["stages"]] == [
             "apr",
@@ -204,6 +191,7 @@ def test_drives_frames_and_what_was_skipped_are_told(recorded, tmp_path):
     _with_own(recorded()[0], "WorldData", tmp_path / "data")
     (tmp_path / "data/WorldData/0_3.txt").unlink()
     summary = _evaluate(tmp_path / "data")
+
     assert summary["frames"] == {
         "recorded": N_DRIVES * (N_FRAMES + 30) - 1,
         "in_drives": N_DRIVES * N_FRAMES,
@@ -216,15 +204,19 @@ def test_drives_frames_and_what_was_skipped_are_told(recorded, tmp_path):
     }
     assert summary["runs"] == 5
     assert summary["weathers"] == ["recorded"]
+
     first = summary["drives"][0]
-    assert first["run"] == "recording/0/22"
-    assert first["case"] == "scenario-0-pedestrian"
-    assert first["motion"] == "crossing"
-    assert first["first_frame"] == 0
-    assert first["frames"] == N_FRAMES
-    assert first["missing_frames"] == 1
-    assert first["last_brake_time_s"] == pytest.approx(-6.0 / 15.44)
-    assert first["closing_speed_mps"] == pytest.approx(6.0)
+    expected = {
+        "run": "recording/0/22",
+        "case": "scenario-0-pedestrian",
+        "motion": "crossing",
+        "first_frame": 0,
+        "frames": N_FRAMES,
+        "missing_frames": 1,
+        "last_brake_time_s": pytest.approx(-6.0 / 15.44),
+        "closing_speed_mps": pytest.approx(6.0),
+    }
+    assert first | expected == first
 
 
 @pytest.mark.long
@@ -235,7 +227,9 @@ def test_nothing_is_written_unless_asked_for_and_then_little(
     monkeypatch.chdir(tmp_path)
     _evaluate(Path("data"))
     _place(Path("data"))
+
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
     for run in (_evaluate, _place):
         progress = StageProgress()
         summary = run(Path("data"), out=Path("out"), progress=progress)
@@ -244,12 +238,11 @@ def test_nothing_is_written_unless_asked_for_and_then_little(
             proof = {"certificate.json", "instance.npz"}
         else:
             proof = set()
+
         assert names == {"summary.json", "SHA256SUMS"} | proof
-        assert json.loads(Path("out/summary.json").read_text()) == summary
+        assert read_json(Path("out/summary.json")) == summary
         assert progress.kept == "the results are in out"
-    assert "Written to out: summary.json." in recording_text(
-        record_of(summary), Path("out")
-    )
+    assert "Written to out: summary.json." in _text(summary, Path("out"))
 
 
 def test_a_folder_with_other_things_is_not_replaced(recorded):
@@ -264,17 +257,16 @@ def test_a_folder_with_other_things_is_not_replaced(recorded):
 @pytest.mark.long
 def test_tables_fit_80_columns_and_show_every_party(recorded):
     folder, *_ = recorded()
-    evaluation = recording_text(record_of(_evaluate(folder)), None)
-    placement = recording_text(record_of(_place(folder)), None)
+    evaluation = _text(_evaluate(folder))
+    placement = _text(_place(folder))
+
     for text in (evaluation, placement):
         assert max(map(len, text.splitlines()[1:])) <= 80
-    names = [
-        *(f"RSU{unit}" for unit in range(N_UNITS)),
-        "RSU_all",
-        "car",
-        "car + RSU_all",
-    ]
+
+    names = [f"RSU{unit}" for unit in range(N_UNITS)]
+    names += ["RSU_all", "car", "car + RSU_all"]
     rows = [line[2:18].strip() for line in evaluation.splitlines()]
+
     assert [row for row in rows if row in names] == names
     assert (
         "Skipped: 150 frames between drives (bodies back at their starts)."
@@ -285,9 +277,8 @@ def test_tables_fit_80_columns_and_show_every_party(recorded):
         in evaluation.replace("\n", " ")
     )
     assert "proven" in placement
-    assert (
-        load_aeb_rule().deceleration_mps2 == 7.72
-    )  # what the numbers of this file stand on
+    # What the numbers of this file stand on.
+    assert load_aeb_rule().deceleration_mps2 == 7.72
 
 
 @pytest.mark.long
@@ -295,9 +286,11 @@ def test_a_recorded_choice_has_a_certificate_that_holds(recorded, tmp_path):
     out = tmp_path / "out"
     summary = _place(recorded(3, 0.6)[0], out=out)
     assert run_verification(out, progress=StageProgress()).is_verified
+
     summary["layout"][0]["folder"] = "another"
-    (out / "summary.json").write_text(json.dumps(summary))
+    write_json((out / "summary.json"), summary)
     assert not run_verification(out, progress=StageProgress()).is_verified
+
     (out / "summary.json").write_text("[]")
     with pytest.raises(
         InputError, match=r"summary\.json: got no object; expected a summary"

@@ -1,13 +1,14 @@
+"""What refinement has changed, in words and as a record."""
+
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from tiny_worlds import unit_at
 
 from experiments.parts.explanation import build_refinement_record, refinement_sentences
 from experiments.results.record import to_plain
 from geometry.catalogue import pick_sensor
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
 from placement.layout import Certificate, Layout, Stage
 from placement.refinement import Refinement, rename
 
@@ -16,25 +17,36 @@ NAMES = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eu
 
 
 def _unit(name, *, east=0.0, height=5.0, yaw=0.0, pitch=-15.0, camera="carla-ncap-rgb"):
-    return CandidatePose(
-        id=name,
+    """A unit on a pole. [m, deg]"""
+    return unit_at(
+        name,
+        [east, 0.0, height],
+        yaw_deg=yaw,
+        pitch_deg=pitch,
         site_id="pole",
-        pose=Pose(position_m=[east, 0.0, height], yaw_deg=yaw, pitch_deg=pitch),
         sensor=pick_sensor(camera, "test"),
     )
 
 
 def _values(*numbers):
+    """Values of the objectives, by their names."""
     return dict(zip(NAMES, numbers, strict=True))
 
 
 BEFORE = _values(1.0, 0.0, 0.333, 3.81, 1500.0)
 
 
-def _refinement(old, new, after, *, gap=0.0):
+def _refinement(old, new, after, *, gap=0.0, old_values=BEFORE):
+    """A refinement of some units into others."""
     before = Layout(name="best", units=tuple(old))
     layout, moves = rename(before, new, named=["RSU1"], name="refined")
-    stage = Stage(name="apr", objective=1.0, bound=1.0, gap=gap, seconds=0.1)
+    stage = Stage(
+        name="apr",
+        objective=1.0,
+        bound=1.0,
+        gap=gap,
+        seconds=0.1,
+    )
     unrefined = SimpleNamespace(
         layout=before,
         problem=SimpleNamespace(table=SimpleNamespace(n_poses=5772)),
@@ -44,7 +56,7 @@ def _refinement(old, new, after, *, gap=0.0):
         unrefined=unrefined,
         placement=SimpleNamespace(layout=layout),
         candidates=(),
-        before=BEFORE,
+        before=old_values,
         after=after,
         moves=moves,
         n_tried=760,
@@ -53,6 +65,7 @@ def _refinement(old, new, after, *, gap=0.0):
 
 
 def _sentences(refinement):
+    """What is said of a refinement."""
     return refinement_sentences(build_refinement_record(refinement))
 
 
@@ -63,6 +76,7 @@ def test_a_turned_unit_is_told_with_all_objectives_that_changed():
         _values(1.0, 0.0, 0.433, 3.74, 1500.0),
     )
     changed, proof = _sentences(found)
+
     assert (
         changed == f"Refinement turned U1 by {MINUS}6.94\N{DEGREE SIGN}, tilted it by"
         f" 0.50\N{DEGREE SIGN} and raised it by 0.22 m: smallest time to spare 0.33"
@@ -79,7 +93,7 @@ def test_a_grid_that_is_not_proven_is_not_said_to_be():
     found = _refinement(
         [_unit("U1")],
         [_unit("x", yaw=1.0)],
-        _values(1.0, 0.0, 0.5, 3.81, 1500.0),
+        BEFORE | {"smallest_margin_s": 0.5},
         gap=0.1,
     )
     assert "proven" not in _sentences(found)[1]
@@ -101,6 +115,7 @@ def test_units_that_are_new_gone_lowered_zoomed_or_renamed_are_told():
         ],
         _values(1.0, 0.25, 0.333, 3.8104, 1450.0),
     )
+
     assert (
         _sentences(found)[0]
         == f"Refinement zoomed U1 by {MINUS}29.60\N{DEGREE SIGN}, lowered RSU1 (now U2)"
@@ -112,9 +127,11 @@ def test_units_that_are_new_gone_lowered_zoomed_or_renamed_are_told():
 
 def test_shares_that_print_alike_get_more_digits():
     found = _refinement(
-        [_unit("U1")], [_unit("x", yaw=1.0)], _values(0.99991, 0.0, 0.333, 3.81, 1500.0)
+        [_unit("U1")],
+        [_unit("x", yaw=1.0)],
+        BEFORE | {"apr": 0.99991},
+        old_values=BEFORE | {"apr": 0.9999},
     )
-    found = replace(found, before=_values(0.9999, 0.0, 0.333, 3.81, 1500.0))
     assert "APR 99.990 % to 99.991 %." in _sentences(found)[0]
 
 

@@ -12,10 +12,12 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from command_results import answer
+from json_files import as_json, read_json
 from private_garden import write_garden
 from small_results import build_small_baseline, build_small_grid, lay_runs_of
 
-from experiments.export.json import to_json, to_json_text
+from experiments.export.json import to_json
 from experiments.jobs import placement
 from experiments.parts.reading import load_result
 from experiments.parts.schema import SCHEMA_FILE, schema_text
@@ -26,9 +28,7 @@ from placement.layout import RESULT_SCHEMAS, Layout, load_carlancap_layout
 from placement.setting import Radio
 from scenarios.runs import build_frame_axis
 
-DOCUMENT = json.loads(
-    (files("experiments") / "data" / "result.schema.json").read_text(encoding="utf-8")
-)
+DOCUMENT = read_json(files("experiments") / "data/result.schema.json")
 VALIDATOR = jsonschema.Draft202012Validator(DOCUMENT)
 # Asked alone, it ends at the first fault.
 PLACEMENT = jsonschema.Draft202012Validator(
@@ -41,15 +41,11 @@ KINDS = ("placement_result", "evaluation_result", "comparison_result")
 
 
 def messages(summary):
+    """What is wrong with a summary, by the schema."""
     return [
         f"{error.json_path}: {error.message}"
         for error in VALIDATOR.iter_errors(summary)
     ]
-
-
-def plain(result):
-    """As JSON has it."""
-    return json.loads(to_json_text(result))
 
 
 def parts(node, where="$"):
@@ -79,7 +75,7 @@ def with_first_of_each(node):
 
 def test_the_schema_is_that_of_the_types():
     """Else: python -m experiments.parts.schema."""
-    assert SCHEMA_FILE.read_text(encoding="utf-8") == schema_text()
+    assert SCHEMA_FILE.read_text() == schema_text()
 
 
 @pytest.mark.long
@@ -89,6 +85,7 @@ def test_the_schema_is_one_and_leaves_nothing_open_or_unsaid():
     assert (
         tuple(kind["properties"]["schema"]["const"] for kind in kinds) == RESULT_SCHEMAS
     )
+
     n_keys = 0
     for where, node in parts(DOCUMENT):
         if node.get("type") == "object" and where != "$":
@@ -123,6 +120,7 @@ def test_names_that_end_in_a_unit_say_so_in_words_too():
             if unit is not None:
                 n_named += 1
                 assert unit in value["description"], f"{where}.{name}"
+
     assert n_named > 20
 
 
@@ -135,11 +133,12 @@ def test_every_part_of_the_schema_is_used():
 
 
 def test_every_key_of_the_schema_is_in_the_documentation_and_no_other():
-    text = (DOCS / "formats.md").read_text(encoding="utf-8")
+    text = (DOCS / "formats.md").read_text()
     section = text.split("## summary.json", 1)[1].split("\n## ", 1)[0]
     rows = re.findall(r"^\| (`[^|]*`) \|", section, re.M)
     documented = re.findall(r"`([a-z_]+)`", " ".join(rows))
     keys = {key for kind in KINDS for key in DOCUMENT["$defs"][kind]["properties"]}
+
     assert set(documented) == keys
     assert all(schema in section for schema in RESULT_SCHEMAS)
     assert "experiments/data/result.schema.json" in section
@@ -160,18 +159,15 @@ def layout_files(tmp_path):
     for n_units in (1, 2):
         units = load_carlancap_layout().units[:n_units]
         path = tmp_path / f"layout-{n_units}.json"
-        path.write_text(
-            to_json(Layout(name=f"first-{n_units}", units=units)), encoding="utf-8"
-        )
+        path.write_text(to_json(Layout(name=f"first-{n_units}", units=units)))
         paths.append(path)
     return paths
 
 
 def written(run, out, *arguments):
     """A command's summary as it lies in the folder, which is what it prints."""
-    code, printed, errors = run(*arguments, "--out", out, "--json --quiet")
-    assert code == 0, errors
-    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    printed = answer(run(*arguments, "--out", out, "--json --quiet"))
+    summary = read_json(out / "summary.json")
     assert json.loads(printed) == summary
     return summary
 
@@ -198,7 +194,7 @@ def check_placement(run, out, options, expected):
     assert messages(summary) == []
     assert expected <= set(summary)
     assert summary["schema"] == RESULT_SCHEMAS[0]
-    assert plain(load_result(out).summary) == summary
+    assert as_json(load_result(out).summary) == summary
     return summary
 
 
@@ -210,6 +206,7 @@ def test_a_refined_placement_is_no_worse_and_as_the_schema_says(
     less = written(run, tmp_path / "plain", "--budget", "1")
     options = ["--budget", "1", "--refine"]
     refined = check_placement(run, tmp_path / "out", options, {"refinement"})
+
     assert refined["candidates"] >= less["candidates"]
     assert refined["apr"] >= less["apr"]
 
@@ -223,10 +220,10 @@ def test_private_ground_is_in_the_schema(
     )
     assert messages(summary) == []
     assert summary["private_ground"]["areas"][0]["name"] == "garden"
-    code, printed, _ = run(
-        "compare", *layout_files, "--no-look", garden, "--json --quiet"
+
+    printed = answer(
+        run("compare", *layout_files, "--no-look", garden, "--json --quiet")
     )
-    assert code == 0
     assert messages(json.loads(printed)) == []
     assert "private_ground" in json.loads(printed)["compared"][0]
 
@@ -248,11 +245,13 @@ def test_weights_weathers_and_announcements_are_in_the_schema(
     )
     lay_runs_of(monkeypatch, setting)
     summary = written(run, tmp_path / "out", "--budget", 1)
+
     assert messages(summary) == []
     assert summary["evaluation"]["rsu_all"]["by_case"]["CBLA"] is None
     assert "all_sources" in summary["evaluation"]
     assert summary["weathers"] == ["day", "fog"]
     assert summary["explained"]["runs_without_weight"] == int((weight == 0.0).sum()) > 0
+
     result = load_result(tmp_path / "out")
     assert result.apr["apr"].isna().any()
     assert set(result.runs["weather"]) == {"day", "fog"}
@@ -266,12 +265,14 @@ def test_evaluations_and_comparisons_are_as_the_schema_says(
     one, two = layout_files
     summary = written(run, tmp_path / "one", "evaluate", "--layout", one)
     assert messages(summary) == []
-    code, printed, _ = run("evaluate --layout", one, "--json --quiet")
-    assert code == 0
+
+    printed = answer(run("evaluate --layout", one, "--json --quiet"))
     assert messages(json.loads(printed)) == []
+
     summary = written(run, tmp_path / "both", "compare", two, one, "--samples", 2)
     assert messages(summary) == []
     assert {"compared", "differences", "sampled"} <= set(summary)
+
     result = load_result(tmp_path / "both")
     assert result.layout.name == "first-2"
     assert set(result.runs["layout"]) == {"first-1", "first-2", "expert rule"}
@@ -289,15 +290,23 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     cases = ("--cases", "CPNCO-50,CBLA", "--speeds", "30,40", "--along-arms", "0")
     options = ("--budget", 2, "--samples", 2, *cases)
     summary = written(run, tmp_path / "out", *options)
+
     assert messages(summary) == []
-    assert plain(load_result(tmp_path / "out").summary) == summary
+    assert as_json(load_result(tmp_path / "out").summary) == summary
+
     summary = with_first_of_each(summary)
     assert summary["disagreements"] == []  # in so small a question
+
     disagreement = Disagreement(
-        party="U1", run_id="CBLA/east/30", on_table=True, n_frames=1, cause="hidden"
+        party="U1",
+        run_id="CBLA/east/30",
+        on_table=True,
+        n_frames=1,
+        cause="hidden",
     )
-    summary["disagreements"] = [plain(disagreement)]
+    summary["disagreements"] = [as_json(disagreement)]
     assert messages(summary) == []
+
     optional = {"front", "private_ground", "refinement", "preferred", "sampled"}
     optional |= {
         "highest",
@@ -327,7 +336,9 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
         less = {name: value for name, value in summary.items() if name != key}
         assert PLACEMENT.is_valid(less) == (key in optional), key
         assert not PLACEMENT.is_valid(summary | {key: {"what": object}}), key
+
     assert messages(summary | {"schema": "place-rsus/result/1"})
+
     n_changed = 0
     for path in [path for path, _ in parts(summary)]:
         is_mapping = path.endswith(
@@ -347,5 +358,6 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
             if where == path:
                 part["note"] = "new"
         assert not PLACEMENT.is_valid(damaged), path
+
         n_changed += 1
     assert n_changed > 80

@@ -52,12 +52,14 @@ def part():
 
 @pytest.fixture(scope="module")
 def layouts():
+    """Two layouts, of two units and of one."""
     units = load_carlancap_layout().units
     return [Layout(name="two", units=units[2:4]), Layout(name="one", units=units[8:9])]
 
 
 @pytest.fixture(scope="module")
 def evaluations(asked, layouts):
+    """Both layouts in the question that is asked."""
     return dict(
         zip("ab", evaluate_layouts(layouts, asked, compute=COMPUTE), strict=True)
     )
@@ -79,6 +81,7 @@ def test_layouts_are_evaluated_as_if_the_studys_cases_were_asked_about(
     record = on_study_cases(
         ASKED, asked, evaluations, build=lambda _: part, compute=COMPUTE
     )
+
     assert record == build_study_cases(expected)
     assert [party.name for party in record.parties] == ["a", "b", "VUT alone"]
     assert record.runs == part.axis.n_runs == 2
@@ -94,6 +97,7 @@ def test_nothing_is_said_twice(asked, part, expected):
     assert not is_same_question(
         part, replace(part, rule=replace(part.rule, latency_s=0.2))
     )
+
     heavy = replace(part.axis, weight=np.array([0.9, 0.1]))
     assert not is_same_question(part, replace(part, axis=heavy))
 
@@ -115,6 +119,7 @@ def test_the_block_is_shown_of_the_studys_cases_at_its_junction_alone(
 
     other_rule = replace(asked, rule=replace(asked.rule, latency_s=0.2))
     elsewhere = replace(other_rule, scene=replace(asked.scene, name="elsewhere"))
+
     assert told(other_rule) == told(other_rule, cases="all", speeds="20-40") == "told"
     assert told(other_rule, cases="CPLA-50") is None
     assert told(other_rule, cases="protocol-4.5.1") is None

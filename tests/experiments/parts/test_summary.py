@@ -1,12 +1,14 @@
-import json
+"""Records of evaluations and comparisons, and of what was driven."""
+
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from json_files import as_json
 from made_verdicts import avoiding, made_evaluation
+from tiny_worlds import axis_of_runs
 
-from experiments.export.json import to_json_text
 from experiments.jobs.evaluation import build_comparison_result, build_evaluation_result
 from experiments.parts.result import disagreeing_runs
 from experiments.results.drives import DrivesRecord, build_drives_record, versions
@@ -14,7 +16,6 @@ from experiments.results.record import build_evaluation_record
 from geometry.study_scene import load_study_scene
 from placement.detection_table import DetectionTable
 from placement.detectors import load_detector
-from placement.evaluation import Verdict
 from placement.optimiser import Limits, PlacementProblem
 from placement.setting import Radio
 from scenarios.aeb import load_aeb_rule
@@ -53,6 +54,7 @@ def evaluation_of(axis):
 
 
 def setting_of(axis, *refusals):
+    """A setting of runs on foot, and what could not be laid."""
     return SimpleNamespace(
         scene=load_study_scene(),
         axis=axis,
@@ -82,14 +84,12 @@ def setting(axis):
     return setting_of(axis)
 
 
-def plain(record):
-    """As JSON has it."""
-    return json.loads(to_json_text(record))
-
-
 def test_all_runs_avoided_is_exactly_one_and_none_is_zero(evaluation_of):
-    for n_avoided, ratio in ((N_RUNS, 1.0), (0, 0.0)):
-        summary = plain(build_evaluation_record(evaluation_of(n_avoided), RULE))
+    for n_avoided, ratio in (
+        (N_RUNS, 1.0),
+        (0, 0.0),
+    ):
+        summary = as_json(build_evaluation_record(evaluation_of(n_avoided), RULE))
         ratios = {
             "all": ratio,
             "by_case": {"A": ratio, "B": ratio},
@@ -115,11 +115,12 @@ def test_speeds_at_contact_stand_beside_the_ratio(evaluation_of, axis):
     verdict = replace(plain_one.rsu_all, impact_speed_kmh=left_kmh)
     evaluation = replace(plain_one, rsu_all=verdict)
     found = build_evaluation_record(evaluation, RULE).rsu_all
+
     assert found.mean_impact_speed_kmh == pytest.approx(28.0 / N_RUNS)
 
 
 def test_ratios_are_shares_of_the_runs(setting, evaluation_of):
-    summary = plain(build_evaluation_result(setting, evaluation_of(7)))
+    summary = as_json(build_evaluation_result(setting, evaluation_of(7)))
     assert summary["apr"] == pytest.approx(7 / N_RUNS, abs=1e-15)
     assert summary["evaluation"]["rsu_all"]["by_case"] == {
         "A": pytest.approx(4 / 25, abs=1e-15),
@@ -128,10 +129,11 @@ def test_ratios_are_shares_of_the_runs(setting, evaluation_of):
 
 
 def test_an_evaluation_and_a_comparison_have_the_same_head(setting, evaluation_of):
-    single = plain(build_evaluation_result(setting, evaluation_of(3)))
-    both = plain(
+    single = as_json(build_evaluation_result(setting, evaluation_of(3)))
+    both = as_json(
         build_comparison_result(setting, evaluation_of(3), [evaluation_of(5, "other")])
     )
+
     assert set(both) - set(single) == {
         "compared",
         "differences",
@@ -141,11 +143,16 @@ def test_an_evaluation_and_a_comparison_have_the_same_head(setting, evaluation_o
     assert set(single) <= set(both)
     assert single.pop("schema") == "place-rsus/evaluation/2"
     assert both.pop("schema") == "place-rsus/comparison/2"
+
     of_one = single.pop("road_users")
     of_both = both.pop("road_users")
     groups = (of_one["groups"][0], of_both["groups"][0])
     parties = [[party["name"] for party in group["parties"]] for group in groups]
-    assert parties == [["mine", "VUT alone"], ["mine", "other", "VUT alone"]]
+
+    assert parties == [
+        ["mine", "VUT alone"],
+        ["mine", "other", "VUT alone"],
+    ]
     assert {key: both[key] for key in single} == single
 
 
@@ -153,14 +160,16 @@ def test_comparison_lists_the_runs_that_differ(setting, evaluation_of):
     more = evaluation_of(5, "more")
     less = evaluation_of(3, "less")
     differing = ["B/north/3", "A/north/4"]
-    better = plain(build_comparison_result(setting, more, [less]))
-    worse = plain(build_comparison_result(setting, less, [more]))
-    (other,), (one,) = better["compared"], worse["compared"]
+    better = as_json(build_comparison_result(setting, more, [less]))
+    worse = as_json(build_comparison_result(setting, less, [more]))
+    (other,) = better["compared"]
+    (one,) = worse["compared"]
+
     assert other["runs_gained"] == differing
     assert other["runs_lost"] == []
     assert one["runs_gained"] == []
     assert one["runs_lost"] == differing
-    assert other["evaluation"] == plain(build_evaluation_record(less, RULE))
+    assert other["evaluation"] == as_json(build_evaluation_record(less, RULE))
     assert better["name"] == "more"
     assert other["name"] == "less"
 
@@ -188,7 +197,8 @@ def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
     )
     axis = replace(axis, weathers=("night", "day") + ("night",) * (N_RUNS - 2))
     setting = setting_of(axis, refusal)
-    assert json.loads(to_json_text(build_drives_record(setting))) == {
+
+    assert as_json(build_drives_record(setting)) == {
         "cases": ["A", "B"],
         "weathers": ["night", "day"],
         "detector": "geometric",
@@ -229,6 +239,7 @@ def test_fog_and_other_detectors_are_not_said_to_change_nothing(axis):
         return build_drives_record(setting).without_effect
 
     assert said("geometric", "fog") == said("response", "night") == said() == ()
+
     (text,) = said("geometric", "night", "rain", "fog")
     assert text.startswith("Night and rain have no effect on cameras here:")
 
@@ -239,44 +250,34 @@ def test_a_result_says_what_was_driven(evaluation_of, axis):
     result = build_comparison_result(
         setting, evaluation_of(3), [evaluation_of(5, "other")]
     )
+
     for name in DrivesRecord.__struct_fields__:
         assert getattr(result, name) == getattr(drives, name)
     assert drives.not_driven == ()
 
 
 def test_disagreement_is_judged_under_the_fusion_asked_for(evaluation_of, rule):
-    axis = FrameAxis(
-        run_ids=("A/north/20",),
-        cases=("A",),
-        approaches=("north",),
-        weathers=("day",),
-        vut_speed_kmh=np.array([20.0]),
-        weight=np.array([1.0]),
-        last_brake_time_s=np.array([-0.2]),
-        run_start=np.array([0, 4]),
-        time_s=np.array([-0.7, -0.6, -0.5, -0.4]),
-    )
+    axis = axis_of_runs([0, 4], [-0.7, -0.6, -0.5, -0.4], -0.2)
     # Two units that confirm together only.
-    frames = np.array([[True, True, False, False], [False, False, True, True]])
+    frames = np.array(
+        [
+            [True, True, False, False],
+            [False, False, True, True],
+        ]
+    )
     table = DetectionTable(
         pose_ids=("A", "B"),
         axis=axis,
         packed=np.packbits(frames, axis=1, bitorder="little"),
     )
 
-    def verdict(is_avoided: bool) -> Verdict:
-        return Verdict(
-            detected=np.ones(4, dtype=bool),
-            confirmation_time_s=np.array([-0.5 if is_avoided else np.inf]),
-            onset_time_s=np.array([-0.5 if is_avoided else np.inf]),
-            is_avoided=np.array([is_avoided]),
-        )
-
+    missed = avoiding(axis, [False])
+    avoided = avoiding(axis, [True])
     evaluation = replace(
         evaluation_of(0),
         axis=axis,
-        units={"A": verdict(False), "B": verdict(False)},
-        rsu_all=verdict(True),
+        units={"A": missed, "B": missed},
+        rsu_all=avoided,
     )
     for fusion in ("any", "single"):
         problem = PlacementProblem(
@@ -290,8 +291,12 @@ def test_disagreement_is_judged_under_the_fusion_asked_for(evaluation_of, rule):
             rule=rule,
         )
         placement = SimpleNamespace(
-            problem=problem, pose_index=(0, 1), nominal=problem, nominal_index=(0, 1)
+            problem=problem,
+            pose_index=(0, 1),
+            nominal=problem,
+            nominal_index=(0, 1),
         )
         assert disagreeing_runs(placement, evaluation).tolist() == [False]
-        other = replace(evaluation, rsu_all=verdict(False), units={"A": verdict(True)})
+
+        other = replace(evaluation, rsu_all=missed, units={"A": avoided})
         assert disagreeing_runs(placement, other).tolist() == [True]

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_results import late_refusal, output
+from json_files import read_json
 from kept_backdrops import kept_backdrop
 from met_cases import MET_CASES
 from PIL import Image
@@ -75,6 +77,7 @@ def dataset(run, tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def drawn_once(tmp_path_factory):
+    """Where a dataset is, once it is drawn."""
     return tmp_path_factory.mktemp("drawn") / "data"
 
 
@@ -84,13 +87,13 @@ def drawn(dataset, drawn_once):
     `data`.
     """
     if not drawn_once.exists():
-        code, _, err = dataset("--lidar", "none", out=drawn_once)
-        assert code == 0, err
+        output(dataset("--lidar", "none", out=drawn_once))
     shutil.copytree(drawn_once, "data")
     return drawn_once
 
 
 def _files(folder):
+    """Contents of all files of a folder, by name."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in Path(folder).rglob("*")
@@ -100,12 +103,12 @@ def _files(folder):
 
 @pytest.mark.long
 def test_pictures_clouds_labels_and_a_manifest_are_written(dataset):
-    code, out, err = dataset("--masks", "--depth", "--json")
-    assert code == 0, err
+    out = output(dataset("--masks", "--depth", "--json"))
     summary = json.loads(out)
-    manifest = json.loads(Path("data/dataset.json").read_text())
+    manifest = read_json(Path("data/dataset.json"))
     frames = [drive["frames"] for drive in manifest["drives"]]
     n_each = sum(len(range(0, n, 40)) for n in frames)
+
     assert summary["pictures"] == 2 * n_each
     assert summary["drawn"] == 2 * n_each
     assert summary["frames"] == sum(frames)
@@ -115,12 +118,14 @@ def test_pictures_clouds_labels_and_a_manifest_are_written(dataset):
         assert len(list(Path("data", folder).glob("*.bin"))) == n_each
         assert len(list(Path("data", folder).glob("*.txt"))) == sum(frames)
         assert len(list(Path("data/depth", folder).glob("*.png"))) == n_each
+
     with (
         Image.open("data/0/0_0.png") as picture,
         Image.open("data/instances/0/0_0.png") as masks,
     ):
         assert picture.size == masks.size == (320, 180)
     cloud = np.fromfile("data/0/0_0.bin", dtype="<f4").reshape(-1, 4)
+
     assert np.isfinite(cloud).all()
     assert len(cloud) > 1000
 
@@ -132,9 +137,15 @@ def test_a_calibration_projects_the_vru_into_its_label(dataset):
     from placement.setting import build_setting
 
     assert dataset("--lidar", "none", every=10**6)[0] == 0
-    manifest = json.loads(Path("data/dataset.json").read_text())
+
+    manifest = read_json(Path("data/dataset.json"))
     setting = build_setting(
-        Question(cases="CPNC-50", approaches="east", speeds="40", along_arms="0"),
+        Question(
+            cases="CPNC-50",
+            approaches="east",
+            speeds="40",
+            along_arms="0",
+        ),
         load_study_scene(),
     )
     unit = manifest["units"][0]
@@ -154,9 +165,12 @@ def test_a_calibration_projects_the_vru_into_its_label(dataset):
             x, y = seen[:2] / seen[2]
             x_min, y_min, x_max, y_max = map(float, text[1:5])
             slack = 2.0 + 0.5 * (x_max - x_min)  # parts may be hidden, or cut off
+
             assert x_min - slack < x < x_max + slack
             assert y_min - (y_max - y_min) - 2.0 < y < y_max + (y_max - y_min) + 2.0
+
             n_seen += 1
+
     assert n_seen > 10
 
 
@@ -167,6 +181,7 @@ def test_read_back_it_gives_the_evaluators_verdicts(dataset, run, tmp_path):
         "--lidar", "none", every=10**6, layout="sharp.json", units="RSU2,RSU8"
     )
     assert seen[0] == 0
+
     recorded = json.loads(run("evaluate --recording data --json")[1])
     judged = json.loads(
         run(
@@ -182,6 +197,7 @@ def test_read_back_it_gives_the_evaluators_verdicts(dataset, run, tmp_path):
     known = {
         name: party["all"] for name, party in judged["evaluation"]["units"].items()
     }
+
     assert list(told.values()) == list(known.values())
     assert (
         recorded["evaluation"]["rsu_all"]["all"]
@@ -194,12 +210,15 @@ def test_read_back_it_gives_the_evaluators_verdicts(dataset, run, tmp_path):
 def test_coco_is_read_by_its_own_library(dataset, capsys):
     coco = pytest.importorskip("pycocotools.coco")
     assert dataset("--format", "coco", "--lidar", "none")[0] == 0
+
     labels = coco.COCO("data/coco.json")
     images = labels.loadImgs(labels.getImgIds())
+
     assert all(Path("data", image["file_name"]).exists() for image in images)
     assert {category["name"] for category in labels.loadCats(labels.getCatIds())} == {
         *("pedestrian", "cyclist", "motorcycle", "car")
     }
+
     for found in labels.loadAnns(labels.getAnnIds()):
         x, y, width, height = found["bbox"]
         assert 0 <= x < x + width <= 320
@@ -208,19 +227,26 @@ def test_coco_is_read_by_its_own_library(dataset, capsys):
     assert not list(Path("data").rglob("*.txt"))
 
 
+def _labels(path):
+    """Labels in a file, as words."""
+    return [line.split() for line in path.read_text().splitlines()]
+
+
 def _cars(path):
-    return [
-        line.split()
-        for line in path.read_text().splitlines()
-        if line.startswith("car ")
-    ]
+    """Labels of cars in a file, as words."""
+    return [label for label in _labels(path) if label[0] == "car"]
+
+
+def _reaches_all_sides(mask):
+    """True if something of a mask, (h, w), is on each side of it."""
+    sides = (mask[0], mask[-1], mask[:, 0], mask[:, -1])
+    return all(side.any() for side in sides)
 
 
 # Quickly: test_vehicles_are_in_coco_once
 @pytest.mark.long
 def test_vehicles_are_labelled_where_they_are_seen(dataset, run):
-    code, _, err = dataset("--lidar", "none", "--masks", "--vehicles", every=20)
-    assert code == 0, err
+    output(dataset("--lidar", "none", "--masks", "--vehicles", every=20))
     pictures = sorted(Path("data").glob("[01]/*.png"))
     n_cars = 0
     for picture in pictures:
@@ -230,16 +256,17 @@ def test_vehicles_are_labelled_where_they_are_seen(dataset, run):
             x_min, y_min, x_max, y_max = (int(float(side)) for side in box)
             part = pixels[y_min:y_max, x_min:x_max]
             colours, counts = np.unique(part.reshape(-1, 3), axis=0, return_counts=True)
+
+            masks = [(part == colour).all(axis=2) for colour in colours[counts >= 20]]
+
             # Some colour in the box reaches all of its sides: that of the vehicle.
-            assert any(
-                all(side.any() for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
-                for mask in (
-                    (part == colour).all(axis=2) for colour in colours[counts >= 20]
-                )
-            )
+            assert any(_reaches_all_sides(mask) for mask in masks)
             assert 2.0 < float(distance_m) < 200.0
+
             n_cars += 1
+
     assert n_cars > len(pictures) // 4
+
     # Frames without pictures have none, and what reads the folder is not confused.
     others = [
         path
@@ -249,9 +276,11 @@ def test_vehicles_are_labelled_where_they_are_seen(dataset, run):
     assert others
     assert not any(_cars(path) for path in others)
     assert run("evaluate --recording data --json")[0] == 0
+
     # A picture that is missing is drawn again; nothing is labelled twice.
     before = _files("data")
     pictures[-1].unlink()
+
     assert dataset("--lidar", "none", "--masks", "--vehicles", every=20)[0] == 0
     assert _files("data") == before
 
@@ -260,16 +289,20 @@ def test_vehicles_are_labelled_where_they_are_seen(dataset, run):
 def test_vehicles_are_in_coco_once(dataset):
     asked = ("--format", "coco", "--lidar", "none", "--vehicles")
     assert dataset(*asked)[0] == 0
-    coco = json.loads(Path("data/coco.json").read_text())
+
+    coco = read_json(Path("data/coco.json"))
     assert [category["name"] for category in coco["categories"]][-1] == "vehicle"
+
     cars = [one for one in coco["annotations"] if one["category_id"] == 5]
     assert (
         len(cars)
         == sum(len(_cars(path)) for path in Path("data").glob("[01]/*.txt"))
         > 0
     )
+
     ids = [one["id"] for one in coco["annotations"]]
     assert len(set(ids)) == len(ids)
+
     before = _files("data")
     assert dataset(*asked)[0] == 0
     assert _files("data") == before
@@ -299,32 +332,26 @@ def test_a_car_and_a_motorcyclist_are_labelled_as_such(dataset):
     asked = ("--lidar", "none", "--masks")
     assert dataset(*asked, asked=MET, out="plain")[0] == 0
     assert dataset(*asked, "--vehicles", asked=MET, out="all")[0] == 0
-    manifest = json.loads(Path("plain/dataset.json").read_text())
+
+    manifest = read_json(Path("plain/dataset.json"))
     seen = dict.fromkeys(KINDS.values(), 0)
     for drive in manifest["drives"]:
         kind = KINDS[drive["run"].split("/")[0]]
         for frame in range(drive["frames"]):
             stem = f"{drive['scenario']}_{drive['first_number'] + frame}"
             for folder in ("0", "1"):
-                plain, whole = (
-                    [
-                        line.split()
-                        for line in Path(out, folder, f"{stem}.txt")
-                        .read_text()
-                        .splitlines()
-                    ]
-                    for out in ("plain", "all")
-                )
+                plain = _labels(Path("plain", folder, f"{stem}.txt"))
+                whole = _labels(Path("all", folder, f"{stem}.txt"))
+
                 assert [label[0] for label in plain] == [kind] * len(plain)
                 assert len(plain) <= 1
+
                 seen[kind] += len(plain)
                 others = [label for label in whole if label[0] != "car"]
                 assert others == (plain if kind == "motorcycle" else [])
-                if (
-                    plain
-                    and kind == "car"
-                    and Path("all", folder, f"{stem}.png").exists()
-                ):
+
+                is_drawn = Path("all", folder, f"{stem}.png").exists()
+                if plain and kind == "car" and is_drawn:
                     # Anew, from the picture's own pixels.
                     box = np.array(plain[0][1:5], dtype=float)
                     near = [
@@ -332,6 +359,7 @@ def test_a_car_and_a_motorcyclist_are_labelled_as_such(dataset):
                         for one in whole
                     ]
                     assert sum(distance <= 2.0 for distance in near) == 1
+
     assert min(seen.values()) > 5
 
 
@@ -340,14 +368,16 @@ def test_a_car_and_a_motorcyclist_are_labelled_as_such(dataset):
 @pytest.mark.usefixtures("drawn")
 def test_varied_looks_differ_from_run_to_run_but_not_from_call_to_call(dataset):
     for out in ("one", "two"):
-        code, _, err = dataset("--lidar", "none", "--vary", out=out)
-        assert code == 0, err
+        output(dataset("--lidar", "none", "--vary", out=out))
     assert _files("one") == _files("two")
+
     plain = _files("data")
     varied = _files("one")
     assert plain.keys() == varied.keys()
+
     pictures = [name for name in plain if name.endswith(".png")]
     assert all(plain[name] != varied[name] for name in pictures)
+
     labels = [name for name in plain if name.endswith(".txt")]
     assert all(plain[name] == varied[name] for name in labels)
 
@@ -363,6 +393,7 @@ def test_it_goes_on_where_it_stopped_and_writes_nothing_twice(dataset, drawn):
     half.with_name(f".{half.name}.x1.tmp").write_bytes(b"half")
     stamps = {name: Path("data", name).stat().st_mtime_ns for name in pictures[::2]}
     code, out, err = dataset("--lidar", "none", "--json")
+
     assert code == 0
     assert json.loads(out)["drawn"] == len(lost)
     assert f"{len(pictures) - len(lost)} are there already" in err
@@ -380,13 +411,14 @@ def test_processes_draw_the_same_and_for_one_that_dies_another(
     mark.write_text("")
     monkeypatch.setattr(job, "draw_task", _die_once)
     monkeypatch.setenv("PLACE_RSUS_TEST_MARK", str(mark))
-    code, _, err = dataset("--lidar", "none", "--workers", 2, out="other")
-    assert code == 0, err
+    output(dataset("--lidar", "none", "--workers", 2, out="other"))
+
     assert not mark.exists()
     assert _files("other") == _files(drawn)
 
 
 def _die_once(scene, runs, task):
+    """Draws as usual, but ends its process if a marked file is there."""
     mark = Path(os.environ["PLACE_RSUS_TEST_MARK"])
     if mark.exists():
         mark.unlink(missing_ok=True)
@@ -402,6 +434,7 @@ def test_a_folder_that_a_worker_does_not_see_is_one_line(tmp_path):
     fields = dict.fromkeys(("frames", "viewer", "lidar", "wish", "seed"), ())
     task = job.DrawTask(out=tmp_path / "elsewhere", **fields)
     said = r"--out: got .*elsewhere, which a worker on .* does not see; expected a fold"
+
     with pytest.raises(InputError, match=said):
         _draw_task(None, (), task)
 
@@ -419,10 +452,9 @@ def test_a_full_disk_stops_it_and_leaves_what_is_drawn(dataset, monkeypatch):
         write(path, content)
 
     monkeypatch.setattr(job, "write_atomically", fill)
-    code, out, err = dataset("--lidar", "none")
-    assert code == 2
-    assert out == ""
-    assert "No space left on device" in err.splitlines()[-1]
+    line = late_refusal(dataset("--lidar", "none"))
+
+    assert "No space left on device" in line
     assert len(list(Path("data").rglob("*.png"))) == 2
 
 
@@ -439,10 +471,8 @@ def test_a_full_disk_stops_it_and_leaves_what_is_drawn(dataset, monkeypatch):
     ],
 )
 def test_what_cannot_be_written_is_said_in_a_line(dataset, more, message):
-    code, out, err = dataset(*more)
-    assert code == 2
-    assert out == ""
-    assert message in err.splitlines()[-1]
+    line = late_refusal(dataset(*more))
+    assert message in line
     assert not Path("data").exists()
 
 
@@ -451,6 +481,7 @@ def test_what_cannot_be_written_is_said_in_a_line(dataset, more, message):
 def test_a_folder_of_another_dataset_or_of_something_else_is_left_alone(dataset):
     before = _files("data")
     code, _, err = dataset("--lidar", "none", "--seed", 1)
+
     assert code == 2
     assert (
         err.splitlines()[-1]
@@ -458,9 +489,11 @@ def test_a_folder_of_another_dataset_or_of_something_else_is_left_alone(dataset)
         " or the same dataset"
     )
     assert _files("data") == before
+
     Path("mine").mkdir()
     Path("mine/letter.txt").write_text("mine")
     code, _, err = dataset("--lidar", "none", out="mine")
+
     assert code == 2
     assert _files("mine") == {"letter.txt": b"mine"}
     assert "a folder that is not empty" in err.splitlines()[-1]

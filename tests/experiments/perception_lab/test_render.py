@@ -24,6 +24,7 @@ ASKED = {
 
 @pytest.fixture
 def run_render(run, monkeypatch):
+    """Runs the command with a backdrop that was drawn before."""
     monkeypatch.setattr("placement.imaging.picture.build_backdrop", kept_backdrop)
 
     def run_command(**changes):
@@ -40,13 +41,17 @@ def test_three_images_are_written_and_the_vru_is_told(run_render):
     stem = "results/renders/CPNC-50_east_40_day_frame-69_RSU3"
     files = [Path(f"{stem}{kind}.png") for kind in ("", "-instances", "-depth")]
     lines = out.splitlines()
+
     assert lines[:3] == [f"Written to {file}." for file in files]
+
     colours, instances, depth = (np.array(Image.open(file)) for file in files)
     assert colours.shape == instances.shape == (1080, 1920, 3)
     assert depth.shape == (1080, 1920)
     assert depth.dtype == np.uint16
+
     vru = instance_colours(("vru",))[0]
     rows, columns = np.nonzero((instances == vru).all(axis=2))
+
     assert len(rows) > 100
     assert lines[3].startswith(
         f"VRU: in view, visible box x {columns.min()} to {columns.max() + 1}, "
@@ -54,6 +59,7 @@ def test_three_images_are_written_and_the_vru_is_told(run_render):
     )
     # 24 m ahead and 6 m to the side of the camera, 8 m below it: about 30 m of depth.
     assert 2000 < np.median(depth[rows, columns]) < 3500
+
     sky = (instances == 0).all(axis=2)
     assert (depth[sky] == 0).all()
 
@@ -61,7 +67,14 @@ def test_three_images_are_written_and_the_vru_is_told(run_render):
 # Quickly: test_three_images_are_written_and_the_vru_is_told
 @pytest.mark.long
 def test_the_vut_looks_ahead_and_a_jpeg_is_smaller(run_render):
-    answer(run_render(unit="VUT", out="look.jpg", weather="fog", seed="2"))
+    answer(
+        run_render(
+            unit="VUT",
+            out="look.jpg",
+            weather="fog",
+            seed="2",
+        )
+    )
     assert Path("look.jpg").read_bytes().startswith(b"\xff\xd8")
     assert Path("look.jpg").stat().st_size < 400_000
     assert Path("look-instances.png").exists()
@@ -96,11 +109,8 @@ def test_the_vut_looks_ahead_and_a_jpeg_is_smaller(run_render):
     ],
 )
 def test_what_cannot_be_rendered_is_one_line(run_render, changes, message):
-    code, out, err = run_render(**changes)
-    assert code == 2
-    assert out == ""
-    (line,) = err.splitlines()
-    assert line.startswith(f"place-rsus: {message}")
+    line = refusal(run_render(**changes))
+    assert line.startswith(f"{message}")
     assert list(Path().iterdir()) == []
 
 
@@ -136,6 +146,7 @@ def test_colours_of_things_differ_and_the_vrus_is_the_lightest():
     names = tuple(f"thing-{index}" for index in range(80)) + ("vut", "vru")
     colours = instance_colours(names).astype(float)
     assert len(np.unique(colours, axis=0)) == len(names) + 1
+
     grey = colours @ [0.2126, 0.7152, 0.0722]
     assert grey.argmax() == names.index("vru")
     assert (colours[-1] == 0.0).all()
@@ -148,16 +159,18 @@ def test_a_lidar_writes_points_that_others_can_read(run, tmp_path):
     command = "render --layout carlancap-12 --run CBLA/west/50 --frame -11"
     cloud = tmp_path / "a.ply"
     raw = tmp_path / "a.bin"
-    code, out, _ = run(command, "--unit VUT-LIDAR --out", cloud, "--quiet")
-    assert code == 0
+    out = answer(run(command, "--unit VUT-LIDAR --out", cloud, "--quiet"))
     points = trimesh.load(cloud).vertices
+
     assert out.splitlines()[0] == f"Written to {cloud}."
     assert out.splitlines()[1].endswith(f" of {len(points)} points.")
-    code, _, _ = run(command, "--unit vut-lidar --out", raw, "--quiet")
-    assert code == 0
+
+    answer(run(command, "--unit vut-lidar --out", raw, "--quiet"))
     numbers = np.fromfile(raw, dtype="<f4").reshape(-1, 4)
+
     assert numbers[:, :3] == pytest.approx(np.asarray(points), abs=1e-4)
     assert ((numbers[:, 3] > 0.0) & (numbers[:, 3] <= 1.0)).all()
+
     code, _, error = run(
         command, "--unit VUT-LIDAR --out", tmp_path / "a.png", "--quiet"
     )

@@ -1,7 +1,6 @@
 """The planner's page in a browser: by mouse, by keyboard, and when the line breaks."""
 
 import io
-import json
 import re
 import time
 from contextlib import contextmanager
@@ -13,8 +12,9 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from browser_pages import ENGINES, start_browser
+from browser_pages import ENGINES, open_page, start_browser
 from city_maps import write_city
+from json_files import as_json
 from made_up_language import Bracketed, left_over
 from osm_text import OsmText
 from partial_pages import blank_pictures
@@ -25,13 +25,11 @@ from pyproj import Transformer
 
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
 
-from experiments.export.json import to_json_text
 from experiments.figures.axes import describe_run
 from experiments.language import speaking
 from experiments.parts.camera_views import draw_view
 from experiments.parts.result import build_evaluation_record
 from experiments.planner.files import MapFile
-from experiments.planner.plan import Variant
 from experiments.planner.tasks import Tasks
 from experiments.planner.tiles import read_tile_server
 from experiments.results.numbers import percent
@@ -49,7 +47,7 @@ pytestmark = [pytest.mark.system, pytest.mark.long]
 
 PATIENCE_MS = 120_000
 UNITS = load_carlancap_layout().units
-CROSSING = Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm"
+CROSSING = Path(__file__).parents[3] / "docs/maps/crossing.osm"
 
 
 def expect(locator):
@@ -76,6 +74,7 @@ def drawn_pictures():
 
 @pytest.fixture(autouse=True)
 def grey_pictures(request):
+    """Pictures are grey unless a test asks for `drawn_pictures`."""
     if "drawn_pictures" in request.fixturenames:
         yield
     else:
@@ -85,21 +84,17 @@ def grey_pictures(request):
 
 @pytest.fixture
 def garden(tmp_path):
+    """Private ground beside the junction."""
     return write_garden(tmp_path, (-146.4, 7.6, -130.4, 17.6))
 
 
 @pytest.fixture
 def serve(tmp_path, small_setting, few_poses):  # noqa: F811
+    """Starts servers of plans with some units; they end with the test."""
     servers = []
 
     def start(units=(), **given):
-        if units:
-            variants = [Variant(name="mine", units=tuple(units))]
-        else:
-            variants = []
-        servers.append(
-            start_server(tmp_path, small_setting, variants=variants, **given)
-        )
+        servers.append(start_server(tmp_path, small_setting, units=units, **given))
         return servers[-1]
 
     yield start
@@ -107,64 +102,53 @@ def serve(tmp_path, small_setting, few_poses):  # noqa: F811
         server.stop()
 
 
+@pytest.fixture
+def visit(browser, serve):
+    """Opens the page of a plan with some units; options of both."""
+
+    def look(units=(), *, asked=None, map_file=None, **options):
+        return opened(browser, serve(units, asked=asked, map_file=map_file), **options)
+
+    return look
+
+
 @contextmanager
-def opened(
-    browser,
-    server,
-    *,
-    width=1280,
-    height=900,
-    may_complain=False,
-    before=None,
-    foreign=(),
-    **options,
-):
-    """The page; it must neither complain nor ask for anything from elsewhere but
-    `foreign`.
-    """
-    context = browser.new_context(
-        viewport={"width": width, "height": height}, **options
-    )
-    page = context.new_page()
-    page.set_default_timeout(PATIENCE_MS)
-    complaints = []
-    asked = []
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    home = urlsplit(server.address).netloc
-    page.on(
-        "request",
-        lambda request: (
-            None
-            if urlsplit(request.url).netloc in (home, "", *foreign)
-            else asked.append(request.url)
-        ),
-    )
-    if before is not None:
-        before(page)
-    page.goto(server.address)
-    page.wait_for_selector("[data-site]")
-    yield page
-    context.close()
-    assert asked == []
-    assert may_complain or complaints == []
+def opened(browser, server, *, foreign=(), before=None, **options):
+    """The page of a plan; it asks for nothing from elsewhere but `foreign` hosts."""
+
+    def prepare(page):
+        page.set_default_timeout(PATIENCE_MS)
+        if before is not None:
+            before(page)
+
+    hosts = (urlsplit(server.address).netloc, *foreign)
+    own = [f"{kind}://{host}/" for kind in ("http", "ws") for host in hosts]
+    own += ["data:", "blob:"]
+    options |= {"own": tuple(own), "before": prepare, "may_ask_people": True}
+    with open_page(browser, server.address, **options) as page:
+        page.wait_for_selector("[data-site]")
+        yield page
 
 
 def middle(locator):
+    """Middle of an element on the screen. [px]"""
     while (box := locator.bounding_box()) is None:
         locator.wait_for()  # it is being drawn anew
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
 def pole(page, name):
+    """Where a pole is on the screen. [px]"""
     return middle(page.locator(f'[data-site="{name}"]'))
 
 
 def aim(page):
+    """Where the handle is that turns the chosen unit. [px]"""
     return middle(page.locator("[data-aim]"))
 
 
 def drag(page, start, *places, steps=4):
+    """Press the mouse and move it over some places; it stays pressed."""
     page.mouse.move(*start)
     page.mouse.down()
     for place in places:
@@ -172,10 +156,12 @@ def drag(page, start, *places, steps=4):
 
 
 def has_units(page, count):
+    """Wait until as many units are mounted."""
     expect(page.locator("#units button")).to_have_count(count)
 
 
 def has_value(page, field, value):
+    """Wait until a field has a value."""
     expect(page.locator(field)).to_have_value(value)
 
 
@@ -188,6 +174,7 @@ def told(page, *sources):
 
 
 def downloaded(page, button, path):
+    """File that a button saves."""
     with page.expect_download() as download:
         page.click(button)
     download.value.save_as(path)
@@ -195,6 +182,7 @@ def downloaded(page, button, path):
 
 
 def saved(page, tmp_path):
+    """The layout that is shown, as it is saved."""
     return load_layout(downloaded(page, "#save-layout", tmp_path / "saved.json"))
 
 
@@ -216,35 +204,48 @@ def drop(page, name, content):
 
 
 def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_evaluate(
-    browser, serve, small_setting, tmp_path
+    visit, small_setting, tmp_path
 ):
-    with opened(browser, serve()) as page:
+    with visit() as page:
         assert page.inner_text("#apr") in ("No sensor yet", "computing \u2026")
+
         x, y = pole(page, "corner-ne")
         drag(page, (x, y), (x + 160, y - 20))  # along the eastern arm
+
+        # The button is still pressed: the sensor is there, with a number.
+        has_units(page, 1)
+        expect(page.locator("#apr")).to_have_text(re.compile(r"\d %"))
+
         page.mouse.up()
         page.wait_for_selector("[data-aim]")
         away = told(page)
+
+        has_value(page, "#site", "corner-ne")  # the pole that was in hand
+        expect(page.locator("#site-text")).to_contain_text("EUR (assumed) once")
+
         yaw = page.input_value("#yaw")
         x, y = aim(page)
         site_x, site_y = pole(page, "corner-ne")
         drag(page, (x, y), (site_x - 60, site_y + 60), steps=12)
         page.mouse.up()
-        south_west = re.compile(
-            r"^-13[45]\b"
-        )  # the last step's: others may be evaluated, too
+        # The last step's: others may be evaluated, too.
+        south_west = re.compile(r"^-13[45]\b")
+
         has_value(page, "#yaw", south_west)
+
         shown = told(page)
         assert shown != away
+
         layout = saved(page, tmp_path)
         (unit,) = layout.units
+
         assert unit.site_id == "corner-ne"
         assert -180.0 < unit.pose.yaw_deg < -90.0
+
         evaluation = evaluate_layout(layout, small_setting, compute=Compute(workers=2))
-        record = json.loads(
-            to_json_text(build_evaluation_record(evaluation, small_setting.rule))
-        )
+        record = as_json(build_evaluation_record(evaluation, small_setting.rule))
         assert shown == percent(record["rsu_all"]["all"])
+
         for case, share in record["rsu_all"]["by_case"].items():
             row = page.locator("#by-case tr").filter(has_text=re.compile(f"^{case}"))
             assert row.locator("td").inner_text() == percent(share)
@@ -255,17 +256,23 @@ def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_eval
                 has_text=re.compile(f"^{group}")
             )
             assert row.locator("td").inner_text() == percent(share)
+
         assert percent(record["vut_and_rsus"]["all"]) in page.inner_text("#beside")
+
         page.keyboard.press("Control+z")  # a drag is one step
         has_value(page, "#yaw", yaw)
         assert told(page) == away
 
+        page.keyboard.press("Control+z")  # and so is the one that hung the sensor
+        has_units(page, 0)
 
-def test_everything_by_keyboard(browser, serve, tmp_path):
-    with opened(browser, serve()) as page:
+
+def test_everything_by_keyboard(visit, tmp_path):
+    with visit() as page:
         page.focus('[data-site="corner-sw"]')
         page.keyboard.press("Enter")
         assert page.input_value("#site") == "corner-sw"
+
         page.focus("#hang")
         page.keyboard.press("Enter")
         page.wait_for_selector('[data-unit="U1"]')
@@ -275,11 +282,15 @@ def test_everything_by_keyboard(browser, serve, tmp_path):
         )
         for key in ("ArrowLeft", "Shift+ArrowLeft", "ArrowDown", "PageDown"):
             page.keyboard.press(key)  # faster than answers come
+
         has_value(page, "#yaw", re.compile(rf"^{yaw + 11.0:.1f}"))
+
         told(page)
         (unit,) = saved(page, tmp_path).units
+
         assert unit.pose.yaw_deg == pytest.approx(yaw + 11.0, abs=0.06)
         assert unit.pose.pitch_deg == pytest.approx(pitch - 1.0)
+
         page.focus("#show-help")
         page.keyboard.press("Enter")
         page.wait_for_selector("#help-dialog")
@@ -294,21 +305,6 @@ def test_everything_by_keyboard(browser, serve, tmp_path):
         page.wait_for_selector('[data-unit="U1"]', state="detached")
 
 
-def test_complete_to_three_take_it_over_and_undo(browser, serve):
-    with opened(browser, serve(UNITS[:1])) as page:
-        write(page.locator("#complete-to"), "3")
-        page.click('[data-ask="complete"]')
-        card = page.locator("#proposals li")
-        card.wait_for()
-        assert "Completed to 3" in card.inner_text()
-        card.get_by_text("Show on the plan").click()
-        page.wait_for_selector("#proposals [aria-pressed=true]")
-        page.locator("#proposals li").get_by_text("Accept").click()
-        has_units(page, 3)
-        page.click("#undo")
-        has_units(page, 1)
-
-
 def test_a_button_is_clicked_although_its_list_is_drawn_anew_while_it_is_pressed(
     browser, serve
 ):
@@ -321,45 +317,68 @@ def test_a_button_is_clicked_although_its_list_is_drawn_anew_while_it_is_pressed
         page.mouse.down()
         write(other.locator("#complete-to"), "3")
         other.click('[data-ask="complete"]')
+
         expect(other.locator("#proposals li")).to_have_count(2)
         assert page.locator("#proposals li").count() == 1
+
         page.mouse.up()
         page.wait_for_selector("#proposals [aria-pressed=true]")
         expect(page.locator("#proposals li")).to_have_count(2)
+
         # A window behind another one has no focus that `to_be_focused` accepts.
         page.wait_for_function(
             "document.activeElement.ariaPressed === 'true'"
             " && document.activeElement.closest('#proposals') !== null"
         )
+        pressed = page.locator("[aria-pressed=true]")
+        shown = page.locator("#proposals li").filter(has=pressed)
+
+        expect(shown).to_contain_text("Completed to 2")
+
+        shown.get_by_text("Accept").click()
+        has_units(page, 2)
+
+        page.click("#undo")
+        has_units(page, 1)
 
 
-def test_save_and_open_again_and_variants_side_by_side(browser, serve, tmp_path):
-    with opened(browser, serve(UNITS[:2]), may_complain=True) as page:
+def test_save_and_open_again_and_variants_side_by_side(visit, tmp_path):
+    with visit(UNITS[:2], may_complain=True) as page:
         page.click("#copy-variant")
         expect(page.locator("#variants tbody tr")).to_have_count(2)
+
         write(page.locator("#variant-name"), "fewer")
         page.press("#variant-name", "Enter")
         page.locator("#variants").get_by_text("fewer").wait_for()
         page.click("#remove")
+
         has_units(page, 1)
+
         plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
         page.set_input_files("#open-file", plan)
         page.locator("#variants").get_by_text("plan: fewer").wait_for()
         notice = page.locator("#notice")  # comes by another way than the variants
+
         expect(notice).to_contain_text("Opened: mine, fewer")
+
         (tmp_path / "bad.json").write_text("{")
         page.set_input_files("#open-file", tmp_path / "bad.json")
         page.get_by_text(re.compile(r"^bad\.json: got")).wait_for()
 
 
-def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_path):
+def test_an_image_lies_below_the_plan_and_is_kept_with_it(visit, tmp_path):
     Image.new("RGB", (200, 100), (90, 120, 90)).save(tmp_path / "aerial.png")
-    with opened(browser, serve(UNITS[:1])) as page:
+    with visit(UNITS[:1]) as page:
         page.click("#background")
         page.set_input_files("#image-file", tmp_path / "aerial.png")
         page.click("#image-shown", position={"x": 20, "y": 10})
+
         assert float(page.input_value("#x1")) == pytest.approx(20.0, abs=1.0)
-        points = ((0.0, 0.0, -20.0, 10.0), (200.0, 0.0, 20.0, 10.0))
+
+        points = (
+            (0.0, 0.0, -20.0, 10.0),
+            (200.0, 0.0, 20.0, 10.0),
+        )
         for number, point in enumerate(points, start=1):
             for name, value in zip(("x", "y", "east", "north"), point, strict=True):
                 write(page.locator(f"#{name}{number}"), f"{value:g}")
@@ -367,7 +386,9 @@ def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_pa
         image = page.locator('#plan image[href^="background"]')
         image.wait_for(state="attached")
         lies = "matrix(20 0 0 -20 -2000 1000)"  # 40 m over 200 pixels, in centimetres
+
         assert image.get_attribute("transform") == lies
+
         plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
         page.click("#background")
         page.click("#image-drop")
@@ -376,7 +397,9 @@ def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_pa
         image.wait_for(state="attached")
         page.reload()
         image.wait_for(state="attached")
+
         assert image.get_attribute("transform") == lies
+
         fetched = page.evaluate(
             """async () => { const image = new Image();
             image.src = document.querySelector('#plan image[href^="background"]')
@@ -397,72 +420,87 @@ def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(
         page.reload()
         page.wait_for_selector("[data-unit]")
         page.wait_for_timeout(4000)
+
         assert server.is_alive
     server.wait()
+
     assert not server.is_alive
 
 
-def test_a_plan_that_is_in_no_file_is_not_closed_without_a_word(
-    browser, serve, tmp_path
-):
-    with opened(browser, serve(UNITS[:2])) as page:
+def test_a_plan_that_is_in_no_file_is_not_closed_without_a_word(visit, tmp_path):
+    with visit(UNITS[:2]) as page:
         asked = []
         page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
         page.click("#remove")
+
         has_units(page, 1)
+
         page.reload()
         page.wait_for_selector("[data-unit]")
         assert asked == ["beforeunload"]
+
         page.click("#undo")
         has_units(page, 2)
+
         downloaded(page, "#save-plan", tmp_path / "plan.json")
         page.reload()
         page.wait_for_selector("[data-unit]")
+
         assert asked == ["beforeunload"]
 
 
-def test_a_lost_run_is_told_and_played(browser, serve):
-    with opened(browser, serve(UNITS[7:8])) as page:
+def test_a_lost_run_is_told_and_played(visit):
+    with visit(UNITS[7:8]) as page:
         told(page)
         page.locator("#lost button").first.click()
         page.click("#played-why")
         page.locator("#run-why li").first.wait_for()
+
         assert "frames come early enough" in page.inner_text("#run-why")
+
         page.click("#play")
         frame = page.frame_locator("#player")
         frame.locator("#player-plan svg").wait_for()
         before = frame.locator("#player-status").inner_text()
         frame.locator("#player-frame").focus()
         page.keyboard.press("ArrowLeft")
+
         assert frame.locator("#player-status").inner_text() != before
+
         page.keyboard.press("Escape")
 
 
-def test_a_map_is_dropped_a_junction_of_it_chosen_and_undo_leads_back(browser, serve):
-    with opened(browser, serve(UNITS[:1])) as page:
+def test_a_map_is_dropped_a_junction_of_it_chosen_and_undo_leads_back(visit):
+    with visit(UNITS[:1]) as page:
         drop(page, "crossing.osm", CROSSING.read_text())
         page.wait_for_selector("#map-choice .junction-chooser")
         said = page.inner_text("#map-text")
+
         assert "crossing.osm has" in said
         assert "Undo returns to the plan at town05" in said
         assert page.locator("#map-choice circle").count() == 1
         assert page.locator("#map-choice circle.chosen").count() == 1
+
         street = page.locator("#map-choice li button").first.inner_text().split("\n")[0]
         page.click("#map-take")
         page.wait_for_selector("#map-dialog", state="hidden")
+
         assert page.inner_text("#scene-name").startswith(f"at {street},")
         has_units(page, 0)
+
         page.click("#hang")
         page.wait_for_selector('[data-unit="U1"]')
         assert "%" in told(page, "table", "evaluator")
+
         page.click("#undo")
         has_units(page, 0)
+
         page.click("#undo")
         expect(page.locator("#scene-name")).to_contain_text("town05")
         has_units(page, 1)
 
 
-def test_a_lost_connection_is_told_and_mended(browser, serve):
+def test_a_lost_connection_is_told_and_mended(visit):
     lines = []
     is_broken = []
 
@@ -473,62 +511,60 @@ def test_a_lost_connection_is_told_and_mended(browser, serve):
         line.connect_to_server()
         lines.append(line)
 
-    with opened(
-        browser,
-        serve(UNITS[:1]),
+    with visit(
+        UNITS[:1],
         before=lambda page: page.route_web_socket("**/live", route),
     ) as page:
         told(page)
         is_broken.append(True)
         lines[-1].close()
         page.wait_for_selector("#connection")
+
         assert "%" not in page.inner_text("#apr")
         assert page.locator("#main").evaluate("element => element.inert")
+
         is_broken.clear()
         page.wait_for_selector("#connection", state="hidden")
         told(page)
+
         assert page.locator("#units button").count() == 1
 
 
-def test_a_unit_is_chosen_although_its_number_comes_while_the_button_is_pressed(
-    browser, serve
-):
-    with opened(browser, serve(UNITS[6:8])) as page:
+def test_a_unit_is_chosen_although_its_number_comes_while_the_button_is_pressed(visit):
+    with visit(UNITS[6:8]) as page:
         told(page)
         first, second = page.locator("#units button").all()
         before = second.inner_text()
         page.mouse.move(*middle(first))
         page.mouse.down()
         for _ in range(4):
-            page.keyboard.press(
-                "Shift+ArrowLeft"
-            )  # turns the last unit, which is still chosen
+            # Turns the last unit, which is still chosen.
+            page.keyboard.press("Shift+ArrowLeft")
+
         expect(second).to_have_attribute("aria-pressed", "true")
         expect(second).not_to_have_text(before)
+
         told(page)
         expect(second).to_contain_text("%")
+
         page.mouse.up()
         expect(first).to_have_attribute("aria-pressed", "true")
 
 
-def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, garden):
+def test_the_page_has_no_serious_fault_for_who_cannot_see_it(visit, garden):
     library = pytest.importorskip(
         "axe_playwright_python.sync_playwright",
         reason="axe-playwright-python is not installed",
     )
     units = UNITS[7:8]
     text = CROSSING.read_text()
-    with opened(browser, serve(units, asked={"no_look": str(garden)})) as page:
+    with visit(units, asked={"no_look": str(garden)}) as page:
         told(page)
         axe = library.Axe()
 
         def has_no_fault():
             found = axe.run(page).response["violations"]
-            serious = [
-                (one["id"], [node["target"] for node in one["nodes"]][:3])
-                for one in found
-                if one["impact"] in ("serious", "critical")
-            ]
+            serious = [one for one in found if one["impact"] in ("serious", "critical")]
             assert serious == []
             page.keyboard.press("Escape")
 
@@ -567,72 +603,88 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
 
 
 def number(page, field):
+    """Number in a field."""
     return float(page.locator(field).input_value())
 
 
-def test_keys_work_after_a_slider_and_escape_gives_a_drag_up(browser, serve):
-    with opened(browser, serve(UNITS[:2])) as page:
+def test_keys_work_after_a_slider_and_escape_gives_a_drag_up(visit):
+    with visit(UNITS[:2]) as page:
         page.click('[data-chip="RSU0"]')
         before = number(page, "#yaw")
         slider = page.locator("#yaw-slide")
         slider.focus()
         slider.press("ArrowRight")
+
         expect(page.locator("#yaw")).not_to_have_value(f"{before:g}")
+
         slider.press("Control+z")
         has_value(page, "#yaw", f"{before:g}")
+
         write(page.locator("#yaw"), "12")
         page.press("#yaw", "Enter")
         has_value(page, "#yaw-slide", "12")
+
         page.press("#yaw", "Control+z")  # what is typed is done
         expect(page.locator("#yaw-slide")).not_to_have_value("12")
+
         page.locator("#plan").scroll_into_view_if_needed()
         x, y = aim(page)
         drag(page, (x, y), (x + 60, y + 60))
+
         expect(page.locator("#yaw-slide")).not_to_have_value(f"{round(before)}")
+
         page.keyboard.press("Escape")
         has_value(page, "#yaw-slide", f"{round(before)}")
+
         page.mouse.move(x + 90, y)
         page.mouse.up()
         assert page.is_disabled("#redo")  # the drag has left nothing
+
         x, y = pole(page, "corner-sw")
         drag(page, (x, y), (x + 60, y - 60))
         page.keyboard.press("Escape")
         page.mouse.up()
         slider.focus()
         slider.press("Delete")
+
         has_units(page, 1)
 
 
-def test_a_key_right_after_escape_is_for_the_unit_chosen_before_the_drag(
-    browser, serve
-):
-    with opened(browser, serve(UNITS[:2])) as page:
+def test_a_key_right_after_escape_is_for_the_unit_chosen_before_the_drag(visit):
+    with visit(UNITS[:2]) as page:
         page.click('[data-chip="RSU0"]')
         x, y = pole(page, "corner-sw")
         drag(page, (x, y), (x + 60, y - 60))
+
         has_units(page, 3)
+
         # Both in one step, so that the session cannot answer between them.
         page.evaluate(
             """() => ["Escape", "Delete"].forEach((key) => document.body
             .dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true })))"""
         )
         page.mouse.up()
+
         has_units(page, 1)
         expect(page.locator("#units button")).to_contain_text("RSU1")
 
 
 def test_a_pole_with_a_unit_takes_a_second_one_and_what_is_moved_keeps_its_aim(
-    browser, serve, tmp_path
+    visit, tmp_path
 ):
-    with opened(browser, serve(UNITS[1:2])) as page:
+    with visit(UNITS[1:2]) as page:
         x, y = pole(page, "corner-ne")
         drag(page, (x, y), (x - 80, y + 20))
         page.mouse.up()
+
         has_units(page, 2)
+
         first, second = saved(page, tmp_path).units
         assert first.site_id == second.site_id == "corner-ne"
+
         page.click('[data-chip="RSU1"]')
         expect(page.locator("[data-aim]")).to_have_attribute("data-aim", "RSU1")
+
         aimed = aim(page)
         drag(
             page,
@@ -640,30 +692,9 @@ def test_a_pole_with_a_unit_takes_a_second_one_and_what_is_moved_keeps_its_aim(
             pole(page, "corner-sw"),
         )
         page.mouse.up()
+
         has_value(page, "#unit-site", "corner-sw")
         assert aim(page) == pytest.approx(aimed, abs=2.0)
-
-
-def test_a_number_follows_while_a_new_sensor_is_dragged_from_its_pole(browser, serve):
-    with opened(browser, serve()) as page:
-        x, y = pole(page, "corner-ne")
-        drag(page, (x, y), (x + 160, y - 20))
-        # The button is still pressed: the sensor is there, with a number.
-        has_units(page, 1)
-        expect(page.locator("#apr")).to_have_text(re.compile(r"\d %"))
-        first = page.input_value("#yaw")
-        page.mouse.move(x - 60, y + 60, steps=6)
-        expect(page.locator("#yaw")).not_to_have_value(first)
-        page.mouse.up()
-        has_value(page, "#site", "corner-ne")  # the pole that was in hand
-        expect(page.locator("#site-text")).to_contain_text("EUR (assumed) once")
-        page.keyboard.press("Control+z")  # all of the drag is one step
-        has_units(page, 0)
-        drag(page, (x, y), (x + 160, y - 20))
-        has_units(page, 1)
-        page.keyboard.press("Escape")
-        has_units(page, 0)
-        page.mouse.up()
 
 
 TOUCH = """([kind, fingers]) => {
@@ -680,22 +711,30 @@ TOUCH = """([kind, fingers]) => {
 
 
 def test_the_ground_between_two_fingers_stays_and_a_wheel_goes_the_way_it_is_turned(
-    browser, serve
+    visit,
 ):
-    with opened(browser, serve()) as page:
+    with visit() as page:
         site = page.locator('[data-site="corner-ne"]')
         far = page.locator('[data-site="corner-sw"]')
         x, y = middle(site)
-        fingers = [[x - 40, y - 40], [x + 40, y + 40]]
+        fingers = [
+            [x - 40, y - 40],
+            [x + 40, y + 40],
+        ]
         page.evaluate(TOUCH, ["pointerdown", fingers])
         apart = abs(middle(far)[0] - x)
-        moved = [[x + 30 - 80, y + 20 - 80], [x + 30 + 80, y + 20 + 80]]
+        moved = [
+            [x + 30 - 80, y + 20 - 80],
+            [x + 30 + 80, y + 20 + 80],
+        ]
         page.evaluate(TOUCH, ["pointermove", moved])
         page.evaluate(TOUCH, ["pointerup", moved])
+
         assert middle(site) == pytest.approx((x + 30, y + 20), abs=1.5)
         assert abs(middle(far)[0] - middle(site)[0]) == pytest.approx(
             2.0 * apart, rel=0.01
         )
+
         x, y = middle(site)
         page.mouse.move(x, y)
         page.mouse.wheel(60, 0)
@@ -705,6 +744,7 @@ def test_the_ground_between_two_fingers_stays_and_a_wheel_goes_the_way_it_is_tur
             arg=x - 20,
         )
         moved = middle(site)
+
         assert moved[1] == pytest.approx(y, abs=0.5)
         assert abs(middle(far)[0] - moved[0]) == pytest.approx(2.0 * apart, rel=0.01)
 
@@ -726,45 +766,55 @@ def held_back(page, lines):
     page.route_web_socket("**/live", route)
 
 
-def test_a_server_that_does_not_answer_makes_numbers_old(browser, serve):
+def test_a_server_that_does_not_answer_makes_numbers_old(visit):
     lines = []
-    with opened(
-        browser, serve(UNITS[:1]), before=lambda page: held_back(page, lines)
-    ) as page:
+    with visit(UNITS[:1], before=lambda page: held_back(page, lines)) as page:
         told(page)
         write(page.locator("#yaw"), "12")
         page.wait_for_selector("#silence")
+
         assert "has not answered for" in page.inner_text("#silence")
         assert "old" in page.get_attribute("#apr", "class")
+
         server, held = lines[-1]
         server.send(held[-1])
         page.wait_for_selector("#silence", state="hidden")
 
 
-@pytest.mark.parametrize("size", [(1280, 900), (820, 1180), (844, 390), (390, 844)])
-def test_the_key_of_densities_and_the_page_are_no_wider_than_the_screen(
-    browser, serve, size
-):
+@pytest.mark.parametrize(
+    "size",
+    [
+        (1280, 900),
+        (820, 1180),
+        (844, 390),
+        (390, 844),
+    ],
+)
+def test_the_key_of_densities_and_the_page_are_no_wider_than_the_screen(visit, size):
     width, height = size
     units = UNITS[:1]
-    with opened(browser, serve(units), width=width, height=height) as page:
+    with visit(units, width=width, height=height) as page:
         page.check("#coverage")
         page.locator("#coverage-key .key").first.wait_for()
         assert page.evaluate("document.documentElement.scrollWidth") <= width
+
         key = page.locator("#coverage-key").bounding_box()
         stage = page.locator("#stage").bounding_box()
+
         assert key["x"] + key["width"] <= stage["x"] + stage["width"]
         assert page.locator("#plan").bounding_box()["height"] >= 0.4 * min(height, 600)
 
 
-def test_the_position_error_is_told_where_the_mouse_is(browser, serve):
-    with opened(browser, serve(UNITS[:1])) as page:
+def test_the_position_error_is_told_where_the_mouse_is(visit):
+    with visit(UNITS[:1]) as page:
         page.check("#coverage")
         page.check("#errors")
         # Both colour the same ground.
         assert not page.is_checked("#coverage")
+
         page.locator("#coverage-key .key").first.wait_for()
         assert "by position error" in page.inner_text("#coverage-key")
+
         plan = page.locator("#plan svg").bounding_box()
         told = set()
         for step in range(1, 12):
@@ -772,8 +822,10 @@ def test_the_position_error_is_told_where_the_mouse_is(browser, serve):
             page.mouse.move(x, plan["y"] + plan["height"] / 2)
             told.add(page.inner_text("#errors-here"))
         known = [text for text in told if re.search(r"here: \d\.\d\d m", text)]
+
         assert known
         assert "Here no camera sees an adult." in told
+
         page.uncheck("#errors")
         assert page.locator("#errors-here").is_hidden()
         assert page.locator("#coverage-key").is_hidden()
@@ -814,21 +866,23 @@ def empty_place(page):
     return box["x"] + 6, box["y"] + 6
 
 
-def test_nothing_is_chosen_by_a_press_on_nothing_and_a_view_chooses_its_unit(
-    browser, serve
-):
-    with opened(browser, serve(UNITS[:2])) as page:
+def test_nothing_is_chosen_by_a_press_on_nothing_and_a_view_chooses_its_unit(visit):
+    with visit(UNITS[:2]) as page:
         page.wait_for_selector('[data-view="RSU0"][d]', state="attached")
         page.wait_for_selector('[data-view="RSU1"][d]', state="attached")
         page.click('[data-chip="RSU0"]')
         last = page.locator("#plan [data-view]").last  # drawn above the other
+
         expect(last).to_have_attribute("data-view", "RSU0")
+
         page.click('[data-chip="RSU1"]')
         expect(last).to_have_attribute("data-view", "RSU1")
+
         page.mouse.click(*empty_place(page))
         expect(page.locator("#unit")).to_be_hidden()
         assert chosen(page) == []
         assert page.locator("[data-aim]").count() == 0
+
         x, y = (
             (a + b) / 2  # both look at the junction's middle
             for a, b in zip(
@@ -839,55 +893,64 @@ def test_nothing_is_chosen_by_a_press_on_nothing_and_a_view_chooses_its_unit(
         first = chosen(page)
         page.mouse.click(x, y)  # the view below it
         second = chosen(page)
+
         assert {name[0].split()[0] for name in (first, second)} == {"RSU0", "RSU1"}
+
         page.keyboard.press("Escape")
         expect(page.locator("#unit")).to_be_hidden()
 
 
-def test_backspace_and_delete_take_down_and_nothing_is_chosen_then(browser, serve):
-    with opened(browser, serve(UNITS[:3])) as page:
-        for key, left in (("Backspace", 2), ("Delete", 1)):
+def test_backspace_and_delete_take_down_and_nothing_is_chosen_then(visit):
+    with visit(UNITS[:3]) as page:
+        for key, left in (
+            ("Backspace", 2),
+            ("Delete", 1),
+        ):
             page.locator("[data-chip]").first.click()
             page.keyboard.press(key)
+
             has_units(page, left)
             assert chosen(page) == []
         page.keyboard.press("Delete")  # nothing is chosen
         page.locator("[data-chip]").first.click()
         write(page.locator("#yaw"), "12")
         page.press("#yaw", "Backspace")  # of what is typed
+
         has_value(page, "#yaw", "1")
         has_units(page, 1)
 
 
-def test_ring_outline_compass_and_side_view_follow_before_any_answer(browser, serve):
+def test_ring_outline_compass_and_side_view_follow_before_any_answer(visit):
     lines = []
-    with opened(
-        browser, serve(UNITS[:1]), before=lambda page: held_back(page, lines)
-    ) as page:
+    with visit(UNITS[:1], before=lambda page: held_back(page, lines)) as page:
         told(page)
         x, y = aim(page)
         drag(page, (x, y), (x + 90, y - 60))
+
         assert aim(page) == pytest.approx((x + 90, y - 60), abs=1.5)
         assert page.get_attribute("#plan .open-view", "d").startswith("M")
+
         yaw = number(page, "#yaw")
         bearing = float(page.get_attribute("#compass", "aria-valuenow"))
         assert bearing == pytest.approx((90.0 - yaw) % 360.0, abs=0.1)
+
         tilt = page.get_attribute('#side [data-part="tilt"]', "aria-valuenow")
         assert float(tilt) == pytest.approx(number(page, "#pitch"), abs=0.06)
+
         page.mouse.up()
         server, held = lines[-1]
         assert len(held) == 1  # the others wait for its answer
+
         server.send(held[0])
-        page.wait_for_selector(
-            "#plan .open-view", state="attached"
-        )  # the newest step is next
+        # The newest step is next.
+        page.wait_for_selector("#plan .open-view", state="attached")
 
 
 @pytest.mark.parametrize(
     "part", ["#yaw-slide", "#compass", '#side [data-part="height"]']
 )
-def test_escape_gives_up_a_drag_of_slider_compass_and_side_view(browser, serve, part):
-    with opened(browser, serve(UNITS[:1])) as page:
+def test_escape_gives_up_a_drag_of_slider_compass_and_side_view(visit, part):
+    with visit(UNITS[:1]) as page:
         rested(page)
         fields = ("#yaw", "#pitch", "#height")
         before = [number(page, field) for field in fields]
@@ -913,10 +976,13 @@ def test_escape_gives_up_a_drag_of_slider_compass_and_side_view(browser, serve, 
             if is_turned():
                 break
             page.mouse.up()
+
         assert is_turned()
+
         page.keyboard.press("Escape")
         page.mouse.move(away[0] + 5, away[1] - 5, steps=3)
         page.mouse.up()
+
         for field, value in zip(fields, before, strict=True):
             expect(page.locator(field)).to_have_value(f"{value:g}")
         assert page.is_disabled("#redo")
@@ -929,10 +995,8 @@ WHEEL = """([x, y, given]) => document.querySelector("#plan svg").dispatchEvent(
 """
 
 
-def test_a_trackpad_pans_while_notches_and_pinches_zoom_about_the_pointer(
-    browser, serve
-):
-    with opened(browser, serve()) as page:
+def test_a_trackpad_pans_while_notches_and_pinches_zoom_about_the_pointer(visit):
+    with visit() as page:
         near, far = (
             page.locator(f'[data-site="corner-{name}"]') for name in ("ne", "sw")
         )
@@ -941,29 +1005,35 @@ def test_a_trackpad_pans_while_notches_and_pinches_zoom_about_the_pointer(
             """How far the pole below the pointer has moved, and what distances have
             become.
             """
-            (x, y), (u, v) = middle(near), middle(far)
+            (x, y) = middle(near)
+            (u, v) = middle(far)
             for given in events:
                 page.evaluate(WHEEL, [x, y, given])
-            (x2, y2), (u2, v2) = middle(near), middle(far)
+            (x2, y2) = middle(near)
+            (u2, v2) = middle(far)
             page.wait_for_timeout(400)  # what comes later is another turn
             return (x2 - x, y2 - y), np.hypot(u2 - x2, v2 - y2) / np.hypot(u - x, v - y)
 
         moved, size = turned({"deltaX": 3, "deltaY": 4}, {"deltaX": 12, "deltaY": 80})
+
         assert moved == pytest.approx((-15.0, -84.0), abs=1.0)
         assert size == pytest.approx(1.0)
+
         moved, size = turned({"deltaY": -100})
         assert moved == pytest.approx((0.0, 0.0), abs=1.0)
         assert size == pytest.approx(1.2, rel=0.01)
+
         moved, size = turned({"deltaY": 3, "deltaMode": 1})  # lines, as Firefox tells
         assert moved == pytest.approx((0.0, 0.0), abs=1.0)
         assert size == pytest.approx(1.0 / 1.2, rel=0.01)
+
         moved, size = turned(*[{"deltaY": -4, "ctrlKey": True}] * 5)
         assert moved == pytest.approx((0.0, 0.0), abs=1.0)
         assert size == pytest.approx(1.2 ** (20 / 38), rel=0.01)
 
 
-def test_height_and_tilt_are_dragged_in_the_side_view(browser, serve, tmp_path):
-    with opened(browser, serve(UNITS[:1])) as page:
+def test_height_and_tilt_are_dragged_in_the_side_view(visit, tmp_path):
+    with visit(UNITS[:1]) as page:
         rested(page)
         grip = page.locator('#side [data-part="height"]')
         grip.scroll_into_view_if_needed()
@@ -974,121 +1044,154 @@ def test_height_and_tilt_are_dragged_in_the_side_view(browser, serve, tmp_path):
         x, y = middle(grip)
         drag(page, (x, y), (x, y + 24))
         page.mouse.up()
+
         expect(page.locator("#height")).not_to_have_value(f"{before:g}")
+
         height = number(page, "#height")
         assert low <= height < before
         assert middle(grip)[1] == pytest.approx(y + 24, abs=1.5)
+
         x, y = middle(grip)
         drag(page, (x, y), (x, y + 400))  # no lower than the pole carries
         page.mouse.up()
+
         has_value(page, "#height", f"{low:g}")
+
         grip.focus()
         grip.press("ArrowUp")
         has_value(page, "#height", f"{low + 0.25:g}")
-        (x, y), knob = middle(grip), page.locator('#side [data-part="tilt"]')
+
+        (x, y) = middle(grip)
+        knob = page.locator('#side [data-part="tilt"]')
         drag(page, middle(knob), (x + 60, y + 60))
         page.mouse.up()
+
         has_value(page, "#pitch", re.compile("^-4[45]"))
+
         told(page)
         (unit,) = saved(page, tmp_path).units
         assert unit.pose.pitch_deg == pytest.approx(-45.0, abs=1.5)
+
         # The picture's lower edge meets the road as far away as its angle says.
         pose = unit.pose
         half = 0.5 * unit.sensor.vertical_fov_deg
         away_m = (low + 0.25) / np.tan(np.radians(half - pose.pitch_deg))
         ray = page.get_attribute("#side .ray-lower", "d")
         x, y, x2, y2 = (float(value) for value in re.findall(r"[\d.]+", ray))
+
         assert (x2 - x) / (y2 - y) == pytest.approx(away_m / (low + 0.25), rel=1e-3)
         assert high > low
 
 
-def test_the_compass_turns_in_steps_with_shift_or_by_the_switch(browser, serve):
-    with opened(browser, serve(UNITS[:1])) as page:
+def test_the_compass_turns_in_steps_with_shift_or_by_the_switch(visit):
+    with visit(UNITS[:1]) as page:
         rested(page)
         compass = page.locator("#compass")
         compass.scroll_into_view_if_needed()
         x, y = middle(compass)
         drag(page, (x + 30, y), (x + 38, y - 3))
+
+        # A pixel.
         assert float(compass.get_attribute("aria-valuenow")) == pytest.approx(
             85.5, abs=1.0
-        )  # a pixel
+        )
+
         page.keyboard.down("Shift")
         page.mouse.move(x + 30, y - 13)
         page.keyboard.up("Shift")
+
         assert compass.get_attribute("aria-valuetext").startswith(
             "60.0 degrees, north-east"
         )
+
         page.mouse.up()
         has_value(page, "#yaw", "30")
+
         page.check("#snap")
         x, y = aim(page)
         drag(page, (x, y), (x + 33, y + 47), (x - 20, y + 90))
         page.mouse.up()
         told(page, "table", "evaluator")
+
         assert number(page, "#yaw") % 15.0 == 0.0
         assert number(page, "#yaw") != 30.0
+
         compass.focus()
         yaw = number(page, "#yaw")
         compass.press("ArrowRight")  # clockwise
+
         has_value(page, "#yaw", f"{yaw - 1:g}")
 
 
-def test_a_copy_keeps_angles_height_and_lens_on_another_pole(browser, serve, tmp_path):
+def test_a_copy_keeps_angles_height_and_lens_on_another_pole(visit, tmp_path):
     (unit,) = UNITS[:1]
-    with opened(browser, serve([unit])) as page:
+    with visit([unit]) as page:
         page.click('[data-chip="RSU0"]')
         page.focus('[data-site="corner-nw"]')
         page.keyboard.press("Enter")
         page.keyboard.press("Control+c")
         page.locator("#notice").get_by_text("RSU0 is copied").wait_for()
         page.keyboard.press("Control+v")
+
         has_units(page, 2)
+
         first, second = saved(page, tmp_path).units
         assert first.site_id == "corner-se"
         assert second.site_id == "corner-nw"
         assert second.sensor == first.sensor
+
         angles = [(each.pose.yaw_deg, each.pose.pitch_deg) for each in (first, second)]
         assert angles[0] == pytest.approx(angles[1])
         assert chosen(page)[0].startswith(second.id)
+
         page.click("#remove")
         has_units(page, 1)
+
         page.click("#paste-unit")  # the copy outlives what it is of
         has_units(page, 2)
 
 
-def test_a_ruler_measures_between_places_and_poles(browser, serve, small_setting):
+def test_a_ruler_measures_between_places_and_poles(visit, small_setting):
     places = {site.id: site.position_m[:2] for site in small_setting.scene.sites}
     apart_m = np.hypot(*(places["corner-ne"] - places["corner-sw"]))
-    with opened(browser, serve(UNITS[:1])) as page:
+    with visit(UNITS[:1]) as page:
         x, y = pole(page, "corner-ne")
         page.keyboard.press("m")
         expect(page.locator("#ruler")).to_have_attribute("aria-pressed", "true")
+
         drag(page, (x + 3, y), pole(page, "corner-sw"))
         page.mouse.up()
         said = page.locator("#ruler-text")
+
         expect(said).to_have_text(f"{apart_m:.2f} m")  # poles are met exactly
+
         page.mouse.click(x - 90, y + 60)
         page.mouse.click(x - 90, y + 160)
+
         expect(said).to_have_text(re.compile(r"^[\d.]+ m$"))
         assert float(said.inner_text()[:-2]) == pytest.approx(
             100.0 * scale_m(page), rel=0.01
         )
+
         for name in ("corner-ne", "corner-sw"):
             page.focus(f'[data-site="{name}"]')
             page.keyboard.press("Enter")
         expect(said).to_have_text(f"{apart_m:.2f} m")
+
         page.keyboard.press("Escape")
         expect(page.locator("#ruler")).to_have_attribute("aria-pressed", "false")
         has_units(page, 1)
 
 
-def test_what_is_locked_is_not_dragged_turned_or_taken_down(browser, serve, tmp_path):
-    with opened(browser, serve(UNITS[:1])) as page:
+def test_what_is_locked_is_not_dragged_turned_or_taken_down(visit, tmp_path):
+    with visit(UNITS[:1]) as page:
         page.click('[data-chip="RSU0"]')
         page.keyboard.press("l")
+
         expect(page.locator("#plan .lock")).to_have_count(1)
         assert page.locator("[data-aim]").count() == 0
         assert "locked" in page.inner_text('[data-chip="RSU0"]')
+
         for key in ("ArrowLeft", "Delete", "PageUp"):
             page.keyboard.press(key)
         drag(
@@ -1100,19 +1203,24 @@ def test_what_is_locked_is_not_dragged_turned_or_taken_down(browser, serve, tmp_
         drag(page, middle(page.locator("#compass")), (900.0, 300.0))
         page.mouse.up()
         page.locator("#notice").get_by_text("RSU0 is locked").wait_for()
+
         assert page.is_disabled("#yaw")
         assert page.is_disabled("#remove")
-        (unit,), (before,) = (saved(page, tmp_path).units, UNITS[:1])
+
+        (unit,) = saved(page, tmp_path).units
+        (before,) = UNITS[:1]
+
         assert unit.site_id == before.site_id
         assert unit.pose.yaw_deg == before.pose.yaw_deg
         assert page.is_disabled("#undo")
+
         page.click("#lock")
         page.click("#remove")
         has_units(page, 0)
 
 
-def test_two_variants_are_compared_by_units_and_cases(browser, serve):
-    with opened(browser, serve(UNITS[:3])) as page:
+def test_two_variants_are_compared_by_units_and_cases(visit):
+    with visit(UNITS[:3]) as page:
         told(page)
         page.click("#copy-variant")
         page.wait_for_selector("#compare-row")
@@ -1127,7 +1235,9 @@ def test_two_variants_are_compared_by_units_and_cases(browser, serve):
         page.select_option("#site", "corner-sw")
         page.click("#hang")
         said = page.locator("#compare-units li")
+
         expect(said).to_have_count(3)
+
         told(page)
         expect(said.nth(0)).to_contain_text("only here, at corner-sw")
         expect(said.nth(1)).to_contain_text("RSU2: only in mine, at corner-nw")
@@ -1135,6 +1245,7 @@ def test_two_variants_are_compared_by_units_and_cases(browser, serve):
             re.compile(r"RSU1: turned by (40|39\.9|40\.1)")
         )
         assert page.locator("#plan .other").count() == 2
+
         row = page.locator("#compare-points tbody tr").first
         row.get_by_text("APR").wait_for()
         here, there, points = row.locator("td").all_inner_texts()
@@ -1143,24 +1254,28 @@ def test_two_variants_are_compared_by_units_and_cases(browser, serve):
         else:
             sign = 1.0
         difference = sign * float(re.sub(r"[^\d.]", "", points))
+
         assert difference == pytest.approx(
             float(here[:-2]) - float(there[:-2]), abs=0.051
         )
+
         write(page.locator("#variant-name"), "Mine!")  # similar to the other's
         page.press("#variant-name", "Enter")
         page.locator("#notice").get_by_text('is too similar to "mine"').wait_for()
 
 
-def test_a_lost_run_is_shown_on_the_plan_over_time(browser, serve, small_setting):
-    with opened(browser, serve(UNITS[7:8])) as page:
+def test_a_lost_run_is_shown_on_the_plan_over_time(visit, small_setting):
+    with visit(UNITS[7:8]) as page:
         told(page)
         page.locator("#lost button").first.click()
         strip = page.locator("#played")
         strip.wait_for()
         run_id = page.get_attribute("#lost [aria-pressed=true]", "data-run")
         (run,) = (run for run in small_setting.runs if run.id == run_id)
+
         assert run.case.title in page.inner_text("#played-title")
         assert re.search(r"(comes nearest|No unit|Lost whatever)", strip.inner_text())
+
         slider = page.locator("#played-frame")
         assert int(slider.get_attribute("max")) == len(run.time_s) - 1
 
@@ -1187,6 +1302,7 @@ def test_a_lost_run_is_shown_on_the_plan_over_time(browser, serve, small_setting
             true_m = np.hypot(
                 *(run.vut_position_m[frame] - run.vru_position_m[frame])[:2]
             )
+
             assert apart_m() == pytest.approx(true_m, abs=0.7)
             assert f"{abs(run.time_s[frame]):.1f} s" in page.inner_text("#played-time")
         page.click("#played-play")
@@ -1195,7 +1311,9 @@ def test_a_lost_run_is_shown_on_the_plan_over_time(browser, serve, small_setting
         )
         page.click("#played-play")
         row = page.locator('#played-rows [aria-label^="RSU7"]')
+
         assert re.search("sees the road user", row.get_attribute("aria-label"))
+
         page.click("#played-close")
         strip.wait_for(state="hidden")
         assert page.is_hidden(".played-car")
@@ -1224,11 +1342,11 @@ def pixels_of(page):
 
 
 def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands(
-    browser, serve, small_setting, tmp_path, drawn_pictures
+    visit, small_setting, tmp_path, drawn_pictures
 ):
     unit = UNITS[7]
 
-    with opened(browser, serve([unit])) as page:
+    with visit([unit]) as page:
         fine = page.locator('#seen[data-smooth="1"][aria-busy="false"]')
         fine.wait_for()
         before = page.get_attribute("#seen-image", "src")
@@ -1238,24 +1356,27 @@ def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands
         page.mouse.move(x + 20, y - 20, steps=4)
         page.wait_for_selector('#seen[data-smooth="0"]')  # the button is still pressed
         during = page.get_attribute("#seen-image", "src")
+
         assert during != before
+
         page.mouse.move(x + 25, y + 5, steps=4)
         page.mouse.up()
         fine.wait_for()
         shown = pixels_of(page)
+
         assert shown.shape == (360, 640, 3)
+
         (turned,) = saved(page, tmp_path).units
         assert turned.pose.yaw_deg != unit.pose.yaw_deg
+
         small = replace(
             turned, sensor=replace(turned.sensor, width_px=640, height_px=360)
         )
         expected, run, _ = draw_view(small, small_setting, compute=Compute(workers=2))
         assert abs(shown - expected).mean() < 4.0  # JPEG's own loss
+
         title = small_setting.runs.index(run)
         assert describe_run(small_setting.axis, title) in page.inner_text("#seen-text")
-
-
-# ---------- what is driven and seen
 
 
 # ---------- poles of one's own
@@ -1281,55 +1402,73 @@ def screen_of(page, scene, place_m):
 
 
 def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(
-    browser, serve, small_setting, tmp_path
+    visit, small_setting, tmp_path
 ):
     scene = small_setting.scene
     corner = next(site for site in scene.sites if site.id == "corner-nw").position_m[:2]
-    with opened(browser, serve(), may_complain=True) as page:
+    with visit(may_complain=True) as page:
         page.click("#pole")
         notice = page.locator("#notice")
         page.mouse.click(*screen_of(page, scene, scene.outline_m.mean(axis=0)))
+
         expect(notice).to_contain_text("a place on the carriageway")
+
         page.mouse.click(*screen_of(page, scene, corner + [-8.0, 10.0]))
         expect(notice).to_contain_text("a place inside building")
+
         page.mouse.click(*screen_of(page, scene, corner + [-4.0, 0.0]))
         own = page.locator('[data-site="own-1"]')
         own.wait_for()
+
         has_value(page, "#site", "own-1")
+
         page.click("#hang")
         has_value(page, "#unit-site", "own-1")
+
         told(page)
         (before,) = saved(page, tmp_path).units
+
         assert before.site_id == ""
         assert before.pose.position_m[:2] == pytest.approx(
             corner + [-4.0, 0.0], abs=0.15
         )
+
         drag(page, middle(own), screen_of(page, scene, corner + [-7.0, 0.0]))
         page.mouse.up()
         east = page.locator("#pole-east")
+
         expect(east).to_have_value(re.compile(rf"^{corner[0] - 7.0:.0f}"))
+
         shown = told(page)
         after = saved(page, tmp_path)
         (unit,) = after.units
         moved_m = unit.pose.position_m - before.pose.position_m
+
         assert moved_m == pytest.approx([-3.0, 0.0, 0.0], abs=0.3)
         assert unit.pose.yaw_deg == before.pose.yaw_deg
+
         evaluation = evaluate_layout(after, small_setting, compute=Compute(workers=2))
         assert shown == percent(apr(evaluation.rsu_all, evaluation.axis))
+
         page.keyboard.press("Escape")
         assert page.get_attribute("#pole", "aria-pressed") == "false"
+
         page.keyboard.press("Escape")  # no sensor is chosen
         page.keyboard.press("Delete")
         expect(notice).to_contain_text("which carries U1 of")
+
         plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
         page.click('[data-chip="U1"]')
         page.click("#remove")
+
         has_units(page, 0)
+
         page.click("#remove-pole")
         own.wait_for(state="detached")
         page.set_input_files("#open-file", plan)  # all is there again
         own.wait_for()
         page.click('[data-chip="U1"]')
+
         has_value(page, "#unit-site", "own-1")
 
 
@@ -1337,7 +1476,7 @@ def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(
 
 
 def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
-    browser, serve, small_setting
+    visit, small_setting
 ):
     units = UNITS[6:7]
     evaluation = evaluate_layout(
@@ -1350,7 +1489,9 @@ def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
         * 100.0
     )
     weight = axis.weight[is_lost] / axis.weight.sum()
+
     assert 0 < len(weight) < axis.n_runs
+
     least = np.array([0.1, 0.05, 0.02, 0.01, 0.005, 0.0])
     west, south = np.floor(ends_cm.min(axis=0) / 50.0).astype(int) * 50 - 250
     east, north = ends_cm.max(axis=0).astype(int) + 250
@@ -1362,9 +1503,10 @@ def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
     # On the edge of a disc, or between two bands, either is right.
     is_edge = (np.abs(away_cm - 200.0) < 1e-6).any(axis=-1)
     is_close = (np.abs(expected[..., None] - least) <= 1e-6).any(axis=-1)
-    with opened(browser, serve(units)) as page:
+    with visit(units) as page:
         told(page)
         assert page.is_hidden("#danger-key")
+
         page.check("#danger")
         bands = page.locator("#plan [data-band]")
         page.locator("#danger-key").filter(has_text=f"{len(weight)}, with").wait_for()
@@ -1376,13 +1518,16 @@ def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
             corners = np.array(re.findall(r"M(-?\d+) (-?\d+)h50v50h-50Z", d), dtype=int)
             column, row = (corners - (west, south)).T // 50
             drawn[row, column] = int(band)
+
         assert (drawn >= 0).any()
         np.testing.assert_array_equal(
             (drawn >= 0)[~is_edge], (expected > 0.0)[~is_edge]
         )
+
         is_sure = (drawn >= 0) & ~is_edge & ~is_close
         band = (expected[..., None] > least).argmax(axis=-1)
         np.testing.assert_array_equal(drawn[is_sure], band[is_sure])
+
         fills = page.locator("#danger-key rect").evaluate_all(
             "all => all.map(one => one.getAttribute('fill'))"
         )
@@ -1390,7 +1535,9 @@ def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
             [[int(fill[at : at + 2], 16) for at in (1, 3, 5)] for fill in fills]
         )
         grey = parts @ [0.2126, 0.7152, 0.0722]
+
         assert (np.diff(grey) > 10.0).all()  # told apart in grey: the darker the more
+
         page.uncheck("#danger")
         expect(bands).to_have_count(0)
 
@@ -1405,7 +1552,11 @@ def streets(tmp_path_factory):
     away = OsmText()
     away.n_parts = 1000
     start = away.node(250.0, 400.0)
-    for place in ((340.0, 400.0), (160.0, 400.0), (250.0, 490.0)):
+    for place in (
+        (340.0, 400.0),
+        (160.0, 400.0),
+        (250.0, 490.0),
+    ):
         away.road([start, place], name="Far Street", oneway="yes")
     text = path.read_text().replace("</osm>\n", "\n".join([*away.parts, "</osm>\n"]))
     path.write_text(text)
@@ -1413,25 +1564,30 @@ def streets(tmp_path_factory):
 
 
 def test_a_junction_is_chosen_on_a_map_of_streets_by_name_by_keyboard_and_again(
-    browser, serve, streets
+    visit, streets
 ):
     def view(page):
         box = page.get_attribute("#map-choice .street-map", "viewBox")
         return [float(word) for word in box.split()]
 
     named = MapFile(path=streets, name="tiny.osm")
-    with opened(browser, serve(map_file=named)) as page:
+    with visit(map_file=named) as page:
         page.click("#another-junction")
         page.wait_for_selector("#map-choice .junction-chooser")
         assert page.inner_text("#map-text") == "tiny.osm has 4 junctions."
+
         shown = page.locator("#map-choice text:not([display=none])").all_text_contents()
         assert {"Main Street", "A Lane", "B Lane", "C Lane"} <= set(shown)
+
         grey = page.locator("#map-choice circle.unusable")
         expect(grey).to_have_count(1)
+
         grey.click()
         status = page.locator("#map-choice .map-count")
+
         assert status.inner_text().startswith("No car can enter the junction")
         assert page.locator("#map-choice circle.chosen:not(.unusable)").count() == 1
+
         whole = view(page)
         middle_ = middle(page.locator("#map-choice .street-map"))
         page.mouse.move(*middle_)
@@ -1441,34 +1597,40 @@ def test_a_junction_is_chosen_on_a_map_of_streets_by_name_by_keyboard_and_again(
             " width",
             arg=0.9 * whole[2],
         )
+
         assert view(page)[0] + view(page)[2] / 2 == pytest.approx(whole[2] / 2, abs=1.0)
+
         page.focus("#map-choice .street-map")
         before = view(page)
         page.keyboard.press("ArrowRight")
+
         assert view(page)[0] > before[0]
+
         page.keyboard.press("0")
         assert view(page) == whole
+
         page.focus(".map-find")  # all by keyboard from here on
         page.keyboard.type("lane main c")
         assert status.inner_text() == "1 / 4"
+
         page.keyboard.press("Enter")  # to the row, then choose it
         page.keyboard.press("Enter")
         row = page.locator("#map-choice li button[aria-pressed=true]")
+
         assert row.inner_text().split("\n")[0] == "C Lane / Main Street"
         assert page.locator("#map-choice circle.chosen").count() == 1
+
         page.press("#map-take", "Enter")
         page.wait_for_selector("#map-dialog", state="hidden")
         assert page.inner_text("#scene-name").startswith("at C Lane / Main Street,")
+
         page.click("#another-junction")
         page.wait_for_selector("#map-choice .junction-chooser")
-        assert "Undo leads back" not in page.inner_text(
-            "#map-text"
-        )  # nothing is mounted
+        # Nothing is mounted.
+        assert "Undo leads back" not in page.inner_text("#map-text")
 
 
-def test_reading_a_map_tells_how_far_it_is_and_is_stopped(
-    browser, serve, streets, monkeypatch
-):
+def test_reading_a_map_tells_how_far_it_is_and_is_stopped(visit, streets, monkeypatch):
     def slow(self, *given, **options):
         for done in range(300):
             self._progress("read buildings", done, 300)
@@ -1476,9 +1638,7 @@ def test_reading_a_map_tells_how_far_it_is_and_is_stopped(
 
     monkeypatch.setattr(Tasks, "import_junction", slow)
     named = MapFile(path=streets, name="tiny.osm")
-    with opened(
-        browser, serve(map_file=named), may_complain=True
-    ) as page:  # of a request stopped
+    with visit(map_file=named, may_complain=True) as page:  # of a request stopped
         page.click("#another-junction")
         page.click("#map-take:enabled")
         doing = page.locator("#map-doing")
@@ -1486,12 +1646,16 @@ def test_reading_a_map_tells_how_far_it_is_and_is_stopped(
             r"read buildings, \d+ of 300: \d+ s so far; this step takes about \d+ s"
             r" more\."
         )
+
         expect(doing).to_have_text(re.compile(said))
         assert 0 < page.locator("#map-bar").evaluate("bar => bar.position") < 1
+
         before = page.inner_text("#scene-name")
         page.click("#map-stop")
         page.wait_for_selector("#map-dialog", state="hidden")
+
         assert page.inner_text("#scene-name") == before
+
         page.click("#another-junction")  # it is there again, without being read
         page.wait_for_selector("#map-take:enabled")
 
@@ -1535,6 +1699,7 @@ def tile_server():
 
 
 def colour_of(x, y):
+    """Colour of a tile: red, green, blue."""
     return 60 + 90 * (x % 2), 60 + 90 * (y % 2), 200
 
 
@@ -1561,14 +1726,25 @@ def test_tiles_lie_at_their_places_and_one_that_does_not_come_is_told(
             " return all.length && all.every(one => 'loaded' in one.dataset); }"
         )
         assert page.inner_text("#attribution") == "(c) the test's own"
+
         drawn = page.locator("[data-tile]").evaluate_all(
             "all => all.map(one => [one.dataset.tile, one.getAttribute('transform')])"
         )
         assert len(drawn) >= 4
+
         for key, transform in drawn:
             words = transform.removeprefix("matrix(").removesuffix(")").split()
             a, b, c, d, e, f = map(float, words)
-            places_m = np.array([[e, f], [e + a, f + b], [e + c, f + d]]) / 100.0
+            places_m = (
+                np.array(
+                    [
+                        [e, f],
+                        [e + a, f + b],
+                        [e + c, f + d],
+                    ]
+                )
+                / 100.0
+            )
             away_m = np.abs(places_m - corners_m(key)).max()
             assert away_m < 0.5
         # What is seen at a place of the plan has the colour of the tile that holds it.
@@ -1596,17 +1772,22 @@ def test_tiles_lie_at_their_places_and_one_that_does_not_come_is_told(
                 continue  # on an edge
             found = np.array(picture.getpixel((px, py)), dtype=int)
             assert np.abs(found - colour_of(int(column), int(row))).max() <= 3
+
             n_checked += 1
+
         assert n_checked > 10
+
         # Tiles that do not come are told once.
         tile_server.is_down = True
         page.click("#farther", click_count=3)
         expect(page.locator("#notice")).to_contain_text(
             f"Some tiles from {host} did not load"
         )
+
         page.uncheck("#tiles")
         expect(page.locator("[data-tile]")).to_have_count(0)
         assert page.is_hidden("#attribution")
+
     assert tile_server.asked
 
 
@@ -1659,6 +1840,7 @@ def test_no_word_of_the_page_is_left_over(
         with opened(browser, server, may_complain=True) as page:
             assert page.get_attribute("html", "lang") == "de"
             assert re.fullmatch(r"\d+,\d %", told(page))
+
             look(page, "first screen")
             page.locator("#lost button").first.click()
             page.wait_for_selector("#played")
@@ -1667,14 +1849,20 @@ def test_no_word_of_the_page_is_left_over(
             page.locator("#run-why li").first.wait_for()
             look(page, "its reasons")
             page.click("#picture-show")
+
             expect(page.locator("#picture")).to_be_visible(timeout=PATIENCE_MS)
+
             look(page, "its picture")
             page.keyboard.press("Escape")
             page.click("#copy-variant")
             write(page.locator("#variant-name"), "other")
             page.press("#variant-name", "Enter")
             page.select_option("#compare", "mine")
-            for name, by in (("yaw", 40), ("pitch", 5), ("height", -1)):
+            for name, by in (
+                ("yaw", 40),
+                ("pitch", 5),
+                ("height", -1),
+            ):
                 write(
                     page.locator(f"#{name}"), f"{round(number(page, f'#{name}') + by)}"
                 )
@@ -1690,9 +1878,11 @@ def test_no_word_of_the_page_is_left_over(
             here, there, by = (
                 re.sub(r"[^\d,]", "", text).replace(",", ".") for text in cells
             )
+
             assert float(by) == pytest.approx(
                 abs(float(here) - float(there)), abs=0.051
             )
+
             page.locator("#coverage-key svg").first.wait_for()
             look(page, "variants, density and dangers")
             page.click('[data-ask="next"]')
@@ -1702,7 +1892,9 @@ def test_no_word_of_the_page_is_left_over(
             page.mouse.click(*screen_of(page, scene, scene.outline_m.mean(axis=0)))
             # An earlier notice may still stand there.
             refusal = re.compile("⟦pole⟧.*⟦a place on the carriageway⟧")
+
             expect(page.locator("#notice")).to_contain_text(refusal)
+
             look(page, "a refusal")
             page.keyboard.press("Escape")
             page.click("#lock")
@@ -1717,6 +1909,8 @@ def test_no_word_of_the_page_is_left_over(
             server.stop()
             page.wait_for_selector("#connection:not([hidden])")
             look(page, "no connection")
+
     assert len(texts) > 300
+
     words = {text: set(left_over(text)) - NAMES for text in texts}
     assert [(texts[text], text) for text in texts if words[text]] == []

@@ -1,3 +1,5 @@
+"""Plans: what changes them, steps back and forth, and files of them."""
+
 import json
 import math
 from dataclasses import replace
@@ -41,12 +43,14 @@ from geometry.study_scene import load_study_scene
 from placement.layout import layout_records, load_carlancap_layout, load_layout
 
 SCENE = load_study_scene()
+SITES = {site.id: site for site in SCENE.sites}
 CAMERA = "carla-ncap-rgb"
 STOCK = Stock(scene=SCENE, models={**load_cameras(), **load_lidars()})
 EMPTY = begin_history(()).state
 
 
 def changed(*changes, state=EMPTY):
+    """A state after some changes."""
     for change in changes:
         state = change_state(state, change, STOCK)
     return state
@@ -58,6 +62,7 @@ ONE = changed(AddUnit(site="corner-ne", sensor=CAMERA))
 def test_a_new_unit_hangs_at_the_pole_and_looks_at_the_middle():
     (unit,) = ONE.variant.units
     site = SCENE.sites[0]
+
     assert unit.site_id == site.id == "corner-ne"
     assert (unit.pose.position_m[:2] == site.position_m[:2]).all()
     assert site.height_range_m[0] <= unit.pose.position_m[2] <= site.height_range_m[1]
@@ -66,15 +71,23 @@ def test_a_new_unit_hangs_at_the_pole_and_looks_at_the_middle():
 
 def test_a_unit_is_turned_tilted_raised_moved_and_exchanged():
     state = changed(
-        ChangeUnit(unit="U1", yaw_deg=190.0, pitch_deg=-33.25, height_m=5.5),
+        ChangeUnit(
+            unit="U1",
+            yaw_deg=190.0,
+            pitch_deg=-33.25,
+            height_m=5.5,
+        ),
         ChangeUnit(unit="U1", site="corner-sw"),
         state=ONE,
     )
     (unit,) = state.variant.units
+
     assert unit.pose.position_m[2] == 5.5
     assert unit.site_id == "corner-sw"
-    site = next(site for site in SCENE.sites if site.id == "corner-sw")
+
+    site = SITES["corner-sw"]
     assert (unit.pose.position_m[:2] == site.position_m[:2]).all()
+
     state = changed(ChangeUnit(unit="U1", sensor="carla-ncap-lidar"), state=state)
     assert state.variant.units[0].sensor.name == "carla-ncap-lidar"
     assert changed(RemoveUnit(unit="U1"), state=state).variant.units == ()
@@ -93,12 +106,14 @@ def test_a_unit_that_is_moved_to_another_pole_looks_where_it_looked(pitch_deg):
     before = changed(ChangeUnit(unit="U1", pitch_deg=pitch_deg), state=ONE)
     for site in ("corner-sw", "signal-n"):
         after = changed(ChangeUnit(unit="U1", site=site), state=before)
-        (one,), (other,) = before.variant.units, after.variant.units
+        (one,) = before.variant.units
+        (other,) = after.variant.units
         assert_allclose(target_m(other), target_m(one), atol=1e-3)
     level = changed(ChangeUnit(unit="U1", pitch_deg=0.0), state=ONE)
     (unit,) = changed(
         ChangeUnit(unit="U1", site="corner-sw"), state=level
     ).variant.units
+
     assert unit.pose.pitch_deg == 0.0
 
 
@@ -107,22 +122,33 @@ def test_what_scans_all_round_is_level_however_it_comes():
         ChangeUnit(unit="U1", sensor="ouster-os1-128"), state=ONE
     ).variant.units
     assert unit.pose.pitch_deg == 0.0
+
     state = changed(AddUnit(site="corner-sw", sensor="ouster-os1-128"), state=ONE)
     assert state.variant.units[1].pose.pitch_deg == 0.0
+
     state = changed(ChangeUnit(unit="U2", sensor=CAMERA), state=state)
     assert state.variant.units[1].pose.pitch_deg == ONE.variant.units[0].pose.pitch_deg
 
 
 def test_a_copy_has_height_and_lens_as_far_as_pole_and_model_have_them():
-    site = next(site for site in SCENE.sites if site.id == "corner-sw")
+    site = SITES["corner-sw"]
     low_m, high_m = site.height_range_m
-    for height_m, hung_m in ((6.25, 6.25), (99.0, high_m), (0.0, low_m)):
+    for height_m, hung_m in (
+        (6.25, 6.25),
+        (99.0, high_m),
+        (0.0, low_m),
+    ):
         add = AddUnit(
-            site="corner-sw", sensor="varifocal-1080p", height_m=height_m, fov_deg=40.0
+            site="corner-sw",
+            sensor="varifocal-1080p",
+            height_m=height_m,
+            fov_deg=40.0,
         )
         (unit,) = changed(add).variant.units
+
         assert unit.pose.position_m[2] - site.position_m[2] == pytest.approx(hung_m)
         assert unit.sensor.horizontal_fov_deg == 40.0
+
     for asked, said in (
         ({"fov_deg": 5.0}, "lens: got 5.0"),
         ({"height_m": math.nan}, "height: got nan"),
@@ -138,15 +164,18 @@ def test_no_way_leads_to_more_units_than_the_limit():
     unit = ONE.variant.units[0]
     many = [replace(unit, id=f"U{index}", site_id="") for index in range(MAX_UNITS + 1)]
     full = ONE.with_units(many[:-1])
+
     with pytest.raises(InputError, match="units: got 1,001; expected at most 1,000"):
         changed(AddUnit(site="corner-ne", sensor=CAMERA), state=full)
     with pytest.raises(InputError, match="units: got 1,001"):
         Variant(name="many", units=tuple(many))
+
     record = json.dumps({"layout": [{}] * (MAX_UNITS + 1)}).encode()
     with pytest.raises(
         InputError, match=r"x\.json: units: got 1,001; expected at most 1,000"
     ):
         read_plan(record, "x.json")
+
     plan = b'{"schema": "place-rsus/plan/1", "variants": [' + record + b"]}"
     with pytest.raises(InputError, match=r"x\.json: variants\[0\]: units: got 1,001"):
         read_plan(plan, "x.json")
@@ -157,10 +186,12 @@ def test_no_way_leads_to_more_units_than_the_limit():
 def test_variants_from_files_are_told_apart():
     state = begin_history([Variant(name="layout")] * 2).state
     assert [each.name for each in state.variants] == ["layout", "layout (2)"]
+
     for source in ("north", "south", "south"):
         state = add_variant(state, Variant(name="layout"), source=source)
     names = [each.name for each in state.variants[2:]]
     assert names == ["north: layout", "south: layout", "south: layout (2)"]
+
     (unnamed,) = read_plan(
         json.dumps({"layout": layout_records(load_carlancap_layout())}).encode(),
         "../a/north.json",
@@ -221,11 +252,13 @@ def test_what_cannot_be_done_is_told(change, message):
 def test_a_pole_carries_two_units_and_no_third():
     add = AddUnit(site="corner-ne", sensor=CAMERA)
     two = changed(add, state=ONE)
+
     assert [unit.id for unit in two.variant.units] == ["U1", "U2"]
     with pytest.raises(
         InputError, match="site corner-ne: got one unit more than the 2 there"
     ):
         changed(add, state=two)
+
     elsewhere = changed(AddUnit(site="corner-sw", sensor=CAMERA), state=two)
     with pytest.raises(InputError, match="site corner-ne"):
         changed(ChangeUnit(unit="U3", site="corner-ne"), state=elsewhere)
@@ -286,11 +319,14 @@ def test_a_drag_is_one_step():
         turned = changed(ChangeUnit(unit="U1", yaw_deg=float(yaw)), state=history.state)
         history = history.went_on(turned, gesture="drag 1")
     assert history.undone().state is ONE
+
     other = history.went_on(ONE, gesture="drag 2")
     assert other.undone().state is history.state
+
     for _ in range(3):
         other = other.went_on(ONE, gesture="drag 2")
     given_up = other.reverted("drag 2")
+
     assert given_up.state == history.state
     assert not given_up.can_redo
     assert given_up.reverted("drag 2") is given_up
@@ -309,6 +345,7 @@ def test_a_layout_is_saved_as_the_command_line_reads_it(tmp_path):
         layout_text(ONE.with_units(study.units), SCENE)
     )
     back = load_layout(tmp_path / "layout.json")
+
     assert layout_records(back) == layout_records(study)
     assert back.scene_name == SCENE.name
 
@@ -317,18 +354,23 @@ def test_existing_units_are_told_from_new_ones_and_come_back_with_the_plan():
     state = changed(AddUnit(site="corner-sw", sensor=CAMERA), state=ONE)
     state = replace(state, existing=state.variant.units[:1])
     first, second = state_record(History(states=(state,)), SCENE)["units"]
-    assert (first["label"], second["label"]) == ("U1 (existing)", "U2")
+
+    assert first["label"] == "U1 (existing)"
+    assert second["label"] == "U2"
     assert first["title"].endswith(" (existing)")
+
     to_buy = cost_record(state.variant.units[1:], SCENE)
     assert cost_record(state.variant.units, SCENE, existing=["U1"]) == to_buy | {
         "kept": "1 sensor exists and is not paid for."
     }
+
     for text in (plan_text(state, SCENE), layout_text(state, SCENE)):
         (back,) = read_plan(text.encode(), "plan.json").existing
         assert back.id == "U1"
     # Turned it is the unit that exists; at another pole it is a new one.
     turned = changed(ChangeUnit(unit="U1", yaw_deg=10.0), state=state)
     assert turned.existing_ids(turned.variant.units) == {"U1"}
+
     moved = changed(ChangeUnit(unit="U1", site="corner-nw"), state=state)
     assert moved.existing_ids(moved.variant.units) == frozenset()
 
@@ -340,7 +382,9 @@ def test_a_plan_comes_back_with_all_its_variants():
     state = changed(AddVariant(name="none"), RemoveUnit(unit="U1"), state=state)
     state = changed(RemoveUnit(unit="U2"), state=state)
     back = read_plan(plan_text(state, SCENE).encode(), "plan.json").variants
+
     assert [each.name for each in back] == ["Variant 1", "more", "none"]
+
     for one, other in zip(back, state.variants, strict=True):
         if one.units:
             assert layout_records(one.layout(SCENE)) == layout_records(
@@ -383,8 +427,9 @@ def test_what_is_no_plan_is_told(text, message):
 
 
 def beside(site_id, east_m, north_m):
-    site = next(site for site in SCENE.sites if site.id == site_id)
-    return float(site.position_m[0] + east_m), float(site.position_m[1] + north_m)
+    """A place beside a site: east, north. [m]"""
+    east, north, _ = SITES[site_id].position_m
+    return float(east + east_m), float(north + north_m)
 
 
 def on_pole(state, *changes):
@@ -396,58 +441,60 @@ def on_pole(state, *changes):
 
 
 def test_an_own_pole_is_as_most_are_and_moves_with_what_hangs_on_it():
-    (east, north), (later_east, later_north) = (
-        beside("lamp-n1", 0, 2),
-        beside("lamp-n1", 0, 4),
-    )
+    east, north = beside("lamp-n1", 0, 2)
     added = AddUnit(site="own-1", sensor=CAMERA)
     state = on_pole(EMPTY, PutPole(east_m=east, north_m=north), added, AddVariant())
     (pole,) = state.poles
+
     assert pole.id == "own-1"
     assert pole.kind == "lamp post"
     assert pole.capacity_units == 2
     assert pole.height_range_m.tolist() == [4.0, 8.5]
-    moved = on_pole(
-        state, PutPole(east_m=later_east, north_m=later_north, site="own-1")
-    )
+
+    moved = on_pole(state, PutPole(east_m=east, north_m=north + 2.0, site="own-1"))
     for before, after in zip(state.variants, moved.variants, strict=True):
         step_m = after.units[0].pose.position_m - before.units[0].pose.position_m
-        assert step_m == pytest.approx(
-            [0.0, 2.0, 0.0], abs=0.02
-        )  # to whole centimetres
+        # To whole centimetres.
+        assert step_m == pytest.approx([0.0, 2.0, 0.0], abs=0.02)
         assert after.units[0].pose.yaw_deg == before.units[0].pose.yaw_deg
+    take_down = RemovePole(site="own-1")
+
     with pytest.raises(InputError, match="own-1, which carries U1 of Variant 1"):
-        on_pole(moved, RemovePole(site="own-1"))
+        on_pole(moved, take_down)
+
     bare = on_pole(
         moved, RemoveUnit(unit="U1"), SelectVariant(index=0), RemoveUnit(unit="U1")
     )
-    assert on_pole(bare, RemovePole(site="own-1")).poles == ()
+    assert on_pole(bare, take_down).poles == ()
 
 
 @pytest.mark.parametrize(
     ("place_m", "said"),
     [
-        ((0.0, 0.0), None),
         (SCENE.outline_m.mean(axis=0), "a place on the carriageway"),
         ((5000.0, 0.0), "a place farther away"),
         ((math.nan, 0.0), "a finite number"),
     ],
 )
-def test_a_pole_stands_beside_the_road_in_the_open_air(place_m, said):
-    if said is None:  # in the middle of each building
-        for index, instance in enumerate(SCENE.instances):
-            if instance.class_name == "building":
-                corners = SCENE.vertices_m[
-                    SCENE.triangles[SCENE.triangle_instance == index]
-                ]
-                east, north, _ = corners.reshape(-1, 3).mean(axis=0)
-                with pytest.raises(
-                    InputError, match=f"a place inside building {instance.id}"
-                ):
-                    on_pole(EMPTY, PutPole(east_m=float(east), north_m=float(north)))
-        return
+def test_a_pole_stands_beside_the_road_not_far_away(place_m, said):
+    east, north = place_m
     with pytest.raises(InputError, match=said):
-        on_pole(EMPTY, PutPole(east_m=float(place_m[0]), north_m=float(place_m[1])))
+        on_pole(EMPTY, PutPole(east_m=float(east), north_m=float(north)))
+
+
+def test_a_pole_stands_in_no_building():
+    for index, instance in enumerate(SCENE.instances):
+        if instance.class_name == "building":
+            triangles = SCENE.triangles[SCENE.triangle_instance == index]
+            corners_m = SCENE.vertices_m[triangles].reshape(-1, 3)
+            east, north, _ = corners_m.mean(axis=0).tolist()
+            with pytest.raises(
+                InputError, match=f"a place inside building {instance.id}"
+            ):
+                on_pole(EMPTY, PutPole(east_m=east, north_m=north))
+
+
+def test_a_pole_of_the_scene_is_not_moved():
     with pytest.raises(InputError, match="pole: got 'corner-ne'"):
         on_pole(EMPTY, PutPole(east_m=0.0, north_m=0.0, site="corner-ne"))
 
@@ -461,14 +508,17 @@ def test_files_have_own_poles_and_every_command_reads_what_hangs_there(tmp_path)
         opened = read_plan(text.encode(), "file.json")
         check_plan(opened, SCENE)
         again = lay_poles(begin_history(opened.variants).state, opened.poles, SCENE)
+
         assert [pole.id for pole in again.poles] == ["own-1"]
         assert (again.poles[0].position_m == state.poles[0].position_m).all()
         assert again.variant.units[0].site_id == "own-1"
     path = tmp_path / "layout.json"
     path.write_text(layout_text(state, SCENE))
     (unit,) = load_layout(path).units
+
     assert unit.site_id == ""
     assert (unit.pose.position_m == state.variant.units[0].pose.position_m).all()
+
     broken = layout_text(state, SCENE).replace('"x_m"', '"x"', 3)
     with pytest.raises(InputError):
         read_plan(broken.encode(), "file.json")

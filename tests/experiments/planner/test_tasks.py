@@ -24,8 +24,15 @@ VALUE = PlacementValue(*[0.8] * len(PlacementValue._fields))
 
 
 def advice(*stages, n_compared=0):
+    """Advice with a certificate of stages: name, bound, gap."""
     made = [
-        Stage(name=name, objective=1.0, bound=bound, gap=gap, seconds=0.0)
+        Stage(
+            name=name,
+            objective=1.0,
+            bound=bound,
+            gap=gap,
+            seconds=0.0,
+        )
         for name, bound, gap in stages
     ]
     if made:
@@ -108,7 +115,13 @@ def aerial(path, *, driver, step_m=0.25, turn_deg=0.0, **more):
             slice(int(p * size) - 6, int(p * size) + 6) for p in (down, across)
         )
         pixels[band, rows, columns] = 250
-    about = {"count": 3, "width": size, "height": size, "dtype": "uint8", **more}
+    about = {
+        "count": 3,
+        "width": size,
+        "height": size,
+        "dtype": "uint8",
+        **more,
+    }
     with (
         warnings.catch_warnings()
     ):  # one that says not where it lies is written on purpose
@@ -135,6 +148,7 @@ def assert_lies_right(background, places):
 
 
 def tasks_of(folder):
+    """Tasks at the study's junction."""
     work = Work(question=Question(), scratch=folder, compute=Compute())
     tasks = Tasks(work, lambda stage, done, total: None)
     tasks.setting = SimpleNamespace(scene=load_study_scene())
@@ -147,7 +161,14 @@ def test_an_aerial_image_lies_where_it_says(tmp_path, turn_deg):
     grid, _ = aerial(path, driver="GTiff", turn_deg=turn_deg)
     with pytest.raises(InputError, match="georeferenced image of the junction"):
         tasks_of(tmp_path).lay_raster(str(path), UTM)
-    _, places = aerial(path, driver="GTiff", turn_deg=turn_deg, crs=UTM, transform=grid)
+
+    _, places = aerial(
+        path,
+        driver="GTiff",
+        turn_deg=turn_deg,
+        crs=UTM,
+        transform=grid,
+    )
     assert_lies_right(tasks_of(tmp_path).lay_raster(str(path), ""), places)
 
 
@@ -158,6 +179,7 @@ def test_an_image_with_a_world_file_lies_where_that_says(tmp_path):
     world = [grid.a, grid.d, grid.b, grid.e, x, y]
     beside = path.with_suffix(".wld")
     beside.write_text("\n".join(map(str, world)))
+
     assert_lies_right(tasks_of(tmp_path).lay_raster(str(path), UTM), places)
     for crs, said in (
         ("EPSG:0", "systems that pyproj knows"),
@@ -165,10 +187,12 @@ def test_an_image_with_a_world_file_lies_where_that_says(tmp_path):
     ):
         with pytest.raises(InputError, match=said):
             tasks_of(tmp_path).lay_raster(str(path), crs)
+
     world[4] += 5000.0
     beside.write_text("\n".join(map(str, world)))
     with pytest.raises(InputError, match="an image of another place"):
         tasks_of(tmp_path).lay_raster(str(path), UTM)
+
     beside.write_text("1 2 3")
     with pytest.raises(InputError, match="georeferenced image of the junction"):
         tasks_of(tmp_path).lay_raster(str(path), UTM)

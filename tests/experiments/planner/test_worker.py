@@ -9,6 +9,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
@@ -23,7 +24,7 @@ from placement.compute import silent
 from placement.layout import load_carlancap_layout
 
 ROOT = Path(__file__).parents[3]
-MAP = str(ROOT / "docs" / "maps" / "crossing.osm")
+MAP = str(ROOT / "docs/maps/crossing.osm")
 
 
 # Quickly: the command below, whose tasks are done elsewhere, too
@@ -79,48 +80,77 @@ def test_tasks_are_done_elsewhere_by_a_process_that_may_be_stopped_or_die(tmp_pa
         worker.stop()
 
 
+WORDS = [
+    "plan",
+    "--no-open",
+    "--cases",
+    "CPNC-50",
+    "--along-arms",
+    "0",
+    "--speeds",
+    "50",
+    "--layout",
+]
+
+
+@contextmanager
+def serving(layout, folder):
+    """The command in a process of its own, and the address that it says."""
+    pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
+    with subprocess.Popen(
+        [sys.executable, "-m", "experiments.main", *WORDS, layout],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | {"TMPDIR": str(folder), "PYTHONPATH": str(ROOT)},
+        start_new_session=True,
+    ) as process:
+        line = process.stdout.readline()
+        yield process, line.removeprefix("The page is at ").strip()
+
+
+@contextmanager
+def joined(address, who, stages):
+    """A line as that of a page, once the session says that `who` does something."""
+    from websockets.sync.client import connect
+
+    origin = "/".join(address.split("/")[:3])
+    live = address.replace("http:", "ws:") + "live"
+    with connect(live, origin=origin, max_size=None) as line:
+        for text in line:
+            told = json.loads(text)
+            is_doing = told["type"] == "doing" and told["who"] == who
+            if is_doing and stages(told["stage"]):
+                break
+        yield line
+
+
 # Quickly, without a process: test_server.py
 @pytest.mark.long
 @pytest.mark.parametrize("is_closed", [False, True], ids=["ctrl-c", "closed"])
 def test_the_command_serves_until_it_ends_and_leaves_nothing_behind(
     tmp_path, is_closed
 ):
-    pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
-    words = [
-        "plan",
-        "--no-open",
-        "--cases",
-        "CPNC-50",
-        "--along-arms",
-        "0",
-        "--speeds",
-        "50",
-    ]
-    environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        [sys.executable, "-m", "experiments.main", *words, "--layout", "carlancap-12"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        cwd=ROOT,
-        env=environment,
-        start_new_session=True,
-    ) as process:
-        line = process.stdout.readline()
-        address = line.removeprefix("The page is at ").strip()
+    with serving("carlancap-12", tmp_path) as (process, address):
         assert address.startswith("http://127.0.0.1:")
+
         with urllib.request.urlopen(address) as answer:
             assert b"<title>Plan" in answer.read()
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(address.rsplit("/", 2)[0] + "/")
+
         if is_closed:
-            look_at(address)
+            # A tab is closed while its layout is being evaluated.
+            with joined(address, "evaluator", lambda stage: True) as line:
+                line.close(1001)
+            said = "The page was closed: ended."
         else:
             process.send_signal(signal.SIGINT)
-        assert (
-            "The page was closed: ended." if is_closed else "\nEnded."
-        ) in process.stdout.read()
+            said = "\nEnded."
+        assert said in process.stdout.read()
         assert process.wait(timeout=60) == 0
+
     for _ in range(100):  # whatever it had started ends with it
         try:
             os.killpg(process.pid, 0)
@@ -134,72 +164,23 @@ def test_the_command_serves_until_it_ends_and_leaves_nothing_behind(
 
 @pytest.mark.long
 def test_ctrl_c_ends_it_at_once_while_a_thousand_units_are_counted(tmp_path):
-    pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
-    from websockets.sync.client import connect
-
     study = load_carlancap_layout()
-    units = [
-        replace(
-            unit,
-            id=f"U{index}",
-            pose=replace(
-                unit.pose, position_m=unit.pose.position_m + [0.0, 0.0, 0.001 * index]
-            ),
-        )
-        for index, unit in zip(range(1000), cycle(study.units), strict=False)
-    ]
+    units = []
+    for index, unit in zip(range(1000), cycle(study.units), strict=False):
+        position_m = unit.pose.position_m + [0.0, 0.0, 0.001 * index]
+        pose = replace(unit.pose, position_m=position_m)
+        units.append(replace(unit, id=f"U{index}", pose=pose))
     layout = tmp_path / "many.json"
     layout.write_text(to_json(replace(study, units=tuple(units))))
-    words = [
-        "plan",
-        "--no-open",
-        "--cases",
-        "CPNC-50",
-        "--along-arms",
-        "0",
-        "--speeds",
-        "50",
-    ]
-    with subprocess.Popen(
-        [sys.executable, "-m", "experiments.main", *words, "--layout", str(layout)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | {"TMPDIR": str(tmp_path)},
-        start_new_session=True,
-    ) as process:
-        address = process.stdout.readline().removeprefix("The page is at ").strip()
-        origin = "/".join(address.split("/")[:3])
-        live = address.replace("http:", "ws:") + "live"
-        with connect(live, origin=origin, max_size=None) as line:
-            for text in line:
-                told = json.loads(text)
-                if told["type"] == "doing" and (told["who"], told["stage"]) == (
-                    "rays",
-                    "",
-                ):
-                    break  # it is ready to count
+
+    with serving(str(layout), tmp_path) as (process, address):
+        # Without a stage, it is ready to count.
+        with joined(address, "rays", lambda stage: stage == ""):
             process.send_signal(signal.SIGINT)
             assert process.wait(timeout=15) == 0
         assert "Ended." in process.stdout.read()
+
     assert not list(tmp_path.glob("place-rsus-plan-*"))
-
-
-def look_at(address):
-    """Join as a page does, with a layout that is being evaluated, and go as a closed
-    tab does.
-    """
-    from websockets.sync.client import connect
-
-    live = address.replace("http:", "ws:") + "live"
-    origin = address.split("/", 3)
-    with connect(live, origin=f"{origin[0]}//{origin[2]}", max_size=None) as line:
-        for text in line:
-            told = json.loads(text)
-            if told["type"] == "doing" and told["who"] == "evaluator":
-                break
-        line.close(1001)
 
 
 def test_others_are_let_in_only_by_who_says_so(run):

@@ -1,3 +1,5 @@
+"""Tables of the report by unit, case and run."""
+
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -17,6 +19,7 @@ NIGHT = ("day", "day", "night")
 
 
 def verdict(axis, is_avoided):
+    """Avoids some runs, and detects in the first five frames."""
     return avoiding(axis, is_avoided, detected=np.arange(axis.n_frames) < 5)
 
 
@@ -50,6 +53,7 @@ def build(frame_axis):
 def test_weathers_have_rows_beside_the_cases_for_every_party(build):
     evaluation = build("mine")
     table = apr_table({"mine": evaluation})
+
     assert table.caption == "Accident prevention ratio by case and weather"
     assert table.columns == [
         "case or weather",
@@ -64,6 +68,7 @@ def test_weathers_have_rows_beside_the_cases_for_every_party(build):
         ["weather: day", "66.7 %", "0.0 %", "66.7 %"],
         ["weather: night", "0.0 %", "100.0 %", "100.0 %"],
     ]
+
     alone = unit_apr_table("mine", evaluation)
     assert alone.columns == ["case or weather", "RSU0"]
     assert [row[0] for row in alone.rows] == [
@@ -77,6 +82,7 @@ def test_weathers_have_rows_beside_the_cases_for_every_party(build):
 def test_one_weather_has_no_row_of_its_own(build, weather):
     evaluation = build("mine", weathers=(weather,) * 3)
     table = apr_table({"mine": evaluation})
+
     assert table.caption == "Accident prevention ratio by case"
     assert [row[0] for row in table.rows] == ["all runs", "A", "B"]
     for head in (table.columns, unit_apr_table("mine", evaluation).columns):
@@ -117,6 +123,7 @@ def test_apr_by_speed_and_direction_has_the_columns_of_the_apr_by_case(build):
     approaches = ("west", "<east>", "west")
     both = {name: build(name, approaches=approaches) for name in ("mine", "theirs")}
     (by_direction,) = apr_group_tables(both)
+
     assert by_speed.columns == ["speed (km/h)", *apr_table(both).columns[1:]]
     assert by_direction.columns[1:] == by_speed.columns[1:]
     # Runs at 20, 30 and 20 km/h with weights 1/2, 1/4, 1/4; the units avoid the first,
@@ -142,10 +149,12 @@ def test_speeds_that_no_place_drives_all_of_are_taken_together():
         vut_speed_kmh=speeds,
     )
     groups = {name: mask.tolist() for name, mask in speed_groups(thinned)}
+
     assert groups == {
         "10 to 25": [True] * 3 + [False] * 3,
         "30 to 45": [False] * 3 + [True] * 3,
     }
+
     whole = SimpleNamespace(**(vars(thinned) | {"positions": ["0"] * 6}))
     assert [name for name, _ in speed_groups(whole)] == [f"{v:g}" for v in speeds]
 

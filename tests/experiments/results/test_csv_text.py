@@ -1,3 +1,5 @@
+"""CSV that no spreadsheet runs, and that is read back as it was."""
+
 import csv
 import io
 
@@ -22,6 +24,7 @@ def test_what_spreadsheets_would_run_is_text():
     ]
     table = pd.DataFrame({"unit": names, "z_m": [-1.5] * len(names)})
     rows = list(csv.DictReader(io.StringIO(csv_text(table), newline="")))
+
     assert [row["unit"] for row in rows] == [f"'{name}" for name in names[:5]] + names[
         5:
     ]

@@ -18,10 +18,12 @@ OBSTACLE = "The most frequent obstacle: too short."
 
 
 def case(name):
+    """A case of a name."""
     return SimpleNamespace(name=name, vru=SimpleNamespace(class_name=KINDS[name]))
 
 
 def setting(driven, refusals, *, weathers=("day",)):
+    """Runs by case and approach, and what was refused."""
     runs = [SimpleNamespace(case=case(name), approach=arm) for name, arm in driven]
     axis = SimpleNamespace(
         n_runs=len(runs) * len(weathers), weathers=weathers * len(runs)
@@ -30,6 +32,7 @@ def setting(driven, refusals, *, weathers=("day",)):
 
 
 def refused(name, arm, reason="too short", *, n=9, is_possible=True, limit_kmh=None):
+    """A case that an approach does not carry."""
     return Refusal(
         case=case(name),
         approach=arm,
@@ -48,7 +51,10 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
     ("driven", "refusals", "lines"),
     [
         (
-            [("CPNA", "north"), ("CBNA", "north")],
+            [
+                ("CPNA", "north"),
+                ("CBNA", "north"),
+            ],
             [refused("CPNA", "south"), refused("CBNA", "south")],
             [
                 f"2 of 20 possible runs are simulated. {OBSTACLE}"
@@ -75,7 +81,11 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             ],
         ),
         (
-            [("CPNA", "north"), ("CPNA", "south"), ("CPLA", "north")],
+            [
+                ("CPNA", "north"),
+                ("CPNA", "south"),
+                ("CPLA", "north"),
+            ],
             [
                 refused("CPLA", "south"),
                 refused("CBLA", "north"),
@@ -94,7 +104,11 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             ],
         ),
         (
-            [("CPNA", "north"), ("CPNA", "south"), ("CPLA", "north")],
+            [
+                ("CPNA", "north"),
+                ("CPNA", "south"),
+                ("CPLA", "north"),
+            ],
             [refused("CPLA", "south", "no lane", is_possible=False)],
             [
                 "All 3 runs that this junction allows are simulated.",
@@ -102,7 +116,10 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             ],
         ),
         (
-            [("CPNA", "north"), ("CPNA", "east")],
+            [
+                ("CPNA", "north"),
+                ("CPNA", "east"),
+            ],
             [
                 refused("CPNA", "north", n=3, limit_kmh=50.0),
                 refused("CPNA", "east", n=4, limit_kmh=50.0),

@@ -1,3 +1,5 @@
+"""Folders of results: replaced as a whole or not at all, and only if they are ours."""
+
 import os
 import signal
 import subprocess
@@ -21,12 +23,18 @@ from geometry.locks import lock_while_alive
 
 
 def fill(folder: Path, text: str = "new") -> None:
+    """Write results into a folder."""
     with new_result_folder(folder) as new:
         (new / "report.html").write_text(text)
         (new / MARKER).write_text("{}")
 
 
+WHOLE = [MANIFEST, "report.html", MARKER]
+"""Names of what is in a folder with results."""
+
+
 def names(folder: Path) -> list[str]:
+    """Names of what is in a folder."""
     return sorted(os.listdir(folder))  # noqa: PTH208 - names are wanted
 
 
@@ -39,11 +47,12 @@ def earlier(tmp_path):
 
 
 def test_a_new_folder_is_made_with_its_parents(tmp_path):
-    folder = tmp_path / "a" / "b"
+    folder = tmp_path / "a/b"
     check_result_folder(folder)
     assert names(tmp_path) == []  # a check leaves nothing
+
     fill(folder)
-    assert names(folder) == [MANIFEST, "report.html", MARKER]
+    assert names(folder) == WHOLE
     assert names(tmp_path / "a") == ["b"]
 
 
@@ -51,7 +60,8 @@ def test_an_empty_folder_is_filled(tmp_path):
     folder = tmp_path / "out"
     folder.mkdir()
     fill(folder)
-    assert names(folder) == [MANIFEST, "report.html", MARKER]
+
+    assert names(folder) == WHOLE
 
 
 def test_results_are_as_readable_as_other_folders(tmp_path):
@@ -59,19 +69,21 @@ def test_results_are_as_readable_as_other_folders(tmp_path):
     other = tmp_path / "other"
     other.mkdir()
     fill(folder)
+
     assert folder.stat().st_mode == other.stat().st_mode
 
 
 def test_half_of_an_earlier_result_is_replaced(earlier):
     (earlier / "report.html").unlink()
     fill(earlier)
-    assert names(earlier) == [MANIFEST, "report.html", MARKER]
+    assert names(earlier) == WHOLE
 
 
 def test_a_link_to_a_folder_stays_a_link(earlier):
     link = earlier.with_name("link")
     link.symlink_to(earlier)
     fill(link)
+
     assert link.is_symlink()
     assert (earlier / "report.html").read_text() == "new"
     assert names(earlier.parent) == ["latest", "link"]
@@ -81,7 +93,8 @@ def test_a_link_to_a_folder_that_does_not_exist_yet_is_followed(tmp_path):
     link = tmp_path / "link"
     link.symlink_to(tmp_path / "later")
     fill(link)
-    assert names(tmp_path / "later") == [MANIFEST, "report.html", MARKER]
+
+    assert names(tmp_path / "later") == WHOLE
 
 
 def test_a_name_of_the_greatest_length_is_taken(tmp_path):
@@ -98,7 +111,7 @@ def test_a_failure_leaves_everything_as_it_was(earlier, error):
             (new / "report.html").write_text("half")
             raise error
 
-    for folder in (earlier, earlier.parent / "a" / "b"):
+    for folder in (earlier, earlier.parent / "a/b"):
         with pytest.raises(type(error)):
             fail(folder)
     assert (earlier / "report.html").read_text() == "old"
@@ -121,9 +134,11 @@ def test_an_answer_whose_report_cannot_be_written_is_kept(earlier, error):
     for name in ("latest.unfinished", "latest.unfinished-2"):
         with pytest.raises(expected) as caught:
             fail()
+
         said = [str(caught.value), *getattr(caught.value, "__notes__", ())][-1]
         assert said.endswith(f"what was computed is kept in {earlier.with_name(name)}")
         assert (earlier.with_name(name) / MARKER).read_text() == '{"apr": 1}'
+
     assert (earlier / "report.html").read_text() == "old"
 
 
@@ -162,6 +177,7 @@ def test_an_exchange_that_fails_puts_the_earlier_results_back(earlier, monkeypat
 
     monkeypatch.setattr(result_folder, "_exchange", lambda first, second: False)
     monkeypatch.setattr(Path, "rename", rename_once)
+
     with pytest.raises(InputError, match=r"busy; .* kept in .*latest\.unfinished"):
         fill(earlier)
     assert (earlier / "report.html").read_text() == "old"
@@ -196,6 +212,7 @@ def test_a_signal_during_the_exchange_comes_too_late(earlier, monkeypatch):
     monkeypatch.setattr(result_folder, "_exchange", swap_interrupted)
     with ending_on_signals(StageProgress()):
         fill(earlier)
+
     assert (earlier / "report.html").read_text() == "new"
     assert names(earlier.parent) == ["latest"]
 
@@ -208,12 +225,14 @@ def test_a_signal_during_the_check_leaves_nothing(tmp_path, monkeypatch):
         return make(**options)
 
     monkeypatch.setattr(result_folder.tempfile, "mkdtemp", make_interrupted)
+
     with pytest.raises(Interrupted), ending_on_signals(StageProgress()):
         check_result_folder(tmp_path / "out")
     assert names(tmp_path) == []
 
 
 def refusal(folder: Path) -> str:
+    """Words in which a folder is refused."""
     with pytest.raises(InputError) as caught:
         check_result_folder(folder)
     return str(caught.value)
@@ -222,6 +241,7 @@ def refusal(folder: Path) -> str:
 def test_a_file_is_no_folder(tmp_path):
     path = tmp_path / "file"
     path.write_text("mine")
+
     assert refusal(path) == f"--out: got '{path}'; expected a folder, not a file"
     assert (
         refusal(path / "below")
@@ -234,6 +254,7 @@ def test_a_file_is_no_folder(tmp_path):
 def test_a_folder_that_cannot_be_is_refused(tmp_path):
     long = tmp_path / ("a" * 256)
     expected = "expected a folder that can be written to"
+
     assert refusal(long) == f"--out: got {long}: File name too long; {expected}"
     assert refusal(long / "x") == f"--out: got {long}/x: File name too long; {expected}"
     assert refusal(Path("/proc/x/y")).startswith("--out: got /proc/x/y: ")
@@ -259,6 +280,7 @@ def test_what_others_put_into_a_folder_is_never_replaced(earlier, name):
         path.parent.mkdir(exist_ok=True)
         path.write_text("mine")
     shown = name.rstrip("/")
+
     assert refusal(earlier) == f"--out: got {earlier}, which holds {shown}; {OURS_ONLY}"
     assert path.exists()
 
@@ -271,6 +293,7 @@ def test_a_folder_of_somebody_else_is_refused(tmp_path, held):
     folder.mkdir()
     for name in held:
         (folder / name).write_text("mine")
+
     assert (
         refusal(folder)
         == f"--out: got {folder}, which holds {held[0]} but no {MANIFEST}; {OURS_ONLY}"
@@ -289,19 +312,22 @@ def test_results_that_somebody_changed_are_not_replaced(earlier):
 def test_what_file_managers_leave_does_not_count(earlier):
     (earlier / ".DS_Store").write_text("icons")
     fill(earlier)
-    assert names(earlier) == [MANIFEST, "report.html", MARKER]
+    assert names(earlier) == WHOLE
 
 
 def test_the_manifest_lists_every_file_with_its_hash(earlier):
     assert list(read_manifest(earlier)) == ["report.html", MARKER]
     assert changed_files(earlier) == {}
+
     checked = subprocess.run(
         ["sha256sum", "-c", MANIFEST], cwd=earlier, capture_output=True
     )
     assert checked.returncode == 0
+
     (earlier / "report.html").unlink()
     (earlier / MARKER).write_text("[]")
     (earlier / "more").mkdir()
+
     assert changed_files(earlier) == {
         "report.html": "missing",
         MARKER: "changed",
@@ -311,7 +337,11 @@ def test_the_manifest_lists_every_file_with_its_hash(earlier):
 
 @pytest.mark.parametrize(
     ("text", "line"),
-    [("abc", 1), (f"{'0' * 64} a\n", 1), (f"{'0' * 64}  a\n{'g' * 64}  b", 2)],
+    [
+        ("abc", 1),
+        (f"{'0' * 64} a\n", 1),
+        (f"{'0' * 64}  a\n{'g' * 64}  b", 2),
+    ],
 )
 def test_a_damaged_manifest_is_told(earlier, text, line):
     (earlier / MANIFEST).write_text(text)
@@ -338,6 +368,7 @@ def test_folders_of_a_killed_run_are_removed_by_the_next_but_not_of_one_that_is_
         os.utime(path, (0, 0))
     with lock_while_alive(alive):
         fill(tmp_path / "out")
+
     assert names(tmp_path) == [alive.name, young.name, "out"]
 
 
@@ -347,6 +378,7 @@ def test_files_of_others_that_came_meanwhile_are_kept(earlier):
             pass
 
     (earlier / "notes.txt").write_text("mine")
+
     with pytest.raises(InputError, match=r"notes\.txt"):
         fill_late()
     assert (earlier / "notes.txt").read_text() == "mine"

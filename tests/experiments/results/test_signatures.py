@@ -26,6 +26,7 @@ needs_openssh = pytest.mark.skipif(
 
 
 def make_key(path: Path, passphrase: str = "") -> Path:
+    """Make a key of ssh, and its public half beside it."""
     arguments = ["ssh-keygen", "-q", "-t", "ed25519", "-N", passphrase, "-f", str(path)]
     subprocess.run(arguments, check=True)
     return path
@@ -33,6 +34,7 @@ def make_key(path: Path, passphrase: str = "") -> Path:
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory):
+    """A folder with keys of two people, and one behind a passphrase."""
     folder = tmp_path_factory.mktemp("keys")
     make_key(folder / "mine")
     make_key(folder / "other")
@@ -42,12 +44,14 @@ def keys(tmp_path_factory):
 
 @pytest.fixture
 def signed(keys, tmp_path):
+    """A folder of results that was signed."""
     with new_result_folder(tmp_path / "results", sign=keys / "mine") as new:
         (new / "summary.json").write_text("{}")
     return tmp_path / "results"
 
 
 def fault(folder: Path, key: Path) -> str:
+    """What is wrong with a signature."""
     return signature_fault(folder, folder / MANIFEST, key)
 
 
@@ -64,6 +68,7 @@ def test_one_of_several_keys_is_enough(keys, signed, tmp_path):
     both = tmp_path / "keys.pub"
     lines = [(keys / f"{name}.pub").read_text() for name in ("other", "mine")]
     both.write_text("# those who may sign\n" + "".join(lines))
+
     assert fault(signed, both) == ""
 
 
@@ -71,6 +76,7 @@ def test_one_of_several_keys_is_enough(keys, signed, tmp_path):
 def test_a_list_of_hashes_made_anew_is_not_signed(keys, signed):
     (signed / "summary.json").write_text('{"apr": 1.0}')
     folders.write_manifest(signed)
+
     assert folders.changed_files(signed) == {}
     assert "it is not signed by mine.pub" in fault(signed, keys / "mine.pub")
 
@@ -83,9 +89,12 @@ def test_a_missing_damaged_or_foreign_signature_does_not_hold(keys, signed):
     content = (signed / MANIFEST).read_bytes()
     done = subprocess.run(arguments, input=content, capture_output=True, check=True)
     (signed / SIGNATURE).write_bytes(done.stdout)
+
     assert "it is not signed by mine.pub" in fault(signed, key)
+
     (signed / SIGNATURE).write_text("no signature")
     assert "it is not signed by mine.pub" in fault(signed, key)
+
     (signed / SIGNATURE).unlink()
     assert fault(signed, key) == f"there is no {SIGNATURE}"
 
@@ -137,6 +146,7 @@ def test_without_openssh_it_is_said_before_anything_is_computed(tmp_path, monkey
     monkeypatch.setattr(shutil, "which", lambda name: None)
     (tmp_path / "key").write_text("")
     words = "got no ssh-keygen; expected OpenSSH 8.1 or later installed"
+
     with pytest.raises(InputError, match=f"--sign: {words}"):
         folders.expect_results(tmp_path / "r", StageProgress(), sign=tmp_path / "key")
     with pytest.raises(InputError, match=f"--sign: {words}"):
@@ -152,6 +162,7 @@ def test_a_key_that_nobody_touches_is_not_waited_for(tmp_path, monkeypatch):
     (tmp_path / "key").write_text("")
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
     monkeypatch.setattr(signatures, "_LIMIT_S", 0.2)
+
     with pytest.raises(InputError, match="no answer of ssh-keygen within"):
         sign(b"", tmp_path / "key")
 
@@ -172,8 +183,10 @@ def test_what_is_added_to_a_folder_can_be_signed_too(keys, tmp_path):
         has_manifest=True,
         sign=keys / "mine",
     )
+
     assert fault(out, keys / "mine.pub") == ""
     assert folders.changed_files(out) == {}
+
     folders.save_files(
         Timed(),
         out,

@@ -13,9 +13,10 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 import pytest
-from browser_pages import open_page, start_browser
+from browser_pages import open_page
 from city_maps import write_city
 from command_results import refusal
+from json_files import read_json, write_json
 from numpy.testing import assert_allclose
 from opendrive_text import crossing, document
 from osm_text import LAT_DEG, LON_DEG, OsmText
@@ -34,10 +35,17 @@ from geometry.study_scene import load_study_scene
 from placement import candidates as poses
 from placement.candidates import load_candidate_grid
 
-FOUR = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
+FOUR = [
+    (1.0, 0.0),
+    (0.0, 1.0),
+    (-1.0, 0.0),
+    (0.0, -1.0),
+]
 
 
 class Result(NamedTuple):
+    """Exit code and texts of a command."""
+
     code: int
     out: str
     err: str
@@ -53,6 +61,7 @@ def command(run, monkeypatch):
 
 @pytest.fixture
 def scene_command(command):
+    """Runs ``place-rsus scene``."""
     return lambda first, *others: command(f"scene {first}", *others, "--quiet")
 
 
@@ -69,15 +78,21 @@ def city(tmp_path):
     crossing_streets(osm, bearings=FOUR, highway="residential", lanes="2")
     osm.node(9.0, 9.0, highway="street_lamp")
     osm.node(-9.0, -9.0, highway="street_lamp")
-    corners = [(14.0, 14.0), (30.0, 14.0), (30.0, 30.0), (14.0, 30.0)]
+    corners = [
+        (14.0, 14.0),
+        (30.0, 14.0),
+        (30.0, 30.0),
+        (14.0, 30.0),
+    ]
     osm.way([*corners, corners[0]], {"building": "yes", "height": "12"})
     return osm.write(tmp_path, "city.osm")
 
 
 @pytest.fixture
 def roads(tmp_path):
+    """A crossing in OpenDRIVE."""
     path = tmp_path / "roads.xodr"
-    path.write_text(document(crossing()), encoding="utf-8")
+    path.write_text(document(crossing()))
     return path
 
 
@@ -88,6 +103,7 @@ def test_a_map_becomes_a_scene_that_says_what_was_understood(
     out = tmp_path / "scene"
     summary = scene_answer("import", city, "-o", out)
     (junction,) = summary["junctions"]
+
     assert junction["arms"] == 4
     assert junction["lanes"] == 8
     assert junction["name"] == "Street 0 / Street 1 / Street 2 / Street 3"
@@ -99,17 +115,21 @@ def test_a_map_becomes_a_scene_that_says_what_was_understood(
         "scene.toml",
         "things.glb",
     ]
+
     scene = load_scene_folder(out)
     house = scene.vertices_m[scene.triangles[scene.triangle_instance == 1]]
+
     assert scene.instances[1].class_name == "building"
     assert house[..., 2].max() == pytest.approx(12.0, abs=1e-3)
     assert house[..., :2].min(axis=(0, 1)) == pytest.approx([14.0, 14.0], abs=1.0)
+
     again = scene_answer("show", out)
     assert again["junctions"][0]["arms"] == 4
     assert again["skipped"] == summary["skipped"]
     assert [again["junctions"][0][key] for key in ("x_m", "y_m")] == pytest.approx(
         [junction[key] for key in ("x_m", "y_m")]
     )
+
     archive = tmp_path / "scene.zip"
     assert scene_command("import", city, "-o", archive).code == 0
     assert load_scene_folder(archive).instances == scene.instances
@@ -133,19 +153,28 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
     osm.road([middle, far], name="High Street", highway="residential")
     path = osm.write(tmp_path)
     listed = scene_answer("show", path)
+
     assert [one["arms"] for one in listed["junctions"]] == [4, 3]
+
     text = scene_command("show", path).out
     assert max(map(len, text.splitlines())) <= 80
     assert "Church Lane" in text
+
     small = listed["junctions"][1]
     at = f"{small['x_m']:.6f},{small['y_m']:.6f}"
-    for choice in (["--at", at], ["--junction", small["id"]], ["--junction", "church"]):
+    for choice in (
+        ["--at", at],
+        ["--junction", small["id"]],
+        ["--junction", "church"],
+    ):
         out = tmp_path / "out"
         summary = scene_answer("import", path, *choice, "-o", out)
         assert summary["junctions"][0]["id"] == small["id"]
     summary = scene_answer("import", path, "-o", tmp_path / "out")
+
     assert summary["junctions"][0]["id"] == listed["junctions"][0]["id"]
     assert any("other junctions" in entry["what"] for entry in summary["skipped"])
+
     for wrong, message in (
         (["--junction", "lane"], "--junction: got 'lane'; expected one of"),
         (["--junction", "nowhere"], "--junction: got 'nowhere'; expected one of"),
@@ -165,11 +194,14 @@ def test_sites_are_poles_kerbs_or_a_list(scene_command, scene_answer, city, tmp_
         return scene_answer("import", city, *options, "-o", tmp_path / "s")["site_list"]
 
     assert {site["kind"] for site in sites()} == {"lamp post"}
+
     kerbs = sites("--sites", "kerb:20")
     assert len(kerbs) > 8
     assert {site["kind"] for site in kerbs} == {"kerb"}
+
     nearest = min(np.hypot(site["x_m"], site["y_m"]) for site in kerbs)
     assert 3.0 < nearest < 12.0
+
     lamp = sites()[0]
     scene = load_scene_folder(tmp_path / "s")
     from geometry.frames import transform
@@ -183,11 +215,13 @@ def test_sites_are_poles_kerbs_or_a_list(scene_command, scene_answer, city, tmp_
         f"far away;{lat + 0.1:.8f};{lon:.8f};5;6;900;1;no\n"
     )
     found = sites("--sites", listed)
+
     assert [site["id"] for site in found] == ["pole-1", "pole-2"]
     assert found[0]["height_range_m"] == [5.0, 6.0]
     assert found[0]["capacity_units"] == 3
     assert found[1]["use"] == "forbidden"
     assert found[0]["x_m"] == pytest.approx(lamp["x_m"], abs=0.05)
+
     for wrong, message in (
         ("kerb:x", "--sites: got 'kerb:x'; expected kerb:SPACING in metres"),
         ("somewhere", "--sites: got 'somewhere'; expected auto, map, kerb:SPACING"),
@@ -208,8 +242,10 @@ def test_buildings_come_from_another_file(scene_command, scene_answer, roads, tm
     files = [roads, tmp_path / "house.stl"]
     out = tmp_path / "scene"
     refused = scene_command("import", *files, "-o", out)
+
     assert refused.code == 2
     assert "--unit" in refused.err
+
     result = scene_command(
         "import",
         *files,
@@ -223,12 +259,16 @@ def test_buildings_come_from_another_file(scene_command, scene_answer, roads, tm
         "--quiet",
     )
     summary = json.loads(result.out)
+
     assert summary["buildings"] == 1
     assert any(entry["what"] == "poles of the map" for entry in summary["skipped"])
+
     scene = load_scene_folder(out)
     index = [thing.class_name for thing in scene.instances].index("building")
     corners = scene.vertices_m[scene.triangles[scene.triangle_instance == index]]
+
     assert corners.min(axis=(0, 1)) == pytest.approx([20.0, 20.0, 0.0], abs=1e-4)
+
     checked = scene_command("check", out)
     assert checked.code == 0
     assert "crosswalks: none" in checked.out
@@ -240,6 +280,7 @@ def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
     assert scene_command("import town05 -o", out).code == 0
     assert "nothing found" in scene_command("check", out).out
     assert scene_command("check").code == 0
+
     text = (out / "scene.toml").read_text()
     inside = load_study_scene()
     house = next(thing for thing in inside.instances if thing.class_name == "building")
@@ -254,9 +295,12 @@ def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
         text[:first] + f"position_m = [{x:.2f}, {y:.2f}, 0.0" + text[end:]
     )
     result = scene_command("check", out, "--json")
+
     assert result.code == 1
+
     summary = json.loads(result.out)
     assert not summary["is_sound"]
+
     (finding,) = summary["findings"]
     assert finding["level"] == "error"
     assert f"inside building {house.id}" in finding["why"]
@@ -273,6 +317,7 @@ def test_bad_maps_are_one_line(scene_command, roads, city, tmp_path):
     ):
         paths = [tmp_path / file for file in files]
         result = scene_command("import", *paths, "-o", tmp_path / "x")
+
         assert message in refusal(result)
         assert not (tmp_path / "x").exists()
 
@@ -288,6 +333,7 @@ def test_other_peoples_folders_stay(scene_command, city, tmp_path):
         result = scene_command("import", city, "-o", str(tmp_path / out))
         assert result.code == 2
         assert message in result.err
+
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["letter.txt"]
 
 
@@ -300,6 +346,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     for keeps in ("right", "left"):
         asked = ("scene import", city, "--driving-side", keeps, "-o", out, "--quiet")
         imported = command(*asked)
+
         assert imported.code == 0
         assert f"traffic keeps {keeps}" in " ".join(imported.out.split())
     grid = replace(
@@ -315,25 +362,31 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     result = command(
         "--scene", out, "--budget 1", *question, "--json --quiet --out", results
     )
+
     assert result.code == 0, result.err
+
     summary = json.loads(result.out)
     assert summary["baseline"] is None
     assert summary["apr"] > 0.0
+
     page = (results / "report.html").read_text()
     assert "carlancap" not in page
-    assert json.loads((results / "layout.json").read_text())["scene"].startswith(
-        "city/"
-    )
+    assert read_json(results / "layout.json")["scene"].startswith("city/")
+
     rows = list(csv.DictReader(io.StringIO((results / "layout.csv").read_text())))
-    (unit,) = json.loads((results / "layout.geojson").read_text())["features"]
+    (unit,) = read_json(results / "layout.geojson")["features"]
+
     assert float(rows[0]["map_x"]) == pytest.approx(
         unit["geometry"]["coordinates"][0], abs=1e-9
     )
     assert rows[0]["map_crs"] == "EPSG:4326"
+
     layout = str(results / "layout.json")
     elsewhere = command("evaluate --layout", layout, *question, "--quiet")
+
     assert elsewhere.code == 2
     assert "expected one of town05, the scene in use" in elsewhere.err
+
     here = command("export --layout", layout, "--scene", out, "--format csv")
     assert here.out == (results / "layout.csv").read_text()
 
@@ -341,6 +394,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
 def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
     out = tmp_path / "scene"
     assert command("scene import", roads, "-o", out, "--quiet").code == 0
+
     layout = {
         "schema": "place-rsus/layout/1",
         "name": "mine",
@@ -357,9 +411,10 @@ def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
         ],
     }
     path = tmp_path / "mine.json"
-    path.write_text(json.dumps(layout))
+    write_json(path, layout)
     given = ["export --layout", path, "--scene", out, "--format"]
     result = command(*given, "geojson")
+
     assert result.code == 2
     assert "a scene without crs" in result.err
     assert command(*given, "csv").code == 0
@@ -374,7 +429,9 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
     osm.node(9.0, -9.0, highway="street_lamp")
     out = tmp_path / "scene"
     path = str(osm.write(tmp_path))
+
     assert command("scene import", path, "-o", out, "--quiet").code == 0
+
     lamp = {
         "id": "a",
         "x_m": 9.0,
@@ -384,24 +441,29 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
         "pitch_deg": -30.0,
     }
     layout = tmp_path / "mine.json"
-    layout.write_text(json.dumps({"layout": [lamp | {"camera": "carla-ncap-rgb"}]}))
+    write_json(layout, {"layout": [lamp | {"camera": "carla-ncap-rgb"}]})
     given = ["evaluate --layout", layout, "--scene", out, "--quiet --json"]
     # Where a street ends in another one, nobody can cross it beyond the junction: some
     # cases remain, and those that do not are told.
     few = "--approaches east --cases"
     summary = json.loads(command(*given, few, "study").out)
     refused = {entry["case"] for entry in summary["not_driven"]} - set(summary["cases"])
+
     assert summary["cases"]
     assert refused
+
     one = sorted(refused)[0]
     assert summary["possible_runs"] >= summary["runs"]
     assert one in " ".join(summary["driven"])
+
     result = command(*given, few, one)
     assert (result.code, "which no approach carries" in result.err) == (2, True), (
         result.err
     )
+
     both = f"{summary['cases'][0]},{one}"
     told = json.loads(command(*given, few, both).out)
+
     assert told["cases"] == summary["cases"][:1]
     assert told["driven"][0].endswith(f"Not simulated: {one} anywhere.")
 
@@ -411,6 +473,7 @@ def test_the_plan_shows_something():
     scene = load_study_scene()
     png = to_png(plot_scene_plan(scene))
     picture = np.asarray(Image.open(io.BytesIO(png)).convert("L"))
+
     assert picture.std() > 20.0
 
 
@@ -430,7 +493,15 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
     monkeypatch.setattr(placement, "run_placement", stop)
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
     osm = OsmText()
-    crossing_streets(osm, bearings=[(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)], lanes="2")
+    crossing_streets(
+        osm,
+        bearings=[
+            (1.0, 0.0),
+            (0.0, 1.0),
+            (-1.0, 0.0),
+        ],
+        lanes="2",
+    )
     city = str(osm.write(tmp_path))
     for _ in range(2):
         result = command(
@@ -438,17 +509,21 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
         )
         assert result.code == 2
         assert "Imported Street 0 / Street 1 / Street 2: 3 arms, 24 sites" in result.err
-    assert len(list((tmp_path / "cache" / "scenes").iterdir())) == 1
+
+    assert len(list((tmp_path / "cache/scenes").iterdir())) == 1
     assert {one.scene for one in asked} == {
-        str(next((tmp_path / "cache" / "scenes").iterdir()))
+        str(next((tmp_path / "cache/scenes").iterdir()))
     }
     assert len(build_junction(load_scene_folder(Path(asked[0].scene))).arms) == 3
+
     options = ["--sites kerb:30 --driving-side left --at", f"{LON_DEG},{LAT_DEG}"]
     assert command("--scene", city, *options, "--budget 2 --quiet").code == 2
+
     other = load_scene_folder(Path(asked[-1].scene))
     assert other.keeps_left
     assert len(other.sites) < 24
     assert set(assumed_sites(other.notes)) == {site.id for site in other.sites}
+
     for wrong in ([], ["--scene", str(tmp_path)], ["--scene", asked[0].scene]):
         result = command(*wrong, "--junction", "Street 0", "--budget 2 --quiet")
         assert result.code == 2
@@ -478,6 +553,7 @@ def test_lists_that_are_long_are_cut(monkeypatch):
         "crs": None,
     }
     text = scene_text(msgspec.convert(summary, SceneResult))
+
     assert text.count("and 10 more: --json") == 2
     assert max(map(len, text.splitlines())) <= 100
 
@@ -488,7 +564,7 @@ def chooser(scene_command, tmp_path):
     path = write_city(tmp_path)
     result = scene_command("show", path, "--staggered 40 --out", tmp_path / "out")
     assert result.code == 0
-    return tmp_path / "out" / "junctions.html"
+    return tmp_path / "out/junctions.html"
 
 
 def test_the_junctions_of_a_map_stand_on_a_page_with_streets_and_names(chooser):
@@ -496,8 +572,10 @@ def test_the_junctions_of_a_map_stand_on_a_page_with_streets_and_names(chooser):
     assert re.findall(r'data-id="(.*?)"', page) == ["n3", "n1", "n2"]
     for street in ("Main Street", "A Lane", "B Lane", "C Lane"):
         assert re.search(rf"<text [^>]*>{street}</text>", page)
+
     circles = re.findall(r'<circle cx="(.*?)" cy="(.*?)"', page)
     places = dict(zip(("n3", "n1", "n2"), np.array(circles, dtype=float), strict=True))
+
     # Junctions are drawn 250 m and 500 m east of the first, the last 10 m north: up on
     # the page.
     assert_allclose(places["n2"] - places["n1"], [250.0, 0.0], atol=6.0)
@@ -508,16 +586,19 @@ def test_the_junctions_of_a_map_stand_on_a_page_with_streets_and_names(chooser):
 # Quickly: what the map's page is made of, above
 @pytest.mark.long
 @pytest.mark.system
-def test_a_junction_is_chosen_on_the_map_or_in_the_list(chooser):
-    with start_browser() as browser, open_page(browser, chooser.as_uri()) as page:
+def test_a_junction_is_chosen_on_the_map_or_in_the_list(browser, chooser):
+    with open_page(browser, chooser.as_uri()) as page:
         page.locator(".street-map circle").nth(1).click()
         assert page.inner_text("#chosen-name") == "A Lane / Main Street"
         assert page.inner_text("#command").startswith("place-rsus scene import ")
         assert "--junction n1 -o scene\n" in page.inner_text("#command")
+
         page.fill(".map-find", "lane b")
         assert page.inner_text(".map-count") == "1 / 3"
+
         page.locator("li button:visible").press("Enter")
         assert "--junction n2 " in page.inner_text("#command")
+
         box = [
             float(part) for part in page.get_attribute(".street-map", "viewBox").split()
         ]
@@ -526,12 +607,15 @@ def test_a_junction_is_chosen_on_the_map_or_in_the_list(chooser):
             for name in ("cx", "cy")
         )
         assert [box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]] == pytest.approx([x, y])
+
         page.click(".map-nearer")
         nearer = [
             float(part) for part in page.get_attribute(".street-map", "viewBox").split()
         ]
+
         assert nearer[2] == pytest.approx(0.6 * box[2])
         assert nearer[0] + 0.5 * nearer[2] == pytest.approx(x)
+
         middle = page.locator(".street-map").bounding_box()
         at = (middle["x"] + 100.0, middle["y"] + 100.0)
         page.mouse.move(*at)
@@ -547,5 +631,6 @@ def test_a_junction_is_chosen_on_the_map_or_in_the_list(chooser):
         moved = [
             float(part) for part in page.get_attribute(".street-map", "viewBox").split()
         ]
+
         assert moved[0] < 0.0
         assert moved[1] == pytest.approx(0.0, abs=1e-6)

@@ -34,15 +34,16 @@ N_FRAMES = 60
 
 
 def put(path, text):
+    """Write a file and the folders above it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
 
 
 def pets(folder, rng):
     """People who walk across; a detector that finds what the table "response" says."""
-    data = folder / "OpenTraj" / "datasets" / "PETS-2009" / "data"
-    put(data / "calibration" / "View_001.xml", TSAI)
-    camera = read_tsai(data / "calibration" / "View_001.xml")
+    data = folder / "OpenTraj/datasets/PETS-2009/data"
+    put(data / "calibration/View_001.xml", TSAI)
+    camera = read_tsai(data / "calibration/View_001.xml")
     frames = np.arange(N_FRAMES)
     frame_texts = [[] for _ in frames]
     found = []
@@ -85,16 +86,16 @@ def pets(folder, rng):
         f'<frame number="{n}"><objectlist>{"".join(one)}</objectlist></frame>'
         for n, one in enumerate(frame_texts)
     )
-    put(data / "annotations" / "PETS2009-S2L1.xml", f"<dataset>{text}</dataset>")
+    put(data / "annotations/PETS2009-S2L1.xml", f"<dataset>{text}</dataset>")
     lines = "\n".join(text for _, text in sorted(found))
-    put(folder / "sort" / "data" / "train" / "PETS09-S2L1" / "det" / "det.txt", lines)
+    put(folder / "sort/data/train/PETS09-S2L1/det/det.txt", lines)
 
 
 def kitti(folder, rng):
     """Two sequences of people and cyclists, each found in seven or eight of ten
     frames.
     """
-    data = folder / "OpenTraj" / "datasets" / "KITTI" / "data"
+    data = folder / "OpenTraj/datasets/KITTI/data"
     for sequence in (0, 16):
         labels = []
         points = {"Pedestrian": [], "Cyclist": []}
@@ -139,7 +140,7 @@ def wildtrack(folder):
     """
     from scipy.spatial.transform import Rotation
 
-    data = folder / "OpenTraj" / "datasets" / "Wild-Track"
+    data = folder / "OpenTraj/datasets/Wild-Track"
     cameras = []
     for view, name in enumerate(
         ("CVLab1", "CVLab2", "CVLab3", "CVLab4", "IDIAP1", "IDIAP2", "IDIAP3")
@@ -147,12 +148,15 @@ def wildtrack(folder):
         turn = Rotation.from_euler("xz", [-95.0, 50.0 * view], degrees=True)
         shift = turn.apply([-200.0, -300.0, -250.0])
         words = " ".join(map(str, turn.as_rotvec())), " ".join(map(str, shift))
-        extrinsic = data / "calibrations" / "extrinsic" / f"extr_{name}.xml"
+        extrinsic = data / "calibrations/extrinsic" / f"extr_{name}.xml"
         put(
             extrinsic,
             f"<opencv><rvec>{words[0]}</rvec><tvec>{words[1]}</tvec></opencv>",
         )
-        for kind, terms in (("original", "-0.05 0.01 0 0 0"), ("zero", "0 0 0 0 0")):
+        for kind, terms in (
+            ("original", "-0.05 0.01 0 0 0"),
+            ("zero", "0 0 0 0 0"),
+        ):
             path = data / "calibrations" / f"intrinsic_{kind}" / f"intr_{name}.xml"
             k = "<camera_matrix><data>900 0 960 0 900 540 0 0 1</data></camera_matrix>"
             name_of_d = "distortion_coefficients"
@@ -184,6 +188,7 @@ def wildtrack(folder):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
+    """Three made-up recordings."""
     place = tmp_path_factory.mktemp("recordings")
     rng = np.random.default_rng(3)
     pets(place, rng)
@@ -194,6 +199,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module", autouse=True)
 def two_sequences():
+    """Only two sequences of KITTI are there."""
     with pytest.MonkeyPatch.context() as patch:
         for module in (report, response, places):
             patch.setattr(module, "KITTI_SEQUENCES", (0, 16))
@@ -224,8 +230,15 @@ def test_a_camera_without_distortion_and_roll_is_its_nearest_pinhole(folder):
         cy_px=0.5 * camera.height_px,
     )
     pinhole, pose = nearest_pinhole(square)
-    points = np.array([[0.0, 12.0, 0.0], [2.0, 20.0, 1.8], [-3.0, 30.0, 0.5]])
+    points = np.array(
+        [
+            [0.0, 12.0, 0.0],
+            [2.0, 20.0, 1.8],
+            [-3.0, 30.0, 0.5],
+        ]
+    )
     ours = project_points(points, pose, pinhole)
+
     assert ours == pytest.approx(project_distorted(points, square), abs=1e-6)
 
 
@@ -258,15 +271,19 @@ def test_flags_by_the_middles_of_bodies_agree_with_the_lens_that_made_them(
 # Quickly: the other tests of this file.
 @pytest.mark.long
 def test_what_was_drawn_is_counted(folder, measured):
-    det = folder / "sort" / "data" / "train" / "PETS09-S2L1" / "det" / "det.txt"
+    det = folder / "sort/data/train/PETS09-S2L1/det/det.txt"
     n_found = len(det.read_text().splitlines())
     watched = measured.pole
+
     assert int(watched.sightings.is_found.sum()) == n_found
     assert len(watched.sightings) == N_PEOPLE * N_FRAMES
+
     everybody = response.recall_of(watched.sightings, "all")
     assert everybody.measured.value == pytest.approx(n_found / (N_PEOPLE * N_FRAMES))
+
     groups = response.recalls(watched, watched.distance_m, (0.0, 21.0, np.inf), "m")
     assert [group.tracks for group in groups] == [5, 5]
+
     car = measured.car
     assert sorted(set(car.hidden_level.tolist())) == [0, 1, 2]
     assert car.halves["sequence"].sum() == 200
@@ -293,6 +310,7 @@ def test_phi_is_that_of_two_states_and_their_chances():
         frame=np.tile(np.arange(100), 40),
     )
     found = response.phi(some)
+
     assert found.low <= 0.5 <= found.high
     assert found.value == pytest.approx(0.5, abs=0.06)
 
@@ -304,13 +322,16 @@ def test_where_detections_are_exact_no_error_is_measured(measured):
         assert 0.1 < band.predicted_along_m < 2.0
 
 
-@pytest.mark.parametrize(("right_m", "braked"), [(0.0, 1), (6.0, 0)])
+@pytest.mark.parametrize(
+    ("right_m", "braked"),
+    [(0.0, 1), (6.0, 0)],
+)
 def test_a_car_brakes_for_nothing_only_where_it_drives(
     tmp_path, monkeypatch, right_m, braked
 ):
     """A car at 10 m/s east; its camera finds nobody who stands 45 m ahead."""
     monkeypatch.setattr(places, "KITTI_SEQUENCES", (0,))
-    data = tmp_path / "OpenTraj" / "datasets" / "KITTI" / "data"
+    data = tmp_path / "OpenTraj/datasets/KITTI/data"
     found = []
     car = []
     for frame in range(40):
@@ -324,13 +345,15 @@ def test_a_car_brakes_for_nothing_only_where_it_drives(
             sides = (middle - 0.2 * height, foot - height, middle + 0.2 * height, foot)
             found.append(f"{frame}," + ",".join(f"{one:.3f}" for one in sides) + ",0.4")
     label = "0 0 Pedestrian 0 0 0 1 1 20 60 1.8 0.5 0.5 -20 1.6 30 0"
-    put(data / "label" / "0000.txt", label)
-    put(data / "calib" / "0000.txt", "P2: 721.5 0 609.5 0 0 721.5 172.8 0 0 0 1 0\n")
-    put(data / "oxts" / "0000.txt", "\n".join(car))
+    put(data / "label/0000.txt", label)
+    put(data / "calib/0000.txt", "P2: 721.5 0 609.5 0 0 721.5 172.8 0 0 0 1 0\n")
+    put(data / "oxts/0000.txt", "\n".join(car))
     rrc = tmp_path / "DeepFusionMOT/data/detections/2D/rrc/training/Pedestrian"
     put(rrc / "0000.txt", "\n".join(found))
     found = places.decide_false_tracks(tmp_path, "car-2019", "pedestrian")
-    assert (found.braked, found.tracks) == (braked, 1)
+
+    assert found.braked == braked
+    assert found.tracks == 1
 
 
 # Quickly: the other tests of this file.
@@ -350,6 +373,7 @@ def test_the_command_writes_page_figures_and_tables(
         ],
     )
     assert result.exit_code == 0, result.output
+
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {
         "reality.md",
@@ -357,8 +381,10 @@ def test_the_command_writes_page_figures_and_tables(
         "reality_recall.png",
         "reality_confirmation.png",
     }
-    text = (tmp_path / "out" / "reality.md").read_text()
+
+    text = (tmp_path / "out/reality.md").read_text()
     assert text.splitlines()[2].startswith("By more than its 95 % interval, ")
+
     for name in ("pole-2015.toml", "car-2019.toml"):
         table = load_detector(str(tmp_path / "tables" / name))
         assert table.assumed == ("child", "cyclist", "motorcyclist", "car")

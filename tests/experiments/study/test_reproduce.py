@@ -1,3 +1,5 @@
+"""The study's published figures beside those of this program."""
+
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,7 +83,8 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
     write_reproduction(
         tmp_path, compute=Compute(workers=2, progress=lambda *step: stages.append(step))
     )
-    text = (tmp_path / "reproduction.md").read_text(encoding="utf-8")
+    text = (tmp_path / "reproduction.md").read_text()
+
     for figure in load_published().figures:
         assert (
             f"| {figure.quantity} | {figure.case} | {100 * figure.value:.2f} % |"
@@ -89,14 +92,14 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
         )
     assert "| field of view 90 deg, not 110 |" in text
     assert "## Predictions" in text
+
     published = next(
         line for line in text.splitlines() if line.startswith("| published |")
     )
     for figure in load_published().additional:
         assert figure.published in published
-    assert (
-        "| as it is | - | - | - | - |" in text
-    )  # the small variants do not drive these cases
+    # The small variants do not drive these cases.
+    assert "| as it is | - | - | - | - |" in text
     assert (tmp_path / "reproduction_heatmaps.png").read_bytes().startswith(b"\x89PNG")
     assert stages[0] == ("evaluate variants", 0, 3)
     assert sorted(path.name for path in Path(tmp_path).iterdir()) == [
@@ -117,8 +120,10 @@ def test_a_use_that_does_not_exist_is_named(monkeypatch):
         reproduction, "load_data", lambda *path: {"figures": [entry], "additional": []}
     )
     load_published.cache_clear()
+
     with pytest.raises(msgspec.ValidationError, match=r"figures\[0\]\.use"):
         load_published()
+
     load_published.cache_clear()
 
 
@@ -129,12 +134,15 @@ def test_the_additional_cases_are_changed_in_one_thing_at_a_time():
         variant.name: variant.setting for variant in build_additional_variants()
     }
     base = variants["as it is"]
+
     assert set(base.axis.cases) == {"CPNCO-50", "CPLA-50", "CBTAno-50", "CBTAfo-50"}
     assert set(base.axis.positions) == {"0"}
     assert base.rule.track_memory_s == np.inf
+
     live = variants["a track lives for 1 s"]
     assert live.rule == replace(base.rule, track_memory_s=1.0)
     assert live.axis is base.axis
+
     short = variants["recordings of the last 3 s before the impact"]
     assert short.axis.run_ids == base.axis.run_ids
     for run, whole in zip(short.runs, base.runs, strict=True):
@@ -142,6 +150,7 @@ def test_the_additional_cases_are_changed_in_one_thing_at_a_time():
         assert (run.vru_position_m == whole.vru_position_m[-len(run.time_s) :]).all()
     assert set(variants["15 m before the crosswalk"].axis.positions) == {"-15"}
     assert variants["30 m before the crosswalk"].axis.cases.count("CPNCO-50") >= 4
+
     for run in variants[BEHIND].runs:
         yaw = np.radians(run.vut_yaw_deg[0])
         way = way_of(run)

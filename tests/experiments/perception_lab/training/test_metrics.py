@@ -31,13 +31,25 @@ def test_a_sure_box_on_the_label_is_perfect():
 
 
 def test_a_second_box_on_a_label_and_a_box_elsewhere_are_false_alarms():
-    scored = _scored([(BOX[0], 0.5), (BOX[0] + 1.0, 0.9), (BOX[0] + 100.0, 0.7)])
+    scored = _scored(
+        [
+            (BOX[0], 0.5),
+            (BOX[0] + 1.0, 0.9),
+            (BOX[0] + 100.0, 0.7),
+        ]
+    )
     assert scored.is_true.tolist() == [True, False, False]
     assert scored.confidence.tolist() == [0.9, 0.7, 0.5]
 
 
 def test_boxes_on_labels_that_do_not_count_are_neither_right_nor_wrong():
-    scored = _scored([(BOX[0], 0.9), (BOX[0] + 100.0, 0.2)], counts=False)
+    scored = _scored(
+        [
+            (BOX[0], 0.9),
+            (BOX[0] + 100.0, 0.2),
+        ],
+        counts=False,
+    )
     assert scored.n_labels == 0
     assert scored.is_true.tolist() == [False]
     assert np.isnan(average_precision(scored))
@@ -54,6 +66,7 @@ def test_average_precision_by_hand():
         min_iou=0.5,
         n_pictures=1.0,
     )
+
     assert average_precision(scored) == pytest.approx(0.5 * 1.0 + 0.5 * 2.0 / 3.0)
     # One miss of two until there is a false alarm per picture, none from there on.
     assert log_average_miss_rate(scored) == pytest.approx(
@@ -78,5 +91,6 @@ def test_metrics_are_shares(rows, n_pictures):
         (BOX[0] if near else BOX[0] + 90.0, confidence) for near, confidence in rows
     ]
     scored = _scored(found, n_pictures=n_pictures)
+
     assert 0.0 <= average_precision(scored) <= 1.0
     assert 0.0 <= log_average_miss_rate(scored) <= 1.0

@@ -45,11 +45,17 @@ def _toys(n_crops, seed):
 
 @pytest.fixture(scope="module")
 def trained():
+    """A small network after a few steps."""
     from experiments.perception_lab.training.network import Recipe, train
 
     torch.set_num_threads(1)
     told = []
-    recipe = Recipe(steps=60, seed=1, batch=16, round_steps=20)
+    recipe = Recipe(
+        steps=60,
+        seed=1,
+        batch=16,
+        round_steps=20,
+    )
     network = train(_toys(240, 0), recipe, tell=lambda *row: told.append(row[:2]))
     return network, told
 
@@ -59,14 +65,17 @@ def test_a_minute_of_training_beats_chance(trained):
     from experiments.perception_lab.training.network import VruNetwork, find_boxes
 
     network, told = trained
+
     assert [done for done, _ in told] == [20, 40, 60]
     assert told[-1][1] < 0.7 * told[0][1]
+
     test = _toys(60, 9)
     everything = np.ones(60, dtype=bool)
     learnt = average_precision(_score(test, find_boxes(network, test), everything))
     chance = average_precision(
         _score(test, find_boxes(VruNetwork().eval(), test), everything)
     )
+
     assert learnt > chance + 0.3
 
 
@@ -98,10 +107,17 @@ def test_training_that_was_stopped_goes_on(tmp_path):
             raise Stop
 
     crops = _toys(32, 2)
-    recipe = Recipe(steps=4, seed=3, batch=8, round_steps=2)
+    recipe = Recipe(
+        steps=4,
+        seed=3,
+        batch=8,
+        round_steps=2,
+    )
     whole = train(crops, recipe).state_dict()
+
     with pytest.raises(Stop):
         train(crops, recipe, tell=stop, checkpoint=tmp_path / "state.pt")
+
     resumed = train(crops, recipe, checkpoint=tmp_path / "state.pt").state_dict()
     for name, value in whole.items():
         assert torch.allclose(value.float(), resumed[name].float(), atol=1e-6), name
@@ -111,5 +127,6 @@ def test_crops_are_kept(tmp_path):
     crops = _toys(5, 1)
     save_crops(tmp_path / "crops.npz", crops)
     read = load_crops(tmp_path / "crops.npz")
+
     for name in LabelledCrops.__slots__:
         assert np.array_equal(getattr(read, name), getattr(crops, name))
