@@ -57,7 +57,7 @@ def _prevented(result: Result) -> Iterator[str]:
     seeing = _with_own_sensors(result, own)
     # The cars that were asked about come first.
     if result.cars == 1.0:
-        yield _prevents(result, tr("For cars with {own}", own=own), "")
+        yield _prevents(result, tr("For cars with {own}", own=own))
         yield seeing
         yield tr(
             "For cars that rely on the roadside alone, they prevent {share}.",
@@ -66,27 +66,29 @@ def _prevented(result: Result) -> Iterator[str]:
     elif result.cars > 0.0:
         share = percent(result.cars)
         cars = tr("Where {share} of the cars have {own}", share=share, own=own)
-        yield _prevents(result, cars, "")
+        yield _prevents(result, cars)
         yield seeing
     else:
         added = result.added.alone if result.added else ()
         cars = tr("For cars that rely on the roadside alone")
-        yield _prevents(result, cars, by_unit(added))
+        yield _prevents(result, cars)
+        units = by_unit(added)
+        if units:
+            yield tr("Mounted one by one: {units}.", units=units)
         if own:
             yield seeing
     if own and result.cars < 1.0:
         yield from _little_for_seeing(result)
 
 
-def _prevents(result: Result, cars: str, units: str) -> str:
-    """Share prevented for some cars, what is left if a unit fails, what each adds."""
+def _prevents(result: Result, cars: str) -> str:
+    """Share prevented for some cars, and what is left if a unit fails."""
     n_units = len(result.layout)
     values = {
         "cars": cars,
         "mounted": _mounted(result),
         "share": _share_words(result),
         "left": percent(result.evaluation.apr_without_worst_unit),
-        "units": f": {units}" if units else "",
     }
     # Nothing is left of a single unit; cars with their own camera still have that.
     if n_units == 1 and result.cars == 0.0:
@@ -95,8 +97,8 @@ def _prevents(result: Result, cars: str, units: str) -> str:
             **values,
         )
     return trn(
-        "{cars}, {mounted} prevents {share}, and {left} if it fails{units}.",
-        "{cars}, {mounted} prevent {share}, and {left} if one sensor fails{units}.",
+        "{cars}, {mounted} prevents {share}, and {left} if it fails.",
+        "{cars}, {mounted} prevent {share}, and {left} if one sensor fails.",
         n_units,
         **values,
     )
@@ -200,9 +202,8 @@ def _given_up(result: Result) -> Iterator[str]:
     if (other.judged.all or 0.0) <= (result.evaluation.judged.all or 0.0):
         return
     yield tr(
-        "The layout planned for the highest share prevents {most}, but {left} if"
-        " one sensor fails. The plan may give up as much as {given_up} to prevent"
-        " more in that case (--give-up 0 gives up nothing).",
+        "Another layout prevents {most}, but only {left} if one sensor fails; this one"
+        " gives up at most {given_up} to keep more (--give-up 0 gives up nothing).",
         most=percent(other.judged.all),
         left=percent(other.apr_without_worst_unit),
         given_up=points(highest.given_up),

@@ -150,8 +150,8 @@ def describe_driven(setting: Setting) -> list[str]:
         first = tr("All {n} runs that this junction allows are simulated.", n=n_runs)
     else:
         first = tr(
-            "{n} of {all} possible runs are simulated. The most frequent obstacle:"
-            " {reason}.",
+            "{n} of {all} possible runs are simulated. The main reason why others are"
+            " not: {reason}.",
             n=n_runs,
             all=n_possible,
             reason=_reason_words(reasons[0][0]),

@@ -220,8 +220,8 @@ def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
         # Two speeds in two weathers.
         "possible_runs": N_RUNS + 4,
         "driven": [
-            f"{N_RUNS} of {N_RUNS + 4} possible runs are simulated. The most frequent"
-            " obstacle: no room. Not simulated: C anywhere.",
+            f"{N_RUNS} of {N_RUNS + 4} possible runs are simulated. The main reason"
+            " why others are not: no room. Not simulated: C anywhere.",
             "4 runs: no room (C from the north).",
         ],
         "without_effect": [

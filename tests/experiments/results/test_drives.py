@@ -14,7 +14,7 @@ KINDS = {
     "CBLA": "cyclist",
 }
 
-OBSTACLE = "The most frequent obstacle: too short."
+OBSTACLE = "The main reason why others are not: too short."
 
 
 def case(name):
@@ -72,9 +72,8 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             [refused("CBNA", "south"), refused("CBLA", "south", "a house.", n=2)],
             [
                 (
-                    "4 of 15 possible runs are simulated. The most frequent"
-                    " obstacle: too short. Not simulated: cyclist cases from the"
-                    " south."
+                    "4 of 15 possible runs are simulated. The main reason why others"
+                    " are not: too short. Not simulated: cyclist cases from the south."
                 ),
                 "9 runs: too short (CBNA from the south).",
                 "2 runs: a house (CBLA from the south).",
@@ -93,9 +92,9 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             ],
             [
                 (
-                    "3 of 30 possible runs are simulated. The most frequent"
-                    " obstacle: too short. Not simulated: CBLA anywhere; CPLA from"
-                    " the south."
+                    "3 of 30 possible runs are simulated. The main reason why others"
+                    " are not: too short. Not simulated: CBLA anywhere; CPLA from the"
+                    " south."
                 ),
                 (
                     "27 runs: too short (CPLA from the south; CBLA from the north and"
