@@ -129,7 +129,7 @@ class OwnPoints(NamedTuple):
     face_m : (n,) float
         Where each face is along its normal. [m]
     least_sine : (n,) float
-        The body hides a point that is looked at from so far behind its face.
+        Seen from so far behind its face, the body hides the point; a sine.
     """
 
     points: Array

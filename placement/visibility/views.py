@@ -25,7 +25,7 @@ from scenarios.runs import Run
 # ---------- points on the outside of bodies
 _SAMPLES_PER_POINT = 30
 # What is farther from a point than this is not between it and the end of its ray.
-NEAR_POINT_M = 2.0e-3
+_NEAR_POINT_M = 2.0e-3
 # Rays end at least so far before their points.
 _LEAST_CUT_M = 0.6e-3
 # Rounding in single precision turns no ray by so much.
@@ -52,8 +52,8 @@ class Surface:
     outward : (n, 3) float
         Normal of the face around each point.
     least_sine : (n,) float
-        The body hides a point that is looked at from so far behind its face: sine of
-        the angle between face and line of sight. Above 1 where none will do.
+        Seen from so far behind its face, the body hides the point: sine of the angle
+        between face and line of sight. Above 1 where no angle will do.
     hull_index : (n_corners,) int
         Points at the corners of the convex hull of all points.
     radius_m : float
@@ -174,7 +174,7 @@ def farthest_samples(samples: FloatArray, first: FloatArray, n: int) -> IntArray
 def _least_sines(
     triangles_m: FloatArray, normals: FloatArray, points_m: FloatArray, own: IntArray
 ) -> FloatArray:
-    """How far behind its face a body's point must be looked at to be hidden for sure.
+    """From how far behind its face a point of a body is hidden for sure.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def _least_sines(
 
     Notes
     -----
-    A ray ends just before its point. If all triangles as near as `NEAR_POINT_M` are
+    A ray ends just before its point. If all triangles as near as `_NEAR_POINT_M` are
     seen from behind there, that is inside of the body. A triangle whose normal differs
     by an angle from the point's own is, if the point's face is by more than this.
     """
@@ -205,10 +205,10 @@ def _least_sines(
     reach_m = np.linalg.norm(triangles_m - middle_m[:, None], axis=2).max(axis=1)
     lengths = (points_m**2).sum(axis=1)[:, None] + (middle_m**2).sum(axis=1)
     squares = lengths - 2.0 * points_m @ middle_m.T
-    point, near = np.nonzero(squares <= (reach_m + NEAR_POINT_M) ** 2)
+    point, near = np.nonzero(squares <= (reach_m + _NEAR_POINT_M) ** 2)
     closest_m = closest_point(triangles_m[near], points_m[point])
     away_m = np.linalg.norm(closest_m - points_m[point], axis=1)
-    is_near = away_m <= NEAR_POINT_M
+    is_near = away_m <= _NEAR_POINT_M
     point = point[is_near]
     near = near[is_near]
     # How far each point is before the plane of each triangle near it.
