@@ -237,6 +237,7 @@ def test_the_cheapest_is_as_good_and_no_dearer(adviser, setting, apr_of):
 def test_what_is_mounted_already_costs_nothing_in_all_answers(adviser):
     units = find_layout("carlancap-12").units[:3]
     names = [unit.id for unit in units]
+
     found = adviser.cheapest(units, paid=names)
 
     assert found.before.cost_eur == 0.0

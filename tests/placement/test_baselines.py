@@ -61,7 +61,12 @@ def drawn(candidates, limits, scene=SCENE, n_units=3, seed=0):
 
 @given(problem=questions(), n_units=st.integers(1, 4), seed=st.integers(0, 9))
 def test_random_sets_are_within_all_limits(problem, n_units, seed):
-    sets = random_sets(problem.limits, n_units, n=5, rng=default_rng(seed))
+    sets = random_sets(
+        problem.limits,
+        n_units,
+        n=5,
+        rng=default_rng(seed),
+    )
     for units in sets:
         assert len(units) == n_units
         assert list(units) == sorted(set(units))
@@ -249,7 +254,13 @@ def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
     )
     problem = problem_of(
         limits,
-        {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]},
+        {
+            0: [1],
+            1: [],
+            2: [0, 1],
+            3: [2],
+            4: [0, 1, 2],
+        },
         frame_axis,
         rule,
     )
@@ -325,6 +336,7 @@ def test_the_expert_is_within_all_limits(problem, seed):
         if site in sites
     )
     corners = {f"corner {row}": row for row in rows}
+
     given_ = BaselineRows(
         n_units=3,
         random=(),

@@ -29,7 +29,12 @@ class Thing:
 
 def opened(folder, *, kind="test/1", fingerprint=FINGERPRINT):
     """Cached arrays in a folder."""
-    return CachedArrays(folder, "rows", kind=kind, fingerprint=fingerprint)
+    return CachedArrays(
+        folder,
+        "rows",
+        kind=kind,
+        fingerprint=fingerprint,
+    )
 
 
 def file_in(folder):
@@ -439,6 +444,7 @@ def test_a_damaged_value_is_told_and_made_anew(tmp_path, caplog, content):
     keep(tmp_path, make)
     (path,) = tmp_path.iterdir()
     path.write_bytes(content)
+
     keep(tmp_path, make)
 
     assert caplog.messages == [

@@ -30,7 +30,13 @@ def unit(x, y, yaw_deg, *, pitch_deg=0.0, sensor=CAMERA):
     """A camera 6 m high."""
     name = f"{x}/{y}/{yaw_deg}"
     place_m = [x, y, 6.0]
-    return unit_at(name, place_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=sensor)
+    return unit_at(
+        name,
+        place_m,
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
+        sensor=sensor,
+    )
 
 
 def garden_share(box_in_the_way):

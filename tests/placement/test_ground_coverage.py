@@ -18,7 +18,13 @@ CAMERA = load_cameras()["carla-ncap-rgb-90"]
 def unit(*, yaw_deg=0.0, pitch_deg=0.0, sensor=CAMERA, x=-30.0):
     """A camera 6 m high that looks east."""
     place_m = [x, 0.0, 6.0]
-    return unit_at("a", place_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=sensor)
+    return unit_at(
+        "a",
+        place_m,
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
+        sensor=sensor,
+    )
 
 
 def at(coverage, x, y):

@@ -90,9 +90,20 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
     rule = replace(RULE, n_confirmations=n_confirmations, track_memory_s=memory_s)
     vam = vut[::-1]
     others = {"vam": vam, "all_sources": np.zeros(axis.n_frames)}
-    evaluation = seen_evaluation(axis, units, own_s, vut=vut, others=others)
+    evaluation = seen_evaluation(
+        axis,
+        units,
+        own_s,
+        vut=vut,
+        others=others,
+    )
 
-    curves = apr_by_latency(evaluation, rule, [latency_s], vut_latency_s=vut_latency_s)
+    curves = apr_by_latency(
+        evaluation,
+        rule,
+        [latency_s],
+        vut_latency_s=vut_latency_s,
+    )
 
     delays = [latency_s if value is None else value for value in own_s]
     on_board = [(vut, latency_s if vut_latency_s is None else vut_latency_s)]
@@ -112,7 +123,13 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
     rule = replace(rule, latency_s=latency_s)
 
     for name, party in parties.items():
-        expected = _apr_by_hand(axis, party, n_confirmations, memory_s, latency_s)
+        expected = _apr_by_hand(
+            axis,
+            party,
+            n_confirmations,
+            memory_s,
+            latency_s,
+        )
         seen = [(np.array(frames), late) for frames, late in party]
         onsets = find_onsets(earliest_arrival_s(seen, axis), axis, rule=rule)
 
@@ -127,7 +144,12 @@ def test_a_run_may_be_avoided_with_a_longer_latency_alone():
     -0.5 s.
     """
     time_s = np.arange(-20, 1) / 10.0
-    axis = axis_of_runs([0, 21, 42], np.tile(time_s, 2), -0.5, weight=[0.75, 0.25])
+    axis = axis_of_runs(
+        [0, 21, 42],
+        np.tile(time_s, 2),
+        -0.5,
+        weight=[0.75, 0.25],
+    )
     seen = np.concatenate([time_s < -1.55, time_s > -1.55])
     rule = replace(RULE, track_memory_s=1.0)
     evaluation = seen_evaluation(axis, [seen])
@@ -148,4 +170,9 @@ def test_a_latency_of_the_vut_that_cannot_be_is_told(frame_axis, latency_s):
             f"vut_latency_s: got {latency_s}; expected seconds, at least 0"
         ),
     ):
-        apr_by_latency(evaluation, RULE, [0.0], vut_latency_s=latency_s)
+        apr_by_latency(
+            evaluation,
+            RULE,
+            [0.0],
+            vut_latency_s=latency_s,
+        )

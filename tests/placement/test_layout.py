@@ -197,7 +197,11 @@ def test_a_layout_is_read_from_a_file(tmp_path):
             f"lidar: got 'carla-ncap-rgb'; expected one of {LIDARS}",
         ),
         (
-            {"without": ["camera"], "lidar": "carla-ncap-lidar", "fov_deg": 40.0},
+            {
+                "without": ["camera"],
+                "lidar": "carla-ncap-lidar",
+                "fov_deg": 40.0,
+            },
             "fov_deg: got 40.0; expected nothing: only cameras have lenses",
         ),
         (
@@ -319,6 +323,7 @@ def test_a_file_of_another_version_is_refused_and_not_guessed_at(tmp_path, schem
 
     with pytest.raises(InputError) as caught:
         load_layout(path)
+
     message = str(caught.value)
     known = ", ".join([SCHEMA, *RESULT_SCHEMAS])
 

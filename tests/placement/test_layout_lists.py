@@ -83,7 +83,12 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
     ]
     path.write_text(json.dumps({"layout": units}))
 
-    layout = find_layout(str(path), "--keep", scene=scene, sensors=str(models))
+    layout = find_layout(
+        str(path),
+        "--keep",
+        scene=scene,
+        sensors=str(models),
+    )
 
     assert [unit.pose.yaw_deg for unit in layout.units] == [90.0, 90.0]
     assert {unit.sensor.width_px for unit in layout.units} == {640}

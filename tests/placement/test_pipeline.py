@@ -280,7 +280,12 @@ def test_other_inputs_do_not_get_the_cached_table(setting, candidates, tmp_path)
         def told(*call, calls=calls):
             calls.append(call)
 
-        compute = Compute(seed=seed, workers=1, cache_folder=tmp_path, progress=told)
+        compute = Compute(
+            seed=seed,
+            workers=1,
+            cache_folder=tmp_path,
+            progress=told,
+        )
         obtain_table(setting, candidates, compute=compute)
         stages.append(calls[0][0])
 

@@ -111,6 +111,7 @@ def test_errors_of_the_box_are_derivatives_of_the_camera_model(
 
     # The formula takes angles to be small and the picture to be curved.
     assert abs(moved @ sight) == pytest.approx(found.box_along_m[0], rel=0.12)
+
     # Where the body is low against the height, as the text says.
     expected = height_share * BODY_M[0] * distance_m / height_m
 
@@ -135,6 +136,7 @@ def test_covariances_have_the_errors_as_their_axes():
     across = np.hypot(found.box_across_m, found.aim_across_m)[0]
 
     assert sight @ matrix @ sight == pytest.approx(along**2)
+
     expected = (along * across) ** 2
 
     assert np.linalg.det(matrix) == pytest.approx(expected)

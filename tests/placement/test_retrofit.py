@@ -91,6 +91,7 @@ def additions_allowed(problem, poses, new):
     limits = problem.limits
     if limits.is_forbidden[list(new)].any():
         return False
+
     sites = limits.site_index[[*range(poses.n_units), *new]]
     counts = np.bincount(sites, minlength=limits.n_sites)
     used = counts > 0
@@ -154,7 +155,12 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
     problem, poses = retrofit
     standing = tuple(range(poses.n_units))
 
-    found = find_retrofit(problem, poses, labour=labour(), budget_eur=budget_eur)
+    found = find_retrofit(
+        problem,
+        poses,
+        labour=labour(),
+        budget_eur=budget_eur,
+    )
 
     assert found.before == placement_value(problem, standing)
 
@@ -251,7 +257,12 @@ def test_what_is_lost_gained_and_paid():
     )
     problem = replace(problem, limits=limits)
 
-    found = find_retrofit(problem, poses, labour=labour(), budget_eur=6.0)
+    found = find_retrofit(
+        problem,
+        poses,
+        labour=labour(),
+        budget_eur=6.0,
+    )
 
     assert found.before.apr == 0.5
     assert found.before.apr_one_failed == 0.25
@@ -276,7 +287,12 @@ def test_what_is_lost_gained_and_paid():
     assert found.combination is not None
     assert found.combination.added == (3,)  # 7 EUR for both would be too much
 
-    poorer = find_retrofit(problem, poses, labour=labour(), budget_eur=4.0)
+    poorer = find_retrofit(
+        problem,
+        poses,
+        labour=labour(),
+        budget_eur=4.0,
+    )
 
     assert poorer.addition is None
 
@@ -368,6 +384,7 @@ def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(problem, n_kept):
     each = np.array(poses)[n_kept:]
     if not len(each):
         return
+
     values = {pose: placement_value(problem, [*kept, pose]) for pose in each.tolist()}
     best = values[best_joining(presolve_freely(problem), kept, each)]
     # Nothing tells them apart.

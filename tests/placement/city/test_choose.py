@@ -130,6 +130,7 @@ def test_the_choice_is_the_best_of_all_in_every_objective(
 ):
     if units is None and halves is None:
         units = 3
+
     options = stack_fronts(found)
     weight = np.array(weights, dtype=float)
     wishes = CityWishes(
@@ -186,6 +187,7 @@ def test_what_the_fronts_leave_open_is_in_the_bound(found, units, halves):
     highest = choice.certificate.stages[0].bound
 
     reached = choice.certificate.stages[0].objective
+
     within_bounds = brute_force(bounds, weight, wishes)[0]
     within_points = brute_force(options, weight, wishes)[0]
 
@@ -232,7 +234,11 @@ def test_points_that_another_one_beats_are_left_out():
 
     front = build_junction_front(
         [good, NOTHING, dear, good],
-        by_units=[(0, 0.0), (1, 0.5), (2, 0.8)],
+        by_units=[
+            (0, 0.0),
+            (1, 0.5),
+            (2, 0.8),
+        ],
         by_cost=lowest(
             [
                 ((0.0, 0.0), (1000.0, 0.9)),
@@ -274,4 +280,9 @@ def test_too_few_years_are_told():
     with pytest.raises(
         InputError, match="years: got 1; expected at least 2, for 5 units"
     ):
-        plan_phases(np.array([2, 3]), np.ones(2), units_per_year=3, years=1)
+        plan_phases(
+            np.array([2, 3]),
+            np.ones(2),
+            units_per_year=3,
+            years=1,
+        )

@@ -34,6 +34,7 @@ def junctions(draw):
     site_cost = np.full(limits.n_sites, 7060.0)
     if draw(st.booleans()):
         site_cost = rng.choice([0.0, 2540.0, 7060.0], limits.n_sites)
+
     limits = replace(limits, site_cost_eur=site_cost)
     is_forced = np.zeros(limits.n_poses, dtype=bool)
     if draw(st.booleans()) and limits.max_units > 1:

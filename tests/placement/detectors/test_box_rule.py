@@ -172,4 +172,10 @@ def test_the_aspect_is_the_acute_angle_between_sightline_and_heading(
 )
 def test_a_detector_says_what_is_wrong(fields, message):
     with refused_with(message):
-        GeometricDetector(**{"min_iou": 0.5, "min_box_height_px": 25.0, **fields})
+        GeometricDetector(
+            **{
+                "min_iou": 0.5,
+                "min_box_height_px": 25.0,
+                **fields,
+            }
+        )

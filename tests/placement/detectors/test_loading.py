@@ -362,7 +362,12 @@ def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation
     table = load_detector("pointrcnn-2019").lidar
     classes = np.repeat([0, VRU_CLASSES.index("cyclist")], 20_000)
     distance = np.repeat([15.0, 25.0, 15.0, 45.0], 10_000)
-    found = table.detect(distance, classes, np.arange(40_000), default_rng(1))
+    found = table.detect(
+        distance,
+        classes,
+        np.arange(40_000),
+        default_rng(1),
+    )
     shares = found.reshape(4, -1).mean(axis=1)
 
     assert shares == pytest.approx([0.756, 0.545, 0.936, 0.667], abs=0.03)
@@ -378,7 +383,12 @@ def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation
     ]
     assert table.is_expected(distance[20_000:], classes[20_000:]).all()
 
-    weathers = table.detect(distance[:2], classes[:2], np.zeros(2, int), default_rng(1))
+    weathers = table.detect(
+        distance[:2],
+        classes[:2],
+        np.zeros(2, int),
+        default_rng(1),
+    )
 
     assert weathers[0] == weathers[1]
 

@@ -90,7 +90,11 @@ def as_torchvision(boxes, ids, scores):
 def as_retinanet(boxes, ids, scores):
     """Outputs of old exports: numbers for names, another order."""
     values = as_torchvision(boxes, ids, scores)
-    return {"_1": values["boxes"], "_2": values["scores"], "_3": values["labels"]}
+    return {
+        "_1": values["boxes"],
+        "_2": values["scores"],
+        "_3": values["labels"],
+    }
 
 
 def as_rt_detr(boxes, ids, scores):
@@ -234,6 +238,7 @@ def test_boxes_of_a_class_that_overlap_are_suppressed_where_the_export_did_not(
 def test_boxes_that_are_hardly_sure_or_outside_the_image_are_dropped(path, layout):
     outside = [-20.0, 3.0, -2.0, 9.0]
     cut = [50.0, 50.0, 80.0, 90.0]
+
     arrays = layout([PERSON, outside, cut], [0, 0, 0], [0.01, 0.9, 0.8])
     found = found_by(path, arrays)
 
@@ -384,7 +389,12 @@ def test_the_mask_that_detr_asks_for_is_given(path):
 
 # Classes.
 
-COCO80 = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle"}
+COCO80 = {
+    0: "person",
+    1: "bicycle",
+    2: "car",
+    3: "motorcycle",
+}
 
 
 @pytest.mark.parametrize(
@@ -412,6 +422,7 @@ def test_names_that_are_but_numbers_count_as_none(path):
 def test_names_tell_the_number_of_classes_of_a_table(path):
     metadata = {"names": "{0: 'cyclist', 1: 'person', 2: 'dog'}"}
     scores = [[0.1, 0.75, 0.2], [0.5, 0.1, 0.2]]
+
     dense = f32(centred([PERSON, BICYCLE]), scores)
     found = found_by(path, {"output0": dense.T[None]}, metadata=metadata)
 
@@ -429,7 +440,13 @@ def image_boxes(*rows):
         boxes_px=np.array(boxes, dtype=float),
         class_ids=np.array(ids),
         confidence=np.array(confidence),
-        kinds={1: "person", 2: "bicycle", 3: "cyclist", 4: "motorcycle", 5: "car"},
+        kinds={
+            1: "person",
+            2: "bicycle",
+            3: "cyclist",
+            4: "motorcycle",
+            5: "car",
+        },
     )
 
 
@@ -514,6 +531,7 @@ def message_of(path):
     """Words in which a network is refused, in one line."""
     with pytest.raises(InputError) as caught:
         load_onnx_model(path)
+
     text = str(caught.value)
 
     assert "\n" not in text
@@ -550,7 +568,11 @@ def test_a_classifier(path):
         },
         {"output0": np.zeros((1, 21, 64, 64), np.float32)},  # segments
         {"output0": np.zeros((2, 84, 50), np.float32)},  # two images
-        {"a": np.zeros((5, 4), "f"), "b": np.zeros(5, "f"), "c": np.zeros(5, "f")},
+        {
+            "a": np.zeros((5, 4), "f"),
+            "b": np.zeros(5, "f"),
+            "c": np.zeros(5, "f"),
+        },
         {"logits": np.zeros((1, 9, 20), "f"), "pred_boxes": np.zeros((1, 9, 4), "f")},
     ],
 )

@@ -144,6 +144,7 @@ def test_the_same_road_user_has_the_same_luck_in_all_weathers(walk):
     runs = [
         replace(run, weather=weather) for weather in ("day", "fog") for run in drives
     ]
+
     by_day, in_fog = _known(runs, vam_rate=0.5, packet_loss=0.5).reshape(2, -1)
 
     assert np.array_equal(by_day, in_fog)

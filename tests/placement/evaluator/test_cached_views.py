@@ -111,7 +111,11 @@ def assert_same(one, other):
         ("rsu_all", one.rsu_all),
         *one.units.items(),
     ):
-        again = {"vut": other.vut, "rsu_all": other.rsu_all, **other.units}[name]
+        again = {
+            "vut": other.vut,
+            "rsu_all": other.rsu_all,
+            **other.units,
+        }[name]
         for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
             assert np.array_equal(
                 getattr(verdict, field), getattr(again, field), equal_nan=True
@@ -142,6 +146,7 @@ def test_only_new_poses_are_looked_from(ask, looked):
     moved = unit("moved", 30.0 + 1.0e-9)
     lidar = unit("lidar", sensor=load_lidars()["carla-ncap-lidar"])
     renamed = replace(LAYOUT.units[0], id="renamed")
+
     layout = Layout(name="three", units=(moved, lidar, renamed))
 
     found = ask(layout=layout)

@@ -121,6 +121,7 @@ def test_a_road_user_that_would_fill_a_crop_is_drawn_smaller(last_frames, seen, 
     run = last_frames("CBLA/west/25", 1)
     crops, _, evidence = seen([run], from_vut=True, camera=larger)
     box = evidence.amodal_px[0]
+
     crop = alone(crops, 0)
 
     assert max(crop.pixels.shape) == 160
@@ -143,6 +144,7 @@ def test_frames_look_the_same_where_only_a_vut_out_of_sight_has_moved(
     }
     far = run.vut_position_m[0] + [[-400.0, 0.0], [-390.0, 0.0]]
     away = replace(run, **still, vut_position_m=far)
+
     crops, _, _ = seen([away])
 
     assert crops.key(0) == crops.key(1)
@@ -170,6 +172,7 @@ def test_the_shadow_of_the_vut_belongs_to_it(last_frames, seen):
     shadow_m = 1.2 / np.tan(np.radians(weather.sun_elevation_deg))
     beside = run.vru_position_m.copy()
     beside[:, :2] += (2.5 + 0.5 * shadow_m) * ahead_of(weather.sun_yaw_deg)
+
     near, _, _ = seen([replace(run, vut_position_m=beside)])
 
     assert near.key(0)[-1] == 0  # a frame of its own

@@ -179,8 +179,19 @@ def test_vut_counts_among_the_fused_with_the_units(pretend, axis):
 def test_without_any_message_the_vut_is_left_alone(pretend, axis):
     row = _frames(axis, 0, *range(9))
     by_vut = _frames(axis, 1, *range(4, 9))
-    lost = pretend(row, row, vut_row=by_vut, radio=Radio(packet_loss=1.0))
-    none_lost = pretend(row, row, vut_row=by_vut, radio=Radio(packet_loss=0.0), seed=5)
+    lost = pretend(
+        row,
+        row,
+        vut_row=by_vut,
+        radio=Radio(packet_loss=1.0),
+    )
+    none_lost = pretend(
+        row,
+        row,
+        vut_row=by_vut,
+        radio=Radio(packet_loss=0.0),
+        seed=5,
+    )
     plain = pretend(row, row, vut_row=by_vut)
 
     assert not lost.rsu_all.detected.any()
@@ -242,7 +253,12 @@ def test_road_users_that_announce_themselves_are_a_source_of_their_own(pretend, 
     assert vam.onset_time_s.tolist() == expected
     assert _is_equal(all_equipped.rsu_all, pretend(by_unit).rsu_all)
 
-    some = pretend(by_unit, vut_row=nothing, radio=Radio(vam_rate=0.5), seed=3)
+    some = pretend(
+        by_unit,
+        vut_row=nothing,
+        radio=Radio(vam_rate=0.5),
+        seed=3,
+    )
     both = some.others["vam"].detected | some.vut_and_rsus.detected
 
     assert (some.others["all_sources"].detected == both).all()
@@ -347,6 +363,7 @@ def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
     )
     cameras = build_layout("a", "b", x_m=x_m)
     lidars = build_layout("l", x_m=x_m, sensor=LIDAR)
+
     mixed = Layout(name="mixed", units=(*lidars.units, *cameras.units))
     whole = evaluate_layout(mixed, setting, compute=Compute(seed=7, workers=2))
 
@@ -472,7 +489,12 @@ def test_a_layout_is_evaluated_again_without_looking_twice(
     rule = replace(RULE, track_memory_s=0.3, latency_s=0.1)
     runs = setting.runs[:2]
     weight = np.array([0.3, 0.7])
-    other = replace(setting, runs=runs, axis=build_frame_axis(runs, weight), rule=rule)
+    other = replace(
+        setting,
+        runs=runs,
+        axis=build_frame_axis(runs, weight),
+        rule=rule,
+    )
     layout = build_layout("unit", x_m=runs[0].vru_position_m[-1, 0] - 15.0)
     expected = evaluate_layout(layout, other)
     known = (setting.runs[2], *runs[:n_known])

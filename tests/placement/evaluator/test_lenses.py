@@ -39,7 +39,12 @@ def made_runs(build_run, rng, n_frames=24):
         vru = poses_within(rng, n_frames, 6.0)
         vut = poses_within(rng, n_frames, 6.0)
         driven = poses_within(rng, n_frames, 6.0)
-        run = build_run(pick_actor(name, "test"), vru, vut, obstruction)
+        run = build_run(
+            pick_actor(name, "test"),
+            vru,
+            vut,
+            obstruction,
+        )
         van = MovingActor(
             actor=pick_actor("parked-van", "test"),
             position_m=driven[:, :2],
@@ -59,7 +64,14 @@ def runs(build_run):
 @pytest.fixture(scope="module")
 def scene(build_scene):
     """Houses around a square."""
-    square = np.array([[-20.0, -20.0], [20.0, -20.0], [20.0, 20.0], [-20.0, 20.0]])
+    square = np.array(
+        [
+            [-20.0, -20.0],
+            [20.0, -20.0],
+            [20.0, 20.0],
+            [-20.0, 20.0],
+        ]
+    )
     return replace(build_scene(*HOUSES), outline_m=square)
 
 
@@ -144,7 +156,13 @@ def corners_in_camera(solid, road_pose, pose):
     x, y, yaw, up = road_pose
     cos = np.cos(np.radians(yaw))
     sin = np.sin(np.radians(yaw))
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    turn = np.array(
+        [
+            [cos, -sin, 0.0],
+            [sin, cos, 0.0],
+            [0.0, 0.0, 1.0],
+        ]
+    )
     corners = np.concatenate([mesh.vertices_m[mesh.triangles] for mesh in solid.meshes])
     world = corners @ turn.T + [x, y, up]
     return (world - pose.position_m) @ camera_rotation(pose.yaw_deg, pose.pitch_deg)

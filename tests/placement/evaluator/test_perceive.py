@@ -83,7 +83,13 @@ def test_roadside_boxes_equal_the_plain_render_of_every_frame(
 
     for frame in range(0, N_FRAMES, 2):
         view = render_frame(surroundings, frame, mount, camera)
-        free = render_frame(surroundings, frame, mount, camera, with_vut=False)
+        free = render_frame(
+            surroundings,
+            frame,
+            mount,
+            camera,
+            with_vut=False,
+        )
 
         assert (boxes.amodal_px[frame] == view.amodal_box_px).all()
         assert (boxes.visible_px[frame] == view.visible_box_px).all()
@@ -119,7 +125,13 @@ def test_boxes_and_shares_in_the_study_are_those_of_a_ray_per_pixel(study_runs, 
         low_px = np.maximum(amodal_px[:2] - 5, 0).astype(int)
         high_px = np.minimum(amodal_px[2:] + 5, size_px).astype(int)
         crop_px = (*low_px.tolist(), *high_px.tolist())
-        view = render_frame(surroundings, frame, pose, camera, crop_px=crop_px)
+        view = render_frame(
+            surroundings,
+            frame,
+            pose,
+            camera,
+            crop_px=crop_px,
+        )
         share = (view.instance == VRU).sum() / view.amodal_mask.sum()
 
         assert np.abs(amodal_px - view.amodal_box_px).max() <= 1.0
@@ -137,7 +149,12 @@ def test_sights_are_equal_where_all_but_the_vut_is_at_the_same_place():
     vru_poses[4, 0] += 1e-8
     vru_poses[3, 1] += 1e-5
 
-    sights = find_sights(static_index, vru_index, static_poses, vru_poses)
+    sights = find_sights(
+        static_index,
+        vru_index,
+        static_poses,
+        vru_poses,
+    )
 
     assert sights[1] < sights[3] < sights[2] < sights[0]
     assert sights[0] == sights[4]

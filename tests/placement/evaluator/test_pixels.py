@@ -122,7 +122,12 @@ def test_nothing_is_drawn_nearer_than_the_nearest_distance(
         (0.24, -0.05, 0.85),
         (0.26, 0.05, 0.95),
     )
-    _, behind_plate = look(block, [10.0, 0.0, 0.0], walls=[plate], near_m=near_m)
+    _, behind_plate = look(
+        block,
+        [10.0, 0.0, 0.0],
+        walls=[plate],
+        near_m=near_m,
+    )
 
     assert behind_plate.any() != is_drawn
 
@@ -214,7 +219,13 @@ def _cast(corners_m, camera, window):
 @pytest.mark.long
 @given(
     corners_m=POINTS,
-    window=st.sampled_from([(0, 0, 64, 48), (10, 5, 40, 30), (63, 47, 64, 48)]),
+    window=st.sampled_from(
+        [
+            (0, 0, 64, 48),
+            (10, 5, 40, 30),
+            (63, 47, 64, 48),
+        ]
+    ),
 )
 def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
     """Also those that reach behind the lens, and through the distance at which drawing
@@ -265,7 +276,13 @@ def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
     """A triangle at each power of two: every split in the middle takes off a single
     one.
     """
-    corner = np.array([[0.0, 0.0, 0.0], [1e-300, 0.0, 0.0], [0.0, 1e-300, 0.0]])
+    corner = np.array(
+        [
+            [0.0, 0.0, 0.0],
+            [1e-300, 0.0, 0.0],
+            [0.0, 1e-300, 0.0],
+        ]
+    )
     corners_m = np.array(
         [corner + [2.0**power, 0.0, 0.0] for power in range(-1000, 1000)]
     )
@@ -339,7 +356,13 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
         points = _in_camera(mesh.skin.vertices_m.T, pose, road_pose)
         depth = np.full(camera.width_px * camera.height_px, np.inf)
 
-        draw(_image(camera, 1.4), points, mesh.skin.triangles, window, depth)
+        draw(
+            _image(camera, 1.4),
+            points,
+            mesh.skin.triangles,
+            window,
+            depth,
+        )
         cast = cast_crops(
             build_lens(pose, camera),
             body,

@@ -183,6 +183,7 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
         runs.append(build_run(pick_actor(name, "test"), vru, vut, obstruction))
 
     surroundings = build_surroundings(scene, runs)
+
     counts = _plain_counts(scene, runs, pose, SURE)
     hidden = _plain_counts(
         scene,
@@ -246,6 +247,7 @@ def test_grazing_and_dark_surfaces_send_less_back(
 def test_the_same_seed_brings_the_same_pulses_back(sees):
     vru = [[x_m, 0.0, 90.0] for x_m in np.linspace(20.0, 50.0, 60)]
     vague = replace(STUDY, threshold_width=9.0, reference_probability=0.5)
+
     one = sees(vru, seed=1, lidar=vague)
     same = sees(vru, seed=1, lidar=vague)
     other = sees(vru, seed=2, lidar=vague)
@@ -267,7 +269,12 @@ def test_other_frames_do_not_matter(build_scene, build_run):
     some = np.arange(0, 40, 3)
 
     every = scan_frames(surroundings, LOW, SURE, default_rng(0))
-    alone = scan_frames(surroundings.take(some), LOW, SURE, default_rng(0))
+    alone = scan_frames(
+        surroundings.take(some),
+        LOW,
+        SURE,
+        default_rng(0),
+    )
 
     assert np.array_equal(alone, every[some])
     assert 0 < every.sum() < 40
@@ -279,7 +286,15 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     """
     yaw_deg = np.repeat([0.0, 77.0, -160.0], 4)
     bearing_deg = yaw_deg + np.tile([0.0, 60.0, 180.0, 5.0], 3)
-    place = np.repeat([[3.0, 5.0], [-20.0, 1.0], [40.0, -6.0]], 4, axis=0)
+    place = np.repeat(
+        [
+            [3.0, 5.0],
+            [-20.0, 1.0],
+            [40.0, -6.0],
+        ],
+        4,
+        axis=0,
+    )
     vut = np.column_stack([place, yaw_deg])
     vru = np.column_stack([place + 14.0 * ahead_of(bearing_deg), yaw_deg])
     run = build_run(block, vru, vut)
@@ -308,7 +323,12 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
 
 # Cells of a degree; a wide one leaves a gap behind, over which a cone reaches both
 # edges.
-RING = replace(SURE, horizontal_fov_deg=360.0, vertical_fov_deg=150.0, n_lines=150)
+RING = replace(
+    SURE,
+    horizontal_fov_deg=360.0,
+    vertical_fov_deg=150.0,
+    n_lines=150,
+)
 RING = replace(RING, points_per_second=10.0 * 150 * 360)
 SECTOR = replace(RING, horizontal_fov_deg=120.0, points_per_second=10.0 * 150 * 120)
 WIDE = replace(RING, horizontal_fov_deg=345.0, points_per_second=10.0 * 150 * 345)

@@ -29,14 +29,26 @@ def bus():
 @pytest.fixture(scope="module")
 def unit():
     """A camera 3 m high that looks east."""
-    return unit_at("camera", [0.0, 0.0, 3.0], pitch_deg=-5.0, site_id="pole")
+    return unit_at(
+        "camera",
+        [0.0, 0.0, 3.0],
+        pitch_deg=-5.0,
+        site_id="pole",
+    )
 
 
 @pytest.fixture(scope="module")
 def scene(build_scene):
     """Nothing but a place."""
     return replace(
-        build_scene(), outline_m=np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0]])
+        build_scene(),
+        outline_m=np.array(
+            [
+                [-9.0, -9.0],
+                [9.0, -9.0],
+                [9.0, 9.0],
+            ]
+        ),
     )
 
 

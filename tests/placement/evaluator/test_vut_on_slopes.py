@@ -68,7 +68,11 @@ def test_over_a_crest_the_pitch_is_that_of_the_chord_between_the_axles():
     crest = terrain(lambda east, north: -0.1 * np.abs(east))
 
     pitch_deg = pitch_on_ground_deg(
-        [[-1.0, 0.0], [0.0, 0.0], [2.0, 0.0]],
+        [
+            [-1.0, 0.0],
+            [0.0, 0.0],
+            [2.0, 0.0],
+        ],
         [0.0] * 3,
         crest,
         front_m=1.5,
@@ -78,7 +82,13 @@ def test_over_a_crest_the_pitch_is_that_of_the_chord_between_the_axles():
     # Front axles at 0.5, 1.5 and 3.5 m, rear ones at -2.5, -1.5 and 0.5 m.
     assert np.tan(np.radians(pitch_deg)) == pytest.approx([0.2 / 3.0, 0.0, -0.1])
 
-    flat = pitch_on_ground_deg([[1.0, 2.0]], [30.0], None, front_m=1.5, wheelbase_m=3.0)
+    flat = pitch_on_ground_deg(
+        [[1.0, 2.0]],
+        [30.0],
+        None,
+        front_m=1.5,
+        wheelbase_m=3.0,
+    )
 
     assert flat.tolist() == [0.0]
 
@@ -130,6 +140,7 @@ def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_look
     ahead_m = rng.uniform(6.0, 15.0, (40, 1)) * ahead_of(vut[:, 2])
     vru = np.column_stack([vut[:, :2] + ahead_m, vut[:, 2] + 40.0])
     run = replace(build_run(block, vru, vut), terrain=hills)
+
     scene = on(build_scene(((-6.0, 3.0, -9.0), (-2.0, 6.0, 4.0))), hills)
 
     assert terrain_of(scene) is not None
@@ -143,7 +154,13 @@ def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_look
     for frame in range(40):
         pose = vut_camera_pose(mount, run, frame)
         pitches_deg.append(pose.pitch_deg)
-        view = render_frame(surroundings, frame, pose, camera, with_vut=False)
+        view = render_frame(
+            surroundings,
+            frame,
+            pose,
+            camera,
+            with_vut=False,
+        )
 
         assert np.abs(boxes.amodal_px[frame] - view.amodal_box_px).max() <= 1.0
         assert np.abs(boxes.visible_px[frame] - view.visible_box_px).max() <= 1.0

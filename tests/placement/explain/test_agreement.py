@@ -22,7 +22,12 @@ def setting(runs, rule):
     """Two of the study's runs."""
     few = [run for run in runs if run.id in RUNS]
     planned = load_planning_detector()
-    return setting_of(load_study_scene(), few, rule=rule, detector=planned)
+    return setting_of(
+        load_study_scene(),
+        few,
+        rule=rule,
+        detector=planned,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +104,7 @@ def test_latency_alone_can_make_the_difference(setting, layout, evaluation):
     slow = replace(
         layout, units=tuple(replace(unit, latency_s=60.0) for unit in layout.units)
     )
+
     table = _table(setting, slow, detected)
 
     # The table is asked with the units' own latencies, too: nothing differs.

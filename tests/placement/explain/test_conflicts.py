@@ -24,6 +24,7 @@ def relaxed(problem, relaxation, separation):
             floors[demand.floor], share=min(max(value, 0.0), 1.0)
         )
         return replace(problem, floors=tuple(floors))
+
     if demand.kind == "budget_units":
         return changed(problem, "limits.budget_units", int(value))
     if demand.kind == "budget_eur":
@@ -39,6 +40,7 @@ def wishes(draw):
     limits = problem.limits
     if not draw(st.booleans()):
         return replace(problem, limits=replace(limits, rivals=limits.rivals[:0])), None
+
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     separation = Separation(
         distance_m=20.0,
@@ -67,6 +69,7 @@ def meets(problem, separation, demand, poses, *, survives):
         if not survives:
             floor = replace(floor, n_failures=0)
         return floor_value(problem, floor, poses) >= floor.share - 1e-9
+
     if kind == "budget_units":
         return len(poses) <= limits.budget_units
     if kind == "budget_eur":
@@ -77,10 +80,12 @@ def meets(problem, separation, demand, poses, *, survives):
         else:
             capacity = separation.site_capacity
         return bool((at_site <= capacity).all())
+
     if kind == "separation":
         if separation is not None and (at_site > limits.site_capacity).any():
             return False
         return not any(at_site[one] and at_site[other] for one, other in limits.rivals)
+
     if kind == "forbidden":
         return not limits.is_forbidden[list(poses)].any()
     if kind == "forced_sites":
@@ -179,6 +184,7 @@ def least(problem, separation, demand, others, allowed):
         if not survives:
             floor = replace(floor, n_failures=0)
         return max(floor_value(problem, floor, poses) for poses in allowed)
+
     if kind == "survive":
         counted = [
             problem.floors[other.floor] for other in others if other.floor is not None
@@ -194,6 +200,7 @@ def least(problem, separation, demand, others, allowed):
             )
             and n < max(f.n_failures for f in counted)
         )
+
     if kind == "capacity":
         if separation is None:
             capacity = limits.site_capacity
@@ -210,6 +217,7 @@ def least(problem, separation, demand, others, allowed):
             )
             for poses in allowed
         )
+
     if kind == "separation":
         return max(
             nearest(limits, separation, poses, used)
@@ -222,6 +230,7 @@ def least(problem, separation, demand, others, allowed):
             )
             for poses in allowed
         )
+
     forced_sites = set(np.flatnonzero(limits.is_forced_site).tolist())
     return min(len(forced_sites - used) for used in sites)
 

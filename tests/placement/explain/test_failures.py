@@ -70,7 +70,13 @@ def test_every_failure_is_as_brute_force_says(axis, n_units, data):
     assert sorted(item.unit_ids for item in failures.one_failed) == expected_units
     assert sorted(item.unit_ids for item in failures.two_failed) == expected_pairs
 
-    _, _, avoided_by_all = brute_force(axis, detected, latencies_s, rule, ())
+    _, _, avoided_by_all = brute_force(
+        axis,
+        detected,
+        latencies_s,
+        rule,
+        (),
+    )
 
     for item in (failures.none_failed, *failures.one_failed, *failures.two_failed):
         failed = [int(name[1:]) for name in item.unit_ids]
@@ -119,7 +125,13 @@ def test_a_pole_takes_all_its_units_with_it(frame_axis, rule, sites):
 
     for item in found:
         failed = together[item.site_id]
-        share, _, _ = brute_force(frame_axis, detected, latencies_s, rule, failed)
+        share, _, _ = brute_force(
+            frame_axis,
+            detected,
+            latencies_s,
+            rule,
+            failed,
+        )
 
         assert item.unit_ids == tuple(f"U{index}" for index in failed)
         assert item.apr == pytest.approx(share)

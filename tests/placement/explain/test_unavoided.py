@@ -162,6 +162,7 @@ def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
         unit(-3.0, 0.5, name="helper"),
     ]
     table = table_of(setting, candidates)
+
     problem = problem_of(setting, candidates, table.detected(slice(None)))
 
     (missed,) = find_unavoided(setting, problem, candidates, [0, 1])
@@ -186,7 +187,17 @@ def tables(draw):
     """Three runs with any deadlines, seven poses anywhere, any detections."""
     rng = default_rng(draw(st.integers(0, 2**32 - 1)))
     last = rng.choice([-0.3, -0.9, -1.5, -1.85, -np.inf], size=3)
-    weight = np.array(draw(st.sampled_from([(1, 1, 1), (0, 1, 3), (2, 0, 0)])))
+    weight = np.array(
+        draw(
+            st.sampled_from(
+                [
+                    (1, 1, 1),
+                    (0, 1, 3),
+                    (2, 0, 0),
+                ]
+            )
+        )
+    )
     runs = [
         run_of((0.0, 0.0), name=f"run-{number}", last_brake_s=last_s)
         for number, last_s in enumerate(last)
@@ -310,6 +321,7 @@ def check_outcome(problem, chosen, run, entry):
         assert rule.track_memory_s < math.inf
     else:
         assert entry.outcome == "too late"
+
     if late and np.isfinite(last_s):
         assert entry.late_s == pytest.approx(min(late) + rule.latency_s - last_s)
     else:

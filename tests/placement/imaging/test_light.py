@@ -181,6 +181,7 @@ def test_what_stands_before_a_lamp_takes_its_light():
         [-1, 1, 4],
     ]
     plate = build_caster(corners, SQUARE)
+
     hits = _hits([[1.9, 0, 0], [2.1, 0, 0]], [UP] * 2)
 
     free = _lux(hits, DARK, lamps=[_lamp()])
@@ -211,6 +212,7 @@ def test_a_low_beam_keeps_to_the_regulations_limits(keeps_left):
         left_deg = -to_kerb_deg
         if keeps_left:
             left_deg = to_kerb_deg
+
         up = np.radians(up_deg)
         way = np.append(np.cos(up) * ahead_of(left_deg), np.sin(up))
         return float(lamp.intensity_cd(way.astype(np.float32)[:, None])[0])

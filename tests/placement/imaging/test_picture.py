@@ -135,7 +135,14 @@ def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
 def test_what_lies_in_the_shadow_is_darker(build_plain_scene, study_run, small, day):
     weather = replace(day, sun_elevation_deg=45.0, sun_yaw_deg=180.0)
     scene = build_plain_scene(("wall", [0.0, -20.0, 0.0], [0.2, 20.0, 6.0]))
-    picture = render_picture(scene, study_run, 0, ABOVE, small, weather=weather)
+    picture = render_picture(
+        scene,
+        study_run,
+        0,
+        ABOVE,
+        small,
+        weather=weather,
+    )
     ground = picture.instance == picture.names.index("ground")
     rows, columns = np.nonzero(ground)
 
@@ -168,7 +175,14 @@ def test_night_without_lamps_is_dark_and_lamps_light_the_road(
 
     def mean(sites):
         scene = build_plain_scene(sites=sites)
-        picture = render_picture(scene, study_run, 0, ABOVE, small, weather=night)
+        picture = render_picture(
+            scene,
+            study_run,
+            0,
+            ABOVE,
+            small,
+            weather=night,
+        )
         return picture.rgb[picture.instance >= 0].mean()
 
     assert mean(()) < 16.0  # of 255

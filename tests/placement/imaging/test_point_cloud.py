@@ -43,8 +43,21 @@ def _scan(scene, run, pose, lidar=EXACT, weather=DAY, *, with_vut=True, **option
     """The point cloud of a run's last frame."""
     static = build_static_mesh(scene, run.obstruction)
     frame = len(run.time_s) - 1
-    mesh = build_frame_mesh(static, run, frame, pose.position_m, with_vut=with_vut)
-    return scan_mesh(mesh, run, pose, lidar, weather=weather, **options)
+    mesh = build_frame_mesh(
+        static,
+        run,
+        frame,
+        pose.position_m,
+        with_vut=with_vut,
+    )
+    return scan_mesh(
+        mesh,
+        run,
+        pose,
+        lidar,
+        weather=weather,
+        **options,
+    )
 
 
 def _distance_m(cloud):

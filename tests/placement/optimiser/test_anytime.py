@@ -93,8 +93,15 @@ def test_bounds_of_a_first_round_hold(problem, n_failures):
     sets = full_sets(reduced)
     if not len(reduced.weight) or not len(sets):
         return
+
     n_units = reduced.limits.max_units
-    root = find_root(reduced, run_rows(reduced), n_units=n_units, deadline=OVER)
+
+    root = find_root(
+        reduced,
+        run_rows(reduced),
+        n_units=n_units,
+        deadline=OVER,
+    )
 
     best = union_apr(reduced, unions_of(reduced, sets)).max()
 
@@ -213,7 +220,13 @@ def test_a_presolved_problem_for_other_floors_is_what_presolving_gives(
         share=share,
         is_counted=problem.table.axis.weight > 0.0,
     )
-    other = replace(problem, floors=(floor, counted), goal=goal, survive=n_failures)
+    other = replace(
+        problem,
+        floors=(floor, counted),
+        goal=goal,
+        survive=n_failures,
+    )
+
     again = presolve(problem).for_problem(other)
 
     anew = presolve(other)

@@ -94,7 +94,14 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed):
     sets, start, tail_frame, tail_start, n_links = runs_of_windows(default_rng(seed))
     before = n_links.copy()
     is_kept = np.zeros(len(sets), dtype=bool)
-    kernels.thin_out(sets, start, tail_frame, tail_start, n_links, is_kept)
+    kernels.thin_out(
+        sets,
+        start,
+        tail_frame,
+        tail_start,
+        n_links,
+        is_kept,
+    )
     unions = [set(seen) for size in range(5) for seen in combinations(range(4), size)]
 
     for run in range(2):
@@ -152,6 +159,7 @@ def test_first_live_windows_with_each_pose_are_those_of_the_unions(seed, n_poses
     n_chains = n_chains_of(chains)
     begin = int(rng.integers(0, n_chains + 1))
     first = np.full((n_chains, n_poses), -1, dtype=np.int32)
+
     kernels.first_live_with_each(
         columns_of(sees),
         alone,

@@ -24,7 +24,12 @@ from placement.optimiser.bitsets import (
 from placement.optimiser.presolve import presolve
 
 
-@given(problems(), st.sampled_from(["unit", "site"]), st.integers(0, 2), st.data())
+@given(
+    problems(),
+    st.sampled_from(["unit", "site"]),
+    st.integers(0, 2),
+    st.data(),
+)
 def test_values_with_each_pose_are_those_of_the_sets_one_by_one(
     problem, failing, survive, data
 ):
@@ -32,6 +37,7 @@ def test_values_with_each_pose_are_those_of_the_sets_one_by_one(
     reduced = presolve(replace(problem, limits=limits, survive=survive))
     if reduced.n_poses == 0:
         return
+
     n_units = data.draw(st.integers(0, min(3, reduced.n_poses - 1)))
     poses = st.lists(
         st.integers(0, reduced.n_poses - 1),
@@ -57,6 +63,7 @@ def test_quick_shares_with_each_pose_are_those_of_the_sets_one_by_one(problem, d
     reduced = presolve(problem)
     if reduced.n_poses == 0:
         return
+
     n_units = data.draw(st.integers(0, min(3, reduced.n_poses - 1)))
     units = np.arange(n_units)
     others = np.arange(n_units, reduced.n_poses)
@@ -67,7 +74,12 @@ def test_quick_shares_with_each_pose_are_those_of_the_sets_one_by_one(problem, d
     assert shares_with_each(reduced, units)[others] == pytest.approx(shares, abs=1e-12)
 
     for n_failures in (1, 2):
-        left = left_after_failures(reduced, reduced.measure, n_failures, sets)
+        left = left_after_failures(
+            reduced,
+            reduced.measure,
+            n_failures,
+            sets,
+        )
         quick = left_with_each(reduced, units, reduced.measure, n_failures)[others]
         assert quick == pytest.approx(left, abs=1e-12)
 
@@ -79,6 +91,7 @@ def test_the_best_set_with_one_more_pose_is_the_best_of_all_such_sets(
     reduced = presolve(problem)
     if reduced.n_poses < 2:
         return
+
     units = np.arange(1)
     others = np.arange(1, reduced.n_poses)
     sets = np.column_stack([np.zeros(len(others), dtype=np.int64), others])

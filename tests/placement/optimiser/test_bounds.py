@@ -54,6 +54,7 @@ def test_no_allowed_set_exceeds_the_bound_of_the_apr(problem, is_polished):
     sizes = sets_by_size(reduced)
     if not len(reduced.weight) or not sizes:
         return
+
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
     if is_polished:
         root = polished(root)
@@ -79,6 +80,7 @@ def test_polishing_never_raises_a_bound(problem):
     reduced = presolve(problem)
     if not len(reduced.weight):
         return
+
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
 
     better = polished(root)
@@ -97,10 +99,16 @@ def test_no_set_keeps_more_than_the_bound_when_units_fail(problem, n_failures):
     n_units = reduced.limits.max_units
     if not len(reduced.weight) or not sizes or sizes[-1].shape[1] < n_units:
         return
+
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
     share = union_apr(reduced, unions_of(reduced, sizes[-1]))
 
-    left = left_after_failures(reduced, reduced.measure, n_failures, sizes[-1])
+    left = left_after_failures(
+        reduced,
+        reduced.measure,
+        n_failures,
+        sizes[-1],
+    )
 
     for least in np.unique(share):
         most_left = left[share >= least - 1e-9].max()
@@ -112,6 +120,7 @@ def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(problem, 
     reduced = presolve(problem)
     if not len(reduced.weight):
         return
+
     rng = np.random.default_rng(seed)
     rows = run_rows(reduced)
     first = int(rng.integers(reduced.n_poses))
@@ -168,6 +177,7 @@ def test_a_bound_is_rounded_down_to_whole_runs_only_where_all_weigh_the_same(
     reduced = presolve(problem)
     if not len(reduced.weight):
         return
+
     step = reduced.measure.step
     limit = place * reduced.measure.limit
 

@@ -63,7 +63,12 @@ def test_what_is_left_is_what_stands_on_the_other_poles(problem, n_failures):
                 left(problem, tuple(reduced.pose_index[one]), n_failures)
                 for one in sets
             ]
-            found = left_after_failures(reduced, reduced.measure, n_failures, sets)
+            found = left_after_failures(
+                reduced,
+                reduced.measure,
+                n_failures,
+                sets,
+            )
             assert found == pytest.approx(np.array(wanted))
 
 

@@ -99,7 +99,12 @@ def test_three_units_are_ruled_out_on_a_junction_with_arms(monkeypatch):
     monkeypatch.setattr(proof, "solve_window_model", no_model)
     problem = load_problem(ARMS)
     limits = replace(problem.limits, budget_units=None)
-    asked = replace(problem, limits=limits, goal="fewest", floors=(TARGET,))
+    asked = replace(
+        problem,
+        limits=limits,
+        goal="fewest",
+        floors=(TARGET,),
+    )
 
     solution = solve_placement(asked, effort=Effort(time_limit_s=600.0))
 

@@ -30,10 +30,12 @@ def test_greedy_choice_adds_the_pose_that_makes_the_best_set(problem):
     units = forced_units(reduced)
     if reduced.n_poses <= len(units) or reduced.limits.max_units <= len(units):
         return
+
     one_more = replace(reduced.limits, budget_units=len(units) + 1)
     extended = extend_greedily(replace(reduced, limits=one_more), units)
     if len(extended) == len(units):
         return
+
     value = set_values(reduced, extended[None, :])[0]
     for pose in np.setdiff1d(np.arange(reduced.n_poses), units):
         trial = np.append(units, pose)
@@ -47,6 +49,7 @@ def test_no_exchange_and_no_removal_improves_an_improved_set(problem, seed):
     units = extend_greedily(reduced, forced_units(reduced))
     if not is_allowed(reduced.limits, units):
         return
+
     before = set_values(reduced, units[None, :])[0]
     better = improve(reduced, units, Search(reduced).limit)
 
@@ -55,12 +58,18 @@ def test_no_exchange_and_no_removal_improves_an_improved_set(problem, seed):
     assert not before.exceeds(value)
     assert is_allowed(reduced.limits, better)
 
-    late = improve(reduced, units, Search(reduced).limit, deadline=OVER)
+    late = improve(
+        reduced,
+        units,
+        Search(reduced).limit,
+        deadline=OVER,
+    )
 
     assert late is units
 
     if not Search(reduced).limit.exceeds(value):
         return
+
     free = better[~reduced.limits.is_forced[better]]
 
     for unit in free:

@@ -369,14 +369,22 @@ PAIR = {
             ),
         ),
         (
-            {"is_forced": [1, 0, 0], "is_forced_site": [0, 1], "rivals": [[0, 1]]},
+            {
+                "is_forced": [1, 0, 0],
+                "is_forced_site": [0, 1],
+                "rivals": [[0, 1]],
+            },
             (
                 "separation_m: got two sites nearer than that which must both carry"
                 " units; expected one of them at most"
             ),
         ),
         (
-            {"is_forced": [1, 0, 0], "is_forced_site": [0, 1], "budget_units": 1},
+            {
+                "is_forced": [1, 0, 0],
+                "is_forced_site": [0, 1],
+                "budget_units": 1,
+            },
             (
                 "budget: got 1; expected at least 2, the units that are forced or stand"
                 " at forced sites"

@@ -179,6 +179,7 @@ def test_all_runs_are_needed_where_no_other_set_of_them_is_enough(seed, least):
     ]
     if needs_all:
         assert not enough
+
     if least > 1.0 - 1e-9:
         assert needs_all
 
@@ -208,6 +209,7 @@ def test_less_is_better_of_what_is_minimised(objective, one, other):
         sign = 1
 
     assert objective.excess(one, other) == sign * (one - other)
+
     better = objective.better(one, other)
     worse = objective.worse(one, other)
     is_cost = objective == "cost_eur"

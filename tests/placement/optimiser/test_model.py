@@ -85,6 +85,7 @@ def test_the_model_finds_a_set_that_meets_a_requirement_where_there_is_one(
         slack = 1e-3 * float(reduced.weight.mean())
         mine = plain.reached(margins(reduced, units)[None, :])[0]
         assert mine >= least - slack - 1e-6
+
     if max(reached) < limit - 1e-3:
         assert find(limit) is None
 
@@ -186,6 +187,7 @@ def test_cuts_are_met_by_all_sets_that_keep_enough(problem, n_failures, place, f
     reduced = presolve(replace(problem, limits=limits))
     if not len(reduced.weight):
         return
+
     requirement = drawn_requirement(reduced, n_failures, place)
 
     first = first_cuts(reduced, requirement)
@@ -214,6 +216,7 @@ def test_a_model_with_cuts_finds_a_set_that_survives_where_there_is_one(
     reduced = presolve(replace(problem, limits=limits))
     if not len(reduced.weight):
         return
+
     requirement = drawn_requirement(reduced, 1, 0.6)
     sets = [s[are_allowed(reduced.limits, s)] for s in sets_by_size(reduced)]
     good = [

@@ -75,6 +75,7 @@ def check_stages(oracle, reduced):
     """
     if not oracle.layouts:
         return False
+
     left = set(reduced.pose_index.tolist())
     among_left = {
         poses: values

@@ -56,6 +56,7 @@ def test_affordable_sets_are_all_that_the_limits_allow(problem, max_sets, n_toge
     expected = allowed_sets(problem)
     with mock.patch.object(constants, "GROWN_TOGETHER", n_together):
         sizes = all_sets_within(problem.limits, max_sets=max_sets)
+
     if sizes is None:
         assert len(expected) > max_sets
         return

@@ -37,7 +37,12 @@ def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver):
     problem = avoiding_problem(["010", "001"], budget_units=1)
     axis = replace(problem.table.axis, last_brake_time_s=[-0.01, -0.01, 0.1])
     table = replace(problem.table, axis=axis)
-    worlds = replace(problem, table=table, sample_index=np.array([0, 1, 1]), tail=0.5)
+    worlds = replace(
+        problem,
+        table=table,
+        sample_index=np.array([0, 1, 1]),
+        tail=0.5,
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.proof.search_from_many_starts", first_units)
         solution = solve_placement(worlds, effort=Effort(solver=solver))

@@ -108,6 +108,7 @@ def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed):
     sets = np.array(list(combinations(range(reduced.n_poses), 1)), dtype=np.int64)
     if not len(sets):
         return
+
     search = Search(reduced)
 
     values = set_values(reduced, sets)

@@ -94,6 +94,7 @@ def test_no_model_is_begun_that_takes_longer_to_state_than_the_time_left(
 ):
     reduced = presolve(avoiding_problem(["110", "011", "101"], budget_units=2))
     n_cells = reduced.n_poses * reduced.n_frames
+
     monkeypatch.setattr(
         "placement.optimiser.constants.CELLS_PER_SECOND", n_cells / 10.0
     )

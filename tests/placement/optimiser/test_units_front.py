@@ -63,7 +63,12 @@ def check_points(problem, stages):
         return
 
     told = []
-    front = pareto_front(problem, max_units=3, stages=stages, on_point=told.append)
+    front = pareto_front(
+        problem,
+        max_units=3,
+        stages=stages,
+        on_point=told.append,
+    )
 
     assert [point.units for point in front.points] == possible
     assert told[0].units == possible[0]
@@ -128,6 +133,7 @@ def test_where_nothing_grows_nothing_grows(problem, stages):
 
     if front.settled is None:
         return
+
     best = best_value(with_units(problem, 8))
     n_held = N_HELD[stages]
     for point in front.points:
@@ -219,7 +225,12 @@ def test_nothing_is_below_one_unit_or_all_that_is_kept(problem):
     problem = with_units(problem, 2)
     solution = solve_placement(problem)
 
-    front = front_below(problem, solution.pose_index, solution.certificate, min_units=2)
+    front = front_below(
+        problem,
+        solution.pose_index,
+        solution.certificate,
+        min_units=2,
+    )
 
     assert [point.pose_index for point in front.points] == [solution.pose_index]
 

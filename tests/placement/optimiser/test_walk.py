@@ -38,16 +38,29 @@ def test_a_walk_meets_every_set_that_meets_its_needs(problem, n_failures, place)
     n_units = reduced.limits.max_units
     if n_units < 2 or not len(reduced.weight) or reduced.n_poses < n_units:
         return
+
     sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
+
     share = union_apr(reduced, unions_of(reduced, sets))
-    left = left_after_failures(reduced, reduced.measure, n_failures, sets)
+    left = left_after_failures(
+        reduced,
+        reduced.measure,
+        n_failures,
+        sets,
+    )
     need = float(np.quantile(share, place, method="nearest"))
     left_need = float(np.quantile(left, place, method="nearest"))
 
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
-    walk = SetWalk(reduced, root, need=need, n_failures=n_failures, left=left_need)
+    walk = SetWalk(
+        reduced,
+        root,
+        need=need,
+        n_failures=n_failures,
+        left=left_need,
+    )
     met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
     meets = (share >= need - 1e-9) & ((n_failures == 0) | (left >= left_need - 1e-9))
 
@@ -57,6 +70,7 @@ def test_a_walk_meets_every_set_that_meets_its_needs(problem, n_failures, place)
     if meets.any():
         limit = failure_limit(root, n_failures, need)
         assert limit >= (left if n_failures else share)[meets].max() - 1e-9
+
     if n_failures < 2:
         assert as_tuples(met) == as_tuples(sets[meets])
     else:
@@ -66,7 +80,12 @@ def test_a_walk_meets_every_set_that_meets_its_needs(problem, n_failures, place)
 
 @given(problem=questions())
 def test_a_walk_with_forced_poses_meets_every_allowed_set(problem):
-    plain = replace(problem.limits, budget_eur=None, rivals=None, is_forced_site=None)
+    plain = replace(
+        problem.limits,
+        budget_eur=None,
+        rivals=None,
+        is_forced_site=None,
+    )
     reduced = presolve(
         replace(
             problem,
@@ -80,9 +99,11 @@ def test_a_walk_with_forced_poses_meets_every_allowed_set(problem):
     n_units = reduced.limits.max_units
     if not can_walk(reduced):
         return
+
     sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
+
     share = union_apr(reduced, unions_of(reduced, sets))
     need = float(np.median(share))
 
@@ -137,10 +158,12 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
     )
     if not can_walk(reduced):
         return
+
     sizes = [allowed_sets(reduced, n) for n in range(1, reduced.limits.max_units + 1)]
     sizes = [sets for sets in sizes if len(sets)]
     if not sizes or sizes[-1].shape[1] < reduced.limits.max_units:
         return
+
     values = [set_values(reduced, sets) for sets in sizes]
     best = max(
         (value[value.best_row()] for value in values), key=lambda row: tuple(row.gains)
@@ -151,6 +174,7 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
             best = row
 
     n_failures = reduced.survive
+
     tied = tie_search(reduced, sizes[-1][0], n_failures, ahead=ahead).find(NEVER)
 
     assert tied.is_finished
@@ -210,9 +234,11 @@ def test_a_walk_without_time_proves_nothing_but_its_limit(problem):
     reduced = presolve(problem)
     if not can_walk(reduced):
         return
+
     sets = allowed_sets(reduced, reduced.limits.max_units)
     if not len(sets):
         return
+
     shares = union_apr(reduced, unions_of(reduced, sets))
     tied = tie_search(reduced, sets[0], 0).find(Deadline(-np.inf))
 

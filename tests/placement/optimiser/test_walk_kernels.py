@@ -87,7 +87,13 @@ def test_windows_are_asked_for_the_missing_piece_that_is_seen_least(seed):
     some = np.flatnonzero(rng.random(n_chains_of(chains)) < 0.7)
     asked = np.full(len(chains.window), -7)
 
-    kernels.ask_for_least_seen(chains, some, pack_words(is_alone), seen, asked)
+    kernels.ask_for_least_seen(
+        chains,
+        some,
+        pack_words(is_alone),
+        seen,
+        asked,
+    )
 
     for chain in range(n_chains_of(chains)):
         for link in range(n_links_of(chains, chain)):
@@ -115,6 +121,7 @@ def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
     begin = int(rng.integers(0, n_rows + 1))
     n_words = -(-n_poses // 64)
     coverers = np.full((n_rows, n_words), 3, dtype=np.uint64)
+
     kernels.cover_rows(
         columns_of(sees),
         chains.start,
@@ -141,7 +148,12 @@ def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
 # ---------- prices
 
 
-@given(st.integers(1, 5), st.integers(0, 3), st.floats(0.0, 4.0), st.floats(0.1, 4.0))
+@given(
+    st.integers(1, 5),
+    st.integers(0, 3),
+    st.floats(0.0, 4.0),
+    st.floats(0.1, 4.0),
+)
 def test_a_row_is_worth_its_reward_less_what_it_pays(
     n_units, n_failures, price, weight
 ):
@@ -225,7 +237,12 @@ def walked(covers, walk, n_failures, *, work, n_out):
     raise AssertionError("the walk does not end")
 
 
-@given(SEEDS, st.integers(2, 3), st.sampled_from([0, 10**9]), st.sampled_from([1, 100]))
+@given(
+    SEEDS,
+    st.integers(2, 3),
+    st.sampled_from([0, 10**9]),
+    st.sampled_from([1, 100]),
+)
 def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused(
     seed, n_units, work, n_out
 ):
@@ -303,14 +320,24 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
             assert lost == total
 
 
-@given(SEEDS, st.booleans(), st.integers(0, 12), st.sampled_from([1, 50]))
+@given(
+    SEEDS,
+    st.booleans(),
+    st.integers(0, 12),
+    st.sampled_from([1, 50]),
+)
 def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
     seed, with_failures, most, n_out
 ):
     rng = np.random.default_rng(seed)
     chains = random_chains(rng)
     alone = rng.random(N_FRAMES) < 0.2
-    losses = build_losses(rng, chains, alone, [float(most), float(most + 3)])
+    losses = build_losses(
+        rng,
+        chains,
+        alone,
+        [float(most), float(most + 3)],
+    )
     sees = random_sights(rng, 7)
     words = pack_words(sees)
     member = rng.permutation(7)

@@ -16,7 +16,11 @@ from placement.recordings import (
 )
 
 BOX = "100 200 140 300"
-CROSSING = {"speeds": (10.0, 1.5), "closing": 10.0, "n_frames": 12}
+CROSSING = {
+    "speeds": (10.0, 1.5),
+    "closing": 10.0,
+    "n_frames": 12,
+}
 
 
 @pytest.fixture
@@ -39,7 +43,12 @@ def _one_drive(new_folder, detected, **options):
 
 def _cyclist(new_folder):
     """A folder with one drive at a cyclist whom nobody finds."""
-    return _one_drive(new_folder, {"0": ()}, speeds=(10.0, 4.0), actor="bycicle")
+    return _one_drive(
+        new_folder,
+        {"0": ()},
+        speeds=(10.0, 4.0),
+        actor="bycicle",
+    )
 
 
 def test_apr_of_a_small_recording_worked_by_hand(small, judge):
@@ -222,6 +231,7 @@ def test_of_several_pedestrians_a_roadside_unit_must_detect_each(new_folder, jud
     folder.add("0/3_3.txt", f"pedestrian {other} 5")  # 8 before the impact
     folder.add("0/3_4.txt", f"pedestrian {other} 5")
     folder.add("Eval/3_4.txt", f"0 pedestrian {other} 0.9")
+
     result = judge(folder)
 
     assert result.units["0"].detected.nonzero()[0].tolist() == [4]
@@ -253,6 +263,7 @@ def test_a_vru_that_nobody_ever_sees_is_a_drive_that_is_not_avoided(new_folder, 
         name: "" if name.startswith("0/") else text
         for name, text in folder.files.items()
     }
+
     result = judge(folder)
 
     assert result.axis.cases == ("scenario-3-unseen",)
@@ -270,7 +281,13 @@ def test_without_the_vuts_camera_there_is_no_verdict_of_it(new_folder, judge):
 
 def test_a_speed_that_is_driven_again_gets_a_number(new_folder, judge):
     folder = new_folder()
-    number = folder.drive(7, 0, detected={"0": ()}, resets=30, **CROSSING)
+    number = folder.drive(
+        7,
+        0,
+        detected={"0": ()},
+        resets=30,
+        **CROSSING,
+    )
     folder.drive(7, number, detected={"0": ()}, **CROSSING)
 
     assert judge(folder).axis.run_ids == ("recording/7/36", "recording/7/36/2")
@@ -301,7 +318,12 @@ def test_the_detection_table_has_a_row_per_unit(small, judge):
 
 
 def test_who_goes_the_vuts_way_is_told(new_folder, tmp_path):
-    folder = _one_drive(new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=6.0)
+    folder = _one_drive(
+        new_folder,
+        {"0": ()},
+        speeds=(10.0, 4.0),
+        closing=6.0,
+    )
     (drive,) = read_recording(folder.write(tmp_path)).drives
 
     assert is_longitudinal(drive)

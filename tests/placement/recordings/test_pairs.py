@@ -104,7 +104,12 @@ def test_files_that_do_not_belong_together_are_told():
     with pytest.raises(
         InputError, match=r"d: got frames up to 50; expected up to 0, as in a\.txt"
     ):
-        pair_boxes(given_, found((50, A, 0.9)), classes=PERSON, min_score=0.5)
+        pair_boxes(
+            given_,
+            found((50, A, 0.9)),
+            classes=PERSON,
+            min_score=0.5,
+        )
 
     many = annotated(*((frame, 1, A) for frame in range(0, 100, 5)))
     every = found(*((frame, A, 0.9) for frame in range(100)))
@@ -117,7 +122,12 @@ def test_files_that_do_not_belong_together_are_told():
     with pytest.raises(
         InputError, match=r"a\.txt: got nobody; expected boxes with an id of cycl"
     ):
-        pair_boxes(given_, found(), classes={"cyclist": "cyclist"}, min_score=0.5)
+        pair_boxes(
+            given_,
+            found(),
+            classes={"cyclist": "cyclist"},
+            min_score=0.5,
+        )
 
 
 @given(
@@ -134,7 +144,12 @@ def test_frames_to_confirm_are_those_that_a_search_counts(rows, n):
     is_found = np.array([row[1] for row in rows])
     frame = np.cumsum([1 + row[2] for row in rows])  # some frames are missing
 
-    waits = frames_to_confirm(is_found, track, frame, n_confirmations=n)
+    waits = frames_to_confirm(
+        is_found,
+        track,
+        frame,
+        n_confirmations=n,
+    )
 
     for start, wait in enumerate(waits.tolist()):
         on = {
@@ -150,6 +165,7 @@ def test_a_share_counts_tracks_and_is_never_surer_than_wilson():
     track = np.repeat(np.arange(20), 50)
     independent = default_rng(1).random(1000) < 0.8
     whole = np.repeat(default_rng(2).random(20) < 0.8, 50)  # all frames alike
+
     wide = share_by_track(whole, track)
     narrow = share_by_track(independent, track)
 

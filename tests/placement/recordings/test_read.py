@@ -31,6 +31,7 @@ def test_a_recording_tells_its_units_drives_and_what_was_left_out(small, tmp_pat
     assert recording.skipped == {
         "frames between drives (bodies back at their starts)": 60
     }
+
     words = f"Recording({tmp_path.name!r}: 2 units, 2 drives, 88 frames)"
 
     assert repr(recording) == words

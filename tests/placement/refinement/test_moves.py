@@ -65,11 +65,21 @@ def test_a_moved_unit_keeps_its_name_and_says_by_how_much():
         units=(_unit("U1", yaw=175.0), _unit("U2", east=9.0, sensor=zoom)),
     )
     poses = [
-        _unit("x/1", east=9.0, sensor=with_fov(zoom, 50.0, "test"), height=6.5),
+        _unit(
+            "x/1",
+            east=9.0,
+            sensor=with_fov(zoom, 50.0, "test"),
+            height=6.5,
+        ),
         _unit("x/2", yaw=-178.0, pitch=-17.5),
     ]
 
-    layout, moves = rename(before, poses, named=["RSU1"], name="refined-2")
+    layout, moves = rename(
+        before,
+        poses,
+        named=["RSU1"],
+        name="refined-2",
+    )
 
     assert layout.name == "refined-2"
     assert [unit.id for unit in layout.units] == ["U1", "U2"]

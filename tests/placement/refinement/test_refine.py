@@ -69,7 +69,12 @@ def placements(meadow, meadow_grid, tmp_path_factory):
 def refinements(meadow, placements):
     """Refinements of all placements, by name."""
     return {
-        name: refine(meadow, placement, candidates, compute=Compute(workers=1))
+        name: refine(
+            meadow,
+            placement,
+            candidates,
+            compute=Compute(workers=1),
+        )
         for name, (candidates, placement) in placements.items()
     }
 
@@ -209,7 +214,12 @@ def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
 def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
     candidates, placement = placements["two units"]
 
-    again = refine(meadow, placement, candidates, compute=Compute(workers=2))
+    again = refine(
+        meadow,
+        placement,
+        candidates,
+        compute=Compute(workers=2),
+    )
     first = refinements["two units"]
 
     assert layout_records(again.placement.layout) == layout_records(
@@ -263,7 +273,12 @@ def test_a_varifocal_lens_zooms_in_on_what_is_far_away(
     scene = build_meadow(("pole", 0.0, 0.0))
     walk = np.column_stack([np.full(40, 150.0), np.linspace(-2.0, 2.0, 40)])
     setting = build_small_setting(scene, [build_walk("walk", walk)])
-    candidates = _grid_of(scene, camera, yaw_step_deg=90.0, pitch_deg=0.0)
+    candidates = _grid_of(
+        scene,
+        camera,
+        yaw_step_deg=90.0,
+        pitch_deg=0.0,
+    )
     candidates = [one for one in candidates if one.pose.yaw_deg == 0.0]
 
     placement = place(
@@ -299,6 +314,7 @@ def test_a_lidar_is_aimed_too(build_meadow, build_walk, build_small_setting, arc
     """Someone to the left; the grid looks ahead and back, 36 degrees to each side."""
     scene = build_meadow(("pole", 0.0, 0.0))
     setting = build_small_setting(scene, [build_walk("walk", arc(12.0, 93.0, 87.0))])
+
     lidar = pick_sensor("carla-ncap-lidar", "test")
     candidates = _grid_of(scene, lidar, yaw_step_deg=180.0)
 

@@ -95,7 +95,12 @@ def test_a_sensor_that_reaches_farther_gets_its_own_rays(meadow):
     builder = LiveTable(meadow, max_mounts=16)
     (near,) = _random_poses(1, seed=0)
     coarse = replace(near.sensor, width_px=64, height_px=36)
-    pose = replace(near.pose, position_m=[0.0, 0.0, 5.0], yaw_deg=45.0, pitch_deg=-15.0)
+    pose = replace(
+        near.pose,
+        position_m=[0.0, 0.0, 5.0],
+        yaw_deg=45.0,
+        pitch_deg=-15.0,
+    )
     near = replace(near, pose=pose)
     builder.packed([replace(near, sensor=coarse)])
     table = table_of(meadow, [near])

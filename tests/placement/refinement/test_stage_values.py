@@ -23,6 +23,7 @@ def test_stages_are_those_of_the_certificate_with_the_same_values(problem):
     stages = solution.certificate.stages
 
     assert [*values] == [stage.name for stage in stages]
+
     expected = [stage.objective for stage in stages]
 
     assert [*values.values()] == pytest.approx(expected, abs=1e-12)

@@ -86,7 +86,12 @@ def junction_runs(actors, rule, junction_scene):
     """One straight case from each approach, at its lowest speed."""
     case = load_cases()["CPNA-25"]
     slow = replace(case, vut_speeds_kmh=case.vut_speeds_kmh[:1])
-    runs, _ = build_runs(junction_scene, [slow], vut=actors["vut"], rule=rule)
+    runs, _ = build_runs(
+        junction_scene,
+        [slow],
+        vut=actors["vut"],
+        rule=rule,
+    )
     return {run.approach: run for run in runs}
 
 

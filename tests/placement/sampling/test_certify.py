@@ -42,6 +42,7 @@ def test_limits_are_those_of_the_formula():
     assert found.least.low == pytest.approx(least)
     assert found.gap == pytest.approx(most - least)
     assert found.bias + found.chance == pytest.approx(found.gap)
+
     expected = np.mean(bounds) - np.mean(aprs)
 
     assert found.bias == pytest.approx(expected)
@@ -151,7 +152,12 @@ def test_tasks_that_run_elsewhere_and_in_any_order_give_the_same(assembly, monke
             yield task, function(*arguments, pickle.loads(pickle.dumps(task)))
 
     here = certify(assembly, n_blocks=2, n_judged=4)
-    there = certify(assembly, n_blocks=2, n_judged=4, run=run_backwards)
+    there = certify(
+        assembly,
+        n_blocks=2,
+        n_judged=4,
+        run=run_backwards,
+    )
 
     assert there.blocks == here.blocks
     assert there.gap == here.gap
@@ -161,7 +167,11 @@ def test_tasks_that_run_elsewhere_and_in_any_order_give_the_same(assembly, monke
         assert one.avoided_share.tolist() == other.avoided_share.tolist()
 
     # Four worlds are two tasks.
-    assert sent == [("_solve_block", 2), ("_look_at_part", 2), ("_look_at_part", 2)]
+    assert sent == [
+        ("_solve_block", 2),
+        ("_look_at_part", 2),
+        ("_look_at_part", 2),
+    ]
 
 
 @pytest.mark.long
@@ -323,7 +333,12 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
         return replace(found, layout=chosen[-1], preferred=None)
 
     monkeypatch.setattr(growing, "place", placed)
-    question = replace(SMALL, within="", heights="6.5", yaw_step_deg=120.0)
+    question = replace(
+        SMALL,
+        within="",
+        heights="6.5",
+        yaw_step_deg=120.0,
+    )
 
     growth = grow(question, compute=Compute(workers=2, seed=3)).growth
     first, second = chosen
@@ -348,6 +363,7 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
         number = next(rounds)
         if error is not None and number:
             raise error
+
         found = real(plan, **how)
         clock.now_s += seconds
         return changed(found, "layout.units", units[number : number + 1])

@@ -87,7 +87,12 @@ def test_linked_noise_is_what_a_recursive_filter_makes_of_fresh_noise(correlatio
         assert noise[0] == run[0]
 
         start = [correlation * run[0]]
-        expected, _ = lfilter([step], [1.0, -correlation], run[1:], zi=start)
+        expected, _ = lfilter(
+            [step],
+            [1.0, -correlation],
+            run[1:],
+            zi=start,
+        )
 
         assert noise[1:] == pytest.approx(expected, abs=1e-12)
 
@@ -112,7 +117,18 @@ def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed)
     nothing = np.zeros(n)
     own = np.array([0.0, 1.0])
 
-    draw_frames(limit, weather, entry, *where, key, 0.6, nothing, key, own, packed)
+    draw_frames(
+        limit,
+        weather,
+        entry,
+        *where,
+        key,
+        0.6,
+        nothing,
+        key,
+        own,
+        packed,
+    )
     noise = _noise_at(*where, key, 0.6)
     expected = (entry >= 0) & (noise < limit[weather, entry])
     drawn = np.unpackbits(packed, count=n, bitorder="little").astype(bool)
@@ -162,7 +178,15 @@ def watched(junction_scene, standing_still, build_setting, response, look):
         look(f"{x}", [x, -1.0, 6.0], yaw_deg=0.0, pitch_deg=-5.0)
         for x in (-28.0, -38.0)
     ]
-    return setting, (*far, look("lidar", [-8.0, -1.0, 1.5], yaw_deg=0.0, sensor=lidar))
+    return setting, (
+        *far,
+        look(
+            "lidar",
+            [-8.0, -1.0, 1.5],
+            yaw_deg=0.0,
+            sensor=lidar,
+        ),
+    )
 
 
 def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watched):
@@ -185,6 +209,7 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
     cameras = other.detected(slice(None))[:2]
 
     assert 0.2 < (cameras != drawn[:2]).mean() < 0.6  # other coins
+
     # Of the same kind.
     expected = drawn[:2].mean()
 
@@ -309,6 +334,7 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
 def test_the_same_messages_are_lost_in_all_weathers(watched):
     setting, poses = watched
     sample = first_world(setting, poses, Uncertainty(packet_loss=0.5))
+
     every = pack_table(
         tuple(p.id for p in poses),
         setting.axis,

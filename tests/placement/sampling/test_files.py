@@ -145,10 +145,12 @@ def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
 )
 def test_what_is_wrong_with_a_file_is_said_with_its_place(write, change, message):
     assert change[0] in WHOLE
+
     path = write(WHOLE.replace(*change))
 
     with pytest.raises(InputError) as caught:
         load_uncertainty(path)
+
     assert str(caught.value).startswith(message)
 
 

@@ -44,7 +44,13 @@ def many(setting, build_setting):
 @pytest.fixture(scope="module")
 def poses(look):
     """Two cameras and a LiDAR at one pole, and a camera at each of two others."""
-    east = look("east", [-130.0, 8.85, 6.8], yaw_deg=0.0, pitch_deg=-15.0, site_id="a")
+    east = look(
+        "east",
+        [-130.0, 8.85, 6.8],
+        yaw_deg=0.0,
+        pitch_deg=-15.0,
+        site_id="a",
+    )
     away = changed(east, "pose.position_m", [0.0, 0.0, 6.0])
     west = changed(east, "pose.yaw_deg", 180.0)
     steep = changed(away, "pose.pitch_deg", -60.0)
@@ -154,6 +160,7 @@ def test_the_sun_shines_by_day_alone(many, poses):
     nights = replace(
         many, runs=tuple(replace(run, weather="night") for run in many.runs)
     )
+
     by_day = told(many, poses[:1], Uncertainty(blinding=sun))
     by_night = told(nights, poses[:1], Uncertainty(blinding=sun))
 
@@ -340,4 +347,5 @@ def test_what_cannot_be_names_file_and_field(tmp_path, text, message):
 
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
+
     assert str(caught.value).startswith(f"{path}: {message}")

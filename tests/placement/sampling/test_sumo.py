@@ -89,6 +89,7 @@ def test_without_sumo_one_line_says_what_is_missing(monkeypatch):
 
     with pytest.raises(MissingExtraError) as caught:
         load_traffic("sumo", protocol_scene())
+
     message = str(caught.value)
 
     assert message == str(missing_sumo())
@@ -158,6 +159,7 @@ def test_the_same_seed_drives_the_same_traffic_and_another_one_another(runs):
     demand = replace(load_demand(), warm_up_s=10.0)
     ids = ("CBLA/east/50", "CBNA/east/60")
     chosen = [lasting(run, 2.0) for run in runs if run.id in ids]
+
     first = drive(scene, demand, chosen, 1)
     again = drive(scene, demand, chosen, 1)
     other = drive(scene, demand, chosen, 2)
@@ -217,6 +219,7 @@ def test_more_vehicles_than_the_lanes_can_take_are_told(cyclist_ahead):
 def test_a_junction_without_lights_and_with_three_arms_is_driven(actors, rule):
     scene = protocol_scene()
     lanes = tuple(lane for lane in scene.lanes if not lane.id.startswith("north"))
+
     network = network_of(replace(scene, lanes=lanes), load_demand())
 
     assert set(network.ways) == {"east", "south", "west"}
@@ -278,6 +281,7 @@ def test_lanes_that_keep_left_are_driven_on_the_left():
         replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0])
         for lane in scene.lanes
     )
+
     network = network_of(replace(scene, lanes=mirrored, keeps_left=True), load_demand())
     right = network_of(scene, load_demand())
 
@@ -298,6 +302,7 @@ def test_a_vut_that_comes_from_beyond_the_network_joins_in_when_it_is_there(
     demand = replace(load_demand(), warm_up_s=10.0)
 
     away = replace(run, vut_position_m=position)
+
     found = drive(load_study_scene(), demand, [away])
 
     assert len(found.trajectories.bodies) > 0

@@ -59,7 +59,12 @@ def _detected(table):
 def test_without_uncertainty_one_sample_is_the_plans_table(
     setting, candidates, planned
 ):
-    sampled = sampled_table(setting, candidates, Uncertainty(), n_samples=1)
+    sampled = sampled_table(
+        setting,
+        candidates,
+        Uncertainty(),
+        n_samples=1,
+    )
     table = sampled.table
     axis = setting.axis
 
@@ -83,6 +88,7 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
     table, axis, n_runs = stacked.table, setting.axis, setting.axis.n_runs
 
     assert table.axis.weight.sum() == pytest.approx(1.0, abs=1e-12)
+
     expected = [0] * n_runs + [1] * n_runs + [2] * n_runs
 
     assert stacked.sample_index.tolist() == expected
@@ -95,6 +101,7 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
     assert np.array_equal(
         _detected(table), np.hstack([_detected(part) for part in parts])
     )
+
     deadlines_s = [axis.last_brake_time_s - one.extra_latency_s for one in samples]
     expected_s = np.concatenate(deadlines_s).tolist()
 
@@ -250,6 +257,7 @@ def test_a_world_beside_others_is_as_it_is_alone(
             for one in candidates
             if isinstance(one.sensor, CameraModel)
         ]
+
     setting = replace(setting, table_detector=load_planning_detector(planner))
 
     worlds = list(draw_samples(setting, candidates, default, n_samples=4, seed=4))
@@ -339,7 +347,12 @@ def test_what_waits_in_the_way_of_the_vut_hides_nothing(
         standing_still([16.5, 6.0], run=junction_runs[way]) for way in ("west", "east")
     ]
     setting = build_setting(junction_scene, runs, table_detector=keen)
-    camera = look("low", [16.5, -10.0, 9.0], yaw_deg=90.0, pitch_deg=-25.0)
+    camera = look(
+        "low",
+        [16.5, -10.0, 9.0],
+        yaw_deg=90.0,
+        pitch_deg=-25.0,
+    )
 
     (row,) = _detected(
         sampled_table(setting, [camera], _queue_of(truck, 1.0), n_samples=1).table

@@ -66,7 +66,11 @@ def _bus_scene():
 
 def _bus(waiting_share=1.0):
     """The kind of vehicle that waits in bus lanes."""
-    size = {"length_m": 12.0, "width_m": 2.55, "height_m": 3.1}
+    size = {
+        "length_m": 12.0,
+        "width_m": 2.55,
+        "height_m": 3.1,
+    }
     actor = read_body({"name": "bus", **size}, "bus")
     return VehicleKind(actor=actor, parked_share=1.0, waiting_share=waiting_share)
 
@@ -81,6 +85,7 @@ def test_a_bus_waits_in_each_bus_lane_if_asked_for():
     )
 
     assert len(vehicles) == len(strips) == 4
+
     for strip in strips:
         inside = [strip.contains(Polygon(body.footprint_m)) for body in vehicles]
         assert sum(inside) == 1
@@ -100,6 +105,7 @@ def test_nobody_but_a_bus_waits_or_parks_in_a_bus_lane():
     vehicles = build_street(scene, traffic).draw(_rng())
 
     assert vehicles
+
     for body in vehicles:
         footprint = Polygon(body.footprint_m)
         for strip in buses:
@@ -314,7 +320,12 @@ def many_ways(actors, rule):
         speeds_kmh = {min(case.vut_speeds_kmh), case.vut_speeds_kmh[-1]}
         cases.append(replace(case, vut_speeds_kmh=tuple(sorted(speeds_kmh))))
 
-    runs, _ = build_runs(load_study_scene(), cases, vut=actors["vut"], rule=rule)
+    runs, _ = build_runs(
+        load_study_scene(),
+        cases,
+        vut=actors["vut"],
+        rule=rule,
+    )
     return runs
 
 
@@ -355,7 +366,12 @@ def test_no_sampled_vehicle_stands_in_a_swept_path(
         waiting_share=0.9,
         clear_of_mouth_m=0.0,
     )
-    sample = first_world(setting, (), replace(default, traffic=crowded), seed=4)
+    sample = first_world(
+        setting,
+        (),
+        replace(default, traffic=crowded),
+        seed=4,
+    )
     n_standing = 0
     n_left_out = 0
 
@@ -392,7 +408,12 @@ def test_only_what_is_in_the_way_is_left_out(junction_scene, junction_runs, rule
     ways = build_ways(list(junction_runs.values()), rule)
 
     clear = clear_of_ways(vehicles, ways, clearance_m=0.5)
-    directions = {"east": (1, 0), "north": (0, 1), "west": (-1, 0), "south": (0, -1)}
+    directions = {
+        "east": (1, 0),
+        "north": (0, 1),
+        "west": (-1, 0),
+        "south": (0, -1),
+    }
 
     for approach, run in junction_runs.items():
         gone = set(vehicles) - set(clear[group_key(run)])

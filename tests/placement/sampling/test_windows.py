@@ -84,7 +84,12 @@ def test_nobody_farther_than_the_reach_is_in_a_window():
     assert np.nanmax(one.position_m[:, 0]) == pytest.approx(100.0)
     assert int(one.is_there.sum()) == 201
 
-    near = cut_window(found, 0.1 * np.arange(301), middle_m=MIDDLE_M, reach_m=200.0)
+    near = cut_window(
+        found,
+        0.1 * np.arange(301),
+        middle_m=MIDDLE_M,
+        reach_m=200.0,
+    )
 
     assert [int(body.is_there.sum()) for body in near] == [301, 301]
 
@@ -160,6 +165,7 @@ def test_who_passes_between_two_frames_is_found(standing_still):
         [14.0, 0.0],
         [26.0, 0.0],
     )
+
     body = MovingActor(actor=VAN, position_m=position, yaw_deg=np.zeros(n))
 
     assert not brute_force_meets(run, body, 0.5)
@@ -173,6 +179,7 @@ def test_a_clearance_keeps_vehicles_away_and_no_farther(standing_still):
     # m east.
     vru = run.encounter.vru
     edge_m = 20.0 + 0.5 * vru.width_m + 0.5 * VAN.length_m
+
     near = standing([edge_m + 0.49, 0.0], n)
     far = standing([edge_m + 0.51, 0.0], n)
 
@@ -239,7 +246,12 @@ def worlds(setting, recorded, *, n_samples=2, seed=1, **options):
     """Worlds in which the vans drive."""
     uncertainty = with_moving_traffic(Uncertainty(), recorded)
     found = draw_samples(
-        setting, (), uncertainty, n_samples=n_samples, seed=seed, **options
+        setting,
+        (),
+        uncertainty,
+        n_samples=n_samples,
+        seed=seed,
+        **options,
     )
     return list(found)
 

@@ -78,7 +78,12 @@ def test_the_same_seed_draws_the_same_worlds_and_another_one_others(
 ):
     def draw(*, n_samples=2, seed=5, **options):
         samples = draw_samples(
-            setting, candidates, default, n_samples=n_samples, seed=seed, **options
+            setting,
+            candidates,
+            default,
+            n_samples=n_samples,
+            seed=seed,
+            **options,
         )
         return [_record(sample) for sample in samples]
 
@@ -94,7 +99,13 @@ def test_the_same_seed_draws_the_same_worlds_and_another_one_others(
 
 
 def test_worlds_are_drawn_when_they_are_asked_for(setting, default):
-    worlds = draw_samples(setting, (), default, n_samples=10**9, seed=0)
+    worlds = draw_samples(
+        setting,
+        (),
+        default,
+        n_samples=10**9,
+        seed=0,
+    )
     first = RandomStreams(seed=0, purpose="choose", index=0)
 
     assert next(iter(worlds)).streams == first
@@ -140,7 +151,12 @@ def test_few_heights_stand_for_the_normal_distribution(setting, look):
     poses = _row_of(look, 4000)
     exact = np.array([1 / 6, 2 / 3, 1 / 6])
 
-    sample = first_world(setting, poses, _mounting(0.0, 0.0, 0.1), seed=1)
+    sample = first_world(
+        setting,
+        poses,
+        _mounting(0.0, 0.0, 0.1),
+        seed=1,
+    )
     off = (_offsets(sample)[:, 2] / 0.1).round(9)
     steps, count = np.unique(off, return_counts=True)
     moments = [exact @ steps**power for power in (1, 2, 3, 4, 5)]
@@ -155,7 +171,12 @@ def test_poses_of_one_mount_are_off_by_the_same(setting, candidates, look):
     high = look("b", [0.0, 0.0, 7], yaw_deg=90)
     poses = (*candidates, low, high)
 
-    sample = first_world(setting, poses, _mounting(1.0, 1.0, 0.1), seed=2)
+    sample = first_world(
+        setting,
+        poses,
+        _mounting(1.0, 1.0, 0.1),
+        seed=2,
+    )
     by_mount = {}
     for pose, off in zip(poses, _offsets(sample).round(9), strict=True):
         by_mount.setdefault(mount_key(pose), set()).add(tuple(off))
@@ -180,7 +201,12 @@ def test_no_sensor_ends_up_underground_or_looks_over_its_shoulder(setting, look)
         look(f"{n}", [float(n), 0.0, 0.2], yaw_deg=0.0, pitch_deg=-89.5)
         for n in range(50)
     ]
-    lowest = look("lowest", [0.0, 9.0, 0.05], yaw_deg=0.0, pitch_deg=89.5)
+    lowest = look(
+        "lowest",
+        [0.0, 9.0, 0.05],
+        yaw_deg=0.0,
+        pitch_deg=89.5,
+    )
 
     sample = first_world(setting, [*low, lowest], _mounting(0.0, 20.0, 0.5))
     poses = [candidate.pose for candidate in sample.candidates]

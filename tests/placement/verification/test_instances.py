@@ -183,6 +183,7 @@ def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(
     path = tmp_path / "a.npz"
     axis = problem.table.axis
     save_problem(path, problem)
+
     with np.load(path) as archive:
         assert "positions" not in archive.files  # as before there were any
 

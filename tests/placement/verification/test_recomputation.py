@@ -179,6 +179,7 @@ def test_neighbours_are_all_sets_that_differ_in_one_unit(problem):
     rows = list(recomputation.usable_poses(problem)[:3])
     if not rows:
         return
+
     usable = set(recomputation.usable_poses(problem).tolist())
     found = [
         frozenset(poses)
@@ -230,6 +231,7 @@ def test_the_best_others_of_a_solved_problem_are_the_solution_itself(frame_axis,
     best = recomputation.best_others(problem, stages, recomputation.all_sets(problem))
 
     assert [other.name for other in best] == [stage.name for stage in stages]
+
     expected = [stage.objective for stage in stages]
 
     assert [other.value for other in best] == pytest.approx(expected)

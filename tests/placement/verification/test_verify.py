@@ -219,6 +219,7 @@ def test_a_changed_table_is_found_even_if_the_hash_was_made_to_fit(
 
     table = pack_table(problem.table.pose_ids, problem.table.axis, blind)
     other = replace(problem, table=table)
+
     document["instance"]["sha256"] = verify_module.problem_hash(other)
     found = failed(verify(tmp_path, other, document))
 
@@ -264,7 +265,12 @@ def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(
             certificate=Certificate(stages=stages, solver="an oracle"),
             presolve=presolve,
         )
-        found = verify(tmp_path, problem, document_of(problem, lie), max_sets=max_sets)
+        found = verify(
+            tmp_path,
+            problem,
+            document_of(problem, lie),
+            max_sets=max_sets,
+        )
         n_worse += 1
 
         assert failed(found)

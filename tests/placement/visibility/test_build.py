@@ -80,7 +80,13 @@ def _build(world, candidates, **options):
     """The table of candidates in a world: scene, runs and axis."""
     scene, runs, axis = world
     options = {"detector": DETECTOR} | options
-    return build_detection_table(scene, candidates, runs, axis, **options)
+    return build_detection_table(
+        scene,
+        candidates,
+        runs,
+        axis,
+        **options,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +157,13 @@ def test_two_workers_build_the_same_table_as_one(world, candidates, table):
 def test_a_vru_above_the_lens_or_in_it_does_no_harm(
     build_scene, build_run, axis_of, mount
 ):
-    run = build_run([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [1.0, 0.0, 90.0]])
+    run = build_run(
+        [
+            [0.0, 0.0, 0.0],
+            [0.3, 0.0, 0.0],
+            [1.0, 0.0, 90.0],
+        ]
+    )
     eyes = [mount(f"{z:g}", [0.0, 0.0, z]) for z in (0.4, 0.9, 1.8, 2.0)]
 
     table = _build((build_scene(), [run], axis_of([run])), eyes)
@@ -223,6 +235,7 @@ def test_the_largest_distance_is_reached_in_the_corner_of_the_image():
     half = np.radians(0.5 * camera.vertical_fov_deg)
     foot = limit_m * np.array([np.cos(half), 0.0, -np.sin(half)])
     head = foot + 0.01 * np.array([np.sin(half), 0.0, np.cos(half)])
+
     pose = Pose(position_m=[0.0, 0.0, 0.0], yaw_deg=0.0)
 
     rows = project_points([foot, head], pose, camera)[:, 1]

@@ -367,6 +367,7 @@ def test_what_it_takes_to_find_somebody_by_lidar_is_part_of_the_fingerprint(
     other = replace(
         load_lidar_detection(), min_points={"pedestrian": 1, "child": 1, "cyclist": 1}
     )
+
     monkeypatch.setattr(build_module, "load_lidar_detection", lambda: other)
 
     assert _fingerprint(inputs) == by_camera

@@ -41,7 +41,13 @@ def _naive_visible(caster, middle, eye, points):
 
 def _world(scene, runs, **options):
     """The world that runs are looked at in."""
-    return build_world(scene, runs, n_points=N_POINTS, seed=0, **options)
+    return build_world(
+        scene,
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+        **options,
+    )
 
 
 def _look(world, eye_m, **options):
@@ -83,7 +89,12 @@ def _compare(scene, runs, eye, frames):
         is_grazing = np.zeros(N_POINTS, dtype=bool)
         for shake in rng.normal(scale=SHAKE_M, size=(N_SHAKEN, 3)):
             beside = eye + rng.normal(scale=SHAKE_M, size=3)
-            shaken = _naive_visible(caster, middle, beside, points + shake)
+            shaken = _naive_visible(
+                caster,
+                middle,
+                beside,
+                points + shake,
+            )
             is_grazing |= shaken != expected
 
         entry = sight.entry_of_frame[frame]
@@ -137,6 +148,7 @@ def test_sight_is_what_rays_one_by_one_see_in_the_world(build_scene, build_run, 
     scene = build_scene(*WALLS)
     runs = _random_runs(build_run, rng, 24, vut_between_of=eye[:2])
     n_frames = sum(len(run.time_s) for run in runs)
+
     same, grazing, seen = _compare(scene, runs, eye, range(n_frames))
 
     _assert_same(same, grazing)
@@ -164,7 +176,12 @@ def test_sight_is_the_naive_one_with_parked_bodies_of_one_run_only(
     runs = (plain, replace(plain, id="parked", obstruction=parked), cyclist)
     n = len(plain.time_s)
 
-    same, grazing, seen = _compare(build_scene(*WALLS), runs, eye, range(2 * n))
+    same, grazing, seen = _compare(
+        build_scene(*WALLS),
+        runs,
+        eye,
+        range(2 * n),
+    )
 
     _assert_same(same, grazing)
 
@@ -178,18 +195,33 @@ def test_worlds_that_share_a_scene_are_seen_as_each_alone(build_scene, build_run
     rng = default_rng(21)
     scene = build_scene(*WALLS)
     runs = _random_runs(build_run, rng, 24, vut_between_of=np.zeros(2))
-    common = build_shared_scene(scene, runs, n_points=N_POINTS, seed=0, caches="all")
+    common = build_shared_scene(
+        scene,
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+        caches="all",
+    )
     eyes = rng.uniform([-15, -15, 1], [15, 15, 8], (3, 3))
     n_hidden = set()
 
     for _ in range(3):
         east_m, north_m = rng.uniform(-10, 10, 2)
-        van = parked_at("parked-van", east_m, north_m, rng.uniform(-180, 180))
+        van = parked_at(
+            "parked-van",
+            east_m,
+            north_m,
+            rng.uniform(-180, 180),
+        )
         changed = [runs[0], replace(runs[1], obstruction=(van,))]
         sharing = _world(scene, changed, shared=common)
         apart = _world(scene, changed)
         is_asked = rng.random(len(sharing.views.yaw_deg)) < 0.6
-        views = {"near_m": NEAR_M, "is_asked": is_asked, "is_foreseen": is_asked}
+        views = {
+            "near_m": NEAR_M,
+            "is_asked": is_asked,
+            "is_foreseen": is_asked,
+        }
 
         for eye in eyes:
             cached = cast_sight(sharing, eye, **views)
@@ -255,6 +287,7 @@ def test_what_is_nearer_than_the_near_distance_hides_nothing(
         (0.3, 1.0, 4.0),
     )
     run = build_run([[10.0, 0.0, 0.0]])
+
     world = _world(build_scene(plate), [run])
 
     sight = _look(world, [0.0, 0.0, 3.0], near_m=near_m)
@@ -295,6 +328,7 @@ def test_the_sieve_keeps_every_frame_in_which_the_vut_blocks_a_ray(
 def test_both_ray_libraries_see_the_same(build_scene, build_run):
     if raycast.open3d_problem() is not None:
         pytest.skip("Open3D cannot load here")
+
     rng = default_rng(2)
     eye = np.array([-13.0, -9.0, 5.0])
     runs = _random_runs(build_run, rng, 60, vut_between_of=eye[:2])

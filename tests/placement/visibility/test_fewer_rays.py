@@ -55,6 +55,7 @@ def test_an_eye_next_to_the_body_gets_a_ray_to_every_point():
     caster = shape_caster(actor.shapes[0], "embree")
     # One eye is within the body.
     eyes_m = np.array([[0.0, 0.0, 1.0], [0.4, 0.1, 1.2]])
+
     found = casting._find_self_hidden(surface, caster, eyes_m)
 
     np.testing.assert_array_equal(found, all_rays(surface, caster, eyes_m))
@@ -62,10 +63,20 @@ def test_an_eye_next_to_the_body_gets_a_ray_to_every_point():
 
 def seen_from(scene, run, eye_m, near_m):
     """Bodies that one triangle is known to hide, and points that rays find hidden."""
-    shared = build_shared_scene(scene, [run], n_points=N_POINTS, seed=0)
+    shared = build_shared_scene(
+        scene,
+        [run],
+        n_points=N_POINTS,
+        seed=0,
+    )
     eye = eye_m - shared.origin_m
     every = np.arange(len(shared.places.yaw_deg))
-    is_behind = casting._is_behind_one_triangle(shared, eye, every, near_m=near_m)
+    is_behind = casting._is_behind_one_triangle(
+        shared,
+        eye,
+        every,
+        near_m=near_m,
+    )
     points_m = np.swapaxes(shared.places.axes_m, 1, 2).astype(float)
     ways_m = points_m - eye
     lengths_m = np.linalg.norm(ways_m, axis=2, keepdims=True)
@@ -89,7 +100,13 @@ def test_who_is_behind_one_triangle_has_no_visible_point(build_scene, build_run,
     rng = np.random.default_rng(seed)
     run = walk(build_run, rng.uniform(-25.0, 25.0, (400, 2)))
     eye_m = np.array([*rng.uniform(-6.0, 6.0, 2), rng.uniform(2.5, 8.0)])
-    is_behind, hidden = seen_from(build_scene(*WALLS), run, eye_m, 0.35)
+
+    is_behind, hidden = seen_from(
+        build_scene(*WALLS),
+        run,
+        eye_m,
+        0.35,
+    )
 
     assert is_behind.any()
     assert hidden[is_behind].all()
@@ -101,16 +118,25 @@ def test_a_wall_that_is_too_near_hides_nobody(build_scene, build_run):
     eye_m = np.array([0.0, 0.0, 4.0])
 
     is_behind, _ = seen_from(build_scene(wall), run, eye_m, 0.35)
+
     assert is_behind.all()
 
     is_behind, _ = seen_from(build_scene(wall), run, eye_m, 2.0)
+
     assert not is_behind.any()
 
 
 def test_who_stands_before_a_wall_or_looks_past_its_edge_is_not_behind_it(
     build_scene, build_run
 ):
-    run = walk(build_run, [(8.0, 0.0), (20.0, 30.0), (20.0, -4.0)])
+    run = walk(
+        build_run,
+        [
+            (8.0, 0.0),
+            (20.0, 30.0),
+            (20.0, -4.0),
+        ],
+    )
     wall = ((10.0, -15.0, 0.0), (10.3, 15.0, 9.0))
     eye_m = np.array([0.0, 0.0, 4.0])
     is_behind, hidden = seen_from(build_scene(wall), run, eye_m, 0.35)

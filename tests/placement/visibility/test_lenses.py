@@ -37,7 +37,12 @@ def world(build_scene, build_run):
         vut = vru + [4.0, 3.0, 20.0]
         runs.append(build_run(vru, vut, vru=body, obstruction=(van,), name=body))
 
-    return build_world(build_scene(*WALLS), runs, n_points=N_POINTS, seed=0)
+    return build_world(
+        build_scene(*WALLS),
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+    )
 
 
 def sensing_of(world, near_m, detector=DETECTOR):
@@ -133,6 +138,7 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(world, mount, small_camera):
         replace(look, sensor=replace(look.sensor, lens=BrownConrady(), roll_deg=0.0))
         for look in looks
     ]
+
     sensing = sensing_of(world, small_camera.near_m)
 
     assert np.array_equal(sensing.packed(looks), sensing.packed(zero))
@@ -151,7 +157,12 @@ def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, mod
     for some in [[look] for look in looks] + [looks]:
         sight = cast_for(world, np.array(MOUNT), [(look, DETECTOR) for look in some])
 
-        sensing = build_sensing(world, sight, np.array(MOUNT), DETECTOR)
+        sensing = build_sensing(
+            world,
+            sight,
+            np.array(MOUNT),
+            DETECTOR,
+        )
         rows = [looks.index(look) for look in some]
 
         assert np.array_equal(sensing.packed(some), every[rows])
@@ -164,6 +175,7 @@ def test_evidence_says_how_much_of_a_body_the_picture_cuts_off(
 ):
     rng = default_rng(2)
     camera = random_camera(rng, small_camera, "fisheye")
+
     ((_, plain), (_, part)) = sensing_of(world, 0.35).evidence(
         looks_of(mount, rng, [camera])
     )

@@ -41,10 +41,21 @@ def world(build_scene, build_run):
         vru = rng.uniform(-1.0, 1.0, (90, 3)) * [20.0, 20.0, 180.0]
         vut = poses_beside(rng, vru, 2.5, 6.0)
         free = build_run(vru, vut, vru=body, name=f"{body}/day")
-        behind = build_run(vru, vut, vru=body, obstruction=(van,), name=f"{body}/fog")
+        behind = build_run(
+            vru,
+            vut,
+            vru=body,
+            obstruction=(van,),
+            name=f"{body}/fog",
+        )
         runs += [free, replace(behind, weather="fog")]
 
-    return build_world(build_scene(*WALLS), runs, n_points=N_POINTS, seed=0)
+    return build_world(
+        build_scene(*WALLS),
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+    )
 
 
 def _sensing(world, candidates, detector, *, for_lidar=False):
@@ -100,7 +111,12 @@ def test_every_verdict_is_that_of_numpy(world, mount, small_camera, detector, se
 def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
     world, mount, small_camera, seed
 ):
-    looks = _random_looks(mount, default_rng(100 + seed), small_camera, 8)
+    looks = _random_looks(
+        mount,
+        default_rng(100 + seed),
+        small_camera,
+        8,
+    )
     sensing = _sensing(world, looks, DETECTORS["geometric"])
     parts = list(sensing.evidence(looks))
     row_index = np.concatenate([rows for rows, _ in parts])
@@ -150,7 +166,12 @@ def test_many_sensors_at_once_detect_what_each_does_alone(
     looks = _random_looks(mount, default_rng(5), small_camera, 6)
     lidar = replace(load_lidars()["carla-ncap-lidar"], near_m=small_camera.near_m)
     looks.insert(3, replace(looks[0], id="lidar", sensor=lidar))
-    sensing = _sensing(world, looks, DETECTORS["far-sighted"], for_lidar=True)
+    sensing = _sensing(
+        world,
+        looks,
+        DETECTORS["far-sighted"],
+        for_lidar=True,
+    )
     together = sensing.detected(looks)
 
     assert together[3].any()
@@ -175,6 +196,7 @@ def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
 ):
     looks = _random_looks(mount, default_rng(9), small_camera, 12)
     detector = DETECTORS[detector]
+
     some = _sensing(world, looks, detector, for_lidar=False)
     every = _sensing(world, looks, detector, for_lidar=True)
 
@@ -193,7 +215,12 @@ def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
 def test_no_view_is_left_out_that_a_sensor_detects(
     world, mount, small_camera, detector, seed
 ):
-    looks = _random_looks(mount, default_rng(20 + seed), small_camera, 5)
+    looks = _random_looks(
+        mount,
+        default_rng(20 + seed),
+        small_camera,
+        5,
+    )
     lidar = load_lidars()["carla-ncap-lidar"]
     looks.insert(
         2, replace(looks[0], sensor=replace(lidar, near_m=small_camera.near_m))

@@ -94,17 +94,38 @@ def test_no_ray_is_spared_that_something_stops(
         boxes.append((corner, corner + rng.uniform(0.05, 4.0, 3)))
 
     east_m, north_m = rng.uniform(-9.0, 9.0, 2)
-    van = parked_at("parked-van", east_m, north_m, rng.uniform(-180, 180))
+    van = parked_at(
+        "parked-van",
+        east_m,
+        north_m,
+        rng.uniform(-180, 180),
+    )
     vru = poses_within(rng, 300, 30.0)
     vut = vru + poses_within(rng, 300, 7.0)
     runs = [
         build_run(vru[:200], vut[:200], vru="adult", name="a"),
-        build_run(vru[200:], vut[200:], vru="cyclist", obstruction=(van,), name="b"),
+        build_run(
+            vru[200:],
+            vut[200:],
+            vru="cyclist",
+            obstruction=(van,),
+            name="b",
+        ),
     ]
-    world = build_world(build_scene(*boxes), runs, n_points=N_POINTS, seed=0)
+    world = build_world(
+        build_scene(*boxes),
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+    )
     eye = np.array([*rng.uniform(-20.0, 20.0, 2), rng.uniform(0.3, 9.0)])
 
-    shares = _assert_nothing_is_missed(world, eye, monkeypatch, for_lidar=for_lidar)
+    shares = _assert_nothing_is_missed(
+        world,
+        eye,
+        monkeypatch,
+        for_lidar=for_lidar,
+    )
 
     assert shares[0] < 0.8
 
@@ -114,9 +135,15 @@ def test_from_within_the_box_of_a_parked_body_all_rays_are_cast(
 ):
     van = parked_at("parked-van", 0.0, 0.0, 20.0)
     run = build_run([[8.0, 1.0, 0.0], [-9.0, 2.0, 50.0]], obstruction=(van,))
-    world = build_world(build_scene(), [run], n_points=N_POINTS, seed=0)
+    world = build_world(
+        build_scene(),
+        [run],
+        n_points=N_POINTS,
+        seed=0,
+    )
 
     inside = np.array([0.5, 0.0, 1.2])
+
     shares = _assert_nothing_is_missed(world, inside, monkeypatch)
 
     # All of those to the van, none of as many to the empty scene.

@@ -123,7 +123,12 @@ def test_no_weather_shows_what_the_day_does_not(
         for name, sensor in (("camera", small_camera), ("lidar", STUDY))
     ]
     scene = build_scene(*WALLS)
-    found = table_of(scene, candidates, _in_weathers(random_runs), detector)
+    found = table_of(
+        scene,
+        candidates,
+        _in_weathers(random_runs),
+        detector,
+    )
     found = found.reshape(4, 4, -1)  # candidate, weather, frame
     by_day = found[:, 0]
 
@@ -146,7 +151,12 @@ def _evidence_of_frames(scene, runs, candidate, detector):
     position = candidate.pose.position_m
     pose = candidate.pose
     camera = candidate.sensor
-    sight = cast_sight(world, position, near_m=camera.near_m, max_distance_m=1000.0)
+    sight = cast_sight(
+        world,
+        position,
+        near_m=camera.near_m,
+        max_distance_m=1000.0,
+    )
     made = build_sensing(world, sight, position, detector)
     (_, whole), (_, part) = made.evidence([candidate])
     fields = (
@@ -172,7 +182,12 @@ def test_the_response_foretold_by_points_is_that_of_pixels(
     """Points are 10 cm apart, and a share of them is no share of pixels: a tenth on
     most frames.
     """
-    candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
+    candidate = mount(
+        "a",
+        [-10.0, -12.0, 6.0],
+        yaw_deg=50.0,
+        pitch_deg=-20.0,
+    )
     evidence = _evidence_of_frames(
         build_scene(*WALLS),
         random_runs,
@@ -289,7 +304,13 @@ def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
 def test_a_lidars_table_leaves_of_those_with_enough_points_who_are_near_enough(
     build_scene, random_runs, mount, table_of
 ):
-    at = mount("a", [-30.0, -12.0, 6.0], yaw_deg=20.0, pitch_deg=-12.0, camera=SURE)
+    at = mount(
+        "a",
+        [-30.0, -12.0, 6.0],
+        yaw_deg=20.0,
+        pitch_deg=-12.0,
+        camera=SURE,
+    )
     rule = load_planning_detector()
     table = load_detector("pointrcnn-2019").lidar
     half_at_30_m = replace(
@@ -359,6 +380,7 @@ def test_a_level_ring_has_the_same_row_however_it_is_turned(
         mount(f"{yaw:g}", [1.0, -2.0, 5.0], yaw_deg=yaw, pitch_deg=0.0, camera=RING)
         for yaw in yaws_deg
     ]
+
     found = table_of(build_scene(*WALLS), candidates, random_runs)
 
     assert (found == found[0]).all()

@@ -68,7 +68,13 @@ def some_runs(build_run, seed, n_frames=12):
             position_m=driven[:, :2],
             yaw_deg=driven[:, 2],
         )
-        run = build_run(vru, vut, vru=name, obstruction=(car,), name=name)
+        run = build_run(
+            vru,
+            vut,
+            vru=name,
+            obstruction=(car,),
+            name=name,
+        )
         runs.append(replace(run, traffic=(van,)))
 
     return runs

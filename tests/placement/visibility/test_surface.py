@@ -20,7 +20,12 @@ BODIES = (
 def surface(request):
     """Points on a shape of a road user."""
     name, index = request.param
-    return build_surface(load_actors()[name], index, n_points=N_POINTS, seed=0)
+    return build_surface(
+        load_actors()[name],
+        index,
+        n_points=N_POINTS,
+        seed=0,
+    )
 
 
 def _shape(surface):
@@ -110,9 +115,19 @@ def test_points_are_evenly_spread(surface):
 
 
 def test_the_seed_decides(surface):
-    again = build_surface(surface.actor, surface.shape_index, n_points=N_POINTS, seed=0)
+    again = build_surface(
+        surface.actor,
+        surface.shape_index,
+        n_points=N_POINTS,
+        seed=0,
+    )
 
-    other = build_surface(surface.actor, surface.shape_index, n_points=N_POINTS, seed=1)
+    other = build_surface(
+        surface.actor,
+        surface.shape_index,
+        n_points=N_POINTS,
+        seed=1,
+    )
 
     assert np.array_equal(again.points_m, surface.points_m)
     assert not np.array_equal(other.points_m, surface.points_m)
