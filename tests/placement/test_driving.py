@@ -104,9 +104,8 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
 @pytest.mark.long
 def test_a_map_bounds_the_speeds_unless_others_are_asked_for():
     free = t_junction()
-    slow = replace(
-        free, lanes=tuple(replace(lane, speed_limit_kmh=30.0) for lane in free.lanes)
-    )
+    lanes = tuple(replace(lane, speed_limit_kmh=30.0) for lane in free.lanes)
+    slow = replace(free, lanes=lanes)
 
     def speeds(scene, asked):
         drives = drive(
@@ -256,10 +255,11 @@ def test_perception_and_radio_are_those_of_the_question():
         packet_loss=0.1,
         vam_rate=0.5,
     )
+    expected = Radio(packet_loss=0.1, vam_rate=0.5)
 
     assert other.detector is other.table_detector is load_planning_detector("response")
     assert set(other.vut_sensors) == {"camera", "lidar"}
-    assert other.radio == Radio(packet_loss=0.1, vam_rate=0.5)
+    assert other.radio == expected
 
 
 @pytest.mark.parametrize(

@@ -113,8 +113,9 @@ def test_a_lens_that_is_set_comes_back_from_its_records(layout, share):
     records = json.loads(json.dumps(layout_records(layout), allow_nan=False))
 
     back = layout_from_records(layout.name, records, "f.json")
+    expected = [unit.sensor for unit in units]
 
-    assert [unit.sensor for unit in back.units] == [unit.sensor for unit in units]
+    assert [unit.sensor for unit in back.units] == expected
 
     for record, unit in zip(records, units, strict=True):
         model = load_cameras().get(unit.sensor.name)

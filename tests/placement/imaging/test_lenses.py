@@ -189,4 +189,5 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(draw, small):
     bent = draw(zero)
 
     for name in ("rgb", "instance", "depth_m"):
-        assert np.array_equal(getattr(plain, name), getattr(bent, name))
+        expected = getattr(bent, name)
+        assert np.array_equal(getattr(plain, name), expected)

@@ -69,7 +69,8 @@ def test_what_is_left_is_what_stands_on_the_other_poles(problem, n_failures):
                 n_failures,
                 sets,
             )
-            assert found == pytest.approx(np.array(wanted))
+            expected = np.array(wanted)
+            assert found == pytest.approx(expected)
 
 
 @given(
@@ -84,7 +85,8 @@ def test_the_best_layout_is_that_of_brute_force(problem, survive, solver):
         for poses in feasible_layouts(problem)
     )
 
-    solution = solve_placement(problem, effort=Effort(solver=solver, time_limit_s=60.0))
+    effort = Effort(solver=solver, time_limit_s=60.0)
+    solution = solve_placement(problem, effort=effort)
     stages = solution.certificate.stages
 
     assert [stage.objective for stage in stages[:3]] == pytest.approx(best)

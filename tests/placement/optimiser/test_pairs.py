@@ -57,8 +57,9 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
     assert walk.is_finished
 
     found = sorted(tuple(sorted(units)) for units in met.tolist())
+    expected = sorted(map(tuple, sets[share >= need - 1e-9].tolist()))
 
-    assert found == sorted(map(tuple, sets[share >= need - 1e-9].tolist()))
+    assert found == expected
 
 
 @settings(max_examples=30)

@@ -28,7 +28,8 @@ def judge(tmp_path_factory, rule):
     """Judges a folder by the study's rule."""
 
     def run(folder, **options):
-        written = folder.write(tmp_path_factory.mktemp("recording"))
+        folder_of_run = tmp_path_factory.mktemp("recording")
+        written = folder.write(folder_of_run)
         return evaluate_recording(read_recording(written), rule, **options)
 
     return run
@@ -66,17 +67,20 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
     # late. Car: none.
     result = judge(small)
     axis = result.axis
+    speeds_kmh = axis.vut_speed_kmh.tolist()
+    weights = axis.weight.tolist()
+    starts = axis.run_start.tolist()
 
     assert axis.run_ids == ("recording/3/36", "recording/3/54")
     assert axis.cases == ("scenario-3-pedestrian",) * 2
     assert axis.approaches == ("recorded",) * 2
     assert axis.weathers == ("recorded",) * 2
-    assert axis.vut_speed_kmh.tolist() == pytest.approx([36.0, 54.0])
-    assert axis.weight.tolist() == [0.5, 0.5]
+    assert speeds_kmh == pytest.approx([36.0, 54.0])
+    assert weights == [0.5, 0.5]
     assert axis.last_brake_time_s == pytest.approx(
         [-10.0 / 15.44, -15.0 / 15.44], abs=1e-12
     )
-    assert axis.run_start.tolist() == [0, 12, 28]
+    assert starts == [0, 12, 28]
     assert axis.time_s[[0, 11, 12, 27]] == pytest.approx([-1.1, 0.0, -1.5, 0.0])
 
     outcomes = {"0": [False, True], "1": [False, False]}
@@ -88,7 +92,8 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
     assert result.vut.is_avoided.tolist() == [True, False]
     assert result.vut_and_rsus.is_avoided.tolist() == [True, True]
 
-    aprs = [apr(v, axis) for v in (*result.units.values(), result.rsu_all, result.vut)]
+    verdicts = (*result.units.values(), result.rsu_all, result.vut)
+    aprs = [apr(v, axis) for v in verdicts]
 
     assert aprs == [0.5, 0.0, 1.0, 0.5]
     assert [
@@ -310,11 +315,10 @@ def test_the_detection_table_has_a_row_per_unit(small, judge):
     result = judge(small)
 
     table = recorded_table(result)
+    expected = [result.units[unit].detected for unit in ("0", "1")]
 
     assert table.pose_ids == ("0", "1")
-    assert np.array_equal(
-        table.detected([0, 1]), [result.units[unit].detected for unit in ("0", "1")]
-    )
+    assert np.array_equal(table.detected([0, 1]), expected)
 
 
 def test_who_goes_the_vuts_way_is_told(new_folder, tmp_path):

@@ -78,10 +78,9 @@ def test_a_recording_made_twice_into_one_folder_reads_as_once(small, tmp_path):
 
     twice = read_recording(small.write(tmp_path / "twice"))
     n_lines = 88 + 3 * 88 + 12  # WorldData, labels, detections
+    expected = dict(once.skipped) | {"lines that repeat others": n_lines}
 
-    assert dict(twice.skipped) == dict(once.skipped) | {
-        "lines that repeat others": n_lines
-    }
+    assert dict(twice.skipped) == expected
     assert twice.labels == once.labels
     assert twice.detections == once.detections
 

@@ -150,6 +150,7 @@ def test_new_units_get_names_that_are_free_and_lost_ones_are_told():
 def test_a_lidar_has_no_lens_to_zoom():
     lidar = pick_sensor("carla-ncap-lidar", "test")
     unit = _unit("U1", sensor=lidar)
-    move = Move(before=unit, after=replace(unit, id="U1"))
+    after = replace(unit, id="U1")
+    move = Move(before=unit, after=after)
 
     assert move.zoom_deg == 0.0

@@ -20,9 +20,10 @@ from placement.refinement import build_places, moved
 def _limits(candidates, **fields):
     """Limits with one unit at each site."""
     sites = sorted({candidate.site_id or candidate.id for candidate in candidates})
+    site_capacity = np.ones(len(sites), dtype=int)
     return Limits(
         site_index=[sites.index(c.site_id or c.id) for c in candidates],
-        site_capacity=np.ones(len(sites), dtype=int),
+        site_capacity=site_capacity,
         budget_units=1,
         **fields,
     )

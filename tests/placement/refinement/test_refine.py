@@ -119,10 +119,11 @@ def test_a_refined_layout_is_within_all_limits_and_what_its_placement_says(
     refined = refinement.placement
     problem = refined.problem
     units = refined.pose_index
+    expected = tuple(c.id for c in refinement.candidates)
 
     assert is_feasible(problem, units)
     assert refinement.after == objective_values(problem, units)
-    assert problem.table.pose_ids == tuple(c.id for c in refinement.candidates)
+    assert problem.table.pose_ids == expected
     assert len(set(problem.table.pose_ids)) == len(problem.table.pose_ids)
 
     check_layout(refined.layout, meadow.scene)
@@ -193,11 +194,12 @@ def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
     old = replace(meadow_grid[0], id="old")
     candidates = (*meadow_grid, old)
 
+    wishes = Wishes(budget_eur=0.0, existing=("old",))
     placement = place(
         Assembly(
             setting=meadow,
             candidates=candidates,
-            wishes=Wishes(budget_eur=0.0, existing=("old",)),
+            wishes=wishes,
         )
     )
 
@@ -221,10 +223,9 @@ def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
         compute=Compute(workers=2),
     )
     first = refinements["two units"]
+    expected = layout_records(first.placement.layout)
 
-    assert layout_records(again.placement.layout) == layout_records(
-        first.placement.layout
-    )
+    assert layout_records(again.placement.layout) == expected
     assert again.n_tried == first.n_tried
     assert again.after == first.after
 
@@ -338,9 +339,8 @@ def test_a_lidar_is_aimed_too(build_meadow, build_walk, build_small_setting, arc
 def test_a_table_of_sampled_worlds_is_refused(meadow, placements):
     candidates, placement = placements["one unit"]
     table = placement.problem.table
-    axis = replace(
-        table.axis, run_ids=tuple(f"{name}#1" for name in table.axis.run_ids)
-    )
+    run_ids = tuple(f"{name}#1" for name in table.axis.run_ids)
+    axis = replace(table.axis, run_ids=run_ids)
     problem = replace(placement.problem, table=replace(table, axis=axis))
 
     with refused_with(

@@ -92,9 +92,10 @@ def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
         (shape,) = kind.actor.shapes
         mesh = trimesh.Trimesh(shape.vertices_m, shape.triangles, process=False)
         size = [kind.actor.length_m, kind.actor.width_m, kind.actor.height_m]
+        expected = np.prod(size)
 
         assert mesh.is_watertight
-        assert mesh.volume == pytest.approx(np.prod(size))
+        assert mesh.volume == pytest.approx(expected)
         assert np.ptp(shape.vertices_m, axis=0) == pytest.approx(size)
         assert shape.vertices_m[:, 2].min() == 0.0
         assert shape.vertices_m[:, :2].mean(axis=0) == pytest.approx([0.0, 0.0])

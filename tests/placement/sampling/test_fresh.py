@@ -160,7 +160,9 @@ def test_layouts_are_judged_in_the_same_worlds_alone_or_together(
             n_samples=12,
             compute=two_workers,
         )
-        assert alone.apr_by_sample.tolist() == together.apr_by_sample.tolist()
+        expected = together.apr_by_sample.tolist()
+
+        assert alone.apr_by_sample.tolist() == expected
         assert alone.layout is layout
 
     both, one, other = judged
@@ -188,7 +190,8 @@ def test_worlds_looked_at_in_parts_are_the_same_worlds(setting, layouts, judged)
     )
 
     for item, same in zip(together, judged, strict=True):
-        assert item.apr_by_sample.tolist() == same.apr_by_sample.tolist()
+        expected = same.apr_by_sample.tolist()
+        assert item.apr_by_sample.tolist() == expected
         assert item.avoided_share == pytest.approx(same.avoided_share)
 
 
@@ -203,8 +206,9 @@ def test_a_name_is_not_luck(setting, layouts, judged):
     renamed = replace(layouts[0], units=tuple(units))
 
     again = out_of_sample(setting, renamed, LOSSY, n_samples=12)
+    expected = judged[0].apr_by_sample.tolist()
 
-    assert again.apr_by_sample.tolist() == judged[0].apr_by_sample.tolist()
+    assert again.apr_by_sample.tolist() == expected
 
 
 def test_numbers_of_a_judgement_belong_together(setting, judged):
@@ -284,17 +288,19 @@ def test_progress_counts_worlds(setting, layouts):
         n_samples=2,
         compute=compute,
     )
+    expected = [("out of sample", done, 2) for done in (0, 1, 2)]
 
-    assert calls == [("out of sample", done, 2) for done in (0, 1, 2)]
+    assert calls == expected
 
 
 def test_a_judgement_must_fit_its_runs(setting, layouts):
+    avoided_share = np.ones(setting.axis.n_runs + 1)
     with pytest.raises(InputError, match="avoided_share"):
         SampledApr(
             layout=layouts[0],
             axis=setting.axis,
             apr_by_sample=np.ones(3),
-            avoided_share=np.ones(setting.axis.n_runs + 1),
+            avoided_share=avoided_share,
         )
 
 

@@ -196,10 +196,11 @@ def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, a
         shifted_m = there_m + aside_m * np.array([-np.sin(angle), np.cos(angle)])
         planned, planned_yaw = motion.path.at(distances_m)
         positions, yaws = path.at(distances_m)
+        expected = np.hypot(*(planned - there_m).T)
 
         assert_allclose(
             np.hypot(*(positions - shifted_m).T),
-            np.hypot(*(planned - there_m).T),
+            expected,
             atol=1e-6,
         )
         assert_allclose(path.at(whole_m)[0], shifted_m, atol=1e-9)

@@ -135,10 +135,9 @@ def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planne
         slower = replace(rule, latency_s=rule.latency_s + 0.3)
 
         here_s = live_confirmation_times_s(detected, sampled.table.axis, rule=rule)
+        expected = live_confirmation_times_s(detected, setting.axis, rule=slower)
 
-        assert np.array_equal(
-            here_s, live_confirmation_times_s(detected, setting.axis, rule=slower)
-        )
+        assert np.array_equal(here_s, expected)
 
 
 @given(
@@ -162,8 +161,9 @@ def test_bits_are_appended_where_they_belong(worlds):
     found = np.unpackbits(packed, axis=1, count=n * n_bits, bitorder="little").astype(
         bool
     )
+    expected = [bit for bits in worlds for bit in bits]
 
-    assert found[0].tolist() == [bit for bits in worlds for bit in bits]
+    assert found[0].tolist() == expected
     assert np.array_equal(found[1], ~found[0])
     assert not np.unpackbits(packed, axis=1, bitorder="little")[:, n * n_bits :].any()
 
@@ -281,7 +281,8 @@ def test_a_world_beside_others_is_as_it_is_alone(
 def _queue_of(actor, share):
     """One vehicle that waits as often as its share says."""
     kind = VehicleKind(actor=actor, parked_share=0.0, waiting_share=1.0)
-    return Uncertainty(traffic=StandingTraffic(waiting_share=share, vehicles=(kind,)))
+    traffic = StandingTraffic(waiting_share=share, vehicles=(kind,))
+    return Uncertainty(traffic=traffic)
 
 
 @pytest.fixture(scope="module")

@@ -388,9 +388,10 @@ def test_a_fingerprint_is_the_same_for_equal_inputs(inputs):
     assert int(before, 16) >= 0
 
     scene = inputs["scene"]
+    vertices_m = scene.vertices_m.copy()
     equal = {
         **inputs,
-        "scene": replace(scene, vertices_m=scene.vertices_m.copy()),
+        "scene": replace(scene, vertices_m=vertices_m),
         "candidates": [
             replace(c, pose=replace(c.pose), sensor=replace(c.sensor))
             for c in inputs["candidates"]

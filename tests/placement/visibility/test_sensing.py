@@ -49,7 +49,8 @@ def _jumping(build_run, reach_m):
     for body in ("adult", "child", "cyclist"):
         vru = rng.uniform(-1.0, 1.0, (80, 3)) * [reach_m, reach_m, 180.0]
         vut = poses_beside(rng, vru, 3.0, 6.0)
-        runs.append(build_run(vru, vut, vru=body, name=body))
+        run = build_run(vru, vut, vru=body, name=body)
+        runs.append(run)
 
     return tuple(runs)
 
@@ -131,11 +132,12 @@ def test_no_weather_shows_what_the_day_does_not(
     )
     found = found.reshape(4, 4, -1)  # candidate, weather, frame
     by_day = found[:, 0]
+    expected = table_of(scene, candidates, random_runs, detector)
 
     assert (found <= by_day[:, None]).all()
     # Cameras: LiDARs do not see that far.
     assert (found[::2, 3] < by_day[::2]).any(axis=1).all()
-    assert np.array_equal(by_day, table_of(scene, candidates, random_runs, detector))
+    assert np.array_equal(by_day, expected)
     # At night a laser sees what it sees by day.
     assert np.array_equal(found[1::2, 1], by_day[1::2])
 
