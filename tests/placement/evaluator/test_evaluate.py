@@ -513,18 +513,15 @@ def test_wrong_axis_and_workers_are_named(build_layout, setting, study_runs):
     axis = build_frame_axis(fewer, weight)
 
     for change in ({"axis": axis}, {"runs": fewer}):
-        changed = replace(setting, **change)
         with pytest.raises(
             InputError, match="axis: got frames of other runs; expected the frame axis"
         ):
-            evaluate_layout(layout, changed)
-
-    compute = Compute(workers=0)
+            evaluate_layout(layout, replace(setting, **change))
 
     with pytest.raises(
         InputError, match="workers: got 0; expected a whole number, at least 1"
     ):
-        evaluate_layout(layout, setting, compute=compute)
+        evaluate_layout(layout, setting, compute=Compute(workers=0))
 
 
 @pytest.mark.parametrize(
