@@ -104,10 +104,11 @@ def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(
 
 def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_of):
     found = adviser.complete(weak, n_units=3)
+    expected = apr_of(found.units)
 
     assert {unit.id for unit in weak} <= {unit.id for unit in found.units}
     assert len(found.units) == 3
-    assert found.after.apr == pytest.approx(apr_of(found.units))
+    assert found.after.apr == pytest.approx(expected)
     assert found.after.apr == pytest.approx(adviser.best_next(weak).after.apr)
     # All tried: proven at once.
     assert found.n_compared == adviser.best_next(weak).n_compared
@@ -135,10 +136,11 @@ def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candida
         assert found.after.cost_eur > 0.0
 
         completed = adviser.complete([standing], n_units=3)
+        expected = apr_of(completed.units)
 
         assert len(completed.units) == 3
         assert completed.units[0] is standing
-        assert completed.after.apr == pytest.approx(apr_of(completed.units))
+        assert completed.after.apr == pytest.approx(expected)
 
         again = adviser.complete([replace(standing, id="mine")], n_units=3)
 
@@ -173,7 +175,8 @@ def test_an_answer_is_proven_by_what_is_asked_for(adviser, weak):
     assert cheap.is_all_proven is False
     assert cheap.bound == 0.9
 
-    open_ = replace(cheap, certificate=Certificate(stages=stages[::-1], solver=""))
+    certificate = Certificate(stages=stages[::-1], solver="")
+    open_ = replace(cheap, certificate=certificate)
 
     assert open_.is_proven is False
     assert open_.is_all_proven is False
@@ -237,6 +240,7 @@ def test_the_cheapest_is_as_good_and_no_dearer(adviser, setting, apr_of):
 def test_what_is_mounted_already_costs_nothing_in_all_answers(adviser):
     units = find_layout("carlancap-12").units[:3]
     names = [unit.id for unit in units]
+
     found = adviser.cheapest(units, paid=names)
 
     assert found.before.cost_eur == 0.0

@@ -47,7 +47,8 @@ def candidates():
 
 def limits_of(candidates, scene=SCENE, **wishes):
     """Limits of wishes."""
-    return build_limits(Wishes(**({"budget_units": 3} | wishes)), scene, candidates)
+    wishes_given = Wishes(**({"budget_units": 3} | wishes))
+    return build_limits(wishes_given, scene, candidates)
 
 
 def drawn(candidates, limits, scene=SCENE, n_units=3, seed=0):
@@ -61,10 +62,17 @@ def drawn(candidates, limits, scene=SCENE, n_units=3, seed=0):
 
 @given(problem=questions(), n_units=st.integers(1, 4), seed=st.integers(0, 9))
 def test_random_sets_are_within_all_limits(problem, n_units, seed):
-    sets = random_sets(problem.limits, n_units, n=5, rng=default_rng(seed))
+    sets = random_sets(
+        problem.limits,
+        n_units,
+        n=5,
+        rng=default_rng(seed),
+    )
     for units in sets:
+        expected = sorted(set(units))
+
         assert len(units) == n_units
-        assert list(units) == sorted(set(units))
+        assert list(units) == expected
         assert is_allowed(problem.limits, units)
 
     if not any(
@@ -78,11 +86,13 @@ def test_random_sets_are_within_all_limits(problem, n_units, seed):
 @given(problem=questions())
 def test_every_allowed_set_is_drawn_sooner_or_later_and_no_other(problem):
     limits = problem.limits
-    pairs = combinations(range(limits.n_poses), 2)
+    poses = range(limits.n_poses)
+    pairs = combinations(poses, 2)
 
     allowed = {units for units in pairs if is_allowed(limits, units)}
+    sets = random_sets(limits, 2, n=400, rng=default_rng(1))
 
-    assert set(random_sets(limits, 2, n=400, rng=default_rng(1))) == allowed
+    assert set(sets) == allowed
 
 
 # ---------- corners and the middle
@@ -94,7 +104,8 @@ def test_the_corners_of_the_studys_junction_lie_between_its_arms_clockwise():
     assert [*corners] == [*AT_CORNERS]
 
     middle = middle_m(SCENE)[:2]
-    signs = [tuple(np.sign(corner - middle)) for corner in corners.values()]
+    places_m = corners.values()
+    signs = [tuple(np.sign(corner - middle)) for corner in places_m]
 
     assert signs == [
         (1, 1),
@@ -106,18 +117,23 @@ def test_the_corners_of_the_studys_junction_lie_between_its_arms_clockwise():
 
 def test_three_arms_have_a_corner_on_the_straight_side_and_one_arm_has_none():
     junction = build_junction(SCENE)
-    arms = {name: arm for name, arm in junction.arms.items() if name != "south"}
+    arms_there = junction.arms.items()
+    arms = {name: arm for name, arm in arms_there if name != "south"}
 
-    corners = find_corners(replace(junction, arms=arms))
+    three_armed = replace(junction, arms=arms)
+    corners = find_corners(three_armed)
 
     assert [*corners] == ["east/north", "west/east", "north/west"]
 
     # Half way along the southern kerb, below the middle.
     straight = corners["west/east"]
+    one_armed = replace(junction, arms={"east": arms["east"]})
+    corners_of_one = find_corners(one_armed)
+    middle = middle_m(SCENE)[:2]
 
-    assert straight == pytest.approx(middle_m(SCENE)[:2], abs=9.0)
+    assert straight == pytest.approx(middle, abs=9.0)
     assert straight[1] < -7.0
-    assert find_corners(replace(junction, arms={"east": arms["east"]})) == {}
+    assert corners_of_one == {}
 
 
 def test_in_a_mirror_corners_are_mirrored():
@@ -127,16 +143,19 @@ def test_in_a_mirror_corners_are_mirrored():
     assert len(plain) == len(turned) == 4
 
     expected = {tuple((corner * [1.0, -1.0]).round(6)) for corner in plain.values()}
+    found = {tuple(corner.round(6)) for corner in turned.values()}
 
-    assert {tuple(corner.round(6)) for corner in turned.values()} == expected
+    assert found == expected
 
 
 def _both_ways():
     """The junction, and its mirror image."""
     junction = build_junction(SCENE)
     other = mirrored(junction)
-    order = [*other.arms.values()][::-1]  # counter-clockwise again
-    return junction, replace(other, arms={arm.name: arm for arm in order})
+    arms = [*other.arms.values()]
+    order = arms[::-1]  # counter-clockwise again
+    turned_arms = {arm.name: arm for arm in order}
+    return junction, replace(other, arms=turned_arms)
 
 
 def test_off_axis_is_the_angle_to_a_point(camera):
@@ -157,7 +176,8 @@ def test_off_axis_is_the_angle_to_a_point(camera):
         pose(30, -90),
     ]
 
-    found = off_axis_deg(poses, np.array([10.0, 0.0, 0.0]))
+    point_m = np.array([10.0, 0.0, 0.0])
+    found = off_axis_deg(poses, point_m)
 
     assert found == pytest.approx([0.0, 45.0, 90.0, 60.0, 45.0])
 
@@ -167,10 +187,13 @@ def test_off_axis_is_the_angle_to_a_point(camera):
 
 def test_the_expert_looks_from_the_corner_posts_at_the_middle(candidates):
     """By hand: from each corner post along the diagonal, as the plan shows it."""
-    corners = drawn(candidates, limits_of(candidates)).corners
-    chosen = {name: candidates[row] for name, row in corners.items()}
+    proposals_drawn = drawn(candidates, limits_of(candidates))
+    corners = proposals_drawn.corners
+    rows_by_corner = corners.items()
+    chosen = {name: candidates[row] for name, row in rows_by_corner}
+    sites = {name: pose.site_id for name, pose in chosen.items()}
 
-    assert {name: pose.site_id for name, pose in chosen.items()} == AT_CORNERS
+    assert sites == AT_CORNERS
 
     yaws = {name: pose.pose.yaw_deg for name, pose in chosen.items()}
 
@@ -184,8 +207,10 @@ def test_the_expert_looks_from_the_corner_posts_at_the_middle(candidates):
     for name, pose in chosen.items():
         alike = [other for other in candidates if other.site_id == AT_CORNERS[name]]
         off_deg = off_axis_deg(alike, middle_m(SCENE))
+        expected = off_deg.min()
+
         assert off_axis_deg([pose], middle_m(SCENE))[0] == pytest.approx(
-            off_deg.min(), abs=1e-6
+            expected, abs=1e-6
         )
 
 
@@ -203,7 +228,9 @@ def test_two_corners_share_no_site_and_forbidden_ones_do_not_count(candidates):
     )
 
     poses = build_candidates(few)
-    taken = drawn(poses, limits_of(poses, few), few, n_units=2).corners
+    limits = limits_of(poses, few)
+    proposals_drawn = drawn(poses, limits, few, n_units=2)
+    taken = proposals_drawn.corners
 
     assert {name: poses[row].site_id for name, row in taken.items()} == {
         "east/north": "lamp-e1",
@@ -213,14 +240,17 @@ def test_two_corners_share_no_site_and_forbidden_ones_do_not_count(candidates):
 
 def problem_of(limits, seen, frame_axis, rule):
     """Poses that avoid the runs they see: of weight 1/2, 1/4, 1/4."""
-    axis = replace(frame_axis, last_brake_time_s=np.zeros(3))
+    last_brake_time_s = np.zeros(3)
+    axis = replace(frame_axis, last_brake_time_s=last_brake_time_s)
     detected = np.zeros((limits.n_poses, axis.n_frames), dtype=bool)
     for pose, runs in seen.items():
         for run in runs:
             detected[pose, axis.frames_of(run)] = True
 
     one_frame = replace(rule, n_confirmations=1, latency_s=0.0)
-    table = pack_table(tuple(map(str, range(limits.n_poses))), axis, detected)
+    numbers = range(limits.n_poses)
+    ids = tuple(map(str, numbers))
+    table = pack_table(ids, axis, detected)
     return PlacementProblem(
         table=table,
         limits=limits,
@@ -249,33 +279,48 @@ def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
     )
     problem = problem_of(
         limits,
-        {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]},
+        {
+            0: [1],
+            1: [],
+            2: [0, 1],
+            3: [2],
+            4: [0, 1, 2],
+        },
         frame_axis,
         rule,
     )
 
     found = judge_proposals(problem, proposals())
+    ratios = found.random.apr.tolist()
+    both = apr(problem, (0, 1))
 
     # 3/4; of 1/4 the first.
     assert found.corners == ("c", "a")
     assert found.expert == (0, 2)
-    assert found.random.apr.tolist() == [apr(problem, (0, 1))] == [0.25]
+    assert ratios == [both] == [0.25]
 
 
 def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
     limits = Limits(site_index=[0, 1, 2, 3], site_capacity=[1] * 4)
     problem = problem_of(limits, {0: [0, 2], 1: [1]}, frame_axis, rule)
     # Weights 1/2 and 1/4; 1/4.
-    problem = replace(problem, sample_index=np.array([0, 0, 1]))
+    sample_index = np.array([0, 0, 1])
+    problem = replace(problem, sample_index=sample_index)
     sets = ((0,), (1,), (2,), (0, 1))
 
-    random = judge_proposals(problem, proposals(random=sets)).random
+    sampled = proposals(random=sets)
+    judged = judge_proposals(problem, sampled)
+    random = judged.random
+    means = pytest.approx([0.5, 0.5])
 
     assert random.apr.tolist() == [0.75, 0.25, 0.0, 1.0]
     # Of four sets two avoid the first run, two the second, two the third.
-    assert random.mean_by_world == pytest.approx([0.5, 0.5])
+    assert random.mean_by_world == means
 
-    worst = judge_proposals(replace(problem, tail=0.25), proposals(random=sets)).random
+    cautious = replace(problem, tail=0.25)
+    given_sets = proposals(random=sets)
+    judged_worst = judge_proposals(cautious, given_sets)
+    worst = judged_worst.random
 
     expected = [apr(replace(problem, tail=0.25), units) for units in sets]
 
@@ -285,8 +330,10 @@ def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
 def test_the_expert_has_one_camera_for_each_corner_at_most(frame_axis, rule):
     limits = Limits(site_index=[0, 1, 2, 3], site_capacity=[1] * 4)
     problem = problem_of(limits, {}, frame_axis, rule)
+    given_ = proposals(n_units=9)
+    judged = judge_proposals(problem, given_)
 
-    assert judge_proposals(problem, proposals(n_units=9)).expert == (0, 1, 2, 3)
+    assert judged.expert == (0, 1, 2, 3)
 
 
 def test_what_is_forced_comes_before_the_corners(frame_axis, rule):
@@ -301,13 +348,15 @@ def test_what_is_forced_comes_before_the_corners(frame_axis, rule):
     )
     problem = problem_of(limits, {0: [0], 2: [0, 1]}, frame_axis, rule)
 
-    found = judge_proposals(problem, proposals(n_units=3, forced=(5,)))
+    given_ = proposals(n_units=3, forced=(5,))
+    found = judge_proposals(problem, given_)
 
     assert found.expert == (2, 4, 5)
     assert found.corners == ("c",)
 
     # Nothing known at that site.
-    unmet = judge_proposals(problem, proposals(n_units=3, forced=()))
+    unforced = proposals(n_units=3, forced=())
+    unmet = judge_proposals(problem, unforced)
 
     assert unmet.expert == ()
     assert unmet.corners == ()
@@ -317,7 +366,9 @@ def test_what_is_forced_comes_before_the_corners(frame_axis, rule):
 def test_the_expert_is_within_all_limits(problem, seed):
     rng = default_rng(seed)
     n_poses = problem.limits.n_poses
-    rows = rng.permutation(n_poses)[:4].tolist()
+    order = rng.permutation(n_poses)
+    first_rows = order[:4]
+    rows = first_rows.tolist()
     sites = problem.limits.site_index.tolist()
     forced = tuple(
         sites.index(site)
@@ -325,6 +376,7 @@ def test_the_expert_is_within_all_limits(problem, seed):
         if site in sites
     )
     corners = {f"corner {row}": row for row in rows}
+
     given_ = BaselineRows(
         n_units=3,
         random=(),
@@ -337,14 +389,16 @@ def test_the_expert_is_within_all_limits(problem, seed):
     assert found.random is None
 
     if found.expert:
+        n_chosen = len(found.expert)
         assert is_allowed(problem.limits, found.expert)
-        assert len(found.expert) <= 3 or problem.limits.is_forced.sum() > 3
+        assert n_chosen <= 3 or problem.limits.is_forced.sum() > 3
 
 
 def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
     """A table of few rows says what one of all candidates says."""
     rng = default_rng(0)
-    limits = Limits(site_index=np.arange(9), site_capacity=[1] * 9, budget_units=3)
+    site_index = np.arange(9)
+    limits = Limits(site_index=site_index, site_capacity=[1] * 9, budget_units=3)
     seen = {pose: np.flatnonzero(rng.random(3) < 0.4) for pose in range(9)}
     problem = problem_of(limits, seen, frame_axis, rule)
     given_ = BaselineRows(
@@ -365,9 +419,11 @@ def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
     )
     whole = judge_proposals(problem, given_)
 
-    of_part = judge_proposals(part, given_.among(rows))
+    among = given_.among(rows)
+    of_part = judge_proposals(part, among)
+    rows_of_part = [rows[row] for row in of_part.expert]
 
-    assert [rows[row] for row in of_part.expert] == list(whole.expert)
+    assert rows_of_part == list(whole.expert)
     assert of_part.corners == whole.corners
     assert np.array_equal(of_part.random.apr, whole.random.apr)
 
@@ -377,6 +433,7 @@ def test_the_studys_own_poses_may_be_what_an_expert_takes(candidates):
     south-east.
     """
     poses = build_candidates(SCENE, extra=load_carlancap_layout().units)
-    corners = drawn(poses, limits_of(poses)).corners
+    found = drawn(poses, limits_of(poses))
+    corners = found.corners
 
     assert poses[corners["south/east"]].id == "RSU0"

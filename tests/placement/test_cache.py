@@ -29,7 +29,12 @@ class Thing:
 
 def opened(folder, *, kind="test/1", fingerprint=FINGERPRINT):
     """Cached arrays in a folder."""
-    return CachedArrays(folder, "rows", kind=kind, fingerprint=fingerprint)
+    return CachedArrays(
+        folder,
+        "rows",
+        kind=kind,
+        fingerprint=fingerprint,
+    )
 
 
 def file_in(folder):
@@ -70,13 +75,15 @@ def test_a_hash_tells_apart_whatever_differs():
 def test_a_hash_is_that_of_the_content_wherever_it_lies(name):
     value = VALUES[name]
     if name == "a thing":
-        again = replace(value, part=value.part.copy())
+        part = value.part.copy()
+        again = replace(value, part=part)
     else:
         again = replace(value)
 
     both = Fingerprints()
+    expected = Fingerprints().of(replace(again), again)
 
-    assert both.of(value, value) == Fingerprints().of(replace(again), again)
+    assert both.of(value, value) == expected
     assert both.of(value) == both.of(again)
 
 
@@ -138,7 +145,8 @@ class Reason:
 
 def test_phrases_come_back_with_what_a_translation_needs(tmp_path):
     why = Phrase("{thing} stands {far:.1f} m away", thing=Phrase("lamp post"), far=2.5)
-    reason = Reason(title=Phrase("{n} runs", n=3), why=why)
+    title = Phrase("{n} runs", n=3)
+    reason = Reason(title=title, why=why)
 
     for _ in range(2):
         found = cached_value(
@@ -344,7 +352,8 @@ def test_a_value_is_made_once_and_read_back_as_it_was(tmp_path):
     assert make.times == 1
 
     for value in values:
-        assert Fingerprints().of(value) == Fingerprints().of(a_thing())
+        expected = Fingerprints().of(a_thing())
+        assert Fingerprints().of(value) == expected
         assert [part.flags.writeable for part in value.part] == [False, True]
 
 
@@ -439,6 +448,7 @@ def test_a_damaged_value_is_told_and_made_anew(tmp_path, caplog, content):
     keep(tmp_path, make)
     (path,) = tmp_path.iterdir()
     path.write_bytes(content)
+
     keep(tmp_path, make)
 
     assert caplog.messages == [

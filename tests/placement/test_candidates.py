@@ -59,7 +59,8 @@ def _grid(**changes):
 
 
 def test_every_combination_is_there_once():
-    candidates = build_candidates(_scene([5, 9], [5, 9], [5, 9]), _grid())
+    three_poles = _scene([5, 9], [5, 9], [5, 9])
+    candidates = build_candidates(three_poles, _grid())
     keys = {
         (
             c.site_id,
@@ -70,9 +71,10 @@ def test_every_combination_is_there_once():
         )
         for c in candidates
     }
+    ids = {c.id for c in candidates}
 
     assert len(candidates) == len(keys) == 3 * 2 * 12 * 3 * len(CAMERAS)
-    assert len({c.id for c in candidates}) == len(candidates)
+    assert len(ids) == len(candidates)
 
 
 @given(st.sampled_from([1, 2, 3, 4, 6, 8, 9, 12, 24, 36, 48, 72]))
@@ -88,13 +90,16 @@ def test_yaws_go_all_around_once(n_yaws):
             yaw_step_deg=step_deg,
         ),
     )
-    yaws = np.sort([c.pose.yaw_deg for c in candidates])
+    yaws_given = [c.pose.yaw_deg for c in candidates]
+    yaws = np.sort(yaws_given)
 
     assert len(yaws) == n_yaws
     assert (yaws > -180.0).all()
     assert (yaws <= 180.0).all()
 
-    around = np.diff(np.append(yaws, yaws[0] + 360.0))
+    closed = np.append(yaws, yaws[0] + 360.0)
+    around = np.diff(closed)
+    has_exponent = any("e-" in c.id.split("/")[2] for c in candidates)
 
     assert around == pytest.approx(step_deg, abs=1e-9)
     assert 180.0 in yaws
@@ -102,22 +107,25 @@ def test_yaws_go_all_around_once(n_yaws):
     assert [float(c.id.split("/")[2]) for c in candidates] == pytest.approx(
         yaws, rel=1e-5
     )
-    assert not any("e-" in c.id.split("/")[2] for c in candidates)
+    assert not has_exponent
 
 
 def test_the_default_grid_looks_every_15_degrees_at_three_heights_and_pitches():
     grid = load_candidate_grid()
+    names = [sensor.name for sensor in grid.sensors]
 
     assert len(grid.heights_m) == 3
     assert grid.n_yaws == 24
     assert len(grid.pitches_deg) == 3
-    assert [sensor.name for sensor in grid.sensors] == ["carla-ncap-rgb"]
+    assert names == ["carla-ncap-rgb"]
 
 
 def test_what_scans_all_round_hangs_level_and_is_not_turned():
     scene = _scene([5, 9])
 
-    others = [c.id for c in build_candidates(scene, _grid(sensors=(*CAMERAS, SECTOR)))]
+    grid = _grid(sensors=(*CAMERAS, SECTOR))
+    mixed = build_candidates(scene, grid)
+    others = [c.id for c in mixed]
 
     assert len(others) == 2 * 3 * 12 * 3
     assert others[0] == f"pole-0/6m/-150/-30/{CAMERAS[0].name}"
@@ -126,8 +134,9 @@ def test_what_scans_all_round_hangs_level_and_is_not_turned():
         c.id for c in build_candidates(scene, _grid(sensors=(*CAMERAS, SECTOR, RING)))
     ]
     rings = [name for name in found if name not in others]
+    expected = [f"pole-0/{height}m/0/0/{RING.name}" for height in (6, 8)]
 
-    assert rings == [f"pole-0/{height}m/0/0/{RING.name}" for height in (6, 8)]
+    assert rings == expected
     assert [
         name for name in found if name in others
     ] == others  # unchanged, in their order
@@ -136,20 +145,24 @@ def test_what_scans_all_round_hangs_level_and_is_not_turned():
 def test_a_tilted_ring_is_turned():
     grid = _grid(sensors=(RING,), ring_pitches_deg=[-20.0, 0.0, 10.0])
     directions = grid.directions_deg(RING)
+    distinct = len(set(directions))
+    pitches = {pitch for _, pitch in directions}
+    is_useless = is_turn_useless(CAMERAS[0], pitch_deg=0.0)
 
     assert directions[0] == (0.0, 0.0)
-    assert len(set(directions)) == len(directions) == 1 + 12 * 2
-    assert {pitch for _, pitch in directions} == {-20.0, 0.0, 10.0}
+    assert distinct == len(directions) == 1 + 12 * 2
+    assert pitches == {-20.0, 0.0, 10.0}
     assert [is_turn_useless(RING, pitch_deg=pitch) for pitch in (0.0, -20.0)] == [
         True,
         False,
     ]
     assert not is_turn_useless(SECTOR, pitch_deg=0.0)
-    assert not is_turn_useless(CAMERAS[0], pitch_deg=0.0)
+    assert not is_useless
 
 
 def test_the_default_grid_hangs_rings_level():
-    assert load_candidate_grid().ring_pitches_deg.tolist() == [0.0]
+    pitches_deg = load_candidate_grid().ring_pitches_deg.tolist()
+    assert pitches_deg == [0.0]
 
 
 @pytest.mark.parametrize(
@@ -180,7 +193,8 @@ def test_a_grid_says_what_is_wrong(change, message):
 
 
 def test_heights_are_brought_into_the_sites_range_and_count_once():
-    candidates = build_candidates(_scene([5, 9], [7, 9], [6.5, 7.5], [4, 5]), _grid())
+    four_poles = _scene([5, 9], [7, 9], [6.5, 7.5], [4, 5])
+    candidates = build_candidates(four_poles, _grid())
     heights = {
         f"pole-{index}": sorted(
             # The foot of the pole is at 0.5 m.
@@ -192,6 +206,7 @@ def test_heights_are_brought_into_the_sites_range_and_count_once():
         )
         for index in range(4)
     }
+    ids = {c.id for c in candidates}
 
     assert heights == {
         "pole-0": [6.0, 8.0],
@@ -199,13 +214,17 @@ def test_heights_are_brought_into_the_sites_range_and_count_once():
         "pole-2": [6.5, 7.5],
         "pole-3": [5.0],
     }
-    assert len({c.id for c in candidates}) == len(candidates)
+    assert len(ids) == len(candidates)
 
 
 def test_candidates_stand_above_their_site():
-    for candidate in build_candidates(_scene([5, 9], [5, 9]), _grid()):
-        index = int(candidate.site_id.removeprefix("pole-"))
-        assert candidate.pose.position_m[:2].tolist() == [10.0 * index, -5.0]
+    two_poles = _scene([5, 9], [5, 9])
+    for candidate in build_candidates(two_poles, _grid()):
+        number = candidate.site_id.removeprefix("pole-")
+        index = int(number)
+        place_m = candidate.pose.position_m[:2]
+
+        assert place_m.tolist() == [10.0 * index, -5.0]
 
 
 def _extra(pose_id):
@@ -216,7 +235,8 @@ def _extra(pose_id):
 def test_poses_by_name_come_last():
     extra = (_extra("RSU0"), _extra("RSU1"))
 
-    candidates = build_candidates(_scene([5, 9]), _grid(), extra=extra)
+    one_pole = _scene([5, 9])
+    candidates = build_candidates(one_pole, _grid(), extra=extra)
 
     assert candidates[-2:] == extra
     assert repr(candidates[-1]) == "CandidatePose('RSU1')"

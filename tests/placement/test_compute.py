@@ -27,8 +27,9 @@ def test_a_copy_for_another_process_tells_nobody():
         progress=lambda *step: told.append(step),
     )
     there = pickle.loads(pickle.dumps(here))
+    expected = replace(here, progress=compute.silent)
 
-    assert there == replace(here, progress=compute.silent)
+    assert there == expected
 
     there.progress("evaluate", 1, 2)
 

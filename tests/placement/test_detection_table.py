@@ -13,13 +13,15 @@ from placement.detection_table import DetectionTable, pack_table
 @given(detection_tables(), st.data())
 def test_a_table_gives_back_what_was_packed(packed, data):
     table, detected = packed
+    unpacked = table.detected(slice(None))
 
     assert table.n_poses == len(detected)
-    assert np.array_equal(table.detected(slice(None)), detected)
+    assert np.array_equal(unpacked, detected)
 
     rows = data.draw(st.lists(st.integers(0, table.n_poses - 1), max_size=4))
+    some = table.detected(rows)
 
-    assert np.array_equal(table.detected(rows), detected[rows])
+    assert np.array_equal(some, detected[rows])
     assert table.detected(rows).dtype == np.bool_
 
 
@@ -37,26 +39,30 @@ def test_a_table_takes_one_bit_per_frame(frame_axis, n_frames):
         time_s=np.arange(1 - n_frames, 1) / 10.0,
     )
 
-    table = pack_table(("p", "q"), axis, np.ones((2, n_frames), dtype=bool))
+    all_detected = np.ones((2, n_frames), dtype=bool)
+    table = pack_table(("p", "q"), axis, all_detected)
+    unpacked = table.detected(slice(None))
 
     assert table.packed.shape == (2, (n_frames + 7) // 8)
-    assert table.detected(slice(None)).all()
+    assert unpacked.all()
     assert repr(table) == f"DetectionTable(2 poses, {n_frames} frames)"
 
 
 def test_the_lowest_bit_comes_first(frame_axis):
     detected = np.zeros((1, 10), dtype=bool)
     detected[0, [0, 9]] = True
+    table = pack_table(("p",), frame_axis, detected)
 
-    assert pack_table(("p",), frame_axis, detected).packed.tolist() == [[1, 2]]
+    assert table.packed.tolist() == [[1, 2]]
 
 
 def test_a_table_of_the_wrong_size_is_refused(frame_axis):
+    packed = np.zeros((2, 1), np.uint8)
     with refused_with("packed: got shape (2, 1); expected shape (2, 2)"):
         DetectionTable(
             pose_ids=("p", "q"),
             axis=frame_axis,
-            packed=np.zeros((2, 1), np.uint8),
+            packed=packed,
         )
 
 
@@ -64,7 +70,8 @@ def test_the_bits_of_a_table_are_read_only_and_its_own(frame_axis):
     packed = np.zeros((1, 2), dtype=np.uint8)
     table = DetectionTable(pose_ids=("p",), axis=frame_axis, packed=packed)
     packed[:] = 255
+    first_row = table.detected([0]).any()
 
-    assert not table.detected([0]).any()
+    assert not first_row
     with pytest.raises(ValueError, match="read-only"):
         table.packed[0, 0] = 1

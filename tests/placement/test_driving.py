@@ -84,6 +84,7 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     whole = [share for name, share in shares.items() if name not in refused]
 
     assert sum(shares.values()) == pytest.approx(1.0)
+
     expected = [max(shares.values())] * len(whole)
 
     assert whole == pytest.approx(expected)
@@ -103,9 +104,8 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
 @pytest.mark.long
 def test_a_map_bounds_the_speeds_unless_others_are_asked_for():
     free = t_junction()
-    slow = replace(
-        free, lanes=tuple(replace(lane, speed_limit_kmh=30.0) for lane in free.lanes)
-    )
+    lanes = tuple(replace(lane, speed_limit_kmh=30.0) for lane in free.lanes)
+    slow = replace(free, lanes=lanes)
 
     def speeds(scene, asked):
         drives = drive(
@@ -136,6 +136,7 @@ def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypa
     monkeypatch.setattr(placement.setting, "build_runs", pytest.fail)
 
     kept = build_setting(question, scene, compute=compute)
+
     hash_of = Fingerprints().of
 
     assert len(laid.runs) == len(kept.runs) > 0
@@ -214,7 +215,12 @@ def test_tracks_live_as_long_as_asked_and_those_of_the_studys_cases_for_ever():
 
 def test_weaker_and_slower_brakes_must_begin_earlier():
     def last_s(**options):
-        question = Question(cases="CPFA-50", approaches="east", speeds="40", **options)
+        question = Question(
+            cases="CPFA-50",
+            approaches="east",
+            speeds="40",
+            **options,
+        )
         return drive_one(question, load_study_scene()).last_brake_time_s
 
     assert last_s(deceleration_mps2=4.0) < last_s() < 0.0
@@ -249,10 +255,11 @@ def test_perception_and_radio_are_those_of_the_question():
         packet_loss=0.1,
         vam_rate=0.5,
     )
+    expected = Radio(packet_loss=0.1, vam_rate=0.5)
 
     assert other.detector is other.table_detector is load_planning_detector("response")
     assert set(other.vut_sensors) == {"camera", "lidar"}
-    assert other.radio == Radio(packet_loss=0.1, vam_rate=0.5)
+    assert other.radio == expected
 
 
 @pytest.mark.parametrize(
@@ -311,11 +318,16 @@ def test_perception_and_radio_are_those_of_the_question():
     ],
 )
 def test_questions_that_cannot_be_answered_say_why(options, message):
-    few = {"cases": "CPNA-25", "approaches": "east", "along_arms": "0"}
+    few = {
+        "cases": "CPNA-25",
+        "approaches": "east",
+        "along_arms": "0",
+    }
     question = Question(**(few | options))
 
     with pytest.raises(InputError) as caught:
         build_setting(question, load_study_scene())
+
     refusal = str(caught.value)
 
     assert refusal.startswith(message)
@@ -403,6 +415,7 @@ def test_the_list_says_where_along_the_arms():
 
     assert max(map(len, text.splitlines())) <= 80
     assert "CPNA-25  north  10-60  6 of 8    29" in text
+
     refused = "CPNA-25 from north (at -100, +100) not driven: the mapped lane does not"
 
     assert refused in text

@@ -22,51 +22,60 @@ from placement.evaluation import (
 
 def _verdict(is_avoided, detected=()):
     """A verdict on runs."""
+    confirmation_time_s = np.full(len(is_avoided), np.inf)
+    onset_time_s = np.full(len(is_avoided), np.inf)
     return Verdict(
         detected=np.array(detected, dtype=bool),
-        confirmation_time_s=np.full(len(is_avoided), np.inf),
-        onset_time_s=np.full(len(is_avoided), np.inf),
+        confirmation_time_s=confirmation_time_s,
+        onset_time_s=onset_time_s,
         is_avoided=np.array(is_avoided, dtype=bool),
     )
 
 
 def test_apr_is_the_weight_of_the_avoided_runs(frame_axis):
+    two_avoided = _verdict([True, False, True])
+    one_avoided = _verdict([False, True, False])
+
     # Weights 1/2, 1/4 (case A) and 1/4 (case B).
-    assert apr(_verdict([True, False, True]), frame_axis) == 0.75
-    assert apr(_verdict([False, True, False]), frame_axis) == 0.25
+    assert apr(two_avoided, frame_axis) == 0.75
+    assert apr(one_avoided, frame_axis) == 0.25
 
     expected = {
         "A": pytest.approx(2.0 / 3.0),
         "B": 1.0,
     }
+    found = apr_by_case(_verdict([True, False, True]), frame_axis)
 
-    assert apr_by_case(_verdict([True, False, True]), frame_axis) == expected
+    assert found == expected
 
 
 def test_apr_of_some_runs_counts_only_those(frame_axis):
     verdict = _verdict([True, False, True])
     mask = np.array([False, True, True])
+    nothing = np.zeros(3, dtype=bool)
 
     assert apr(verdict, frame_axis, mask) == 0.5
-    assert math.isnan(apr(verdict, frame_axis, np.zeros(3, dtype=bool)))
+    assert math.isnan(apr(verdict, frame_axis, nothing))
 
 
 def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
     # Weights 1/2, 1/4 (case A) and 1/4 (case B).
-    verdict = replace(
-        _verdict([True, False, False]), impact_speed_kmh=np.array([0.0, 8.0, 20.0])
-    )
+    impact_speed_kmh = np.array([0.0, 8.0, 20.0])
+    one_avoided = _verdict([True, False, False])
+    verdict = replace(one_avoided, impact_speed_kmh=impact_speed_kmh)
+    all_avoided = _verdict([True] * 3)
 
     assert mean_impact_speed_kmh(verdict, frame_axis) == 7.0
     assert mean_impact_speed_kmh(
         verdict, frame_axis, np.array([True, True, False])
     ) == (pytest.approx(2.0 / 0.75))
-    assert math.isnan(mean_impact_speed_kmh(_verdict([True] * 3), frame_axis))
+    assert math.isnan(mean_impact_speed_kmh(all_avoided, frame_axis))
 
 
 @given(frame_axes(), st.data())
 def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, data):
-    booleans = st.lists(st.booleans(), min_size=axis.n_runs, max_size=axis.n_runs)
+    boolean = st.booleans()
+    booleans = st.lists(boolean, min_size=axis.n_runs, max_size=axis.n_runs)
     verdict = _verdict(data.draw(booleans))
 
     total = apr(verdict, axis)
@@ -74,23 +83,29 @@ def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, da
     cases = np.array(axis.cases)
     share = {case: axis.weight[cases == case].sum() for case in axis.cases}
     mean = sum(share[case] * value for case, value in by_case.items())
+    distinct = dict.fromkeys(axis.cases)
+    expected = list(distinct)
+    every_run = _verdict([True] * axis.n_runs)
+    no_run = _verdict([False] * axis.n_runs)
 
     assert 0.0 <= total <= 1.0
-    assert list(by_case) == list(dict.fromkeys(axis.cases))
+    assert list(by_case) == expected
     assert mean == pytest.approx(total)
-    assert apr(_verdict([True] * axis.n_runs), axis) == pytest.approx(1.0)
-    assert apr(_verdict([False] * axis.n_runs), axis) == 0.0
+    assert apr(every_run, axis) == pytest.approx(1.0)
+    assert apr(no_run, axis) == 0.0
 
 
 def test_detected_share_counts_frames_of_the_chosen_runs(frame_axis):
     detected = [True, False, True] + [True] * 4 + [False] + [False, False]
     verdict = _verdict([False] * 3, detected)
+    of_all = detected_share(verdict, frame_axis)
 
-    assert detected_share(verdict, frame_axis) == pytest.approx(0.6)
+    assert of_all == pytest.approx(0.6)
 
     for index, expected in enumerate([2.0 / 3.0, 0.8, 0.0]):
         mask = np.arange(3) == index
-        assert detected_share(verdict, frame_axis, mask) == pytest.approx(expected)
+        of_run = detected_share(verdict, frame_axis, mask)
+        assert of_run == pytest.approx(expected)
 
     assert detected_share(
         verdict, frame_axis, np.array([True, False, True])
@@ -137,11 +152,13 @@ def test_the_unit_that_is_left_may_be_slow(frame_axis, rule, latencies_s, expect
     0.1 s.
     """
     rows = ["1111111100", "1111111100"]
-    assert _one_failed_of(frame_axis, rule, rows, latencies_s) == expected
+    found = _one_failed_of(frame_axis, rule, rows, latencies_s)
+    assert found == expected
 
 
 def _one_failed_of(frame_axis, rule, frames_of_units, latencies_s=()):
     """APR when one of the units fails."""
     axis = replace(frame_axis, last_brake_time_s=[0.05, 0.1, -np.inf])
     rows = [[frame == "1" for frame in frames] for frames in frames_of_units]
-    return apr_one_failed(seen_evaluation(axis, rows, latencies_s), rule)
+    evaluation = seen_evaluation(axis, rows, latencies_s)
+    return apr_one_failed(evaluation, rule)

@@ -30,14 +30,22 @@ def unit(x, y, yaw_deg, *, pitch_deg=0.0, sensor=CAMERA):
     """A camera 6 m high."""
     name = f"{x}/{y}/{yaw_deg}"
     place_m = [x, y, 6.0]
-    return unit_at(name, place_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=sensor)
+    return unit_at(
+        name,
+        place_m,
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
+        sensor=sensor,
+    )
 
 
 def garden_share(box_in_the_way):
     """Share of a garden 20 m east that a camera at the origin sees past a box."""
-    garden = build_private_ground([("garden", box(20, -5, 30, 5))])
+    area = box(20, -5, 30, 5)
+    garden = build_private_ground([("garden", area)])
     scene = protocol_scene(boxes=[box_in_the_way])
-    (share,) = private_shares(scene, [unit(0, 0, 0.0)], garden)
+    camera = unit(0, 0, 0.0)
+    (share,) = private_shares(scene, [camera], garden)
     return share[0]
 
 
@@ -45,18 +53,24 @@ def test_points_stand_for_square_metres():
     ground = build_private_ground(
         [("garden", box(10, 10, 30, 20)), ("step", box(0.1, 0.1, 0.3, 0.3))]
     )
+    counts = np.bincount(ground.area_index)
 
-    assert np.bincount(ground.area_index).tolist() == [200, 1]
+    assert counts.tolist() == [200, 1]
     assert ground.area_m2 == pytest.approx([200.0, 0.04])
 
-    hole = Polygon(box(0, 0, 10, 10).exterior, [box(2, 2, 8, 8).exterior])
-    two = MultiPolygon([hole, box(20, 0, 21, 1)])
+    outer = box(0, 0, 10, 10)
+    inner = box(2, 2, 8, 8)
+    hole = Polygon(outer.exterior, [inner.exterior])
+    apart = box(20, 0, 21, 1)
+    two = MultiPolygon([hole, apart])
 
     points = build_private_ground([("two", two)]).points_m
 
     assert len(points) == 65
 
-    inside = (points[:, :2] > 2.0).all(axis=1) & (points[:, :2] < 8.0).all(axis=1)
+    is_above = (points[:, :2] > 2.0).all(axis=1)
+    is_below = (points[:, :2] < 8.0).all(axis=1)
+    inside = is_above & is_below
 
     assert not inside.any()
 
@@ -83,12 +97,14 @@ def test_a_camera_sees_what_is_in_its_picture_and_nothing_behind_it():
     ]
 
     lidar = unit(0, 0, 0.0, sensor=load_lidars()["carla-ncap-lidar"])
+    shares = private_shares(scene, [lidar], ground)
 
-    assert private_shares(scene, [lidar], ground).tolist() == [[0.0, 0.0]]
+    assert shares.tolist() == [[0.0, 0.0]]
 
 
 def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
-    ground = build_private_ground([("garden", box(20, 10, 30, 40))])
+    area = box(20, 10, 30, 40)
+    ground = build_private_ground([("garden", area)])
 
     # The right edge of the picture, 45 degrees right of north-east, is the x axis
     # turned up to ..
@@ -96,29 +112,36 @@ def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
         protocol_scene(), [unit(0, 0, 0.0), unit(0, 0, 45.0)], ground
     )
     points = ground.points_m
-    expected = (points[:, 1] < points[:, 0]).mean()  # left edge: 45 degrees from east
+    is_seen = points[:, 1] < points[:, 0]
+    expected = is_seen.mean()  # left edge: 45 degrees from east
 
     assert share[0, 0] == pytest.approx(expected, abs=0.02)
     assert share[1, 0] == 1.0
 
 
 def test_walls_hide():
-    assert garden_share(("wall", 15.0, 0.0, 0.5, 60.0, 8.0)) == 0.0
-    assert garden_share(("hedge", 15.0, 0.0, 0.5, 60.0, 1.0)) == 1.0
+    wall = ("wall", 15.0, 0.0, 0.5, 60.0, 8.0)
+    hedge = ("hedge", 15.0, 0.0, 0.5, 60.0, 1.0)
+
+    assert garden_share(wall) == 0.0
+    assert garden_share(hedge) == 1.0
 
 
 def test_without_cameras_there_are_no_shares():
-    garden = build_private_ground([("garden", box(20, -5, 30, 5))])
+    area = box(20, -5, 30, 5)
+    garden = build_private_ground([("garden", area)])
     scene = replace(protocol_scene(), sites=())
+    shares = private_shares(scene, [], garden)
 
-    assert private_shares(scene, [], garden).shape == (0, 1)
+    assert shares.shape == (0, 1)
 
 
 def test_areas_that_cannot_be_are_refused():
     with pytest.raises(InputError, match="no_look: line: got no area"):
         build_private_ground([("line", Polygon())])
+    park = box(0, 0, 1000, 1000)
     with pytest.raises(InputError, match="square metres; expected at most 20,000"):
-        build_private_ground([("park", box(0, 0, 1000, 1000))])
+        build_private_ground([("park", park)])
 
 
 def test_areas_of_another_place_are_refused():
@@ -131,8 +154,12 @@ def test_areas_of_another_place_are_refused():
 
 
 def test_the_pole_that_carries_a_camera_hides_nothing():
-    assert garden_share(("pole", 0.0, 0.0, 0.2, 0.2, 9.0)) == 1.0
-    assert 0.5 < garden_share(("post", 5.0, 0.0, 0.2, 0.2, 9.0)) < 1.0
+    pole = ("pole", 0.0, 0.0, 0.2, 0.2, 9.0)
+    post = ("post", 5.0, 0.0, 0.2, 0.2, 9.0)
+    share = garden_share(post)
+
+    assert garden_share(pole) == 1.0
+    assert 0.5 < share < 1.0
 
 
 @pytest.mark.parametrize("suffix", forbidden_views.READERS)

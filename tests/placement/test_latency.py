@@ -98,6 +98,7 @@ def test_budgets_differ_by_the_wait_alone():
 def test_best_mean_and_worst_are_in_order_and_add_up(budget):
     assert budget.best_s <= budget.mean_s <= budget.worst_s
     assert budget.mean_s == pytest.approx(0.5 * (budget.best_s + budget.worst_s))
+
     expected = sum(part.high_s for part in budget.parts)
 
     assert budget.worst_s == pytest.approx(expected)
@@ -143,7 +144,12 @@ def test_one_number_is_a_budget_of_one_part():
 # Files
 
 
-PART = {"name": "'radio'", "low_s": "0.001", "high_s": "0.01", "source": "'a sheet'"}
+PART = {
+    "name": "'radio'",
+    "low_s": "0.001",
+    "high_s": "0.01",
+    "source": "'a sheet'",
+}
 
 
 @pytest.fixture

@@ -113,8 +113,9 @@ def test_a_lens_that_is_set_comes_back_from_its_records(layout, share):
     records = json.loads(json.dumps(layout_records(layout), allow_nan=False))
 
     back = layout_from_records(layout.name, records, "f.json")
+    expected = [unit.sensor for unit in units]
 
-    assert [unit.sensor for unit in back.units] == [unit.sensor for unit in units]
+    assert [unit.sensor for unit in back.units] == expected
 
     for record, unit in zip(records, units, strict=True):
         model = load_cameras().get(unit.sensor.name)
@@ -197,7 +198,11 @@ def test_a_layout_is_read_from_a_file(tmp_path):
             f"lidar: got 'carla-ncap-rgb'; expected one of {LIDARS}",
         ),
         (
-            {"without": ["camera"], "lidar": "carla-ncap-lidar", "fov_deg": 40.0},
+            {
+                "without": ["camera"],
+                "lidar": "carla-ncap-lidar",
+                "fov_deg": 40.0,
+            },
             "fov_deg: got 40.0; expected nothing: only cameras have lenses",
         ),
         (
@@ -319,6 +324,7 @@ def test_a_file_of_another_version_is_refused_and_not_guessed_at(tmp_path, schem
 
     with pytest.raises(InputError) as caught:
         load_layout(path)
+
     message = str(caught.value)
     known = ", ".join([SCHEMA, *RESULT_SCHEMAS])
 

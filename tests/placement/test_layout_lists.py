@@ -83,16 +83,22 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
     ]
     path.write_text(json.dumps({"layout": units}))
 
-    layout = find_layout(str(path), "--keep", scene=scene, sensors=str(models))
+    layout = find_layout(
+        str(path),
+        "--keep",
+        scene=scene,
+        sensors=str(models),
+    )
 
     assert [unit.pose.yaw_deg for unit in layout.units] == [90.0, 90.0]
     assert {unit.sensor.width_px for unit in layout.units} == {640}
 
     feet = [site.position_m[:2] for site in scene.sites[:2]]
+    expected = np.array(feet)
 
     assert np.array(
         [unit.pose.position_m[:2] for unit in layout.units]
-    ) == pytest.approx(np.array(feet))
+    ) == pytest.approx(expected)
 
     plan = assemble_without_runs(
         Question(budget=1, keep=str(path), sensors=str(models)), scene

@@ -67,9 +67,10 @@ def test_a_placement_prints_its_units_and_its_proof(found):
 
 def test_a_layout_is_a_table(found):
     frame = found[1].layout.to_frame()
+    expected = [unit.pose.position_m for unit in found[1].layout.units]
     assert_array_equal(
         frame[["x_m", "y_m", "z_m"]],
-        [unit.pose.position_m for unit in found[1].layout.units],
+        expected,
     )
 
 

@@ -105,6 +105,7 @@ def test_a_lidar_and_cameras_at_one_mount_see_what_each_sees_alone(setting):
         unit(setting, yaw_deg=200.0, name="C"),
         unit(setting, yaw_deg=200.0, sensor=zoomed(47.0), name="Z"),
     ]
+
     found = LiveTable(setting).detected(units)
 
     assert found.any(axis=1).sum() >= 2
@@ -147,6 +148,7 @@ def test_a_verdict_by_the_table_is_what_the_optimiser_reads(setting, table):
 
     verdict = table_verdict(units, detected, setting)
     rows = table_of(setting, units)
+
     limits = Limits(
         site_index=np.arange(2),
         site_capacity=np.ones(2, dtype=int),

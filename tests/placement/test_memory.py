@@ -26,10 +26,12 @@ def test_worlds_count_like_frames_and_frames_like_poses(poses, frames, worlds):
 
 
 def test_the_table_itself_is_part_of_what_is_needed(frame_axis):
+    pose_ids = tuple(map(str, range(1000)))
+    packed = np.zeros((1000, 2), dtype=np.uint8)
     table = DetectionTable(
-        pose_ids=tuple(map(str, range(1000))),
+        pose_ids=pose_ids,
         axis=frame_axis,
-        packed=np.zeros((1000, 2), dtype=np.uint8),
+        packed=packed,
     )
     grown = needed_bytes(1000, frame_axis.n_frames) - needed_bytes(0, 0)
 

@@ -104,7 +104,8 @@ def test_the_certificate_is_about_the_layout(placement):
     assert stages["apr"].objective == pytest.approx(value.apr, abs=1e-9)
 
     for name, stage in stages.items():
-        assert stage.objective == pytest.approx(getattr(value, name), abs=1e-6)
+        expected = getattr(value, name)
+        assert stage.objective == pytest.approx(expected, abs=1e-6)
         assert stage.bound >= stage.objective - 1e-9
 
 
@@ -122,8 +123,9 @@ def test_the_layout_names_the_candidates_that_were_chosen(
         assert unit.sensor == candidates[index].sensor
 
     check_layout(layout, setting.scene)
+    expected = tuple(c.id for c in candidates)
 
-    assert placement.problem.table.pose_ids == tuple(c.id for c in candidates)
+    assert placement.problem.table.pose_ids == expected
     assert repr(placement) == f"Placement({layout!r}, proven)"
     assert set(placement.seconds) == {"detection_table", "optimise", "greedy"}
     assert min(placement.seconds.values()) >= 0.0
@@ -280,7 +282,12 @@ def test_other_inputs_do_not_get_the_cached_table(setting, candidates, tmp_path)
         def told(*call, calls=calls):
             calls.append(call)
 
-        compute = Compute(seed=seed, workers=1, cache_folder=tmp_path, progress=told)
+        compute = Compute(
+            seed=seed,
+            workers=1,
+            cache_folder=tmp_path,
+            progress=told,
+        )
         obtain_table(setting, candidates, compute=compute)
         stages.append(calls[0][0])
 

@@ -25,10 +25,14 @@ def by_one():
 
 
 def test_a_cell_has_the_largest_error_of_the_camera_there(by_one):
-    seen = np.argwhere(np.isfinite(by_one.sd_m[0]))
+    is_seen = np.isfinite(by_one.sd_m[0])
+    seen = np.argwhere(is_seen)
+
     assert len(seen) > 100
+
     for row, column in seen[:: len(seen) // 7]:
-        foot_m = np.array([[by_one.east_m[column], by_one.north_m[row], 0.0]])
+        place_m = [by_one.east_m[column], by_one.north_m[row], 0.0]
+        foot_m = np.array([place_m])
         rule = load_decision_rule()
 
         errors = camera_errors(
@@ -39,12 +43,15 @@ def test_a_cell_has_the_largest_error_of_the_camera_there(by_one):
             box_noise_share=rule.box_noise_share,
             aim_sd_deg=aim_sd_deg(CALIBRATED),
         )
-        along_m = np.hypot(errors.box_along_m, errors.aim_along_m)[0]
-        across_m = np.hypot(errors.box_across_m, errors.aim_across_m)[0]
+        along_of_rows = np.hypot(errors.box_along_m, errors.aim_along_m)
+        along_m = along_of_rows[0]
+        across_of_rows = np.hypot(errors.box_across_m, errors.aim_across_m)
+        across_m = across_of_rows[0]
         expected = max(along_m, across_m)
+        found_m = by_one.sd_m[0, row, column]
 
         # The body's own width is not that of this one.
-        assert by_one.sd_m[0, row, column] == pytest.approx(expected, rel=0.02)
+        assert found_m == pytest.approx(expected, rel=0.02)
 
 
 def test_better_aims_and_more_cameras_never_know_less(by_one):
@@ -54,9 +61,12 @@ def test_better_aims_and_more_cameras_never_know_less(by_one):
     assert (calibrated < by_eye).any()
 
     by_three = find_position_map(SCENE, UNITS[:3], DETECTOR)
+    is_no_worse = by_three.sd_m <= by_one.sd_m + 1e-9
+    seen_by_three = np.isfinite(by_three.sd_m)
+    seen_by_one = np.isfinite(by_one.sd_m)
 
-    assert (by_three.sd_m <= by_one.sd_m + 1e-9).all()
-    assert np.isfinite(by_three.sd_m).sum() > np.isfinite(by_one.sd_m).sum()
+    assert is_no_worse.all()
+    assert seen_by_three.sum() > seen_by_one.sum()
 
 
 def test_a_camera_that_looks_away_knows_nothing():
@@ -69,5 +79,6 @@ def test_a_camera_that_looks_away_knows_nothing():
     )
 
     found = find_position_map(SCENE, [unit], DETECTOR)
+    is_unknown = np.isinf(found.sd_m)
 
-    assert np.isinf(found.sd_m).all()
+    assert is_unknown.all()

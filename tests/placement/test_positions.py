@@ -25,9 +25,13 @@ BODY_M = np.array([1.8, 0.5])
 
 def on_ground(pixel, pose):
     """Where a point of a picture meets the plane z = 0."""
-    ray = picture_rays([pixel[0]], [pixel[1]], CAMERA)[0]
-    way = camera_rotation(pose.yaw_deg, pose.pitch_deg) @ [*ray, 1.0]
-    return (pose.position_m - way * pose.position_m[2] / way[2])[:2]
+    rays = picture_rays([pixel[0]], [pixel[1]], CAMERA)
+    ray = rays[0]
+    R_world_camera = camera_rotation(pose.yaw_deg, pose.pitch_deg)
+    way = R_world_camera @ [*ray, 1.0]
+    to_ground = way * pose.position_m[2]
+    foot_m = pose.position_m - to_ground / way[2]
+    return foot_m[:2]
 
 
 def pose_of(height_m, *, pitch_deg, yaw_deg=20.0):
@@ -46,8 +50,12 @@ PLACES = [
 def foot_at(pose, distance_m, off_deg):
     """Foot of a body at a distance, and the sight towards it. [m]"""
     yaw = np.radians(pose.yaw_deg + off_deg)
-    sight = np.array([np.cos(yaw), np.sin(yaw)])
-    return np.append(pose.position_m[:2] + distance_m * sight, 0.0), sight
+    east = np.cos(yaw)
+    north = np.sin(yaw)
+    sight = np.array([east, north])
+    foot_east_north = pose.position_m[:2] + distance_m * sight
+    foot = np.append(foot_east_north, 0.0)
+    return foot, sight
 
 
 @pytest.mark.parametrize(("height_m", "distance_m", "off_deg"), PLACES)
@@ -65,26 +73,33 @@ def test_errors_of_the_aim_are_derivatives_of_the_camera_model(
         box_noise_share=0.1,
         aim_sd_deg=(0.2, 1.0),
     )
-    pixel = project_points(foot[None], pose, CAMERA)[0]
+    pixels = project_points(foot[None], pose, CAMERA)
+    pixel = pixels[0]
     step_deg = 1e-4
 
     def moved(**angles):
         """How far the place of the same pixel moves, per degree, with another aim."""
-        return (on_ground(pixel, replace(pose, **angles)) - foot[:2]) / step_deg
+        turned_pose = replace(pose, **angles)
+        now_m = on_ground(pixel, turned_pose)
+        shift_m = now_m - foot[:2]
+        return shift_m / step_deg
 
     tilted = moved(pitch_deg=pose.pitch_deg + step_deg)
     turned = moved(yaw_deg=pose.yaw_deg + step_deg)
+    across = abs(turned @ left)
 
     # A bearing moves places across the line of sight, exactly.
-    assert 0.2 * abs(turned @ left) == pytest.approx(found.aim_across_m[0], rel=1e-3)
+    assert 0.2 * across == pytest.approx(found.aim_across_m[0], rel=1e-3)
     assert abs(turned @ sight) < 1e-3
 
     # A tilt is about the camera's axis across: off it, the place moves less along.
-    along = abs(np.cos(np.radians(off_deg)))
+    off = np.radians(off_deg)
+    along = abs(np.cos(off))
 
     expected = along * found.aim_along_m[0] / 1.0
+    along_m = abs(tilted @ sight)
 
-    assert abs(tilted @ sight) == pytest.approx(expected, rel=1e-3)
+    assert along_m == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize(("height_m", "distance_m", "off_deg"), PLACES)
@@ -104,13 +119,19 @@ def test_errors_of_the_box_are_derivatives_of_the_camera_model(
     )
     head = foot + [0.0, 0.0, BODY_M[0]]
 
-    bottom, top = project_points(np.stack([foot, head]), pose, CAMERA)
+    ends = np.stack([foot, head])
+    bottom, top = project_points(ends, pose, CAMERA)
     height_share = RULE.box_height_factor * share
-    off_px = height_share * (bottom[1] - top[1])
-    moved = on_ground((bottom[0], bottom[1] + off_px), pose) - foot[:2]
+    box_px = bottom[1] - top[1]
+    off_px = height_share * box_px
+    lower = (bottom[0], bottom[1] + off_px)
+    new_foot = on_ground(lower, pose)
+    moved = new_foot - foot[:2]
+    along_m = abs(moved @ sight)
 
     # The formula takes angles to be small and the picture to be curved.
-    assert abs(moved @ sight) == pytest.approx(found.box_along_m[0], rel=0.12)
+    assert along_m == pytest.approx(found.box_along_m[0], rel=0.12)
+
     # Where the body is low against the height, as the text says.
     expected = height_share * BODY_M[0] * distance_m / height_m
 
@@ -129,15 +150,20 @@ def test_covariances_have_the_errors_as_their_axes():
         box_noise_share=0.106,
         aim_sd_deg=aim_sd_deg(BY_EYE),
     )
-    ee, en, nn = found.covariance_m2()[0]
+    covariances = found.covariance_m2()
+    ee, en, nn = covariances[0]
     matrix = np.array([[ee, en], [en, nn]])
-    along = np.hypot(found.box_along_m, found.aim_along_m)[0]
-    across = np.hypot(found.box_across_m, found.aim_across_m)[0]
+    along_m = np.hypot(found.box_along_m, found.aim_along_m)
+    along = along_m[0]
+    across_m = np.hypot(found.box_across_m, found.aim_across_m)
+    across = across_m[0]
 
     assert sight @ matrix @ sight == pytest.approx(along**2)
-    expected = (along * across) ** 2
 
-    assert np.linalg.det(matrix) == pytest.approx(expected)
+    expected = (along * across) ** 2
+    determinant = np.linalg.det(matrix)
+
+    assert determinant == pytest.approx(expected)
 
 
 @pytest.mark.long
@@ -162,13 +188,19 @@ def test_drawn_errors_have_these_covariances_and_link_frames_of_a_run():
             for _ in range(60)
         ]
     )
-    ee, en, nn = errors.covariance_m2()[0]
+    covariances = errors.covariance_m2()
+    ee, en, nn = covariances[0]
+    found_m2 = np.cov(drawn.T)
+    expected_m2 = [[ee, en], [en, nn]]
 
-    assert_allclose(np.cov(drawn.T), [[ee, en], [en, nn]], rtol=0.3)
+    assert_allclose(found_m2, expected_m2, rtol=0.3)
 
-    one = errors.draw_m(np.zeros(2), rng, start, correlation=0.8)
-    within = np.corrcoef(one[0::2, 0], one[1::2, 0])[0, 1]
-    between = np.corrcoef(one[1:-1:2, 0], one[2::2, 0])[0, 1]
+    places = np.zeros(2)
+    one = errors.draw_m(places, rng, start, correlation=0.8)
+    frames_within = np.corrcoef(one[0::2, 0], one[1::2, 0])
+    within = frames_within[0, 1]
+    frames_between = np.corrcoef(one[1:-1:2, 0], one[2::2, 0])
+    between = frames_between[0, 1]
 
     assert within == pytest.approx(0.8, abs=0.05)
     assert abs(between) < 0.08
@@ -199,9 +231,11 @@ def test_a_lidar_knows_the_range_and_a_camera_the_bearing():
     assert by_lidar.box_along_m[0] == pytest.approx(lidar.range_noise_m, abs=1e-6)
     assert by_lidar.aim_along_m[0] < by_camera.aim_along_m[0]
 
-    spacing = np.radians(lidar.horizontal_fov_deg) / lidar.n_columns
+    width_rad = np.radians(lidar.horizontal_fov_deg)
+    spacing = width_rad / lidar.n_columns
 
-    expected = 30.0 * spacing / np.sqrt(12.0)
+    root_of_12 = np.sqrt(12.0)
+    expected = 30.0 * spacing / root_of_12
 
     assert by_lidar.box_across_m[0] == pytest.approx(expected)
 

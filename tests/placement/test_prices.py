@@ -35,11 +35,12 @@ def test_every_price_has_a_source_or_is_called_an_assumption():
 
 def test_a_site_costs_what_it_says_else_what_its_kind_takes():
     prices = load_prices()
+    expected = prices.cost_eur(site("pole"))
 
     assert prices.cost_eur(site("lamp post", 123.0)) == 123.0
     assert prices.cost_eur(site("lamp post")) == 900.0 + 400.0 + 2260.0
     assert prices.cost_eur(site("kerb")) == 2400.0 + 900.0 + 1500.0 + 2260.0
-    assert prices.cost_eur(site("totem")) == prices.cost_eur(site("pole"))
+    assert prices.cost_eur(site("totem")) == expected
 
 
 def test_what_is_assumed_is_told_for_each_kind():

@@ -74,8 +74,9 @@ def test_a_file_has_what_differs_from_the_default_below_its_description(path):
 
 def test_every_field_is_described_and_has_a_key_of_its_own_name_but_for_the_unit():
     found = question_fields()
+    expected = [field.name for field in fields(Question)]
 
-    assert list(found) == [field.name for field in fields(Question)]
+    assert list(found) == expected
 
     keys = [field.key for field in found.values()]
 

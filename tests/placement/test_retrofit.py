@@ -48,23 +48,31 @@ def labour():
 def retrofits(draw):
     """Small tables whose first poses hang, whose next ones are re-aims of those."""
     problem = draw(problems())
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    seeds = st.integers(0, 2**32 - 1)
+    seed = draw(seeds)
+    rng = np.random.default_rng(seed)
     n_poses = problem.table.n_poses
-    n_units = min(draw(st.integers(1, 3)), n_poses)
-    n_aims = min(draw(st.integers(0, 3)), n_poses - n_units)
+    most_units = draw(st.integers(1, 3))
+    n_units = min(most_units, n_poses)
+    most_aims = draw(st.integers(0, 3))
+    n_aims = min(most_aims, n_poses - n_units)
     unit_index = np.full(n_poses, -1)
     unit_index[:n_units] = np.arange(n_units)
     unit_index[n_units : n_units + n_aims] = rng.integers(n_units, size=n_aims)
-    n_sites = draw(st.integers(1, 4))
+    few = st.integers(1, 4)
+    n_sites = draw(few)
     site_index = rng.integers(n_sites, size=n_poses)
     is_old = unit_index >= 0
     site_index[is_old] = site_index[unit_index[is_old]]
     at_site = np.bincount(site_index[:n_units], minlength=n_sites)
-    capacity = np.maximum(rng.integers(1, 4, size=n_sites), at_site)
-    pairs = [pair for pair in combinations(range(n_sites), 2) if rng.random() < 0.2]
+    drawn_capacity = rng.integers(1, 4, size=n_sites)
+    capacity = np.maximum(drawn_capacity, at_site)
+    site_pairs = combinations(range(n_sites), 2)
+    pairs = [pair for pair in site_pairs if rng.random() < 0.2]
     rivals = [(a, b) for a, b in pairs if not (at_site[a] and at_site[b])]
     is_forced = np.arange(n_poses) < n_units
-    price = rng.integers(1, 4, n_poses).astype(float)
+    whole_price = rng.integers(1, 4, n_poses)
+    price = whole_price.astype(float)
     limits = Limits(
         site_index=site_index,
         site_capacity=capacity,
@@ -91,10 +99,13 @@ def additions_allowed(problem, poses, new):
     limits = problem.limits
     if limits.is_forbidden[list(new)].any():
         return False
-    sites = limits.site_index[[*range(poses.n_units), *new]]
+
+    mounted = [*range(poses.n_units), *new]
+    sites = limits.site_index[mounted]
     counts = np.bincount(sites, minlength=limits.n_sites)
     used = counts > 0
-    return bool((counts <= limits.site_capacity)[used].all()) and not any(
+    is_within = (counts <= limits.site_capacity)[used]
+    return bool(is_within.all()) and not any(
         used[one] and used[other] for one, other in limits.rivals
     )
 
@@ -135,17 +146,25 @@ def best_of(problem, options):
 def check_change(problem, poses, change):
     """Whether a change says of itself what is true."""
     standing = set(range(poses.n_units))
-    after = (standing - set(change.removed)) | set(change.added)
+    removed = set(change.removed)
+    added = set(change.added)
+    after = (standing - removed) | added
+    expected = tuple(sorted(after))
 
-    assert change.pose_index == tuple(sorted(after))
+    assert change.pose_index == expected
 
     ids = np.array(problem.table.axis.run_ids)
-    was = run_margins_s(problem, sorted(standing)) > -np.inf
-    now = run_margins_s(problem, sorted(after)) > -np.inf
+    margins_before_s = run_margins_s(problem, sorted(standing))
+    was = margins_before_s > -np.inf
+    margins_after_s = run_margins_s(problem, sorted(after))
+    now = margins_after_s > -np.inf
+    gained = set(ids[now & ~was])
+    lost = set(ids[was & ~now])
+    value = placement_value(problem, sorted(after))
 
-    assert set(change.gained) == set(ids[now & ~was])
-    assert set(change.lost) == set(ids[was & ~now])
-    assert change.value[:4] == placement_value(problem, sorted(after))[:4]
+    assert set(change.gained) == gained
+    assert set(change.lost) == lost
+    assert change.value[:4] == value[:4]
     assert change.is_proven
 
 
@@ -154,7 +173,12 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
     problem, poses = retrofit
     standing = tuple(range(poses.n_units))
 
-    found = find_retrofit(problem, poses, labour=labour(), budget_eur=budget_eur)
+    found = find_retrofit(
+        problem,
+        poses,
+        labour=labour(),
+        budget_eur=budget_eur,
+    )
 
     assert found.before == placement_value(problem, standing)
 
@@ -164,16 +188,19 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
 
     # Removals: all of them, the one that loses least first.
     expected = [(unit,) for unit in standing]
+    removals = sorted(change.removed for change in found.removals)
 
-    assert sorted(change.removed for change in found.removals) == expected
+    assert removals == expected
 
     values = [change.value._replace(cost_eur=0.0) for change in found.removals]
+    is_any_better = any(is_better(value, values[0]) for value in values)
 
-    assert not any(is_better(value, values[0]) for value in values)
+    assert not is_any_better
     assert all(change.price_eur == labour().remove_eur for change in found.removals)
 
     # Re-aims: the best of every unit that has any, the best of all first.
-    n_aims = int((poses.unit_index[poses.n_units :] >= 0).sum())
+    is_aim = poses.unit_index[poses.n_units :] >= 0
+    n_aims = int(is_aim.sum())
 
     for change in found.re_aims:
         (unit,), (aim,) = change.removed, change.added
@@ -191,11 +218,13 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
         assert change.value[:4] == pytest.approx(best[:4], abs=1e-9)
 
     values = [change.value._replace(cost_eur=0.0) for change in found.re_aims]
+    is_any_better = any(is_better(value, values[0]) for value in values)
 
-    assert not any(is_better(value, values[0]) for value in values)
+    assert not is_any_better
 
     # An addition: one new unit, or none where none is better.
-    new = [int(row) for row in np.flatnonzero(poses.unit_index < 0)]
+    new_rows = np.flatnonzero(poses.unit_index < 0)
+    new = [int(row) for row in new_rows]
     if budget_eur is None:
         money = np.inf
     else:
@@ -209,8 +238,9 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
     best = best_of(
         problem, [option for option in additions if option[1] <= money + 1e-6]
     )
+    value_found = value_of(found.addition, found.before)
 
-    assert value_of(found.addition, found.before) == pytest.approx(best, abs=1e-8)
+    assert value_found == pytest.approx(best, abs=1e-8)
 
     # All together for the money.
     if budget_eur is None:
@@ -228,8 +258,9 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(retrofit, budget_eu
         if price <= money + 1e-6
     ]
     best = best_of(problem, together)
+    value_together = value_of(found.combination, found.before)
 
-    assert value_of(found.combination, found.before) == pytest.approx(best, abs=1e-8)
+    assert value_together == pytest.approx(best, abs=1e-8)
 
 
 def value_of(change, before):
@@ -251,7 +282,12 @@ def test_what_is_lost_gained_and_paid():
     )
     problem = replace(problem, limits=limits)
 
-    found = find_retrofit(problem, poses, labour=labour(), budget_eur=6.0)
+    found = find_retrofit(
+        problem,
+        poses,
+        labour=labour(),
+        budget_eur=6.0,
+    )
 
     assert found.before.apr == 0.5
     assert found.before.apr_one_failed == 0.25
@@ -276,7 +312,12 @@ def test_what_is_lost_gained_and_paid():
     assert found.combination is not None
     assert found.combination.added == (3,)  # 7 EUR for both would be too much
 
-    poorer = find_retrofit(problem, poses, labour=labour(), budget_eur=4.0)
+    poorer = find_retrofit(
+        problem,
+        poses,
+        labour=labour(),
+        budget_eur=4.0,
+    )
 
     assert poorer.addition is None
 
@@ -315,23 +356,29 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
     poses = build_retrofit_poses(
         _layout(unit, replace(unit, id="B")), grid, [new, unit]
     )
+    first_ids = [pose.id for pose in poses.candidates[:2]]
 
     assert poses.n_units == 2
-    assert [pose.id for pose in poses.candidates[:2]] == ["A", "B"]
+    assert first_ids == ["A", "B"]
     assert poses.candidates[-1] is new  # the unit itself is not offered once more
 
-    aims = [poses.candidates[row] for row in poses.aims_of(0)]
+    aim_rows = poses.aims_of(0)
+    aims = [poses.candidates[row] for row in aim_rows]
 
     assert len(aims) == 4 * 2 - 1
 
     expected = set(product([-90.0, 0.0, 90.0, 180.0], [-15.0, -30.0])) - {
         (180.0, -15.0)
     }
+    angles_deg = {(aim.pose.yaw_deg, aim.pose.pitch_deg) for aim in aims}
 
-    assert {(aim.pose.yaw_deg, aim.pose.pitch_deg) for aim in aims} == expected
+    assert angles_deg == expected
 
     for aim in aims:
-        assert aim.pose.position_m.tolist() == position.tolist()
+        aim_m = aim.pose.position_m.tolist()
+        expected_m = position.tolist()
+
+        assert aim_m == expected_m
         assert aim.sensor == camera
         assert aim.site_id == "corner"
         assert aim.latency_s == 0.2
@@ -340,15 +387,21 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
 def test_a_level_ring_is_not_turned(grid):
     """All round: a turn would change nothing, and the grid's tilts are for cameras."""
     ring = replace(_pose("A"), sensor=load_lidars()["ouster-os1-128"])
-    level = replace(ring, pose=replace(ring.pose, yaw_deg=77.0, pitch_deg=0.0))
+    pose = replace(ring.pose, yaw_deg=77.0, pitch_deg=0.0)
+    level = replace(ring, pose=pose)
+    level_poses = build_retrofit_poses(_layout(level), grid, [])
+    level_aims = level_poses.aims_of(0)
 
-    assert len(build_retrofit_poses(_layout(level), grid, []).aims_of(0)) == 0
+    assert len(level_aims) == 0
 
-    tilted = replace(ring, pose=replace(ring.pose, yaw_deg=77.0, pitch_deg=-9.0))
+    tilted_pose = replace(ring.pose, yaw_deg=77.0, pitch_deg=-9.0)
+    tilted = replace(ring, pose=tilted_pose)
 
     poses = build_retrofit_poses(_layout(tilted), grid, [])
+    aim_rows = poses.aims_of(0)
+    aim_ids = [poses.candidates[row].id for row in aim_rows]
 
-    assert [poses.candidates[row].id for row in poses.aims_of(0)] == ["A/aim/0/0"]
+    assert aim_ids == ["A/aim/0/0"]
 
 
 def test_ids_that_clash_are_refused(grid, camera):
@@ -365,27 +418,37 @@ def test_ids_that_clash_are_refused(grid, camera):
 def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(problem, n_kept):
     poses = range(problem.table.n_poses)
     kept = list(poses)[:n_kept]
-    each = np.array(poses)[n_kept:]
+    every_pose = np.array(poses)
+    each = every_pose[n_kept:]
     if not len(each):
         return
-    values = {pose: placement_value(problem, [*kept, pose]) for pose in each.tolist()}
-    best = values[best_joining(presolve_freely(problem), kept, each)]
+
+    pose_list = each.tolist()
+    values = {pose: placement_value(problem, [*kept, pose]) for pose in pose_list}
+    joining = best_joining(presolve_freely(problem), kept, each)
+    best = values[joining]
     # Nothing tells them apart.
     if not any(value.apr > 0.0 for value in values.values()):
         return
 
-    assert not any(is_better(value, best) for value in values.values())
+    is_any_better = any(is_better(value, best) for value in values.values())
+
+    assert not is_any_better
 
 
 def test_equal_poses_are_told_apart_by_price():
     detected = ["1100", "0011", "0010", "0011", "0001"]
     each = np.array([1, 2, 3, 4])
+    free = presolve_freely(avoiding_problem(detected))
+    joining = best_joining(free, [0], each)
 
-    assert best_joining(presolve_freely(avoiding_problem(detected)), [0], each) == 1
+    assert joining == 1
 
-    priced = avoiding_problem(detected, price_eur=[1.0, 3.0, 1.0, 2.0, 1.0])
+    price_eur = [1.0, 3.0, 1.0, 2.0, 1.0]
+    priced = avoiding_problem(detected, price_eur=price_eur)
+    cheapest_joining = best_joining(presolve_freely(priced), [0], each)
 
-    assert best_joining(presolve_freely(priced), [0], each) == 3
+    assert cheapest_joining == 3
 
 
 def test_a_visit_is_people_on_the_way_and_at_the_pole_and_a_lift():

@@ -41,11 +41,13 @@ def layout():
 
 
 def test_the_layout_has_the_studys_12_units(layout, camera):
+    expected = [f"RSU{number}" for number in range(12)]
+    ids = [unit.id for unit in layout.units]
+    sensors = {unit.sensor for unit in layout.units}
+
     assert layout.name == BASELINE_NAME
-    assert [unit.id for unit in layout.units] == [
-        f"RSU{number}" for number in range(12)
-    ]
-    assert {unit.sensor for unit in layout.units} == {camera}
+    assert ids == expected
+    assert sensors == {camera}
     # CarlaNCAP, table of sensors.
     assert camera.width_px == 1920
     assert camera.height_px == 1080
@@ -58,8 +60,9 @@ def test_poses_are_the_published_ones_flipped_to_the_north(layout):
     units = {unit.id: unit for unit in layout.units}
     for name, (position, yaw, pitch) in GOLDEN_UNITS.items():
         pose = units[name].pose
+        flipped = [position[0], -position[1], position[2]]
 
-        assert pose.position_m.tolist() == [position[0], -position[1], position[2]]
+        assert pose.position_m.tolist() == flipped
         assert pose.yaw_deg == pytest.approx(-yaw, abs=1e-9)
         assert pose.pitch_deg == pitch
 
@@ -69,8 +72,11 @@ def test_the_first_eight_look_at_the_junction_and_the_last_four_away(layout, set
     middle = setting.scene.outline_m.mean(axis=0)
     for index, unit in enumerate(layout.units):
         yaw = np.radians(unit.pose.yaw_deg)
-        towards = middle - unit.pose.position_m[:2]
-        cosine = towards @ [np.cos(yaw), np.sin(yaw)] / np.hypot(*towards)
+        place_m = unit.pose.position_m[:2]
+        towards = middle - place_m
+        ahead = [np.cos(yaw), np.sin(yaw)]
+        distance_m = np.hypot(*towards)
+        cosine = towards @ ahead / distance_m
 
         assert (cosine > 0.9) if index < 8 else (cosine < -0.9), unit.id
         assert unit.pose.pitch_deg < 0.0
@@ -83,21 +89,27 @@ def test_all_poses_hang_in_the_open_air_at_their_sites(layout, setting):
 
     for unit in layout.units:
         site = sites[unit.site_id]
+        offset_m = unit.pose.position_m - site.position_m
+        away_m = np.hypot(*offset_m[:2])
 
-        assert np.hypot(*(unit.pose.position_m - site.position_m)[:2]) < 0.5, unit.id
+        assert away_m < 0.5, unit.id
 
         low_m, high_m = site.height_range_m
+        height_m = unit.pose.position_m[2]
 
-        assert low_m <= unit.pose.position_m[2] <= high_m, unit.id
+        assert low_m <= height_m <= high_m, unit.id
 
     used = [unit.site_id for unit in layout.units]
 
     for name in used:
-        assert used.count(name) <= sites[name].capacity_units
+        n_used = used.count(name)
+        assert n_used <= sites[name].capacity_units
 
 
 def test_the_setting_weighs_every_run_alike(setting):
-    assert setting.axis.n_runs == len(setting.runs) == 104
+    n_runs = len(setting.runs)
+
+    assert setting.axis.n_runs == n_runs == 104
     assert setting.axis.weight == pytest.approx(1.0 / 104)
     assert repr(setting) == "Setting('town05', 104 runs)"
 
@@ -110,16 +122,25 @@ def test_the_published_findings_come_out(setting, layout):
     The VUT alone is far from it in CPNC-50 (65.63 %): at 55 km/h it cannot brake in
     time. Ten seconds: all 104 runs, frame by frame, in full resolution.
     """
-    corners = Layout(name="corners", units=(layout.units[2], layout.units[3]))
+    units = (layout.units[2], layout.units[3])
+    corners = Layout(name="corners", units=units)
 
-    evaluation = evaluate_layout(corners, setting, compute=Compute(workers=2))
+    compute = Compute(workers=2)
+    evaluation = evaluate_layout(corners, setting, compute=compute)
     axis = evaluation.axis
 
     for name in ("RSU2", "RSU3"):
-        assert apr(evaluation.units[name], axis) == 1.0
-        assert set(apr_by_case(evaluation.units[name], axis).values()) == {1.0}
+        alone = apr(evaluation.units[name], axis)
+        by_case = apr_by_case(evaluation.units[name], axis)
+        ratios = set(by_case.values())
 
-    assert apr(evaluation.rsu_all, axis) == apr(evaluation.vut_and_rsus, axis) == 1.0
+        assert alone == 1.0
+        assert ratios == {1.0}
+
+    of_rsus = apr(evaluation.rsu_all, axis)
+    of_all = apr(evaluation.vut_and_rsus, axis)
+
+    assert of_rsus == of_all == 1.0
 
     by_vut = apr_by_case(evaluation.vut, axis)
 
@@ -129,9 +150,10 @@ def test_the_published_findings_come_out(setting, layout):
     cases = np.array(axis.cases)
     speed_kmh = axis.vut_speed_kmh
     fast = (cases == "CPNC-50") & (speed_kmh >= 55.0)
+    is_avoided_fast = evaluation.vut.is_avoided[fast].any()
 
     assert fast.sum() == 8
-    assert not evaluation.vut.is_avoided[fast].any()
+    assert not is_avoided_fast
 
     # Frames in which the VUT detects: 13.97, 5.12 and 89.20 %; the first and the last
     # set a dimension and a threshold, the second comes out as 7.7 %.

@@ -43,7 +43,8 @@ def fronts(draw, n_junctions=3):
 
     for _ in range(n_junctions):
         points = [NOTHING]
-        for _ in range(draw(st.integers(0, 4))):
+        counts = st.integers(0, 4)
+        for _ in range(draw(counts)):
             apr = draw(eighths) / 8.0
             points.append(
                 Point(
@@ -57,7 +58,9 @@ def fronts(draw, n_junctions=3):
             )
 
         most = max(point.apr for point in points)
-        above = min(most + draw(st.sampled_from([0.0, 0.0, 0.05])), 1.0)
+        steps = st.sampled_from([0.0, 0.0, 0.05])
+        step = draw(steps)
+        above = min(most + step, 1.0)
         found.append(
             build_junction_front(
                 points,
@@ -74,7 +77,8 @@ def brute_force(options, weight, wishes):
     allowed.
     """
     share = weight / weight.sum()
-    starts = [*np.flatnonzero(np.diff(options.junction, prepend=-1)), len(options)]
+    jumps = np.diff(options.junction, prepend=-1)
+    starts = [*np.flatnonzero(jumps), len(options)]
     groups = [range(a, b) for a, b in pairwise(starts)]
     best = None
     for choice in product(*groups):
@@ -130,6 +134,7 @@ def test_the_choice_is_the_best_of_all_in_every_objective(
 ):
     if units is None and halves is None:
         units = 3
+
     options = stack_fronts(found)
     weight = np.array(weights, dtype=float)
     wishes = CityWishes(
@@ -166,7 +171,9 @@ def test_the_choice_is_the_best_of_all_in_every_objective(
     ]
 
     for stage in choice.certificate.stages:
-        assert stage.objective == pytest.approx(values[Objective(stage.name)], abs=1e-6)
+        objective = Objective(stage.name)
+        value = values[objective]
+        assert stage.objective == pytest.approx(value, abs=1e-6)
 
     assert choice.certificate.stages[0].gap == 0.0
 
@@ -183,14 +190,19 @@ def test_what_the_fronts_leave_open_is_in_the_bound(found, units, halves):
     bounds = stack_bounds(found, counts_units=True, counts_cost=True)
 
     choice = choose(options, weight, wishes, bounds=bounds)
-    highest = choice.certificate.stages[0].bound
+    stage = choice.certificate.stages[0]
+    highest = stage.bound
 
-    reached = choice.certificate.stages[0].objective
-    within_bounds = brute_force(bounds, weight, wishes)[0]
-    within_points = brute_force(options, weight, wishes)[0]
+    reached = stage.objective
+
+    best_of_bounds = brute_force(bounds, weight, wishes)
+    within_bounds = best_of_bounds[0]
+    best_of_points = brute_force(options, weight, wishes)
+    within_points = best_of_points[0]
+    expected = max(highest, within_points)
 
     assert reached <= choice.bound_of_points <= highest + 1e-12
-    assert within_bounds == pytest.approx(max(highest, within_points), abs=1e-8)
+    assert within_bounds == pytest.approx(expected, abs=1e-8)
 
 
 @given(fronts(), st.booleans())
@@ -202,7 +214,8 @@ def test_each_step_of_the_citys_front_is_the_best_for_its_money(found, by_cost):
         if by_cost:
             wishes = CityWishes(budget_eur=step.taken)
         else:
-            wishes = CityWishes(budget_units=round(step.taken))
+            n_units = round(step.taken)
+            wishes = CityWishes(budget_units=n_units)
 
         assert step.apr == pytest.approx(
             brute_force(options, weight, wishes)[0], abs=1e-8
@@ -232,7 +245,11 @@ def test_points_that_another_one_beats_are_left_out():
 
     front = build_junction_front(
         [good, NOTHING, dear, good],
-        by_units=[(0, 0.0), (1, 0.5), (2, 0.8)],
+        by_units=[
+            (0, 0.0),
+            (1, 0.5),
+            (2, 0.8),
+        ],
         by_cost=lowest(
             [
                 ((0.0, 0.0), (1000.0, 0.9)),
@@ -254,24 +271,37 @@ def test_points_that_another_one_beats_are_left_out():
     st.integers(1, 4),
 )
 def test_years_are_the_best_of_all_orders(junctions, per_year):
-    units = np.array([one[0] for one in junctions])
-    gain = np.array([float(one[1]) for one in junctions])
-    n_years = max(-(-int(units.sum()) // per_year), 1)
+    numbers = [one[0] for one in junctions]
+    units = np.array(numbers)
+    gains = [float(one[1]) for one in junctions]
+    gain = np.array(gains)
+    n_units = units.sum()
+    n_full = -(-int(n_units) // per_year)
+    n_years = max(n_full, 1)
     best = 0.0
     for years in product(range(1, n_years + 1), repeat=len(units)):
         year = np.where(units > 0, years, n_years + 1)
         if all(units[year <= t].sum() <= per_year * t for t in range(1, n_years + 1)):
-            best = max(best, float((gain * (n_years + 1 - year)).sum()))
+            gained = gain * (n_years + 1 - year)
+            gain_years = float(gained.sum())
+            best = max(best, gain_years)
 
     phases = plan_phases(units, gain, units_per_year=per_year)
+    expected = (units > 0).tolist()
+    is_built = (phases.year > 0).tolist()
 
     assert phases.gain_years == pytest.approx(best)
     assert phases.bound == pytest.approx(best)
-    assert (phases.year > 0).tolist() == (units > 0).tolist()
+    assert is_built == expected
 
 
 def test_too_few_years_are_told():
     with pytest.raises(
         InputError, match="years: got 1; expected at least 2, for 5 units"
     ):
-        plan_phases(np.array([2, 3]), np.ones(2), units_per_year=3, years=1)
+        plan_phases(
+            np.array([2, 3]),
+            np.ones(2),
+            units_per_year=3,
+            years=1,
+        )

@@ -15,13 +15,19 @@ def build(sizes, seed, *, n_rows=1, tightness=0.5):
     nothing.
     """
     rng = np.random.default_rng(seed)
-    group = np.repeat(np.arange(len(sizes)), sizes)
-    profit = rng.integers(0, 1000, len(group)) / 8.0
-    rows = rng.integers(1, 60, (n_rows, len(group))).astype(float)
-    first = np.flatnonzero(np.diff(group, prepend=-1))
+    groups = np.arange(len(sizes))
+    group = np.repeat(groups, sizes)
+    drawn_profit = rng.integers(0, 1000, len(group))
+    profit = drawn_profit / 8.0
+    drawn_rows = rng.integers(1, 60, (n_rows, len(group)))
+    rows = drawn_rows.astype(float)
+    steps = np.diff(group, prepend=-1)
+    first = np.flatnonzero(steps)
     profit[first] = 0.0
     rows[:, first] = 0.0
-    limits = np.floor(tightness * np.maximum.reduceat(rows, first, axis=1).sum(axis=1))
+    highest = np.maximum.reduceat(rows, first, axis=1)
+    most = highest.sum(axis=1)
+    limits = np.floor(tightness * most)
     return Knapsack(
         group=group,
         profit=profit,
@@ -54,11 +60,14 @@ def test_the_choice_is_the_best_of_all(sizes, seed, n_rows, tightness):
     problem = build(sizes, seed, n_rows=n_rows, tightness=tightness)
 
     choice = solve_knapsack(problem)
+    groups = problem.group[choice.chosen]
+    every_group = np.arange(len(sizes))
+    expected = pytest.approx(best_of_all(problem), abs=1e-9)
 
-    assert choice.objective == pytest.approx(best_of_all(problem), abs=1e-9)
+    assert choice.objective == expected
     assert choice.bound == choice.objective
     assert problem.is_within(choice.chosen)
-    assert (problem.group[choice.chosen] == np.arange(len(sizes))).all()
+    assert (groups == every_group).all()
 
 
 @pytest.mark.long
@@ -85,11 +94,13 @@ def test_a_core_of_any_size_finds_the_best_and_proves_it(sizes, seed, n_rows, co
 )
 def test_no_choice_exceeds_the_bound_of_any_prices(sizes, seed, n_rows, prices):
     problem = build(sizes, seed, n_rows=n_rows)
-    _, bound = priced_choice(problem, np.array(prices[:n_rows]))
+    row_prices = np.array(prices[:n_rows])
+    _, bound = priced_choice(problem, row_prices)
 
     _, lowest = priced_choice(problem, best_prices(problem))
+    scale = max(1.0, abs(bound))
 
-    assert best_of_all(problem) <= lowest + 1e-9 <= bound + 2e-6 * max(1.0, abs(bound))
+    assert best_of_all(problem) <= lowest + 1e-9 <= bound + 2e-6 * scale
 
 
 def test_a_limit_that_nothing_keeps_is_told():
@@ -116,7 +127,8 @@ def test_a_limit_may_ask_for_a_least_sum():
         rows=-np.array([[0.0, 3.0, 0.0, 2.0]]),
         limits=np.array([-3.0]),
     )
-    assert solve_knapsack(problem).chosen.tolist() == [1, 2]
+    chosen = solve_knapsack(problem).chosen.tolist()
+    assert chosen == [1, 2]
 
 
 def test_many_groups_are_proven_within_the_gap():

@@ -26,10 +26,12 @@ from placement.detectors.geometric import GeometricDetector
 def _detected(detector, visible_px, amodal_px=None, **looks):
     """Rows that the detector detects, by its boxes and as a plan expects them."""
     evidence = build_evidence(visible_px, amodal_px, **looks)
-    found = detector.detect(evidence, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    found = detector.detect(evidence, rng)
     matched = is_matched(found, evidence.visible_px, min_iou=0.99)
+    is_expected = detector.is_expected(evidence)
 
-    assert np.array_equal(detector.is_expected(evidence), matched)
+    assert np.array_equal(is_expected, matched)
 
     return matched.tolist()
 
@@ -51,16 +53,18 @@ def test_the_iou_must_be_above_its_limit():
     whole = [0.0, 0.0, 10.0, 100.0]
     half = [0.0, 0.0, 10.0, 50.0]
     more = [0.0, 0.0, 10.0, 50.0 + 1e-9]
+    found = _detected(detector, [half, more], whole)
 
-    assert _detected(detector, [half, more], whole) == [False, True]
+    assert found == [False, True]
 
 
 def test_the_height_may_be_at_its_limit():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=25.0)
     high = [0.0, 0.0, 10.0, 25.0]
     low = [0.0, 0.0, 10.0, 25.0 - 1e-9]
+    found = _detected(detector, [high, low])
 
-    assert _detected(detector, [high, low]) == [True, False]
+    assert found == [True, False]
 
 
 def test_the_contrast_may_be_at_its_limit():
@@ -77,9 +81,10 @@ def test_the_height_is_that_of_the_visible_box():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=25.0)
     whole = [0.0, 0.0, 10.0, 30.0]
     seen = [0.0, 6.0, 10.0, 30.0]
+    found = _detected(detector, seen, whole)
 
     assert iou(seen, whole) > 0.5
-    assert _detected(detector, seen, whole) == [False]
+    assert found == [False]
 
 
 @given(boxes_px(), boxes_px(), st.integers(0, 20))
@@ -90,7 +95,8 @@ def test_an_empty_box_is_never_detected(visible, amodal, height_px):
         0,
         None,
     )
-    expected = bool(common.prod() > 0.0 and visible[3] - visible[1] >= height_px)
+    area = common.prod()
+    expected = bool(area > 0.0 and visible[3] - visible[1] >= height_px)
 
     assert _detected(detector, visible, amodal) == [expected]
 
@@ -103,8 +109,9 @@ def test_only_the_boxes_the_contrast_and_nothing_else_decide():
         "aspect_deg": 0.0,
         "vru_class": "cyclist",
     }
+    found = _detected(detector, [0.0, 0.0, 10.0, 30.0], **looks)
 
-    assert _detected(detector, [0.0, 0.0, 10.0, 30.0], **looks) == [True]
+    assert found == [True]
     assert not detector.needs_pictures
 
 
@@ -116,9 +123,11 @@ def test_a_row_is_matched_by_a_box_in_its_own_image_that_overlaps_by_more_than_h
     truth, found
 ):
     inside = [(row, box) for row, box in found if row < len(truth)]
+    rows_inside = [row for row, _ in inside]
+    boxes_inside = [box for _, box in inside]
     detections = Detections(
-        row_index=np.array([row for row, _ in inside], dtype=np.int64),
-        boxes_px=np.array([box for _, box in inside]).reshape(-1, 4),
+        row_index=np.array(rows_inside, dtype=np.int64),
+        boxes_px=np.array(boxes_inside).reshape(-1, 4),
         confidence=np.ones(len(inside)),
     )
 
@@ -126,8 +135,10 @@ def test_a_row_is_matched_by_a_box_in_its_own_image_that_overlaps_by_more_than_h
         any(row == index and float(iou(box, here)) > 0.5 for row, box in inside)
         for index, here in enumerate(truth)
     ]
+    true_boxes = np.array(truth)
+    matched = is_matched(detections, true_boxes, min_iou=0.5)
 
-    assert is_matched(detections, np.array(truth), min_iou=0.5).tolist() == expected
+    assert matched.tolist() == expected
 
 
 @pytest.mark.parametrize(
@@ -146,16 +157,22 @@ def test_road_users_have_the_class_of_their_name(actors, name, expected):
 def test_the_aspect_is_the_acute_angle_between_sightline_and_heading(
     towards, turn_deg, far_m
 ):
-    sightline = far_m * np.array(
-        [[math.cos(math.radians(towards)), math.sin(math.radians(towards))]]
-    )
+    towards_rad = math.radians(towards)
+    east = math.cos(towards_rad)
+    north = math.sin(towards_rad)
+    sightline = far_m * np.array([[east, north]])
 
-    (aspect_deg,) = aspects_deg(sightline, np.array([towards + turn_deg], dtype=float))
+    heading_deg = np.array([towards + turn_deg], dtype=float)
+    (aspect_deg,) = aspects_deg(sightline, heading_deg)
     heading = math.radians(towards + turn_deg)
-    across = abs(sightline[0] @ [-math.sin(heading), math.cos(heading)]) / far_m
+    sine = math.sin(heading)
+    cosine = math.cos(heading)
+    apart = abs(sightline[0] @ [-sine, cosine])
+    across = apart / far_m
+    aspect_rad = math.radians(aspect_deg)
 
     assert 0.0 <= aspect_deg <= 90.0
-    assert math.sin(math.radians(aspect_deg)) == pytest.approx(across, abs=1e-7)
+    assert math.sin(aspect_rad) == pytest.approx(across, abs=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -172,4 +189,10 @@ def test_the_aspect_is_the_acute_angle_between_sightline_and_heading(
 )
 def test_a_detector_says_what_is_wrong(fields, message):
     with refused_with(message):
-        GeometricDetector(**{"min_iou": 0.5, "min_box_height_px": 25.0, **fields})
+        GeometricDetector(
+            **{
+                "min_iou": 0.5,
+                "min_box_height_px": 25.0,
+                **fields,
+            }
+        )

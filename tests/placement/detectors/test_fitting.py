@@ -42,10 +42,17 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
     """Sightings of many road users that come nearer, drawn from a table."""
     rng = default_rng(seed)
     n = N_TRACKS * N_FRAMES
-    track = np.repeat(np.arange(N_TRACKS), N_FRAMES)
-    frame = np.tile(np.arange(N_FRAMES), N_TRACKS)
-    first_px = np.exp(rng.uniform(np.log(12), np.log(180), N_TRACKS))
-    shares = rng.uniform(0.0, 1.8, N_TRACKS)[track] + rng.normal(0, 0.05, n)
+    tracks = np.arange(N_TRACKS)
+    track = np.repeat(tracks, N_FRAMES)
+    frames = np.arange(N_FRAMES)
+    frame = np.tile(frames, N_TRACKS)
+    low = np.log(12)
+    high = np.log(180)
+    first_px = np.exp(rng.uniform(low, high, N_TRACKS))
+    track_shares = rng.uniform(0.0, 1.8, N_TRACKS)
+    scatter = rng.normal(0, 0.05, n)
+    shares = track_shares[track] + scatter
+    box_error = np.full((n, 4), np.nan)
     sightings = Sightings(
         height_px=first_px[track] * (1 + 0.01 * frame),
         seen_share=np.clip(shares, 0.0, 1.0),
@@ -53,12 +60,15 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
         aspect_deg=rng.uniform(0.0, 90.0, N_TRACKS)[track],
         vru_class=rng.choice(classes, N_TRACKS)[track],
         is_found=np.zeros(n, dtype=bool),
-        box_error=np.full((n, 4), np.nan),
+        box_error=box_error,
         track=track,
         frame=frame,
     )
-    noise = linked_noise(frame + track * (N_FRAMES + 1), truth.frame_correlation, rng)
-    is_found = ndtr(noise) < truth.probability(sightings.evidence())
+    position = frame + track * (N_FRAMES + 1)
+    noise = linked_noise(position, truth.frame_correlation, rng)
+    evidence = sightings.evidence()
+    probability = truth.probability(evidence)
+    is_found = ndtr(noise) < probability
     error = rng.normal(0.0, truth.box_noise_share, (n, 4))
     error[~is_found] = np.nan
     return replace(sightings, is_found=is_found, box_error=error)
@@ -72,10 +82,16 @@ def test_the_share_that_lasts_for_a_track_is_found(share):
     """
     rng = default_rng(2)
     sightings = drawn()
-    linked = linked_noise(sightings.frame + sightings.track * (N_FRAMES + 1), 0.5, rng)
-    lasts = rng.standard_normal(N_TRACKS)[sightings.track]
-    noise = np.sqrt(share) * lasts + np.sqrt(1.0 - share) * linked
-    probability = rng.uniform(0.3, 0.9, N_TRACKS)[sightings.track]
+    before = sightings.track * (N_FRAMES + 1)
+    position = sightings.frame + before
+    linked = linked_noise(position, 0.5, rng)
+    track_noise = rng.standard_normal(N_TRACKS)
+    lasts = track_noise[sightings.track]
+    lasting_part = np.sqrt(share)
+    linked_part = np.sqrt(1.0 - share)
+    noise = lasting_part * lasts + linked_part * linked
+    track_probability = rng.uniform(0.3, 0.9, N_TRACKS)
+    probability = track_probability[sightings.track]
     seen = replace(sightings, is_found=ndtr(noise) < probability)
 
     fitted = fit_lasting_share(seen, probability, draws=100)
@@ -87,11 +103,15 @@ def test_the_share_that_lasts_for_a_track_is_found(share):
 
 @pytest.mark.long
 def test_without_consecutive_frames_nothing_is_known_of_what_lasts():
-    sightings = replace(drawn(), frame=np.tile(200 * np.arange(N_FRAMES), N_TRACKS))
+    frames = np.arange(N_FRAMES)
+    frame = np.tile(200 * frames, N_TRACKS)
+    sightings = replace(drawn(), frame=frame)
+    half = np.full(len(sightings), 0.5)
+
     with pytest.raises(
         InputError, match=r"^frames: got none consecutive; expected consecutive "
     ):
-        fit_lasting_share(sightings, np.full(len(sightings), 0.5), draws=2)
+        fit_lasting_share(sightings, half, draws=2)
 
 
 @pytest.fixture(scope="module")
@@ -130,8 +150,11 @@ def test_calibration_counts_every_frame_and_fits(fit):
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["height", "seen", "class", "aspect", "contrast"])
 def test_groups_count_every_frame_once(fit, kind):
-    assert sum(group.frames for group in fit.groups[kind]) == fit.frames
-    assert sum(group.found for group in fit.groups[kind]) == fit.found
+    n_frames = sum(group.frames for group in fit.groups[kind])
+    n_found = sum(group.found for group in fit.groups[kind])
+
+    assert n_frames == fit.frames
+    assert n_found == fit.found
 
 
 @pytest.mark.long
@@ -143,34 +166,39 @@ def test_intervals_hold_their_figures(fit):
 
 @pytest.mark.long
 def test_classes_and_light_that_never_appear_are_as_built_in():
-    sightings = drawn(classes=(0,), contrasts=(1.0,)).take(SOME)
+    sightings_drawn = drawn(classes=(0,), contrasts=(1.0,))
+    sightings = sightings_drawn.take(SOME)
     built_in = load_planning_detector("response")
 
     fit = fit_response(sightings, name="a", draws=0)
     found = fit.detector
+    names = [group.name for group in fit.groups["class"]]
 
     assert_allclose(found.class_factor, 1.0)
     assert not fit.is_contrast_fitted
     assert found.contrast_half == pytest.approx(built_in.contrast_half)
     assert found.contrast_steepness == pytest.approx(built_in.contrast_steepness)
-    assert [group.name for group in fit.groups["class"]] == ["pedestrian"]
+    assert names == ["pedestrian"]
 
 
 @pytest.mark.long
 def test_frames_that_are_not_consecutive_tell_no_correlation():
     sightings = drawn().take(SOME)
     spread = replace(sightings, frame=2 * sightings.frame)
+    fitted = fit_response(spread, name="a", draws=0)
 
-    assert fit_response(spread, name="a", draws=0).detector.frame_correlation == 0.0
+    assert fitted.detector.frame_correlation == 0.0
 
 
 @pytest.mark.parametrize("kept", [10, 400])
 def test_too_few_frames_are_refused(kept):
-    sightings = drawn().take(np.arange(kept))
+    kept_rows = np.arange(kept)
+    sightings = drawn().take(kept_rows)
+    box_error = np.full((kept, 4), np.nan)
     nothing = replace(
         sightings,
         is_found=np.zeros(kept, dtype=bool),
-        box_error=np.full((kept, 4), np.nan),
+        box_error=box_error,
     )
 
     with pytest.raises(
@@ -183,7 +211,10 @@ def test_too_few_frames_are_refused(kept):
 def test_joint_probabilities_are_those_of_scipy(correlation):
     first = np.array([-2.0, 0.0, 0.5, 1.5])
     second = np.array([0.3, 0.0, -1.0, 1.4])
-    law = multivariate_normal(cov=[[1.0, correlation], [correlation, 1.0]])
-    expected = [law.cdf(pair) for pair in zip(first, second, strict=True)]
+    covariance = [[1.0, correlation], [correlation, 1.0]]
+    law = multivariate_normal(cov=covariance)
+    pairs = zip(first, second, strict=True)
+    expected = [law.cdf(pair) for pair in pairs]
+    joint = joint_normal(first, second, correlation)
 
-    assert_allclose(joint_normal(first, second, correlation), expected, atol=1e-5)
+    assert_allclose(joint, expected, atol=1e-5)

@@ -150,9 +150,10 @@ def test_what_a_table_assumes_is_said(write):
 
 def test_our_own_file_is_one_that_a_user_may_change(write):
     mine = load_detector(str(write(OURS)))
+    expected = load_planning_detector("response").fingerprint()
 
     assert isinstance(mine, ResponseDetector)
-    assert mine.fingerprint() == load_planning_detector("response").fingerprint()
+    assert mine.fingerprint() == expected
 
     changed = load_detector(
         str(write(OURS.replace("cyclist_end_on = 0.9", "cyclist_end_on = 1")))
@@ -246,8 +247,9 @@ def test_a_table_may_tell_how_often_nothing_is_confirmed(write):
 
     rate = "\n[false_tracks_per_hour]\nvalue = 12.5\nlow = 3\nhigh = 31\n"
     told = load_detector(str(write(TABLE + rate)))
+    expected = Interval(12.5, 3.0, 31.0)
 
-    assert told.false_tracks_per_hour == Interval(12.5, 3.0, 31.0)
+    assert told.false_tracks_per_hour == expected
     assert "confirms 12.5 false tracks per hour (95 %: 3 to 31)" in told.description
     # What it plans with is the same.
     assert told.fingerprint() == silent.fingerprint()
@@ -340,10 +342,11 @@ def test_what_the_lidars_table_holds_is_a_share_with_its_interval():
 def test_a_lidars_table_stands_behind_a_cameras():
     both = load_detector("pole-2015+pointrcnn-2019")
     camera = load_detector("pole-2015")
+    expected = camera.recall.tolist()
 
     assert both.name == "pole-2015+pointrcnn-2019"
     assert both.lidar.name == "pointrcnn-2019"
-    assert both.recall.tolist() == camera.recall.tolist()
+    assert both.recall.tolist() == expected
     assert both.fingerprint() == (*camera.fingerprint(), both.lidar)
 
     alone = load_detector("pointrcnn-2019")
@@ -362,7 +365,12 @@ def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation
     table = load_detector("pointrcnn-2019").lidar
     classes = np.repeat([0, VRU_CLASSES.index("cyclist")], 20_000)
     distance = np.repeat([15.0, 25.0, 15.0, 45.0], 10_000)
-    found = table.detect(distance, classes, np.arange(40_000), default_rng(1))
+    found = table.detect(
+        distance,
+        classes,
+        np.arange(40_000),
+        default_rng(1),
+    )
     shares = found.reshape(4, -1).mean(axis=1)
 
     assert shares == pytest.approx([0.756, 0.545, 0.936, 0.667], abs=0.03)
@@ -378,7 +386,12 @@ def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation
     ]
     assert table.is_expected(distance[20_000:], classes[20_000:]).all()
 
-    weathers = table.detect(distance[:2], classes[:2], np.zeros(2, int), default_rng(1))
+    weathers = table.detect(
+        distance[:2],
+        classes[:2],
+        np.zeros(2, int),
+        default_rng(1),
+    )
 
     assert weathers[0] == weathers[1]
 

@@ -57,7 +57,8 @@ def save_constants(path, arrays, *, takes=FIXED, metadata=None):
 
 def centred(boxes):
     """Boxes as centre, width and height, (n, 4). [px]"""
-    x_min, y_min, x_max, y_max = np.asarray(boxes, dtype=float).T
+    table = np.asarray(boxes, dtype=float)
+    x_min, y_min, x_max, y_max = table.T
     return np.stack(
         [(x_min + x_max) / 2, (y_min + y_max) / 2, x_max - x_min, y_max - y_min], 1
     )
@@ -90,7 +91,11 @@ def as_torchvision(boxes, ids, scores):
 def as_retinanet(boxes, ids, scores):
     """Outputs of old exports: numbers for names, another order."""
     values = as_torchvision(boxes, ids, scores)
-    return {"_1": values["boxes"], "_2": values["scores"], "_3": values["labels"]}
+    return {
+        "_1": values["boxes"],
+        "_2": values["scores"],
+        "_3": values["labels"],
+    }
 
 
 def as_rt_detr(boxes, ids, scores):
@@ -106,34 +111,45 @@ def as_yolov5(boxes, ids, scores):
     """Output of YOLOv5: boxes, objectness and scores row by row."""
     objectness = np.full((len(ids), 1), 0.96)
     scores = np.array(scores) / 0.96
-    return {"output0": f32(centred(boxes), objectness, one_hot(ids, scores, 80))[None]}
+    classes = one_hot(ids, scores, 80)
+    output = f32(centred(boxes), objectness, classes)
+    return {"output0": output[None]}
 
 
 def as_yolov8(boxes, ids, scores):
     """Output of YOLOv8: the same without objectness, transposed."""
-    return {"output0": f32(centred(boxes), one_hot(ids, scores, 80)).T[None]}
+    classes = one_hot(ids, scores, 80)
+    output = f32(centred(boxes), classes)
+    return {"output0": output.T[None]}
 
 
 def as_end_to_end(boxes, ids, scores):
     """Output with suppression done, padded by empty rows."""
-    table = f32(boxes, np.transpose([scores, ids]))
-    return {"output0": np.concatenate([table, np.zeros((7, 6), np.float32)])[None]}
+    columns = np.transpose([scores, ids])
+    table = f32(boxes, columns)
+    padding = np.zeros((7, 6), np.float32)
+    padded = np.concatenate([table, padding])
+    return {"output0": padded[None]}
 
 
 def as_detr(boxes, ids, scores):
     """91 classes and one for none: softmax; the logarithms of probabilities give them
     back.
     """
-    probability = one_hot(np.add(ids, 1), scores, 92, rest=1e-9)
-    probability[:, 91] = 1.0 - np.array(scores)
+    class_numbers = np.add(ids, 1)
+    probability = one_hot(class_numbers, scores, 92, rest=1e-9)
+    sure = np.array(scores)
+    probability[:, 91] = 1.0 - sure
     boxes = f32(centred(boxes) / 64.0)
-    return {"logits": np.float32(np.log(probability))[None], "pred_boxes": boxes[None]}
+    logits = np.log(probability)
+    return {"logits": np.float32(logits)[None], "pred_boxes": boxes[None]}
 
 
 def as_sigmoid_detr(boxes, ids, scores):
     """80 classes, each for itself."""
     probability = one_hot(ids, scores, 80, rest=1e-9)
-    logits = np.float32(np.log(probability / (1.0 - probability)))
+    log_odds = np.log(probability / (1.0 - probability))
+    logits = np.float32(log_odds)
     return {"pred_boxes": f32(centred(boxes) / 64.0)[None], "logits": logits[None]}
 
 
@@ -198,7 +214,9 @@ def picture(width_px, height_px, box):
 
 def found_by(path, arrays, image=GREY, **options):
     """Boxes of a model that gives the same arrays for every image."""
-    return load_onnx_model(save_constants(path, arrays, **options)).detect(image)
+    saved = save_constants(path, arrays, **options)
+    model = load_onnx_model(saved)
+    return model.detect(image)
 
 
 # Every kind of export.
@@ -208,10 +226,11 @@ def found_by(path, arrays, image=GREY, **options):
 def test_every_export_gives_its_boxes_classes_and_scores(path, layout):
     arrays = layout([BICYCLE, PERSON], [1, 0], [0.625, 0.875])
     found = found_by(path, arrays)
+    kinds = [found.kinds[i] for i in found.class_ids]
 
     assert_allclose(found.boxes_px, [PERSON, BICYCLE], atol=1e-4)
     assert_allclose(found.confidence, [0.875, 0.625], rtol=1e-5)
-    assert [found.kinds[i] for i in found.class_ids] == ["person", "bicycle"]
+    assert kinds == ["person", "bicycle"]
     assert found.boxes_px.dtype == found.confidence.dtype == np.float64
     assert found.class_ids.dtype == np.int64
 
@@ -227,13 +246,16 @@ def test_boxes_of_a_class_that_overlap_are_suppressed_where_the_export_did_not(
     else:
         confidence = [0.75, 0.5, 0.25]
 
-    assert_allclose(found_by(path, arrays).confidence, confidence, rtol=1e-5)
+    found = found_by(path, arrays)
+
+    assert_allclose(found.confidence, confidence, rtol=1e-5)
 
 
 @pytest.mark.parametrize("layout", SUPPRESSED + DENSE)
 def test_boxes_that_are_hardly_sure_or_outside_the_image_are_dropped(path, layout):
     outside = [-20.0, 3.0, -2.0, 9.0]
     cut = [50.0, 50.0, 80.0, 90.0]
+
     arrays = layout([PERSON, outside, cut], [0, 0, 0], [0.01, 0.9, 0.8])
     found = found_by(path, arrays)
 
@@ -242,12 +264,15 @@ def test_boxes_that_are_hardly_sure_or_outside_the_image_are_dropped(path, layou
 
 @pytest.mark.parametrize("layout", [as_torchvision, as_retinanet])
 def test_an_image_without_anything_has_no_boxes(path, layout):
-    found = found_by(path, layout([], [], []))
+    nothing = layout([], [], [])
+    found = found_by(path, nothing)
+    pedestrians = boxes_of_class(found, "pedestrian")[0]
+    cyclists = boxes_of_class(found, "cyclist")[0]
 
     assert found.boxes_px.shape == (0, 4)
     assert len(found.class_ids) == len(found.confidence) == 0
-    assert boxes_of_class(found, "pedestrian")[0].shape == (0, 4)
-    assert boxes_of_class(found, "cyclist")[0].shape == (0, 4)
+    assert pedestrians.shape == (0, 4)
+    assert cyclists.shape == (0, 4)
 
 
 def test_masks_beside_boxes_labels_and_scores_are_left_alone(path):
@@ -282,8 +307,10 @@ def test_an_input_without_batch_takes_the_image_alone(path):
 )
 def test_inputs_may_be_half_floats_or_bytes(path, kind, threshold):
     takes = FREE.replace("float", kind)
-    model = load_onnx_model(save_bright(path, takes, threshold))
-    found = model.detect(picture(90, 70, (11, 13, 37, 41)))
+    saved = save_bright(path, takes, threshold)
+    model = load_onnx_model(saved)
+    image = picture(90, 70, (11, 13, 37, 41))
+    found = model.detect(image)
 
     assert found.boxes_px.tolist() == [[11.0, 13.0, 37.0, 41.0]]
 
@@ -328,7 +355,8 @@ def test_an_image_of_free_size_is_padded_to_yolos_grid(path):
 @pytest.mark.parametrize("size", ["32, width", "height, 64"])
 def test_an_input_of_one_fixed_side_takes_the_image_scaled_to_it(path, size):
     model = load_onnx_model(save_bright(path, f"float[1, 3, {size}] images"))
-    found = model.detect(picture(128, 64, (20, 10, 60, 40)))
+    image = picture(128, 64, (20, 10, 60, 40))
+    found = model.detect(image)
 
     assert_allclose(found.boxes_px, [[20.0, 10.0, 60.0, 40.0]])
 
@@ -353,8 +381,9 @@ def test_detr_with_91_classes_sees_the_image_by_imagenets_mean_and_spread(
     }}"""
     model = load_onnx_model(save(path, graph))
     found = model.detect(np.full((64, 64, 3), 255, dtype=np.uint8))
+    odds = np.exp(-expected)
 
-    assert_allclose(found.confidence, [1.0 / (1.0 + np.exp(-expected))], rtol=1e-5)
+    assert_allclose(found.confidence, [1.0 / (1.0 + odds)], rtol=1e-5)
 
 
 def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
@@ -369,7 +398,8 @@ def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
         scores = Identity(half)
     }}"""
     model = load_onnx_model(save(path, graph))
-    found = model.detect(np.zeros((50, 100, 3), dtype=np.uint8))
+    black = np.zeros((50, 100, 3), dtype=np.uint8)
+    found = model.detect(black)
 
     assert_allclose(found.boxes_px, [[0.0, 0.0, 100.0, 50.0]])
     assert found.kinds == COCO80
@@ -377,14 +407,20 @@ def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
 
 def test_the_mask_that_detr_asks_for_is_given(path):
     takes = "float[1, 3, 64, 64] pixel_values, int64[1, 64, 64] pixel_mask"
-    found = found_by(path, as_detr([PERSON], [0], [0.5]), takes=takes)
+    arrays = as_detr([PERSON], [0], [0.5])
+    found = found_by(path, arrays, takes=takes)
 
     assert_allclose(found.boxes_px, [PERSON], atol=1e-4)
 
 
 # Classes.
 
-COCO80 = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle"}
+COCO80 = {
+    0: "person",
+    1: "bicycle",
+    2: "car",
+    3: "motorcycle",
+}
 
 
 @pytest.mark.parametrize(
@@ -398,22 +434,27 @@ COCO80 = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle"}
     ],
 )
 def test_names_in_the_file_come_first(path, names, kinds):
-    assert found_by(path, ONE_PERSON, metadata={"names": names}).kinds == kinds
+    found = found_by(path, ONE_PERSON, metadata={"names": names})
+    assert found.kinds == kinds
 
 
 def test_names_that_are_but_numbers_count_as_none(path):
     # What Ultralytics 8.4.190 writes for a network that was built without names.
     names = str({number: str(number) for number in range(80)})
     arrays = as_yolov8([PERSON], [0], [0.75])
+    found = found_by(path, arrays, metadata={"names": names})
 
-    assert found_by(path, arrays, metadata={"names": names}).kinds == COCO80
+    assert found.kinds == COCO80
 
 
 def test_names_tell_the_number_of_classes_of_a_table(path):
     metadata = {"names": "{0: 'cyclist', 1: 'person', 2: 'dog'}"}
     scores = [[0.1, 0.75, 0.2], [0.5, 0.1, 0.2]]
-    dense = f32(centred([PERSON, BICYCLE]), scores)
-    found = found_by(path, {"output0": dense.T[None]}, metadata=metadata)
+
+    boxes = centred([PERSON, BICYCLE])
+    dense = f32(boxes, scores)
+    arrays = {"output0": dense.T[None]}
+    found = found_by(path, arrays, metadata=metadata)
 
     assert found.class_ids.tolist() == [1, 0]
     assert_allclose(found.boxes_px, [PERSON, BICYCLE])
@@ -429,7 +470,13 @@ def image_boxes(*rows):
         boxes_px=np.array(boxes, dtype=float),
         class_ids=np.array(ids),
         confidence=np.array(confidence),
-        kinds={1: "person", 2: "bicycle", 3: "cyclist", 4: "motorcycle", 5: "car"},
+        kinds={
+            1: "person",
+            2: "bicycle",
+            3: "cyclist",
+            4: "motorcycle",
+            5: "car",
+        },
     )
 
 
@@ -443,8 +490,9 @@ def test_a_cyclist_is_a_person_and_a_bicycle_that_overlap_or_either():
     )
 
     persons, how_sure = boxes_of_class(found, "pedestrian")
+    first_two = found.boxes_px[:2].tolist()
 
-    assert persons.tolist() == found.boxes_px[:2].tolist()
+    assert persons.tolist() == first_two
     assert how_sure.tolist() == [0.9, 0.8]
 
     cyclists, how_sure = boxes_of_class(found, "cyclist")
@@ -480,14 +528,16 @@ def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_counts_for_none():
     assert boxes_of_class(found, "car")[0].tolist() == [[70.0, 10.0, 90.0, 20.0]]
 
     for name in ("pedestrian", "child"):
-        assert boxes_of_class(found, name)[0].tolist() == [[10.0, 0.0, 20.0, 30.0]]
+        boxes = boxes_of_class(found, name)
+        assert boxes[0].tolist() == [[10.0, 0.0, 20.0, 30.0]]
 
 
 def test_a_bicycle_that_only_touches_a_person_is_not_ridden():
     found = image_boxes(
         ([10.0, 0.0, 20.0, 30.0], 1, 0.9), ([20.0, 0.0, 40.0, 30.0], 2, 0.7)
     )
-    assert len(boxes_of_class(found, "cyclist")[0]) == 2
+    cyclists = boxes_of_class(found, "cyclist")[0]
+    assert len(cyclists) == 2
 
 
 @given(
@@ -495,8 +545,10 @@ def test_a_bicycle_that_only_touches_a_person_is_not_ridden():
     st.sampled_from([0.0, 0.3, 0.5, 0.9]),
 )
 def test_suppression_keeps_what_brute_force_keeps(rows, max_iou):
-    boxes = np.array([box for box, _ in rows]).reshape(-1, 4)
-    ids = np.array([number for _, number in rows], dtype=np.int64)
+    boxes_given = [box for box, _ in rows]
+    boxes = np.array(boxes_given).reshape(-1, 4)
+    ids_given = [number for _, number in rows]
+    ids = np.array(ids_given, dtype=np.int64)
     kept = []
     for i in range(len(rows)):
         if not any(
@@ -504,7 +556,9 @@ def test_suppression_keeps_what_brute_force_keeps(rows, max_iou):
         ):
             kept.append(i)
 
-    assert suppress(boxes, ids, max_iou=max_iou).tolist() == kept
+    suppressed = suppress(boxes, ids, max_iou=max_iou)
+
+    assert suppressed.tolist() == kept
 
 
 # What users do.
@@ -514,6 +568,7 @@ def message_of(path):
     """Words in which a network is refused, in one line."""
     with pytest.raises(InputError) as caught:
         load_onnx_model(path)
+
     text = str(caught.value)
 
     assert "\n" not in text
@@ -533,7 +588,8 @@ def test_a_file_that_is_not_onnx(path, content):
 
 
 def test_a_classifier(path):
-    save_constants(path, {"logits": np.zeros((1, 1000), dtype=np.float32)})
+    arrays = {"logits": np.zeros((1, 1000), dtype=np.float32)}
+    save_constants(path, arrays)
     text = message_of(path)
 
     assert text.startswith(
@@ -550,7 +606,11 @@ def test_a_classifier(path):
         },
         {"output0": np.zeros((1, 21, 64, 64), np.float32)},  # segments
         {"output0": np.zeros((2, 84, 50), np.float32)},  # two images
-        {"a": np.zeros((5, 4), "f"), "b": np.zeros(5, "f"), "c": np.zeros(5, "f")},
+        {
+            "a": np.zeros((5, 4), "f"),
+            "b": np.zeros(5, "f"),
+            "c": np.zeros(5, "f"),
+        },
         {"logits": np.zeros((1, 9, 20), "f"), "pred_boxes": np.zeros((1, 9, 4), "f")},
     ],
 )
@@ -570,7 +630,8 @@ def test_networks_with_other_outputs(path, arrays):
     ],
 )
 def test_networks_with_other_inputs(path, takes):
-    save_constants(path, as_yolov8([PERSON], [0], [0.75]), takes=takes)
+    arrays = as_yolov8([PERSON], [0], [0.75])
+    save_constants(path, arrays, takes=takes)
     text = message_of(path)
 
     assert re.match(r"inputs (left|tokens|images) tensor\(", text)

@@ -21,12 +21,15 @@ from placement.detectors.registry import (
 def test_every_detector_loads_and_has_what_the_protocol_asks_for(name):
     if name == "cnn":
         pytest.importorskip("onnxruntime")
+
     detector = load_detector(name)
 
     assert detector.name == name
     assert detector.needs_pictures == bool(detector.seconds_per_picture)
     assert detector.plans_with in ("", *DETECTORS)
+
     detector.check_classes(["pedestrian"])
+
     assert isinstance(detector.assumed_words(VRU_CLASSES), str)
     assert isinstance(detector.figures_words, str)
 

@@ -44,7 +44,8 @@ def _box(height_px, n_rows=1):
 
 def _probability(detector, height_px, **looks):
     """Probability that one box of a height is found."""
-    (probability,) = detector.probability(build_evidence(_box(height_px), **looks))
+    evidence = build_evidence(_box(height_px), **looks)
+    (probability,) = detector.probability(evidence)
     return probability
 
 
@@ -108,32 +109,39 @@ def test_a_tall_vru_at_full_contrast_is_found_as_often_as_published(seen, miss_r
 
 def test_nothing_is_found_below_the_least_height_or_where_nothing_is_seen():
     least_px = DETECTOR.min_box_height_px
+    when_hidden = _probability(DETECTOR, 100.0, visible_share=0.0)
+    without_contrast = _probability(DETECTOR, 100.0, contrast=0.0)
 
     assert _probability(DETECTOR, least_px) > 0.0
     assert _probability(DETECTOR, least_px - 1e-9) == 0.0
-    assert _probability(DETECTOR, 100.0, visible_share=0.0) == 0.0
-    assert _probability(DETECTOR, 100.0, contrast=0.0) == 0.0
+    assert when_hidden == 0.0
+    assert without_contrast == 0.0
 
     anything = replace(PLAIN, min_box_height_px=1.0e-12)
-    evidence = build_evidence(np.zeros((50, 4)))
+    no_boxes = np.zeros((50, 4))
+    evidence = build_evidence(no_boxes)
+    detections = anything.detect(evidence, default_rng(0))
 
     assert not anything.probability(evidence).any()
-    assert not len(anything.detect(evidence, default_rng(0)).row_index)
+    assert not len(detections.row_index)
 
 
 def test_a_plan_counts_on_rows_from_its_probability_on():
     heights_px = np.linspace(12.0, 200.0, 400)
-    boxes = np.concatenate([_box(height) for height in heights_px])
+    boxes_of_heights = [_box(height) for height in heights_px]
+    boxes = np.concatenate(boxes_of_heights)
     evidence = build_evidence(boxes, visible_share=0.5)
     probability = DETECTOR.probability(evidence)
     expected = DETECTOR.is_expected(evidence)
 
     assert np.array_equal(expected, probability >= DETECTOR.plan_probability)
 
-    at_limit = replace(DETECTOR, plan_probability=float(probability[200]))
+    plan_probability = float(probability[200])
+    at_limit = replace(DETECTOR, plan_probability=plan_probability)
+    is_expected = at_limit.is_expected(evidence)
 
-    assert at_limit.is_expected(evidence)[200:].all()
-    assert not at_limit.is_expected(evidence)[:200].any()
+    assert is_expected[200:].all()
+    assert not is_expected[:200].any()
     assert 0 < expected.sum() < 400
 
 
@@ -150,22 +158,25 @@ def _hits(detector, evidence, seed):
 
 def _runs_of(n_runs, n_frames):
     """Numbers of frames that follow one another within a run."""
-    return np.arange(n_runs)[:, None] * (n_frames + 1) + np.arange(n_frames)
+    run = np.arange(n_runs)[:, None]
+    frame = np.arange(n_frames)
+    return run * (n_frames + 1) + frame
 
 
 def test_the_same_seed_finds_the_same_boxes_and_another_others():
-    evidence = build_evidence(_box(40.0, 500), visible_share=0.7)
+    boxes_shown = _box(40.0, 500)
+    evidence = build_evidence(boxes_shown, visible_share=0.7)
     one = DETECTOR.detect(evidence, default_rng(3))
     same = DETECTOR.detect(evidence, default_rng(3))
     other = DETECTOR.detect(evidence, default_rng(4))
+    expected = _probability(DETECTOR, 40.0, visible_share=0.7)
+    is_same = np.array_equal(one.row_index, other.row_index)
 
     assert np.array_equal(one.row_index, same.row_index)
     assert np.array_equal(one.boxes_px, same.boxes_px)
     assert np.array_equal(one.confidence, same.confidence)
-    assert not np.array_equal(one.row_index, other.row_index)
-    assert one.confidence == pytest.approx(
-        _probability(DETECTOR, 40.0, visible_share=0.7)
-    )
+    assert not is_same
+    assert one.confidence == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -188,16 +199,21 @@ def test_the_share_of_detections_is_the_probability(correlation, height_px):
         draw_index=_runs_of(n_runs, 5).ravel(),
         visible_share=0.8,
     )
-    hits = _hits(detector, evidence, 1).reshape(n_runs, 5)
+    is_hit = _hits(detector, evidence, 1)
+    hits = is_hit.reshape(n_runs, 5)
     probability = _probability(detector, height_px, visible_share=0.8)
-    tolerance = 5.0 * math.sqrt(probability * (1.0 - probability) / n_runs)
+    variance = probability * (1.0 - probability) / n_runs
+    tolerance = 5.0 * math.sqrt(variance)
 
     for frame in (0, 4):
-        assert hits[:, frame].mean() == pytest.approx(probability, abs=tolerance)
+        share = hits[:, frame].mean()
+        assert share == pytest.approx(probability, abs=tolerance)
 
 
 def test_frames_are_independent_without_correlation_and_alike_with_all_of_it():
-    n_runs, index = 20_000, _runs_of(20_000, 4).ravel()
+    frames = _runs_of(20_000, 4)
+    n_runs = 20_000
+    index = frames.ravel()
     evidence = build_evidence(
         _box(40.0, 4 * n_runs),
         draw_index=index,
@@ -207,23 +223,28 @@ def test_frames_are_independent_without_correlation_and_alike_with_all_of_it():
 
     def hits(correlation):
         detector = replace(DETECTOR, frame_correlation=correlation)
-        return _hits(detector, evidence, 2).reshape(n_runs, 4)
+        is_hit = _hits(detector, evidence, 2)
+        return is_hit.reshape(n_runs, 4)
 
     free = hits(0.0)
     some = hits(0.7)
     bound = hits(1.0)
     both = probability**2
-    tolerance = 5.0 * math.sqrt(both * (1.0 - both) / n_runs)
+    variance = both * (1.0 - both) / n_runs
+    tolerance = 5.0 * math.sqrt(variance)
+    both_free = free[:, 0] & free[:, 1]
+    next_some = some[:, 0] & some[:, 1]
+    later_some = some[:, 0] & some[:, 3]
+    is_bound = bound == bound[:, :1]
+    linked = bound[:-1, 3] & bound[1:, 0]
 
-    assert (free[:, 0] & free[:, 1]).mean() == pytest.approx(both, abs=tolerance)
-    assert (some[:, 0] & some[:, 1]).mean() > both + tolerance
-    assert (some[:, 0] & some[:, 1]).mean() > (
-        some[:, 0] & some[:, 3]
-    ).mean() + tolerance
-    assert (bound == bound[:, :1]).all()
+    assert both_free.mean() == pytest.approx(both, abs=tolerance)
+    assert next_some.mean() > both + tolerance
+    assert next_some.mean() > later_some.mean() + tolerance
+    assert is_bound.all()
     assert 0.0 < bound.mean() < 1.0
     # One run says nothing about the next.
-    assert (bound[:-1, 3] & bound[1:, 0]).mean() == pytest.approx(both, abs=tolerance)
+    assert linked.mean() == pytest.approx(both, abs=tolerance)
 
 
 def test_rows_of_the_same_number_share_their_luck():
@@ -237,45 +258,61 @@ def test_rows_of_the_same_number_share_their_luck():
     hits = np.zeros(6000, dtype=bool)
     hits[found.row_index] = True
     by_day, at_night = hits.reshape(2, -1)
+    n_by_day = by_day.sum()
+    n_at_night = at_night.sum()
 
     assert (by_day >= at_night).all()
-    assert by_day.sum() > at_night.sum() > 0
+    assert n_by_day > n_at_night > 0
 
     boxes = np.full((6000, 4), np.nan)
     boxes[found.row_index] = found.boxes_px
+    by_day_px = boxes[:3000][at_night]
+    at_night_px = boxes[3000:][at_night]
 
-    assert np.array_equal(boxes[:3000][at_night], boxes[3000:][at_night])
+    assert np.array_equal(by_day_px, at_night_px)
 
 
 def test_luck_does_not_depend_on_what_the_rows_show():
-    poor = build_evidence(_box(30.0, 2000), visible_share=0.5)
-    rich = build_evidence(_box(30.0, 2000), visible_share=1.0)
+    boxes = _box(30.0, 2000)
+    poor = build_evidence(boxes, visible_share=0.5)
+    rich = build_evidence(boxes, visible_share=1.0)
+    rich_hits = _hits(DETECTOR, rich, 6)
+    poor_hits = _hits(DETECTOR, poor, 6)
 
-    assert (_hits(DETECTOR, rich, 6) >= _hits(DETECTOR, poor, 6)).all()
+    assert (rich_hits >= poor_hits).all()
 
 
 def test_boxes_are_off_by_the_noise_asked_for_and_are_still_correct():
     truth = _box(100.0, 20_000)
     evidence = build_evidence(truth)
     found = DETECTOR.detect(evidence, default_rng(7))
-    off = (found.boxes_px - truth[found.row_index]) / [40.0, 100.0, 40.0, 100.0]
+    error_px = found.boxes_px - truth[found.row_index]
+    off = error_px / [40.0, 100.0, 40.0, 100.0]
+    bias = off.mean(axis=0)
+    spread = off.std(axis=0)
+    overlap = iou(found.boxes_px, truth[found.row_index])
 
-    assert np.abs(off.mean(axis=0)).max() < 0.002
-    assert off.std(axis=0) == pytest.approx(DETECTOR.box_noise_share, rel=0.03)
-    assert (iou(found.boxes_px, truth[found.row_index]) > 0.5).all()
+    assert np.abs(bias).max() < 0.002
+    assert spread == pytest.approx(DETECTOR.box_noise_share, rel=0.03)
+    assert (overlap > 0.5).all()
 
-    exact = replace(DETECTOR, box_noise_share=0.0).detect(evidence, default_rng(7))
+    exact_detector = replace(DETECTOR, box_noise_share=0.0)
+    exact = exact_detector.detect(evidence, default_rng(7))
+    is_exact = is_matched(exact, truth, min_iou=0.99)
 
     assert np.array_equal(exact.row_index, found.row_index)
     assert np.array_equal(exact.boxes_px, truth[exact.row_index])
-    assert is_matched(exact, truth, min_iou=0.99).sum() == len(exact.row_index)
+    assert is_exact.sum() == len(exact.row_index)
 
-    wild = replace(DETECTOR, box_noise_share=1.0).detect(evidence, default_rng(7))
+    wild_detector = replace(DETECTOR, box_noise_share=1.0)
+    wild = wild_detector.detect(evidence, default_rng(7))
+    is_wild = is_matched(wild, truth, min_iou=0.5)
+    wild_overlap = iou(wild.boxes_px, truth[wild.row_index])
 
     # The probability is that of correct boxes: however wild, they find as many.
     assert np.array_equal(wild.row_index, found.row_index)
-    assert is_matched(wild, truth, min_iou=0.5).sum() == len(wild.row_index)
-    assert iou(wild.boxes_px, truth[wild.row_index]).mean() < 0.8
+    assert is_wild.sum() == len(wild.row_index)
+    assert wild_overlap.mean() < 0.8
 
 
 # The model itself
@@ -309,9 +346,10 @@ def test_every_number_but_the_name_changes_the_fingerprint():
         replace(PLAIN, **{field: value}).fingerprint()
         for field, value in changes.items()
     ]
+    renamed = replace(PLAIN, name="other")
 
     assert len({PLAIN.fingerprint(), *found}) == len(changes) + 1
-    assert replace(PLAIN, name="other").fingerprint() == PLAIN.fingerprint()
+    assert renamed.fingerprint() == PLAIN.fingerprint()
 
 
 @pytest.mark.parametrize(

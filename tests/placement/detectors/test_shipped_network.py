@@ -142,8 +142,9 @@ def test_what_looks_the_same_is_shown_once_and_what_is_too_small_never():
 
 
 def test_boxes_of_a_crop_are_moved_into_the_image():
+    pixels = np.zeros((8, 8, 3), dtype=np.uint8)
     crop = Crop(
-        pixels=np.zeros((8, 8, 3), dtype=np.uint8),
+        pixels=pixels,
         left_px=-100.0,
         top_px=20.0,
         scale=2.0,

@@ -23,15 +23,19 @@ BESIDE = (400.0, 100.0, 440.0, 200.0)
 def picture(frame=0, *, labels=(PERSON,), found=(), track=0, finds=None, alone=None):
     """A labelled picture with boxes that were found in it."""
     n = len(labels)
+    labels_given = np.array(labels)
+    label_px = labels_given.reshape(-1, 4)
+    found_given = np.array(found)
+    found_px = found_given.reshape(-1, 4)
     return LabelledPicture(
         track=track,
         frame=frame,
-        label_px=np.array(labels).reshape(-1, 4),
+        label_px=label_px,
         label_class=np.zeros(n, dtype=int),
         seen_share=np.ones(n),
         contrast=np.ones(n),
         aspect_deg=np.full(n, 90.0),
-        found_px=np.array(found).reshape(-1, 4),
+        found_px=found_px,
         finds=None if finds is None else np.array(finds),
         alone_px=None if alone is None else np.array(alone).reshape(-1, 4),
     )
@@ -51,33 +55,42 @@ def test_a_box_that_overlaps_enough_is_found_and_its_sides_are_compared():
     seen, alarms = gather(
         picture(found=[moved(PERSON, 4.0)]), picture(1, found=[BESIDE])
     )
+    is_unknown = np.isnan(seen.box_error[1])
 
     assert seen.is_found.tolist() == [True, False]
     assert_allclose(seen.box_error[0], [0.1, 0.0, 0.1, 0.0])
-    assert np.isnan(seen.box_error[1]).all()
+    assert is_unknown.all()
     assert_array_equal(seen.height_px, [100.0, 100.0])
     assert alarms.pictures == 2
     assert alarms.alarms == 1
 
 
 def test_a_box_that_overlaps_too_little_is_neither_found_nor_a_false_alarm():
-    seen, alarms = gather(picture(found=[moved(PERSON, 30.0)]))
+    too_far = moved(PERSON, 30.0)
+    shown = picture(found=[too_far])
+    seen, alarms = gather(shown)
+
     assert not seen.is_found.any()
     assert alarms.alarms == 0
 
 
 def test_a_box_of_another_class_does_not_find():
-    seen, _ = gather(picture(found=[PERSON], finds=[[False]]))
+    shown = picture(found=[PERSON], finds=[[False]])
+    seen, _ = gather(shown)
     assert not seen.is_found.any()
 
 
 def test_each_label_is_a_row():
-    seen, _ = gather(picture(labels=[PERSON, BESIDE], found=[BESIDE]))
+    shown = picture(labels=[PERSON, BESIDE], found=[BESIDE])
+    seen, _ = gather(shown)
     assert seen.is_found.tolist() == [False, True]
 
 
 def test_boxes_that_others_make_up_are_no_alarms():
-    _, alarms = gather(picture(found=[BESIDE, moved(BESIDE, 2.0)], alone=[BESIDE]))
+    copy = moved(BESIDE, 2.0)
+    shown = picture(found=[BESIDE, copy], alone=[BESIDE])
+    _, alarms = gather(shown)
+
     assert alarms.alarms == 1
 
 
@@ -99,8 +112,10 @@ def test_false_tracks_are_confirmed_by_frames_in_a_row(rights, n_confirmed):
             for frame, right in enumerate(rights)
         )
     )
+    expected = max(0, len(rights) - 2)
+
     assert alarms.confirmed == n_confirmed
-    assert alarms.chances == max(0, len(rights) - 2)
+    assert alarms.chances == expected
 
 
 def test_a_frame_that_is_missing_breaks_a_false_track():
@@ -133,12 +148,14 @@ def test_false_tracks_per_hour_follow_from_the_frame_rate():
 @pytest.mark.parametrize("n_events", [0, 1, 7])
 def test_the_poisson_interval_is_exact(n_events):
     interval = poisson(n_events, 2.0)
+    share_below = poisson_law.cdf(n_events, 2.0 * interval.high)
 
     assert interval.value == n_events / 2.0
-    assert poisson_law.cdf(n_events, 2.0 * interval.high) == pytest.approx(0.025)
+    assert share_below == pytest.approx(0.025)
 
     if n_events:
-        assert poisson_law.sf(n_events - 1, 2.0 * interval.low) == pytest.approx(0.025)
+        share_above = poisson_law.sf(n_events - 1, 2.0 * interval.low)
+        assert share_above == pytest.approx(0.025)
 
 
 @pytest.mark.parametrize(
@@ -153,20 +170,24 @@ def test_the_wilson_interval_solves_its_equation(found, frames):
     interval = wilson(found, frames)
     for end in (interval.low, interval.high):
         off = abs(found / frames - end)
-        assert off == pytest.approx(
-            1.959964 * np.sqrt(end * (1.0 - end) / frames), abs=1e-9
-        )
+        deviation = end * (1.0 - end) / frames
+        expected = 1.959964 * np.sqrt(deviation)
+
+        assert off == pytest.approx(expected, abs=1e-9)
 
 
 def test_impossible_values_are_refused():
-    columns = dict.fromkeys(("height_px", "contrast", "aspect_deg"), np.ones(1))
+    ones = np.ones(1)
+    columns = dict.fromkeys(("height_px", "contrast", "aspect_deg"), ones)
+    box_error = np.full((1, 4), np.nan)
+
     with pytest.raises(InputError, match=r"seen_share: got 1\.5; expected 0 \.\. 1"):
         Sightings(
             **columns,
             seen_share=np.array([1.5]),
             vru_class=np.zeros(1, dtype=int),
             is_found=np.zeros(1, dtype=bool),
-            box_error=np.full((1, 4), np.nan),
+            box_error=box_error,
             track=np.zeros(1, dtype=int),
             frame=np.zeros(1, dtype=int),
         )

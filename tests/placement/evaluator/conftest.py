@@ -43,7 +43,12 @@ def build_run():
     """Frames as given; the VRU runs through its shapes, one per frame."""
 
     def build(vru, vru_poses, vut_poses=None, obstruction=()):
-        return run_of_frames(vru_poses, vut_poses, vru=vru, obstruction=obstruction)
+        return run_of_frames(
+            vru_poses,
+            vut_poses,
+            vru=vru,
+            obstruction=obstruction,
+        )
 
     return build
 

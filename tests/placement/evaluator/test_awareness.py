@@ -83,9 +83,10 @@ def test_a_turn_is_told_once_it_exceeds_four_degrees(walk, start_deg):
 def test_no_more_than_one_message_per_interval(walk):
     rule = replace(RULE, min_interval_s=0.3)
     run = walk([4.5] * 12)  # every frame would be news
+    expected = list(range(13))
 
     assert np.flatnonzero(sent_frames(run, rule)).tolist() == [0, 3, 6, 9, 12]
-    assert _sent(run) == list(range(13))
+    assert _sent(run) == expected
 
 
 # Known
@@ -144,6 +145,7 @@ def test_the_same_road_user_has_the_same_luck_in_all_weathers(walk):
     runs = [
         replace(run, weather=weather) for weather in ("day", "fog") for run in drives
     ]
+
     by_day, in_fog = _known(runs, vam_rate=0.5, packet_loss=0.5).reshape(2, -1)
 
     assert np.array_equal(by_day, in_fog)

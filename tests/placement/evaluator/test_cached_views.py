@@ -81,8 +81,9 @@ class NeverFinds:
     lidar = None
 
     def detect(self, evidence, rng):
+        row_index = np.zeros(0, dtype=np.int64)
         return Detections(
-            row_index=np.zeros(0, dtype=np.int64),
+            row_index=row_index,
             boxes_px=np.zeros((0, 4)),
             confidence=np.zeros(0),
         )
@@ -111,11 +112,14 @@ def assert_same(one, other):
         ("rsu_all", one.rsu_all),
         *one.units.items(),
     ):
-        again = {"vut": other.vut, "rsu_all": other.rsu_all, **other.units}[name]
+        again = {
+            "vut": other.vut,
+            "rsu_all": other.rsu_all,
+            **other.units,
+        }[name]
         for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
-            assert np.array_equal(
-                getattr(verdict, field), getattr(again, field), equal_nan=True
-            )
+            expected = getattr(again, field)
+            assert np.array_equal(getattr(verdict, field), expected, equal_nan=True)
 
 
 @pytest.mark.parametrize("detector", ["geometric", "response"])
@@ -142,6 +146,7 @@ def test_only_new_poses_are_looked_from(ask, looked):
     moved = unit("moved", 30.0 + 1.0e-9)
     lidar = unit("lidar", sensor=load_lidars()["carla-ncap-lidar"])
     renamed = replace(LAYOUT.units[0], id="renamed")
+
     layout = Layout(name="three", units=(moved, lidar, renamed))
 
     found = ask(layout=layout)
@@ -190,8 +195,9 @@ CHANGES = {
 def test_whatever_changes_what_is_seen_is_looked_at_anew(setting, ask, looked, change):
     ask()
     ask(CHANGES[change](setting))
+    expected = [(["a", "b"], True)] * 2
 
-    assert looked == [(["a", "b"], True)] * 2
+    assert looked == expected
 
 
 def test_seed_weathers_and_version_are_part_of_the_key(ask, looked, monkeypatch):
@@ -204,8 +210,9 @@ def test_seed_weathers_and_version_are_part_of_the_key(ask, looked, monkeypatch)
 
     monkeypatch.setattr(watch_module, "_KIND", "place-rsus/views/0")
     ask()
+    expected = [(["a", "b"], True)] * 4
 
-    assert looked == [(["a", "b"], True)] * 4
+    assert looked == expected
 
 
 def test_what_a_network_finds_is_not_kept(setting, tmp_path):

@@ -89,7 +89,8 @@ def pretend(monkeypatch, build_layout, setting, axis):
             by_vut = vut_row
 
         def evidence(row, surroundings):
-            box = np.where(row[:, None], [0.0, 0.0, 50.0, 50.0], 0.0)
+            box_px = [0.0, 0.0, 50.0, 50.0]
+            box = np.where(row[:, None], box_px, 0.0)
             return build_evidence(box, draw_index=surroundings.draw_index)
 
         def from_camera(surroundings, by, *, min_height_px):
@@ -97,7 +98,8 @@ def pretend(monkeypatch, build_layout, setting, axis):
             if is_of_vut:
                 row = by_vut
             else:
-                row = rows[round(float(by[0].position_m[0]))]
+                x_m = by[0].position_m[0]
+                row = rows[round(float(x_m))]
             return evidence(row, surroundings)
 
         def by_vut_lidar(surroundings, mount, lidar, rng):
@@ -106,7 +108,8 @@ def pretend(monkeypatch, build_layout, setting, axis):
         monkeypatch.setattr(evaluate, "_VUT_JOBS", 1)  # all frames at once
         monkeypatch.setattr(perceive, "perceive_frames", from_camera)
         monkeypatch.setattr(perceive, "scan_frames", by_vut_lidar)
-        names = [f"unit {index}" for index in range(len(rows))]
+        numbers = range(len(rows))
+        names = [f"unit {index}" for index in numbers]
         return evaluate_layout(
             build_layout(*names, latencies_s=latencies_s),
             replace(setting, **changes),
@@ -152,25 +155,33 @@ def _is_equal(verdict, other):
 
 
 def test_fused_units_confirm_together_what_none_confirms_alone(pretend, axis):
-    evaluation = pretend(
-        _frames(axis, 0, 1, 3), _frames(axis, 0, 2), vut_row=_frames(axis, 1, 3)
-    )
+    vut_row = _frames(axis, 1, 3)
+    first_row = _frames(axis, 0, 1, 3)
+    second_row = _frames(axis, 0, 2)
+    evaluation = pretend(first_row, second_row, vut_row=vut_row)
 
     for v in evaluation.units.values():
-        assert np.isinf(v.confirmation_time_s).all()
+        is_never = np.isinf(v.confirmation_time_s)
+        assert is_never.all()
 
-    assert evaluation.rsu_all.confirmation_time_s[0] == axis.time_s[3]
+    found_s = evaluation.rsu_all.confirmation_time_s[0]
+    expected = _frames(axis, 0, 1, 2, 3)
+
+    assert found_s == axis.time_s[3]
     assert evaluation.rsu_all.is_avoided[0]
     assert not evaluation.vut.is_avoided.any()
-    assert (evaluation.rsu_all.detected == _frames(axis, 0, 1, 2, 3)).all()
+    assert (evaluation.rsu_all.detected == expected).all()
 
 
 def test_vut_counts_among_the_fused_with_the_units(pretend, axis):
-    evaluation = pretend(_frames(axis, 0, 1, 2), vut_row=_frames(axis, 0, 3))
+    vut_row = _frames(axis, 0, 3)
+    row = _frames(axis, 0, 1, 2)
+    evaluation = pretend(row, vut_row=vut_row)
+    expected_by_vut = _frames(axis, 0, 3)
 
     assert not evaluation.rsu_all.is_avoided.any()
     assert evaluation.vut_and_rsus.is_avoided[0]
-    assert (evaluation.vut.detected == _frames(axis, 0, 3)).all()
+    assert (evaluation.vut.detected == expected_by_vut).all()
 
 
 # Radio
@@ -179,8 +190,19 @@ def test_vut_counts_among_the_fused_with_the_units(pretend, axis):
 def test_without_any_message_the_vut_is_left_alone(pretend, axis):
     row = _frames(axis, 0, *range(9))
     by_vut = _frames(axis, 1, *range(4, 9))
-    lost = pretend(row, row, vut_row=by_vut, radio=Radio(packet_loss=1.0))
-    none_lost = pretend(row, row, vut_row=by_vut, radio=Radio(packet_loss=0.0), seed=5)
+    lost = pretend(
+        row,
+        row,
+        vut_row=by_vut,
+        radio=Radio(packet_loss=1.0),
+    )
+    none_lost = pretend(
+        row,
+        row,
+        vut_row=by_vut,
+        radio=Radio(packet_loss=0.0),
+        seed=5,
+    )
     plain = pretend(row, row, vut_row=by_vut)
 
     assert not lost.rsu_all.detected.any()
@@ -199,24 +221,32 @@ def test_messages_are_lost_as_often_as_said_and_unit_by_unit(pretend, axis):
     links = Radio(packet_loss=0.3)
     two = pretend(row, row, vut_row=row, radio=links)
     one = pretend(row, radio=links)
-    a, b = (unit.detected for unit in two.units.values())
+    verdicts = two.units.values()
+    a, b = (unit.detected for unit in verdicts)
     n = axis.n_frames
+
+    both = a & b
 
     # Five standard deviations of a binomial distribution.
     for share, mean in (
         (a.mean(), 0.7),
         (b.mean(), 0.7),
-        ((a & b).mean(), 0.49),
+        (both.mean(), 0.49),
     ):
-        assert share == pytest.approx(mean, abs=5.0 * np.sqrt(mean * (1.0 - mean) / n))
+        variance = mean * (1.0 - mean) / n
+        assert share == pytest.approx(mean, abs=5.0 * np.sqrt(variance))
 
-    assert (two.rsu_all.detected == (a | b)).all()
+    is_either = two.rsu_all.detected == (a | b)
+    is_as_before = one.units["unit 0"].detected == a
+
+    assert is_either.all()
     assert two.vut.detected.all()
     assert two.vut_and_rsus.detected.all()
     # Luck is a unit's own: whatever else is in the layout, but for the seed.
-    assert (one.units["unit 0"].detected == a).all()
+    assert is_as_before.all()
 
-    other = pretend(row, radio=links, seed=1).units["unit 0"].detected
+    again = pretend(row, radio=links, seed=1)
+    other = again.units["unit 0"].detected
 
     assert (other != a).any()
 
@@ -224,12 +254,16 @@ def test_messages_are_lost_as_often_as_said_and_unit_by_unit(pretend, axis):
 def test_road_users_that_announce_themselves_are_a_source_of_their_own(pretend, axis):
     by_unit = _frames(axis, 0, 1, 2, 3)
     nothing = np.zeros(axis.n_frames, dtype=bool)
+    radio = Radio(vam_rate=0.0)
+    nobody = pretend(by_unit, radio=radio)
 
-    assert pretend(by_unit, radio=Radio(vam_rate=0.0)).others == {}
+    assert nobody.others == {}
 
-    all_equipped = pretend(by_unit, radio=Radio(vam_rate=1.0))
+    every_vam = Radio(vam_rate=1.0)
+    all_equipped = pretend(by_unit, radio=every_vam)
+    sources = list(all_equipped.others)
 
-    assert list(all_equipped.others) == ["vam", "all_sources"]
+    assert sources == ["vam", "all_sources"]
 
     vam = all_equipped.others["vam"]
 
@@ -242,11 +276,18 @@ def test_road_users_that_announce_themselves_are_a_source_of_their_own(pretend, 
     assert vam.onset_time_s.tolist() == expected
     assert _is_equal(all_equipped.rsu_all, pretend(by_unit).rsu_all)
 
-    some = pretend(by_unit, vut_row=nothing, radio=Radio(vam_rate=0.5), seed=3)
+    some = pretend(
+        by_unit,
+        vut_row=nothing,
+        radio=Radio(vam_rate=0.5),
+        seed=3,
+    )
     both = some.others["vam"].detected | some.vut_and_rsus.detected
+    is_both = some.others["all_sources"].detected == both
+    is_no_worse = some.others["all_sources"].is_avoided >= some.rsu_all.is_avoided
 
-    assert (some.others["all_sources"].detected == both).all()
-    assert (some.others["all_sources"].is_avoided >= some.rsu_all.is_avoided).all()
+    assert is_both.all()
+    assert is_no_worse.all()
 
 
 # The VUT's own sensors
@@ -268,8 +309,11 @@ def test_the_vut_looks_with_what_it_has(pretend, axis, sensors, expected):
         vut_lidar_row=_frames(axis, 0, 2, 3),
         vut_sensors=sensors,
     )
-    assert (evaluation.vut.detected == _frames(axis, 0, *expected)).all()
-    assert evaluation.vut.is_avoided[0] == (len(expected) == 3)
+    frames = _frames(axis, 0, *expected)
+    is_avoided = evaluation.vut.is_avoided[0]
+
+    assert (evaluation.vut.detected == frames).all()
+    assert is_avoided == (len(expected) == 3)
 
 
 def test_unknown_sensors_of_the_vut_and_shares_beyond_one_are_named(setting):
@@ -297,7 +341,8 @@ def test_unknown_sensors_of_the_vut_and_shares_beyond_one_are_named(setting):
 def real(build_setting, build_scene, study_runs):
     """The study's runs on a plain, and where to stand near their first impact."""
     middle = study_runs[0].vru_position_m[-1]
-    return build_setting(build_scene(GROUND), study_runs), float(middle[0]) - 12.0
+    east_m = float(middle[0])
+    return build_setting(build_scene(GROUND), study_runs), east_m - 12.0
 
 
 def test_threads_and_company_do_not_change_a_verdict(build_layout, real, study_runs):
@@ -317,12 +362,15 @@ def test_threads_and_company_do_not_change_a_verdict(build_layout, real, study_r
 
     # Two different poses, and the VUT in four parts.
     expected = [(0, 0), *((done, 6) for done in range(1, 7))]
+    of_first = together[0].units["a"]
+    of_second = together[1].units["c"]
 
     assert n_done == expected
-    assert (together[0].units["a"].detected == together[1].units["c"].detected).all()
+    assert (of_first.detected == of_second.detected).all()
 
     for name in ("vut", "rsu_all", "vut_and_rsus"):
-        of_both = getattr(together[1], name).detected
+        verdict = getattr(together[1], name)
+        of_both = verdict.detected
         of_one = getattr(alone, name).detected
 
         assert (of_both == of_one).all()
@@ -331,9 +379,12 @@ def test_threads_and_company_do_not_change_a_verdict(build_layout, real, study_r
         build_surroundings(setting.scene, study_runs),
         (b.units[0].pose, b.units[0].sensor),
     )
+    expected_c = setting.detector.is_expected(evidence)
+    ids = [unit.id for unit in together[0].layout.units]
+    unit_names = list(together[0].units)
 
-    assert (alone.units["c"].detected == setting.detector.is_expected(evidence)).all()
-    assert [unit.id for unit in together[0].layout.units] == list(together[0].units)
+    assert (alone.units["c"].detected == expected_c).all()
+    assert ids == unit_names
 
 
 @pytest.mark.long
@@ -347,10 +398,14 @@ def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
     )
     cameras = build_layout("a", "b", x_m=x_m)
     lidars = build_layout("l", x_m=x_m, sensor=LIDAR)
-    mixed = Layout(name="mixed", units=(*lidars.units, *cameras.units))
-    whole = evaluate_layout(mixed, setting, compute=Compute(seed=7, workers=2))
 
-    parts = evaluate_layouts([cameras, lidars], setting, compute=Compute(seed=7))
+    units = (*lidars.units, *cameras.units)
+    mixed = Layout(name="mixed", units=units)
+    compute = Compute(seed=7, workers=2)
+    whole = evaluate_layout(mixed, setting, compute=compute)
+
+    compute_7 = Compute(seed=7)
+    parts = evaluate_layouts([cameras, lidars], setting, compute=compute_7)
 
     for part in parts:
         for name, verdict in part.units.items():
@@ -359,12 +414,16 @@ def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
         assert _is_equal(part.vut, whole.vut)
         assert _is_equal(part.others["vam"], whole.others["vam"])
 
-    other = evaluate_layout(mixed, setting, compute=Compute(seed=8))
+    compute_8 = Compute(seed=8)
+    other = evaluate_layout(mixed, setting, compute=compute_8)
 
     for name in ("a", "b", "l"):
-        assert (other.units[name].detected != whole.units[name].detected).any()
+        differs = other.units[name].detected != whole.units[name].detected
+        assert differs.any()
 
-    assert (other.vut.detected != whole.vut.detected).any()
+    vut_differs = other.vut.detected != whole.vut.detected
+
+    assert vut_differs.any()
 
 
 def test_a_lidars_table_finds_some_of_those_with_enough_points(build_layout, real):
@@ -379,11 +438,16 @@ def test_a_lidars_table_finds_some_of_those_with_enough_points(build_layout, rea
 
     for name, verdict in by_points.units.items():
         found = drawn.units[name].detected[verdict.detected]
-        assert (drawn.units[name].detected <= verdict.detected).all()
+        is_known = drawn.units[name].detected <= verdict.detected
+
+        assert is_known.all()
         assert 0.8 < found.mean() < 1.0  # cyclists
 
-    assert (drawn.units["l"].detected != drawn.units["m"].detected).any()
-    assert (drawn.vut.detected < by_points.vut.detected).any()
+    differ = drawn.units["l"].detected != drawn.units["m"].detected
+    is_fewer = drawn.vut.detected < by_points.vut.detected
+
+    assert differ.any()
+    assert is_fewer.any()
 
 
 def test_what_is_missed_by_day_is_missed_at_night_and_in_fog(
@@ -434,9 +498,10 @@ def test_interruption_leaves_the_other_units_unseen(monkeypatch, build_layout, s
         )
 
     monkeypatch.setattr(perceive, "perceive_frames", from_camera)
+    layout = build_layout(*map(str, range(500)))
 
     with pytest.raises(KeyboardInterrupt):
-        evaluate_layout(build_layout(*map(str, range(500))), setting)
+        evaluate_layout(layout, setting)
 
     assert len(n_seen) < 500
 
@@ -444,7 +509,8 @@ def test_interruption_leaves_the_other_units_unseen(monkeypatch, build_layout, s
 def test_wrong_axis_and_workers_are_named(build_layout, setting, study_runs):
     layout = build_layout("a")
     fewer = study_runs[1:]
-    axis = build_frame_axis(fewer, np.full(len(fewer), 1 / len(fewer)))
+    weight = np.full(len(fewer), 1 / len(fewer))
+    axis = build_frame_axis(fewer, weight)
 
     for change in ({"axis": axis}, {"runs": fewer}):
         with pytest.raises(
@@ -472,8 +538,14 @@ def test_a_layout_is_evaluated_again_without_looking_twice(
     rule = replace(RULE, track_memory_s=0.3, latency_s=0.1)
     runs = setting.runs[:2]
     weight = np.array([0.3, 0.7])
-    other = replace(setting, runs=runs, axis=build_frame_axis(runs, weight), rule=rule)
-    layout = build_layout("unit", x_m=runs[0].vru_position_m[-1, 0] - 15.0)
+    other = replace(
+        setting,
+        runs=runs,
+        axis=build_frame_axis(runs, weight),
+        rule=rule,
+    )
+    x_m = runs[0].vru_position_m[-1, 0] - 15.0
+    layout = build_layout("unit", x_m=x_m)
     expected = evaluate_layout(layout, other)
     known = (setting.runs[2], *runs[:n_known])
     asked = replace(

@@ -39,7 +39,9 @@ def judge(study_runs, axis):
 def _rows(axis, seed, n_rows):
     """Random detections, (n_rows, n_frames)."""
     rng = np.random.default_rng(seed)
-    return rng.random((n_rows, axis.n_frames)) < rng.uniform(0.05, 0.6)
+    drawn = rng.random((n_rows, axis.n_frames))
+    share = rng.uniform(0.05, 0.6)
+    return drawn < share
 
 
 @given(seed=st.integers(0, 2**32 - 1), latency_s=st.floats(0.0, 1.0))
@@ -47,15 +49,17 @@ def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
     study_runs, axis, judge, seed, latency_s
 ):
     (row,) = _rows(axis, seed, 1)
-    endless = replace(axis, last_brake_time_s=np.full(axis.n_runs, np.inf))
+    last_brake_time_s = np.full(axis.n_runs, np.inf)
+    endless = replace(axis, last_brake_time_s=last_brake_time_s)
 
     verdict = judge.verdicts([[(row, latency_s)]])[0]
     confirmation_s = live_confirmation_times_s(row, endless, rule=RULE)
     touches = _touches(study_runs, verdict.onset_time_s, RULE)
     in_time = is_in_time(confirmation_s, axis.last_brake_time_s, latency_s=latency_s)
+    expected_s = pytest.approx(confirmation_s + latency_s)
 
     assert np.array_equal(verdict.confirmation_time_s, confirmation_s)
-    assert verdict.onset_time_s == pytest.approx(confirmation_s + latency_s)
+    assert verdict.onset_time_s == expected_s
     assert (verdict.is_avoided == ~touches).all()
     assert (verdict.is_avoided == in_time).all()
     assert (verdict.detected == row).all()
@@ -66,11 +70,16 @@ def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(
     axis, judge, seed
 ):
     rows = _rows(axis, seed, 3)
-    fused = judge.verdicts([[(row, RULE.latency_s) for row in rows]])[0]
-    one = judge.verdicts([[(rows.any(axis=0), RULE.latency_s)]])[0]
+    parties = [(row, RULE.latency_s) for row in rows]
+    fused = judge.verdicts([parties])[0]
+    by_any = rows.any(axis=0)
+    party = (by_any, RULE.latency_s)
+    one = judge.verdicts([[party]])[0]
 
     for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
-        assert np.array_equal(getattr(fused, field), getattr(one, field))
+        expected = getattr(one, field)
+        found = getattr(fused, field)
+        assert np.array_equal(found, expected)
 
 
 @given(
@@ -78,7 +87,8 @@ def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(
     latencies_s=st.lists(st.floats(0.0, 0.5), min_size=3, max_size=3),
 )
 def test_a_further_party_never_makes_it_later(axis, judge, seed, latencies_s):
-    parties = list(zip(_rows(axis, seed, 3), latencies_s, strict=True))
+    rows = _rows(axis, seed, 3)
+    parties = list(zip(rows, latencies_s, strict=True))
     fewer = judge.verdicts([parties[:2]])[0]
     more = judge.verdicts([parties])[0]
 
@@ -104,10 +114,12 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
     rule = replace(RULE, track_memory_s=memory_s)
     judge = Judge(study_runs, axis, rule)
     outcomes = set()
-    early = np.concatenate([run.time_s < run.time_s[0] + 1.95 for run in study_runs])
+    early_of_runs = [run.time_s < run.time_s[0] + 1.95 for run in study_runs]
+    early = np.concatenate(early_of_runs)
 
     for row in [early, *_rows(axis, 7, 10)]:
-        verdict = judge.verdicts([[(row, rule.latency_s)]])[0]
+        party = [(row, rule.latency_s)]
+        verdict = judge.verdicts([party])[0]
         is_live = verdict.is_avoided
         live_s = live_confirmation_times_s(row, axis, rule=rule)
         touches = _touches(study_runs, verdict.onset_time_s, rule)
@@ -115,8 +127,9 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
         first = find_onsets(arrival_s, axis, rule=RULE)  # never lost
         words = run_outcomes(verdict, axis)
         outcomes |= set(words)
+        expected = np.isfinite(live_s)
 
-        assert np.array_equal(is_live, np.isfinite(live_s))
+        assert np.array_equal(is_live, expected)
         assert np.array_equal(verdict.confirmation_time_s[is_live], live_s[is_live])
         assert np.array_equal(is_live, ~touches)
         assert (verdict.onset_time_s >= first.onset_s).all()
@@ -124,7 +137,8 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
         for run, word in enumerate(words):
             is_confirmed = np.isfinite(first.onset_s[run])
             is_dropped = np.isinf(verdict.onset_time_s[run])
-            is_seen = row[axis.frames_of(run)].any()
+            frames = axis.frames_of(run)
+            is_seen = row[frames].any()
 
             assert (word == "avoided") == is_live[run]
             assert (word == "lost again") == (first.is_in_time[run] and is_dropped)
@@ -168,10 +182,12 @@ def test_bodies_avoid_what_the_table_says_at_least(study_runs, axis, seed, memor
     rule = replace(RULE, track_memory_s=memory_s)
     judge = Judge(study_runs, axis, rule)
     rows = _rows(axis, seed, 2)
-    verdict = judge.verdicts([[(row, rule.latency_s) for row in rows]])[0]
+    parties = [(row, rule.latency_s) for row in rows]
+    verdict = judge.verdicts([parties])[0]
     v = axis.vut_speed_kmh
+    agrees = (verdict.impact_speed_kmh == 0.0) == verdict.is_avoided
 
-    assert ((verdict.impact_speed_kmh == 0.0) == verdict.is_avoided).all()
+    assert agrees.all()
     assert (verdict.impact_speed_kmh <= v + 1e-9).all()
 
     never = np.isinf(verdict.onset_time_s)
@@ -187,10 +203,11 @@ def test_bodies_avoid_what_the_table_says_at_least(study_runs, axis, seed, memor
     )
 
     by_bodies = evaluated_apr(verdict, axis)
+    by_table = apr(problem, [0, 1])
 
     # Of a run whose contact ends with a later onset and begins again, the table knows
     # less.
-    assert by_bodies >= apr(problem, [0, 1]) - 1e-12
+    assert by_bodies >= by_table - 1e-12
 
 
 def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypatch):

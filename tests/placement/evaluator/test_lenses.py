@@ -39,7 +39,12 @@ def made_runs(build_run, rng, n_frames=24):
         vru = poses_within(rng, n_frames, 6.0)
         vut = poses_within(rng, n_frames, 6.0)
         driven = poses_within(rng, n_frames, 6.0)
-        run = build_run(pick_actor(name, "test"), vru, vut, obstruction)
+        run = build_run(
+            pick_actor(name, "test"),
+            vru,
+            vut,
+            obstruction,
+        )
         van = MovingActor(
             actor=pick_actor("parked-van", "test"),
             position_m=driven[:, :2],
@@ -59,8 +64,16 @@ def runs(build_run):
 @pytest.fixture(scope="module")
 def scene(build_scene):
     """Houses around a square."""
-    square = np.array([[-20.0, -20.0], [20.0, -20.0], [20.0, 20.0], [-20.0, 20.0]])
-    return replace(build_scene(*HOUSES), outline_m=square)
+    square = np.array(
+        [
+            [-20.0, -20.0],
+            [20.0, -20.0],
+            [20.0, 20.0],
+            [-20.0, 20.0],
+        ]
+    )
+    among_houses = build_scene(*HOUSES)
+    return replace(among_houses, outline_m=square)
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +89,10 @@ def opencv_rays(camera):
     """Rays (h, w, 2) of all pixels by OpenCV's undistortion; NaN where it finds
     none.
     """
-    rows, columns = np.indices((camera.height_px, camera.width_px)) + 0.5
-    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
+    indices = np.indices((camera.height_px, camera.width_px))
+    rows, columns = indices + 0.5
+    places = np.stack([columns, rows], axis=-1)
+    pixels = places.reshape(-1, 1, 2)
     fx = camera.focal_length_px
     x, y = camera.principal_point
     K = np.array(
@@ -96,13 +111,19 @@ def opencv_rays(camera):
     else:
         terms = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
         found = cv2.undistortPoints(pixels, K, terms, criteria=criteria)[:, 0]
-        points = np.column_stack([found, np.ones(len(found))])
+        depth = np.ones(len(found))
+        points = np.column_stack([found, depth])
         still = np.zeros(3)
-        again = cv2.projectPoints(points, still, still, K, terms)[0][:, 0]
+        projected = cv2.projectPoints(points, still, still, K, terms)
+        again = projected[0][:, 0]
 
     # Where projecting again leads elsewhere, nothing was found.
-    is_found = np.abs(again - pixels[:, 0]).max(axis=1) < 1e-6
-    is_found &= np.hypot(*found.T) < min(lens.reach, np.tan(SEEN_RAD))
+    off_px = np.abs(again - pixels[:, 0])
+    is_found = off_px.max(axis=1) < 1e-6
+    away = np.hypot(*found.T)
+    seen_reach = np.tan(SEEN_RAD)
+    furthest = min(lens.reach, seen_reach)
+    is_found &= away < furthest
     found[~is_found] = np.nan
 
     roll = np.radians(camera.roll_deg)
@@ -120,21 +141,27 @@ def depths(ways, near, corners):
     """
     first = np.full(len(ways), np.inf)
     lengths = np.linalg.norm(ways, axis=1)[:, None]
-    corners = corners[(corners[..., 2] > 0.0).any(axis=1)]
-    n_parts = 1 + len(ways) * len(corners) // 200_000
+    is_ahead = (corners[..., 2] > 0.0).any(axis=1)
+    corners = corners[is_ahead]
+    n_pairs = len(ways) * len(corners)
+    n_parts = 1 + n_pairs // 200_000
 
-    for a, b, c in (
-        np.moveaxis(part, 1, 0) for part in np.array_split(corners, n_parts)
-    ):
+    parts = np.array_split(corners, n_parts)
+    for a, b, c in (np.moveaxis(part, 1, 0) for part in parts):
         # (ways x (c - a)) . x is ways . ((c - a) x x)
         q = np.cross(-a, b - a)
         with np.errstate(divide="ignore", invalid="ignore"):
-            volume = ways @ np.cross(c - a, b - a).T
-            u = -(ways @ np.cross(c - a, a).T) / volume
+            normals = np.cross(c - a, b - a)
+            volume = ways @ normals.T
+            shifted = np.cross(c - a, a)
+            u = -(ways @ shifted.T) / volume
             v = (ways @ q.T) / volume
-            t = ((c - a) * q).sum(axis=1) / volume
+            reached = ((c - a) * q).sum(axis=1)
+            t = reached / volume
             hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t * lengths >= near)
-        first = np.minimum(first, np.where(hit, t, np.inf).min(axis=1, initial=np.inf))
+        met = np.where(hit, t, np.inf)
+        nearest = met.min(axis=1, initial=np.inf)
+        first = np.minimum(first, nearest)
 
     return first
 
@@ -142,12 +169,21 @@ def depths(ways, near, corners):
 def corners_in_camera(solid, road_pose, pose):
     """Corners (m, 3, 3) of a body at x, y, yaw and height, in the camera's frame."""
     x, y, yaw, up = road_pose
-    cos = np.cos(np.radians(yaw))
-    sin = np.sin(np.radians(yaw))
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    corners = np.concatenate([mesh.vertices_m[mesh.triangles] for mesh in solid.meshes])
+    yaw_rad = np.radians(yaw)
+    cos = np.cos(yaw_rad)
+    sin = np.sin(yaw_rad)
+    turn = np.array(
+        [
+            [cos, -sin, 0.0],
+            [sin, cos, 0.0],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    parts = [mesh.vertices_m[mesh.triangles] for mesh in solid.meshes]
+    corners = np.concatenate(parts)
     world = corners @ turn.T + [x, y, up]
-    return (world - pose.position_m) @ camera_rotation(pose.yaw_deg, pose.pitch_deg)
+    R_world_camera = camera_rotation(pose.yaw_deg, pose.pitch_deg)
+    return (world - pose.position_m) @ R_world_camera
 
 
 def others_of(surroundings, frame):
@@ -183,10 +219,12 @@ def box_of(picture):
 )
 def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed):
     rng = default_rng(seed)
-    small = random_camera(rng, replace(camera, width_px=72, height_px=54), model)
+    small_plain = replace(camera, width_px=72, height_px=54)
+    small = random_camera(rng, small_plain, model)
     rays = opencv_rays(small)
     lit = np.isfinite(rays[..., 0])
-    ways = np.column_stack([rays[lit], np.ones(lit.sum())])
+    depth_ahead = np.ones(lit.sum())
+    ways = np.column_stack([rays[lit], depth_ahead])
     n_seen = 0
     n_hidden = 0
 
@@ -204,14 +242,16 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed):
                 nearer = depths(ways[hit], small.near_m, corners)
                 before[hit] = np.minimum(before[hit], nearer)
 
+        is_visible = hit & ~(before < depth - 1e-3)
         for name, mask in (
             ("amodal_px", hit),
-            ("visible_px", hit & ~(before < depth - 1e-3)),
+            ("visible_px", is_visible),
         ):
             picture = np.zeros(lit.shape, dtype=bool)
             picture[lit] = mask
             expected = box_of(picture)
-            off = np.abs(getattr(evidence, name)[frame] - expected)
+            found = getattr(evidence, name)
+            off = np.abs(found[frame] - expected)
 
             # A middle that rounding puts on either side of an edge moves a side by a
             # pixel.
@@ -239,22 +279,29 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
     bent = perceive_frames(surroundings, (MOUNT, zero))
 
     for name in ("amodal_px", "visible_px", "visible_share", "inside_share"):
-        assert np.array_equal(getattr(bent, name), getattr(plain, name))
+        expected = getattr(plain, name)
+        found = getattr(bent, name)
+        assert np.array_equal(found, expected)
 
 
 # ---------- table and evaluator
 
 
 def test_what_lies_beyond_the_fold_is_not_shown(camera):
-    folds = replace(camera, lens=Fisheye(k1=-0.2), horizontal_fov_deg=110.0)
+    lens = Fisheye(k1=-0.2)
+    folds = replace(camera, lens=lens, horizontal_fov_deg=110.0)
     ahead = ahead_of([0.0, 70.0, 75.0])
-    far = 10.0 * np.column_stack([ahead, np.zeros(3)])
+    columns_ahead = [ahead, np.zeros(3)]
+    far = 10.0 * np.column_stack(columns_ahead)
     level = Pose(position_m=[0.0, 0.0, 0.0], yaw_deg=0.0)
 
-    shown = project_points(far, level, folds)[:, 0]
+    projected = project_points(far, level, folds)
+    shown = projected[:, 0]
     turn_deg = np.degrees((1.0 / 0.6) ** 0.5)  # angle - 0.2 angle^3 stops rising
-    before_the_turn = np.array([[np.tan(np.radians(73.9)), 0.0]])
+    tangent = np.tan(np.radians(73.9))
+    before_the_turn = np.array([[tangent, 0.0]])
+    is_seen = np.isfinite(shown).tolist()
 
     assert turn_deg == pytest.approx(73.97, abs=0.01)
-    assert np.isfinite(shown).tolist() == [True, True, False]
+    assert is_seen == [True, True, False]
     assert is_shown(before_the_turn, folds).all()

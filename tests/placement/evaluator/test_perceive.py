@@ -43,7 +43,13 @@ def _random_runs(build_run, rng, n_frames=N_FRAMES // 3):
         vru = poses_within(rng, n_frames, 7.0)
         vru[n_frames // 2 :] = vru[: n_frames // 2]
         vut = poses_within(rng, n_frames, 9.0)
-        runs.append(build_run(pick_actor(name, "test"), vru, vut, obstruction))
+        run = build_run(
+            pick_actor(name, "test"),
+            vru,
+            vut,
+            obstruction,
+        )
+        runs.append(run)
 
     # Two vans and a car drive by in the second run; the car only in its first half.
     driving = []
@@ -61,7 +67,8 @@ def _random_runs(build_run, rng, n_frames=N_FRAMES // 3):
             )
         )
 
-    runs[1] = replace(runs[1], traffic=tuple(driving[:3]))
+    traffic = tuple(driving[:3])
+    runs[1] = replace(runs[1], traffic=traffic)
     return runs
 
 
@@ -83,10 +90,18 @@ def test_roadside_boxes_equal_the_plain_render_of_every_frame(
 
     for frame in range(0, N_FRAMES, 2):
         view = render_frame(surroundings, frame, mount, camera)
-        free = render_frame(surroundings, frame, mount, camera, with_vut=False)
+        free = render_frame(
+            surroundings,
+            frame,
+            mount,
+            camera,
+            with_vut=False,
+        )
+        is_amodal_equal = boxes.amodal_px[frame] == view.amodal_box_px
+        is_visible_equal = boxes.visible_px[frame] == view.visible_box_px
 
-        assert (boxes.amodal_px[frame] == view.amodal_box_px).all()
-        assert (boxes.visible_px[frame] == view.visible_box_px).all()
+        assert is_amodal_equal.all()
+        assert is_visible_equal.all()
 
         n_hidden_by_vut += (view.visible_box_px != free.visible_box_px).any()
 
@@ -107,26 +122,42 @@ def test_boxes_and_shares_in_the_study_are_those_of_a_ray_per_pixel(study_runs, 
     camera = pick_camera("carla-ncap-rgb", "test")
     size_px = np.array([camera.width_px, camera.height_px])
     every = build_surroundings(load_study_scene(), study_runs)
-    surroundings = every.take(np.arange(0, len(every.vru_poses), 5))
+    n_frames = len(every.vru_poses)
+    surroundings = every.take(np.arange(0, n_frames, 5))
 
     evidence = perceive_frames(surroundings, (pose, camera))
-    frames = np.flatnonzero(evidence.amodal_px.any(axis=1))
+    is_shown = evidence.amodal_px.any(axis=1)
+    frames = np.flatnonzero(is_shown)
 
     assert len(frames) > 20
 
     for frame in frames.tolist():
         amodal_px = evidence.amodal_px[frame]
-        low_px = np.maximum(amodal_px[:2] - 5, 0).astype(int)
-        high_px = np.minimum(amodal_px[2:] + 5, size_px).astype(int)
+        low_corner = np.maximum(amodal_px[:2] - 5, 0)
+        low_px = low_corner.astype(int)
+        high_corner = np.minimum(amodal_px[2:] + 5, size_px)
+        high_px = high_corner.astype(int)
         crop_px = (*low_px.tolist(), *high_px.tolist())
-        view = render_frame(surroundings, frame, pose, camera, crop_px=crop_px)
-        share = (view.instance == VRU).sum() / view.amodal_mask.sum()
+        view = render_frame(
+            surroundings,
+            frame,
+            pose,
+            camera,
+            crop_px=crop_px,
+        )
+        n_visible = (view.instance == VRU).sum()
+        n_amodal = view.amodal_mask.sum()
+        share = n_visible / n_amodal
+        amodal_off = np.abs(amodal_px - view.amodal_box_px)
+        visible_off = evidence.visible_px[frame] - view.visible_box_px
 
-        assert np.abs(amodal_px - view.amodal_box_px).max() <= 1.0
-        assert np.abs(evidence.visible_px[frame] - view.visible_box_px).max() <= 1.0
+        assert amodal_off.max() <= 1.0
+        assert np.abs(visible_off).max() <= 1.0
         assert evidence.visible_share[frame] == pytest.approx(share, abs=0.01)
 
-    assert (evidence.visible_share[frames] < 1.0).any()
+    is_hidden = evidence.visible_share[frames] < 1.0
+
+    assert is_hidden.any()
 
 
 def test_sights_are_equal_where_all_but_the_vut_is_at_the_same_place():
@@ -137,16 +168,24 @@ def test_sights_are_equal_where_all_but_the_vut_is_at_the_same_place():
     vru_poses[4, 0] += 1e-8
     vru_poses[3, 1] += 1e-5
 
-    sights = find_sights(static_index, vru_index, static_poses, vru_poses)
+    sights = find_sights(
+        static_index,
+        vru_index,
+        static_poses,
+        vru_poses,
+    )
 
     assert sights[1] < sights[3] < sights[2] < sights[0]
     assert sights[0] == sights[4]
 
 
 def test_equal_obstructions_are_one_static_world(build_scene, build_run, block):
-    here = (parked_at("parked-van", 3.0, 2.0, 5.0),)
-    again = (parked_at("parked-van", 3.0, 2.0, 5.0),)
-    elsewhere = (parked_at("parked-van", 3.5, 2.0, 5.0),)
+    van = parked_at("parked-van", 3.0, 2.0, 5.0)
+    here = (van,)
+    van_again = parked_at("parked-van", 3.0, 2.0, 5.0)
+    again = (van_again,)
+    van_elsewhere = parked_at("parked-van", 3.5, 2.0, 5.0)
+    elsewhere = (van_elsewhere,)
     runs = [
         build_run(block, [[9.0, 0.0, 0.0]], obstruction=obstruction)
         for obstruction in (here, (), again, elsewhere)
@@ -164,12 +203,15 @@ def test_too_low_vrus_are_left_out_and_all_others_unchanged(surroundings, camera
     high = perceive_frames(surroundings, (MOUNTS[0], camera), min_height_px=25.0)
     height_px = every.amodal_px[:, 3] - every.amodal_px[:, 1]
     is_high = height_px >= 25.0
+    is_amodal_equal = high.amodal_px[is_high] == every.amodal_px[is_high]
+    is_visible_equal = high.visible_px[is_high] == every.visible_px[is_high]
+    lowest = high.visible_px[height_px < 18.0]
 
     assert is_high.any()
     assert not is_high.all()
-    assert (high.amodal_px[is_high] == every.amodal_px[is_high]).all()
-    assert (high.visible_px[is_high] == every.visible_px[is_high]).all()
-    assert not high.visible_px[height_px < 18.0].any()
+    assert is_amodal_equal.all()
+    assert is_visible_equal.all()
+    assert not lowest.any()
 
 
 def test_two_vuts_are_refused(build_scene, build_run, block):

@@ -17,7 +17,12 @@ from placement.evaluator.picture_sources import (
 def test_every_picture_source_loads_and_has_drawn_nothing_yet(name):
     assert callable(load_entry(PICTURE_SOURCES[name]))
 
-    source = build_picture_source(load_study_scene(), [], seed=0, name=name)
+    source = build_picture_source(
+        load_study_scene(),
+        [],
+        seed=0,
+        name=name,
+    )
 
     assert source.n_drawn == 0
     assert callable(source.pictures)
@@ -28,7 +33,12 @@ def test_every_picture_source_loads_and_has_drawn_nothing_yet(name):
 
 def test_an_unknown_picture_source_is_refused():
     with refused_with("pictures: got 'painted'; expected one of rendered"):
-        build_picture_source(load_study_scene(), [], seed=0, name="painted")
+        build_picture_source(
+            load_study_scene(),
+            [],
+            seed=0,
+            name="painted",
+        )
 
 
 def test_a_jpeg_begins_as_such_files_do():

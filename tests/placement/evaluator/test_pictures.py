@@ -61,7 +61,12 @@ def evaluate(tmp_path, build_setting, scene, camera):
     def evaluate_with(model, runs):
         onnx.save(model, tmp_path / "x.onnx")
         detector = load_detector(str(tmp_path / "x.onnx"))
-        setting = build_setting(scene, runs, detector=detector, vut_camera=camera)
+        setting = build_setting(
+            scene,
+            runs,
+            detector=detector,
+            vut_camera=camera,
+        )
         unit = CandidatePose(
             id="rsu",
             site_id="",
@@ -166,7 +171,14 @@ def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(
         (N_FRAMES, second, 0),
         (2 * N_FRAMES - 1, second, N_FRAMES - 1),
     ):
-        by_rsu = render(scene, run, frame, CORNER, tiny, compute=Compute(seed=5))
+        by_rsu = render(
+            scene,
+            run,
+            frame,
+            CORNER,
+            tiny,
+            compute=Compute(seed=5),
+        )
 
         assert np.array_equal(source.pictures((CORNER, tiny))(index), by_rsu)
 
@@ -188,6 +200,7 @@ def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(
 def test_each_run_is_drawn_behind_its_own_obstruction(last_frames, scene, tiny):
     (hidden,) = last_frames(PEDESTRIAN, n_frames=1)
     free = replace(hidden, obstruction=())
+
     picture = RenderedPictures(scene, [hidden, free, hidden], seed=0).pictures(
         (CORNER, tiny)
     )

@@ -77,9 +77,11 @@ def test_unobstructed_vru_has_the_pinhole_size(look, camera, block, distance_m):
     assert (visible == amodal).all()
 
     scale = camera.focal_length_px / (distance_m - 0.25)
+    width_px = min(1.0 * scale, camera.width_px)
+    height_px = min(1.8 * scale, camera.height_px)
 
-    assert x_max - x_min == pytest.approx(min(1.0 * scale, camera.width_px), abs=1.5)
-    assert y_max - y_min == pytest.approx(min(1.8 * scale, camera.height_px), abs=1.5)
+    assert x_max - x_min == pytest.approx(width_px, abs=1.5)
+    assert y_max - y_min == pytest.approx(height_px, abs=1.5)
 
 
 @pytest.mark.parametrize(
@@ -103,8 +105,9 @@ def test_wall_up_to_the_optical_axis_halves_the_box(
     amodal, visible = look(block, [10.0, 0.0, 0.0], walls=[(low, high)])
     expected = amodal.copy()
     expected[side] = 0.5 * (camera.width_px if side % 2 == 0 else camera.height_px)
+    off_px = np.abs(visible - expected)
 
-    assert np.abs(visible - expected).max() <= 1.0
+    assert off_px.max() <= 1.0
     assert not (visible == amodal).all()
 
 
@@ -122,7 +125,12 @@ def test_nothing_is_drawn_nearer_than_the_nearest_distance(
         (0.24, -0.05, 0.85),
         (0.26, 0.05, 0.95),
     )
-    _, behind_plate = look(block, [10.0, 0.0, 0.0], walls=[plate], near_m=near_m)
+    _, behind_plate = look(
+        block,
+        [10.0, 0.0, 0.0],
+        walls=[plate],
+        near_m=near_m,
+    )
 
     assert behind_plate.any() != is_drawn
 
@@ -130,7 +138,8 @@ def test_nothing_is_drawn_nearer_than_the_nearest_distance(
     speck = replace(
         shape, vertices_m=shape.vertices_m * [0.04, 0.1, 0.02] + [0.0, 0.0, 0.88]
     )
-    amodal, _ = look(replace(block, shapes=(speck,)), [0.3, 0.0, 0.0], near_m=near_m)
+    small_block = replace(block, shapes=(speck,))
+    amodal, _ = look(small_block, [0.3, 0.0, 0.0], near_m=near_m)
 
     assert amodal.any() == is_drawn
 
@@ -153,12 +162,19 @@ def _drawn(corners_m, camera, window):
     image = _image(camera)
     vertices_m = corners_m.reshape(-1, 3)
     points = np.ascontiguousarray(vertices_m.T)
-    triangles = np.arange(len(vertices_m)).reshape(-1, 3)
-    triangles = np.concatenate([triangles, triangles[:, ::-1]])
-    depth = np.full((window[3] - window[1], window[2] - window[0]), np.inf)
-    draw(image, points, triangles, window, depth.reshape(-1))
-    skin = BodyMesh(vertices_m=vertices_m, triangles=triangles).skin
-    return depth, find_box(image, skin.vertices_m, skin, window)
+    corners = np.arange(len(vertices_m))
+    triangles = corners.reshape(-1, 3)
+    turned = triangles[:, ::-1]
+    triangles = np.concatenate([triangles, turned])
+    n_rows = window[3] - window[1]
+    n_columns = window[2] - window[0]
+    depth = np.full((n_rows, n_columns), np.inf)
+    flat_depth = depth.reshape(-1)
+    draw(image, points, triangles, window, flat_depth)
+    mesh = BodyMesh(vertices_m=vertices_m, triangles=triangles)
+    skin = mesh.skin
+    box = find_box(image, skin.vertices_m, skin, window)
+    return depth, box
 
 
 def _image(camera, up_m=0.0):
@@ -176,9 +192,9 @@ def _cast(corners_m, camera, window):
     """The same by rays in double precision, triangle by triangle [Moeller, Trumbore
     1997].
     """
-    columns, rows = np.meshgrid(
-        np.arange(window[0], window[2]), np.arange(window[1], window[3]), indexing="xy"
-    )
+    column_range = np.arange(window[0], window[2])
+    row_range = np.arange(window[1], window[3])
+    columns, rows = np.meshgrid(column_range, row_range, indexing="xy")
     ways = np.stack(
         [
             (columns + 0.5 - 0.5 * camera.width_px) / camera.focal_length_px,
@@ -197,16 +213,20 @@ def _cast(corners_m, camera, window):
             u = across @ -a / scale
             turned = np.cross(-a, b - a)
             v = ways @ turned / scale
-            depth = np.dot(c - a, turned) / scale
-            distance = depth * np.linalg.norm(ways, axis=-1)
+            along = np.dot(c - a, turned)
+            depth = along / scale
+            stretch = np.linalg.norm(ways, axis=-1)
+            distance = depth * stretch
             is_hit = (
                 (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance >= camera.near_m)
             )
-            nearest = np.where(is_hit, np.minimum(nearest, depth), nearest)
+            nearer = np.minimum(nearest, depth)
+            nearest = np.where(is_hit, nearer, nearest)
             margin = np.min(
                 np.abs([u, v, 1.0 - u - v, distance - camera.near_m]), axis=0
             )
-            is_sure &= (margin > 1.0e-6) & (np.abs(scale) > 1.0e-9)
+            steepness = np.abs(scale)
+            is_sure &= (margin > 1.0e-6) & (steepness > 1.0e-9)
 
     return nearest, is_sure
 
@@ -214,7 +234,13 @@ def _cast(corners_m, camera, window):
 @pytest.mark.long
 @given(
     corners_m=POINTS,
-    window=st.sampled_from([(0, 0, 64, 48), (10, 5, 40, 30), (63, 47, 64, 48)]),
+    window=st.sampled_from(
+        [
+            (0, 0, 64, 48),
+            (10, 5, 40, 30),
+            (63, 47, 64, 48),
+        ]
+    ),
 )
 def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
     """Also those that reach behind the lens, and through the distance at which drawing
@@ -225,7 +251,8 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
 
     assert np.allclose(depth[is_sure], expected[is_sure], rtol=1e-6)
 
-    rows, columns = np.nonzero(np.isfinite(depth))
+    is_drawn = np.isfinite(depth)
+    rows, columns = np.nonzero(is_drawn)
     if len(rows) == 0:
         assert box == (0, 0, 0, 0)
     else:
@@ -239,17 +266,25 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
 
 @given(corners_m=POINTS, n_copies=st.integers(1, 40))
 def test_tree_holds_every_triangle_once_and_each_box_its_own(corners_m, n_copies):
-    tree = build_tree(np.tile(corners_m, (n_copies, 1, 1)))
+    corners = np.tile(corners_m, (n_copies, 1, 1))
+    rows = corners.reshape(-1, 9)
+    expected = sorted(map(tuple, rows))
 
-    expected = sorted(map(tuple, np.tile(corners_m, (n_copies, 1, 1)).reshape(-1, 9)))
+    tree = build_tree(corners)
+    held = tree.corners_m.reshape(-1, 9)
+    found = sorted(map(tuple, held))
 
-    assert sorted(map(tuple, tree.corners_m.reshape(-1, 9))) == expected
+    assert found == expected
 
-    for node, (start, end) in enumerate(zip(tree.start, tree.end, strict=True)):
-        own = tree.corners_m[start:end].reshape(-1, 3)
+    ranges = zip(tree.start, tree.end, strict=True)
+    for node, (start, end) in enumerate(ranges):
+        corners_there = tree.corners_m[start:end]
+        own = corners_there.reshape(-1, 3)
+        lowest_m = own.min(axis=0)
+        highest_m = own.max(axis=0)
 
-        assert (tree.low_m[node] == own.min(axis=0)).all()
-        assert (tree.high_m[node] == own.max(axis=0)).all()
+        assert (tree.low_m[node] == lowest_m).all()
+        assert (tree.high_m[node] == highest_m).all()
 
         second = tree.second[node]
         if second >= 0:
@@ -265,16 +300,24 @@ def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
     """A triangle at each power of two: every split in the middle takes off a single
     one.
     """
-    corner = np.array([[0.0, 0.0, 0.0], [1e-300, 0.0, 0.0], [0.0, 1e-300, 0.0]])
+    corner = np.array(
+        [
+            [0.0, 0.0, 0.0],
+            [1e-300, 0.0, 0.0],
+            [0.0, 1e-300, 0.0],
+        ]
+    )
     corners_m = np.array(
         [corner + [2.0**power, 0.0, 0.0] for power in range(-1000, 1000)]
     )
 
     tree = build_tree(corners_m)
 
-    expected = sorted(corners_m[:, 0, 0])
+    first_m = corners_m[:, 0, 0]
+    expected = sorted(first_m)
+    first_held_m = tree.corners_m[:, 0, 0]
 
-    assert sorted(tree.corners_m[:, 0, 0]) == expected
+    assert sorted(first_held_m) == expected
 
 
 # ---------- bodies
@@ -290,8 +333,10 @@ def test_body_beside_the_lens_is_not_drawn_though_it_reaches_behind(
         (0.0, (0, 0, camera.width_px, camera.height_px)),
     ):
         hull = _in_camera(body.hull_m, LEVEL, [0.0, y_m, 0.0, 0.0])
+        crop = find_crop(_image(camera), hull, 0.0)
+
         assert hull[2].min() < 0.0
-        assert find_crop(_image(camera), hull, 0.0) == (expected, 0.0)
+        assert crop == (expected, 0.0)
 
 
 @given(
@@ -305,20 +350,27 @@ def test_crop_holds_every_pixel_of_the_body(ahead_m, left_m, up_m, yaw_deg, pitc
     pose = Pose(position_m=[0.0, 0.0, up_m], yaw_deg=0.0, pitch_deg=pitch_deg)
     road_pose = np.array([ahead_m, left_m, yaw_deg, 0.0])
     whole = np.array([[0, 0, TINY.width_px, TINY.height_px]])
-    cast = cast_crops(build_lens(pose, TINY), ADULT, road_pose[None], whole)[0]
-    is_hit = np.isfinite(cast.reshape(TINY.height_px, TINY.width_px))
+    lens = build_lens(pose, TINY)
+    crops = cast_crops(lens, ADULT, road_pose[None], whole)
+    cast = crops[0]
+    picture = cast.reshape(TINY.height_px, TINY.width_px)
+    is_hit = np.isfinite(picture)
 
     (x_min, y_min, x_max, y_max), _ = find_crop(
         _image(TINY), _in_camera(ADULT.hull_m, pose, road_pose), 0.0
     )
+    inside = is_hit[y_min:y_max, x_min:x_max]
 
-    assert is_hit[y_min:y_max, x_min:x_max].sum() == is_hit.sum()
+    assert inside.sum() == is_hit.sum()
 
 
 def _in_camera(points_m, pose, road_pose):
     """Points (n, 3) of a body in camera coordinates, (3, n). [m]"""
-    placed = _place(pose, np.array([road_pose]), np.zeros(1))
-    in_camera = points_m @ placed.turn[0].T + placed.shift[0]
+    poses = np.array([road_pose])
+    no_height = np.zeros(1)
+    placed = _place(pose, poses, no_height)
+    turned_m = points_m @ placed.turn[0].T
+    in_camera = turned_m + placed.shift[0]
     return np.ascontiguousarray(in_camera.T)
 
 
@@ -328,7 +380,8 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
     """In single precision rays along a silhouette may go either way: some in ten
     thousand.
     """
-    body = build_body(pick_actor(name, "test").shapes[0])
+    actor = pick_actor(name, "test")
+    body = build_body(actor.shapes[0])
     (mesh,) = body.meshes
     pose = Pose(position_m=[0.0, 0.0, 1.4], yaw_deg=0.0, pitch_deg=-10.0)
     window = (0, 0, camera.width_px, camera.height_px)
@@ -339,19 +392,29 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
         points = _in_camera(mesh.skin.vertices_m.T, pose, road_pose)
         depth = np.full(camera.width_px * camera.height_px, np.inf)
 
-        draw(_image(camera, 1.4), points, mesh.skin.triangles, window, depth)
+        draw(
+            _image(camera, 1.4),
+            points,
+            mesh.skin.triangles,
+            window,
+            depth,
+        )
         cast = cast_crops(
             build_lens(pose, camera),
             body,
             road_pose[None],
             np.array([window]),
         )[0]
-        n_differ += (np.isfinite(depth) != np.isfinite(cast)).sum()
-        n_hit += np.isfinite(cast).sum()
-        is_both = np.isfinite(depth) & np.isfinite(cast)
+        is_drawn = np.isfinite(depth)
+        is_cast = np.isfinite(cast)
+        n_differ += (is_drawn != is_cast).sum()
+        n_hit += is_cast.sum()
+        is_both = is_drawn & is_cast
+        ratio = depth[is_both] / cast[is_both]
+        is_close = np.abs(ratio - 1.0) < 1e-4
 
         # Two surfaces may lie one behind the other where an edge is met or missed.
-        assert (np.abs(depth[is_both] / cast[is_both] - 1.0) < 1e-4).mean() > 0.999
+        assert is_close.mean() > 0.999
 
     assert n_hit > 500
     assert n_differ <= 1e-3 * n_hit

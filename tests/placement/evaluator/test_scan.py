@@ -59,7 +59,13 @@ def count(needs):
     def count_points(surroundings, pose, lidar=SURE):
         def is_too_much(n_points):
             needs(n_points)
-            return not scan_frames(surroundings, pose, lidar, default_rng(0))[0]
+            is_found = scan_frames(
+                surroundings,
+                pose,
+                lidar,
+                default_rng(0),
+            )
+            return not is_found[0]
 
         return bisect_left(range(1, 10_000), True, key=is_too_much)
 
@@ -79,9 +85,17 @@ def sees(build_scene, build_run, block):
         weather="day",
         seed=0,
     ):
-        run = replace(build_run(block, vru_poses, vut_poses), weather=weather)
-        surroundings = build_surroundings(build_scene(*boxes), [run])
-        return scan_frames(surroundings, pose, lidar, default_rng(seed)).tolist()
+        by_day = build_run(block, vru_poses, vut_poses)
+        run = replace(by_day, weather=weather)
+        scene = build_scene(*boxes)
+        surroundings = build_surroundings(scene, [run])
+        is_found = scan_frames(
+            surroundings,
+            pose,
+            lidar,
+            default_rng(seed),
+        )
+        return is_found.tolist()
 
     return look
 
@@ -94,7 +108,10 @@ def test_nothing_is_seen_beyond_the_range(sees):
         [19.0, 0.0, 0.0],
         [21.0, 0.0, 0.0],
     ]
-    assert sees(vru, lidar=replace(STUDY, range_m=20.0)) == [True, False]
+    lidar = replace(STUDY, range_m=20.0)
+    seen_within = sees(vru, lidar=lidar)
+
+    assert seen_within == [True, False]
     assert sees(vru) == [True, True]
 
 
@@ -120,22 +137,28 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     counts.
     """
     run = build_run(block, [[distance_m + 0.25, 0.0, 0.0]])
-    found = count(build_surroundings(build_scene(), [run]), LOW)
+    surroundings = build_surroundings(build_scene(), [run])
+    found = count(surroundings, LOW)
 
-    ahead, left, up = np.moveaxis(beam_directions(SURE).reshape(-1, 3), -1, 0)
+    beams = beam_directions(SURE).reshape(-1, 3)
+    ahead, left, up = np.moveaxis(beams, -1, 0)
     y_m = distance_m * left / ahead
     z_m = 0.9 + distance_m * up / ahead
+    is_on_block = (np.abs(y_m) < 0.5) & (z_m > 0.0) & (z_m < 1.8)
 
-    assert found == ((np.abs(y_m) < 0.5) & (z_m > 0.0) & (z_m < 1.8)).sum()
+    assert found == is_on_block.sum()
 
     solid_angle = 4.0 * np.arctan(  # of a rectangle seen from above its middle
         0.5 * 0.9 / (distance_m * np.sqrt(distance_m**2 + 0.5**2 + 0.9**2))
     )
 
-    expected = solid_angle * float(beams_per_steradian(SURE, 0.0))
+    beams_there = beams_per_steradian(SURE, 0.0)
+    expected = solid_angle * float(beams_there)
+    height_deg = np.degrees(1.8 / distance_m)
     # A row or a column more or less at the edges.
-    rows = np.degrees(1.8 / distance_m) * SURE.n_lines / SURE.vertical_fov_deg
-    columns = np.degrees(1.0 / distance_m) * SURE.n_columns / SURE.horizontal_fov_deg
+    rows = height_deg * SURE.n_lines / SURE.vertical_fov_deg
+    width_deg = np.degrees(1.0 / distance_m)
+    columns = width_deg * SURE.n_columns / SURE.horizontal_fov_deg
 
     assert found == pytest.approx(expected, abs=rows + columns)
 
@@ -143,16 +166,22 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
 def _plain_counts(scene, runs, pose, lidar):
     """Beams of the whole pattern that end on the VRU, by one mesh of all there is."""
     turn = body_rotation(pose.yaw_deg, pose.pitch_deg)
-    beams = beam_directions(lidar).reshape(-1, 3) @ turn.T
-    starts = (pose.position_m + lidar.near_m * beams).astype(np.float32)
+    directions = beam_directions(lidar).reshape(-1, 3)
+    beams = directions @ turn.T
+    starts_m = pose.position_m + lidar.near_m * beams
+    starts = starts_m.astype(np.float32)
     counts = []
     for run in runs:
         for frame in range(len(run.time_s)):
-            vertices_m, triangles, owner = one_mesh(parts_of_frame(scene, run, frame))
+            parts = parts_of_frame(scene, run, frame)
+            vertices_m, triangles, owner = one_mesh(parts)
             caster = build_caster(vertices_m, triangles)
-            _, hit = caster.first_triangle(starts, beams.astype(np.float32))
-            is_of_vru = owner[hit[hit >= 0]] == 0
-            counts.append(int(is_of_vru.sum()))
+            directions_32 = beams.astype(np.float32)
+            _, hit = caster.first_triangle(starts, directions_32)
+            met = owner[hit[hit >= 0]]
+            is_of_vru = met == 0
+            n_beams = is_of_vru.sum()
+            counts.append(int(n_beams))
 
     return np.array(counts)
 
@@ -183,6 +212,7 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
         runs.append(build_run(pick_actor(name, "test"), vru, vut, obstruction))
 
     surroundings = build_surroundings(scene, runs)
+
     counts = _plain_counts(scene, runs, pose, SURE)
     hidden = _plain_counts(
         scene,
@@ -198,12 +228,16 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
 
         found = scan_frames(surroundings, pose, SURE, default_rng(0))
         # A beam along an edge may go either way in single precision.
-        is_clear = (counts == 0) | (np.abs(counts - n_points) > 2)
+        off_by = np.abs(counts - n_points)
+        is_clear = (counts == 0) | (off_by > 2)
+        agrees = (found == (counts >= n_points))[is_clear]
 
         assert is_clear.mean() > 0.7
-        assert (found == (counts >= n_points))[is_clear].all()
+        assert agrees.all()
 
-    assert 0.2 < (counts >= 10).mean() < 0.9
+    dense_share = (counts >= 10).mean()
+
+    assert 0.2 < dense_share < 0.9
 
 
 @pytest.mark.parametrize(
@@ -235,8 +269,9 @@ def test_grazing_and_dark_surfaces_send_less_back(
     run = build_run(block, [[distance_m + 0.25, 0.0, yaw_deg]])
 
     surroundings = build_surroundings(build_scene(), [run])
+    n_found = count(surroundings, LOW, weak)
 
-    assert (count(surroundings, LOW, weak) > 0) == is_seen
+    assert (n_found > 0) == is_seen
     assert count(surroundings, LOW) > 50
 
 
@@ -246,6 +281,7 @@ def test_grazing_and_dark_surfaces_send_less_back(
 def test_the_same_seed_brings_the_same_pulses_back(sees):
     vru = [[x_m, 0.0, 90.0] for x_m in np.linspace(20.0, 50.0, 60)]
     vague = replace(STUDY, threshold_width=9.0, reference_probability=0.5)
+
     one = sees(vru, seed=1, lidar=vague)
     same = sees(vru, seed=1, lidar=vague)
     other = sees(vru, seed=2, lidar=vague)
@@ -262,12 +298,18 @@ def test_other_frames_do_not_matter(build_scene, build_run):
         np.column_stack([rng.uniform(3.0, 30.0, 40), rng.uniform(-9.0, 9.0, (40, 2))])
         for _ in range(2)
     )
-    run = build_run(pick_actor("adult", "test"), vru, vut)
+    adult = pick_actor("adult", "test")
+    run = build_run(adult, vru, vut)
     surroundings = build_surroundings(build_scene(WALL), [run])
     some = np.arange(0, 40, 3)
 
     every = scan_frames(surroundings, LOW, SURE, default_rng(0))
-    alone = scan_frames(surroundings.take(some), LOW, SURE, default_rng(0))
+    alone = scan_frames(
+        surroundings.take(some),
+        LOW,
+        SURE,
+        default_rng(0),
+    )
 
     assert np.array_equal(alone, every[some])
     assert 0 < every.sum() < 40
@@ -278,10 +320,20 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     not.
     """
     yaw_deg = np.repeat([0.0, 77.0, -160.0], 4)
-    bearing_deg = yaw_deg + np.tile([0.0, 60.0, 180.0, 5.0], 3)
-    place = np.repeat([[3.0, 5.0], [-20.0, 1.0], [40.0, -6.0]], 4, axis=0)
+    turns_deg = np.tile([0.0, 60.0, 180.0, 5.0], 3)
+    bearing_deg = yaw_deg + turns_deg
+    place = np.repeat(
+        [
+            [3.0, 5.0],
+            [-20.0, 1.0],
+            [40.0, -6.0],
+        ],
+        4,
+        axis=0,
+    )
     vut = np.column_stack([place, yaw_deg])
-    vru = np.column_stack([place + 14.0 * ahead_of(bearing_deg), yaw_deg])
+    place_of_vru = place + 14.0 * ahead_of(bearing_deg)
+    vru = np.column_stack([place_of_vru, yaw_deg])
     run = build_run(block, vru, vut)
 
     def found(scene):
@@ -299,8 +351,9 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     assert found(build_scene()) == one_place * 3
 
     wall = ((3.0 + 7.0, 5.0 - 3.0, 0.0), (3.0 + 7.4, 5.0 + 3.0, 4.0))
+    expected = [False] * 4 + one_place * 2
 
-    assert found(build_scene(wall)) == [False] * 4 + one_place * 2
+    assert found(build_scene(wall)) == expected
 
 
 # All round
@@ -308,7 +361,12 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
 
 # Cells of a degree; a wide one leaves a gap behind, over which a cone reaches both
 # edges.
-RING = replace(SURE, horizontal_fov_deg=360.0, vertical_fov_deg=150.0, n_lines=150)
+RING = replace(
+    SURE,
+    horizontal_fov_deg=360.0,
+    vertical_fov_deg=150.0,
+    n_lines=150,
+)
 RING = replace(RING, points_per_second=10.0 * 150 * 360)
 SECTOR = replace(RING, horizontal_fov_deg=120.0, points_per_second=10.0 * 150 * 120)
 WIDE = replace(RING, horizontal_fov_deg=345.0, points_per_second=10.0 * 150 * 345)
@@ -344,7 +402,8 @@ def _around(build_run, name, distance_m, n_frames):
     vru = np.column_stack([distance_m * towards, bearing_deg + 20.0])
     vut = np.column_stack([0.5 * distance_m * towards, bearing_deg + 90.0])
     vut[::2] += 500.0
-    return build_run(pick_actor(name, "test"), vru, vut)
+    actor = pick_actor(name, "test")
+    return build_run(actor, vru, vut)
 
 
 @pytest.mark.long
@@ -370,10 +429,12 @@ def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
     for yaw_deg in (0.0, 100.0):
         pose = replace(OVERHEAD, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
 
-        found = beams_on_vru(build_surroundings(scene, [run]), pose, lidar)
+        surroundings = build_surroundings(scene, [run])
+        found = beams_on_vru(surroundings, pose, lidar)
         plain = _plain_counts(scene, [run], pose, lidar)
+        off_by = np.abs(found - plain)
 
         # A beam along an edge may go either way in single precision.
-        assert np.abs(found - plain).max() <= 2
+        assert off_by.max() <= 2
         assert (found == plain).mean() > 0.7
         assert plain.max() > 20

@@ -29,14 +29,26 @@ def bus():
 @pytest.fixture(scope="module")
 def unit():
     """A camera 3 m high that looks east."""
-    return unit_at("camera", [0.0, 0.0, 3.0], pitch_deg=-5.0, site_id="pole")
+    return unit_at(
+        "camera",
+        [0.0, 0.0, 3.0],
+        pitch_deg=-5.0,
+        site_id="pole",
+    )
 
 
 @pytest.fixture(scope="module")
 def scene(build_scene):
     """Nothing but a place."""
     return replace(
-        build_scene(), outline_m=np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0]])
+        build_scene(),
+        outline_m=np.array(
+            [
+                [-9.0, -9.0],
+                [9.0, -9.0],
+                [9.0, 9.0],
+            ]
+        ),
     )
 
 
@@ -92,7 +104,8 @@ def test_a_bus_hides_a_pedestrian_for_a_second(
 
 def test_a_vehicle_has_as_many_frames_as_the_run(build_run, bus):
     run = build_run(pick_actor("adult", "test"), [[20.0, 0.0, 0.0]] * 3)
-    driving = MovingActor(actor=bus, position_m=np.zeros((2, 2)), yaw_deg=np.zeros(2))
+    position_m = np.zeros((2, 2))
+    driving = MovingActor(actor=bus, position_m=position_m, yaw_deg=np.zeros(2))
 
     with pytest.raises(InputError, match="2 frames; expected 3"):
         replace(run, traffic=(driving,))

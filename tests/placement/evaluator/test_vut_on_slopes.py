@@ -27,7 +27,8 @@ LINE = np.linspace(-120.0, 120.0, 25)
 def terrain(height):
     """Terrain whose height is a function of east and north. [m]"""
     east, north = np.meshgrid(LINE, LINE)
-    return Terrain(east_m=LINE, north_m=LINE, height_m=height(east, north))
+    height_m = height(east, north)
+    return Terrain(east_m=LINE, north_m=LINE, height_m=height_m)
 
 
 def on(scene, ground):
@@ -59,26 +60,40 @@ def test_on_a_plane_the_pitch_is_the_grade_along_the_heading(grade, yaw_deg):
         front_m=1.4,
         wheelbase_m=2.9,
     )
-    along = grade * np.cos(np.radians(yaw_deg))
+    yaw = np.radians(yaw_deg)
+    ahead = np.cos(yaw)
+    along = grade * ahead
+    pitch = np.radians(pitch_deg)
 
-    assert np.tan(np.radians(pitch_deg)) == pytest.approx(along)
+    assert np.tan(pitch) == pytest.approx(along)
 
 
 def test_over_a_crest_the_pitch_is_that_of_the_chord_between_the_axles():
     crest = terrain(lambda east, north: -0.1 * np.abs(east))
 
     pitch_deg = pitch_on_ground_deg(
-        [[-1.0, 0.0], [0.0, 0.0], [2.0, 0.0]],
+        [
+            [-1.0, 0.0],
+            [0.0, 0.0],
+            [2.0, 0.0],
+        ],
         [0.0] * 3,
         crest,
         front_m=1.5,
         wheelbase_m=3.0,
     )
+    pitch = np.radians(pitch_deg)
 
     # Front axles at 0.5, 1.5 and 3.5 m, rear ones at -2.5, -1.5 and 0.5 m.
-    assert np.tan(np.radians(pitch_deg)) == pytest.approx([0.2 / 3.0, 0.0, -0.1])
+    assert np.tan(pitch) == pytest.approx([0.2 / 3.0, 0.0, -0.1])
 
-    flat = pitch_on_ground_deg([[1.0, 2.0]], [30.0], None, front_m=1.5, wheelbase_m=3.0)
+    flat = pitch_on_ground_deg(
+        [[1.0, 2.0]],
+        [30.0],
+        None,
+        front_m=1.5,
+        wheelbase_m=3.0,
+    )
 
     assert flat.tolist() == [0.0]
 
@@ -90,12 +105,15 @@ def test_on_a_slope_whoever_is_ahead_is_seen_at_the_row_of_the_level_road(
     slope = terrain(lambda east, north: grade * east)
     level = build_run(block, [[12.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]])
     run = replace(level, terrain=slope)
-    surroundings = build_surroundings(on(build_scene(), slope), [run])
+    scene = on(build_scene(), slope)
+    surroundings = build_surroundings(scene, [run])
     mount = VutCamera(camera=camera, **MOUNTED)
 
-    (box,) = perceive_frames(surroundings, mount).amodal_px
+    evidence = perceive_frames(surroundings, mount)
+    (box,) = evidence.amodal_px
 
-    ahead_m, _, up_m = mount.pose_on(run.encounter.vut).position_m
+    pose = mount.pose_on(run.encounter.vut)
+    ahead_m, _, up_m = pose.position_m
     # Turned with the road, the foot of the body's middle is as low as the road, 12 m /
     # cos away.
     pitch = np.arctan(grade)
@@ -110,12 +128,17 @@ def test_on_a_slope_whoever_is_ahead_is_seen_at_the_row_of_the_level_road(
             [0.25, 1.8],
         ]
     )
-    away_m, above_m = (corners @ turn.T + [12.0 / cos - ahead_m, -up_m]).T
+    offset_m = [12.0 / cos - ahead_m, -up_m]
+    turned_m = corners @ turn.T + offset_m
+    away_m, above_m = turned_m.T
     rows = 90.0 - camera.focal_length_px * above_m / away_m
+    top_px = rows.min()
+    bottom_px = rows.max()
+    sides_px = box[[0, 2]]
 
-    assert box[1] == pytest.approx(rows.min(), abs=1.0)
-    assert box[3] == pytest.approx(rows.max(), abs=1.0)
-    assert box[[0, 2]].mean() == pytest.approx(160.0, abs=1.0)
+    assert box[1] == pytest.approx(top_px, abs=1.0)
+    assert box[3] == pytest.approx(bottom_px, abs=1.0)
+    assert sides_px.mean() == pytest.approx(160.0, abs=1.0)
 
 
 @pytest.mark.long
@@ -127,10 +150,17 @@ def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_look
         lambda east, north: 3.0 * np.sin(east / 15.0) + 2.0 * np.cos(north / 12.0)
     )
     vut = poses_within(rng, 40, 30.0)
-    ahead_m = rng.uniform(6.0, 15.0, (40, 1)) * ahead_of(vut[:, 2])
-    vru = np.column_stack([vut[:, :2] + ahead_m, vut[:, 2] + 40.0])
-    run = replace(build_run(block, vru, vut), terrain=hills)
-    scene = on(build_scene(((-6.0, 3.0, -9.0), (-2.0, 6.0, 4.0))), hills)
+    drawn_m = rng.uniform(6.0, 15.0, (40, 1))
+    ahead = ahead_of(vut[:, 2])
+    ahead_m = drawn_m * ahead
+    place_m = vut[:, :2] + ahead_m
+    yaw_deg = vut[:, 2] + 40.0
+    vru = np.column_stack([place_m, yaw_deg])
+    level = build_run(block, vru, vut)
+    run = replace(level, terrain=hills)
+
+    flat = build_scene(((-6.0, 3.0, -9.0), (-2.0, 6.0, 4.0)))
+    scene = on(flat, hills)
 
     assert terrain_of(scene) is not None
 
@@ -143,10 +173,18 @@ def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_look
     for frame in range(40):
         pose = vut_camera_pose(mount, run, frame)
         pitches_deg.append(pose.pitch_deg)
-        view = render_frame(surroundings, frame, pose, camera, with_vut=False)
+        view = render_frame(
+            surroundings,
+            frame,
+            pose,
+            camera,
+            with_vut=False,
+        )
+        amodal_off = boxes.amodal_px[frame] - view.amodal_box_px
+        visible_off = boxes.visible_px[frame] - view.visible_box_px
 
-        assert np.abs(boxes.amodal_px[frame] - view.amodal_box_px).max() <= 1.0
-        assert np.abs(boxes.visible_px[frame] - view.visible_box_px).max() <= 1.0
+        assert np.abs(amodal_off).max() <= 1.0
+        assert np.abs(visible_off).max() <= 1.0
 
         n_hidden += (view.visible_box_px != view.amodal_box_px).any()
 
@@ -161,15 +199,24 @@ def test_the_vuts_lidar_tilts_with_the_road(build_scene, build_run, block):
         [-14.0, 0.0, 0.0],
         [2.0, 14.0, 0.0],
     ]
-    run = replace(build_run(block, vru, [[0.0, 0.0, 0.0]] * 3), terrain=slope)
-    surroundings = build_surroundings(on(build_scene(), slope), [run])
+    level_run = build_run(block, vru, [[0.0, 0.0, 0.0]] * 3)
+    run = replace(level_run, terrain=slope)
+    scene = on(build_scene(), slope)
+    surroundings = build_surroundings(scene, [run])
 
     def found(around):
         rng = default_rng(0)
-        return scan_frames(around, load_vut_camera(), load_vut_lidar(), rng).tolist()
+        is_found = scan_frames(
+            around,
+            load_vut_camera(),
+            load_vut_lidar(),
+            rng,
+        )
+        return is_found.tolist()
 
     assert found(surroundings) == [True, False, False]
 
-    level = replace(surroundings, vut_pitch_deg=np.zeros(3))
+    no_pitch = np.zeros(3)
+    level = replace(surroundings, vut_pitch_deg=no_pitch)
 
     assert found(level) == [False, False, False]

@@ -22,13 +22,19 @@ def setting(runs, rule):
     """Two of the study's runs."""
     few = [run for run in runs if run.id in RUNS]
     planned = load_planning_detector()
-    return setting_of(load_study_scene(), few, rule=rule, detector=planned)
+    return setting_of(
+        load_study_scene(),
+        few,
+        rule=rule,
+        detector=planned,
+    )
 
 
 @pytest.fixture(scope="module")
 def layout():
     """Two units of the study's layout."""
-    return Layout(name="two", units=load_carlancap_layout().units[2:4])
+    units = load_carlancap_layout().units[2:4]
+    return Layout(name="two", units=units)
 
 
 @pytest.fixture(scope="module")
@@ -39,20 +45,24 @@ def evaluation(setting, layout):
 
 def _table(setting, layout, detected):
     """A table of the layout's units with these detections."""
-    return pack_table(tuple(unit.id for unit in layout.units), setting.axis, detected)
+    ids = tuple(unit.id for unit in layout.units)
+    return pack_table(ids, setting.axis, detected)
 
 
 def test_both_agree_on_runs_that_are_seen_well(setting, layout, evaluation):
     table = table_of(setting, layout.units)
+    found = find_disagreements(setting, table, evaluation, [0, 1])
+
     assert evaluation.rsu_all.is_avoided.all()
-    assert find_disagreements(setting, table, evaluation, [0, 1]) == ()
+    assert found == ()
 
 
 def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
     setting, layout, evaluation
 ):
     axis = setting.axis
-    nothing = _table(setting, layout, np.zeros((2, axis.n_frames), dtype=bool))
+    nothing_seen = np.zeros((2, axis.n_frames), dtype=bool)
+    nothing = _table(setting, layout, nothing_seen)
 
     found = find_disagreements(setting, nothing, evaluation, [0, 1])
 
@@ -61,7 +71,9 @@ def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
         avoided = np.flatnonzero(verdict.is_avoided)
         expected += [(party, axis.run_ids[run]) for run in avoided]
 
-    assert [(entry.party, entry.run_id) for entry in found] == expected
+    found_runs = [(entry.party, entry.run_id) for entry in found]
+
+    assert found_runs == expected
     assert not any(entry.on_table for entry in found)
 
     for entry in found:
@@ -73,21 +85,25 @@ def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
             for name, verdict in evaluation.units.items()
             if entry.party in (FUSED, name)
         ]
+        seen_by_any = np.logical_or.reduce(seen)
 
-        assert entry.n_frames == np.logical_or.reduce(seen).sum()
+        assert entry.n_frames == seen_by_any.sum()
         assert "sample points and pixels differ" in entry.cause
 
 
 def test_what_was_lost_on_the_way_is_told_from_what_was_not_seen(
     setting, layout, evaluation
 ):
-    detected = np.array([verdict.detected for verdict in evaluation.units.values()])
+    rows = [verdict.detected for verdict in evaluation.units.values()]
+    detected = np.array(rows)
     table = _table(setting, layout, detected)
-    lossy = evaluate_layout(layout, replace(setting, radio=Radio(packet_loss=1.0)))
+    radio = Radio(packet_loss=1.0)
+    lossy = evaluate_layout(layout, replace(setting, radio=radio))
 
     found = find_disagreements(setting, table, lossy, [0, 1])
+    run_ids = {entry.run_id for entry in found if entry.party == FUSED}
 
-    assert {entry.run_id for entry in found if entry.party == FUSED} == set(RUNS)
+    assert run_ids == set(RUNS)
 
     for entry in found:
         assert entry.on_table
@@ -95,14 +111,16 @@ def test_what_was_lost_on_the_way_is_told_from_what_was_not_seen(
 
 
 def test_latency_alone_can_make_the_difference(setting, layout, evaluation):
-    detected = np.array([verdict.detected for verdict in evaluation.units.values()])
-    slow = replace(
-        layout, units=tuple(replace(unit, latency_s=60.0) for unit in layout.units)
-    )
+    rows = [verdict.detected for verdict in evaluation.units.values()]
+    detected = np.array(rows)
+    units = tuple(replace(unit, latency_s=60.0) for unit in layout.units)
+    slow = replace(layout, units=units)
+
     table = _table(setting, slow, detected)
 
     # The table is asked with the units' own latencies, too: nothing differs.
     late = evaluate_layout(slow, setting)
+    found = find_disagreements(setting, table, late, [0, 1])
 
     assert not late.rsu_all.is_avoided.any()
-    assert find_disagreements(setting, table, late, [0, 1]) == ()
+    assert found == ()

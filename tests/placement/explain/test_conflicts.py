@@ -20,10 +20,11 @@ def relaxed(problem, relaxation, separation):
     value = relaxation.value
     if demand.floor is not None:
         floors = list(problem.floors)
-        floors[demand.floor] = replace(
-            floors[demand.floor], share=min(max(value, 0.0), 1.0)
-        )
+        not_below_0 = max(value, 0.0)
+        share = min(not_below_0, 1.0)
+        floors[demand.floor] = replace(floors[demand.floor], share=share)
         return replace(problem, floors=tuple(floors))
+
     if demand.kind == "budget_units":
         return changed(problem, "limits.budget_units", int(value))
     if demand.kind == "budget_eur":
@@ -38,14 +39,22 @@ def wishes(draw):
     problem = draw(questions())
     limits = problem.limits
     if not draw(st.booleans()):
-        return replace(problem, limits=replace(limits, rivals=limits.rivals[:0])), None
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+        alone = replace(limits, rivals=limits.rivals[:0])
+        single = replace(problem, limits=alone)
+        return single, None
+
+    seeds = st.integers(0, 2**32 - 1)
+    seed = draw(seeds)
+    rng = np.random.default_rng(seed)
+    drawn = rng.integers(1, 20, len(limits.rivals))
+    pair_distance_m = drawn.astype(np.float64)
     separation = Separation(
         distance_m=20.0,
-        pair_distance_m=rng.integers(1, 20, len(limits.rivals)).astype(np.float64),
+        pair_distance_m=pair_distance_m,
         site_capacity=limits.site_capacity,
     )
-    one_each = replace(limits, site_capacity=np.minimum(limits.site_capacity, 1))
+    site_capacity = np.minimum(limits.site_capacity, 1)
+    one_each = replace(limits, site_capacity=site_capacity)
     return replace(problem, limits=one_each), separation
 
 
@@ -66,25 +75,38 @@ def meets(problem, separation, demand, poses, *, survives):
         floor = problem.floors[demand.floor]
         if not survives:
             floor = replace(floor, n_failures=0)
-        return floor_value(problem, floor, poses) >= floor.share - 1e-9
+        value = floor_value(problem, floor, poses)
+        return value >= floor.share - 1e-9
+
     if kind == "budget_units":
         return len(poses) <= limits.budget_units
     if kind == "budget_eur":
-        return cost_eur(limits, poses) <= limits.budget_eur + 1e-6
+        price_eur = cost_eur(limits, poses)
+        return price_eur <= limits.budget_eur + 1e-6
+
     if kind == "capacity":
         if separation is None:
             capacity = limits.site_capacity
         else:
             capacity = separation.site_capacity
-        return bool((at_site <= capacity).all())
+        has_room = (at_site <= capacity).all()
+        return bool(has_room)
+
     if kind == "separation":
         if separation is not None and (at_site > limits.site_capacity).any():
             return False
-        return not any(at_site[one] and at_site[other] for one, other in limits.rivals)
+        is_rivalling = any(
+            at_site[one] and at_site[other] for one, other in limits.rivals
+        )
+        return not is_rivalling
+
     if kind == "forbidden":
-        return not limits.is_forbidden[list(poses)].any()
+        is_forbidden = limits.is_forbidden[list(poses)]
+        return not is_forbidden.any()
+
     if kind == "forced_sites":
-        return bool((at_site[limits.is_forced_site] > 0).all())
+        is_carrying = at_site[limits.is_forced_site] > 0
+        return bool(is_carrying.all())
 
     return True  # "survive" shows in the floors
 
@@ -93,7 +115,8 @@ def met_together(problem, separation, demands):
     """All sets of poses that meet some demands, and have what is there already."""
     demands = list(demands)
     survives = any(demand.kind == "survive" for demand in demands)
-    forced = set(np.flatnonzero(problem.limits.is_forced).tolist())
+    forced_poses = np.flatnonzero(problem.limits.is_forced)
+    forced = set(forced_poses.tolist())
     return [
         poses
         for poses in sets_of(problem.table.n_poses)
@@ -127,7 +150,9 @@ def check_conflicts(problem, separation):
         for relaxation in conflict.relaxations:
             check_relaxation(problem, separation, conflict, relaxation)
 
-        assert [r.demand for r in conflict.relaxations] == list(conflict.demands)
+        relaxed_demands = [r.demand for r in conflict.relaxations]
+
+        assert relaxed_demands == list(conflict.demands)
 
         left = [demand for demand in left if demand not in conflict.demands]
 
@@ -158,7 +183,8 @@ def check_relaxation(problem, separation, conflict, relaxation):
     if not relaxation.given_up:
         assert relaxation.value == pytest.approx(expected)
     elif demand.kind == "forbidden":
-        sites = problem.limits.site_index[list(relaxation.given_up)]
+        given_up = list(relaxation.given_up)
+        sites = problem.limits.site_index[given_up]
         assert len(set(sites)) == expected
     else:
         assert len(relaxation.given_up) == expected
@@ -179,6 +205,7 @@ def least(problem, separation, demand, others, allowed):
         if not survives:
             floor = replace(floor, n_failures=0)
         return max(floor_value(problem, floor, poses) for poses in allowed)
+
     if kind == "survive":
         counted = [
             problem.floors[other.floor] for other in others if other.floor is not None
@@ -194,6 +221,7 @@ def least(problem, separation, demand, others, allowed):
             )
             and n < max(f.n_failures for f in counted)
         )
+
     if kind == "capacity":
         if separation is None:
             capacity = limits.site_capacity
@@ -210,6 +238,7 @@ def least(problem, separation, demand, others, allowed):
             )
             for poses in allowed
         )
+
     if kind == "separation":
         return max(
             nearest(limits, separation, poses, used)
@@ -222,13 +251,16 @@ def least(problem, separation, demand, others, allowed):
             )
             for poses in allowed
         )
-    forced_sites = set(np.flatnonzero(limits.is_forced_site).tolist())
+
+    forced_rows = np.flatnonzero(limits.is_forced_site)
+    forced_sites = set(forced_rows.tolist())
     return min(len(forced_sites - used) for used in sites)
 
 
 def counts(limits, poses):
     """Units at each site, (n_sites,)."""
-    return np.bincount(limits.site_index[list(poses)], minlength=limits.n_sites)
+    sites = limits.site_index[list(poses)]
+    return np.bincount(sites, minlength=limits.n_sites)
 
 
 def nearest(limits, separation, poses, used):
@@ -256,13 +288,18 @@ def test_the_whole_is_the_sum_of_its_demands(wish):
     whole = Wish(problem, separation)
     part = whole.part(whole.everything)
 
-    for poses in met_together(problem, separation, [])[:60]:
-        assert is_feasible(part, poses) == is_feasible(problem, poses)
+    met_sets = met_together(problem, separation, [])
+    for poses in met_sets[:60]:
+        feasible = is_feasible(part, poses)
+        expected_feasible = is_feasible(problem, poses)
+
+        assert feasible == expected_feasible
 
         met = whole.met_by(poses, frozenset())
+        expected_met = is_feasible(problem, poses)
 
         assert is_feasible(whole.part(met), poses)
-        assert (met == whole.everything) == is_feasible(problem, poses)
+        assert (met == whole.everything) == expected_met
 
 
 @given(wish=wishes())
@@ -277,5 +314,6 @@ def test_nothing_is_claimed_when_time_is_up(wish):
             else:
                 others = demands
             others = [other for other in others if other != relaxation.demand]
+            met_sets = met_together(problem, separation, others)
 
-            assert relaxation.pose_index in met_together(problem, separation, others)
+            assert relaxation.pose_index in met_sets

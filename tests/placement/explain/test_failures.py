@@ -26,7 +26,9 @@ def brute_force(axis, detected, latencies_s, rule, failed):
     weight = 0.0
     margins = []
     for run in range(axis.n_runs):
-        frames = range(int(axis.run_start[run]), int(axis.run_start[run + 1]))
+        first = int(axis.run_start[run])
+        after_last = int(axis.run_start[run + 1])
+        frames = range(first, after_last)
         onset = math.inf
         for last in list(frames)[n - 1 :]:
             known = []
@@ -46,14 +48,18 @@ def brute_force(axis, detected, latencies_s, rule, failed):
         if onset <= axis.last_brake_time_s[run] + 1.0e-9:
             avoided.append(axis.run_ids[run])
             weight += axis.weight[run]
-            margins.append(axis.last_brake_time_s[run] - onset)
+            margin_s = axis.last_brake_time_s[run] - onset
+            margins.append(margin_s)
 
-    return weight, min(margins, default=math.nan), avoided
+    smallest_s = min(margins, default=math.nan)
+    return weight, smallest_s, avoided
 
 
 @given(frame_axes(max_runs=3), st.integers(1, 4), st.data())
 def test_every_failure_is_as_brute_force_says(axis, n_units, data):
-    rule = replace(load_aeb_rule(), n_confirmations=data.draw(st.integers(1, 3)))
+    confirmations = st.integers(1, 3)
+    n_confirmations = data.draw(confirmations)
+    rule = replace(load_aeb_rule(), n_confirmations=n_confirmations)
     # Mostly seen: else hardly any run is avoided, and none can be lost.
     is_seen = st.sampled_from([True, True, False])
     rows = st.lists(is_seen, min_size=axis.n_frames, max_size=axis.n_frames)
@@ -65,12 +71,21 @@ def test_every_failure_is_as_brute_force_says(axis, n_units, data):
     failures = find_failures(evaluation, rule)
 
     expected_units = [(f"U{index}",) for index in range(n_units)]
-    expected_pairs = [(f"U{a}", f"U{b}") for a, b in combinations(range(n_units), 2)]
+    pairs = combinations(range(n_units), 2)
+    expected_pairs = [(f"U{a}", f"U{b}") for a, b in pairs]
+    found_units = sorted(item.unit_ids for item in failures.one_failed)
+    found_pairs = sorted(item.unit_ids for item in failures.two_failed)
 
-    assert sorted(item.unit_ids for item in failures.one_failed) == expected_units
-    assert sorted(item.unit_ids for item in failures.two_failed) == expected_pairs
+    assert found_units == expected_units
+    assert found_pairs == expected_pairs
 
-    _, _, avoided_by_all = brute_force(axis, detected, latencies_s, rule, ())
+    _, _, avoided_by_all = brute_force(
+        axis,
+        detected,
+        latencies_s,
+        rule,
+        (),
+    )
 
     for item in (failures.none_failed, *failures.one_failed, *failures.two_failed):
         failed = [int(name[1:]) for name in item.unit_ids]
@@ -81,15 +96,20 @@ def test_every_failure_is_as_brute_force_says(axis, n_units, data):
             rule,
             failed,
         )
+        lost = set(avoided_by_all) - set(avoided)
 
         assert item.apr == pytest.approx(share)
         assert item.smallest_margin_s == pytest.approx(margin_s, nan_ok=True)
-        assert sorted(item.lost_run_ids) == sorted(set(avoided_by_all) - set(avoided))
+        assert sorted(item.lost_run_ids) == sorted(lost)
 
-    assert failures.one_failed[0].apr == apr_one_failed(evaluation, rule)
+    expected_apr = apr_one_failed(evaluation, rule)
+
+    assert failures.one_failed[0].apr == expected_apr
 
     for items in (failures.one_failed, failures.two_failed):
-        assert [item.apr for item in items] == sorted(item.apr for item in items)
+        aprs = [item.apr for item in items]
+        in_order = sorted(item.apr for item in items)
+        assert aprs == in_order
 
 
 @pytest.mark.parametrize(
@@ -102,29 +122,43 @@ def test_every_failure_is_as_brute_force_says(axis, n_units, data):
     ],
 )
 def test_a_pole_takes_all_its_units_with_it(frame_axis, rule, sites):
-    detected = np.random.default_rng(4).random((3, 10)) < 0.8
+    rng = np.random.default_rng(4)
+    drawn = rng.random((3, 10))
+    detected = drawn < 0.8
     evaluation = seen_evaluation(frame_axis, detected)
     units = evaluation.layout.units
     hung = [replace(unit, site_id=sites[n]) for n, unit in enumerate(units)]
     evaluation = changed(evaluation, "layout.units", tuple(hung))
     together = {}
     for index, site in enumerate(sites):
-        together.setdefault(site or f"unit U{index}", []).append(index)
+        of_site = together.setdefault(site or f"unit U{index}", [])
+        of_site.append(index)
 
     found = find_failures(evaluation, rule).site_failed
+    site_ids = {item.site_id for item in found}
 
-    assert {item.site_id for item in found} == set(together)
+    assert site_ids == set(together)
 
     latencies_s = [rule.latency_s] * 3
 
     for item in found:
         failed = together[item.site_id]
-        share, _, _ = brute_force(frame_axis, detected, latencies_s, rule, failed)
+        share, _, _ = brute_force(
+            frame_axis,
+            detected,
+            latencies_s,
+            rule,
+            failed,
+        )
+        expected_ids = tuple(f"U{index}" for index in failed)
 
-        assert item.unit_ids == tuple(f"U{index}" for index in failed)
+        assert item.unit_ids == expected_ids
         assert item.apr == pytest.approx(share)
 
-    assert apr_one_site_failed(evaluation, rule) == min(item.apr for item in found)
+    worst_found = apr_one_site_failed(evaluation, rule)
+    worst_of_sites = min(item.apr for item in found)
+
+    assert worst_found == worst_of_sites
 
 
 def test_runs_without_weight_are_neither_lost_nor_a_margin(frame_axis, rule):
@@ -141,7 +175,8 @@ def test_runs_without_weight_are_neither_lost_nor_a_margin(frame_axis, rule):
         ]
     )
 
-    failures = find_failures(seen_evaluation(axis, rows), rule)
+    evaluation = seen_evaluation(axis, rows)
+    failures = find_failures(evaluation, rule)
 
     none_failed_s = failures.none_failed.smallest_margin_s
     worst = failures.one_failed[0]
@@ -155,9 +190,11 @@ def test_runs_without_weight_are_neither_lost_nor_a_margin(frame_axis, rule):
 
 def test_the_fastest_of_the_lost_runs_comes_first(frame_axis, rule):
     axis = replace(frame_axis, last_brake_time_s=[0.05, 0.1, -np.inf])
-    evaluation = seen_evaluation(axis, np.ones((1, 10)))
+    always_seen = np.ones((1, 10))
+    evaluation = seen_evaluation(axis, always_seen)
 
-    (only,) = find_failures(evaluation, rule).one_failed
+    failures = find_failures(evaluation, rule)
+    (only,) = failures.one_failed
 
     assert only.lost_run_ids == ("A/north/30", "A/north/20")
     assert only.apr == 0.0
@@ -174,7 +211,8 @@ def test_the_fastest_of_the_lost_runs_comes_first(frame_axis, rule):
 def test_pairs_are_looked_at_up_to_a_number_of_units(
     frame_axis, rule, n_units, n_pairs
 ):
-    evaluation = seen_evaluation(frame_axis, np.ones((n_units, 10)))
+    always_seen = np.ones((n_units, 10))
+    evaluation = seen_evaluation(frame_axis, always_seen)
 
     failures = find_failures(evaluation, rule)
 

@@ -44,10 +44,12 @@ def test_the_evaluator_decides_by_apr_then_failures_then_errors_of_mounting(
 
 
 def test_a_front_runner_has_the_shares_of_its_fusion():
-    axis = SimpleNamespace(weight=np.array([0.5, 0.25, 0.25]))
+    weight = np.array([0.5, 0.25, 0.25])
+    axis = SimpleNamespace(weight=weight)
 
     def verdict(*avoided):
-        return SimpleNamespace(is_avoided=np.array(avoided, dtype=bool))
+        is_avoided = np.array(avoided, dtype=bool)
+        return SimpleNamespace(is_avoided=is_avoided)
 
     evaluation = SimpleNamespace(
         axis=axis,

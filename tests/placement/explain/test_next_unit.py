@@ -14,7 +14,8 @@ from placement.optimiser.allowed_sets import is_allowed
 @given(problem=problems())
 def test_no_other_further_unit_gains_more(problem):
     reduced = presolve(problem)
-    found = list(solve_placement(problem, reduced).pose_index)
+    solution = solve_placement(problem, reduced)
+    found = list(solution.pose_index)
     limits = replace(problem.limits, budget_units=None)
     others = [
         pose for pose in range(limits.n_poses) if is_allowed(limits, [*found, pose])
@@ -23,12 +24,15 @@ def test_no_other_further_unit_gains_more(problem):
     ratios = [apr(problem, [*found, pose]) for pose in others if pose not in found]
     if best is None:
         for ratio in ratios:
-            assert ratio == pytest.approx(apr(problem, found))
+            expected = apr(problem, found)
+            assert ratio == pytest.approx(expected)
         return
 
     row = problem.table.pose_ids.index(best.pose)
+    joined = apr(problem, [*found, row])
+    before = apr(problem, found)
 
     assert row in others
-    assert best.apr == apr(problem, [*found, row])
-    assert best.gain == best.apr - apr(problem, found)
+    assert best.apr == joined
+    assert best.gain == best.apr - before
     assert best.apr == pytest.approx(max(ratios))

@@ -43,11 +43,12 @@ def unit(name, yaw_deg):
 def avoided(setting, units):
     """Weight of the runs that units avoid."""
     table = table_of(setting, units)
-    wishes = Wishes(
-        budget_units=len(units), existing=tuple(one.id for one in units[1:])
-    )
+    existing = tuple(one.id for one in units[1:])
+    wishes = Wishes(budget_units=len(units), existing=existing)
     problem = build_problem(setting, units, table, wishes=wishes)
-    return np.isfinite(run_margins_s(problem, range(len(units))))
+    rows = range(len(units))
+    margins_s = run_margins_s(problem, rows)
+    return np.isfinite(margins_s)
 
 
 def moved(one, *, yaw_deg=0.0, pitch_deg=0.0, height_m=0.0):
@@ -86,14 +87,18 @@ def test_within_its_tolerances_nothing_is_lost_and_a_step_beyond_something_is(se
             assert good == (within[-1] if within else 0.0)
 
             if within:
-                kept = avoided(setting, [moved(one, **{axis: sign * good})])
+                turned = moved(one, **{axis: sign * good})
+                kept = avoided(setting, [turned])
                 assert not (planned & ~kept).any()
 
-            beyond = [step for step in steps if step > good][:1]
+            too_far = [step for step in steps if step > good]
+            beyond = too_far[:1]
 
             for step in beyond:
                 limited += 1
-                kept = avoided(setting, [moved(one, **{axis: sign * step})])
+                turned_further = moved(one, **{axis: sign * step})
+                kept = avoided(setting, [turned_further])
+
                 assert (planned & ~kept).any()
 
     assert limited
@@ -105,8 +110,11 @@ def test_a_twin_lets_a_unit_be_off_by_all_that_is_tried(setting):
         unit("b", -135.0),
     ]
     for found in find_tolerances(setting, twins):
-        assert found.yaw_deg == found.pitch_deg == (TURNS_DEG[-1], TURNS_DEG[-1])
-        assert found.height_m == (LIFTS_M[-1], LIFTS_M[-1])
+        widest = (TURNS_DEG[-1], TURNS_DEG[-1])
+        highest = (LIFTS_M[-1], LIFTS_M[-1])
+
+        assert found.yaw_deg == found.pitch_deg == widest
+        assert found.height_m == highest
 
 
 @pytest.mark.long
@@ -121,20 +129,26 @@ def test_usual_errors_cost_what_a_layout_built_so_has(setting):
         ("height", "height_m", 0.05),
     ):
         for step in (-size, size):
-            left = avoided(setting, [moved(one, **{name: step})])
-            cost[kind, step] = (left.mean(), int((planned & ~left).sum()))
+            off = moved(one, **{name: step})
+            left = avoided(setting, [off])
+            left_share = left.mean()
+            n_lost = (planned & ~left).sum()
+            cost[kind, step] = (left_share, int(n_lost))
 
     worst = found.worst
 
     expected = min(apr for apr, _ in cost.values())
+    is_tolerant = found.aim_deg >= 1.0 and found.height_m >= 0.05
 
     assert worst.apr == pytest.approx(expected)
     assert (worst.apr, len(worst.lost_run_ids)) == pytest.approx(
         cost[worst.kind, worst.step]
     )
-    assert (found.aim_deg >= 1.0 and found.height_m >= 0.05) == (not worst.lost_run_ids)
+    assert is_tolerant == (not worst.lost_run_ids)
 
     (tolerance,) = find_tolerances(setting, [one])
+    expected_aim_deg = min(2.0, *tolerance.yaw_deg, *tolerance.pitch_deg)
+    expected_height_m = min(0.05, *tolerance.height_m)
 
-    assert found.aim_deg == min(2.0, *tolerance.yaw_deg, *tolerance.pitch_deg)
-    assert found.height_m == min(0.05, *tolerance.height_m)
+    assert found.aim_deg == expected_aim_deg
+    assert found.height_m == expected_height_m

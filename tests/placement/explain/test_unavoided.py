@@ -37,7 +37,8 @@ def run_of(vru_m, *, vut_m=(-390.0, -390.0), last_brake_s=-0.5, **options):
 
 def setting_with(*runs, boxes=(), **fields):
     """A setting of runs and boxes."""
-    return setting_of(build_scene([], boxes=boxes), runs, **fields)
+    scene = build_scene([], boxes=boxes)
+    return setting_of(scene, runs, **fields)
 
 
 def unit(
@@ -64,8 +65,11 @@ def unit(
 
 def reasons_of(setting, candidate, run_index=0):
     """Causes for which a unit does not see all of a run."""
-    looks = [Look(unit=candidate, run_index=run_index, frame_index=np.arange(N_FRAMES))]
-    return [(r.cause, r.thing, r.frames) for r in find_reasons(setting, looks)[0]]
+    every_frame = np.arange(N_FRAMES)
+    look = Look(unit=candidate, run_index=run_index, frame_index=every_frame)
+    looks = [look]
+    reasons = find_reasons(setting, looks)
+    return [(r.cause, r.thing, r.frames) for r in reasons[0]]
 
 
 def is_detected(setting, candidate):
@@ -101,9 +105,10 @@ PARKED = [parked_at("parked-van", east_m, 0.0, 90.0) for east_m in (-5.0, -9.0)]
 def test_what_is_in_the_way_is_named(sensor, boxes, run, expected):
     setting = setting_with(run, boxes=boxes)
     low = unit(-20.0, 0.0, 1.2, pitch_deg=0.0, sensor=sensor)
+    reasons = reasons_of(setting, low)
 
     assert not is_detected(setting, low).any()
-    assert reasons_of(setting, low) == [(*expected, N_FRAMES)]
+    assert reasons == [(*expected, N_FRAMES)]
 
     # Without the thing it is detected: that is what "hidden" says.
     cleared = setting_with(run_of((0.0, 0.0)), boxes=[BEHIND])
@@ -132,8 +137,10 @@ def test_what_is_in_the_way_is_named(sensor, boxes, run, expected):
 )
 def test_what_else_it_may_be_is_told_apart(candidate, run, expected):
     setting = setting_with(run)
+    reasons = reasons_of(setting, candidate)
+
     assert not is_detected(setting, candidate).any()
-    assert reasons_of(setting, candidate) == [(expected, "", N_FRAMES)]
+    assert reasons == [(expected, "", N_FRAMES)]
 
 
 def test_a_frame_that_only_the_table_misses_is_said_to_be_so():
@@ -145,9 +152,13 @@ def test_a_frame_that_only_the_table_misses_is_said_to_be_so():
 def problem_of(setting, candidates, detected, *, fusion="any", **limits):
     """A problem of candidates with these detections."""
     n_poses = len(candidates)
-    apart = {"site_index": np.arange(n_poses), "site_capacity": np.ones(n_poses, int)}
+    site_index = np.arange(n_poses)
+    site_capacity = np.ones(n_poses, int)
+    apart = {"site_index": site_index, "site_capacity": site_capacity}
+    pose_ids = tuple(c.id for c in candidates)
+    table = pack_table(pose_ids, setting.axis, detected)
     return PlacementProblem(
-        table=pack_table(tuple(c.id for c in candidates), setting.axis, detected),
+        table=table,
         limits=Limits(**apart | limits),
         fusion=fusion,
         rule=setting.rule,
@@ -155,21 +166,25 @@ def problem_of(setting, candidates, detected, *, fusion="any", **limits):
 
 
 def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
-    setting = setting_with(run_of((0.0, 0.0)), boxes=[WALL])
+    run = run_of((0.0, 0.0))
+    setting = setting_with(run, boxes=[WALL])
     candidates = [
         unit(-3.0, 0.0, yaw_deg=180.0, name="near"),
         unit(-20.0, 0.0, 1.2, pitch_deg=0.0, name="far"),
         unit(-3.0, 0.5, name="helper"),
     ]
     table = table_of(setting, candidates)
-    problem = problem_of(setting, candidates, table.detected(slice(None)))
+
+    detected = table.detected(slice(None))
+    problem = problem_of(setting, candidates, detected)
 
     (missed,) = find_unavoided(setting, problem, candidates, [0, 1])
+    causes = [(r.cause, r.thing) for r in missed.reasons]
 
     assert missed.outcome == "never seen"
     assert missed.unit == "far"
     assert missed.frames_seen == 0
-    assert [(r.cause, r.thing) for r in missed.reasons] == [("hidden", "wall-a")]
+    assert causes == [("hidden", "wall-a")]
     # Until 0.525 s before the impact.
     assert missed.frames_in_time == missed.reasons[0].frames == 14
 
@@ -184,9 +199,21 @@ def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
 @st.composite
 def tables(draw):
     """Three runs with any deadlines, seven poses anywhere, any detections."""
-    rng = default_rng(draw(st.integers(0, 2**32 - 1)))
+    seeds = st.integers(0, 2**32 - 1)
+    seed = draw(seeds)
+    rng = default_rng(seed)
     last = rng.choice([-0.3, -0.9, -1.5, -1.85, -np.inf], size=3)
-    weight = np.array(draw(st.sampled_from([(1, 1, 1), (0, 1, 3), (2, 0, 0)])))
+    weight = np.array(
+        draw(
+            st.sampled_from(
+                [
+                    (1, 1, 1),
+                    (0, 1, 3),
+                    (2, 0, 0),
+                ]
+            )
+        )
+    )
     runs = [
         run_of((0.0, 0.0), name=f"run-{number}", last_brake_s=last_s)
         for number, last_s in enumerate(last)
@@ -194,12 +221,16 @@ def tables(draw):
     axis = build_frame_axis(runs, weight / weight.sum())
     setting = setting_with(*runs, axis=axis)
     n_poses = 7
-    places = rng.integers(0, 4, size=(n_poses, 2)) * 10.0
+    cells = rng.integers(0, 4, size=(n_poses, 2))
+    places = cells * 10.0
     candidates = [unit(x, y, name=f"unit-{i}") for i, (x, y) in enumerate(places)]
-    memory_s = draw(st.sampled_from([0.1, 0.3, math.inf]))
+    memories_s = st.sampled_from([0.1, 0.3, math.inf])
+    memory_s = draw(memories_s)
     setting = changed(setting, "rule.track_memory_s", memory_s)
-    share = draw(st.sampled_from([0.1, 0.3, 0.6]))
-    detected = rng.random((n_poses, setting.axis.n_frames)) < share
+    shares = st.sampled_from([0.1, 0.3, 0.6])
+    share = draw(shares)
+    drawn = rng.random((n_poses, setting.axis.n_frames))
+    detected = drawn < share
     problem = problem_of(
         setting,
         candidates,
@@ -230,7 +261,8 @@ def test_outcome_and_rescue_match_brute_force(given_):
     margin = run_margins_s(problem, chosen)
     has_weight = problem.table.axis.weight > 0.0
 
-    expected = np.flatnonzero((margin == -np.inf) & has_weight).tolist()
+    is_lost = (margin == -np.inf) & has_weight
+    expected = np.flatnonzero(is_lost).tolist()
 
     assert sorted(found) == expected
 
@@ -240,7 +272,8 @@ def test_outcome_and_rescue_match_brute_force(given_):
         helping = {}
         for pose in range(len(candidates)):
             if pose not in chosen and may_join(problem.limits, chosen, pose):
-                left_s = run_margins_s(problem, [*chosen, pose])[run]
+                margins_s = run_margins_s(problem, [*chosen, pose])
+                left_s = margins_s[run]
                 if left_s > -np.inf:
                     helping[pose] = left_s
 
@@ -248,7 +281,8 @@ def test_outcome_and_rescue_match_brute_force(given_):
             assert entry.rescue is None
             continue
 
-        places = np.array([one.pose.position_m for one in candidates])
+        feet = [one.pose.position_m for one in candidates]
+        places = np.array(feet)
         away_m = {
             pose: np.linalg.norm(places[chosen] - places[pose], axis=1).min()
             for pose in helping
@@ -279,10 +313,12 @@ def check_outcome(problem, chosen, run, entry):
     time_s = axis.time_s[frames]
     last_s = axis.last_brake_time_s[run]
     counts = time_s + rule.latency_s <= last_s + 1e-9
-    seen = problem.table.detected(chosen)[:, frames]
+    detected = problem.table.detected(chosen)
+    seen = detected[:, frames]
+    by_any = seen.any(axis=0)
 
     assert entry.frames_in_time == counts.sum()
-    assert entry.frames_seen == (seen.any(axis=0) & counts).sum()
+    assert entry.frames_seen == (by_any & counts).sum()
 
     if problem.fusion == "any":
         together = [seen.any(axis=0)]
@@ -310,8 +346,10 @@ def check_outcome(problem, chosen, run, entry):
         assert rule.track_memory_s < math.inf
     else:
         assert entry.outcome == "too late"
+
     if late and np.isfinite(last_s):
-        assert entry.late_s == pytest.approx(min(late) + rule.latency_s - last_s)
+        expected_s = min(late) + rule.latency_s - last_s
+        assert entry.late_s == pytest.approx(expected_s)
     else:
         assert entry.late_s is None
 
@@ -319,7 +357,8 @@ def check_outcome(problem, chosen, run, entry):
 def may_join(limits, chosen, pose):
     """May a pose join the chosen ones, by the limits?"""
     sites = limits.site_index
-    n_there = int((sites[chosen] == sites[pose]).sum())
+    shares_site = sites[chosen] == sites[pose]
+    n_there = int(shares_site.sum())
     is_rival = any(
         {one, other} <= {sites[pose], *sites[chosen]} and sites[pose] in (one, other)
         for one, other in limits.rivals.tolist()
@@ -363,8 +402,11 @@ def test_each_look_gets_its_own_reasons():
 def test_weather_and_speed_share_no_reason():
     clear = run_of((0.0, 0.0))
     foggy = run_of((0.0, 0.0), weather="fog", name="fog")
-    setting = setting_with(clear, replace(foggy, encounter=clear.encounter), boxes=[])
+    in_fog = replace(foggy, encounter=clear.encounter)
+    setting = setting_with(clear, in_fog, boxes=[])
     candidate = unit(-60.0, 0.0, pitch_deg=-4.0, fov_deg=30.0)
+    by_day = reasons_of(setting, candidate, 0)
+    in_fog_reasons = reasons_of(setting, candidate, 1)
 
-    assert reasons_of(setting, candidate, 0) == [("otherwise", "", N_FRAMES)]
-    assert reasons_of(setting, candidate, 1) == [("too dark", "", N_FRAMES)]
+    assert by_day == [("otherwise", "", N_FRAMES)]
+    assert in_fog_reasons == [("too dark", "", N_FRAMES)]

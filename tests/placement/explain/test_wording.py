@@ -82,7 +82,12 @@ def refusal_of(problem_of, scene, candidates):
 
     def find(**wishes):
         wished = Wishes(**wishes)
-        return find_refusal(problem_of(wished), wished, scene, candidates)
+        return find_refusal(
+            problem_of(wished),
+            wished,
+            scene,
+            candidates,
+        )
 
     return find
 
@@ -119,7 +124,11 @@ TOO_MUCH = "got a demand that no layout meets; expected"
             ),
         ),
         (
-            {"budget_units": 5, "target": 1.0, "existing": ("RSU0", "RSU1")},
+            {
+                "budget_units": 5,
+                "target": 1.0,
+                "existing": ("RSU0", "RSU1"),
+            },
             (
                 f"`target` 1 and `budget` 3: {TOGETHER} one of them to give way:"
                 " `target` 0.75 or `budget` 4"
@@ -133,7 +142,11 @@ TOO_MUCH = "got a demand that no layout meets; expected"
             ),
         ),
         (
-            {"budget_units": 4, "target": 1.0, "separation_m": 30.0},
+            {
+                "budget_units": 4,
+                "target": 1.0,
+                "separation_m": 30.0,
+            },
             (
                 f"`target` 1 and `separation_m` 30: {TOGETHER} one of them to give way:"
                 " `target` 0.5 or `separation_m` 18.23"

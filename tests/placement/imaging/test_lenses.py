@@ -49,7 +49,12 @@ def draw(backdrop, study_run, day):
 @pytest.fixture(scope="module")
 def through_pinhole(draw, small):
     """A camera of many pixels, and what it shows."""
-    pinhole = replace(small, width_px=1200, height_px=1200, horizontal_fov_deg=130.0)
+    pinhole = replace(
+        small,
+        width_px=1200,
+        height_px=1200,
+        horizontal_fov_deg=130.0,
+    )
     return pinhole, draw(pinhole)
 
 
@@ -59,7 +64,12 @@ def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(
     draw, through_pinhole, small, model
 ):
     lens, fov_deg = LENSES[model]
-    camera = replace(small, horizontal_fov_deg=fov_deg, lens=lens, roll_deg=4.0)
+    camera = replace(
+        small,
+        horizontal_fov_deg=fov_deg,
+        lens=lens,
+        roll_deg=4.0,
+    )
     pinhole, straight = through_pinhole
     bent = draw(camera)
     rows, columns = np.indices(bent.instance.shape).reshape(2, -1)
@@ -132,7 +142,13 @@ def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
 ):
     lens, fov_deg = LENSES[model]
     camera = replace(small, horizontal_fov_deg=fov_deg, lens=lens)
-    still = draw_still(backdrop, CORNER, camera, weather=day, compute=COMPUTE)
+    still = draw_still(
+        backdrop,
+        CORNER,
+        camera,
+        weather=day,
+        compute=COMPUTE,
+    )
     frame = len(study_run.time_s) - 6
 
     onto = draw_onto(still, study_run, frame, compute=COMPUTE)
@@ -148,7 +164,13 @@ def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
 
     assert (levels > 1).mean() < 1e-3
 
-    mask = silhouette(study_run, frame, CORNER, camera, whole_image(camera))
+    mask = silhouette(
+        study_run,
+        frame,
+        CORNER,
+        camera,
+        whole_image(camera),
+    )
     vru = anew.instance == anew.names.index("vru")
 
     assert vru.any()
@@ -157,9 +179,15 @@ def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
 
 @pytest.mark.long
 def test_a_lens_of_zeros_has_the_pinholes_bits(draw, small):
-    zero = replace(small, lens=BrownConrady(), principal_point=(0.5, 0.5), roll_deg=0.0)
+    zero = replace(
+        small,
+        lens=BrownConrady(),
+        principal_point=(0.5, 0.5),
+        roll_deg=0.0,
+    )
     plain = draw(small)
     bent = draw(zero)
 
     for name in ("rgb", "instance", "depth_m"):
-        assert np.array_equal(getattr(plain, name), getattr(bent, name))
+        expected = getattr(bent, name)
+        assert np.array_equal(getattr(plain, name), expected)

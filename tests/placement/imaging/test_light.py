@@ -28,11 +28,13 @@ HERE = np.zeros(3, dtype=np.float32)
 def _hits(points, normals):
     """Points on surfaces with normals."""
     points = np.array(points, dtype=np.float32)
+    thing = np.zeros(len(points), dtype=np.int32)
+    pixel_m = np.ones(len(points), dtype=np.float32)
     return Hits(
         points_m=points,
         normals=np.array(normals, dtype=np.float32),
-        thing=np.zeros(len(points), dtype=np.int32),
-        pixel_m=np.ones(len(points), dtype=np.float32),
+        thing=thing,
+        pixel_m=pixel_m,
     )
 
 
@@ -91,8 +93,11 @@ def test_a_wall_that_faces_the_sun_gets_its_light_by_the_cosine(elevation_deg, y
         -towards,
     ]
 
-    lux = _lux(_hits(np.zeros((3, 3)), normals), _sunny(elevation_deg, yaw_deg))
-    expected = 80000.0 * np.array([np.cos(elevation), np.sin(elevation), 0.0])
+    hits = _hits(np.zeros((3, 3)), normals)
+    weather = _sunny(elevation_deg, yaw_deg)
+    lux = _lux(hits, weather)
+    towards_sun = [np.cos(elevation), np.sin(elevation), 0.0]
+    expected = 80000.0 * np.array(towards_sun)
 
     assert lux == pytest.approx(expected, rel=1e-4, abs=0.1)
 
@@ -108,8 +113,10 @@ def test_level_ground_gets_the_skys_light_and_what_faces_down_what_the_ground_se
         [0.0, 0.0, -1.0],
     ]
 
-    lux = _lux(_hits(np.zeros((3, 3)), normals), weather, ground_albedo=0.2)
-    expected = weather.sky_lux * np.array([1.0, 0.6, 0.2])
+    hits = _hits(np.zeros((3, 3)), normals)
+    lux = _lux(hits, weather, ground_albedo=0.2)
+    share = np.array([1.0, 0.6, 0.2])
+    expected = weather.sky_lux * share
 
     assert lux == pytest.approx(expected, rel=1e-4)
 
@@ -118,10 +125,15 @@ def test_level_ground_gets_the_skys_light_and_what_faces_down_what_the_ground_se
 def test_the_skys_luminance_adds_up_to_its_illuminance(name):
     weather = replace(load_weathers()[name], visibility_m=1.0e12, rain_rate_mmph=0.0)
     edges = np.linspace(0.0, 1.0, 20_001)
-    sine = 0.5 * (edges[1:] + edges[:-1])
+    sums = edges[1:] + edges[:-1]
+    sine = 0.5 * sums
 
-    luminance = build_sky(weather).luminance(sine.astype(np.float32)) @ LUMINANCE
-    lux = 2.0 * np.pi * (luminance * sine).sum() * (edges[1] - edges[0])
+    heights = sine.astype(np.float32)
+    colour = build_sky(weather).luminance(heights)
+    luminance = colour @ LUMINANCE
+    total = (luminance * sine).sum()
+    step = edges[1] - edges[0]
+    lux = 2.0 * np.pi * total * step
 
     assert lux == pytest.approx(weather.sky_lux, rel=1e-3)
 
@@ -136,8 +148,10 @@ def test_at_the_visibility_five_per_cent_of_contrast_are_left(name):
     for luminance in (black, white):
         sky.fade(luminance, way)
 
+    expected = 0.95 * sky.air_cdpm2[None]
+
     assert white - black == pytest.approx(0.05 * 1000.0, rel=1e-3)
-    assert black == pytest.approx(0.95 * sky.air_cdpm2[None], rel=1e-3)
+    assert black == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_wall_throws_a_shadow_as_long_as_the_sun_is_low():
@@ -154,7 +168,9 @@ def test_a_wall_throws_a_shadow_as_long_as_the_sun_is_low():
         [-1, 0, 0],
     ]
 
-    lux = _lux(_hits(points, [UP] * 3), _sunny(45.0, 180.0), caster=wall)
+    hits = _hits(points, [UP] * 3)
+    weather = _sunny(45.0, 180.0)
+    lux = _lux(hits, weather, caster=wall)
     lit = 80000.0 * np.sqrt(0.5)
 
     assert lux == pytest.approx([0.0, lit, lit], rel=1e-4)
@@ -167,7 +183,8 @@ def test_a_lamps_light_falls_with_the_square_and_the_cosine(aside_m):
 
     lux = _lux(hits, DARK, lamps=[lamp])
     # Within the cone: I cos^3 / h^2.
-    cosine = 8.0 / np.hypot(8.0, aside_m)
+    distance_m = np.hypot(8.0, aside_m)
+    cosine = 8.0 / distance_m
     expected = lamp.peak_cd * cosine**3 / 8.0**2
 
     assert lux == pytest.approx([expected], rel=1e-3)
@@ -181,6 +198,7 @@ def test_what_stands_before_a_lamp_takes_its_light():
         [-1, 1, 4],
     ]
     plate = build_caster(corners, SQUARE)
+
     hits = _hits([[1.9, 0, 0], [2.1, 0, 0]], [UP] * 2)
 
     free = _lux(hits, DARK, lamps=[_lamp()])
@@ -192,12 +210,18 @@ def test_what_stands_before_a_lamp_takes_its_light():
 @pytest.mark.parametrize("spill", [0.0, 0.1])
 def test_a_street_lamp_sends_out_its_flux(spill):
     cosine = np.linspace(-1.0, 1.0, 40_001)
-    middle = 0.5 * (cosine[1:] + cosine[:-1])
+    sums = cosine[1:] + cosine[:-1]
+    middle = 0.5 * sums
     sine = np.sqrt(1.0 - middle**2)
-    down = np.stack([sine, np.zeros_like(middle), -middle])
+    across = np.zeros_like(middle)
+    down = np.stack([sine, across, -middle])
 
-    intensity = _lamp(spill=spill).intensity_cd(down.astype(np.float32))
-    flux = 2.0 * np.pi * intensity.sum() * (cosine[1] - cosine[0])
+    lamp = _lamp(spill=spill)
+    downwards = down.astype(np.float32)
+    intensity = lamp.intensity_cd(downwards)
+    total = intensity.sum()
+    step = cosine[1] - cosine[0]
+    flux = 2.0 * np.pi * total * step
 
     assert flux == pytest.approx(9000.0, rel=1e-3)
 
@@ -205,15 +229,21 @@ def test_a_street_lamp_sends_out_its_flux(spill):
 @pytest.mark.parametrize("keeps_left", [False, True])
 def test_a_low_beam_keeps_to_the_regulations_limits(keeps_left):
     pose = Pose(position_m=[0.0, 0.0, 0.0], yaw_deg=0.0)
-    lamp, _ = build_headlights(pick_actor("vut", "vut"), pose, keeps_left=keeps_left)
+    vut = pick_actor("vut", "vut")
+    lamp, _ = build_headlights(vut, pose, keeps_left=keeps_left)
 
     def candela(to_kerb_deg, up_deg):
         left_deg = -to_kerb_deg
         if keeps_left:
             left_deg = to_kerb_deg
+
         up = np.radians(up_deg)
-        way = np.append(np.cos(up) * ahead_of(left_deg), np.sin(up))
-        return float(lamp.intensity_cd(way.astype(np.float32)[:, None])[0])
+        level = np.cos(up)
+        rise = np.sin(up)
+        way = np.append(level * ahead_of(left_deg), rise)
+        ways = way.astype(np.float32)[:, None]
+        candela_found = lamp.intensity_cd(ways)
+        return float(candela_found[0])
 
     assert candela(-3.43, 0.57) <= 350.0  # B50L: oncoming drivers
     assert candela(1.15, -0.57) >= 10_100.0  # 75R

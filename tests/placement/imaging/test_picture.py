@@ -24,7 +24,8 @@ ABOVE = Pose(position_m=[0.0, -12.0, 9.0], yaw_deg=90.0, pitch_deg=-40.0)
 
 def render_picture(scene, run, *args, **options):
     """The picture of one frame of a run."""
-    return draw_picture(build_backdrop(scene, run.obstruction), run, *args, **options)
+    backdrop = build_backdrop(scene, run.obstruction)
+    return draw_picture(backdrop, run, *args, **options)
 
 
 @pytest.fixture
@@ -32,7 +33,8 @@ def draw(backdrop, study_run, small):
     """Draws a frame of the study's run in a weather."""
 
     def draw_frame(weather, **options):
-        frame = len(study_run.time_s) - 1 - 5
+        n_frames = len(study_run.time_s)
+        frame = n_frames - 1 - 5
         return draw_picture(
             backdrop,
             study_run,
@@ -49,12 +51,16 @@ def draw(backdrop, study_run, small):
 @pytest.mark.long
 @pytest.mark.parametrize("weather", ["night", "rain"])
 def test_the_same_seed_gives_the_same_picture_whatever_the_threads(draw, weather):
-    one = draw(weather, compute=Compute(seed=3))
-    same = draw(weather, compute=Compute(seed=3, workers=2))
-    other = draw(weather, compute=Compute(seed=4))
+    compute_3 = Compute(seed=3)
+    one = draw(weather, compute=compute_3)
+    compute = Compute(seed=3, workers=2)
+    same = draw(weather, compute=compute)
+    compute_4 = Compute(seed=4)
+    other = draw(weather, compute=compute_4)
+    is_same = np.array_equal(one.rgb, other.rgb)
 
     assert np.array_equal(one.rgb, same.rgb)
-    assert not np.array_equal(one.rgb, other.rgb)
+    assert not is_same
     assert np.array_equal(one.instance, other.instance)
     assert np.array_equal(one.depth_m, other.depth_m)
 
@@ -66,17 +72,26 @@ def test_rough_edges_are_all_that_a_quick_picture_has(draw):
     assert np.array_equal(smooth.instance, rough.instance)
     assert np.array_equal(smooth.depth_m, rough.depth_m)
 
-    differs = np.abs(smooth.rgb.astype(int) - rough.rgb).max(axis=2) > 8
-    light = rough.rgb.astype(int).sum(axis=2)
+    difference = smooth.rgb.astype(int) - rough.rgb
+    largest = np.abs(difference).max(axis=2)
+    differs = largest > 8
+    values = rough.rgb.astype(int)
+    light = values.sum(axis=2)
     steps = sum(np.abs(np.diff(light, axis=axis, append=0)) for axis in (0, 1))
+    steps_at_edges = steps[differs].mean()
+    steps_elsewhere = steps[~differs].mean()
 
     assert 0.001 < differs.mean() < 0.3
-    assert steps[differs].mean() > 3.0 * steps[~differs].mean()
+    assert steps_at_edges > 3.0 * steps_elsewhere
 
 
 def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
     picture = draw("day")
     shape = (small.height_px, small.width_px)
+    expected = np.isinf(picture.depth_m)
+    highest = picture.instance.max()
+    n_names = len(picture.names)
+    names = set(picture.names)
 
     assert picture.rgb.shape == (*shape, 3)
     assert picture.rgb.dtype == np.uint8
@@ -84,10 +99,10 @@ def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
     assert picture.instance.dtype == np.int32
     assert picture.depth_m.shape == shape
     assert picture.depth_m.dtype == np.float32
-    assert np.array_equal(picture.instance == -1, np.isinf(picture.depth_m))
-    assert picture.instance.max() < len(picture.names)
+    assert np.array_equal(picture.instance == -1, expected)
+    assert highest < n_names
     assert picture.names[-2:] == ("vut", "vru")
-    assert {"ground", "building-ne", "parked-1"} <= set(picture.names)
+    assert {"ground", "building-ne", "parked-1"} <= names
 
 
 @pytest.mark.long
@@ -97,7 +112,8 @@ def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
     backdrop, study_run, small, back, with_vut
 ):
     camera = replace(small, width_px=960, height_px=540)
-    frame = len(study_run.time_s) - 1 - back
+    n_frames = len(study_run.time_s)
+    frame = n_frames - 1 - back
     view = render_frame(
         build_surroundings(load_study_scene(), [study_run]),
         frame,
@@ -118,7 +134,8 @@ def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
 
     assert ("vut" in picture.names) == with_vut
 
-    vru = picture.instance == picture.names.index("vru")
+    vru_index = picture.names.index("vru")
+    vru = picture.instance == vru_index
 
     box = mask_box(vru)
 
@@ -134,23 +151,38 @@ def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
 
 def test_what_lies_in_the_shadow_is_darker(build_plain_scene, study_run, small, day):
     weather = replace(day, sun_elevation_deg=45.0, sun_yaw_deg=180.0)
-    scene = build_plain_scene(("wall", [0.0, -20.0, 0.0], [0.2, 20.0, 6.0]))
-    picture = render_picture(scene, study_run, 0, ABOVE, small, weather=weather)
-    ground = picture.instance == picture.names.index("ground")
+    wall = ("wall", [0.0, -20.0, 0.0], [0.2, 20.0, 6.0])
+    scene = build_plain_scene(wall)
+    picture = render_picture(
+        scene,
+        study_run,
+        0,
+        ABOVE,
+        small,
+        weather=weather,
+    )
+    ground_index = picture.names.index("ground")
+    ground = picture.instance == ground_index
     rows, columns = np.nonzero(ground)
 
     rays = pixel_rays(columns, rows, ABOVE, small)
-    points = ABOVE.position_m + rays * picture.depth_m[rows, columns, None]
+    ways = rays * picture.depth_m[rows, columns, None]
+    points = ABOVE.position_m + ways
     east = points[:, 0]
     north = points[:, 1]
     near = np.abs(north) < 5.0
-    level = picture.rgb[rows, columns].mean(axis=1)
-    shaded = level[near & (east > 1.0) & (east < 5.5)]
-    lit = level[near & (east > 7.0) & (east < 12.0)]
+    colours = picture.rgb[rows, columns]
+    level = colours.mean(axis=1)
+    in_shadow = near & (east > 1.0) & (east < 5.5)
+    shaded = level[in_shadow]
+    in_light = near & (east > 7.0) & (east < 12.0)
+    lit = level[in_light]
+    brightest_shaded = np.percentile(shaded, 99)
+    darkest_lit = np.percentile(lit, 1)
 
     assert len(shaded) > 100
     assert len(lit) > 100
-    assert np.percentile(shaded, 99) < np.percentile(lit, 1)
+    assert brightest_shaded < darkest_lit
 
 
 @pytest.mark.long
@@ -168,28 +200,44 @@ def test_night_without_lamps_is_dark_and_lamps_light_the_road(
 
     def mean(sites):
         scene = build_plain_scene(sites=sites)
-        picture = render_picture(scene, study_run, 0, ABOVE, small, weather=night)
-        return picture.rgb[picture.instance >= 0].mean()
+        picture = render_picture(
+            scene,
+            study_run,
+            0,
+            ABOVE,
+            small,
+            weather=night,
+        )
+        shown = picture.rgb[picture.instance >= 0]
+        return shown.mean()
+
+    with_lamp = mean((post,))
+    without = mean(())
 
     assert mean(()) < 16.0  # of 255
-    assert mean((post,)) > 2.0 * mean(())
+    assert with_lamp > 2.0 * without
 
 
 def test_fog_takes_the_contrast_of_what_is_far(draw):
     clear = draw("day")
     fog = draw("fog")
-    far = (clear.depth_m > 40.0) & np.isfinite(clear.depth_m)
+    is_finite = np.isfinite(clear.depth_m)
+    far = (clear.depth_m > 40.0) & is_finite
+    fog_contrast = fog.rgb[far].std()
+    clear_contrast = clear.rgb[far].std()
 
     assert far.sum() > 100
-    assert fog.rgb[far].std() < 0.4 * clear.rgb[far].std()
+    assert fog_contrast < 0.4 * clear_contrast
 
 
 def test_no_face_is_black_by_day(draw):
     picture = draw("rain")
-    for index in np.unique(picture.instance[picture.instance >= 0]):
+    shown = picture.instance[picture.instance >= 0]
+    for index in np.unique(shown):
         pixels = picture.rgb[picture.instance == index]
         if len(pixels) > 50:
-            assert pixels.mean() > 15.0, picture.names[index]
+            level = pixels.mean()
+            assert level > 15.0, picture.names[index]
 
 
 def test_the_vuts_own_camera_sees_its_headlights_not_itself(backdrop, study_run, small):
@@ -209,7 +257,8 @@ def test_the_vuts_own_camera_sees_its_headlights_not_itself(backdrop, study_run,
             weather=weather,
             with_vut=False,
         )
-        return picture.rgb[120:, 60:180].mean()
+        part = picture.rgb[120:, 60:180]
+        return part.mean()
 
     night = load_weathers()["night"]
     unlit = replace(night, has_lamps=False)
@@ -234,8 +283,10 @@ def test_what_drives_by_is_in_the_picture(backdrop, study_run, small, day):
 
     first = draw_picture(backdrop, run, 0, CORNER, small, weather=day)
     second = draw_picture(backdrop, run, 1, CORNER, small, weather=day)
+    index = first.names.index("driving-1")
+    is_driving = first.instance == index
 
     assert first.names[-3:] == ("driving-1", "vut", "vru")
-    assert (first.instance == first.names.index("driving-1")).any()
+    assert is_driving.any()
     assert second.names[-2:] == ("vut", "vru")
     assert "driving-1" not in second.names

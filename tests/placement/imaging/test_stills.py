@@ -25,7 +25,14 @@ def pictures(request, backdrop, study_run, small):
     pairs = []
     for back in (30, 13, 1):
         frame = n_frames - back
-        anew = draw_picture(backdrop, study_run, frame, CORNER, small, **how)
+        anew = draw_picture(
+            backdrop,
+            study_run,
+            frame,
+            CORNER,
+            small,
+            **how,
+        )
         onto = draw_onto(still, study_run, frame, compute=COMPUTE)
         pairs.append((anew, onto))
 
@@ -51,7 +58,12 @@ def test_most_of_a_still_is_kept(backdrop, study_run, small):
     )
     before = still.smooth.copy()
 
-    onto = draw_onto(still, study_run, len(study_run.time_s) - 1, compute=COMPUTE)
+    onto = draw_onto(
+        still,
+        study_run,
+        len(study_run.time_s) - 1,
+        compute=COMPUTE,
+    )
 
     assert np.array_equal(still.smooth, before)
     assert 0.0 < (onto.instance != still.raw.instance).mean() < 0.5

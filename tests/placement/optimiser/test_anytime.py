@@ -59,8 +59,9 @@ def test_a_search_whose_time_is_over_has_a_set_and_knows_no_bound(problem):
     search.start()
 
     greedy = extend_greedily(reduced, forced_units(reduced))
+    expected = is_allowed(reduced.limits, greedy)
 
-    assert (search.units is not None) == is_allowed(reduced.limits, greedy)
+    assert (search.units is not None) == expected
     assert search.look_for(Objective.APR, ()) == np.inf
     assert search.look_for(Objective.COST, ()) == -np.inf
     assert not search.proofs  # no solver was asked
@@ -93,8 +94,15 @@ def test_bounds_of_a_first_round_hold(problem, n_failures):
     sets = full_sets(reduced)
     if not len(reduced.weight) or not len(sets):
         return
+
     n_units = reduced.limits.max_units
-    root = find_root(reduced, run_rows(reduced), n_units=n_units, deadline=OVER)
+
+    root = find_root(
+        reduced,
+        run_rows(reduced),
+        n_units=n_units,
+        deadline=OVER,
+    )
 
     best = union_apr(reduced, unions_of(reduced, sets)).max()
 
@@ -188,9 +196,10 @@ def test_limits_that_cannot_be_met_are_told_before_anything_is_presolved():
     none = replace(problem.limits, is_forbidden=[True, True])
     with pytest.MonkeyPatch.context() as patch:
         calls = count_presolves(patch)
+        limits = replace(none, budget_units=2)
         with pytest.raises(InputError, match="candidates: got none that may be used"):
             solve_sturdily(
-                replace(problem, limits=replace(none, budget_units=2)),
+                replace(problem, limits=limits),
                 give_up=0.1,
                 effort=Effort(),
             )
@@ -213,7 +222,13 @@ def test_a_presolved_problem_for_other_floors_is_what_presolving_gives(
         share=share,
         is_counted=problem.table.axis.weight > 0.0,
     )
-    other = replace(problem, floors=(floor, counted), goal=goal, survive=n_failures)
+    other = replace(
+        problem,
+        floors=(floor, counted),
+        goal=goal,
+        survive=n_failures,
+    )
+
     again = presolve(problem).for_problem(other)
 
     anew = presolve(other)
@@ -227,7 +242,8 @@ def test_a_presolved_problem_for_other_floors_is_what_presolving_gives(
         "run_chain",
         "margin_s",
     ):
-        assert_array_equal(getattr(again, name), getattr(anew, name))
+        expected = getattr(anew, name)
+        assert_array_equal(getattr(again, name), expected)
 
     for one, same in zip(again.chains, anew.chains, strict=True):
         assert_array_equal(one, same)

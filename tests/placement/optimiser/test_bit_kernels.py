@@ -25,13 +25,18 @@ WORDS = st.integers(0, 2**64 - 1)
 
 @given(WORDS)
 def test_bits_of_a_word_are_counted(word):
-    assert kernels.count_bits(np.uint64(word)) == word.bit_count()
+    counted = kernels.count_bits(np.uint64(word))
+    expected = word.bit_count()
+    assert counted == expected
 
 
 @given(st.integers(0, 63), WORDS)
 def test_the_lowest_bit_is_the_number_of_zeros_below_it(place, above):
-    word = (above << (place + 1) | 1 << place) % 2**64
-    assert kernels.lowest_bit(np.uint64(word)) == place
+    bits = above << (place + 1) | 1 << place
+    word = bits % 2**64
+    lowest = kernels.lowest_bit(np.uint64(word))
+
+    assert lowest == place
 
 
 @given(SEEDS, st.integers(1, 3))
@@ -42,7 +47,8 @@ def test_blocks_are_transposed_bit_by_bit(seed, n):
     kernels.transpose_blocks(block)
 
     for column in range(n):
-        turned = unpack_words(block[:, column, None], 64)
+        words = block[:, column, None]
+        turned = unpack_words(words, 64)
         assert_array_equal(turned, bits[:, column].T)
 
 
@@ -51,7 +57,8 @@ def test_a_range_of_rows_has_the_bits_of_all_its_rows(seed):
     rng = default_rng(seed)
     bits = rng.random((8, 100)) < 0.2
     begin = rng.integers(0, 9, 6)
-    end = np.minimum(begin + rng.integers(0, 4, 6), 8)
+    lengths = rng.integers(0, 4, 6)
+    end = np.minimum(begin + lengths, 8)
     joined = np.full((6, 2), 7, dtype=np.uint64)  # what stands there is overwritten
 
     kernels.join_ranges(pack_words(bits), begin, end, joined)
@@ -67,7 +74,9 @@ def runs_of_windows(rng):
     need it.
     """
     n_windows = rng.integers(2, 7, 2)
-    sets = np.sort(rng.integers(0, 4, (n_windows.sum(), 2)), axis=1)
+    n_all_windows = n_windows.sum()
+    frames_of = rng.integers(0, 4, (n_all_windows, 2))
+    sets = np.sort(frames_of, axis=1)
     tail_frame = []
     n_links = []
     n_tails = []
@@ -76,10 +85,13 @@ def runs_of_windows(rng):
             rng.integers(1, most + 1, int(rng.integers(0, 3))).tolist(), reverse=True
         )
         n_links += links
-        tail_frame += rng.permutation(4)[: len(links)].tolist()
+        shuffled = rng.permutation(4)
+        tail_frame += shuffled[: len(links)].tolist()
         n_tails.append(len(links))
 
-    starts = np.cumsum([0, *n_windows]), np.cumsum([0, *n_tails])
+    window_start = np.cumsum([0, *n_windows])
+    tail_start = np.cumsum([0, *n_tails])
+    starts = window_start, tail_start
     return (
         sets,
         starts[0],
@@ -94,7 +106,14 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed):
     sets, start, tail_frame, tail_start, n_links = runs_of_windows(default_rng(seed))
     before = n_links.copy()
     is_kept = np.zeros(len(sets), dtype=bool)
-    kernels.thin_out(sets, start, tail_frame, tail_start, n_links, is_kept)
+    kernels.thin_out(
+        sets,
+        start,
+        tail_frame,
+        tail_start,
+        n_links,
+        is_kept,
+    )
     unions = [set(seen) for size in range(5) for seen in combinations(range(4), size)]
 
     for run in range(2):
@@ -134,14 +153,17 @@ def drawn(seed):
 def test_the_first_live_window_has_all_frames_and_tails(seed):
     rng, chains = drawn(seed)
     seen = random_sights(rng, 5, share=0.7)
-    first = np.empty((5, n_chains_of(chains)), dtype=np.int64)
+    shape = (5, n_chains_of(chains))
+    first = np.empty(shape, dtype=np.int64)
 
     kernels.first_live_windows(pack_words(seen), chains, first)
 
     for row, union in enumerate(seen):
-        frames = np.flatnonzero(union).tolist()
+        seen_frames = np.flatnonzero(union)
+        frames = seen_frames.tolist()
         for chain in range(n_chains_of(chains)):
-            assert first[row, chain] == first_live(chains, chain, frames)
+            expected = first_live(chains, chain, frames)
+            assert first[row, chain] == expected
 
 
 @given(SEEDS, st.sampled_from([1, 63, 64, 70]))
@@ -150,8 +172,10 @@ def test_first_live_windows_with_each_pose_are_those_of_the_unions(seed, n_poses
     sees = random_sights(rng, n_poses)
     alone = rng.random(N_FRAMES) < 0.3
     n_chains = n_chains_of(chains)
-    begin = int(rng.integers(0, n_chains + 1))
+    drawn_begin = rng.integers(0, n_chains + 1)
+    begin = int(drawn_begin)
     first = np.full((n_chains, n_poses), -1, dtype=np.int32)
+
     kernels.first_live_with_each(
         columns_of(sees),
         alone,
@@ -165,5 +189,8 @@ def test_first_live_windows_with_each_pose_are_those_of_the_unions(seed, n_poses
 
     for chain in range(begin, n_chains):
         for pose in range(n_poses):
-            frames = np.flatnonzero(sees[pose] | alone).tolist()
-            assert first[chain, pose] == first_live(chains, chain, frames)
+            seen_frames = np.flatnonzero(sees[pose] | alone)
+            frames = seen_frames.tolist()
+            expected = first_live(chains, chain, frames)
+
+            assert first[chain, pose] == expected

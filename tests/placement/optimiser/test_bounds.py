@@ -43,35 +43,45 @@ def sets_by_size(reduced):
 
 def margin_sums(reduced, sets):
     """Weights times margins of avoided runs, (n_sets,)."""
-    margin = union_margins_s(reduced, unions_of(reduced, sets))
-    total = np.where(margin > -np.inf, margin, 0.0) @ reduced.weight
+    unions = unions_of(reduced, sets)
+    margin = union_margins_s(reduced, unions)
+    counted_s = np.where(margin > -np.inf, margin, 0.0)
+    total = counted_s @ reduced.weight
     return total
 
 
 @given(problem=questions(), is_polished=st.booleans())
 def test_no_allowed_set_exceeds_the_bound_of_the_apr(problem, is_polished):
-    reduced = presolve(replace(problem, floors=(), goal="best", tail=1.0))
+    best_alone = replace(problem, floors=(), goal="best", tail=1.0)
+    reduced = presolve(best_alone)
     sizes = sets_by_size(reduced)
     if not len(reduced.weight) or not sizes:
         return
+
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
     if is_polished:
         root = polished(root)
 
     for sets in sizes:
-        assert union_apr(reduced, unions_of(reduced, sets)).max() <= root.limit + 1e-9
+        unions = unions_of(reduced, sets)
+        reached = union_apr(reduced, unions)
+        assert reached.max() <= root.limit + 1e-9
 
 
 @given(problem=questions())
 def test_no_allowed_set_exceeds_what_is_relaxed(problem):
-    reduced = presolve(replace(problem, floors=(), goal="best"))
+    best_alone = replace(problem, floors=(), goal="best")
+    reduced = presolve(best_alone)
     sizes = sets_by_size(reduced)
     apr, _ = relax(reduced, Objective.APR)
     total_s, _ = relax(reduced, Objective.MEAN_MARGIN)
     for sets in sizes:
         if len(reduced.weight):
-            assert union_apr(reduced, unions_of(reduced, sets)).max() <= apr + 1e-9
-            assert margin_sums(reduced, sets).max() <= total_s + 1e-9
+            unions = unions_of(reduced, sets)
+            reached = union_apr(reduced, unions)
+            sums_s = margin_sums(reduced, sets)
+            assert reached.max() <= apr + 1e-9
+            assert sums_s.max() <= total_s + 1e-9
 
 
 @given(problem=problems())
@@ -79,13 +89,15 @@ def test_polishing_never_raises_a_bound(problem):
     reduced = presolve(problem)
     if not len(reduced.weight):
         return
+
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
 
     better = polished(root)
 
     assert better.limit <= root.limit
 
-    again = tightened(better, reward_of(better.choice.n_units, 0), n_steps=0)
+    reward = reward_of(better.choice.n_units, 0)
+    again = tightened(better, reward, n_steps=0)
 
     assert again.limit == pytest.approx(better.limit, rel=1e-8)  # the prices prove it
 
@@ -97,14 +109,24 @@ def test_no_set_keeps_more_than_the_bound_when_units_fail(problem, n_failures):
     n_units = reduced.limits.max_units
     if not len(reduced.weight) or not sizes or sizes[-1].shape[1] < n_units:
         return
-    root = find_root(reduced, run_rows(reduced), n_units=n_units)
-    share = union_apr(reduced, unions_of(reduced, sizes[-1]))
 
-    left = left_after_failures(reduced, reduced.measure, n_failures, sizes[-1])
+    root = find_root(reduced, run_rows(reduced), n_units=n_units)
+    unions = unions_of(reduced, sizes[-1])
+    share = union_apr(reduced, unions)
+
+    left = left_after_failures(
+        reduced,
+        reduced.measure,
+        n_failures,
+        sizes[-1],
+    )
 
     for least in np.unique(share):
-        most_left = left[share >= least - 1e-9].max()
-        assert most_left <= failure_limit(root, n_failures, least) + 1e-9
+        left_of_good = left[share >= least - 1e-9]
+        most_left = left_of_good.max()
+        most_possible = failure_limit(root, n_failures, least)
+
+        assert most_left <= most_possible + 1e-9
 
 
 @given(problem=problems(), seed=st.integers(0, 99))
@@ -112,17 +134,23 @@ def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(problem, 
     reduced = presolve(problem)
     if not len(reduced.weight):
         return
+
     rng = np.random.default_rng(seed)
     rows = run_rows(reduced)
-    first = int(rng.integers(reduced.n_poses))
+    drawn = rng.integers(reduced.n_poses)
+    first = int(drawn)
     union = reduced.words[first]
     seen = rng.random(reduced.n_frames)
 
-    covers = unpack_words(coverers_of(reduced, rows, union, seen), reduced.n_poses)
+    words = coverers_of(reduced, rows, union, seen)
+    covers = unpack_words(words, reduced.n_poses)
 
     for pose in range(reduced.n_poses):
-        is_avoided = is_covered_by(reduced, union | reduced.words[pose], rows)
-        assert not (is_avoided & ~covers[:, pose]).any()
+        joined = union | reduced.words[pose]
+        is_avoided = is_covered_by(reduced, joined, rows)
+        is_not_covered = is_avoided & ~covers[:, pose]
+
+        assert not is_not_covered.any()
 
     is_alone = is_covered_by(reduced, union, rows)
 
@@ -158,7 +186,8 @@ def test_what_forced_units_take_is_not_there_for_others():
 def test_a_row_is_worth_the_share_of_failures_that_leave_a_unit(
     n_units, n_failures, expected
 ):
-    assert reward_of(n_units, n_failures) == pytest.approx(expected)
+    reward = reward_of(n_units, n_failures)
+    assert reward == pytest.approx(expected)
 
 
 @given(problem=problems(), place=st.floats(0.0, 1.0))
@@ -168,6 +197,7 @@ def test_a_bound_is_rounded_down_to_whole_runs_only_where_all_weigh_the_same(
     reduced = presolve(problem)
     if not len(reduced.weight):
         return
+
     step = reduced.measure.step
     limit = place * reduced.measure.limit
 
@@ -176,6 +206,7 @@ def test_a_bound_is_rounded_down_to_whole_runs_only_where_all_weigh_the_same(
     assert rounded <= limit + 1e-5
 
     if step:
-        assert rounded / step == pytest.approx(round(rounded / step), abs=1e-6)
+        expected = round(rounded / step)
+        assert rounded / step == pytest.approx(expected, abs=1e-6)
     else:
         assert rounded == limit

@@ -30,8 +30,11 @@ from placement.optimiser.problem import objective_values
 def seeing_problems(draw):
     """Problems whose VUT sees."""
     problem = draw(problems())
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    return replace(problem, seen_by_vut=random_sight(rng, problem.table.axis))
+    seeds = st.integers(0, 2**32 - 1)
+    seed = draw(seeds)
+    rng = np.random.default_rng(seed)
+    seen_by_vut = random_sight(rng, problem.table.axis)
+    return replace(problem, seen_by_vut=seen_by_vut)
 
 
 def mixed(problem, share):
@@ -63,10 +66,16 @@ def test_a_share_is_the_weighted_sum_of_both(problem, share):
     poses = range(problem.table.n_poses)
 
     for chosen in [[], *([pose] for pose in poses), [*poses]]:
-        expected = share * apr(problem, chosen) + (1.0 - share) * apr(blind, chosen)
-        assert apr(both, chosen) == pytest.approx(expected, abs=1e-12)
+        seeing = apr(problem, chosen)
+        without = apr(blind, chosen)
+        expected = share * seeing + (1.0 - share) * without
+        found = apr(both, chosen)
 
-    assert seeing_share(both.table.axis) == pytest.approx(share)
+        assert found == pytest.approx(expected, abs=1e-12)
+
+    found_share = seeing_share(both.table.axis)
+
+    assert found_share == pytest.approx(share)
 
 
 @given(seeing_problems())
@@ -74,13 +83,20 @@ def test_no_pose_at_all_is_the_vut_alone(problem):
     seen = problem.seen_by_vut
     ids = problem.table.pose_ids
 
-    table = pack_table(ids, problem.table.axis, np.tile(seen, (len(ids), 1)))
+    rows = np.tile(seen, (len(ids), 1))
+    table = pack_table(ids, problem.table.axis, rows)
     alone = replace(problem, table=table, seen_by_vut=None)
+    expected = run_margins_s(alone, [0])
+    margins_s = run_margins_s(problem, [])
 
-    assert np.array_equal(run_margins_s(problem, []), run_margins_s(alone, [0]))
+    assert np.array_equal(margins_s, expected)
 
     for pose in range(problem.table.n_poses):
-        assert apr_one_failed(problem, [pose]) == apr(problem, []) == apr(alone, [0])
+        one_failed = apr_one_failed(problem, [pose])
+        without = apr(problem, [])
+        alone_apr = apr(alone, [0])
+
+        assert one_failed == without == alone_apr
 
 
 @given(seeing_problems(), st.integers(1, 4))
@@ -89,7 +105,8 @@ def test_a_vut_never_fails(problem, n_failures):
     nobody = apr(problem, [])
 
     for size in (1, 2, 3):
-        for chosen in combinations(range(problem.table.n_poses), size):
+        poses = range(problem.table.n_poses)
+        for chosen in combinations(poses, size):
             left = objective_values(problem, chosen)["apr_survived"]
             assert left >= nobody - 1e-12
             assert n_failures < size or left == pytest.approx(nobody)
@@ -101,10 +118,12 @@ def test_runs_that_are_there_twice_are_told_once(frame_axis):
     )
 
     axis = mixed_table(table, 0.25).axis
+    expected = [*frame_axis.run_ids] * 2
+    plain = [plain_run(name) for name in axis.run_ids]
 
     assert is_mixed(axis)
     assert not is_mixed(frame_axis)
-    assert [plain_run(name) for name in axis.run_ids] == [*frame_axis.run_ids] * 2
+    assert plain == expected
 
     once = plain_axis(axis)
 
@@ -115,7 +134,8 @@ def test_runs_that_are_there_twice_are_told_once(frame_axis):
 
 def test_frames_of_other_runs_are_refused():
     problem = avoiding_problem(["1"])
+    seen_by_vut = np.ones(1, dtype=bool)
     with pytest.raises(
         InputError, match=r"seen_by_vut: got shape \(1,\); expected a flag"
     ):
-        replace(problem, seen_by_vut=np.ones(1, dtype=bool))
+        replace(problem, seen_by_vut=seen_by_vut)

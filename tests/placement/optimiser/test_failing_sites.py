@@ -63,8 +63,14 @@ def test_what_is_left_is_what_stands_on_the_other_poles(problem, n_failures):
                 left(problem, tuple(reduced.pose_index[one]), n_failures)
                 for one in sets
             ]
-            found = left_after_failures(reduced, reduced.measure, n_failures, sets)
-            assert found == pytest.approx(np.array(wanted))
+            found = left_after_failures(
+                reduced,
+                reduced.measure,
+                n_failures,
+                sets,
+            )
+            expected = np.array(wanted)
+            assert found == pytest.approx(expected)
 
 
 @given(
@@ -79,7 +85,8 @@ def test_the_best_layout_is_that_of_brute_force(problem, survive, solver):
         for poses in feasible_layouts(problem)
     )
 
-    solution = solve_placement(problem, effort=Effort(solver=solver, time_limit_s=60.0))
+    effort = Effort(solver=solver, time_limit_s=60.0)
+    solution = solve_placement(problem, effort=effort)
     stages = solution.certificate.stages
 
     assert [stage.objective for stage in stages[:3]] == pytest.approx(best)

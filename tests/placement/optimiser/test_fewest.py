@@ -87,9 +87,10 @@ def test_the_fewest_units_are_proven_without_a_model(monkeypatch):
             continue  # the search found no set to begin with, and nothing is proven
 
         stage = solution.certificate.stages[0]
+        expected = min(len(poses) for poses in layouts)
 
         assert stage.name == Objective.UNITS
-        assert stage.objective == min(len(poses) for poses in layouts), seed
+        assert stage.objective == expected, seed
         assert stage.gap == 0.0, seed
 
 
@@ -99,7 +100,12 @@ def test_three_units_are_ruled_out_on_a_junction_with_arms(monkeypatch):
     monkeypatch.setattr(proof, "solve_window_model", no_model)
     problem = load_problem(ARMS)
     limits = replace(problem.limits, budget_units=None)
-    asked = replace(problem, limits=limits, goal="fewest", floors=(TARGET,))
+    asked = replace(
+        problem,
+        limits=limits,
+        goal="fewest",
+        floors=(TARGET,),
+    )
 
     solution = solve_placement(asked, effort=Effort(time_limit_s=600.0))
 

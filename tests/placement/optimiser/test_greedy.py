@@ -26,19 +26,26 @@ OVER = Deadline(-np.inf)
 
 @given(problem=questions())
 def test_greedy_choice_adds_the_pose_that_makes_the_best_set(problem):
-    reduced = presolve(replace(problem, floors=(), goal="best"))
+    for_the_best = replace(problem, floors=(), goal="best")
+    reduced = presolve(for_the_best)
     units = forced_units(reduced)
     if reduced.n_poses <= len(units) or reduced.limits.max_units <= len(units):
         return
+
     one_more = replace(reduced.limits, budget_units=len(units) + 1)
-    extended = extend_greedily(replace(reduced, limits=one_more), units)
+    larger = replace(reduced, limits=one_more)
+    extended = extend_greedily(larger, units)
     if len(extended) == len(units):
         return
-    value = set_values(reduced, extended[None, :])[0]
-    for pose in np.setdiff1d(np.arange(reduced.n_poses), units):
+
+    values = set_values(reduced, extended[None, :])
+    value = values[0]
+    every_pose = np.arange(reduced.n_poses)
+    for pose in np.setdiff1d(every_pose, units):
         trial = np.append(units, pose)
         if is_allowed(reduced.limits, trial) and is_allowed(reduced.limits, extended):
-            assert not set_values(reduced, trial[None, :])[0].exceeds(value)
+            trial_value = set_values(reduced, trial[None, :])[0]
+            assert not trial_value.exceeds(value)
 
 
 @given(problem=questions(), seed=st.integers(0, 99))
@@ -47,28 +54,39 @@ def test_no_exchange_and_no_removal_improves_an_improved_set(problem, seed):
     units = extend_greedily(reduced, forced_units(reduced))
     if not is_allowed(reduced.limits, units):
         return
-    before = set_values(reduced, units[None, :])[0]
+
+    values_before = set_values(reduced, units[None, :])
+    before = values_before[0]
     better = improve(reduced, units, Search(reduced).limit)
 
-    value = set_values(reduced, better[None, :])[0]
+    values_after = set_values(reduced, better[None, :])
+    value = values_after[0]
 
     assert not before.exceeds(value)
     assert is_allowed(reduced.limits, better)
 
-    late = improve(reduced, units, Search(reduced).limit, deadline=OVER)
+    late = improve(
+        reduced,
+        units,
+        Search(reduced).limit,
+        deadline=OVER,
+    )
 
     assert late is units
 
     if not Search(reduced).limit.exceeds(value):
         return
-    free = better[~reduced.limits.is_forced[better]]
+
+    is_forced = reduced.limits.is_forced[better]
+    free = better[~is_forced]
 
     for unit in free:
         rest = better[better != unit]
         others = [rest, *(np.append(rest, pose) for pose in range(reduced.n_poses))]
         for trial in others:
             if is_allowed(reduced.limits, trial):
-                assert not set_values(reduced, trial[None, :])[0].exceeds(value)
+                trial_value = set_values(reduced, trial[None, :])[0]
+                assert not trial_value.exceeds(value)
 
 
 @given(problem=questions())
@@ -88,10 +106,12 @@ def test_a_search_is_never_worse_than_its_starts_and_greedy_choice(problem):
 
     assert is_allowed(reduced.limits, found)
 
-    value = set_values(reduced, found[None, :])[0]
+    values = set_values(reduced, found[None, :])
+    value = values[0]
     for units in [*starts[:1], greedy]:
         if is_allowed(reduced.limits, units):
-            assert not set_values(reduced, units[None, :])[0].exceeds(value)
+            start_value = set_values(reduced, units[None, :])[0]
+            assert not start_value.exceeds(value)
 
 
 @given(problem=questions())

@@ -29,7 +29,8 @@ UNMET_LARGE = Path(__file__).parents[4] / "shared/inputs/placement/unmet_large.n
 def test_all_poses_are_bounded_by_what_they_promise(problem):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.constants.MAX_BITS", 0)
-        solution = solve_placement(problem, effort=Effort(solver="relax"))
+        effort = Effort(solver="relax")
+        solution = solve_placement(problem, effort=effort)
 
     values = [placement_value(problem, poses) for poses in feasible_layouts(problem)]
 
@@ -41,8 +42,9 @@ def test_all_poses_are_bounded_by_what_they_promise(problem):
     assert stages["apr"].bound >= best - 1e-6
 
     value = placement_value(problem, solution.pose_index)
+    objectives = tuple(stage.objective for stage in stages.values())
 
-    assert tuple(stage.objective for stage in stages.values()) == pytest.approx(value)
+    assert objectives == pytest.approx(value)
 
     as_good = [other for other in values if other.apr >= value.apr - 1e-9]
 
@@ -63,10 +65,12 @@ def solve_as_large(problem, *, pool, effort):
 
 def test_a_large_table_is_refused_only_where_no_layout_of_all_poses_will_do():
     for seed in range(30):
-        problem = random_problem(np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        problem = random_problem(rng)
         layouts = Oracle(problem).layouts
         try:
-            found = solve_as_large(problem, pool=1, effort=Effort(workers=1))
+            effort = Effort(workers=1)
+            found = solve_as_large(problem, pool=1, effort=effort)
         except UnmetError:
             assert not layouts, seed
         else:
@@ -77,7 +81,8 @@ def test_a_large_table_is_refused_only_where_no_layout_of_all_poses_will_do():
 def test_a_search_of_a_large_table_proves_nothing_that_is_not_so(problem):
     layouts = Oracle(problem).layouts
     try:
-        found = solve_as_large(problem, pool=2, effort=Effort(solver="greedy"))
+        effort = Effort(solver="greedy")
+        found = solve_as_large(problem, pool=2, effort=effort)
     except UnmetError as error:
         is_open = "none was found" in str(error) or "time" in str(error)
         assert is_open or not layouts
@@ -87,19 +92,27 @@ def test_a_search_of_a_large_table_proves_nothing_that_is_not_so(problem):
 
 
 def test_the_pool_has_poses_at_a_forced_site_that_gain_little():
-    problem = avoiding_problem(["11110", "11100", "00000", "00011"], budget_units=2)
+    rows = ["11110", "11100", "00000", "00011"]
+    problem = avoiding_problem(rows, budget_units=2)
     is_forced_site = [False, False, True, False]
     problem = changed(problem, "limits.is_forced_site", is_forced_site)
+    effort = Effort(solver="greedy")
+    found = solve_as_large(problem, pool=1, effort=effort)
 
-    assert 2 in solve_as_large(problem, pool=1, effort=Effort(solver="greedy"))
+    assert 2 in found
 
 
 def test_the_pool_has_poses_that_avoid_what_a_floor_counts():
-    problem = avoiding_problem(["11110", "11100", "11000", "00001"], budget_units=2)
-    last = Floor(name="--min-case-apr", share=1.0, is_counted=np.arange(5) == 4)
+    rows = ["11110", "11100", "11000", "00001"]
+    problem = avoiding_problem(rows, budget_units=2)
+    runs = np.arange(5)
+    is_last = runs == 4
+    last = Floor(name="--min-case-apr", share=1.0, is_counted=is_last)
     problem = replace(problem, floors=(last,))
+    effort = Effort(solver="greedy")
+    found = solve_as_large(problem, pool=1, effort=effort)
 
-    assert 3 in solve_as_large(problem, pool=1, effort=Effort(solver="greedy"))
+    assert 3 in found
 
 
 def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet():
@@ -107,8 +120,9 @@ def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet()
     problem = avoiding_problem(["1100", "0010", "0001", "1000"], budget_units=3)
     everything = Floor(name="--target", share=1.0)
     problem = replace(problem, floors=(everything,))
+    found = solve_as_large(problem, pool=1, effort=Effort())
 
-    assert solve_as_large(problem, pool=1, effort=Effort()) == (0, 1, 2)
+    assert found == (0, 1, 2)
 
     words = "more time than the limit"
 
@@ -124,6 +138,7 @@ def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet()
 @pytest.mark.parametrize("solver", ["auto", "greedy"])
 def test_a_large_table_with_a_forced_site_of_little_gain_is_solved(solver):
     problem = load_problem(UNMET_LARGE)
-    found = solve_as_large(problem, pool=4, effort=Effort(solver=solver))
+    effort = Effort(solver=solver)
+    found = solve_as_large(problem, pool=4, effort=effort)
 
     assert is_feasible(problem, found)

@@ -125,15 +125,17 @@ def test_costs_are_those_of_units_and_of_each_site_once(seed, size):
 @given(st.lists(st.integers(0, 10**6), min_size=1, max_size=5), st.integers(1, 50))
 def test_every_cost_is_a_multiple_of_the_step_of_prices(cents, times):
     prices = np.array(cents) * times / 100.0
+    site_index = np.zeros(len(cents), dtype=int)
     limits = Limits(
-        site_index=np.zeros(len(cents), dtype=int),
+        site_index=site_index,
         site_capacity=[9],
         unit_cost_eur=prices,
     )
 
     step = price_step_eur(limits)
+    expected = np.gcd.reduce(np.array(cents) * times)
 
-    assert round(100.0 * step) == np.gcd.reduce(np.array(cents) * times)
+    assert round(100.0 * step) == expected
     assert price_step_eur(replace(limits, site_cost_eur=[np.pi])) == 0.0
 
 
@@ -271,7 +273,8 @@ def test_who_may_join_what_is_forced_is_told_to_kernels(seed, n_units):
 
 @given(SEEDS)
 def test_limits_on_some_poses_are_those_of_their_sets(seed):
-    limits = replace(some_limits(seed), is_forced=np.zeros(6, dtype=bool))
+    is_forced = np.zeros(6, dtype=bool)
+    limits = replace(some_limits(seed), is_forced=is_forced)
     poses = np.array([5, 0, 3])
     part = limits.of_poses(poses)
 
@@ -369,14 +372,22 @@ PAIR = {
             ),
         ),
         (
-            {"is_forced": [1, 0, 0], "is_forced_site": [0, 1], "rivals": [[0, 1]]},
+            {
+                "is_forced": [1, 0, 0],
+                "is_forced_site": [0, 1],
+                "rivals": [[0, 1]],
+            },
             (
                 "separation_m: got two sites nearer than that which must both carry"
                 " units; expected one of them at most"
             ),
         ),
         (
-            {"is_forced": [1, 0, 0], "is_forced_site": [0, 1], "budget_units": 1},
+            {
+                "is_forced": [1, 0, 0],
+                "is_forced_site": [0, 1],
+                "budget_units": 1,
+            },
             (
                 "budget: got 1; expected at least 2, the units that are forced or stand"
                 " at forced sites"

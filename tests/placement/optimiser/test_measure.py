@@ -26,9 +26,14 @@ TAILS = st.sampled_from([1.0, 0.75, 0.5, 0.2, 0.01])
 def drawn_measure(seed, tail):
     """Eight runs in up to four worlds; all together weigh 1."""
     rng = np.random.default_rng(seed)
-    world = np.concatenate([np.arange(4), rng.integers(0, 4, 4)])
-    weight = rng.integers(1, 9, 8).astype(np.float64)
-    return build_measure(weight / weight.sum(), world, tail=tail), rng
+    each_world = np.arange(4)
+    drawn_world = rng.integers(0, 4, 4)
+    world = np.concatenate([each_world, drawn_world])
+    whole = rng.integers(1, 9, 8)
+    weight = whole.astype(np.float64)
+    total = weight.sum()
+    measure = build_measure(weight / total, world, tail=tail)
+    return measure, rng
 
 
 def mean_of_worst(measure, is_avoided):
@@ -36,7 +41,9 @@ def mean_of_worst(measure, is_avoided):
     worlds = []
     for world, share in enumerate(measure.sample_weight.tolist()):
         mine = measure.sample_index == world
-        worlds.append((float(measure.weight[mine & is_avoided].sum()) / share, share))
+        counted = measure.weight[mine & is_avoided]
+        avoided = float(counted.sum())
+        worlds.append((avoided / share, share))
 
     total = 0.0
     left = measure.tail
@@ -50,29 +57,38 @@ def mean_of_worst(measure, is_avoided):
 @given(SEEDS, TAILS)
 def test_the_measure_is_the_mean_over_the_worst_worlds(seed, tail):
     measure, rng = drawn_measure(seed, tail)
-    is_avoided = rng.random((5, 8)) < 0.6
+    drawn = rng.random((5, 8))
+    is_avoided = drawn < 0.6
     expected = [mean_of_worst(measure, one) for one in is_avoided]
+    found = measure.of(is_avoided)
+    of_first = measure.of(is_avoided[0])
 
-    assert measure.of(is_avoided) == pytest.approx(expected, abs=1e-12)
-    assert measure.of(is_avoided[0]) == pytest.approx(expected[0], abs=1e-12)
+    assert found == pytest.approx(expected, abs=1e-12)
+    assert of_first == pytest.approx(expected[0], abs=1e-12)
 
     by_world = measure.by_world(is_avoided)
+    sums = pytest.approx(is_avoided @ measure.weight)
+    of_worlds = measure.of_worlds(by_world)
 
-    assert by_world.sum(axis=1) == pytest.approx(is_avoided @ measure.weight)
-    assert measure.of_worlds(by_world) == pytest.approx(expected, abs=1e-12)
+    assert by_world.sum(axis=1) == sums
+    assert of_worlds == pytest.approx(expected, abs=1e-12)
 
 
 @given(SEEDS, TAILS)
 def test_runs_out_of_reach_still_count_as_lost(seed, tail):
     measure, rng = drawn_measure(seed, tail)
-    runs = np.flatnonzero(rng.random(8) < 0.6)
+    is_in_reach = rng.random(8) < 0.6
+    runs = np.flatnonzero(is_in_reach)
     part = measure.of_runs(runs)
     is_avoided = rng.random(8) < 0.7
-    is_lost = ~np.isin(np.arange(8), runs)
+    is_within = np.isin(np.arange(8), runs)
+    is_lost = ~is_within
 
-    expected = float(measure.of(is_avoided & ~is_lost))
+    expected_of = measure.of(is_avoided & ~is_lost)
+    expected = float(expected_of)
+    found = part.of(is_avoided[runs])
 
-    assert part.of(is_avoided[runs]) == pytest.approx(expected)
+    assert found == pytest.approx(expected)
     assert (part.sample_weight == measure.sample_weight).all()
 
 
@@ -86,7 +102,8 @@ def test_runs_out_of_reach_still_count_as_lost(seed, tail):
     ],
 )
 def test_ratios_have_a_step_where_all_weights_are_multiples(weights, tail, step):
-    share = np.array(weights) / sum(weights)
+    of_weights = np.array(weights)
+    share = of_weights / sum(weights)
     assert build_measure(
         share, np.zeros(len(weights)), tail=tail
     ).step == pytest.approx(step)
@@ -118,8 +135,9 @@ def test_ratios_have_a_step_where_all_weights_are_multiples(weights, tail, step)
     ],
 )
 def test_a_measure_says_what_is_wrong(change, message):
+    halves = np.array([0.5, 0.5])
     with refused_with(message):
-        build_measure(np.array([0.5, 0.5]), **change)
+        build_measure(halves, **change)
 
 
 @pytest.mark.parametrize(
@@ -134,8 +152,9 @@ def test_a_measure_says_what_is_wrong(change, message):
     ],
 )
 def test_a_floor_says_what_is_wrong(change, message):
+    values = {"name": "--target", "share": 0.5, **change}
     with refused_with(message):
-        Floor(**{"name": "--target", "share": 0.5, **change})
+        Floor(**values)
 
 
 # ---------- requirements
@@ -146,9 +165,11 @@ def test_a_requirement_counts_runs_that_leave_the_margin(seed, least_s):
     measure, rng = drawn_measure(seed, 1.0)
     margin_s = rng.choice([-np.inf, 0.0, 0.25, 0.5], (4, 8))
     requirement = Requirement(measure=measure, least=0.5, min_margin_s=least_s)
-    counts = [[m > -np.inf and m >= least_s for m in row] for row in margin_s.tolist()]
+    rows = margin_s.tolist()
+    counts = [[m > -np.inf and m >= least_s for m in row] for row in rows]
+    is_counted = requirement.counts_run(margin_s)
 
-    assert requirement.counts_run(margin_s).tolist() == counts
+    assert is_counted.tolist() == counts
     assert requirement.reached(margin_s) == pytest.approx(
         np.array(counts) @ measure.weight
     )
@@ -163,14 +184,16 @@ def test_a_requirement_counts_runs_that_leave_the_margin(seed, least_s):
         sum(w * m for w, m, c in zip(measure.weight, row, count, strict=True) if c)
         for row, count in zip(margin_s, counts, strict=True)
     ]
+    reached = sums.reached(margin_s)
 
-    assert sums.reached(margin_s) == pytest.approx(expected)
+    assert reached == pytest.approx(expected)
 
 
 @given(SEEDS, st.floats(0.0, 1.0))
 def test_all_runs_are_needed_where_no_other_set_of_them_is_enough(seed, least):
     measure, _ = drawn_measure(seed, 1.0)
-    needs_all = Requirement(measure=measure, least=least).needs_all
+    requirement = Requirement(measure=measure, least=least)
+    needs_all = requirement.needs_all
     enough = [
         runs
         for size in range(8)
@@ -179,10 +202,13 @@ def test_all_runs_are_needed_where_no_other_set_of_them_is_enough(seed, least):
     ]
     if needs_all:
         assert not enough
+
     if least > 1.0 - 1e-9:
         assert needs_all
 
-    assert not Requirement(measure=measure, least=least, sums_margins=True).needs_all
+    with_margins = Requirement(measure=measure, least=least, sums_margins=True)
+
+    assert not with_margins.needs_all
 
 
 # ---------- the order of values
@@ -192,12 +218,15 @@ def test_objectives_stand_in_order_and_the_cost_once():
     for goal in ("best", "fewest", "cheapest"):
         for survive in (0, 2):
             order = objectives_in_order(goal, survive=survive)
+            distinct = len(set(order))
+            counts_units = order[0] is Objective.UNITS
+            costs_first = order[0] is Objective.COST
 
-            assert len(set(order)) == len(order)
+            assert distinct == len(order)
             assert set(VALUE_OBJECTIVES) <= set(order)
             assert (Objective.APR_SURVIVED in order) == (survive > 0)
-            assert (order[0] is Objective.UNITS) == (goal == "fewest")
-            assert (order[0] is Objective.COST) == (goal == "cheapest")
+            assert counts_units == (goal == "fewest")
+            assert costs_first == (goal == "cheapest")
 
 
 @given(st.sampled_from(Objective), st.integers(-3, 3), st.integers(-3, 3))
@@ -207,7 +236,10 @@ def test_less_is_better_of_what_is_minimised(objective, one, other):
     else:
         sign = 1
 
-    assert objective.excess(one, other) == sign * (one - other)
+    excess = objective.excess(one, other)
+
+    assert excess == sign * (one - other)
+
     better = objective.better(one, other)
     worse = objective.worse(one, other)
     is_cost = objective == "cost_eur"
@@ -233,5 +265,7 @@ def test_layouts_are_compared_stage_by_stage_beyond_rounding(one, other):
             expected = sign * (a - b) > 0.0
             break
 
+    is_better_both_ways = is_better(mine, theirs) and is_better(theirs, mine)
+
     assert is_better(mine, theirs) == expected
-    assert not (is_better(mine, theirs) and is_better(theirs, mine))
+    assert not is_better_both_ways

@@ -26,13 +26,16 @@ from placement.optimiser.problem import Requirement
 
 def sets_by_size(reduced):
     """Sets of each size that has any, whether they are allowed or not."""
-    for size in range(1, min(4, reduced.n_poses) + 1):
+    most = min(4, reduced.n_poses)
+    for size in range(1, most + 1):
         yield sets_of_size(reduced.n_poses, size)
 
 
 def margins(reduced, units):
     """Margins that units leave in each run. [s]"""
-    found = union_margins_s(reduced, unions_of(reduced, units[None, :]))[0]
+    unions = unions_of(reduced, units[None, :])
+    margins_s = union_margins_s(reduced, unions)
+    found = margins_s[0]
     return found
 
 
@@ -41,14 +44,17 @@ def live_links(reduced, units):
     detected = reduced.detected()
     chains = reduced.chains
     seen = detected[units].any(axis=0)
-    a = np.zeros(len(chains.window))
+    n_windows = len(chains.window)
+    a = np.zeros(n_windows)
 
     for chain in range(reduced.n_chains):
         frames, n_links = reduced.tails(chain)
         is_live = False
         for link, window in enumerate(reduced.chain(chain)):
-            has_tails = seen[frames[n_links > link]].all()
-            is_live |= bool(has_tails and seen[reduced.window_frames[window]].all())
+            tails = seen[frames[n_links > link]]
+            has_tails = tails.all()
+            is_seen = has_tails and seen[reduced.window_frames[window]].all()
+            is_live |= bool(is_seen)
             a[chains.start[chain] + link] = is_live
 
     return a
@@ -76,15 +82,20 @@ def test_the_model_finds_a_set_that_meets_a_requirement_where_there_is_one(
             time_limit_s=60.0,
         ).units
 
-    least = float(np.quantile(reached, place, method="nearest"))
+    needed = np.quantile(reached, place, method="nearest")
+    least = float(needed)
     units = find(least)
 
     assert units is not None
 
     if len(reduced.weight):
-        slack = 1e-3 * float(reduced.weight.mean())
-        mine = plain.reached(margins(reduced, units)[None, :])[0]
+        mean_weight = reduced.weight.mean()
+        slack = 1e-3 * float(mean_weight)
+        margin_s = margins(reduced, units)
+        reached_by_units = plain.reached(margin_s[None, :])
+        mine = reached_by_units[0]
         assert mine >= least - slack - 1e-6
+
     if max(reached) < limit - 1e-3:
         assert find(limit) is None
 
@@ -101,10 +112,12 @@ def test_links_weigh_what_their_rows_are_worth(problem):
             a = live_links(reduced, units)
             margin = margins(reduced, units)
             is_avoided = margin > -np.inf
+            expected = pytest.approx(reduced.weight @ is_avoided)
 
-            assert of_runs @ a == pytest.approx(reduced.weight @ is_avoided)
+            assert of_runs @ a == expected
 
-            total_s = np.where(is_avoided, margin, 0.0) @ reduced.weight
+            avoided_s = np.where(is_avoided, margin, 0.0)
+            total_s = avoided_s @ reduced.weight
 
             assert of_margins @ a == pytest.approx(total_s, abs=1e-12)
 
@@ -129,17 +142,22 @@ def test_the_last_link_leaves_the_margin_and_the_next_one_does_not(problem, leas
 def test_who_makes_a_window_live_has_seen_a_frame_that_stabs(problem):
     reduced = presolve(problem)
     for phase in range(reduced.window_frames.shape[1]):
-        enters = entering_poses(reduced, phase).toarray()
+        entering = entering_poses(reduced, phase)
+        enters = entering.toarray()
+
         assert enters.max(initial=0.0) <= 1.0
+
         for sets in sets_by_size(reduced):
             for units in sets[:6]:
                 a = live_links(reduced, units)
                 for chain in range(reduced.n_chains):
                     mine = slice(*reduced.chains.start[chain : chain + 2])
-                    entered = np.cumsum(enters[mine][:, units].sum(axis=1))
+                    entered_by_units = enters[mine][:, units]
+                    entered = np.cumsum(entered_by_units.sum(axis=1))
+                    n_entered = enters[mine].sum(axis=0)
 
                     assert (a[mine] <= entered).all()
-                    assert (enters[mine].sum(axis=0) <= 1.0).all()  # once in a chain
+                    assert (n_entered <= 1.0).all()  # once in a chain
 
 
 def holds(reduced, cut, units):
@@ -168,7 +186,8 @@ def meets(reduced, units, requirement):
         requirement.n_failures,
         units[None, :],
     )
-    return bool(left[0] >= requirement.least - 1e-9)
+    is_met = left[0] >= requirement.least - 1e-9
+    return bool(is_met)
 
 
 FAILING = st.sampled_from(["unit", "site"])
@@ -183,9 +202,11 @@ PLACES = st.sampled_from([1.0, 1.0, 0.5, 0.9])
 )
 def test_cuts_are_met_by_all_sets_that_keep_enough(problem, n_failures, place, failing):
     limits = replace(problem.limits, failing=failing)
-    reduced = presolve(replace(problem, limits=limits))
+    limited = replace(problem, limits=limits)
+    reduced = presolve(limited)
     if not len(reduced.weight):
         return
+
     requirement = drawn_requirement(reduced, n_failures, place)
 
     first = first_cuts(reduced, requirement)
@@ -197,7 +218,9 @@ def test_cuts_are_met_by_all_sets_that_keep_enough(problem, n_failures, place, f
 
     for units in sets:
         cuts = violated_cuts(reduced, units, requirement)
-        assert bool(cuts) != any(units is one for one in good)
+        is_cut_off = any(units is one for one in good)
+
+        assert bool(cuts) != is_cut_off
         for cut in cuts:
             assert not holds(reduced, cut, units)
             assert all(holds(reduced, cut, one) for one in good)
@@ -211,9 +234,11 @@ def test_a_model_with_cuts_finds_a_set_that_survives_where_there_is_one(
     problem, failing
 ):
     limits = replace(problem.limits, failing=failing)
-    reduced = presolve(replace(problem, limits=limits))
+    limited = replace(problem, limits=limits)
+    reduced = presolve(limited)
     if not len(reduced.weight):
         return
+
     requirement = drawn_requirement(reduced, 1, 0.6)
     sets = [s[are_allowed(reduced.limits, s)] for s in sets_by_size(reduced)]
     good = [

@@ -39,9 +39,11 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
     n_units = reduced.limits.max_units
     if not 2 <= n_units <= 3 or not len(reduced.weight) or reduced.n_poses < n_units:
         return
+
     sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
+
     share = union_apr(reduced, unions_of(reduced, sets))
     need = float(np.quantile(share, place, method="nearest"))
     with pytest.MonkeyPatch.context() as patch:
@@ -55,8 +57,9 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
     assert walk.is_finished
 
     found = sorted(tuple(sorted(units)) for units in met.tolist())
+    expected = sorted(map(tuple, sets[share >= need - 1e-9].tolist()))
 
-    assert found == sorted(map(tuple, sets[share >= need - 1e-9].tolist()))
+    assert found == expected
 
 
 @settings(max_examples=30)
@@ -65,12 +68,15 @@ def test_worlds_are_proven_by_their_mean_and_bounded_by_it(problem, tail):
     reduced = presolve(replace(in_two_worlds(problem), tail=tail))
     if not goes_by_pairs(reduced) or not len(reduced.weight):
         return
+
     n_units = reduced.limits.max_units
     if reduced.n_poses < n_units:
         return
+
     sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
+
     share = union_apr(reduced, unions_of(reduced, sets))
 
     tied = walk_by_pairs(
@@ -111,9 +117,11 @@ def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
         or not len(reduced.weight)
     ):
         return
+
     sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
+
     share = union_apr(reduced, unions_of(reduced, sets))
     units = sets[share.argmax()]
     most = float(share.max())

@@ -18,8 +18,11 @@ from placement.optimiser.presolve import (
 
 @given(st.integers(0, 200), st.integers(0, 2**32 - 1))
 def test_packing_words_loses_nothing(n_bits, seed):
-    bits = default_rng(seed).random((3, n_bits)) < 0.5
-    assert_array_equal(unpack_words(pack_words(bits), n_bits), bits)
+    drawn = default_rng(seed).random((3, n_bits))
+    bits = drawn < 0.5
+    unpacked = unpack_words(pack_words(bits), n_bits)
+
+    assert_array_equal(unpacked, bits)
 
 
 def packed_rows(rng, n_rows, n_bytes):
@@ -41,13 +44,15 @@ def test_part_of_a_table_turned_round_has_its_bits(n_rows, n_chosen, n_bytes, se
     rng = default_rng(seed)
     rows = packed_rows(rng, n_rows, n_bytes)
     chosen = rng.integers(0, n_rows, n_chosen)
-    left = np.flatnonzero(rng.random(8 * n_bytes) < 0.7)
+    is_left = rng.random(8 * n_bytes) < 0.7
+    left = np.flatnonzero(is_left)
     place = np.full(8 * n_bytes, -1)
     place[left] = rng.permutation(len(left))
     columns = np.empty((len(left), -(-n_chosen // 64)), dtype=np.uint64)
 
     transpose_chosen(rows, chosen, place, columns)
-    bits = np.unpackbits(rows, axis=1, bitorder="little").view(bool)
+    unpacked = np.unpackbits(rows, axis=1, bitorder="little")
+    bits = unpacked.view(bool)
 
     assert_array_equal(
         unpack_words(columns[place[left]], n_chosen), bits[np.ix_(chosen, left)].T
@@ -63,9 +68,11 @@ def test_rows_are_numbered_by_their_first_appearance(n_rows, n_words, seed):
     first, number = distinct_rows(rows, mask)
     seen = [tuple(row) for row in (rows & mask).tolist()]
     distinct = list(dict.fromkeys(seen))
+    expected_number = [distinct.index(row) for row in seen]
+    expected_first = [seen.index(row) for row in distinct]
 
-    assert number.tolist() == [distinct.index(row) for row in seen]
-    assert first.tolist() == [seen.index(row) for row in distinct]
+    assert number.tolist() == expected_number
+    assert first.tolist() == expected_first
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
@@ -73,7 +80,9 @@ def test_poses_are_dominated_as_one_by_one(seed, max_units):
     rng = default_rng(seed)
     n_poses = 30
     n_sites = 8
-    bits = rng.random((n_poses, 100)) < rng.choice([0.02, 0.05, 0.98])
+    drawn = rng.random((n_poses, 100))
+    share = rng.choice([0.02, 0.05, 0.98])
+    bits = drawn < share
     limits = Limits(
         site_index=rng.integers(0, n_sites, n_poses),
         site_capacity=rng.integers(1, 4, n_sites),
@@ -99,7 +108,8 @@ def test_poses_are_dominated_as_one_by_one(seed, max_units):
             n_at_site[limits.site_index[other]] += is_first and is_above
 
         own = limits.site_index[pose]
-        n_blockers = int(np.minimum(n_at_site, limits.site_capacity).sum())
+        n_limited = np.minimum(n_at_site, limits.site_capacity)
+        n_blockers = int(n_limited.sum())
         expected.append(
             n_at_site[own] >= limits.site_capacity[own] or n_blockers >= max_units
         )

@@ -75,6 +75,7 @@ def check_stages(oracle, reduced):
     """
     if not oracle.layouts:
         return False
+
     left = set(reduced.pose_index.tolist())
     among_left = {
         poses: values
@@ -161,6 +162,7 @@ def tie_of_margins(price_eur):
     In the other one the car avoids a run with a large margin, and pose 0 avoids one
     more with a small one. Pose 1 adds nothing; it may cost more.
     """
+    time_s = np.tile(np.arange(-5, 1) / 10.0, 3)
     axis = FrameAxis(
         run_ids=("lost", "early", "late"),
         cases=("CPNA-50",) * 3,
@@ -170,7 +172,7 @@ def tie_of_margins(price_eur):
         weight=np.full(3, 1.0 / 3.0),
         last_brake_time_s=[-0.01, -0.01, -0.01],
         run_start=[0, 6, 12, 18],
-        time_s=np.tile(np.arange(-5, 1) / 10.0, 3),
+        time_s=time_s,
     )
     detected = np.zeros((2, 18), dtype=bool)
     detected[0, 14:17] = True  # avoids "late"
@@ -220,9 +222,10 @@ def test_the_cheapest_of_the_poses_that_add_nothing_stays():
     n_poses = 4
     detected = np.zeros((n_poses, problem.table.axis.n_frames), dtype=bool)
 
+    table = pack_table(tuple("abcd"), problem.table.axis, detected)
     problem = replace(
         problem,
-        table=pack_table(tuple("abcd"), problem.table.axis, detected),
+        table=table,
         limits=Limits(
             site_index=np.arange(n_poses),
             site_capacity=np.ones(n_poses, dtype=int),

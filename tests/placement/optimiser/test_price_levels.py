@@ -30,9 +30,10 @@ def allowed_sets(problem):
 @given(problem=questions())
 def test_every_layout_costs_one_of_the_levels(problem):
     levels = price_levels_eur(problem.limits)
+    steps = np.diff(levels)
 
     assert levels is not None
-    assert (np.diff(levels) > 0.0).all()
+    assert (steps > 0.0).all()
 
     costs = [cost_eur(problem.limits, poses) for poses in allowed_sets(problem)]
 
@@ -41,10 +42,12 @@ def test_every_layout_costs_one_of_the_levels(problem):
     for cost in costs:
         dearer = [other for other in costs if other > cost + 1e-6]
         above = next_level_eur(levels, cost, is_more=True)
+        level_below = next_level_eur(levels, cost, is_more=False)
+        dearest = min(dearer, default=np.inf)
 
-        assert next_level_eur(levels, cost, is_more=False) == pytest.approx(cost)
+        assert level_below == pytest.approx(cost)
         assert above > cost
-        assert min(dearer, default=np.inf) >= above - 1e-6
+        assert dearest >= above - 1e-6
 
 
 @given(
@@ -56,13 +59,17 @@ def test_affordable_sets_are_all_that_the_limits_allow(problem, max_sets, n_toge
     expected = allowed_sets(problem)
     with mock.patch.object(constants, "GROWN_TOGETHER", n_together):
         sizes = all_sets_within(problem.limits, max_sets=max_sets)
+
     if sizes is None:
         assert len(expected) > max_sets
         return
 
+    found = {tuple(row) for sets in sizes for row in sets.tolist()}
+    set_counts = map(len, sizes)
+
     assert len(expected) <= max_sets
-    assert {tuple(row) for sets in sizes for row in sets.tolist()} == set(expected)
-    assert sum(map(len, sizes)) == len(expected)
+    assert found == set(expected)
+    assert sum(set_counts) == len(expected)
 
 
 def test_sites_that_carry_two_leave_fewer_levels():
@@ -76,23 +83,31 @@ def test_sites_that_carry_two_leave_fewer_levels():
     )
 
     levels = price_levels_eur(limits)
+    found = levels.tolist()
+    dearer = next_level_eur(levels, 2500.0, is_more=True)
+    cheaper = next_level_eur(levels, 4000.5, is_more=False)
+    dearest = next_level_eur(levels, 6500.0, is_more=True)
 
     assert levels is not None
     # Three units need two sites.
-    assert levels.tolist() == [2500.0, 4000.0, 5000.0, 6500.0]
-    assert next_level_eur(levels, 2500.0, is_more=True) == 4000.0
-    assert next_level_eur(levels, 4000.5, is_more=False) == 5000.0
-    assert next_level_eur(levels, 6500.0, is_more=True) == np.inf
+    assert found == [2500.0, 4000.0, 5000.0, 6500.0]
+    assert dearer == 4000.0
+    assert cheaper == 5000.0
+    assert dearest == np.inf
 
 
 def test_prices_without_whole_cents_or_too_many_have_no_levels():
     problem = avoiding_problem(["1", "1"], price_eur=[1.0, np.pi])
+    above = next_level_eur(None, 3.0, is_more=True)
+    below = next_level_eur(None, 3.0, is_more=False)
 
     assert price_levels_eur(problem.limits) is None
-    assert next_level_eur(None, 3.0, is_more=True) == 3.0
-    assert next_level_eur(None, 3.0, is_more=False) == 3.0
+    assert above == 3.0
+    assert below == 3.0
 
-    prices = (np.arange(300) ** 3 + 1.0) / 100.0
-    many = avoiding_problem(["1"] * 300, price_eur=prices.tolist(), budget_units=3)
+    cubes = np.arange(300) ** 3
+    prices = (cubes + 1.0) / 100.0
+    price_eur = prices.tolist()
+    many = avoiding_problem(["1"] * 300, price_eur=price_eur, budget_units=3)
 
     assert price_levels_eur(many.limits) is None

@@ -29,6 +29,7 @@ def rank(problem, poses):
     first = []
     if problem.goal != "best":
         first.append(-len(poses) if problem.goal == "fewest" else -value.cost_eur)
+
     if problem.survive:
         first.append(apr_failed(problem, poses, problem.survive))
 
@@ -82,6 +83,7 @@ def test_no_bound_of_the_first_stage_is_beaten(problem, solver):
     best = brute_force(problem)
     if best is None:
         return
+
     effort = Effort(solver=solver, time_limit_s=1e-9 if solver == "auto" else 60.0)
     try:
         solution = solve_placement(problem, effort=effort)

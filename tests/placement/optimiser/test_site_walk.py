@@ -127,6 +127,7 @@ def test_every_set_within_the_money_is_part_of_one_behind_its_sites():
 
         assert sites is not None
         assert sizes is not None
+
         for sets in sizes:
             for units in sets[are_allowed(reduced.limits, sets)]:
                 is_used = np.zeros(reduced.limits.n_sites, dtype=bool)

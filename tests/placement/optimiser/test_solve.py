@@ -16,7 +16,8 @@ from placement.optimiser.constants import settle
 
 @given(problem=problems())
 def test_bound_is_never_below_the_best_when_time_is_up(problem):
-    solution = solve_placement(problem, effort=Effort(time_limit_s=1e-9))
+    effort = Effort(time_limit_s=1e-9)
+    solution = solve_placement(problem, effort=effort)
     stages = solution.certificate.stages
 
     for stage, value in zip(stages, best_value(problem), strict=True):
@@ -37,10 +38,16 @@ def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver):
     problem = avoiding_problem(["010", "001"], budget_units=1)
     axis = replace(problem.table.axis, last_brake_time_s=[-0.01, -0.01, 0.1])
     table = replace(problem.table, axis=axis)
-    worlds = replace(problem, table=table, sample_index=np.array([0, 1, 1]), tail=0.5)
+    worlds = replace(
+        problem,
+        table=table,
+        sample_index=np.array([0, 1, 1]),
+        tail=0.5,
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.proof.search_from_many_starts", first_units)
-        solution = solve_placement(worlds, effort=Effort(solver=solver))
+        effort = Effort(solver=solver)
+        solution = solve_placement(worlds, effort=effort)
 
     for stage in solution.certificate.stages[2:4]:
         assert stage.bound == pytest.approx(0.175)
@@ -58,7 +65,11 @@ def test_weights_of_any_magnitude_are_solved_without_overflow(solver):
 
 
 def test_nothing_is_proven_that_a_solvers_error_may_hide():
-    assert settle(0.5, 0.5 + 3e-7, 1.0) > 0.5
-    assert settle(0.5, 0.5 + 3e-7, 1.0, step=0.25) == 0.5
-    assert settle(0.5, 0.75, 1.0, step=0.25) == 0.75
+    open_bound = settle(0.5, 0.5 + 3e-7, 1.0)
+    stepped = settle(0.5, 0.5 + 3e-7, 1.0, step=0.25)
+    next_step = settle(0.5, 0.75, 1.0, step=0.25)
+
+    assert open_bound > 0.5
+    assert stepped == 0.5
+    assert next_step == 0.75
     assert settle(0.5, 0.4, 1.0) == 1.0  # the solver errs

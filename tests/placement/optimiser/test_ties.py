@@ -95,7 +95,8 @@ def test_ties_are_answered_as_the_enumeration_says(problem, way):
 
 @pytest.mark.parametrize("solver", ["auto", "exact"])
 def test_a_pose_is_not_dropped_for_one_that_avoids_a_run_more_at_a_tie(solver):
-    solution = solve_placement(A_TIE_APART, effort=Effort(solver=solver))
+    effort = Effort(solver=solver)
+    solution = solve_placement(A_TIE_APART, effort=effort)
 
     assert solution.pose_index == (1,)
 
@@ -108,6 +109,7 @@ def test_no_layout_that_ties_exceeds_the_limit_of_the_mean_margin(seed):
     sets = np.array(list(combinations(range(reduced.n_poses), 1)), dtype=np.int64)
     if not len(sets):
         return
+
     search = Search(reduced)
 
     values = set_values(reduced, sets)
@@ -169,10 +171,12 @@ def test_ties_are_equal_where_weights_are_fractions_or_all_is_avoided():
     rng = default_rng(1)
     odd = rng.random(20)
     odd /= odd.sum()
+    far_apart = np.array([1.0, 1e-300])
+    least = build_measure(odd).least_tied(0.5)
 
     assert not are_sums_apart(odd)
-    assert not are_sums_apart(np.array([1.0, 1e-300]))  # no zero: sums of such tie
-    assert build_measure(odd).least_tied(0.5) == pytest.approx(0.5 - 2.0e-9, abs=1e-15)
+    assert not are_sums_apart(far_apart)  # no zero: sums of such tie
+    assert least == pytest.approx(0.5 - 2.0e-9, abs=1e-15)
     assert build_measure(odd).least_tied(1.0) == 1.0
 
     sampled = build_measure(fractions, [0, 0, 1, 1], tail=0.5)
@@ -184,18 +188,24 @@ def test_ties_are_equal_where_weights_are_fractions_or_all_is_avoided():
 def test_sums_of_fractions_are_apart_unless_their_denominator_is_large(denominators):
     weight = 1.0 / np.array(denominators)
     if are_sums_apart(weight):
-        common = float(np.lcm.reduce(denominators))
+        multiple = np.lcm.reduce(denominators)
+        common = float(multiple)
         counts = weight * common
+        whole = counts.round()
 
         assert common <= 2.5e8
-        assert_allclose(counts, counts.round(), rtol=0.0, atol=1e-6)
+        assert_allclose(counts, whole, rtol=0.0, atol=1e-6)
     else:
-        assert float(np.lcm.reduce(np.array(denominators, dtype=object))) > 2.5e8
+        exact = np.array(denominators, dtype=object)
+        multiple = np.lcm.reduce(exact)
+        assert float(multiple) > 2.5e8
 
 
 def test_a_layout_of_the_oracle_is_ambiguous_only_near_a_tie():
-    near = Oracle(singles([1.6e-8, 9.0e-10], [[2, 6], [2, None]]))
-    far = Oracle(singles([0.2, 0.1], [[2, 6], [2, None]]))
+    problem_near = singles([1.6e-8, 9.0e-10], [[2, 6], [2, None]])
+    near = Oracle(problem_near)
+    problem_far = singles([0.2, 0.1], [[2, 6], [2, None]])
+    far = Oracle(problem_far)
 
     assert near.is_ambiguous((0,))
     assert not far.is_ambiguous((0,))

@@ -84,9 +84,10 @@ def test_highs_is_not_asked_where_compiling_took_all_the_time(clock, monkeypatch
     handed = compile_for_s(80.0, clock, monkeypatch)
 
     answer = run_solver(knapsack(), time_limit_s=LIMIT_S)
+    expected = SolverAnswer(is_found=False, is_finished=False, bound=np.inf)
 
     assert handed == []
-    assert answer == SolverAnswer(is_found=False, is_finished=False, bound=np.inf)
+    assert answer == expected
 
 
 def test_no_model_is_begun_that_takes_longer_to_state_than_the_time_left(
@@ -94,6 +95,7 @@ def test_no_model_is_begun_that_takes_longer_to_state_than_the_time_left(
 ):
     reduced = presolve(avoiding_problem(["110", "011", "101"], budget_units=2))
     n_cells = reduced.n_poses * reduced.n_frames
+
     monkeypatch.setattr(
         "placement.optimiser.constants.CELLS_PER_SECOND", n_cells / 10.0
     )
@@ -131,9 +133,8 @@ def test_all_stages_together_take_no_longer_than_the_limit(clock, monkeypatch):
         clock.now_s = 0.0
         problem = random_problem(np.random.default_rng([60, seed]))
         try:
-            solution = solve_placement(
-                problem, effort=Effort(time_limit_s=LIMIT_S, workers=1)
-            )
+            effort = Effort(time_limit_s=LIMIT_S, workers=1)
+            solution = solve_placement(problem, effort=effort)
         except UnmetError:
             pass
         else:

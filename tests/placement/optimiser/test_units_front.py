@@ -55,7 +55,8 @@ def check_points(problem, stages):
     """The front has the points of brute force."""
     problem = replace(problem, goal="best", survive=0)
     bests = {units: best_value(with_units(problem, units)) for units in range(1, 4)}
-    n_forced = int(problem.limits.is_forced.sum())
+    forced = problem.limits.is_forced.sum()
+    n_forced = int(forced)
     possible = [units for units, best in bests.items() if best and units >= n_forced]
     if not possible:
         with pytest.raises(InputError):
@@ -63,9 +64,15 @@ def check_points(problem, stages):
         return
 
     told = []
-    front = pareto_front(problem, max_units=3, stages=stages, on_point=told.append)
+    front = pareto_front(
+        problem,
+        max_units=3,
+        stages=stages,
+        on_point=told.append,
+    )
+    found_units = [point.units for point in front.points]
 
-    assert [point.units for point in front.points] == possible
+    assert found_units == possible
     assert told[0].units == possible[0]
 
     n_held = N_HELD[stages]
@@ -74,12 +81,16 @@ def check_points(problem, stages):
         best = bests[point.units]
         names = [stage.name for stage in point.certificate.stages]
         objectives = [stage.objective for stage in point.certificate.stages]
+        asked = with_units(problem, point.units)
+        expected_value = placement_value(problem, point.pose_index)
+        held_names = list(PlacementValue._fields[:n_held])
+        held_values = list(point.value[:n_held])
 
-        assert is_feasible(with_units(problem, point.units), point.pose_index)
-        assert point.value == placement_value(problem, point.pose_index)
+        assert is_feasible(asked, point.pose_index)
+        assert point.value == expected_value
         assert point.value[:n_held] == pytest.approx(best[:n_held], abs=1e-8)
-        assert names == list(PlacementValue._fields[:n_held])
-        assert objectives == list(point.value[:n_held])
+        assert names == held_names
+        assert objectives == held_values
         assert point.is_proven
 
     refused = [units for units, _ in front.refused]
@@ -106,11 +117,15 @@ def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
 
     for fewer, point in pairwise(front.points):
         assert not is_better(fewer.value, point.value)
+
         bound = fewer.certificate.stages[0].bound
-        assert bound <= point.certificate.stages[0].bound + 1e-12
+        next_stage = point.certificate.stages[0]
+
+        assert bound <= next_stage.bound + 1e-12
 
     for point in front.points:
-        best = best_value(with_units(problem, point.units))
+        asked = with_units(problem, point.units)
+        best = best_value(asked)
         for stage, value in zip(point.certificate.stages, best, strict=False):
             sign = sign_of(stage.name)
             assert sign * stage.bound >= sign * value - 1e-6
@@ -128,6 +143,7 @@ def test_where_nothing_grows_nothing_grows(problem, stages):
 
     if front.settled is None:
         return
+
     best = best_value(with_units(problem, 8))
     n_held = N_HELD[stages]
     for point in front.points:
@@ -145,7 +161,9 @@ def test_no_set_keeps_more_than_all_poses_but_one_reach(problem):
     for units in feasible_layouts(unlimited):
         assert apr_one_failed(problem, units) <= limit + 1e-9
 
-    assert limit <= apr(problem, range(n_poses)) + 1e-9
+    highest = apr(problem, range(n_poses))
+
+    assert limit <= highest + 1e-9
 
 
 @pytest.mark.long
@@ -168,8 +186,9 @@ def test_points_of_large_tables_are_solved_by_themselves_and_never_fall(
         assert is_feasible(here, point.pose_index)
 
         best = best_value(here)
+        stage = point.certificate.stages[0]
 
-        assert point.certificate.stages[0].bound >= best.apr - 1e-6
+        assert stage.bound >= best.apr - 1e-6
 
 
 @pytest.mark.parametrize(
@@ -185,7 +204,8 @@ def test_points_of_large_tables_are_solved_by_themselves_and_never_fall(
     ],
 )
 def test_a_front_asks_for_nothing_but_the_best(changes, max_units, message):
-    problem = replace(avoiding_problem(["10", "01"]), **changes)
+    plain = avoiding_problem(["10", "01"])
+    problem = replace(plain, **changes)
     with pytest.raises(InputError, match=re.escape(message)):
         pareto_front(problem, max_units=max_units)
 
@@ -193,7 +213,8 @@ def test_a_front_asks_for_nothing_but_the_best(changes, max_units, message):
 @pytest.mark.long
 @given(problem=questions())
 def test_a_front_below_a_solution_is_the_front_up_to_it(problem):
-    problem = with_units(replace(problem, goal="best", survive=0), 3)
+    best_alone = replace(problem, goal="best", survive=0)
+    problem = with_units(best_alone, 3)
     try:
         solution = solve_placement(problem)
     except InputError:
@@ -206,8 +227,9 @@ def test_a_front_below_a_solution_is_the_front_up_to_it(problem):
     whole = pareto_front(problem, max_units=3, stages="all")
 
     expected = [point.units for point in whole.points]
+    found_units = [point.units for point in below.points]
 
-    assert [point.units for point in below.points] == expected
+    assert found_units == expected
 
     for ours, theirs in zip(below.points, whole.points, strict=True):
         assert ours.value == pytest.approx(theirs.value, abs=1e-8)
@@ -219,9 +241,17 @@ def test_nothing_is_below_one_unit_or_all_that_is_kept(problem):
     problem = with_units(problem, 2)
     solution = solve_placement(problem)
 
-    front = front_below(problem, solution.pose_index, solution.certificate, min_units=2)
+    front = front_below(
+        problem,
+        solution.pose_index,
+        solution.certificate,
+        min_units=2,
+    )
+    found_poses = [point.pose_index for point in front.points]
 
-    assert [point.pose_index for point in front.points] == [solution.pose_index]
+    assert found_poses == [solution.pose_index]
+
+    fewest = replace(problem, goal="fewest")
 
     with pytest.raises(InputError, match="target"):
-        front_below(replace(problem, goal="fewest"), (0,), solution.certificate)
+        front_below(fewest, (0,), solution.certificate)

@@ -29,7 +29,8 @@ from scenarios.aeb import load_aeb_rule
 
 def as_tuples(sets):
     """Sets of poses in one order."""
-    return sorted(tuple(sorted(units)) for units in sets.tolist())
+    rows = sets.tolist()
+    return sorted(tuple(sorted(units)) for units in rows)
 
 
 @given(problem=problems(), n_failures=st.integers(0, 2), place=st.floats(0.0, 1.0))
@@ -38,35 +39,62 @@ def test_a_walk_meets_every_set_that_meets_its_needs(problem, n_failures, place)
     n_units = reduced.limits.max_units
     if n_units < 2 or not len(reduced.weight) or reduced.n_poses < n_units:
         return
+
     sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
-    share = union_apr(reduced, unions_of(reduced, sets))
-    left = left_after_failures(reduced, reduced.measure, n_failures, sets)
-    need = float(np.quantile(share, place, method="nearest"))
-    left_need = float(np.quantile(left, place, method="nearest"))
+
+    unions = unions_of(reduced, sets)
+    share = union_apr(reduced, unions)
+    left = left_after_failures(
+        reduced,
+        reduced.measure,
+        n_failures,
+        sets,
+    )
+    share_needed = np.quantile(share, place, method="nearest")
+    need = float(share_needed)
+    left_needed = np.quantile(left, place, method="nearest")
+    left_need = float(left_needed)
 
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
-    walk = SetWalk(reduced, root, need=need, n_failures=n_failures, left=left_need)
+    walk = SetWalk(
+        reduced,
+        root,
+        need=need,
+        n_failures=n_failures,
+        left=left_need,
+    )
     met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
-    meets = (share >= need - 1e-9) & ((n_failures == 0) | (left >= left_need - 1e-9))
+    has_left = (n_failures == 0) | (left >= left_need - 1e-9)
+    meets = (share >= need - 1e-9) & has_left
 
     assert walk.is_finished
     assert root.limit >= share.max() - 1e-9
 
     if meets.any():
         limit = failure_limit(root, n_failures, need)
-        assert limit >= (left if n_failures else share)[meets].max() - 1e-9
+        reached = (left if n_failures else share)[meets]
+        assert limit >= reached.max() - 1e-9
+
     if n_failures < 2:
-        assert as_tuples(met) == as_tuples(sets[meets])
+        expected = as_tuples(sets[meets])
+        assert as_tuples(met) == expected
     else:
-        assert set(as_tuples(sets[meets])) <= set(as_tuples(met))
-        assert len(set(as_tuples(met))) == len(met)
+        good_tuples = as_tuples(sets[meets])
+        distinct = set(as_tuples(met))
+        assert set(good_tuples) <= set(as_tuples(met))
+        assert len(distinct) == len(met)
 
 
 @given(problem=questions())
 def test_a_walk_with_forced_poses_meets_every_allowed_set(problem):
-    plain = replace(problem.limits, budget_eur=None, rivals=None, is_forced_site=None)
+    plain = replace(
+        problem.limits,
+        budget_eur=None,
+        rivals=None,
+        is_forced_site=None,
+    )
     reduced = presolve(
         replace(
             problem,
@@ -80,10 +108,13 @@ def test_a_walk_with_forced_poses_meets_every_allowed_set(problem):
     n_units = reduced.limits.max_units
     if not can_walk(reduced):
         return
+
     sets = allowed_sets(reduced, n_units)
     if not len(sets):
         return
-    share = union_apr(reduced, unions_of(reduced, sets))
+
+    unions = unions_of(reduced, sets)
+    share = union_apr(reduced, unions)
     need = float(np.median(share))
 
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
@@ -92,9 +123,11 @@ def test_a_walk_with_forced_poses_meets_every_allowed_set(problem):
 
     walk = SetWalk(reduced, root, need=need)
     met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
+    good_sets = sets[share >= need - 1e-9]
+    expected = as_tuples(good_sets)
 
     assert walk.is_finished
-    assert as_tuples(met) == as_tuples(sets[share >= need - 1e-9])
+    assert as_tuples(met) == expected
 
 
 def tie_search(reduced, units, n_failures, *, ahead=0.0):
@@ -137,10 +170,13 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
     )
     if not can_walk(reduced):
         return
-    sizes = [allowed_sets(reduced, n) for n in range(1, reduced.limits.max_units + 1)]
+
+    numbers = range(1, reduced.limits.max_units + 1)
+    sizes = [allowed_sets(reduced, n) for n in numbers]
     sizes = [sets for sets in sizes if len(sets)]
     if not sizes or sizes[-1].shape[1] < reduced.limits.max_units:
         return
+
     values = [set_values(reduced, sets) for sets in sizes]
     best = max(
         (value[value.best_row()] for value in values), key=lambda row: tuple(row.gains)
@@ -151,7 +187,10 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
             best = row
 
     n_failures = reduced.survive
-    tied = tie_search(reduced, sizes[-1][0], n_failures, ahead=ahead).find(NEVER)
+
+    seed_set = sizes[-1][0]
+    search = tie_search(reduced, seed_set, n_failures, ahead=ahead)
+    tied = search.find(NEVER)
 
     assert tied.is_finished
     assert tied.sets is not None
@@ -163,9 +202,10 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(problem, ahead):
         value=tied.value,
     )
     found = contenders.best()
+    found_values = set_values(reduced, found[None, :])
 
     assert found is not None
-    assert_allclose(set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9)
+    assert_allclose(found_values.gains[0], best.gains, atol=2e-9)
 
 
 def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost():
@@ -210,11 +250,16 @@ def test_a_walk_without_time_proves_nothing_but_its_limit(problem):
     reduced = presolve(problem)
     if not can_walk(reduced):
         return
+
     sets = allowed_sets(reduced, reduced.limits.max_units)
     if not len(sets):
         return
-    shares = union_apr(reduced, unions_of(reduced, sets))
-    tied = tie_search(reduced, sets[0], 0).find(Deadline(-np.inf))
+
+    unions = unions_of(reduced, sets)
+    shares = union_apr(reduced, unions)
+    search = tie_search(reduced, sets[0], 0)
+    deadline = Deadline(-np.inf)
+    tied = search.find(deadline)
 
     assert not tied.is_finished
     assert tied.sets is None

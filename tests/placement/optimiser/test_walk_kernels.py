@@ -28,7 +28,9 @@ from placement.optimiser.presolve import pack_words
 def build_losses(rng, chains, alone, may_lose):
     """Random losses of chains."""
     n_chains = n_chains_of(chains)
-    lost = np.sort(rng.integers(0, 6, (n_chains, 6)), axis=1).astype(np.float64)
+    drawn = rng.integers(0, 6, (n_chains, 6))
+    ordered = np.sort(drawn, axis=1)
+    lost = ordered.astype(np.float64)
     return kernels.Losses(
         chains=chains,
         lost=lost,
@@ -40,7 +42,8 @@ def build_losses(rng, chains, alone, may_lose):
 
 def loss(losses, seen):
     """Weight lost where some frames are seen."""
-    frames = np.flatnonzero(seen).tolist()
+    seen_frames = np.flatnonzero(seen)
+    frames = seen_frames.tolist()
     chains = range(n_chains_of(losses.chains))
     return float(
         sum(losses.lost[g, first_live(losses.chains, g, frames)] for g in chains)
@@ -56,7 +59,9 @@ def keeps(losses, sees, alone, *, with_failures):
         return True
 
     for unit in range(len(sees)):
-        rest = np.delete(sees, unit, axis=0).any(axis=0) | alone
+        others = np.delete(sees, unit, axis=0)
+        seen_by_others = others.any(axis=0)
+        rest = seen_by_others | alone
         if loss(losses, rest) > most_lose:
             return False
 
@@ -74,7 +79,8 @@ def asked_of(chains, chain, link, alone, seen):
     """
     frames, tails = needed(chains, chain, link)
     missing = (frames | tails) - alone
-    return missing, min((seen[frame] for frame in missing), default=np.inf)
+    least = min((seen[frame] for frame in missing), default=np.inf)
+    return missing, least
 
 
 @given(SEEDS)
@@ -82,16 +88,27 @@ def test_windows_are_asked_for_the_missing_piece_that_is_seen_least(seed):
     rng = np.random.default_rng(seed)
     chains = random_chains(rng)
     is_alone = rng.random(N_FRAMES) < 0.4
-    alone = set(np.flatnonzero(is_alone).tolist())
-    seen = rng.integers(0, 4, N_FRAMES) / 4.0
-    some = np.flatnonzero(rng.random(n_chains_of(chains)) < 0.7)
-    asked = np.full(len(chains.window), -7)
+    alone_frames = np.flatnonzero(is_alone)
+    alone = set(alone_frames.tolist())
+    quarters = rng.integers(0, 4, N_FRAMES)
+    seen = quarters / 4.0
+    is_asked = rng.random(n_chains_of(chains)) < 0.7
+    some = np.flatnonzero(is_asked)
+    n_windows = len(chains.window)
+    asked = np.full(n_windows, -7)
 
-    kernels.ask_for_least_seen(chains, some, pack_words(is_alone), seen, asked)
+    kernels.ask_for_least_seen(
+        chains,
+        some,
+        pack_words(is_alone),
+        seen,
+        asked,
+    )
 
     for chain in range(n_chains_of(chains)):
         for link in range(n_links_of(chains, chain)):
-            found = asked[chains.start[chain] + link]
+            place = chains.start[chain] + link
+            found = asked[place]
             missing, least = asked_of(chains, chain, link, alone, seen)
             if chain not in some:
                 assert found == -7
@@ -109,12 +126,14 @@ def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
     rng = default_rng(seed)
     chains = random_chains(rng)
     sees = random_sights(rng, n_poses, share=0.3)
-    asked = rng.integers(-1, N_FRAMES, len(chains.window))
+    n_windows = len(chains.window)
+    asked = rng.integers(-1, N_FRAMES, n_windows)
     row_chain, row_last = random_rows(rng, chains)
     n_rows = len(row_chain)
     begin = int(rng.integers(0, n_rows + 1))
     n_words = -(-n_poses // 64)
     coverers = np.full((n_rows, n_words), 3, dtype=np.uint64)
+
     kernels.cover_rows(
         columns_of(sees),
         chains.start,
@@ -141,7 +160,12 @@ def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
 # ---------- prices
 
 
-@given(st.integers(1, 5), st.integers(0, 3), st.floats(0.0, 4.0), st.floats(0.1, 4.0))
+@given(
+    st.integers(1, 5),
+    st.integers(0, 3),
+    st.floats(0.0, 4.0),
+    st.floats(0.1, 4.0),
+)
 def test_a_row_is_worth_its_reward_less_what_it_pays(
     n_units, n_failures, price, weight
 ):
@@ -158,9 +182,11 @@ def test_a_row_is_worth_its_reward_less_what_it_pays(
 
 def build_covers(rng, *, n_poses=6, n_rows=9):
     """Random sets of rows that poses cover."""
-    bits = rng.random((n_poses, n_rows)) < 0.4
+    drawn = rng.random((n_poses, n_rows))
+    bits = drawn < 0.4
     covers = pack_words(bits)
     weight = whole_weights(rng, n_rows)
+    copies = np.ones(n_poses, dtype=np.int64)
     return kernels.Covers(
         covers=covers,
         coverers=pack_words(bits.T),
@@ -168,7 +194,7 @@ def build_covers(rng, *, n_poses=6, n_rows=9):
         weight=weight,
         price=np.minimum(whole_weights(rng, n_rows), weight),
         site=rng.integers(0, 3, n_poses),
-        copies=np.ones(n_poses, dtype=np.int64),
+        copies=copies,
     )
 
 
@@ -205,18 +231,21 @@ def bits_by_pose(covers):
 def lost_of(covers, units):
     """Weight of the rows that units leave uncovered."""
     covered = set().union(*(bits_by_pose(covers)[unit] for unit in units))
-    return float(sum(w for row, w in enumerate(covers.weight) if row not in covered))
+    lost = sum(w for row, w in enumerate(covers.weight) if row not in covered)
+    return float(lost)
 
 
 def walked(covers, walk, n_failures, *, work, n_out):
     """All sets of a walk that is paused again and again."""
     found = []
-    out = np.empty((n_out, len(walk.chosen)), dtype=np.int64)
+    n_chosen = len(walk.chosen)
+    out = np.empty((n_out, n_chosen), dtype=np.int64)
 
     for _ in range(10_000):
         walk.at[0].n_found = 0
         state = kernels.grow(covers, walk, n_failures, -1, work, out)
-        found += [tuple(sorted(row)) for row in out[: walk.at[0].n_found].tolist()]
+        rows_out = out[: walk.at[0].n_found]
+        found += [tuple(sorted(row)) for row in rows_out.tolist()]
         if state == kernels.DONE:
             return found
 
@@ -225,7 +254,12 @@ def walked(covers, walk, n_failures, *, work, n_out):
     raise AssertionError("the walk does not end")
 
 
-@given(SEEDS, st.integers(2, 3), st.sampled_from([0, 10**9]), st.sampled_from([1, 100]))
+@given(
+    SEEDS,
+    st.integers(2, 3),
+    st.sampled_from([0, 10**9]),
+    st.sampled_from([1, 100]),
+)
 def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused(
     seed, n_units, work, n_out
 ):
@@ -242,8 +276,10 @@ def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused
     expected = []
     for units in combinations_with_replacement(range(6), n_units):
         n_copies = np.bincount(units, minlength=6)
-        n_at_site = np.bincount(covers.site[list(units)], minlength=3)
-        has_room = (n_copies <= copies).all() and (n_at_site <= room).all()
+        sites = covers.site[list(units)]
+        n_at_site = np.bincount(sites, minlength=3)
+        is_copy_left = (n_copies <= copies).all()
+        has_room = is_copy_left and (n_at_site <= room).all()
         if has_room and lost_of(covers, units) <= may_lose:
             expected.append(units)
 
@@ -253,14 +289,16 @@ def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused
 def test_a_walk_stops_at_each_node_of_a_depth():
     rng = default_rng(5)
     covers = build_covers(rng)
-    walk = build_walk(covers, 3, np.full(3, 3), [100.0, 100.0])
+    most = np.full(3, 3)
+    walk = build_walk(covers, 3, most, [100.0, 100.0])
     out = np.empty((100, 3), dtype=np.int64)
     stops = set()
 
     while kernels.grow(covers, walk, 0, 1, 10**9, out) == kernels.AT_STOP:
         assert walk.at[0].depth == 1
 
-        stops.add(int(walk.chosen[0]))
+        first = int(walk.chosen[0])
+        stops.add(first)
         walk.at[0].depth -= 1
         walk.at[0].is_new = 0
 
@@ -274,8 +312,10 @@ def test_a_walk_stops_at_each_node_of_a_depth():
 @given(SEEDS, st.integers(0, 40))
 def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
     rng = np.random.default_rng(seed)
-    n_rows = int(rng.integers(1, 140))
-    alone, may, part = rng.random((3, 5, n_rows)) < 0.6
+    drawn_rows = rng.integers(1, 140)
+    n_rows = int(drawn_rows)
+    drawn = rng.random((3, 5, n_rows))
+    alone, may, part = drawn < 0.6
     weight = whole_weights(rng, n_rows)
     pairs = rng.integers(0, 5, (6, 2))
     table, _, _ = byte_table(weight, pack_words(alone))
@@ -292,7 +332,9 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
     )
 
     for (one, other), lost in zip(pairs, found, strict=True):
-        can = alone[one] | alone[other] | (part[one] & part[other])
+        by_one = alone[one] | alone[other]
+        by_both = part[one] & part[other]
+        can = by_one | by_both
         can &= may[one] | may[other]
         total = weight[~can].sum()
 
@@ -303,23 +345,35 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
             assert lost == total
 
 
-@given(SEEDS, st.booleans(), st.integers(0, 12), st.sampled_from([1, 50]))
+@given(
+    SEEDS,
+    st.booleans(),
+    st.integers(0, 12),
+    st.sampled_from([1, 50]),
+)
 def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
     seed, with_failures, most, n_out
 ):
     rng = np.random.default_rng(seed)
     chains = random_chains(rng)
     alone = rng.random(N_FRAMES) < 0.2
-    losses = build_losses(rng, chains, alone, [float(most), float(most + 3)])
+    losses = build_losses(
+        rng,
+        chains,
+        alone,
+        [float(most), float(most + 3)],
+    )
     sees = random_sights(rng, 7)
     words = pack_words(sees)
     member = rng.permutation(7)
     parts = [member[:3], member[3:4], member[4:]]
-    of_class = np.array([sees[part].any(axis=0) for part in parts])
-    of_classes = kernels.Classes(
-        member=member, start=np.array([0, 3, 4, 7]), words=pack_words(of_class)
-    )
-    classes = np.sort(rng.choice([0, 0, 1, 2, 2], 3, replace=False))
+    sees_of_class = [sees[part].any(axis=0) for part in parts]
+    of_class = np.array(sees_of_class)
+    start = np.array([0, 3, 4, 7])
+    of_classes = kernels.Classes(member=member, start=start, words=pack_words(of_class))
+    classes_given = [0, 0, 1, 2, 2]
+    drawn = rng.choice(classes_given, 3, replace=False)
+    classes = np.sort(drawn)
     place = np.array([-1, -1, -1, 0])
     found = []
 

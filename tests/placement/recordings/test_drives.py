@@ -44,11 +44,14 @@ def _cut(world):
 
 
 def test_a_drive_goes_to_the_smallest_distance_and_the_resets_behind_it_are_left_out():
-    spans, left_out, (drive,) = _cut(_world((_falling(12) + [13.0] * 30, 10.0, 1.5)))
+    distances = _falling(12) + [13.0] * 30
+    world = _world((distances, 10.0, 1.5))
+    spans, left_out, (drive,) = _cut(world)
+    distances_m = drive.distance_m.tolist()
 
     assert spans == [(0, 0, 11)]
     assert left_out == {RESETS: 30}
-    assert drive.distance_m.tolist() == _falling(12)
+    assert distances_m == _falling(12)
     assert drive.closing_speed_mps == pytest.approx(10.0)
     assert drive.vru_class == UNSEEN
     assert drive.n_missing == 0
@@ -61,18 +64,20 @@ def test_another_speed_is_another_drive_in_the_same_numbering():
             (_falling(15, 15.0) + [23.0] * 30, 15.0, 1.5),
         )
     )
+    speeds_mps = [drive.vut_speed_mps for drive in drives]
 
     assert spans == [
         (0, 0, 11),
         (0, 42, 56),
     ]
     assert left_out == {RESETS: 60}
-    assert [drive.vut_speed_mps for drive in drives] == [10.0, 15.0]
+    assert speeds_mps == [10.0, 15.0]
 
 
 def test_the_same_speed_again_is_another_drive_where_the_distance_jumps_up():
     # Frames 12..41: resets; the last of them is where the second drive begins.
-    world = _world((_falling(12) + [13.0] * 30 + _falling(12)[1:], 10.0, 1.5))
+    distances = _falling(12) + [13.0] * 30 + _falling(12)[1:]
+    world = _world((distances, 10.0, 1.5))
     expected = ([(0, 0, 11), (0, 41, 52)], {RESETS: 29})
 
     assert _cut(world)[:2] == expected
@@ -91,28 +96,35 @@ def test_the_first_reset_frame_may_still_show_the_bodies_where_they_met():
 
 def test_a_body_that_stands_and_waits_is_part_of_the_drive():
     # Only the VRU moves at first, with 1.5 m/s.
-    distances = [13.0 + 0.15 * index for index in range(20, 0, -1)] + _falling(12)
-    assert _cut(_world((distances, 10.0, 1.5)))[0] == [(0, 0, 31)]
+    waiting = [13.0 + 0.15 * index for index in range(20, 0, -1)]
+    distances = waiting + _falling(12)
+    world = _world((distances, 10.0, 1.5))
+    spans = _cut(world)[0]
+
+    assert spans == [(0, 0, 31)]
 
 
 def test_missing_frames_are_nan_and_time_goes_on():
-    world = _world((_falling(12), 10.0, 1.5), first=100)
+    drive_given = (_falling(12), 10.0, 1.5)
+    world = _world(drive_given, first=100)
     for number in (104, 109):
         del world[FrameKey(0, number)]
 
     spans, left_out, (drive,) = _cut(world)
+    is_missing = np.isnan(drive.distance_m)
 
     assert spans == [(0, 100, 111)]
     assert left_out == {}
-    assert np.flatnonzero(np.isnan(drive.distance_m)).tolist() == [4, 9]
+    assert np.flatnonzero(is_missing).tolist() == [4, 9]
     assert drive.n_frames == 12
     assert drive.n_missing == 2
     assert drive.closing_speed_mps == pytest.approx(10.0)
 
 
 def test_drives_do_not_reach_over_more_than_ten_missing_seconds():
-    near = _world((_falling(12), 10.0, 1.5))
-    far = _world((_falling(12), 10.0, 1.5), first=10**8)
+    drive_given = (_falling(12), 10.0, 1.5)
+    near = _world(drive_given)
+    far = _world(drive_given, first=10**8)
 
     expected = [
         (0, 0, 11),
@@ -135,7 +147,8 @@ def test_drives_do_not_reach_over_more_than_ten_missing_seconds():
     ],
 )
 def test_what_is_no_drive_is_left_out_with_its_reason(distances, reason):
-    spans, left_out, _ = _cut(_world((distances, 10.0, 1.5)))
+    world = _world((distances, 10.0, 1.5))
+    spans, left_out, _ = _cut(world)
     if reason is None:
         assert spans == [(0, 0, 2)]
         assert left_out == {RESETS: 1}
@@ -158,9 +171,11 @@ def test_all_runs_of_the_study_in_one_numbering_are_found_again_with_their_direc
             world[FrameKey(0, len(world))] = RecordedWorld(float(distance_m), *speeds)
 
     drives, left_out = cut_drives(world, FORM)
+    found_frames = [drive.n_frames for drive in drives]
+    n_frames = [len(run.time_s) for run in runs]
 
     assert [drive.first_number for drive in drives] == numbers
-    assert [drive.n_frames for drive in drives] == [len(run.time_s) for run in runs]
+    assert found_frames == n_frames
     assert dict(left_out) == {RESETS: 30 * len(runs)}
 
     told = [
@@ -172,8 +187,9 @@ def test_all_runs_of_the_study_in_one_numbering_are_found_again_with_their_direc
         )
         for drive in drives
     ]
+    is_longitudinal = [run.case.name == "CBLA" for run in runs]
 
-    assert told == [run.case.name == "CBLA" for run in runs]
+    assert told == is_longitudinal
 
 
 @given(
@@ -195,17 +211,23 @@ def test_every_frame_is_in_one_drive_or_left_out(rows, gaps):
 
     drives, left_out = cut_drives(world, FORM)
     inside = [key for drive in drives for key in drive.frames if key in world]
+    distinct = len(set(inside))
+    n_counted = len(inside) + left_out.total()
 
-    assert len(set(inside)) == len(inside)
-    assert len(inside) + left_out.total() == len(world)
+    assert distinct == len(inside)
+    assert n_counted == len(world)
 
     for drive in drives:
-        known = drive.distance_m[~np.isnan(drive.distance_m)]
+        is_missing = np.isnan(drive.distance_m)
+        known = drive.distance_m[~is_missing]
+        smallest_m = known.min()
 
-        assert drive.distance_m[-1] == known.min()
+        assert drive.distance_m[-1] == smallest_m
         assert not np.isnan(drive.distance_m[0])
+
         for key, distance in zip(drive.frames, drive.distance_m, strict=True):
-            assert np.isnan(distance) == (key not in world)
+            is_missing = np.isnan(distance)
+            assert is_missing == (key not in world)
 
 
 @pytest.mark.parametrize(
@@ -218,5 +240,8 @@ def test_every_frame_is_in_one_drive_or_left_out(rows, gaps):
     ],
 )
 def test_the_class_of_a_drive_is_that_of_most_labels(votes, name):
-    _, _, (drive,) = _cut(_world((_falling(12), 10.0, 1.5)))
-    assert with_class(drive, Counter(votes)).vru_class == name
+    world = _world((_falling(12), 10.0, 1.5))
+    _, _, (drive,) = _cut(world)
+    counted = with_class(drive, Counter(votes))
+
+    assert counted.vru_class == name

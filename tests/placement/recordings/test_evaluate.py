@@ -16,7 +16,11 @@ from placement.recordings import (
 )
 
 BOX = "100 200 140 300"
-CROSSING = {"speeds": (10.0, 1.5), "closing": 10.0, "n_frames": 12}
+CROSSING = {
+    "speeds": (10.0, 1.5),
+    "closing": 10.0,
+    "n_frames": 12,
+}
 
 
 @pytest.fixture
@@ -24,7 +28,8 @@ def judge(tmp_path_factory, rule):
     """Judges a folder by the study's rule."""
 
     def run(folder, **options):
-        written = folder.write(tmp_path_factory.mktemp("recording"))
+        folder_of_run = tmp_path_factory.mktemp("recording")
+        written = folder.write(folder_of_run)
         return evaluate_recording(read_recording(written), rule, **options)
 
     return run
@@ -39,7 +44,12 @@ def _one_drive(new_folder, detected, **options):
 
 def _cyclist(new_folder):
     """A folder with one drive at a cyclist whom nobody finds."""
-    return _one_drive(new_folder, {"0": ()}, speeds=(10.0, 4.0), actor="bycicle")
+    return _one_drive(
+        new_folder,
+        {"0": ()},
+        speeds=(10.0, 4.0),
+        actor="bycicle",
+    )
 
 
 def test_apr_of_a_small_recording_worked_by_hand(small, judge):
@@ -57,17 +67,20 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
     # late. Car: none.
     result = judge(small)
     axis = result.axis
+    speeds_kmh = axis.vut_speed_kmh.tolist()
+    weights = axis.weight.tolist()
+    starts = axis.run_start.tolist()
 
     assert axis.run_ids == ("recording/3/36", "recording/3/54")
     assert axis.cases == ("scenario-3-pedestrian",) * 2
     assert axis.approaches == ("recorded",) * 2
     assert axis.weathers == ("recorded",) * 2
-    assert axis.vut_speed_kmh.tolist() == pytest.approx([36.0, 54.0])
-    assert axis.weight.tolist() == [0.5, 0.5]
+    assert speeds_kmh == pytest.approx([36.0, 54.0])
+    assert weights == [0.5, 0.5]
     assert axis.last_brake_time_s == pytest.approx(
         [-10.0 / 15.44, -15.0 / 15.44], abs=1e-12
     )
-    assert axis.run_start.tolist() == [0, 12, 28]
+    assert starts == [0, 12, 28]
     assert axis.time_s[[0, 11, 12, 27]] == pytest.approx([-1.1, 0.0, -1.5, 0.0])
 
     outcomes = {"0": [False, True], "1": [False, False]}
@@ -79,7 +92,8 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
     assert result.vut.is_avoided.tolist() == [True, False]
     assert result.vut_and_rsus.is_avoided.tolist() == [True, True]
 
-    aprs = [apr(v, axis) for v in (*result.units.values(), result.rsu_all, result.vut)]
+    verdicts = (*result.units.values(), result.rsu_all, result.vut)
+    aprs = [apr(v, axis) for v in verdicts]
 
     assert aprs == [0.5, 0.0, 1.0, 0.5]
     assert [
@@ -222,6 +236,7 @@ def test_of_several_pedestrians_a_roadside_unit_must_detect_each(new_folder, jud
     folder.add("0/3_3.txt", f"pedestrian {other} 5")  # 8 before the impact
     folder.add("0/3_4.txt", f"pedestrian {other} 5")
     folder.add("Eval/3_4.txt", f"0 pedestrian {other} 0.9")
+
     result = judge(folder)
 
     assert result.units["0"].detected.nonzero()[0].tolist() == [4]
@@ -253,6 +268,7 @@ def test_a_vru_that_nobody_ever_sees_is_a_drive_that_is_not_avoided(new_folder, 
         name: "" if name.startswith("0/") else text
         for name, text in folder.files.items()
     }
+
     result = judge(folder)
 
     assert result.axis.cases == ("scenario-3-unseen",)
@@ -270,7 +286,13 @@ def test_without_the_vuts_camera_there_is_no_verdict_of_it(new_folder, judge):
 
 def test_a_speed_that_is_driven_again_gets_a_number(new_folder, judge):
     folder = new_folder()
-    number = folder.drive(7, 0, detected={"0": ()}, resets=30, **CROSSING)
+    number = folder.drive(
+        7,
+        0,
+        detected={"0": ()},
+        resets=30,
+        **CROSSING,
+    )
     folder.drive(7, number, detected={"0": ()}, **CROSSING)
 
     assert judge(folder).axis.run_ids == ("recording/7/36", "recording/7/36/2")
@@ -293,15 +315,19 @@ def test_the_detection_table_has_a_row_per_unit(small, judge):
     result = judge(small)
 
     table = recorded_table(result)
+    expected = [result.units[unit].detected for unit in ("0", "1")]
 
     assert table.pose_ids == ("0", "1")
-    assert np.array_equal(
-        table.detected([0, 1]), [result.units[unit].detected for unit in ("0", "1")]
-    )
+    assert np.array_equal(table.detected([0, 1]), expected)
 
 
 def test_who_goes_the_vuts_way_is_told(new_folder, tmp_path):
-    folder = _one_drive(new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=6.0)
+    folder = _one_drive(
+        new_folder,
+        {"0": ()},
+        speeds=(10.0, 4.0),
+        closing=6.0,
+    )
     (drive,) = read_recording(folder.write(tmp_path)).drives
 
     assert is_longitudinal(drive)

@@ -133,7 +133,13 @@ def test_an_opencv_camera_agrees_with_opencv(tmp_path):
     camera = read_opencv_camera(path, tmp_path / "extrinsic.xml", (1920, 1080))
     turn = np.array([1.7, 0.4, -0.3])
     shift = np.array([-5.25, 0.45, 9.86])
-    k = np.array([[1743.0, 0, 934], [0, 1735, 444], [0, 0, 1]])
+    k = np.array(
+        [
+            [1743.0, 0, 934],
+            [0, 1735, 444],
+            [0, 0, 1],
+        ]
+    )
     d = [-0.4, 0.6, 0.008, 0.001, -0.6]
     points = np.array([[5.0, 1.0, 0.0], [6.0, 2.0, 1.0]])
     theirs, _ = cv2.projectPoints(points, turn, shift, k, np.array(d))

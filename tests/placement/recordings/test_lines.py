@@ -67,7 +67,13 @@ def test_detections_keep_their_unit_and_line(tmp_path):
 
     expected = (
         [
-            Detection("-1", "pedestrian", (1.0, 2.0, 3.0, 4.0), 0.5, 2),
+            Detection(
+                "-1",
+                "pedestrian",
+                (1.0, 2.0, 3.0, 4.0),
+                0.5,
+                2,
+            ),
             Detection("car", "bicycle", (1.0, 2.0, 3.0, 4.0), 1.0, 3),
         ],
         0,

@@ -20,7 +20,14 @@ def boxes(rows, name="a.txt"):
     """Boxes of rows: frame, class, box, and fields; line by line of a file."""
     made = []
     for line, (frame, class_name, box, fields) in enumerate(rows):
-        made.append(BoxRow(f"{name}:{line}", frame, class_name, box, **fields))
+        row = BoxRow(
+            f"{name}:{line}",
+            frame,
+            class_name,
+            box,
+            **fields,
+        )
+        made.append(row)
 
     return gather_boxes(Path(name), made)
 
@@ -29,9 +36,11 @@ def annotated(*rows):
     """Boxes of rows: frame, track, box, and more fields."""
     made = []
     for frame, track, box, *more in rows:
-        fields = {"track": track} | dict(*more)
+        further = dict(*more)
+        fields = {"track": track} | further
         name = fields.pop("name", "pedestrian")
-        made.append((frame, name, box, fields))
+        annotation = (frame, name, box, fields)
+        made.append(annotation)
 
     return boxes(made)
 
@@ -48,9 +57,10 @@ B = (30.0, 10.0, 70.0, 110.0)
 
 def test_what_one_nearer_box_covers_is_hidden():
     given_ = annotated((0, 1, A), (0, 2, B), (1, 1, A))
+    shares = seen_shares(given_).tolist()
 
     # B is nearer: it covers 10 x 90 of A's 40 x 100 px.
-    assert seen_shares(given_).tolist() == pytest.approx([1 - 900 / 4000, 1.0, 1.0])
+    assert shares == pytest.approx([1 - 900 / 4000, 1.0, 1.0])
 
 
 def test_what_is_annotated_counts_more_than_what_boxes_cover():
@@ -58,11 +68,15 @@ def test_what_is_annotated_counts_more_than_what_boxes_cover():
         (0, 1, A, {"hidden_level": 2}),
         (0, 2, B, {"seen_share": 0.4}),
     ]
-    assert seen_shares(annotated(*rows)).tolist() == [0.25, 0.4]
+    given_ = annotated(*rows)
+    shares = seen_shares(given_).tolist()
+
+    assert shares == [0.25, 0.4]
 
 
 def test_each_box_finds_one_person_and_weak_ones_none():
-    given_ = annotated((0, 7, A), (0, 9, (5.0, 0.0, 45.0, 100.0)), (2, 9, B))
+    between = (5.0, 0.0, 45.0, 100.0)
+    given_ = annotated((0, 7, A), (0, 9, between), (2, 9, B))
 
     pairs = pair_boxes(
         given_,
@@ -70,8 +84,9 @@ def test_each_box_finds_one_person_and_weak_ones_none():
         classes=PERSON,
         min_score=0.5,
     )
+    n_found = [len(one.found_px) for one in pairs.pictures]
 
-    assert [len(one.found_px) for one in pairs.pictures] == [1, 0, 0]
+    assert n_found == [1, 0, 0]
     assert pairs.label_index.tolist() == [0, 1, 2]
 
     seen, alarms = gather_sightings(
@@ -89,8 +104,10 @@ def test_each_box_finds_one_person_and_weak_ones_none():
 
 def test_boxes_in_regions_to_ignore_are_no_false_alarms():
     far = (500.0, 0.0, 540.0, 100.0)
-    given_ = annotated((0, 1, A), (0, -1, far, {"name": IGNORE}))
-    detected = found((0, far, 0.9), (0, (800.0, 0.0, 840.0, 100.0), 0.9))
+    ignored = (0, -1, far, {"name": IGNORE})
+    given_ = annotated((0, 1, A), ignored)
+    far_right = (0, (800.0, 0.0, 840.0, 100.0), 0.9)
+    detected = found((0, far, 0.9), far_right)
     pairs = pair_boxes(given_, detected, classes=PERSON, min_score=0.5)
 
     _, alarms = gather_sightings(pairs.pictures, n_confirmations=3, frame_rate_hz=7.0)
@@ -104,9 +121,15 @@ def test_files_that_do_not_belong_together_are_told():
     with pytest.raises(
         InputError, match=r"d: got frames up to 50; expected up to 0, as in a\.txt"
     ):
-        pair_boxes(given_, found((50, A, 0.9)), classes=PERSON, min_score=0.5)
+        pair_boxes(
+            given_,
+            found((50, A, 0.9)),
+            classes=PERSON,
+            min_score=0.5,
+        )
 
-    many = annotated(*((frame, 1, A) for frame in range(0, 100, 5)))
+    frames = range(0, 100, 5)
+    many = annotated(*((frame, 1, A) for frame in frames))
     every = found(*((frame, A, 0.9) for frame in range(100)))
 
     with pytest.raises(
@@ -117,7 +140,12 @@ def test_files_that_do_not_belong_together_are_told():
     with pytest.raises(
         InputError, match=r"a\.txt: got nobody; expected boxes with an id of cycl"
     ):
-        pair_boxes(given_, found(), classes={"cyclist": "cyclist"}, min_score=0.5)
+        pair_boxes(
+            given_,
+            found(),
+            classes={"cyclist": "cyclist"},
+            min_score=0.5,
+        )
 
 
 @given(
@@ -130,11 +158,19 @@ def test_files_that_do_not_belong_together_are_told():
 )
 def test_frames_to_confirm_are_those_that_a_search_counts(rows, n):
     rows = sorted(rows, key=lambda row: row[0])
-    track = np.array([row[0] for row in rows])
-    is_found = np.array([row[1] for row in rows])
-    frame = np.cumsum([1 + row[2] for row in rows])  # some frames are missing
+    tracks = [row[0] for row in rows]
+    track = np.array(tracks)
+    finds = [row[1] for row in rows]
+    is_found = np.array(finds)
+    steps = [1 + row[2] for row in rows]
+    frame = np.cumsum(steps)  # some frames are missing
 
-    waits = frames_to_confirm(is_found, track, frame, n_confirmations=n)
+    waits = frames_to_confirm(
+        is_found,
+        track,
+        frame,
+        n_confirmations=n,
+    )
 
     for start, wait in enumerate(waits.tolist()):
         on = {
@@ -147,16 +183,23 @@ def test_frames_to_confirm_are_those_that_a_search_counts(rows, n):
 
 
 def test_a_share_counts_tracks_and_is_never_surer_than_wilson():
-    track = np.repeat(np.arange(20), 50)
-    independent = default_rng(1).random(1000) < 0.8
-    whole = np.repeat(default_rng(2).random(20) < 0.8, 50)  # all frames alike
+    tracks = np.arange(20)
+    track = np.repeat(tracks, 50)
+    drawn = default_rng(1).random(1000)
+    independent = drawn < 0.8
+    drawn_once = default_rng(2).random(20)
+    is_track_found = drawn_once < 0.8
+    whole = np.repeat(is_track_found, 50)  # all frames alike
+
     wide = share_by_track(whole, track)
     narrow = share_by_track(independent, track)
 
-    plain = wilson(int(independent.sum()), 1000)
+    n_found = independent.sum()
+    plain = wilson(int(n_found), 1000)
+    first_track = share_by_track(whole[:50], track[:50])
 
     assert narrow.low <= plain.low
     assert narrow.high >= plain.high
     assert narrow.high - narrow.low < 0.08 < 0.2 < wide.high - wide.low
     # One track tells nothing of others.
-    assert share_by_track(whole[:50], track[:50]).low == 0.0
+    assert first_track.low == 0.0

@@ -31,6 +31,7 @@ def test_a_recording_tells_its_units_drives_and_what_was_left_out(small, tmp_pat
     assert recording.skipped == {
         "frames between drives (bodies back at their starts)": 60
     }
+
     words = f"Recording({tmp_path.name!r}: 2 units, 2 drives, 88 frames)"
 
     assert repr(recording) == words
@@ -77,10 +78,9 @@ def test_a_recording_made_twice_into_one_folder_reads_as_once(small, tmp_path):
 
     twice = read_recording(small.write(tmp_path / "twice"))
     n_lines = 88 + 3 * 88 + 12  # WorldData, labels, detections
+    expected = dict(once.skipped) | {"lines that repeat others": n_lines}
 
-    assert dict(twice.skipped) == dict(once.skipped) | {
-        "lines that repeat others": n_lines
-    }
+    assert dict(twice.skipped) == expected
     assert twice.labels == once.labels
     assert twice.detections == once.detections
 

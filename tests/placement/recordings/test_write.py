@@ -198,23 +198,20 @@ def simulated(runs):
     for index, run in enumerate(few):
         frames = axis.frames_of(index)
         distance = np.linalg.norm(run.vut_position_m - run.vru_position_m, axis=1)
-        drives.append(
-            WrittenDrive(
-                scenario=index,
-                vru_class="pedestrian" if run.case.name.startswith("CP") else "bicycle",
-                vut_speed_mps=run.encounter.vut_motion.speed_mps,
-                vru_speed_mps=run.encounter.vru_motion.speed_mps,
-                distance_m=distance,
-                labels_px={
-                    name: seen.amodal_px[frames] for name, seen in boxes.items()
-                },
-                detections_px={
-                    name: seen.visible_px[frames] * is_high[name][frames, None]
-                    for name, seen in boxes.items()
-                },
-                label_distance_m=dict.fromkeys(boxes, distance),
-            )
+        drive = WrittenDrive(
+            scenario=index,
+            vru_class="pedestrian" if run.case.name.startswith("CP") else "bicycle",
+            vut_speed_mps=run.encounter.vut_motion.speed_mps,
+            vru_speed_mps=run.encounter.vru_motion.speed_mps,
+            distance_m=distance,
+            labels_px={name: seen.amodal_px[frames] for name, seen in boxes.items()},
+            detections_px={
+                name: seen.visible_px[frames] * is_high[name][frames, None]
+                for name, seen in boxes.items()
+            },
+            label_distance_m=dict.fromkeys(boxes, distance),
         )
+        drives.append(drive)
 
     return axis, drives, detected
 
@@ -227,8 +224,9 @@ def test_a_simulated_recording_gives_the_detected_frames_and_verdicts_of_the_sim
     write_recording(tmp_path / "data", drives)
 
     result = evaluate_recording(read_recording(tmp_path / "data"), rule)
+    expected = axis.run_start.tolist()
 
-    assert result.axis.run_start.tolist() == axis.run_start.tolist()
+    assert result.axis.run_start.tolist() == expected
     assert result.axis.vut_speed_kmh == pytest.approx(axis.vut_speed_kmh)
     # The impact is the last frame, on the grid of both.
     assert result.axis.time_s == pytest.approx(axis.time_s, abs=1e-9)

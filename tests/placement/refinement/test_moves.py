@@ -65,11 +65,21 @@ def test_a_moved_unit_keeps_its_name_and_says_by_how_much():
         units=(_unit("U1", yaw=175.0), _unit("U2", east=9.0, sensor=zoom)),
     )
     poses = [
-        _unit("x/1", east=9.0, sensor=with_fov(zoom, 50.0, "test"), height=6.5),
+        _unit(
+            "x/1",
+            east=9.0,
+            sensor=with_fov(zoom, 50.0, "test"),
+            height=6.5,
+        ),
         _unit("x/2", yaw=-178.0, pitch=-17.5),
     ]
 
-    layout, moves = rename(before, poses, named=["RSU1"], name="refined-2")
+    layout, moves = rename(
+        before,
+        poses,
+        named=["RSU1"],
+        name="refined-2",
+    )
 
     assert layout.name == "refined-2"
     assert [unit.id for unit in layout.units] == ["U1", "U2"]
@@ -140,6 +150,7 @@ def test_new_units_get_names_that_are_free_and_lost_ones_are_told():
 def test_a_lidar_has_no_lens_to_zoom():
     lidar = pick_sensor("carla-ncap-lidar", "test")
     unit = _unit("U1", sensor=lidar)
-    move = Move(before=unit, after=replace(unit, id="U1"))
+    after = replace(unit, id="U1")
+    move = Move(before=unit, after=after)
 
     assert move.zoom_deg == 0.0

@@ -20,9 +20,10 @@ from placement.refinement import build_places, moved
 def _limits(candidates, **fields):
     """Limits with one unit at each site."""
     sites = sorted({candidate.site_id or candidate.id for candidate in candidates})
+    site_capacity = np.ones(len(sites), dtype=int)
     return Limits(
         site_index=[sites.index(c.site_id or c.id) for c in candidates],
-        site_capacity=np.ones(len(sites), dtype=int),
+        site_capacity=site_capacity,
         budget_units=1,
         **fields,
     )
@@ -83,10 +84,21 @@ def test_a_pose_of_the_grid_keeps_its_name(places):
 
 
 def test_a_pose_of_no_site_stays_at_its_height(meadow, narrow_camera):
-    drone = unit_at("drone", [3.0, 4.0, 30.0], pitch_deg=-80.0, sensor=narrow_camera)
+    drone = unit_at(
+        "drone",
+        [3.0, 4.0, 30.0],
+        pitch_deg=-80.0,
+        sensor=narrow_camera,
+    )
     places = build_places(meadow.scene, [drone], _limits([drone]))
 
-    pose = moved(places, 0, height_m=20.0, yaw_deg=10.0, pitch_deg=-70.0)
+    pose = moved(
+        places,
+        0,
+        height_m=20.0,
+        yaw_deg=10.0,
+        pitch_deg=-70.0,
+    )
 
     assert pose.pose.position_m.tolist() == [3.0, 4.0, 30.0]
     assert pose.id == "drone/30m/10/-70/narrow"
@@ -108,7 +120,13 @@ def test_a_pose_that_hangs_outside_of_its_sites_range_may_stay_there(
 
     assert places.height_range_m(0) == (4.0, 9.0)
 
-    pose = moved(places, 0, height_m=12.0, yaw_deg=0.0, pitch_deg=-10.0)
+    pose = moved(
+        places,
+        0,
+        height_m=12.0,
+        yaw_deg=0.0,
+        pitch_deg=-10.0,
+    )
 
     assert pose.pose.position_m.tolist() == [0.5, 0.0, 9.0]
     assert pose.id == "RSU9/9m/0/-10/narrow"
@@ -159,7 +177,11 @@ def test_a_varifocal_lens_is_set_within_its_range(meadow):
     candidates = build_candidates(meadow.scene, grid)
 
     places = build_places(meadow.scene, candidates, _limits(candidates))
-    pose = {"height_m": 5.0, "yaw_deg": 0.0, "pitch_deg": -15.0}
+    pose = {
+        "height_m": 5.0,
+        "yaw_deg": 0.0,
+        "pitch_deg": -15.0,
+    }
 
     for asked, got in (
         (1.0, 26.2),
@@ -190,6 +212,7 @@ def test_a_level_ring_is_tilted_and_never_only_turned(meadow):
     candidates = build_candidates(meadow.scene, grid)
 
     places = build_places(meadow.scene, candidates, _limits(candidates))
+
     steps = refinement._turned(candidates[0], 0, places)
 
     assert steps

@@ -69,7 +69,12 @@ def placements(meadow, meadow_grid, tmp_path_factory):
 def refinements(meadow, placements):
     """Refinements of all placements, by name."""
     return {
-        name: refine(meadow, placement, candidates, compute=Compute(workers=1))
+        name: refine(
+            meadow,
+            placement,
+            candidates,
+            compute=Compute(workers=1),
+        )
         for name, (candidates, placement) in placements.items()
     }
 
@@ -114,10 +119,11 @@ def test_a_refined_layout_is_within_all_limits_and_what_its_placement_says(
     refined = refinement.placement
     problem = refined.problem
     units = refined.pose_index
+    expected = tuple(c.id for c in refinement.candidates)
 
     assert is_feasible(problem, units)
     assert refinement.after == objective_values(problem, units)
-    assert problem.table.pose_ids == tuple(c.id for c in refinement.candidates)
+    assert problem.table.pose_ids == expected
     assert len(set(problem.table.pose_ids)) == len(problem.table.pose_ids)
 
     check_layout(refined.layout, meadow.scene)
@@ -188,11 +194,12 @@ def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
     old = replace(meadow_grid[0], id="old")
     candidates = (*meadow_grid, old)
 
+    wishes = Wishes(budget_eur=0.0, existing=("old",))
     placement = place(
         Assembly(
             setting=meadow,
             candidates=candidates,
-            wishes=Wishes(budget_eur=0.0, existing=("old",)),
+            wishes=wishes,
         )
     )
 
@@ -209,12 +216,16 @@ def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
 def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
     candidates, placement = placements["two units"]
 
-    again = refine(meadow, placement, candidates, compute=Compute(workers=2))
-    first = refinements["two units"]
-
-    assert layout_records(again.placement.layout) == layout_records(
-        first.placement.layout
+    again = refine(
+        meadow,
+        placement,
+        candidates,
+        compute=Compute(workers=2),
     )
+    first = refinements["two units"]
+    expected = layout_records(first.placement.layout)
+
+    assert layout_records(again.placement.layout) == expected
     assert again.n_tried == first.n_tried
     assert again.after == first.after
 
@@ -263,7 +274,12 @@ def test_a_varifocal_lens_zooms_in_on_what_is_far_away(
     scene = build_meadow(("pole", 0.0, 0.0))
     walk = np.column_stack([np.full(40, 150.0), np.linspace(-2.0, 2.0, 40)])
     setting = build_small_setting(scene, [build_walk("walk", walk)])
-    candidates = _grid_of(scene, camera, yaw_step_deg=90.0, pitch_deg=0.0)
+    candidates = _grid_of(
+        scene,
+        camera,
+        yaw_step_deg=90.0,
+        pitch_deg=0.0,
+    )
     candidates = [one for one in candidates if one.pose.yaw_deg == 0.0]
 
     placement = place(
@@ -299,6 +315,7 @@ def test_a_lidar_is_aimed_too(build_meadow, build_walk, build_small_setting, arc
     """Someone to the left; the grid looks ahead and back, 36 degrees to each side."""
     scene = build_meadow(("pole", 0.0, 0.0))
     setting = build_small_setting(scene, [build_walk("walk", arc(12.0, 93.0, 87.0))])
+
     lidar = pick_sensor("carla-ncap-lidar", "test")
     candidates = _grid_of(scene, lidar, yaw_step_deg=180.0)
 
@@ -322,9 +339,8 @@ def test_a_lidar_is_aimed_too(build_meadow, build_walk, build_small_setting, arc
 def test_a_table_of_sampled_worlds_is_refused(meadow, placements):
     candidates, placement = placements["one unit"]
     table = placement.problem.table
-    axis = replace(
-        table.axis, run_ids=tuple(f"{name}#1" for name in table.axis.run_ids)
-    )
+    run_ids = tuple(f"{name}#1" for name in table.axis.run_ids)
+    axis = replace(table.axis, run_ids=run_ids)
     problem = replace(placement.problem, table=replace(table, axis=axis))
 
     with refused_with(

@@ -30,16 +30,17 @@ def _random_poses(n_poses, seed):
     for index in range(n_poses):
         sensor = pick_sensor(SENSORS[index % 3], "test")
         if index % 3 == 1:
-            sensor = with_fov(sensor, float(rng.uniform(*sensor.fov_range_deg)), "test")
-        poses.append(
-            unit_at(
-                str(index),
-                positions[rng.integers(3)],
-                yaw_deg=rng.uniform(-180.0, 180.0),
-                pitch_deg=rng.uniform(-45.0, 0.0),
-                sensor=sensor,
-            )
+            drawn_deg = rng.uniform(*sensor.fov_range_deg)
+            fov_deg = float(drawn_deg)
+            sensor = with_fov(sensor, fov_deg, "test")
+        pose = unit_at(
+            str(index),
+            positions[rng.integers(3)],
+            yaw_deg=rng.uniform(-180.0, 180.0),
+            pitch_deg=rng.uniform(-45.0, 0.0),
+            sensor=sensor,
         )
+        poses.append(pose)
 
     return poses
 
@@ -66,12 +67,16 @@ def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
     poses = _random_poses(36, seed=3)
     table = table_of(setting, poses)
     rows = table.detected(slice(None))
+    is_seen = rows.any(axis=1)
+    n_seen = is_seen.sum()
 
-    assert rows.any(axis=1).sum() > 8
+    assert n_seen > 8
 
-    builder = LiveTable(setting, compute=Compute(workers=2), max_mounts=16)
+    compute = Compute(workers=2)
+    builder = LiveTable(setting, compute=compute, max_mounts=16)
+    packed = builder.packed(poses)
 
-    assert np.array_equal(builder.packed(poses), table.packed)
+    assert np.array_equal(packed, table.packed)
 
     order = default_rng(0).permutation(36)
 
@@ -83,9 +88,12 @@ def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
 
 def test_another_setting_of_the_lens_needs_no_new_rays_either(meadow):
     builder = LiveTable(meadow, max_mounts=16)
-    zoom = _random_poses(2, seed=0)[1]
+    zooms = _random_poses(2, seed=0)
+    zoom = zooms[1]
     for fov_deg in (89.6, 26.2, 50.0):
-        builder.packed([replace(zoom, sensor=with_fov(zoom.sensor, fov_deg, "test"))])
+        sensor = with_fov(zoom.sensor, fov_deg, "test")
+        other_fov = replace(zoom, sensor=sensor)
+        builder.packed([other_fov])
 
     assert builder.n_casts == 1
 
@@ -95,15 +103,24 @@ def test_a_sensor_that_reaches_farther_gets_its_own_rays(meadow):
     builder = LiveTable(meadow, max_mounts=16)
     (near,) = _random_poses(1, seed=0)
     coarse = replace(near.sensor, width_px=64, height_px=36)
-    pose = replace(near.pose, position_m=[0.0, 0.0, 5.0], yaw_deg=45.0, pitch_deg=-15.0)
+    pose = replace(
+        near.pose,
+        position_m=[0.0, 0.0, 5.0],
+        yaw_deg=45.0,
+        pitch_deg=-15.0,
+    )
     near = replace(near, pose=pose)
-    builder.packed([replace(near, sensor=coarse)])
+    coarser = replace(near, sensor=coarse)
+    builder.packed([coarser])
     table = table_of(meadow, [near])
+    detected = table.detected([0])
+    packed = builder.packed([near])
 
-    assert table.detected([0]).any()
-    assert np.array_equal(builder.packed([near]), table.packed)
+    assert detected.any()
+    assert np.array_equal(packed, table.packed)
     assert builder.n_casts == 2
 
-    builder.packed([replace(near, sensor=coarse)])
+    coarser = replace(near, sensor=coarse)
+    builder.packed([coarser])
 
     assert builder.n_casts == 2

@@ -15,14 +15,17 @@ from placement.refinement import certify, improves
 @given(questions())
 def test_stages_are_those_of_the_certificate_with_the_same_values(problem):
     try:
-        solution = solve_placement(problem, effort=Effort(solver="greedy"))
+        effort = Effort(solver="greedy")
+        solution = solve_placement(problem, effort=effort)
     except InputError:
         return
 
     values = objective_values(problem, solution.pose_index)
     stages = solution.certificate.stages
+    names = [stage.name for stage in stages]
 
-    assert [*values] == [stage.name for stage in stages]
+    assert [*values] == names
+
     expected = [stage.objective for stage in stages]
 
     assert [*values.values()] == pytest.approx(expected, abs=1e-12)
@@ -31,7 +34,9 @@ def test_stages_are_those_of_the_certificate_with_the_same_values(problem):
 @given(problems(), st.data())
 def test_without_further_wishes_a_set_improves_where_its_value_is_better(problem, data):
     n_poses = problem.table.n_poses
-    sets = st.sets(st.integers(0, n_poses - 1), min_size=1, max_size=3).map(sorted)
+    pose = st.integers(0, n_poses - 1)
+    poses_drawn = st.sets(pose, min_size=1, max_size=3)
+    sets = poses_drawn.map(sorted)
     one = data.draw(sets)
     other = data.draw(sets)
 
@@ -52,10 +57,11 @@ def test_units_and_cost_are_the_better_the_smaller():
 
     dear = {Objective.COST: 1500.0}
     cheap = {Objective.COST: 1499.0}
+    cheaper = {Objective.COST: 1500.0 - 1e-9}
 
     assert improves(cheap, dear)
     assert not improves(dear, cheap)
-    assert not improves({Objective.COST: 1500.0 - 1e-9}, dear)
+    assert not improves(cheaper, dear)
 
 
 def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
@@ -85,6 +91,8 @@ def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
     }
 
     made = certify(values, certificate, "any")
+    gaps = [s.gap for s in made.stages]
+    seconds = {s.seconds for s in made.stages}
 
     assert made.solver == "any"
     assert [(s.objective, s.bound) for s in made.stages] == [
@@ -94,5 +102,5 @@ def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
         (2.0, 2.0),
         (2500.0, 2000.0),
     ]
-    assert [s.gap for s in made.stages] == pytest.approx([0.0, 0.25, 0.0, 0.2])
-    assert {s.seconds for s in made.stages} == {1.5}
+    assert gaps == pytest.approx([0.0, 0.25, 0.0, 0.2])
+    assert seconds == {1.5}

@@ -34,8 +34,9 @@ def setting(runs):
     scene = load_study_scene()
     ids = ("CBNA/east/60", "CPNC-50/south/60", "CBLA/east/50")
     names = ("corner-ne", "mast-w")
+    sites = tuple(site for site in scene.sites if site.id in names)
     return setting_of(
-        replace(scene, sites=tuple(site for site in scene.sites if site.id in names)),
+        replace(scene, sites=sites),
         [cut_run(run, slice(-_LAST, None)) for run in runs if run.id in ids],
     )
 
@@ -69,14 +70,13 @@ def junction_scene():
             ("in", [[MOUTH_M + 80.0, offset_m], [MOUTH_M, offset_m]]),
             ("out", [[MOUTH_M, -offset_m], [MOUTH_M + 80.0, -offset_m]]),
         ):
-            lanes.append(
-                Lane(
-                    id=f"{arm}-parking-{name}",
-                    kind="parking",
-                    width_m=PARKING_M,
-                    centreline_m=turned(way, bearing),
-                )
+            lane = Lane(
+                id=f"{arm}-parking-{name}",
+                kind="parking",
+                width_m=PARKING_M,
+                centreline_m=turned(way, bearing),
             )
+            lanes.append(lane)
 
     return build_scene(lanes)
 
@@ -86,7 +86,12 @@ def junction_runs(actors, rule, junction_scene):
     """One straight case from each approach, at its lowest speed."""
     case = load_cases()["CPNA-25"]
     slow = replace(case, vut_speeds_kmh=case.vut_speeds_kmh[:1])
-    runs, _ = build_runs(junction_scene, [slow], vut=actors["vut"], rule=rule)
+    runs, _ = build_runs(
+        junction_scene,
+        [slow],
+        vut=actors["vut"],
+        rule=rule,
+    )
     return {run.approach: run for run in runs}
 
 
@@ -99,16 +104,18 @@ def standing_still(junction_runs):
     def build(position_m, *, n_frames=12, run=None):
         if run is None:
             run = junction_runs["west"]
+
         frames = {
             name: getattr(run, name)[-n_frames:]
             for name in ("time_s", "vut_yaw_deg", "vru_shape")
         }
+        vru_position_m = np.tile(np.asarray(position_m, dtype=float), (n_frames, 1))
         return replace(
             run,
             **frames,
             # The VUT is far away, and hides nothing.
             vut_position_m=np.tile([-60.0, -1.75], (n_frames, 1)),
-            vru_position_m=np.tile(np.asarray(position_m, dtype=float), (n_frames, 1)),
+            vru_position_m=vru_position_m,
             vru_yaw_deg=np.full(n_frames, 90.0),
         )
 

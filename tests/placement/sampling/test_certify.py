@@ -35,14 +35,23 @@ def test_limits_are_those_of_the_formula():
     aprs = [0.95, 0.94, 0.96, 0.93, 0.95]
 
     found = estimate_gap(bounds, aprs)
-    most = np.mean(bounds) + student.ppf(0.975, 3) * np.std(bounds, ddof=1) / 2.0
-    least = np.mean(aprs) - student.ppf(0.975, 4) * np.std(aprs, ddof=1) / np.sqrt(5.0)
+    mean_bound = np.mean(bounds)
+    quantile_bound = student.ppf(0.975, 3)
+    spread_bound = np.std(bounds, ddof=1)
+    most = mean_bound + quantile_bound * spread_bound / 2.0
+    mean_apr = np.mean(aprs)
+    quantile_apr = student.ppf(0.975, 4)
+    spread_apr = np.std(aprs, ddof=1)
+    least = mean_apr - quantile_apr * spread_apr / np.sqrt(5.0)
 
     assert found.most.high == pytest.approx(most)
     assert found.least.low == pytest.approx(least)
     assert found.gap == pytest.approx(most - least)
     assert found.bias + found.chance == pytest.approx(found.gap)
-    expected = np.mean(bounds) - np.mean(aprs)
+
+    mean_of_bounds = np.mean(bounds)
+    mean_of_aprs = np.mean(aprs)
+    expected = mean_of_bounds - mean_of_aprs
 
     assert found.bias == pytest.approx(expected)
 
@@ -55,29 +64,39 @@ def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
     with a probability of its own, so that the APR of a pair over all worlds has a
     closed form.
     """
-    pairs = np.array(list(combinations(range(10), 2)))
+    combined = combinations(range(10), 2)
+    pairs = np.array(list(combined))
     holds = np.zeros(3)
 
     def draw_aprs(rng, n, sees, weight):
         """APR of each pair in so many worlds, (n, n_pairs)."""
-        drawn = rng.random((n, *sees.shape)) < sees
-        return drawn[:, pairs].any(axis=2) @ weight
+        uniform = rng.random((n, *sees.shape))
+        drawn = uniform < sees
+        is_seen = drawn[:, pairs].any(axis=2)
+        return is_seen @ weight
 
     for repetition in range(n_repetitions):
         rng = np.random.default_rng([7, repetition])
         sees = rng.beta(2.0, 1.0, size=(10, 12))
-        weight = rng.dirichlet(np.ones(12))
-        true = (1.0 - np.prod(1.0 - sees[pairs], axis=1)) @ weight
+        ones = np.ones(12)
+        weight = rng.dirichlet(ones)
+        missed = np.prod(1.0 - sees[pairs], axis=1)
+        true = (1.0 - missed) @ weight
 
         blocks = [
             draw_aprs(rng, n_worlds, sees, weight).mean(axis=0) for _ in range(n_blocks)
         ]
         bounds = [block.max() for block in blocks]  # by brute force, hence exact
-        pool = sorted({int(block.argmax()) for block in blocks})
-        compared = draw_aprs(rng, n_judged, sees, weight)[:, pool].mean(axis=0)
-        best = pool[int(compared.argmax())]
-        judged = draw_aprs(rng, n_judged, sees, weight)[:, best]
-        found = estimate_gap(bounds, judged.tolist())
+        best_of_blocks = {int(block.argmax()) for block in blocks}
+        pool = sorted(best_of_blocks)
+        of_pool = draw_aprs(rng, n_judged, sees, weight)[:, pool]
+        compared = of_pool.mean(axis=0)
+        highest = compared.argmax()
+        best = pool[int(highest)]
+        drawn_again = draw_aprs(rng, n_judged, sees, weight)
+        judged = drawn_again[:, best]
+        aprs = judged.tolist()
+        found = estimate_gap(bounds, aprs)
         holds += (
             true.max() - true[best] <= found.gap,
             true.max() <= found.most.high,
@@ -90,7 +109,8 @@ def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
 def test_gaps_hold_as_often_as_they_say():
     # 0.95 asked; three standard errors of 200 repetitions are 0.046. APRs near 1 are
     # skewed: the lower end holds less often than the 0.975 of a normal distribution.
-    assert (coverage(200, n_blocks=5, n_worlds=4) >= 0.95 - 0.046).all()
+    shares = coverage(200, n_blocks=5, n_worlds=4)
+    assert (shares >= 0.95 - 0.046).all()
 
 
 @pytest.fixture(scope="module")
@@ -124,13 +144,16 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
             first=block.first,
             compute=assembly.compute,
         ).table
-        part = replace(assembly, known_table=table, n_samples=0).problem
-        values = [apr(part, [row]) for row in range(len(assembly.candidates))]
+        one_block = replace(assembly, known_table=table, n_samples=0)
+        part = one_block.problem
+        n_poses = len(assembly.candidates)
+        values = [apr(part, [row]) for row in range(n_poses)]
+        of_found = values[block.found[0]]
 
         assert table.axis.n_runs == 3 * n_runs
         assert block.bound == pytest.approx(max(values))
         assert block.apr == pytest.approx(max(values))
-        assert values[block.found[0]] == pytest.approx(max(values))
+        assert of_found == pytest.approx(max(values))
 
     best = max(one.estimate.mean for one in found.pool)
 
@@ -146,22 +169,33 @@ def test_tasks_that_run_elsewhere_and_in_any_order_give_the_same(assembly, monke
         those = list(tasks)
         sent.append((function.__name__, len(those)))
         # As another process would get them
-        arguments = pickle.loads(pickle.dumps(shared))
+        sent_bytes = pickle.dumps(shared)
+        arguments = pickle.loads(sent_bytes)
         for task in reversed(those):
             yield task, function(*arguments, pickle.loads(pickle.dumps(task)))
 
     here = certify(assembly, n_blocks=2, n_judged=4)
-    there = certify(assembly, n_blocks=2, n_judged=4, run=run_backwards)
+    there = certify(
+        assembly,
+        n_blocks=2,
+        n_judged=4,
+        run=run_backwards,
+    )
 
     assert there.blocks == here.blocks
     assert there.gap == here.gap
 
     for one, other in zip(there.pool, here.pool, strict=True):
+        expected = other.avoided_share.tolist()
         assert _same_aprs(one, other)
-        assert one.avoided_share.tolist() == other.avoided_share.tolist()
+        assert one.avoided_share.tolist() == expected
 
     # Four worlds are two tasks.
-    assert sent == [("_solve_block", 2), ("_look_at_part", 2), ("_look_at_part", 2)]
+    assert sent == [
+        ("_solve_block", 2),
+        ("_look_at_part", 2),
+        ("_look_at_part", 2),
+    ]
 
 
 @pytest.mark.long
@@ -184,20 +218,24 @@ def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
 
 def _same_aprs(one, other):
     """Have two judgements the same APR in every world?"""
-    return one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
+    aprs = one.apr_by_sample.tolist()
+    other_aprs = other.apr_by_sample.tolist()
+    return aprs == other_aprs
 
 
 @pytest.mark.long
 def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
     assembly, tmp_path, monkeypatch
 ):
-    cached = replace(assembly, compute=replace(assembly.compute, cache_folder=tmp_path))
+    compute = replace(assembly.compute, cache_folder=tmp_path)
+    cached = replace(assembly, compute=compute)
     first_sensor = assembly.candidates[0].sensor
     units = [one for one in assembly.candidates if one.sensor == first_sensor]
     layouts = [
         Layout(name=f"layout {n}", units=(unit,)) for n, unit in enumerate(units[:2])
     ]
-    lossy = replace(cached, uncertainty=replace(cached.uncertainty, packet_loss=0.9))
+    uncertainty = replace(cached.uncertainty, packet_loss=0.9)
+    lossy = replace(cached, uncertainty=uncertainty)
 
     plain = assembly.in_fresh_worlds(layouts, n_worlds=3)
     first = cached.in_fresh_worlds(layouts, n_worlds=3)
@@ -212,14 +250,18 @@ def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
     again = cached.in_fresh_worlds(layouts, n_worlds=3)
 
     for one, other, third in zip(plain, first, again, strict=True):
+        expected = third.avoided_share.tolist()
+
         assert _same_aprs(one, other)
         assert _same_aprs(one, third)
-        assert one.avoided_share.tolist() == third.avoided_share.tolist()
+        assert one.avoided_share.tolist() == expected
         assert one.layout == third.layout
         assert one.alone == third.alone
 
+    is_same = _same_aprs(other_worlds[0], plain[0])
+
     assert _same_aprs(turned[1], plain[0])
-    assert not _same_aprs(other_worlds[0], plain[0])
+    assert not is_same
     assert other_losses[0].estimate.mean < plain[0].estimate.mean
 
     with pytest.raises(RuntimeError):
@@ -273,17 +315,21 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
 
     assert growth.stopped in ("same", "no better")
 
-    expected = [*SIZES[: len(growth.rounds)]]
+    n_rounds = len(growth.rounds)
+    expected = [*SIZES[:n_rounds]]
+    worlds = [one.worlds for one in growth.rounds]
 
-    assert [one.worlds for one in growth.rounds] == expected
+    assert worlds == expected
     assert growth.rounds[-1].worlds == 2 * growth.taken == 2 * found.assembly.n_samples
 
     for one in growth.rounds:
-        plan = assemble(replace(SMALL, samples=one.worlds), compute=compute)
+        smaller = replace(SMALL, samples=one.worlds)
+        plan = assemble(smaller, compute=compute)
 
         alone = place(plan, asks_worlds=True)  # as if the number had been given
+        stage = alone.certificate.stages[0]
 
-        assert one.in_sample == alone.certificate.stages[0].objective
+        assert one.in_sample == stage.objective
 
         (again,) = out_of_sample_layouts(
             plan.setting,
@@ -298,8 +344,12 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
 
         if one.low is not None:
             gain = again.apr_by_sample - last.apr_by_sample
-            reach = student.ppf(0.975, 5) * gain.std(ddof=1) / np.sqrt(6.0)
-            limits = (gain.mean() - reach, gain.mean() + reach)
+            quantile = student.ppf(0.975, 5)
+            spread = gain.std(ddof=1)
+            root = np.sqrt(6.0)
+            reach = quantile * spread / root
+            middle = gain.mean()
+            limits = (middle - reach, middle + reach)
 
             assert (one.low, one.high) == pytest.approx(limits) or np.ptp(gain) == 0.0
 
@@ -319,13 +369,21 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
     def placed(plan, **how):
         """The same rows in each round, of candidates that each round makes anew."""
         found = real(plan, **how)
-        chosen.append(pipeline.pick_layout(plan.candidates, [0, 7], "found"))
+        layout = pipeline.pick_layout(plan.candidates, [0, 7], "found")
+        chosen.append(layout)
         return replace(found, layout=chosen[-1], preferred=None)
 
     monkeypatch.setattr(growing, "place", placed)
-    question = replace(SMALL, within="", heights="6.5", yaw_step_deg=120.0)
+    question = replace(
+        SMALL,
+        within="",
+        heights="6.5",
+        yaw_step_deg=120.0,
+    )
 
-    growth = grow(question, compute=Compute(workers=2, seed=3)).growth
+    compute = Compute(workers=2, seed=3)
+    grown = grow(question, compute=compute)
+    growth = grown.growth
     first, second = chosen
 
     assert "/" not in first.units[0].id  # one of the grid
@@ -339,7 +397,8 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
     seconds.
     """
     units = load_carlancap_layout().units
-    rounds = iter(range(len(aprs)))
+    numbers = range(len(aprs))
+    rounds = iter(numbers)
     clock = SimpleNamespace(now_s=0.0)
     real = place
     judge = Assembly.in_fresh_worlds
@@ -348,13 +407,18 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
         number = next(rounds)
         if error is not None and number:
             raise error
+
         found = real(plan, **how)
         clock.now_s += seconds
-        return changed(found, "layout.units", units[number : number + 1])
+        unit_there = units[number : number + 1]
+        return changed(found, "layout.units", unit_there)
 
     def judged(self, layouts, **how):
         (one,) = judge(self, layouts, **how | {"n_worlds": 4})
-        return [replace(one, apr_by_sample=aprs[units.index(one.layout.units[0])])]
+        unit = one.layout.units[0]
+        index = units.index(unit)
+        judged_one = replace(one, apr_by_sample=aprs[index])
+        return [judged_one]
 
     monkeypatch.setattr(growing, "SIZES", sizes)
     monkeypatch.setattr(growing, "place", placed)
@@ -385,11 +449,12 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
     monkeypatch, aprs, seconds, taken, stopped
 ):
     found = scripted(monkeypatch, aprs, seconds=seconds)
+    last_world = found.placement.problem.sample_index.max()
 
     assert found.growth.taken == taken
     assert found.growth.stopped == stopped
     assert found.assembly.n_samples == taken
-    assert found.placement.problem.sample_index.max() + 1 == taken
+    assert last_world + 1 == taken
 
 
 @pytest.mark.long
@@ -399,7 +464,8 @@ def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
     assert found.growth.taken == 2
     assert found.growth.stopped == "most"
 
-    found = scripted(monkeypatch, [LOW, HIGH], error=InputError("memory", "8", "less"))
+    error = InputError("memory", "8", "less")
+    found = scripted(monkeypatch, [LOW, HIGH], error=error)
 
     assert found.growth.taken == 1
     assert found.growth.stopped == "memory"

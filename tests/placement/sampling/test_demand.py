@@ -101,6 +101,7 @@ def test_what_is_wrong_with_a_demand_is_one_clear_line(tmp_path, old, new, messa
 
     with pytest.raises(InputError) as caught:
         load_demand(path)
+
     refusal = str(caught.value)
 
     assert message in refusal

@@ -58,36 +58,51 @@ def _noise_at(run, place, key, correlation):
 def test_random_bits_are_those_of_splitmix64():
     """Numbers of the reference implementation: Vigna, splitmix64.c, seed 1234567."""
     expected = [6457827717110365317, 3203168211198807973, 9817491932198370423]
-    assert [int(random_bits(np.uint64(1234567), n)) for n in range(3)] == expected
+    found = [int(random_bits(np.uint64(1234567), n)) for n in range(3)]
+    assert found == expected
 
 
 @pytest.mark.long
 def test_fresh_noise_is_standard_normal_also_in_its_tails():
     n = 2_000_000
-    noise = _noise(2 * np.arange(n), 0.0, 3)
+    cells = np.arange(n)
+    noise = _noise(2 * cells, 0.0, 3)
 
     assert kstest(noise, "norm").pvalue > 0.001
 
     for limit in (2.0, 3.0, 3.5, 4.0):  # the ziggurat's own tail begins at 3.44
         for tail in (noise > limit, noise < -limit):
             expected = n * norm.sf(limit)
-            assert tail.sum() == pytest.approx(expected, abs=4.5 * np.sqrt(expected))
+            n_tail = tail.sum()
+            deviation = np.sqrt(expected)
 
-    assert abs(np.corrcoef(noise[:-1], noise[1:])[0, 1]) < 0.004
+            assert n_tail == pytest.approx(expected, abs=4.5 * deviation)
+
+    correlation_found = np.corrcoef(noise[:-1], noise[1:])
+
+    assert abs(correlation_found[0, 1]) < 0.004
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.3, 0.97, 1.0])
 def test_linked_noise_is_what_a_recursive_filter_makes_of_fresh_noise(correlation):
-    frames = np.concatenate([start + np.arange(30) for start in range(0, 217, 31)])
-    fresh = _noise(frames, 0.0, 6).reshape(7, 30)
-    linked = _noise(frames, correlation, 6).reshape(7, 30)
+    frames_of_runs = [start + np.arange(30) for start in range(0, 217, 31)]
+    frames = np.concatenate(frames_of_runs)
+    fresh_noise = _noise(frames, 0.0, 6)
+    fresh = fresh_noise.reshape(7, 30)
+    linked_noise = _noise(frames, correlation, 6)
+    linked = linked_noise.reshape(7, 30)
     step = np.sqrt(1.0 - correlation**2)
 
     for run, noise in zip(fresh, linked, strict=True):
         assert noise[0] == run[0]
 
         start = [correlation * run[0]]
-        expected, _ = lfilter([step], [1.0, -correlation], run[1:], zi=start)
+        expected, _ = lfilter(
+            [step],
+            [1.0, -correlation],
+            run[1:],
+            zi=start,
+        )
 
         assert noise[1:] == pytest.approx(expected, abs=1e-12)
 
@@ -112,10 +127,23 @@ def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed)
     nothing = np.zeros(n)
     own = np.array([0.0, 1.0])
 
-    draw_frames(limit, weather, entry, *where, key, 0.6, nothing, key, own, packed)
+    draw_frames(
+        limit,
+        weather,
+        entry,
+        *where,
+        key,
+        0.6,
+        nothing,
+        key,
+        own,
+        packed,
+    )
     noise = _noise_at(*where, key, 0.6)
-    expected = (entry >= 0) & (noise < limit[weather, entry])
-    drawn = np.unpackbits(packed, count=n, bitorder="little").astype(bool)
+    is_below = noise < limit[weather, entry]
+    expected = (entry >= 0) & is_below
+    unpacked = np.unpackbits(packed, count=n, bitorder="little")
+    drawn = unpacked.astype(bool)
 
     assert np.array_equal(drawn, expected)
 
@@ -123,10 +151,14 @@ def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed)
 def test_equal_frames_share_their_luck_and_their_order_does_not_matter():
     frames = np.array([0, 1, 2, 10, 11, 0, 1, 2])
     noise = _noise(frames, 0.5, 1)
+    expected = noise[5:].tolist()
+    values = noise.tolist()
+    backwards = _noise(frames[::-1], 0.5, 1)
+    forwards = backwards[::-1].tolist()
 
-    assert noise[:3].tolist() == noise[5:].tolist()
-    assert len(set(noise.tolist())) == 5
-    assert _noise(frames[::-1], 0.5, 1)[::-1].tolist() == noise.tolist()
+    assert noise[:3].tolist() == expected
+    assert len(set(values)) == 5
+    assert forwards == noise.tolist()
 
 
 # Tables drawn frame by frame
@@ -157,12 +189,21 @@ def watched(junction_scene, standing_still, build_setting, response, look):
         (run, replace(run, id="in fog", weather="fog")),
         table_detector=replace(response, frame_correlation=0.0),
     )
-    lidar = next(iter(load_lidars().values()))
+    lidars = iter(load_lidars().values())
+    lidar = next(lidars)
     far = [
         look(f"{x}", [x, -1.0, 6.0], yaw_deg=0.0, pitch_deg=-5.0)
         for x in (-28.0, -38.0)
     ]
-    return setting, (*far, look("lidar", [-8.0, -1.0, 1.5], yaw_deg=0.0, sensor=lidar))
+    return setting, (
+        *far,
+        look(
+            "lidar",
+            [-8.0, -1.0, 1.5],
+            yaw_deg=0.0,
+            sensor=lidar,
+        ),
+    )
 
 
 def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watched):
@@ -182,13 +223,17 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
 
     assert np.array_equal(alone.packed, first.packed)
 
-    cameras = other.detected(slice(None))[:2]
+    detected = other.detected(slice(None))
+    cameras = detected[:2]
+    differs = (cameras != drawn[:2]).mean()
 
-    assert 0.2 < (cameras != drawn[:2]).mean() < 0.6  # other coins
+    assert 0.2 < differs < 0.6  # other coins
+
     # Of the same kind.
     expected = drawn[:2].mean()
+    share = cameras.mean()
 
-    assert cameras.mean() == pytest.approx(expected, abs=0.03)
+    assert share == pytest.approx(expected, abs=0.03)
 
     for row, pose in enumerate(poses[:2]):
         for index, run in enumerate(setting.runs):
@@ -205,14 +250,16 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
                 setting.scene, [replace(run, **one_frame)]
             )
 
-            evidence = perceive_frames(surroundings, (pose.pose, pose.sensor))
+            mount = (pose.pose, pose.sensor)
+            evidence = perceive_frames(surroundings, mount)
             (likely,) = setting.table_detector.probability(
                 replace(
                     evidence,
                     contrast=surroundings.contrast(evidence_distance(pose, run)),
                 )
             )
-            often = drawn[row, setting.axis.frames_of(index)].mean()
+            frames = setting.axis.frames_of(index)
+            often = drawn[row, frames].mean()
 
             # 1200 coins, and points instead of pixels.
             assert often == pytest.approx(likely, abs=0.05)
@@ -228,17 +275,24 @@ def evidence_distance(pose, run):
 
 def test_in_fog_less_is_detected_of_the_same_frames(watched):
     setting, poses = watched
-    table = table_of_world(first_world(setting, poses, DRAWN))
-    day = table.detected(slice(None))[:, setting.axis.frames_of(0)]
-    fog = table.detected(slice(None))[:, setting.axis.frames_of(1)]
+    world = first_world(setting, poses, DRAWN)
+    table = table_of_world(world)
+    detected = table.detected(slice(None))
+    by_day = setting.axis.frames_of(0)
+    day = detected[:, by_day]
+    in_fog = setting.axis.frames_of(1)
+    fog = detected[:, in_fog]
+    n_in_fog = fog[0].sum()
+    n_by_day = day[0].sum()
 
     assert not (fog & ~day).any()
-    assert fog[0].sum() < day[0].sum()
+    assert n_in_fog < n_by_day
 
 
 def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
     setting, poses = watched
-    twins = (poses[0], replace(poses[0], id="again"), poses[1])
+    twin = replace(poses[0], id="again")
+    twins = (poses[0], twin, poses[1])
 
     def draw(seed, which=twins):
         return table_of_world(
@@ -246,24 +300,30 @@ def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
         ).detected(slice(None))
 
     first = draw(0)
+    is_same = np.array_equal(first[0], first[2])
+    alone = draw(0, twins[2:])
+    is_same_again = np.array_equal(draw(1)[0], first[0])
 
     assert np.array_equal(first[0], first[1])  # the same pose under another name
-    assert not np.array_equal(first[0], first[2])
-    assert np.array_equal(draw(0, twins[2:])[0], first[2])
-    assert not np.array_equal(draw(1)[0], first[0])
+    assert not is_same
+    assert np.array_equal(alone[0], first[2])
+    assert not is_same_again
 
     worlds = [
         table_of_world(sample).detected(slice(None))[0]
         for sample in draw_samples(setting, twins[:1], DRAWN, n_samples=2, seed=0)
     ]
+    is_same_world = np.array_equal(worlds[0], worlds[1])
 
     assert np.array_equal(worlds[0], first[0])
-    assert not np.array_equal(worlds[0], worlds[1])
+    assert not is_same_world
 
 
 def test_a_lidar_counts_the_points_that_it_may_expect(watched):
     setting, poses = watched
-    drawn = table_of_world(first_world(setting, poses, DRAWN)).detected([2])
+    world = first_world(setting, poses, DRAWN)
+    table = table_of_world(world)
+    drawn = table.detected([2])
     planned = table_of_world(
         first_world(setting, poses, Uncertainty()), seed=0
     ).detected([2])
@@ -273,7 +333,9 @@ def test_a_lidar_counts_the_points_that_it_may_expect(watched):
 
 
 def test_nothing_is_drawn_of_a_detector_that_looks_at_boxes(setting, candidates):
-    drawn = table_of_world(first_world(setting, candidates, DRAWN)).packed
+    world = first_world(setting, candidates, DRAWN)
+    table = table_of_world(world)
+    drawn = table.packed
     planned = table_of_world(
         first_world(setting, candidates, Uncertainty()), seed=0
     ).packed
@@ -298,9 +360,10 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
     assert tables[0].any()
 
     stage = "sampled detection tables"
+    expected = [(stage, 1, 2), (stage, 2, 2)] * 2
 
     # Mount positions of the first world.
-    assert calls == [(stage, 1, 2), (stage, 2, 2)] * 2
+    assert calls == expected
 
 
 # Messages
@@ -308,14 +371,20 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
 
 def test_the_same_messages_are_lost_in_all_weathers(watched):
     setting, poses = watched
-    sample = first_world(setting, poses, Uncertainty(packet_loss=0.5))
+    uncertainty = Uncertainty(packet_loss=0.5)
+    sample = first_world(setting, poses, uncertainty)
+
     every = pack_table(
         tuple(p.id for p in poses),
         setting.axis,
         np.ones((3, setting.axis.n_frames), dtype=bool),
     )
-    day = silence(sample, every).detected(slice(None))[:, setting.axis.frames_of(0)]
+    silent = silence(sample, every)
+    heard = silent.detected(slice(None))
+    by_day = setting.axis.frames_of(0)
+    day = heard[:, by_day]
 
-    fog = silence(sample, every).detected(slice(None))[:, setting.axis.frames_of(1)]
+    in_fog = setting.axis.frames_of(1)
+    fog = heard[:, in_fog]
 
     assert np.array_equal(day, fog)

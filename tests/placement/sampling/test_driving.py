@@ -17,6 +17,7 @@ def test_every_source_of_moving_traffic_loads(name):
 def test_an_unknown_source_is_refused(source):
     with pytest.raises(InputError) as caught:
         load_traffic(source, load_study_scene())
+
     refusal = str(caught.value)
 
     assert refusal.endswith("; expected sumo, or a .toml file of demand for it")

@@ -92,9 +92,10 @@ def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
         (shape,) = kind.actor.shapes
         mesh = trimesh.Trimesh(shape.vertices_m, shape.triangles, process=False)
         size = [kind.actor.length_m, kind.actor.width_m, kind.actor.height_m]
+        expected = np.prod(size)
 
         assert mesh.is_watertight
-        assert mesh.volume == pytest.approx(np.prod(size))
+        assert mesh.volume == pytest.approx(expected)
         assert np.ptp(shape.vertices_m, axis=0) == pytest.approx(size)
         assert shape.vertices_m[:, 2].min() == 0.0
         assert shape.vertices_m[:, :2].mean(axis=0) == pytest.approx([0.0, 0.0])
@@ -145,10 +146,12 @@ def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
 )
 def test_what_is_wrong_with_a_file_is_said_with_its_place(write, change, message):
     assert change[0] in WHOLE
+
     path = write(WHOLE.replace(*change))
 
     with pytest.raises(InputError) as caught:
         load_uncertainty(path)
+
     assert str(caught.value).startswith(message)
 
 

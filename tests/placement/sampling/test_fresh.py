@@ -26,7 +26,12 @@ from placement.sampling.worlds import draw_samples
 
 def out_of_sample(setting, layout, uncertainty, **options):
     """One layout judged."""
-    (judged,) = out_of_sample_layouts(setting, [layout], uncertainty, **options)
+    (judged,) = out_of_sample_layouts(
+        setting,
+        [layout],
+        uncertainty,
+        **options,
+    )
     return judged
 
 
@@ -79,7 +84,12 @@ def test_without_uncertainty_every_world_is_the_plan(setting, layouts):
     plan = table_of(setting, layouts[0].units)
     avoided = _avoided_by_hand(plan, axis, axis.last_brake_time_s)
 
-    result = out_of_sample(setting, layouts[0], Uncertainty(), n_samples=2)
+    result = out_of_sample(
+        setting,
+        layouts[0],
+        Uncertainty(),
+        n_samples=2,
+    )
 
     expected = np.full(2, axis.weight @ avoided)
 
@@ -143,8 +153,16 @@ def test_layouts_are_judged_in_the_same_worlds_alone_or_together(
     two_workers = Compute(workers=2)
 
     for layout, together in zip(layouts, judged, strict=True):
-        alone = out_of_sample(setting, layout, LOSSY, n_samples=12, compute=two_workers)
-        assert alone.apr_by_sample.tolist() == together.apr_by_sample.tolist()
+        alone = out_of_sample(
+            setting,
+            layout,
+            LOSSY,
+            n_samples=12,
+            compute=two_workers,
+        )
+        expected = together.apr_by_sample.tolist()
+
+        assert alone.apr_by_sample.tolist() == expected
         assert alone.layout is layout
 
     both, one, other = judged
@@ -164,10 +182,16 @@ def test_worlds_looked_at_in_parts_are_the_same_worlds(setting, layouts, judged)
             (9, 3),
         )
     ]
-    together = judge_layouts(setting, layouts, LOSSY, join_worlds(parts))
+    together = judge_layouts(
+        setting,
+        layouts,
+        LOSSY,
+        join_worlds(parts),
+    )
 
     for item, same in zip(together, judged, strict=True):
-        assert item.apr_by_sample.tolist() == same.apr_by_sample.tolist()
+        expected = same.apr_by_sample.tolist()
+        assert item.apr_by_sample.tolist() == expected
         assert item.avoided_share == pytest.approx(same.avoided_share)
 
 
@@ -180,9 +204,11 @@ def _with_units(layout, **changes):
 def test_a_name_is_not_luck(setting, layouts, judged):
     units = [replace(unit, id=f"U{n}") for n, unit in enumerate(layouts[0].units)]
     renamed = replace(layouts[0], units=tuple(units))
-    again = out_of_sample(setting, renamed, LOSSY, n_samples=12)
 
-    assert again.apr_by_sample.tolist() == judged[0].apr_by_sample.tolist()
+    again = out_of_sample(setting, renamed, LOSSY, n_samples=12)
+    expected = judged[0].apr_by_sample.tolist()
+
+    assert again.apr_by_sample.tolist() == expected
 
 
 def test_numbers_of_a_judgement_belong_together(setting, judged):
@@ -204,7 +230,13 @@ def test_alone_a_unit_confirms_no_more_than_all_together(setting, layouts, judge
     both, one, other = judged
     better = np.maximum(one.apr_by_sample, other.apr_by_sample)
 
-    single = out_of_sample(setting, layouts[0], LOSSY, n_samples=12, fusion="single")
+    single = out_of_sample(
+        setting,
+        layouts[0],
+        LOSSY,
+        n_samples=12,
+        fusion="single",
+    )
 
     assert (single.apr_by_sample <= both.apr_by_sample + 1e-12).all()
     assert (single.apr_by_sample >= better).all()
@@ -223,6 +255,7 @@ def test_a_units_own_latency_counts(setting, layouts):
 def test_cars_that_see_are_judged_without_units_too(setting, layouts, dirty_share):
     seeing = replace(setting, cars=1.0)
     uncertainty = replace(LOSSY, blinding=Blinding(dirty_share=dirty_share))
+
     slow = _with_units(layouts[1], latency_s=60.0)
 
     quick, late = out_of_sample_layouts(
@@ -248,18 +281,26 @@ def test_progress_counts_worlds(setting, layouts):
         calls.append(call)
 
     compute = Compute(progress=told)
-    out_of_sample(setting, layouts[1], Uncertainty(), n_samples=2, compute=compute)
+    out_of_sample(
+        setting,
+        layouts[1],
+        Uncertainty(),
+        n_samples=2,
+        compute=compute,
+    )
+    expected = [("out of sample", done, 2) for done in (0, 1, 2)]
 
-    assert calls == [("out of sample", done, 2) for done in (0, 1, 2)]
+    assert calls == expected
 
 
 def test_a_judgement_must_fit_its_runs(setting, layouts):
+    avoided_share = np.ones(setting.axis.n_runs + 1)
     with pytest.raises(InputError, match="avoided_share"):
         SampledApr(
             layout=layouts[0],
             axis=setting.axis,
             apr_by_sample=np.ones(3),
-            avoided_share=np.ones(setting.axis.n_runs + 1),
+            avoided_share=avoided_share,
         )
 
 

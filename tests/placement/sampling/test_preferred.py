@@ -39,7 +39,8 @@ def asked(setting, candidates, monkeypatch):
         monkeypatch.setattr(
             pipeline, "solve_greedy", lambda problem, reduced: (greedy,)
         )
-        told = dict(zip(("found", "greedy"), fresh, strict=True))
+        pairs = zip(("found", "greedy"), fresh, strict=True)
+        told = dict(pairs)
 
         def judged(self, layouts, **how):
             return [
@@ -71,7 +72,8 @@ def asked(setting, candidates, monkeypatch):
 
 def values_of(assembly):
     """APR of each row alone."""
-    return [apr(assembly.problem, [row]) for row in range(len(assembly.candidates))]
+    n_poses = len(assembly.candidates)
+    return [apr(assembly.problem, [row]) for row in range(n_poses)]
 
 
 @pytest.mark.long
@@ -80,11 +82,13 @@ def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
     values = values_of(asked(greedy=0))
     greedy = int(np.argmin(values))
 
-    found = place(asked(greedy=greedy), asks_worlds=True)
+    question = asked(greedy=greedy)
+    found = place(question, asks_worlds=True)
+    names = [one.layout.name for one in found.preferred]
 
     assert values[before.pose_index[0]] == max(values)
     assert found.pose_index == (greedy,)
-    assert [one.layout.name for one in found.preferred] == ["greedy", "found"]
+    assert names == ["greedy", "found"]
 
     stage, *others = found.certificate.stages
 
@@ -92,14 +96,18 @@ def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
     assert stage.bound == pytest.approx(max(values))
     assert not found.is_proven
 
-    for one, other in zip(others, before.certificate.stages[1:], strict=True):
+    later = before.certificate.stages[1:]
+    for one, other in zip(others, later, strict=True):
         assert one.name == other.name
         is_cost = one.name == "cost_eur"
         assert (one.bound <= one.objective) if is_cost else (one.bound >= one.objective)
 
-    expected = asked(greedy=0).candidates[greedy].pose
+    question_of_first = asked(greedy=0)
+    candidate = question_of_first.candidates[greedy]
+    expected = candidate.pose
+    unit = found.layout.units[0]
 
-    assert found.layout.units[0].pose == expected
+    assert unit.pose == expected
     assert found.nominal.table.n_poses == 1
 
 
@@ -118,8 +126,11 @@ def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
 def test_what_was_found_stays_where_worlds_do_not_prefer_another(
     asked, changed, is_asked
 ):
-    last = int(np.argmin(values_of(asked(greedy=0))))
-    plain = place(asked(greedy=last, **changed))
+    values = values_of(asked(greedy=0))
+    worst = np.argmin(values)
+    last = int(worst)
+    question = asked(greedy=last, **changed)
+    plain = place(question)
     found = asked(greedy=last, **changed)
 
     found = place(found, asks_worlds=True)
@@ -127,8 +138,9 @@ def test_what_was_found_stays_where_worlds_do_not_prefer_another(
     assert found.pose_index == plain.pose_index
 
     expected = [stage.bound for stage in plain.certificate.stages]
+    bounds = [stage.bound for stage in found.certificate.stages]
 
-    assert [stage.bound for stage in found.certificate.stages] == expected
+    assert bounds == expected
     assert (found.preferred is not None) == is_asked
     assert plain.preferred is None
 
@@ -145,9 +157,11 @@ def test_the_plan_is_overruled_where_it_cannot_tell_or_detections_are_drawn(
     asked, chance, takes_worse
 ):
     asked_of = {"n_samples": 0, **chance}
-    values = values_of(asked(greedy=0, **asked_of))
+    question = asked(greedy=0, **asked_of)
+    values = values_of(question)
 
-    best = place(asked(greedy=0, **asked_of)).pose_index[0]
+    placed = place(question)
+    best = placed.pose_index[0]
     as_good = [
         row for row, value in enumerate(values) if value == values[best] and row != best
     ]
@@ -157,7 +171,8 @@ def test_the_plan_is_overruled_where_it_cannot_tell_or_detections_are_drawn(
         (as_good[0], True),
         (worse[0], takes_worse),
     ):
-        found = place(asked(greedy=row, **asked_of), asks_worlds=True)
+        other_question = asked(greedy=row, **asked_of)
+        found = place(other_question, asks_worlds=True)
 
         assert found.pose_index == ((row,) if is_taken else (best,))
         assert (found.preferred is not None) == is_taken
@@ -176,7 +191,8 @@ def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
     response = {"n_samples": 0, "detector": load_planning_detector("response")}
     build = asked(greedy=0, **response)
     two = Wishes(budget_units=2, give_up=0.0)
-    pairs = [*combinations(range(len(build.candidates)), 2)]
+    n_poses = len(build.candidates)
+    pairs = [*combinations(range(n_poses), 2)]
 
     values = {pair: apr(replace(build, wishes=two).problem, pair) for pair in pairs}
     highest = max(values.values())
@@ -192,7 +208,8 @@ def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
     else:
         give_up = 0.5 * lost
 
-    plan = replace(build, wishes=replace(two, give_up=give_up))
+    wishes = replace(two, give_up=give_up)
+    plan = replace(build, wishes=wishes)
     found = place(plan, asks_worlds=True)
     if place(plan).pose_index == greedy:
         pytest.fail("the worst pair bears failures best: nothing is compared")
@@ -200,7 +217,8 @@ def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
     assert found.pose_index == greedy
     assert (found.highest is None) == (loses == "much")
 
-    stage = {one.name: one for one in found.certificate.stages}["apr"]
+    by_name = {one.name: one for one in found.certificate.stages}
+    stage = by_name["apr"]
 
     assert stage.objective == pytest.approx(lowest)
     assert stage.bound >= lowest

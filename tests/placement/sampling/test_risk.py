@@ -22,19 +22,27 @@ def test_cvar_is_the_mean_of_the_worst_of_many_equal_parts(samples, a, b):
     # Of one sample, n_samples * of parts; the tail is count / of.
     n_parts = len(samples) * of
     tail_parts = count * len(samples) * len(samples)
-    parts = np.sort(np.repeat(samples, n_parts))
-    expected = parts[: max(tail_parts, n_parts)].mean()
+    repeated = np.repeat(samples, n_parts)
+    parts = np.sort(repeated)
+    n_worst = max(tail_parts, n_parts)
+    worst = parts[:n_worst]
+    expected = worst.mean()
+    found = cvar(samples, count / of)
 
-    assert cvar(samples, count / of) == pytest.approx(expected, abs=1e-9)
+    assert found == pytest.approx(expected, abs=1e-9)
 
 
 @given(shares, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_cvar_grows_with_the_tail_from_the_worst_to_the_mean(samples, a, b):
     small, large = sorted((a, b))
+    expected = np.mean(samples)
+    of_small = cvar(samples, small)
+    of_large = cvar(samples, large)
+    whole = cvar(samples, 1.0)
 
-    assert cvar(samples, small) <= cvar(samples, large) + 1e-12
+    assert of_small <= of_large + 1e-12
     assert cvar(samples, 0.0) == min(samples)
-    assert cvar(samples, 1.0) == pytest.approx(np.mean(samples))
+    assert whole == pytest.approx(expected)
 
 
 def test_nothing_has_no_mean():
@@ -88,8 +96,10 @@ def test_the_interval_holds_the_mean_where_most_samples_are_equal():
         estimate_mean(1.0 - 0.8 * (rng.random(20) < 0.02)) for _ in range(1500)
     ]
     truth = 1.0 - 0.8 * 0.02
+    is_within = [e.low <= truth <= e.high for e in estimates]
+    coverage = np.mean(is_within)
 
-    assert np.mean([e.low <= truth <= e.high for e in estimates]) >= 0.95
+    assert coverage >= 0.95
 
     by_t_alone = [e.low <= truth <= e.high for e in estimates if "Student" in e.method]
 
@@ -118,12 +128,16 @@ def test_the_error_of_a_tail_is_that_of_fresh_worlds():
     assert resampled.shape == (2, 1000)
 
     fresh = [cvar(rng.beta(20.0, 2.0, size=80), 0.25) for _ in range(2000)]
+    resampled_error = resampled[0].std()
+    spread = np.std(fresh)
 
-    assert resampled[0].std() == pytest.approx(np.std(fresh), rel=0.35)
+    assert resampled_error == pytest.approx(spread, rel=0.35)
 
     # Both layouts have the same worlds: one that is always better is so in every draw.
-    better = resampled_cvar([samples[0] + 0.0, samples[0] - 0.01], 0.25)
+    shifted = [samples[0] + 0.0, samples[0] - 0.01]
+    better = resampled_cvar(shifted, 0.25)
 
     expected = np.full(1000, 0.01)
+    difference = better[0] - better[1]
 
-    assert better[0] - better[1] == pytest.approx(expected)
+    assert difference == pytest.approx(expected)

@@ -30,7 +30,12 @@ from scenarios.obstructions import is_way_free
 from scenarios.runs import build_runs
 
 MPS_PER_KMH = 1.0 / 3.6
-CASES = {"CPNA-25": 40.0, "CBNA-50": 30.0, "CPTAfs-50": 15.0, "CBLA-50": 45.0}
+CASES = {
+    "CPNA-25": 40.0,
+    "CBNA-50": 30.0,
+    "CPTAfs-50": 15.0,
+    "CBLA-50": 45.0,
+}
 ROBUSTNESS = load_uncertainty("robustness").road_users
 STRAIGHT = replace(ROBUSTNESS, heading_deg={}, path_m={})  # on the planned way
 SCENE = load_study_scene()
@@ -66,7 +71,13 @@ def _run_of(laid, case):
 
 def _drawn(rule, runs, users, index=0):
     """The runs with road users that are drawn anew."""
-    drawn, _ = draw_road_users(runs, users, rule, _streams(index).rng, SCENE)
+    drawn, _ = draw_road_users(
+        runs,
+        users,
+        rule,
+        _streams(index).rng,
+        SCENE,
+    )
     return drawn
 
 
@@ -112,7 +123,12 @@ def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
             for name in (f"{body}_position_m", f"{body}_yaw_deg"):
                 found = getattr(changed, name)[-n:][moves]
                 expected = getattr(anew, name)[-n:][moves]
-                assert_allclose(found, expected, atol=2e-5, err_msg=run.id)
+                assert_allclose(
+                    found,
+                    expected,
+                    atol=2e-5,
+                    err_msg=run.id,
+                )
 
         last_s = changed.last_brake_time_s
 
@@ -180,10 +196,11 @@ def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, a
         shifted_m = there_m + aside_m * np.array([-np.sin(angle), np.cos(angle)])
         planned, planned_yaw = motion.path.at(distances_m)
         positions, yaws = path.at(distances_m)
+        expected = np.hypot(*(planned - there_m).T)
 
         assert_allclose(
             np.hypot(*(positions - shifted_m).T),
-            np.hypot(*(planned - there_m).T),
+            expected,
             atol=1e-6,
         )
         assert_allclose(path.at(whole_m)[0], shifted_m, atol=1e-9)
@@ -278,7 +295,13 @@ def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
 @pytest.mark.long
 def test_the_same_seed_draws_the_same_and_a_run_not_by_the_others(laid, rule):
     def speeds(runs, streams):
-        drawn, _ = draw_road_users(runs, ROBUSTNESS, rule, streams.rng, SCENE)
+        drawn, _ = draw_road_users(
+            runs,
+            ROBUSTNESS,
+            rule,
+            streams.rng,
+            SCENE,
+        )
         return [run.encounter.vru_motion.speed_mps for run in drawn]
 
     first = speeds(laid, _streams())
@@ -457,6 +480,7 @@ def test_who_starts_faster_is_at_the_impact_in_the_same_moment(laid, rule):
 
     assert quick.acceleration_distance_m == pytest.approx(speed_mps**2 / 4.0)
     assert quick.acceleration_mps2 == pytest.approx(2.0)
+
     expected = float(run.encounter.vru_motion.distance_m(0.0))
 
     assert quick.distance_m(0.0) == pytest.approx(expected, abs=1e-6)
@@ -485,6 +509,7 @@ def test_people_that_cannot_be_are_told_in_one_line(tmp_path, text, message):
 
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
+
     refusal = str(caught.value)
 
     assert message in refusal

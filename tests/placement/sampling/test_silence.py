@@ -33,7 +33,8 @@ N_FRAMES = 6
 def many(setting, build_setting):
     """So many short runs, by day."""
     (run, *_) = setting.runs
-    short = cut_run(run, slice(-N_FRAMES, None))
+    last_frames = slice(-N_FRAMES, None)
+    short = cut_run(run, last_frames)
     runs = [
         replace(short, id=f"{number}", encounter=replace(run.encounter))
         for number in range(N_RUNS)
@@ -44,11 +45,18 @@ def many(setting, build_setting):
 @pytest.fixture(scope="module")
 def poses(look):
     """Two cameras and a LiDAR at one pole, and a camera at each of two others."""
-    east = look("east", [-130.0, 8.85, 6.8], yaw_deg=0.0, pitch_deg=-15.0, site_id="a")
+    east = look(
+        "east",
+        [-130.0, 8.85, 6.8],
+        yaw_deg=0.0,
+        pitch_deg=-15.0,
+        site_id="a",
+    )
     away = changed(east, "pose.position_m", [0.0, 0.0, 6.0])
     west = changed(east, "pose.yaw_deg", 180.0)
     steep = changed(away, "pose.pitch_deg", -60.0)
-    lidar = next(iter(load_lidars().values()))
+    lidars = iter(load_lidars().values())
+    lidar = next(lidars)
     return (
         east,
         replace(west, id="west"),
@@ -60,16 +68,23 @@ def poses(look):
 
 def told(setting, poses, uncertainty, *, draw=0):
     """Frames that reach the VUT of all, (n_poses, n_runs, n_frames)."""
-    sample = changed(first_world(setting, poses, uncertainty), "streams.draw", draw)
+    world = first_world(setting, poses, uncertainty)
+    sample = changed(world, "streams.draw", draw)
     every = np.ones((len(poses), setting.axis.n_frames), dtype=bool)
-    table = pack_table(tuple(pose.id for pose in poses), setting.axis, every)
-    shape = (len(poses), len(setting.runs), -1)
-    return silence(sample, table).detected(slice(None)).reshape(shape)
+    pose_ids = tuple(pose.id for pose in poses)
+    table = pack_table(pose_ids, setting.axis, every)
+    n_runs = len(setting.runs)
+    shape = (len(poses), n_runs, -1)
+    silent = silence(sample, table)
+    heard = silent.detected(slice(None))
+    return heard.reshape(shape)
 
 
 def near(share, n):
     """A share to 4.5 standard errors of n coins."""
-    return pytest.approx(share, abs=4.5 * np.sqrt(share * (1.0 - share) / n))
+    variance = share * (1.0 - share) / n
+    deviation = np.sqrt(variance)
+    return pytest.approx(share, abs=4.5 * deviation)
 
 
 # Units out of order
@@ -79,36 +94,46 @@ def test_a_unit_out_of_order_tells_nothing_for_a_run_and_a_pole_silences_all_its
     many, poses
 ):
     outages = Outages(unit_share=0.1, pole_share=0.2)
-    drawn = told(many, poses, Uncertainty(outages=outages))
+    uncertainty = Uncertainty(outages=outages)
+    drawn = told(many, poses, uncertainty)
+    whole_runs = drawn.all(axis=2)
+    some_frames = drawn.any(axis=2)
 
-    assert np.array_equal(drawn.all(axis=2), drawn.any(axis=2))  # whole runs
+    assert np.array_equal(whole_runs, some_frames)  # whole runs
 
     out = ~drawn[:, :, 0]
-    beside_share = (out[0] & out[1]).mean()
-    apart_share = (out[0] & out[2]).mean()
+    is_out_beside = out[0] & out[1]
+    beside_share = is_out_beside.mean()
+    is_out_apart = out[0] & out[2]
+    apart_share = is_out_apart.mean()
 
     expected = [near(0.28, N_RUNS)] * len(poses)
+    shares = out.mean(axis=1).tolist()
 
-    assert out.mean(axis=1).tolist() == expected
+    assert shares == expected
     # Independent but for the pole: neither, or the pole, or by chance both.
     assert beside_share == near(0.2 + 0.8 * 0.1**2, N_RUNS)
     assert apart_share == near(0.28**2, N_RUNS)
 
 
 def test_outages_are_drawn_anew_each_time_that_a_world_is_looked_at(many, poses):
-    uncertainty = Uncertainty(outages=Outages(unit_share=0.5))
+    outages = Outages(unit_share=0.5)
+    uncertainty = Uncertainty(outages=outages)
     first = told(many, poses, uncertainty, draw=0)
     again = told(many, poses, uncertainty, draw=0)
     other = told(many, poses, uncertainty, draw=1)
+    is_same = first[0, :, 0] == other[0, :, 0]
 
     assert np.array_equal(first, again)
-    assert (first[0, :, 0] == other[0, :, 0]).mean() == near(0.5, N_RUNS)
+    assert is_same.mean() == near(0.5, N_RUNS)
     assert uncertainty.draws_anew
 
 
 def test_poses_that_are_tried_for_one_unit_are_out_of_order_together(many, poses):
-    turned = replace(changed(poses[0], "pose.yaw_deg", 30.0), id="b")
-    uncertainty = Uncertainty(outages=Outages(unit_share=0.5))
+    turned_pose = changed(poses[0], "pose.yaw_deg", 30.0)
+    turned = replace(turned_pose, id="b")
+    outages = Outages(unit_share=0.5)
+    uncertainty = Uncertainty(outages=outages)
 
     one, twin = told(many, (poses[0], turned), uncertainty)
 
@@ -119,20 +144,26 @@ def test_poses_that_are_tried_for_one_unit_are_out_of_order_together(many, poses
 
 
 def test_a_dirty_camera_sees_nothing_for_a_run_and_a_lidar_does_not_mind(many, poses):
-    dirty = Uncertainty(blinding=Blinding(dirty_share=0.3))
+    blinding = Blinding(dirty_share=0.3)
+    dirty = Uncertainty(blinding=blinding)
+    clean = told(many, poses, Uncertainty())
 
-    assert told(many, poses, Uncertainty()).all()
+    assert clean.all()
 
     drawn = told(many, poses, dirty)
+    whole_runs = drawn.all(axis=2)
+    some_frames = drawn.any(axis=2)
 
-    assert np.array_equal(drawn.all(axis=2), drawn.any(axis=2))
+    assert np.array_equal(whole_runs, some_frames)
 
-    seeing = drawn[:, :, 0].mean(axis=1).tolist()
+    share_seeing = drawn[:, :, 0].mean(axis=1)
+    seeing = share_seeing.tolist()
     by_lidar = seeing.pop(3)
+    again = told(many, poses, dirty, draw=1)
 
     assert by_lidar == 1.0
     assert seeing == [near(0.7, N_RUNS)] * len(seeing)
-    assert not np.array_equal(told(many, poses, dirty, draw=1), drawn)
+    assert not np.array_equal(again, drawn)
 
 
 def test_low_sun_dazzles_those_who_look_towards_it(many, poses):
@@ -140,22 +171,30 @@ def test_low_sun_dazzles_those_who_look_towards_it(many, poses):
     sun.
     """
     sun = Blinding(low_sun_share=0.5, sun_below_deg=0.0, dazzled_within_deg=40.0)
-    dazzled = ~told(many, poses, Uncertainty(blinding=sun))[:, :, 0]
-    reach = np.degrees(np.arccos(np.cos(np.radians(40.0)) / np.cos(np.radians(15.0))))
+    blinded = Uncertainty(blinding=sun)
+    seen = told(many, poses, blinded)
+    dazzled = ~seen[:, :, 0]
+    angle = np.radians(40.0)
+    height = np.radians(15.0)
+    ratio = np.cos(angle) / np.cos(height)
+    reach = np.degrees(np.arccos(ratio))
+    expected = near(0.5 * reach / 180.0, N_RUNS)
+    is_both = dazzled[0] & dazzled[1]
 
-    assert dazzled[0].mean() == near(0.5 * reach / 180.0, N_RUNS)
-    assert not (dazzled[0] & dazzled[1]).any()  # they look in opposite ways
+    assert dazzled[0].mean() == expected
+    assert not is_both.any()  # they look in opposite ways
     assert np.array_equal(dazzled[0], dazzled[2])  # one sun for all
     assert not dazzled[3:].any()  # a LiDAR, and who looks down
 
 
 def test_the_sun_shines_by_day_alone(many, poses):
     sun = Blinding(low_sun_share=1.0, sun_below_deg=1.0, dazzled_within_deg=180.0)
-    nights = replace(
-        many, runs=tuple(replace(run, weather="night") for run in many.runs)
-    )
-    by_day = told(many, poses[:1], Uncertainty(blinding=sun))
-    by_night = told(nights, poses[:1], Uncertainty(blinding=sun))
+    runs = tuple(replace(run, weather="night") for run in many.runs)
+    nights = replace(many, runs=runs)
+
+    dazzling = Uncertainty(blinding=sun)
+    by_day = told(many, poses[:1], dazzling)
+    by_night = told(nights, poses[:1], dazzling)
 
     assert not by_day.any()
     assert by_night.all()
@@ -166,45 +205,61 @@ def test_the_vut_is_dazzled_by_the_same_sun_and_each_is_another_car(many, poses)
     sun = Blinding(low_sun_share=1.0, sun_below_deg=0.0, dazzled_within_deg=60.0)
 
     def blinded(blinding, setting=many):
-        sample = first_world(setting, poses[:1], Uncertainty(blinding=blinding))
+        uncertainty = Uncertainty(blinding=blinding)
+        sample = first_world(setting, poses[:1], uncertainty)
         return blinded_frames(sample).reshape(N_RUNS, N_FRAMES)
 
-    assert blinded(dirt)[:, 0].mean() == near(0.3, N_RUNS)
+    dirty_share = blinded(dirt)[:, 0].mean()
+
+    assert dirty_share == near(0.3, N_RUNS)
 
     (yaw_deg,) = {run.vut_yaw_deg[0] for run in many.runs}
     ahead = replace(poses[0].pose, yaw_deg=yaw_deg, pitch_deg=0.0)
     as_the_vut = replace(poses[0], pose=ahead)
-    dazzled = ~told(many, [as_the_vut], Uncertainty(blinding=sun))[0]
+    dazzling = Uncertainty(blinding=sun)
+    seen = told(many, [as_the_vut], dazzling)
+    dazzled = ~seen[0]
+    expected = near(1.0 / 3.0, N_RUNS)
+    other_sensors = replace(many, vut_sensors=("camera", "lidar"))
+    is_blinded = blinded(sun, other_sensors)
 
     assert np.array_equal(blinded(sun), dazzled)
-    assert dazzled.mean() == near(1.0 / 3.0, N_RUNS)
-    assert not blinded(sun, replace(many, vut_sensors=("camera", "lidar"))).any()
+    assert dazzled.mean() == expected
+    assert not is_blinded.any()
 
 
 # Lost messages
 
 
 def test_single_losses_are_a_coin_per_frame_as_without_bursts():
-    run = np.repeat(10 * np.arange(500), 8)
-    place = np.tile(np.arange(8), 500)
+    rounds = np.arange(500)
+    run = np.repeat(10 * rounds, 8)
+    places = np.arange(8)
+    place = np.tile(places, 500)
     key = np.uint64(7)
     packed = np.full(500, 255, dtype=np.uint8)
     lose_frames(run, place, key, 0.3, np.uint64(8), 1.0, packed)
 
-    coins = np.array([int(random_bits(key, int(n))) >> 12 for n in run + place])
-    arrived = np.unpackbits(packed, bitorder="little").astype(bool)
+    bits = [int(random_bits(key, int(n))) >> 12 for n in run + place]
+    coins = np.array(bits)
+    unpacked = np.unpackbits(packed, bitorder="little")
+    arrived = unpacked.astype(bool)
+    uniform = (coins + 0.5) / 2.0**52
 
-    assert np.array_equal(arrived, (coins + 0.5) / 2.0**52 >= 0.3)
+    assert np.array_equal(arrived, uniform >= 0.3)
 
 
 def test_bursts_leave_the_share_of_losses_and_link_consecutive_frames(many, poses):
     """The chain's correlation is (1 - 1 / length)^distance."""
-    lost = ~told(many, poses, Uncertainty(packet_loss=0.3, burst_frames=3.0))
+    bursts = Uncertainty(packet_loss=0.3, burst_frames=3.0)
+    arrived = told(many, poses, bursts)
+    lost = ~arrived
 
     assert lost.mean() == pytest.approx(0.3, abs=0.02)
 
     columns = np.corrcoef(lost[0].T)
-    apart = np.abs(np.subtract.outer(np.arange(N_FRAMES), np.arange(N_FRAMES)))
+    frames = np.arange(N_FRAMES)
+    apart = np.abs(np.subtract.outer(frames, frames))
 
     assert columns == pytest.approx((2.0 / 3.0) ** apart, abs=0.1)
 
@@ -212,13 +267,17 @@ def test_bursts_leave_the_share_of_losses_and_link_consecutive_frames(many, pose
 def test_units_of_one_pole_lose_the_same_messages_if_asked_for(many, poses):
     shared = Uncertainty(packet_loss=0.3, burst_frames=2.0, loss_shared_by="pole")
     lost = ~told(many, poses, shared)
+    both_lost = lost[0] & lost[2]
 
     assert np.array_equal(lost[0], lost[1])
-    assert (lost[0] & lost[2]).mean() == pytest.approx(0.09, abs=0.02)
+    assert both_lost.mean() == pytest.approx(0.09, abs=0.02)
 
-    alone = ~told(many, poses, replace(shared, loss_shared_by="unit"))
+    by_unit = replace(shared, loss_shared_by="unit")
+    arrived = told(many, poses, by_unit)
+    alone = ~arrived
+    both_alone = alone[0] & alone[1]
 
-    assert (alone[0] & alone[1]).mean() == pytest.approx(0.09, abs=0.02)
+    assert both_alone.mean() == pytest.approx(0.09, abs=0.02)
 
 
 # What is the same in all frames of a run
@@ -234,7 +293,8 @@ def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
     below = np.zeros(len(numbers))
 
     for limit in limits:
-        packed = np.zeros(-(-len(numbers) // 8), dtype=np.uint8)
+        n_bytes = -(-len(numbers) // 8)
+        packed = np.zeros(n_bytes, dtype=np.uint8)
         draw_frames(
             np.array([[limit]]),
             *(np.zeros(len(numbers), dtype=np.int64),) * 2,
@@ -249,12 +309,14 @@ def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
         )
         below += np.unpackbits(packed, count=len(numbers), bitorder="little")
 
-    return (limits[-1] + 0.05 - 0.1 * below).reshape(runs, length)
+    noise = limits[-1] + 0.05 - 0.1 * below
+    return noise.reshape(runs, length)
 
 
 def _lasting(person, unit_person, n=20_000):
     """Noise with these shares that lasts five frames of one person."""
-    drawn = np.repeat(default_rng(0).standard_normal(n // 5), 5)
+    runs_drawn = default_rng(0).standard_normal(n // 5)
+    drawn = np.repeat(runs_drawn, 5)
     return LastingNoise(
         person=np.sqrt(person) * drawn,
         person_share=person,
@@ -271,10 +333,12 @@ def test_noise_has_the_shares_and_consecutive_frames_the_correlation_of_the_tabl
 
     changing = 0.2 / 0.5  # of the half that changes, so that all have 0.7
     expected = [1.0, 0.7, 0.5 + 0.5 * changing**2, 0.5 + 0.5 * changing**3]
+    correlation = np.corrcoef(one.T)
 
-    assert np.corrcoef(one.T)[0] == pytest.approx(expected, abs=0.04)
+    assert correlation[0] == pytest.approx(expected, abs=0.04)
 
-    both = np.corrcoef(one[:, 0], other[:, 3])[0, 1]
+    correlations = np.corrcoef(one[:, 0], other[:, 3])
+    both = correlations[0, 1]
 
     assert both == pytest.approx(0.2, abs=0.05)  # the person alone
 
@@ -282,10 +346,13 @@ def test_noise_has_the_shares_and_consecutive_frames_the_correlation_of_the_tabl
 def test_where_all_lasts_a_run_is_one_draw_and_more_than_the_table_is_no_error():
     lasting = _lasting(0.4, 0.6)
     noise = _noise(lasting, unit=1, runs=500)
+    spread = np.ptp(noise, axis=1)
+    half_lasts = _lasting(0.5, 0.4)
+    none_lasts = _lasting(0.0, 0.0)
 
-    assert np.ptp(noise, axis=1).max() < 0.11  # one step of the limits
-    assert _lasting(0.5, 0.4).frame_correlation(0.7) == 0.0
-    assert _lasting(0.0, 0.0).frame_correlation(0.7) == 0.7
+    assert spread.max() < 0.11  # one step of the limits
+    assert half_lasts.frame_correlation(0.7) == 0.0
+    assert none_lasts.frame_correlation(0.7) == 0.7
 
 
 def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
@@ -296,15 +363,21 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
     chancy = replace(setting, detector=response, table_detector=response)
     uncertainty = Uncertainty(draws_detections=True, person_share=1.0)
     sample = first_world(chancy, poses, uncertainty)
-    numbers = np.unique(draw_index(setting.runs))
+    every_draw = draw_index(setting.runs)
+    numbers = np.unique(every_draw)
 
-    noise = sample.setting.detector._noise(numbers, np.random.default_rng(1))
+    seeded = np.random.default_rng(1)
+    noise = sample.setting.detector._noise(numbers, seeded)
+    person = sample.drawn_detector.lasting.person[numbers]
+    expected = person.tolist()
 
-    assert noise.tolist() == sample.drawn_detector.lasting.person[numbers].tolist()
+    assert noise.tolist() == expected
 
-    starts = np.flatnonzero(np.diff(numbers, prepend=-9) != 1)
+    steps = np.diff(numbers, prepend=-9)
+    starts = np.flatnonzero(steps != 1)
+    values = noise.tolist()
 
-    assert len(set(noise.tolist())) == len(starts) == len(setting.runs)
+    assert len(set(values)) == len(starts) == len(setting.runs)
     assert chancy.detector.lasting is None
 
 
@@ -340,4 +413,5 @@ def test_what_cannot_be_names_file_and_field(tmp_path, text, message):
 
     with pytest.raises(InputError) as caught:
         load_uncertainty(str(path))
+
     assert str(caught.value).startswith(f"{path}: {message}")

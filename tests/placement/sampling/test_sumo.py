@@ -29,8 +29,10 @@ def _loads_sumo():
     """
     if importlib.util.find_spec("libsumo") is None:
         return False
+
     command = [sys.executable, "-c", "import libsumo"]
-    return subprocess.run(command, capture_output=True).returncode == 0
+    done = subprocess.run(command, capture_output=True)
+    return done.returncode == 0
 
 
 needs_sumo = pytest.mark.skipif(
@@ -60,15 +62,18 @@ def cyclist_ahead(runs):
 def lasting(run, seconds):
     """The run with frames of its last position for so long: a window of that length."""
     n = round(10 * seconds)
-    last = cut_run(run, np.full(n, -1))
-    return replace(last, time_s=np.arange(1 - n, 1) / 10.0)
+    last_frames = np.full(n, -1)
+    last = cut_run(run, last_frames)
+    tenths = np.arange(1 - n, 1)
+    return replace(last, time_s=tenths / 10.0)
 
 
 def along(lane):
     """Unit vectors of a lane, ahead at its end and to its left."""
     ahead = lane.centreline_m[-1] - lane.centreline_m[-2]
     ahead /= np.hypot(*ahead)
-    return ahead, np.array([-ahead[1], ahead[0]])
+    left = np.array([-ahead[1], ahead[0]])
+    return ahead, left
 
 
 def drive(scene, demand, runs, seed=0):
@@ -89,6 +94,7 @@ def test_without_sumo_one_line_says_what_is_missing(monkeypatch):
 
     with pytest.raises(MissingExtraError) as caught:
         load_traffic("sumo", protocol_scene())
+
     message = str(caught.value)
 
     assert message == str(missing_sumo())
@@ -100,13 +106,18 @@ def test_without_sumo_one_line_says_what_is_missing(monkeypatch):
 def test_every_arm_of_the_studys_junction_has_its_three_turns():
     network = network_of(load_study_scene(), load_demand())
     arms = {"north", "east", "south", "west"}
+    arms_met = ["east", "north", "west", "south"]
+    expected = dict.fromkeys(arms_met, 2)
 
-    assert network.n_entry_lanes == dict.fromkeys(["east", "north", "west", "south"], 2)
+    assert network.n_entry_lanes == expected
 
     for arm in arms:
-        exits = {turn: set(found) for turn, found in network.ways[arm].items()}
+        ways = network.ways[arm].items()
+        exits = {turn: set(found) for turn, found in ways}
+        all_exits = set.union(*exits.values())
+
         assert set(exits) == {"left", "straight", "right"}
-        assert set.union(*exits.values()) == arms - {arm}
+        assert all_exits == arms - {arm}
 
     assert 'type="traffic_light"' in network.xml
 
@@ -118,25 +129,40 @@ def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(cyclist_ahead):
     """
     scene = load_study_scene()
     demand = load_demand()
-    away = replace(lasting(cyclist_ahead, 60.0), approach="nowhere")  # no VUT
+    longer = lasting(cyclist_ahead, 60.0)
+    away = replace(longer, approach="nowhere")  # no VUT
 
-    found = drive(scene, demand, [away]).trajectories
-    half_m = 0.5 * np.array([body.length_m for body in found.bodies])
-    vehicle = np.repeat(np.arange(len(found.bodies)), np.diff(found.row_start))
+    driven = drive(scene, demand, [away])
+    found = driven.trajectories
+    lengths_m = [body.length_m for body in found.bodies]
+    half_m = 0.5 * np.array(lengths_m)
+    n_bodies = len(found.bodies)
+    numbers = np.arange(n_bodies)
+    n_rows = np.diff(found.row_start)
+    vehicle = np.repeat(numbers, n_rows)
     ahead = ahead_of(found.yaw_deg)
-    front = found.position_m + half_m[vehicle, None] * ahead
+    to_front = half_m[vehicle, None] * ahead
+    front = found.position_m + to_front
     lines = []
     for lane in scene.lanes:
         if lane.kind == "driving":
             points = lane.centreline_m
             first = points[0] - points[1]
             last = points[-1] - points[-2]
-            before = points[0] + 150.0 * first / np.hypot(*first)
-            behind = points[-1] + 150.0 * last / np.hypot(*last)
-            lines.append(shapely.LineString([before, *points, behind]))
+            first_m = np.hypot(*first)
+            before_m = 150.0 * first / first_m
+            before = points[0] + before_m
+            last_m = np.hypot(*last)
+            behind_m = 150.0 * last / last_m
+            behind = points[-1] + behind_m
+            line = shapely.LineString([before, *points, behind])
+            lines.append(line)
 
-    to_lane_m = shapely.distance(shapely.MultiLineString(lines), shapely.points(front))
-    in_junction = shapely.contains_xy(shapely.Polygon(scene.outline_m), *front.T)
+    lanes = shapely.MultiLineString(lines)
+    fronts = shapely.points(front)
+    to_lane_m = shapely.distance(lanes, fronts)
+    junction = shapely.Polygon(scene.outline_m)
+    in_junction = shapely.contains_xy(junction, *front.T)
 
     assert len(found.bodies) > 20
     assert in_junction.any()
@@ -144,9 +170,13 @@ def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(cyclist_ahead):
 
     # They drive the right way: beside the axis on the right, and as fast as they may.
     goes_on = np.diff(vehicle) == 0
-    steps = np.diff(found.position_m, axis=0)[goes_on]
-    speed = np.hypot(*steps.T) / 0.1
-    forwards_m = (steps * ahead[:-1][goes_on]).sum(axis=1)
+    all_steps = np.diff(found.position_m, axis=0)
+    steps = all_steps[goes_on]
+    step_m = np.hypot(*steps.T)
+    speed = step_m / 0.1
+    ways = ahead[:-1][goes_on]
+    along_m = steps * ways
+    forwards_m = along_m.sum(axis=1)
 
     assert speed.max() < 1.5 * demand.speed_limit_mps
     assert (forwards_m > -0.05).all()
@@ -158,6 +188,7 @@ def test_the_same_seed_drives_the_same_traffic_and_another_one_another(runs):
     demand = replace(load_demand(), warm_up_s=10.0)
     ids = ("CBLA/east/50", "CBNA/east/60")
     chosen = [lasting(run, 2.0) for run in runs if run.id in ids]
+
     first = drive(scene, demand, chosen, 1)
     again = drive(scene, demand, chosen, 1)
     other = drive(scene, demand, chosen, 2)
@@ -179,25 +210,32 @@ def test_vehicles_behind_the_vut_react_to_it(cyclist_ahead):
     place = lane.centreline_m[-1] - 30.0 * ahead
     standing = lasting(cyclist_ahead, 90.0)
     n = len(standing.time_s)
+    vut_position_m = np.tile(place, (n, 1))
     standing = replace(
         standing,
         vut_speed_kmh=0.001,
-        vut_position_m=np.tile(place, (n, 1)),
+        vut_position_m=vut_position_m,
         vut_yaw_deg=np.full(n, np.degrees(np.arctan2(ahead[1], ahead[0]))),
     )
     busy = replace(load_demand(), arms={"east": 1200.0})
 
-    found = drive(scene, busy, [standing]).trajectories
+    driven = drive(scene, busy, [standing])
+    found = driven.trajectories
     offset_m = found.position_m - place
     along_m = offset_m @ ahead
-    is_closest = np.abs(offset_m @ left) < 1.0
+    aside_m = np.abs(offset_m @ left)
+    is_closest = aside_m < 1.0
     is_closest &= found.time_s > found.last_s - 60.0
     is_closest &= (along_m < 0.0) & (along_m > -12.0)
 
     assert is_closest.any()  # somebody stands there
 
-    lengths_m = np.array([body.length_m for body in found.bodies])
-    vehicle = np.repeat(np.arange(len(found.bodies)), np.diff(found.row_start))
+    lengths = [body.length_m for body in found.bodies]
+    lengths_m = np.array(lengths)
+    n_bodies = len(found.bodies)
+    numbers = np.arange(n_bodies)
+    n_rows = np.diff(found.row_start)
+    vehicle = np.repeat(numbers, n_rows)
     both_m = cyclist_ahead.encounter.vut.length_m + lengths_m[vehicle[is_closest]]
     gap_m = -along_m[is_closest] - 0.5 * both_m
 
@@ -207,7 +245,8 @@ def test_vehicles_behind_the_vut_react_to_it(cyclist_ahead):
 @needs_sumo
 def test_more_vehicles_than_the_lanes_can_take_are_told(cyclist_ahead):
     demand = replace(load_demand(), vehicles_per_hour_per_lane=10_000.0, warm_up_s=20.0)
-    found = drive(load_study_scene(), demand, [lasting(cyclist_ahead, 2.0)])
+    short = lasting(cyclist_ahead, 2.0)
+    found = drive(load_study_scene(), demand, [short])
 
     assert found.n_departed > 20
     assert found.n_waiting > found.n_departed
@@ -217,10 +256,14 @@ def test_more_vehicles_than_the_lanes_can_take_are_told(cyclist_ahead):
 def test_a_junction_without_lights_and_with_three_arms_is_driven(actors, rule):
     scene = protocol_scene()
     lanes = tuple(lane for lane in scene.lanes if not lane.id.startswith("north"))
-    network = network_of(replace(scene, lanes=lanes), load_demand())
 
-    assert set(network.ways) == {"east", "south", "west"}
-    assert set(network.ways["east"]) == {"straight", "left"}
+    three_armed = replace(scene, lanes=lanes)
+    network = network_of(three_armed, load_demand())
+    arms = set(network.ways)
+    from_east = set(network.ways["east"])
+
+    assert arms == {"east", "south", "west"}
+    assert from_east == {"straight", "left"}
     assert 'type="traffic_light"' not in network.xml
 
 
@@ -233,7 +276,8 @@ def test_a_pocket_for_turning_is_an_edge_of_its_own():
     entry = next(lane for lane in scene.lanes if lane.id == "west-in-0")
     ahead, left = along(entry)
     end = entry.centreline_m[-1] - entry.width_m * left
-    pocket = replace(entry, id="west-pocket", centreline_m=[end - 30.0 * ahead, end])
+    pocket_line = [end - 30.0 * ahead, end]
+    pocket = replace(entry, id="west-pocket", centreline_m=pocket_line)
 
     network = network_of(replace(scene, lanes=(*scene.lanes, pocket)), load_demand())
     ways = network.ways["west"]
@@ -264,10 +308,12 @@ def test_lanes_through_the_junction_are_driven_where_the_map_has_them():
     )
 
     network = network_of(replace(scene, lanes=(*scene.lanes, through)), load_demand())
-    from_west = {turn: set(exits) for turn, exits in network.ways["west"].items()}
+    ways = network.ways["west"].items()
+    from_west = {turn: set(exits) for turn, exits in ways}
+    from_east = set(network.ways["east"])
 
     assert from_west == {"straight": {"east"}}
-    assert set(network.ways["east"]) == {"left", "straight", "right"}
+    assert from_east == {"left", "straight", "right"}
     assert "0.00,-1.50" in network.xml
 
 
@@ -278,12 +324,16 @@ def test_lanes_that_keep_left_are_driven_on_the_left():
         replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0])
         for lane in scene.lanes
     )
-    network = network_of(replace(scene, lanes=mirrored, keeps_left=True), load_demand())
+
+    mirrored_scene = replace(scene, lanes=mirrored, keeps_left=True)
+    network = network_of(mirrored_scene, load_demand())
     right = network_of(scene, load_demand())
+    right_exits = set(right.ways["west"]["left"])
+    left_exits = set(network.ways["west"]["left"])
 
     # In the mirror, north and south change places, and so do left and right.
-    assert set(right.ways["west"]["left"]) == {"north"}
-    assert set(network.ways["west"]["left"]) == {"north"}
+    assert right_exits == {"north"}
+    assert left_exits == {"north"}
     assert 'lefthand="true"' in network.xml
 
 
@@ -298,6 +348,7 @@ def test_a_vut_that_comes_from_beyond_the_network_joins_in_when_it_is_there(
     demand = replace(load_demand(), warm_up_s=10.0)
 
     away = replace(run, vut_position_m=position)
+
     found = drive(load_study_scene(), demand, [away])
 
     assert len(found.trajectories.bodies) > 0

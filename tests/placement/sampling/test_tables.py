@@ -59,7 +59,12 @@ def _detected(table):
 def test_without_uncertainty_one_sample_is_the_plans_table(
     setting, candidates, planned
 ):
-    sampled = sampled_table(setting, candidates, Uncertainty(), n_samples=1)
+    sampled = sampled_table(
+        setting,
+        candidates,
+        Uncertainty(),
+        n_samples=1,
+    )
     table = sampled.table
     axis = setting.axis
 
@@ -83,6 +88,7 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
     table, axis, n_runs = stacked.table, setting.axis, setting.axis.n_runs
 
     assert table.axis.weight.sum() == pytest.approx(1.0, abs=1e-12)
+
     expected = [0] * n_runs + [1] * n_runs + [2] * n_runs
 
     assert stacked.sample_index.tolist() == expected
@@ -95,6 +101,7 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(
     assert np.array_equal(
         _detected(table), np.hstack([_detected(part) for part in parts])
     )
+
     deadlines_s = [axis.last_brake_time_s - one.extra_latency_s for one in samples]
     expected_s = np.concatenate(deadlines_s).tolist()
 
@@ -128,10 +135,9 @@ def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planne
         slower = replace(rule, latency_s=rule.latency_s + 0.3)
 
         here_s = live_confirmation_times_s(detected, sampled.table.axis, rule=rule)
+        expected = live_confirmation_times_s(detected, setting.axis, rule=slower)
 
-        assert np.array_equal(
-            here_s, live_confirmation_times_s(detected, setting.axis, rule=slower)
-        )
+        assert np.array_equal(here_s, expected)
 
 
 @given(
@@ -155,8 +161,9 @@ def test_bits_are_appended_where_they_belong(worlds):
     found = np.unpackbits(packed, axis=1, count=n * n_bits, bitorder="little").astype(
         bool
     )
+    expected = [bit for bits in worlds for bit in bits]
 
-    assert found[0].tolist() == [bit for bits in worlds for bit in bits]
+    assert found[0].tolist() == expected
     assert np.array_equal(found[1], ~found[0])
     assert not np.unpackbits(packed, axis=1, bitorder="little")[:, n * n_bits :].any()
 
@@ -250,6 +257,7 @@ def test_a_world_beside_others_is_as_it_is_alone(
             for one in candidates
             if isinstance(one.sensor, CameraModel)
         ]
+
     setting = replace(setting, table_detector=load_planning_detector(planner))
 
     worlds = list(draw_samples(setting, candidates, default, n_samples=4, seed=4))
@@ -273,7 +281,8 @@ def test_a_world_beside_others_is_as_it_is_alone(
 def _queue_of(actor, share):
     """One vehicle that waits as often as its share says."""
     kind = VehicleKind(actor=actor, parked_share=0.0, waiting_share=1.0)
-    return Uncertainty(traffic=StandingTraffic(waiting_share=share, vehicles=(kind,)))
+    traffic = StandingTraffic(waiting_share=share, vehicles=(kind,))
+    return Uncertainty(traffic=traffic)
 
 
 @pytest.fixture(scope="module")
@@ -339,7 +348,12 @@ def test_what_waits_in_the_way_of_the_vut_hides_nothing(
         standing_still([16.5, 6.0], run=junction_runs[way]) for way in ("west", "east")
     ]
     setting = build_setting(junction_scene, runs, table_detector=keen)
-    camera = look("low", [16.5, -10.0, 9.0], yaw_deg=90.0, pitch_deg=-25.0)
+    camera = look(
+        "low",
+        [16.5, -10.0, 9.0],
+        yaw_deg=90.0,
+        pitch_deg=-25.0,
+    )
 
     (row,) = _detected(
         sampled_table(setting, [camera], _queue_of(truck, 1.0), n_samples=1).table

@@ -46,7 +46,9 @@ def tracks(*columns, step_s=0.1):
 
 def straight(first_m, last_m, n, *, left_m=0.0):
     """Evenly spaced points from west to east, (n, 2). [m]"""
-    return np.column_stack([np.linspace(first_m, last_m, n), np.full(n, left_m)])
+    along_m = np.linspace(first_m, last_m, n)
+    across_m = np.full(n, left_m)
+    return np.column_stack([along_m, across_m])
 
 
 def standing(position_m, n_frames, *, yaw_deg=0.0):
@@ -62,14 +64,18 @@ def test_a_window_has_the_frames_that_the_tracks_have():
     found = tracks(
         (0.0, straight(-10.0, 10.0, 201), 0.0), (15.0, straight(5.0, 5.0, 101), 90.0)
     )
-    time_s = 12.0 + 0.1 * np.arange(51)
+    steps = np.arange(51)
+    time_s = 12.0 + 0.1 * steps
 
     one, other = cut_window(found, time_s, middle_m=MIDDLE_M)
+    expected = (time_s > 14.95).tolist()
+    east_m = one.position_m[:, 0]
+    last_m = other.position_m[-1].tolist()
 
-    assert one.position_m[:, 0] == pytest.approx(-10.0 + time_s)
+    assert east_m == pytest.approx(-10.0 + time_s)
     assert one.yaw_deg == pytest.approx(0.0)
-    assert other.is_there.tolist() == (time_s > 14.95).tolist()
-    assert other.position_m[-1].tolist() == [5.0, 0.0]
+    assert other.is_there.tolist() == expected
+    assert last_m == [5.0, 0.0]
 
 
 def test_nobody_farther_than_the_reach_is_in_a_window():
@@ -78,13 +84,22 @@ def test_nobody_farther_than_the_reach_is_in_a_window():
         (0.0, straight(130.0, 140.0, 301), 0.0),
     )
 
-    (one,) = cut_window(found, 0.1 * np.arange(301), middle_m=MIDDLE_M)
+    steps = np.arange(301)
+    (one,) = cut_window(found, 0.1 * steps, middle_m=MIDDLE_M)
+    nearest_m = np.nanmin(one.position_m[:, 0])
+    farthest_m = np.nanmax(one.position_m[:, 0])
+    n_there = int(one.is_there.sum())
 
-    assert np.nanmin(one.position_m[:, 0]) == pytest.approx(-100.0)
-    assert np.nanmax(one.position_m[:, 0]) == pytest.approx(100.0)
-    assert int(one.is_there.sum()) == 201
+    assert nearest_m == pytest.approx(-100.0)
+    assert farthest_m == pytest.approx(100.0)
+    assert n_there == 201
 
-    near = cut_window(found, 0.1 * np.arange(301), middle_m=MIDDLE_M, reach_m=200.0)
+    near = cut_window(
+        found,
+        0.1 * np.arange(301),
+        middle_m=MIDDLE_M,
+        reach_m=200.0,
+    )
 
     assert [int(body.is_there.sum()) for body in near] == [301, 301]
 
@@ -97,8 +112,9 @@ def test_a_shorter_run_has_the_last_frames_of_the_window():
     )
 
     tail = last_frames(body, 30)
+    last_m = body.position_m[-30:]
 
-    assert np.array_equal(tail.position_m, body.position_m[-30:], equal_nan=True)
+    assert np.array_equal(tail.position_m, last_m, equal_nan=True)
     assert last_frames(body, 20) is None  # it has left by then
     assert last_frames(body, 41) is body
 
@@ -136,14 +152,19 @@ def test_who_meets_a_road_user_is_found_as_frame_by_frame(junction_runs, clearan
     bodies = []
     for _ in range(200):
         frame = rng.integers(n)
-        around = run.vut_position_m[frame] + rng.normal(scale=4.0, size=2)
-        body = standing(around, n, yaw_deg=float(rng.uniform(0.0, 360.0)))
+        scatter_m = rng.normal(scale=4.0, size=2)
+        around = run.vut_position_m[frame] + scatter_m
+        yaw_deg = float(rng.uniform(0.0, 360.0))
+        body = standing(around, n, yaw_deg=yaw_deg)
         position = np.array(body.position_m)
         position[: rng.integers(n)] = np.nan
-        bodies.append(replace(body, position_m=position))
+        body_there = replace(body, position_m=position)
+        bodies.append(body_there)
 
-    found = np.array(meets_road_users(run, bodies, clearance_m=clearance_m))
-    expected = np.array([brute_force_meets(run, one, clearance_m) for one in bodies])
+    meets = meets_road_users(run, bodies, clearance_m=clearance_m)
+    found = np.array(meets)
+    meets_by_frame = [brute_force_meets(run, one, clearance_m) for one in bodies]
+    expected = np.array(meets_by_frame)
 
     # Standing bodies meet no one between frames alone but by less than a step.
     assert not (expected & ~found).any()
@@ -160,10 +181,13 @@ def test_who_passes_between_two_frames_is_found(standing_still):
         [14.0, 0.0],
         [26.0, 0.0],
     )
-    body = MovingActor(actor=VAN, position_m=position, yaw_deg=np.zeros(n))
+
+    yaw_deg = np.zeros(n)
+    body = MovingActor(actor=VAN, position_m=position, yaw_deg=yaw_deg)
+    found = meets_road_users(run, [body], clearance_m=0.5)
 
     assert not brute_force_meets(run, body, 0.5)
-    assert meets_road_users(run, [body], clearance_m=0.5) == (True,)
+    assert found == (True,)
 
 
 def test_a_clearance_keeps_vehicles_away_and_no_farther(standing_still):
@@ -173,14 +197,17 @@ def test_a_clearance_keeps_vehicles_away_and_no_farther(standing_still):
     # m east.
     vru = run.encounter.vru
     edge_m = 20.0 + 0.5 * vru.width_m + 0.5 * VAN.length_m
+
     near = standing([edge_m + 0.49, 0.0], n)
     far = standing([edge_m + 0.51, 0.0], n)
+    found = meets_road_users(run, [near, far], clearance_m=0.5)
 
-    assert meets_road_users(run, [near, far], clearance_m=0.5) == (True, False)
+    assert found == (True, False)
 
 
 def test_who_stands_in_a_parked_car_is_found_and_who_passes_it_is_not():
-    parked = PlacedActor(actor=VAN, pose=Pose(position_m=[0.0, 3.0, 0.0], yaw_deg=0.0))
+    pose = Pose(position_m=[0.0, 3.0, 0.0], yaw_deg=0.0)
+    parked = PlacedActor(actor=VAN, pose=pose)
     inside = standing([1.0, 2.0], 4)
     beside = standing([0.0, 3.0 - VAN.width_m - 0.01], 4)
     position = np.array(inside.position_m)
@@ -194,8 +221,9 @@ def test_who_stands_in_a_parked_car_is_found_and_who_passes_it_is_not():
         [False] * 4,
         [False, True, True, False],
     ]
+    indices = [frames.tolist() for frames in found]
 
-    assert [frames.tolist() for frames in found] == expected
+    assert indices == expected
 
 
 # Worlds
@@ -213,10 +241,13 @@ def drives(monkeypatch):
     driven = tracks(*lanes)
 
     def simulate(network, demand, groups, *, reach_m, step_s, rng):
-        impact = rng.integers(200, 5000, size=len(groups)) * step_s
+        steps = rng.integers(200, 5000, size=len(groups))
+        impact = steps * step_s
+        impact_s_of_group = impact.tolist()
+        impact_s = dict(zip(groups, impact_s_of_group, strict=True))
         return SimulatedWindows(
             trajectories=driven,
-            impact_s=dict(zip(groups, impact.tolist(), strict=True)),
+            impact_s=impact_s,
             n_departed=200,
             n_waiting=0,
         )
@@ -227,9 +258,10 @@ def drives(monkeypatch):
 @pytest.fixture(scope="module")
 def recorded():
     """Vans in place of SUMO's demand."""
+    middle_m = protocol_scene().outline_m.mean(axis=0)
     return SumoTraffic(
         name="vans",
-        middle_m=protocol_scene().outline_m.mean(axis=0),
+        middle_m=middle_m,
         demand=load_demand(),
         network=None,
     )
@@ -239,7 +271,12 @@ def worlds(setting, recorded, *, n_samples=2, seed=1, **options):
     """Worlds in which the vans drive."""
     uncertainty = with_moving_traffic(Uncertainty(), recorded)
     found = draw_samples(
-        setting, (), uncertainty, n_samples=n_samples, seed=seed, **options
+        setting,
+        (),
+        uncertainty,
+        n_samples=n_samples,
+        seed=seed,
+        **options,
     )
     return list(found)
 
@@ -247,7 +284,8 @@ def worlds(setting, recorded, *, n_samples=2, seed=1, **options):
 @pytest.fixture(scope="module")
 def driven(build_setting, junction_scene, junction_runs):
     """Runs from all approaches of the tiny junction."""
-    return build_setting(junction_scene, [*junction_runs.values()])
+    runs = [*junction_runs.values()]
+    return build_setting(junction_scene, runs)
 
 
 def records(*options, **named):
@@ -264,42 +302,50 @@ def records(*options, **named):
 
 def test_the_same_seed_draws_the_same_traffic_and_another_one_another(driven, recorded):
     first = records(driven, recorded)
+    expected = records(driven, recorded, n_samples=1)
+    other = records(driven, recorded, seed=2)
+    judged = records(driven, recorded, purpose="judge")
 
     assert first == records(driven, recorded)
-    assert first[:1] == records(driven, recorded, n_samples=1)
+    assert first[:1] == expected
     assert first[0] != first[1]
-    assert first[0] != records(driven, recorded, seed=2)[0]
-    assert first[0] != records(driven, recorded, purpose="judge")[0]
+    assert first[0] != other[0]
+    assert first[0] != judged[0]
 
 
 def test_who_would_be_in_the_way_is_left_out_and_counted(driven, recorded):
     (sample,) = worlds(driven, recorded, n_samples=1)
     runs = sample.setting.runs
     count = sample.driving
+    n_driving = sum(len(run.traffic) for run in runs)
+    expected = n_driving + count.n_left_out
 
     assert not sample.looks_as_planned
     assert count.n_runs == len(runs)
-    assert count.n_vehicles == sum(len(run.traffic) for run in runs) + count.n_left_out
+    assert count.n_vehicles == expected
     assert 0 < count.n_left_out < count.n_vehicles
     assert f"{count.n_left_out} of {count.n_vehicles} vehicles" in str(count)
 
     for run in runs:
-        assert not any(meets_road_users(run, run.traffic, clearance_m=0.5))
+        is_met = any(meets_road_users(run, run.traffic, clearance_m=0.5))
+        assert not is_met
 
 
 def test_runs_of_one_group_see_the_same_moment_of_the_same_traffic(
     build_setting, junction_scene, junction_runs, recorded
 ):
     whole = junction_runs["west"]
-    short = cut_run(whole, slice(-15, None), id="short")
+    last = slice(-15, None)
+    short = cut_run(whole, last, id="short")
     (sample,) = worlds(
         build_setting(junction_scene, [whole, short]), recorded, n_samples=1
     )
     long_traffic, short_traffic = (run.traffic for run in sample.setting.runs)
     tails = {body.position_m[-15:].tobytes() for body in long_traffic}
+    short_tails = {body.position_m.tobytes() for body in short_traffic}
 
     assert short_traffic
-    assert tails & {body.position_m.tobytes() for body in short_traffic}
+    assert tails & short_tails
 
 
 def test_waiting_vehicles_are_not_drawn_beside_those_that_drive(default, recorded):

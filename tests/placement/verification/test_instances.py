@@ -24,7 +24,9 @@ SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixt
 def problem(frame_axis):
     """Three runs, three poses on two sites, everything that can be asked at once."""
     rng = np.random.default_rng(1)
-    packed = np.packbits(rng.random((3, 10)) < 0.6, axis=1, bitorder="little")
+    drawn = rng.random((3, 10))
+    bits = drawn < 0.6
+    packed = np.packbits(bits, axis=1, bitorder="little")
     return PlacementProblem(
         table=DetectionTable(pose_ids=("a", "b", "c"), axis=frame_axis, packed=packed),
         limits=Limits(
@@ -89,10 +91,12 @@ def test_every_problem_comes_back_as_it_was(problem, tmp_path):
 
     save_problem(path, problem)
     loaded = load_problem(path)
+    entries = tmp_path.iterdir()
+    names = [entry.name for entry in entries]
 
     assert_same(loaded, problem)
     assert problem_hash(loaded) == problem_hash(problem)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["instance.npz"]
+    assert names == ["instance.npz"]
 
 
 def test_a_problem_with_every_wish_comes_back_and_makes_the_same_file(
@@ -100,8 +104,11 @@ def test_a_problem_with_every_wish_comes_back_and_makes_the_same_file(
 ):
     for name in ("one.npz", "two.npz"):
         save_problem(tmp_path / name, problem)
+
+    expected = (tmp_path / "two.npz").read_bytes()
+
     assert_same(load_problem(tmp_path / "one.npz"), problem)
-    assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
+    assert (tmp_path / "one.npz").read_bytes() == expected
 
 
 def _flipped(packed):
@@ -171,8 +178,9 @@ def test_the_hash_changes_with_whatever_changes(problem):
     hashes = [problem_hash(changed(problem, *change)) for change in VARIATIONS]
 
     hashes.append(problem_hash(problem))
+    distinct = len(set(hashes))
 
-    assert len(set(hashes)) == len(hashes)
+    assert distinct == len(hashes)
     for text in hashes:
         assert len(text) == 64
 
@@ -183,6 +191,7 @@ def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(
     path = tmp_path / "a.npz"
     axis = problem.table.axis
     save_problem(path, problem)
+
     with np.load(path) as archive:
         assert "positions" not in archive.files  # as before there were any
 
@@ -195,7 +204,8 @@ def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(
 
     assert_same(load_problem(path), there)
 
-    rewrite(path, there, positions=np.array(["-15", "0", "far"]))
+    positions = np.array(["-15", "0", "far"])
+    rewrite(path, there, positions=positions)
 
     with pytest.raises(
         InputError, match=r"a\.npz: positions: got 'far'; expected 0, or metres"
@@ -216,11 +226,15 @@ def test_tracks_that_live_for_ever_make_the_files_of_programs_without_a_memory(
         (1.0, True),
     ):
         rule = replace(problem.rule, track_memory_s=memory_s)
-        save_problem(tmp_path / "a.npz", replace(problem, rule=rule))
+        remembering = replace(problem, rule=rule)
+        save_problem(tmp_path / "a.npz", remembering)
+
         with np.load(tmp_path / "a.npz") as archive:
             assert ("track_memory_s" in archive.files) == is_there
 
-        assert load_problem(tmp_path / "a.npz").rule.track_memory_s == memory_s
+        loaded = load_problem(tmp_path / "a.npz")
+
+        assert loaded.rule.track_memory_s == memory_s
 
 
 def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(
@@ -228,7 +242,8 @@ def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(
 ):
     packed = problem.table.packed.copy()
     packed[:, -1] |= 0b11111100  # ten frames
-    axis = replace(problem.table.axis, time_s=-1.0 * -problem.table.axis.time_s)
+    zeros = -1.0 * -problem.table.axis.time_s
+    axis = replace(problem.table.axis, time_s=zeros)
     limits = replace(problem.limits, site_cost_eur=[500.0, -0.0])
     table = replace(problem.table, axis=axis, packed=packed)
     same = replace(problem, table=table, limits=limits)
@@ -236,16 +251,20 @@ def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(
     assert problem_hash(same) == problem_hash(problem)
 
     save_problem(tmp_path / "a.npz", same)
+    loaded = load_problem(tmp_path / "a.npz")
+    found = problem_hash(loaded)
 
-    assert problem_hash(load_problem(tmp_path / "a.npz")) == problem_hash(problem)
+    assert found == problem_hash(problem)
 
 
 def test_a_name_that_numpy_would_cut_is_refused(problem, tmp_path):
     table = replace(problem.table, pose_ids=("a", "b", "c\0"))
+    long_named = replace(problem, table=table)
+
     with pytest.raises(
         InputError, match=r"pose_ids: got .*; expected names without a null"
     ):
-        save_problem(tmp_path / "a.npz", replace(problem, table=table))
+        save_problem(tmp_path / "a.npz", long_named)
 
     assert list(tmp_path.iterdir()) == []
 
@@ -257,7 +276,8 @@ def rewrite(path, problem, **changes):
     """The problem's file with some arrays replaced, added, or removed (...)."""
     save_problem(path, problem)
     with np.load(path) as archive:
-        arrays = {name: archive[name] for name in archive.files} | changes
+        arrays_there = {name: archive[name] for name in archive.files}
+        arrays = arrays_there | changes
     np.savez(
         path, **{name: array for name, array in arrays.items() if array is not ...}
     )
@@ -281,11 +301,13 @@ def test_every_field_that_is_missing_is_named(problem, tmp_path):
 
 def test_what_may_be_missing_is_none(problem, tmp_path):
     path = tmp_path / "a.npz"
-    rewrite(path, problem, **dict.fromkeys(OPTIONAL, ...))
+    missing = dict.fromkeys(OPTIONAL, ...)
+    rewrite(path, problem, **missing)
     limits = replace(problem.limits, budget_units=None, budget_eur=None)
     bare = replace(problem, limits=limits, sample_index=None)
+    loaded = problem_hash(load_problem(path))
 
-    assert problem_hash(load_problem(path)) == problem_hash(bare)
+    assert loaded == problem_hash(bare)
 
 
 @pytest.mark.parametrize(
@@ -364,7 +386,8 @@ def test_a_value_that_cannot_be_is_named(problem, tmp_path, changes, message):
 
 def test_objects_are_never_loaded(problem, tmp_path):
     path = tmp_path / "a.npz"
-    rewrite(path, problem, pose_ids=np.array(["a", None, "c"], dtype=object))
+    pose_ids = np.array(["a", None, "c"], dtype=object)
+    rewrite(path, problem, pose_ids=pose_ids)
 
     with pytest.raises(
         InputError, match=r"a\.npz: pose_ids: got Object arrays cannot be loaded"
@@ -392,14 +415,16 @@ def test_a_file_that_is_no_instance_is_refused(tmp_path):
             load(path)
 
     with path.open("wb") as file:
-        np.save(file, np.zeros(3))
+        zeros = np.zeros(3)
+        np.save(file, zeros)
 
     with pytest.raises(
         InputError, match="got File is not a zip file; expected an undamaged"
     ):
         load(path)
 
-    np.savez(path, rows=np.zeros(3))
+    zeros = np.zeros(3)
+    np.savez(path, rows=zeros)
 
     with pytest.raises(
         InputError, match=r"a\.npz: kind: got nothing; expected a text such as"

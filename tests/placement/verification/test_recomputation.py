@@ -42,13 +42,17 @@ from placement.verification.recomputation import (
 
 def sets_of(problem, size, limit=25):
     """Some sets of a size."""
-    all_of_size = list(combinations(range(problem.table.n_poses), size))[:limit]
-    return np.array(all_of_size, dtype=np.int64).reshape(len(all_of_size), size)
+    poses = range(problem.table.n_poses)
+    combined = list(combinations(poses, size))
+    all_of_size = combined[:limit]
+    rows = np.array(all_of_size, dtype=np.int64)
+    return rows.reshape(len(all_of_size), size)
 
 
 def test_the_checker_calls_nothing_of_the_optimiser():
     for module in (recomputation, verify):
-        tree = ast.parse(inspect.getsource(module))
+        source = inspect.getsource(module)
+        tree = ast.parse(source)
         for (
             node
         ) in tree.body:  # imports for types alone stand deeper, under TYPE_CHECKING
@@ -63,9 +67,11 @@ def test_the_checker_calls_nothing_of_the_optimiser():
                 if names == ["optimiser.problem", "Objective"]:
                     continue
 
-                assert not any("optimiser" in name for name in names), module.__name__
+                is_imported = any("optimiser" in name for name in names)
+                assert not is_imported, module.__name__
 
-        inner = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+        nodes = ast.walk(tree)
+        inner = [node for node in nodes if isinstance(node, ast.ImportFrom)]
         from_optimiser = {
             alias.name
             for node in inner
@@ -93,23 +99,30 @@ def test_both_ways_agree_on_every_set(problem, size):
             "cost_eur",
         )
     }
-    allowed = np.logical_and.reduce(list(limit_checks(problem, sets).values()))
+    checks = limit_checks(problem, sets)
+    met = list(checks.values())
+    allowed = np.logical_and.reduce(met)
 
     floors = [floor_values(problem, floor, sets) for floor in problem.floors]
 
     for index, poses in enumerate(sets.tolist()):
-        assert_allclose(margin_s[index], run_margins_s(problem, poses), atol=1e-12)
+        expected_s = run_margins_s(problem, poses)
+
+        assert_allclose(margin_s[index], expected_s, atol=1e-12)
 
         value = placement_value(problem, poses)
 
         for name in value._fields:
-            assert found[name][index] == pytest.approx(getattr(value, name), abs=1e-12)
+            expected = getattr(value, name)
+            assert found[name][index] == pytest.approx(expected, abs=1e-12)
+
+        expected_allowed = size > 0 and is_allowed(problem.limits, poses)
 
         assert found["units"][index] == len(poses)
         assert found["apr_survived"][index] == pytest.approx(
             apr_failed(problem, poses, 2)
         )
-        assert allowed[index] == (size > 0 and is_allowed(problem.limits, poses))
+        assert allowed[index] == expected_allowed
         assert costs_eur(problem, sets)[index] == pytest.approx(
             cost_eur(problem.limits, poses)
         )
@@ -122,13 +135,15 @@ def test_both_ways_agree_on_every_set(problem, size):
 
 @given(problem=questions())
 def test_small_blocks_change_nothing(problem):
-    sets = sets_of(problem, min(2, problem.table.n_poses))
+    size = min(2, problem.table.n_poses)
+    sets = sets_of(problem, size)
     names = stage_names(problem)
     whole = [stage_values(problem, name, sets) for name in names]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recomputation, "_BLOCK_BYTES", 1)
         for name, values in zip(names, whole, strict=True):
-            assert_array_equal(stage_values(problem, name, sets), values)
+            again = stage_values(problem, name, sets)
+            assert_array_equal(again, values)
 
 
 @given(problem=questions())
@@ -140,11 +155,14 @@ def test_no_set_is_better_than_the_simple_limits(problem):
             if not is_allowed(problem.limits, list(poses)):
                 continue
 
+            usable_poses = set(usable.tolist())
+
             assert size <= recomputation.most_units(problem)
-            assert set(poses) <= set(usable.tolist())
+            assert set(poses) <= usable_poses
 
             for name in stage_names(problem):
-                (value,) = stage_values(problem, name, np.array([poses]))
+                one_set = np.array([poses])
+                (value,) = stage_values(problem, name, one_set)
                 if name.is_minimised:
                     sign = -1.0
                 else:
@@ -166,7 +184,8 @@ def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(problem):
     )
     limits = recomputation.simple_limits(problem, [claim])
 
-    for size in range(1, min(problem.table.n_poses, 3) + 1):
+    most = min(problem.table.n_poses, 3)
+    for size in range(1, most + 1):
         for poses in combinations(range(problem.table.n_poses), size):
             value = placement_value(problem, poses)
             if value.apr >= best - 1e-12 and is_allowed(problem.limits, list(poses)):
@@ -176,10 +195,13 @@ def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(problem):
 
 @given(problem=questions())
 def test_neighbours_are_all_sets_that_differ_in_one_unit(problem):
-    rows = list(recomputation.usable_poses(problem)[:3])
+    usable_rows = recomputation.usable_poses(problem)
+    rows = list(usable_rows[:3])
     if not rows:
         return
-    usable = set(recomputation.usable_poses(problem).tolist())
+
+    usable_poses = recomputation.usable_poses(problem)
+    usable = set(usable_poses.tolist())
     found = [
         frozenset(poses)
         for sets in recomputation.neighbours(problem, rows)
@@ -192,8 +214,10 @@ def test_neighbours_are_all_sets_that_differ_in_one_unit(problem):
         for poses in map(frozenset, combinations(usable, size))
         if len(layout - poses) <= 1 and len(poses - layout) <= 1
     }
+    distinct = len(set(found))
+    n_expected = recomputation.n_neighbours(problem, rows)
 
-    assert len(found) == len(set(found)) == recomputation.n_neighbours(problem, rows)
+    assert len(found) == distinct == n_expected
     assert set(found) == expected
 
 
@@ -218,7 +242,9 @@ def test_all_sets_are_all_that_may_be_allowed(problem):
 
 
 def test_the_best_others_of_a_solved_problem_are_the_solution_itself(frame_axis, rule):
-    detected = np.random.default_rng(3).random((6, frame_axis.n_frames)) < 0.7
+    rng = np.random.default_rng(3)
+    drawn = rng.random((6, frame_axis.n_frames))
+    detected = drawn < 0.7
     problem = PlacementProblem(
         table=pack_table(tuple("abcdef"), frame_axis, detected),
         limits=Limits(site_index=range(6), site_capacity=[1] * 6, budget_units=2),
@@ -227,9 +253,13 @@ def test_the_best_others_of_a_solved_problem_are_the_solution_itself(frame_axis,
     )
     stages = solve_placement(problem).certificate.stages
 
-    best = recomputation.best_others(problem, stages, recomputation.all_sets(problem))
+    sets = recomputation.all_sets(problem)
+    best = recomputation.best_others(problem, stages, sets)
+    names = [other.name for other in best]
 
-    assert [other.name for other in best] == [stage.name for stage in stages]
+    assert names == [stage.name for stage in stages]
+
     expected = [stage.objective for stage in stages]
+    found = [other.value for other in best]
 
-    assert [other.value for other in best] == pytest.approx(expected)
+    assert found == pytest.approx(expected)

@@ -60,7 +60,8 @@ def test_what_the_solver_proves_is_verified(problem, tmp_path):
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_what_greedy_search_leaves_open_is_verified_as_open(problem, tmp_path):
     try:
-        solution = solve_placement(problem, effort=Effort(solver="greedy"))
+        effort = Effort(solver="greedy")
+        solution = solve_placement(problem, effort=effort)
     except InputError:
         return
 
@@ -69,8 +70,9 @@ def test_what_greedy_search_leaves_open_is_verified_as_open(problem, tmp_path):
     assert failed(found) == set()
 
     expected = [stage.gap == 0.0 for stage in solution.certificate.stages]
+    claims = [proof.claims_optimum for proof in found.proofs]
 
-    assert [proof.claims_optimum for proof in found.proofs] == expected
+    assert claims == expected
 
 
 @pytest.fixture
@@ -91,8 +93,9 @@ def test_every_check_is_made_and_every_stage_proven_again(problem, document, tmp
     assert failed(found) == set()
 
     names = [check.name for check in found.checks]
+    distinct = len(set(names))
 
-    assert len(set(names)) == len(names)
+    assert distinct == len(names)
     assert {
         "instance",
         "model",
@@ -125,7 +128,8 @@ def stage(document, name):
 def other_row(document):
     """A pose that hangs where none of the layout does."""
     sites = {unit["row"] // 2 for unit in document["layout"]}
-    return next(row for row in range(4, 12) if row // 2 not in sites)
+    others = range(4, 12)
+    return next(row for row in others if row // 2 not in sites)
 
 
 def swap_pose(document):
@@ -171,7 +175,8 @@ def add_to_objective_and_bound(document):
 )
 def test_what_was_changed_is_found(problem, document, tmp_path, change, checks):
     change(document)
-    found = failed(verify(tmp_path, problem, document))
+    verified = verify(tmp_path, problem, document)
+    found = failed(verified)
 
     assert found
     assert found >= checks
@@ -179,18 +184,21 @@ def test_what_was_changed_is_found(problem, document, tmp_path, change, checks):
 
 def test_a_layout_beyond_a_limit_is_found(problem, document, tmp_path):
     limits = problem.limits
-    rows = np.array([unit["row"] for unit in document["layout"]])
+    numbers = [unit["row"] for unit in document["layout"]]
+    rows = np.array(numbers)
 
     assert len(rows) == 2
 
-    is_free = ~np.isin(np.arange(12), rows)
+    is_used = np.isin(np.arange(12), rows)
+    is_free = ~is_used
     forced = is_free & ~limits.is_forbidden & (limits.site_index > 1)
+    site_index = np.zeros(12, dtype=np.int64)
     beyond = {
         "units": replace(limits, budget_units=1),
         "money": replace(limits, budget_eur=150.0),
         "site capacity": replace(
             limits,
-            site_index=np.zeros(12, dtype=np.int64),
+            site_index=site_index,
             rivals=None,
         ),
         "forced units": replace(limits, is_forced=forced),
@@ -202,12 +210,16 @@ def test_a_layout_beyond_a_limit_is_found(problem, document, tmp_path):
 
     for name, others in beyond.items():
         other = replace(problem, limits=others)
-        assert failed(verify(tmp_path, other, document)) >= {name, "instance"}
+        verified = verify(tmp_path, other, document)
+        names_failed = failed(verified)
+
+        assert names_failed >= {name, "instance"}
 
 
 def test_a_floor_that_is_missed_is_found(problem, document, tmp_path):
     floor = replace(problem.floors[0], share=1.0, n_failures=2)
-    found = verify(tmp_path, replace(problem, floors=(floor,)), document)
+    with_floor = replace(problem, floors=(floor,))
+    found = verify(tmp_path, with_floor, document)
 
     assert "floor --target" in failed(found)
 
@@ -219,8 +231,10 @@ def test_a_changed_table_is_found_even_if_the_hash_was_made_to_fit(
 
     table = pack_table(problem.table.pose_ids, problem.table.axis, blind)
     other = replace(problem, table=table)
+
     document["instance"]["sha256"] = verify_module.problem_hash(other)
-    found = failed(verify(tmp_path, other, document))
+    verified = verify(tmp_path, other, document)
+    found = failed(verified)
 
     assert {"apr", "floor --target"} <= found
     assert "instance" not in found
@@ -264,7 +278,12 @@ def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(
             certificate=Certificate(stages=stages, solver="an oracle"),
             presolve=presolve,
         )
-        found = verify(tmp_path, problem, document_of(problem, lie), max_sets=max_sets)
+        found = verify(
+            tmp_path,
+            problem,
+            document_of(problem, lie),
+            max_sets=max_sets,
+        )
         n_worse += 1
 
         assert failed(found)
@@ -274,7 +293,8 @@ def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(
             proof.name for proof in found.proofs if proof.reason == "disproved"
         }
         if max_sets > 45:
-            assert {f"{name}: others" for name in disproved} == failed(found)
+            expected = {f"{name}: others" for name in disproved}
+            assert expected == failed(found)
 
     assert n_worse > 10
 
@@ -291,27 +311,32 @@ def test_what_cannot_be_proven_again_rests_on_the_solver(problem, document, tmp_
         assert proof.claims_optimum
         assert (proof.reason == "an oracle") == (not proof.is_proven_again)
 
-    assert not all(proof.is_proven_again for proof in found.proofs)
+    are_all_proven = all(proof.is_proven_again for proof in found.proofs)
+
+    assert not are_all_proven
 
 
 def test_the_layout_file_must_show_the_same_units(problem, document, tmp_path):
     units = [unit["unit"] for unit in document["layout"]]
-    for shown in (units[:1], units[::-1], [{**unit, "id": "X"} for unit in units], []):
+    renamed = [{**unit, "id": "X"} for unit in units]
+    for shown in (units[:1], units[::-1], renamed, []):
         assert failed(verify(tmp_path, problem, document, shown=shown)) == {
             "layout file"
         }
 
 
 def test_units_on_one_site_are_not_shown_on_two(problem, tmp_path):
+    site_index = np.zeros(12, dtype=np.int64)
+    rivals = np.zeros((0, 2), dtype=np.int64)
     one_site = replace(
         problem,
         limits=replace(
             problem.limits,
-            site_index=np.zeros(12, dtype=np.int64),
+            site_index=site_index,
             site_capacity=[2],
             site_cost_eur=np.zeros(1),
             is_forced_site=np.zeros(1, dtype=bool),
-            rivals=np.zeros((0, 2), dtype=np.int64),
+            rivals=rivals,
         ),
     )
     document = document_of(one_site, solve_placement(one_site))
@@ -321,4 +346,5 @@ def test_units_on_one_site_are_not_shown_on_two(problem, tmp_path):
     ):
         for unit, site in zip(document["layout"], sites, strict=True):
             unit["unit"]["site"] = site
-        assert failed(verify(tmp_path, one_site, document)) == expected
+        verified = verify(tmp_path, one_site, document)
+        assert failed(verified) == expected

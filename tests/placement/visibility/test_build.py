@@ -80,7 +80,13 @@ def _build(world, candidates, **options):
     """The table of candidates in a world: scene, runs and axis."""
     scene, runs, axis = world
     options = {"detector": DETECTOR} | options
-    return build_detection_table(scene, candidates, runs, axis, **options)
+    return build_detection_table(
+        scene,
+        candidates,
+        runs,
+        axis,
+        **options,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -94,9 +100,11 @@ def _agreement(scene, runs, candidates, detector, detected):
     surroundings = build_surroundings(scene, runs)
     shares = []
     for row, candidate in enumerate(candidates):
-        evidence = perceive_frames(surroundings, (candidate.pose, candidate.sensor))
+        mount_and_sensor = (candidate.pose, candidate.sensor)
+        evidence = perceive_frames(surroundings, mount_and_sensor)
         by_pixels = detector.is_expected(evidence)
-        shares.append((by_pixels == detected[row]).mean())
+        share = (by_pixels == detected[row]).mean()
+        shares.append(share)
 
     return np.array(shares)
 
@@ -111,11 +119,13 @@ def test_the_table_detects_in_the_frames_in_which_pixels_do_at_the_studys_juncti
         pitches_deg=[-25.0],
         sensors=(camera,),
     )
-    some = build_candidates(scene, grid)[7::29]
+    every_pose = build_candidates(scene, grid)
+    some = every_pose[7::29]
     detector = load_planning_detector()
     runs = study_runs[::2]
 
-    table = _build((scene, runs, axis_of(runs)), some, detector=detector)
+    small_world = (scene, runs, axis_of(runs))
+    table = _build(small_world, some, detector=detector)
     shares = _agreement(scene, runs, some, detector, _detected(table))
 
     assert len(shares) == 4
@@ -124,9 +134,12 @@ def test_the_table_detects_in_the_frames_in_which_pixels_do_at_the_studys_juncti
 
 
 def test_rows_do_not_depend_on_their_company(world, candidates, table):
-    assert table.pose_ids == tuple(candidate.id for candidate in candidates)
+    expected = tuple(candidate.id for candidate in candidates)
 
-    for row, candidate in list(enumerate(candidates))[::5]:
+    assert table.pose_ids == expected
+
+    numbered = list(enumerate(candidates))
+    for row, candidate in numbered[::5]:
         alone = _build(world, [candidate])
         assert np.array_equal(_detected(alone)[0], _detected(table)[row])
 
@@ -135,13 +148,15 @@ def test_columns_do_not_depend_on_other_runs(world, candidates, table, axis_of):
     scene, runs, axis = world
     for index, run in enumerate(runs):
         alone = _build((scene, [run], axis_of([run])), candidates)
-        together = _detected(table)[:, axis.frames_of(index)]
+        frames = axis.frames_of(index)
+        together = _detected(table)[:, frames]
 
         assert np.array_equal(_detected(alone), together)
 
 
 def test_two_workers_build_the_same_table_as_one(world, candidates, table):
-    two = _build(world, candidates, compute=Compute(workers=2))
+    compute = Compute(workers=2)
+    two = _build(world, candidates, compute=compute)
     assert np.array_equal(two.packed, table.packed)
 
 
@@ -151,10 +166,18 @@ def test_two_workers_build_the_same_table_as_one(world, candidates, table):
 def test_a_vru_above_the_lens_or_in_it_does_no_harm(
     build_scene, build_run, axis_of, mount
 ):
-    run = build_run([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [1.0, 0.0, 90.0]])
+    run = build_run(
+        [
+            [0.0, 0.0, 0.0],
+            [0.3, 0.0, 0.0],
+            [1.0, 0.0, 90.0],
+        ]
+    )
     eyes = [mount(f"{z:g}", [0.0, 0.0, z]) for z in (0.4, 0.9, 1.8, 2.0)]
 
-    table = _build((build_scene(), [run], axis_of([run])), eyes)
+    axis = axis_of([run])
+    small_world = (build_scene(), [run], axis)
+    table = _build(small_world, eyes)
 
     assert _detected(table).shape == (4, 3)
 
@@ -189,7 +212,8 @@ def test_nothing_beyond_the_largest_distance_is_high_enough(
     """
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=min_height_px)
     limit_m = max_distance_m(camera, detector, vru_height_m=extent_m)
-    pose = Pose(position_m=np.zeros(3), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    origin_m = np.zeros(3)
+    pose = Pose(position_m=origin_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
     in_camera = np.array(
         [
             pixel[0] * camera.width_px / camera.focal_length_px,
@@ -198,19 +222,31 @@ def test_nothing_beyond_the_largest_distance_is_high_enough(
         ]
     )
     first = camera_rotation(yaw_deg, pitch_deg) @ in_camera
-    first *= times * limit_m / np.linalg.norm(first)
-    assume(np.linalg.norm(direction) > 1e-3)
-    second = first + extent_m * np.array(direction) / np.linalg.norm(direction)
+    length_m = np.linalg.norm(first)
+    first *= times * limit_m / length_m
+    direction_length = np.linalg.norm(direction)
+    assume(direction_length > 1e-3)
+    way = np.array(direction)
+    length = np.linalg.norm(direction)
+    second = first + extent_m * way / length
+    share_along = first @ (first - second) / extent_m**2
     # The nearest point of the line between them counts.
-    share = np.clip(first @ (first - second) / extent_m**2, 0.0, 1.0)
-    assume(np.linalg.norm(first + share * (second - first)) >= limit_m)
+    share = np.clip(share_along, 0.0, 1.0)
+    nearest_point_m = first + share * (second - first)
+    nearest_m = np.linalg.norm(nearest_point_m)
+    assume(nearest_m >= limit_m)
 
     projected = project_points([first, second], pose, camera)
-    size = np.array([camera.width_px, camera.height_px])
-    assume((projected[:, 2] > 0.0).all())
-    assume((np.abs(projected[:, :2] - 0.5 * size) <= 0.5 * size * (1.0 + 1e-9)).all())
+    size_px = [camera.width_px, camera.height_px]
+    size = np.array(size_px)
+    is_ahead = projected[:, 2] > 0.0
+    assume(is_ahead.all())
+    off_px = projected[:, :2] - 0.5 * size
+    half_px = 0.5 * size * (1.0 + 1e-9)
+    assume((np.abs(off_px) <= half_px).all())
+    height_px = abs(projected[0, 1] - projected[1, 1])
 
-    assert abs(projected[0, 1] - projected[1, 1]) <= min_height_px * (1.0 + 1e-6)
+    assert height_px <= min_height_px * (1.0 + 1e-6)
 
 
 def test_the_largest_distance_is_reached_in_the_corner_of_the_image():
@@ -221,18 +257,26 @@ def test_the_largest_distance_is_reached_in_the_corner_of_the_image():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=1.0)
     limit_m = max_distance_m(camera, detector, vru_height_m=0.01)
     half = np.radians(0.5 * camera.vertical_fov_deg)
-    foot = limit_m * np.array([np.cos(half), 0.0, -np.sin(half)])
-    head = foot + 0.01 * np.array([np.sin(half), 0.0, np.cos(half)])
+    east = np.cos(half)
+    down = np.sin(half)
+    foot = limit_m * np.array([east, 0.0, -down])
+    across = np.sin(half)
+    up = np.cos(half)
+    head = foot + 0.01 * np.array([across, 0.0, up])
+
     pose = Pose(position_m=[0.0, 0.0, 0.0], yaw_deg=0.0)
 
-    rows = project_points([foot, head], pose, camera)[:, 1]
+    pixels = project_points([foot, head], pose, camera)
+    rows = pixels[:, 1]
+    found_px = abs(rows[0] - rows[1])
 
-    assert abs(rows[0] - rows[1]) == pytest.approx(1.0, rel=1e-2)
+    assert found_px == pytest.approx(1.0, rel=1e-2)
 
 
 def test_any_distance_may_count_where_any_height_does(small_camera):
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=0.0)
-    assert max_distance_m(small_camera, detector, vru_height_m=1.8) == np.inf
+    found_m = max_distance_m(small_camera, detector, vru_height_m=1.8)
+    assert found_m == np.inf
 
 
 # Progress and interruption
@@ -244,10 +288,12 @@ def test_progress_counts_mount_positions(world, candidates):
     def told(stage, done, total):
         calls.append((done, total))
 
-    _build(world, candidates, compute=Compute(workers=2, progress=told))
+    compute = Compute(workers=2, progress=told)
+    _build(world, candidates, compute=compute)
+    expected = [(done, 4) for done in (1, 2, 3, 4)]
 
     # Two positions, one of them for the model with another near distance, each.
-    assert calls == [(done, 4) for done in (1, 2, 3, 4)]
+    assert calls == expected
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -284,6 +330,7 @@ def test_an_error_in_a_worker_is_not_lost(world, mount, monkeypatch):
 
     monkeypatch.setattr(build_module, "cast_for", fail)
     one = mount("one", [0.0, 0.0, 6.0])
+    compute = Compute(workers=2)
 
     with pytest.raises(MemoryError, match="no room"):
-        _build(world, [one], compute=Compute(workers=2))
+        _build(world, [one], compute=compute)

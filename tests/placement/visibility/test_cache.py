@@ -367,6 +367,7 @@ def test_what_it_takes_to_find_somebody_by_lidar_is_part_of_the_fingerprint(
     other = replace(
         load_lidar_detection(), min_points={"pedestrian": 1, "child": 1, "cyclist": 1}
     )
+
     monkeypatch.setattr(build_module, "load_lidar_detection", lambda: other)
 
     assert _fingerprint(inputs) == by_camera
@@ -387,9 +388,10 @@ def test_a_fingerprint_is_the_same_for_equal_inputs(inputs):
     assert int(before, 16) >= 0
 
     scene = inputs["scene"]
+    vertices_m = scene.vertices_m.copy()
     equal = {
         **inputs,
-        "scene": replace(scene, vertices_m=scene.vertices_m.copy()),
+        "scene": replace(scene, vertices_m=vertices_m),
         "candidates": [
             replace(c, pose=replace(c.pose), sensor=replace(c.sensor))
             for c in inputs["candidates"]

@@ -33,11 +33,24 @@ def world(build_scene, build_run):
     van = parked_at("parked-van", -3.0, -4.0, 30.0)
     runs = []
     for body in ("adult", "child", "cyclist"):
-        vru = rng.uniform(-1.0, 1.0, (120, 3)) * [20.0, 20.0, 180.0]
+        places = rng.uniform(-1.0, 1.0, (120, 3))
+        vru = places * [20.0, 20.0, 180.0]
         vut = vru + [4.0, 3.0, 20.0]
-        runs.append(build_run(vru, vut, vru=body, obstruction=(van,), name=body))
+        run = build_run(
+            vru,
+            vut,
+            vru=body,
+            obstruction=(van,),
+            name=body,
+        )
+        runs.append(run)
 
-    return build_world(build_scene(*WALLS), runs, n_points=N_POINTS, seed=0)
+    return build_world(
+        build_scene(*WALLS),
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+    )
 
 
 def sensing_of(world, near_m, detector=DETECTOR):
@@ -49,7 +62,8 @@ def sensing_of(world, near_m, detector=DETECTOR):
         max_distance_m=1000.0,
         for_lidar=False,
     )
-    return build_sensing(world, sight, np.array(MOUNT), detector)
+    mount_m = np.array(MOUNT)
+    return build_sensing(world, sight, mount_m, detector)
 
 
 def looks_of(mount, rng, cameras):
@@ -77,16 +91,23 @@ def evidence_of(sensing, candidate):
     right, down, depth = np.moveaxis(
         points @ camera_rotation(pose.yaw_deg, pose.pitch_deg), -1, 0
     )
-    at = np.stack([right, down], axis=-1) / np.maximum(depth, 0.01)[..., None]
-    shown = shown_points(at.reshape(-1, 2), camera).reshape(at.shape)
+    offsets = np.stack([right, down], axis=-1)
+    depth_ahead = np.maximum(depth, 0.01)
+    at = offsets / depth_ahead[..., None]
+    shown_flat = shown_points(at.reshape(-1, 2), camera)
+    shown = shown_flat.reshape(at.shape)
     columns, rows = np.moveaxis(shown, -1, 0)
-    in_picture = (columns >= 0) & (columns <= camera.width_px) & (rows >= 0)
+    in_columns = (columns >= 0) & (columns <= camera.width_px)
+    in_picture = in_columns & (rows >= 0)
     in_picture &= (rows <= camera.height_px) & (depth > 0.01)
-    in_picture &= is_shown(at.reshape(-1, 2), camera).reshape(depth.shape)
+    is_shown_flat = is_shown(at.reshape(-1, 2), camera)
+    in_picture &= is_shown_flat.reshape(depth.shape)
     is_cut = ~in_picture.all(axis=1)
     hidden = ~sight.is_visible & ~sight.is_whole[:, None]
     out = is_cut[:, None] & ~in_picture
-    return boxes(columns, rows, hidden | out), boxes(columns, rows, out)
+    seen_boxes = boxes(columns, rows, hidden | out)
+    whole_boxes = boxes(columns, rows, out)
+    return seen_boxes, whole_boxes
 
 
 @pytest.mark.long
@@ -119,9 +140,10 @@ def test_boxes_through_lenses_are_those_of_numpy(
 
         named = [part.draw_index[rows == row] for rows, part in parts]
         sure = np.flatnonzero(high > DETECTOR.min_box_height_px + 0.01)
+        heights_px = high[np.concatenate(named)]
 
         assert np.isin(sure, np.concatenate(named)).all()
-        assert (high[np.concatenate(named)] > DETECTOR.min_box_height_px - 0.01).all()
+        assert (heights_px > DETECTOR.min_box_height_px - 0.01).all()
 
     assert n_seen > 50
 
@@ -133,9 +155,12 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(world, mount, small_camera):
         replace(look, sensor=replace(look.sensor, lens=BrownConrady(), roll_deg=0.0))
         for look in looks
     ]
-    sensing = sensing_of(world, small_camera.near_m)
 
-    assert np.array_equal(sensing.packed(looks), sensing.packed(zero))
+    sensing = sensing_of(world, small_camera.near_m)
+    expected = sensing.packed(zero)
+    found = sensing.packed(looks)
+
+    assert np.array_equal(found, expected)
     assert sensing.packed(looks).any()
 
 
@@ -148,13 +173,22 @@ def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, mod
     )
     every = sensing_of(world, small_camera.near_m).packed(looks)
 
-    for some in [[look] for look in looks] + [looks]:
-        sight = cast_for(world, np.array(MOUNT), [(look, DETECTOR) for look in some])
+    alone = [[look] for look in looks]
+    for some in alone + [looks]:
+        mount_m = np.array(MOUNT)
+        asked = [(look, DETECTOR) for look in some]
+        sight = cast_for(world, mount_m, asked)
 
-        sensing = build_sensing(world, sight, np.array(MOUNT), DETECTOR)
+        sensing = build_sensing(
+            world,
+            sight,
+            np.array(MOUNT),
+            DETECTOR,
+        )
         rows = [looks.index(look) for look in some]
+        found = sensing.packed(some)
 
-        assert np.array_equal(sensing.packed(some), every[rows])
+        assert np.array_equal(found, every[rows])
 
     assert every.any()
 
@@ -164,15 +198,20 @@ def test_evidence_says_how_much_of_a_body_the_picture_cuts_off(
 ):
     rng = default_rng(2)
     camera = random_camera(rng, small_camera, "fisheye")
+
     ((_, plain), (_, part)) = sensing_of(world, 0.35).evidence(
         looks_of(mount, rng, [camera])
     )
+    is_share = (part.inside_share >= 0.0) & (part.inside_share <= 1.0)
 
     assert (plain.inside_share == 1.0).all()
-    assert ((part.inside_share >= 0.0) & (part.inside_share <= 1.0)).all()
+    assert is_share.all()
 
-    size = [camera.width_px, camera.height_px] * 2
+    size_px = [camera.width_px, camera.height_px]
+    size = size_px * 2
     is_cut = part.inside_share < 1.0
+    is_right_of_zero = part.amodal_px[is_cut] >= 0.0
+    is_inside = part.amodal_px[is_cut] <= size
 
     assert is_cut.any()
-    assert ((part.amodal_px[is_cut] >= 0.0) & (part.amodal_px[is_cut] <= size)).all()
+    assert (is_right_of_zero & is_inside).all()

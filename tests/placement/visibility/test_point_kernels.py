@@ -41,10 +41,21 @@ def world(build_scene, build_run):
         vru = rng.uniform(-1.0, 1.0, (90, 3)) * [20.0, 20.0, 180.0]
         vut = poses_beside(rng, vru, 2.5, 6.0)
         free = build_run(vru, vut, vru=body, name=f"{body}/day")
-        behind = build_run(vru, vut, vru=body, obstruction=(van,), name=f"{body}/fog")
+        behind = build_run(
+            vru,
+            vut,
+            vru=body,
+            obstruction=(van,),
+            name=f"{body}/fog",
+        )
         runs += [free, replace(behind, weather="fog")]
 
-    return build_world(build_scene(*WALLS), runs, n_points=N_POINTS, seed=0)
+    return build_world(
+        build_scene(*WALLS),
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+    )
 
 
 def _sensing(world, candidates, detector, *, for_lidar=False):
@@ -100,10 +111,16 @@ def test_every_verdict_is_that_of_numpy(world, mount, small_camera, detector, se
 def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
     world, mount, small_camera, seed
 ):
-    looks = _random_looks(mount, default_rng(100 + seed), small_camera, 8)
+    looks = _random_looks(
+        mount,
+        default_rng(100 + seed),
+        small_camera,
+        8,
+    )
     sensing = _sensing(world, looks, DETECTORS["geometric"])
     parts = list(sensing.evidence(looks))
-    row_index = np.concatenate([rows for rows, _ in parts])
+    rows_of_parts = [rows for rows, _ in parts]
+    row_index = np.concatenate(rows_of_parts)
 
     for row, look in enumerate(looks):
         expected = NumpySensing(sensing).evidence(look)
@@ -117,8 +134,9 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
                 for (_, part), some in zip(parts, picked, strict=True)
             ]
         )
+        sorted_entries = np.sort(entries)
 
-        assert np.array_equal(np.sort(entries), seen)
+        assert np.array_equal(sorted_entries, seen)
 
         for name in (
             "visible_px",
@@ -149,24 +167,33 @@ def test_many_sensors_at_once_detect_what_each_does_alone(
 ):
     looks = _random_looks(mount, default_rng(5), small_camera, 6)
     lidar = replace(load_lidars()["carla-ncap-lidar"], near_m=small_camera.near_m)
-    looks.insert(3, replace(looks[0], id="lidar", sensor=lidar))
-    sensing = _sensing(world, looks, DETECTORS["far-sighted"], for_lidar=True)
+    by_lidar = replace(looks[0], id="lidar", sensor=lidar)
+    looks.insert(3, by_lidar)
+    sensing = _sensing(
+        world,
+        looks,
+        DETECTORS["far-sighted"],
+        for_lidar=True,
+    )
     together = sensing.detected(looks)
 
     assert together[3].any()
 
-    alone = np.concatenate([sensing.detected([look]) for look in looks])
+    detected_alone = [sensing.detected([look]) for look in looks]
+    alone = np.concatenate(detected_alone)
 
     assert np.array_equal(together, alone)
 
-    expected = np.array([NumpySensing(sensing).detected(look) for look in looks])
+    detected_by_numpy = [NumpySensing(sensing).detected(look) for look in looks]
+    expected = np.array(detected_by_numpy)
 
     assert np.array_equal(together, expected)
 
     # In parts, as many as fit: the same.
     monkeypatch.setattr("placement.visibility.sensing._PAIRS", 1000)
+    detected = sensing.detected(looks)
 
-    assert np.array_equal(sensing.detected(looks), together)
+    assert np.array_equal(detected, together)
 
 
 @pytest.mark.parametrize("detector", DETECTORS)
@@ -175,17 +202,24 @@ def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
 ):
     looks = _random_looks(mount, default_rng(9), small_camera, 12)
     detector = DETECTORS[detector]
+
     some = _sensing(world, looks, detector, for_lidar=False)
     every = _sensing(world, looks, detector, for_lidar=True)
+    expected = every.packed(looks)
+    packed = some.packed(looks)
 
     assert np.array_equal(some.sight.is_whole, every.sight.is_whole)
     assert np.array_equal(some.sight.visible_share, every.sight.visible_share)
-    assert np.array_equal(some.packed(looks), every.packed(looks))
+    assert np.array_equal(packed, expected)
 
     part = ~some.sight.is_whole
+    some_points = some.sight.is_visible[part]
+    every_point = every.sight.is_visible[part]
+    n_some = some.sight.is_visible.sum()
+    n_every = every.sight.is_visible.sum()
 
-    assert np.array_equal(some.sight.is_visible[part], every.sight.is_visible[part])
-    assert some.sight.is_visible.sum() > every.sight.is_visible.sum()
+    assert np.array_equal(some_points, every_point)
+    assert n_some > n_every
 
 
 @pytest.mark.parametrize("detector", DETECTORS)
@@ -193,22 +227,33 @@ def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
 def test_no_view_is_left_out_that_a_sensor_detects(
     world, mount, small_camera, detector, seed
 ):
-    looks = _random_looks(mount, default_rng(20 + seed), small_camera, 5)
-    lidar = load_lidars()["carla-ncap-lidar"]
-    looks.insert(
-        2, replace(looks[0], sensor=replace(lidar, near_m=small_camera.near_m))
+    looks = _random_looks(
+        mount,
+        default_rng(20 + seed),
+        small_camera,
+        5,
     )
+    lidar = load_lidars()["carla-ncap-lidar"]
+    sensor = replace(lidar, near_m=small_camera.near_m)
+    by_sensor = replace(looks[0], sensor=sensor)
+    looks.insert(2, by_sensor)
     detector = DETECTORS[detector]
     position_m = looks[0].pose.position_m
 
     for some in (looks, looks[:1]):
-        sight = cast_for(world, position_m, [(look, detector) for look in some])
+        asked = [(look, detector) for look in some]
+        sight = cast_for(world, position_m, asked)
         every = _sensing(world, some, detector, for_lidar=True)
 
-        found = build_sensing(world, sight, position_m, detector).packed(some)
+        sensing = build_sensing(world, sight, position_m, detector)
+        found = sensing.packed(some)
+        expected = every.packed(some)
 
-        assert np.array_equal(found, every.packed(some))
+        assert np.array_equal(found, expected)
         assert found.any() or some is not looks
 
+    n_views = len(sight.view_index)
+    n_every_view = len(every.sight.view_index)
+
     # One camera looks one way.
-    assert len(sight.view_index) < len(every.sight.view_index)
+    assert n_views < n_every_view

@@ -35,8 +35,10 @@ class Counter:
 
 def _all_own_rays(own, *given):
     """Rays to all points of a body, whatever its faces say."""
-    nowhere = np.full(len(own.points), np.inf)
-    return fill_own_rays(own._replace(least_sine=nowhere), *given)
+    n_points = len(own.points)
+    nowhere = np.full(n_points, np.inf)
+    unlimited = own._replace(least_sine=nowhere)
+    return fill_own_rays(unlimited, *given)
 
 
 def _sight_and_rays(world, eye, **options):
@@ -44,15 +46,19 @@ def _sight_and_rays(world, eye, **options):
     scene = Counter(world.shared.caster)
     vut = Counter(world.vehicles.casters[0])
     parked = [Counter(caster) for caster in world.standing.casters]
+    standing = replace(world.standing, casters=tuple(parked))
+    vehicles = replace(world.vehicles, casters=(vut,))
     counted = replace(
         world,
         shared=replace(world.shared, caster=scene),
-        standing=replace(world.standing, casters=tuple(parked)),
-        vehicles=replace(world.vehicles, casters=(vut,)),
+        standing=standing,
+        vehicles=vehicles,
     )
-    options = {"near_m": 0.35, "max_distance_m": 300.0} | options
+    defaults = {"near_m": 0.35, "max_distance_m": 300.0}
+    options = defaults | options
     sight = cast_sight(counted, eye, **options)
-    return sight, scene.n_rays + sum(each.n_rays for each in parked), vut.n_rays
+    n_parked = sum(each.n_rays for each in parked)
+    return sight, scene.n_rays + n_parked, vut.n_rays
 
 
 def _assert_nothing_is_missed(world, eye, monkeypatch, **options):
@@ -74,11 +80,12 @@ def _assert_nothing_is_missed(world, eye, monkeypatch, **options):
         every, n_every_static, n_every_vut = _sight_and_rays(world, eye, **options)
 
     for field in fields(sight):
-        assert np.array_equal(getattr(sight, field.name), getattr(every, field.name)), (
-            field.name
-        )
+        expected = getattr(every, field.name)
+        found = getattr(sight, field.name)
+        assert np.array_equal(found, expected), field.name
 
-    return n_static / n_every_static, n_vut / max(n_every_vut, 1)
+    n_vut_rays = max(n_every_vut, 1)
+    return n_static / n_every_static, n_vut / n_vut_rays
 
 
 @pytest.mark.parametrize("for_lidar", [True, False])
@@ -90,21 +97,48 @@ def test_no_ray_is_spared_that_something_stops(
     boxes = []
     for _ in range(12):
         place = rng.uniform(-25.0, 25.0, 2)
-        corner = np.append(place, rng.choice([0.0, rng.uniform(0.5, 4.0)]))
-        boxes.append((corner, corner + rng.uniform(0.05, 4.0, 3)))
+        height_m = rng.uniform(0.5, 4.0)
+        up_m = rng.choice([0.0, height_m])
+        corner = np.append(place, up_m)
+        other_corner = rng.uniform(0.05, 4.0, 3)
+        boxes.append((corner, corner + other_corner))
 
     east_m, north_m = rng.uniform(-9.0, 9.0, 2)
-    van = parked_at("parked-van", east_m, north_m, rng.uniform(-180, 180))
+    van = parked_at(
+        "parked-van",
+        east_m,
+        north_m,
+        rng.uniform(-180, 180),
+    )
     vru = poses_within(rng, 300, 30.0)
-    vut = vru + poses_within(rng, 300, 7.0)
+    offset = poses_within(rng, 300, 7.0)
+    vut = vru + offset
     runs = [
         build_run(vru[:200], vut[:200], vru="adult", name="a"),
-        build_run(vru[200:], vut[200:], vru="cyclist", obstruction=(van,), name="b"),
+        build_run(
+            vru[200:],
+            vut[200:],
+            vru="cyclist",
+            obstruction=(van,),
+            name="b",
+        ),
     ]
-    world = build_world(build_scene(*boxes), runs, n_points=N_POINTS, seed=0)
-    eye = np.array([*rng.uniform(-20.0, 20.0, 2), rng.uniform(0.3, 9.0)])
+    world = build_world(
+        build_scene(*boxes),
+        runs,
+        n_points=N_POINTS,
+        seed=0,
+    )
+    place_m = rng.uniform(-20.0, 20.0, 2)
+    up_m = rng.uniform(0.3, 9.0)
+    eye = np.array([*place_m, up_m])
 
-    shares = _assert_nothing_is_missed(world, eye, monkeypatch, for_lidar=for_lidar)
+    shares = _assert_nothing_is_missed(
+        world,
+        eye,
+        monkeypatch,
+        for_lidar=for_lidar,
+    )
 
     assert shares[0] < 0.8
 
@@ -113,10 +147,17 @@ def test_from_within_the_box_of_a_parked_body_all_rays_are_cast(
     build_scene, build_run, monkeypatch
 ):
     van = parked_at("parked-van", 0.0, 0.0, 20.0)
-    run = build_run([[8.0, 1.0, 0.0], [-9.0, 2.0, 50.0]], obstruction=(van,))
-    world = build_world(build_scene(), [run], n_points=N_POINTS, seed=0)
+    places = [[8.0, 1.0, 0.0], [-9.0, 2.0, 50.0]]
+    run = build_run(places, obstruction=(van,))
+    world = build_world(
+        build_scene(),
+        [run],
+        n_points=N_POINTS,
+        seed=0,
+    )
 
     inside = np.array([0.5, 0.0, 1.2])
+
     shares = _assert_nothing_is_missed(world, inside, monkeypatch)
 
     # All of those to the van, none of as many to the empty scene.
@@ -140,5 +181,6 @@ def test_the_ground_below_all_feet_and_what_is_above_the_lens_count_for_nothing(
     ):
         nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
         mark_nearest(nearest, triangles, eye, 0.1, 100.0, 0.0, 1.8)
+        is_met = np.isfinite(nearest)
 
-        assert np.isfinite(nearest).any() == is_in_the_way
+        assert is_met.any() == is_in_the_way

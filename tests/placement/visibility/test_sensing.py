@@ -49,7 +49,8 @@ def _jumping(build_run, reach_m):
     for body in ("adult", "child", "cyclist"):
         vru = rng.uniform(-1.0, 1.0, (80, 3)) * [reach_m, reach_m, 180.0]
         vut = poses_beside(rng, vru, 3.0, 6.0)
-        runs.append(build_run(vru, vut, vru=body, name=body))
+        run = build_run(vru, vut, vru=body, name=body)
+        runs.append(run)
 
     return tuple(runs)
 
@@ -123,14 +124,20 @@ def test_no_weather_shows_what_the_day_does_not(
         for name, sensor in (("camera", small_camera), ("lidar", STUDY))
     ]
     scene = build_scene(*WALLS)
-    found = table_of(scene, candidates, _in_weathers(random_runs), detector)
+    found = table_of(
+        scene,
+        candidates,
+        _in_weathers(random_runs),
+        detector,
+    )
     found = found.reshape(4, 4, -1)  # candidate, weather, frame
     by_day = found[:, 0]
+    expected = table_of(scene, candidates, random_runs, detector)
 
     assert (found <= by_day[:, None]).all()
     # Cameras: LiDARs do not see that far.
     assert (found[::2, 3] < by_day[::2]).any(axis=1).all()
-    assert np.array_equal(by_day, table_of(scene, candidates, random_runs, detector))
+    assert np.array_equal(by_day, expected)
     # At night a laser sees what it sees by day.
     assert np.array_equal(found[1::2, 1], by_day[1::2])
 
@@ -146,7 +153,12 @@ def _evidence_of_frames(scene, runs, candidate, detector):
     position = candidate.pose.position_m
     pose = candidate.pose
     camera = candidate.sensor
-    sight = cast_sight(world, position, near_m=camera.near_m, max_distance_m=1000.0)
+    sight = cast_sight(
+        world,
+        position,
+        near_m=camera.near_m,
+        max_distance_m=1000.0,
+    )
     made = build_sensing(world, sight, position, detector)
     (_, whole), (_, part) = made.evidence([candidate])
     fields = (
@@ -172,7 +184,12 @@ def test_the_response_foretold_by_points_is_that_of_pixels(
     """Points are 10 cm apart, and a share of them is no share of pixels: a tenth on
     most frames.
     """
-    candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
+    candidate = mount(
+        "a",
+        [-10.0, -12.0, 6.0],
+        yaw_deg=50.0,
+        pitch_deg=-20.0,
+    )
     evidence = _evidence_of_frames(
         build_scene(*WALLS),
         random_runs,
@@ -289,7 +306,13 @@ def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
 def test_a_lidars_table_leaves_of_those_with_enough_points_who_are_near_enough(
     build_scene, random_runs, mount, table_of
 ):
-    at = mount("a", [-30.0, -12.0, 6.0], yaw_deg=20.0, pitch_deg=-12.0, camera=SURE)
+    at = mount(
+        "a",
+        [-30.0, -12.0, 6.0],
+        yaw_deg=20.0,
+        pitch_deg=-12.0,
+        camera=SURE,
+    )
     rule = load_planning_detector()
     table = load_detector("pointrcnn-2019").lidar
     half_at_30_m = replace(
@@ -359,6 +382,7 @@ def test_a_level_ring_has_the_same_row_however_it_is_turned(
         mount(f"{yaw:g}", [1.0, -2.0, 5.0], yaw_deg=yaw, pitch_deg=0.0, camera=RING)
         for yaw in yaws_deg
     ]
+
     found = table_of(build_scene(*WALLS), candidates, random_runs)
 
     assert (found == found[0]).all()

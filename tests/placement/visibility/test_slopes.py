@@ -35,13 +35,16 @@ FAR_M = 1000.0
 def with_ground(scene, height_of):
     """A scene of boxes on a ground of heights; boxes stand on it by their middles."""
     east, north = np.meshgrid(LINES_M, LINES_M)
-    terrain = Terrain(east_m=LINES_M, north_m=LINES_M, height_m=height_of(east, north))
+    height_m = height_of(east, north)
+    terrain = Terrain(east_m=LINES_M, north_m=LINES_M, height_m=height_m)
     vertices, triangles = terrain.mesh()
     solid = scene.triangle_instance > 0
     lifted = scene.vertices_m.copy()
     for index in range(1, len(scene.instances)):
-        own = np.unique(scene.triangles[scene.triangle_instance == index])
-        lifted[own, 2] += terrain.at(lifted[own, :2].mean(axis=0))
+        corners = scene.triangles[scene.triangle_instance == index]
+        own = np.unique(corners)
+        middle_m = lifted[own, :2].mean(axis=0)
+        lifted[own, 2] += terrain.at(middle_m)
 
     return replace(
         scene,
@@ -68,8 +71,15 @@ def some_runs(build_run, seed, n_frames=12):
             position_m=driven[:, :2],
             yaw_deg=driven[:, 2],
         )
-        run = build_run(vru, vut, vru=name, obstruction=(car,), name=name)
-        runs.append(replace(run, traffic=(van,)))
+        run = build_run(
+            vru,
+            vut,
+            vru=name,
+            obstruction=(car,),
+            name=name,
+        )
+        with_van = replace(run, traffic=(van,))
+        runs.append(with_van)
 
     return runs
 
@@ -119,11 +129,16 @@ def test_a_lifted_world_looks_as_one_at_zero(
         evidence.append(
             [perceive_frames(surroundings, (c.pose, camera)) for c in candidates]
         )
-        own.append(perceive_frames(surroundings, load_vut_camera()))
+        seen = perceive_frames(surroundings, load_vut_camera())
+        own.append(seen)
         rng = default_rng(0)
-        scans.append(
-            scan_frames(surroundings, candidates[0].pose, load_vut_lidar(), rng)
+        scan = scan_frames(
+            surroundings,
+            candidates[0].pose,
+            load_vut_lidar(),
+            rng,
         )
+        scans.append(scan)
 
     assert tables[0].any()
     assert_array_equal(*tables)
@@ -146,9 +161,12 @@ def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, 
         build_scene(WALL),
         lambda east, north: 2.0 * np.sin(a * east) + 1.5 * np.cos(b * north),
     )
-    runs = on(scene, some_runs(build_run, seed))
+    flat_runs = some_runs(build_run, seed)
+    runs = on(scene, flat_runs)
     world = build_world(scene, runs, n_points=40, seed=0)
-    eye = on_ground(rng.uniform(-20.0, 20.0, 2), None) + [0.0, 0.0, 5.0]
+    place_m = rng.uniform(-20.0, 20.0, 2)
+    foot_m = on_ground(place_m, None)
+    eye = foot_m + [0.0, 0.0, 5.0]
     eye[2] += ground_height_m(scene, eye[:2])
 
     sight = cast_sight(world, eye, near_m=NEAR_M, max_distance_m=FAR_M)
@@ -156,13 +174,17 @@ def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, 
     places = [(run, index) for run in runs for index in range(len(run.time_s))]
 
     for frame, (run, index) in enumerate(places):
-        vertices_m, triangles, _ = one_mesh(parts_of_frame(scene, run, index))
+        parts = parts_of_frame(scene, run, index)
+        vertices_m, triangles, _ = one_mesh(parts)
         caster = build_caster(vertices_m - world.origin_m, triangles)
         view = world.views.view_of_frame[frame]
-        ways = world.views.points_m[view] - eye_m
-        length = np.linalg.norm(ways, axis=1)[:, None]
+        points_m = world.views.points_m[view]
+        ways = points_m - eye_m
+        distance_m = np.linalg.norm(ways, axis=1)
+        length = distance_m[:, None]
         starts = (eye_m + NEAR_M * ways / length).astype(np.float32)
-        vectors = (ways * (1.0 - (NEAR_M + 1.0e-3) / length)).astype(np.float32)
+        share = 1.0 - (NEAR_M + 1.0e-3) / length
+        vectors = (ways * share).astype(np.float32)
         reached = ~caster.is_blocked(starts, vectors)
         entry = sight.entry_of_frame[frame]
         visible = np.zeros(len(reached), dtype=bool)

@@ -17,7 +17,8 @@ ROWS = st.lists(st.integers(0, N_ROWS - 1), unique=True).map(
 
 def _truth(eye):
     """What an eye would see, (n_rows, n_points)."""
-    return np.random.default_rng(eye).random((N_ROWS, N_POINTS)) < 0.5
+    rng = np.random.default_rng(eye)
+    return rng.random((N_ROWS, N_POINTS)) < 0.5
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), ROWS, ROWS), max_size=8))
@@ -59,6 +60,7 @@ def test_without_room_nothing_is_kept_and_all_is_found(asked):
         hidden = kept.look(eye, rows, lambda index, eye=eye: _truth(eye)[index])
         assert np.array_equal(hidden, _truth(eye)[rows])
 
-    expected = min(2, len({eye for eye, _ in asked}))
+    eyes = {eye for eye, _ in asked}
+    expected = min(2, len(eyes))
 
     assert len(kept._of_eye) == expected
