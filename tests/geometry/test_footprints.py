@@ -27,7 +27,10 @@ def corners_of(rectangle):
 def polygon_of(rectangle):
     """The same by the oracle's arithmetic."""
     return rectangle_polygon(
-        rectangle.centre_m, rectangle.yaw_deg, rectangle.length_m, rectangle.width_m
+        rectangle.centre_m,
+        rectangle.yaw_deg,
+        rectangle.length_m,
+        rectangle.width_m,
     )
 
 
@@ -60,7 +63,12 @@ def test_corners_go_counter_clockwise_around_the_declared_area(rectangle):
 
 def test_first_corner_is_front_left():
     north_deg = 90.0
-    corners = footprint_corners([10.0, 20.0], north_deg, length_m=4.0, width_m=2.0)
+    corners = footprint_corners(
+        [10.0, 20.0],
+        north_deg,
+        length_m=4.0,
+        width_m=2.0,
+    )
     expected = np.array(
         [
             [9.0, 22.0],

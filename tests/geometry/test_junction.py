@@ -71,10 +71,12 @@ def test_lanes_are_ordered_from_the_kerb_to_the_axis_however_the_junction_lies(
 def test_the_studys_junction_has_two_lanes_each_way_and_parks_north_and_south():
     arms = build_junction(load_study_scene()).arms
     assert sorted(arms) == ["east", "north", "south", "west"]
+
     for name, arm in arms.items():
         assert len(arm.entry_lanes) == len(arm.exit_lanes) == 2
         is_parking = arm.lanes_in[0].kind == "parking"
         assert is_parking == (name in ("north", "south"))
+
     # Pieces of one lane are put together: 13 m in the junction's own road, 51 m behind
     # it.
     assert lane_length_m(arms["north"].entry_lanes[0]) == pytest.approx(64.2, abs=0.1)

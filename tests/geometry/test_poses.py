@@ -26,6 +26,7 @@ def test_rotations_of_many_angles_are_those_of_each(pairs):
     many = body_rotation(yaw, pitch)
 
     assert many.shape == (len(pairs), 3, 3)
+
     for rotation, pair in zip(many, pairs, strict=True):
         assert rotation == pytest.approx(body_rotation(*pair), abs=1e-15)
 

@@ -191,7 +191,12 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
         normals = normals_of(corners)
         ahead = products(corners[:, 0] - origins[where], normals)
         speed = products(vectors[where], normals)
-        assert_allclose(ahead, one_share[where] * speed, rtol=1e-3, atol=1e-1)
+        assert_allclose(
+            ahead,
+            one_share[where] * speed,
+            rtol=1e-3,
+            atol=1e-1,
+        )
 
 
 @given(seed=SEEDS)
@@ -369,8 +374,10 @@ def test_why_open3d_cannot_load_is_told_with_the_remedy(
 
     assert open3d_problem() == reason
     assert caster_name() == "embree"
+
     with refused_with(f"--rays: got 'open3d'; expected a library that loads: {reason}"):
         caster_name("open3d", where="--rays")
+
     with pytest.raises(InputError, match="library: got 'open3d'"):
         build_caster(BOX.vertices, BOX.faces, library="open3d")
 
@@ -389,6 +396,7 @@ def test_open3d_casts_where_embreex_cannot_load_or_it_is_asked_for(monkeypatch):
 
     monkeypatch.setattr(raycast, "embreex_problem", lambda: "embreex cannot load")
     assert caster_name() == "open3d"
+
     with pytest.raises(InputError, match="a library that loads: embreex cannot load"):
         caster_name("embree")
 

@@ -78,6 +78,7 @@ def test_heights_are_those_of_the_mesh(seed):
     points = np.einsum("nk,nkj->nj", share, corners)
 
     found_m = terrain.at(points[:, :2])
+
     assert_allclose(found_m, points[:, 2], atol=1e-9)
 
     a, b, c = np.swapaxes(corners, 0, 1)
@@ -189,6 +190,7 @@ def test_runs_on_a_slope_are_those_of_the_plane_with_parked_cars_on_the_ground(
     sloped, _ = build_runs(slope, cases, vut=actors["vut"], rule=rule)
 
     assert [run.id for run in sloped] == [run.id for run in flat]
+
     for one, other in zip(flat, sloped, strict=True):
         assert other.last_brake_time_s == one.last_brake_time_s
         assert_array_equal(other.vru_position_m, one.vru_position_m)
@@ -196,4 +198,5 @@ def test_runs_on_a_slope_are_those_of_the_plane_with_parked_cars_on_the_ground(
             up_m = 0.04 * (body.pose.position_m[0] - 100.0)
             expected = body.pose.position_m + [0.0, 0.0, up_m]
             assert_allclose(raised.pose.position_m, expected, atol=1e-9)
+
     assert any(run.obstruction for run in sloped)

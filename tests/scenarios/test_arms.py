@@ -28,6 +28,7 @@ def junction_with(turns=(), connections=()):
     for before, after in connections:
         line = [named[before].centreline_m[-1], named[after].centreline_m[0]]
         lanes.append(build_lane(f"{before} {after}", line, kind="connecting"))
+
     return build_junction(build_scene(lanes))
 
 

@@ -63,7 +63,14 @@ def separation_m(*bodies):
     """Of two rectangles by their corners: middle, yaw, length and width of each."""
     corners = []
     for middle, yaw, length, width in (bodies[:4], bodies[4:]):
-        corners.append(footprint_corners(middle, yaw, length_m=length, width_m=width))
+        corners.append(
+            footprint_corners(
+                middle,
+                yaw,
+                length_m=length,
+                width_m=width,
+            )
+        )
     return footprint_separation(*corners)
 
 
@@ -100,14 +107,30 @@ def test_time_to_collision_is_what_small_steps_find(offset, closing, yaw_a, yaw_
         length_b_m=1.5,
         width_b_m=0.5,
     )
-    found_s = time_to_collision_s(offset, closing, yaw_a, yaw_b, sizes=sizes)
+    found_s = time_to_collision_s(
+        offset,
+        closing,
+        yaw_a,
+        yaw_b,
+        sizes=sizes,
+    )
     ttc = float(found_s)
     times = np.arange(0.0, 6.0, 0.01)
     there = np.add(offset, times[:, None] * closing)
-    apart = separation_m((0.0, 0.0), yaw_a, 4.0, 2.0, there, yaw_b, 1.5, 0.5)
+    apart = separation_m(
+        (0.0, 0.0),
+        yaw_a,
+        4.0,
+        2.0,
+        there,
+        yaw_b,
+        1.5,
+        0.5,
+    )
     moved_m = 0.01 * math.hypot(*closing) + 1.0e-9
 
     assert (apart[times < ttc] > -1.0e-9).all()
+
     if ttc < 6.0:
         look = min(round(ttc / 0.01), len(times) - 1)
         assert apart[look] <= moved_m
@@ -160,7 +183,12 @@ def test_those_who_do_not_come_near_are_no_encounter():
     ],
 )
 def test_who_stands_all_the_time_faces_where_the_file_says(heading_deg, faces_deg):
-    stands = track("p", "pedestrian", lambda _: (0.3, -1.75), yaw_deg=heading_deg)
+    stands = track(
+        "p",
+        "pedestrian",
+        lambda _: (0.3, -1.75),
+        yaw_deg=heading_deg,
+    )
     found = find_one(car(last_s=3.8), stands)
 
     assert found.vru_speed_kmh == 0.0
@@ -246,6 +274,7 @@ def least_time_s(one, other):
         touching = np.flatnonzero(apart <= 0.0)
         if len(touching):
             best = min(best, steps[touching[0]])
+
     return best
 
 
@@ -266,6 +295,7 @@ def test_pairs_are_those_that_brute_force_finds(seed):
 
     assert pairs <= maybe
     assert len(expected - pairs) <= sum(left_out.values())
+
     for one in found:
         least_s = least[one.vehicle.id, one.vru.id]
         assert one.ttc_s == pytest.approx(least_s, abs=0.011)
@@ -283,7 +313,13 @@ def cases_file(tmp_path):
 
 def lay_recorded(cases, **options):
     """Runs of cases at the place where they were recorded, and what is refused."""
-    return build_runs(protocol_scene(), cases, vut=VUT, rule=RULE, **options)
+    return build_runs(
+        protocol_scene(),
+        cases,
+        vut=VUT,
+        rule=RULE,
+        **options,
+    )
 
 
 def test_a_file_of_encounters_is_a_set_of_cases(cases_file):
@@ -354,6 +390,7 @@ def test_damaged_encounters_are_refused_in_one_line(cases_file, before, after, m
     cases_file.write_text(text.replace(before, after))
     with pytest.raises(InputError, match="street-v-p") as caught:
         load_own_cases(cases_file)
+
     assert message in str(caught.value)
 
 

@@ -203,6 +203,7 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     position, yaw_deg = path.at(distances)
 
     off_m = distance_to_chain_m(position, lane)
+
     # A body 1.8 m wide stays in its lane.
     assert off_m.max() <= 0.5 * LANE_M - 0.9
 

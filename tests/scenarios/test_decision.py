@@ -196,8 +196,22 @@ def drawn():
 def test_tracks_and_decisions_equal_a_plain_filter_on_200_random_runs(drawn):
     axis, seen, position_m, covariance_m2, ways = drawn
     worlds_m = np.stack([position_m + 1.0, position_m])
-    tracks = track(seen, worlds_m, covariance_m2, axis, aeb=AEB, rule=RULE)
-    ours = overlap_probability(tracks, axis, ways, RESERVES_S, rule=RULE, world=1)
+    tracks = track(
+        seen,
+        worlds_m,
+        covariance_m2,
+        axis,
+        aeb=AEB,
+        rule=RULE,
+    )
+    ours = overlap_probability(
+        tracks,
+        axis,
+        ways,
+        RESERVES_S,
+        rule=RULE,
+        world=1,
+    )
 
     n_live = 0
     for run in range(axis.n_runs):
@@ -224,10 +238,23 @@ def test_tracks_and_decisions_equal_a_plain_filter_on_200_random_runs(drawn):
 
 def test_a_longer_reserve_never_lowers_the_probability(drawn):
     axis, seen, position_m, covariance_m2, ways = drawn
-    tracks = track(seen, position_m[None], covariance_m2, axis, aeb=AEB, rule=RULE)
+    tracks = track(
+        seen,
+        position_m[None],
+        covariance_m2,
+        axis,
+        aeb=AEB,
+        rule=RULE,
+    )
     # Ends that are steps, too.
     ways = replace(ways, time_to_stop_s=ways.time_to_stop_s.round(1))
-    ours = overlap_probability(tracks, axis, ways, (0.0, 0.3, 1.0), rule=RULE)
+    ours = overlap_probability(
+        tracks,
+        axis,
+        ways,
+        (0.0, 0.3, 1.0),
+        rule=RULE,
+    )
 
     more = np.diff(ours, axis=0)
 
@@ -258,7 +285,14 @@ def crossing(noise_m2):
     place_m = np.column_stack([np.full(301, 2.25), WALK_MPS * time_s])
     always = np.ones((1, 301), dtype=bool)
     noise = np.tile([noise_m2, 0.0, noise_m2], (1, 301, 1))
-    tracks = track(always, place_m[None, None], noise, axis, aeb=AEB, rule=SURE)
+    tracks = track(
+        always,
+        place_m[None, None],
+        noise,
+        axis,
+        aeb=AEB,
+        rule=SURE,
+    )
     # Its middle is at 0 at the impact.
     car_m = SPEED_MPS * (-3.0 + 0.1 * np.arange(60))
     ways = CarWays(
@@ -291,7 +325,14 @@ def test_the_place_of_the_impact_is_located_as_least_squares_say():
     always[1, 0, 200:] = False
     covariance_m2 = [noise_m**2, 0.0, noise_m**2]
     error = np.tile(covariance_m2, (2, 1, 301, 1))
-    found_m = located_sd_m(always, error, axis, np.zeros(1), aeb=AEB, rule=SURE)
+    found_m = located_sd_m(
+        always,
+        error,
+        axis,
+        np.zeros(1),
+        aeb=AEB,
+        rule=SURE,
+    )
     in_time = frames_in_time(axis, latency_s=AEB.latency_s)
 
     for row, seen in enumerate(always):
@@ -308,7 +349,14 @@ def test_nothing_is_located_where_no_track_lives():
     axis = axis_of([np.arange(-9, 1) / 10.0], [-0.2])
     never = np.zeros((1, 1, 10), dtype=bool)
     error = np.ones((1, 1, 10, 3))
-    found_m = located_sd_m(never, error, axis, np.zeros(1), aeb=AEB, rule=RULE)
+    found_m = located_sd_m(
+        never,
+        error,
+        axis,
+        np.zeros(1),
+        aeb=AEB,
+        rule=RULE,
+    )
 
     assert found_m[0, 0] == np.inf
 

@@ -86,7 +86,13 @@ def turning():
         wheelbase_m=2.85,
         front_axle_ahead_m=1.45,
     )
-    walks = moving([15.5, 9.0], 0.0, 1.4, start_time_s=0.5, acceleration_distance_m=1.0)
+    walks = moving(
+        [15.5, 9.0],
+        0.0,
+        1.4,
+        start_time_s=0.5,
+        acceleration_distance_m=1.0,
+    )
     return met(Motion(path=path, speed_mps=15.0 / 3.6, start_time_s=0.0), walks)
 
 

@@ -15,7 +15,12 @@ from scenarios.runs import build_runs
 
 FLIP = np.array([1.0, -1.0])
 FLIP_IN_SPACE = np.array([1.0, -1.0, 1.0])
-OTHER_SIDE = {"east": "east", "north": "south", "west": "west", "south": "north"}
+OTHER_SIDE = {
+    "east": "east",
+    "north": "south",
+    "west": "west",
+    "south": "north",
+}
 
 
 def left_handed(scene):
@@ -45,7 +50,12 @@ def drive(scene, cases="study,protocol-4.5.1,protocol-2026", speeds="20,50"):
 
 def assert_mirrored(found_m, positions_m):
     """Positions are those of the other side."""
-    assert_allclose(found_m, positions_m * FLIP, rtol=0.0, atol=1e-6)
+    assert_allclose(
+        found_m,
+        positions_m * FLIP,
+        rtol=0.0,
+        atol=1e-6,
+    )
 
 
 def assert_turned_back(found_deg, yaws_deg):
@@ -90,6 +100,7 @@ def test_titles_say_to_which_side_the_vut_turns(change):
     runs, _ = drive(change(protocol_scene()), ",".join(names), "10")
 
     assert {run.case.name for run in runs} == names
+
     for run in runs:
         turned_deg = (run.vut_yaw_deg[-1] - run.vut_yaw_deg[0] + 180.0) % 360.0 - 180.0
         if turned_deg > 5.0:
@@ -110,6 +121,7 @@ def test_a_junction_in_two_mirrors_is_itself_again():
 
     assert mirrored(junction).keeps_left
     assert not twice.keeps_left
+
     for name, arm in twice.arms.items():
         was = junction.arms[name]
         assert arm.crosswalk.point_m == pytest.approx(was.crosswalk.point_m)

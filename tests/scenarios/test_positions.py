@@ -48,7 +48,12 @@ CASES = load_cases()
 # One of each kind: years and impact points are laid alike.
 FREE = {case.family: name for name, case in CASES.items() if not is_bound(case)}
 CROSSWALK_M = MOUTH_M - 2.0  # from the middle of the protocol's junction
-OPPOSITE = {"east": "west", "north": "south", "west": "east", "south": "north"}
+OPPOSITE = {
+    "east": "west",
+    "north": "south",
+    "west": "east",
+    "south": "north",
+}
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +168,7 @@ def test_on_straight_lanes_a_run_is_that_of_zero_moved_along(
 
     assert_same_frames(there, here, by=by, tolerance_m=1e-6)
     assert there.last_brake_time_s == pytest.approx(here.last_brake_time_s, abs=1e-6)
+
     if here.obstruction and not is_behind:
         for one, other in zip(there.obstruction, here.obstruction, strict=True):
             moved = one.pose.position_m[:2] - other.pose.position_m[:2]
@@ -186,7 +192,13 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(
     scene = load_study_scene()
     arms = build_junction(scene).arms
     arm = arms[OPPOSITE[approach]]
-    (run,), _ = laid(scene, name, f"+{metres}", approach=approach, speeds=(60.0,))
+    (run,), _ = laid(
+        scene,
+        name,
+        f"+{metres}",
+        approach=approach,
+        speeds=(60.0,),
+    )
     leaving = arm.exit_lanes[0].centreline_m
     points = np.array([impact_point(run), leaving[-1]])
     beyond_m, exit_m = arm.crosswalk.coordinates(points)[:, 1]
@@ -398,6 +410,7 @@ def test_cases_that_are_bound_to_the_junction_have_one_place():
     families = {name[:4] for name in bound}
 
     assert families == {"CPTA", "CBTA", "CBNA", "CBFA", "CCCs", "CMCs", "CCFt", "CMFt"}
+
     for case in bound.values():
         assert positions_of(case, build_positions((15.0, 30.0))) == (AT_ZERO,)
 
@@ -406,7 +419,12 @@ def test_cases_that_are_bound_to_the_junction_have_one_place():
 
 
 @given(
-    st.lists(st.integers(10, 90), min_size=3, max_size=20, unique=True).map(sorted),
+    st.lists(
+        st.integers(10, 90),
+        min_size=3,
+        max_size=20,
+        unique=True,
+    ).map(sorted),
     st.integers(0, 50),
 )
 def test_neighbours_take_turns_so_that_every_speed_is_driven(speeds, turn):
@@ -480,7 +498,12 @@ def test_what_is_no_position_is_told(text):
 
 
 def test_a_frame_axis_knows_where_each_run_is(laid):
-    runs, _ = laid(protocol_scene(), "CPLA-50", "-15", speeds=(20.0, 30.0))
+    runs, _ = laid(
+        protocol_scene(),
+        "CPLA-50",
+        "-15",
+        speeds=(20.0, 30.0),
+    )
     assert [run.id for run in runs] == ["CPLA-50/west-15/20", "CPLA-50/west-15/30"]
 
     axis = build_frame_axis(runs, np.full(2, 0.5))
@@ -612,6 +635,7 @@ def test_where_the_map_ends_a_vru_sets_off_beyond_if_a_lane_is_assumed_there(
 
     # But nobody is met where the map has no road.
     _, (refusal,) = laid(scene, "CPNA-25", "-45")
+
     assert refusal.reason == "the mapped lane does not reach that far"
     assert not refusal.is_possible
 
@@ -689,5 +713,6 @@ def test_impact_points_take_turns_and_every_speed_is_driven_with_one(
             for speed in part:
                 driven[speed].add(number)
         assert sorted(found) == sorted(everything)
+
     # Every speed comes to every impact point.
     assert all(numbers == set(range(n_points)) for numbers in driven.values())

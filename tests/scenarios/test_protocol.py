@@ -110,6 +110,7 @@ def test_obstructions_stand_at_the_protocols_gaps(golf, name):
     parked = {body.actor.name: body for body in stage(name, golf).obstruction}
 
     assert parked.keys() == golden["bodies"].keys()
+
     for actor_name, box in golden["bodies"].items():
         body = parked[actor_name]
         along_and_across_m = [body.actor.length_m, body.actor.width_m]
@@ -324,11 +325,18 @@ def test_from_the_other_side_a_run_is_the_mirror_image(
     other_side = {"near": "far", "far": "near"}[case.vru_side]
     other = replace(case, impact_percent=100.0 - percent, vru_side=other_side)
     staged, mirrored = (
-        stage_by_protocol(one, JUNCTION, "west", vut_speed_kmh=speed_kmh, vut=golf)
+        stage_by_protocol(
+            one,
+            JUNCTION,
+            "west",
+            vut_speed_kmh=speed_kmh,
+            vut=golf,
+        )
         for one in (case, other)
     )
 
     times_s = np.linspace(-5.0, 0.0, 11)
+
     for who in ("vut_motion", "vru_motion"):
         motion = getattr(staged.encounter, who)
         mirror = getattr(mirrored.encounter, who)
@@ -341,6 +349,7 @@ def test_from_the_other_side_a_run_is_the_mirror_image(
 
     turned_deg = off_deg(mirrored_deg, image_yaw_deg)
     assert np.abs(turned_deg).max() < 1e-9
+
     for body, image in zip(staged.obstruction, mirrored.obstruction, strict=True):
         place = in_mirror(body.pose.position_m[:2])
         assert place == pytest.approx(image.pose.position_m[:2])

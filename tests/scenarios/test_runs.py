@@ -99,6 +99,7 @@ def test_every_case_is_carried_or_refused_with_a_reason(all_runs, asked):
         assert refusal.reason
         for speed in refusal.speeds_kmh:
             told.add((refusal.case.name, refusal.approach, speed))
+
     assert told == asked
 
 
@@ -310,6 +311,7 @@ def test_frame_axis_lays_the_frames_of_runs_end_to_end(runs):
 
     assert axis.n_runs == len(some)
     assert axis.n_frames == sum(len(run.time_s) for run in some)
+
     for index, run in enumerate(some):
         assert np.array_equal(axis.time_s[axis.frames_of(index)], run.time_s)
         assert axis.run_ids[index] == run.id
@@ -409,7 +411,13 @@ def drawn(data, elements, axis):
 memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])
 
 
-@given(frame_axes(), st.integers(1, 4), memories_s, numbers(0.0, 1.0), st.data())
+@given(
+    frame_axes(),
+    st.integers(1, 4),
+    memories_s,
+    numbers(0.0, 1.0),
+    st.data(),
+)
 def test_live_confirmations_are_those_of_each_run(
     rule, axis, n, memory_s, latency_s, data
 ):
@@ -421,6 +429,7 @@ def test_live_confirmations_are_those_of_each_run(
     alone_s = live_confirmation_times_s(rows[1], axis, rule=rule)
 
     assert np.array_equal(alone_s, found_s[1])
+
     for run in range(axis.n_runs):
         frames = axis.frames_of(run)
         until_s = float(axis.last_brake_time_s[run]) - latency_s
@@ -442,6 +451,7 @@ def test_many_rows_are_looked_at_in_parts(rule, frame_axis):
     found_s = live_confirmation_times_s(rows, frame_axis, rule=rule)
 
     assert found_s.shape == (3, 150, frame_axis.n_runs)
+
     for place in ((0, 0), (1, 63), (2, 149)):
         one_s = live_confirmation_times_s(rows[place], frame_axis, rule=rule)
         assert np.array_equal(found_s[place], one_s)
@@ -467,7 +477,12 @@ def windows_of(axis, run, arrival_s, n):
     return windows
 
 
-@given(frame_axes(), st.integers(1, 3), memories_s, st.data())
+@given(
+    frame_axes(),
+    st.integers(1, 3),
+    memories_s,
+    st.data(),
+)
 def test_the_vut_brakes_for_the_live_window_that_it_knows_first(
     rule, axis, n, memory_s, data
 ):
@@ -519,7 +534,11 @@ def test_a_track_that_is_lost_again_sets_nothing_in_motion(rule, frame_axis):
     arrival_s = np.full(10, np.inf)
     arrival_s[3:5] = axis.time_s[3:5] + 0.025
 
-    for memory_s, onset_s in ((0.2, math.inf), (0.275, -0.275), (math.inf, -0.275)):
+    for memory_s, onset_s in (
+        (0.2, math.inf),
+        (0.275, -0.275),
+        (math.inf, -0.275),
+    ):
         onsets = find_onsets(arrival_s, axis, rule=rule_with(rule, 2, memory_s))
         assert onsets.confirmation_s == pytest.approx([math.inf, -0.3, math.inf])
         assert onsets.onset_s == pytest.approx([math.inf, onset_s, math.inf])

@@ -58,7 +58,13 @@ def stage(name, vut, speed_kmh, vru_kmh, *, approach="west", junction=JUNCTION):
     """A case at its speeds, with the bodies beside."""
     (case,) = pick_cases(name, "cases", case_range="extended")
     case = at_vru_speed(case, vru_kmh)
-    return stage_by_protocol(case, junction, approach, vut_speed_kmh=speed_kmh, vut=vut)
+    return stage_by_protocol(
+        case,
+        junction,
+        approach,
+        vut_speed_kmh=speed_kmh,
+        vut=vut,
+    )
 
 
 def ahead(yaw_deg):
@@ -374,6 +380,7 @@ def bent_road(*, radius_m):
         if lane.id.startswith("north-in"):
             line = line[::-1]
         lanes.append(replace(lane, centreline_m=line))
+
     return lanes
 
 
@@ -407,7 +414,12 @@ def test_parked_cars_that_do_not_fit_are_refused_with_the_reason(lay):
 def test_both_speeds_stand_in_a_runs_id(lay):
     scene = protocol_scene()
     speeds = (30.0, 40.0)
-    runs, refused = lay(scene, ["CCCscp-far"], speeds_kmh=speeds, approaches=["north"])
+    runs, refused = lay(
+        scene,
+        ["CCCscp-far"],
+        speeds_kmh=speeds,
+        approaches=["north"],
+    )
     pairs = [(vut, vru) for vut in (30, 40) for vru in (20, 30, 40, 50, 60)]
 
     assert not refused
@@ -475,6 +487,7 @@ def test_only_vulnerable_road_users_are_protected_unless_all_are():
     selection = select_cases("junction", protect="vru")
     assert {case.road_user for case in selection.unprotected} == {"car"}
     assert not select_cases("junction", protect="all").unprotected
+
     with refused_with(
         "protect: got 'vru'; expected all, where every case asked for meets a car"
     ):
@@ -490,6 +503,7 @@ def test_speeds_of_both_are_picked_in_pairs():
     speeds = [case.vru_speeds_kmh(vut_kmh) for vut_kmh in case.vut_speeds_kmh]
     assert speeds == [(50.0,), (20.0,)]
     assert [case.name for case in selection.left_out] == ["CPNA-25"]
+
     with pytest.raises(
         InputError, match="speeds: got 30x55; expected speeds that go together"
     ):
@@ -506,6 +520,7 @@ def test_cases_that_cannot_be_laid_are_named_and_refused_with_their_reason(lay):
 
     assert not runs
     assert {one.case.name for one in refused} == {case.name for case in cases}
+
     for one in refused:
         assert one.reason == named[one.case.name].not_laid
         assert not one.is_possible
@@ -531,6 +546,7 @@ def test_only_in_all_impact_points_take_turns():
 
     assert turns == [(number, 5) for number in range(5)]
     assert cases["CPNA-2026-50"].impact_turn == cases["CPFA-50"].impact_turn == (0, 1)
+
     for name in ("default", "study", "protocol-4.5.1", "junction", "protocol-2026"):
         picked = pick_cases(name, "cases")
         assert {case.impact_turn for case in picked} == {(0, 1)}

@@ -304,7 +304,12 @@ def test_nobody_takes_the_junctions_own_lanes_for_another_junction(lay):
     deep = ends + [8.0, 0.0]
     scene = with_lanes(through, crosswalks_m=deep[None])
     before = [Position(distance_m=5.0)]
-    runs, refusals = lay(scene, ["CPNA-25"], approaches=["west"], positions=before)
+    runs, refusals = lay(
+        scene,
+        ["CPNA-25"],
+        approaches=["west"],
+        positions=before,
+    )
 
     assert runs
     assert not refusals
@@ -359,6 +364,7 @@ def test_a_cyclist_comes_from_a_road_that_exists(vut):
 
     with pytest.raises(NoRoadError, match=told):
         staged("CBTAfo-50", vut, scene=scene)
+
     assert staged("CBTAfs-100", vut, scene=scene)
 
 

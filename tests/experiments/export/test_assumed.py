@@ -43,6 +43,7 @@ def test_who_mounts_a_unit_on_a_surveyed_pole_gets_its_surveyed_place():
         if site.id in carried:
             site = replace(site, surveyed_m=site.position_m[:2] + moved_m)
         sites.append(site)
+
     surveyed = surveyed_positions_m(layout.units, replace(scene, sites=tuple(sites)))
     model = positions_m(layout)
 

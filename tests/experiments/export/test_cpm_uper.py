@@ -191,6 +191,7 @@ def test_both_releases_open_to_the_same_side():
         (station,) = build_stations(level_layout(30.0), SCENE, release=release)
         sensors = containers(station.messages[0])[1]["containerData"]
         shapes.append(sensors[0]["perceptionRegionShape"]["radial"])
+
     old, new = shapes
 
     assert (
@@ -267,6 +268,7 @@ def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs):
     rng = np.random.default_rng(10_000)
     to_local = Transformer.from_crs("EPSG:4326", SCENE.crs, always_xy=True)
     moving = [(run, run.encounter.vru_motion) for run in runs]
+
     for _ in range(10_000):
         layout = random_layout(rng)
         release = RELEASES[rng.integers(2)]

@@ -26,6 +26,7 @@ CRS = load_study_scene().crs
 def test_csv_reads_back_bit_by_bit(layout, tmp_path):
     path = tmp_path / "layout.csv"
     path.write_text(to_csv(layout))
+
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
 
@@ -42,6 +43,7 @@ def test_csv_reads_back_bit_by_bit(layout, tmp_path):
 def test_geojson_is_at_the_junction_with_bearings():
     layout = load_carlancap_layout()
     document = json.loads(to_geojson(layout, CRS))
+
     assert document["type"] == "FeatureCollection"
 
     for feature in document["features"]:
@@ -49,6 +51,7 @@ def test_geojson_is_at_the_junction_with_bearings():
         # West of 8 degrees east: the study's junction has negative x.
         assert 7.99 < longitude < 8.0
         assert 48.99 < latitude < 49.01
+
     assert [feature["properties"] for feature in document["features"]] == [
         record | {"bearing_deg": (90.0 - record["yaw_deg"]) % 360.0}
         for record in layout_records(layout)
@@ -78,6 +81,7 @@ def test_carla_transforms_come_back_as_the_poses(layout, build):
     if build:
         layout = build()
     records = json.loads(to_carla(layout))
+
     assert [record["id"] for record in records] == [unit.id for unit in layout.units]
 
     for unit, record in zip(layout.units, records, strict=True):

@@ -59,6 +59,7 @@ def read_mcap(content):
             value = kinds[schema.id].FromString(message.data)
         topic = found.setdefault(channel.topic, [])
         topic.append((message.log_time / 1.0e9, value))
+
     return found
 
 
@@ -113,6 +114,7 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
 def test_detections_confirmation_and_braking_follow_the_rule(topics, watched):
     states = [state for _, state in topics["/state"]]
     first = load_carlancap_layout().units[0]
+
     for frame, (state, (_, update)) in enumerate(
         zip(states, topics["/detections"], strict=True)
     ):
@@ -155,6 +157,7 @@ def test_the_track_has_an_ellipse_and_turns_red_when_the_car_decides(topics, wat
         speed_mps = math.hypot(last.x - first.x, last.y - first.y) / followed.ahead_s
         along_mps = np.hypot(*followed.tracks.state[0, frame, 2:])
         assert speed_mps == pytest.approx(along_mps, abs=1e-9)
+
     assert reds == decides[12:]
 
 
@@ -162,6 +165,7 @@ def test_frusta_show_the_corners_of_the_image(topics):
     """A frustum's far corners are projected to the corners of the picture."""
     (_, update), units = topics["/units"][0], load_carlancap_layout().units
     by_id = {entity.id: entity for entity in update.entities}
+
     assert list(by_id) == [unit.id for unit in units]
 
     for unit in units:
@@ -200,6 +204,7 @@ def test_the_scenes_meshes_are_whole(topics):
 def test_any_layout_is_written_without_a_run(build):
     layout = build()
     found = read_mcap(to_mcap(layout, SCENE))
+
     assert {"/scene", "/units", "/tf"} <= set(found)
 
     ((_, transforms),) = found["/tf"]
@@ -254,9 +259,15 @@ def test_pictures_are_what_a_reduced_camera_draws(watched):
         shown = np.asarray(Image.open(BytesIO(image.data)), dtype=float)
         weather = pick_weather(few.weather, "weather")
         drawn = draw_picture(
-            backdrop, few, frame, unit.pose, small, weather=weather
+            backdrop,
+            few,
+            frame,
+            unit.pose,
+            small,
+            weather=weather,
         ).rgb
         assert np.abs(shown - drawn).mean() < 3.0  # of 255: JPEG
+
     with pytest.raises(InputError, match="--pictures: got no run; expected --run"):
         to_mcap(one, SCENE, pictures=Compute())
 

@@ -92,7 +92,10 @@ def test_a_mirrored_scene_keeps_left(tmp_path, scene):
         replace(lane, centreline_m=lane.centreline_m * flip) for lane in scene.lanes
     )
     turned = replace(
-        scene, lanes=lanes, outline_m=scene.outline_m * flip, keeps_left=True
+        scene,
+        lanes=lanes,
+        outline_m=scene.outline_m * flip,
+        keeps_left=True,
     )
     source = read_map(written(tmp_path, turned))
 
@@ -118,6 +121,7 @@ def test_poles_stand_where_the_units_hang(tmp_path, scene):
     read |= {
         tuple(thing.vertices_m[:, :2].mean(axis=0).round(1)) for thing in source.things
     }
+
     for unit in load_carlancap_layout().units:
         place = np.asarray(unit.pose.position_m)[:2]
         assert min(np.hypot(*(np.array(one) - place)) for one in read) < 0.3

@@ -61,7 +61,10 @@ def some_runs():
     case.
     """
     lay = partial(
-        build_runs, load_study_scene(), vut=load_actors()["vut"], rule=load_aeb_rule()
+        build_runs,
+        load_study_scene(),
+        vut=load_actors()["vut"],
+        rule=load_aeb_rule(),
     )
     cases = [
         replace(load_cases()[name], vut_speeds_kmh=(speed_kmh,))
@@ -123,6 +126,7 @@ def read_trajectories(text):
                 for time, at in zip(line.time, line.positions, strict=True)
             ]
         )
+
     return found
 
 
@@ -199,6 +203,7 @@ def test_trajectories_read_back_are_the_frames_to_a_millimetre(
 ):
     run = some_runs[case, "day"]
     tracks = read_trajectories(written(case))
+
     assert set(tracks) == {"vut", "vru"}
 
     ahead_m = {
@@ -214,9 +219,17 @@ def test_trajectories_read_back_are_the_frames_to_a_millimetre(
         is_frame = np.abs(times_s[:, None] - run.time_s).min(axis=1) < 1e-6
         track = tracks[name][is_frame]
 
-        assert_allclose(track[:, 0], run.time_s - run.time_s[0], rtol=0.0, atol=1e-6)
         assert_allclose(
-            middles_m(track, ahead_m[name]), position_m, rtol=0.0, atol=1e-3
+            track[:, 0],
+            run.time_s - run.time_s[0],
+            rtol=0.0,
+            atol=1e-6,
+        )
+        assert_allclose(
+            middles_m(track, ahead_m[name]),
+            position_m,
+            rtol=0.0,
+            atol=1e-3,
         )
 
         turned_deg = (track[:, 3] - yaw_deg + 180.0) % 360.0 - 180.0
@@ -241,6 +254,7 @@ def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, written
     text = written(case)
     root = ET.fromstring(text)
     tracks = read_trajectories(text)
+
     for name, motion in (
         ("vut", run.encounter.vut_motion),
         ("vru", run.encounter.vru_motion),
@@ -315,7 +329,12 @@ def test_parked_bodies_stand_where_the_run_has_them(some_runs, written):
             track = np.array([[0.0, x_m, y_m, np.degrees(yaw_rad)]])
             (middle_m,) = middles_m(track, -box["x"])
 
-            assert_allclose(middle_m, placed.pose.position_m[:2], atol=1e-3, rtol=0.0)
+            assert_allclose(
+                middle_m,
+                placed.pose.position_m[:2],
+                atol=1e-3,
+                rtol=0.0,
+            )
             assert np.degrees(yaw_rad) == pytest.approx(placed.pose.yaw_deg, abs=1e-3)
 
             n_seen += 1
@@ -383,6 +402,7 @@ def test_every_body_of_the_catalogue_and_every_weather_is_described(some_runs):
     run = cut_run(some_runs["CPNCO-50", "day"], slice(-6, None))
     (placed, *_) = run.obstruction
     everybody = tuple(replace(placed, actor=actor) for actor in load_actors().values())
+
     for weather in WEATHERS:
         to_openscenario(
             replace(run, obstruction=everybody, weather=weather),
@@ -417,6 +437,7 @@ def test_weather_sets_sun_rain_road_and_lights(written):
 def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs):
     run = some_runs["CPNCO-50", "night"]
     root = ET.fromstring(to_openscenario(run, road_network="maps/Town05.xodr"))
+
     assert root.find("RoadNetwork/LogicFile").get("filepath") == "maps/Town05.xodr"
 
     header = root.find("FileHeader")
@@ -456,6 +477,7 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
 def test_a_run_that_no_braking_avoids_has_no_last_brake_time(some_runs):
     run = replace(some_runs["CPNA-25", "day"], last_brake_time_s=-np.inf)
     root = ET.fromstring(to_openscenario(run, road_network="Town05.xodr"))
+
     assert [p.get("name") for p in root.iter("ParameterDeclaration")] == [
         "impact_time_s"
     ]
@@ -545,6 +567,7 @@ def test_a_file_that_the_schema_rejects_is_named_with_place_and_reason(
 
     with pytest.raises(InputError) as caught:
         validate_openscenario(break_it(text))
+
     assert where in caught.value.where
     assert reason in str(caught.value)
     assert caught.value.expected == "XML that OpenSCENARIO_1_3_1.xsd accepts"
@@ -555,6 +578,7 @@ def test_what_cannot_be_exported_is_refused(some_runs):
     run = some_runs["CPNA-25", "day"]
     with pytest.raises(InputError, match="road_network: got ''"):
         to_openscenario(run, road_network="")
+
     with pytest.raises(
         InputError, match="weather: got 'hail'; expected one of day, fog, night, rain"
     ):

@@ -50,6 +50,7 @@ def test_what_no_camera_sees_is_road_outside_of_all_views(views):
     unseen = views[-1]
     assert unseen.unit == ""
     assert unseen.area.area > 0.0
+
     for view in views[:-1]:
         assert unseen.area.intersection(view.area).area == pytest.approx(0.0, abs=1e-6)
 
@@ -73,7 +74,10 @@ def test_other_programs_read_the_same_areas(name, views, tmp_path):
 
     assert len(areas) == len(views)
     assert_allclose(
-        areas.area, [view.area.area for view in views], rtol=1e-5, atol=1e-3
+        areas.area,
+        [view.area.area for view in views],
+        rtol=1e-5,
+        atol=1e-3,
     )
 
     names = areas["Name" if name == "kml" else "id"].tolist()
@@ -111,6 +115,7 @@ def test_a_drawing_has_poles_units_and_views_on_their_layers(views):
         assert (yaw_deg - unit.pose.yaw_deg + 180.0) % 360.0 - 180.0 == pytest.approx(
             0.0, abs=1e-6
         )
+
     for view in views:
         if view.unit:
             layer = f"VIEWS-{view.unit}"
@@ -137,6 +142,7 @@ def test_a_drawing_has_junction_kerbs_and_buildings_as_closed_lines_and_a_legend
 
     buildings = rings_of(space, "BUILDING")
     kinds = [thing.class_name for thing in SCENE.instances]
+
     assert len(buildings) == kinds.count("building") == 4
 
     texts = [text.dxf.text for text in space.query('TEXT[layer=="LEGEND"]')]

@@ -42,6 +42,7 @@ def test_impacts_within_six_metres_are_one_place():
 def test_every_run_is_at_one_place_and_none_is_wide(small_setting):
     places = find_places(small_setting)
     rows = np.concatenate([place.runs for place in places])
+
     assert sorted(rows.tolist()) == list(range(small_setting.axis.n_runs))
 
     for place in places:
@@ -86,7 +87,10 @@ def test_places_that_do_not_count_are_left_out_and_a_narrow_figure_is_drawn(
     axis = replace(small_setting.axis, weight=weight / weight.sum())
     none = np.zeros(axis.n_runs, dtype=bool)
     axes = plot_dangers(
-        replace(small_setting, axis=axis), layout, none, width_in=NARROW_IN
+        replace(small_setting, axis=axis),
+        layout,
+        none,
+        width_in=NARROW_IN,
     )
 
     assert len(marks(axes, "place")) == len(places) - 1
@@ -98,12 +102,16 @@ def test_what_is_not_quite_none_or_all_is_not_shown_as_it(small_setting, layout)
     place = find_places(impacts(*[(0.0, 0.0)] * 1000))[0]
     axis = SimpleNamespace(weight=np.full(1000, 1e-3), n_runs=1000)
     setting = SimpleNamespace(scene=small_setting.scene, axis=axis)
+
     for n_avoided, text in (
         (0, "0"),
         (1, "1"),
         (999, "99"),
     ):
         axes = plot_dangers(
-            setting, layout, np.arange(1000) < n_avoided, places=[place]
+            setting,
+            layout,
+            np.arange(1000) < n_avoided,
+            places=[place],
         )
         assert [mark.get_text() for mark in marks(axes, "share")] == [text]

@@ -105,7 +105,10 @@ def test_heatmap_marks_confirmations_and_names_outcomes(evaluation):
 
         (outcomes,) = axes.child_axes
         for label, row, time_s in zip(
-            outcomes.get_yticklabels(), rows, times, strict=True
+            outcomes.get_yticklabels(),
+            rows,
+            times,
+            strict=True,
         ):
             if np.isfinite(time_s):
                 late = "too late"
@@ -168,7 +171,10 @@ def test_a_run_in_words_names_its_weather_unless_it_is_day(frame_axis):
     place = [
         f"{case} from the {approach} at {speed:g} km/h"
         for case, approach, speed in zip(
-            axis.cases, axis.approaches, axis.vut_speed_kmh, strict=True
+            axis.cases,
+            axis.approaches,
+            axis.vut_speed_kmh,
+            strict=True,
         )
     ]
 

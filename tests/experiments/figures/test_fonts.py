@@ -21,6 +21,7 @@ def crossing(name, tmp_path):
         before, after = (osm.node(*end) for end in ends)
         tags = {"highway": "primary", "lanes": "2", "name": name}
         osm.way([before, middle, after], tags)
+
     return import_scene([osm.write(tmp_path)], ImportOptions()).scene
 
 
@@ -53,4 +54,5 @@ def test_a_street_that_cannot_be_drawn_is_named_by_its_arm(tmp_path, monkeypatch
 
     monkeypatch.setattr(fonts, "families_for", lambda text: None)
     drawn = {label.text for label in arm_names(scene, middle, 60.0)}
+
     assert drawn == {"north arm", "east arm", "south arm", "west arm"}

@@ -152,6 +152,7 @@ def test_plan_is_in_metres_north_up_around_the_junction(setting):
         outline = setting.scene.outline_m[:, column]
         assert limits[1] - limits[0] == pytest.approx(90.0)
         assert limits[0] < outline.min() < outline.max() < limits[1]
+
     assert "N" in texts_of(axes)
 
 
@@ -166,6 +167,7 @@ def test_the_tip_of_a_camera_points_where_it_looks(setting):
     units = load_carlancap_layout().units[:4]
     axes = plot_plan(setting, Layout(name="mine", units=units))
     lines = lines_of(axes)
+
     for unit in units:
         tip = lines[f"unit:{unit.id}"].get_marker().vertices[0]
         yaw_deg = np.degrees(np.arctan2(tip[1], tip[0]))

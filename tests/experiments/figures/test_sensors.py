@@ -37,12 +37,19 @@ PLACE = np.array([-120.0, 3.0, 6.0])
 
 def _unit(sensor=RING, yaw_deg=0.0, pitch_deg=0.0, unit_id="U1"):
     """A LiDAR that scans all round, 6 m high, or another sensor."""
-    return unit_at(unit_id, PLACE, yaw_deg=yaw_deg, pitch_deg=pitch_deg, sensor=sensor)
+    return unit_at(
+        unit_id,
+        PLACE,
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
+        sensor=sensor,
+    )
 
 
 def test_a_level_ring_sees_the_ground_between_two_circles():
     unit = _unit(yaw_deg=70.0)
     outer, inner = ground_rings(unit, max_range_m=35.0)
+
     assert_allclose(np.hypot(*(outer - PLACE[:2]).T), 35.0)
 
     blind_m = 6.0 / math.tan(math.radians(22.5))
@@ -92,6 +99,7 @@ def test_the_words_say_that_it_scans_all_round():
 
     layout = Layout(name="two", units=(_unit(), camera))
     table = unit_table("two", layout, load_study_scene())
+
     assert [row[6] for row in table.rows] == ["all round", "0.0"]
 
 
@@ -140,6 +148,7 @@ def test_the_sheet_says_how_a_ring_hangs_and_draws_an_arrow_only_where_it_helps(
         axes = new_axes(4.0, 4.0)
         _draw_plan(axes, unit, "U1", load_study_scene())
         arrows.append(sum(text.arrow_patch is not None for text in axes.texts))
+
     assert arrows == [0, 1]
 
 

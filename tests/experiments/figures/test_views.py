@@ -56,6 +56,7 @@ def test_a_camera_reaches_as_far_as_the_tallest_road_user_is_high_enough_in_the_
         assert views.reach_m(camera) == pytest.approx(
             min(reach_m, MAX_RANGE_M), abs=0.5
         )
+
     blind = replace(
         small_setting,
         table_detector=replace(small_setting.table_detector, min_contrast=1.0),

@@ -75,7 +75,12 @@ def scene_answer(ask, command):
 def city(tmp_path):
     """Two streets with lamps, a house, and a second junction."""
     osm = OsmText()
-    crossing_streets(osm, bearings=FOUR, highway="residential", lanes="2")
+    crossing_streets(
+        osm,
+        bearings=FOUR,
+        highway="residential",
+        lanes="2",
+    )
     osm.node(9.0, 9.0, highway="street_lamp")
     osm.node(-9.0, -9.0, highway="street_lamp")
     corners = [
@@ -142,6 +147,7 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     far = osm.node(300.0, 0.0)
+
     for start, (east, north), name in (
         (middle, (-100.0, 0.0), "West Road"),
         (middle, (0.0, 100.0), "Church Lane"),
@@ -150,6 +156,7 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
         (far, (300.0, -100.0), "Mill Lane"),
     ):
         osm.road([start, (east, north)], name=name, highway="residential")
+
     osm.road([middle, far], name="High Street", highway="residential")
     path = osm.write(tmp_path)
     listed = scene_answer("show", path)
@@ -162,6 +169,7 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
 
     small = listed["junctions"][1]
     at = f"{small['x_m']:.6f},{small['y_m']:.6f}"
+
     for choice in (
         ["--at", at],
         ["--junction", small["id"]],
@@ -170,6 +178,7 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
         out = tmp_path / "out"
         summary = scene_answer("import", path, *choice, "-o", out)
         assert summary["junctions"][0]["id"] == small["id"]
+
     summary = scene_answer("import", path, "-o", tmp_path / "out")
 
     assert summary["junctions"][0]["id"] == listed["junctions"][0]["id"]
@@ -227,7 +236,14 @@ def test_sites_are_poles_kerbs_or_a_list(scene_command, scene_answer, city, tmp_
         ("somewhere", "--sites: got 'somewhere'; expected auto, map, kerb:SPACING"),
         ("gone.csv", "gone.csv: got No such file"),
     ):
-        result = scene_command("import", city, "--sites", wrong, "-o", tmp_path / "x")
+        result = scene_command(
+            "import",
+            city,
+            "--sites",
+            wrong,
+            "-o",
+            tmp_path / "x",
+        )
         assert result.code == 2
         assert message in result.err
 
@@ -326,6 +342,7 @@ def test_other_peoples_folders_stay(scene_command, city, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/letter.txt").write_text("dear")
     (tmp_path / "file").write_text("x")
+
     for out, message in (
         ("mine", "which holds other things; expected a new folder, or a scene's"),
         ("file", "a file; expected a folder, or a .zip file"),
@@ -349,6 +366,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
 
         assert imported.code == 0
         assert f"traffic keeps {keeps}" in " ".join(imported.out.split())
+
     grid = replace(
         load_candidate_grid(),
         heights_m=np.array([6.0]),
@@ -360,7 +378,12 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     question = ["--cases CPNA-25,CBNA,CPTAfs-50 --speeds 20,40 --approaches north"]
     question += ["--along-arms", "0"]
     result = command(
-        "--scene", out, "--budget 1", *question, "--json --quiet --out", results
+        "--scene",
+        out,
+        "--budget 1",
+        *question,
+        "--json --quiet --out",
+        results,
     )
 
     assert result.code == 0, result.err
@@ -387,7 +410,13 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     assert elsewhere.code == 2
     assert "expected one of town05, the scene in use" in elsewhere.err
 
-    here = command("export --layout", layout, "--scene", out, "--format csv")
+    here = command(
+        "export --layout",
+        layout,
+        "--scene",
+        out,
+        "--format csv",
+    )
     assert here.out == (results / "layout.csv").read_text()
 
 
@@ -503,9 +532,14 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
         lanes="2",
     )
     city = str(osm.write(tmp_path))
+
     for _ in range(2):
         result = command(
-            "--scene", city, "--junction", "Street 2 / Street 0", "--budget 2"
+            "--scene",
+            city,
+            "--junction",
+            "Street 2 / Street 0",
+            "--budget 2",
         )
         assert result.code == 2
         assert "Imported Street 0 / Street 1 / Street 2: 3 arms, 24 sites" in result.err
@@ -524,8 +558,17 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
     assert len(other.sites) < 24
     assert set(assumed_sites(other.notes)) == {site.id for site in other.sites}
 
-    for wrong in ([], ["--scene", str(tmp_path)], ["--scene", asked[0].scene]):
-        result = command(*wrong, "--junction", "Street 0", "--budget 2 --quiet")
+    for wrong in (
+        [],
+        ["--scene", str(tmp_path)],
+        ["--scene", asked[0].scene],
+    ):
+        result = command(
+            *wrong,
+            "--junction",
+            "Street 0",
+            "--budget 2 --quiet",
+        )
         assert result.code == 2
         assert "expected --scene FILE, a map with roads" in result.err
 
@@ -562,7 +605,12 @@ def test_lists_that_are_long_are_cut(monkeypatch):
 def chooser(scene_command, tmp_path):
     """The page on which a junction of a street with three is chosen."""
     path = write_city(tmp_path)
-    result = scene_command("show", path, "--staggered 40 --out", tmp_path / "out")
+    result = scene_command(
+        "show",
+        path,
+        "--staggered 40 --out",
+        tmp_path / "out",
+    )
     assert result.code == 0
     return tmp_path / "out/junctions.html"
 
@@ -570,6 +618,7 @@ def chooser(scene_command, tmp_path):
 def test_the_junctions_of_a_map_stand_on_a_page_with_streets_and_names(chooser):
     page = chooser.read_text()
     assert re.findall(r'data-id="(.*?)"', page) == ["n3", "n1", "n2"]
+
     for street in ("Main Street", "A Lane", "B Lane", "C Lane"):
         assert re.search(rf"<text [^>]*>{street}</text>", page)
 

@@ -57,7 +57,10 @@ def pets(folder, rng):
         heading = np.full(N_FRAMES, 0.0 if way > 0 else 180.0)
         walked = (0.1 * frames / 1.4 * 8).round().astype(int)
         boxes = body_boxes(
-            foot, heading, walked, lambda p: project_distorted(p, camera)
+            foot,
+            heading,
+            walked,
+            lambda p: project_distorted(p, camera),
         )
         height = box_height_px(boxes)
         draws = linked_noise(frames, table.frame_correlation, rng)
@@ -281,7 +284,12 @@ def test_what_was_drawn_is_counted(folder, measured):
     everybody = response.recall_of(watched.sightings, "all")
     assert everybody.measured.value == pytest.approx(n_found / (N_PEOPLE * N_FRAMES))
 
-    groups = response.recalls(watched, watched.distance_m, (0.0, 21.0, np.inf), "m")
+    groups = response.recalls(
+        watched,
+        watched.distance_m,
+        (0.0, 21.0, np.inf),
+        "m",
+    )
     assert [group.tracks for group in groups] == [5, 5]
 
     car = measured.car
@@ -298,6 +306,7 @@ def test_phi_is_that_of_two_states_and_their_chances():
         1, n
     ):  # stays found with 0.9, stays missed with 0.6: phi 0.9 + 0.6 - 1
         states[index] = rng.random() < (0.9 if states[index - 1] else 0.4)
+
     some = response.Sightings(
         height_px=np.full(n, 80.0),
         seen_share=np.ones(n),
@@ -344,6 +353,7 @@ def test_a_car_brakes_for_nothing_only_where_it_drives(
             height = 721.5 * 1.7 / ahead_m
             sides = (middle - 0.2 * height, foot - height, middle + 0.2 * height, foot)
             found.append(f"{frame}," + ",".join(f"{one:.3f}" for one in sides) + ",0.4")
+
     label = "0 0 Pedestrian 0 0 0 1 1 20 60 1.8 0.5 0.5 -20 1.6 30 0"
     put(data / "label/0000.txt", label)
     put(data / "calib/0000.txt", "P2: 721.5 0 609.5 0 0 721.5 172.8 0 0 0 1 0\n")
@@ -372,6 +382,7 @@ def test_the_command_writes_page_figures_and_tables(
             str(tmp_path / "tables"),
         ],
     )
+
     assert result.exit_code == 0, result.output
 
     names = {path.name for path in (tmp_path / "out").iterdir()}
@@ -388,6 +399,7 @@ def test_the_command_writes_page_figures_and_tables(
     for name in ("pole-2015.toml", "car-2019.toml"):
         table = load_detector(str(tmp_path / "tables" / name))
         assert table.assumed == ("child", "cyclist", "motorcyclist", "car")
+
     lidars = load_toml(tmp_path / "tables/pointrcnn-2019.toml")
     assert all(lidars[name]["distance_m"] for name in ("pedestrian", "cyclist"))
 

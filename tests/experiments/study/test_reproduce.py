@@ -64,6 +64,7 @@ def test_quantities_are_shares_by_case(small):
     evaluation = evaluate_layout(Layout(name="two", units=units), small[0].setting)
     found = quantities(evaluation)
     axis = evaluation.axis
+
     for case in ("CPNC-50", "CBNA", "CBLA"):
         mask = np.array(axis.cases) == case
         assert found["APR of the VUT", case] == apr(evaluation.vut, axis, mask)
@@ -90,6 +91,7 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
             f"| {figure.quantity} | {figure.case} | {100 * figure.value:.2f} % |"
             in text
         )
+
     assert "| field of view 90 deg, not 110 |" in text
     assert "## Predictions" in text
 
@@ -98,6 +100,7 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
     )
     for figure in load_published().additional:
         assert figure.published in published
+
     # The small variants do not drive these cases.
     assert "| as it is | - | - | - | - |" in text
     assert (tmp_path / "reproduction_heatmaps.png").read_bytes().startswith(b"\x89PNG")
@@ -145,9 +148,11 @@ def test_the_additional_cases_are_changed_in_one_thing_at_a_time():
 
     short = variants["recordings of the last 3 s before the impact"]
     assert short.axis.run_ids == base.axis.run_ids
+
     for run, whole in zip(short.runs, base.runs, strict=True):
         assert len(run.time_s) == min(31, len(whole.time_s))
         assert (run.vru_position_m == whole.vru_position_m[-len(run.time_s) :]).all()
+
     assert set(variants["15 m before the crosswalk"].axis.positions) == {"-15"}
     assert variants["30 m before the crosswalk"].axis.cases.count("CPNCO-50") >= 4
 
@@ -155,6 +160,7 @@ def test_the_additional_cases_are_changed_in_one_thing_at_a_time():
         yaw = np.radians(run.vut_yaw_deg[0])
         way = way_of(run)
         assert np.array([np.cos(yaw), np.sin(yaw)]) @ way > 0.9
+
     farther = {run.id: run for run in variants[FARTHEST].runs}
     for run in base.runs:
         if run.case.name in TURNING:

@@ -37,6 +37,7 @@ def test_walls_move_towards_the_middle_and_nothing_else_does():
         np.linalg.norm(s.vertices_m[walls, :2] - middle, axis=1).min()
         for s in (moved, scene)
     )
+
     assert near < far
 
     back = move_walls(moved, -0.5)
@@ -47,6 +48,7 @@ def test_walls_move_towards_the_middle_and_nothing_else_does():
 def test_every_variant_changes_one_thing_of_the_studys_own_cases(variants):
     base = variants["as it is"]
     assert set(base.setting.axis.cases) == set(OWN_CASES.split(","))
+
     for variant in variants.values():
         assert variant.setting.axis.run_ids == base.setting.axis.run_ids
         assert len(variant.layout.units) == 12
@@ -62,6 +64,7 @@ def test_every_variant_changes_one_thing_of_the_studys_own_cases(variants):
         detector = variants[name].setting.detector
         assert isinstance(detector, GeometricDetector)
         assert detector.min_box_height_px == height_px
+
     narrow = variants["field of view 90 deg, not 110"]
 
     assert narrow.setting.vut_camera.horizontal_fov_deg == 90.0
