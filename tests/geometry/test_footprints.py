@@ -48,7 +48,12 @@ def gaps_of(a, b):
         length_b_m=b.length_m,
         width_b_m=b.width_m,
     )
-    return gaps_between(offset, a.yaw_deg, b.yaw_deg, sizes=sizes)
+    return gaps_between(
+        offset,
+        a.yaw_deg,
+        b.yaw_deg,
+        sizes=sizes,
+    )
 
 
 @given(rectangles())
@@ -149,7 +154,12 @@ def test_separation_from_middles_and_headings_broadcasts():
         width_b_m=2.0,
     )
     offset = np.stack([np.arange(5.0), np.zeros(5)], axis=-1)
-    gaps = gaps_between(offset, np.zeros((4, 1)), 90.0, sizes=sizes)
+    gaps = gaps_between(
+        offset,
+        np.zeros((4, 1)),
+        90.0,
+        sizes=sizes,
+    )
 
     assert gaps.shape == (4, 4, 5)
 

@@ -186,8 +186,18 @@ def test_runs_on_a_slope_are_those_of_the_plane_with_parked_cars_on_the_ground(
     terrain = grid(lambda east, north: 0.04 * (east - 100.0), half_m=400.0)
     slope = on_terrain(scene, terrain)
     cases = select_cases("CPNCO-50,CBNA", speeds="20").cases
-    flat, _ = build_runs(scene, cases, vut=actors["vut"], rule=rule)
-    sloped, _ = build_runs(slope, cases, vut=actors["vut"], rule=rule)
+    flat, _ = build_runs(
+        scene,
+        cases,
+        vut=actors["vut"],
+        rule=rule,
+    )
+    sloped, _ = build_runs(
+        slope,
+        cases,
+        vut=actors["vut"],
+        rule=rule,
+    )
 
     assert [run.id for run in sloped] == [run.id for run in flat]
 

@@ -37,7 +37,12 @@ def entries(junction, movement):
     tried.
     """
     into = junction.arms[MOVEMENTS[movement]]
-    found = joints(junction, junction.arms["west"], into, movement)
+    found = joints(
+        junction,
+        junction.arms["west"],
+        into,
+        movement,
+    )
     return list(dict.fromkeys(before.id for before, _, _ in found))
 
 

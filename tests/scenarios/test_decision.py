@@ -119,7 +119,14 @@ def plain_probability(time_s, found, ways, run, reserve_s):
         if is_live:
             for tau in taus:
                 at = [np.interp(now_s + tau, place_s, column) for column in places.T]
-                here = plain_overlap(state, cov, tau, at, ways, run)
+                here = plain_overlap(
+                    state,
+                    cov,
+                    tau,
+                    at,
+                    ways,
+                    run,
+                )
                 largest = max(largest, here)
         probabilities.append(largest)
 
@@ -230,7 +237,13 @@ def test_tracks_and_decisions_equal_a_plain_filter_on_200_random_runs(drawn):
                 assert_allclose(tracks.state[1, at], state, atol=1e-9)
                 assert_allclose(tracks.covariance[at], cov, atol=1e-9)
         for row, reserve_s in enumerate(RESERVES_S):
-            plain = plain_probability(time_s, found, ways, run, reserve_s)
+            plain = plain_probability(
+                time_s,
+                found,
+                ways,
+                run,
+                reserve_s,
+            )
             assert_allclose(ours[row, frames], plain, atol=1e-9)
 
     assert n_live > 500
@@ -307,7 +320,13 @@ def crossing(noise_m2):
 
 def test_without_noise_the_car_brakes_at_the_last_brake_time_less_the_latency():
     axis, tracks, ways = crossing(1e-16)
-    (probability,) = overlap_probability(tracks, axis, ways, [0.0], rule=SURE)
+    (probability,) = overlap_probability(
+        tracks,
+        axis,
+        ways,
+        [0.0],
+        rule=SURE,
+    )
     first = np.argmax(probability >= 0.5)
     brakes_s = axis.time_s[first]
     last_s = axis.last_brake_time_s[0] - AEB.latency_s

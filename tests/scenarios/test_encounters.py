@@ -230,7 +230,12 @@ def test_a_late_contact_is_found_and_one_from_the_start_is_at_the_start():
 
     assert first_contact_s(slow) == pytest.approx(400.0, abs=1e-6)
 
-    early = moving([1.0, 0.0], 0.0, 2.0, start_time_s=-7.0)
+    early = moving(
+        [1.0, 0.0],
+        0.0,
+        2.0,
+        start_time_s=-7.0,
+    )
     at_once = replace(slow, vru_motion=early)
 
     assert first_contact_s(at_once) == pytest.approx(-7.0, abs=1e-6)

@@ -45,7 +45,12 @@ def drive(scene, cases="study,protocol-4.5.1,protocol-2026", speeds="20,50"):
     # Not "all", where impact points take turns, in another order of the arms.
     chosen = select_cases(cases, speeds=speeds).cases
     vut = pick_actor("vut", "vut")
-    return build_runs(scene, chosen, vut=vut, rule=load_aeb_rule())
+    return build_runs(
+        scene,
+        chosen,
+        vut=vut,
+        rule=load_aeb_rule(),
+    )
 
 
 def assert_mirrored(found_m, positions_m):
@@ -61,7 +66,12 @@ def assert_mirrored(found_m, positions_m):
 def assert_turned_back(found_deg, yaws_deg):
     """Each yaw is the negative of the other, but for full turns."""
     turn = np.radians(found_deg + yaws_deg)
-    assert_allclose(np.cos(turn), 1.0, rtol=0.0, atol=1e-6)
+    assert_allclose(
+        np.cos(turn),
+        1.0,
+        rtol=0.0,
+        atol=1e-6,
+    )
 
 
 @pytest.mark.long

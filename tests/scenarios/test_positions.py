@@ -153,7 +153,12 @@ def test_on_straight_lanes_a_run_is_that_of_zero_moved_along(
     scene = protocol_scene()
     (here,), _ = laid(scene, name, "0", speeds=(speed_kmh,))
     position = Position(is_behind=is_behind, distance_m=metres)
-    runs, refusals = laid(scene, name, position, speeds=(speed_kmh,))
+    runs, refusals = laid(
+        scene,
+        name,
+        position,
+        speeds=(speed_kmh,),
+    )
 
     if refusals:  # nobody parks in the junction
         assert is_behind
@@ -166,7 +171,12 @@ def test_on_straight_lanes_a_run_is_that_of_zero_moved_along(
     if is_behind:
         by = np.array([2.0 * CROSSWALK_M + metres, 0.0])
 
-    assert_same_frames(there, here, by=by, tolerance_m=1e-6)
+    assert_same_frames(
+        there,
+        here,
+        by=by,
+        tolerance_m=1e-6,
+    )
     assert there.last_brake_time_s == pytest.approx(here.last_brake_time_s, abs=1e-6)
 
     if here.obstruction and not is_behind:
@@ -230,7 +240,12 @@ def test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line(
     assume(abs(aside_m) + abs(turned_deg) > 1.0)
     scene = scene_with_exit(aside_m, turned_deg)
     exit_m = lane_of(scene, "east-out-0").centreline_m
-    runs, refusals = laid(scene, name, f"+{metres}", speeds=(25.0,))
+    runs, refusals = laid(
+        scene,
+        name,
+        f"+{metres}",
+        speeds=(25.0,),
+    )
     reasons = ("the lanes curve", "curves too sharply", "parked")
 
     for refusal in refusals:  # the rest may be too sharp, or parked cars on the road
@@ -313,7 +328,12 @@ def test_the_lane_of_the_map_leads_through_the_junction(laid):
     bulge = begin + share * (end - begin) + aside
     through = build_lane("through", bulge, kind="connecting")
     scene = build_scene([*plain.lanes, through])
-    (run,), _ = laid(scene, "CPFA-50", "+20", speeds=(35.0,))
+    (run,), _ = laid(
+        scene,
+        "CPFA-50",
+        "+20",
+        speeds=(35.0,),
+    )
     east_m = run.vut_position_m[:, 0]
     inside = run.vut_position_m[np.abs(east_m) < MOUTH_M - 4.0]
 
@@ -392,7 +412,12 @@ def test_without_a_road_ahead_nothing_is_behind(laid, scene, position):
 @pytest.mark.long
 def test_a_change_of_lanes_that_is_too_sharp_for_the_speed_is_refused(laid):
     scene = scene_with_exit(9.0, 0.0)  # too far aside to be eased
-    runs, (refusal,) = laid(scene, "CPNA-25", "+15", speeds=(10.0, 60.0))
+    runs, (refusal,) = laid(
+        scene,
+        "CPNA-25",
+        "+15",
+        speeds=(10.0, 60.0),
+    )
 
     assert [run.vut_speed_kmh for run in runs] == [10.0]
     assert refusal.speeds_kmh == (60.0,)
@@ -525,7 +550,12 @@ def test_a_frame_axis_knows_where_each_run_is(laid):
 @pytest.mark.long
 def test_a_change_of_lanes_is_eased_only_where_it_would_be_too_fast(laid):
     scene = scene_with_exit(2.0, 0.0)
-    runs, _ = laid(scene, "CPFA-50", "+15", speeds=(20.0, 60.0))
+    runs, _ = laid(
+        scene,
+        "CPFA-50",
+        "+15",
+        speeds=(20.0, 60.0),
+    )
 
     aside_m = []
     for run in runs:
@@ -542,7 +572,12 @@ def test_behind_a_lane_that_only_turns_the_next_one_leads_straight_on(laid):
     lanes = arm_lanes(n_lanes=3, arm_m=70.0)
     lanes = [lane for lane in lanes if lane.id not in ("east-out-0", "east-out-1")]
     scene = build_scene(lanes)
-    (run,), _ = laid(scene, "CPFA-50", "+15", speeds=(100.0,))
+    (run,), _ = laid(
+        scene,
+        "CPFA-50",
+        "+15",
+        speeds=(100.0,),
+    )
 
     assert isinstance(run.encounter.vut_motion.path, StraightPath)
     # The lane at the axis.
@@ -685,7 +720,12 @@ def test_cars_park_on_spaces_that_a_wide_lane_has_beside_who_drives(laid):
             [-15.0, -5.5],
         ]
     )
-    row = build_lane("spaces", line, kind="parking", width_m=4.0)
+    row = build_lane(
+        "spaces",
+        line,
+        kind="parking",
+        width_m=4.0,
+    )
     runs, refusals = laid(build_scene([*wide, row]), "CPNCO-50", "-30")
 
     assert runs, refusals

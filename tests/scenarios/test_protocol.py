@@ -250,7 +250,12 @@ def refusal(name, golf, lanes, **speed):
     """Why a case cannot be carried by a junction of these lanes."""
     junction = build_junction(build_scene(lanes))
     with pytest.raises(CannotCarryError) as caught:
-        stage(name, golf, junction=junction, **speed)
+        stage(
+            name,
+            golf,
+            junction=junction,
+            **speed,
+        )
     return str(caught.value)
 
 
@@ -284,7 +289,12 @@ def test_a_junction_without_the_lane_that_a_case_needs_cannot_carry_it(
 
 def test_a_turn_that_ends_beyond_the_mapped_lane_cannot_be_carried(golf):
     lanes = [*RIGHT, *lanes_of("north", 90.0, arm_m=2.0)]
-    told = refusal("CPTAfs-50", golf, lanes, speed_kmh=20.0)
+    told = refusal(
+        "CPTAfs-50",
+        golf,
+        lanes,
+        speed_kmh=20.0,
+    )
     assert "would end beyond the mapped lane north-out-0" in told
 
 

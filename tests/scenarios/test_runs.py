@@ -256,7 +256,12 @@ def test_nothing_is_driven_faster_than_the_speed_limit(lay):
         ("north", "faster than the speed limit of 15 km/h", False),
     }
 
-    unlimited, _ = lay(scene, cases, keeps_limits=False, **options)
+    unlimited, _ = lay(
+        scene,
+        cases,
+        keeps_limits=False,
+        **options,
+    )
     assert [run.id for run in unlimited] == [run.id for run in every]
 
 

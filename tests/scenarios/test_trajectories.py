@@ -122,7 +122,12 @@ def test_columns_may_have_other_names_and_one_class(tmp_path):
     rows = [("p", n, 0.5 * n, 0.0) for n in range(4)]
     text = csv_of(rows, "who,time,east,north")
     names = {"id": "who", "x": "east", "y": "north"}
-    ((track,), _) = read(tmp_path, text, columns=names, class_name="cyclist")
+    ((track,), _) = read(
+        tmp_path,
+        text,
+        columns=names,
+        class_name="cyclist",
+    )
 
     assert track.id == "p"
     assert track.class_name == "cyclist"

@@ -345,7 +345,13 @@ def refusal(name, vut, lanes, *, speed_kmh=20, vru_kmh=20):
     """Why a case finds no road on a junction of these lanes."""
     junction = build_junction(build_scene(lanes))
     with pytest.raises(CannotCarryError) as caught:
-        stage(name, vut, speed_kmh, vru_kmh, junction=junction)
+        stage(
+            name,
+            vut,
+            speed_kmh,
+            vru_kmh,
+            junction=junction,
+        )
 
     assert isinstance(caught.value, NoRoadError)
     return str(caught.value)
@@ -392,7 +398,13 @@ def test_a_target_that_its_lanes_bend_is_too_slow_for_is_refused(golf):
     )
 
     junction = build_junction(build_scene(lanes))
-    slow = stage("CCCscp-far", golf, 20, 30, junction=junction).encounter
+    slow = stage(
+        "CCCscp-far",
+        golf,
+        20,
+        30,
+        junction=junction,
+    ).encounter
 
     assert slow.vru_motion.speed_mps == pytest.approx(30 * KMH)
 
@@ -402,7 +414,12 @@ def test_parked_cars_that_do_not_fit_are_refused_with_the_reason(lay):
     # A wall all along the kerb of the western arm.
     wall = ("wall", -40.0, -6.0, 60.0, 4.5, 2.0)
     scene = protocol_scene(boxes=[wall])
-    runs, refusals = lay(scene, [case], speeds_kmh=(30.0,), approaches=["west"])
+    runs, refusals = lay(
+        scene,
+        [case],
+        speeds_kmh=(30.0,),
+        approaches=["west"],
+    )
     (refused,) = refusals
 
     assert not runs

@@ -136,8 +136,18 @@ def test_whoever_moves_ahead_on_a_lane_that_bends_stays_in_it(vut):
 
 def test_a_lane_that_bends_only_far_away_is_driven_straight(vut):
     scene = curved_scene(straight_m=70.0)
-    straight = staged("CPNA-25", vut, scene=PLAIN, speed_kmh=40.0)
-    same = staged("CPNA-25", vut, scene=scene, speed_kmh=40.0)
+    straight = staged(
+        "CPNA-25",
+        vut,
+        scene=PLAIN,
+        speed_kmh=40.0,
+    )
+    same = staged(
+        "CPNA-25",
+        vut,
+        scene=scene,
+        speed_kmh=40.0,
+    )
 
     for one, other in (
         (straight.vut_motion, same.vut_motion),
@@ -150,7 +160,12 @@ def test_a_lane_that_bends_only_far_away_is_driven_straight(vut):
         assert one.path.yaw_deg == pytest.approx(other.path.yaw_deg, abs=1e-9)
 
     # As far as the bend, the lane is followed.
-    far = staged("CBLA-50", vut, scene=scene, speed_kmh=45.0)
+    far = staged(
+        "CBLA-50",
+        vut,
+        scene=scene,
+        speed_kmh=45.0,
+    )
     assert isinstance(far.vut_motion.path, TowedPath)
 
 
@@ -290,7 +305,12 @@ def test_a_connecting_lane_too_sharp_for_the_speed_is_left_for_the_protocols_cur
     vut, speed_kmh, follows
 ):
     scene, _ = left_turn(5.0)
-    encounter = staged("CPTAfs-50", vut, scene=scene, speed_kmh=speed_kmh)
+    encounter = staged(
+        "CPTAfs-50",
+        vut,
+        scene=scene,
+        speed_kmh=speed_kmh,
+    )
     assert isinstance(encounter.vut_motion.path, TowedPath) == follows
 
 
@@ -318,7 +338,12 @@ def test_nobody_takes_the_junctions_own_lanes_for_another_junction(lay):
 def cycleway(off_m):
     """A track for cyclists beside the southern arm, so far off the junction's end."""
     line = NAMED["south-in-0"].centreline_m + [4.5, -off_m]
-    return build_lane("track", line, kind="cycling", width_m=2.0)
+    return build_lane(
+        "track",
+        line,
+        kind="cycling",
+        width_m=2.0,
+    )
 
 
 def test_cyclists_ride_on_the_arms_cycleway(vut):
@@ -437,4 +462,9 @@ def test_a_turn_that_no_curve_makes_is_refused(vut):
     )
     scene = build_scene(exchanged(arm_lanes(), back))
     with pytest.raises(CannotCarryError, match="lane"):
-        staged("CPTAfs-50", vut, scene=scene, speed_kmh=20.0)
+        staged(
+            "CPTAfs-50",
+            vut,
+            scene=scene,
+            speed_kmh=20.0,
+        )

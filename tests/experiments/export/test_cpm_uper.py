@@ -279,7 +279,12 @@ def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs):
         }
         detected[layout.units[-1].id][frame] = True
         watched = WatchedRun(run=run, detected=detected, rule=load_aeb_rule())
-        (station,) = build_stations(layout, SCENE, watched, release=release)
+        (station,) = build_stations(
+            layout,
+            SCENE,
+            watched,
+            release=release,
+        )
         found = [decode(encode(one, release), release) for one in station.messages]
         assert found == list(station.messages)
 

@@ -150,7 +150,12 @@ def test_the_track_has_an_ellipse_and_turns_red_when_the_car_decides(topics, wat
         off_m = points_m - followed.tracks.state[0, frame, :2]
         inverse = np.linalg.inv(followed.tracks.covariance[frame, :2, :2])
         # 95 % of a normal place in the plane: chi-square of two degrees, 5.991.
-        squared = np.einsum("ni,ij,nj->n", off_m, inverse, off_m)
+        squared = np.einsum(
+            "ni,ij,nj->n",
+            off_m,
+            inverse,
+            off_m,
+        )
         assert_allclose(squared, 5.991, atol=0.01)
 
         first, *_, last = ways[0].points
@@ -240,7 +245,14 @@ def test_pictures_are_what_a_reduced_camera_draws(watched):
     short = replace(
         watched, run=few, detected={one.units[0].id: np.zeros(2, dtype=bool)}
     )
-    found = read_mcap(to_mcap(one, SCENE, short, pictures=Compute()))
+    found = read_mcap(
+        to_mcap(
+            one,
+            SCENE,
+            short,
+            pictures=Compute(),
+        )
+    )
     (unit,) = one.units
     ((_, calibration),) = found[f"/calibration/{unit.id}"]
 

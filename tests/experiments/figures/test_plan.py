@@ -66,7 +66,12 @@ def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
     yaw_deg, pitch_deg, height_m, max_range_m
 ):
     place_m = [3.0, -4.0, height_m]
-    unit = unit_at("u", place_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    unit = unit_at(
+        "u",
+        place_m,
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
+    )
     corners = ground_footprint(unit, max_range_m=max_range_m)
     rng = np.random.default_rng(0)
     points = place_m[:2] + rng.uniform(-1.1, 1.1, (400, 2)) * max_range_m

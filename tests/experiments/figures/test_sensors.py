@@ -146,7 +146,12 @@ def test_the_sheet_says_how_a_ring_hangs_and_draws_an_arrow_only_where_it_helps(
     arrows = []
     for unit in (level, tilted):
         axes = new_axes(4.0, 4.0)
-        _draw_plan(axes, unit, "U1", load_study_scene())
+        _draw_plan(
+            axes,
+            unit,
+            "U1",
+            load_study_scene(),
+        )
         arrows.append(sum(text.arrow_patch is not None for text in axes.texts))
 
     assert arrows == [0, 1]

@@ -10,13 +10,22 @@ from placement.detectors.geometric import GeometricDetector
 
 @pytest.fixture(scope="module")
 def variants():
+    """All variants by their names."""
     return {variant.name: variant for variant in build_variants()}
 
 
 def _wall_vertices(scene):
     """Indices of the corners of a scene's walls."""
-    walls = [i for i, thing in enumerate(scene.instances) if thing.class_name == "wall"]
-    return np.unique(scene.triangles[np.isin(scene.triangle_instance, walls)])
+    kinds = np.array([thing.class_name for thing in scene.instances])
+    walls = np.flatnonzero(kinds == "wall")
+    is_wall = np.isin(scene.triangle_instance, walls)
+    return np.unique(scene.triangles[is_wall])
+
+
+def _nearest_m(places_m, point_m):
+    """Least distance of places from a point on the ground."""
+    distances_m = np.linalg.norm(places_m[:, :2] - point_m, axis=1)
+    return distances_m.min()
 
 
 def test_walls_move_towards_the_middle_and_nothing_else_does():
@@ -33,12 +42,10 @@ def test_walls_move_towards_the_middle_and_nothing_else_does():
 
     # The end of each wall at its corner comes nearer to the middle of the junction.
     middle = scene.outline_m.mean(axis=0)
-    near, far = (
-        np.linalg.norm(s.vertices_m[walls, :2] - middle, axis=1).min()
-        for s in (moved, scene)
-    )
+    near_m = _nearest_m(moved.vertices_m[walls], middle)
+    far_m = _nearest_m(scene.vertices_m[walls], middle)
 
-    assert near < far
+    assert near_m < far_m
 
     back = move_walls(moved, -0.5)
     assert back.vertices_m == pytest.approx(scene.vertices_m)
@@ -46,16 +53,22 @@ def test_walls_move_towards_the_middle_and_nothing_else_does():
 
 @pytest.mark.long
 def test_every_variant_changes_one_thing_of_the_studys_own_cases(variants):
+    """The runs stay the same; bodies beside them, detector or cameras change."""
     base = variants["as it is"]
-    assert set(base.setting.axis.cases) == set(OWN_CASES.split(","))
+    own_cases = set(OWN_CASES.split(","))
+
+    assert set(base.setting.axis.cases) == own_cases
 
     for variant in variants.values():
         assert variant.setting.axis.run_ids == base.setting.axis.run_ids
         assert len(variant.layout.units) == 12
 
-    two = variants["two parked cars instead of eight"].setting.runs
-    assert max(len(run.obstruction) for run in two) == 2
-    assert not any(run.obstruction for run in variants["no parked cars"].setting.runs)
+    two = variants["two parked cars instead of eight"].setting
+    none = variants["no parked cars"].setting
+    n_parked = [len(run.obstruction) for run in two.runs]
+
+    assert max(n_parked) == 2
+    assert not any(run.obstruction for run in none.runs)
 
     for name, height_px in (
         ("smallest box 30 px", 30.0),
@@ -66,17 +79,20 @@ def test_every_variant_changes_one_thing_of_the_studys_own_cases(variants):
         assert detector.min_box_height_px == height_px
 
     narrow = variants["field of view 90 deg, not 110"]
+    fields_deg = {unit.sensor.horizontal_fov_deg for unit in narrow.layout.units}
 
     assert narrow.setting.vut_camera.horizontal_fov_deg == 90.0
-    assert {unit.sensor.horizontal_fov_deg for unit in narrow.layout.units} == {90.0}
+    assert fields_deg == {90.0}
 
 
 @pytest.mark.long
 def test_the_parked_row_moves_to_the_right_of_the_vut(variants):
-    moved = variants["parked row 1 m beside the VUT, not 0.5 m"].setting.runs
-    for old, new in zip(variants["as it is"].setting.runs, moved, strict=True):
+    base = variants["as it is"].setting
+    moved = variants["parked row 1 m beside the VUT, not 0.5 m"].setting
+
+    for old, new in zip(base.runs, moved.runs, strict=True):
         yaw = np.radians(old.vut_yaw_deg[0])
         right = np.array([np.sin(yaw), -np.cos(yaw)])
         for before, after in zip(old.obstruction, new.obstruction, strict=True):
-            shift = (after.pose.position_m - before.pose.position_m)[:2]
-            assert shift == pytest.approx(0.5 * right)
+            shift_m = after.pose.position_m - before.pose.position_m
+            assert shift_m[:2] == pytest.approx(0.5 * right)
