@@ -37,9 +37,8 @@ def texts_of(shown):
 @pytest.fixture(scope="module")
 def setting():
     """The study's cases at its junction."""
-    return build_setting(
-        Question(cases="CPNC-50,CBNA,CBLA", along_arms="0"), load_study_scene()
-    )
+    question = Question(cases="CPNC-50,CBNA,CBLA", along_arms="0")
+    return build_setting(question, load_study_scene())
 
 
 def is_inside(points_m, corners_m):
@@ -47,13 +46,17 @@ def is_inside(points_m, corners_m):
     edge.
     """
     edges = np.roll(corners_m, -1, axis=0) - corners_m
-    lengths = np.hypot(*edges.T)
-    edges = edges[lengths > 1e-9]
-    starts = corners_m[lengths > 1e-9]
-    normals = (
-        np.stack([-edges[:, 1], edges[:, 0]], axis=1) / lengths[lengths > 1e-9, None]
-    )
-    return ((points_m[:, None] - starts) * normals).sum(axis=2).min(axis=1)
+    lengths = np.linalg.norm(edges, axis=-1)
+    is_edge = lengths > 1e-9
+    edges = edges[is_edge]
+    starts = corners_m[is_edge]
+    inwards = np.stack([-edges[:, 1], edges[:, 0]], axis=1)
+    normals = inwards / lengths[is_edge, None]
+
+    # How far each point is to the left of each edge.
+    ways = points_m[:, None] - starts
+    left_m = (ways * normals).sum(axis=2)
+    return left_m.min(axis=1)
 
 
 @given(
@@ -74,10 +77,12 @@ def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
     )
     corners = ground_footprint(unit, max_range_m=max_range_m)
     rng = np.random.default_rng(0)
-    points = place_m[:2] + rng.uniform(-1.1, 1.1, (400, 2)) * max_range_m
+    away_m = rng.uniform(-1.1, 1.1, (400, 2)) * max_range_m
+    points = place_m[:2] + away_m
     ground = np.column_stack([points, np.zeros(400)])
-    column, row, depth = project_points(ground, unit.pose, CAMERA).T
-    range_m = np.hypot(*(points - place_m[:2]).T)
+    pixels = project_points(ground, unit.pose, CAMERA)
+    column, row, depth = pixels.T
+    range_m = np.linalg.norm(away_m, axis=-1)
     seen = (
         (depth > 0.0)
         & (column >= 0.0)
@@ -86,14 +91,17 @@ def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
         & (row <= CAMERA.height_px)
         & (range_m <= max_range_m)
     )
+
     if len(corners) == 0:
         assert not seen.any()
         return
+
     inside = is_inside(points, corners)
     # The disc is a polygon of 180 corners: 0.02 % too small at most.
     clear = np.abs(inside) > 1e-3 * max_range_m
+    is_drawn = inside > 0.0
 
-    np.testing.assert_array_equal(inside[clear] > 0.0, seen[clear])
+    np.testing.assert_array_equal(is_drawn[clear], seen[clear])
 
 
 def test_footprint_is_empty_above_the_horizon():
@@ -109,29 +117,27 @@ def test_plan_marks_every_unit_at_its_position(setting):
     names = {text.get_text(): text for text in axes.texts}
 
     for unit in layout.units:
-        np.testing.assert_array_equal(
-            np.ravel(marks[f"unit:{unit.id}"].get_data()), unit.pose.position_m[:2]
-        )
-        np.testing.assert_array_equal(names[unit.id].xy, unit.pose.position_m[:2])
+        place_m = unit.pose.position_m[:2]
+        mark = marks[f"unit:{unit.id}"]
+        np.testing.assert_array_equal(np.ravel(mark.get_data()), place_m)
+        np.testing.assert_array_equal(names[unit.id].xy, place_m)
 
 
 def test_plan_draws_other_layouts_but_labels_only_its_own(setting):
     baseline = load_carlancap_layout()
     mine = Layout(name="mine", units=baseline.units[:2])
     axes = plot_plan(setting, mine, others=[baseline])
-    open_marks = [
-        line
-        for line in axes.get_lines()
-        if line.get_markerfacecolor() == "white" and isinstance(line.get_marker(), Path)
-    ]
+    open_marks = []
+    for line in axes.get_lines():
+        is_open = line.get_markerfacecolor() == "white"
+        if is_open and isinstance(line.get_marker(), Path):
+            open_marks.append(line)
 
     assert len(open_marks) == 12
     assert not {"RSU2", "RSU11"} & set(texts_of(axes))
 
-    legend = axes.get_legend()
-    assert "the study's 12 cameras (carlancap-12): camera" in [
-        text.get_text() for text in legend.get_texts()
-    ]
+    entries = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert "the study's 12 cameras (carlancap-12): camera" in entries
 
 
 def test_existing_units_are_grey_on_the_plan(setting):
@@ -155,8 +161,9 @@ def test_plan_is_in_metres_north_up_around_the_junction(setting):
         (axes.get_ylim(), 1),
     ):
         outline = setting.scene.outline_m[:, column]
-        assert limits[1] - limits[0] == pytest.approx(90.0)
-        assert limits[0] < outline.min() < outline.max() < limits[1]
+        low, high = limits
+        assert high - low == pytest.approx(90.0)
+        assert low < outline.min() < outline.max() < high
 
     assert "N" in texts_of(axes)
 
@@ -180,18 +187,21 @@ def test_the_tip_of_a_camera_points_where_it_looks(setting):
 
 
 def test_two_units_on_a_pole_are_two_arrows_from_it(setting):
+    """Those that look the same way stand in a row; a third looks the other way."""
     first = load_carlancap_layout().units[0]
-    units = [
-        replace(first, id=f"U{i}", pose=replace(first.pose, yaw_deg=yaw))
-        for i, yaw in enumerate((0.0, 5.0, 180.0))
-    ]
+    units = []
+    for i, yaw_deg in enumerate((0.0, 5.0, 180.0)):
+        pose = replace(first.pose, yaw_deg=yaw_deg)
+        units.append(replace(first, id=f"U{i}", pose=pose))
+
     axes = plot_plan(setting, Layout(name="mine", units=tuple(units)))
     lines = lines_of(axes)
     ends = []  # of the darts, east of the pole in points
     for i in range(3):
         dart = lines[f"unit:U{i}"]
         outline = dart.get_marker().vertices
-        ends.append(0.5 * dart.get_markersize() * outline[:, 0] / np.abs(outline).max())
+        scale = 0.5 * dart.get_markersize() / np.abs(outline).max()
+        ends.append(scale * outline[:, 0])
 
     assert ends[0].min() >= 0.0  # east of the pole, the last one west of it
     assert ends[2].max() <= 1e-9
