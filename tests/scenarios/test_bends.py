@@ -28,6 +28,7 @@ def with_corner(angle_deg, *, before_m=40.0):
 
 @pytest.mark.parametrize("angle_deg", [-150.0, 25.0, 60.0])
 def test_a_corner_is_driven_no_faster_than_it_can_be(lay, vut, angle_deg):
+    """4 m/s^2 to the side at most; faster runs are refused with the speed allowed."""
     scene, lane = with_corner(angle_deg)
     speeds = (20.0, 30.0, 60.0)
     runs, refusals = lay(

@@ -101,6 +101,7 @@ angles = st.floats(-180.0, 180.0)
 @given(places, velocities, angles, angles)
 @settings(max_examples=60)
 def test_time_to_collision_is_what_small_steps_find(offset, closing, yaw_a, yaw_b):
+    """Until then the boxes are apart; then they are as near as a step allows."""
     sizes = FootprintSizes(
         length_a_m=4.0,
         width_a_m=2.0,
@@ -139,6 +140,7 @@ def test_time_to_collision_is_what_small_steps_find(offset, closing, yaw_a, yaw_
 
 
 def test_who_is_on_collision_course_is_replayed_as_if_nothing_changed():
+    """His track ends at 2.8 s; replayed, he walks on to the impact at 4 s."""
     # His box is 0.6 m long: without stopping the front reaches it when he is in the
     # middle.
     found = find_one(car(front_at_s=4.0, x_m=0.3 - 0.25), walker(last_s=2.8))
@@ -158,6 +160,7 @@ def test_who_is_on_collision_course_is_replayed_as_if_nothing_changed():
 
 
 def test_those_who_do_not_come_near_are_no_encounter():
+    """Too early, no car among them, backwards; and tracks too short are counted."""
     late = walker(at_lane_s=1.0)  # long across before the car comes
     reversing = car(yaw_deg=180.0)
 
@@ -183,6 +186,7 @@ def test_those_who_do_not_come_near_are_no_encounter():
     ],
 )
 def test_who_stands_all_the_time_faces_where_the_file_says(heading_deg, faces_deg):
+    """Or to the east where it says nothing."""
     stands = track(
         "p",
         "pedestrian",
@@ -201,6 +205,7 @@ def test_who_stands_all_the_time_faces_where_the_file_says(heading_deg, faces_de
 
 
 def test_who_passes_near_is_replayed_without_the_time_between():
+    """Both come to the place where their ways cross, but now at the same time."""
     passes = [car(front_at_s=4.0), walker(at_lane_s=2.0, last_s=8.0)]
     assert find_encounters(passes, ttc_s=0.5)[0] == ()
 
@@ -281,6 +286,7 @@ def least_time_s(one, other):
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_pairs_are_those_that_brute_force_finds(seed):
+    """Pairs at the very limit may be found or not: 1.98 s, not 2 s."""
     tracks = random_tracks(np.random.default_rng(seed))
     found, left_out = find_encounters(tracks, ttc_s=2.0)
 
@@ -323,6 +329,7 @@ def lay_recorded(cases, **options):
 
 
 def test_a_file_of_encounters_is_a_set_of_cases(cases_file):
+    """It is driven once, at the recorded speeds, where it was recorded."""
     (case,) = load_own_cases(cases_file).values()
     assert case.name == "street-v-p"
     assert case.kind == "recorded"
@@ -347,6 +354,7 @@ def test_a_file_of_encounters_is_a_set_of_cases(cases_file):
 
 
 def test_recorded_cases_stay_where_they_were(cases_file):
+    """No other approach, no other junction, and no impact where the paths part."""
     (case,) = load_own_cases(cases_file).values()
     runs, _ = lay_recorded([case], approaches=["east"])
 

@@ -76,6 +76,7 @@ def assert_turned_back(found_deg, yaws_deg):
 
 @pytest.mark.long
 def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_on_the_right():
+    """Every run has one twin, from the arm that the mirror swaps with its own."""
     corner = ("corner", 18.0, 18.0, 6.0, 6.0, 3.0)
     scene = protocol_scene(boxes=[corner], crosswalks_m=[[[14.0, -6.0], [14.0, 6.0]]])
     right, refused = drive(scene)
@@ -106,6 +107,7 @@ def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_on_the_ri
 @pytest.mark.long
 @pytest.mark.parametrize("change", [replace, left_handed])
 def test_titles_say_to_which_side_the_vut_turns(change):
+    """Near and far side are right and left, or left and right."""
     names = {"CPTAfs-50", "CBTAfs-side", "CPTAns-50", "CBTAns-0"}
     runs, _ = drive(change(protocol_scene()), ",".join(names), "10")
 
@@ -126,6 +128,7 @@ def test_titles_say_to_which_side_the_vut_turns(change):
 
 
 def test_a_junction_in_two_mirrors_is_itself_again():
+    """Lanes in and out, and crosswalks, arm by arm."""
     junction = build_junction(build_scene(lanes_of("a", 10.0, n_lanes=2)))
     twice = mirrored(mirrored(junction))
 
