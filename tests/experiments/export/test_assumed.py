@@ -16,6 +16,7 @@ from placement.layout import load_carlancap_layout
     "name", ["json", "csv", "geojson", "kml", "carla", "ros", "opencv"]
 )
 def test_assumed_sites_are_told_in_the_file(name):
+    """Once for each unit there, and never for others."""
     layout = load_carlancap_layout()
     study = load_study_scene()
     site = layout.units[0].site_id

@@ -45,6 +45,7 @@ def test_csv_reads_back_bit_by_bit(layout, tmp_path):
 
 
 def test_geojson_is_at_the_junction_with_bearings():
+    """Bearings turn clockwise from north, yaws the other way from east."""
     layout = load_carlancap_layout()
     document = json.loads(to_geojson(layout, CRS))
 
@@ -75,16 +76,20 @@ def test_geojson_says_which_crs_is_unknown(layout):
 
 
 def test_geojson_refuses_a_layout_outside_its_crs():
-    far = unit_at("far", [1.0e12, 0.0, 7.0])
-    with refused_with(
+    unit = unit_at("far", [1.0e12, 0.0, 7.0])
+    far = Layout(name="far", units=(unit,))
+    told = (
         f"crs: got {CRS!r}; expected a coordinate reference system that contains the"
         " layout"
-    ):
-        to_geojson(Layout(name="far", units=(far,)), CRS)
+    )
+
+    with refused_with(told):
+        to_geojson(far, CRS)
 
 
 @pytest.mark.parametrize("build", [load_carlancap_layout, None])
 def test_carla_transforms_come_back_as_the_poses(layout, build):
+    """CARLA is left-handed, and writes numbers as text."""
     if build:
         layout = build()
     records = json.loads(to_carla(layout))
@@ -147,15 +152,19 @@ def test_a_lidar_is_exported_with_its_scan_pattern(layout):
 
 
 def test_carla_has_no_minus_zero(layout):
+    """At the origin, the flipped axis would have one."""
     origin = Layout(name="origin", units=layout.units[2:])
     assert "-0.0" not in to_carla(origin)
 
 
 def test_every_format_is_text_of_the_whole_layout(layout):
+    scene = load_study_scene()
+
     for name in ("json", "csv", "geojson", "kml", "carla", "opencv", "ros", "cpm"):
-        text = load_format(name).write(layout, load_study_scene())
-        assert all(unit.id in text for unit in layout.units)
+        text = load_format(name).write(layout, scene)
         assert text.endswith("\n")
+        for unit in layout.units:
+            assert unit.id in text
 
 
 def test_json_text_has_null_for_what_json_lacks():

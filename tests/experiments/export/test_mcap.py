@@ -50,16 +50,19 @@ def read_mcap(content):
         if channel.message_encoding == "json":
             value = json.loads(message.data)
         else:
+            # A schema is a set of files; classes of messages are made of them once.
             if schema.id not in kinds:
+                described = descriptors.FileDescriptorSet.FromString(schema.data)
                 pool = pools.DescriptorPool()
-                files = descriptors.FileDescriptorSet.FromString(schema.data).file
-                for file in files:
+                for file in described.file:
                     pool.Add(file)
                 kind = pool.FindMessageTypeByName(schema.name)
                 kinds[schema.id] = factory.GetMessageClass(kind)
             value = kinds[schema.id].FromString(message.data)
+
+        time_s = message.log_time / 1.0e9
         topic = found.setdefault(channel.topic, [])
-        topic.append((message.log_time / 1.0e9, value))
+        topic.append((time_s, value))
 
     return found
 
@@ -82,7 +85,8 @@ def watched():
 @pytest.fixture(scope="module")
 def topics(watched):
     """The run as it is read back."""
-    return read_mcap(to_mcap(LAYOUT, SCENE, watched))
+    content = to_mcap(LAYOUT, SCENE, watched)
+    return read_mcap(content)
 
 
 def test_bodies_are_where_the_run_has_them(topics, watched):
@@ -96,6 +100,7 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
     for frame, (time_s, update) in enumerate(bodies):
         assert time_s == pytest.approx(elapsed_s[frame], abs=1e-6)
 
+        # Both who meet, and all that is parked.
         boxes = {entity.id: entity.cubes[0] for entity in update.entities}
         assert len(boxes) == 2 + len(run.obstruction) > 2
 
@@ -113,6 +118,7 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
                 atol=1e-9,
             )
 
+            # A turn about the vertical axis: w and z are cosine and sine of its half.
             turn = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
             off_deg = math.degrees(turn) - yaw_deg[frame]
             off_deg = (off_deg + 180.0) % 360.0 - 180.0
@@ -124,6 +130,7 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
 
 
 def test_detections_confirmation_and_braking_follow_the_rule(topics, watched):
+    """Three frames in a row confirm; 25 ms later the car knows."""
     states = [state for _, state in topics["/state"]]
     updates = [update for _, update in topics["/detections"]]
     first = LAYOUT.units[0]
@@ -138,13 +145,16 @@ def test_detections_confirmation_and_braking_follow_the_rule(topics, watched):
         # A line from each unit that detects to the body.
         points = update.entities[0].lines[0].points
         assert len(points) == 2 * state["n_detecting"]
-        assert state["is_confirmed"] == (frame >= 12)  # the third in a row
-        assert state["would_brake"] == (frame >= 13)  # 25 ms later
+        # The third in a row.
+        assert state["is_confirmed"] == (frame >= 12)
+        # 25 ms later.
+        assert state["would_brake"] == (frame >= 13)
 
     assert states[-1]["last_brake_time_s"] == watched.run.last_brake_time_s
 
 
 def test_the_track_has_an_ellipse_and_turns_red_when_the_car_decides(topics, watched):
+    """The ellipse holds 95 % of where the body may be."""
     followed = follow_watched(watched, LAYOUT.units)
     states = [state for _, state in topics["/state"]]
     decides = [state["decides_to_brake"] for state in states]
@@ -156,11 +166,15 @@ def test_the_track_has_an_ellipse_and_turns_red_when_the_car_decides(topics, wat
 
     reds = []
     for frame, (_, update) in enumerate(topics["/decision"]):
-        ring, ways = (entity.lines for entity in update.entities)
+        ellipse, prediction = update.entities
+        ring = ellipse.lines
+        ways = prediction.lines
+        # From the frame on in which the track is confirmed.
         assert len(ring) == (frame >= 12)
 
         if not ring:
             continue
+
         colour = ring[0].color
         reds.append(colour.r > 0.8 and colour.g < 0.2)
         state = followed.tracks.state[0, frame]
@@ -200,8 +214,9 @@ def test_frusta_show_the_corners_of_the_image(topics):
         ((_, calibration),) = topics[f"/calibration/{unit_id}"]
         matrix = np.reshape(list(calibration.K), (3, 3))
         points = np.array([[point.x, point.y, point.z] for point in line.points])
-        pixels = points[1:] @ matrix.T
-        pixels = pixels[:, :2] / pixels[:, 2:]
+        # The first point is the camera itself.
+        projected = points[1:] @ matrix.T
+        pixels = projected[:, :2] / projected[:, 2:]
         width = calibration.width - 0.5
         height = calibration.height - 0.5
         assert_allclose(
@@ -231,17 +246,20 @@ def test_the_scenes_meshes_are_whole(topics):
 @pytest.mark.long
 @pytest.mark.parametrize("build", [awkward_layout, large_layout])
 def test_any_layout_is_written_without_a_run(build):
+    """Then nothing moves: the scene, the units and their cameras."""
     layout = build()
     found = read_mcap(to_mcap(layout, SCENE))
 
     assert {"/scene", "/units", "/tf"} <= set(found)
 
+    # Each unit has a frame of coordinates of its own.
     ((_, transforms),) = found["/tf"]
     frames = [one.child_frame_id for one in transforms.transforms]
     ids = [unit.id for unit in layout.units]
 
     assert frames == ids
 
+    # Only cameras are calibrated.
     calibrations = [topic for topic in found if topic.startswith("/calibration/")]
     cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
 
@@ -249,6 +267,7 @@ def test_any_layout_is_written_without_a_run(build):
 
 
 def test_a_recording_is_small(watched):
+    """Meshes and frusta are written once, not in each frame."""
     content = to_mcap(LAYOUT, SCENE, watched)
     assert len(content) < 5_000_000
 
@@ -314,6 +333,9 @@ def test_pictures_are_what_a_reduced_camera_draws(watched):
 
 
 def test_pictures_of_other_formats_are_refused(run):
+    """Only recordings hold pictures."""
     asked = "export --format cpm --layout carlancap-12 --run CPNC-50/east/40"
-    line = refusal(run(asked, "--pictures"))
+    result = run(asked, "--pictures")
+    line = refusal(result)
+
     assert "--pictures: got it; expected none: cpm has no such option" in line

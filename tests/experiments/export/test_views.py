@@ -189,7 +189,8 @@ def test_a_drawing_has_poles_units_and_views_on_their_layers(views):
 
 def test_a_drawing_has_junction_kerbs_and_buildings_as_closed_lines_and_a_legend():
     """The legend has a line for each layer, and says which coordinates these are."""
-    space = drawing_of(TWO, SCENE).modelspace()
+    drawing = drawing_of(TWO, SCENE)
+    space = drawing.modelspace()
     (junction,) = rings_of(space, "JUNCTION")
     outline = shapely.Polygon(SCENE.outline_m)
 
@@ -203,8 +204,9 @@ def test_a_drawing_has_junction_kerbs_and_buildings_as_closed_lines_and_a_legend
 
     buildings = rings_of(space, "BUILDING")
     kinds = [thing.class_name for thing in SCENE.instances]
+    n_buildings = kinds.count("building")
 
-    assert len(buildings) == kinds.count("building") == 4
+    assert len(buildings) == n_buildings == 4
 
     legend = space.query('TEXT[layer=="LEGEND"]')
     texts = [text.dxf.text for text in legend]
@@ -249,10 +251,11 @@ def test_a_drawing_refuses_coordinates_that_it_cannot_have(scene, crs, message):
 def test_a_drawing_is_in_the_maps_own_metres(scene):
     """The arrow of a unit is 4 m long, but for the map's scale."""
     layout = level_layout(0.0)
-    space = drawing_of(layout, scene).modelspace()
+    drawing = drawing_of(layout, scene)
+    space = drawing.modelspace()
     (arrow,) = space.query('LINE[layer=="UNITS"]')
-    exported = json.loads(load_format("json").write(layout, scene))
-    (record,) = exported["layout"]
+    text = load_format("json").write(layout, scene)
+    (record,) = json.loads(text)["layout"]
     length_m = np.linalg.norm(way_of(arrow))
 
     assert length_m == pytest.approx(4.0, rel=2e-3)

@@ -50,6 +50,7 @@ def with_weights(setting, weight):
 
 
 def test_impacts_within_six_metres_are_one_place():
+    """By the last frame of who is met, not by the first."""
     setting = impacts(
         (0.0, 0.0),
         (20.0, 0.0),

@@ -44,6 +44,7 @@ def build_evaluation(axis, *, name="mine", ids=("RSU0", "RSU1"), seed=0):
 
 @pytest.fixture
 def evaluation(frame_axis):
+    """Three runs, of which no braking avoids the last one."""
     return build_evaluation(frame_axis)
 
 
@@ -85,6 +86,7 @@ def test_heatmap_cells_are_the_detections(evaluation):
 
 
 def test_heatmap_cells_are_centred_on_their_frames(evaluation):
+    """Cells reach half a frame to both sides, and half a row up and down."""
     for run_index in range(evaluation.axis.n_runs):
         axes = heatmap(evaluation, run_index)
         frames = evaluation.axis.frames_of(run_index)
@@ -121,6 +123,7 @@ def test_heatmap_says_so_where_no_braking_helps(evaluation):
 
 
 def test_heatmap_marks_confirmations_and_names_outcomes(evaluation):
+    """At the right, a word for each row."""
     rows = rows_of(evaluation)
 
     for run_index in range(evaluation.axis.n_runs):

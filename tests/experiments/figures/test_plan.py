@@ -24,6 +24,12 @@ from placement.setting import build_setting
 CAMERA = load_cameras()["carla-ncap-rgb"]
 
 
+def study_layout(n_units):
+    """The first of the study's units, as a layout."""
+    units = load_carlancap_layout().units[:n_units]
+    return Layout(name="mine", units=units)
+
+
 def lines_of(axes):
     """Lines of a figure by their names."""
     return {line.get_gid(): line for line in axes.get_lines()}
@@ -60,14 +66,16 @@ def is_inside(points_m, corners_m):
 
 
 @given(
-    st.floats(-180.0, 180.0),
-    st.floats(-85.0, 40.0),
-    st.floats(2.0, 12.0),
-    st.floats(5.0, 60.0),
+    yaw_deg=st.floats(-180.0, 180.0),
+    pitch_deg=st.floats(-85.0, 40.0),
+    height_m=st.floats(2.0, 12.0),
+    max_range_m=st.floats(5.0, 60.0),
 )
 def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
     yaw_deg, pitch_deg, height_m, max_range_m
 ):
+    """Random places are inside where the camera projects them into its image."""
+    # Somewhere: a footprint moves along with its unit.
     place_m = [3.0, -4.0, height_m]
     unit = unit_at(
         "u",
@@ -76,6 +84,7 @@ def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
         pitch_deg=pitch_deg,
     )
     corners = ground_footprint(unit, max_range_m=max_range_m)
+
     rng = np.random.default_rng(0)
     away_m = rng.uniform(-1.1, 1.1, (400, 2)) * max_range_m
     points = place_m[:2] + away_m
@@ -111,9 +120,11 @@ def test_footprint_is_empty_above_the_horizon():
 
 @pytest.mark.long
 def test_plan_marks_every_unit_at_its_position(setting):
+    """Its name points there, too."""
     layout = load_carlancap_layout()
     axes = plot_plan(setting, layout)
     marks = lines_of(axes)
+    # Names are annotations: they have the place that they belong to.
     names = {text.get_text(): text for text in axes.texts}
 
     for unit in layout.units:
@@ -124,9 +135,9 @@ def test_plan_marks_every_unit_at_its_position(setting):
 
 
 def test_plan_draws_other_layouts_but_labels_only_its_own(setting):
+    """Marks of others are open."""
     baseline = load_carlancap_layout()
-    mine = Layout(name="mine", units=baseline.units[:2])
-    axes = plot_plan(setting, mine, others=[baseline])
+    axes = plot_plan(setting, study_layout(2), others=[baseline])
     open_marks = []
     for line in axes.get_lines():
         is_open = line.get_markerfacecolor() == "white"
@@ -141,12 +152,14 @@ def test_plan_draws_other_layouts_but_labels_only_its_own(setting):
 
 
 def test_existing_units_are_grey_on_the_plan(setting):
-    mine = Layout(name="mine", units=load_carlancap_layout().units[:2])
-    axes = plot_plan(setting, mine, existing=["RSU1"])
+    """And the legend says why."""
+    axes = plot_plan(setting, study_layout(2), existing=["RSU1"])
     marks = lines_of(axes)
+    existing = marks["unit:RSU1"]
+    new = marks["unit:RSU0"]
 
-    assert marks["unit:RSU1"].get_markerfacecolor() == GREY
-    assert marks["unit:RSU0"].get_markerfacecolor() != GREY
+    assert existing.get_markerfacecolor() == GREY
+    assert new.get_markerfacecolor() != GREY
 
     words = texts_of(axes.get_legend())
     assert "existing: mounted already" in words
@@ -171,18 +184,23 @@ def test_plan_is_in_metres_north_up_around_the_junction(setting):
 @pytest.mark.long
 def test_plan_draws_a_scene_with_nothing_in_it(setting):
     bare = replace(setting.scene, lanes=(), sites=())
-    axes = plot_plan(replace(setting, scene=bare), load_carlancap_layout())
-    assert to_png(axes).startswith(b"\x89PNG")
+    nothing = replace(setting, scene=bare)
+    axes = plot_plan(nothing, load_carlancap_layout())
+    picture = to_png(axes)
+
+    assert picture.startswith(b"\x89PNG")
 
 
 def test_the_tip_of_a_camera_points_where_it_looks(setting):
-    units = load_carlancap_layout().units[:4]
-    axes = plot_plan(setting, Layout(name="mine", units=units))
+    """The first corner of the mark is its tip."""
+    layout = study_layout(4)
+    axes = plot_plan(setting, layout)
     lines = lines_of(axes)
 
-    for unit in units:
-        tip = lines[f"unit:{unit.id}"].get_marker().vertices[0]
-        yaw_deg = np.degrees(np.arctan2(tip[1], tip[0]))
+    for unit in layout.units:
+        outline = lines[f"unit:{unit.id}"].get_marker()
+        east, north = outline.vertices[0]
+        yaw_deg = np.degrees(np.arctan2(north, east))
         np.testing.assert_allclose(yaw_deg, unit.pose.yaw_deg)
 
 
@@ -203,10 +221,13 @@ def test_two_units_on_a_pole_are_two_arrows_from_it(setting):
         scale = 0.5 * dart.get_markersize() / np.abs(outline).max()
         ends.append(scale * outline[:, 0])
 
-    assert ends[0].min() >= 0.0  # east of the pole, the last one west of it
-    assert ends[2].max() <= 1e-9
+    first_end, second_end, third_end = ends
+
+    # East of the pole, and the last one west of it.
+    assert first_end.min() >= 0.0
+    assert third_end.max() <= 1e-9
     # Before the first one, which looks there, too.
-    assert ends[1].max() > 1.5 * ends[0].max()
+    assert second_end.max() > 1.5 * first_end.max()
     assert {"U0, U1", "U2"} <= set(texts_of(axes))
 
 
@@ -220,8 +241,10 @@ def test_assumed_sites_and_arms_are_named(setting):
     )
     scene = replace(setting.scene, notes=(note,))
     layout = Layout(name="mine", units=(replace(unit, id="U1"),))
-    axes = plot_plan(replace(setting, scene=scene), layout)
+    noted = replace(setting, scene=scene)
+    axes = plot_plan(noted, layout)
     texts = set(texts_of(axes))
+    legend = texts_of(axes.get_legend())
 
     assert {"U1 (assumed)", "north arm", "west arm"} <= texts
-    assert "assumed site: not mapped there" in texts_of(axes.get_legend())
+    assert "assumed site: not mapped there" in legend

@@ -78,7 +78,9 @@ def test_a_level_ring_sees_the_ground_between_two_circles():
 
 
 def test_a_ring_sees_no_ground_where_its_lowest_beams_end_beyond():
-    flat = _unit(replace(RING, vertical_fov_deg=4.0))
+    """2 degrees down, they meet the ground 172 m away."""
+    narrow = replace(RING, vertical_fov_deg=4.0)
+    flat = _unit(narrow)
     outer, inner = ground_rings(flat, max_range_m=35.0)
 
     assert len(outer) == 0
@@ -91,7 +93,11 @@ def test_a_ring_sees_no_ground_where_its_lowest_beams_end_beyond():
 def test_the_rings_hold_exactly_the_ground_in_view(horizontal_fov_deg, pitch_deg):
     """Random places are inside of what is drawn where the unit has them in view."""
     sensor = replace(RING, horizontal_fov_deg=horizontal_fov_deg)
-    unit = _unit(sensor, 25.0, pitch_deg)
+    unit = _unit(
+        sensor,
+        yaw_deg=25.0,
+        pitch_deg=pitch_deg,
+    )
     outer, inner = ground_rings(unit, max_range_m=30.0)
     rng = np.random.default_rng(1)
     points = PLACE[:2] + rng.uniform(-32.0, 32.0, (4000, 2))
@@ -112,9 +118,13 @@ def test_the_rings_hold_exactly_the_ground_in_view(horizontal_fov_deg, pitch_deg
 
 
 def test_cameras_and_narrow_lidars_have_no_blind_disc():
-    for sensor in (CAMERA, load_lidars()["carla-ncap-lidar"]):
+    """They do not see behind themselves, so that nothing is cut out."""
+    narrow = load_lidars()["carla-ncap-lidar"]
+
+    for sensor in (CAMERA, narrow):
         unit = _unit(sensor, pitch_deg=-20.0)
-        assert len(blind_footprint(unit, max_range_m=35.0)) == 0
+        blind = blind_footprint(unit, max_range_m=35.0)
+        assert len(blind) == 0
 
 
 def test_the_words_say_that_it_scans_all_round():
@@ -133,6 +143,7 @@ def test_the_words_say_that_it_scans_all_round():
 
 @pytest.mark.long
 def test_the_plan_marks_a_ring_by_a_disc_and_draws_its_blind_spot(small_setting):
+    """It looks nowhere in particular, so that its mark has no tip."""
     camera = _unit(CAMERA, pitch_deg=-30.0, unit_id="U2")
     axes = plot_plan(small_setting, _two(_unit(), camera))
     marks = {line.get_gid(): line for line in axes.get_lines()}
@@ -189,9 +200,11 @@ def test_the_sheet_says_how_a_ring_hangs_and_draws_an_arrow_only_where_it_helps(
 
 
 def test_the_player_gets_a_round_sign():
+    """Its kind says which sign is drawn."""
     camera = _unit(CAMERA, pitch_deg=-30.0, unit_id="U2")
     layout = _two(_unit(), camera)
-    ring, other = unit_records(layout, load_study_scene())
+    scene = load_study_scene()
+    ring, other = unit_records(layout, scene)
 
     assert ring["kind"] == "ring"
     assert other["kind"] == "camera"

@@ -1,7 +1,6 @@
 """The study's published figures beside those of this program."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -36,7 +35,8 @@ def small():
     variants = []
     for variant in (first, last):
         runs = tuple(run for run in variant.setting.runs if run.id in SOME)
-        axis = build_frame_axis(runs, weight_per_run(runs))
+        weight = weight_per_run(runs)
+        axis = build_frame_axis(runs, weight)
         setting = replace(variant.setting, runs=runs, axis=axis)
         variants.append(
             StudyVariant(
@@ -68,6 +68,7 @@ def test_the_published_figures_are_those_of_the_study():
 
 @pytest.mark.long
 def test_quantities_are_shares_by_case(small):
+    """Of the runs of each case alone."""
     variant = small[0]
     layout = Layout(name="two", units=variant.layout.units[2:4])
     evaluation = evaluate_layout(layout, variant.setting)
@@ -88,6 +89,7 @@ def test_quantities_are_shares_by_case(small):
 # Quickly: the other tests of this file.
 @pytest.mark.long
 def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkeypatch):
+    """With two small variants in place of all."""
     monkeypatch.setattr(reproduction, "build_variants", lambda: small)
     monkeypatch.setattr(reproduction, "build_additional_variants", lambda: small[:1])
     monkeypatch.setattr(reproduction, "DETECTORS", ())
@@ -113,8 +115,9 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
     # The small variants do not drive these cases.
     assert "| as it is | - | - | - | - |" in text
 
-    picture = (tmp_path / "reproduction_heatmaps.png").read_bytes()
-    names = [path.name for path in Path(tmp_path).iterdir()]
+    heatmaps = tmp_path / "reproduction_heatmaps.png"
+    picture = heatmaps.read_bytes()
+    names = [path.name for path in tmp_path.iterdir()]
 
     assert picture.startswith(b"\x89PNG")
     assert stages[0] == ("evaluate variants", 0, 3)
@@ -125,6 +128,7 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
 
 
 def test_a_use_that_does_not_exist_is_named(monkeypatch):
+    """By its place in the file of published figures."""
     entry = {
         "quantity": "x",
         "case": "y",
@@ -145,6 +149,7 @@ def test_a_use_that_does_not_exist_is_named(monkeypatch):
 # Quickly: test_variants.py, of the other cases
 @pytest.mark.long
 def test_the_additional_cases_are_changed_in_one_thing_at_a_time():
+    """Rule, recordings, position, or who comes from where."""
     variants = {}
     for variant in build_additional_variants():
         variants[variant.name] = variant.setting
@@ -190,5 +195,7 @@ def test_the_additional_cases_are_changed_in_one_thing_at_a_time():
 
 def way_of(run):
     """Unit vector from where the VRU starts to where it ends."""
-    way = (run.vru_position_m[-1] - run.vru_position_m[0])[:2]
-    return way / np.linalg.norm(way)
+    begin_m = run.vru_position_m[0]
+    end_m = run.vru_position_m[-1]
+    way_m = (end_m - begin_m)[:2]
+    return way_m / np.linalg.norm(way_m)

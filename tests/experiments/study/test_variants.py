@@ -29,21 +29,29 @@ def _nearest_m(places_m, point_m):
 
 
 def test_walls_move_towards_the_middle_and_nothing_else_does():
+    """By half a metre along both axes; moved back, they are where they were."""
     scene = load_study_scene()
     moved = move_walls(scene, 0.5)
     walls = _wall_vertices(scene)
     shift = moved.vertices_m - scene.vertices_m
+    aside = shift[:, :2]
+    up = shift[:, 2]
 
-    assert np.abs(shift[walls, :2]) == pytest.approx(0.5)
-    assert (shift[:, 2] == 0.0).all()
+    assert len(walls) > 0
+    assert np.abs(aside[walls]) == pytest.approx(0.5)
+    assert (up == 0.0).all()
 
-    rest = np.setdiff1d(np.arange(len(shift)), walls)
+    every = np.arange(len(shift))
+    rest = np.setdiff1d(every, walls)
+
     assert (shift[rest] == 0.0).all()
 
     # The end of each wall at its corner comes nearer to the middle of the junction.
     middle = scene.outline_m.mean(axis=0)
-    near_m = _nearest_m(moved.vertices_m[walls], middle)
-    far_m = _nearest_m(scene.vertices_m[walls], middle)
+    moved_corners = moved.vertices_m[walls]
+    corners = scene.vertices_m[walls]
+    near_m = _nearest_m(moved_corners, middle)
+    far_m = _nearest_m(corners, middle)
 
     assert near_m < far_m
 
@@ -68,13 +76,16 @@ def test_every_variant_changes_one_thing_of_the_studys_own_cases(variants):
     n_parked = [len(run.obstruction) for run in two.runs]
 
     assert max(n_parked) == 2
-    assert not any(run.obstruction for run in none.runs)
+
+    for run in none.runs:
+        assert not run.obstruction
 
     for name, height_px in (
         ("smallest box 30 px", 30.0),
         ("smallest box 50 px", 50.0),
     ):
-        detector = variants[name].setting.detector
+        setting = variants[name].setting
+        detector = setting.detector
         assert isinstance(detector, GeometricDetector)
         assert detector.min_box_height_px == height_px
 
@@ -87,12 +98,16 @@ def test_every_variant_changes_one_thing_of_the_studys_own_cases(variants):
 
 @pytest.mark.long
 def test_the_parked_row_moves_to_the_right_of_the_vut(variants):
+    """By half a metre more."""
     base = variants["as it is"].setting
     moved = variants["parked row 1 m beside the VUT, not 0.5 m"].setting
 
     for old, new in zip(base.runs, moved.runs, strict=True):
+        # To the right of where the VUT comes from.
         yaw = np.radians(old.vut_yaw_deg[0])
         right = np.array([np.sin(yaw), -np.cos(yaw)])
         for before, after in zip(old.obstruction, new.obstruction, strict=True):
-            shift_m = after.pose.position_m - before.pose.position_m
+            old_m = before.pose.position_m
+            new_m = after.pose.position_m
+            shift_m = new_m - old_m
             assert shift_m[:2] == pytest.approx(0.5 * right)
